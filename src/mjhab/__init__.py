@@ -1,0 +1,40 @@
+"""mjhab: the Home Assistant Benchmark with low-level whole-body control, on MuJoCo.
+
+Importing the package loads none of its libraries: the names below are looked up when they are first used.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from mjhab.envs import make
+    from mjhab.experts import make_expert
+    from mjhab.scenes.packs import open_pack
+
+__version__ = "0.1.0"
+
+__all__ = ["__version__", "make", "make_expert", "open_pack"]
+
+_LAZY = {
+    "make": "mjhab.envs",
+    "make_expert": "mjhab.experts",
+    "open_pack": "mjhab.scenes.packs",
+}
+_PACKAGES = frozenset({"cli", "core", "envs", "experts", "rollout", "scenes", "sim", "tasks"})
+
+
+def __getattr__(name: str) -> Any:
+    """Import the home of a lazy name on first use (PEP 562)."""
+    if name in _PACKAGES:
+        return importlib.import_module(f"mjhab.{name}")
+    if name not in _LAZY:
+        raise AttributeError(f"module 'mjhab' has no attribute {name!r}")
+    value = getattr(importlib.import_module(_LAZY[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_LAZY, *_PACKAGES})

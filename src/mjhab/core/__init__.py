@@ -1,0 +1,1 @@
+"""Array-namespace helpers, rotations, seeded streams, errors. Imports nothing of ours."""

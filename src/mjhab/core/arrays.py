@@ -1,0 +1,109 @@
+"""The few array helpers the pure functions need; the same line runs on numpy and torch."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import lru_cache
+from types import ModuleType
+from typing import Any, TypeVar
+
+import array_api_compat
+import array_api_compat.numpy as numpy_xp
+import numpy as np
+
+Array = Any
+"""A numpy array or a torch tensor: whatever ``array_api_compat`` knows."""
+
+Record = TypeVar("Record")
+
+
+def namespace(*arrays: Array) -> ModuleType:
+    """Return the array-API namespace of the arrays (a fast path for numpy, which is asked for every step).
+
+    Raises:
+        TypeError: the arrays come from different libraries, or are no arrays.
+    """
+    if type(arrays[0]) is np.ndarray:
+        for array in arrays:
+            if type(array) is not np.ndarray:
+                break
+        else:
+            return numpy_xp
+    return array_api_compat.array_namespace(*arrays)
+
+
+def to_numpy(array: Array) -> np.ndarray:
+    """Return the array on the host as numpy (a view where the library allows one)."""
+    if isinstance(array, np.ndarray):
+        return array
+    if hasattr(array, "detach"):
+        array = array.detach().cpu()
+    return np.asarray(array)
+
+
+def as_like(values: Array, like: Array, dtype: Any = None) -> Array:
+    """Return ``values`` as an array of the library, device and (unless given) dtype of ``like``."""
+    xp = namespace(like)
+    device = array_api_compat.device(like)
+    return xp.asarray(values, dtype=like.dtype if dtype is None else dtype, device=device)
+
+
+@lru_cache(maxsize=256)
+def _constant(values: tuple[Any, ...], xp: ModuleType, device: Any, dtype: Any) -> Array:
+    return xp.asarray(values, dtype=dtype, device=device)
+
+
+def constant(values: tuple[Any, ...], like: Array) -> Array:
+    """Return (nested) tuples of numbers as an array of the library, device and dtype of ``like``; never write into it.
+
+    It is made once and kept, because on a GPU each creation is a transfer.
+    """
+    return _constant(values, namespace(like), array_api_compat.device(like), like.dtype)
+
+
+def pick_column(table: Array, index: Array) -> Array:
+    """Return ``table[w, index[w]]`` for every world.
+
+    Args:
+        table: (W, S, ...) values.
+        index: (W,) int64 within [0, S).
+    """
+    xp = namespace(table)
+    rows = xp.arange(index.shape[0], device=array_api_compat.device(table))
+    return table[rows, index]
+
+
+def where_rows(mask: Array, new: Record, old: Record) -> Record:
+    """Return a record with the rows of ``new`` where ``mask`` holds and of ``old`` elsewhere.
+
+    Args:
+        mask: (W,) bool.
+        new, old: dataclass instances of one type whose fields are arrays (W, ...) or both None.
+    """
+    chosen: dict[str, Any] = {}
+    xp = namespace(mask)
+    for field in dataclasses.fields(old):  # type: ignore[arg-type]
+        a, b = getattr(new, field.name), getattr(old, field.name)
+        if b is None:
+            chosen[field.name] = a
+            continue
+        wide = mask if b.ndim == 1 else xp.reshape(mask, (mask.shape[0],) + (1,) * (b.ndim - 1))
+        chosen[field.name] = xp.where(wide, a, b)
+    return type(old)(**chosen)
+
+
+def map_record(function: Any, record: Record) -> Record:
+    """Return a copy of a dataclass of arrays with ``function`` applied to every field that is not None."""
+    values = {f.name: getattr(record, f.name) for f in dataclasses.fields(record)}  # type: ignore[arg-type]
+    return type(record)(**{k: None if v is None else function(v) for k, v in values.items()})
+
+
+def norm3(vector: Array) -> Array:
+    """Euclidean length over a last axis of 3; written out so that every library rounds alike."""
+    x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
+    return namespace(vector).sqrt(x * x + y * y + z * z)
+
+
+def dot3(a: Array, b: Array) -> Array:
+    """Dot product over a last axis of 3."""
+    return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]

@@ -1,0 +1,122 @@
+"""Rotations and poses on arrays: quaternions wxyz (unit), poses as 7 numbers x, y, z, w, x, y, z.
+
+Every function takes numpy or torch arrays, batches over the leading axes (which broadcast) and keeps the dtype.
+"""
+
+from __future__ import annotations
+
+from mjhab.core.arrays import Array, namespace
+
+
+def quat_mul(a: Array, b: Array) -> Array:
+    """Hamilton product ``a * b``: rotate by ``b`` first, then by ``a``. Shapes (..., 4)."""
+    aw, ax, ay, az = a[..., 0], a[..., 1], a[..., 2], a[..., 3]
+    bw, bx, by, bz = b[..., 0], b[..., 1], b[..., 2], b[..., 3]
+    parts = [
+        aw * bw - ax * bx - ay * by - az * bz,
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+    ]
+    return namespace(a, b).stack(parts, axis=-1)
+
+
+def quat_conj(q: Array) -> Array:
+    """Conjugate: the inverse rotation of a unit quaternion (..., 4)."""
+    return namespace(q).stack([q[..., 0], -q[..., 1], -q[..., 2], -q[..., 3]], axis=-1)
+
+
+def quat_rotate(q: Array, v: Array) -> Array:
+    """Rotate vectors (..., 3) by unit quaternions (..., 4)."""
+    w, x, y, z = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
+    vx, vy, vz = v[..., 0], v[..., 1], v[..., 2]
+    tx = 2 * (y * vz - z * vy)
+    ty = 2 * (z * vx - x * vz)
+    tz = 2 * (x * vy - y * vx)
+    parts = [
+        vx + w * tx + y * tz - z * ty,
+        vy + w * ty + z * tx - x * tz,
+        vz + w * tz + x * ty - y * tx,
+    ]
+    return namespace(q, v).stack(parts, axis=-1)
+
+
+def quat_rotate_inv(q: Array, v: Array) -> Array:
+    """Rotate vectors (..., 3) by the inverse of unit quaternions (..., 4)."""
+    return quat_rotate(quat_conj(q), v)
+
+
+def mat_from_quat(q: Array) -> Array:
+    """Rotation matrices (..., 3, 3) of unit quaternions (..., 4); columns are the rotated axes."""
+    xp = namespace(q)
+    w, x, y, z = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return xp.stack([xp.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def quat_from_mat(m: Array) -> Array:
+    """Unit quaternions (..., 4) with w >= 0 of rotation matrices (..., 3, 3).
+
+    Shepperd's method: of four equivalent forms the one with the largest pivot is taken, so no case is ill-conditioned.
+    """
+    xp = namespace(m)
+    m00, m11, m22 = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
+    pivots = [1 + m00 + m11 + m22, 1 + m00 - m11 - m22, 1 - m00 + m11 - m22, 1 - m00 - m11 + m22]
+    wx, wy, wz = m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]
+    xy, xz, yz = m[..., 1, 0] + m[..., 0, 1], m[..., 0, 2] + m[..., 2, 0], m[..., 2, 1] + m[..., 1, 2]
+    forms = [
+        [pivots[0], wx, wy, wz],
+        [wx, pivots[1], xy, xz],
+        [wy, xy, pivots[2], yz],
+        [wz, xz, yz, pivots[3]],
+    ]
+    best, quat = pivots[0], xp.stack(forms[0], axis=-1)
+    for pivot, form in zip(pivots[1:], forms[1:], strict=True):
+        better = pivot > best
+        best = xp.where(better, pivot, best)
+        quat = xp.where(better[..., None], xp.stack(form, axis=-1), quat)
+    quat = quat / xp.sqrt(xp.sum(quat * quat, axis=-1, keepdims=True))
+    return xp.where(quat[..., :1] < 0, -quat, quat)
+
+
+def quat_from_yaw(yaw: Array) -> Array:
+    """Quaternions (..., 4) of rotations about +z by ``yaw`` (...,) [rad]."""
+    xp = namespace(yaw)
+    zero = xp.zeros_like(yaw)
+    return xp.stack([xp.cos(yaw / 2), zero, zero, xp.sin(yaw / 2)], axis=-1)
+
+
+def yaw_from_quat(q: Array) -> Array:
+    """Heading (...,) [rad] in (-pi, pi]: the direction of the rotated x-axis seen from above."""
+    w, x, y, z = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
+    return namespace(q).atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+
+
+def quat_from_axis_angle(axis: Array, angle: Array) -> Array:
+    """Quaternions (..., 4) of rotations about unit axes (..., 3) by ``angle`` (...,) [rad]."""
+    xp = namespace(axis, angle)
+    sin = xp.sin(angle / 2)
+    parts = xp.broadcast_arrays(xp.cos(angle / 2), sin * axis[..., 0], sin * axis[..., 1], sin * axis[..., 2])
+    return xp.stack(list(parts), axis=-1)
+
+
+def pose_mul(a: Array, b: Array) -> Array:
+    """Compose poses (..., 7): the pose of frame 2 in 0, from ``a`` = 1 in 0 and ``b`` = 2 in 1."""
+    xp = namespace(a, b)
+    pos = a[..., :3] + quat_rotate(a[..., 3:], b[..., :3])
+    return xp.concat([pos, quat_mul(a[..., 3:], b[..., 3:])], axis=-1)
+
+
+def pose_inv(pose: Array) -> Array:
+    """Inverse poses (..., 7)."""
+    quat = quat_conj(pose[..., 3:])
+    return namespace(pose).concat([-quat_rotate(quat, pose[..., :3]), quat], axis=-1)
+
+
+def pose_apply(pose: Array, point: Array) -> Array:
+    """Map points (..., 3) from the frame of ``pose`` (..., 7) to the frame the pose is given in."""
+    return pose[..., :3] + quat_rotate(pose[..., 3:], point)

@@ -1,0 +1,23 @@
+"""One owner of randomness: every stream is named by a seed and a path of keys."""
+
+from __future__ import annotations
+
+import zlib
+
+import numpy as np
+
+
+def stream(seed: int, *keys: int | str) -> np.random.Generator:
+    """Return the random stream named by ``seed`` and ``keys``.
+
+    The same name gives the same numbers on every machine, whatever was drawn elsewhere, so an
+    episode does not depend on the other worlds, on their number, or on the order of resets.
+
+    Args:
+        seed: non-negative run seed.
+        keys: path of the stream, e.g. ``("episode", 12, "spawn", 3)``.
+    """
+    words = [int(seed)]
+    for key in keys:
+        words.append(zlib.crc32(key.encode()) if isinstance(key, str) else int(key))
+    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(words)))

@@ -1,0 +1,6 @@
+"""Environments: configurations, episodes, spawns, actions, observations, SequentialTask, env ids."""
+
+from mjhab.envs.catalog import ENV_IDS, make, make_by_id
+from mjhab.envs.config import EnvConfig
+
+__all__ = ["ENV_IDS", "EnvConfig", "make", "make_by_id"]

@@ -1,0 +1,83 @@
+"""The 13-D action and its controller ``pd_joint_delta_pos`` (mani_skill/agents/robots/fetch/fetch.py)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mjhab.scenes import fetch
+
+ARM = slice(0, 7)
+GRIPPER, HEAD_PAN, HEAD_TILT, TORSO, BASE_FORWARD, BASE_YAW = 7, 8, 9, 10, 11, 12
+ACTION_DIM = 13
+ARM_JOINTS = (5, 7, 8, 9, 10, 11, 12)
+"""Indices in FETCH_JOINTS of the seven arm joints, in action order."""
+
+
+@dataclass(frozen=True)
+class ActionLimits:
+    """What an action of ±1 means."""
+
+    joint_delta: float = 0.1
+    """Arm, head [rad] and torso [m] change per control step, from the measured position."""
+    gripper: tuple[float, float] = (-0.01, 0.05)
+    """Finger position [m] at -1 and +1; below zero squeezes."""
+    forward: float = 1.0
+    """Base speed [m/s]."""
+    yaw_rate: float = 3.14
+    """Base turning speed [rad/s]."""
+
+
+@dataclass(frozen=True)
+class ActionEntry:
+    """One dimension of the action: ``low``/``high`` in ``unit`` at -1/+1."""
+
+    name: str
+    joint: str
+    low: float
+    high: float
+    unit: str
+    frame: str
+
+
+def action_table(limits: ActionLimits | None = None) -> tuple[ActionEntry, ...]:
+    """Name, meaning and bounds of every action dimension, in order."""
+    limits = limits or ActionLimits()
+    d = limits.joint_delta
+    rows = [ActionEntry(fetch.FETCH_JOINTS[j], fetch.FETCH_JOINTS[j], -d, d, "rad", "joint, from measured") for j in ARM_JOINTS]
+    rows.append(ActionEntry("gripper", "l_gripper_finger_joint", *limits.gripper, "m", "joint, absolute, both fingers"))
+    for joint in ("head_pan_joint", "head_tilt_joint", "torso_lift_joint"):
+        rows.append(ActionEntry(joint, joint, -d, d, "m" if "torso" in joint else "rad", "joint, from measured"))
+    rows.append(ActionEntry("base_forward", "root_x_axis_joint", -limits.forward, limits.forward, "m/s", "base +x"))
+    rows.append(ActionEntry("base_yaw", "root_z_rotation_joint", -limits.yaw_rate, limits.yaw_rate, "rad/s", "base +z"))
+    return tuple(rows)
+
+
+class JointDeltaController:
+    """Turns actions into actuator commands: targets = measured position + delta, held for the control step."""
+
+    def __init__(self, limits: ActionLimits | None = None) -> None:
+        self.limits = limits or ActionLimits()
+        column = {name: i for i, name in enumerate(fetch.ACTUATORS)}
+        joints = fetch.FETCH_JOINTS
+        self._arm = [column[joints[j]] for j in ARM_JOINTS]
+        self._body = [column[n] for n in ("head_pan_joint", "head_tilt_joint", "torso_lift_joint")]
+        self._body_joints = [joints.index(n) for n in ("head_pan_joint", "head_tilt_joint", "torso_lift_joint")]
+        self._fingers = [column[n] for n in ("r_gripper_finger_joint", "l_gripper_finger_joint")]
+        self._base = [column[n] for n in ("root_x_axis_joint", "root_y_axis_joint", "root_z_rotation_joint")]
+        self.num_actuators = len(fetch.ACTUATORS)
+
+    def ctrl(self, actions: np.ndarray, robot_q: np.ndarray) -> np.ndarray:
+        """Actuator commands (W, nu) for actions (W, 13), clipped to [-1, 1], at joint positions (W, 15)."""
+        a = np.clip(actions, -1.0, 1.0).astype(np.float64)
+        out = np.empty((len(a), self.num_actuators))
+        low, high = self.limits.gripper
+        out[:, self._arm] = robot_q[:, ARM_JOINTS] + self.limits.joint_delta * a[:, ARM]
+        out[:, self._body] = robot_q[:, self._body_joints] + self.limits.joint_delta * a[:, HEAD_PAN : TORSO + 1]
+        out[:, self._fingers] = (low + 0.5 * (a[:, GRIPPER] + 1.0) * (high - low))[:, None]
+        speed, yaw = self.limits.forward * a[:, BASE_FORWARD], robot_q[:, 2]
+        out[:, self._base[0]] = speed * np.cos(yaw)
+        out[:, self._base[1]] = speed * np.sin(yaw)
+        out[:, self._base[2]] = self.limits.yaw_rate * a[:, BASE_YAW]
+        return out

@@ -1,0 +1,121 @@
+"""One table of observations: key, shape, unit, frame, function (mshab/envs/sequential_task.py).
+
+The concatenation of the six state entries is the 42-D ``state``. Entries that the active subtask does not use are zero,
+so that one policy interface serves all subtasks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from gymnasium import spaces
+
+from mjhab.core.rotations import quat_conj, quat_mul
+
+
+@dataclass(frozen=True, eq=False)
+class ObsContext:
+    """What observations are computed from. W worlds; poses are world poses (7,) xyz + wxyz.
+
+    ``base`` (W, 3) x, y, yaw; ``tcp_pose`` (W, 7) of gripper_link; ``obj_pose`` (W, 7) of the active subtask's object and
+    ``goal_pos`` (W, 3), meaningful where ``has_obj`` / ``has_goal`` (W,); ``is_grasped`` (W,).
+    """
+
+    robot_q: np.ndarray
+    robot_qd: np.ndarray
+    base: np.ndarray
+    tcp_pose: np.ndarray
+    obj_pose: np.ndarray
+    has_obj: np.ndarray
+    goal_pos: np.ndarray
+    has_goal: np.ndarray
+    is_grasped: np.ndarray
+
+
+BASE_HEIGHT = 0.02
+"""base_link floats this high [m] above the floor."""
+
+
+def point_in_base(base: np.ndarray, point: np.ndarray) -> np.ndarray:
+    """World points (W, 3) in the frame of base_link."""
+    c, s = np.cos(base[:, 2]), np.sin(base[:, 2])
+    d = point[:, :2] - base[:, :2]
+    return np.stack([c * d[:, 0] + s * d[:, 1], -s * d[:, 0] + c * d[:, 1], point[:, 2] - BASE_HEIGHT], axis=1)
+
+
+def pose_in_base(base: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    """World poses (W, 7) in the frame of base_link."""
+    half = 0.5 * base[:, 2]
+    zero = np.zeros_like(half)
+    turn = np.stack([np.cos(half), zero, zero, np.sin(half)], axis=1)
+    return np.concatenate([point_in_base(base, pose[:, :3]), quat_mul(quat_conj(turn), pose[:, 3:])], axis=1)
+
+
+@dataclass(frozen=True)
+class ObsEntry:
+    """One observation. ``compute`` returns (W, *shape)."""
+
+    key: str
+    shape: tuple[int, ...]
+    unit: str
+    frame: str
+    compute: Callable[[ObsContext], np.ndarray]
+
+
+STATE_TABLE = (
+    ObsEntry("agent/qpos", (12,), "m, rad", "joint: torso, head, arm, fingers", lambda c: c.robot_q[:, 3:]),
+    ObsEntry("agent/qvel", (12,), "m/s, rad/s", "joint: torso, head, arm, fingers", lambda c: c.robot_qd[:, 3:]),
+    ObsEntry("extra/tcp_pose_wrt_base", (7,), "m, wxyz", "base_link", lambda c: pose_in_base(c.base, c.tcp_pose)),
+    ObsEntry(
+        "extra/obj_pose_wrt_base", (7,), "m, wxyz", "base_link",
+        lambda c: pose_in_base(c.base, c.obj_pose) * c.has_obj[:, None],
+    ),
+    ObsEntry(
+        "extra/goal_pos_wrt_base", (3,), "m", "base_link",
+        lambda c: point_in_base(c.base, c.goal_pos) * c.has_goal[:, None],
+    ),
+    ObsEntry("extra/is_grasped", (1,), "0 or 1", "-", lambda c: c.is_grasped[:, None]),
+)  # fmt: skip
+STATE_DIM = sum(entry.shape[0] for entry in STATE_TABLE)
+STATE_KEY = "state"
+CAMERA_KEYS = ("fetch_head", "fetch_hand")
+CAMERA_OUTPUTS = ("depth", "rgb", "seg")
+DEPTH_SCALE = 1000.0
+"""Depth images are int16 millimetres, 0 where nothing is hit."""
+
+
+def camera_key(camera: str, output: str) -> str:
+    """Key of one camera image in the observation."""
+    return f"sensor_data/{camera}/{output}"
+
+
+def single_space(cameras: tuple[str, ...] = (), size: int = 128) -> spaces.Dict:
+    """Observation space of one world, with images of ``cameras`` (outputs of CAMERA_OUTPUTS) at ``size``."""
+    box = {e.key: spaces.Box(-np.inf, np.inf, e.shape, np.float32) for e in STATE_TABLE}
+    box[STATE_KEY] = spaces.Box(-np.inf, np.inf, (STATE_DIM,), np.float32)
+    for name in CAMERA_KEYS if cameras else ():
+        for output in cameras:
+            if output == "rgb":
+                box[camera_key(name, output)] = spaces.Box(0, 255, (size, size, 3), np.uint8)
+            else:
+                kind = np.int16 if output == "depth" else np.int32
+                box[camera_key(name, output)] = spaces.Box(0, np.iinfo(kind).max, (size, size, 1), kind)
+    return spaces.Dict(box)
+
+
+def state_observation(context: ObsContext) -> dict[str, np.ndarray]:
+    """Every entry of STATE_TABLE and their concatenation, float32, (W, ...)."""
+    obs = {entry.key: np.asarray(entry.compute(context), dtype=np.float32) for entry in STATE_TABLE}
+    obs[STATE_KEY] = np.concatenate([obs[e.key] for e in STATE_TABLE], axis=1)
+    return obs
+
+
+def image_observation(camera: str, output: str, image: np.ndarray) -> np.ndarray:
+    """Turn a rendered image (W, H, W[, 3]) into its observation: depth [m] to int16 mm, a channel axis for seg."""
+    if output == "rgb":
+        return image
+    if output == "depth":
+        return np.minimum(np.rint(image * DEPTH_SCALE), np.iinfo(np.int16).max).astype(np.int16)[..., None]
+    return image.astype(np.int32)[..., None]

@@ -1,0 +1,201 @@
+"""Robot starts near a target: navigable, facing it, collision-free by simulation.
+
+Numbers are those of mshab/utils/gen/gen_spawn_positions.py: base noise N(0, 0.1) clipped at 0.2 m, yaw noise N(0, 0.25)
+clipped at 0.5 rad, arm noise N(0, 0.1) clipped at 0.2 rad, within 2 m of objects and goals, and for articulations within
+an area in front of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from mjhab.envs.actions import ARM_JOINTS
+from mjhab.scenes import contact_bits
+from mjhab.scenes.fetch import REST_QPOS
+from mjhab.scenes.freespace import FreeMap, free_map
+from mjhab.sim.cpu import SUBSTEPS, CpuSimulator
+from mjhab.sim.settle import hold_robot
+
+ROBOT_RADIUS = 0.3
+"""Radius [m] the walkable maps of ReplicaCAD are made for."""
+XY_NOISE, YAW_NOISE, ARM_NOISE = (0.1, 0.2), (0.25, 0.5), (0.1, 0.2)
+"""(standard deviation, clip) in m, rad, rad."""
+MAX_DISTANCE = 2.0
+MAX_TRIES = 100
+CLOSED_FINGER = -0.01
+
+
+@dataclass(frozen=True, eq=False)
+class SpawnGoal:
+    """Where to spawn: within 2 m of ``face`` (2,) or, with ``area``, in that world box (x_min, x_max, y_min, y_max)."""
+
+    face: np.ndarray
+    area: np.ndarray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """An object in the gripper: its slot and its pose (7,) in the frame of gripper_link."""
+
+    slot: int
+    pose: np.ndarray
+
+
+class SpawnSampler:
+    """Draws starts one try at a time, so that a hard one never holds up the other worlds."""
+
+    def __init__(self, sim: CpuSimulator) -> None:
+        self.sim = sim
+        self._maps: dict[str, FreeMap] = {}
+        self._scratch: dict[str, mujoco.MjData] = {}
+        model = sim.model(sim.layout.pack.homes[0].name)
+        self._is_robot = (model.geom_contype & contact_bits.ROBOT) != 0
+        self._geom_body = model.geom_bodyid.copy()
+        self._gripper = sim.addresses.robot_body["gripper_link"]
+        joint_names = [model.joint(int(j)).name for j in model.actuator_trnid[:, 0]]
+        self._fingers = [i for i, n in enumerate(joint_names) if n.endswith("gripper_finger_joint")]
+
+    def map(self, home: str) -> FreeMap:
+        """Free-space map of a home."""
+        if home not in self._maps:
+            spec = next(h for h in self.sim.layout.pack.homes if h.name == home)
+            self._maps[home] = free_map(spec, self.sim.layout.pack)
+        return self._maps[home]
+
+    def try_once(
+        self, home: str, qpos: np.ndarray, goal: SpawnGoal, rng: np.random.Generator, held: Held | None = None
+    ) -> np.ndarray | None:
+        """One random try.
+
+        Args:
+            home: home of the world.
+            qpos: (nq,) its present state; objects and joints stay, robot and held object move.
+            goal: where to stand.
+            rng: stream of this try.
+            held: what the gripper carries.
+
+        Returns:
+            The new state (nq,) when it is valid, else None.
+        """
+        base = self._sample_base(home, goal, rng)
+        arm_noise = np.clip(rng.normal(0, ARM_NOISE[0], 7), -ARM_NOISE[1], ARM_NOISE[1])
+        if base is None:
+            return None
+        return self._apply(home, qpos, base, arm_noise, held)
+
+    def at(self, home: str, qpos: np.ndarray, xy: np.ndarray, goal: SpawnGoal) -> np.ndarray | None:
+        """The state with the robot at ``xy`` (2,) in its rest pose, facing the goal; None when it touches something."""
+        return self._apply(home, qpos, np.array([*xy, self._bearing(xy, goal)]), np.zeros(7), None)
+
+    def fallback(self, home: str, qpos: np.ndarray, goal: SpawnGoal, held: Held | None = None) -> np.ndarray:
+        """Without noise: the nearest start that is valid, else the roomiest place near the goal (the caller flags it)."""
+        cells = self._candidates(home, goal, MAX_DISTANCE + 1.0)
+        order = np.argsort(np.linalg.norm(cells - goal.face, axis=1), kind="stable")[:: max(1, len(cells) // 200)]
+        for xy in cells[order]:
+            base = np.array([*xy, self._bearing(xy, goal)])
+            found = self._apply(home, qpos, base, np.zeros(7), held)
+            if found is not None:
+                return found
+        fmap = self.map(home)
+        best = max(cells, key=lambda xy: float(fmap.clearance[tuple(fmap.to_cell(xy))]))
+        return self._pose(home, qpos, np.array([*best, self._bearing(best, goal)]), np.zeros(7), held)
+
+    # -- one try ---------------------------------------------------------------------------------------------------
+
+    @staticmethod
+    def _bearing(xy: np.ndarray, goal: SpawnGoal) -> float:
+        return float(np.arctan2(goal.face[1] - xy[1], goal.face[0] - xy[0]))
+
+    def _candidates(self, home: str, goal: SpawnGoal, reach: float = MAX_DISTANCE) -> np.ndarray:
+        fmap = self.map(home)
+        cells = np.argwhere(fmap.navigable(ROBOT_RADIUS))
+        xy = fmap.to_xy(cells)
+        near = np.linalg.norm(xy - goal.face, axis=1) <= reach
+        if goal.area is not None:
+            inside = self._inside(xy, goal.area)
+            near = inside if inside.any() else near
+        return xy[near]
+
+    @staticmethod
+    def _inside(xy: np.ndarray, area: np.ndarray) -> np.ndarray:
+        x_min, x_max, y_min, y_max = area
+        return (xy[..., 0] >= x_min) & (xy[..., 0] <= x_max) & (xy[..., 1] >= y_min) & (xy[..., 1] <= y_max)
+
+    def _sample_base(self, home: str, goal: SpawnGoal, rng: np.random.Generator) -> np.ndarray | None:
+        candidates = self._candidates(home, goal)
+        noise = np.clip(rng.normal(0, XY_NOISE[0], 2), -XY_NOISE[1], XY_NOISE[1])
+        turn = float(np.clip(rng.normal(0, YAW_NOISE[0]), -YAW_NOISE[1], YAW_NOISE[1]))
+        if not len(candidates):
+            return None
+        xy = candidates[int(rng.integers(len(candidates)))] + noise
+        fmap = self.map(home)
+        cell = fmap.to_cell(xy)
+        if np.any(cell < 0) or np.any(cell >= fmap.clearance.shape) or fmap.clearance[tuple(cell)] < ROBOT_RADIUS - 0.02:
+            return None
+        if np.linalg.norm(xy - goal.face) > MAX_DISTANCE or (goal.area is not None and not self._inside(xy, goal.area)):
+            return None
+        return np.array([*xy, self._bearing(xy, goal) + turn])
+
+    def _pose(
+        self, home: str, qpos: np.ndarray, base: np.ndarray, arm_noise: np.ndarray, held: Held | None
+    ) -> np.ndarray:
+        a = self.sim.addresses
+        out = qpos.copy()
+        robot = out[a.robot_q].copy() if held else np.array(REST_QPOS, dtype=np.float64)
+        robot[:3] = base
+        robot[list(ARM_JOINTS)] += arm_noise
+        out[a.robot_q] = robot
+        if held is not None:
+            data = self._data(home)
+            data.qpos[:] = out
+            mujoco.mj_kinematics(self.sim.model(home), data)
+            start = a.object_q[held.slot]
+            pos, quat = np.zeros(3), np.zeros(4)
+            gripper_quat = data.xquat[self._gripper]
+            mujoco.mju_rotVecQuat(pos, held.pose[:3], gripper_quat)
+            mujoco.mju_mulQuat(quat, gripper_quat, held.pose[3:])
+            out[start : start + 3] = pos + data.xpos[self._gripper]
+            out[start + 3 : start + 7] = quat
+        return out
+
+    def _apply(
+        self, home: str, qpos: np.ndarray, base: np.ndarray, arm_noise: np.ndarray, held: Held | None
+    ) -> np.ndarray | None:
+        out = self._pose(home, qpos, base, arm_noise, held)
+        return out if self.collision_free(home, out, held) else None
+
+    # -- the check -------------------------------------------------------------------------------------------------
+
+    def _data(self, home: str) -> mujoco.MjData:
+        if home not in self._scratch:
+            self._scratch[home] = mujoco.MjData(self.sim.model(home))
+        return self._scratch[home]
+
+    def collision_free(self, home: str, qpos: np.ndarray, held: Held | None = None) -> bool:
+        """Whether the robot touches nothing but what it holds, now and after one simulated control step."""
+        model, data = self.sim.model(home), self._data(home)
+        mujoco.mj_resetData(model, data)
+        data.qpos[:] = qpos
+        mujoco.mj_forward(model, data)
+        if self._collides(data, held):
+            return False
+        hold_robot(model, data, self.sim.addresses)
+        if held is not None:
+            data.ctrl[self._fingers] = CLOSED_FINGER
+        mujoco.mj_step(model, data, SUBSTEPS)
+        return not self._collides(data, held)
+
+    def _collides(self, data: mujoco.MjData, held: Held | None) -> bool:
+        pairs = data.contact.geom[: data.ncon]
+        if not len(pairs):
+            return False
+        robot = self._is_robot[pairs]
+        held_body = self.sim.addresses.object_body[held.slot] if held else -1
+        carried = self._geom_body[pairs] == held_body
+        # A contact counts when one side is robot or load and the other is neither.
+        ours = robot | carried
+        trunk = robot.all(axis=1)
+        return bool((ours.any(axis=1) & ~ours.all(axis=1)).any() or trunk.any())

@@ -1,0 +1,63 @@
+"""What is reported of a subtask when it ends: label, events, forces, times."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from mjhab.tasks.measure import Signals
+from mjhab.tasks.plan import KIND_NAMES, PADDING, TaskPlan
+from mjhab.tasks.progress import Outcome, Progress
+from mjhab.tasks.tracker import SubtaskTracker
+
+
+class Tracker:
+    """Keeps the notes of every world's active subtask and writes its record."""
+
+    def __init__(self, num_worlds: int) -> None:
+        self._num_worlds = num_worlds
+        self._notes: SubtaskTracker | None = None
+        self._start_step = np.zeros(num_worlds, np.int64)
+
+    def begin(self, mask: np.ndarray, signals: Signals, progress: Progress) -> None:
+        """Start new notes in the worlds of ``mask`` (W,) from the signals at the start of their subtask."""
+        if self._notes is None:
+            self._notes = SubtaskTracker(signals)
+        else:
+            self._notes.restart(mask, signals)
+        self._start_step = np.where(mask, progress.episode_step, self._start_step)
+
+    def update(self, signals: Signals, progress: Progress) -> list[list[str]]:
+        """Note one control step, before the pointer moves; returns the names of its events per world."""
+        assert self._notes is not None
+        live = ~progress.done
+        kind = np.where(live, signals.kind, PADDING)
+        return self._notes.step(kind, signals, progress.episode_step, live)
+
+    def ended(
+        self, signals: Signals, outcome: Outcome, progress: Progress, plans: list[TaskPlan]
+    ) -> list[dict[str, Any] | None]:
+        """Records of the subtasks that ended in this step; ``progress`` is the one before the pointer moved."""
+        records: list[dict[str, Any] | None] = [None] * self._num_worlds
+        if not outcome.ended.any():
+            return records
+        assert self._notes is not None
+        labels = self._notes.labels(signals.kind)
+        for w in np.flatnonzero(outcome.ended).tolist():
+            kind, index = int(signals.kind[w]), int(progress.pointer[w])
+            records[w] = {
+                "index": index,
+                "kind": KIND_NAMES[kind],
+                "target": plans[w].subtasks[index].target,
+                "label": labels[w],
+                "legacy_label": self._notes.legacy_label(w, kind),
+                "success_once": bool(outcome.success_once[w]),
+                "success_at_end": bool(outcome.success_at_end[w]),
+                "start_step": int(self._start_step[w]),
+                "end_step": int(progress.episode_step[w]),
+                "peak_force": round(float(progress.peak_force[w]), 3),
+                "cumulative_force": round(float(progress.cumulative_force[w]), 3),
+                "events": [[step, name] for step, name in self._notes.events(w)],
+            }
+        return records

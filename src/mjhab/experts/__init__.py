@@ -1,0 +1,1 @@
+"""Scripted whole-body experts that act only through the 13-D action."""

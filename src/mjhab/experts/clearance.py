@@ -1,0 +1,215 @@
+"""How far the robot is from boxes and from itself: spheres along its links against oriented boxes, in batches.
+
+Letters: N configurations, M spheres, K boxes. Lengths [m], world frame unless said.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mjhab.core.rotations import mat_from_quat
+from mjhab.experts.kinematics import Chain, Frames
+
+Array = np.ndarray
+FAR = 1e3
+"""Distance [m] reported when there is nothing to be near to."""
+_PAIRS_AT_ONCE = 400_000
+
+
+@dataclass(frozen=True, eq=False)
+class Boxes:
+    """Oriented boxes: ``center`` (K, 3), ``half`` (K, 3) half-extents, ``rot`` (K, 3, 3) with the axes as columns."""
+
+    center: Array
+    half: Array
+    rot: Array
+
+    def __len__(self) -> int:
+        return len(self.center)
+
+    @staticmethod
+    def of(center: Array, half: Array, rot: Array | None = None) -> Boxes:
+        """Boxes from anything array-like; ``rot`` None: along the axes of the world."""
+        center = np.asarray(center, dtype=np.float64).reshape(-1, 3)
+        half = np.broadcast_to(np.asarray(half, dtype=np.float64), center.shape)
+        turn = np.eye(3) if rot is None else np.asarray(rot, dtype=np.float64)
+        return Boxes(center, half, np.broadcast_to(turn, (len(center), 3, 3)))
+
+    @staticmethod
+    def join(parts: Iterable[Boxes]) -> Boxes:
+        """All boxes of several sets in one."""
+        sets = [part for part in parts if len(part)]
+        if not sets:
+            return Boxes(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3)))
+        return Boxes(*(np.concatenate([getattr(s, k) for s in sets]) for k in ("center", "half", "rot")))
+
+    def take(self, keep: Array) -> Boxes:
+        """The boxes picked by an index or mask."""
+        return Boxes(self.center[keep], self.half[keep], self.rot[keep])
+
+    def near(self, point: Array, reach: float) -> Boxes:
+        """The boxes that come within ``reach`` of ``point`` (3,) or, for (2,), of the vertical line through it."""
+        point = np.asarray(point, dtype=np.float64)
+        if point.shape == (3,):
+            gap = sphere_box_distance(point[None], self)[0] if len(self) else np.zeros(0)
+        else:
+            gap = np.linalg.norm(self.center[:, :2] - point, axis=1) - np.linalg.norm(self.half, axis=1)
+        return self.take(gap <= reach)
+
+
+def sphere_box_distance(points: Array, boxes: Boxes) -> Array:
+    """Signed distances (P, K) of points (P, 3) to boxes: negative inside, exact outside."""
+    count = len(boxes)
+    # One matrix product takes every point into every box's frame.
+    turn = boxes.rot.transpose(1, 0, 2).reshape(3, count * 3)
+    shift = np.einsum("ki,kij->kj", boxes.center, boxes.rot)
+    local = np.abs((points @ turn).reshape(len(points), count, 3) - shift) - boxes.half
+    outside = np.maximum(local, 0.0)
+    inside = np.minimum(np.max(local, axis=2), 0.0)
+    return np.sqrt(np.einsum("pkc,pkc->pk", outside, outside)) + inside
+
+
+@dataclass(frozen=True, eq=False)
+class RobotSpheres:
+    """Spheres that cover the robot: ``link`` (M,) index among the chain's links, ``pos`` (M, 3) in the link's frame,
+    ``radius`` (M,). ``trunk``: boxes of the links the arm must not touch, each in the frame of link ``trunk_link`` (K,);
+    ``distal`` (M,) bool: spheres that are checked against them."""
+
+    chain: Chain
+    link: Array
+    pos: Array
+    radius: Array
+    trunk: Boxes
+    trunk_link: Array
+    distal: Array
+
+    @classmethod
+    def from_geoms(
+        cls,
+        chain: Chain,
+        geoms: Mapping[str, Sequence[Any]],
+        *,
+        skip: Sequence[str] = (),
+        trunk: Sequence[str] = (),
+        distal: Sequence[str] = (),
+    ) -> RobotSpheres:
+        """Cover collision shapes by spheres.
+
+        Args:
+            chain: a chain that holds every link of interest (``extra`` of `Chain.from_tree`).
+            geoms: per link its boxes and cylinders (fields ``shape``, ``size``, ``pos``, ``quat`` as in a scene's
+                description); links the chain lacks are left out.
+            skip: links to leave out, e.g. the base where a map of free floor already keeps it clear.
+            trunk: links kept as boxes for `self_clearance`.
+            distal: links whose spheres `self_clearance` looks at.
+        """
+        link, pos, radius = [], [], []
+        for i, name in enumerate(chain.links):
+            for geom in geoms.get(name, ()) if name not in skip else ():
+                points, size = _fill(geom)
+                link += [i] * len(points)
+                pos.append(points)
+                radius += [size] * len(points)
+        pairs = [(chain.links.index(name), g) for name in trunk if name in chain.links for g in geoms.get(name, ())]
+        rows = np.array(link, dtype=np.int64)
+        chosen = [i for i, name in enumerate(chain.links) if name in distal]
+        return cls(
+            chain, rows, np.concatenate(pos), np.array(radius), _bounding([g for _, g in pairs]),
+            np.array([i for i, _ in pairs], dtype=np.int64), np.isin(rows, chosen),
+        )  # fmt: skip
+
+    def with_held(self, pos: Array, radius: Array) -> RobotSpheres:
+        """The same robot with spheres ``pos`` (H, 3), ``radius`` (H,) fixed to the tip: an object in the gripper."""
+        count = len(pos)
+        return RobotSpheres(
+            self.chain, np.append(self.link, np.full(count, self.chain.tip_index)), np.concatenate([self.pos, pos]),
+            np.append(self.radius, radius), self.trunk, self.trunk_link, np.append(self.distal, np.ones(count, dtype=bool)),
+        )  # fmt: skip
+
+    def only(self, links: Sequence[str]) -> RobotSpheres:
+        """The spheres of some links, for cheaper or more specific tests."""
+        keep = np.isin(self.link, [self.chain.links.index(name) for name in links])
+        return RobotSpheres(
+            self.chain, self.link[keep], self.pos[keep], self.radius[keep], self.trunk, self.trunk_link, self.distal[keep]
+        )
+
+    def centers(self, frames: Frames) -> Array:
+        """World centres (N, M, 3) at link frames from `Chain.forward`."""
+        return frames.pos[:, self.link] + np.einsum("nmij,mj->nmi", frames.rot[:, self.link], self.pos)
+
+    def clearance(self, q: Array, boxes: Boxes) -> Array:
+        """Least distance (N,) [m] of any sphere to any box at configurations ``q`` (N, Q); negative: they overlap."""
+        q = np.atleast_2d(q)
+        if len(boxes) == 0 or len(self.radius) == 0:
+            return np.full(len(q), FAR)
+        rows = max(1, _PAIRS_AT_ONCE // (len(boxes) * len(self.radius)))
+        parts = []
+        for start in range(0, len(q), rows):
+            points = self.centers(self.chain.forward(q[start : start + rows]))
+            gap = sphere_box_distance(points.reshape(-1, 3), boxes).min(axis=1).reshape(points.shape[:2])
+            parts.append((gap - self.radius).min(axis=1))
+        return np.concatenate(parts)
+
+    def self_clearance(self, q: Array) -> Array:
+        """Least distance (N,) [m] of the distal links to the trunk's boxes; negative: they overlap."""
+        frames = self.chain.forward(q)
+        points = self.centers(frames)[:, self.distal]
+        least = np.full(len(points), FAR)
+        for box, link in enumerate(self.trunk_link):
+            local = np.einsum("nmi,nij->nmj", points - frames.pos[:, None, link], frames.rot[:, link])
+            gap = sphere_box_distance(local.reshape(-1, 3), self.trunk.take(np.array([box])))[:, 0]
+            least = np.minimum(least, (gap.reshape(points.shape[:2]) - self.radius[self.distal]).min(axis=1))
+        return least
+
+    def path_clearance(self, start: Array, ends: Array, boxes: Boxes, pieces: int = 8) -> Array:
+        """Least clearance (N,) to boxes and to the own trunk on the straight joint paths from ``start`` (Q,) or (N, Q)
+        to ``ends`` (N, Q), looked at in ``pieces`` places after the start."""
+        ends = np.atleast_2d(ends)
+        share = np.linspace(0, 1, pieces + 1)[1:, None, None]
+        q = (start + share * (ends - start)).reshape(-1, ends.shape[1])
+        gap = np.minimum(self.clearance(q, boxes), self.self_clearance(q))
+        return gap.reshape(pieces, len(ends)).min(axis=0)
+
+
+def _fill(geom: Any) -> tuple[Array, float]:
+    """Sphere centres (P, 3) in the link's frame and their common radius for a box, cylinder, capsule or sphere."""
+    if geom.shape == "sphere":
+        return np.asarray(geom.pos, dtype=np.float64)[None], float(geom.size[0])
+    if geom.shape == "box":
+        half = np.asarray(geom.size, dtype=np.float64)
+        # Flat boxes get rounder, somewhat thicker covers: their number matters more than a few millimetres.
+        small = max(float(half.min()), 0.7 * float(np.sort(half)[1]))
+        local = _grid(np.maximum(half - small, 0.0), small)
+    else:
+        radius, length = float(geom.size[0]), float(geom.size[1])
+        small = min(radius, max(length, 0.7 * radius))
+        if small == radius:
+            local = _grid(np.array([0.0, 0.0, length - small]), small)
+        else:
+            ring = radius - small
+            angle = np.linspace(0, 2 * np.pi, max(4, int(np.ceil(2 * np.pi * ring / small))), endpoint=False)
+            local = np.stack([ring * np.cos(angle), ring * np.sin(angle), 0 * angle], axis=1)
+            local = np.concatenate([np.zeros((1, 3)), local])
+    rot = mat_from_quat(np.asarray(geom.quat, dtype=np.float64))
+    return local @ rot.T + np.asarray(geom.pos, dtype=np.float64), small
+
+
+def _grid(room: Array, radius: float) -> Array:
+    """Points (P, 3) within ± ``room`` at most 1.2 radii apart."""
+    axes = [np.linspace(-r, r, 1 + int(np.ceil(2 * r / (1.2 * radius) - 1e-9))) if r > 1e-9 else np.zeros(1) for r in room]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def _bounding(geoms: Sequence[Any]) -> Boxes:
+    """Boxes around primitive shapes, in the frames the shapes are given in."""
+    half = []
+    for geom in geoms:
+        size = np.asarray(geom.size, dtype=np.float64)
+        half.append(size if geom.shape == "box" else np.array([size[0], size[0], size[1] or size[0]]))
+    center = np.array([geom.pos for geom in geoms], dtype=np.float64).reshape(-1, 3)
+    quat = np.array([geom.quat for geom in geoms], dtype=np.float64).reshape(-1, 4)
+    return Boxes(center, np.array(half).reshape(-1, 3), mat_from_quat(quat))

@@ -1,0 +1,108 @@
+"""Films of some episodes, recorded while they run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from mjhab.rollout.records import EpisodeRecord
+from mjhab.rollout.sinks import Sink, StepView
+
+FILM_FPS = 20
+FILM_EVERY = 2
+"""A frame every 2nd control step of 20 Hz, played at 20 frames/s: films run at twice the speed of life."""
+
+
+class Film(Protocol):
+    """An open film file; it appears under its name when it is closed, and not at all when it is aborted."""
+
+    def add(self, frame: np.ndarray) -> None:
+        """Append a frame (H, W, 3) uint8."""
+        ...
+
+    def close(self) -> None:
+        """Finish the file."""
+        ...
+
+    def abort(self) -> None:
+        """Remove the unfinished file."""
+        ...
+
+
+class FilmSink(Sink):
+    """Films the episodes in ``indices`` through ``env.render_world``.
+
+    A renderer or encoder that fails stops the films, not the evaluation: ``problem`` then says why.
+
+    Args:
+        indices: episodes to film.
+        path_of: where the film of an episode goes.
+        open_film: opens a film file (from ``sim.film``, which this package may not import), given path and frames/s.
+        every: control steps between frames.
+        width, height: of the frames [pixels].
+    """
+
+    def __init__(
+        self,
+        indices: Collection[int],
+        path_of: Callable[[int], Path],
+        open_film: Callable[[Path, int], Film],
+        *,
+        every: int = FILM_EVERY,
+        width: int = 480,
+        height: int = 360,
+    ) -> None:
+        self.problem: str | None = None
+        self._indices, self._path_of, self._open_film = frozenset(indices), path_of, open_film
+        self._every, self._size = every, (width, height)
+        self._films: dict[int, Film] = {}
+
+    def on_reset(self, env: Any, info: Mapping[str, Any], mask: np.ndarray) -> None:
+        """Open films of wanted episodes; their first frame shows the start state."""
+        for world in np.flatnonzero(mask):
+            index = int(info["episode"][world]["index"])
+            if index in self._indices and self.problem is None:
+                self._films[int(world)] = self._open_film(self._path_of(index), FILM_FPS)
+                self._shoot(env, int(world))
+
+    def on_step(self, env: Any, step: StepView) -> None:
+        """Shoot every ``every``-th step of the filmed worlds."""
+        for world in list(self._films):
+            if step.steps[world] % self._every == 0:
+                self._shoot(env, world)
+
+    def on_episode_end(self, env: Any, world: int, record: EpisodeRecord) -> None:
+        """Finish the film."""
+        film = self._films.pop(world, None)
+        if film is not None:
+            try:
+                film.close()
+            except Exception as error:
+                self._give_up(error)
+
+    def close(self) -> None:
+        """Drop the films of unfinished episodes."""
+        for film in self._films.values():
+            film.abort()
+        self._films.clear()
+
+    def _shoot(self, env: Any, world: int) -> None:
+        film = self._films.get(world)
+        if film is None:
+            return
+        try:
+            film.add(env.render_world(world, width=self._size[0], height=self._size[1]))
+        except Exception as error:
+            self._give_up(error)
+
+    def _give_up(self, error: Exception) -> None:
+        self.problem = f"{type(error).__name__}: {error}"
+        self.close()
+
+
+def film_second(step: float, every: int = FILM_EVERY) -> float:
+    """Second of a film at which control step ``step`` is shown."""
+    return step / (every * FILM_FPS)

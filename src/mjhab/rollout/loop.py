@@ -1,0 +1,194 @@
+"""THE rollout loop: what an episode is, is decided here and nowhere else.
+
+Training-time evaluation, evaluation, data generation and viewers differ in their sinks only.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from typing import Any
+
+import numpy as np
+
+from mjhab.core.errors import UsageError
+from mjhab.rollout.policy import Policy
+from mjhab.rollout.records import EpisodeRecord, Event, PlanEntry, SubtaskRecord
+from mjhab.rollout.sinks import Sink, StepView
+
+
+def rollout(
+    env: Any,
+    policy: Policy,
+    episodes: Sequence[int],
+    seed: int,
+    sinks: Sequence[Sink] = (),
+    max_steps: int | None = None,
+) -> list[EpisodeRecord]:
+    """Run the named episodes and return their records, sorted by index.
+
+    Worlds are filled with indices in the order given; a world that finishes takes the next one. What happens in an
+    episode is a function of (seed, index), so the records do not depend on ``env.num_envs`` or on the order.
+
+    Args:
+        env: vector env with autoreset disabled whose ``reset`` takes ``options={"episode": (n,) indices,
+            "reset_mask": (W,) bool}`` with n = number of worlds in the mask.
+        policy: acts in all W worlds; actions of idle worlds are replaced by zeros.
+        episodes: distinct episode indices, each >= 0.
+        seed: run seed, given to every reset.
+        sinks: listeners, called in order; closed on every way out, also on Ctrl-C.
+        max_steps: cut episodes after this many control steps; None leaves the end to the env.
+
+    Raises:
+        UsageError: an index is negative or named twice, or ``max_steps`` < 1.
+    """
+    _check(episodes, max_steps)
+    with ExitStack() as stack:
+        for sink in reversed(sinks):
+            stack.callback(sink.close)
+        run = _Run(env, policy, episodes, seed, sinks, max_steps)
+        while run.active.any():
+            run.step()
+        return sorted(run.records, key=lambda record: record.index)
+
+
+def _check(episodes: Sequence[int], max_steps: int | None) -> None:
+    if any(index < 0 for index in episodes):
+        raise UsageError(f"episode indices must be >= 0, got {min(episodes)}.")
+    if len(set(episodes)) != len(episodes):
+        raise UsageError("episode indices must be distinct; one is named twice.")
+    if max_steps is not None and max_steps < 1:
+        raise UsageError(f"max_steps must be >= 1, got {max_steps}.")
+
+
+class _Run:
+    """State of one call of ``rollout``."""
+
+    def __init__(
+        self,
+        env: Any,
+        policy: Policy,
+        episodes: Sequence[int],
+        seed: int,
+        sinks: Sequence[Sink],
+        max_steps: int | None,
+    ) -> None:
+        self.env, self.policy, self.seed, self.sinks = env, policy, seed, sinks
+        self.max_steps = np.inf if max_steps is None else max_steps
+        self.waiting = deque(int(index) for index in episodes)
+        self.active = np.zeros(env.num_envs, bool)
+        self.steps = np.zeros(env.num_envs, np.int64)
+        self.traces: list[_Trace | None] = [None] * env.num_envs
+        self.records: list[EpisodeRecord] = []
+        self.obs: Any = None
+        self.info: Mapping[str, Any] = {}
+        self._fill()
+
+    def step(self) -> None:
+        """Take one control step in all worlds, then give finished worlds their next episode."""
+        actions = np.asarray(self.policy.act(self.obs, self.info), np.float32)
+        actions = np.where(self.active[:, None], actions, np.float32(0.0))
+        self.obs, reward, terminated, truncated, self.info = self.env.step(actions)
+        self.steps[self.active] += 1
+        done = self.active & (np.asarray(terminated) | np.asarray(truncated) | (self.steps >= self.max_steps))
+        for w in np.flatnonzero(self.active):
+            self._trace(int(w)).add(int(w), int(self.steps[w]), self.info)
+        view = StepView(self.active.copy(), self.steps.copy(), done, actions, self.obs, reward, self.info)
+        for sink in self.sinks:
+            sink.on_step(self.env, view)
+        for w in np.flatnonzero(done):
+            self._finish(int(w))
+        if done.any():
+            self._fill()
+
+    def _trace(self, world: int) -> _Trace:
+        trace = self.traces[world]
+        assert trace is not None, f"world {world} is active without an episode"
+        return trace
+
+    def _finish(self, world: int) -> None:
+        record = self._trace(world).record(int(self.steps[world]), world, self.info, self.env.taint_names)
+        self.active[world] = False
+        self.traces[world] = None
+        self.records.append(record)
+        for sink in self.sinks:
+            sink.on_episode_end(self.env, world, record)
+
+    def _fill(self) -> None:
+        mask = np.zeros(self.env.num_envs, bool)
+        mask[np.flatnonzero(~self.active)[: len(self.waiting)]] = True
+        if not mask.any():
+            return
+        indices = np.array([self.waiting.popleft() for _ in range(int(mask.sum()))], np.int64)
+        self.obs, self.info = self.env.reset(seed=self.seed, options={"episode": indices, "reset_mask": mask})
+        self.policy.reset(mask)
+        self.active |= mask
+        self.steps[mask] = 0
+        for w, index in zip(np.flatnonzero(mask), indices, strict=True):
+            self.traces[w] = _Trace(self.seed, int(index), self.info["episode"][w])
+        for sink in self.sinks:
+            sink.on_reset(self.env, self.info, mask)
+
+
+class _Trace:
+    """What is gathered while one episode runs."""
+
+    def __init__(self, seed: int, index: int, episode: Mapping[str, Any]) -> None:
+        if episode["index"] != index:
+            raise RuntimeError(f"env was asked for episode {index} but reset to episode {episode['index']}.")
+        self.seed, self.index, self.episode = seed, index, episode
+        self.started = time.perf_counter()
+        self.force: list[float] = []
+        self.events: list[Event] = []
+        self.subtasks: list[SubtaskRecord] = []
+        self.success_once = False
+        self.taint = 0
+
+    def add(self, world: int, step: int, info: Mapping[str, Any]) -> None:
+        """Read one control step of ``world`` from ``info``."""
+        self.force.append(float(info["robot_force"][world]))
+        self.events.extend((step, str(name)) for name in info["events"][world])
+        self.success_once |= bool(info["success"][world])
+        self.taint |= int(info["taint"][world])
+        if info["ended"][world] is not None:
+            self.subtasks.append(SubtaskRecord.from_dict(info["ended"][world]))
+
+    def record(self, steps: int, world: int, info: Mapping[str, Any], taint_names: Sequence[str]) -> EpisodeRecord:
+        """Close the episode after ``steps`` control steps; ``info`` is that of its last step."""
+        episode = self.episode
+        return EpisodeRecord(
+            seed=self.seed,
+            index=self.index,
+            home=str(episode["home"]),
+            task=str(episode["task"]),
+            split=str(episode["split"]),
+            subtask=episode["subtask"],
+            plan=tuple(
+                PlanEntry(str(entry["kind"]), str(entry["target"]), plain(entry["goal"])) for entry in episode["plan"]
+            ),
+            subtasks=tuple(self.subtasks),
+            success_once=self.success_once,
+            success_at_end=bool(info["success"][world]),
+            fail=bool(info["fail"][world]),
+            steps=steps,
+            completed=len({subtask.index for subtask in self.subtasks if subtask.success_once}),
+            events=tuple(self.events),
+            peak_force=round(max(self.force, default=0.0), 3),
+            cumulative_force=round(sum(self.force), 3),
+            force=tuple(round(value, 1) for value in self.force),
+            taint=tuple(name for bit, name in enumerate(taint_names) if self.taint >> bit & 1),
+            seconds=round(time.perf_counter() - self.started, 3),
+        )
+
+
+def plain(value: Any) -> Any:
+    """Return ``value`` with numpy scalars and arrays turned into Python numbers and lists."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, Mapping):
+        return {str(key): plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(entry) for entry in value]
+    return value

@@ -1,0 +1,177 @@
+"""Numbers over a set of episode records."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mjhab.rollout.records import EpisodeRecord, SubtaskRecord
+from mjhab.tasks.progressive import progressive, upper_bound
+
+Z95 = 1.959964
+"""Two-sided 95 % quantile of the normal distribution."""
+
+
+@dataclass(frozen=True)
+class SubtaskRow:
+    """Success of one group of subtasks: those at one place of the plan, or those of one kind and target.
+
+    ``position`` in the plan counts from 0 and is None for a group over positions. ``reached`` counts the subtasks that
+    ended, ``successes`` those that succeeded. Rates are over ``reached``, in 0..1, and ``interval`` is the Wilson 95 %
+    interval of ``success_once``. ``steps`` and ``peak_force`` [N] are medians over ``reached`` (None if nothing was).
+    """
+
+    position: int | None
+    kind: str
+    target: str
+    reached: int
+    successes: int
+    success_once: float
+    success_at_end: float
+    interval: tuple[float, float]
+    steps: float | None
+    peak_force: float | None
+
+
+def wilson(successes: int, total: int) -> tuple[float, float]:
+    """Return the Wilson 95 % interval of a rate; (0, 1) if there is no trial."""
+    if total == 0:
+        return (0.0, 1.0)
+    rate, shrink = successes / total, 1.0 + Z95**2 / total
+    centre = (rate + Z95**2 / (2 * total)) / shrink
+    half = Z95 * math.sqrt(rate * (1 - rate) / total + Z95**2 / (4 * total**2)) / shrink
+    return (max(0.0, centre - half), min(1.0, centre + half))
+
+
+def target_type(target: str) -> str:
+    """Return the name of a target without its instance number: ``"024_bowl_:0000"`` gives ``"024_bowl"``."""
+    return re.sub(r"_:\d+$", "", target)
+
+
+AloneRates = Mapping[tuple[str, str], float]
+"""Success rate of subtasks evaluated alone, by kind and type of target; target "" is the rate of the whole kind."""
+
+
+def alone_rates(records: Iterable[EpisodeRecord]) -> dict[tuple[str, str], float]:
+    """Return the success-once rates of episodes that hold a single subtask each."""
+    outcomes: dict[tuple[str, str], list[bool]] = {}
+    for record in records:
+        if record.subtask is not None:
+            for subtask in record.subtasks:
+                for target in ("", target_type(subtask.target)):
+                    outcomes.setdefault((subtask.kind, target), []).append(subtask.success_once)
+    return {key: float(np.mean(values)) for key, values in outcomes.items()}
+
+
+def progress_curves(
+    records: Sequence[EpisodeRecord], alone: AloneRates | None = None
+) -> tuple[list[float], list[float]]:
+    """Return progressive completion and its independent upper bound, each with one value per place of the plan.
+
+    The bound is the running product of the success rates of the subtasks: where ``alone`` knows the kind (and best:
+    the target), the rate of that subtask from a spawned start; elsewhere the rate in this run among the episodes
+    that reached it. Without any ``alone`` rate, the bound therefore coincides with the curve.
+    """
+    rows = rows_by_position(records)
+    if not rows:
+        return [], []
+    known = alone or {}
+    rates = []
+    for row in rows:
+        in_chain = row.successes / row.reached if row.reached else 1.0
+        rates.append(known.get((row.kind, row.target), known.get((row.kind, ""), in_chain)))
+    curve = progressive([record.completed for record in records], len(rows))
+    return [round(float(v), 4) for v in curve], [round(float(v), 4) for v in upper_bound(rates)]
+
+
+def summarize(records: Sequence[EpisodeRecord], seconds: float, alone: AloneRates | None = None) -> dict[str, Any]:
+    """Return the summary for machines; fractions in 0..1, 0 where there is no episode.
+
+    Args:
+        records: finished episodes of one run.
+        seconds: wall time of the run [s].
+        alone: rates for the upper bound, see ``progress_curves``.
+
+    Returns:
+        ``episodes``; ``success_once`` and ``success_at_end`` of whole episodes; ``progressive``: fraction of episodes
+        that completed at least k+1 subtasks; ``upper_bound``: the same if every subtask started well; ``labels``: count
+        of every trajectory label; ``tainted``: number of episodes whose simulation raised a flag (they are counted in
+        all rates); ``seconds``.
+    """
+    curve, bound = progress_curves(records, alone)
+    labels = Counter(subtask.label for record in records for subtask in record.subtasks if subtask.label is not None)
+    return {
+        "episodes": len(records),
+        "success_once": mean(record.success_once for record in records),
+        "success_at_end": mean(record.success_at_end for record in records),
+        "progressive": curve,
+        "upper_bound": bound,
+        "labels": dict(sorted(labels.items(), key=lambda item: (-item[1], item[0]))),
+        "tainted": sum(bool(record.taint) for record in records),
+        "seconds": round(seconds, 2),
+    }
+
+
+def mean(values: Iterable[float]) -> float:
+    """Return the mean to 4 digits; 0 of nothing."""
+    values = list(values)
+    return round(float(np.mean(values)), 4) if values else 0.0
+
+
+def rows_by_position(records: Sequence[EpisodeRecord]) -> list[SubtaskRow]:
+    """Return one row per place of the plan, also for places that no episode reached."""
+    rows = []
+    for position in range(max((len(record.plan) for record in records), default=0)):
+        entries = [record.plan[position] for record in records if position < len(record.plan)]
+        ended = [subtask for record in records for subtask in record.subtasks if subtask.index == position]
+        kinds = sorted({entry.kind for entry in entries})
+        targets = sorted({target_type(entry.target) for entry in entries})
+        shown = targets[0] if len(targets) == 1 else f"{len(targets)} targets"
+        rows.append(_row(position, " / ".join(kinds), shown, ended))
+    return rows
+
+
+def rows_by_kind(records: Sequence[EpisodeRecord]) -> list[SubtaskRow]:
+    """Return one row per kind and type of target that ended at least once."""
+    groups: dict[tuple[str, str], list[SubtaskRecord]] = {}
+    for record in records:
+        for subtask in record.subtasks:
+            groups.setdefault((subtask.kind, target_type(subtask.target)), []).append(subtask)
+    return [_row(None, kind, target, groups[kind, target]) for kind, target in sorted(groups)]
+
+
+def _row(position: int | None, kind: str, target: str, ended: Sequence[SubtaskRecord]) -> SubtaskRow:
+    once = sum(subtask.success_once for subtask in ended)
+    return SubtaskRow(
+        position=position,
+        kind=kind,
+        target=target,
+        reached=len(ended),
+        successes=once,
+        success_once=mean(subtask.success_once for subtask in ended),
+        success_at_end=mean(subtask.success_at_end for subtask in ended),
+        interval=wilson(once, len(ended)),
+        steps=float(np.median([s.end_step - s.start_step for s in ended])) if ended else None,
+        peak_force=round(float(np.median([s.peak_force for s in ended])), 1) if ended else None,
+    )
+
+
+def labels_by_kind(records: Sequence[EpisodeRecord]) -> dict[str, Counter[str]]:
+    """Return the count of every label per kind of subtask."""
+    counts: dict[str, Counter[str]] = {}
+    for record in records:
+        for subtask in record.subtasks:
+            if subtask.label is not None:
+                counts.setdefault(subtask.kind, Counter())[subtask.label] += 1
+    return counts
+
+
+def taint_counts(records: Sequence[EpisodeRecord]) -> Counter[str]:
+    """Return how many episodes raised each flag."""
+    return Counter(name for record in records for name in record.taint)

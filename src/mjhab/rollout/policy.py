@@ -1,0 +1,79 @@
+"""What acts: the Policy protocol and the two policies that need no knowledge."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+import numpy as np
+
+from mjhab.core.seeding import stream
+
+ACTION_SIZE = 13
+"""Arm 7, gripper 1, body (head 2, torso 1) 3, base 2."""
+
+
+class Policy(Protocol):
+    """Maps observations of W worlds to actions.
+
+    A policy may keep state per world; ``reset`` tells it which worlds begin a new episode. What it does in an episode
+    must depend on that episode only (``info["episode"][w]``), never on the world it runs in or on its neighbours.
+    """
+
+    @property
+    def name(self) -> str:
+        """Short name for reports."""
+        ...
+
+    def reset(self, mask: np.ndarray) -> None:
+        """Forget the worlds in ``mask`` (W,) bool; called after their reset and before the next ``act``."""
+        ...
+
+    def act(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:
+        """Return actions (W, 13) float32 in [-1, 1] for the observations and info of the last reset or step."""
+        ...
+
+
+class ZeroPolicy:
+    """Stands still: the all-zero action keeps every joint target and lets the gripper half open."""
+
+    name = "zero"
+
+    def __init__(self) -> None:
+        self._worlds = 0
+
+    def reset(self, mask: np.ndarray) -> None:
+        """Learn the number of worlds from ``mask`` (W,) bool."""
+        self._worlds = len(mask)
+
+    def act(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:
+        """Return zeros (W, 13) float32."""
+        return np.zeros((self._worlds, ACTION_SIZE), np.float32)
+
+
+class RandomPolicy:
+    """Uniform actions, one random stream per episode: the same episode gets the same actions in any world."""
+
+    name = "random"
+
+    def __init__(self, seed: int) -> None:
+        self._seed = seed
+        self._streams: list[np.random.Generator | None] = []
+
+    def reset(self, mask: np.ndarray) -> None:
+        """Drop the streams of the worlds in ``mask`` (W,) bool; ``act`` opens those of their new episodes."""
+        if len(self._streams) != len(mask):
+            self._streams = [None] * len(mask)
+        for w in np.flatnonzero(mask):
+            self._streams[w] = None
+
+    def act(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:
+        """Return actions (W, 13) float32, uniform in [-1, 1]."""
+        actions = np.empty((len(self._streams), ACTION_SIZE), np.float32)
+        for w, episode in enumerate(info["episode"]):
+            generator = self._streams[w]
+            if generator is None:
+                generator = stream(self._seed, "policy", "random", int((episode or {}).get("index", 0)))
+                self._streams[w] = generator
+            actions[w] = generator.uniform(-1.0, 1.0, ACTION_SIZE)
+        return actions

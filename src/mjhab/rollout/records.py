@@ -1,0 +1,108 @@
+"""What is kept of an episode: plain data that goes to JSON and back without loss."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any
+
+Event = tuple[int, str]
+"""Control step (the first step of an episode is 1) and the name of what happened in it."""
+
+
+@dataclass(frozen=True)
+class PlanEntry:
+    """One subtask as it was asked for. ``goal``: where or what it aims at, in words or numbers of the env."""
+
+    kind: str
+    target: str
+    goal: Any = None
+
+
+@dataclass(frozen=True)
+class SubtaskRecord:
+    """How one subtask of an episode ended. Forces [N], ``cumulative_force`` [N x control steps].
+
+    ``label`` is None where the kind has no label. Steps count from the start of the episode.
+    """
+
+    index: int
+    kind: str
+    target: str
+    label: str | None
+    legacy_label: str | None
+    success_once: bool
+    success_at_end: bool
+    start_step: int
+    end_step: int
+    peak_force: float
+    cumulative_force: float
+    events: tuple[Event, ...] = ()
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> SubtaskRecord:
+        """Build from an entry of ``info["ended"]`` or from JSON; numbers may be numpy scalars."""
+        return cls(
+            index=int(data["index"]),
+            kind=str(data["kind"]),
+            target=str(data["target"]),
+            label=None if data["label"] is None else str(data["label"]),
+            legacy_label=None if data["legacy_label"] is None else str(data["legacy_label"]),
+            success_once=bool(data["success_once"]),
+            success_at_end=bool(data["success_at_end"]),
+            start_step=int(data["start_step"]),
+            end_step=int(data["end_step"]),
+            peak_force=round(float(data["peak_force"]), 3),
+            cumulative_force=round(float(data["cumulative_force"]), 3),
+            events=tuple((int(step), str(name)) for step, name in data["events"]),
+        )
+
+
+@dataclass(frozen=True)
+class EpisodeRecord:
+    """One finished episode.
+
+    ``subtasks`` holds the subtasks that ended; those never reached are absent. ``completed`` counts the subtasks of the
+    plan that succeeded. ``force`` is the robot force [N] of every control step, to 0.1 N; ``taint`` names what the
+    simulation flagged (then the episode's physics cannot be trusted). ``seconds`` is wall time and takes no part in
+    comparisons: everything else is a function of (seed, index).
+    """
+
+    seed: int
+    index: int
+    home: str
+    task: str
+    split: str
+    subtask: str | None
+    plan: tuple[PlanEntry, ...]
+    subtasks: tuple[SubtaskRecord, ...]
+    success_once: bool
+    success_at_end: bool
+    fail: bool
+    steps: int
+    completed: int
+    events: tuple[Event, ...]
+    peak_force: float
+    cumulative_force: float
+    force: tuple[float, ...]
+    taint: tuple[str, ...]
+    seconds: float = field(default=0.0, compare=False)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for ``json.dumps``; keys are the field names."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> EpisodeRecord:
+        """Read what ``to_dict`` wrote.
+
+        Raises:
+            KeyError: a field is missing.
+        """
+        values = {f.name: data[f.name] for f in fields(cls)}
+        values["plan"] = tuple(PlanEntry(**entry) for entry in data["plan"])
+        values["subtasks"] = tuple(SubtaskRecord.from_dict(entry) for entry in data["subtasks"])
+        values["events"] = tuple((int(step), str(name)) for step, name in data["events"])
+        values["force"] = tuple(float(value) for value in data["force"])
+        values["taint"] = tuple(data["taint"])
+        return cls(**values)

@@ -1,0 +1,45 @@
+"""What listens to the rollout loop."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mjhab.rollout.records import EpisodeRecord
+
+
+@dataclass(frozen=True, eq=False)
+class StepView:
+    """One control step of all W worlds, after it was taken.
+
+    ``active`` (W,) bool: worlds in which an episode runs; the rest idles and must be ignored. ``steps`` (W,) int: step
+    number within the episode, the first is 1. ``done`` (W,) bool: active worlds whose episode ended in this step.
+    ``actions`` (W, 13) were applied; ``obs``, ``reward`` (W,) and ``info`` came back.
+    """
+
+    active: np.ndarray
+    steps: np.ndarray
+    done: np.ndarray
+    actions: np.ndarray
+    obs: Any
+    reward: np.ndarray
+    info: Mapping[str, Any]
+
+
+class Sink:
+    """Base of all sinks: every method does nothing. The loop calls them in this order for each episode."""
+
+    def on_reset(self, env: Any, info: Mapping[str, Any], mask: np.ndarray) -> None:
+        """New episodes began in the worlds of ``mask`` (W,) bool."""
+
+    def on_step(self, env: Any, step: StepView) -> None:
+        """A control step was taken; finished worlds are not reset yet."""
+
+    def on_episode_end(self, env: Any, world: int, record: EpisodeRecord) -> None:
+        """The episode in ``world`` is over."""
+
+    def close(self) -> None:
+        """The rollout is over or was interrupted; free what is held. Called exactly once."""

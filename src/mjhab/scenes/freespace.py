@@ -1,0 +1,135 @@
+"""Where a mobile base can be: a raster of what blocks it and the distance to the nearest block.
+
+Made from the scene description alone, without a simulator: every colliding geom between the floor and the
+height of the robot is drawn as the convex outline of its points, doors and drawers in their closed pose.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import distance_transform_edt, label
+from scipy.spatial import ConvexHull
+
+from mjhab.scenes.footprints import all_geoms, outline, rotation
+from mjhab.scenes.spec import Articulation, Geom, Home, Pack, Placement, Prop
+
+BASE_RADIUS = 0.3
+"""Radius [m] that HAB's navigation meshes use for Fetch."""
+ROBOT_HEIGHT = 1.4
+"""What hangs above this [m] does not block the base; Fetch's head camera at rest is at 1.41 m."""
+_MARGIN = 0.3
+"""Border around the floor that the raster covers, so that outer walls are in it [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class FreeMap:
+    """Free floor of one home. Cell (i, j) covers x from ``origin[0] + i * cell``, y from ``origin[1] + j * cell``.
+
+    ``blocked`` (X, Y) bool; ``clearance`` (X, Y) [m]: Euclidean distance from the cell's centre to the nearest
+    blocked cell's centre less half a cell, 0 in blocked cells and outside the floor.
+    """
+
+    origin: tuple[float, float]
+    cell: float
+    blocked: np.ndarray
+    clearance: np.ndarray
+
+    def navigable(self, radius: float = BASE_RADIUS) -> np.ndarray:
+        """Cells (X, Y) bool where a disc of ``radius`` [m] fits, in the largest connected piece of them."""
+        fits = self.clearance >= radius
+        pieces, count = label(fits, structure=np.ones((3, 3)))
+        if count == 0:
+            return fits
+        sizes = np.bincount(pieces.ravel())
+        sizes[0] = 0
+        return pieces == sizes.argmax()
+
+    def to_cell(self, xy: np.ndarray) -> np.ndarray:
+        """Cell indices (..., 2) int of world positions (..., 2) [m], clipped to the raster."""
+        index = np.floor((np.asarray(xy, float) - np.array(self.origin)) / self.cell).astype(int)
+        return np.clip(index, 0, np.array(self.blocked.shape) - 1)
+
+    def to_xy(self, cells: np.ndarray) -> np.ndarray:
+        """World positions (..., 2) [m] of the centres of cells (..., 2)."""
+        return (np.asarray(cells) + 0.5) * self.cell + np.array(self.origin)
+
+    def clearance_at(self, xy: np.ndarray) -> np.ndarray:
+        """Clearance (...,) [m] at world positions (..., 2); 0 outside the raster."""
+        index = np.floor((np.asarray(xy, float) - np.array(self.origin)) / self.cell).astype(int)
+        inside = np.all((index >= 0) & (index < np.array(self.blocked.shape)), axis=-1)
+        index = np.clip(index, 0, np.array(self.blocked.shape) - 1)
+        return np.where(inside, self.clearance[index[..., 0], index[..., 1]], 0.0)
+
+    def sample(self, rng: np.random.Generator, mask: np.ndarray) -> np.ndarray:
+        """A uniform position (2,) [m] in the cells of ``mask`` (X, Y).
+
+        Raises:
+            ValueError: the mask is empty.
+        """
+        cells = np.argwhere(mask)
+        if len(cells) == 0:
+            raise ValueError("no cell to draw from: the mask is empty")
+        return self.to_xy(cells[rng.integers(len(cells))] + rng.uniform(-0.5, 0.5, 2))
+
+
+def free_map(home: Home, pack: Pack, cell: float = 0.05) -> FreeMap:
+    """Draw the raster of a home.
+
+    Args:
+        home: the home; pack: the pack it belongs to (templates and meshes).
+        cell: edge of a cell [m].
+    """
+    x0, y0, x1, y1 = home.floor
+    origin = (x0 - _MARGIN, y0 - _MARGIN)
+    shape = tuple(int(np.ceil((hi - lo + 2 * _MARGIN) / cell - 1e-9)) for lo, hi in ((x0, x1), (y0, y1)))
+    blocked = np.zeros(shape, bool)
+    for polygon in blocking_polygons(home, pack):
+        _fill(blocked, polygon, origin, cell)
+    xs = origin[0] + (np.arange(shape[0]) + 0.5) * cell
+    ys = origin[1] + (np.arange(shape[1]) + 0.5) * cell
+    blocked |= ~(((xs > x0) & (xs < x1))[:, None] & ((ys > y0) & (ys < y1))[None, :])
+    clearance = np.maximum(np.asarray(distance_transform_edt(~blocked)) * cell - cell / 2, 0.0)
+    return FreeMap(origin, cell, blocked, clearance)
+
+
+def blocking_polygons(home: Home, pack: Pack) -> list[np.ndarray]:
+    """Convex outlines (N, 2) [m] in the world of everything that blocks the base."""
+    polygons = [_flatten(g, Placement("wall", (0.0, 0.0, 0.0)), pack) for g in home.walls if g.collide]
+    for placement in (*home.props, *home.articulations):
+        template: Prop | Articulation
+        if placement.template in pack.props:
+            template = pack.props[placement.template]
+            if not template.blocks_base:
+                continue
+        else:
+            template = pack.articulations[placement.template]
+        polygons += [_flatten(g, placement, pack) for g in all_geoms(template) if g.collide]
+    return [p for p in polygons if p is not None]
+
+
+def _flatten(geom: Geom, placement: Placement, pack: Pack) -> np.ndarray | None:
+    """Outline of a geom on the floor, or None if it is above the robot."""
+    turn = rotation((np.cos(placement.yaw / 2), 0.0, 0.0, np.sin(placement.yaw / 2)))
+    points = outline(geom, pack.meshes) @ turn.T + np.array(placement.pos)
+    if points[:, 2].min() >= ROBOT_HEIGHT or points[:, 2].max() <= 0.0:
+        return None
+    flat = np.unique(points[:, :2].round(9), axis=0)
+    return flat[ConvexHull(flat).vertices]
+
+
+def _fill(blocked: np.ndarray, polygon: np.ndarray, origin: tuple[float, float], cell: float) -> None:
+    """Mark the cells whose square meets a convex counter-clockwise polygon."""
+    low = np.clip(np.floor((polygon.min(0) - origin) / cell).astype(int), 0, blocked.shape)
+    high = np.clip(np.ceil((polygon.max(0) - origin) / cell - 1e-9).astype(int), 0, blocked.shape)
+    if np.any(high <= low):
+        return
+    xs = origin[0] + (np.arange(low[0], high[0]) + 0.5) * cell
+    ys = origin[1] + (np.arange(low[1], high[1]) + 0.5) * cell
+    inside = np.ones((len(xs), len(ys)), bool)
+    for a, b in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
+        normal = np.array([b[1] - a[1], a[0] - b[0]])
+        slack = cell / 2 * np.abs(normal).sum() - 1e-9
+        inside &= (xs[:, None] - a[0]) * normal[0] + (ys[None, :] - a[1]) * normal[1] < slack
+    blocked[low[0]:high[0], low[1]:high[1]] |= inside

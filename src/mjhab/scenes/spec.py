@@ -1,0 +1,168 @@
+"""What a home is made of: plain frozen data, before any simulator is involved.
+
+Frames: every template has its origin on the floor under its centre, +z up, +x to its front (the side a
+person stands at). Lengths [m], angles [rad], masses [kg], quaternions wxyz.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+Vec3 = tuple[float, float, float]
+Quat = tuple[float, float, float, float]
+IDENTITY: Quat = (1.0, 0.0, 0.0, 0.0)
+PARKED: Vec3 = (0.0, 0.0, -50.0)
+"""Where pieces stand that a home does not use: far below the floor, no contact possible."""
+
+Shape = Literal["box", "cylinder", "sphere", "capsule", "mesh"]
+
+
+@dataclass(frozen=True)
+class Geom:
+    """One piece of a rigid thing, for collision, for the eye, or for both.
+
+    ``size``: box half-extents (x, y, z); cylinder and capsule (radius, half-length along z, 0);
+    sphere (radius, 0, 0); mesh: scale (x, y, z), with ``mesh`` naming an entry of ``scenes.meshes``.
+    A colliding mesh is taken as its convex hull.
+    """
+
+    shape: Shape
+    size: Vec3
+    pos: Vec3 = (0.0, 0.0, 0.0)
+    quat: Quat = IDENTITY
+    material: str = "plain_white"
+    mesh: str = ""
+    collide: bool = True
+    visual: bool = True
+
+
+@dataclass(frozen=True)
+class Receptacle:
+    """A box of space in which objects may stand; its floor is the supporting surface.
+
+    ``pos`` is the centre of the *supporting rectangle* (on the surface) in the frame of the template or of
+    ``link``; ``half`` the half-extents (x, y) of the usable rectangle; ``height`` the free height above it.
+    """
+
+    name: str
+    pos: Vec3
+    half: tuple[float, float]
+    height: float
+    kind: Literal["open", "drawer", "shelf"] = "open"
+    link: str = ""
+
+
+@dataclass(frozen=True)
+class Prop:
+    """Furniture without joints. ``blocks_base`` False: rugs and mats, which robots drive over."""
+
+    name: str
+    geoms: tuple[Geom, ...]
+    receptacles: tuple[Receptacle, ...] = ()
+    blocks_base: bool = True
+
+
+@dataclass(frozen=True)
+class Handle:
+    """A graspable bar on a moving link, in the frame of the link.
+
+    ``pos``: grasp point at the middle of the bar; ``bar``: unit direction of the bar; ``out``: unit
+    direction pointing away from the front the bar is mounted on (from where the gripper comes).
+    """
+
+    pos: Vec3
+    bar: Vec3
+    out: Vec3
+    half_length: float
+    thickness: float
+
+
+@dataclass(frozen=True)
+class Link:
+    """A moving part of an articulation with one joint to the static body."""
+
+    name: str
+    joint: Literal["slide", "hinge"]
+    axis: Vec3
+    range: tuple[float, float]
+    pos: Vec3
+    mass: float
+    geoms: tuple[Geom, ...]
+    handle: Handle
+
+
+@dataclass(frozen=True)
+class Articulation:
+    """Furniture with joints: a static body and links that open. ``name``: "kitchen_counter" | "fridge"."""
+
+    name: str
+    geoms: tuple[Geom, ...]
+    links: tuple[Link, ...]
+    receptacles: tuple[Receptacle, ...] = ()
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Where a template stands: floor position [m] and yaw [rad]."""
+
+    template: str
+    pos: Vec3
+    yaw: float = 0.0
+
+
+@dataclass(frozen=True)
+class Light:
+    """A point light."""
+
+    pos: Vec3
+    color: Vec3 = (1.0, 0.95, 0.88)
+    intensity: float = 1.0
+
+
+@dataclass(frozen=True)
+class Home:
+    """One furnished apartment. ``walls`` are boxes in world coordinates (collide and block the base)."""
+
+    name: str
+    pack: str
+    split: Literal["train", "val", "test"]
+    macro: int
+    micro: int
+    walls: tuple[Geom, ...]
+    floor: tuple[float, float, float, float]
+    """Extent of the floor: x_min, y_min, x_max, y_max [m]."""
+    floor_material: str
+    props: tuple[Placement, ...]
+    articulations: tuple[Placement, ...]
+    lights: tuple[Light, ...] = ()
+    floor_patches: tuple[Geom, ...] = ()
+    """Visual-only thin boxes that give rooms their own flooring."""
+
+
+@dataclass(frozen=True)
+class ObjectType:
+    """A movable object. Frame: origin at the centre of the bounding box, +z up when it stands.
+
+    ``half``: half-extents of the bounding box [m]; ``collision`` geoms (primitives or convex meshes);
+    ``visuals`` geoms for the eye only.
+    """
+
+    name: str
+    mass: float
+    half: Vec3
+    collision: tuple[Geom, ...]
+    visuals: tuple[Geom, ...]
+
+
+@dataclass(frozen=True)
+class Pack:
+    """An asset pack: templates, homes, objects. ``builtin`` is made by code; others are read from a folder."""
+
+    name: str
+    props: dict[str, Prop]
+    articulations: dict[str, Articulation]
+    homes: tuple[Home, ...]
+    objects: dict[str, ObjectType]
+    meshes: dict[str, object] = field(default_factory=dict)
+    """Name to ``scenes.meshes.Mesh`` for every mesh the geoms name."""

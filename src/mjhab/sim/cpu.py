@@ -1,0 +1,137 @@
+"""The reference simulator: C MuJoCo, one MjModel per home, worlds stepped on a thread pool."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+
+from mjhab.core.errors import UsageError, unknown_name
+from mjhab.scenes.compile import compile_home
+from mjhab.scenes.layout import Layout, addresses
+from mjhab.sim.protocol import PENETRATION_LIMIT, TAINTS, SimState
+
+SUBSTEPS = 5
+"""Simulation at 100 Hz, control at 20 Hz (MS-HAB paper Sec. 4.1)."""
+_STAGE_NONE, _STAGE_VEL = int(mujoco.mjtStage.mjSTAGE_NONE), int(mujoco.mjtStage.mjSTAGE_VEL)
+_WARNING = mujoco.mjtWarning
+_TAINT_WARNINGS = {
+    "contact_overflow": (_WARNING.mjWARN_CONTACTFULL,),
+    "constraint_overflow": (_WARNING.mjWARN_CNSTRFULL,),
+    "nan": (_WARNING.mjWARN_BADQPOS, _WARNING.mjWARN_BADQVEL, _WARNING.mjWARN_BADQACC),
+    "engine_warning": (_WARNING.mjWARN_INERTIA, _WARNING.mjWARN_BADCTRL),
+}
+
+
+class CpuSimulator:
+    """Worlds on C MuJoCo through ``mujoco.batch.Batch``. See `Simulator` for the methods.
+
+    Args:
+        layout: what all homes share.
+        num_worlds: worlds stepped together, >= 1.
+        num_threads: threads over worlds; 0 takes every core.
+    """
+
+    def __init__(self, layout: Layout, num_worlds: int, num_threads: int = 0) -> None:
+        if num_worlds < 1:
+            raise UsageError(f"num_worlds must be at least 1, got {num_worlds}")
+        self.layout = layout
+        self.num_worlds = num_worlds
+        self.num_threads = num_threads or os.cpu_count() or 1
+        self._homes = {home.name: home for home in layout.pack.homes}
+        self._models: dict[str, mujoco.MjModel] = {}
+        first = self.model(layout.pack.homes[0].name)
+        self.addresses = addresses(layout, first)
+        self._world_models = [first] * num_worlds
+        self.batch = Batch(first, num_worlds, self.num_threads, persistent=True)
+        self.batch.set_models(self._world_models)
+        for field in ("xpos", "xmat", "sensordata", "qpos", "qvel", "ctrl"):
+            self.batch.bind(field)
+        # A batch with caller models shows a world its static poses only after that world's reset.
+        self.batch.reset()
+        a = self.addresses
+        self._object_q = a.object_q[:, None] + np.arange(7)
+        self._finger_cols = a.finger_force[..., None] + np.arange(3)
+        self._force_cols = a.link_force[:, None] + np.arange(3)
+        self._depth_col = int(first.sensor("robot_depth").adr[0])
+        self._taint = np.zeros(num_worlds, np.uint8)
+        self._warned = np.zeros((num_worlds, self.batch.warning.shape[1]), np.int64)
+
+    def model(self, home: str) -> mujoco.MjModel:
+        """The compiled model of a home of the pack."""
+        if home not in self._models:
+            if home not in self._homes:
+                raise unknown_name("home", home, self._homes)
+            self._models[home] = compile_home(self.layout, self._homes[home])
+        return self._models[home]
+
+    @property
+    def qpos(self) -> np.ndarray:
+        """(W, nq) live generalized positions; write through `write_qpos`."""
+        return self.batch.qpos
+
+    def reset(self, ids: Sequence[int], homes: Sequence[str], qpos: np.ndarray) -> None:
+        """Put worlds into homes, at rest in ``qpos`` (n, nq). Other worlds keep every bit."""
+        ids = list(ids)
+        for world, home in zip(ids, homes, strict=True):
+            self._world_models[world] = self.model(home)
+        self.batch.set_models(self._world_models)
+        self.batch.reset(ids=ids, stage=_STAGE_NONE)
+        self.batch.qpos[ids] = qpos
+        self.batch.ctrl[ids] = 0.0
+        self.batch.forward(ids=ids)
+        self._warned[ids] = self.batch.warning[ids, :, 1]
+        self._taint[ids] = 0
+
+    def write_qpos(self, world: int, qpos: np.ndarray) -> None:
+        """Move one world to ``qpos`` (nq,), its robot and what it holds at rest; its home stays."""
+        changed = np.flatnonzero(self.batch.qpos[world] != qpos)
+        self.batch.qpos[world] = qpos
+        self.batch.qvel[world, self.addresses.robot_v] = 0.0
+        for start, dof in zip(self.addresses.object_q, self.addresses.object_v, strict=True):
+            if np.any((changed >= start) & (changed < start + 7)):
+                self.batch.qvel[world, dof : dof + 6] = 0.0
+        self.batch.forward(ids=[world])
+
+    def step(self, ctrl: np.ndarray) -> None:
+        """Advance all worlds by one control step under ``ctrl`` (W, nu)."""
+        self.batch.ctrl[:] = ctrl
+        # Stage VEL makes positions current without cost; the contact sensors are those of the last substep.
+        self.batch.step(nstep=SUBSTEPS, stage=_STAGE_VEL)
+        self._update_taint()
+
+    def state(self) -> SimState:
+        """The current state of all worlds; body arrays are views that the next step overwrites."""
+        a, batch = self.addresses, self.batch
+        qpos, sensors = batch.qpos, batch.sensordata
+        force = sensors[:, self._force_cols]
+        return SimState(
+            robot_q=qpos[:, a.robot_q],
+            robot_qd=batch.qvel[:, a.robot_v],
+            object_pose=qpos[:, self._object_q],
+            link_q=qpos[:, a.link_q],
+            link_force=np.sqrt(np.einsum("wki,wki->wk", force, force)),
+            # The sensor gives the force of the finger on the target.
+            finger_force=-sensors[:, self._finger_cols],
+            touch=sensors[:, a.touch] > 0,
+            body_pos=batch.xpos,
+            body_mat=batch.xmat.reshape(self.num_worlds, -1, 3, 3),
+        )
+
+    def taint(self) -> np.ndarray:
+        """(W,) uint8 bit mask of TAINTS that arose since each world's reset."""
+        return self._taint.copy()
+
+    def _update_taint(self) -> None:
+        deep = self.batch.sensordata[:, self._depth_col] < -PENETRATION_LIMIT
+        self._taint |= deep.astype(np.uint8) << TAINTS.index("penetration")
+        bad = ~np.isfinite(self.batch.qpos).all(axis=1)
+        rose = self.batch.warning[:, :, 1] > self._warned
+        if bad.any() or rose.any():
+            self._taint |= bad.astype(np.uint8) << TAINTS.index("nan")
+            for name, kinds in _TAINT_WARNINGS.items():
+                hit = rose[:, [int(k) for k in kinds]].any(axis=1)
+                self._taint |= hit.astype(np.uint8) << TAINTS.index(name)

@@ -1,0 +1,122 @@
+"""Films: frames piped to the ffmpeg that ships with imageio-ffmpeg, as H.264 that every browser plays."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import tempfile
+from collections.abc import Iterable
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+
+from mjhab.core.errors import MjhabError, UsageError
+
+
+class FilmWriter:
+    """Writes an mp4 (H.264, yuv420p, index first). The file appears under its name only when it is complete.
+
+    Use as a context manager; an exception inside leaves no file behind. Odd sizes grow by one repeated
+    row or column, since yuv420p needs even ones.
+
+    Args:
+        path: the mp4 to write; its folder is made.
+        fps: frames per second of the film.
+        quality: x264 constant rate factor, 18 (large) to 30 (small).
+    """
+
+    def __init__(self, path: str | Path, fps: float = 20.0, quality: int = 23) -> None:
+        self.path = Path(path)
+        self.fps = fps
+        self.quality = quality
+        self.frames = 0
+        self._shape: tuple[int, int] | None = None
+        self._process: subprocess.Popen[bytes] | None = None
+        self._part: Path | None = None
+        self._log = tempfile.TemporaryFile()
+
+    def __enter__(self) -> FilmWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is None:
+            self.close()
+        else:
+            self.abort()
+
+    def add(self, frame: np.ndarray) -> None:
+        """Append a frame (H, W, 3) uint8 sRGB; all frames have the size of the first.
+
+        Raises:
+            UsageError: another shape or dtype; MjhabError: ffmpeg failed.
+        """
+        if frame.dtype != np.uint8 or frame.ndim != 3 or frame.shape[2] != 3:
+            raise UsageError(f"a film frame must be (H, W, 3) uint8; got {frame.shape} {frame.dtype}.")
+        size = (frame.shape[0], frame.shape[1])
+        if self._shape is None:
+            self._shape = size
+            self._process = self._start(size[0] + size[0] % 2, size[1] + size[1] % 2)
+        if size != self._shape:
+            raise UsageError(f"all frames of {self.path.name} must be {self._shape}; got {size}.")
+        if size[0] % 2 or size[1] % 2:
+            frame = np.pad(frame, ((0, size[0] % 2), (0, size[1] % 2), (0, 0)), mode="edge")
+        assert self._process is not None and self._process.stdin is not None
+        try:
+            self._process.stdin.write(np.ascontiguousarray(frame).data)
+        except OSError as error:
+            raise self._failed() from error
+        self.frames += 1
+
+    def close(self) -> None:
+        """Finish the film and move it to its name. Raises UsageError if it has no frame."""
+        if self._process is None or self._part is None:
+            self._log.close()
+            raise UsageError(f"{self.path.name}: a film needs at least one frame.")
+        assert self._process.stdin is not None
+        try:
+            self._process.stdin.close()
+        except OSError as error:
+            raise self._failed() from error
+        if self._process.wait() != 0:
+            raise self._failed()
+        os.replace(self._part, self.path)
+        self._log.close()
+
+    def abort(self) -> None:
+        """Stop and remove what was written so far."""
+        if self._process is not None:
+            self._process.kill()
+            if self._process.stdin is not None:
+                self._process.stdin.close()
+            self._process.wait()
+        if self._part is not None:
+            self._part.unlink(missing_ok=True)
+        self._log.close()
+
+    def _failed(self) -> MjhabError:
+        self._log.seek(0)
+        tail = self._log.read().decode(errors="replace").strip()[-400:]
+        self.abort()
+        return MjhabError(f"ffmpeg could not write {self.path}: {tail or 'it ended early'}.")
+
+    def _start(self, height: int, width: int) -> subprocess.Popen[bytes]:
+        import imageio_ffmpeg
+
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        self._part = self.path.with_name(f".{self.path.stem}.{os.getpid()}.part.mp4")
+        command = [imageio_ffmpeg.get_ffmpeg_exe(), "-loglevel", "error", "-y"]
+        command += ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", str(self.fps), "-i", "-"]
+        command += ["-an", "-c:v", "libx264", "-preset", "veryfast", "-crf", str(self.quality), "-threads", "2"]
+        command += ["-pix_fmt", "yuv420p", "-movflags", "+faststart", str(self._part)]
+        return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=self._log)
+
+
+def write_film(path: str | Path, frames: Iterable[np.ndarray], fps: float = 20.0) -> int:
+    """Write frames (H, W, 3) uint8 as one mp4; returns how many. See FilmWriter."""
+    with FilmWriter(path, fps) as film:
+        for frame in frames:
+            film.add(frame)
+    return film.frames

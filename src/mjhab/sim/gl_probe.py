@@ -1,0 +1,54 @@
+"""Which renderers work on this machine: OpenGL is tried in a subprocess, since a bad driver kills its process."""
+
+from __future__ import annotations
+
+import functools
+import os
+import subprocess
+import sys
+from collections.abc import Mapping
+
+GL_BACKENDS = ("egl", "osmesa")
+PROBE_SECONDS = 20.0
+_SCRIPT = """
+import mujoco
+model = mujoco.MjModel.from_xml_string(
+    "<mujoco><worldbody><light pos='0 0 3'/><geom type='box' size='1 1 .1'/></worldbody></mujoco>")
+data = mujoco.MjData(model)
+mujoco.mj_forward(model, data)
+with mujoco.Renderer(model, 32, 32) as renderer:
+    renderer.update_scene(data)
+    assert renderer.render().max() > 0
+print("drawn")
+"""
+
+
+def _works(backend: str) -> bool:
+    """True if ``mujoco.Renderer`` draws a box with this GL backend within the time limit."""
+    try:
+        result = subprocess.run(
+            [sys.executable, "-c", _SCRIPT],
+            env={**os.environ, "MUJOCO_GL": backend, "PYOPENGL_PLATFORM": backend},
+            capture_output=True,
+            timeout=PROBE_SECONDS,
+            check=False,
+        )
+    except (subprocess.TimeoutExpired, OSError):
+        return False
+    return b"drawn" in result.stdout
+
+
+@functools.cache
+def _probe() -> tuple[tuple[str, bool], ...]:
+    return (("rasterizer", True), *((backend, _works(backend)) for backend in GL_BACKENDS))
+
+
+def renderer_probe() -> dict[str, bool]:
+    """Renderer name to whether it works here: "rasterizer" (always), "egl", "osmesa". Asked once per process."""
+    return dict(_probe())
+
+
+def best_renderer(probe: Mapping[str, bool] | None = None) -> str:
+    """The renderer for large human views: the first GL backend that works, else "rasterizer"."""
+    found = renderer_probe() if probe is None else probe
+    return next((backend for backend in GL_BACKENDS if found.get(backend)), "rasterizer")

@@ -1,0 +1,183 @@
+"""The render scene of a layout, and the views of it: robot cameras, a view for people, pictures of a home."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+
+from mjhab.core.errors import unknown_name
+from mjhab.core.rotations import mat_from_quat
+from mjhab.scenes import fetch
+from mjhab.scenes.fetch_visuals import ROBOT_MATERIALS, robot_meshes
+from mjhab.scenes.layout import Layout, yaw_quat
+from mjhab.scenes.materials import MATERIALS
+from mjhab.scenes.spec import IDENTITY, PARKED, Geom, Placement
+from mjhab.sim.build_scene import SceneBuilder, box_mesh
+from mjhab.sim.cpu import CpuSimulator
+from mjhab.sim.protocol import SimState
+from mjhab.sim.rasterizer import Rasterizer, look_at
+from mjhab.sim.render_scene import RenderScene
+
+VIEWS = ("top", "inside")
+FLOOR_HALF_THICKNESS = 0.02
+FOLLOW_BACK, FOLLOW_SIDE, FOLLOW_HEIGHT = 1.5, 0.9, 2.6
+"""Film camera [m]: behind and beside the robot, above the walls."""
+FOLLOW_FOVY, HOME_FOVY = 0.9, 0.8
+
+
+def build_render_scene(layout: Layout, model: mujoco.MjModel) -> RenderScene:
+    """Everything visible in the homes of a layout, hung on the bodies of its models."""
+    homes = layout.pack.homes
+    builder = SceneBuilder(len(homes), {**MATERIALS, **ROBOT_MATERIALS})
+    meshes = layout.pack.meshes
+    _add_shell(builder, layout)
+    for i, slot in enumerate(layout.prop_slots):
+        at = [layout.slot_placements(home)[i] for home in homes]
+        _add_standing(builder, layout.pack.props[slot.template].geoms, at, slot.name, meshes)
+    for articulation in layout.articulations:
+        at = [layout.articulation_placement(home, articulation.name) for home in homes]
+        _add_standing(builder, articulation.geoms, at, articulation.name, meshes)
+        for link in articulation.links:
+            name = f"{articulation.name}/{link.name}"
+            for geom in link.geoms:
+                if geom.visual:
+                    builder.add_body_geom(geom, model.body(name).id, name, meshes)
+    for name, kind in zip(layout.object_names, layout.objects, strict=True):
+        for geom in kind.visuals:
+            builder.add_body_geom(geom, model.body(name).id, name, meshes)
+    for k, (link, mesh, material) in enumerate(robot_meshes()):
+        mesh_id = builder.add_mesh(("robot", k), mesh)
+        builder.add_body_instance(mesh_id, model.body(link).id, material=builder.material(material), seg=f"robot/{link}")
+    for h, home in enumerate(homes):
+        for light in home.lights:
+            builder.add_light(h, light)
+    return builder.build()
+
+
+def _add_shell(builder: SceneBuilder, layout: Layout) -> None:
+    """Floors, their patches and walls: unit boxes whose pose, size and material differ per home."""
+    homes = layout.pack.homes
+    unit = builder.add_mesh("unit box", box_mesh((1.0, 1.0, 1.0)))
+    floors = []
+    for home in homes:
+        x0, y0, x1, y1 = home.floor
+        size = ((x1 - x0) / 2, (y1 - y0) / 2, FLOOR_HALF_THICKNESS)
+        floors.append(Geom("box", size, ((x0 + x1) / 2, (y0 + y1) / 2, -FLOOR_HALF_THICKNESS), material=home.floor_material))
+    _add_boxes(builder, unit, [(geom,) for geom in floors], "floor")
+    _add_boxes(builder, unit, [home.floor_patches for home in homes], "floor")
+    _add_boxes(builder, unit, [home.walls for home in homes], "wall")
+
+
+def _add_boxes(builder: SceneBuilder, unit: int, boxes: Sequence[tuple[Geom, ...]], seg: str) -> None:
+    absent = Geom("box", (0.0, 0.0, 0.0), PARKED)
+    for k in range(max(len(row) for row in boxes)):
+        row = [b[k] if k < len(b) else absent for b in boxes]
+        builder.add_world_instance(
+            unit,
+            np.array([g.pos for g in row]),
+            np.array([g.quat for g in row]),
+            np.array([g.size for g in row]),
+            [builder.material(g.material) for g in row],
+            seg,
+        )
+
+
+def _add_standing(
+    builder: SceneBuilder, geoms: tuple[Geom, ...], at: Sequence[Placement | None], seg: str, meshes: dict[str, object]
+) -> None:
+    pos = np.array([PARKED if p is None else p.pos for p in at])
+    quat = np.array([IDENTITY if p is None else yaw_quat(p.yaw) for p in at])
+    present = np.array([p is not None for p in at])
+    for geom in geoms:
+        if geom.visual:
+            builder.add_world_geom(geom, pos, quat, seg, present, meshes)
+
+
+class HomeRenderer:
+    """Draws the worlds of a simulator with the CPU rasterizer.
+
+    Args:
+        sim: its layout and compiled models.
+        num_threads: threads over images; 0 takes every core.
+    """
+
+    def __init__(self, sim: CpuSimulator, num_threads: int = 0) -> None:
+        self._sim = sim
+        self.layout = sim.layout
+        self._model = sim.model(sim.layout.pack.homes[0].name)
+        self.scene = build_render_scene(sim.layout, self._model)
+        self.rasterizer = Rasterizer(self.scene, num_threads)
+        self._home_index = {home.name: i for i, home in enumerate(sim.layout.pack.homes)}
+        self._mounts = [self._model.body(c.body).id for c in fetch.CAMERAS]
+        self._mount_pos = np.array([c.pos for c in fetch.CAMERAS])
+        self._mount_mat = mat_from_quat(np.array([c.quat for c in fetch.CAMERAS]))
+
+    def robot_views(
+        self, state: SimState, homes: Sequence[str], size: int, outputs: Sequence[str]
+    ) -> dict[str, np.ndarray]:
+        """Images (W, 2, size, size[, 3]) of the head and hand cameras of all worlds."""
+        mat = state.body_mat[:, self._mounts]
+        pos = state.body_pos[:, self._mounts] + np.einsum("wcij,cj->wci", mat, self._mount_pos)
+        index = np.array([self._home_index[h] for h in homes])
+        cam_mat = mat @ self._mount_mat
+        fovy = [c.fovy for c in fetch.CAMERAS]
+        return self.rasterizer.render(index, state.body_pos, state.body_mat, pos, cam_mat, fovy, size, size, outputs)
+
+    def follow_view(self, state: SimState, home: str, world: int, width: int, height: int) -> np.ndarray:
+        """RGB (height, width, 3) from behind the robot of one world, looking over its shoulder at its work."""
+        x, y, yaw = state.robot_q[world, :3]
+        forward, left = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])
+        here = np.array([x, y])
+        eye = np.append(here - FOLLOW_BACK * forward + FOLLOW_SIDE * left, FOLLOW_HEIGHT)
+        target = np.append(here + 0.55 * forward, 0.75)
+        return self._picture(
+            home, state.body_pos[[world]], state.body_mat[[world]], eye, target, FOLLOW_FOVY, width, height, "fast"
+        )
+
+    def home_view(self, home: str, view: str, width: int, height: int) -> np.ndarray:
+        """RGB (height, width, 3) of a furnished home without objects: from the top or from inside.
+
+        Raises:
+            UsageError: unknown view or home.
+        """
+        if view not in VIEWS:
+            raise unknown_name("view", view, VIEWS)
+        if home not in self._home_index:
+            raise unknown_name("home", home, self._home_index)
+        spec = self.layout.pack.homes[self._home_index[home]]
+        x0, y0, x1, y1 = spec.floor
+        center = np.array([(x0 + x1) / 2, (y0 + y1) / 2, 0.0])
+        if view == "top":
+            fit = max(y1 - y0, (x1 - x0) * height / width) / 2 * 1.15
+            eye = center + (0.0, -0.18 * fit, 2.6 + fit / np.tan(HOME_FOVY / 2))
+            fovy = HOME_FOVY
+        else:
+            eye, fovy = np.array([x0 + 0.35, y0 + 0.35, 2.2]), 1.1
+            center[2] = 0.6
+        model = self._sim.model(home)
+        data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, data)
+        return self._picture(
+            home, data.xpos[None], data.xmat.reshape(1, -1, 3, 3), eye, center, fovy, width, height, "nice"
+        )
+
+    def _picture(
+        self,
+        home: str,
+        body_pos: np.ndarray,
+        body_mat: np.ndarray,
+        eye: np.ndarray,
+        target: np.ndarray,
+        fovy: float,
+        width: int,
+        height: int,
+        quality: str,
+    ) -> np.ndarray:
+        index = np.array([self._home_index[home]])
+        mat = look_at(eye.tolist(), target.tolist())
+        images = self.rasterizer.render(
+            index, body_pos, body_mat, eye[None, None], mat[None, None], fovy, width, height, ("rgb",), quality
+        )
+        return images["rgb"][0, 0]

@@ -1,0 +1,67 @@
+"""What the environments ask of a simulator, whichever engine is behind it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from mjhab.scenes.layout import Addresses, Layout
+
+TAINTS = ("contact_overflow", "constraint_overflow", "nan", "engine_warning", "penetration")
+"""Names of the bits of a world's taint mask, lowest first."""
+PENETRATION_LIMIT = 0.02
+"""A contact of the robot deeper than this [m] taints the episode."""
+
+
+@dataclass(frozen=True, eq=False)
+class SimState:
+    """State of all worlds after a control step. W worlds, J = 15 robot joints, N objects, L links, K force links.
+
+    robot_q, robot_qd (W, J) in FETCH_JOINTS order [m, rad]; object_pose (W, N, 7) world [m, wxyz];
+    link_q (W, L) [m or rad]; link_force (W, K) norm of the net contact force on each robot link without fingers [N];
+    finger_force (W, 2, N + L, 3) force by each target (objects, then links) on the [l, r] finger, world frame [N];
+    touch (W, N + L) bool: some robot link touches the target; body_pos (W, B, 3), body_mat (W, B, 3, 3) world.
+    Forces are those of the last substep. Arrays may be views that the next step overwrites.
+    """
+
+    robot_q: Any
+    robot_qd: Any
+    object_pose: Any
+    link_q: Any
+    link_force: Any
+    finger_force: Any
+    touch: Any
+    body_pos: Any
+    body_mat: Any
+
+
+class Simulator(Protocol):
+    """A batch of worlds of one layout, stepped together, reset one by one."""
+
+    layout: Layout
+    addresses: Addresses
+    num_worlds: int
+    num_threads: int
+
+    def reset(self, ids: Sequence[int], homes: Sequence[str], qpos: np.ndarray) -> None:
+        """Put worlds into homes at rest in the states ``qpos`` (n, nq); other worlds keep every bit."""
+        ...
+
+    def write_qpos(self, world: int, qpos: np.ndarray) -> None:
+        """Move one world to ``qpos`` (nq,) with zero robot velocity, keeping its home (teleport)."""
+        ...
+
+    def step(self, ctrl: np.ndarray) -> None:
+        """Advance all worlds by one control step (5 substeps of 10 ms) under ``ctrl`` (W, nu)."""
+        ...
+
+    def state(self) -> SimState:
+        """The current state of all worlds."""
+        ...
+
+    def taint(self) -> np.ndarray:
+        """(W,) uint8 bit mask of TAINTS that arose since each world's reset."""
+        ...

@@ -1,0 +1,44 @@
+"""Let a start state come to rest, once, outside the batch."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from mjhab.scenes.fetch import REST_QPOS
+from mjhab.scenes.layout import Addresses
+
+ROBOT_PARKING = (19.0, 19.0)
+"""Base position [m] of the robot while a home settles: beyond every home, inside the base's joint range."""
+
+
+def parked_robot_qpos() -> np.ndarray:
+    """(15,) rest pose with the base out of the way."""
+    q = np.array(REST_QPOS, dtype=np.float64)
+    q[:2] = ROBOT_PARKING
+    return q
+
+
+def settle(model: mujoco.MjModel, a: Addresses, qpos: np.ndarray, seconds: float = 1.5) -> tuple[np.ndarray, float]:
+    """Simulate from ``qpos`` (nq,) at rest with the robot parked.
+
+    Returns:
+        The positions (nq,) afterwards, and the largest object speed [m/s or rad/s] left at the end.
+    """
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    data.qpos[a.robot_q] = parked_robot_qpos()
+    # The finger servos would drive to 0 m; every other servo is held where it is.
+    hold_robot(model, data, a)
+    steps = int(round(seconds / model.opt.timestep))
+    mujoco.mj_step(model, data, steps)
+    speed = np.abs(data.qvel[a.object_v[:, None] + np.arange(6)]).max() if len(a.object_v) else 0.0
+    return data.qpos.copy(), float(speed)
+
+
+def hold_robot(model: mujoco.MjModel, data: mujoco.MjData, a: Addresses) -> None:
+    """Command every position servo to stay where its joint is, and the base to stand still."""
+    for i in range(model.nu):
+        joint = int(model.actuator_trnid[i, 0])
+        is_servo = model.actuator_biasprm[i, 1] != 0.0
+        data.ctrl[i] = data.qpos[model.jnt_qposadr[joint]] if is_servo else 0.0

@@ -1,0 +1,153 @@
+"""Progress through a plan: which subtask is active, how long and with how much force; pure functions.
+
+One control step: ``accumulate`` the force and the clocks, ``measure``, then ``advance`` the pointer
+(mshab/envs/sequential_task.py, without its quirk of counting resets as steps).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from mjhab.core.arrays import Array, as_like, constant, namespace, pick_column, where_rows
+from mjhab.tasks.measure import Signals
+from mjhab.tasks.plan import PlanArrays, TaskConfig
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where every world stands in its plan. Shapes (W,)."""
+
+    pointer: Array
+    """int64, index of the active subtask; equals the plan's length once all are done."""
+    steps_left: Array
+    """int64, control steps left for the active subtask."""
+    subtask_step: Array
+    """int64, control steps spent in the active subtask."""
+    episode_step: Array
+    """int64, control steps since the reset."""
+    cumulative_force: Array
+    """float [N x control steps] over the active subtask."""
+    peak_force: Array
+    """float [N], largest force of one control step in the active subtask."""
+    success_once: Array
+    """bool: the active subtask has been achieved at least once (matters in continuous evaluation)."""
+    done: Array
+    """bool: the episode has ended; the world stands still in here until its row is reset."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a control step decided. (W,) bool; all False for a world that was done before the step."""
+
+    advanced: Array
+    """The active subtask was completed and the pointer moved on."""
+    success: Array
+    """The whole plan is done; in continuous evaluation: the subtask is achieved in this step."""
+    fail: Array
+    """The episode failed: force over the limit, a finished Place undone, or the horizon reached without success."""
+    timeout: Array
+    """The horizon of the active subtask is used up and it was not completed in this step."""
+    force_exceeded: Array
+    place_broken: Array
+    done: Array
+    """The episode ended in this step."""
+    ended: Array
+    """The subtask that was active in this step ended: completed, failed or out of time."""
+    success_once: Array
+    """The subtask that was active has been achieved in some step so far."""
+    success_at_end: Array
+    """The subtask that was active is achieved in this step."""
+
+
+def _horizon(plan: PlanArrays, pointer: Array, config: TaskConfig) -> Array:
+    """(W,) horizon of the subtask at ``pointer``; past the end, that of the last subtask."""
+    kind = pick_column(plan.kind, namespace(pointer).minimum(pointer, plan.length - 1))
+    return constant(config.horizons, pointer)[kind]
+
+
+def start(plan: PlanArrays, config: TaskConfig, like: Array | None = None) -> Progress:
+    """Progress of W worlds at the start of their plans.
+
+    Args:
+        plan: the plans.
+        config: gives the horizons.
+        like: a float array whose dtype the forces get; that of ``plan.goal_pos`` if not given.
+    """
+    xp = namespace(plan.length)
+    zero = xp.zeros_like(plan.length)
+    force = xp.zeros_like(plan.goal_pos[:, 0, 0]) if like is None else as_like([0.0] * zero.shape[0], like)
+    no = plan.length < 0
+    return Progress(zero, _horizon(plan, zero, config), zero, zero, force, force, no, no)
+
+
+def reset_rows(progress: Progress, mask: Array, plan: PlanArrays, config: TaskConfig) -> Progress:
+    """Restart the worlds in ``mask`` (W,) on their (new) plans; every other row keeps its exact values."""
+    return where_rows(mask, start(plan, config, progress.cumulative_force), progress)
+
+
+def accumulate(progress: Progress, robot_force: Array) -> Progress:
+    """Count one control step: its force (W,) [N] and its time. Worlds that are done do not change."""
+    xp = namespace(robot_force)
+    step = xp.astype(~progress.done, progress.pointer.dtype)
+    force = xp.where(progress.done, 0.0, robot_force)
+    return replace(
+        progress,
+        steps_left=progress.steps_left - step,
+        subtask_step=progress.subtask_step + step,
+        episode_step=progress.episode_step + step,
+        cumulative_force=progress.cumulative_force + force,
+        peak_force=xp.maximum(progress.peak_force, force),
+    )
+
+
+def advance(progress: Progress, signals: Signals, plan: PlanArrays, config: TaskConfig) -> tuple[Progress, Outcome]:
+    """Move on to the next subtask where the active one is completed; end episodes that failed or are done.
+
+    A subtask is completed when it succeeds (its force within the limit) while every finished Place still holds.
+    Then the next one starts with its own horizon and no force. After the last one the force limit is waived.
+    With ``config.continuous`` the pointer stays and the episode runs to the horizon: success may come and go, too
+    much force only marks it as failed. The values of the subtask that ended are in the ``progress`` passed in.
+
+    Returns:
+        The new progress and the outcome of this step.
+    """
+    if config.continuous:
+        return _advance_continuous(progress, signals)
+    xp = namespace(progress.pointer)
+    alive = ~progress.done
+    advanced = alive & signals.success & signals.placed_ok & signals.force_ok
+    force_exceeded = alive & ~signals.force_ok
+    place_broken = alive & ~signals.placed_ok
+    timeout = alive & ~advanced & (progress.steps_left <= 0)
+    pointer = progress.pointer + xp.astype(advanced, progress.pointer.dtype)
+    success = advanced & (pointer >= plan.length)
+    fail = force_exceeded | place_broken | timeout
+    done = success | fail
+    moved = advanced & ~success
+    outcome = Outcome(
+        advanced, success, fail, timeout, force_exceeded, place_broken, done, advanced | done, advanced, advanced
+    )
+    new = replace(
+        progress,
+        pointer=pointer,
+        steps_left=xp.where(moved, _horizon(plan, pointer, config), progress.steps_left),
+        subtask_step=xp.where(moved, 0, progress.subtask_step),
+        cumulative_force=xp.where(moved, 0.0, progress.cumulative_force),
+        peak_force=xp.where(moved, 0.0, progress.peak_force),
+        success_once=(progress.success_once | advanced) & ~moved,
+        done=progress.done | done,
+    )
+    return new, outcome
+
+
+def _advance_continuous(progress: Progress, signals: Signals) -> tuple[Progress, Outcome]:
+    """The single-subtask rule of ``advance``: nothing but the horizon ends the episode."""
+    alive = ~progress.done
+    now = alive & signals.success & signals.force_ok
+    once = alive & (progress.success_once | now)
+    timeout = alive & (progress.steps_left <= 0)
+    force_exceeded = alive & ~signals.force_ok
+    no = alive & ~alive
+    fail = force_exceeded | (timeout & ~once)
+    outcome = Outcome(no, now, fail, timeout & ~now, force_exceeded, no, timeout, timeout, once, now)
+    return replace(progress, success_once=progress.success_once | now, done=progress.done | timeout), outcome

@@ -1,0 +1,42 @@
+"""Progressive completion: how far along a plan episodes get."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from mjhab.core.errors import UsageError
+
+
+def progressive(completed_counts: Sequence[int] | np.ndarray, n_subtasks: int) -> np.ndarray:
+    """Return the fraction of episodes that completed at least 1, 2, ..., ``n_subtasks`` subtasks.
+
+    Args:
+        completed_counts: (E,) number of subtasks each episode completed.
+        n_subtasks: length of the plan.
+
+    Returns:
+        (n_subtasks,) fractions in [0, 1], never rising; NaN without episodes.
+
+    Raises:
+        UsageError: a count outside [0, n_subtasks].
+    """
+    counts = np.asarray(completed_counts, dtype=np.int64)
+    if counts.size == 0:
+        return np.full(n_subtasks, np.nan)
+    if counts.min() < 0 or counts.max() > n_subtasks:
+        raise UsageError(
+            f"completed counts must lie in 0..{n_subtasks}, got {counts.min()}..{counts.max()}; "
+            "give the number of subtasks of the whole plan."
+        )
+    return (counts[:, None] >= np.arange(1, n_subtasks + 1)).mean(axis=0)
+
+
+def upper_bound(success_rates: Sequence[float] | np.ndarray) -> np.ndarray:
+    """Return the completion to expect if every subtask started well: the running product of success rates.
+
+    Args:
+        success_rates: (S,) success fraction of every subtask evaluated alone, in plan order.
+    """
+    return np.cumprod(np.asarray(success_rates, dtype=np.float64))

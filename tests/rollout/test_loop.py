@@ -1,0 +1,131 @@
+"""The rollout loop: records depend on (seed, index) only, idle worlds are left alone, sinks hear everything once."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mjhab.core.errors import UsageError
+from mjhab.rollout.loop import rollout
+from mjhab.rollout.policy import RandomPolicy, ZeroPolicy
+from mjhab.rollout.records import EpisodeRecord
+from mjhab.rollout.sinks import Sink, StepView
+from tests.rollout.fake_env import FakeEnv
+
+
+class Log(Sink):
+    def __init__(self) -> None:
+        self.begun: list[int] = []
+        self.ended: list[int] = []
+        self.steps: dict[int, int] = {}
+        self.closed = 0
+
+    def on_reset(self, env: Any, info: Mapping[str, Any], mask: np.ndarray) -> None:
+        self.begun += [info["episode"][w]["index"] for w in np.flatnonzero(mask)]
+
+    def on_step(self, env: Any, step: StepView) -> None:
+        for w in np.flatnonzero(step.active):
+            index = step.info["episode"][w]["index"]
+            self.steps[index] = self.steps.get(index, 0) + 1
+            assert self.steps[index] == step.steps[w]
+
+    def on_episode_end(self, env: Any, world: int, record: EpisodeRecord) -> None:
+        self.ended.append(record.index)
+
+    def close(self) -> None:
+        self.closed += 1
+
+
+@pytest.mark.parametrize("policy", ["zero", "random"])
+def test_records_do_not_depend_on_the_number_of_worlds(policy: str) -> None:
+    def run(worlds: int) -> list[EpisodeRecord]:
+        return rollout(FakeEnv(worlds), ZeroPolicy() if policy == "zero" else RandomPolicy(3), range(9), seed=3)
+
+    one = run(1)
+    assert [record.index for record in one] == list(range(9))
+    assert one == run(4) == run(8) == run(16)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.lists(st.integers(0, 40), unique=True, max_size=12), st.integers(1, 6))
+def test_any_order_gives_the_same_records(indices: list[int], worlds: int) -> None:
+    shuffled = rollout(FakeEnv(worlds), RandomPolicy(1), indices, seed=1)
+    assert shuffled == rollout(FakeEnv(2), RandomPolicy(1), sorted(indices), seed=1)
+    assert [record.index for record in shuffled] == sorted(indices)
+
+
+def test_seed_changes_the_episodes() -> None:
+    assert rollout(FakeEnv(2), ZeroPolicy(), range(4), seed=0) != rollout(FakeEnv(2), ZeroPolicy(), range(4), seed=1)
+
+
+def test_sinks_hear_every_step_of_every_episode_once() -> None:
+    log, env = Log(), FakeEnv(3)
+    records = rollout(env, ZeroPolicy(), [7, 2, 5, 0, 9], seed=0, sinks=[log])
+    assert env.resets[0] == [7, 2, 5], "worlds are filled in the order given"
+    assert log.begun == [7, 2, 5, 0, 9] and sorted(log.ended) == [0, 2, 5, 7, 9]
+    assert log.steps == {record.index: record.steps for record in records}
+    assert log.closed == 1
+
+
+def test_record_holds_what_happened() -> None:
+    (record,) = rollout(FakeEnv(1, quality=1.0, taint_chance=1.0), RandomPolicy(0), [4], seed=5)
+    assert (record.seed, record.index, record.home, record.task) == (5, 4, "builtin_m0_00", "set_table")
+    assert record.success_once and record.success_at_end and not record.fail
+    assert record.completed == len(record.plan) == len(record.subtasks) == 16
+    assert record.steps == len(record.force) == record.subtasks[-1].end_step
+    assert record.peak_force == pytest.approx(max(record.force), abs=0.05)
+    assert record.cumulative_force == pytest.approx(sum(record.force), abs=0.05 * record.steps)
+    assert record.taint == ("contact_overflow", "deep_penetration")
+    assert record.events[0] == (3, "contact") and record.events[-1] == (record.steps, "success")
+    assert list(record.events) == [event for subtask in record.subtasks for event in subtask.events]
+
+
+def test_failed_episode_lists_only_the_subtasks_it_reached() -> None:
+    (record,) = rollout(FakeEnv(1, quality=0.0), ZeroPolicy(), [0], seed=0)
+    assert len(record.subtasks) == 1 and record.subtasks[0].label == "navigation_failure"
+    assert record.fail and record.completed == 0 and not record.success_once
+
+
+def test_record_survives_json() -> None:
+    for record in rollout(FakeEnv(2), RandomPolicy(0), range(4), seed=0):
+        assert EpisodeRecord.from_dict(json.loads(json.dumps(record.to_dict()))) == record
+
+
+def test_no_episodes_no_reset() -> None:
+    env = FakeEnv(2)
+    assert rollout(env, ZeroPolicy(), [], seed=0) == [] and env.resets == []
+
+
+def test_max_steps_cuts_episodes() -> None:
+    records = rollout(FakeEnv(2, quality=1.0), ZeroPolicy(), range(3), seed=0, max_steps=4)
+    assert [record.steps for record in records] == [4, 4, 4]
+    assert not any(record.success_once or record.fail for record in records)
+
+
+def test_sinks_are_closed_when_interrupted() -> None:
+    log, env = Log(), FakeEnv(2)
+    env.interrupt_at = 7
+    with pytest.raises(KeyboardInterrupt):
+        rollout(env, ZeroPolicy(), range(4), seed=0, sinks=[log])
+    assert log.closed == 1
+
+
+@pytest.mark.parametrize(("episodes", "message"), [([1, -2], "-2"), ([1, 1], "twice")])
+def test_bad_indices_are_refused(episodes: list[int], message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        rollout(FakeEnv(1), ZeroPolicy(), episodes, seed=0)
+
+
+def test_env_that_resets_to_another_episode_is_caught() -> None:
+    class Wrong(FakeEnv):
+        def reset(self, seed: int, options: dict[str, Any]) -> tuple[np.ndarray, dict[str, Any]]:
+            return super().reset(seed, {**options, "episode": options["episode"] + 1})
+
+    with pytest.raises(RuntimeError, match="asked for episode 3"):
+        rollout(Wrong(1), ZeroPolicy(), [3], seed=0)

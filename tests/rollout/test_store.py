@@ -1,0 +1,130 @@
+"""The run folder survives crashes, resumes, and never deletes what it did not make."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from mjhab.core.errors import UsageError
+from mjhab.rollout.loop import rollout
+from mjhab.rollout.policy import ZeroPolicy
+from mjhab.rollout.records import EpisodeRecord
+from mjhab.rollout.store import RunFolder, StoreSink, write_text
+from tests.rollout.fake_env import FakeEnv
+
+CONFIG = {"task": "set_table", "policy": "zero", "seed": 0, "episodes": 6, "worlds": 2}
+
+
+def run(folder: RunFolder, episodes: int = 6, env: FakeEnv | None = None) -> list[EpisodeRecord]:
+    return rollout(env or FakeEnv(2), ZeroPolicy(), folder.missing(episodes), seed=0, sinks=[StoreSink(folder)])
+
+
+def lines(path: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in (path / "episodes.jsonl").read_text().splitlines()]
+
+
+def test_a_run_is_stored_and_read_back(tmp_path: Path) -> None:
+    folder = RunFolder.open(tmp_path / "a" / "run", CONFIG)
+    records = run(folder)
+    assert folder.records == records
+    assert json.loads((folder.path / "config.json").read_text()) == CONFIG
+    again = RunFolder.open(folder.path, CONFIG, resume=True)
+    assert again.records == records and again.missing(8) == [6, 7]
+
+
+def test_each_episode_is_on_disk_when_it_ends(tmp_path: Path) -> None:
+    folder, env = RunFolder.open(tmp_path, CONFIG), FakeEnv(2)
+    env.interrupt_at = 300
+    with pytest.raises(KeyboardInterrupt):
+        run(folder, 50, env)
+    done = [entry["index"] for entry in lines(tmp_path)]
+    assert done and sorted(done) == [record.index for record in folder.records]
+
+
+def test_resume_after_interrupt_equals_one_run(tmp_path: Path) -> None:
+    whole = run(RunFolder.open(tmp_path / "whole", CONFIG), 12)
+    part, env = RunFolder.open(tmp_path / "part", CONFIG), FakeEnv(2)
+    env.interrupt_at = 280
+    with pytest.raises(KeyboardInterrupt):
+        run(part, 12, env)
+    resumed = RunFolder.open(tmp_path / "part", {**CONFIG, "worlds": 4}, resume=True)
+    assert 0 < len(resumed.missing(12)) < 12
+    run(resumed, 12, FakeEnv(4))
+    assert resumed.records == whole
+
+
+@pytest.mark.parametrize("cut", [1, 20, 400])
+def test_a_torn_last_line_is_cut_off_and_run_again(tmp_path: Path, cut: int) -> None:
+    records = run(RunFolder.open(tmp_path, CONFIG))
+    file = tmp_path / "episodes.jsonl"
+    last = json.loads(file.read_text().splitlines()[-1])["index"]
+    file.write_bytes(file.read_bytes()[:-cut])
+    folder = RunFolder.open(tmp_path, CONFIG, resume=True)
+    assert folder.missing(6) == [last]
+    run(folder)
+    assert folder.records == records and len(lines(tmp_path)) == 6
+
+
+def test_damage_in_the_middle_is_an_error(tmp_path: Path) -> None:
+    run(RunFolder.open(tmp_path, CONFIG))
+    file = tmp_path / "episodes.jsonl"
+    text = file.read_text().splitlines(keepends=True)
+    text[2] = text[2][:30] + "\n"
+    file.write_text("".join(text))
+    with pytest.raises(UsageError, match="line 3"):
+        RunFolder.open(tmp_path, CONFIG, resume=True)
+
+
+def test_a_folder_that_holds_something_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(UsageError, match=r"not empty \(it holds notes.txt\).*--resume.*--overwrite"):
+        RunFolder.open(tmp_path, CONFIG)
+
+
+def test_overwrite_deletes_only_own_files(tmp_path: Path) -> None:
+    run(RunFolder.open(tmp_path, CONFIG))
+    (tmp_path / "films").mkdir()
+    (tmp_path / "films" / "episode_00000.mp4").write_bytes(b"x")
+    for name in ("notes.txt", "films/mine.mp4"):
+        (tmp_path / name).write_text("mine")
+    folder = RunFolder.open(tmp_path, CONFIG, overwrite=True)
+    assert folder.records == []
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["config.json", "films", "notes.txt"]
+    assert [entry.name for entry in (tmp_path / "films").iterdir()] == ["mine.mp4"]
+
+
+def test_resume_with_another_config_names_the_key(tmp_path: Path) -> None:
+    run(RunFolder.open(tmp_path, CONFIG))
+    with pytest.raises(UsageError, match="seed = 0, now it is 1"):
+        RunFolder.open(tmp_path, {**CONFIG, "seed": 1}, resume=True)
+    RunFolder.open(tmp_path, {**CONFIG, "worlds": 8, "episodes": 20}, resume=True)
+
+
+def test_resume_of_a_folder_that_is_no_run(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(UsageError, match="nothing to resume"):
+        RunFolder.open(tmp_path, CONFIG, resume=True)
+    (tmp_path / "config.json").write_text("{")
+    with pytest.raises(UsageError, match="not JSON"):
+        RunFolder.open(tmp_path, CONFIG, resume=True)
+
+
+def test_resume_of_nothing_starts(tmp_path: Path) -> None:
+    assert RunFolder.open(tmp_path / "new", CONFIG, resume=True).missing(2) == [0, 1]
+
+
+def test_both_switches_or_a_file_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="exclude each other"):
+        RunFolder.open(tmp_path, CONFIG, resume=True, overwrite=True)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UsageError, match="is a file"):
+        RunFolder.open(tmp_path / "file", CONFIG, overwrite=True)
+
+
+def test_atomic_write_replaces_and_leaves_no_rest(tmp_path: Path) -> None:
+    write_text(tmp_path / "a.txt", "old")
+    write_text(tmp_path / "a.txt", "new")
+    assert [(entry.name, entry.read_text()) for entry in tmp_path.iterdir()] == [("a.txt", "new")]

@@ -24,6 +24,7 @@ from mjhab.envs.config import EnvConfig
 from mjhab.envs.episodes import Episode, EpisodeMaker
 from mjhab.envs.observations import CAMERA_KEYS, camera_key, image_observation, single_space, state_observation
 from mjhab.envs.plan_tables import PlanTables
+from mjhab.envs.privileged import WorldView
 from mjhab.envs.sensing import Sensing
 from mjhab.envs.spawns import MAX_TRIES, Held
 from mjhab.envs.starts import StartMaker, check_target
@@ -351,6 +352,10 @@ class SequentialTaskEnv(VectorEnv):
     def render_world(self, world: int, width: int = 480, height: int = 360) -> np.ndarray:
         """Human view (H, W, 3) uint8 of one world, from behind the robot's shoulder."""
         return self.renderer.follow_view(self._state, self._home[world], world, width, height)
+
+    def view(self, world: int) -> WorldView:
+        """Privileged live view of one world, for scripted experts."""
+        return WorldView(self, world)
 
     def bare_step(self) -> None:
         """One control step of the engine alone, under the last commands (for benchmarks)."""

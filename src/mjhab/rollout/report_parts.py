@@ -46,7 +46,11 @@ def cards(records: Sequence[EpisodeRecord], summary: Mapping[str, Any]) -> str:
     speed = f"{steps / seconds:,.0f} control steps/s" if seconds else ""
     values = [
         ("episodes", f"{total}", f"{steps:,} control steps"),
-        ("success once", percent(summary["success_once"]), f"95 %: {percent(low)} to {percent(high)}" if total else ""),
+        (
+            "success once",
+            percent(summary["success_once"]),
+            f"{100 * low:.0f} to {100 * high:.0f} % (95 % CI)" if total else "",
+        ),
         ("success at end", percent(summary["success_at_end"]), "still true in the last step"),
         ("subtasks completed", f"{completed:.1f}", f"of {length}, mean per episode"),
         ("tainted episodes", f"{summary['tainted']}", "flagged by the simulation"),
@@ -110,7 +114,7 @@ def film(record: EpisodeRecord, path: Path | None) -> str:
     return (
         f'<figure class="film" data-steps="{record.steps}" data-steps-per-second="{FILM_FPS * FILM_EVERY}">'
         f"<h3>Episode {record.index} <small>in {escape(record.home)}: {escape(outcome)}, "
-        f"{record.steps / CONTROL_HZ:.0f} s of robot time{flags}</small></h3>"
+        f"{record.steps / CONTROL_HZ:.1f} s of robot time{flags}</small></h3>"
         f'{view}{_timeline(record)}<p class="now">{hint}</p>{_event_list(record)}</figure>'
     )
 

@@ -111,7 +111,7 @@ def labels_figure(counts: Mapping[str, Counter[str]]) -> Figure:
             "barmode": "stack",
             "height": 130 + 46 * len(kinds) + 18 * len(labels) // 3,
             "bargap": 0.35,
-            "xaxis": {"range": [0, 1], "tickformat": ".0%"},
+            "xaxis": {"range": [0, 1.001], "tickformat": ".0%"},
             "yaxis": {"autorange": "reversed"},
             "legend": {"orientation": "h", "y": -0.18, "traceorder": "normal"},
         },

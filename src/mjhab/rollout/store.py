@@ -43,26 +43,15 @@ class RunFolder:
             overwrite: delete what an earlier run left in the folder; files of others stay.
 
         Raises:
-            UsageError: both switches; the folder holds something and neither switch is given; the folder to resume
-                holds other files than a run's, or a run with another config; ``path`` is a file.
+            UsageError: see ``check_folder``; or a record in the middle of the file is damaged.
         """
-        if resume and overwrite:
-            raise UsageError("--resume and --overwrite exclude each other; give one of them.")
-        if path.exists() and not path.is_dir():
-            raise UsageError(f"the output path {path} is a file; give a folder.")
         config = json.loads(json.dumps(config))
-        found = sorted(entry.name for entry in path.iterdir()) if path.exists() else []
+        check_folder(path, config, resume=resume, overwrite=overwrite)
         records: list[EpisodeRecord] = []
-        if found and not (resume or overwrite):
-            raise UsageError(
-                f"the output folder {path} is not empty (it holds {_some(found)}). Give --resume to continue that run, "
-                "--overwrite to start it again, or another --out."
-            )
-        if found and overwrite:
+        if overwrite and path.exists():
             _delete_own(path)
-        elif found:
-            _check_same(path, config)
-            records = _read_records(path / EPISODES)
+        elif resume:
+            records = _take_records(path / EPISODES)
         path.mkdir(parents=True, exist_ok=True)
         write_text(path / CONFIG, json.dumps(config, indent=2) + "\n")
         return cls(path, config, records)
@@ -81,6 +70,13 @@ class RunFolder:
         with open(self.path / EPISODES, "a", encoding="utf-8") as file:
             file.write(json.dumps(record.to_dict(), separators=(",", ":")) + "\n")
         self._records[record.index] = record
+
+    def earlier_seconds(self) -> float:
+        """Wall time [s] of the starts before this one, as far as they wrote a summary."""
+        try:
+            return float(json.loads((self.path / SUMMARY).read_text(encoding="utf-8"))["seconds"])
+        except (FileNotFoundError, json.JSONDecodeError, KeyError):
+            return 0.0
 
     def film_path(self, index: int) -> Path:
         """Where the film of an episode belongs."""
@@ -105,6 +101,36 @@ class StoreSink(Sink):
     def on_episode_end(self, env: Any, world: int, record: EpisodeRecord) -> None:
         """Append the record."""
         self._folder.add(record)
+
+
+def check_folder(path: Path, config: Mapping[str, Any], *, resume: bool = False, overwrite: bool = False) -> None:
+    """Refuse what ``RunFolder.open`` cannot do, and change nothing: for checks before long preparations.
+
+    Raises:
+        UsageError: both switches; the folder holds something and neither switch is given; the folder to resume
+            holds no run, or one with another config; ``path`` is a file.
+    """
+    if resume and overwrite:
+        raise UsageError("--resume and --overwrite exclude each other; give one of them.")
+    if path.exists() and not path.is_dir():
+        raise UsageError(f"the output path {path} is a file; give a folder.")
+    found = sorted(entry.name for entry in path.iterdir()) if path.exists() else []
+    if found and not (resume or overwrite):
+        raise UsageError(
+            f"the output folder {path} is not empty (it holds {_some(found)}). Give --resume to continue that run, "
+            "--overwrite to start it again, or another --out."
+        )
+    if found and resume:
+        _check_same(path, json.loads(json.dumps(config)))
+
+
+def read_records(folder: Path) -> list[EpisodeRecord]:
+    """Return the finished episodes of a run folder, which may still be running; changes nothing.
+
+    Raises:
+        UsageError: a record that is not the last one is damaged.
+    """
+    return _read_file(folder / EPISODES)[0]
 
 
 def write_text(path: Path, text: str) -> None:
@@ -143,11 +169,9 @@ def _check_same(path: Path, config: Mapping[str, Any]) -> None:
             )
 
 
-def _read_records(path: Path) -> list[EpisodeRecord]:
-    """Read episodes.jsonl; a line torn by a crash at the very end is cut off the file."""
-    if not path.is_file():
-        return []
-    whole = path.read_bytes()
+def _read_file(path: Path) -> tuple[list[EpisodeRecord], int]:
+    """Return the records of a file and the number of bytes they take: a line torn at the very end is left out."""
+    whole = path.read_bytes() if path.is_file() else b""
     kept, end = [], 0
     for number, line in enumerate(whole.splitlines(keepends=True), 1):
         try:
@@ -157,11 +181,18 @@ def _read_records(path: Path) -> list[EpisodeRecord]:
         except (ValueError, KeyError, TypeError) as error:
             if end + len(line) < len(whole):
                 raise UsageError(
-                    f"cannot resume: line {number} of {path} is damaged ({error}). Use --overwrite."
+                    f"line {number} of {path} is damaged ({type(error).__name__}: {error}). Start the run again with "
+                    "--overwrite."
                 ) from error
             break
         end += len(line)
-    if end < len(whole):
+    return kept, end
+
+
+def _take_records(path: Path) -> list[EpisodeRecord]:
+    """Read a file that will be continued: cut off what a crash left at its end."""
+    kept, end = _read_file(path)
+    if path.is_file() and end < path.stat().st_size:
         with open(path, "r+b") as file:
             file.truncate(end)
     return kept

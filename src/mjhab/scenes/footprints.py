@@ -9,6 +9,7 @@ from functools import cache
 
 import numpy as np
 
+from mjhab.core.rotations import mat_from_quat
 from mjhab.scenes.meshes import Mesh
 from mjhab.scenes.spec import Articulation, Geom, Placement, Prop
 
@@ -20,16 +21,6 @@ class Footprint:
     name: str
     corners: np.ndarray
     z: tuple[float, float]
-
-
-def rotation(quat: tuple[float, float, float, float]) -> np.ndarray:
-    """Rotation matrix (3, 3) of a unit quaternion wxyz."""
-    w, x, y, z = np.array(quat) / np.linalg.norm(quat)
-    return np.array([
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ])
 
 
 def outline(geom: Geom, meshes: Mapping[str, object] | None = None) -> np.ndarray:
@@ -46,7 +37,7 @@ def outline(geom: Geom, meshes: Mapping[str, object] | None = None) -> np.ndarra
         angle = np.linspace(0.0, 2 * math.pi, 16, endpoint=False)
         ring = np.stack([np.cos(angle), np.sin(angle)], 1) * (r / math.cos(math.pi / 16))
         points = np.concatenate([np.column_stack([ring, np.full(16, s * half)]) for s in (-1.0, 1.0)])
-    return points @ rotation(geom.quat).T + np.array(geom.pos)
+    return points @ mat_from_quat(np.array(geom.quat)).T + np.array(geom.pos)
 
 
 def _signs() -> np.ndarray:

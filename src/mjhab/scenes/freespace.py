@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt, label
-from scipy.spatial import ConvexHull
+from scipy.spatial import ConvexHull, cKDTree
 
-from mjhab.scenes.footprints import all_geoms, outline, rotation
+from mjhab.scenes.footprints import all_geoms, outline, rectangle
 from mjhab.scenes.spec import Articulation, Geom, Home, Pack, Placement, Prop
 
 BASE_RADIUS = 0.3
@@ -111,12 +111,44 @@ def blocking_polygons(home: Home, pack: Pack) -> list[np.ndarray]:
 
 def _flatten(geom: Geom, placement: Placement, pack: Pack) -> np.ndarray | None:
     """Outline of a geom on the floor, or None if it is above the robot."""
-    turn = rotation((np.cos(placement.yaw / 2), 0.0, 0.0, np.sin(placement.yaw / 2)))
-    points = outline(geom, pack.meshes) @ turn.T + np.array(placement.pos)
+    points = outline(geom, pack.meshes) + np.array((0.0, 0.0, placement.pos[2]))
     if points[:, 2].min() >= ROBOT_HEIGHT or points[:, 2].max() <= 0.0:
         return None
-    flat = np.unique(points[:, :2].round(9), axis=0)
+    c, s = np.cos(placement.yaw), np.sin(placement.yaw)
+    flat = points[:, :2] @ np.array([[c, s], [-s, c]]) + np.array(placement.pos[:2])
+    flat = np.unique(flat.round(9), axis=0)
     return flat[ConvexHull(flat).vertices]
+
+
+@dataclass(frozen=True)
+class Reach:
+    """How far a receptacle is from where the base can stand: its centre, and its farthest point [m]."""
+
+    thing: str
+    receptacle: str
+    center: float
+    farthest: float
+
+
+def reach(home: Home, pack: Pack, free: FreeMap, radius: float = BASE_RADIUS) -> list[Reach]:
+    """Planar distances [m] from navigable floor to every receptacle of a home, drawers closed."""
+    cells = np.argwhere(free.navigable(radius))
+    stand = cKDTree(free.to_xy(cells)) if len(cells) else None
+    result = []
+    for placement in (*home.props, *home.articulations):
+        template = pack.props.get(placement.template) or pack.articulations[placement.template]
+        origins = {} if isinstance(template, Prop) else {link.name: link.pos for link in template.links}
+        for r in template.receptacles:
+            ox, oy, _ = origins.get(r.link, (0.0, 0.0, 0.0))
+            x, y = r.pos[0] + ox, r.pos[1] + oy
+            a, b, _, d = rectangle(placement, (x - r.half[0], x + r.half[0]), (y - r.half[1], y + r.half[1]))
+            u, v = np.meshgrid(np.linspace(0.0, 1.0, 5), np.linspace(0.0, 1.0, 7))
+            grid = a + u.ravel()[:, None] * (b - a) + v.ravel()[:, None] * (d - a)
+            far = np.full(len(grid) + 1, np.inf)
+            if stand is not None:
+                far = np.asarray(stand.query(np.vstack([(b + d) / 2, grid]))[0])
+            result.append(Reach(placement.template, r.name, float(far[0]), float(far[1:].max())))
+    return result
 
 
 def _fill(blocked: np.ndarray, polygon: np.ndarray, origin: tuple[float, float], cell: float) -> None:

@@ -6,6 +6,7 @@ Macro layouts 0, 1, 2 are for training, 3 for validation, 4 for testing, as in R
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import cache
 from typing import Literal
 
@@ -14,10 +15,11 @@ import numpy as np
 from mjhab.core.errors import UsageError
 from mjhab.core.seeding import stream
 from mjhab.scenes.footprints import Footprint, footprint, meet, rectangle
+from mjhab.scenes.freespace import BASE_RADIUS, free_map, reach
 from mjhab.scenes.furniture import builtin_articulations, builtin_props
 from mjhab.scenes.home_plans import PLANS, SMALL, Piece, Plan, Wall
 from mjhab.scenes.shapes import span
-from mjhab.scenes.spec import Articulation, Geom, Home, Light, Placement, Prop
+from mjhab.scenes.spec import Articulation, Geom, Home, Light, Pack, Placement, Prop
 
 MICROS = 21
 """Micro layouts per macro layout."""
@@ -25,6 +27,13 @@ WALL_HEIGHT = 2.6
 WALL_THICK = 0.12
 VERSION_ONE = ((0, 0), (0, 1), (1, 0), (2, 0), (3, 0), (4, 0))
 """(macro, micro) of the homes that the pack lists."""
+
+MAX_REACH_CENTER = 0.85
+"""Farthest that the centre of a receptacle may lie from where a base can stand [m]."""
+MAX_REACH_ANY = 1.0
+"""The same for any point of a receptacle [m]."""
+ONE_PIECE = 0.94
+"""Least share of the free floor that must be connected; the rest are nooks behind furniture."""
 
 Zone = tuple[tuple[float, float], tuple[float, float]]
 KEEP_CLEAR: dict[str, Zone] = {
@@ -71,10 +80,11 @@ def make_home(macro: int, micro: int) -> Home:
     width, depth = plan.size
     kitchen = tuple(_place(p) for p in plan.kitchen)
     rooms = tuple(span(_x(r.extent), _y(r.extent), (-0.02, 0.001), r.floor, collide=False) for r in plan.rooms)
-    return Home(
+    home = Home(
         f"builtin_m{macro}_{micro:02d}", "builtin", split_of(macro), macro, micro, wall_geoms(plan),
-        (0.0, 0.0, width, depth), plan.rooms[0].floor, furnish(macro, micro), kitchen, _lights(plan), rooms,
+        (0.0, 0.0, width, depth), plan.rooms[0].floor, (), kitchen, _lights(plan), rooms,
     )
+    return _furnish(home, plan)
 
 
 def _x(extent: tuple[float, float, float, float]) -> tuple[float, float]:
@@ -118,19 +128,29 @@ def _inner_wall(wall: Wall, material: str) -> list[Geom]:
     return pieces
 
 
-def furnish(macro: int, micro: int) -> tuple[Placement, ...]:
-    """Place the props of a home; what collides overlaps nothing and keeps the clear zones free.
+def _furnish(home: Home, plan: Plan) -> Home:
+    """Place the props: nothing overlaps, the clear zones stay free, and a robot reaches every receptacle.
 
     Raises:
         RuntimeError: the plan leaves no room (a plan that was edited wrongly; tests build every home).
     """
-    plan = PLANS[macro]
-    rng = stream(0, "home", macro, micro)
+    rng = stream(0, "home", home.macro, home.micro)
     for _ in range(_TRIES):
-        placed = _try_furnish(plan, micro, rng)
+        placed = _try_furnish(plan, home.micro, rng)
         if placed is not None:
-            return placed
-    raise RuntimeError(f"macro layout {macro}, micro {micro}: no arrangement without overlaps in {_TRIES} tries")
+            furnished = replace(home, props=placed)
+            if usable(furnished, _templates_pack()):
+                return furnished
+    raise RuntimeError(f"{home.name}: no usable arrangement of the furniture in {_TRIES} tries")
+
+
+def usable(home: Home, pack: Pack) -> bool:
+    """Whether the free floor is one piece (but for nooks) from which every receptacle can be reached."""
+    free = free_map(home, pack)
+    share = free.navigable().sum() / max((free.clearance >= BASE_RADIUS).sum(), 1)
+    return bool(share >= ONE_PIECE) and all(
+        r.center <= MAX_REACH_CENTER and r.farthest <= MAX_REACH_ANY for r in reach(home, pack, free)
+    )
 
 
 def _try_furnish(plan: Plan, micro: int, rng: np.random.Generator) -> tuple[Placement, ...] | None:
@@ -164,12 +184,13 @@ def _blocked(plan: Plan) -> list[Footprint]:
 
 
 @cache
-def _templates() -> dict[str, Prop | Articulation]:
-    return {**builtin_props(), **builtin_articulations()}
+def _templates_pack() -> Pack:
+    return Pack("builtin", builtin_props(), builtin_articulations(), (), {})
 
 
 def _template(name: str) -> Prop | Articulation:
-    return _templates()[name]
+    pack = _templates_pack()
+    return pack.props.get(name) or pack.articulations[name]
 
 
 def _settle(

@@ -29,15 +29,15 @@ def _m(
 MATERIALS: dict[str, Material] = {
     # walls, floors, building parts
     "plain_white": _m(0.93, 0.93, 0.91),
-    "wall_white": _m(0.92, 0.90, 0.86, gloss=0.02),
+    "wall_white": _m(0.87, 0.85, 0.81, gloss=0.02),
     "wall_sage": _m(0.72, 0.77, 0.69, gloss=0.02),
     "wall_blue": _m(0.66, 0.74, 0.80, gloss=0.02),
-    "wall_sand": _m(0.87, 0.79, 0.68, gloss=0.02),
+    "wall_sand": _m(0.82, 0.75, 0.64, gloss=0.02),
     "wall_rose": _m(0.85, 0.73, 0.69, gloss=0.02),
     "floor_oak": _m(0.72, 0.54, 0.36, "planks", (0.64, 0.46, 0.30), 0.14, 0.2),
     "floor_walnut": _m(0.47, 0.33, 0.23, "planks", (0.40, 0.27, 0.18), 0.14, 0.2),
-    "floor_ash": _m(0.80, 0.72, 0.60, "planks", (0.74, 0.65, 0.53), 0.16, 0.2),
-    "floor_tile": _m(0.84, 0.83, 0.80, "tiles", (0.70, 0.69, 0.66), 0.4, 0.3),
+    "floor_ash": _m(0.70, 0.61, 0.48, "planks", (0.63, 0.54, 0.41), 0.16, 0.2),
+    "floor_tile": _m(0.69, 0.67, 0.62, "tiles", (0.56, 0.54, 0.50), 0.4, 0.3),
     "floor_slate": _m(0.42, 0.44, 0.46, "tiles", (0.33, 0.35, 0.37), 0.45, 0.3),
     "floor_carpet": _m(0.62, 0.60, 0.57, "fabric", (0.56, 0.54, 0.51), 0.02, 0.0),
     "trim_white": _m(0.96, 0.96, 0.95, gloss=0.2),
@@ -110,10 +110,5 @@ MATERIALS: dict[str, Material] = {
     "apple_stem": _m(0.33, 0.22, 0.12),
     "bowl_red": _m(0.76, 0.20, 0.17, gloss=0.5),
     "bowl_inside": _m(0.83, 0.28, 0.23, gloss=0.5),
-    # robot
-    "robot_white": _m(0.93, 0.93, 0.94, gloss=0.4),
-    "robot_grey": _m(0.55, 0.57, 0.60, gloss=0.3),
-    "robot_dark": _m(0.17, 0.18, 0.20, gloss=0.3),
-    "robot_blue": _m(0.10, 0.36, 0.66, gloss=0.4),
 }
-"""Every surface of the built-in pack and of the robot, by name."""
+"""Every surface of the built-in pack, by name."""

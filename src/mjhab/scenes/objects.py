@@ -15,7 +15,7 @@ from scipy.spatial import ConvexHull
 from mjhab.core.errors import unknown_name
 from mjhab.scenes.meshes import Mesh
 from mjhab.scenes.shapes import about_z, box, lathe, look, rod
-from mjhab.scenes.spec import IDENTITY, Geom, ObjectType, Vec3
+from mjhab.scenes.spec import Geom, ObjectType, Vec3
 
 SIZES: dict[str, Vec3] = {
     "002_master_chef_can": (0.1024, 0.1024, 0.1402),
@@ -173,7 +173,7 @@ def _apple() -> tuple[list[Geom], list[Geom]]:
 def _bowl() -> tuple[list[Geom], list[Geom]]:
     """An open bowl: a ring of steep rim pieces, a ring of flat base pieces, a round floor."""
     foot_r, foot_z = _BOWL_PROFILE[0]
-    pieces = [Geom("cylinder", (foot_r, BOWL_WALL / 2, 0.0), (0.0, 0.0, foot_z + BOWL_WALL / 2), IDENTITY, visual=False)]
+    pieces = [Geom("cylinder", (foot_r, BOWL_WALL / 2, 0.0), (0.0, 0.0, foot_z + BOWL_WALL / 2), visual=False)]
     for count, mesh in ((_RIM_PIECES, "bowl_rim_piece"), (_BASE_PIECES, "bowl_base_piece")):
         for i in range(count):
             turn = about_z(2 * math.pi * i / count)

@@ -125,7 +125,7 @@ def _read_meshes(path: Path, names: tuple[str, ...]) -> dict[str, object]:
     try:
         with np.load(path, allow_pickle=False) as arrays:
             for name in names:
-                color = arrays[f"{name}/face_color"] if f"{name}/face_color" in arrays else None
+                color = arrays.get(f"{name}/face_color")
                 meshes[name] = Mesh(arrays[f"{name}/vertices"], arrays[f"{name}/faces"], color)
     except KeyError as error:
         raise UsageError(f"{path}: array {error} is missing.") from error

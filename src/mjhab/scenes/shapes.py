@@ -113,17 +113,6 @@ def _rounded_side(
     return p, np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
 
 
-def merge(parts: list[tuple[Mesh, Vec3]], colors: list[Vec3] | None = None) -> Mesh:
-    """Join meshes, each moved by an offset [m]; ``colors`` gives every part one sRGB colour."""
-    starts = np.cumsum([0] + [len(m.vertices) for m, _ in parts[:-1]])
-    vertices = np.concatenate([m.vertices + np.float32(o) for m, o in parts]).astype(np.float32)
-    faces = np.concatenate([m.faces + s for (m, _), s in zip(parts, starts, strict=True)]).astype(np.int32)
-    if colors is None:
-        return Mesh(vertices, faces)
-    paint = [np.tile(np.float32(c), (len(m.faces), 1)) for (m, _), c in zip(parts, colors, strict=True)]
-    return Mesh(vertices, faces, np.concatenate(paint))
-
-
 def foliage(seed: int, leaves: int, reach: float, height: float, leaf: float) -> Mesh:
     """A tuft of arched leaves that grow from the origin: the visible part of a plant.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping, Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.rotations import mat_from_quat
@@ -22,7 +23,7 @@ PLAIN_FACE = 0
 """Material 0: light grey, for meshes that were given none."""
 
 
-def srgb_to_linear(color: np.ndarray | Sequence[float]) -> np.ndarray:
+def srgb_to_linear(color: ArrayLike) -> np.ndarray:
     """Linear light of sRGB values 0..1 (any shape)."""
     c = np.asarray(color, np.float64)
     return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
@@ -82,11 +83,14 @@ def primitive_mesh(geom: Geom) -> Mesh:
 
 
 def corner_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Unit normals (F, 3, 3) f32 per face corner: averaged over touching faces that meet below the crease angle.
+    """Unit normals (F, 3, 3) f32 per face corner: averaged over touching faces that meet below the crease angle,
+    each weighted by its angle at the corner.
 
     Vertices at the same place count as one, so split seams and STL triangle soups come out smooth.
     """
     points = np.asarray(vertices, np.float64)[faces]
+    away, back = np.roll(points, -1, 1) - points, np.roll(points, 1, 1) - points
+    angle = np.arctan2(np.linalg.norm(np.cross(away, back), axis=2), (away * back).sum(2)).reshape(-1, 1)
     area = np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0])
     size = np.linalg.norm(area, axis=1, keepdims=True)
     unit = np.where(size > 1e-14, area / np.maximum(size, 1e-14), (0.0, 0.0, 1.0))
@@ -99,7 +103,8 @@ def corner_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     result = np.repeat(unit[:, None], 3, axis=1).reshape(-1, 3)
     for count in np.unique(counts):
         rows = order[starts[counts == count][:, None] + np.arange(count)]
-        own, weight = unit[rows // 3], area[rows // 3]
+        own = unit[rows // 3]
+        weight = own * angle[rows]
         for k in range(count):
             alike = np.einsum("nkc,nc->nk", own, own[:, k]) > CREASE
             total = np.einsum("nk,nkc->nc", alike, weight)
@@ -183,11 +188,11 @@ class SceneBuilder:
         self,
         mesh: int,
         body_id: int,
-        pos: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0),
-        quat: Sequence[float] | np.ndarray = (1.0, 0.0, 0.0, 0.0),
+        pos: ArrayLike = (0.0, 0.0, 0.0),
+        quat: ArrayLike = (1.0, 0.0, 0.0, 0.0),
         material: int = -1,
         seg: str = "background",
-        scale: Sequence[float] | np.ndarray = UNIT,
+        scale: ArrayLike = UNIT,
     ) -> int:
         """Hang a mesh on a body of the model; pose in the body's frame. Returns the instance id.
 
@@ -204,10 +209,10 @@ class SceneBuilder:
     def add_world_instance(
         self,
         mesh: int,
-        pos: np.ndarray | Sequence[float],
-        quat: np.ndarray | Sequence[float] = (1.0, 0.0, 0.0, 0.0),
-        scale: np.ndarray | Sequence[float] = UNIT,
-        material: np.ndarray | Sequence[int] | int = -1,
+        pos: ArrayLike,
+        quat: ArrayLike = (1.0, 0.0, 0.0, 0.0),
+        scale: ArrayLike = UNIT,
+        material: ArrayLike = -1,
         seg: str = "background",
     ) -> int:
         """Stand a mesh in the world, with its own pose, size and material in every home. Returns the instance id.
@@ -220,7 +225,9 @@ class SceneBuilder:
         self._local.append((np.zeros(3), np.eye(3)))
         return self._add(mesh, 0, seg, pos, mat_from_quat(np.asarray(quat, float)), scale, material)
 
-    def _add(self, mesh: int, body: int, seg: str, pos: object, mat: object, scale: object, material: object) -> int:
+    def _add(
+        self, mesh: int, body: int, seg: str, pos: ArrayLike, mat: ArrayLike, scale: ArrayLike, material: ArrayLike
+    ) -> int:
         if not 0 <= mesh < len(self._parts):
             raise UsageError(f"mesh id {mesh} is not in 0..{len(self._parts) - 1}; use what add_mesh returned.")
         h = self.num_homes
@@ -246,10 +253,10 @@ class SceneBuilder:
     def add_world_geom(
         self,
         geom: Geom,
-        pos: np.ndarray | Sequence[float] = (0.0, 0.0, 0.0),
-        quat: np.ndarray | Sequence[float] = (1.0, 0.0, 0.0, 0.0),
+        pos: ArrayLike = (0.0, 0.0, 0.0),
+        quat: ArrayLike = (1.0, 0.0, 0.0, 0.0),
         seg: str = "background",
-        present: np.ndarray | Sequence[bool] | bool = True,
+        present: ArrayLike = True,
         meshes: Mapping[str, object] | None = None,
     ) -> int:
         """Stand a geom of a piece of furniture whose frame is at ``pos`` (H, 3), ``quat`` (H, 4) in the world.

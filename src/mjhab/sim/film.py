@@ -34,7 +34,7 @@ class FilmWriter:
         self._shape: tuple[int, int] | None = None
         self._process: subprocess.Popen[bytes] | None = None
         self._part: Path | None = None
-        self._log = tempfile.TemporaryFile()
+        self._log = tempfile.TemporaryFile()  # noqa: SIM115 (lives as long as the writer)
 
     def __enter__(self) -> FilmWriter:
         return self

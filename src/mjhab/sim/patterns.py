@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numba import njit
 
 from mjhab.sim.render_scene import PATTERNS
 
-JIT = {"nogil": True, "cache": True, "error_model": "numpy", "fastmath": True, "_nrt": False}
-"""``_nrt`` off: these kernels make no arrays, and counting references to their arguments took two thirds of the time."""
-INLINE = JIT | {"forceinline": True}
+JIT: dict[str, Any] = {"nogil": True, "cache": True, "error_model": "numpy", "fastmath": True, "_nrt": False}
+"""``_nrt`` off: the kernels make no arrays, and counting references to their arguments took 2/3 of the time."""
+INLINE: dict[str, Any] = JIT | {"forceinline": True}
 """For helpers called per pixel: a call would copy every array descriptor it is given."""
 WOOD = PATTERNS.index("wood")
 PLANKS = PATTERNS.index("planks")

@@ -7,14 +7,14 @@ Buffers hold inverse depth, which is linear on screen: 0 is background, larger i
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 
-JIT = {"nogil": True, "cache": True, "error_model": "numpy", "_nrt": False}
+JIT: dict[str, Any] = {"nogil": True, "cache": True, "error_model": "numpy", "_nrt": False}
 """``_nrt`` off: the kernels make no arrays (see Scratch), and counting references to their arguments costs time."""
-INLINE = JIT | {"forceinline": True}
+INLINE: dict[str, Any] = JIT | {"forceinline": True}
 LOW_POLY = 64
 """Meshes up to this many faces (walls, boards) are drawn first: they hide whole rooms of finer meshes."""
 EDGE_SLACK = 1e-7
@@ -56,7 +56,8 @@ class Lens(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """Room for ``draw``: points (6, largest mesh), keys (I,), to_view (3, 4), polygon (4, 3) f64; order (I,), rect (4,) i64."""
+    """Room for ``draw``: points (6, largest mesh), keys (I,), to_view (3, 4), polygon (4, 3) f64;
+    order (I,), rect (4,) i64."""
 
     points: np.ndarray
     keys: np.ndarray

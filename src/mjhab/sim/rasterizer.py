@@ -10,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.sim.occlusion import ambient_occlusion
@@ -35,7 +36,7 @@ SHADOW_MAPS_KEPT = 64
 """Shadow maps of still furniture kept in memory (1 MiB each)."""
 
 
-def look_at(eye: Sequence[float], target: Sequence[float], up: Sequence[float] = (0.0, 0.0, 1.0)) -> np.ndarray:
+def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) -> np.ndarray:
     """Rotation (3, 3) of a camera at ``eye`` that looks at ``target`` (world, [m]), in MuJoCo convention.
 
     Columns are the camera's axes in the world: x right, y up, z backwards. Looking along ``up`` is allowed.
@@ -99,7 +100,7 @@ class Rasterizer:
         body_mat: np.ndarray,
         cam_pos: np.ndarray,
         cam_mat: np.ndarray,
-        fovy: float | Sequence[float] | np.ndarray,
+        fovy: ArrayLike,
         width: int,
         height: int,
         outputs: Sequence[str] = OUTPUTS,

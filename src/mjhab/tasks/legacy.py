@@ -126,7 +126,7 @@ def _joint(kind: SubtaskKind, events: list[str], success: bool) -> str:
         return "cant_reach_articulation_failure"
     if back > there and back > slightly:
         return "closed_after_open_failure" if opening else "open_after_closing_failure"
-    if slightly > there and (opening or slightly > back):
+    if slightly > there:
         return "slightly_open_failure" if opening else "slightly_closed_failure"
     if there >= 0:
         return "too_slow_failure"

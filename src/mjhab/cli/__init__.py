@@ -1,0 +1,1 @@
+"""The ``mjhab`` command. Modules here import heavy libraries inside the commands, so that ``--help`` is quick."""

@@ -1,0 +1,76 @@
+"""Entry point of the ``mjhab`` command: parse, run the command, turn errors into exit codes."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+import tyro
+
+import mjhab
+from mjhab.cli import options as opt
+from mjhab.core.errors import MjhabError, UsageError
+
+DESCRIPTION = f"""mjhab {mjhab.__version__}: home assistant tasks with low-level whole-body control, on MuJoCo.
+
+A Fetch robot tidies furnished homes with real physics. Begin with `mjhab doctor` and
+`mjhab eval --task set_table --policy expert --episodes 4 --out runs/first`."""
+
+OK, FAILED, USAGE, INTERRUPTED = 0, 1, 2, 130
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the command line ``args`` (``sys.argv`` if None) and return the exit code.
+
+    0: done; 1: a command failed; 2: it was asked for something that cannot work; 130: Ctrl-C.
+    """
+    try:
+        return run(parse(args))
+    except UsageError as error:
+        print(f"mjhab: {error}", file=sys.stderr)
+        return USAGE
+    except MjhabError as error:
+        print(f"mjhab: failed: {error}", file=sys.stderr)
+        return FAILED
+    except KeyboardInterrupt:
+        print("mjhab: interrupted.", file=sys.stderr)
+        return INTERRUPTED
+
+
+def parse(args: Sequence[str] | None) -> opt.EvalOptions | opt.HomesCommand | opt.BenchCommand | opt.DoctorOptions:
+    """Parse a command line; exits with code 2 and a message if it does not fit."""
+    return tyro.cli(
+        opt.Command,  # type: ignore[arg-type]
+        prog="mjhab",
+        description=DESCRIPTION,
+        args=args,
+        config=(tyro.conf.OmitSubcommandPrefixes, tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
+    )
+
+
+def run(command: opt.EvalOptions | opt.HomesCommand | opt.BenchCommand | opt.DoctorOptions) -> int:
+    """Run a parsed command and return the exit code."""
+    if isinstance(command, opt.EvalOptions):
+        from mjhab.cli.evaluate import run_eval
+
+        return run_eval(command)
+    if isinstance(command, opt.HomesCommand):
+        from mjhab.cli.homes import run_homes
+
+        return run_homes(command.command)
+    if isinstance(command, opt.BenchCommand):
+        from mjhab.cli.bench import run_bench
+
+        return run_bench(command.command)
+    from mjhab.cli.doctor import run_doctor
+
+    return run_doctor(command)
+
+
+def entry() -> None:
+    """Console script: exit with the code of ``main``."""
+    sys.exit(main())
+
+
+if __name__ == "__main__":
+    entry()

@@ -1,0 +1,39 @@
+"""How commands talk: tables for people, one line of JSON for machines."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from mjhab.core.errors import UsageError
+
+
+def print_json(value: Mapping[str, Any]) -> None:
+    """Print ``value`` as one line on stdout, for machines."""
+    print(json.dumps(value, allow_nan=False), flush=True)
+
+
+def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """Print a table on stdout; numbers stand on the right."""
+    rows = [list(row) for row in rows]
+    table = Table(title=title, title_justify="left", title_style="bold")
+    for i, name in enumerate(columns):
+        numeric = bool(rows) and all(isinstance(row[i], int | float) and not isinstance(row[i], bool) for row in rows)
+        table.add_column(name, justify="right" if numeric else "left")
+    for row in rows:
+        table.add_row(*(str(cell) for cell in row))
+    Console().print(table)
+
+
+def at_least(option: str, value: float, least: float) -> None:
+    """Refuse a number below ``least``.
+
+    Raises:
+        UsageError: it is below.
+    """
+    if value < least:
+        raise UsageError(f"--{option} must be at least {least}, got {value}.")

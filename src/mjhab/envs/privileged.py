@@ -1,0 +1,234 @@
+"""What scripted experts may know beyond observations: the full state of a world and the shapes of its home."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mjhab.core.rotations import mat_from_quat, quat_from_axis_angle
+from mjhab.scenes import fetch
+from mjhab.scenes.fetch_geometry import COLLISION
+from mjhab.scenes.freespace import free_map
+from mjhab.scenes.layout import Layout, compose, yaw_quat
+from mjhab.scenes.receptacles import PlacedReceptacle, placed_receptacles
+from mjhab.scenes.spec import Geom, Handle, Home, Link, ObjectType
+from mjhab.tasks.plan import Subtask, TaskConfig
+
+if TYPE_CHECKING:
+    from mjhab.envs.sequential import SequentialTaskEnv
+
+REST_QPOS = np.array(fetch.REST_QPOS)
+KINEMATIC_TREE = fetch.KINEMATIC_TREE
+FETCH_JOINTS = fetch.FETCH_JOINTS
+ROBOT_GEOMS = COLLISION
+TRUNK_LINKS, DISTAL_LINKS = fetch.TRUNK_LINKS, fetch.DISTAL_LINKS
+
+
+@dataclass(frozen=True, eq=False)
+class BoxArrays:
+    """Oriented boxes: ``center`` (K, 3) [m], ``half`` (K, 3), ``rot`` (K, 3, 3), world frame."""
+
+    center: np.ndarray
+    half: np.ndarray
+    rot: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class JointedLink:
+    """A drawer or door of a home. ``origin`` (3,), ``rot`` (3, 3): world pose of the link frame at joint 0."""
+
+    id: str
+    spec: Link
+    origin: np.ndarray
+    rot: np.ndarray
+
+    @property
+    def handle(self) -> Handle:
+        """The graspable bar, in the link frame."""
+        return self.spec.handle
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """Joint limits [m or rad]."""
+        return self.spec.range
+
+    def pose(self, q: float) -> tuple[np.ndarray, np.ndarray]:
+        """World position (3,) and rotation (3, 3) of the link frame at joint value ``q``."""
+        axis = np.asarray(self.spec.axis, float)
+        if self.spec.joint == "slide":
+            return self.origin + self.rot @ (axis * q), self.rot
+        turn = mat_from_quat(quat_from_axis_angle(axis, np.asarray(float(q))))
+        return self.origin, self.rot @ turn
+
+    def handle_pose(self, q: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """World grasp point, bar direction and outward direction (3,) each at joint value ``q``."""
+        pos, rot = self.pose(q)
+        h = self.handle
+        return pos + rot @ np.array(h.pos), rot @ np.array(h.bar), rot @ np.array(h.out)
+
+    def boxes(self, q: float) -> BoxArrays:
+        """Its collision boxes at joint value ``q``."""
+        pos, rot = self.pose(q)
+        return _boxes([g for g in self.spec.geoms if g.collide], pos, rot)
+
+
+@dataclass(frozen=True, eq=False)
+class HomeShapes:
+    """Static shapes of a home: boxes that collide (floor left out), links, receptacles, free-space map arrays."""
+
+    name: str
+    boxes: BoxArrays
+    links: dict[str, JointedLink]
+    receptacles: tuple[PlacedReceptacle, ...]
+    map_origin: np.ndarray
+    map_cell: float
+    map_clearance: np.ndarray
+
+
+class WorldView:
+    """Live privileged view of one world of an environment. Arrays are copies; read them anew every step."""
+
+    def __init__(self, env: SequentialTaskEnv, world: int) -> None:
+        self._env, self.world = env, world
+
+    @property
+    def token(self) -> tuple[int, int, int]:
+        """Changes when another subtask becomes active: (seed, episode index, pointer)."""
+        episode = self._env._episode[self.world]
+        index = episode.index if episode is not None else -1
+        return self._env._seed, index, int(self._env.progress.pointer[self.world])
+
+    @property
+    def config(self) -> TaskConfig:
+        """Thresholds of success."""
+        return self._env.task_config
+
+    @property
+    def done(self) -> bool:
+        """The episode has ended."""
+        return bool(self._env.progress.done[self.world])
+
+    @property
+    def subtask(self) -> Subtask | None:
+        """The active subtask, None past the end of the plan."""
+        plan, pointer = self._env.tables.plans[self.world], int(self._env.progress.pointer[self.world])
+        return plan.subtasks[pointer] if pointer < len(plan.subtasks) else None
+
+    @property
+    def steps_left(self) -> int:
+        """Control steps left for the active subtask."""
+        return int(self._env.progress.steps_left[self.world])
+
+    @property
+    def home(self) -> HomeShapes:
+        """Shapes of the home this world holds."""
+        return home_shapes(self._env.layout, self._env._home[self.world])
+
+    @property
+    def q(self) -> np.ndarray:
+        """(15,) joint positions, FETCH_JOINTS order; the first three are base x, y, yaw in the world."""
+        return self._env._state.robot_q[self.world].copy()
+
+    @property
+    def qd(self) -> np.ndarray:
+        """(15,) joint velocities."""
+        return self._env._state.robot_qd[self.world].copy()
+
+    @property
+    def tcp_pose(self) -> np.ndarray:
+        """(7,) world pose of gripper_link."""
+        return self._env.sensing.tcp_pose(self._env._state)[self.world]
+
+    @property
+    def object_names(self) -> tuple[str, ...]:
+        """Names of the object slots, e.g. ``024_bowl_:0001``."""
+        return self._env.layout.object_names
+
+    def object_pose(self, name: str) -> np.ndarray:
+        """(7,) world pose of an object: centre of its bounding box, wxyz."""
+        return self._env._state.object_pose[self.world, self.object_names.index(name)].copy()
+
+    def object_type(self, name: str) -> ObjectType:
+        """Shape, size and mass of an object."""
+        return self._env.layout.objects[self.object_names.index(name)]
+
+    def link_q(self, link: str) -> float:
+        """Joint position of a link by id [m or rad]."""
+        return float(self._env._state.link_q[self.world, self._env.layout.link_ids.index(link)])
+
+    def finger_forces(self, target: str) -> np.ndarray:
+        """(2,) norm of the force [N] of an object or link on the [l, r] finger."""
+        names = (*self.object_names, *self._env.layout.link_ids)
+        return np.linalg.norm(self._env._state.finger_force[self.world, :, names.index(target)], axis=-1)
+
+    def signal(self, name: str) -> Any:
+        """One of the Signals of the active subtask, e.g. ``is_grasped``."""
+        assert self._env.signals is not None
+        return getattr(self._env.signals, name)[self.world].item()
+
+    @property
+    def link_forces(self) -> np.ndarray:
+        """(K,) contact force [N] on each robot link without fingers (fetch.FORCE_LINKS)."""
+        return self._env._state.link_force[self.world].copy()
+
+    def object_boxes(self, leave_out: tuple[str, ...] = ()) -> BoxArrays:
+        """Bounding boxes of all objects but some, in their present poses."""
+        keep = [i for i, name in enumerate(self.object_names) if name not in leave_out]
+        pose = self._env._state.object_pose[self.world, keep]
+        half = np.array([self._env.layout.objects[i].half for i in keep]).reshape(-1, 3)
+        return BoxArrays(pose[:, :3].copy(), half, mat_from_quat(pose[:, 3:]))
+
+    def link_boxes(self, leave_out: tuple[str, ...] = ()) -> BoxArrays:
+        """Collision boxes of all drawers and doors but some, at their present joints."""
+        parts = [link.boxes(self.link_q(name)) for name, link in self.home.links.items() if name not in leave_out]
+        return BoxArrays(*(np.concatenate([getattr(p, k) for p in parts]) for k in ("center", "half", "rot")))
+
+
+@lru_cache(maxsize=256)
+def home_shapes(layout: Layout, name: str) -> HomeShapes:
+    """Shapes of a home of a layout, computed once."""
+    home = next(h for h in layout.pack.homes if h.name == name)
+    fmap = free_map(home, layout.pack)
+    return HomeShapes(
+        name, _static_boxes(layout, home), _links(layout, home), placed_receptacles(layout, home),
+        np.asarray(fmap.origin, float), fmap.cell, fmap.clearance,
+    )  # fmt: skip
+
+
+def _static_boxes(layout: Layout, home: Home) -> BoxArrays:
+    parts = [_boxes([g for g in home.walls if g.collide], np.zeros(3), np.eye(3))]
+    for slot, placement in zip(layout.prop_slots, layout.slot_placements(home), strict=True):
+        prop = layout.pack.props[slot.template]
+        if placement is not None and prop.blocks_base:
+            parts.append(_placed(prop.geoms, placement.pos, placement.yaw))
+    for articulation in layout.articulations:
+        at = layout.articulation_placement(home, articulation.name)
+        parts.append(_placed(articulation.geoms, at.pos, at.yaw))
+    return BoxArrays(*(np.concatenate([getattr(p, k) for p in parts]) for k in ("center", "half", "rot")))
+
+
+def _placed(geoms: tuple[Geom, ...], pos: tuple[float, float, float], yaw: float) -> BoxArrays:
+    rot = mat_from_quat(np.array(yaw_quat(yaw)))
+    return _boxes([g for g in geoms if g.collide and g.shape != "mesh"], np.array(pos), rot)
+
+
+def _boxes(geoms: list[Geom], pos: np.ndarray, rot: np.ndarray) -> BoxArrays:
+    half = []
+    for g in geoms:
+        a, b, c = g.size
+        half.append({"box": (a, b, c), "cylinder": (a, a, b), "capsule": (a, a, a + b)}.get(g.shape, (a, a, a)))
+    local = np.array([g.pos for g in geoms], float).reshape(-1, 3)
+    turn = mat_from_quat(np.array([g.quat for g in geoms], float).reshape(-1, 4))
+    return BoxArrays(pos + local @ rot.T, np.array(half, float).reshape(-1, 3), rot @ turn)
+
+
+def _links(layout: Layout, home: Home) -> dict[str, JointedLink]:
+    out = {}
+    for ref in layout.links:
+        at = layout.articulation_placement(home, ref.articulation)
+        origin, quat = compose(at.pos, yaw_quat(at.yaw), ref.link.pos)
+        out[ref.id] = JointedLink(ref.id, ref.link, np.array(origin), mat_from_quat(np.array(quat)))
+    return out

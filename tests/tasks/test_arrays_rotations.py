@@ -1,0 +1,106 @@
+"""Array helpers and rotations against closed forms, on numpy and torch."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from mjhab.core import rotations as rot
+from mjhab.core.arrays import as_like, constant, namespace, pick_column, to_numpy, where_rows
+from tests.tasks.build import assert_same
+
+RNG = np.random.default_rng(0)
+
+
+def random_quats(n: int) -> np.ndarray:
+    q = RNG.normal(size=(n, 4))
+    return q / np.linalg.norm(q, axis=1, keepdims=True)
+
+
+def test_products_match_matrices() -> None:
+    a, b, v = random_quats(50), random_quats(50), RNG.normal(size=(50, 3))
+    ma, mb = rot.mat_from_quat(a), rot.mat_from_quat(b)
+    np.testing.assert_allclose(rot.mat_from_quat(rot.quat_mul(a, b)), ma @ mb, atol=1e-12)
+    np.testing.assert_allclose(rot.quat_rotate(a, v), np.einsum("nij,nj->ni", ma, v), atol=1e-12)
+    np.testing.assert_allclose(rot.quat_rotate_inv(a, rot.quat_rotate(a, v)), v, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.det(ma), 1.0)
+
+
+def test_matrix_to_quaternion_in_all_four_branches() -> None:
+    halves = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1], [0.5, -0.5, 0.5, 0.5]]
+    q = np.concatenate([random_quats(200), np.array(halves, dtype=float)])
+    back = rot.quat_from_mat(rot.mat_from_quat(q))
+    assert (back[:, 0] >= 0).all()
+    np.testing.assert_allclose(np.abs(np.sum(back * q, axis=1)), 1.0, atol=1e-12)
+
+
+def test_yaw_and_axis_angle() -> None:
+    yaw = np.array([-3.0, -0.5, 0.0, 1.0, 3.0])
+    np.testing.assert_allclose(rot.yaw_from_quat(rot.quat_from_yaw(yaw)), yaw, atol=1e-12)
+    z = np.array([0.0, 0.0, 1.0])
+    np.testing.assert_allclose(rot.quat_from_axis_angle(z, yaw), rot.quat_from_yaw(yaw), atol=1e-12)
+    quarter = rot.quat_from_axis_angle(np.array([1.0, 0.0, 0.0]), np.array(math.pi / 2))
+    np.testing.assert_allclose(rot.quat_rotate(quarter, np.array([0.0, 1.0, 0.0])), [0, 0, 1], atol=1e-12)
+
+
+def test_poses_compose_invert_and_map_points() -> None:
+    a = np.concatenate([RNG.normal(size=(20, 3)), random_quats(20)], axis=1)
+    b = np.concatenate([RNG.normal(size=(20, 3)), random_quats(20)], axis=1)
+    p = RNG.normal(size=(20, 3))
+    np.testing.assert_allclose(
+        rot.pose_apply(rot.pose_mul(a, b), p), rot.pose_apply(a, rot.pose_apply(b, p)), atol=1e-12
+    )
+    unit = np.tile([0.0, 0, 0, 1, 0, 0, 0], (20, 1))
+    np.testing.assert_allclose(rot.pose_mul(a, rot.pose_inv(a)), unit, atol=1e-12)
+    one = rot.pose_apply(a[0], p)
+    assert one.shape == (20, 3), "a single pose maps a batch of points"
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_torch_rotates_the_same_in_value_and_dtype(dtype: Any) -> None:
+    q, r = random_quats(30).astype(dtype), random_quats(30).astype(dtype)
+    v, yaw = RNG.normal(size=(30, 3)).astype(dtype), RNG.normal(size=30).astype(dtype)
+    t = torch.from_numpy
+    tol = 1e-6 if dtype == np.float32 else 1e-12
+    pose, other = np.concatenate([v, q], 1), np.concatenate([v, r], 1)
+    pairs = [
+        (rot.quat_mul(q, r), rot.quat_mul(t(q), t(r))),
+        (rot.quat_rotate(q, v), rot.quat_rotate(t(q), t(v))),
+        (rot.quat_rotate_inv(q, v), rot.quat_rotate_inv(t(q), t(v))),
+        (rot.mat_from_quat(q), rot.mat_from_quat(t(q))),
+        (rot.quat_from_mat(rot.mat_from_quat(q)), rot.quat_from_mat(t(rot.mat_from_quat(q)))),
+        (rot.quat_from_yaw(yaw), rot.quat_from_yaw(t(yaw))),
+        (rot.yaw_from_quat(q), rot.yaw_from_quat(t(q))),
+        (rot.quat_from_axis_angle(v, yaw), rot.quat_from_axis_angle(t(v), t(yaw))),
+        (rot.pose_mul(pose, other), rot.pose_mul(t(pose), t(other))),
+        (rot.pose_inv(pose), rot.pose_inv(t(pose))),
+    ]
+    for index, (a, b) in enumerate(pairs):
+        assert a.dtype == dtype
+        assert_same(a, b, str(index), tol)
+
+
+@dataclass(frozen=True)
+class _Record:
+    a: Any
+    b: Any
+    c: Any = None
+
+
+def test_array_helpers() -> None:
+    table = np.arange(12).reshape(3, 4)
+    assert pick_column(table, np.array([1, 0, 3])).tolist() == [1, 4, 11]
+    assert pick_column(torch.from_numpy(table), torch.tensor([1, 0, 3])).tolist() == [1, 4, 11]
+    mask = np.array([True, False])
+    mixed = where_rows(mask, _Record(np.ones(2), np.ones((2, 2, 2))), _Record(np.zeros(2), np.zeros((2, 2, 2))))
+    assert mixed.a.tolist() == [1, 0] and mixed.b.sum() == 4 and mixed.c is None
+    assert to_numpy(torch.ones(2)).tolist() == [1, 1]
+    assert as_like([1, 2], torch.zeros(1, dtype=torch.float32)).dtype == torch.float32
+    assert constant((1.0, 2.0), table * 1.0) is constant((1.0, 2.0), table * 1.0)
+    with pytest.raises(TypeError):
+        namespace(np.ones(1), torch.ones(1))

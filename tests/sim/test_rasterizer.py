@@ -189,10 +189,12 @@ def crowded() -> SceneBuilder:
     builder.add_world_geom(Geom("box", (4.0, 4.0, 0.1), (0.0, 0.0, -0.1), material="floor_oak"), seg="floor")
     builder.add_world_geom(Geom("box", (0.1, 4.0, 1.2), (-2.0, 0.0, 1.2), material="curtain"), seg="wall")
     for k in range(40):
-        shape, size = (("sphere", (0.2, 0, 0)), ("box", (0.2, 0.1, 0.3)), ("cylinder", (0.1, 0.2, 0)))[k % 3]
-        material = ("floor_tile", "floor_carpet", "oak", "steel")[k % 4]
+        geom = (
+            Geom("sphere", (0.2, 0, 0), material="oak"), Geom("box", (0.2, 0.1, 0.3), material="floor_tile"),
+            Geom("cylinder", (0.1, 0.2, 0), material="floor_carpet"), Geom("capsule", (0.1, 0.1, 0), material="steel"),
+        )[k % 4]  # fmt: skip
         where = rng.uniform((-1.5, -1.5, 0.0), (1.5, 1.5, 2.0), (2, 3))
-        builder.add_world_geom(Geom(shape, size, material=material), where, seg="x")
+        builder.add_world_geom(geom, where, seg="x")
     for home in range(2):
         builder.add_light(home, Light((0.5, 0.2, 2.8)))
     return builder
@@ -250,16 +252,19 @@ def test_mirrored_and_culled_faces():
 
 
 def test_primitives_face_outwards_and_fill_their_size():
-    sizes = {"box": (0.3, 0.2, 0.1), "cylinder": (0.2, 0.4, 0), "capsule": (0.1, 0.3, 0), "sphere": (0.2, 0, 0)}
-    for shape, size in sizes.items():
-        mesh = primitive_mesh(Geom(shape, size))
+    geoms = (
+        Geom("box", (0.3, 0.2, 0.1)), Geom("cylinder", (0.2, 0.4, 0)),
+        Geom("capsule", (0.1, 0.3, 0)), Geom("sphere", (0.2, 0, 0)),
+    )  # fmt: skip
+    for geom in geoms:
+        mesh = primitive_mesh(geom)
         p = mesh.vertices[mesh.faces].astype(float)
         volume = np.einsum("fi,fi->f", p[:, 0], np.cross(p[:, 1], p[:, 2])).sum() / 6
-        a, b, c = size
+        a, b, c = geom.size
         exact = {
             "box": 8 * a * b * c, "cylinder": 2 * np.pi * a * a * b,
             "capsule": np.pi * a * a * (2 * b + 4 / 3 * a), "sphere": 4 / 3 * np.pi * a**3,
-        }[shape]  # fmt: skip
+        }[geom.shape]  # fmt: skip
         assert 0.93 * exact < volume <= 1.000001 * exact
 
 

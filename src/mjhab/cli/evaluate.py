@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 import mjhab
 from mjhab.cli.options import EvalOptions
@@ -30,6 +30,8 @@ from mjhab.tasks.plan import KIND_NAMES, TASKS
 POLICIES = ("expert", "random", "zero")
 SUBTASKS = tuple(kind for kind in KIND_NAMES if kind != "navigate")
 SPLITS = ("train", "val", "test")
+FILM_QUALITY = 27
+"""x264 rate factor: a film of a whole chain stays at a few MB, since the report carries it."""
 NOT_IN_CONFIG = frozenset({"out", "resume", "overwrite", "json", "alone"})
 
 
@@ -137,9 +139,7 @@ def make_policy(options: EvalOptions, env: Any) -> Policy:
     return make_expert(env)
 
 
-def finish(
-    folder: RunFolder, seconds: float, film_problem: str | None, alone: AloneRates | None
-) -> dict[str, Any]:
+def finish(folder: RunFolder, seconds: float, film_problem: str | None, alone: AloneRates | None) -> dict[str, Any]:
     """Write summary.json and report.html from the records in the folder; returns the summary for machines."""
     records = folder.records
     summary = summarize(records, seconds, alone)
@@ -159,18 +159,16 @@ def _anything_left(path: Path, options: EvalOptions) -> bool:
 def _open_film(path: Path, fps: int) -> Any:
     from mjhab.sim.film import FilmWriter
 
-    return FilmWriter(path, fps)
+    return FilmWriter(path, fps, FILM_QUALITY)
 
 
 def _run(env: Any, options: EvalOptions, folder: RunFolder, films: FilmSink) -> None:
     missing = folder.missing(options.episodes)
     with Progress(
         TextColumn("[bold]{task.description}"),
-        BarColumn(),
+        BarColumn(bar_width=20),
         MofNCompleteColumn(),
-        TextColumn("episodes  {task.fields[rate]}  {task.fields[success]}"),
-        TimeElapsedColumn(),
-        TextColumn("left"),
+        TextColumn("{task.fields[rate]}{task.fields[success]}"),
         TimeRemainingColumn(elapsed_when_finished=True),
         console=Console(stderr=True),
     ) as bar:
@@ -204,7 +202,7 @@ class ProgressSink(Sink):
         """Move the bar."""
         self._done += 1
         self._won += record.success_once
-        self._bar.update(self._task, advance=1, success=f"{100 * self._won / self._done:.0f} % success")
+        self._bar.update(self._task, advance=1, success=f", {100 * self._won / self._done:.0f} % success")
 
 
 def _tell(
@@ -221,7 +219,10 @@ def _tell(
     if options.json:
         print_json(summary)
         return
-    _print_rows("Success along the plan", rows_by_position(folder.records))
+    if options.subtask:
+        _print_rows("Success per target", rows_by_kind(folder.records))
+    else:
+        _print_rows("Success along the plan", rows_by_position(folder.records))
     print(
         f"{summary['episodes']} episodes: success once {100 * summary['success_once']:.1f} %, at end "
         f"{100 * summary['success_at_end']:.1f} %, tainted {summary['tainted']}, {summary['seconds']:.0f} s"
@@ -230,21 +231,14 @@ def _tell(
 
 
 def _print_rows(title: str, rows: Sequence[SubtaskRow]) -> None:
-    columns = ("#", "subtask", "target", "reached", "success once %", "95 % from", "to", "at end %")
-    print_table(
-        title,
-        columns,
-        [
-            (
-                (row.position or 0) + 1,
-                row.kind,
-                row.target,
-                row.reached,
-                round(100 * row.success_once, 1) if row.reached else "-",
-                round(100 * row.interval[0]),
-                round(100 * row.interval[1]),
-                round(100 * row.success_at_end, 1) if row.reached else "-",
-            )
-            for row in rows
-        ],
-    )
+    columns = ("#", "subtask", "target", "reached", "success once", "95 % interval", "at end")
+    print_table(title, columns, [_cells(row) for row in rows])
+
+
+def _cells(row: SubtaskRow) -> tuple[object, ...]:
+    head = ("" if row.position is None else row.position + 1, row.kind, row.target, row.reached)
+    if not row.reached:
+        return (*head, "-", "-", "-")
+    low, high = row.interval
+    interval = f"{100 * low:.0f} to {100 * high:.0f} %"
+    return (*head, f"{100 * row.success_once:.1f} %", interval, f"{100 * row.success_at_end:.1f} %")

@@ -67,10 +67,5 @@ def run(command: opt.EvalOptions | opt.HomesCommand | opt.BenchCommand | opt.Doc
     return run_doctor(command)
 
 
-def entry() -> None:
-    """Console script: exit with the code of ``main``."""
-    sys.exit(main())
-
-
 if __name__ == "__main__":
-    entry()
+    sys.exit(main())

@@ -8,51 +8,55 @@ from typing import Annotated
 
 import tyro
 
-Arg = tyro.conf.arg
 Sub = tyro.conf.subcommand
+Number = Annotated[int, tyro.conf.arg(metavar="N")]
+Name = Annotated[str, tyro.conf.arg(metavar="NAME")]
+MaybeName = Annotated[str | None, tyro.conf.arg(metavar="NAME")]
+Assets = Annotated[str, tyro.conf.arg(metavar="builtin|FOLDER")]
 
 
 @dataclass(frozen=True)
 class EvalOptions:
     """Run a policy in furnished homes; write records, numbers, films and a report.
 
-    Examples:
-      mjhab eval --task set_table --policy expert --episodes 20 --worlds 8 --out runs/table
-      mjhab eval --task set_table --subtask pick --target 024_bowl --episodes 50 --out runs/pick_bowl
-      mjhab eval --task set_table --policy expert --episodes 20 --out runs/table --resume
+    A whole task: `mjhab eval --task set_table --policy expert --episodes 20 --out runs/table`
+
+    One subtask: `mjhab eval --subtask pick --target 024_bowl --episodes 50 --out runs/pick_bowl`
+
+    Ctrl-C keeps the finished episodes; the same command with `--resume` continues.
     """
 
-    task: str = "set_table"
+    task: Name = "set_table"
     """What to do: set_table, tidy_house or prepare_groceries."""
-    subtask: str | None = None
+    subtask: MaybeName = None
     """Evaluate one subtask from spawned starts instead of the whole chain: pick, place, open or close."""
-    target: str | None = None
+    target: MaybeName = None
     """With --subtask: the object or link to act on, e.g. 024_bowl or kitchen_counter/drawer3. All of them if absent."""
-    policy: str = "expert"
+    policy: Name = "expert"
     """What acts: expert (scripted, knows the state), random or zero (stands still)."""
-    episodes: int = 20
+    episodes: Number = 20
     """How many episodes: those with index 0 to N-1. The same index is the same episode for every policy."""
-    worlds: int = 8
+    worlds: Number = 8
     """How many episodes run at the same time. Changes the speed, never the results."""
-    seed: int = 0
+    seed: Number = 0
     """Seed of the run; with the index it fixes the episode."""
-    split: str = "val"
+    split: Name = "train"
     """Which homes: train, val or test."""
-    assets: str = "builtin"
+    assets: Assets = "builtin"
     """Asset pack: builtin, or the folder of another pack."""
-    home: str | None = None
+    home: MaybeName = None
     """Use only this home (see: mjhab homes list)."""
-    threads: int = 0
+    threads: Number = 0
     """Threads of the physics; 0 takes all cores. Changes the speed, never the results."""
-    films: int = 4
+    films: Number = 4
     """Film the first N episodes; 0 for none."""
-    out: Path | None = None
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
     """Folder of the results; runs/<task>_<subtask>_<policy>_seed<seed> if absent."""
     resume: bool = False
     """Continue the run in --out: only episodes that have no record yet are run."""
     overwrite: bool = False
     """Start the run in --out again; deletes what an earlier run left there and nothing else."""
-    alone: tuple[Path, ...] = ()
+    alone: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="FOLDER ...")] = ()
     """Folders of --subtask runs, whose success rates give the upper bound of progressive completion."""
     json: bool = False
     """Print the summary as one line of JSON at the end."""
@@ -62,7 +66,7 @@ class EvalOptions:
 class HomesListOptions:
     """List the homes of an asset pack."""
 
-    assets: str = "builtin"
+    assets: Assets = "builtin"
     """Asset pack: builtin, or the folder of another pack."""
     json: bool = False
     """Print one line of JSON instead of a table."""
@@ -72,9 +76,9 @@ class HomesListOptions:
 class HomesShowOptions:
     """Show what is in one home."""
 
-    name: Annotated[str, tyro.conf.Positional]
+    name: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="HOME")]
     """Name of the home (see: mjhab homes list)."""
-    assets: str = "builtin"
+    assets: Assets = "builtin"
     """Asset pack: builtin, or the folder of another pack."""
     json: bool = False
     """Print one line of JSON instead of a table."""
@@ -84,21 +88,20 @@ class HomesShowOptions:
 class HomesRenderOptions:
     """Draw one home into a PNG; needs no OpenGL.
 
-    Example:
-      mjhab homes render builtin_m0_00 --out home.png --view inside
+    For instance: `mjhab homes render builtin_m0_00 --out home.png --view inside`
     """
 
-    name: Annotated[str, tyro.conf.Positional]
+    name: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="HOME")]
     """Name of the home (see: mjhab homes list)."""
-    out: Path = Path("home.png")
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE.png")] = Path("home.png")
     """The PNG to write."""
-    view: str = "top"
+    view: Name = "top"
     """top (plan from above) or inside (from a corner of a room)."""
-    width: int = 1200
+    width: Number = 1200
     """Width of the picture [pixels]."""
-    height: int = 900
+    height: Number = 900
     """Height of the picture [pixels]."""
-    assets: str = "builtin"
+    assets: Assets = "builtin"
     """Asset pack: builtin, or the folder of another pack."""
     json: bool = False
     """Print one line of JSON at the end."""
@@ -119,19 +122,19 @@ class HomesCommand:
 class BenchSimOptions:
     """Measure control steps per second: the bare engine, and the whole environment without cameras."""
 
-    worlds: int = 16
+    worlds: Number = 16
     """How many worlds step at the same time."""
-    threads: int = 0
+    threads: Number = 0
     """Threads of the physics; 0 takes all cores."""
-    task: str = "tidy_house"
+    task: Name = "tidy_house"
     """Whose homes and objects: set_table, tidy_house or prepare_groceries."""
-    steps: int = 40
+    steps: Number = 40
     """Control steps per block; blocks of engine and environment alternate."""
-    rounds: int = 9
+    rounds: Number = 9
     """Pairs of blocks; the medians count."""
-    seed: int = 0
+    seed: Number = 0
     """Seed of the episodes."""
-    assets: str = "builtin"
+    assets: Assets = "builtin"
     """Asset pack: builtin, or the folder of another pack."""
     json: bool = False
     """Print one line of JSON instead of a table."""
@@ -143,7 +146,7 @@ class BenchGraspOptions:
 
     seconds: float = 10.0
     """Time of motion for each object [s]."""
-    seed: int = 0
+    seed: Number = 0
     """Seed of the motion."""
     json: bool = False
     """Print one line of JSON instead of a table."""

@@ -13,8 +13,9 @@ import numpy as np
 
 from mjhab.core.errors import MjhabError
 from mjhab.core.rotations import pose_inv, pose_mul
-from mjhab.envs.grasps import grasp_candidates
+from mjhab.experts.grasps import ObjectShape, grasp_candidates
 from mjhab.envs.spawns import CLOSED_FINGER
+from mjhab.scenes.spec import ObjectType
 from mjhab.scenes.fetch import FINGER_LINKS, FINGER_OPEN_DIR
 from mjhab.sim.cpu import CpuSimulator
 from mjhab.sim.settle import hold_robot, parked_robot_qpos
@@ -24,6 +25,14 @@ MIN_FORCE = 0.5
 """Finger force [N] of the grasp test (mani_skill/agents/robots/fetch/fetch.py)."""
 MAX_ANGLE = np.deg2rad(30.0)
 MAX_GRASPS = 6
+
+
+def shape_of(kind: ObjectType) -> ObjectShape:
+    """What a gripper sees of an object type: a box, can, ball or bowl of its size."""
+    if len(kind.collision) > 1:
+        return ObjectShape("bowl", kind.half)
+    shape = kind.collision[0].shape
+    return ObjectShape(shape if shape in ("box", "cylinder") else "sphere", kind.half)
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,8 +59,12 @@ class HeldStarts:
         if kind not in self._found:
             slot = self.sim.layout.roster.index(kind)
             found: list[HeldGrasp] = []
-            for pose, width in grasp_candidates(self.sim.layout.pack.objects[kind]):
-                grasp = self._try(slot, pose, width)
+            half_z = self.sim.layout.pack.objects[kind].half[2]
+            candidates = grasp_candidates(
+                shape_of(self.sim.layout.pack.objects[kind]), np.zeros(3), np.array([1.0, 0, 0, 0]), support_z=-half_z
+            )
+            for pos, quat, width in zip(candidates.pos, candidates.quat, candidates.width, strict=True):
+                grasp = self._try(slot, np.concatenate([pos, quat]), float(width))
                 if grasp is not None:
                     found.append(grasp)
                 if len(found) >= MAX_GRASPS:

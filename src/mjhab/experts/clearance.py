@@ -5,6 +5,7 @@ Letters: N configurations, M spheres, K boxes. Lengths [m], world frame unless s
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -76,7 +77,7 @@ def sphere_box_distance(points: Array, boxes: Boxes) -> Array:
 @dataclass(frozen=True, eq=False)
 class RobotSpheres:
     """Spheres that cover the robot: ``link`` (M,) index among the chain's links, ``pos`` (M, 3) in the link's frame,
-    ``radius`` (M,). ``trunk``: boxes of the links the arm must not touch, each in the frame of link ``trunk_link`` (K,);
+    ``radius`` (M,). ``trunk``: boxes of the links the arm must not touch, each in the frame of its ``trunk_link`` (K,);
     ``distal`` (M,) bool: spheres that are checked against them."""
 
     chain: Chain
@@ -124,17 +125,19 @@ class RobotSpheres:
 
     def with_held(self, pos: Array, radius: Array) -> RobotSpheres:
         """The same robot with spheres ``pos`` (H, 3), ``radius`` (H,) fixed to the tip: an object in the gripper."""
-        count = len(pos)
-        return RobotSpheres(
-            self.chain, np.append(self.link, np.full(count, self.chain.tip_index)), np.concatenate([self.pos, pos]),
-            np.append(self.radius, radius), self.trunk, self.trunk_link, np.append(self.distal, np.ones(count, dtype=bool)),
-        )  # fmt: skip
+        return dataclasses.replace(
+            self,
+            link=np.append(self.link, np.full(len(pos), self.chain.tip_index)),
+            pos=np.concatenate([self.pos, pos]),
+            radius=np.append(self.radius, radius),
+            distal=np.append(self.distal, np.ones(len(pos), dtype=bool)),
+        )
 
     def only(self, links: Sequence[str]) -> RobotSpheres:
         """The spheres of some links, for cheaper or more specific tests."""
         keep = np.isin(self.link, [self.chain.links.index(name) for name in links])
-        return RobotSpheres(
-            self.chain, self.link[keep], self.pos[keep], self.radius[keep], self.trunk, self.trunk_link, self.distal[keep]
+        return dataclasses.replace(
+            self, link=self.link[keep], pos=self.pos[keep], radius=self.radius[keep], distal=self.distal[keep]
         )
 
     def centers(self, frames: Frames) -> Array:
@@ -200,7 +203,8 @@ def _fill(geom: Any) -> tuple[Array, float]:
 
 def _grid(room: Array, radius: float) -> Array:
     """Points (P, 3) within ± ``room`` at most 1.2 radii apart."""
-    axes = [np.linspace(-r, r, 1 + int(np.ceil(2 * r / (1.2 * radius) - 1e-9))) if r > 1e-9 else np.zeros(1) for r in room]
+    count = [1 + int(np.ceil(2 * r / (1.2 * radius) - 1e-9)) for r in room]
+    axes = [np.linspace(-r, r, n) if n > 1 else np.zeros(1) for r, n in zip(room, count, strict=True)]
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 

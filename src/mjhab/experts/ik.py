@@ -75,7 +75,9 @@ def columns(chain: Chain, *, torso: bool = True, base: bool = False) -> Array:
     return chain.columns_of(names)
 
 
-def random_seeds(chain: Chain, q: Array, dofs: Array, count: int, rng: np.random.Generator, spread: float = 0.8) -> Array:
+def random_seeds(
+    chain: Chain, q: Array, dofs: Array, count: int, rng: np.random.Generator, spread: float = 0.8
+) -> Array:
     """Seeds (count, Q) around ``q`` (Q,): the first is ``q``, half the rest are near it, half anywhere in the limits.
 
     Only the columns ``dofs`` vary; continuous joints stay within half a turn of ``q``.
@@ -118,13 +120,20 @@ def solve(
         One configuration per goal and seed, inside the joint limits, with the error it is left with.
     """
     options = options or Options()
-    goals = len(pos)
     seeds = np.asarray(seeds, dtype=np.float64)
-    q = np.array(np.broadcast_to(seeds if seeds.ndim == 3 else seeds[None], (goals, *seeds.shape[-2:])))
-    count = q.shape[1]
-    flat = chain.clip(q.reshape(goals * count, -1))
-    goal_pos = np.repeat(np.asarray(pos, dtype=np.float64), count, axis=0)
-    goal_rot = np.repeat(np.asarray(rot, dtype=np.float64), count, axis=0)
+    shape = (len(pos), seeds.shape[-2])
+    flat = chain.clip(np.broadcast_to(seeds, (*shape, seeds.shape[-1])).reshape(shape[0] * shape[1], -1))
+    goal_pos = np.repeat(np.asarray(pos, dtype=np.float64), shape[1], axis=0)
+    goal_rot = np.repeat(np.asarray(rot, dtype=np.float64), shape[1], axis=0)
+    pos_err, rot_err = _iterate(chain, flat, goal_pos, goal_rot, dofs, rest, mode, options)
+    ok = (pos_err <= 3 * options.pos_tolerance) & (rot_err <= 3 * options.rot_tolerance)
+    return Solutions(flat.reshape(*shape, -1), pos_err.reshape(shape), rot_err.reshape(shape), ok.reshape(shape))
+
+
+def _iterate(
+    chain: Chain, flat: Array, goal_pos: Array, goal_rot: Array, dofs: Array, rest: Array, mode: Mode, options: Options
+) -> tuple[Array, Array]:
+    """Move configurations ``flat`` (N, Q) in place towards their goals; returns what errors (N,), (N,) are left."""
     active = np.arange(len(flat))
     pos_err, rot_err = np.full(len(flat), np.inf), np.full(len(flat), np.inf)
     for iteration in range(options.iterations + 1):
@@ -143,9 +152,7 @@ def solve(
         low, high = chain.lower[dofs] - now[:, dofs], chain.upper[dofs] - now[:, dofs]
         now[:, dofs] += _limited_step(error[going], jac[going][:, :, dofs], pull, low, high, options.max_step)
         flat[active] = chain.clip(now)
-    ok = (pos_err <= 3 * options.pos_tolerance) & (rot_err <= 3 * options.rot_tolerance)
-    shape = (goals, count)
-    return Solutions(flat.reshape(*shape, -1), pos_err.reshape(shape), rot_err.reshape(shape), ok.reshape(shape))
+    return pos_err, rot_err
 
 
 def servo(
@@ -163,8 +170,8 @@ def servo(
 ) -> Array:
     """Joint motion (N, Q) of one control step that brings the tip towards a pose, bounded by the joints' speed.
 
-    The error is taken where the base *will be*, so the arm makes up for the motion of the base (feed-forward) and
-    the tip can stay on a handle or on a straight line while the base drives.
+    The error is taken where the base *will be*: the arm makes up for the motion of the base (feed-forward), and the
+    tip can stay on a handle or on a straight line while the base drives (up to 0.1 m/s; joint speeds end it).
 
     Args:
         chain: the robot.
@@ -189,10 +196,10 @@ def servo(
         ahead[:, chain.columns_of(BASE)] = base_next
     error, jac = _task(chain, ahead, pos, rot, mode)
     low, high = chain.lower[dofs] - q[:, dofs], chain.upper[dofs] - q[:, dofs]
-    step = _limited_step(gain * error, jac[:, :, dofs], (rest - q)[:, dofs] * rest_gain, low, high, np.inf)
-    ratio = np.max(np.abs(step) / step_limits(chain)[dofs], axis=1, keepdims=True)
+    pull = (rest - q)[:, dofs] * rest_gain
+    step = _limited_step(gain * error, jac[:, :, dofs], pull, low, high, step_limits(chain)[dofs])
     delta = np.zeros_like(q)
-    delta[:, dofs] = np.clip(step / np.maximum(ratio, 1.0), np.minimum(low, 0.0), np.maximum(high, 0.0))
+    delta[:, dofs] = np.clip(step, np.minimum(low, 0.0), np.maximum(high, 0.0))
     return delta
 
 
@@ -214,7 +221,9 @@ def unwind(chain: Chain, q: Array, reference: Array) -> Array:
     return np.where(endless, reference + wrap(q - reference), q)
 
 
-def straight_line(pos: Array, goal: Array, rot: Array, goal_rot: Array, reach: float, turn: float) -> tuple[Array, Array]:
+def straight_line(
+    pos: Array, goal: Array, rot: Array, goal_rot: Array, reach: float, turn: float
+) -> tuple[Array, Array]:
     """The next pose on the straight way to a goal: at most ``reach`` [m] and ``turn`` [rad] away.
 
     Args:
@@ -283,18 +292,23 @@ def _damped_step(error: Array, jac: Array, pull: Array) -> Array:
     return np.einsum("nij,ni->nj", jac, np.linalg.solve(square, wanted[..., None])[..., 0]) + pull
 
 
-def _limited_step(error: Array, jac: Array, pull: Array, low: Array, high: Array, largest: float) -> Array:
-    """A damped step of at most ``largest`` per column that leaves columns at their limits to the others.
+def _limited_step(error: Array, jac: Array, pull: Array, low: Array, high: Array, largest: Array | float) -> Array:
+    """A damped step of at most ``largest`` (D,) per column that leaves what limited columns cannot do to the others.
 
-    ``low``, ``high`` (N, D): room left to the limits. Columns that would run out of it are stopped there and the
-    step is computed anew without them; clipping alone would stall at the limits.
+    ``low``, ``high`` (N, D): room left to the limits. A column that would run out of it goes to its limit, and the
+    step of the others is computed anew for the error that remains; clipping alone would stall at the limits.
     """
+    stopped = np.zeros_like(pull)
     free = np.ones_like(pull)
-    for _ in range(2):
-        step = _bounded(_damped_step(error, jac * free[:, None], pull * free) * free, largest)
-        free *= (step >= low) & (step <= high)
-    return _bounded(_damped_step(error, jac * free[:, None], pull * free) * free, largest)
+    for last in (False, False, True):
+        remaining = error - np.einsum("nij,nj->ni", jac, stopped)
+        step = _bounded(stopped + _damped_step(remaining, jac * free[:, None], pull * free) * free, largest)
+        if not last:
+            over = (free > 0) & ((step < low) | (step > high))
+            stopped = np.where(over, np.clip(step, low, high), stopped)
+            free = np.where(over, 0.0, free)
+    return step
 
 
-def _bounded(step: Array, largest: float) -> Array:
-    return step * np.minimum(1.0, largest / np.maximum(np.max(np.abs(step), axis=1, keepdims=True), 1e-12))
+def _bounded(step: Array, largest: Array | float) -> Array:
+    return step / np.maximum(np.max(np.abs(step) / largest, axis=1, keepdims=True), 1.0)

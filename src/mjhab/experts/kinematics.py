@@ -126,21 +126,11 @@ class Chain:
         for link in (tip, *extra):
             _collect(link, rows, wanted)
         links = [wanted[0].parent, *(j.child for j in wanted)]
-        for joint in wanted:
-            if joint.kind != "fixed" and joint.name not in order:
-                raise unknown_name("joint column", joint.name, order)
+        column = tuple(_column(joint, order) for joint in wanted)
         limits = {row.joint: row.limits for row in tree if row.joint}
         bounds = np.array([limits.get(name, (-np.inf, np.inf)) for name in order], dtype=np.float64)
-        return cls(
-            joints=tuple(wanted),
-            column=tuple(order.index(j.name) if j.kind != "fixed" else -1 for j in wanted),
-            parent=tuple(links.index(j.parent) for j in wanted),
-            tip=tip,
-            order=tuple(order),
-            lower=bounds[:, 0],
-            upper=bounds[:, 1],
-            root_height=root_height,
-        )
+        parent = tuple(links.index(j.parent) for j in wanted)
+        return cls(tuple(wanted), column, parent, tip, tuple(order), bounds[:, 0], bounds[:, 1], root_height)
 
     @property
     def size(self) -> int:
@@ -278,6 +268,14 @@ def _cross(a: Array, b: Array) -> Array:
         ],
         axis=-1,
     )
+
+
+def _column(joint: Joint, order: Sequence[str]) -> int:
+    if joint.kind == "fixed":
+        return -1
+    if joint.name not in order:
+        raise unknown_name("joint column", joint.name, order)
+    return order.index(joint.name)
 
 
 def _base_joints(order: Sequence[str], root: str) -> list[Joint]:

@@ -45,7 +45,7 @@ class Planner:
         self.clearance = np.asarray(clearance, dtype=np.float64)
         self.free = self.clearance >= radius
         if not self.free.any():
-            raise UsageError(f"no cell of the map has a clearance of {radius} m; is the radius too large for this home?")
+            raise UsageError(f"no cell of the map has a clearance of {radius} m; give a smaller radius or another home")
         lack = np.clip((radius + comfort - self.clearance) / comfort, 0.0, 1.0)
         self._graph = self._build(1.0 + caution * lack**2)
 

@@ -129,21 +129,19 @@ class Gains:
     kd: float
     force: float
     armature: float
-    """Rotor inertia added to each joint [kg m^2 or kg]. The integrator treats the servo's damping implicitly only
-    while the force is below its limit; a joint lighter than timestep * kd / 2 would then chatter between the limits."""
+    """Rotor inertia added to each joint [kg m^2 or kg], as the geared motors of a real arm have it. It spreads the
+    full-force start of a motion over two time steps, so that a grasped object is not jerked out of the pads."""
 
 
-ARM_GAINS = Gains(kp=1e3, kd=1e2, force=100.0, armature=0.5)
-BODY_GAINS = Gains(kp=1e3, kd=1e2, force=100.0, armature=0.5)
+ARM_GAINS = Gains(kp=1e3, kd=1e2, force=100.0, armature=1.0)
+BODY_GAINS = Gains(kp=1e3, kd=1e2, force=100.0, armature=1.0)
 """Torso, head pan, head tilt."""
 GRIPPER_GAINS = Gains(kp=1e3, kd=1e2, force=100.0, armature=0.2)
 BASE_GAINS = Gains(kp=0.0, kd=1e3, force=500.0, armature=0.0)
-TURN_GAINS = Gains(kp=0.0, kd=1e3, force=500.0, armature=4.0)
-"""Base yaw: the robot's own yaw inertia is as little as 3 kg m^2."""
 _GAINS: dict[str, Gains] = dict.fromkeys(FETCH_JOINTS, ARM_GAINS)
 _GAINS |= dict.fromkeys(("torso_lift_joint", "head_pan_joint", "head_tilt_joint"), BODY_GAINS)
 _GAINS |= dict.fromkeys(("r_gripper_finger_joint", "l_gripper_finger_joint"), GRIPPER_GAINS)
-_GAINS |= dict.fromkeys(FETCH_JOINTS[:2], BASE_GAINS) | {"root_z_rotation_joint": TURN_GAINS}
+_GAINS |= dict.fromkeys(FETCH_JOINTS[:3], BASE_GAINS)
 GAINS: tuple[Gains, ...] = tuple(_GAINS[n] for n in FETCH_JOINTS)
 """Per joint, FETCH_JOINTS order."""
 
@@ -172,9 +170,15 @@ CAMERAS: tuple[CameraMount, ...] = (
 """The head camera sits at head_camera_link, a fixed mount on head_tilt_link."""
 
 PAD_FRICTION = (1.5, 0.02, 0.001)
-"""Sliding, torsional [m], rolling [m]. The original has 2.0 with a 0.1 m torsional patch; 1.5 is a plainer rubber
-and holds all objects of the grasp bench, because elliptic cones with impratio 10 do not creep."""
+"""Sliding, torsional [m], rolling [m]. The original has 2.0 with a 0.1 m torsional patch; 1.5 is plain rubber and
+holds every object of ``sim.grasp_bench``; 2.0 changes its slip by less than 0.2 mm."""
 PAD_SOLIMP = (0.95, 0.99, 0.001, 0.5, 2.0)
+PAD_SOLREF = (-2500.0, -160.0)
+"""Stiffness [1/s^2] and damping [1/s] of pad contacts (negative: MuJoCo's direct form). The stiffness is that of
+MuJoCo's default 0.02 s, the damping 1.6 times. A contact does not feel the curvature of its path, so on a hand that
+turns at rate w at radius r a held object drifts outwards by w^2 r (1/damping - timestep/2) per second: 5 mm/s at
+1 rad/s and 1 m with the default damping of 100, 1.3 mm/s with 160. Towards 2/timestep = 200 contacts ring: the
+bench loses a box at 180."""
 
 _GEOM_TYPE = {
     "box": mujoco.mjtGeom.mjGEOM_BOX, "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
@@ -254,7 +258,8 @@ def _add_collision(body: mujoco.MjsBody, link: str, index: int, geom: Geom) -> N
         contype=contact_bits.ROBOT | distal, conaffinity=contact_bits.ROBOT_AFFINITY | trunk, group=3,
     )  # fmt: skip
     if link in FINGER_LINKS:
-        added.condim, added.friction, added.solimp, added.priority = 4, PAD_FRICTION, PAD_SOLIMP, 1
+        added.condim, added.friction, added.priority = 4, PAD_FRICTION, 1
+        added.solref, added.solimp = PAD_SOLREF, PAD_SOLIMP
 
 
 def _add_joint(body: mujoco.MjsBody, name: str, kind: mujoco.mjtJoint, axis: Vec3) -> None:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt, label
-from scipy.spatial import ConvexHull, cKDTree
+from scipy.spatial import ConvexHull, KDTree
 
 from mjhab.scenes.footprints import all_geoms, outline, rectangle
 from mjhab.scenes.spec import Articulation, Geom, Home, Pack, Placement, Prop
@@ -39,8 +39,9 @@ class FreeMap:
     def navigable(self, radius: float = BASE_RADIUS) -> np.ndarray:
         """Cells (X, Y) bool where a disc of ``radius`` [m] fits, in the largest connected piece of them."""
         fits = self.clearance >= radius
-        pieces, count = label(fits, structure=np.ones((3, 3)))
-        if count == 0:
+        pieces = np.empty(fits.shape, np.int32)
+        label(fits, structure=np.ones((3, 3)), output=pieces)
+        if not fits.any():
             return fits
         sizes = np.bincount(pieces.ravel())
         sizes[0] = 0
@@ -133,7 +134,7 @@ class Reach:
 def reach(home: Home, pack: Pack, free: FreeMap, radius: float = BASE_RADIUS) -> list[Reach]:
     """Planar distances [m] from navigable floor to every receptacle of a home, drawers closed."""
     cells = np.argwhere(free.navigable(radius))
-    stand = cKDTree(free.to_xy(cells)) if len(cells) else None
+    stand = KDTree(free.to_xy(cells)) if len(cells) else None
     result = []
     for placement in (*home.props, *home.articulations):
         template = pack.props.get(placement.template) or pack.articulations[placement.template]

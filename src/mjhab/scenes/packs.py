@@ -125,10 +125,11 @@ def _read_meshes(path: Path, names: tuple[str, ...]) -> dict[str, object]:
     try:
         with np.load(path, allow_pickle=False) as arrays:
             for name in names:
+                for part in ("vertices", "faces"):
+                    if f"{name}/{part}" not in arrays:
+                        raise UsageError(f"{path}: array '{name}/{part}' is missing.")
                 color = arrays.get(f"{name}/face_color")
                 meshes[name] = Mesh(arrays[f"{name}/vertices"], arrays[f"{name}/faces"], color)
-    except KeyError as error:
-        raise UsageError(f"{path}: array {error} is missing.") from error
     except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
         raise UsageError(f"{path}: cannot be read ({error}); write the pack again.") from error
     return meshes

@@ -55,7 +55,9 @@ GRASPS: dict[str, Grasp] = {
 BENCH_OBJECTS: tuple[str, ...] = tuple(GRASPS)
 
 
-def grasp_table(seconds: float = 10.0, seed: int = 0, objects: tuple[str, ...] = BENCH_OBJECTS) -> list[dict[str, object]]:
+def grasp_table(
+    seconds: float = 10.0, seed: int = 0, objects: tuple[str, ...] = BENCH_OBJECTS
+) -> list[dict[str, object]]:
     """Shake every object and tell what became of it.
 
     Args:

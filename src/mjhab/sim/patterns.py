@@ -1,4 +1,8 @@
-"""Compiled procedural patterns: the colour of a surface point from its place in the instance's own frame."""
+"""Compiled procedural patterns: the colour of a surface point from its place in the instance's own frame.
+
+``shading.shade`` compiles these in. Numba renews a cached kernel only when the file of the kernel itself changes:
+after an edit here, ``touch`` shading.py.
+"""
 
 from __future__ import annotations
 

@@ -126,11 +126,7 @@ class Rasterizer:
         Raises:
             UsageError: unknown output or quality, shapes that do not fit together.
         """
-        for name in outputs:
-            if name not in OUTPUTS:
-                raise unknown_name("output", name, OUTPUTS)
-        if quality not in ("fast", "nice"):
-            raise unknown_name("quality", str(quality), ("fast", "nice"))
+        _check_names(outputs, quality)
         home = np.asarray(home, np.int64)
         cam_pos = _array(cam_pos, (len(home), -1, 3), "cam_pos")
         cam_mat = _array(cam_mat, (len(home), cam_pos.shape[1], 3, 3), "cam_mat")
@@ -271,6 +267,14 @@ class Rasterizer:
             maps[k] = still
             draw(self._geometry, self._moving, pose, lens, False, maps[k], ids, self._room())
         return maps
+
+
+def _check_names(outputs: Sequence[str], quality: str) -> None:
+    for name in outputs:
+        if name not in OUTPUTS:
+            raise unknown_name("output", name, OUTPUTS)
+    if quality not in ("fast", "nice"):
+        raise unknown_name("quality", quality, ("fast", "nice"))
 
 
 def _array(value: np.ndarray, shape: tuple[int, ...], name: str) -> np.ndarray:

@@ -165,6 +165,21 @@ def _sky(dz, out):
 
 
 @njit(**INLINE)
+def _material(surface, i, face, x, y, z, nx, ny, nz, footprint):
+    """Material of a face, and the mix of its two colours and the shade at a local point; footprint: pixel [m]."""
+    m = surface.instance_material[i]
+    if m < 0:
+        m = surface.face_material[face]
+    mix, shade = 0.0, 1.0
+    if surface.kind[m] != 0:
+        mix, shade = pattern(
+            surface.kind[m], surface.scale[m], x, y, z, nx, ny, nz,
+            surface.extent[i, 0], surface.extent[i, 1], surface.extent[i, 2], footprint,
+        )  # fmt: skip
+    return m, mix, shade
+
+
+@njit(**INLINE)
 def _shade_point(surface, pose, lamps, lens, tag, depth, rx, ry, rz, open_share, pixel, light, out):
     """Linear colour into ``out[0:3]`` of the point at planar ``depth`` along the ray (rx, ry, rz)."""
     i, face = tag >> 32, tag & 0xFFFFFFFF
@@ -184,16 +199,7 @@ def _shade_point(surface, pose, lamps, lens, tag, depth, rx, ry, rz, open_share,
     if facing < 0.0 and not surface.smooth[face]:
         nx, ny, nz, facing = -nx, -ny, -nz, -facing
     facing = max(facing, 0.0)
-    m = surface.instance_material[i]
-    if m < 0:
-        m = surface.face_material[face]
-    mix, shade = 0.0, 1.0
-    if surface.kind[m] != 0:
-        footprint = pixel * depth / np.sqrt(max(facing, 0.05))
-        mix, shade = pattern(
-            surface.kind[m], surface.scale[m], qx, qy, qz, ox, oy, oz,
-            surface.extent[i, 0], surface.extent[i, 1], surface.extent[i, 2], footprint,
-        )  # fmt: skip
+    m, mix, shade = _material(surface, i, face, qx, qy, qz, ox, oy, oz, pixel * depth / np.sqrt(max(facing, 0.05)))
     for k in range(6):
         light[k] = 0.0
     gloss = surface.gloss[m]

@@ -1,0 +1,116 @@
+"""``mjhab bench``: how fast this machine is, and whether grasps hold."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+from mjhab.cli.doctor import cores
+from mjhab.cli.options import BenchGraspOptions, BenchSimOptions
+from mjhab.cli.output import at_least, print_json, print_table
+from mjhab.core.errors import unknown_name
+from mjhab.rollout.policy import ACTION_SIZE
+from mjhab.tasks.plan import TASKS
+
+WARM_STEPS = 8
+"""Untimed control steps after each reset: teleports happen and things come to rest."""
+
+
+def run_bench(options: BenchSimOptions | BenchGraspOptions) -> int:
+    """Run one of the benchmarks and return the exit code."""
+    if isinstance(options, BenchSimOptions):
+        return bench_sim(options)
+    return bench_grasp(options)
+
+
+def bench_sim(options: BenchSimOptions) -> int:
+    """Print control steps/s of the engine and of the environment, measured in the same run."""
+    if options.task not in TASKS:
+        raise unknown_name("task", options.task, TASKS)
+    for name in ("worlds", "steps", "rounds"):
+        at_least(name, getattr(options, name), 1)
+    at_least("threads", options.threads, 0)
+    at_least("seed", options.seed, 0)
+    from mjhab.envs import make
+
+    env = make(
+        task=options.task,
+        num_envs=options.worlds,
+        assets=options.assets,
+        seed=options.seed,
+        threads=options.threads,
+        autoreset="disabled",
+    )
+    result = measure_sps(env, options.steps, options.rounds, options.seed)
+    result["threads"] = options.threads or cores()
+    if options.json:
+        print_json(result)
+    else:
+        rows = [("bare engine", result["engine_sps"]), ("env.step without cameras", result["env_sps"])]
+        title = f"{options.task}, {options.worlds} worlds, {result['threads']} threads"
+        print_table(title, ("what", "control steps/s over all worlds"), rows)
+        print(f"the environment runs at {100 * result['ratio']:.0f} % of the bare engine")
+    return 0
+
+
+def measure_sps(env: Any, steps: int, rounds: int, seed: int) -> dict[str, Any]:
+    """Time blocks of ``env.step`` and of ``env.bare_step`` alternately, on the same worlds.
+
+    Every round starts ``num_envs`` fresh episodes; the robots hold still in both kinds of blocks (constant control),
+    so that both do the same physics: 5 substeps per control step.
+
+    Args:
+        env: env with autoreset disabled and ``bare_step()``.
+        steps: control steps per block.
+        rounds: rounds of one block each; their medians count.
+        seed: seed of the episodes.
+
+    Returns:
+        ``engine_sps``, ``env_sps`` [control steps/s over all worlds], ``ratio`` = env / engine, ``worlds``.
+    """
+    worlds = env.num_envs
+    actions = np.zeros((worlds, ACTION_SIZE), np.float32)
+    times: dict[str, list[float]] = {"engine": [], "env": []}
+    blocks = {"engine": env.bare_step, "env": lambda: env.step(actions)}
+    for number in range(rounds):
+        episodes = np.arange(number * worlds, (number + 1) * worlds)
+        env.reset(seed=seed, options={"episode": episodes, "reset_mask": np.ones(worlds, bool)})
+        for _ in range(WARM_STEPS):
+            env.step(actions)
+        for name in ("engine", "env") if number % 2 else ("env", "engine"):
+            times[name].append(_seconds(blocks[name], steps))
+    engine, whole = (worlds * steps / median(times[name]) for name in ("engine", "env"))
+    return {
+        "engine_sps": round(engine, 1),
+        "env_sps": round(whole, 1),
+        "ratio": round(whole / engine, 4),
+        "worlds": worlds,
+    }
+
+
+def _seconds(call: Callable[[], object], steps: int) -> float:
+    start = time.perf_counter()
+    for _ in range(steps):
+        call()
+    return time.perf_counter() - start
+
+
+def bench_grasp(options: BenchGraspOptions) -> int:
+    """Print how far objects slip in the moving gripper; fails if one is dropped."""
+    at_least("seed", options.seed, 0)
+    at_least("seconds", options.seconds, 0.1)
+    from mjhab.sim.grasp_bench import grasp_table
+
+    rows = grasp_table(seconds=options.seconds, seed=options.seed)
+    if options.json:
+        print_json({"grasps": rows})
+    else:
+        columns = list(rows[0])
+        print_table(
+            f"{options.seconds:g} s of base and arm motion", columns, [[row[key] for key in columns] for row in rows]
+        )
+    return 1 if any(row["dropped"] for row in rows) else 0

@@ -1,0 +1,114 @@
+"""``mjhab doctor``: what this machine offers."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import platform
+import shutil
+import subprocess
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import mjhab
+from mjhab.cli.options import DoctorOptions
+from mjhab.cli.output import print_json, print_table
+from mjhab.core.cache import cache_dir
+
+PINNED_MUJOCO = "3.17.0"
+EXTRAS = {
+    "learn": ("torch",),
+    "gpu": ("mujoco_warp", "warp"),
+    "view": ("viser",),
+}
+
+
+def run_doctor(options: DoctorOptions) -> int:
+    """Print the findings; fails if MuJoCo is missing or is not the version the benchmark is defined on."""
+    found = diagnose()
+    if options.json:
+        print_json(found)
+    else:
+        _print(found)
+    return 0 if found["mujoco"] == PINNED_MUJOCO else 1
+
+
+def diagnose() -> dict[str, Any]:
+    """Return python and mujoco version, renderers (name: works), gpu (name or None), cores, cache folder."""
+    from mjhab.sim.gl_probe import renderer_probe
+
+    return {
+        "python": platform.python_version(),
+        "mujoco": installed("mujoco"),
+        "renderers": {"rasterizer": True, **renderer_probe()},
+        "gpu": gpu_name(),
+        "cores": cores(),
+        "cache": str(cache_dir()),
+    }
+
+
+def installed(package: str) -> str | None:
+    """Return the version of an installed distribution, None if it is missing."""
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
+
+
+def cores() -> int:
+    """Return the number of CPU cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def gpu_name() -> str | None:
+    """Return the name of the first NVIDIA GPU as its driver tells it; no CUDA context is opened."""
+    tool = shutil.which("nvidia-smi")
+    if tool is None:
+        return None
+    command = [tool, "--query-gpu=name", "--format=csv,noheader"]
+    try:
+        answer = subprocess.run(command, capture_output=True, text=True, timeout=20, check=True)
+    except (subprocess.SubprocessError, OSError):
+        return None
+    names = answer.stdout.strip().splitlines()
+    return names[0].strip() if names else None
+
+
+def _print(found: dict[str, Any]) -> None:
+    mujoco = found["mujoco"] or "missing"
+    if found["mujoco"] != PINNED_MUJOCO:
+        mujoco += f"; mjhab needs {PINNED_MUJOCO}: pip install mujoco=={PINNED_MUJOCO}"
+    rows = [("mjhab", mjhab.__version__), ("python", found["python"]), ("mujoco", mujoco)]
+    rows += [(name, installed(name) or "missing") for name in ("numpy", "numba", "gymnasium", "gymnasium-robotics")]
+    print_table("installed", ("what", "version"), rows)
+    extras = []
+    for name, modules in EXTRAS.items():
+        here = all(importlib.util.find_spec(module) for module in modules)
+        extras.append((name, ", ".join(modules), "yes" if here else f"no: pip install 'mjhab[{name}]'"))
+    print_table("extras", ("extra", "modules", "installed"), extras)
+    renderers = [(name, "works" if works else _advice(name)) for name, works in found["renderers"].items()]
+    print_table("renderers", ("renderer", "state"), renderers)
+    gpu = found["gpu"] or "none found (the CPU is all that is needed)"
+    machine = [
+        ("cores", found["cores"]),
+        ("gpu", gpu),
+        ("cache", found["cache"]),
+        ("cache size", _size(found["cache"])),
+    ]
+    print_table("machine", ("what", "value"), machine)
+
+
+def _advice(renderer: str) -> str:
+    packages = {"egl": "libegl1 libgl1-mesa-dri", "osmesa": "libosmesa6"}
+    if renderer not in packages:
+        return "does not work here"
+    return f"does not work here and is not needed (apt install {packages[renderer]} brings it)"
+
+
+def _size(cache: str) -> str:
+    folder = Path(cache)
+    total = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()) if folder.is_dir() else 0
+    return f"{total / 1e6:.1f} MB"

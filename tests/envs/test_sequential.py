@@ -1,0 +1,249 @@
+"""SequentialTask: contract, isolation of worlds, determinism, teleport, starts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import mjhab.envs as envs
+from mjhab.core.errors import UsageError
+from mjhab.envs.actions import ACTION_DIM, action_table
+from mjhab.envs.observations import STATE_DIM, STATE_TABLE
+from mjhab.envs.sequential import SequentialTaskEnv
+from mjhab.tasks.plan import SubtaskKind
+
+
+def build(**options) -> SequentialTaskEnv:
+    return envs.make(**{"task": "set_table", "num_envs": 2, "autoreset": "disabled", "threads": 1} | options)
+
+
+def still(env: SequentialTaskEnv) -> np.ndarray:
+    actions = np.zeros((env.num_envs, ACTION_DIM), np.float32)
+    actions[:, 7] = 1.0
+    return actions
+
+
+def random_actions(env: SequentialTaskEnv, rng: np.random.Generator) -> np.ndarray:
+    return rng.uniform(-1, 1, (env.num_envs, ACTION_DIM)).astype(np.float32)
+
+
+def test_spaces_and_state_layout():
+    env = build(num_envs=3)
+    obs, info = env.reset(seed=1)
+    assert STATE_DIM == 42
+    assert obs["state"].shape == (3, 42) and obs["state"].dtype == np.float32
+    assert env.observation_space.contains(obs)
+    np.testing.assert_array_equal(obs["state"], np.concatenate([obs[e.key] for e in STATE_TABLE], axis=1))
+    assert [e.name for e in action_table()][7] == "gripper" and len(action_table()) == ACTION_DIM
+    assert (info["kind"] == SubtaskKind.NAVIGATE).all()
+
+
+def test_observation_is_masked_by_subtask():
+    env = build(subtask="close", target="fridge/top_door", num_envs=1)
+    obs, _ = env.reset(seed=0)
+    assert not obs["extra/obj_pose_wrt_base"].any()
+    assert obs["extra/goal_pos_wrt_base"].any()
+    env = build(subtask="pick", target="013_apple", num_envs=1)
+    obs, _ = env.reset(seed=0)
+    assert obs["extra/obj_pose_wrt_base"].any()
+    assert not obs["extra/goal_pos_wrt_base"].any()
+
+
+def test_teleport_brings_every_world_near_and_facing_without_contact():
+    env = build(task="tidy_house", num_envs=6)
+    env.reset(seed=3)
+    reached = np.zeros(6, bool)
+    for _ in range(60):
+        obs, _, _, _, info = env.step(still(env))
+        arrived = (info["kind"] == SubtaskKind.PICK) & ~reached
+        for w in np.flatnonzero(arrived):
+            pose = obs["extra/obj_pose_wrt_base"][w]
+            assert np.hypot(pose[0], pose[1]) <= 2.0 + 1e-3
+            # Yaw noise is clipped at 0.5 rad about the direction to the object.
+            assert abs(np.arctan2(pose[1], pose[0])) <= 0.5 + 1e-3
+            assert info["robot_force"][w] == 0.0
+        reached |= arrived
+        if reached.all():
+            break
+    assert reached.all()
+    assert not info["spawn_fallback"].any()
+
+
+def test_worlds_can_be_in_different_subtasks():
+    env = build(task="tidy_house", num_envs=4)
+    env.reset(seed=0)
+    for _ in range(4):
+        env.step(still(env))
+    env.reset(options={"reset_mask": np.array([True, False, False, False])})
+    kinds = env._info([[]] * 4, [None] * 4)["kind"]
+    assert kinds[0] == SubtaskKind.NAVIGATE and (kinds[1:] == SubtaskKind.PICK).any()
+
+
+def snapshot(env: SequentialTaskEnv, world: int) -> list[bytes]:
+    batch = env.sim.batch
+    rows = [batch.qpos, batch.qvel, batch.ctrl, batch.qacc_warmstart, batch.sensordata, batch.xpos]
+    rows += [getattr(env.progress, f) for f in ("pointer", "steps_left", "cumulative_force", "peak_force")]
+    rows += [env._state.robot_q, env._state.object_pose, env.tracker._start_step, env._joint_start]
+    rows += [getattr(env.tracker._notes._labels, f) for f in env.tracker._notes._labels.__dataclass_fields__]  # type: ignore[union-attr]
+    return [np.ascontiguousarray(r[world]).tobytes() for r in rows if r is not None]
+
+
+def test_partial_reset_leaves_other_worlds_bit_identical():
+    env = build(num_envs=3)
+    obs, _ = env.reset(seed=5)
+    rng = np.random.default_rng(0)
+    for _ in range(12):
+        obs, *_ = env.step(random_actions(env, rng))
+    before = [snapshot(env, w) for w in (0, 2)]
+    after_obs, _ = env.reset(options={"reset_mask": np.array([False, True, False])})
+    assert [snapshot(env, w) for w in (0, 2)] == before
+    for key in obs:
+        np.testing.assert_array_equal(obs[key][[0, 2]], after_obs[key][[0, 2]])
+    assert env.progress.episode_step[1] == 0 and env.progress.episode_step[0] == 12
+
+
+def run(num_envs: int, threads: int, episodes: list[int], steps: int) -> dict[int, bytes]:
+    """States of episodes under actions that depend on (episode, step) only."""
+    env = build(num_envs=num_envs, threads=threads)
+    out = {}
+    for first in range(0, len(episodes), num_envs):
+        group = episodes[first : first + num_envs]
+        mask = np.arange(num_envs) < len(group)
+        env.reset(seed=7, options={"reset_mask": mask, "episode": group})
+        for step in range(steps):
+            actions = np.zeros((num_envs, ACTION_DIM), np.float32)
+            for w, episode in enumerate(group):
+                actions[w] = np.random.default_rng((episode, step)).uniform(-1, 1, ACTION_DIM)
+            env.step(actions)
+        for w, episode in enumerate(group):
+            out[episode] = env.sim.batch.qpos[w].tobytes() + env.sim.batch.qvel[w].tobytes()
+    return out
+
+
+def test_states_do_not_depend_on_number_of_worlds_or_threads():
+    episodes = [0, 1, 2, 3]
+    reference = run(1, 1, episodes, 25)
+    assert run(2, 2, episodes, 25) == reference
+    assert run(4, 1, episodes, 25) == reference
+    assert len(set(reference.values())) == len(episodes)
+
+
+@pytest.mark.parametrize("mode", ["same_step", "next_step", "disabled"])
+def test_autoreset_modes(mode: str):
+    env = build(subtask="pick", num_envs=2, autoreset=mode)
+    env.reset(seed=0)
+    env.progress.steps_left[0] = 2
+    done_at = None
+    for step in range(4):
+        if mode == "disabled" and done_at is not None:
+            break
+        _, _, terminated, truncated, info = env.step(still(env))
+        if (terminated | truncated)[0] and done_at is None:
+            done_at = step
+            if mode == "same_step":
+                assert info["_final_obs"][0] and not info["_final_obs"][1]
+                assert info["final_info"]["ended"][0]["kind"] == "pick"
+                assert env.progress.episode_step[0] == 0
+            else:
+                assert env.progress.episode_step[0] == 2
+    assert done_at == 1
+    if mode == "next_step":
+        assert env.progress.episode_step[0] <= 2 and not env.progress.done[0]
+    if mode == "disabled":
+        assert env.progress.done[0]
+
+
+@pytest.mark.parametrize("target", ["024_bowl", "013_apple"])
+def test_place_starts_hold_the_object_by_contact(target: str):
+    env = build(subtask="place", target=target)
+    env.reset(seed=0)
+    actions = np.zeros((2, ACTION_DIM), np.float32)
+    actions[:, 7] = -1.0
+    for _ in range(20):
+        *_, info = env.step(actions)
+    assert info["is_grasped"].all()
+    assert not info["taint"].any()
+
+
+def test_close_starts_open_with_the_object_out_of_the_way():
+    env = build(subtask="close", target="kitchen_counter/drawer3")
+    env.reset(seed=0)
+    view = env.view(0)
+    assert view.link_q("kitchen_counter/drawer3") >= 0.44
+    *_, info = env.step(still(env))
+    assert not info["closed"].any()
+
+
+def test_horizon_ends_a_single_subtask_and_reports_it():
+    env = build(subtask="open", num_envs=1)
+    env.reset(seed=0)
+    env.progress.steps_left[:] = 3
+    for _ in range(3):
+        _, _, terminated, truncated, info = env.step(still(env))
+    record = info["ended"][0]
+    assert truncated[0] and not terminated[0]
+    assert record["label"] == "cant_reach_articulation_failure" and not record["success_once"]
+    assert record["end_step"] - record["start_step"] == 3
+
+
+def test_nan_taints_only_its_world():
+    env = build()
+    env.reset(seed=0)
+    env.sim.batch.qvel[1, env.sim.addresses.object_v[0]] = np.nan
+    *_, info = env.step(still(env))
+    names = [n for bit, n in enumerate(env.taint_names) if info["taint"][1] >> bit & 1]
+    assert "nan" in names
+    assert info["taint"][0] == 0
+
+
+def test_cameras_are_not_black():
+    env = build(num_envs=1, cameras=("depth", "rgb", "seg"), camera_size=64)
+    obs, _ = env.reset(seed=0)
+    assert env.observation_space.contains(obs)
+    depth = obs["sensor_data/fetch_head/depth"]
+    assert depth.shape == (1, 64, 64, 1) and depth.dtype == np.int16 and (depth > 0).mean() > 0.5
+    assert obs["sensor_data/fetch_hand/rgb"].std() > 10
+    assert len(np.unique(obs["sensor_data/fetch_head/seg"])) > 3
+
+
+def test_fixed_home_and_splits():
+    env = build(home="builtin_m1_00", num_envs=2)
+    _, info = env.reset(seed=0)
+    assert {e["home"] for e in info["episode"]} == {"builtin_m1_00"}
+    val = build(split="val", num_envs=2)
+    _, info = val.reset(seed=0)
+    assert all(e["home"].startswith("builtin_m3") for e in info["episode"])
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"task": "set_tabel"}, "set_table"),
+        ({"subtask": "pik"}, "pick"),
+        ({"task": "tidy_house", "subtask": "open"}, "set_table"),
+        ({"num_envs": 0}, "at least 1"),
+        ({"home": "builtin_m0_99"}, "builtin_m0_0"),
+        ({"subtask": "pick", "target": "024_bow"}, "024_bowl"),
+        ({"target": "024_bowl"}, "needs a subtask"),
+        ({"split": "training"}, "train"),
+        ({"assets": "bultin"}, "builtin"),
+        ({"wrlds": 3}, "num_envs"),
+        ({"cameras": ("deth",)}, "depth"),
+    ],
+)
+def test_bad_options_name_what_is_valid(options: dict, message: str):
+    with pytest.raises(UsageError, match=message):
+        build(**options)
+
+
+def test_bad_actions_and_reset_options():
+    env = build()
+    env.reset(seed=0)
+    with pytest.raises(UsageError, match=r"shape \(2, 13\)"):
+        env.step(np.zeros((2, 12)))
+    with pytest.raises(UsageError, match="finite"):
+        env.step(np.full((2, 13), np.nan))
+    with pytest.raises(UsageError, match="reset_mask"):
+        env.reset(options={"mask": 1})
+    with pytest.raises(UsageError, match="one per reset world"):
+        env.reset(options={"episode": [1]})

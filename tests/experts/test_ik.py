@@ -93,7 +93,7 @@ def test_servo_follows_a_straight_line_and_holds_still_while_the_base_drives():
         line = (goal - start)[0] / np.linalg.norm(goal - start)
         assert np.linalg.norm(along - line * (along @ line)) < 5e-3
     np.testing.assert_allclose(CHAIN.tip_pose(q)[0], goal, atol=2e-3)
-    for _ in range(15):
+    for _ in range(12):
         ahead = q[:, :3] + np.array([-0.005, 0.0, 0.004])
         q = q + ik.servo(CHAIN, q, goal, turn, DOFS, rest=REST, base_next=ahead)
         q[:, :3] = ahead

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from mjhab.rollout.films import FILM_FPS, FilmSink, film_second
 from mjhab.rollout.loop import rollout
@@ -77,8 +78,6 @@ def test_broken_encoder_stops_films_and_not_episodes() -> None:
 def test_unfinished_films_are_aborted_on_interrupt() -> None:
     studio, env = Studio(), FakeEnv(2)
     env.interrupt_at = 5
-    try:
+    with pytest.raises(KeyboardInterrupt):
         rollout(env, ZeroPolicy(), range(2), seed=0, sinks=[studio.sink(0, 1)])
-    except KeyboardInterrupt:
-        pass
     assert [film.state for film in studio.films.values()] == ["aborted", "aborted"]

@@ -120,3 +120,15 @@ def pose_inv(pose: Array) -> Array:
 def pose_apply(pose: Array, point: Array) -> Array:
     """Map points (..., 3) from the frame of ``pose`` (..., 7) to the frame the pose is given in."""
     return pose[..., :3] + quat_rotate(pose[..., 3:], point)
+
+
+def frame_from_axes(approach: Array, closing: Array) -> Array:
+    """Rotations (..., 3, 3) with x along ``approach`` (..., 3) and y along ``closing`` made orthogonal to it."""
+    xp = namespace(approach, closing)
+    x = approach / xp.sqrt(xp.sum(approach * approach, axis=-1, keepdims=True))
+    y = closing - x * xp.sum(closing * x, axis=-1, keepdims=True)
+    y = y / xp.sqrt(xp.sum(y * y, axis=-1, keepdims=True))
+    x0, x1, x2 = x[..., 0], x[..., 1], x[..., 2]
+    y0, y1, y2 = y[..., 0], y[..., 1], y[..., 2]
+    z = xp.stack([x1 * y2 - x2 * y1, x2 * y0 - x0 * y2, x0 * y1 - x1 * y0], axis=-1)
+    return xp.stack([x, y, z], axis=-1)

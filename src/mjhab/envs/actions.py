@@ -45,7 +45,8 @@ def action_table(limits: ActionLimits | None = None) -> tuple[ActionEntry, ...]:
     """Name, meaning and bounds of every action dimension, in order."""
     limits = limits or ActionLimits()
     d = limits.joint_delta
-    rows = [ActionEntry(fetch.FETCH_JOINTS[j], fetch.FETCH_JOINTS[j], -d, d, "rad", "joint, from measured") for j in ARM_JOINTS]
+    arm = [fetch.FETCH_JOINTS[j] for j in ARM_JOINTS]
+    rows = [ActionEntry(joint, joint, -d, d, "rad", "joint, from measured") for joint in arm]
     rows.append(ActionEntry("gripper", "l_gripper_finger_joint", *limits.gripper, "m", "joint, absolute, both fingers"))
     for joint in ("head_pan_joint", "head_tilt_joint", "torso_lift_joint"):
         rows.append(ActionEntry(joint, joint, -d, d, "m" if "torso" in joint else "rad", "joint, from measured"))

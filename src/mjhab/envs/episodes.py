@@ -14,12 +14,12 @@ from pathlib import Path
 import numpy as np
 
 from mjhab.core.cache import cache_dir, write_atomic
-from mjhab.core.errors import MjhabError
+from mjhab.core.errors import MjhabError, UsageError
 from mjhab.core.seeding import stream
 from mjhab.scenes.compile import home_hash
 from mjhab.scenes.layout import Layout, yaw_quat
 from mjhab.scenes.receptacles import PlacedReceptacle, placed_receptacles
-from mjhab.scenes.spec import Home
+from mjhab.scenes.spec import Home, Vec3
 from mjhab.sim.cpu import CpuSimulator
 from mjhab.sim.settle import settle
 from mjhab.tasks.plan import TARGETS_PER_TASK, Target
@@ -33,8 +33,8 @@ FRIDGE_DOOR = "fridge/top_door"
 FRIDGE_PREOPEN = 1.5
 """Door angle [rad] of PrepareGroceries starts (HAB prepare_groceries, ao_states)."""
 REGION_RATIO = {"set_table": 0.5, "prepare_groceries": 0.9}
-"""Share of the fridge shelf, about its centre, in which objects stand. HAB's sample_region_ratio is 0.5; two targets and
-the goal of a third do not fit into half of our shelf without touching."""
+"""Share of the fridge shelf, about its centre, in which objects stand. HAB's sample_region_ratio is 0.5; two targets
+and the goal of a third do not fit into half of our shelf without touching."""
 MIN_START_GOAL = 0.5
 """Smallest distance [m] between where an object starts and its goal (HAB generator constant)."""
 GAP = 0.03
@@ -89,7 +89,7 @@ class EpisodeMaker:
         self.layout: Layout = sim.layout
         self.homes = [h for h in self.layout.pack.homes if (h.name == home if home else h.split == split)]
         if not self.homes:
-            raise MjhabError(f"pack {self.layout.pack.name!r} has no home in split {split!r}")
+            raise UsageError(f"pack {self.layout.pack.name!r} has no home in split {split!r}")
 
     def episode(self, seed: int, index: int) -> Episode:
         """The episode named by (seed, index); the same for everyone who asks.
@@ -159,7 +159,8 @@ class EpisodeMaker:
         return slots
 
     def _set_table(self, rng: np.random.Generator, draw: _Draw) -> tuple[Target, ...] | None:
-        bowl, apple = (max(i for i, kind in enumerate(self.layout.roster) if kind == k) for k in ("024_bowl", "013_apple"))
+        last = {kind: slot for slot, kind in enumerate(self.layout.roster)}
+        bowl, apple = last["024_bowl"], last["013_apple"]
         drawer = [r for r in draw.receptacles.values() if r.link == BOWL_DRAWER]
         table = [r for r in draw.receptacles.values() if r.template == SETTABLE_TABLE]
         shelf = [draw.receptacles[FRIDGE_SHELF]]
@@ -217,7 +218,9 @@ class EpisodeMaker:
     def _radius(self, slot: int) -> float:
         return float(np.hypot(*self.layout.objects[slot].half[:2]))
 
-    def _sample(self, rng: np.random.Generator, place: PlacedReceptacle, radius: float, half_z: float) -> np.ndarray | None:
+    def _sample(
+        self, rng: np.random.Generator, place: PlacedReceptacle, radius: float, half_z: float
+    ) -> np.ndarray | None:
         if 2 * half_z + 0.02 > place.height:
             return None
         ratio = REGION_RATIO[self.task] if place.id == FRIDGE_SHELF else 1.0
@@ -238,7 +241,7 @@ class EpisodeMaker:
             if pos is None or not self._is_free(draw, pos, radius, gap):
                 continue
             draw.placed[slot] = (pos, radius)
-            draw.pose[slot, :3] = pos + (0.0, 0.0, 0.001)
+            draw.pose[slot, :3] = pos + np.array([0.0, 0.0, 0.001])
             draw.pose[slot, 3:] = yaw_quat(float(rng.uniform(-np.pi, np.pi)))
             return place
         return None
@@ -288,7 +291,12 @@ class EpisodeMaker:
         digest = hashlib.sha256(str(_VERSION).encode())
         for home in self.homes:
             digest.update(home_hash(self.layout, home).encode())
-        return cache_dir() / "episodes" / digest.hexdigest()[:16] / f"{self.task}{self.target}-{self.split}-{seed}-{index}.npz"
+        return (
+            cache_dir()
+            / "episodes"
+            / digest.hexdigest()[:16]
+            / f"{self.task}{self.target}-{self.split}-{seed}-{index}.npz"
+        )
 
     def _save(self, path: Path, episode: Episode) -> None:
         rows = np.array([(t.obj, t.start_link, t.goal_link) for t in episode.targets])
@@ -302,9 +310,14 @@ class EpisodeMaker:
     def _load(self, path: Path, seed: int, index: int) -> Episode:
         with np.load(path, allow_pickle=False) as data:
             targets = tuple(
-                Target(str(obj), *(tuple(p.tolist()) for p in points[:2]), str(start), str(where), tuple(points[2].tolist()))
-                for (obj, start, where), points in zip(data["targets"], data["goals"], strict=True)
+                Target(str(obj), _point(goal), _point(start_pos), str(start), str(where), _point(handle))
+                for (obj, start, where), (goal, start_pos, handle) in zip(data["targets"], data["goals"], strict=True)
             )
             return Episode(
                 self.task, self.split, seed, index, str(data["home"]), data["object_pose"], data["link_q"], targets
             )
+
+
+def _point(row: np.ndarray) -> Vec3:
+    x, y, z = row.tolist()
+    return (x, y, z)

@@ -13,10 +13,10 @@ import numpy as np
 
 from mjhab.core.errors import MjhabError
 from mjhab.core.rotations import pose_inv, pose_mul
-from mjhab.experts.grasps import ObjectShape, grasp_candidates
+from mjhab.envs.grasps import ObjectShape, grasp_candidates
 from mjhab.envs.spawns import CLOSED_FINGER
-from mjhab.scenes.spec import ObjectType
 from mjhab.scenes.fetch import FINGER_LINKS, FINGER_OPEN_DIR
+from mjhab.scenes.spec import ObjectType
 from mjhab.sim.cpu import CpuSimulator
 from mjhab.sim.settle import hold_robot, parked_robot_qpos
 
@@ -31,7 +31,7 @@ def shape_of(kind: ObjectType) -> ObjectShape:
     """What a gripper sees of an object type: a box, can, ball or bowl of its size."""
     if len(kind.collision) > 1:
         return ObjectShape("bowl", kind.half)
-    shape = kind.collision[0].shape
+    shape = next(iter(kind.collision)).shape
     return ObjectShape(shape if shape in ("box", "cylinder") else "sphere", kind.half)
 
 

@@ -17,10 +17,10 @@ from mjhab.core.rotations import quat_conj, quat_mul
 
 @dataclass(frozen=True, eq=False)
 class ObsContext:
-    """What observations are computed from. W worlds; poses are world poses (7,) xyz + wxyz.
+    """What observations are computed from. W worlds; poses are world poses, xyz + wxyz.
 
-    ``base`` (W, 3) x, y, yaw; ``tcp_pose`` (W, 7) of gripper_link; ``obj_pose`` (W, 7) of the active subtask's object and
-    ``goal_pos`` (W, 3), meaningful where ``has_obj`` / ``has_goal`` (W,); ``is_grasped`` (W,).
+    ``base`` (W, 3) x, y, yaw; ``tcp_pose`` (W, 7) of gripper_link; ``obj_pose`` (W, 7) of the active subtask's object
+    and ``goal_pos`` (W, 3), meaningful where ``has_obj`` / ``has_goal`` (W,); ``is_grasped`` (W,).
     """
 
     robot_q: np.ndarray
@@ -93,7 +93,7 @@ def camera_key(camera: str, output: str) -> str:
 
 def single_space(cameras: tuple[str, ...] = (), size: int = 128) -> spaces.Dict:
     """Observation space of one world, with images of ``cameras`` (outputs of CAMERA_OUTPUTS) at ``size``."""
-    box = {e.key: spaces.Box(-np.inf, np.inf, e.shape, np.float32) for e in STATE_TABLE}
+    box: dict[str, spaces.Space] = {e.key: spaces.Box(-np.inf, np.inf, e.shape, np.float32) for e in STATE_TABLE}
     box[STATE_KEY] = spaces.Box(-np.inf, np.inf, (STATE_DIM,), np.float32)
     for name in CAMERA_KEYS if cameras else ():
         for output in cameras:

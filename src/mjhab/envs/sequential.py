@@ -130,7 +130,8 @@ class SequentialTaskEnv(VectorEnv):
         if indices is None:
             indices = worlds * INDEX_STRIDE + self._count[worlds]
         if len(indices) != len(worlds):
-            raise UsageError(f"options['episode'] must give {len(worlds)} indices, one per reset world; got {len(indices)}")
+            need = f"options['episode'] must give {len(worlds)} indices, one per reset world"
+            raise UsageError(f"{need}; got {len(indices)}")
         self._begin(worlds, [int(i) for i in indices])
         return self._observe(), self._info([[] for _ in range(self.num_envs)], [None] * self.num_envs)
 
@@ -145,7 +146,7 @@ class SequentialTaskEnv(VectorEnv):
             self.tables.set_row(int(world), start.plan, start.boxes)
         if not len(worlds):
             return
-        self.sim.reset(worlds, [s.home for s in starts], np.stack([s.qpos for s in starts]))
+        self.sim.reset(worlds.tolist(), [s.home for s in starts], np.stack([s.qpos for s in starts]))
         mask = np.zeros(self.num_envs, bool)
         mask[worlds] = True
         self._count[worlds] += 1

@@ -1,8 +1,8 @@
 """Robot starts near a target: navigable, facing it, collision-free by simulation.
 
-Numbers are those of mshab/utils/gen/gen_spawn_positions.py: base noise N(0, 0.1) clipped at 0.2 m, yaw noise N(0, 0.25)
-clipped at 0.5 rad, arm noise N(0, 0.1) clipped at 0.2 rad, within 2 m of objects and goals, and for articulations within
-an area in front of them.
+Numbers are those of mshab/utils/gen/gen_spawn_positions.py: base noise N(0, 0.1) clipped at 0.2 m, yaw noise
+N(0, 0.25) clipped at 0.5 rad, arm noise N(0, 0.1) clipped at 0.2 rad, within 2 m of objects and goals, and for
+articulations within an area in front of them.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ class SpawnSampler:
         return self._apply(home, qpos, np.array([*xy, self._bearing(xy, goal)]), np.zeros(7), None)
 
     def fallback(self, home: str, qpos: np.ndarray, goal: SpawnGoal, held: Held | None = None) -> np.ndarray:
-        """Without noise: the nearest start that is valid, else the roomiest place near the goal (the caller flags it)."""
+        """Without noise: the nearest valid start, else the roomiest place near the goal (the caller flags it)."""
         cells = self._candidates(home, goal, MAX_DISTANCE + 1.0)
         order = np.argsort(np.linalg.norm(cells - goal.face, axis=1), kind="stable")[:: max(1, len(cells) // 200)]
         for xy in cells[order]:
@@ -133,7 +133,8 @@ class SpawnSampler:
         xy = candidates[int(rng.integers(len(candidates)))] + noise
         fmap = self.map(home)
         cell = fmap.to_cell(xy)
-        if np.any(cell < 0) or np.any(cell >= fmap.clearance.shape) or fmap.clearance[tuple(cell)] < ROBOT_RADIUS - 0.02:
+        inside = np.all(cell >= 0) and np.all(cell < fmap.clearance.shape)
+        if not inside or fmap.clearance[tuple(cell)] < ROBOT_RADIUS - 0.02:
             return None
         if np.linalg.norm(xy - goal.face) > MAX_DISTANCE or (goal.area is not None and not self._inside(xy, goal.area)):
             return None

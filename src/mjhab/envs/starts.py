@@ -189,7 +189,7 @@ class StartMaker:
         fmap = self.sampler.map(episode.home)
         rng = stream(episode.seed, "roam", episode.task, episode.index)
         cells = fmap.to_xy(np.argwhere(fmap.navigable(0.5)))
-        for attempt in range(MAX_TRIES):
+        for _ in range(MAX_TRIES):
             xy = cells[int(rng.integers(len(cells)))]
             heading = rng.uniform(-np.pi, np.pi)
             face = xy + np.array([np.cos(heading), np.sin(heading)])

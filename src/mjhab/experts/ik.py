@@ -32,7 +32,7 @@ TORSO_STEP = 0.02
 """A cautious bound for the torso in one control step [m]; it carries the arm, so it follows more slowly."""
 
 
-DAMPING = 3e-4
+DAMPING = 1e-4
 """Least damping of the normal equations; more is added far from the goal, where the linear model is poor."""
 
 

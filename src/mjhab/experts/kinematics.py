@@ -250,14 +250,6 @@ def rotation_vector(rot: Array) -> Array:
     return quat[..., 1:] * scale[..., None]
 
 
-def frame_from_axes(approach: Array, closing: Array) -> Array:
-    """Gripper rotations (..., 3, 3) with x along ``approach`` and y along ``closing`` made orthogonal to it."""
-    x = approach / np.linalg.norm(approach, axis=-1, keepdims=True)
-    y = closing - x * np.sum(closing * x, axis=-1, keepdims=True)
-    y = y / np.linalg.norm(y, axis=-1, keepdims=True)
-    return np.stack([x, y, _cross(x, y)], axis=-1)
-
-
 def _cross(a: Array, b: Array) -> Array:
     # numpy's cross costs several times more for small batches.
     return np.stack(

@@ -72,8 +72,9 @@ class ExpertPolicy:
             return next(script)
         except StopIteration:
             # A script that ends has nothing better to do than to stay at rest with its grip unchanged.
-            self._scripts[w] = motion.stay_at_rest(view, gripper=float(self._last[w, 7]))
-            return next(self._scripts[w])
+            rest = motion.stay_at_rest(view, gripper=float(self._last[w, 7]))
+            self._scripts[w] = rest
+            return next(rest)
 
 
 def make_expert(env: SequentialTaskEnv) -> ExpertPolicy:

@@ -40,13 +40,13 @@ class SubtaskRow:
 
 
 def wilson(successes: int, total: int) -> tuple[float, float]:
-    """Return the Wilson 95 % interval of a rate; (0, 1) if there is no trial."""
+    """Return the Wilson 95 % interval of a rate to 4 digits; (0, 1) if there is no trial."""
     if total == 0:
         return (0.0, 1.0)
     rate, shrink = successes / total, 1.0 + Z95**2 / total
     centre = (rate + Z95**2 / (2 * total)) / shrink
     half = Z95 * math.sqrt(rate * (1 - rate) / total + Z95**2 / (4 * total**2)) / shrink
-    return (max(0.0, centre - half), min(1.0, centre + half))
+    return (round(max(0.0, centre - half), 4), round(min(1.0, centre + half), 4))
 
 
 def target_type(target: str) -> str:

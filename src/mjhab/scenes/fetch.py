@@ -136,7 +136,7 @@ class Gains:
 ARM_GAINS = Gains(kp=1e3, kd=1e2, force=100.0, armature=1.0)
 BODY_GAINS = Gains(kp=1e3, kd=1e2, force=100.0, armature=1.0)
 """Torso, head pan, head tilt."""
-GRIPPER_GAINS = Gains(kp=1e3, kd=1e2, force=100.0, armature=0.2)
+GRIPPER_GAINS = Gains(kp=1e3, kd=1e2, force=100.0, armature=0.5)
 BASE_GAINS = Gains(kp=0.0, kd=1e3, force=500.0, armature=0.0)
 _GAINS: dict[str, Gains] = dict.fromkeys(FETCH_JOINTS, ARM_GAINS)
 _GAINS |= dict.fromkeys(("torso_lift_joint", "head_pan_joint", "head_tilt_joint"), BODY_GAINS)

@@ -212,7 +212,7 @@ def _settle(
 def _shift(placement: Placement, rng: np.random.Generator) -> Placement:
     small = placement.template in SMALL
     across, along, turn = _SMALL_SHIFT if small else _SHIFTS.get(placement.template, _ALONG_WALL)
-    a, b, yaw = rng.uniform(-1.0, 1.0, 3) * (across, along, turn)
+    a, b, yaw = (rng.uniform(-1.0, 1.0, 3) * (across, along, turn)).tolist()
     c, s = math.cos(placement.yaw), math.sin(placement.yaw)
     x, y, z = placement.pos
     return Placement(placement.template, (x + c * a - s * b, y + s * a + c * b, z), placement.yaw + yaw)

@@ -45,7 +45,9 @@ def compose(pos: Vec3, quat: Quat, local_pos: Vec3, local_quat: Quat = IDENTITY)
     mujoco.mju_rotVecQuat(out_pos, np.asarray(local_pos, float), np.asarray(quat, float))
     mujoco.mju_mulQuat(out_quat, np.asarray(quat, float), np.asarray(local_quat, float))
     out_pos += pos
-    return tuple(out_pos.tolist()), tuple(out_quat.tolist())
+    x, y, z = out_pos.tolist()
+    qw, qx, qy, qz = out_quat.tolist()
+    return (x, y, z), (qw, qx, qy, qz)
 
 
 @dataclass(frozen=True)
@@ -85,7 +87,7 @@ class Layout:
         )
         self.num_walls = max(len(home.walls) for home in pack.homes)
         self.articulations: tuple[Articulation, ...] = tuple(pack.articulations[n] for n in sorted(pack.articulations))
-        self.links = tuple(LinkRef(f"{a.name}/{link.name}", a.name, link) for a in self.articulations for link in a.links)
+        self.links = tuple(LinkRef(f"{a.name}/{k.name}", a.name, k) for a in self.articulations for k in a.links)
         self.link_ids = tuple(ref.id for ref in self.links)
         seen: Counter[str] = Counter()
         names = []
@@ -143,7 +145,8 @@ def build_spec(layout: Layout, home: Home) -> mujoco.MjSpec:
     spec.memory = 64 << 20
     fetch.physics_options(spec)
     world = spec.worldbody
-    world.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1], contype=contact_bits.STATIC, conaffinity=0)
+    plane = mujoco.mjtGeom.mjGEOM_PLANE
+    world.add_geom(name="floor", type=plane, size=[0, 0, 1], contype=contact_bits.STATIC, conaffinity=0)
     _add_meshes(spec, layout)
     fetch.add_fetch(spec)
     for k in range(layout.num_walls):
@@ -213,9 +216,7 @@ def _add_articulation(spec: mujoco.MjSpec, articulation: Articulation, at: Place
 def _add_object(spec: mujoco.MjSpec, name: str, kind: ObjectType, pose: np.ndarray) -> None:
     body = spec.worldbody.add_body(name=name, pos=pose[:3], quat=pose[3:])
     body.add_freejoint(name=name)
-    affinity = (
-        contact_bits.STATIC | contact_bits.ROBOT | contact_bits.OBJECT | contact_bits.JOINTED | contact_bits.RUG
-    )
+    affinity = contact_bits.OBJECT_AFFINITY
     density = kind.mass / sum(volume(g, spec) for g in kind.collision)
     for i, geom in enumerate(kind.collision):
         added = _add_geom(body, geom, f"{name}/{i}", contact_bits.OBJECT, conaffinity=affinity, density=density)
@@ -239,9 +240,8 @@ def volume(geom: Geom, spec: mujoco.MjSpec | None) -> float:
     return float(ConvexHull(np.asarray(spec.mesh(geom.mesh).uservert).reshape(-1, 3)).volume)
 
 
-_FOUND, _FORCE, _DIST = (
-    int(f) for f in (mujoco.mjtConDataField.mjCONDATA_FOUND, mujoco.mjtConDataField.mjCONDATA_FORCE, mujoco.mjtConDataField.mjCONDATA_DIST)
-)
+_FIELD = mujoco.mjtConDataField
+_FOUND, _FORCE, _DIST = int(_FIELD.mjCONDATA_FOUND), int(_FIELD.mjCONDATA_FORCE), int(_FIELD.mjCONDATA_DIST)
 _MINDIST, _NETFORCE = 1, 3
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Sequence
 
@@ -25,6 +26,13 @@ _TAINT_WARNINGS = {
     "engine_warning": (_WARNING.mjWARN_INERTIA, _WARNING.mjWARN_BADCTRL),
 }
 
+_LOG = logging.getLogger("mjhab.engine")
+
+
+def _log_warning(message: str) -> None:
+    """MuJoCo would print warnings and write MUJOCO_LOG.TXT into the working folder; the counters hold them anyway."""
+    _LOG.debug("MuJoCo: %s", message)
+
 
 class CpuSimulator:
     """Worlds on C MuJoCo through ``mujoco.batch.Batch``. See `Simulator` for the methods.
@@ -38,6 +46,7 @@ class CpuSimulator:
     def __init__(self, layout: Layout, num_worlds: int, num_threads: int = 0) -> None:
         if num_worlds < 1:
             raise UsageError(f"num_worlds must be at least 1, got {num_worlds}")
+        mujoco.set_mju_user_warning(_log_warning)
         self.layout = layout
         self.num_worlds = num_worlds
         self.num_threads = num_threads or os.cpu_count() or 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Literal
 
 import mujoco
 import numpy as np
@@ -49,7 +50,8 @@ def build_render_scene(layout: Layout, model: mujoco.MjModel) -> RenderScene:
             builder.add_body_geom(geom, model.body(name).id, name, meshes)
     for k, (link, mesh, material) in enumerate(robot_meshes()):
         mesh_id = builder.add_mesh(("robot", k), mesh)
-        builder.add_body_instance(mesh_id, model.body(link).id, material=builder.material(material), seg=f"robot/{link}")
+        look = builder.material(material)
+        builder.add_body_instance(mesh_id, model.body(link).id, material=look, seg=f"robot/{link}")
     for h, home in enumerate(homes):
         for light in home.lights:
             builder.add_light(h, light)
@@ -64,7 +66,8 @@ def _add_shell(builder: SceneBuilder, layout: Layout) -> None:
     for home in homes:
         x0, y0, x1, y1 = home.floor
         size = ((x1 - x0) / 2, (y1 - y0) / 2, FLOOR_HALF_THICKNESS)
-        floors.append(Geom("box", size, ((x0 + x1) / 2, (y0 + y1) / 2, -FLOOR_HALF_THICKNESS), material=home.floor_material))
+        center = ((x0 + x1) / 2, (y0 + y1) / 2, -FLOOR_HALF_THICKNESS)
+        floors.append(Geom("box", size, center, material=home.floor_material))
     _add_boxes(builder, unit, [(geom,) for geom in floors], "floor")
     _add_boxes(builder, unit, [home.floor_patches for home in homes], "floor")
     _add_boxes(builder, unit, [home.walls for home in homes], "wall")
@@ -151,7 +154,7 @@ class HomeRenderer:
         center = np.array([(x0 + x1) / 2, (y0 + y1) / 2, 0.0])
         if view == "top":
             fit = max(y1 - y0, (x1 - x0) * height / width) / 2 * 1.15
-            eye = center + (0.0, -0.18 * fit, 2.6 + fit / np.tan(HOME_FOVY / 2))
+            eye = center + np.array([0.0, -0.18 * fit, 2.6 + fit / np.tan(HOME_FOVY / 2)])
             fovy = HOME_FOVY
         else:
             eye, fovy = np.array([x0 + 0.35, y0 + 0.35, 2.2]), 1.1
@@ -173,7 +176,7 @@ class HomeRenderer:
         fovy: float,
         width: int,
         height: int,
-        quality: str,
+        quality: Literal["fast", "nice"],
     ) -> np.ndarray:
         index = np.array([self._home_index[home]])
         mat = look_at(eye.tolist(), target.tolist())

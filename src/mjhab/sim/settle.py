@@ -30,7 +30,7 @@ def settle(model: mujoco.MjModel, a: Addresses, qpos: np.ndarray, seconds: float
     data.qpos[a.robot_q] = parked_robot_qpos()
     # The finger servos would drive to 0 m; every other servo is held where it is.
     hold_robot(model, data, a)
-    steps = int(round(seconds / model.opt.timestep))
+    steps = round(seconds / model.opt.timestep)
     mujoco.mj_step(model, data, steps)
     speed = np.abs(data.qvel[a.object_v[:, None] + np.arange(6)]).max() if len(a.object_v) else 0.0
     return data.qpos.copy(), float(speed)

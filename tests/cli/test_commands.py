@@ -1,0 +1,170 @@
+"""The other commands: keys for machines, tables for people, errors."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from mjhab.cli import bench, doctor
+from mjhab.cli.main import main
+from mjhab.sim import gl_probe, grasp_bench, views
+from tests.rollout.fake_env import FakeEnv
+
+
+def machine(capsys: pytest.CaptureFixture[str], *args: str) -> dict[str, Any]:
+    assert main([*args, "--json"]) == 0
+    lines = capsys.readouterr().out.strip().splitlines()
+    assert len(lines) == 1
+    return json.loads(lines[0])
+
+
+def test_help_is_quick_and_names_the_commands() -> None:
+    start = time.perf_counter()
+    done = subprocess.run(
+        [sys.executable, "-m", "mjhab.cli.main", "--help"], capture_output=True, text=True, check=True, timeout=60
+    )
+    assert time.perf_counter() - start < 1.5
+    for name in ("eval", "homes", "bench", "doctor"):
+        assert name in done.stdout
+
+
+def test_help_loads_no_heavy_library() -> None:
+    code = (
+        "import sys; from mjhab.cli.main import main\n"
+        "try: main(['eval', '--help'])\n"
+        "except SystemExit: pass\n"
+        "bad = {'mujoco', 'torch', 'warp', 'numba', 'plotly'} & set(sys.modules)\n"
+        "sys.exit(f'loaded {bad}' if bad else 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_homes_list(capsys: pytest.CaptureFixture[str]) -> None:
+    found = machine(capsys, "homes", "list")
+    assert list(found) == ["homes"] and len(found["homes"]) >= 4
+    for home in found["homes"]:
+        assert list(home) == ["name", "pack", "split", "macro", "micro"]
+    assert main(["homes", "list"]) == 0
+    assert found["homes"][0]["name"] in capsys.readouterr().out
+
+
+def test_homes_show(capsys: pytest.CaptureFixture[str]) -> None:
+    name = machine(capsys, "homes", "list")["homes"][0]["name"]
+    shown = machine(capsys, "homes", "show", name)
+    assert shown["name"] == name and sorted(shown["articulations"]) == ["fridge", "kitchen_counter"]
+    assert main(["homes", "show", name]) == 0
+    out = capsys.readouterr().out
+    assert "sofa" in out and "fridge" in out
+
+
+def test_homes_render_writes_the_picture(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def draw(pack: Any, home: str, view: str, width: int, height: int) -> np.ndarray:
+        assert (home, view) == ("builtin_m0_00", "inside")
+        return np.full((height, width, 3), 90, np.uint8)
+
+    monkeypatch.setattr(views, "render_home", draw)
+    out = tmp_path / "new" / "home.png"
+    size = ("--width", "64", "--height", "48")
+    said = machine(capsys, "homes", "render", "builtin_m0_00", "--out", str(out), "--view", "inside", *size)
+    assert said == {"home": "builtin_m0_00", "view": "inside", "width": 64, "height": 48, "out": str(out)}
+    assert Image.open(out).size == (64, 48)
+
+
+@pytest.mark.parametrize(
+    ("args", "words"),
+    [
+        (("homes", "show", "builtin_m0_0"), ("unknown home", "Did you mean", "builtin_m1_00")),
+        (("homes", "render", "nowhere"), ("unknown home", "builtin_m0_00")),
+        (("homes", "render", "builtin_m0_00", "--out", "x.jpg"), ("must end with .png",)),
+        (("homes", "render", "builtin_m0_00", "--width", "0"), ("--width must be at least 16",)),
+        (("homes", "list", "--assets", "bulitin"), ("asset pack", "builtin")),
+        (("homes", "list", "--assets", "no/such/folder"), ("no/such/folder",)),
+        (("bench", "sim", "--worlds", "0"), ("--worlds must be at least 1",)),
+        (("bench", "sim", "--task", "tidy"), ("unknown task", "tidy_house")),
+        (("bench", "grasp", "--seconds", "0"), ("--seconds must be at least",)),
+    ],
+)
+def test_bad_input(args: tuple[str, ...], words: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(args) == 2
+    out, err = capsys.readouterr()
+    assert out == "" and "Traceback" not in err
+    for word in words:
+        assert word in err
+
+
+def test_doctor(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gl_probe, "renderer_probe", lambda: {"egl": True, "osmesa": False})
+    found = machine(capsys, "doctor")
+    assert list(found) == ["python", "mujoco", "renderers", "gpu", "cores", "cache"]
+    assert found["renderers"] == {"rasterizer": True, "egl": True, "osmesa": False}
+    assert found["mujoco"] == "3.17.0" and found["cores"] >= 1
+    assert main(["doctor"]) == 0
+    out = capsys.readouterr().out
+    assert "libosmesa6" in out and "gymnasium-robotics" in out and "cache" in out
+
+
+def test_doctor_fails_without_the_right_mujoco(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(gl_probe, "renderer_probe", dict)
+    monkeypatch.setattr(doctor, "installed", lambda package: None)
+    assert main(["doctor"]) == 1
+    assert "pip install mujoco==3.17.0" in capsys.readouterr().out.replace("\n", " ")
+
+
+def test_gpu_is_asked_for_without_cuda(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    tool = tmp_path / "nvidia-smi"
+    tool.write_text("#!/bin/sh\necho 'NVIDIA H200'\necho 'NVIDIA H200'\n")
+    tool.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
+    assert doctor.gpu_name() == "NVIDIA H200"
+    tool.write_text("#!/bin/sh\nexit 9\n")
+    assert doctor.gpu_name() is None
+
+
+class TimedEnv(FakeEnv):
+    """Counts engine steps."""
+
+    bare_steps = 0
+
+    def bare_step(self) -> None:
+        self.bare_steps += 1
+
+
+def test_bench_sim_measures_both_on_the_same_worlds() -> None:
+    env = TimedEnv(3, quality=1.0)
+    result = bench.measure_sps(env, steps=5, rounds=4, seed=0)
+    assert list(result) == ["engine_sps", "env_sps", "ratio", "worlds"]
+    assert result["worlds"] == 3 and 0 < result["env_sps"] < result["engine_sps"]
+    assert result["ratio"] == pytest.approx(result["env_sps"] / result["engine_sps"], abs=1e-3)
+    assert env.bare_steps == 20 and env.steps_taken == 4 * (5 + bench.WARM_STEPS)
+    assert env.resets == [[0, 1, 2], [3, 4, 5], [6, 7, 8], [9, 10, 11]]
+
+
+def test_bench_sim_prints_the_keys(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mjhab.envs.make", lambda **options: TimedEnv(options["num_envs"], quality=1.0))
+    result = machine(capsys, "bench", "sim", "--worlds", "2", "--steps", "3", "--rounds", "2", "--threads", "2")
+    assert list(result) == ["engine_sps", "env_sps", "ratio", "worlds", "threads"]
+    assert (result["worlds"], result["threads"]) == (2, 2)
+
+
+def test_bench_grasp_fails_when_an_object_drops(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = [{"object": "013_apple", "slip_mm": 1.2, "dropped": False}]
+    monkeypatch.setattr(grasp_bench, "grasp_table", lambda seconds, seed: rows)
+    assert machine(capsys, "bench", "grasp") == {"grasps": rows}
+    rows.append({"object": "024_bowl", "slip_mm": 99.0, "dropped": True})
+    assert main(["bench", "grasp"]) == 1
+    assert "024_bowl" in capsys.readouterr().out

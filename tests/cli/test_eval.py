@@ -1,0 +1,213 @@
+"""``mjhab eval``: files, JSON, exit codes, Ctrl-C and resume, on an env without physics."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from mjhab.cli import evaluate
+from mjhab.cli.main import main
+from mjhab.cli.options import EvalOptions
+from mjhab.rollout.store import read_records
+from tests.rollout.fake_env import FakeEnv
+
+KEYS = ["episodes", "success_once", "success_at_end", "progressive", "upper_bound", "labels", "tainted", "seconds"]
+
+
+class Stage:
+    """Stands in for the real env; remembers what was built and may interrupt the next run."""
+
+    def __init__(self) -> None:
+        self.built: list[FakeEnv] = []
+        self.interrupt_at: int | None = None
+        self.broken_camera = False
+
+    def make_env(self, options: EvalOptions) -> FakeEnv:
+        plan: dict[str, Any] = {}
+        if options.subtask:
+            plan = {"plan": ((options.subtask, "024_bowl_:0000"),), "subtask": options.subtask}
+        env = FakeEnv(min(options.worlds, options.episodes), broken_camera=self.broken_camera, **plan)
+        env.interrupt_at, self.interrupt_at = self.interrupt_at, None
+        self.built.append(env)
+        return env
+
+
+@pytest.fixture
+def stage(monkeypatch: pytest.MonkeyPatch) -> Stage:
+    stage = Stage()
+    monkeypatch.setattr(evaluate, "make_env", stage.make_env)
+    return stage
+
+
+@pytest.fixture
+def run(stage: Stage, tmp_path: Path) -> Callable[..., int]:
+    def call(*extra: str, out: str = "run", policy: str = "zero") -> int:
+        base = ["eval", "--policy", policy, "--episodes", "12", "--worlds", "3", "--films", "0"]
+        return main([*base, "--out", str(tmp_path / out), *extra])
+
+    return call
+
+
+def last_line(text: str) -> dict[str, Any]:
+    return json.loads(text.strip().splitlines()[-1])
+
+
+def test_run_writes_all_files_and_prints_json_last(
+    run: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("--json") == 0
+    out = capsys.readouterr().out
+    assert len(out.strip().splitlines()) == 1, "with --json, stdout holds the JSON line only"
+    summary = last_line(out)
+    assert list(summary) == KEYS and summary["episodes"] == 12 and len(summary["progressive"]) == 16
+    folder = tmp_path / "run"
+    assert sorted(entry.name for entry in folder.iterdir()) == [
+        "config.json",
+        "episodes.jsonl",
+        "report.html",
+        "summary.json",
+    ]
+    stored = json.loads((folder / "summary.json").read_text())
+    assert {key: stored[key] for key in KEYS} == summary
+    assert [row["kind"] for row in stored["along_the_plan"]][:2] == ["navigate", "open"]
+    config = json.loads((folder / "config.json").read_text())
+    assert config["task"] == "set_table" and config["mujoco"] == "3.17.0"
+
+
+def test_output_for_people(run: Callable[..., int], capsys: pytest.CaptureFixture[str]) -> None:
+    assert run() == 0
+    out, err = capsys.readouterr()
+    assert "Success along the plan" in out and "report.html" in out
+    assert "12/12" in err, "the progress bar is on stderr"
+
+
+def test_number_of_worlds_and_threads_do_not_change_the_records(run: Callable[..., int], tmp_path: Path) -> None:
+    assert run("--worlds", "1", out="a", policy="random") == 0
+    assert run("--worlds", "8", "--threads", "2", out="b", policy="random") == 0
+    a, b = ({r.index: r for r in read_records(tmp_path / name)} for name in ("a", "b"))
+    assert a == b and len(a) == 12
+
+
+def test_interrupt_keeps_episodes_and_resume_finishes(
+    run: Callable[..., int], stage: Stage, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(out="whole") == 0
+    stage.interrupt_at = 250
+    assert run("--json") == 130
+    captured = capsys.readouterr()
+    assert "interrupted" in captured.err and "--resume" in captured.err
+    kept = last_line(captured.out)["episodes"]
+    assert 0 < kept < 12
+    assert f"Partial: {kept} of 12" in (tmp_path / "run" / "report.html").read_text()
+    first_seconds = json.loads((tmp_path / "run" / "summary.json").read_text())["seconds"]
+
+    assert run("--json", "--resume", "--worlds", "5") == 0
+    summary = last_line(capsys.readouterr().out)
+    assert summary["episodes"] == 12 and summary["seconds"] >= first_seconds
+    assert sum(len(indices) for indices in stage.built[-1].resets) == 12 - kept
+    by_index = {r.index: r for r in read_records(tmp_path / "run")}
+    assert by_index == {r.index: r for r in read_records(tmp_path / "whole")}
+    assert "Partial" not in (tmp_path / "run" / "report.html").read_text()
+
+
+def test_resume_of_a_finished_run_builds_nothing(run: Callable[..., int], stage: Stage, tmp_path: Path) -> None:
+    assert run() == 0
+    (tmp_path / "run" / "report.html").unlink()
+    assert run("--resume") == 0
+    assert len(stage.built) == 1 and (tmp_path / "run" / "report.html").is_file()
+
+
+def test_resume_with_more_episodes_runs_the_new_ones(run: Callable[..., int], stage: Stage, tmp_path: Path) -> None:
+    assert run() == 0
+    assert run("--resume", "--episodes", "15") == 0
+    assert [index for indices in stage.built[-1].resets for index in indices] == [12, 13, 14]
+
+
+def test_full_folder_is_refused_and_overwritten_on_demand(
+    run: Callable[..., int], stage: Stage, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run() == 0
+    assert run() == 2
+    err = capsys.readouterr().err
+    assert "not empty" in err and "--resume" in err and "--overwrite" in err and "Traceback" not in err
+    assert len(stage.built) == 1, "refused before anything is built"
+    assert run("--resume", "--seed", "1") == 2
+    assert "seed = 0, now it is 1" in capsys.readouterr().err
+    assert run("--overwrite", "--seed", "1") == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--task", "set_tabel"), ("unknown task 'set_tabel'", "Did you mean 'set_table'", "tidy_house")),
+        (("--subtask", "pik"), ("unknown subtask 'pik'", "'pick'", "open")),
+        (("--subtask", "navigate"), ("unknown subtask 'navigate'", "pick")),
+        (("--policy", "export"), ("unknown policy", "'expert'", "zero")),
+        (("--split", "vla"), ("unknown split", "'val'", "train")),
+        (("--target", "024_bowl"), ("--target needs --subtask",)),
+        (("--worlds", "0"), ("--worlds must be at least 1, got 0",)),
+        (("--episodes", "-3"), ("--episodes must be at least 1, got -3",)),
+        (("--seed", "-1"), ("--seed must be at least 0",)),
+        (("--films", "-1"), ("--films must be at least 0",)),
+        (("--resume", "--overwrite"), ("exclude each other",)),
+        (("--alone", "nowhere"), ("nowhere", "no run with --subtask")),
+    ],
+)
+def test_bad_input_is_one_clear_message(
+    run: Callable[..., int],
+    stage: Stage,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    arguments: tuple[str, ...],
+    words: tuple[str, ...],
+) -> None:
+    assert run(*arguments) == 2
+    out, err = capsys.readouterr()
+    assert out == "" and err.startswith("mjhab: ") and err.count("\n") == 1
+    for word in words:
+        assert word in err
+    assert stage.built == [] and not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("arguments", [["eval", "--episods", "3"], ["evil"], [], ["eval", "--worlds", "many"]])
+def test_unknown_words_exit_with_2(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(arguments)
+    assert stop.value.code == 2
+    assert capsys.readouterr().err
+
+
+def test_broken_camera_leaves_the_evaluation_alone(
+    run: Callable[..., int], stage: Stage, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stage.broken_camera = True
+    assert run("--films", "2") == 0
+    assert "films stopped" in capsys.readouterr().err
+    assert "no renderer works here" in (tmp_path / "run" / "report.html").read_text()
+    assert len(read_records(tmp_path / "run")) == 12
+
+
+def test_films_are_written_and_shown(run: Callable[..., int], tmp_path: Path) -> None:
+    assert run("--films", "2", "--episodes", "3") == 0
+    names = sorted(entry.name for entry in (tmp_path / "run" / "films").iterdir())
+    assert names == ["episode_00000.mp4", "episode_00001.mp4"]
+    assert (tmp_path / "run" / "report.html").read_text().count("<video") == 2
+
+
+def test_alone_runs_give_the_bound(run: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("--subtask", "pick", out="pick") == 0
+    rate = json.loads((tmp_path / "pick" / "summary.json").read_text())["success_once"]
+    capsys.readouterr()
+    assert run("--json", "--alone", str(tmp_path / "pick")) == 0
+    summary = last_line(capsys.readouterr().out)
+    bound = summary["upper_bound"]
+    assert bound[3] / bound[2] == pytest.approx(rate, abs=1e-3)
+
+
+def test_default_folder_names_the_run() -> None:
+    options = EvalOptions(subtask="open", target="fridge/top_door", seed=3)
+    assert evaluate.default_out(options) == Path("runs/set_table_open_fridge-top_door_expert_seed3")

@@ -18,15 +18,17 @@ $(BIN)/python:
 	  echo "mjhab: no '$(PYTHON)' found. Install Python 3.11 or newer, or name one: make PYTHON=python3.12 ..." >&2; exit 1; }
 	@"$(PYTHON)" -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
 	  echo "mjhab needs Python >= 3.11, but '$(PYTHON)' is $$("$(PYTHON)" --version 2>&1). Name a newer one: make PYTHON=python3.12 ..." >&2; exit 1; }
-	"$(PYTHON)" -m venv $(VENV) || { rm -rf $(VENV); \
+	@"$(PYTHON)" -m venv $(VENV) || { rm -rf $(VENV); \
 	  echo "mjhab: could not make a virtual environment (on Debian/Ubuntu: apt install python3-venv)." >&2; exit 1; }
 
 $(VENV)/.core: $(SETUP_FILES) | $(BIN)/python
-	$(PIP) install -q -c constraints.txt -e .
+	@echo "mjhab: installing into $(VENV), once"
+	@$(PIP) install -q -c constraints.txt -e .
 	@touch $@
 
 $(VENV)/.dev: $(SETUP_FILES) | $(BIN)/python
-	$(PIP) install -q -c constraints.txt -e '.[dev]'
+	@echo "mjhab: installing with development tools into $(VENV), once"
+	@$(PIP) install -q -c constraints.txt -e '.[dev]'
 	@touch $(VENV)/.core $@
 
 setup: $(VENV)/.dev  ## install mjhab and its development tools into .venv

@@ -1,0 +1,59 @@
+"""Grasp candidates fit the gripper and the object, and every object type has one that physics holds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mjhab.core.boxes import Boxes
+from mjhab.core.rotations import quat_from_axis_angle
+from mjhab.envs.grasps import Gripper, ObjectShape, grasp_candidates
+from mjhab.envs.held import HeldStarts, shape_of
+from mjhab.scenes.layout import Layout
+from mjhab.scenes.objects import SIZES, builtin_objects
+from mjhab.scenes.packs import open_pack
+from mjhab.sim.cpu import CpuSimulator
+
+UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("name", sorted(SIZES))
+def test_candidates_fit_the_gripper_and_stay_off_the_support(name: str):
+    kind = builtin_objects()[name]
+    pos = np.array([0.4, -0.2, 0.9])
+    turn = quat_from_axis_angle(np.array([0.0, 0.0, 1.0]), np.array(0.7))
+    floor = pos[2] - kind.half[2]
+    grasps = grasp_candidates(shape_of(kind), pos, turn, support_z=floor)
+    assert len(grasps) > 0
+    gripper = Gripper()
+    assert (grasps.width <= gripper.usable + 1e-9).all()
+    assert (grasps.opening <= gripper.opening + 1e-9).all()
+    assert (np.diff(grasps.score) <= 1e-9).all()
+    np.testing.assert_allclose(np.linalg.det(grasps.rot), 1.0, atol=1e-9)
+    # Finger tips, the lowest part of a gripper that points down, keep off the support.
+    tips = grasps.pos + gripper.finger[0] * grasps.rot[:, :, 0]
+    assert (tips[:, 2] > floor).all()
+    assert (np.linalg.norm(grasps.pos - pos, axis=1) < np.linalg.norm(kind.half) + 0.05).all()
+
+
+def test_neighbours_take_candidates_away():
+    shape = ObjectShape("cylinder", (0.034, 0.034, 0.05))
+    alone = grasp_candidates(shape, np.zeros(3), UPRIGHT, support_z=-0.05)
+    walls = Boxes.of([[0.075, 0, 0.0], [-0.075, 0, 0.0]], [0.02, 0.3, 0.05])
+    between = grasp_candidates(shape, np.zeros(3), UPRIGHT, support_z=-0.05, neighbours=walls)
+    assert 0 < len(between) < len(alone)
+
+
+@pytest.fixture(scope="module")
+def held() -> HeldStarts:
+    layout = Layout(open_pack("builtin"), tuple(sorted(SIZES)))
+    return HeldStarts(CpuSimulator(layout, 1, 1))
+
+
+@pytest.mark.parametrize("name", sorted(SIZES))
+def test_every_object_type_can_be_held_without_a_policy(held: HeldStarts, name: str):
+    grasps = held.grasps(name)
+    assert grasps
+    for grasp in grasps:
+        assert 0.0 <= grasp.fingers <= 0.05
+        assert np.linalg.norm(grasp.pose[:3]) < 0.15

@@ -9,10 +9,13 @@ from mjhab.core.boxes import Boxes
 from mjhab.core.rotations import quat_from_axis_angle
 from mjhab.envs.grasps import Gripper, ObjectShape, grasp_candidates
 from mjhab.envs.held import HeldStarts, shape_of
+from mjhab.scenes.fetch import REST_QPOS
 from mjhab.scenes.layout import Layout
 from mjhab.scenes.objects import SIZES, builtin_objects
 from mjhab.scenes.packs import open_pack
 from mjhab.sim.cpu import CpuSimulator
+from mjhab.sim.scratch import Scratch
+from mjhab.tasks.plan import TaskConfig
 
 UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
 
@@ -47,7 +50,8 @@ def test_neighbours_take_candidates_away():
 @pytest.fixture(scope="module")
 def held() -> HeldStarts:
     layout = Layout(open_pack("builtin"), tuple(sorted(SIZES)))
-    return HeldStarts(CpuSimulator(layout, 1, 1))
+    sim = CpuSimulator(layout, 1, 1)
+    return HeldStarts(sim, TaskConfig(rest_qpos=REST_QPOS), Scratch(sim))
 
 
 @pytest.mark.parametrize("name", sorted(SIZES))

@@ -52,7 +52,7 @@ def test_spawns_near_a_table(sampler: SpawnSampler, home: str):
         bearing = np.arctan2(away[1], away[0]) - q[2]
         assert abs((bearing + np.pi) % (2 * np.pi) - np.pi) <= 0.5 + 1e-9
         assert np.abs(q[3:] - REST_QPOS[3:]).max() <= ARM_NOISE[1] + 1e-9
-        assert sampler.collision_free(home, start)
+        assert sampler.scratch.collision_free(home, start)
     assert len({s.tobytes() for s in starts}) == 12
 
 
@@ -68,13 +68,13 @@ def test_spawns_in_front_of_the_fridge(sampler: SpawnSampler):
 def test_a_robot_in_a_wall_is_not_free(sampler: SpawnSampler):
     home = sampler.sim.layout.pack.homes[0]
     qpos = empty_home(sampler, home.name)
-    assert sampler.collision_free(home.name, qpos)
+    assert sampler.scratch.collision_free(home.name, qpos)
     qpos[sampler.sim.addresses.robot_q[:2]] = home.walls[0].pos[:2]
-    assert not sampler.collision_free(home.name, qpos)
+    assert not sampler.scratch.collision_free(home.name, qpos)
 
 
 def test_fallback_is_valid_where_one_exists(sampler: SpawnSampler):
     home = sampler.sim.layout.pack.homes[0]
     table = next(p for p in home.props if p.template == "table_01")
     start = sampler.fallback(home.name, empty_home(sampler, home.name), SpawnGoal(np.array(table.pos[:2])))
-    assert sampler.collision_free(home.name, start)
+    assert sampler.scratch.collision_free(home.name, start)

@@ -9,15 +9,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 
+from mjhab.core.rotations import pose_mul
 from mjhab.envs.actions import ARM_JOINTS
-from mjhab.scenes import contact_bits
 from mjhab.scenes.fetch import REST_QPOS
 from mjhab.scenes.freespace import FreeMap, free_map
-from mjhab.sim.cpu import SUBSTEPS, CpuSimulator
-from mjhab.sim.settle import hold_robot
+from mjhab.sim.cpu import CpuSimulator
+from mjhab.sim.scratch import Scratch
 
 ROBOT_RADIUS = 0.3
 """Radius [m] the walkable maps of ReplicaCAD are made for."""
@@ -25,7 +24,6 @@ XY_NOISE, YAW_NOISE, ARM_NOISE = (0.1, 0.2), (0.25, 0.5), (0.1, 0.2)
 """(standard deviation, clip) in m, rad, rad."""
 MAX_DISTANCE = 2.0
 MAX_TRIES = 100
-CLOSED_FINGER = -0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,14 +47,8 @@ class SpawnSampler:
 
     def __init__(self, sim: CpuSimulator) -> None:
         self.sim = sim
+        self.scratch = Scratch(sim)
         self._maps: dict[str, FreeMap] = {}
-        self._scratch: dict[str, mujoco.MjData] = {}
-        model = sim.model(sim.layout.pack.homes[0].name)
-        self._is_robot = (model.geom_contype & contact_bits.ROBOT) != 0
-        self._geom_body = model.geom_bodyid.copy()
-        self._gripper = sim.addresses.robot_body["gripper_link"]
-        joint_names = [model.joint(int(j)).name for j in model.actuator_trnid[:, 0]]
-        self._fingers = [i for i, n in enumerate(joint_names) if n.endswith("gripper_finger_joint")]
 
     def map(self, home: str) -> FreeMap:
         """Free-space map of a home."""
@@ -150,53 +142,13 @@ class SpawnSampler:
         robot[list(ARM_JOINTS)] += arm_noise
         out[a.robot_q] = robot
         if held is not None:
-            data = self._data(home)
-            data.qpos[:] = out
-            mujoco.mj_kinematics(self.sim.model(home), data)
             start = a.object_q[held.slot]
-            pos, quat = np.zeros(3), np.zeros(4)
-            gripper_quat = data.xquat[self._gripper]
-            mujoco.mju_rotVecQuat(pos, held.pose[:3], gripper_quat)
-            mujoco.mju_mulQuat(quat, gripper_quat, held.pose[3:])
-            out[start : start + 3] = pos + data.xpos[self._gripper]
-            out[start + 3 : start + 7] = quat
+            out[start : start + 7] = pose_mul(self.scratch.tcp_pose(home, out), held.pose)
         return out
 
     def _apply(
         self, home: str, qpos: np.ndarray, base: np.ndarray, arm_noise: np.ndarray, held: Held | None
     ) -> np.ndarray | None:
         out = self._pose(home, qpos, base, arm_noise, held)
-        return out if self.collision_free(home, out, held) else None
-
-    # -- the check -------------------------------------------------------------------------------------------------
-
-    def _data(self, home: str) -> mujoco.MjData:
-        if home not in self._scratch:
-            self._scratch[home] = mujoco.MjData(self.sim.model(home))
-        return self._scratch[home]
-
-    def collision_free(self, home: str, qpos: np.ndarray, held: Held | None = None) -> bool:
-        """Whether the robot touches nothing but what it holds, now and after one simulated control step."""
-        model, data = self.sim.model(home), self._data(home)
-        mujoco.mj_resetData(model, data)
-        data.qpos[:] = qpos
-        mujoco.mj_forward(model, data)
-        if self._collides(data, held):
-            return False
-        hold_robot(model, data, self.sim.addresses)
-        if held is not None:
-            data.ctrl[self._fingers] = CLOSED_FINGER
-        mujoco.mj_step(model, data, SUBSTEPS)
-        return not self._collides(data, held)
-
-    def _collides(self, data: mujoco.MjData, held: Held | None) -> bool:
-        pairs = data.contact.geom[: data.ncon]
-        if not len(pairs):
-            return False
-        robot = self._is_robot[pairs]
-        held_body = self.sim.addresses.object_body[held.slot] if held else -1
-        carried = self._geom_body[pairs] == held_body
-        # A contact counts when one side is robot or load and the other is neither.
-        ours = robot | carried
-        trunk = robot.all(axis=1)
-        return bool((ours.any(axis=1) & ~ours.all(axis=1)).any() or trunk.any())
+        carried = held.slot if held else -1
+        return out if self.scratch.collision_free(home, out, carried) else None

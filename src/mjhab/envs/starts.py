@@ -68,7 +68,7 @@ class StartMaker:
         self.sim, self.config, self.task_config = sim, config, task_config
         self.layout = sim.layout
         self.sampler = SpawnSampler(sim)
-        self.held = HeldStarts(sim)
+        self.held = HeldStarts(sim, task_config, self.sampler.scratch)
         self._homes = {home.name: home for home in self.layout.pack.homes}
 
     def start(self, episode: Episode) -> Start:

@@ -75,8 +75,3 @@ class ExpertPolicy:
             rest = motion.stay_at_rest(view, gripper=float(self._last[w, 7]))
             self._scripts[w] = rest
             return next(rest)
-
-
-def make_expert(env: SequentialTaskEnv) -> ExpertPolicy:
-    """The expert for an environment."""
-    return ExpertPolicy(env)

@@ -106,9 +106,15 @@ def single_space(cameras: tuple[str, ...] = (), size: int = 128) -> spaces.Dict:
 
 
 def state_observation(context: ObsContext) -> dict[str, np.ndarray]:
-    """Every entry of STATE_TABLE and their concatenation, float32, (W, ...)."""
-    obs = {entry.key: np.asarray(entry.compute(context), dtype=np.float32) for entry in STATE_TABLE}
-    obs[STATE_KEY] = np.concatenate([obs[e.key] for e in STATE_TABLE], axis=1)
+    """Every entry of STATE_TABLE and their concatenation, float32, (W, ...); the entries are views of it."""
+    state = np.empty((len(context.base), STATE_DIM), np.float32)
+    obs, column = {}, 0
+    for entry in STATE_TABLE:
+        part = state[:, column : column + entry.shape[0]]
+        part[:] = entry.compute(context)
+        obs[entry.key] = part
+        column += entry.shape[0]
+    obs[STATE_KEY] = state
     return obs
 
 

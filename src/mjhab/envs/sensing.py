@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from mjhab.core.rotations import quat_from_mat
 from mjhab.envs.observations import ObsContext
 from mjhab.envs.plan_tables import PlanTables
 from mjhab.scenes.fetch import FINGER_LINKS, FINGER_OPEN_DIR, TCP_LINK
@@ -70,8 +69,7 @@ class Sensing:
 
     def tcp_pose(self, state: SimState) -> np.ndarray:
         """(W, 7) world pose of gripper_link."""
-        quat = quat_from_mat(state.body_mat[:, self._tcp])
-        return np.concatenate([state.body_pos[:, self._tcp], quat], axis=1)
+        return np.concatenate([state.body_pos[:, self._tcp], state.body_quat[:, self._tcp]], axis=1)
 
     def context(self, state: SimState, tables: PlanTables, pointer: np.ndarray, signals: Signals) -> ObsContext:
         """The input of the observation table, masked by each world's active subtask."""

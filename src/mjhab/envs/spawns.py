@@ -49,6 +49,7 @@ class SpawnSampler:
         self.sim = sim
         self.scratch = Scratch(sim)
         self._maps: dict[str, FreeMap] = {}
+        self._standing: dict[str, np.ndarray] = {}
 
     def map(self, home: str) -> FreeMap:
         """Free-space map of a home."""
@@ -56,6 +57,13 @@ class SpawnSampler:
             spec = next(h for h in self.sim.layout.pack.homes if h.name == home)
             self._maps[home] = free_map(spec, self.sim.layout.pack)
         return self._maps[home]
+
+    def _walkable(self, home: str) -> np.ndarray:
+        """(P, 2) centres of the cells where the robot can stand."""
+        if home not in self._standing:
+            fmap = self.map(home)
+            self._standing[home] = fmap.to_xy(np.argwhere(fmap.navigable(ROBOT_RADIUS)))
+        return self._standing[home]
 
     def try_once(
         self, home: str, qpos: np.ndarray, goal: SpawnGoal, rng: np.random.Generator, held: Held | None = None
@@ -102,9 +110,7 @@ class SpawnSampler:
         return float(np.arctan2(goal.face[1] - xy[1], goal.face[0] - xy[0]))
 
     def _candidates(self, home: str, goal: SpawnGoal, reach: float = MAX_DISTANCE) -> np.ndarray:
-        fmap = self.map(home)
-        cells = np.argwhere(fmap.navigable(ROBOT_RADIUS))
-        xy = fmap.to_xy(cells)
+        xy = self._walkable(home)
         near = np.linalg.norm(xy - goal.face, axis=1) <= reach
         if goal.area is not None:
             inside = self._inside(xy, goal.area)

@@ -57,7 +57,7 @@ class CpuSimulator:
         self._world_models = [first] * num_worlds
         self.batch = Batch(first, num_worlds, self.num_threads, persistent=True)
         self.batch.set_models(self._world_models)
-        for field in ("xpos", "xmat", "sensordata", "qpos", "qvel", "ctrl"):
+        for field in ("xpos", "xmat", "xquat", "sensordata", "qpos", "qvel", "ctrl"):
             self.batch.bind(field)
         # A batch with caller models shows a world its static poses only after that world's reset.
         self.batch.reset()
@@ -128,6 +128,7 @@ class CpuSimulator:
             touch=sensors[:, a.touch] > 0,
             body_pos=batch.xpos,
             body_mat=batch.xmat.reshape(self.num_worlds, -1, 3, 3),
+            body_quat=batch.xquat,
         )
 
     def taint(self) -> np.ndarray:

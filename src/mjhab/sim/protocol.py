@@ -23,7 +23,8 @@ class SimState:
     robot_q, robot_qd (W, J) in FETCH_JOINTS order [m, rad]; object_pose (W, N, 7) world [m, wxyz];
     link_q (W, L) [m or rad]; link_force (W, K) norm of the net contact force on each robot link without fingers [N];
     finger_force (W, 2, N + L, 3) force by each target (objects, then links) on the [l, r] finger, world frame [N];
-    touch (W, N + L) bool: some robot link touches the target; body_pos (W, B, 3), body_mat (W, B, 3, 3) world.
+    touch (W, N + L) bool: some robot link touches the target; body_pos (W, B, 3), body_mat (W, B, 3, 3), body_quat
+    (W, B, 4) wxyz world.
     Forces are those of the last substep. Arrays may be views that the next step overwrites.
     """
 
@@ -36,6 +37,7 @@ class SimState:
     touch: Any
     body_pos: Any
     body_mat: Any
+    body_quat: Any
 
 
 class Simulator(Protocol):

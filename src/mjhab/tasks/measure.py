@@ -10,9 +10,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-import array_api_compat
-
-from mjhab.core.arrays import Array, constant, dot3, namespace, norm3, pick_column
+from mjhab.core.arrays import Array, constant, device_of, dot3, namespace, norm3, pick_column
 from mjhab.core.errors import UsageError
 from mjhab.tasks import success as done
 from mjhab.tasks.plan import PADDING, PlanArrays, SubtaskKind, TaskConfig
@@ -202,7 +200,7 @@ def _arrival(state: WorldState, active: _Active, config: TaskConfig) -> tuple[Ar
 def _placed_ok(state: WorldState, plan: PlanArrays, pointer: Array, config: TaskConfig) -> Array:
     """Every object of a finished Place is still at its goal. Returns (W,) bool."""
     xp = namespace(pointer)
-    order = xp.arange(plan.kind.shape[1], device=array_api_compat.device(pointer))
+    order = xp.arange(plan.kind.shape[1], device=device_of(pointer))
     finished = (plan.kind == int(SubtaskKind.PLACE)) & (order < pointer[:, None])
     there = at_goal(state.plan_obj_pos, plan.goal_pos, plan.goal_rect, config)
     return xp.all(there | ~finished, axis=-1)

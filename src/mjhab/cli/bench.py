@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from statistics import median
 from typing import Any
 
@@ -58,31 +58,40 @@ def bench_sim(options: BenchSimOptions) -> int:
 
 
 def measure_sps(env: Any, steps: int, rounds: int, seed: int) -> dict[str, Any]:
-    """Time blocks of ``env.step`` and of ``env.bare_step`` alternately, on the same worlds.
+    """Time ``env.step`` and the bare engine on the same physics: same starts, same commands, moving robots.
 
-    Every round starts ``num_envs`` fresh episodes; the robots hold still in both kinds of blocks (constant control),
-    so that both do the same physics: 5 substeps per control step.
+    Every round takes ``num_envs`` fresh episodes. The environment runs them once untimed, which records the actuator
+    commands; then the environment and the engine under those commands run them again, timed, in turn.
 
     Args:
-        env: env with autoreset disabled and ``bare_step()``.
+        env: env with autoreset disabled, ``ctrl`` (the last commands) and ``bare_step(ctrl)``.
         steps: control steps per block.
-        rounds: rounds of one block each; their medians count.
-        seed: seed of the episodes.
+        rounds: rounds; the medians of their times count.
+        seed: seed of the episodes and of the motions.
 
     Returns:
         ``engine_sps``, ``env_sps`` [control steps/s over all worlds], ``ratio`` = env / engine, ``worlds``.
     """
     worlds = env.num_envs
-    actions = np.zeros((worlds, ACTION_SIZE), np.float32)
     times: dict[str, list[float]] = {"engine": [], "env": []}
-    blocks = {"engine": env.bare_step, "env": lambda: env.step(actions)}
     for number in range(rounds):
+        actions = _sway(worlds, steps, seed + number)
         episodes = np.arange(number * worlds, (number + 1) * worlds)
-        env.reset(seed=seed, options={"episode": episodes, "reset_mask": np.ones(worlds, bool)})
-        for _ in range(WARM_STEPS):
-            env.step(actions)
+
+        def begin(episodes: np.ndarray = episodes) -> None:
+            env.reset(seed=seed, options={"episode": episodes, "reset_mask": np.ones(worlds, bool)})
+            for _ in range(WARM_STEPS):
+                env.step(np.zeros((worlds, ACTION_SIZE), np.float32))
+
+        begin()
+        commands = []
+        for action in actions:
+            env.step(action)
+            commands.append(env.ctrl)
         for name in ("engine", "env") if number % 2 else ("env", "engine"):
-            times[name].append(_seconds(blocks[name], steps))
+            begin()
+            call, inputs = (env.step, actions) if name == "env" else (env.bare_step, commands)
+            times[name].append(_seconds(call, inputs))
     engine, whole = (worlds * steps / median(times[name]) for name in ("engine", "env"))
     return {
         "engine_sps": round(engine, 1),
@@ -92,10 +101,18 @@ def measure_sps(env: Any, steps: int, rounds: int, seed: int) -> dict[str, Any]:
     }
 
 
-def _seconds(call: Callable[[], object], steps: int) -> float:
+def _sway(worlds: int, steps: int, seed: int) -> np.ndarray:
+    """Smooth motions (steps, W, 13) of all joints and the base, each dimension with its own period."""
+    rng = np.random.default_rng(seed)
+    period, phase = rng.uniform(20, 60, (worlds, ACTION_SIZE)), rng.uniform(0, 2 * np.pi, (worlds, ACTION_SIZE))
+    time_axis = np.arange(steps)[:, None, None]
+    return (0.5 * np.sin(2 * np.pi * time_axis / period + phase)).astype(np.float32)
+
+
+def _seconds(call: Callable[[Any], object], inputs: Iterable[Any]) -> float:
     start = time.perf_counter()
-    for _ in range(steps):
-        call()
+    for item in inputs:
+        call(item)
     return time.perf_counter() - start
 
 

@@ -12,8 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 from gymnasium import spaces
 
-from mjhab.core.rotations import quat_conj, quat_mul
-
 
 @dataclass(frozen=True, eq=False)
 class ObsContext:
@@ -41,16 +39,26 @@ BASE_HEIGHT = 0.02
 def point_in_base(base: np.ndarray, point: np.ndarray) -> np.ndarray:
     """World points (W, 3) in the frame of base_link."""
     c, s = np.cos(base[:, 2]), np.sin(base[:, 2])
-    d = point[:, :2] - base[:, :2]
-    return np.stack([c * d[:, 0] + s * d[:, 1], -s * d[:, 0] + c * d[:, 1], point[:, 2] - BASE_HEIGHT], axis=1)
+    x, y = point[:, 0] - base[:, 0], point[:, 1] - base[:, 1]
+    out = np.empty((len(base), 3))
+    out[:, 0] = c * x + s * y
+    out[:, 1] = c * y - s * x
+    out[:, 2] = point[:, 2] - BASE_HEIGHT
+    return out
 
 
 def pose_in_base(base: np.ndarray, pose: np.ndarray) -> np.ndarray:
     """World poses (W, 7) in the frame of base_link."""
-    half = 0.5 * base[:, 2]
-    zero = np.zeros_like(half)
-    turn = np.stack([np.cos(half), zero, zero, np.sin(half)], axis=1)
-    return np.concatenate([point_in_base(base, pose[:, :3]), quat_mul(quat_conj(turn), pose[:, 3:])], axis=1)
+    # The base turns about z only: half of the quaternion product is zero and left out.
+    c, s = np.cos(0.5 * base[:, 2]), np.sin(0.5 * base[:, 2])
+    w, x, y, z = pose[:, 3], pose[:, 4], pose[:, 5], pose[:, 6]
+    out = np.empty((len(base), 7))
+    out[:, :3] = point_in_base(base, pose[:, :3])
+    out[:, 3] = c * w + s * z
+    out[:, 4] = c * x + s * y
+    out[:, 5] = c * y - s * x
+    out[:, 6] = c * z - s * w
+    return out
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ from mjhab.scenes.fetch import REST_QPOS
 from mjhab.scenes.layout import Layout
 from mjhab.scenes.objects import roster
 from mjhab.scenes.packs import open_pack
-from mjhab.sim.cpu import CpuSimulator
+from mjhab.sim.cpu import POSITION_STAGE, SUBSTEPS, CpuSimulator
 from mjhab.sim.home_scene import HomeRenderer
 from mjhab.sim.protocol import TAINTS, SimState
 from mjhab.tasks import progress as progress_rules
@@ -358,9 +358,15 @@ class SequentialTaskEnv(VectorEnv):
         """Privileged live view of one world, for scripted experts."""
         return WorldView(self, world)
 
-    def bare_step(self) -> None:
-        """One control step of the engine alone, under the last commands (for benchmarks)."""
-        self.sim.step(self.sim.batch.ctrl.copy())
+    @property
+    def ctrl(self) -> np.ndarray:
+        """(W, nu) actuator commands of the last control step."""
+        return self.sim.batch.ctrl.copy()
+
+    def bare_step(self, ctrl: np.ndarray) -> None:
+        """One control step of the engine alone under commands (W, nu), for benchmarks."""
+        self.sim.batch.ctrl[:] = ctrl
+        self.sim.batch.step(nstep=SUBSTEPS, stage=POSITION_STAGE)
 
     def close_extras(self, **kwargs: Any) -> None:
         """Nothing outlives the environment."""

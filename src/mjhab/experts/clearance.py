@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -98,12 +99,46 @@ class RobotSpheres:
         if len(boxes) == 0 or len(self.radius) == 0:
             return np.full(len(q), FAR)
         rows = max(1, _PAIRS_AT_ONCE // (len(boxes) * len(self.radius)))
-        parts = []
-        for start in range(0, len(q), rows):
-            points = self.centers(self.chain.forward(q[start : start + rows]))
-            gap = sphere_box_distance(points.reshape(-1, 3), boxes).min(axis=1).reshape(points.shape[:2])
-            parts.append((gap - self.radius).min(axis=1))
+        parts = [self._clearance(q[start : start + rows], boxes) for start in range(0, len(q), rows)]
         return np.concatenate(parts)
+
+    def _clearance(self, q: Array, boxes: Boxes) -> Array:
+        """Bounding spheres of whole links tell which few pairs of link and box can be the nearest ones."""
+        frames = self.chain.forward(q)
+        points = self.centers(frames)
+        links, middle, around = self._bounds
+        centers = frames.pos[:, links] + np.einsum("nlij,lj->nli", frames.rot[:, links], middle)
+        least = sphere_box_distance(centers.reshape(-1, 3), boxes).reshape(len(q), len(links), len(boxes))
+        far = (least + around[:, None]).min(axis=(1, 2))
+        n, part, box = np.nonzero(least - around[:, None] <= far[:, None, None])
+        # Every pair left stands for the spheres of its link.
+        count = np.bincount(self.link, minlength=len(self.chain.links))[links[part]]
+        order = np.argsort(self.link, kind="stable")
+        first = np.searchsorted(self.link[order], links[part])
+        pair = np.repeat(np.arange(len(n)), count)
+        sphere = order[np.arange(len(pair)) - np.repeat(np.cumsum(count) - count, count) + first[pair]]
+        n, box = n[pair], box[pair]
+        local = np.einsum("pi,pij->pj", points[n, sphere] - boxes.center[box], boxes.rot[box])
+        local = np.abs(local) - boxes.half[box]
+        outside = np.maximum(local, 0.0)
+        gap = np.sqrt(np.einsum("pc,pc->p", outside, outside)) + np.minimum(local.max(axis=1), 0.0)
+        found = np.full(len(q), np.inf)
+        np.minimum.at(found, n, gap - self.radius[sphere])
+        return found
+
+    @cached_property
+    def _bounds(self) -> tuple[Array, Array, Array]:
+        """Links (L,) that have spheres, centres (L, 3) in their frames and radii (L,) of spheres around them."""
+        links = np.unique(self.link)
+        middle = np.zeros((len(links), 3))
+        around = np.zeros(len(links))
+        for i, link in enumerate(links):
+            mine = self.link == link
+            low = (self.pos[mine] - self.radius[mine, None]).min(axis=0)
+            high = (self.pos[mine] + self.radius[mine, None]).max(axis=0)
+            middle[i] = (low + high) / 2
+            around[i] = (np.linalg.norm(self.pos[mine] - middle[i], axis=1) + self.radius[mine]).max()
+        return links, middle, around
 
     def self_clearance(self, q: Array) -> Array:
         """Least distance (N,) [m] of the distal links to the trunk's boxes; negative: they overlap."""

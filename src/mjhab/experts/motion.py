@@ -229,3 +229,14 @@ def stay_at_rest(view: WorldView, *, gripper: float) -> Motion:
     goal = rest_goal(view)
     while True:
         yield action(view, goal, gripper=gripper)
+
+
+def joint_gap(view: WorldView, goal: Array) -> float:
+    """Largest distance of arm and torso from ``goal`` (15,) [rad or m]."""
+    return float(np.abs(goal - view.q)[[*_ARM, _TORSO_Q]].max())
+
+
+def drives(view: WorldView, xy: Array, yaw: float) -> bool:
+    """Whether the base has to move to stand at ``xy`` (2,) with heading ``yaw``."""
+    turn = (yaw - view.q[2] + np.pi) % (2 * np.pi) - np.pi
+    return bool(np.linalg.norm(xy - view.q[:2]) > 0.015 or abs(turn) > 0.03)

@@ -17,7 +17,7 @@ from mjhab.sim.protocol import PENETRATION_LIMIT, TAINTS, SimState
 
 SUBSTEPS = 5
 """Simulation at 100 Hz, control at 20 Hz (MS-HAB paper Sec. 4.1)."""
-_STAGE_NONE, _STAGE_VEL = int(mujoco.mjtStage.mjSTAGE_NONE), int(mujoco.mjtStage.mjSTAGE_VEL)
+_STAGE_NONE, POSITION_STAGE = int(mujoco.mjtStage.mjSTAGE_NONE), int(mujoco.mjtStage.mjSTAGE_VEL)
 _WARNING = mujoco.mjtWarning
 _TAINT_WARNINGS = {
     "contact_overflow": (_WARNING.mjWARN_CONTACTFULL,),
@@ -109,7 +109,7 @@ class CpuSimulator:
         """Advance all worlds by one control step under ``ctrl`` (W, nu)."""
         self.batch.ctrl[:] = ctrl
         # Stage VEL makes positions current without cost; the contact sensors are those of the last substep.
-        self.batch.step(nstep=SUBSTEPS, stage=_STAGE_VEL)
+        self.batch.step(nstep=SUBSTEPS, stage=POSITION_STAGE)
         self._update_taint()
 
     def state(self) -> SimState:
@@ -137,10 +137,12 @@ class CpuSimulator:
 
     def _update_taint(self) -> None:
         deep = self.batch.sensordata[:, self._depth_col] < -PENETRATION_LIMIT
-        self._taint |= deep.astype(np.uint8) << TAINTS.index("penetration")
-        bad = ~np.isfinite(self.batch.qpos).all(axis=1)
+        if deep.any():
+            self._taint |= deep.astype(np.uint8) << TAINTS.index("penetration")
         rose = self.batch.warning[:, :, 1] > self._warned
-        if bad.any() or rose.any():
+        # One sum over all worlds is enough to see that nothing is NaN or infinite.
+        if rose.any() or not np.isfinite(self.batch.qpos.sum()):
+            bad = ~np.isfinite(self.batch.qpos).all(axis=1)
             self._taint |= bad.astype(np.uint8) << TAINTS.index("nan")
             for name, kinds in _TAINT_WARNINGS.items():
                 hit = rose[:, [int(k) for k in kinds]].any(axis=1)

@@ -23,9 +23,6 @@ class _Notes:
 
     events: list[tuple[int, str]] = field(default_factory=list)
     legacy: list[str] = field(default_factory=list)
-    steps: int = 0
-    success: bool = False
-    at_goal_first: bool = False
 
 
 class SubtaskTracker:
@@ -39,14 +36,18 @@ class SubtaskTracker:
     def __init__(self, signals: lb.Watched) -> None:
         self._previous = _row(signals)
         self._labels = lb.start(signals)
-        self._notes = [_Notes() for _ in range(signals.success.shape[0])]
+        count = signals.success.shape[0]
+        self._notes = [_Notes() for _ in range(count)]
+        self._begun, self._success, self._at_goal_first = np.zeros((3, count), bool)
 
     def restart(self, mask: Array, signals: lb.Watched) -> None:
         """Begin a new subtask in the worlds of ``mask`` (W,) bool, from the signals at its start."""
         self._previous = where_rows(mask, _row(signals), self._previous)
         self._labels = lb.restart(self._labels, mask, signals)
-        for w in to_numpy(mask).nonzero()[0].tolist():
+        rows = to_numpy(mask)
+        for w in rows.nonzero()[0].tolist():
             self._notes[w] = _Notes()
+        self._begun[rows] = self._success[rows] = self._at_goal_first[rows] = False
 
     def step(self, kind: Array, signals: lb.Watched, step: Array, live: Array | None = None) -> list[list[str]]:
         """Add one control step.
@@ -73,21 +74,20 @@ class SubtaskTracker:
 
     def _write(self, kind: Array, names: list[list[str]], current: lb.History, step: np.ndarray) -> None:
         """Write the step's events into the notes; the published labels see the first step as if from nothing."""
-        kinds, success, at_goal = to_numpy(kind), to_numpy(current.success), to_numpy(current.at_goal)
-        first_names: list[list[str]] | None = None
+        kinds = to_numpy(kind)
+        live = kinds >= 0
+        self._success |= live & to_numpy(current.success)
+        first = live & ~self._begun
+        self._begun |= live
+        legacy_names = names
+        if first.any():
+            from_nothing = ev.event_names(kind, ev.step_events(kind, ev.blank(current), current))
+            legacy_names = [from_nothing[w] if first[w] else names[w] for w in range(len(names))]
+            self._at_goal_first = np.where(first, to_numpy(current.at_goal), self._at_goal_first)
         for w, note in enumerate(self._notes):
-            if kinds[w] < 0:
-                continue
-            legacy_names = names[w]
-            if note.steps == 0:
-                if first_names is None:
-                    first_names = ev.event_names(kind, ev.step_events(kind, ev.blank(current), current))
-                legacy_names = first_names[w]
-                note.at_goal_first = bool(at_goal[w])
-            extend(note.legacy, int(kinds[w]), legacy_names)
-            note.events.extend((int(step[w]), name) for name in names[w])
-            note.success |= bool(success[w])
-            note.steps += 1
+            if live[w] and (names[w] or legacy_names[w]):
+                extend(note.legacy, int(kinds[w]), legacy_names[w])
+                note.events.extend((int(step[w]), name) for name in names[w])
 
     def labels(self, kind: Array) -> list[str]:
         """Return the label every world's subtask would have if it ended now."""
@@ -96,7 +96,7 @@ class SubtaskTracker:
     def legacy_label(self, w: int, kind: int) -> str:
         """Return the published label of world ``w``'s subtask if it ended now."""
         note = self._notes[w]
-        return legacy_label(kind, note.legacy, note.success, note.at_goal_first)
+        return legacy_label(kind, note.legacy, bool(self._success[w]), bool(self._at_goal_first[w]))
 
     def events(self, w: int) -> list[tuple[int, str]]:
         """Return the (step, name) events of world ``w``'s subtask so far."""

@@ -1,12 +1,146 @@
-"""The expert that picks objects."""
+"""The expert that picks objects: from tables and seats, out of the opened drawer, from the shelf of the fridge."""
 
 from __future__ import annotations
 
+import numpy as np
+
+from mjhab.core.rotations import mat_from_quat
+from mjhab.envs.grasps import Grasps, ObjectShape, grasp_candidates
+from mjhab.envs.held import shape_of
 from mjhab.envs.privileged import WorldView
 from mjhab.experts import motion
+from mjhab.experts.carry import go_home, grip, inside_depth
 from mjhab.experts.motion import Motion
+from mjhab.experts.reach import HandGoals, Scene, Stance, stances, surroundings
+from mjhab.experts.route import follow
+
+Array = np.ndarray
+LIFT = 0.10
+"""How far [m] an object is lifted off an open surface before it is carried."""
+MAX_GOALS = 60
+_CLEAR = (0.010, 0.005, 0.0, -0.004)
+"""Room [m] asked between gripper and neighbours, less each time no grasp is found."""
 
 
 def pick(view: WorldView) -> Motion:
-    """Script of a pick subtask."""
-    return (yield from motion.stay_at_rest(view, gripper=motion.OPEN))
+    """Pick up the active subtask's object and bring it home; try again while there is time."""
+    subtask = view.subtask
+    assert subtask is not None
+    obj, failed = subtask.obj, np.zeros((0, 3))
+    attempt = 0
+    while True:
+        found = plan_pick(view, obj, failed, attempt)
+        attempt += 1
+        if found is None:
+            yield from motion.hold(view, 5, gripper=motion.OPEN)
+            failed = failed[:0]
+            continue
+        stance, goals, depth = found
+        if (yield from _take(view, obj, stance, goals, depth)):
+            yield from go_home(view, obj)
+            yield from _keep(view, obj)
+        failed = np.concatenate([failed, stance.at[None, :3]])
+        yield from _let_go(view)
+
+
+def plan_pick(
+    view: WorldView, obj: str, failed: Array, attempt: int = 0
+) -> tuple[Stance, HandGoals, float] | None:  # fmt: skip
+    """The best way to grasp an object: stance, grasps it refers to, and how far the base comes straight in [m].
+
+    Args:
+        failed: (A, 3) base poses that did not work.
+        attempt: number of attempts before; later ones take what the first leave out.
+    """
+    pose, kind = view.object_pose(obj), view.object_type(obj)
+    shape = shape_of(kind)
+    near, target = surroundings(view, obj, pose[:3])
+    support = float(pose[2]) - height_below(shape, mat_from_quat(pose[3:]))
+    scene = Scene(near, target, support)
+    depth = inside_depth(view, pose[:3])
+    for asked in _CLEAR[min(attempt, 2) :]:
+        grasps = grasp_candidates(
+            shape, pose[:3], pose[3:], support_z=support, neighbours=scene.beside.near(pose[:3], 0.6), least_clear=asked
+        )
+        if not len(grasps):
+            continue
+        goals = _diverse(grasps)
+        for back in {depth, 0.0} if depth else (0.0,):
+            found = stances(view, pose[:3], goals, scene, drive_in=back, avoid=failed)
+            if found:
+                return found[0], goals, back
+    return None
+
+
+def height_below(shape: ObjectShape, rot: Array) -> float:
+    """How far [m] an object turned by ``rot`` (3, 3) reaches below its centre."""
+    up, half = np.abs(rot[2]), np.array(shape.half)
+    if shape.kind == "box":
+        return float(up @ half)
+    if shape.kind == "sphere":
+        return float(half.max())
+    return float(half[0] * np.hypot(up[0], up[1]) + half[2] * up[2])
+
+
+def _diverse(grasps: Grasps) -> HandGoals:
+    """The best grasps that differ from each other."""
+    kept: list[int] = []
+    for i in range(min(len(grasps), 600)):
+        if len(kept) >= MAX_GOALS:
+            break
+        turn = np.einsum("gij,ij->g", grasps.rot[kept], grasps.rot[i])
+        shift = np.linalg.norm(grasps.pos[kept] - grasps.pos[i], axis=1)
+        if not kept or ((turn < 1.0 + 2.0 * np.cos(0.3)) | (shift > 0.025)).all():
+            kept.append(i)
+    g = grasps.take(np.array(kept))
+    return HandGoals(g.pos, g.rot, g.pre, g.opening, g.score)
+
+
+def _take(view: WorldView, obj: str, stance: Stance, goals: HandGoals, depth: float) -> Motion:
+    """Drive there, reach, close, lift. Returns whether the object is in the hand."""
+    start = view.object_pose(obj)[:3]
+    pos, rot, pre = goals.pos[stance.goal], goals.rot[stance.goal], goals.pre[stance.goal]
+    opening = grip(float(goals.opening[stance.goal]) + 0.004)
+    yield from follow(view, stance.route, gripper=opening)
+    if depth:
+        goal = view.q[:3] + depth * np.array([np.cos(view.q[2]), np.sin(view.q[2]), 0.0])
+        yield from motion.drive_to(
+            view, stance.pre[:3] if np.linalg.norm(stance.pre[:2] - goal[:2]) < 0.1 else goal, gripper=opening,
+            arm=stance.pre, direction=1, path=np.stack([view.q[:2], stance.pre[:2]]), max_steps=50,
+        )  # fmt: skip
+    if np.linalg.norm(view.object_pose(obj)[:3] - start) > 0.02:
+        return False
+    near = yield from motion.move_tcp(
+        view, pre, rot, gripper=opening, rest=stance.at, speed=0.3, tolerance=0.015, max_steps=25, stop_on_force=80.0
+    )
+    if not near:
+        return False
+    yield from motion.move_tcp(
+        view, pos, rot, gripper=opening, rest=stance.at, speed=0.2, tolerance=0.006, max_steps=30, stop_on_force=80.0
+    )
+    if not (yield from motion.close_fingers(view, obj)):
+        return False
+    height = 0.025 if depth else LIFT
+    up = pos + np.array([0.0, 0.0, height])
+    yield from motion.move_tcp(
+        view, up, rot, gripper=motion.CLOSED, rest=stance.at, speed=0.25, tolerance=0.02, max_steps=16
+    )
+    return bool((view.finger_forces(obj) > 0.3).all())
+
+
+def _keep(view: WorldView, obj: str) -> Motion:
+    """Hold the object at rest until it is lost."""
+    lost = 0
+    goal = motion.rest_goal(view)
+    while lost < 4:
+        yield motion.action(view, goal, gripper=motion.CLOSED)
+        lost = lost + 1 if (view.finger_forces(obj) < 0.1).all() else 0
+    return False
+
+
+def _let_go(view: WorldView) -> Motion:
+    """Open the hand and draw it back, up where that is free."""
+    pos, rot = motion.tcp(view)
+    yield from motion.hold(view, 4, gripper=motion.OPEN)
+    back = pos - 0.10 * rot[:, 0] + np.array([0.0, 0.0, 0.03])
+    return (yield from motion.move_tcp(view, back, rot, gripper=motion.OPEN, speed=0.3, tolerance=0.02, max_steps=15))

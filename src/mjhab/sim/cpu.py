@@ -62,9 +62,12 @@ class CpuSimulator:
         # A batch with caller models shows a world its static poses only after that world's reset.
         self.batch.reset()
         a = self.addresses
-        self._object_q = a.object_q[:, None] + np.arange(7)
-        self._finger_cols = a.finger_force[..., None] + np.arange(3)
-        self._force_cols = a.link_force[:, None] + np.arange(3)
+        # The layout puts objects, link forces and target sensors in unbroken rows: the state is made of views.
+        self._object_q = _rows(a.object_q, 7)
+        self._force_cols = _rows(a.link_force, 3)
+        left, right = a.finger_force
+        self._target_cols = _rows(left, 7)
+        assert (right == left + 3).all() and (a.touch == left + 6).all()
         self._depth_col = int(first.sensor("robot_depth").adr[0])
         self._taint = np.zeros(num_worlds, np.uint8)
         self._warned = np.zeros((num_worlds, self.batch.warning.shape[1]), np.int64)
@@ -116,18 +119,21 @@ class CpuSimulator:
         """The current state of all worlds; body arrays are views that the next step overwrites."""
         a, batch = self.addresses, self.batch
         qpos, sensors = batch.qpos, batch.sensordata
-        force = sensors[:, self._force_cols]
+        worlds = self.num_worlds
+        force = sensors[:, self._force_cols].reshape(worlds, -1, 3)
+        # Per target: force on the left finger (3), on the right finger (3), touch (1).
+        targets = sensors[:, self._target_cols].reshape(worlds, -1, 7)
         return SimState(
             robot_q=qpos[:, a.robot_q],
             robot_qd=batch.qvel[:, a.robot_v],
-            object_pose=qpos[:, self._object_q],
+            object_pose=qpos[:, self._object_q].reshape(worlds, -1, 7),
             link_q=qpos[:, a.link_q],
             link_force=np.sqrt(np.einsum("wki,wki->wk", force, force)),
             # The sensor gives the force of the finger on the target.
-            finger_force=-sensors[:, self._finger_cols],
-            touch=sensors[:, a.touch] > 0,
+            finger_force=-targets[..., :6].reshape(worlds, -1, 2, 3).swapaxes(1, 2),
+            touch=targets[..., 6] > 0,
             body_pos=batch.xpos,
-            body_mat=batch.xmat.reshape(self.num_worlds, -1, 3, 3),
+            body_mat=batch.xmat.reshape(worlds, -1, 3, 3),
             body_quat=batch.xquat,
         )
 
@@ -147,3 +153,16 @@ class CpuSimulator:
             for name, kinds in _TAINT_WARNINGS.items():
                 hit = rose[:, [int(k) for k in kinds]].any(axis=1)
                 self._taint |= hit.astype(np.uint8) << TAINTS.index(name)
+
+
+def _rows(starts: np.ndarray, width: int) -> slice:
+    """The columns of equally wide, adjoining blocks as one slice.
+
+    Raises:
+        ValueError: there are gaps between the blocks.
+    """
+    if not len(starts):
+        return slice(0, 0)
+    if (np.diff(starts) != width).any():
+        raise ValueError(f"blocks of {width} columns do not adjoin: they start at {starts.tolist()}")
+    return slice(int(starts[0]), int(starts[0]) + width * len(starts))

@@ -1,0 +1,261 @@
+"""Where to stand and how to hold the arm so that the hand reaches one of many poses, shared by pick and place.
+
+Base poses around a point are paired with hand poses; inverse kinematics in one batch, then clearances of the whole
+body, cheap tests first. Lengths [m], angles [rad], world frame. Letters: G hand poses, B base poses, N pairs, Q joints.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from mjhab.envs.privileged import REST_QPOS, WorldView
+from mjhab.experts import ik, motion
+from mjhab.experts.clearance import Boxes, RobotSpheres
+from mjhab.experts.kinematics import wrap
+from mjhab.experts.route import Route, plan_route
+
+Array = np.ndarray
+HAND_LINKS = ("gripper_link", "r_gripper_finger_link", "l_gripper_finger_link")
+NEARBY = 2.6
+"""Furniture within this distance [m] of the work is looked at."""
+BASE_RADIUS, BASE_TOP = 0.285, 0.40
+ROOM_AT, ROOM_PRE = 0.012, 0.012
+"""Least clearance [m] of the arm at the work and of the whole robot just before it."""
+_BASES, _PER_BASE, _SEEDS, _KEPT = 24, 8, 5, 60
+
+
+@dataclass(frozen=True, eq=False)
+class HandGoals:
+    """Hand poses that all serve: ``pos`` (G, 3), ``rot`` (G, 3, 3), where to come from ``pre`` (G, 3), finger
+    ``opening`` (G,) and ``score`` (G,), higher is better, worth about half a second each point."""
+
+    pos: Array
+    rot: Array
+    pre: Array
+    opening: Array
+    score: Array
+
+    def __len__(self) -> int:
+        return len(self.pos)
+
+    def take(self, rows: Array) -> HandGoals:
+        """Some of them, by index."""
+        return HandGoals(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """What is around: ``near`` everything but the object, ``target`` the object while it is not held, ``support_z``
+    the height of the surface that it lies on or goes to, ``held`` spheres fixed to the hand (centres, radii)."""
+
+    near: Boxes
+    target: Boxes
+    support_z: float
+    held: tuple[Array, Array] | None = None
+
+    @property
+    def all(self) -> Boxes:
+        """Every box."""
+        return Boxes.join([self.near, self.target])
+
+    @property
+    def beside(self) -> Boxes:
+        """Without what lies below the supporting surface."""
+        top = self.near.center[:, 2] + np.einsum("kj,kj->k", np.abs(self.near.rot[:, 2]), self.near.half)
+        return self.near.take(top > self.support_z + 0.004)
+
+    def robot(self) -> RobotSpheres:
+        """The robot with what it holds."""
+        return motion.spheres() if self.held is None else motion.spheres().with_held(*self.held)
+
+
+@dataclass(frozen=True, eq=False)
+class Stance:
+    """A way to reach hand pose ``goal`` (index): drive ``route``, then configurations ``pre`` and ``at`` (15,)."""
+
+    goal: int
+    pre: Array
+    at: Array
+    route: Route
+
+
+def surroundings(view: WorldView, obj: str, point: Array) -> tuple[Boxes, Boxes]:
+    """Everything solid near ``point`` (3,) but the object, and the object's bounding box."""
+    parts = (view.home.boxes, view.link_boxes(), view.object_boxes((obj,)))
+    others = Boxes.join([motion.as_boxes(part) for part in parts])
+    everything = motion.as_boxes(view.object_boxes())
+    mine = [view.object_names.index(obj)]
+    return others.near(np.array([*point[:2], 0.9]), NEARBY), everything.take(np.array(mine))
+
+
+def stances(
+    view: WorldView, point: Array, goals: HandGoals, scene: Scene, *, drive_in: float = 0.0, avoid: Array | None = None,
+    count: int = 4,
+) -> list[Stance]:  # fmt: skip
+    """Ways to bring the hand to one of ``goals`` around ``point`` (3,), quickest first; empty when there is none.
+
+    Args:
+        drive_in: let the base come straight forward over this distance with the arm already stretched out, as into a
+            fridge; the routes end that far behind.
+        avoid: (A, 3) base poses that did not work before.
+        count: give at most so many.
+    """
+    now = view.q
+    bases, drive = base_poses(view, point, scene, drive_in, avoid)
+    if not len(bases) or not len(goals):
+        return []
+    base, goal, score = _pairs(bases, point, goals)
+    q, cost, goal = _configurations(now, bases[base], goal, goals, drive[base] - 10.0 * score)
+    arm_only = motion.spheres().only([n for n in motion.spheres().chain.links if n not in HAND_LINKS])
+    fine = arm_only.clearance(q, scene.near) > ROOM_AT
+    fine[fine] = motion.spheres().self_clearance(q[fine]) > ROOM_AT
+    if scene.held is not None and fine.any():
+        load = motion.spheres().only([]).with_held(*scene.held)
+        fine[fine] = load.clearance(q[fine], scene.beside) > -0.004
+    rows = np.flatnonzero(fine)[:_KEPT]
+    q, cost, goal = q[rows], cost[rows], goal[rows]
+    pre, fine = _before(q, goals, goal, scene, drive_in)
+    return _routed(view, q[fine], pre[fine], goal[fine], scene, drive_in, count)
+
+
+def base_poses(
+    view: WorldView, point: Array, scene: Scene, drive_in: float, avoid: Array | None = None
+) -> tuple[Array, Array]:
+    """Base poses (B, 3) from which ``point`` may be reached, and the control steps (B,) to drive there."""
+    r, angle, off = np.meshgrid(
+        np.arange(0.5, 0.96, 0.075), np.arange(32) * np.pi / 16, (-0.35, 0.0, 0.35), indexing="ij"
+    )
+    x, y = point[0] - r * np.cos(angle), point[1] - r * np.sin(angle)
+    poses = np.stack([x, y, wrap(angle + off)], axis=-1).reshape(-1, 3)
+    here = view.q[:3] - drive_in * np.array([np.cos(view.q[2]), np.sin(view.q[2]), 0.0])
+    bearing = np.arctan2(point[1] - here[1], point[0] - here[0])
+    poses = np.concatenate([poses, [view.q[:3], *([here[0], here[1], bearing + k] for k in (-0.35, 0.0, 0.35))]])
+    planner = motion.planner(view.home)
+    back = poses[:, :2] - drive_in * np.stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])], axis=1)
+    good = (planner.clearance_at(back) >= planner.radius) & (planner.clearance_at(poses[:, :2]) >= 0.27)
+    good &= floor_room(poses, scene.near) > 0.0
+    if avoid is not None and len(avoid):
+        gap = np.linalg.norm((poses[:, None] - avoid) * [1.0, 1.0, 0.3], axis=2).min(axis=1)
+        good &= gap > 0.10
+    poses, back = poses[good], back[good]
+    steps = _drive_steps(view.q[:3], np.concatenate([back, poses[:, 2:]], axis=1)) + 6.0 * drive_in / 0.3
+    return _spread(poses, steps)
+
+
+def floor_room(poses: Array, boxes: Boxes) -> Array:
+    """Room (B,) between the base at poses (B, 3) and boxes on the floor that no map knows: things that fell."""
+    low = boxes.take(
+        (boxes.center[:, 2] - boxes.half.max(axis=1) < BASE_TOP) & (boxes.half.max(axis=1) < 0.12)
+    )
+    if not len(low):
+        return np.ones(len(poses))
+    gap = np.linalg.norm(poses[:, None, :2] - low.center[:, :2], axis=2) - low.half[:, :2].max(axis=1)
+    return gap.min(axis=1) - BASE_RADIUS
+
+
+def _drive_steps(now: Array, poses: Array) -> Array:
+    """Rough number (B,) of control steps to drive from ``now`` (3,) to poses (B, 3)."""
+    way = poses[:, :2] - now[:2]
+    far = np.linalg.norm(way, axis=1)
+    bearing = np.arctan2(way[:, 1], way[:, 0])
+    first, last = np.abs(wrap(bearing - now[2])), np.abs(wrap(poses[:, 2] - bearing))
+    turn = np.where(far < 0.9, np.minimum(first + last, 2 * np.pi - first - last), first + last)
+    turn = np.where(far < 0.03, np.abs(wrap(poses[:, 2] - now[2])), turn)
+    return 20.0 * (far / 0.6 + turn / 1.8) + np.where(far < 0.03, 0.0, 8.0)
+
+
+def _spread(poses: Array, steps: Array) -> tuple[Array, Array]:
+    """The quickest poses that are not all alike."""
+    kept: list[int] = []
+    for i in np.argsort(steps, kind="stable"):
+        if len(kept) >= _BASES:
+            break
+        gap = (poses[kept] - poses[i]) * [1.0, 1.0, 0.3]
+        if not kept or np.linalg.norm(gap, axis=1).min() > 0.09:
+            kept.append(int(i))
+    return poses[kept], steps[kept]
+
+
+def _pairs(bases: Array, point: Array, goals: HandGoals) -> tuple[Array, Array, Array]:
+    """For every base the hand poses that suit it best: base index (N,), goal index (N,), score (N,)."""
+    toward = point[:2] - bases[:, :2]
+    toward = toward / np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-6)
+    score = goals.score + 0.8 * toward @ goals.rot[:, :2, 0].T
+    best = np.argsort(-score, axis=1, kind="stable")[:, :_PER_BASE]
+    base = np.repeat(np.arange(len(bases)), best.shape[1])
+    goal = best.ravel()
+    return base, goal, score[base, goal]
+
+
+@lru_cache(maxsize=1)
+def _seeds() -> Array:
+    """Arm and torso configurations (S, 15) to start inverse kinematics from."""
+    dofs = ik.columns(motion.chain())
+    return ik.random_seeds(motion.chain(), REST_QPOS, dofs, _SEEDS, np.random.default_rng(3), 0.6)
+
+
+def _configurations(
+    now: Array, bases: Array, goal: Array, goals: HandGoals, price: Array
+) -> tuple[Array, Array, Array]:
+    """Configurations (N, 15) that reach the goals of the pairs, their cost in steps (N,) and goal (N,), best first."""
+    robot = motion.chain()
+    dofs = ik.columns(robot)
+    seeds = np.repeat(_seeds()[None], len(bases), axis=0)
+    seeds[:, :, :3] = bases[:, None]
+    seeds[:, 0, 3:] = now[3:]
+    options = ik.Options(iterations=25, pos_tolerance=2e-3, rot_tolerance=2e-2)
+    found = ik.solve(robot, goals.pos[goal], goals.rot[goal], seeds, dofs, rest=REST_QPOS, options=options)
+    q = ik.unwind(robot, found.q, now)
+    q[..., :3] = bases[:, None]
+    cost = price[:, None] + 0.6 * ik.travel_steps(robot, now, q, dofs)
+    cost = np.where(found.ok, cost, np.inf).ravel()
+    order = np.argsort(cost, kind="stable")[:300]
+    order = order[np.isfinite(cost[order])]
+    q = q.reshape(-1, q.shape[-1])[order]
+    goal = np.repeat(goal, seeds.shape[1])[order]
+    q[:, 13:15] = np.minimum(goals.opening[goal] / 2, 0.05)[:, None]
+    return q, cost[order], goal
+
+
+def _before(q: Array, goals: HandGoals, goal: Array, scene: Scene, drive_in: float) -> tuple[Array, Array]:
+    """Configurations (N, 15) at the start of the straight approach, and where they and the way in are clear (N,)."""
+    if not len(q):
+        return q, np.zeros(0, bool)
+    robot = motion.chain()
+    dofs = ik.columns(robot)
+    options = ik.Options(iterations=12, pos_tolerance=2e-3, rot_tolerance=2e-2, rest_gain=0.0)
+    found = ik.solve(robot, goals.pre[goal], goals.rot[goal], q[:, None], dofs, rest=REST_QPOS, options=options)
+    pre = found.q[:, 0]
+    fine = found.ok[:, 0] & (np.abs(pre - q).max(axis=1) < 0.9)
+    whole = scene.robot()
+    for back in np.arange(0.0, drive_in + 0.01, 0.12):
+        shifted = pre[fine].copy()
+        shifted[:, 0] -= back * np.cos(shifted[:, 2])
+        shifted[:, 1] -= back * np.sin(shifted[:, 2])
+        room = whole.clearance(shifted, scene.all)
+        if back == 0.0:
+            room = np.minimum(room, whole.self_clearance(shifted))
+        fine[fine] = room > ROOM_PRE
+    return pre, fine
+
+
+def _routed(
+    view: WorldView, q: Array, pre: Array, goal: Array, scene: Scene, drive_in: float, count: int
+) -> list[Stance]:
+    """Stances with routes that are clear; ``q`` (N, 15) come cheapest first."""
+    robot, boxes = scene.robot(), scene.all
+    clear: list[Stance] = []
+    tight: list[Stance] = []
+    for i in range(len(q)):
+        back = drive_in * np.array([np.cos(pre[i, 2]), np.sin(pre[i, 2]), 0.0])
+        route = plan_route(view, pre[i, :3] - back, pre[i], robot, boxes)
+        if route is None:
+            continue
+        (clear if route.room > 0.0 else tight).append(Stance(int(goal[i]), pre[i], q[i], route))
+        if len(clear) >= count or len(clear) + len(tight) >= 3 * count:
+            break
+    tight.sort(key=lambda s: -s.route.room)
+    return sorted(clear, key=lambda s: s.route.steps) or tight[:1]

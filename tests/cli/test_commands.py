@@ -137,8 +137,9 @@ class TimedEnv(FakeEnv):
     """Counts engine steps."""
 
     bare_steps = 0
+    ctrl = np.zeros((1, 15))
 
-    def bare_step(self) -> None:
+    def bare_step(self, ctrl: np.ndarray) -> None:
         self.bare_steps += 1
 
 
@@ -148,8 +149,9 @@ def test_bench_sim_measures_both_on_the_same_worlds() -> None:
     assert list(result) == ["engine_sps", "env_sps", "ratio", "worlds"]
     assert result["worlds"] == 3 and 0 < result["env_sps"] < result["engine_sps"]
     assert result["ratio"] == pytest.approx(result["env_sps"] / result["engine_sps"], abs=1e-3)
-    assert env.bare_steps == 20 and env.steps_taken == 4 * (5 + bench.WARM_STEPS)
-    assert env.resets == [[0, 1, 2], [3, 4, 5], [6, 7, 8], [9, 10, 11]]
+    assert env.bare_steps == 20 and env.steps_taken == 4 * (2 * 5 + 3 * bench.WARM_STEPS)
+    # Every round runs its episodes three times: to record the commands, and timed for either side.
+    assert env.resets == [[r, r + 1, r + 2] for r in (0, 3, 6, 9) for _ in range(3)]
 
 
 def test_bench_sim_prints_the_keys(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:

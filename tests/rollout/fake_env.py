@@ -98,6 +98,11 @@ class FakeEnv:
         image[height // 3 : height // 3 + 40, x : x + 40] = (40 + 12 * world.pointer, 90, 160)
         return image
 
+    def state_digest(self, world: int) -> str:
+        state = self.worlds[world]
+        assert state is not None
+        return f"{state.t:016d}"
+
     def close(self) -> None:
         self.closed = True
 
@@ -113,6 +118,7 @@ class FakeEnv:
             "cumulative_force": np.array([world.cumulative for world in worlds]),
             "success": np.array([world.success for world in worlds]),
             "fail": np.array([world.fail for world in worlds]),
+            "spawn_fallback": np.zeros(self.num_envs, bool),
             "taint": np.array([world.taint for world in worlds], np.uint8),
             "events": [list(world.events) for world in worlds],
             "ended": [world.ended for world in worlds],

@@ -8,6 +8,7 @@ others.
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 from typing import Any
 
 import numpy as np
@@ -362,6 +363,11 @@ class SequentialTaskEnv(VectorEnv):
     def ctrl(self) -> np.ndarray:
         """(W, nu) actuator commands of the last control step."""
         return self.sim.batch.ctrl.copy()
+
+    def state_digest(self, world: int) -> str:
+        """Hash of positions and velocities of one world: equal only if every bit is."""
+        batch = self.sim.batch
+        return hashlib.sha256(batch.qpos[world].tobytes() + batch.qvel[world].tobytes()).hexdigest()[:16]
 
     def bare_step(self, ctrl: np.ndarray) -> None:
         """One control step of the engine alone under commands (W, nu), for benchmarks."""

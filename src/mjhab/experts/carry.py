@@ -75,7 +75,7 @@ def plan_home(view: WorldView, obj: str, robot: RobotSpheres, *, holding: bool) 
         route = plan_route(view, end, goal, robot, boxes, margin=0.01, direction=-1, straight=True)
         if route is None:
             continue
-        if route.room > 0.005:
+        if route.room >= 0.0:
             return route
         if best is None or route.room > best.room:
             best = route

@@ -249,12 +249,16 @@ def _routed(
     robot, boxes = scene.robot(), scene.all
     clear: list[Stance] = []
     tight: list[Stance] = []
+    seen: list[Array] = []
     for i in range(len(q)):
+        if sum(np.array_equal(q[i, :3], base) for base in seen) >= 2:
+            continue
+        seen.append(q[i, :3])
         back = drive_in * np.array([np.cos(pre[i, 2]), np.sin(pre[i, 2]), 0.0])
         route = plan_route(view, pre[i, :3] - back, pre[i], robot, boxes)
         if route is None:
             continue
-        (clear if route.room > 0.0 else tight).append(Stance(int(goal[i]), pre[i], q[i], route))
+        (clear if route.room >= 0.0 else tight).append(Stance(int(goal[i]), pre[i], q[i], route))
         if len(clear) >= count or len(clear) + len(tight) >= 3 * count:
             break
     tight.sort(key=lambda s: -s.route.room)

@@ -109,7 +109,7 @@ class _Run:
         return trace
 
     def _finish(self, world: int) -> None:
-        record = self._trace(world).record(int(self.steps[world]), world, self.info, self.env.taint_names)
+        record = self._trace(world).record(int(self.steps[world]), world, self.info, self.env)
         self.active[world] = False
         self.traces[world] = None
         self.records.append(record)
@@ -155,7 +155,7 @@ class _Trace:
         if info["ended"][world] is not None:
             self.subtasks.append(SubtaskRecord.from_dict(info["ended"][world]))
 
-    def record(self, steps: int, world: int, info: Mapping[str, Any], taint_names: Sequence[str]) -> EpisodeRecord:
+    def record(self, steps: int, world: int, info: Mapping[str, Any], env: Any) -> EpisodeRecord:
         """Close the episode after ``steps`` control steps; ``info`` is that of its last step."""
         episode = self.episode
         return EpisodeRecord(
@@ -178,7 +178,9 @@ class _Trace:
             peak_force=round(max(self.force, default=0.0), 3),
             cumulative_force=round(sum(self.force), 3),
             force=tuple(round(value, 1) for value in self.force),
-            taint=tuple(name for bit, name in enumerate(taint_names) if self.taint >> bit & 1),
+            taint=tuple(name for bit, name in enumerate(env.taint_names) if self.taint >> bit & 1),
+            spawn_fallback=bool(info["spawn_fallback"][world]),
+            final_state=str(env.state_digest(world)),
             seconds=round(time.perf_counter() - self.started, 3),
         )
 

@@ -64,7 +64,8 @@ class EpisodeRecord:
 
     ``subtasks`` holds the subtasks that ended; those never reached are absent. ``completed`` counts the subtasks of the
     plan that succeeded. ``force`` is the robot force [N] of every control step, to 0.1 N; ``taint`` names what the
-    simulation flagged (then the episode's physics cannot be trusted). ``seconds`` is wall time and takes no part in
+    simulation flagged (then the episode's physics cannot be trusted); ``spawn_fallback``: no random start was valid
+    and the nearest valid one was taken. ``final_state`` is a hash of the last state, bit by bit. ``seconds`` is wall time and takes no part in
     comparisons: everything else is a function of (seed, index).
     """
 
@@ -86,6 +87,8 @@ class EpisodeRecord:
     cumulative_force: float
     force: tuple[float, ...]
     taint: tuple[str, ...]
+    spawn_fallback: bool
+    final_state: str
     seconds: float = field(default=0.0, compare=False)
 
     def to_dict(self) -> dict[str, Any]:

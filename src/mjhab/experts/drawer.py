@@ -1,0 +1,120 @@
+"""Opening and closing a drawer: the arm holds its posture, the base drives."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mjhab.envs.privileged import JointedLink, WorldView
+from mjhab.experts import approach, motion, stances
+from mjhab.experts.stances import Stances
+
+Array = np.ndarray
+Motion = motion.Motion
+PRE_GRASP = 0.09
+"""Distance from which the open hand goes straight onto the handle [m]."""
+BACK_OFF = 0.08
+"""Way between the handle and the hand before the arm folds [m]."""
+SPEED = 0.45
+"""Speed at which the drawer moves [m/s]."""
+
+
+def open_drawer(view: WorldView, link: JointedLink) -> Motion:
+    """Grasp the bar, back up with it, let go and return to rest; anew after a slip."""
+    full = link.range[1]
+    while view.steps_left > 30 and view.link_q(link.id) < 0.92 * full:
+        if not (yield from _take_handle(view, link)):
+            yield from approach.let_go(view, BACK_OFF)
+            continue
+        yield from _drive_link(view, link, 0.95 * full, -SPEED)
+        yield from approach.let_go(view, BACK_OFF)
+    return (yield from motion.to_rest(view, gripper=motion.OPEN))
+
+
+def close_drawer(view: WorldView, link: JointedLink) -> Motion:
+    """Push the handle with the closed fingers by driving forward."""
+    closed = 0.006 * link.range[1]
+    while view.steps_left > 30 and view.link_q(link.id) > closed:
+        found = stances.cached(link, "push", _push_stances)
+        open_by = view.link_q(link.id)
+        moved = found.q.copy()
+        moved[:, :, 0] += open_by
+        goals, _ = stances.rank(view, stances.Frame.of(link), Stances(moved, found.steps), found.q[:, :1, :2])
+        best = approach.best_route(view, goals[:, 0])
+        if best is None:
+            return False
+        yield from approach.go(view, best[1], motion.CLOSED)
+        yield from _drive_link(view, link, closed, SPEED)
+        yield from approach.retreat(view, view.q, BACK_OFF)
+    return (yield from motion.to_rest(view, gripper=motion.OPEN))
+
+
+def _take_handle(view: WorldView, link: JointedLink) -> Motion:
+    found = stances.cached(link, "pull", _pull_stances)
+    q = view.link_q(link.id)
+    moved = found.q.copy()
+    moved[:, :, 0] += q
+    end = found.q[:, :1, :2] + np.array([link.range[1], 0.0])
+    goals, _ = stances.rank(view, stances.Frame.of(link), Stances(moved, found.steps), end)
+    best = approach.best_route(view, goals[:, 0])
+    if best is None:
+        return False
+    posture = goals[best[0]]
+    yield from approach.go(view, best[1], motion.OPEN)
+    _, turn = motion.chain().tip_pose(posture[1])
+    rot = stances.hand(-link.handle_pose(q)[2], turn[0, :, 1])
+    return (yield from approach.take(view, link, rot, posture[1]))
+
+
+def _drive_link(view: WorldView, link: JointedLink, goal: float, speed: float) -> Motion:
+    """Drive with the arm held until the link's joint has reached ``goal``; False when it stays where it is.
+
+    Args:
+        speed: forward [m/s]; negative pulls.
+    """
+    posture, heading, way = view.q, float(view.q[2]), -1.0 if speed > 0 else 1.0
+    last, still = view.link_q(link.id), 0
+    for _ in range(70):
+        now = view.link_q(link.id)
+        left = way * (goal - now)
+        if left <= 0:
+            return True
+        moving = abs(now - last) > 0.001
+        still = 0 if moving else still + 1
+        if still > 12:
+            return False
+        last = now
+        size = min(abs(speed), 0.06 + 3.0 * left)
+        yield approach.creep(view, posture, heading, np.sign(speed) * size, motion.CLOSED)
+    return False
+
+
+def _square(handle: Array, near: Array, side: Array) -> Array:
+    """Base poses (N, 3) that face the furniture squarely, ``near`` before a handle and ``side`` beside it."""
+    x, y = np.meshgrid(handle[0] + near, handle[1] + side, indexing="ij")
+    return np.stack([x.ravel(), y.ravel(), np.full(x.size, np.pi)], axis=1)
+
+
+def _pull_stances(link: JointedLink) -> Stances:
+    """Before the closed drawer: hand before the handle, then on it, fingers above and below the bar."""
+    handle, _, out = link.handle_pose(0.0)
+    base = _square(handle, np.arange(0.62, 0.96, 0.04), np.linspace(-0.24, 0.24, 9))
+    pos = np.stack([handle + PRE_GRASP * out, handle])
+    boxes = [link.boxes(0.0)] * 2
+    sides = [stances.hand(-out, np.array([0.0, 0.0, up])) for up in (1.0, -1.0)]
+    return Stances.join([_still(base, pos, rot, boxes) for rot in sides])
+
+
+def _push_stances(link: JointedLink) -> Stances:
+    """Before the handle of the closed drawer (for an open one everything moves along): the fist before the bar."""
+    handle, _, out = link.handle_pose(0.0)
+    base = _square(handle, np.arange(0.58, 0.92, 0.04), np.linspace(-0.24, 0.24, 9))
+    pos = np.stack([handle + 0.09 * out, handle + 0.04 * out])
+    return _still(base, pos, stances.hand(-out, np.array([0.0, 0.0, 1.0])), [link.boxes(0.0)] * 2, mode="approach")
+
+
+def _still(base: Array, pos: Array, rot: Array, boxes: list, mode: motion.ik.Mode = "pose") -> Stances:
+    n, k = len(base), len(pos)
+    return stances.track(
+        np.repeat(base[:, None], k, axis=1), np.broadcast_to(pos, (n, k, 3)), np.broadcast_to(rot, (n, k, 3, 3)),
+        boxes, mode=mode,
+    )  # fmt: skip

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mjhab.core.rotations import mat_from_quat
-from mjhab.envs.grasps import Grasps, ObjectShape, grasp_candidates
+from mjhab.envs.grasps import Grasps, ObjectShape, Options, grasp_candidates
 from mjhab.envs.held import shape_of
 from mjhab.envs.privileged import WorldView
 from mjhab.experts import motion
@@ -17,7 +17,9 @@ from mjhab.experts.route import follow
 Array = np.ndarray
 LIFT = 0.10
 """How far [m] an object is lifted off an open surface before it is carried."""
+SHELF_LIFT = 0.025
 MAX_GOALS = 60
+OPTIONS = Options(palm_gap=0.012, floor_gap=0.008)
 _CLEAR = (0.010, 0.005, 0.0, -0.004)
 """Room [m] asked between gripper and neighbours, less each time no grasp is found."""
 
@@ -60,8 +62,9 @@ def plan_pick(
     depth = inside_depth(view, pose[:3])
     for asked in _CLEAR[min(attempt, 2) :]:
         grasps = grasp_candidates(
-            shape, pose[:3], pose[3:], support_z=support, neighbours=scene.beside.near(pose[:3], 0.6), least_clear=asked
-        )
+            shape, pose[:3], pose[3:], support_z=support, neighbours=scene.beside.near(pose[:3], 0.6), least_clear=asked,
+            options=OPTIONS,
+        )  # fmt: skip
         if not len(grasps):
             continue
         goals = _diverse(grasps)
@@ -118,13 +121,12 @@ def _take(view: WorldView, obj: str, stance: Stance, goals: HandGoals, depth: fl
     yield from motion.move_tcp(
         view, pos, rot, gripper=opening, rest=stance.at, speed=0.2, tolerance=0.006, max_steps=30, stop_on_force=80.0
     )
+    # Fingers that close while the hand still moves twist the object and press sideways for seconds.
+    yield from motion.still_tcp(view, pos, rot, gripper=opening, steps=4)
     if not (yield from motion.close_fingers(view, obj)):
         return False
-    height = 0.025 if depth else LIFT
-    up = pos + np.array([0.0, 0.0, height])
-    yield from motion.move_tcp(
-        view, up, rot, gripper=motion.CLOSED, rest=stance.at, speed=0.25, tolerance=0.02, max_steps=16
-    )
+    up = pos + np.array([0.0, 0.0, SHELF_LIFT if depth else LIFT])
+    yield from motion.raise_tcp(view, up, rot, rest=stance.at)
     return bool((view.finger_forces(obj) > 0.3).all())
 
 

@@ -96,7 +96,8 @@ def follow(view: WorldView, route: Route, *, gripper: float, tolerance: float = 
         if arrived and off <= tolerance:
             return True
         speed = (0.0, 0.0) if drive is None or arrived else (drive.v, drive.w)
-        yield motion.action(view, route.arm if on_time else start, gripper=gripper, drive=speed)
+        ramp = min(1.0, 0.25 * (1 + step - min(step, route.delay)))
+        yield motion.action(view, route.arm if on_time else start, gripper=gripper, drive=speed, speed=ramp)
         pressed = pressed + 1 if view.link_forces.sum() > BLOCKED_FORCE else 0
         if pressed >= BLOCKED_STEPS:
             return False

@@ -8,6 +8,7 @@ from typing import Literal
 import mujoco
 import numpy as np
 
+from mjhab.core.boxes import Boxes, sphere_box_distance
 from mjhab.core.errors import unknown_name
 from mjhab.core.rotations import mat_from_quat
 from mjhab.scenes import fetch
@@ -23,9 +24,13 @@ from mjhab.sim.render_scene import RenderScene
 
 VIEWS = ("top", "inside")
 FLOOR_HALF_THICKNESS = 0.02
-FOLLOW_BACK, FOLLOW_SIDE, FOLLOW_HEIGHT = 1.5, 0.9, 2.6
-"""Film camera [m]: behind and beside the robot, above the walls."""
-FOLLOW_FOVY, HOME_FOVY = 0.9, 0.8
+FOLLOW_EYES = ((-0.7, 1.6, 2.3), (-0.7, -1.6, 2.3), (-1.4, 0.9, 2.6), (-1.4, -0.9, 2.6), (-0.4, 0.5, 3.6))
+"""Film camera in the frame of the robot: forward, left, height [m]; the first from which it is in plain view."""
+FOLLOW_TARGET = (0.45, 0.85)
+"""What it looks at: this far ahead of the robot, at this height [m]."""
+TALL = 1.3
+"""Standing things that reach above this height [m] can hide the robot."""
+FOLLOW_FOVY, HOME_FOVY = 0.85, 0.8
 
 
 def build_render_scene(layout: Layout, model: mujoco.MjModel) -> RenderScene:
@@ -113,6 +118,7 @@ class HomeRenderer:
         self.scene = build_render_scene(sim.layout, self._model)
         self.rasterizer = Rasterizer(self.scene, num_threads)
         self._home_index = {home.name: i for i, home in enumerate(sim.layout.pack.homes)}
+        self._tall_boxes: dict[str, Boxes] = {}
         self._mounts = [self._model.body(c.body).id for c in fetch.CAMERAS]
         self._mount_pos = np.array([c.pos for c in fetch.CAMERAS])
         self._mount_mat = mat_from_quat(np.array([c.quat for c in fetch.CAMERAS]))
@@ -133,11 +139,27 @@ class HomeRenderer:
         x, y, yaw = state.robot_q[world, :3]
         forward, left = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])
         here = np.array([x, y])
-        eye = np.append(here - FOLLOW_BACK * forward + FOLLOW_SIDE * left, FOLLOW_HEIGHT)
-        target = np.append(here + 0.55 * forward, 0.75)
+        target = np.append(here + FOLLOW_TARGET[0] * forward, FOLLOW_TARGET[1])
+        eyes = [np.append(here + f * forward + s * left, h) for f, s, h in FOLLOW_EYES]
+        eye = next((e for e in eyes if self._in_view(home, e, target)), eyes[-1])
         return self._picture(
             home, state.body_pos[[world]], state.body_mat[[world]], eye, target, FOLLOW_FOVY, width, height, "fast"
         )
+
+    def _in_view(self, home: str, eye: np.ndarray, target: np.ndarray) -> bool:
+        """Whether nothing tall stands between the eye and the space before the robot."""
+        share = np.linspace(0.0, 0.75, 12)[:, None]
+        return bool((sphere_box_distance(eye + share * (target - eye), self._tall(home)) > 0.05).all())
+
+    def _tall(self, home: str) -> Boxes:
+        if home not in self._tall_boxes:
+            model = self._sim.model(home)
+            top = model.geom_pos[:, 2] + model.geom_size[:, 2]
+            is_box = model.geom_type == int(mujoco.mjtGeom.mjGEOM_BOX)
+            keep = (model.geom_bodyid == 0) & is_box & (top > TALL)
+            rot = mat_from_quat(model.geom_quat[keep])
+            self._tall_boxes[home] = Boxes.of(model.geom_pos[keep], model.geom_size[keep], rot)
+        return self._tall_boxes[home]
 
     def home_view(self, home: str, view: str, width: int, height: int) -> np.ndarray:
         """RGB (height, width, 3) of a furnished home without objects: from the top or from inside.

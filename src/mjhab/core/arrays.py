@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from functools import lru_cache
 from types import ModuleType
 from typing import Any, TypeVar
@@ -53,15 +54,23 @@ def as_like(values: Array, like: Array, dtype: Any = None) -> Array:
     return xp.asarray(values, dtype=like.dtype if dtype is None else dtype, device=device)
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class Table:
+    """Nested tuples of numbers that are known by identity: looking up the array made of them compares nothing."""
+
+    values: tuple[Any, ...]
+
+
 @lru_cache(maxsize=256)
-def _constant(values: tuple[Any, ...], xp: ModuleType, device: Any, dtype: Any) -> Array:
-    return xp.asarray(values, dtype=dtype, device=device)
+def _constant(values: tuple[Any, ...] | Table, xp: ModuleType, device: Any, dtype: Any) -> Array:
+    return xp.asarray(values.values if isinstance(values, Table) else values, dtype=dtype, device=device)
 
 
-def constant(values: tuple[Any, ...], like: Array) -> Array:
-    """Return (nested) tuples of numbers as an array of the library, device and dtype of ``like``; never write into it.
+def constant(values: tuple[Any, ...] | Table, like: Array) -> Array:
+    """Return numbers as an array of the library, device and dtype of ``like``; never write into it.
 
-    It is made once and kept, because on a GPU each creation is a transfer.
+    It is made once and kept, because on a GPU each creation is a transfer. Large tables are better wrapped in a
+    ``Table``, short tuples come as they are.
     """
     return _constant(values, namespace(like), device_of(like), like.dtype)
 
@@ -79,9 +88,18 @@ def pick_column(table: Array, index: Array) -> Array:
         table: (W, S, ...) values.
         index: (W,) int64 within [0, S).
     """
-    xp = namespace(table)
-    rows = _count(index.shape[0], xp, device_of(table))
-    return table[rows, index]
+    return table[count(index.shape[0], table), index]
+
+
+def pile(rows: Sequence[Array]) -> Array:
+    """Return K arrays (W,) as one (K, W); cheaper than ``stack``, which reshapes every one of them."""
+    xp = namespace(rows[0])
+    return xp.reshape(xp.concat(rows), (len(rows), rows[0].shape[0]))
+
+
+def count(size: int, like: Array) -> Array:
+    """0, 1, ... size - 1 as int64 on the device of ``like``; never write into it."""
+    return _count(size, namespace(like), device_of(like))
 
 
 def where_rows(mask: Array, new: Record, old: Record) -> Record:
@@ -111,10 +129,10 @@ def map_record(function: Any, record: Record) -> Record:
 
 def norm3(vector: Array) -> Array:
     """Euclidean length over a last axis of 3; written out so that every library rounds alike."""
-    x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
-    return namespace(vector).sqrt(x * x + y * y + z * z)
+    return namespace(vector).sqrt(dot3(vector, vector))
 
 
 def dot3(a: Array, b: Array) -> Array:
     """Dot product over a last axis of 3."""
-    return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
+    product = a * b
+    return product[..., 0] + product[..., 1] + product[..., 2]

@@ -62,23 +62,26 @@ class JointDeltaController:
         self.limits = limits or ActionLimits()
         column = {name: i for i, name in enumerate(fetch.ACTUATORS)}
         joints = fetch.FETCH_JOINTS
-        self._arm = [column[joints[j]] for j in ARM_JOINTS]
-        self._body = [column[n] for n in ("head_pan_joint", "head_tilt_joint", "torso_lift_joint")]
-        self._body_joints = [joints.index(n) for n in ("head_pan_joint", "head_tilt_joint", "torso_lift_joint")]
+        moved = dict(zip(ARM_JOINTS, range(ARM.start, ARM.stop), strict=True))
+        body = (("head_pan_joint", HEAD_PAN), ("head_tilt_joint", HEAD_TILT), ("torso_lift_joint", TORSO))
+        moved |= {joints.index(name): action for name, action in body}
+        self._joints = list(moved)
+        self._deltas = list(moved.values())
+        self._moved = [column[joints[j]] for j in moved]
         self._fingers = [column[n] for n in ("r_gripper_finger_joint", "l_gripper_finger_joint")]
         self._base = [column[n] for n in ("root_x_axis_joint", "root_y_axis_joint", "root_z_rotation_joint")]
         self.num_actuators = len(fetch.ACTUATORS)
 
     def ctrl(self, actions: np.ndarray, robot_q: np.ndarray) -> np.ndarray:
         """Actuator commands (W, nu) for actions (W, 13), clipped to [-1, 1], at joint positions (W, 15)."""
-        a = np.clip(actions, -1.0, 1.0).astype(np.float64)
+        a = np.minimum(np.maximum(actions, -1.0), 1.0, dtype=np.float64)
         out = np.empty((len(a), self.num_actuators))
+        out[:, self._moved] = robot_q[:, self._joints] + self.limits.joint_delta * a[:, self._deltas]
         low, high = self.limits.gripper
-        out[:, self._arm] = robot_q[:, ARM_JOINTS] + self.limits.joint_delta * a[:, ARM]
-        out[:, self._body] = robot_q[:, self._body_joints] + self.limits.joint_delta * a[:, HEAD_PAN : TORSO + 1]
-        out[:, self._fingers] = (low + 0.5 * (a[:, GRIPPER] + 1.0) * (high - low))[:, None]
+        out[:, self._fingers] = low + 0.5 * (a[:, GRIPPER : GRIPPER + 1] + 1.0) * (high - low)
         speed, yaw = self.limits.forward * a[:, BASE_FORWARD], robot_q[:, 2]
-        out[:, self._base[0]] = speed * np.cos(yaw)
-        out[:, self._base[1]] = speed * np.sin(yaw)
-        out[:, self._base[2]] = self.limits.yaw_rate * a[:, BASE_YAW]
+        x, y, turn = self._base
+        out[:, x] = speed * np.cos(yaw)
+        out[:, y] = speed * np.sin(yaw)
+        out[:, turn] = self.limits.yaw_rate * a[:, BASE_YAW]
         return out

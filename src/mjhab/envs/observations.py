@@ -15,20 +15,17 @@ from gymnasium import spaces
 
 @dataclass(frozen=True, eq=False)
 class ObsContext:
-    """What observations are computed from. W worlds; poses are world poses, xyz + wxyz.
+    """What observations are computed from. W worlds; poses are xyz + wxyz in the frame of base_link.
 
-    ``base`` (W, 3) x, y, yaw; ``tcp_pose`` (W, 7) of gripper_link; ``obj_pose`` (W, 7) of the active subtask's object
-    and ``goal_pos`` (W, 3), meaningful where ``has_obj`` / ``has_goal`` (W,); ``is_grasped`` (W,).
+    ``tcp_pose`` (W, 7) of gripper_link; ``obj_pose`` (W, 7) of the active subtask's object and ``goal_pos`` (W, 3),
+    zero where the subtask has none; ``is_grasped`` (W,).
     """
 
     robot_q: np.ndarray
     robot_qd: np.ndarray
-    base: np.ndarray
     tcp_pose: np.ndarray
     obj_pose: np.ndarray
-    has_obj: np.ndarray
     goal_pos: np.ndarray
-    has_goal: np.ndarray
     is_grasped: np.ndarray
 
 
@@ -36,28 +33,22 @@ BASE_HEIGHT = 0.02
 """base_link floats this high [m] above the floor."""
 
 
-def point_in_base(base: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """World points (W, 3) in the frame of base_link."""
-    c, s = np.cos(base[:, 2]), np.sin(base[:, 2])
-    x, y = point[:, 0] - base[:, 0], point[:, 1] - base[:, 1]
-    out = np.empty((len(base), 3))
-    out[:, 0] = c * x + s * y
-    out[:, 1] = c * y - s * x
-    out[:, 2] = point[:, 2] - BASE_HEIGHT
-    return out
-
-
 def pose_in_base(base: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """World poses (W, 7) in the frame of base_link."""
+    """World poses (..., W, 7) in the frame of base_link. ``base`` (W, 3): x, y, yaw."""
     # The base turns about z only: half of the quaternion product is zero and left out.
-    c, s = np.cos(0.5 * base[:, 2]), np.sin(0.5 * base[:, 2])
-    w, x, y, z = pose[:, 3], pose[:, 4], pose[:, 5], pose[:, 6]
-    out = np.empty((len(base), 7))
-    out[:, :3] = point_in_base(base, pose[:, :3])
-    out[:, 3] = c * w + s * z
-    out[:, 4] = c * x + s * y
-    out[:, 5] = c * y - s * x
-    out[:, 6] = c * z - s * w
+    yaw = base[:, 2]
+    c, s = np.cos(yaw), np.sin(yaw)
+    ch, sh = np.cos(0.5 * yaw), np.sin(0.5 * yaw)
+    x, y = pose[..., 0] - base[:, 0], pose[..., 1] - base[:, 1]
+    qw, qx, qy, qz = pose[..., 3], pose[..., 4], pose[..., 5], pose[..., 6]
+    out = np.empty(pose.shape)
+    out[..., 0] = c * x + s * y
+    out[..., 1] = c * y - s * x
+    out[..., 2] = pose[..., 2] - BASE_HEIGHT
+    out[..., 3] = ch * qw + sh * qz
+    out[..., 4] = ch * qx + sh * qy
+    out[..., 5] = ch * qy - sh * qx
+    out[..., 6] = ch * qz - sh * qw
     return out
 
 
@@ -75,17 +66,11 @@ class ObsEntry:
 STATE_TABLE = (
     ObsEntry("agent/qpos", (12,), "m, rad", "joint: torso, head, arm, fingers", lambda c: c.robot_q[:, 3:]),
     ObsEntry("agent/qvel", (12,), "m/s, rad/s", "joint: torso, head, arm, fingers", lambda c: c.robot_qd[:, 3:]),
-    ObsEntry("extra/tcp_pose_wrt_base", (7,), "m, wxyz", "base_link", lambda c: pose_in_base(c.base, c.tcp_pose)),
-    ObsEntry(
-        "extra/obj_pose_wrt_base", (7,), "m, wxyz", "base_link",
-        lambda c: pose_in_base(c.base, c.obj_pose) * c.has_obj[:, None],
-    ),
-    ObsEntry(
-        "extra/goal_pos_wrt_base", (3,), "m", "base_link",
-        lambda c: point_in_base(c.base, c.goal_pos) * c.has_goal[:, None],
-    ),
+    ObsEntry("extra/tcp_pose_wrt_base", (7,), "m, wxyz", "base_link", lambda c: c.tcp_pose),
+    ObsEntry("extra/obj_pose_wrt_base", (7,), "m, wxyz", "base_link", lambda c: c.obj_pose),
+    ObsEntry("extra/goal_pos_wrt_base", (3,), "m", "base_link", lambda c: c.goal_pos),
     ObsEntry("extra/is_grasped", (1,), "0 or 1", "-", lambda c: c.is_grasped[:, None]),
-)  # fmt: skip
+)
 STATE_DIM = sum(entry.shape[0] for entry in STATE_TABLE)
 STATE_KEY = "state"
 CAMERA_KEYS = ("fetch_head", "fetch_hand")
@@ -115,12 +100,11 @@ def single_space(cameras: tuple[str, ...] = (), size: int = 128) -> spaces.Dict:
 
 def state_observation(context: ObsContext) -> dict[str, np.ndarray]:
     """Every entry of STATE_TABLE and their concatenation, float32, (W, ...); the entries are views of it."""
-    state = np.empty((len(context.base), STATE_DIM), np.float32)
+    state = np.empty((len(context.robot_q), STATE_DIM), np.float32)
+    np.concatenate([entry.compute(context) for entry in STATE_TABLE], axis=1, out=state)
     obs, column = {}, 0
     for entry in STATE_TABLE:
-        part = state[:, column : column + entry.shape[0]]
-        part[:] = entry.compute(context)
-        obs[entry.key] = part
+        obs[entry.key] = state[:, column : column + entry.shape[0]]
         column += entry.shape[0]
     obs[STATE_KEY] = state
     return obs

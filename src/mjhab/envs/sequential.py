@@ -38,7 +38,7 @@ from mjhab.sim.cpu import POSITION_STAGE, SUBSTEPS, CpuSimulator
 from mjhab.sim.home_scene import HomeRenderer
 from mjhab.sim.protocol import TAINTS, SimState
 from mjhab.tasks import progress as progress_rules
-from mjhab.tasks.measure import Signals, measure
+from mjhab.tasks.measure import Signals, WorldState, measure
 from mjhab.tasks.plan import KIND_NAMES, TARGETS_PER_TASK, SubtaskKind, TaskConfig, TaskPlan
 from mjhab.tasks.progress import Outcome, Progress
 
@@ -100,9 +100,14 @@ class SequentialTaskEnv(VectorEnv):
         self._gripper = np.ones(n, np.float32)
         self._joint_start = np.zeros(n)
         self._needs_reset = np.zeros(n, bool)
-        self.progress: Progress = progress_rules.start(self.tables.arrays, self.task_config)
+        self._follow(progress_rules.start(self.tables.arrays, self.task_config))
         self.signals: Signals | None = None
         self._state: SimState = self.sim.state()
+
+    def _follow(self, progress: Progress) -> None:
+        """Take over progress whose pointers, or the plans they point into, may have changed."""
+        self.progress: Progress = progress
+        self._focus = self.tables.focus(progress.pointer)
 
     # -- reset -----------------------------------------------------------------------------------------------------
 
@@ -155,27 +160,27 @@ class SequentialTaskEnv(VectorEnv):
         self._pending[worlds] = -1
         held = self.tables.arrays.kind[:, 0] == SubtaskKind.PLACE
         self._gripper[worlds] = np.where(held[worlds], -1.0, 1.0)
-        self.progress = progress_rules.reset_rows(self.progress, mask, self.tables.arrays, self.task_config)
+        self._follow(progress_rules.reset_rows(self.progress, mask, self.tables.arrays, self.task_config))
         self._enter_subtask(mask)
 
     def _enter_subtask(self, mask: np.ndarray) -> None:
         """Begin the subtask at the pointer of the worlds in ``mask``: teleport if due, joint start, label state."""
-        arrays, pointer = self.tables.arrays, self.progress.pointer
-        index = np.minimum(pointer, arrays.length - 1)
-        kind = arrays.kind[np.arange(self.num_envs), index]
         if not self.config.subtask:
-            self._pending = np.where(mask, np.where(kind == SubtaskKind.NAVIGATE, 0, -1), self._pending)
+            due = np.where(self._focus.kind == SubtaskKind.NAVIGATE, 0, -1)
+            self._pending = np.where(mask, due, self._pending)
             self._teleport()
         self._state = self.sim.state()
-        now = self.sensing.joint_now(self._state, self.tables, pointer)
+        now = self.sensing.joint_now(self._state, self._focus)
         self._joint_start = np.where(mask, now, self._joint_start)
-        signals = self._measure()
+        signals = self._measure(self._sense())
         self.signals = signals if self.signals is None else where_rows(mask, signals, self.signals)
         self.tracker.begin(mask, self.signals, self.progress)
 
-    def _measure(self) -> Signals:
-        state = self.sensing.world_state(self._state, self.tables, self.progress.pointer, self._joint_start)
-        signals = measure(state, self.tables.arrays, self.progress, self.task_config)
+    def _sense(self) -> WorldState:
+        return self.sensing.world_state(self._state, self.tables, self._focus, self._joint_start)
+
+    def _measure(self, state: WorldState) -> Signals:
+        signals = measure(state, self.tables.arrays, self.progress, self.task_config, self._focus.active)
         waiting = self._pending >= 0
         # A Navigate that still waits for its spawn is not done, wherever the robot happens to stand.
         return dataclasses.replace(signals, success=signals.success & ~waiting) if waiting.any() else signals
@@ -225,19 +230,19 @@ class SequentialTaskEnv(VectorEnv):
             UsageError: wrong shape, or actions that are not finite.
         """
         actions = self._check(actions)
-        mode = self.config.autoreset
-        renewed = self._needs_reset & (mode == "next_step")
-        if renewed.any():
-            self._begin_next(np.flatnonzero(renewed))
+        if self.config.autoreset == "next_step" and self._needs_reset.any():
+            self._begin_next(np.flatnonzero(self._needs_reset))
         self._advance_physics(actions)
         signals = self._measure_step()
         new, outcome = progress_rules.advance(self.progress, signals, self.tables.arrays, self.task_config)
         events = self.tracker.update(signals, self.progress)
         ended = self.tracker.ended(signals, outcome, self.progress, self.tables.plans)
-        self.progress, self.signals = new, signals
+        self._follow(new)
+        self.signals = signals
         reward = self._reward(signals)
-        terminated = (outcome.success & (not self.config.subtask)) | outcome.place_broken
-        terminated |= outcome.force_exceeded & (not self.config.subtask)
+        terminated = outcome.place_broken
+        if not self.config.subtask:
+            terminated = terminated | outcome.success | outcome.force_exceeded
         truncated = outcome.done & ~terminated
         self._outcome = outcome
         moved = outcome.advanced & ~outcome.done
@@ -258,11 +263,8 @@ class SequentialTaskEnv(VectorEnv):
         return actions
 
     def _advance_physics(self, actions: np.ndarray) -> None:
-        teleporting = np.zeros(self.num_envs, bool)
-        if not self.config.subtask:
-            index = np.minimum(self.progress.pointer, self.tables.arrays.length - 1)
-            teleporting = self.tables.arrays.kind[np.arange(self.num_envs), index] == SubtaskKind.NAVIGATE
-        if teleporting.any():
+        teleporting = self._focus.kind == SubtaskKind.NAVIGATE
+        if not self.config.subtask and teleporting.any():
             # The teleport does the moving: the robot stands and keeps its grip.
             actions = actions.copy()
             actions[teleporting] = 0.0
@@ -272,8 +274,9 @@ class SequentialTaskEnv(VectorEnv):
         self._state = self.sim.state()
 
     def _measure_step(self) -> Signals:
-        self.progress = progress_rules.accumulate(self.progress, self._state.link_force.sum(axis=1))
-        return self._measure()
+        state = self._sense()
+        self.progress = progress_rules.accumulate(self.progress, state.robot_force)
+        return self._measure(state)
 
     def _reward(self, signals: Signals) -> np.ndarray:
         if self.config.subtask:
@@ -299,7 +302,7 @@ class SequentialTaskEnv(VectorEnv):
 
     def _observe(self) -> dict[str, np.ndarray]:
         assert self.signals is not None
-        context = self.sensing.context(self._state, self.tables, self.progress.pointer, self.signals)
+        context = self.sensing.context(self._state, self._focus, self.signals)
         obs = state_observation(context)
         if self.config.cameras:
             images = self.renderer.robot_views(self._state, self._home, self.config.camera_size, self.config.cameras)
@@ -309,13 +312,12 @@ class SequentialTaskEnv(VectorEnv):
         return obs
 
     def _info(self, events: list[list[str]], ended: list) -> dict[str, Any]:
-        s, p, arrays = self.signals, self.progress, self.tables.arrays
+        s, p = self.signals, self.progress
         assert s is not None
-        index = np.minimum(p.pointer, arrays.length - 1)
         outcome = self._outcome
         no = np.zeros(self.num_envs, bool)
         info: dict[str, Any] = {
-            "pointer": p.pointer, "kind": arrays.kind[np.arange(self.num_envs), index], "steps_left": p.steps_left,
+            "pointer": p.pointer, "kind": self._focus.kind, "steps_left": p.steps_left,
             "robot_force": s.robot_force, "cumulative_force": s.cumulative_force,
             "success": no if outcome is None else outcome.success, "fail": no if outcome is None else outcome.fail,
             "taint": self.sim.taint(), "spawn_fallback": self._fallback.copy(),

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from mjhab.tasks.measure import Signals
-from mjhab.tasks.plan import KIND_NAMES, PADDING, TaskPlan
+from mjhab.tasks.plan import KIND_NAMES, TaskPlan
 from mjhab.tasks.progress import Outcome, Progress
 from mjhab.tasks.tracker import SubtaskTracker
 
@@ -31,9 +31,8 @@ class Tracker:
     def update(self, signals: Signals, progress: Progress) -> list[list[str]]:
         """Note one control step, before the pointer moves; returns the names of its events per world."""
         assert self._notes is not None
-        live = ~progress.done
-        kind = np.where(live, signals.kind, PADDING)
-        return self._notes.step(kind, signals, progress.episode_step, live)
+        live = ~progress.done if progress.done.any() else None
+        return self._notes.step(signals.kind, signals, progress.episode_step, live)
 
     def ended(
         self, signals: Signals, outcome: Outcome, progress: Progress, plans: list[TaskPlan]

@@ -4,40 +4,64 @@ from __future__ import annotations
 
 import numpy as np
 
-from mjhab.core.boxes import Boxes
+from mjhab.core.boxes import Boxes, sphere_box_distance
 from mjhab.envs.privileged import JointedLink, WorldView
-from mjhab.experts import motion
+from mjhab.experts import ik, motion
 from mjhab.experts.kinematics import wrap
+from mjhab.experts.navigation import CONTROL_DT
 from mjhab.experts.route import Route, follow, plan_route
 
 Array = np.ndarray
 Motion = motion.Motion
-ROUTES_TRIED = 4
-"""Stances whose way is looked at before the roomiest is taken."""
+FUNNEL_STEP = 0.02
+"""Way of the hand per control step onto a handle [m]."""
+STRADDLE = 0.055
+"""Distance from the tool centre to a handle at which the fingertips do not reach it yet [m]."""
+ALONG_BAR = 0.04
+"""How far from the wished place on its bar a handle may be taken [m]."""
+FOLD_ROOM = 0.005
+"""Clearance [m] with which the arm folds."""
+FLOOR = 0.29
+"""Clearance of the base when it backs away [m]."""
+ROUTES_TRIED, ROUTES_MOST = 3, 8
+"""Stances whose way is looked at; more only while none is free."""
+ARM_REACH = 1.3
+"""Distance from the base beyond which nothing is in the way [m]."""
+ROUTE_ROOM = 0.003
+"""Clearance of a free way [m]."""
+BLOCKED = 1000.0
+"""Cost, in steps, of a way that touches something."""
 
 
-def obstacles(view: WorldView) -> Boxes:
-    """Everything the robot should not touch on its way: walls, furniture, links as they are now."""
-    return Boxes.join([motion.as_boxes(view.home.boxes), motion.as_boxes(view.link_boxes())])
+def obstacles(view: WorldView, goals: Array) -> Boxes:
+    """What the robot might touch on its way to some base poses (M, 3+): walls, furniture, links as they are now."""
+    boxes = Boxes.join([motion.as_boxes(view.home.boxes), motion.as_boxes(view.link_boxes())])
+    places = np.concatenate([view.q[None, :2], goals[:, :2]])
+    heights = np.array([0.3, 1.0, 1.6])
+    points = np.array([[*place, z] for place in places for z in heights])
+    return boxes.take(np.flatnonzero(sphere_box_distance(points, boxes).min(axis=0) < ARM_REACH))
 
 
 def best_route(view: WorldView, goals: Array) -> tuple[int, Route] | None:
-    """The first of some configurations (M, 15), most wanted first, that can be reached without touching anything.
+    """The quickest way to one of some configurations (M, 15), most wanted first, that touches nothing.
 
     Returns:
-        Its index and the way there; where none is free, the one with the most room; None when there is no way.
+        The index of the configuration and the way there, forwards or backwards; where none is free, the one with the
+        most room; None when there is no way at all.
     """
-    boxes = obstacles(view)
-    best: tuple[int, Route] | None = None
-    for i, goal in enumerate(goals[:ROUTES_TRIED]):
-        found = plan_route(view, goal[:3], goal, motion.spheres(), boxes)
-        if found is None:
-            continue
-        if best is None or found.room > best[1].room:
-            best = (i, found)
-        if found.room > 0.0:
+    boxes = obstacles(view, goals[:ROUTES_MOST])
+    best: tuple[float, int, Route] | None = None
+    for i, goal in enumerate(goals[:ROUTES_MOST]):
+        if i >= ROUTES_TRIED and best is not None and best[0] < BLOCKED:
             break
-    return best
+        for direction in (1, -1):
+            found = plan_route(view, goal[:3], goal, motion.spheres(), boxes, direction=direction)
+            if found is None:
+                continue
+            cost = found.steps + (0.0 if found.room > ROUTE_ROOM else BLOCKED - 1e4 * found.room)
+            if best is None or cost < best[0]:
+                best = (cost, i, found)
+    return None if best is None else (best[1], best[2])
 
 
 def go(view: WorldView, route: Route, gripper: float) -> Motion:
@@ -51,25 +75,101 @@ def creep(view: WorldView, posture: Array, heading: float, speed: float, gripper
     return motion.action(view, posture, gripper=gripper, drive=(speed, turn))
 
 
-def let_go(view: WorldView, way: float, speed: float = 0.4) -> Motion:
-    """Open the hand, then back away [m] from what it held."""
-    posture = view.q
-    yield from motion.hold(view, 4, gripper=motion.OPEN, goal=posture)
-    return (yield from retreat(view, posture, way, speed))
+def let_go(view: WorldView, way: float, *, gripper: float = motion.OPEN, speed: float = 0.3) -> Motion:
+    """Open the hand, then draw it straight back [m] from what it held, base and arm together."""
+    yield from motion.hold(view, 4, gripper=gripper)
+    pos, rot = motion.tcp(view)
+    goal = pos - way * rot[:, 0]
+    along = float(-rot[:2, 0] @ np.array([np.cos(view.q[2]), np.sin(view.q[2])]))
+    return (
+        yield from motion.move_tcp(
+            view, goal, rot, gripper=gripper, speed=speed, drive=(speed * min(along, 0.0), 0.0), tolerance=0.02,
+            angle_tolerance=0.5, max_steps=14,
+        )
+    )  # fmt: skip
 
 
-def retreat(view: WorldView, posture: Array, way: float, speed: float = 0.4) -> Motion:
-    """Drive ``way`` [m] backwards, the arm going to ``posture``."""
-    start, heading = view.q[:2], float(view.q[2])
-    for _ in range(30):
+def fold(view: WorldView, ways: tuple[float, ...] = (0.0, 0.15, 0.3, 0.45, 0.6)) -> Motion:
+    """Bring the arm to rest, backing away first as far [m] as it needs to touch nothing."""
+    q, rest = view.q, motion.rest_goal(view)
+    boxes, floor = obstacles(view, q[None]), motion.planner(view.home)
+    best: Route | None = None
+    for way in ways:
+        goal = q[:3] - way * np.array([np.cos(q[2]), np.sin(q[2]), 0.0])
+        if way > 0 and floor.line_clearance(q[:2], goal[None, :2])[0] < min(FLOOR, float(floor.clearance_at(q[:2]))):
+            break
+        found = plan_route(view, goal, rest, motion.spheres(), boxes, direction=-1, straight=True)
+        if found is not None and (best is None or found.room > best.room + 0.002):
+            best = found
+        if found is not None and found.room > FOLD_ROOM:
+            break
+    if best is not None:
+        yield from follow(view, best, gripper=motion.OPEN, tolerance=0.03)
+    return (yield from motion.to_rest(view, gripper=motion.OPEN))
+
+
+def retreat(view: WorldView, way: float, speed: float = 0.4) -> Motion:
+    """Drive ``way`` [m] backwards with the arm held."""
+    posture, start, heading = view.q, view.q[:2], float(view.q[2])
+    for _ in range(20):
         if np.linalg.norm(view.q[:2] - start) >= way:
             return True
-        yield creep(view, posture, heading, -speed, motion.OPEN)
+        yield creep(view, posture, heading, -speed, motion.CLOSED)
     return False
 
 
-def take(view: WorldView, link: JointedLink, rot: Array, posture: Array) -> Motion:
-    """Put the open hand straight onto the handle and close it. Returns whether both fingers press."""
-    handle, _, _ = link.handle_pose(view.link_q(link.id))
-    yield from motion.move_tcp(view, handle, rot, gripper=motion.OPEN, speed=0.3, max_steps=30, rest=posture)
-    return (yield from motion.close_fingers(view, link.id))
+def take(view: WorldView, link: JointedLink, rot: Array, posture: Array, height: float | None = None) -> Motion:
+    """Put the open hand onto the handle and close it. Returns whether both fingers press.
+
+    Args:
+        rot: (3, 3) of the hand in the world.
+        posture: preferred configuration (15,).
+        height: where on an upright bar [m]; None: its middle.
+    """
+    for _ in range(2):
+        handle, _, _ = link.handle_pose(view.link_q(link.id))
+        if height is not None:
+            handle = np.array([*handle[:2], height])
+        if (yield from _funnel(view, handle, rot, posture)) and (yield from motion.close_fingers(view, link.id)):
+            return True
+    return False
+
+
+def _funnel(view: WorldView, goal: Array, rot: Array, posture: Array, max_steps: int = 40) -> Motion:
+    """Bring the hand to ``goal``, forward only as far as it is in line: open fingers must not hit what they straddle.
+
+    Along the bar (the hand's z axis) the place matters little.
+    """
+    robot = motion.chain()
+    dofs = ik.columns(robot)
+    for _ in range(max_steps):
+        here, turn = motion.tcp(view)
+        ahead, across, along = rot.T @ (goal - here)
+        if abs(ahead) < 0.014 and abs(across) < 0.008 and abs(along) < ALONG_BAR:
+            return True
+        # Within a finger's reach of the handle the hand advances only in line with it.
+        gap = max(ahead - FUNNEL_STEP, 0.0 if abs(across) < 0.015 else STRADDLE)
+        shift = np.array([ahead - gap, across, along])
+        shift *= min(1.0, 0.03 / max(float(np.linalg.norm(shift)), 1e-9))
+        aim_rot = ik.straight_line(here[None], goal[None], turn[None], rot[None], 1.0, 0.06)[1]
+        v, w = base_towards(view, posture)
+        ahead_base = next_base(view, v, w)
+        aim = (here + rot @ shift)[None]
+        delta = ik.servo(robot, view.q, aim, aim_rot, dofs, rest=posture, base_next=ahead_base)[0]
+        yield motion.action(view, view.q + delta / motion.ARM_DELAY, gripper=motion.OPEN, drive=(v, w))
+    return False
+
+
+def base_towards(view: WorldView, wish: Array, speed: float = 0.0, most: float = 0.5) -> tuple[float, float]:
+    """Forward speed [m/s] and yaw rate [rad/s] that bring the base to a near pose ``wish`` (3+,), as far as it can go
+    without turning aside; ``speed``: that of the pose itself along the heading."""
+    q = view.q
+    ahead = float((wish[:2] - q[:2]) @ np.array([np.cos(q[2]), np.sin(q[2])]))
+    v = float(np.clip(speed + 1.5 * ahead, -most, most))
+    return v, float(np.clip(3.0 * wrap(wish[2] - q[2]), -0.6, 0.6))
+
+
+def next_base(view: WorldView, v: float, w: float) -> Array:
+    """Where the base will be (1, 3) after a control step."""
+    q = view.q
+    return q[None, :3] + np.array([[v * np.cos(q[2]), v * np.sin(q[2]), w]]) * CONTROL_DT

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from mjhab.envs.privileged import WorldView
 from mjhab.experts import motion
+from mjhab.experts.door import close_door, open_door
 from mjhab.experts.drawer import close_drawer, open_drawer
 
 Motion = motion.Motion
@@ -14,7 +15,7 @@ def open_link(view: WorldView) -> Motion:
     subtask = view.subtask
     assert subtask is not None
     link = view.home.links[subtask.link]
-    yield from open_drawer(view, link) if link.spec.joint == "slide" else open_drawer(view, link)
+    yield from open_drawer(view, link) if link.spec.joint == "slide" else open_door(view, link)
     return (yield from motion.stay_at_rest(view, gripper=motion.OPEN))
 
 
@@ -23,5 +24,5 @@ def close_link(view: WorldView) -> Motion:
     subtask = view.subtask
     assert subtask is not None
     link = view.home.links[subtask.link]
-    yield from close_drawer(view, link) if link.spec.joint == "slide" else close_drawer(view, link)
+    yield from close_drawer(view, link) if link.spec.joint == "slide" else close_door(view, link)
     return (yield from motion.stay_at_rest(view, gripper=motion.OPEN))

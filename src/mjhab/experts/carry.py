@@ -35,6 +35,12 @@ def inside_depth(view: WorldView, point: Array) -> float:
     return 0.0
 
 
+def drive_in(view: WorldView, goal: Array, *, gripper: float) -> Motion:
+    """Drive straight on to the base pose of the configuration ``goal`` (15,), the arm stretched out as it says."""
+    route = Route(np.stack([view.q[:2], goal[:2]]), float(goal[2]), 1, 0.3, goal, 0, 40, 0.0, speed=0.35)
+    return (yield from follow(view, route, gripper=gripper))
+
+
 def held_spheres(view: WorldView, obj: str) -> tuple[Array, Array]:
     """Spheres that fill the box of an object in the hand: centres (H, 3) in the frame of the tool, radii (H,)."""
     pos, rot = motion.tcp(view)

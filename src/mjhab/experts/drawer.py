@@ -10,10 +10,12 @@ from mjhab.experts.stances import Stances
 
 Array = np.ndarray
 Motion = motion.Motion
-PRE_GRASP = 0.09
+PRE_GRASP = 0.11
 """Distance from which the open hand goes straight onto the handle [m]."""
 BACK_OFF = 0.08
 """Way between the handle and the hand before the arm folds [m]."""
+CLOSED = 0.01
+"""Share of the range at which a link counts as closed."""
 SPEED = 0.45
 """Speed at which the drawer moves [m/s]."""
 
@@ -27,34 +29,29 @@ def open_drawer(view: WorldView, link: JointedLink) -> Motion:
             continue
         yield from _drive_link(view, link, 0.95 * full, -SPEED)
         yield from approach.let_go(view, BACK_OFF)
-    return (yield from motion.to_rest(view, gripper=motion.OPEN))
+    return (yield from approach.fold(view))
 
 
 def close_drawer(view: WorldView, link: JointedLink) -> Motion:
     """Push the handle with the closed fingers by driving forward."""
-    closed = 0.006 * link.range[1]
-    while view.steps_left > 30 and view.link_q(link.id) > closed:
+    while view.steps_left > 30 and view.link_q(link.id) > 0.8 * CLOSED * link.range[1]:
         found = stances.cached(link, "push", _push_stances)
-        open_by = view.link_q(link.id)
-        moved = found.q.copy()
-        moved[:, :, 0] += open_by
-        goals, _ = stances.rank(view, stances.Frame.of(link), Stances(moved, found.steps), found.q[:, :1, :2])
+        moved = found.shifted(view.link_q(link.id))
+        goals, _ = stances.rank(view, stances.Frame.of(link), moved, found.q[:, :1, :2])
         best = approach.best_route(view, goals[:, 0])
         if best is None:
             return False
         yield from approach.go(view, best[1], motion.CLOSED)
-        yield from _drive_link(view, link, closed, SPEED)
-        yield from approach.retreat(view, view.q, BACK_OFF)
-    return (yield from motion.to_rest(view, gripper=motion.OPEN))
+        yield from _drive_link(view, link, 0.4 * CLOSED * link.range[1], SPEED, press=6)
+        yield from approach.retreat(view, BACK_OFF)
+    return (yield from approach.fold(view))
 
 
 def _take_handle(view: WorldView, link: JointedLink) -> Motion:
     found = stances.cached(link, "pull", _pull_stances)
     q = view.link_q(link.id)
-    moved = found.q.copy()
-    moved[:, :, 0] += q
     end = found.q[:, :1, :2] + np.array([link.range[1], 0.0])
-    goals, _ = stances.rank(view, stances.Frame.of(link), Stances(moved, found.steps), end)
+    goals, _ = stances.rank(view, stances.Frame.of(link), found.shifted(q), end)
     best = approach.best_route(view, goals[:, 0])
     if best is None:
         return False
@@ -65,11 +62,12 @@ def _take_handle(view: WorldView, link: JointedLink) -> Motion:
     return (yield from approach.take(view, link, rot, posture[1]))
 
 
-def _drive_link(view: WorldView, link: JointedLink, goal: float, speed: float) -> Motion:
+def _drive_link(view: WorldView, link: JointedLink, goal: float, speed: float, press: int = 0) -> Motion:
     """Drive with the arm held until the link's joint has reached ``goal``; False when it stays where it is.
 
     Args:
         speed: forward [m/s]; negative pulls.
+        press: control steps to go on at the goal, so that the link does not bounce.
     """
     posture, heading, way = view.q, float(view.q[2]), -1.0 if speed > 0 else 1.0
     last, still = view.link_q(link.id), 0
@@ -77,6 +75,8 @@ def _drive_link(view: WorldView, link: JointedLink, goal: float, speed: float) -
         now = view.link_q(link.id)
         left = way * (goal - now)
         if left <= 0:
+            press -= 1
+        if press < 0 and left <= 0:
             return True
         moving = abs(now - last) > 0.001
         still = 0 if moving else still + 1

@@ -189,7 +189,7 @@ def move_tcp(
 def still_tcp(view: WorldView, pos: Array, rot: Array, *, gripper: float, steps: int) -> Motion:
     """Keep the tool centre at a pose (3,), (3, 3) near the present one, until nothing moves any more."""
     robot = chain()
-    dofs = ik.columns(robot)
+    dofs = ik.columns(robot, torso=False)
     for _ in range(steps):
         delta = ik.servo(robot, view.q, pos[None], rot[None], dofs, rest=view.q)[0]
         yield action(view, view.q + delta / ARM_DELAY, gripper=gripper)
@@ -199,8 +199,14 @@ def still_tcp(view: WorldView, pos: Array, rot: Array, *, gripper: float, steps:
 def raise_tcp(view: WorldView, pos: Array, rot: Array, *, rest: Array, max_steps: int = 16) -> Motion:
     """Bring what the closed hand holds to a pose nearby; gently at first, a jerk would shift it between the pads."""
     for speed in (0.05, 0.1, 0.15):
-        yield from move_tcp(view, pos, rot, gripper=CLOSED, rest=rest, speed=speed, tolerance=0.02, max_steps=1)
-    return (yield from move_tcp(view, pos, rot, gripper=CLOSED, rest=rest, tolerance=0.02, max_steps=max_steps))
+        yield from move_tcp(
+            view, pos, rot, gripper=CLOSED, rest=rest, speed=speed, tolerance=0.02, max_steps=1, torso=False
+        )
+    return (
+        yield from move_tcp(
+            view, pos, rot, gripper=CLOSED, rest=rest, tolerance=0.02, max_steps=max_steps, torso=False
+        )
+    )
 
 
 def _base_motion(yaw: float, drive: tuple[float, float]) -> Array:

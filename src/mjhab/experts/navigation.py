@@ -91,6 +91,17 @@ class Planner:
         path = self.plan(start, goal)
         return np.inf if path is None else float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
 
+    def costs(self, start: Array) -> Array:
+        """Cost (nx, ny) of the ways from ``start`` (2,) to all cells [m, more where it is narrow], inf if no way."""
+        found = dijkstra(self._graph, directed=False, indices=self._node(self.nearest_free(start)))
+        return np.asarray(found).reshape(self.clearance.shape)
+
+    def cells(self, points: Array) -> tuple[Array, Array]:
+        """Indices (...,), (...,) of the cells that hold world points (..., 2), moved into the map."""
+        index = np.floor((np.asarray(points) - self.origin) / self.cell).astype(np.int64)
+        index = np.clip(index, 0, np.array(self.clearance.shape) - 1)
+        return index[..., 0], index[..., 1]
+
     def line_clearance(self, start: Array, ends: Array) -> Array:
         """Least clearance (E,) on the straight lines from ``start`` (2,) to ``ends`` (E, 2)."""
         ends = np.atleast_2d(ends)

@@ -9,9 +9,9 @@ from mjhab.envs.grasps import Grasps, ObjectShape, Options, grasp_candidates
 from mjhab.envs.held import shape_of
 from mjhab.envs.privileged import WorldView
 from mjhab.experts import motion
-from mjhab.experts.carry import go_home, grip, inside_depth
+from mjhab.experts.carry import drive_in, go_home, grip, inside_depth
 from mjhab.experts.motion import Motion
-from mjhab.experts.reach import HandGoals, Scene, Stance, stances, surroundings
+from mjhab.experts.reach import HandGoals, Scene, Stance, settle_reach, stances, surroundings
 from mjhab.experts.route import follow
 
 Array = np.ndarray
@@ -62,8 +62,8 @@ def plan_pick(
     depth = inside_depth(view, pose[:3])
     for asked in _CLEAR[min(attempt, 2) :]:
         grasps = grasp_candidates(
-            shape, pose[:3], pose[3:], support_z=support, neighbours=scene.beside.near(pose[:3], 0.6), least_clear=asked,
-            options=OPTIONS,
+            shape, pose[:3], pose[3:], support_z=support, neighbours=scene.beside.near(pose[:3], 0.6),
+            least_clear=asked, options=OPTIONS,
         )  # fmt: skip
         if not len(grasps):
             continue
@@ -106,27 +106,30 @@ def _take(view: WorldView, obj: str, stance: Stance, goals: HandGoals, depth: fl
     opening = grip(float(goals.opening[stance.goal]) + 0.004)
     yield from follow(view, stance.route, gripper=opening)
     if depth:
-        goal = view.q[:3] + depth * np.array([np.cos(view.q[2]), np.sin(view.q[2]), 0.0])
-        yield from motion.drive_to(
-            view, stance.pre[:3] if np.linalg.norm(stance.pre[:2] - goal[:2]) < 0.1 else goal, gripper=opening,
-            arm=stance.pre, direction=1, path=np.stack([view.q[:2], stance.pre[:2]]), max_steps=50,
-        )  # fmt: skip
+        yield from drive_in(view, stance.pre, gripper=opening)
     if np.linalg.norm(view.object_pose(obj)[:3] - start) > 0.02:
         return False
+    joints = settle_reach(view, stance, np.stack([pre, pos]), rot)
+    if joints is None:
+        return False
+    yield from motion.move_joints(view, joints[0], gripper=opening, tolerance=0.04, max_steps=20)
+    # The torso is slow to stop: the last piece belongs to the arm alone.
     near = yield from motion.move_tcp(
-        view, pre, rot, gripper=opening, rest=stance.at, speed=0.3, tolerance=0.015, max_steps=25, stop_on_force=80.0
-    )
+        view, pre, rot, gripper=opening, rest=joints[1], speed=0.3, tolerance=0.015, max_steps=20, stop_on_force=80.0,
+        torso=False,
+    )  # fmt: skip
     if not near:
         return False
     yield from motion.move_tcp(
-        view, pos, rot, gripper=opening, rest=stance.at, speed=0.2, tolerance=0.006, max_steps=30, stop_on_force=80.0
-    )
+        view, pos, rot, gripper=opening, rest=joints[1], speed=0.2, tolerance=0.006, max_steps=25, stop_on_force=80.0,
+        torso=False,
+    )  # fmt: skip
     # Fingers that close while the hand still moves twist the object and press sideways for seconds.
     yield from motion.still_tcp(view, pos, rot, gripper=opening, steps=4)
     if not (yield from motion.close_fingers(view, obj)):
         return False
     up = pos + np.array([0.0, 0.0, SHELF_LIFT if depth else LIFT])
-    yield from motion.raise_tcp(view, up, rot, rest=stance.at)
+    yield from motion.raise_tcp(view, up, rot, rest=joints[1])
     return bool((view.finger_forces(obj) > 0.3).all())
 
 

@@ -1,12 +1,150 @@
-"""The expert that places objects."""
+"""The expert that places what the hand holds: onto tables and seats, or into the fridge."""
 
 from __future__ import annotations
 
+import numpy as np
+
+from mjhab.core.rotations import mat_from_quat
+from mjhab.envs.grasps import approach_clearance
+from mjhab.envs.held import shape_of
 from mjhab.envs.privileged import WorldView
-from mjhab.experts import motion
+from mjhab.experts import ik, motion
+from mjhab.experts.carry import drive_in, go_home, grip, held_spheres, inside_depth
 from mjhab.experts.motion import Motion
+from mjhab.experts.pick import height_below
+from mjhab.experts.reach import HandGoals, Scene, Stance, settle_reach, stances, surroundings
+from mjhab.experts.route import follow
+
+Array = np.ndarray
+DROP = 0.006
+"""Height [m] above the surface at which an object is let go."""
+ABOVE, ABOVE_SHELF = 0.10, 0.035
+"""Where the straight way down begins [m]."""
+YAWS = 16
+OFFSETS = (0.0, 0.05, 0.10)
+"""How far [m] nearer to the robot than the goal an object may be put; success asks for 0.15."""
+TILTS, SHELF_TILTS = (0.0, 0.3), (0.0, 0.35, 0.6, 0.85, 1.1)
+"""Leans of the hand [rad]: they reach further, and under a shelf a hand that comes from above has no room."""
+HAND_ROOM = -0.008
+"""Least clearance [m] of the hand; the spheres that stand for it are up to so much too large."""
+_WIDER = 0.03
 
 
 def place(view: WorldView) -> Motion:
-    """Script of a place subtask."""
-    return (yield from motion.stay_at_rest(view, gripper=motion.CLOSED))
+    """Put the held object to the active subtask's goal and return to rest."""
+    subtask = view.subtask
+    assert subtask is not None
+    obj, goal = subtask.obj, np.array(subtask.goal_pos)
+    failed = np.zeros((0, 3))
+    for attempt in range(20):
+        if not (view.finger_forces(obj) > 0.1).any():
+            break
+        found = plan_place(view, obj, goal, failed, attempt)
+        if found is None:
+            yield from motion.hold(view, 5, gripper=motion.CLOSED)
+            failed = failed[:0]
+            continue
+        stance, goals, depth = found
+        if (yield from _put(view, obj, stance, goals, depth)):
+            break
+        failed = np.concatenate([failed, stance.at[None, :3]])
+    yield from go_home(view, obj, holding=False)
+    return (yield from motion.stay_at_rest(view, gripper=motion.OPEN))
+
+
+def plan_place(
+    view: WorldView, obj: str, goal: Array, failed: Array, attempt: int = 0
+) -> tuple[Stance, HandGoals, float] | None:
+    """The best way to put an object near ``goal`` (3,): stance, hand poses it refers to, depth as in `plan_pick`."""
+    near, _ = surroundings(view, obj, goal)
+    support = float(goal[2]) - view.object_type(obj).half[2]
+    scene = Scene(near, near.take(np.zeros(0, np.int64)), support, held_spheres(view, obj))
+    depth = inside_depth(view, goal)
+    goals = hand_goals(view, obj, goal, shelf=depth > 0.0, any_side=attempt > 1)
+    room = approach_clearance(goals.pos, goals.rot, goals.opening, goals.pre, near.near(goal, 0.6))
+    goals = goals.take(np.flatnonzero(room > HAND_ROOM))
+    found = stances(view, goal, goals, scene, drive_in=depth, avoid=failed)
+    return (found[0], goals, depth) if found else None
+
+
+def hand_goals(view: WorldView, obj: str, goal: Array, *, shelf: bool, any_side: bool) -> HandGoals:
+    """Hand poses that put the object, as it sits in the hand, upright near ``goal`` (3,).
+
+    Args:
+        shelf: something is above: lean the hand forwards too, and begin lower.
+        any_side: let it lie on any of its sides, too.
+    """
+    shape = shape_of(view.object_type(obj))
+    tcp, hand = motion.tcp(view)
+    pose = view.object_pose(obj)
+    turn = hand.T @ mat_from_quat(pose[3:])
+    offset = hand.T @ (pose[:3] - tcp)
+    floor = float(goal[2]) - shape.half[2]
+    upset = 0.2 if shape.kind == "sphere" else 2.0
+    back = view.q[:2] - goal[:2]
+    back = back / max(float(np.linalg.norm(back)), 1e-6)
+    pos, rot, score = [], [], []
+    for side, price in _sides(any_side):
+        for yaw in np.arange(YAWS) * 2 * np.pi / YAWS:
+            upright = ik.rotate(np.array([[0.0, 0.0, yaw]]))[0] @ side
+            for tilt in SHELF_TILTS if shelf else TILTS:
+                lean = ik.rotate(tilt * np.array([[-back[1], back[0], 0.0]]))[0]
+                stand = lean @ upright
+                height = floor + height_below(shape, stand) + DROP
+                for near in OFFSETS:
+                    if near and not _on_surface(view, goal, goal[:2] + near * back):
+                        continue
+                    center = np.array([*(goal[:2] + near * back), height])
+                    rot.append(stand @ turn.T)
+                    pos.append(center - rot[-1] @ offset)
+                    score.append(-price - upset * tilt - 6.0 * near)
+    at = np.array(pos)
+    pre = at + np.array([0.0, 0.0, ABOVE_SHELF if shelf else ABOVE])
+    width = np.full(len(at), 2.0 * float(view.q[13:15].mean()))
+    return HandGoals(at, np.array(rot), pre, width, np.array(score))
+
+
+def _sides(every: bool) -> list[tuple[Array, float]]:
+    """Turns of an object that bring one of its sides down, with their price: upright costs nothing."""
+    sides = [(np.eye(3), 0.0)]
+    if every:
+        half = np.pi / 2
+        for axis in ((half, 0, 0), (-half, 0, 0), (0, half, 0), (0, -half, 0), (2 * half, 0, 0)):
+            sides.append((ik.rotate(np.array([axis], float))[0], 1.5))
+    return sides
+
+
+def _on_surface(view: WorldView, goal: Array, xy: Array) -> bool:
+    """Whether ``xy`` (2,) lies on the receptacle that ``goal`` (3,) is on."""
+    for place in view.home.receptacles:
+        level = -0.05 < goal[2] - place.pos[2] < 0.25
+        if level and (np.abs(place.local(goal[:2])) < np.array(place.half)).all():
+            return bool((np.abs(place.local(xy)) < np.array(place.half) - 0.02).all())
+    return False
+
+
+def _put(view: WorldView, obj: str, stance: Stance, goals: HandGoals, depth: float) -> Motion:
+    """Drive there, lower, let go, draw back. Returns whether the hand has let go."""
+    pos, rot, pre = goals.pos[stance.goal], goals.rot[stance.goal], goals.pre[stance.goal]
+    closed = motion.CLOSED
+    yield from follow(view, stance.route, gripper=closed)
+    if depth:
+        yield from drive_in(view, stance.pre, gripper=closed)
+    joints = settle_reach(view, stance, np.stack([pre, pos]), rot)
+    if joints is None:
+        return False
+    yield from motion.move_joints(view, joints[0], gripper=closed, tolerance=0.04, max_steps=20)
+    yield from motion.move_tcp(
+        view, pre, rot, gripper=closed, rest=joints[1], tolerance=0.015, max_steps=20, torso=False
+    )
+    yield from motion.move_tcp(
+        view, pos, rot, gripper=closed, rest=joints[1], speed=0.2, tolerance=0.005, max_steps=25, torso=False
+    )
+    yield from motion.still_tcp(view, pos, rot, gripper=closed, steps=2)
+    opening = grip(2.0 * float(view.q[13:15].mean()) + _WIDER)
+    yield from motion.still_tcp(view, pos, rot, gripper=opening, steps=5)
+    back = pos - 0.10 * rot[:, 0]
+    yield from motion.move_tcp(
+        view, back, rot, gripper=opening, rest=joints[0], speed=0.3, tolerance=0.03, max_steps=14, torso=False
+    )
+    return bool((view.finger_forces(obj) < 0.1).all())

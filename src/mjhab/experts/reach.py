@@ -11,9 +11,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from mjhab.envs.privileged import REST_QPOS, WorldView
+from mjhab.core.boxes import Boxes, sphere_box_distance
+from mjhab.envs.privileged import FETCH_JOINTS, REST_QPOS, WorldView
 from mjhab.experts import ik, motion
-from mjhab.experts.clearance import Boxes, RobotSpheres
+from mjhab.experts.clearance import RobotSpheres
 from mjhab.experts.kinematics import wrap
 from mjhab.experts.route import Route, plan_route
 
@@ -24,6 +25,9 @@ NEARBY = 2.6
 BASE_RADIUS, BASE_TOP = 0.285, 0.40
 ROOM_AT, ROOM_PRE = 0.012, 0.012
 """Least clearance [m] of the arm at the work and of the whole robot just before it."""
+_STRETCHED = 60.0
+"""Price in steps per radian that the elbow is nearly straight."""
+_ELBOW = FETCH_JOINTS.index("elbow_flex_joint")
 _BASES, _PER_BASE, _SEEDS, _KEPT = 24, 8, 5, 60
 
 
@@ -108,7 +112,11 @@ def stances(
     if not len(bases) or not len(goals):
         return []
     base, goal, score = _pairs(bases, point, goals)
+    if not len(base):
+        return []
     q, cost, goal = _configurations(now, bases[base], goal, goals, drive[base] - 10.0 * score)
+    if not len(q):
+        return []
     arm_only = motion.spheres().only([n for n in motion.spheres().chain.links if n not in HAND_LINKS])
     fine = arm_only.clearance(q, scene.near) > ROOM_AT
     fine[fine] = motion.spheres().self_clearance(q[fine]) > ROOM_AT
@@ -140,9 +148,25 @@ def base_poses(
     if avoid is not None and len(avoid):
         gap = np.linalg.norm((poses[:, None] - avoid) * [1.0, 1.0, 0.3], axis=2).min(axis=1)
         good &= gap > 0.10
+    good[good] = _in_sight(poses[good], point, scene.near)
     poses, back = poses[good], back[good]
-    steps = _drive_steps(view.q[:3], np.concatenate([back, poses[:, 2:]], axis=1)) + 6.0 * drive_in / 0.3
-    return _spread(poses, steps)
+    far = planner.costs(view.q[:2])[planner.cells(back)]
+    steps = _drive_steps(view.q[:3], np.concatenate([back, poses[:, 2:]], axis=1), far) + 6.0 * drive_in / 0.3
+    reachable = np.isfinite(steps)
+    return _spread(poses[reachable], steps[reachable])
+
+
+def _in_sight(poses: Array, point: Array, boxes: Boxes) -> Array:
+    """Whether no wall or tall piece stands between base poses (B, 3) and ``point`` (3,)."""
+    tall = boxes.take(boxes.center[:, 2] + boxes.half.min(axis=1) > point[2] + 0.5)
+    tall = tall.take(tall.half.max(axis=1) > 0.4)
+    if not len(poses) or not len(tall):
+        return np.ones(len(poses), bool)
+    share = np.linspace(0.1, 0.9, 8)[:, None, None]
+    line = poses[:, :2] + share * (point[:2] - poses[:, :2])
+    height = np.full((*line.shape[:2], 1), point[2] + 0.15)
+    gap = sphere_box_distance(np.concatenate([line, height], axis=2).reshape(-1, 3), tall).min(axis=1)
+    return gap.reshape(len(share), len(poses)).min(axis=0) > 0.02
 
 
 def floor_room(poses: Array, boxes: Boxes) -> Array:
@@ -156,15 +180,16 @@ def floor_room(poses: Array, boxes: Boxes) -> Array:
     return gap.min(axis=1) - BASE_RADIUS
 
 
-def _drive_steps(now: Array, poses: Array) -> Array:
-    """Rough number (B,) of control steps to drive from ``now`` (3,) to poses (B, 3)."""
+def _drive_steps(now: Array, poses: Array, length: Array) -> Array:
+    """Rough number (B,) of control steps to drive from ``now`` (3,) to poses (B, 3) over a ``length`` (B,)."""
     way = poses[:, :2] - now[:2]
     far = np.linalg.norm(way, axis=1)
     bearing = np.arctan2(way[:, 1], way[:, 0])
     first, last = np.abs(wrap(bearing - now[2])), np.abs(wrap(poses[:, 2] - bearing))
     turn = np.where(far < 0.9, np.minimum(first + last, 2 * np.pi - first - last), first + last)
     turn = np.where(far < 0.03, np.abs(wrap(poses[:, 2] - now[2])), turn)
-    return 20.0 * (far / 0.6 + turn / 1.8) + np.where(far < 0.03, 0.0, 8.0)
+    length = np.where(np.isfinite(length), np.maximum(length, far), np.inf)
+    return 20.0 * (length / 0.6 + turn / 2.0) + np.where(far < 0.03, 0.0, 8.0)
 
 
 def _spread(poses: Array, steps: Array) -> tuple[Array, Array]:
@@ -184,10 +209,28 @@ def _pairs(bases: Array, point: Array, goals: HandGoals) -> tuple[Array, Array, 
     toward = point[:2] - bases[:, :2]
     toward = toward / np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-6)
     score = goals.score + 0.8 * toward @ goals.rot[:, :2, 0].T
+    over = _overreach(bases, goals)
+    score = np.where(over < 0.05, score - 20.0 * np.maximum(over, 0.0), -np.inf)
+    # Among equals every base tries others.
+    score = score + 0.05 * np.random.default_rng(1).random(score.shape)
     best = np.argsort(-score, axis=1, kind="stable")[:, :_PER_BASE]
     base = np.repeat(np.arange(len(bases)), best.shape[1])
     goal = best.ravel()
-    return base, goal, score[base, goal]
+    found = np.isfinite(score[base, goal])
+    return base[found], goal[found], score[base, goal][found]
+
+
+def _overreach(bases: Array, goals: HandGoals) -> Array:
+    """How far (B, G) [m] the wrist is beyond a comfortable distance from the shoulder; 0.05 is the arm's end.
+
+    Fetch: the shoulder turns 0.033 m before the base's centre, lifts 0.117 m further out at 0.806 to 1.192 m; from
+    there to the wrist it is 0.674 m, from the wrist to the tool centre 0.305 m.
+    """
+    wrist = goals.pos - 0.305 * goals.rot[:, :, 0]
+    shoulder = bases[:, :2] + 0.033 * np.stack([np.cos(bases[:, 2]), np.sin(bases[:, 2])], axis=1)
+    level = np.linalg.norm(wrist[:, :2] - shoulder[:, None], axis=2) - 0.117
+    height = np.maximum(np.maximum(0.806 - wrist[:, 2], wrist[:, 2] - 1.192), 0.0)
+    return np.hypot(np.maximum(level, 0.0), height) - 0.624
 
 
 @lru_cache(maxsize=1)
@@ -211,6 +254,8 @@ def _configurations(
     q = ik.unwind(robot, found.q, now)
     q[..., :3] = bases[:, None]
     cost = price[:, None] + 0.6 * ik.travel_steps(robot, now, q, dofs)
+    # A stretched arm cannot make up for a base that stands a little wrong.
+    cost = cost + _STRETCHED * np.maximum(0.0, 0.9 - np.abs(q[..., _ELBOW]))
     cost = np.where(found.ok, cost, np.inf).ravel()
     order = np.argsort(cost, kind="stable")[:300]
     order = order[np.isfinite(cost[order])]
@@ -221,11 +266,14 @@ def _configurations(
 
 
 def _before(q: Array, goals: HandGoals, goal: Array, scene: Scene, drive_in: float) -> tuple[Array, Array]:
-    """Configurations (N, 15) at the start of the straight approach, and where they and the way in are clear (N,)."""
+    """Configurations (N, 15) at the start of the straight approach, and where they and the way in are clear (N,).
+
+    The torso is at its final height already: it is too slow for fine work.
+    """
     if not len(q):
         return q, np.zeros(0, bool)
     robot = motion.chain()
-    dofs = ik.columns(robot)
+    dofs = ik.columns(robot, torso=False)
     options = ik.Options(iterations=12, pos_tolerance=2e-3, rot_tolerance=2e-2, rest_gain=0.0)
     found = ik.solve(robot, goals.pre[goal], goals.rot[goal], q[:, None], dofs, rest=REST_QPOS, options=options)
     pre = found.q[:, 0]
@@ -263,3 +311,26 @@ def _routed(
             break
     tight.sort(key=lambda s: -s.route.room)
     return sorted(clear, key=lambda s: s.route.steps) or tight[:1]
+
+
+def settle_reach(view: WorldView, stance: Stance, pos: Array, rot: Array) -> Array | None:
+    """Configurations (M, 15) for hand positions (M, 3) from where the base really stands; one torso height for all.
+
+    None when one of them is out of reach from here.
+    """
+    robot = motion.chain()
+    for torso in (False, True):
+        dofs = ik.columns(robot, torso=torso)
+        seed = np.stack([stance.pre, stance.at])
+        seed[:, :4] = view.q[:4]
+        first = ik.solve(robot, pos[:1], rot[None], seed, dofs, rest=stance.at)
+        seeds = np.concatenate([first.q[0, first.ok[0]], seed])
+        for start in first.q[0, first.ok[0]]:
+            seeds[:, 3] = start[3]
+            rest = ik.solve(
+                robot, pos, np.repeat(rot[None], len(pos), axis=0), seeds, ik.columns(robot, torso=False), rest=start
+            )
+            if rest.ok.any(axis=1).all():
+                gap = np.abs(rest.q - start).max(axis=-1)
+                return ik.unwind(robot, rest.best(gap)[0], view.q)
+    return None

@@ -14,25 +14,98 @@ from mjhab.experts import ik, motion
 from mjhab.experts.clearance import Boxes, RobotSpheres
 from mjhab.experts.kinematics import wrap
 from mjhab.experts.motion import Motion
-from mjhab.experts.navigation import CONTROL_DT, DriveLimits, Follower
+from mjhab.experts.navigation import CONTROL_DT
 
 Array = np.ndarray
-LOOSE = DriveLimits(pos_tolerance=0.03, yaw_tolerance=0.05)
-"""The hand makes up for the last centimetres of the base."""
 MARGIN = 0.015
 """Room [m] wanted around the robot on its way."""
-DRIVE_ERROR = 0.03
+DRIVE_ERROR = 0.05
 """More room [m] wanted while the base drives."""
-_DELAYS = (0.0, 0.3, 0.5, 0.7, 0.85, 1.0)
+BASE_ROOM = 0.27
+"""Clearance [m] of the map's cells that the base may pass."""
+LOWEST = 0.3
+"""Lower things [m] concern the base alone, and the map keeps it clear of them."""
 BASE_LAG = 0.15
 """Time constant [s] of the base's speed."""
 BLOCKED_FORCE = 60.0
 BLOCKED_STEPS = 4
+LOOKAHEADS = (0.30, 0.20, 0.10)
+"""How far ahead [m] the base steers; short ones keep to the way at corners, long ones are quicker."""
+_DELAYS = (0.0, 0.3, 0.5, 0.7, 0.85, 1.0)
+MAX_SPEED = 0.8
+_TURN_RATE, _PREVIEW = 2.6, 0.1
+_NEAR, _TURNED = 0.02, 0.05
+
+
+class Pilot:
+    """Steers the base quickly along a way, then turns it; ends within centimetres, the arm makes up for them.
+
+    Args:
+        path: (P, 2) way points from where the base is.
+        yaw: heading at the end.
+        direction: 1 forwards, -1 backwards.
+        lookahead: how far ahead it steers.
+        speed: bound [m/s].
+    """
+
+    def __init__(
+        self, path: Array, yaw: float, direction: int, lookahead: float, speed: float = MAX_SPEED
+    ) -> None:  # fmt: skip
+        self._speed = speed
+        legs = np.linalg.norm(np.diff(path, axis=0), axis=1)
+        self._along = np.concatenate([[0.0], np.cumsum(legs)])
+        self._path, self._yaw, self._direction, self._lookahead = path, yaw, direction, lookahead
+        ending = path[-1] - np.array([np.interp(self._along[-1] - 0.25, self._along, path[:, k]) for k in range(2)])
+        self._ending = ending / max(float(np.linalg.norm(ending)), 1e-9)
+        self._at, self._arrived = 0.0, bool(self._along[-1] < _NEAR)
+        self._last: Array | None = None
+
+    def step(self, pose: Array) -> tuple[float, float, bool]:
+        """Forward speed, yaw rate, and whether it has arrived, for the base at ``pose`` (3,)."""
+        moved = np.zeros(3) if self._last is None else pose - self._last
+        self._last = pose.copy()
+        rate = float(wrap(moved[2])) / CONTROL_DT
+        if not self._arrived:
+            self._at = self._progress(pose[:2])
+            left = float(self._along[-1]) - self._at
+            to_end = self._direction * float((self._path[-1] - pose[:2]) @ [np.cos(pose[2]), np.sin(pose[2])])
+            near = float(np.linalg.norm(self._path[-1] - pose[:2]))
+            # Turning sideways for the last centimetres takes longer than reaching a little further.
+            self._arrived = left < _NEAR or (near < 0.12 and to_end < 0.5 * near)
+        if self._arrived:
+            turn = float(wrap(self._yaw - pose[2]))
+            still = abs(turn) < _TURNED and abs(rate) < 0.4 and float(np.linalg.norm(moved[:2])) < 0.006
+            return 0.0, _bounded(4.5 * (turn - _PREVIEW * rate), _TURN_RATE), still
+        lookahead = float(np.clip(0.8 * left, 0.10, self._lookahead))
+        aim = self._point(self._at + lookahead) - pose[:2]
+        back = 0.0 if self._direction > 0 else np.pi
+        off = float(wrap(np.arctan2(aim[1], aim[0]) - pose[2] - back))
+        speed = float(np.linalg.norm(moved[:2])) / CONTROL_DT
+        pace = max(min(self._speed, 3.0 * (left - _PREVIEW * speed)), 0.04)
+        ahead = 0.0 if abs(off) > 0.9 else max(np.cos(off), 0.0) ** 3
+        return self._direction * pace * ahead, _bounded(4.5 * (off - _PREVIEW * rate), _TURN_RATE), False
+
+    def _progress(self, point: Array) -> float:
+        """Arc length of the way point nearest to ``point`` (2,), not far beyond the last one and never back."""
+        ahead = np.arange(self._at, min(self._at + 0.3, float(self._along[-1])) + 1e-9, 0.01)
+        if not len(ahead):
+            return self._at
+        gaps = [np.linalg.norm(self._point(s) - point) for s in ahead]
+        return float(ahead[int(np.argmin(gaps))])
+
+    def _point(self, at: float) -> Array:
+        """The point (2,) at an arc length; past the end straight on, so that the heading settles before it."""
+        over = max(0.0, at - float(self._along[-1]))
+        return over * self._ending + np.array([np.interp(at, self._along, self._path[:, k]) for k in range(2)])
+
+
+def _bounded(value: float, limit: float) -> float:
+    return float(np.clip(value, -limit, limit))
 
 
 @dataclass(frozen=True, eq=False)
 class Route:
-    """A drive along ``path`` (P, 2) to the heading ``yaw``, the arm going to ``arm`` (15,) from step ``delay`` on.
+    """A drive along ``path`` (P, 2) to ``yaw`` (see `Pilot`), the arm going to ``arm`` (15,) from step ``delay`` on.
 
     ``steps``: how long it should take; ``room``: least clearance on the way beyond what was asked for [m].
     """
@@ -40,10 +113,12 @@ class Route:
     path: Array
     yaw: float
     direction: int
+    lookahead: float
     arm: Array
     delay: int
     steps: int
     room: float
+    speed: float = MAX_SPEED
 
 
 def plan_route(
@@ -61,21 +136,23 @@ def plan_route(
         straight: do not plan around furniture.
     """
     start = view.q
+    boxes = _within_reach(boxes, np.stack([start[:2], goal[:2]]))
     path = np.stack([start[:2], goal[:2]]) if straight else motion.planner(view.home).plan(start[:2], goal[:2])
     if path is None:
         return None
     if np.linalg.norm(path[-1] - goal[:2]) > 1e-6:
         path = np.concatenate([path, goal[None, :2]])
-    poses, direction = _simulate(start[:3], path, float(goal[2]), direction)
+    direction = direction or _direction(start[:3], path, float(goal[2]))
+    lookahead, poses = _smoothest(view, start[:3], path, float(goal[2]), direction)
     before = float(_room(start[None], robot, boxes)[0])
     best: Route | None = None
     for delay in sorted({round(share * len(poses)) for share in _DELAYS}):
         swept = _swept(start, poses, arm, delay)
-        at = np.arange(0, len(swept), max(1, len(swept) // 24))
+        at = np.arange(0, len(swept), max(1, len(swept) // 40))
         # While the base drives, the robot is only about where it is expected to be.
         asked = np.minimum(np.where(at < len(poses) - 1, margin + DRIVE_ERROR, margin), before - 0.004)
         room = float((_room(swept[at], robot, boxes) - asked).min())
-        route = Route(path, float(goal[2]), direction, arm, delay, len(swept), room)
+        route = Route(path, float(goal[2]), direction, lookahead, arm, delay, len(swept), room)
         if room >= 0.0:
             return route
         if best is None or room > best.room:
@@ -85,17 +162,17 @@ def plan_route(
 
 def follow(view: WorldView, route: Route, *, gripper: float, tolerance: float = 0.05) -> Motion:
     """Drive a route. Returns whether base and arm arrived; not when something is in the way."""
-    follower = Follower(route.path, route.yaw, LOOSE, route.direction)
+    pilot = Pilot(route.path, route.yaw, route.direction, route.lookahead, route.speed)
     start, pressed, arrived = view.q, 0, False
     moving = motion.drives(view, route.path[-1], route.yaw)
     for step in range(route.steps + 40):
-        drive = follower.step(view.q[:3]) if moving and not arrived else None
-        arrived = arrived or drive is None or drive.done
+        forward, turn, done = pilot.step(view.q[:3]) if moving and not arrived else (0.0, 0.0, True)
+        arrived = arrived or done
         on_time = step >= route.delay or arrived
         off = motion.joint_gap(view, route.arm)
         if arrived and off <= tolerance:
             return True
-        speed = (0.0, 0.0) if drive is None or arrived else (drive.v, drive.w)
+        speed = (0.0, 0.0) if arrived else (forward, turn)
         ramp = min(1.0, 0.25 * (1 + step - min(step, route.delay)))
         yield motion.action(view, route.arm if on_time else start, gripper=gripper, drive=speed, speed=ramp)
         pressed = pressed + 1 if view.link_forces.sum() > BLOCKED_FORCE else 0
@@ -104,22 +181,47 @@ def follow(view: WorldView, route: Route, *, gripper: float, tolerance: float = 
     return False
 
 
-def _simulate(pose: Array, path: Array, yaw: float, direction: int) -> tuple[Array, int]:
-    """Base poses (T, 3) that following a path should give, and the direction that was chosen."""
-    follower = Follower(path, yaw, LOOSE, direction)
+def _direction(pose: Array, path: Array, yaw: float) -> int:
+    """Backwards only on short ways and when that takes less turning."""
+    way, last = path[1] - path[0], path[-1] - path[-2]
+    length = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+    if length < 0.03:
+        return 1
+    first = abs(wrap(np.arctan2(way[1], way[0]) - pose[2]))
+    turn = float(first + abs(wrap(yaw - np.arctan2(last[1], last[0]))))
+    return -1 if length < 1.0 and turn > np.pi + 0.3 else 1
+
+
+def _smoothest(view: WorldView, pose: Array, path: Array, yaw: float, direction: int) -> tuple[float, Array]:
+    """The quickest steering that keeps the base clear of furniture: look-ahead and base poses (T, 3)."""
+    planner = motion.planner(view.home)
+    best: tuple[float, float, Array] | None = None
+    for lookahead in LOOKAHEADS:
+        poses = _simulate(pose, path, yaw, direction, lookahead)
+        room = float(planner.clearance_at(poses[:, :2]).min())
+        if best is None or room > best[0]:
+            best = (room, lookahead, poses)
+        if room >= BASE_ROOM or len(path) == 2:
+            break
+    assert best is not None
+    return best[1], best[2]
+
+
+def _simulate(pose: Array, path: Array, yaw: float, direction: int, lookahead: float) -> Array:
+    """Base poses (T, 3) that driving a way should give."""
+    pilot = Pilot(path, yaw, direction, lookahead)
     pose, speed, turn = pose.copy(), 0.0, 0.0
     share = 1.0 - np.exp(-CONTROL_DT / BASE_LAG)
     poses = [pose.copy()]
-    if np.linalg.norm(path[-1] - pose[:2]) > 0.01 or abs(wrap(yaw - pose[2])) > 0.03:
-        for _ in range(140):
-            drive = follower.step(pose)
-            if drive.done:
-                break
-            speed += share * (drive.v - speed)
-            turn += share * (drive.w - turn)
-            pose = pose + CONTROL_DT * np.array([speed * np.cos(pose[2]), speed * np.sin(pose[2]), turn])
-            poses.append(pose.copy())
-    return np.array(poses), follower.direction
+    for _ in range(200):
+        forward, rate, done = pilot.step(pose)
+        if done:
+            break
+        speed += share * (forward - speed)
+        turn += share * (rate - turn)
+        pose = pose + CONTROL_DT * np.array([speed * np.cos(pose[2]), speed * np.sin(pose[2]), turn])
+        poses.append(pose.copy())
+    return np.array(poses)
 
 
 def _swept(start: Array, poses: Array, arm: Array, delay: int) -> Array:
@@ -135,6 +237,13 @@ def _swept(start: Array, poses: Array, arm: Array, delay: int) -> Array:
     out = start + np.clip((steps - delay)[:, None] * share, 0.0, 1.0) * way
     out[:, :3] = poses[np.minimum(steps, len(poses) - 1)]
     return out
+
+
+def _within_reach(boxes: Boxes, way: Array) -> Boxes:
+    """The boxes that the robot can touch somewhere near a straight way (2, 2)."""
+    middle, far = way.mean(axis=0), float(np.linalg.norm(way[1] - way[0])) / 2
+    near = boxes.near(np.array([*middle, 0.9]), far + 1.35)
+    return near.take(near.center[:, 2] + near.half.max(axis=1) > LOWEST)
 
 
 def _room(q: Array, robot: RobotSpheres, boxes: Boxes) -> Array:

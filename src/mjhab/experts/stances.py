@@ -27,10 +27,11 @@ COMFORT = 0.36
 @dataclass(frozen=True, eq=False)
 class Stances:
     """N ways to do one job. ``q`` (N, K, Q): configurations at the K way points, base columns in the plan frame;
-    ``steps`` (N,): control steps the arm needs from rest to the first one."""
+    ``steps``, ``back`` (N,): control steps the arm needs from rest to the first one and from the last one to rest."""
 
     q: Array
     steps: Array
+    back: Array
 
     def __len__(self) -> int:
         return len(self.q)
@@ -38,7 +39,13 @@ class Stances:
     @staticmethod
     def join(parts: Sequence[Stances]) -> Stances:
         """All of several sets with the same number of way points."""
-        return Stances(np.concatenate([p.q for p in parts]), np.concatenate([p.steps for p in parts]))
+        return Stances(*(np.concatenate([getattr(p, k) for p in parts]) for k in ("q", "steps", "back")))
+
+    def shifted(self, along: float) -> Stances:
+        """The same ways for something that has moved outward [m]."""
+        moved = self.q.copy()
+        moved[:, :, 0] += along
+        return Stances(moved, self.steps, self.back)
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,6 +133,8 @@ def track(
     path, row = [path[0][ok]], row[ok]
     path, row = _drop(path, row, _clear(path[0], boxes[0] if boxes else None, margin))
     for k in range(1, base.shape[1]):
+        if not len(row):
+            break
         now = path[-1].copy()
         now[:, :3] = base[row, k]
         step = ik.solve(
@@ -135,11 +144,14 @@ def track(
         near = np.abs(step.q[:, 0, 3:] - now[:, 3:]).max(axis=1, initial=0.0) < jump
         path, row = _drop([*path, step.q[:, 0]], row, step.ok[:, 0] & near)
         path, row = _drop(path, row, _clear(path[-1], boxes[k] if boxes else None, margin))
+    if not len(row):
+        return Stances(np.zeros((0, base.shape[1], robot.size)), np.zeros(0), np.zeros(0))
     travel = ik.travel_steps(robot, rest, path[0], dofs)
-    order = np.lexsort((travel, row))
+    back = ik.travel_steps(robot, rest, path[-1], dofs)
+    order = np.lexsort((travel + back, row))
     _, first = np.unique(row[order], return_index=True)
     chosen = order[first]
-    return Stances(np.stack(path, axis=1)[chosen], travel[chosen])
+    return Stances(np.stack(path, axis=1)[chosen], travel[chosen], back[chosen])
 
 
 def _drop(path: list[Array], row: Array, keep: Array) -> tuple[list[Array], Array]:
@@ -162,6 +174,14 @@ def _clear(q: Array, boxes: BoxArrays | None, margin: float) -> Array:
     return keep
 
 
+def motion_steps(q: Array) -> Array:
+    """Control steps (N,) the arm needs along the way points of configurations (N, K, Q)."""
+    robot = motion.chain()
+    dofs = ik.columns(robot)
+    share = np.abs(np.diff(q, axis=1))[..., dofs] / ik.step_limits(robot)[dofs]
+    return share.max(axis=2).sum(axis=1)
+
+
 def rank(view: WorldView, frame: Frame, stances: Stances, also: Array | None = None) -> tuple[Array, Array]:
     """The stances with free floor, the ones soonest reached first.
 
@@ -175,7 +195,7 @@ def rank(view: WorldView, frame: Frame, stances: Stances, also: Array | None = N
     room = motion.planner(view.home).clearance_at(frame.point(places)).min(axis=1, initial=np.inf)
     first = frame.base(stances.q[:, 0])
     steps = np.maximum(stances.steps, drive_steps(view.q[:3], first[:, :3]))
-    cost = steps + 300.0 * np.maximum(COMFORT - room, 0.0)
+    cost = steps + motion_steps(stances.q) + stances.back + 300.0 * np.maximum(COMFORT - room, 0.0)
     order = np.argsort(cost, kind="stable")
     order = order[room[order] >= FLOOR_MARGIN]
     return frame.base(stances.q[order]), cost[order]

@@ -153,6 +153,8 @@ class ObjectType:
     half: Vec3
     collision: tuple[Geom, ...]
     visuals: tuple[Geom, ...]
+    scan_yaw: float = 0.0
+    """Heading [rad] in this frame of the x axis of the scan; HAB episodes give poses in the axes of the scan."""
 
 
 @dataclass(frozen=True)

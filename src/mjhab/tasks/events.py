@@ -9,8 +9,8 @@ import dataclasses
 
 import numpy as np
 
-from mjhab.core.arrays import Array, constant, namespace, to_numpy
-from mjhab.tasks.labels import History, Watched
+from mjhab.core.arrays import Array, Table, constant, count, namespace, to_numpy
+from mjhab.tasks.labels import WATCHED, History, Watched, watch
 from mjhab.tasks.plan import SubtaskKind
 
 EVENT_NAMES: tuple[str, ...] = (
@@ -61,9 +61,54 @@ _MORE: dict[SubtaskKind, tuple[str, ...]] = {
 EVENTS: dict[SubtaskKind, tuple[str, ...]] = {kind: LABEL_EVENTS[kind] + _MORE[kind] for kind in SubtaskKind}
 """Every event a kind of subtask can have, in the order they are listed within one step."""
 
-_OCCURS = tuple(tuple(name in EVENTS[kind] for name in EVENT_NAMES) for kind in SubtaskKind)
-_NOTHING = (False,) * len(EVENT_NAMES)
 _COLUMNS = {int(k): [(EVENT_NAMES.index(name), name) for name in EVENTS[k]] for k in SubtaskKind}
+
+_EDGES = (
+    *(f"+{name}" for name in WATCHED),
+    *(f"-{name}" for name in WATCHED),
+    "released_at_goal",
+    "released_outside_goal",
+    "none",
+)
+"""Rows of the edges of a step: every watched signal rises (+) and falls (-), then the two kinds of release."""
+_EDGE_OF = {
+    "contact": "+contact",
+    "lost_contact": "-contact",
+    "grasped": "+is_grasped",
+    "dropped": "-is_grasped",
+    "at_goal": "+at_goal",
+    "released_at_goal": "released_at_goal",
+    "released_outside_goal": "released_outside_goal",
+    "left_goal": "-at_goal",
+    "navigated_close": "+near",
+    "lost_navigated_close": "-near",
+    "opened": "+opened",
+    "slightly_opened": "+slightly_opened",
+    "closed": "+closed",
+    "slightly_closed": "+slightly_closed",
+    "success": "+success",
+    "lost_success": "-success",
+    "excessive_collisions": "+excess",
+}
+_BACK = {(SubtaskKind.OPEN, "closed"): "-slightly_opened", (SubtaskKind.CLOSE, "opened"): "-slightly_closed"}
+"""In an Open, ``closed`` means that the joint fell back to no more than 10 % of its range; in a Close, ``opened`` means
+that it went back to within 5 % of its range of the start. All other events are edges of the signal named."""
+
+
+def _edge(kind: SubtaskKind, name: str) -> int:
+    """Row of the edge that is an event of a subtask of ``kind``."""
+    edge = _BACK.get((kind, name), _EDGE_OF[name]) if name in EVENTS[kind] else "none"
+    return _EDGES.index(edge)
+
+
+# Kind -1 reads the last row: nothing occurs.
+_EDGE_INDEX = Table(
+    (
+        *(tuple(_edge(kind, name) for name in EVENT_NAMES) for kind in SubtaskKind),
+        (_EDGES.index("none"),) * len(EVENT_NAMES),
+    )
+)
+_GRASPED, _AT_GOAL = WATCHED.index("is_grasped"), WATCHED.index("at_goal")
 
 
 def blank(signals: Watched) -> History:
@@ -75,9 +120,6 @@ def blank(signals: Watched) -> History:
 def step_events(kind: Array, previous: Watched, current: Watched) -> Array:
     """Flag the events of one step.
 
-    In an Open, ``closed`` means that the joint fell back to no more than 10 % of its range; in a Close, ``opened``
-    means that it went back to within 5 % of its range of the start. All others are edges of the signal named.
-
     Args:
         kind: (W,) int64 kinds of the active subtasks; -1 has no events.
         previous, current: signals of two consecutive steps of the same subtask.
@@ -85,33 +127,17 @@ def step_events(kind: Array, previous: Watched, current: Watched) -> Array:
     Returns:
         (W, E) bool with the columns ``EVENT_NAMES``.
     """
-    xp = namespace(kind)
-    p, c = previous, current
-    opening, closing = kind == int(SubtaskKind.OPEN), kind == int(SubtaskKind.CLOSE)
-    release = p.is_grasped & ~c.is_grasped
-    open_again, closed_again = p.slightly_closed & ~c.slightly_closed, p.slightly_opened & ~c.slightly_opened
-    columns = [
-        ~p.contact & c.contact,
-        p.contact & ~c.contact,
-        ~p.is_grasped & c.is_grasped,
-        release,
-        ~p.at_goal & c.at_goal,
-        release & c.at_goal,
-        release & ~c.at_goal,
-        p.at_goal & ~c.at_goal,
-        ~p.near & c.near,
-        p.near & ~c.near,
-        (opening & ~p.opened & c.opened) | (closing & open_again),
-        ~p.slightly_opened & c.slightly_opened,
-        (closing & ~p.closed & c.closed) | (opening & closed_again),
-        ~p.slightly_closed & c.slightly_closed,
-        ~p.success & c.success,
-        p.success & ~c.success,
-        p.force_ok & ~c.force_ok,
-    ]
-    # Kind -1 reads the last row: nothing occurs.
-    occurs = constant((*_OCCURS, _NOTHING), current.success)[kind]
-    return xp.stack(columns, axis=-1) & occurs
+    return edge_events(kind, watch(previous), watch(current))
+
+
+def edge_events(kind: Array, before: Array, now: Array) -> Array:
+    """``step_events`` of two consecutive watched steps, (K, W) bool each with the rows ``WATCHED``."""
+    changed = before ^ now
+    rise, fall = changed & now, changed & before
+    release, at_goal = fall[_GRASPED][None], now[_AT_GOAL][None]
+    edges = namespace(kind).concat((rise, fall, release & at_goal, release & ~at_goal, rise[:1] & fall[:1]))
+    # (W, E): for every world the edges that are events of its kind.
+    return edges[constant(_EDGE_INDEX, kind)[kind], count(kind.shape[0], kind)[:, None]]
 
 
 def event_names(kind: Array, flags: Array) -> list[list[str]]:

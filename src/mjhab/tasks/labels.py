@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from mjhab.core.arrays import Array, map_record, namespace, to_numpy, where_rows
+from mjhab.core.arrays import Array, map_record, namespace, pile, to_numpy
 from mjhab.tasks.plan import SubtaskKind
 
 LABELS: dict[SubtaskKind, tuple[str, ...]] = {
@@ -135,140 +135,150 @@ class History:
         return History(**{name: xp.stack([getattr(row, name) for row in rows], axis=0) for name in names})
 
 
+WATCHED: tuple[str, ...] = (
+    "is_grasped",
+    "at_goal",
+    "opened",
+    "closed",
+    "slightly_opened",
+    "slightly_closed",
+    "near",
+    "contact",
+    "touch",
+    "success",
+    "excess",
+)
+"""Rows of a watched step, named as in ``Signals``; ``excess``: more force than allowed has been accumulated."""
+_FALLS = ("released", "left_goal")
+"""The object was let go, the object left its goal: the first two rows stopped to hold."""
+_NOW = {name: row for row, name in enumerate(WATCHED)}
+_EVER = {name: row for row, name in enumerate((*WATCHED, *_FALLS))}
+
+
+def watch(signals: Watched) -> Array:
+    """Return what labels and events look at in one step as (K, W) bool, rows ``WATCHED``."""
+    s = signals
+    return pile(
+        (
+            s.is_grasped, s.at_goal, s.opened, s.closed, s.slightly_opened, s.slightly_closed, s.near,
+            s.contact, s.touch, s.success, ~s.force_ok,
+        )
+    )  # fmt: skip
+
+
 @dataclass(frozen=True)
 class LabelState:
-    """What a label needs of the steps seen so far. (W,) bool; ``ever_*`` include the start state."""
+    """What a label needs of the steps seen so far. Bool."""
 
-    success: Array
-    """Some step was a success."""
-    excess: Array
-    """Some step had accumulated too much force."""
+    now: Array
+    """(K, W) the last step, rows ``WATCHED``."""
+    seen: Array
+    """(K + 2, W) what held in some step, the start state included; then whether the object was let go and whether it
+    left its goal at least once."""
     must_hold: Array
-    grasped: Array
-    """Now, like the next three."""
-    at_goal: Array
-    opened: Array
-    closed: Array
-    ever_grasped: Array
-    ever_touched: Array
-    ever_at_goal: Array
-    ever_opened: Array
-    ever_closed: Array
-    ever_slightly_opened: Array
-    ever_slightly_closed: Array
-    released: Array
-    """The object was let go at least once."""
-    left_goal: Array
-    """The object left its goal at least once."""
+    """(W,) at the start, like the next two."""
     release_at_goal: Array
     """At the last release the object was at its goal; before any release: it started there."""
     first_success_release: Array
     """``release_at_goal`` as it was at the first success."""
 
+    def holds(self, name: str) -> Array:
+        """(W,) bool: the check of ``WATCHED`` holds in the last step."""
+        return self.now[_NOW[name]]
+
+    def ever(self, name: str) -> Array:
+        """(W,) bool: the check of ``WATCHED`` has held, or the object was "released" or has "left_goal"."""
+        return self.seen[_EVER[name]]
+
 
 def start(signals: Watched) -> LabelState:
     """Begin with the state at the start of the subtask (t = 0)."""
-    s = signals
-    no = s.success & ~s.success
+    now = watch(signals)
+    no = now[: len(_FALLS)] & ~now[: len(_FALLS)]
+    at_goal = now[_NOW["at_goal"]]
+    return LabelState(now, namespace(now).concat((now, no)), signals.must_hold, at_goal, at_goal)
+
+
+def choose(mask: Array, new: LabelState, old: LabelState) -> LabelState:
+    """The worlds of ``mask`` (W,) bool from ``new``, the others from ``old``."""
+    where = namespace(mask).where
     return LabelState(
-        success=s.success,
-        excess=~s.force_ok,
-        must_hold=s.must_hold,
-        grasped=s.is_grasped,
-        at_goal=s.at_goal,
-        opened=s.opened,
-        closed=s.closed,
-        ever_grasped=s.is_grasped,
-        ever_touched=s.touch,
-        ever_at_goal=s.at_goal,
-        ever_opened=s.opened,
-        ever_closed=s.closed,
-        ever_slightly_opened=s.slightly_opened,
-        ever_slightly_closed=s.slightly_closed,
-        released=no,
-        left_goal=no,
-        release_at_goal=s.at_goal,
-        first_success_release=s.at_goal,
+        where(mask, new.now, old.now),
+        where(mask, new.seen, old.seen),
+        where(mask, new.must_hold, old.must_hold),
+        where(mask, new.release_at_goal, old.release_at_goal),
+        where(mask, new.first_success_release, old.first_success_release),
     )
 
 
 def restart(state: LabelState, mask: Array, signals: Watched) -> LabelState:
     """Begin anew for the worlds in ``mask`` (W,), whose next subtask starts with ``signals``."""
-    return where_rows(mask, start(signals), state)
+    return choose(mask, start(signals), state)
 
 
 def update(state: LabelState, signals: Watched) -> LabelState:
     """Add one step."""
-    s = signals
-    release = state.grasped & ~s.is_grasped
-    release_at_goal = (release & s.at_goal) | (~release & state.release_at_goal)
-    first = (state.success & state.first_success_release) | (~state.success & release_at_goal)
+    return add(state, watch(signals))
+
+
+def add(state: LabelState, now: Array) -> LabelState:
+    """Add one step that has been watched: (K, W) bool, rows ``WATCHED``."""
+    xp = namespace(now)
+    falls = state.now[: len(_FALLS)] & ~now[: len(_FALLS)]
+    release_at_goal = xp.where(falls[0], now[_NOW["at_goal"]], state.release_at_goal)
     return LabelState(
-        success=state.success | s.success,
-        excess=state.excess | ~s.force_ok,
-        must_hold=state.must_hold,
-        grasped=s.is_grasped,
-        at_goal=s.at_goal,
-        opened=s.opened,
-        closed=s.closed,
-        ever_grasped=state.ever_grasped | s.is_grasped,
-        ever_touched=state.ever_touched | s.touch,
-        ever_at_goal=state.ever_at_goal | s.at_goal,
-        ever_opened=state.ever_opened | s.opened,
-        ever_closed=state.ever_closed | s.closed,
-        ever_slightly_opened=state.ever_slightly_opened | s.slightly_opened,
-        ever_slightly_closed=state.ever_slightly_closed | s.slightly_closed,
-        released=state.released | release,
-        left_goal=state.left_goal | (state.at_goal & ~s.at_goal),
-        release_at_goal=release_at_goal,
-        first_success_release=first,
+        now,
+        state.seen | xp.concat((now, falls)),
+        state.must_hold,
+        release_at_goal,
+        xp.where(state.ever("success"), state.first_success_release, release_at_goal),
     )
 
 
 def _pick_rules(s: LabelState) -> list[Array]:
     return [
-        s.success & s.excess,
-        s.success & ~s.grasped,
-        s.success & s.released,
-        s.success,
-        s.excess,
-        ~s.ever_grasped & ~s.ever_touched,
-        ~s.ever_grasped,
-        ~s.grasped,
+        s.ever("success") & s.ever("excess"),
+        s.ever("success") & ~s.holds("is_grasped"),
+        s.ever("success") & s.ever("released"),
+        s.ever("success"),
+        s.ever("excess"),
+        ~s.ever("is_grasped") & ~s.ever("touch"),
+        ~s.ever("is_grasped"),
+        ~s.holds("is_grasped"),
     ]
 
 
 def _place_rules(s: LabelState) -> list[Array]:
     return [
-        s.success & s.excess,
-        s.success & ~s.at_goal,
-        s.success & s.left_goal,
-        s.success & ~s.first_success_release,
-        s.success,
-        s.excess,
-        ~s.ever_grasped,
-        ~s.ever_at_goal,
-        s.grasped,
-        s.at_goal,
+        s.ever("success") & s.ever("excess"),
+        s.ever("success") & ~s.holds("at_goal"),
+        s.ever("success") & s.ever("left_goal"),
+        s.ever("success") & ~s.first_success_release,
+        s.ever("success"),
+        s.ever("excess"),
+        ~s.ever("is_grasped"),
+        ~s.ever("at_goal"),
+        s.holds("is_grasped"),
+        s.holds("at_goal"),
         s.release_at_goal,
     ]
 
 
 def _navigate_rules(s: LabelState) -> list[Array]:
-    lost = s.must_hold & ~s.grasped
-    return [s.success & s.excess, s.success & lost, s.success, s.excess, lost]
+    lost = s.must_hold & ~s.holds("is_grasped")
+    return [s.ever("success") & s.ever("excess"), s.ever("success") & lost, s.ever("success"), s.ever("excess"), lost]
 
 
-def _joint_rules(s: LabelState, there: Array, ever_there: Array, ever_slightly: Array) -> list[Array]:
+def _joint_rules(s: LabelState, there: str, slightly: str) -> list[Array]:
     return [
-        s.success & s.excess,
-        s.success & ~there,
-        s.success,
-        s.excess,
-        ~s.ever_touched,
-        ever_there & ~there,
-        ever_there,
-        ever_slightly,
+        s.ever("success") & s.ever("excess"),
+        s.ever("success") & ~s.holds(there),
+        s.ever("success"),
+        s.ever("excess"),
+        ~s.ever("touch"),
+        s.ever(there) & ~s.holds(there),
+        s.ever(there),
+        s.ever(slightly),
     ]
 
 
@@ -285,8 +295,8 @@ def _rules(state: LabelState, kind: SubtaskKind) -> list[Array]:
     if kind == SubtaskKind.NAVIGATE:
         return _navigate_rules(s)
     if kind == SubtaskKind.OPEN:
-        return _joint_rules(s, s.opened, s.ever_opened, s.ever_slightly_opened)
-    return _joint_rules(s, s.closed, s.ever_closed, s.ever_slightly_closed)
+        return _joint_rules(s, "opened", "slightly_opened")
+    return _joint_rules(s, "closed", "slightly_closed")
 
 
 def label(state: LabelState, kind: Array) -> Array:
@@ -323,7 +333,7 @@ def fold(history: History, valid: Array | None = None) -> LabelState:
     state = start(history.row(0))
     for t in range(1, history.success.shape[0]):
         new = update(state, history.row(t))
-        state = new if valid is None else where_rows(valid[t], new, state)
+        state = new if valid is None else choose(valid[t], new, state)
     return state
 
 

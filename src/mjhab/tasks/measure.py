@@ -7,18 +7,18 @@ Nothing is mutated; the same lines run on numpy and torch, and keep the dtype of
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from mjhab.core.arrays import Array, constant, device_of, dot3, namespace, norm3, pick_column
+from mjhab.core.arrays import Array, constant, count, dot3, namespace, norm3, pick_column, pile
 from mjhab.core.errors import UsageError
-from mjhab.tasks import success as done
 from mjhab.tasks.plan import PADDING, PlanArrays, SubtaskKind, TaskConfig
+from mjhab.tasks.success import CHECKS, applicable, subtask_success
 
 if TYPE_CHECKING:
     from mjhab.tasks.progress import Progress
 
-__all__ = ["PlanArrays", "Signals", "WorldState", "measure"]
+__all__ = ["Active", "PlanArrays", "Signals", "WorldState", "active_entries", "measure"]
 
 
 @dataclass(frozen=True)
@@ -95,40 +95,46 @@ class Signals:
     """Navigate: an object is carried."""
 
 
-@dataclass(frozen=True)
-class _Active:
-    """Entries of the plan for the active subtask of every world."""
+_SIGNAL_ROWS = CHECKS[: CHECKS.index("let_go")]
+"""Checks that are signals; the others only serve success."""
 
+
+@dataclass(frozen=True)
+class Active:
+    """Entries of the plan for the active subtask of every world, as in ``PlanArrays``."""
+
+    index: Array
+    """(W,) int64 position of the active subtask, that of the last one once the plan is finished."""
     kind: Array
+    """(W,) int64, -1 once the plan is finished."""
     goal_pos: Array
-    obj_pos: Array
     must_hold: Array
     open_frac: Array
     box: Array
-    goal_rect: Array | None
 
 
-def _active(state: WorldState, plan: PlanArrays, pointer: Array) -> _Active:
-    """Gather the entries of the active subtask of every world; kind -1 where the plan is finished."""
+def active_entries(plan: PlanArrays, pointer: Array) -> Active:
+    """Gather the entries of the subtasks at ``pointer`` (W,)."""
     xp = namespace(pointer)
     index = xp.minimum(pointer, plan.length - 1)
     kind = xp.where(pointer < plan.length, pick_column(plan.kind, index), PADDING)
-    return _Active(
-        kind,
-        pick_column(plan.goal_pos, index),
-        pick_column(state.plan_obj_pos, index),
-        pick_column(plan.must_hold, index),
-        pick_column(plan.open_frac, index),
-        pick_column(plan.box, index),
-        None if plan.goal_rect is None else pick_column(plan.goal_rect, index),
-    )
+    entries = (pick_column(table, index) for table in (plan.goal_pos, plan.must_hold, plan.open_frac, plan.box))
+    return Active(index, kind, *entries)
 
 
-def _grasped(force: Array, norm: Array, opening: Array, config: TaskConfig) -> Array:
-    """Whether both fingers are pushed open hard enough and straight enough. Returns (W,) bool."""
-    straight = dot3(force, opening) >= math.cos(config.grasp_angle) * norm
+def _grip(state: WorldState, nav: Array, config: TaskConfig) -> tuple[Array, Array, Array]:
+    """The hand: Navigate looks at the carried object, every other kind at its target.
+
+    Returns:
+        is_grasped (W,) bool: both fingers are pushed open hard enough and straight enough; contact (W,) bool; and
+        target_force (W,).
+    """
+    force = namespace(nav).where(nav[:, None, None], state.held_force, state.finger_force)
+    norm = norm3(force)
+    straight = dot3(force, state.finger_dir) >= math.cos(config.grasp_angle) * norm
     firm = (norm >= config.grasp_force) & straight
-    return firm[:, 0] & firm[:, 1]
+    target_force = norm[:, 0] + norm[:, 1]
+    return firm[:, 0] & firm[:, 1], target_force > 0, target_force
 
 
 def at_goal(obj_pos: Array, goal_pos: Array, rect: Array | None, config: TaskConfig) -> Array:
@@ -159,84 +165,68 @@ def at_goal(obj_pos: Array, goal_pos: Array, rect: Array | None, config: TaskCon
     return inside
 
 
-def _rest(state: WorldState, loose: Array, config: TaskConfig) -> tuple[Array, Array]:
-    """Tool centre at its rest point, joints near rest. ``loose`` (W,): an object is held, the arm may give way."""
-    xp = namespace(state.robot_q)
-    x, y, yaw = state.base_pose[:, 0], state.base_pose[:, 1], state.base_pose[:, 2]
-    cos, sin = xp.cos(yaw), xp.sin(yaw)
+def _rest(state: WorldState, cos: Array, sin: Array, config: TaskConfig) -> Array:
+    """Tool centre at its rest point. ``cos``, ``sin`` (W,) of the base's heading. Returns (W,) bool."""
+    base, tcp = state.base_pose, state.tcp_pos
     rx, ry, rz = config.ee_rest_pos
-    dx = state.tcp_pos[:, 0] - (x + cos * rx - sin * ry)
-    dy = state.tcp_pos[:, 1] - (y + sin * rx + cos * ry)
-    dz = state.tcp_pos[:, 2] - (config.base_height + rz)
-    ee_rest = xp.sqrt(dx * dx + dy * dy + dz * dz) <= config.ee_rest_tol
+    dx = tcp[:, 0] - (base[:, 0] + cos * rx - sin * ry)
+    dy = tcp[:, 1] - (base[:, 1] + sin * rx + cos * ry)
+    dz = tcp[:, 2] - (config.base_height + rz)
+    return namespace(dx).sqrt(dx * dx + dy * dy + dz * dz) <= config.ee_rest_tol
+
+
+def _stillness(state: WorldState, loose: Array, config: TaskConfig) -> tuple[Array, Array]:
+    """Torso, head and arm near rest; and base, torso, head and arm not moving. Returns two (W,) bool.
+
+    ``loose`` (W,): an object is held, the arm may give way.
+    """
+    xp = namespace(state.robot_q)
     off = xp.abs(state.robot_q[:, 3:13] - constant(config.rest_qpos[3:13], state.robot_q))
-    torso, head_and_arm = off[:, 0], xp.max(off[:, 1:], axis=-1)
-    tight = (head_and_arm <= config.arm_tol) & (torso <= config.torso_tol)
-    slack = (head_and_arm <= config.arm_tol_grasped) & (torso <= config.arm_tol_grasped)
-    return ee_rest, xp.where(loose, slack, tight)
+    tight = constant((config.torso_tol,) + (config.arm_tol,) * 9, off)
+    near_rest = off <= xp.where(loose[:, None], config.arm_tol_grasped, tight)
+    limits = constant((config.static_base_speed,) * 3 + (config.static_speed,) * 10, off)
+    slow = xp.abs(state.robot_qd[:, :13]) <= limits
+    return xp.all(near_rest, axis=-1), xp.all(slow, axis=-1)
 
 
-def _static(state: WorldState, config: TaskConfig) -> Array:
-    """Neither the base nor torso, head or arm move. Returns (W,) bool."""
-    xp = namespace(state.robot_qd)
-    speed = xp.abs(state.robot_qd[:, :13])
-    base = xp.max(speed[:, :3], axis=-1) <= config.static_base_speed
-    return base & (xp.max(speed[:, 3:], axis=-1) <= config.static_speed)
-
-
-def _arrival(state: WorldState, active: _Active, config: TaskConfig) -> tuple[Array, Array]:
+def _arrival(state: WorldState, active: Active, cos: Array, sin: Array, config: TaskConfig) -> tuple[Array, Array]:
     """Near the navigation goal (and inside its box), and facing it. Returns two (W,) bool."""
     xp = namespace(state.base_pose)
-    x, y, yaw = state.base_pose[:, 0], state.base_pose[:, 1], state.base_pose[:, 2]
-    dx, dy = active.goal_pos[:, 0] - x, active.goal_pos[:, 1] - y
-    cos, sin = xp.cos(yaw), xp.sin(yaw)
+    position = state.base_pose[:, :2]
+    to_goal = active.goal_pos[:, :2] - position
+    dx, dy = to_goal[:, 0], to_goal[:, 1]
     bearing = xp.atan2(cos * dy - sin * dx, cos * dx + sin * dy)
-    box = active.box
-    inside = (x >= box[:, 0]) & (x <= box[:, 1]) & (y >= box[:, 2]) & (y <= box[:, 3])
-    near = (xp.sqrt(dx * dx + dy * dy) <= config.nav_distance) & (inside | xp.isnan(box[:, 0]))
+    # Nothing is outside of a box of NaN, which is none.
+    outside = (position < active.box[:, ::2]) | (position > active.box[:, 1::2])
+    near = (xp.sqrt(dx * dx + dy * dy) <= config.nav_distance) & ~(outside[:, 0] | outside[:, 1])
     return near, xp.abs(bearing) <= config.nav_bearing
 
 
-def _placed_ok(state: WorldState, plan: PlanArrays, pointer: Array, config: TaskConfig) -> Array:
-    """Every object of a finished Place is still at its goal. Returns (W,) bool."""
-    xp = namespace(pointer)
-    order = xp.arange(plan.kind.shape[1], device=device_of(pointer))
-    finished = (plan.kind == int(SubtaskKind.PLACE)) & (order < pointer[:, None])
-    there = at_goal(state.plan_obj_pos, plan.goal_pos, plan.goal_rect, config)
-    return xp.all(there | ~finished, axis=-1)
-
-
-def _grip(state: WorldState, active: _Active, config: TaskConfig) -> dict[str, Array]:
-    """Signals of the hand: Navigate looks at the carried object, every other kind at its target."""
-    xp = namespace(state.finger_force)
-    nav = active.kind == int(SubtaskKind.NAVIGATE)
-    force = xp.where(nav[:, None, None], state.held_force, state.finger_force)
-    norm = norm3(force)
-    target_force = norm[:, 0] + norm[:, 1]
-    contact = target_force > 0
-    return {
-        "is_grasped": _grasped(force, norm, state.finger_dir, config),
-        "contact": contact,
-        "touch": state.target_contact | contact,
-        "target_force": target_force,
-    }
-
-
-def _joint(state: WorldState, active: _Active, config: TaskConfig) -> dict[str, Array]:
-    """Signals of the joint of an Open or Close; False for other kinds."""
-    jointed = active.kind >= int(SubtaskKind.OPEN)
+def _joint(state: WorldState, active: Active, config: TaskConfig) -> tuple[Array, Array, Array, Array]:
+    """The joint is opened, closed, slightly opened, slightly closed; four (W,) bool."""
     span = state.joint_max - state.joint_min
     opening = state.joint_q - state.joint_min
-    moved = state.joint_start - state.joint_q
-    return {
-        "opened": jointed & (opening >= active.open_frac * span),
-        "closed": jointed & (opening <= config.close_fraction * span),
-        "slightly_opened": jointed & (opening >= config.slightly_open_fraction * span),
-        "slightly_closed": jointed & (moved >= config.slightly_close_fraction * span),
-    }
+    return (
+        opening >= active.open_frac * span,
+        opening <= config.close_fraction * span,
+        opening >= config.slightly_open_fraction * span,
+        state.joint_start - state.joint_q >= config.slightly_close_fraction * span,
+    )
 
 
-def measure(state: WorldState, plan: PlanArrays, progress: Progress, config: TaskConfig) -> Signals:
+def _placed(
+    state: WorldState, plan: PlanArrays, pointer: Array, index: Array, config: TaskConfig
+) -> tuple[Array, Array]:
+    """The object of the active subtask is at its goal; so is every object of a finished Place. Two (W,) bool."""
+    there = at_goal(state.plan_obj_pos, plan.goal_pos, plan.goal_rect, config)
+    order = count(plan.kind.shape[1], pointer)
+    finished = (plan.kind == int(SubtaskKind.PLACE)) & (order < pointer[:, None])
+    return pick_column(there, index), namespace(pointer).all(there | ~finished, axis=-1)
+
+
+def measure(
+    state: WorldState, plan: PlanArrays, progress: Progress, config: TaskConfig, active: Active | None = None
+) -> Signals:
     """Measure the active subtask of every world.
 
     Args:
@@ -244,51 +234,44 @@ def measure(state: WorldState, plan: PlanArrays, progress: Progress, config: Tas
         plan: their plans.
         progress: which subtask is active and the force it has accumulated, this step's included.
         config: the thresholds.
+        active: the plan's entries at ``progress.pointer``; gathered here if not given.
 
     Returns:
         Signals for the subtask at ``progress.pointer``; a world whose plan is finished has kind -1 and no success.
     """
-    active = _active(state, plan, progress.pointer)
+    xp = namespace(progress.pointer)
+    if active is None:
+        active = active_entries(plan, progress.pointer)
     kind, cumulative = active.kind, progress.cumulative_force
-    place, nav = kind == int(SubtaskKind.PLACE), kind == int(SubtaskKind.NAVIGATE)
+    nav = kind == int(SubtaskKind.NAVIGATE)
     must_hold = active.must_hold & nav
-    ee_rest, robot_rest = _rest(state, (kind == int(SubtaskKind.PICK)) | must_hold, config)
-    near, oriented = _arrival(state, active, config)
-    # A finished plan has kind -1, which reads the last entry: no limit.
-    limit = constant((*config.force_limits, math.inf), cumulative)[kind]
-    signals = Signals(
-        **_grip(state, active, config),
-        **_joint(state, active, config),
-        at_goal=place & at_goal(active.obj_pos, active.goal_pos, active.goal_rect, config),
-        ee_rest=ee_rest,
-        robot_rest=robot_rest,
-        is_static=_static(state, config),
-        force_ok=cumulative <= limit,
-        near=nav & near,
-        oriented=nav & oriented,
+    yaw = state.base_pose[:, 2]
+    cos, sin = xp.cos(yaw), xp.sin(yaw)
+    is_grasped, contact, target_force = _grip(state, nav, config)
+    robot_rest, is_static = _stillness(state, (kind == int(SubtaskKind.PICK)) | must_hold, config)
+    there, placed_ok = _placed(state, plan, progress.pointer, active.index, config)
+    near, oriented = _arrival(state, active, cos, sin, config)
+    force_ok = cumulative <= _force_limit(kind, cumulative, config)
+    # In the order of CHECKS.
+    rows = (
+        is_grasped, _rest(state, cos, sin, config), robot_rest, is_static, force_ok,
+        contact, state.target_contact | contact, there, *_joint(state, active, config), near, oriented,
+        ~is_grasped, is_grasped | ~must_hold,
+    )  # fmt: skip
+    checks = applicable(pile(rows), kind)
+    return Signals(
+        **dict(zip(_SIGNAL_ROWS, checks, strict=False)),
         robot_force=state.robot_force,
+        target_force=target_force,
         cumulative_force=cumulative,
-        success=place,  # stands in until the conditions above are combined
-        placed_ok=_placed_ok(state, plan, progress.pointer, config),
+        success=subtask_success(checks, kind, config.ignore_arm),
+        placed_ok=placed_ok,
         kind=kind,
         must_hold=must_hold,
     )
-    return replace(signals, success=subtask_success(signals, config))
 
 
-def subtask_success(signals: Signals, config: TaskConfig) -> Array:
-    """Apply the success condition of each world's active kind. Returns (W,) bool; kind -1 never succeeds."""
-    s = signals
-    rest = (s.ee_rest, s.robot_rest, s.is_static, s.force_ok)
-    hold_ok = s.is_grasped | ~s.must_hold
-    by_kind = (
-        done.pick_success(s.is_grasped, *rest),
-        done.place_success(s.is_grasped, s.at_goal, *rest),
-        done.navigate_success(s.near, s.oriented, hold_ok, *rest, ignore_arm=config.ignore_arm),
-        done.open_success(s.opened, *rest),
-        done.close_success(s.closed, *rest),
-    )
-    success = (s.kind == 0) & by_kind[0]
-    for kind in range(1, 5):
-        success = success | ((s.kind == kind) & by_kind[kind])
-    return success
+def _force_limit(kind: Array, like: Array, config: TaskConfig) -> Array:
+    """(W,) largest cumulative force of the active kinds; a finished plan has kind -1, which reads the last entry."""
+    limits = tuple(c.force_limit for c in (config.pick, config.place, config.navigate, config.open, config.close))
+    return constant((*limits, math.inf), like)[kind]

@@ -62,7 +62,8 @@ class Outcome:
 def _horizon(plan: PlanArrays, pointer: Array, config: TaskConfig) -> Array:
     """(W,) horizon of the subtask at ``pointer``; past the end, that of the last subtask."""
     kind = pick_column(plan.kind, namespace(pointer).minimum(pointer, plan.length - 1))
-    return constant(config.horizons, pointer)[kind]
+    limits = (config.pick, config.place, config.navigate, config.open, config.close)
+    return constant(tuple(limit.horizon for limit in limits), pointer)[kind]
 
 
 def start(plan: PlanArrays, config: TaskConfig, like: Array | None = None) -> Progress:
@@ -90,13 +91,15 @@ def accumulate(progress: Progress, robot_force: Array) -> Progress:
     xp = namespace(robot_force)
     step = xp.astype(~progress.done, progress.pointer.dtype)
     force = xp.where(progress.done, 0.0, robot_force)
-    return replace(
-        progress,
-        steps_left=progress.steps_left - step,
-        subtask_step=progress.subtask_step + step,
-        episode_step=progress.episode_step + step,
-        cumulative_force=progress.cumulative_force + force,
-        peak_force=xp.maximum(progress.peak_force, force),
+    return Progress(
+        progress.pointer,
+        progress.steps_left - step,
+        progress.subtask_step + step,
+        progress.episode_step + step,
+        progress.cumulative_force + force,
+        xp.maximum(progress.peak_force, force),
+        progress.success_once,
+        progress.done,
     )
 
 
@@ -127,15 +130,15 @@ def advance(progress: Progress, signals: Signals, plan: PlanArrays, config: Task
     outcome = Outcome(
         advanced, success, fail, timeout, force_exceeded, place_broken, done, advanced | done, advanced, advanced
     )
-    new = replace(
-        progress,
-        pointer=pointer,
-        steps_left=xp.where(moved, _horizon(plan, pointer, config), progress.steps_left),
-        subtask_step=xp.where(moved, 0, progress.subtask_step),
-        cumulative_force=xp.where(moved, 0.0, progress.cumulative_force),
-        peak_force=xp.where(moved, 0.0, progress.peak_force),
-        success_once=(progress.success_once | advanced) & ~moved,
-        done=progress.done | done,
+    new = Progress(
+        pointer,
+        xp.where(moved, _horizon(plan, pointer, config), progress.steps_left),
+        xp.where(moved, 0, progress.subtask_step),
+        progress.episode_step,
+        xp.where(moved, 0.0, progress.cumulative_force),
+        xp.where(moved, 0.0, progress.peak_force),
+        (progress.success_once | advanced) & ~moved,
+        progress.done | done,
     )
     return new, outcome
 

@@ -1,4 +1,4 @@
-"""When a subtask is done: one function per kind, on boolean arrays (W,).
+"""When a subtask is done: the conditions of every kind, and which signals mean anything for it, as tables.
 
 Conditions of the MS-HAB paper (App. A.2) and mshab/envs/sequential_task.py. ``force_ok`` means that the force
 accumulated over the subtask is within its limit; a subtask with too much force cannot succeed.
@@ -6,46 +6,88 @@ accumulated over the subtask is within its limit; a subtask with too much force 
 
 from __future__ import annotations
 
-from mjhab.core.arrays import Array
+from mjhab.core.arrays import Array, Table, constant, namespace
+from mjhab.tasks.plan import SubtaskKind
+
+CHECKS: tuple[str, ...] = (
+    "is_grasped",
+    "ee_rest",
+    "robot_rest",
+    "is_static",
+    "force_ok",
+    "contact",
+    "touch",
+    "at_goal",
+    "opened",
+    "closed",
+    "slightly_opened",
+    "slightly_closed",
+    "near",
+    "oriented",
+    "let_go",
+    "hold_ok",
+)
+"""Rows of the check tables. ``let_go``: nothing is held; ``hold_ok``: the object to carry is held, or there is none."""
+
+_AT_REST = ("ee_rest", "robot_rest", "is_static", "force_ok")
+CONDITIONS: dict[SubtaskKind, tuple[str, ...]] = {
+    SubtaskKind.PICK: ("is_grasped", *_AT_REST),
+    SubtaskKind.PLACE: ("let_go", "at_goal", *_AT_REST),
+    SubtaskKind.NAVIGATE: ("near", "oriented", "hold_ok", *_AT_REST),
+    SubtaskKind.OPEN: ("opened", *_AT_REST),
+    SubtaskKind.CLOSE: ("closed", *_AT_REST),
+}
+"""Checks that must hold together for a subtask to be done."""
+ARM_CONDITIONS = ("hold_ok", "ee_rest", "robot_rest")
+"""Conditions on arm and grasp; Navigate drops them when it ignores the arm (used with teleport navigation)."""
+
+_JOINTED = (SubtaskKind.OPEN, SubtaskKind.CLOSE)
+ONLY_FOR: dict[str, tuple[SubtaskKind, ...]] = {
+    "at_goal": (SubtaskKind.PLACE,),
+    "opened": _JOINTED,
+    "closed": _JOINTED,
+    "slightly_opened": _JOINTED,
+    "slightly_closed": _JOINTED,
+    "near": (SubtaskKind.NAVIGATE,),
+    "oriented": (SubtaskKind.NAVIGATE,),
+}
+"""Checks that are False for every other kind, and once the plan is finished."""
+
+# One column per kind; the last is for kind -1 (finished), which an index of -1 reads. It asks for a check that is
+# never true there, so that a finished plan does not succeed again.
+_APPLIES = Table(
+    tuple(tuple(name not in ONLY_FOR or kind in ONLY_FOR[name] for kind in (*SubtaskKind, None)) for name in CHECKS)
+)
 
 
-def pick_success(is_grasped: Array, ee_rest: Array, robot_rest: Array, is_static: Array, force_ok: Array) -> Array:
-    """The object is held and the robot is back at rest (loosely), not moving."""
-    return is_grasped & ee_rest & robot_rest & is_static & force_ok
+def _optional(ignore_arm: bool) -> Table:
+    """(K, 6): the check is no condition of the kind."""
+    needs = dict(CONDITIONS)
+    if ignore_arm:
+        needs[SubtaskKind.NAVIGATE] = tuple(n for n in needs[SubtaskKind.NAVIGATE] if n not in ARM_CONDITIONS)
+    columns = (*(needs[kind] for kind in SubtaskKind), ("at_goal",))
+    return Table(tuple(tuple(name not in column for column in columns) for name in CHECKS))
 
 
-def place_success(
-    is_grasped: Array, at_goal: Array, ee_rest: Array, robot_rest: Array, is_static: Array, force_ok: Array
-) -> Array:
-    """The object lies at its goal, let go, and the robot is back at rest, not moving."""
-    return ~is_grasped & at_goal & ee_rest & robot_rest & is_static & force_ok
+_OPTIONAL = {ignore_arm: _optional(ignore_arm) for ignore_arm in (False, True)}
 
 
-def open_success(opened: Array, ee_rest: Array, robot_rest: Array, is_static: Array, force_ok: Array) -> Array:
-    """The link is open and the robot is back at rest, not moving."""
-    return opened & ee_rest & robot_rest & is_static & force_ok
-
-
-def close_success(closed: Array, ee_rest: Array, robot_rest: Array, is_static: Array, force_ok: Array) -> Array:
-    """The link is closed and the robot is back at rest, not moving."""
-    return closed & ee_rest & robot_rest & is_static & force_ok
-
-
-def navigate_success(
-    near: Array,
-    oriented: Array,
-    hold_ok: Array,
-    ee_rest: Array,
-    robot_rest: Array,
-    is_static: Array,
-    force_ok: Array,
-    ignore_arm: bool,
-) -> Array:
-    """The base stands close to the goal and faces it, not moving.
+def applicable(checks: Array, kind: Array) -> Array:
+    """Clear the checks that do not apply to the active kinds.
 
     Args:
-        hold_ok: (W,) the object to carry is in the hand, or none has to be.
-        ignore_arm: drop the conditions on arm and grasp (used with teleport navigation).
+        checks: (K, W) bool, rows ``CHECKS``.
+        kind: (W,) int64, -1 for a finished plan.
     """
-    arrived = near & oriented & is_static & force_ok
-    return arrived if ignore_arm else arrived & hold_ok & ee_rest & robot_rest
+    return checks & constant(_APPLIES, checks)[:, kind]
+
+
+def subtask_success(checks: Array, kind: Array, ignore_arm: bool) -> Array:
+    """Apply the success condition of each world's active kind. Returns (W,) bool; kind -1 never succeeds.
+
+    Args:
+        checks: (K, W) bool, rows ``CHECKS``, cleared where they do not apply.
+        kind: (W,) int64.
+        ignore_arm: Navigate drops ``ARM_CONDITIONS``.
+    """
+    return namespace(checks).all(checks | constant(_OPTIONAL[ignore_arm], checks)[:, kind], axis=0)

@@ -5,16 +5,17 @@ This is the one stateful thing in ``tasks``: a notebook beside the pure function
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from mjhab.core.arrays import Array, namespace, to_numpy, where_rows
+from mjhab.core.arrays import Array, namespace, to_numpy
 from mjhab.tasks import events as ev
 from mjhab.tasks import labels as lb
 from mjhab.tasks.legacy import extend, legacy_label
 from mjhab.tasks.plan import PADDING
+
+_SUCCESS, _AT_GOAL = lb.WATCHED.index("success"), lb.WATCHED.index("at_goal")
 
 
 @dataclass
@@ -34,7 +35,6 @@ class SubtaskTracker:
     """
 
     def __init__(self, signals: lb.Watched) -> None:
-        self._previous = _row(signals)
         self._labels = lb.start(signals)
         count = signals.success.shape[0]
         self._notes = [_Notes() for _ in range(count)]
@@ -42,7 +42,6 @@ class SubtaskTracker:
 
     def restart(self, mask: Array, signals: lb.Watched) -> None:
         """Begin a new subtask in the worlds of ``mask`` (W,) bool, from the signals at its start."""
-        self._previous = where_rows(mask, _row(signals), self._previous)
         self._labels = lb.restart(self._labels, mask, signals)
         rows = to_numpy(mask)
         for w in rows.nonzero()[0].tolist():
@@ -61,31 +60,29 @@ class SubtaskTracker:
         Returns:
             Names of this step's events per world.
         """
-        labels = lb.update(self._labels, signals)
+        before, now = self._labels.now, lb.watch(signals)
+        labels = lb.add(self._labels, now)
         if live is not None:
             kind = namespace(kind).where(live, kind, PADDING)
-            labels = where_rows(live, labels, self._labels)
+            labels = lb.choose(live, labels, self._labels)
         self._labels = labels
-        current = _row(signals)
-        names = ev.event_names(kind, ev.step_events(kind, self._previous, current))
-        self._write(kind, names, current, to_numpy(step))
-        self._previous = current
+        names = ev.event_names(kind, ev.edge_events(kind, before, now))
+        self._write(to_numpy(kind), names, to_numpy(now), to_numpy(step))
         return names
 
-    def _write(self, kind: Array, names: list[list[str]], current: lb.History, step: np.ndarray) -> None:
+    def _write(self, kinds: np.ndarray, names: list[list[str]], now: np.ndarray, step: np.ndarray) -> None:
         """Write the step's events into the notes; the published labels see the first step as if from nothing."""
-        kinds = to_numpy(kind)
         live = kinds >= 0
-        self._success |= live & to_numpy(current.success)
+        self._success |= live & now[_SUCCESS]
         first = live & ~self._begun
-        self._begun |= live
         legacy_names = names
         if first.any():
-            from_nothing = ev.event_names(kind, ev.step_events(kind, ev.blank(current), current))
+            self._begun |= live
+            from_nothing = ev.event_names(kinds, ev.edge_events(kinds, np.zeros_like(now), now))
             legacy_names = [from_nothing[w] if first[w] else names[w] for w in range(len(names))]
-            self._at_goal_first = np.where(first, to_numpy(current.at_goal), self._at_goal_first)
+            self._at_goal_first = np.where(first, now[_AT_GOAL], self._at_goal_first)
         for w, note in enumerate(self._notes):
-            if live[w] and (names[w] or legacy_names[w]):
+            if names[w] or legacy_names[w]:
                 extend(note.legacy, int(kinds[w]), legacy_names[w])
                 note.events.extend((int(step[w]), name) for name in names[w])
 
@@ -101,8 +98,3 @@ class SubtaskTracker:
     def events(self, w: int) -> list[tuple[int, str]]:
         """Return the (step, name) events of world ``w``'s subtask so far."""
         return list(self._notes[w].events)
-
-
-def _row(signals: lb.Watched) -> lb.History:
-    """Keep only what events look at."""
-    return lb.History(**{f.name: getattr(signals, f.name) for f in dataclasses.fields(lb.History)})

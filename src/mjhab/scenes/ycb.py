@@ -1,0 +1,330 @@
+"""Reader of YCB objects: scans of the YCB Object and Model Set as movable objects.
+
+A folder ``<object>/textured.glb`` per object holds a scan (metres, +z up, origin anywhere). It becomes an object with
+its origin at the centre of the scan's bounding box. Boxes are turned about z until their faces look along the axes;
+``ObjectType.scan_yaw`` remembers by how much, for files that give poses in the axes of the scan.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial import ConvexHull, cKDTree
+
+from mjhab.core.errors import UsageError
+from mjhab.scenes.meshes import Mesh
+from mjhab.scenes.objects import MASSES
+from mjhab.scenes.shapes import about_z, look
+from mjhab.scenes.simplify import simplify
+from mjhab.scenes.spec import Geom, ObjectType, Vec3
+
+SCAN = "textured.glb"
+MAX_FACES = 2500
+"""Most triangles of an object's render mesh."""
+PRIMITIVE_TOLERANCE = 0.003
+"""A box or cylinder stands for a scan when `PRIMITIVE_SHARE` of its convex hull's surface lies within this [m]."""
+PRIMITIVE_SHARE = 0.90
+"""Not all of it: printed boxes and pressed tins have round edges."""
+OPEN_SHARE = 0.6
+"""A scan that fills less than this share of its convex hull is hollow: its opening must stay open."""
+HULL_DIRECTIONS = 160
+WALL = 0.0045
+"""Thickness of the collision wall of a bowl [m]; the scanned wall is thinner, too thin for a stable grasp."""
+RIM_PIECES, BASE_PIECES = 16, 8
+_COLOR_STEP = 0.04
+_SAMPLE_EDGE = 0.004
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """A scan about the centre of its bounding box: ``vertices`` (V, 3) [m], ``faces`` (F, 3), ``color`` (F, 3) sRGB."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    color: np.ndarray
+
+
+def read_ycb(folder: Path) -> tuple[dict[str, ObjectType], dict[str, object]]:
+    """Read the ten objects of the benchmark.
+
+    Args:
+        folder: holds one folder per object, named as in ``MASSES``.
+
+    Returns:
+        Object types by name, and the meshes their geoms name (``scenes.meshes.Mesh``).
+
+    Raises:
+        UsageError: a scan is missing or broken; the message names the file.
+    """
+    for name in MASSES:
+        if not (folder / name / SCAN).is_file():
+            raise UsageError(
+                f"YCB folder '{folder}' has no {name}/{SCAN}; it must hold the ten objects "
+                f"{', '.join(MASSES)}. `mjhab assets fetch ycb` gets them."
+            )
+    types: dict[str, ObjectType] = {}
+    meshes: dict[str, object] = {}
+    for name in MASSES:
+        types[name], added = object_from_scan(name, read_scan(folder / name / SCAN))
+        meshes.update(added)
+    return types, meshes
+
+
+def read_scan(path: Path) -> Scan:
+    """Read a textured mesh and the colour of every face.
+
+    Raises:
+        UsageError: the file is broken, or has no texture; the message names it.
+    """
+    import trimesh
+
+    try:
+        scene: Any = trimesh.load(path, force="scene")
+        parts = [g for g in scene.dump() if len(getattr(g, "faces", ()))]
+        (part,) = parts
+        vertices, faces = np.asarray(part.vertices, np.float64), np.asarray(part.faces, np.int64)
+        color = _face_color(part)
+    except Exception as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise UsageError(f"{path}: not a readable textured mesh ({reason}); fetch the file again.") from error
+    center = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+    return Scan(vertices - center, faces, color)
+
+
+def _face_color(part: Any) -> np.ndarray:
+    """(F, 3) sRGB 0..1: the texture at the middle of every face."""
+    from trimesh.visual.color import uv_to_color
+
+    middle = part.visual.uv[part.faces].mean(axis=1)
+    image = part.visual.material.baseColorTexture
+    if image is None:
+        raise ValueError("it has no base colour texture")
+    return np.asarray(uv_to_color(middle, image))[:, :3] / 255.0
+
+
+def object_from_scan(name: str, scan: Scan) -> tuple[ObjectType, dict[str, Mesh]]:
+    """Choose collision shapes for a scan and reduce what is seen of it."""
+    yaw, half = box_fit(scan.vertices)
+    if primitive_share(scan, "box", yaw, half) < PRIMITIVE_SHARE:
+        yaw = 0.0
+    turned = Scan(_turn(scan.vertices, -yaw), scan.faces, scan.color)
+    outer = np.ptp(turned.vertices, axis=0) / 2
+    collision, meshes = _collision(name, turned, half)
+    meshes[f"{name}_look"] = render_mesh(turned)
+    visuals = (look(f"{name}_look", "plain_white"),)
+    bounds = (float(outer[0]), float(outer[1]), float(outer[2]))
+    if collision[0].shape in ("box", "cylinder") and len(collision) == 1:
+        bounds = _bounds(collision[0])
+    return ObjectType(name, MASSES[name], bounds, tuple(collision), visuals, scan_yaw=-yaw), meshes
+
+
+def _bounds(geom: Geom) -> Vec3:
+    x, y, z = geom.size
+    return (x, y, z) if geom.shape == "box" else (x, x, y)
+
+
+def _collision(name: str, scan: Scan, box_half: Vec3) -> tuple[list[Geom], dict[str, Mesh]]:
+    """Geoms of a scan that is already turned, and the meshes they name."""
+    if primitive_share(scan, "box", 0.0, box_half) >= PRIMITIVE_SHARE:
+        return [Geom("box", box_half, visual=False)], {}
+    can = can_fit(scan.vertices)
+    if primitive_share(scan, "cylinder", 0.0, can) >= PRIMITIVE_SHARE:
+        return [Geom("cylinder", (can[0], can[2], 0.0), visual=False)], {}
+    if _fill(scan) < OPEN_SHARE:
+        return _bowl(name, scan)
+    return [Geom("mesh", (1.0, 1.0, 1.0), mesh=f"{name}_hull", visual=False)], {f"{name}_hull": hull_of(scan.vertices)}
+
+
+# -- primitives --------------------------------------------------------------------------------------------------------
+
+
+def box_fit(vertices: np.ndarray) -> tuple[float, Vec3]:
+    """Best upright box about the origin: heading [rad] in (-pi/4, pi/4] and half-extents [m].
+
+    The heading is that of the smallest rectangle around the plan; the sides lie in the middle of the hull's faces
+    that look along them (a bulge counts little), top and bottom at the extremes, on which the thing stands.
+    """
+    plan = vertices[ConvexHull(vertices[:, :2]).vertices][:, :2]
+    angles = np.linspace(-np.pi / 4, np.pi / 4, 901)[1:]
+    areas = [np.ptp(_turn(plan, -a), axis=0).prod() for a in angles]
+    yaw = float(angles[int(np.argmin(areas))])
+    points, normals, weights = hull_surface(_turn(vertices, -yaw))
+    half = [_face_distance(points, normals, weights, axis) for axis in range(2)]
+    return yaw, (half[0], half[1], float(np.ptp(vertices[:, 2]) / 2))
+
+
+def _face_distance(points: np.ndarray, normals: np.ndarray, weights: np.ndarray, axis: int) -> float:
+    """Mean distance [m] of the two faces that look along an axis from the origin."""
+    sides = []
+    for sign in (-1.0, 1.0):
+        facing = sign * normals[:, axis] > 0.94
+        height = sign * points[:, axis]
+        if not facing.any():
+            sides.append(float(height.max()))
+            continue
+        order = np.argsort(height[facing])
+        total = np.cumsum(weights[facing][order])
+        sides.append(float(height[facing][order][np.searchsorted(total, total[-1] / 2)]))
+    return sum(sides) / 2
+
+
+def can_fit(vertices: np.ndarray) -> Vec3:
+    """Best upright cylinder about the origin: (radius, radius, half-height) [m]."""
+    points, normals, weights = hull_surface(vertices)
+    side = np.abs(normals[:, 2]) < 0.3
+    radius = np.hypot(points[side, 0], points[side, 1])
+    mean = float(np.average(radius, weights=weights[side])) if side.any() else float(np.ptp(vertices[:, 0]) / 2)
+    return (mean, mean, float(np.ptp(vertices[:, 2]) / 2))
+
+
+def primitive_share(scan: Scan, shape: str, yaw: float, half: Vec3) -> float:
+    """Share of the surface of a scan's convex hull within `PRIMITIVE_TOLERANCE` of a box or cylinder."""
+    points, _, weights = hull_surface(_turn(scan.vertices, -yaw))
+    if shape == "box":
+        beyond = np.abs(points) - np.array(half)
+    else:
+        radial = np.hypot(points[:, 0], points[:, 1]) - half[0]
+        beyond = np.stack([radial, np.abs(points[:, 2]) - half[2]], axis=1)
+    gap = np.linalg.norm(np.maximum(beyond, 0.0), axis=1) + np.minimum(beyond.max(axis=1), 0.0)
+    return float(weights[np.abs(gap) <= PRIMITIVE_TOLERANCE].sum() / weights.sum())
+
+
+def hull_surface(vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points (P, 3) spread over the convex hull, their outward normals (P, 3) and areas (P,)."""
+    hull = ConvexHull(vertices)
+    triangles, normals = vertices[hull.simplices], hull.equations[:, :3]
+    while True:
+        edge = np.linalg.norm(triangles - np.roll(triangles, -1, axis=1), axis=2)
+        large = edge.max(axis=1) > _SAMPLE_EDGE
+        if not large.any() or len(triangles) > 200_000:
+            break
+        halves, twice = _halve(triangles[large], edge[large]), np.repeat(normals[large], 2, axis=0)
+        triangles, normals = np.concatenate([triangles[~large], halves]), np.concatenate([normals[~large], twice])
+    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
+    return triangles.mean(axis=1), normals, np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+
+
+def _halve(triangles: np.ndarray, edge: np.ndarray) -> np.ndarray:
+    """Cut triangles (T, 3, 3) at the middle of their longest edge: (2 T, 3, 3)."""
+    first = edge.argmax(axis=1)
+    a, b, c = (np.take_along_axis(triangles, ((first + k) % 3)[:, None, None], axis=1)[:, 0] for k in range(3))
+    middle = (a + b) / 2
+    return np.stack([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)], axis=1).reshape(-1, 3, 3)
+
+
+# -- other shapes ------------------------------------------------------------------------------------------------------
+
+
+def _fill(scan: Scan) -> float:
+    """Volume of the solid below and inside a scan's surface, as a share of its convex hull's."""
+    a, b, c = (scan.vertices[scan.faces[:, k]] for k in range(3))
+    inside = np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6
+    return float(abs(inside) / ConvexHull(scan.vertices).volume)
+
+
+def hull_of(points: np.ndarray) -> Mesh:
+    """Convex hull of points (P, 3) with at most `HULL_DIRECTIONS` vertices: the extremes in evenly spread directions.
+
+    The extremes along the coordinate axes are among them, so the bounding box is kept.
+    """
+    corners = points[ConvexHull(points).vertices]
+    directions = np.concatenate([_sphere(HULL_DIRECTIONS - 6), np.eye(3), -np.eye(3)])
+    chosen = corners[np.unique((directions @ corners.T).argmax(axis=1))]
+    hull = ConvexHull(chosen)
+    faces = hull.simplices.copy()
+    a, b, c = (chosen[faces[:, k]] for k in range(3))
+    inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0
+    faces[inward] = faces[inward][:, ::-1]
+    return Mesh(chosen.astype(np.float32), faces.astype(np.int32))
+
+
+def _sphere(count: int) -> np.ndarray:
+    """(count, 3) unit vectors spread evenly (Fibonacci lattice)."""
+    k = np.arange(count) + 0.5
+    z, angle = 1 - 2 * k / count, np.pi * (1 + math.sqrt(5)) * k
+    r = np.sqrt(1 - z * z)
+    return np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
+
+
+def _bowl(name: str, scan: Scan) -> tuple[list[Geom], dict[str, Mesh]]:
+    """A disk as floor and two rings of convex wedges along the outer profile; the inside stays open."""
+    foot, knee, rim = bowl_profile(scan.vertices)
+    floor = Geom("cylinder", (foot[0], WALL / 2, 0.0), (0.0, 0.0, foot[1] + WALL / 2), visual=False)
+    geoms, meshes = [floor], {}
+    for part, low, high, count in (("rim", knee, rim, RIM_PIECES), ("base", foot, knee, BASE_PIECES)):
+        mesh = f"{name}_{part}"
+        meshes[mesh] = hull_of(_wedge(low, high, count))
+        for i in range(count):
+            turn = about_z(2 * math.pi * i / count)
+            geoms.append(Geom("mesh", (1.0, 1.0, 1.0), quat=turn, mesh=mesh, visual=False))
+    return geoms, meshes
+
+
+def bowl_profile(vertices: np.ndarray) -> tuple[tuple[float, float], ...]:
+    """Outer (radius, z) [m] of a round open thing at its foot, at its knee and at its rim.
+
+    The knee is where the outline bends most: farthest from the chord between foot and rim. The rim's radius is such
+    that the straight wall from the knee leaves the outline as little as possible (a lip stands out, the wall below
+    it stands back).
+    """
+    low, high = float(vertices[:, 2].min()), float(vertices[:, 2].max())
+    levels = np.linspace(low, high, 23)
+    middles = (levels[:-1] + levels[1:]) / 2
+    index = np.clip(np.searchsorted(levels, vertices[:, 2]) - 1, 0, len(middles) - 1)
+    radius = np.hypot(vertices[:, 0], vertices[:, 1])
+    outline = np.array([np.percentile(radius[index == k], 95) for k in range(len(middles))])
+    chord = outline[0] + (outline[-1] - outline[0]) * (middles - middles[0]) / (middles[-1] - middles[0])
+    knee = int(np.argmax(outline - chord))
+    wall = slice(knee, None)
+    shares = (middles[wall] - middles[knee]) / (high - middles[knee])
+    rims = np.linspace(outline[knee], outline[-1], 81)
+    off = np.abs(outline[knee] + shares[:, None] * (rims - outline[knee]) - outline[wall][:, None]).max(axis=0)
+    return (
+        (float(outline[0]), low),
+        (float(outline[knee]), float(middles[knee])),
+        (float(rims[int(np.argmin(off))]), high),
+    )
+
+
+def _wedge(low: tuple[float, float], high: tuple[float, float], count: int) -> np.ndarray:
+    """Corners (8, 3) of one of ``count`` wedges of a conical wall about +x; it is half inside, half outside the circle.
+
+    ``low``, ``high``: outer (radius, z).
+    """
+    a = math.pi / count
+    slope = math.atan2(high[0] - low[0], high[1] - low[1])
+    inward = WALL / math.cos(slope)
+    grow = 2 / (1 + math.cos(a))
+    corners = []
+    for radius, z in (low, high):
+        for r in (grow * radius, max(grow * radius - inward, 0.0)):
+            corners += [(r * math.cos(t), r * math.sin(t), z) for t in (-a, a)]
+    return np.array(corners)
+
+
+# -- looks -------------------------------------------------------------------------------------------------------------
+
+
+def render_mesh(scan: Scan, max_faces: int = MAX_FACES) -> Mesh:
+    """A scan with at most ``max_faces`` triangles, each in the mean colour of the scan there."""
+    vertices, faces = simplify(scan.vertices, scan.faces, max_faces)
+    corner = vertices[faces]
+    middle = corner.mean(axis=1, keepdims=True)
+    # Four places per face: its middle, and half-way to each corner.
+    places = np.concatenate([middle, (corner + middle) / 2], axis=1)
+    _, nearest = cKDTree(scan.vertices[scan.faces].mean(axis=1)).query(places.reshape(-1, 3))
+    color = scan.color[nearest].reshape(len(faces), 4, 3).mean(axis=1)
+    color = np.round(color / _COLOR_STEP) * _COLOR_STEP
+    return Mesh(vertices.astype(np.float32), faces.astype(np.int32), color.clip(0, 1).astype(np.float32))
+
+
+def _turn(points: np.ndarray, yaw: float) -> np.ndarray:
+    """Points (P, 2 or 3) turned about z by ``yaw`` [rad]."""
+    c, s = math.cos(yaw), math.sin(yaw)
+    turned = points.copy()
+    turned[:, 0], turned[:, 1] = c * points[:, 0] - s * points[:, 1], s * points[:, 0] + c * points[:, 1]
+    return turned

@@ -65,10 +65,10 @@ class JointDeltaController:
         moved = dict(zip(ARM_JOINTS, range(ARM.start, ARM.stop), strict=True))
         body = (("head_pan_joint", HEAD_PAN), ("head_tilt_joint", HEAD_TILT), ("torso_lift_joint", TORSO))
         moved |= {joints.index(name): action for name, action in body}
-        self._joints = list(moved)
-        self._deltas = list(moved.values())
-        self._moved = [column[joints[j]] for j in moved]
-        self._fingers = [column[n] for n in ("r_gripper_finger_joint", "l_gripper_finger_joint")]
+        self._joints = np.array(list(moved))
+        self._deltas = np.array(list(moved.values()))
+        self._moved = np.array([column[joints[j]] for j in moved])
+        self._fingers = np.array([column[n] for n in ("r_gripper_finger_joint", "l_gripper_finger_joint")])
         self._base = [column[n] for n in ("root_x_axis_joint", "root_y_axis_joint", "root_z_rotation_joint")]
         self.num_actuators = len(fetch.ACTUATORS)
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import gymnasium
+
 from mjhab.core.errors import unknown_name
 from mjhab.envs.config import EnvConfig
 
@@ -38,3 +40,10 @@ def make_by_id(env_id: str, **options: Any) -> Any:
     if env_id not in ENV_IDS:
         raise unknown_name("environment id", env_id, ENV_IDS)
     return make(**{**ENV_IDS[env_id], **options})
+
+
+def register_envs() -> None:
+    """Make the ids known to ``gymnasium.make_vec``; called when ``mjhab.envs`` is imported."""
+    for env_id, options in ENV_IDS.items():
+        if env_id not in gymnasium.registry:
+            gymnasium.register(env_id, vector_entry_point=make, kwargs=dict(options))

@@ -6,25 +6,30 @@ import dataclasses
 
 import numpy as np
 
+from mjhab.core.arrays import pick_column
 from mjhab.scenes.layout import Layout
-from mjhab.tasks.measure import Active
-from mjhab.tasks.plan import PADDING, Box, PlanArrays, SubtaskKind, TaskConfig, TaskPlan, stack_plans
+from mjhab.tasks.measure import Active, active_entries
+from mjhab.tasks.plan import Box, PlanArrays, SubtaskKind, TaskConfig, TaskPlan, stack_plans
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Focus:
-    """What the active subtask of every world is about; the last one's once the plan is finished.
+    """What the active subtask of every world is about; the last one's where the plan is finished.
 
     ``kind`` (W,) int64, never -1 for a plan that has subtasks; ``obj``, ``link`` (W,) slot and index, -1 for none;
-    ``columns`` (W, 2): of the target and of what Navigate carries among objects then links, -1 for none; ``shown``
-    (W, 3) 1.0 or 0.0: the observation has a tool, an object, a goal pose; ``active``: the entries for `measure`.
+    ``columns`` (W, 2): of the target and of what Navigate carries among objects then links, -1 for none;
+    ``has_columns`` (W, 2) and ``has_link`` (W,) bool; ``shown`` (3, W, 1) bool: the observation has a tool, an object,
+    a goal pose; ``has_obj`` (W, S, 1) bool: the subtasks of the plan that have an object; ``active``: for `measure`.
     """
 
     kind: np.ndarray
     obj: np.ndarray
     link: np.ndarray
     columns: np.ndarray
+    has_columns: np.ndarray
+    has_link: np.ndarray
     shown: np.ndarray
+    has_obj: np.ndarray
     active: Active
 
 
@@ -40,15 +45,10 @@ class PlanTables:
         self.layout, self.config, self.num_subtasks = layout, config, num_subtasks
         empty = TaskPlan("", ())
         self.plans: list[TaskPlan] = [empty] * num_worlds
-        plain = stack_plans([empty] * num_worlds, config, min_subtasks=num_subtasks)
-        self._rows = np.arange(num_worlds)
-        # All that is looked up for the active subtask lies side by side, so that one look-up per step gets it.
-        self._ids = np.full((num_worlds, num_subtasks, 5), -1)
-        self._values = np.zeros((num_worlds, num_subtasks, 11))
-        kind, self.obj, self.link, self.target, self.held = (self._ids[..., i] for i in range(5))
-        v = self._values
-        self._shown = v[..., 8:11]
-        self.arrays = dataclasses.replace(plain, kind=kind, goal_pos=v[..., :3], open_frac=v[..., 3], box=v[..., 4:8])
+        self.arrays: PlanArrays = stack_plans([empty] * num_worlds, config, min_subtasks=num_subtasks)
+        shape = (num_worlds, num_subtasks)
+        self.target, self.held = np.full(shape, -1), np.full(shape, -1)
+        self.obj, self.link = np.full(shape, -1), np.full(shape, -1)
 
     def set_row(self, world: int, plan: TaskPlan, boxes: dict[str, Box]) -> None:
         """Give a world a new plan."""
@@ -69,19 +69,13 @@ class PlanTables:
             self.target[world, s] = len(objects) + link if jointed else slot
             if subtask.must_hold:
                 self.held[world, s] = slot
-            self._shown[world, s] = (
-                True,
-                slot >= 0 and subtask.kind != SubtaskKind.CLOSE,
-                subtask.kind != SubtaskKind.PICK,
-            )
 
     def focus(self, pointer: np.ndarray) -> Focus:
-        """Look up the subtasks at ``pointer`` (W,)."""
-        rows, length = self._rows, self.arrays.length
-        index = np.minimum(pointer, length - 1)
-        ids, values = self._ids[rows, index], self._values[rows, index]
-        kind = ids[:, 0]
-        must_hold = self.arrays.must_hold[rows, index]
-        known = np.where(pointer < length, kind, PADDING)
-        active = Active(index, known, values[:, :3], must_hold, values[:, 3], values[:, 4:8])
-        return Focus(kind, ids[:, 1], ids[:, 2], ids[:, 3:], values[:, 8:], active)
+        """Look up the subtasks at ``pointer`` (W,). It is made of copies: later rows do not change it."""
+        active = active_entries(self.arrays, pointer, self.config)
+        tables = (self.arrays.kind, self.obj, self.link, self.target, self.held)
+        kind, obj, link, target, held = (pick_column(table, active.index) for table in tables)
+        columns = np.stack([target, held], axis=1)
+        shown = np.stack([kind == kind, (obj >= 0) & (kind != SubtaskKind.CLOSE), kind != SubtaskKind.PICK])
+        has_obj = (self.obj >= 0)[..., None]
+        return Focus(kind, obj, link, columns, columns >= 0, link >= 0, shown[..., None], has_obj, active)

@@ -12,9 +12,10 @@ from mjhab.core.rotations import mat_from_quat, quat_from_axis_angle
 from mjhab.scenes import fetch
 from mjhab.scenes.fetch_geometry import COLLISION
 from mjhab.scenes.freespace import free_map
-from mjhab.scenes.layout import Layout, compose, yaw_quat
+from mjhab.scenes.hulls import boxed_hull
+from mjhab.scenes.layout import Layout, compose
 from mjhab.scenes.receptacles import PlacedReceptacle, placed_receptacles
-from mjhab.scenes.spec import Geom, Handle, Home, Link, ObjectType
+from mjhab.scenes.spec import Geom, Handle, Home, Link, ObjectType, Pack, Placement
 from mjhab.tasks.plan import Subtask, TaskConfig
 
 if TYPE_CHECKING:
@@ -203,16 +204,17 @@ def _static_boxes(layout: Layout, home: Home) -> BoxArrays:
     for slot, placement in zip(layout.prop_slots, layout.slot_placements(home), strict=True):
         prop = layout.pack.props[slot.template]
         if placement is not None and prop.blocks_base:
-            parts.append(_placed(prop.geoms, placement.pos, placement.yaw))
+            parts.append(_placed(prop.geoms, placement, layout.pack))
     for articulation in layout.articulations:
         at = layout.articulation_placement(home, articulation.name)
-        parts.append(_placed(articulation.geoms, at.pos, at.yaw))
+        parts.append(_placed(articulation.geoms, at, layout.pack))
     return BoxArrays(*(np.concatenate([getattr(p, k) for p in parts]) for k in ("center", "half", "rot")))
 
 
-def _placed(geoms: tuple[Geom, ...], pos: tuple[float, float, float], yaw: float) -> BoxArrays:
-    rot = mat_from_quat(np.array(yaw_quat(yaw)))
-    return _boxes([g for g in geoms if g.collide and g.shape != "mesh"], np.array(pos), rot)
+def _placed(geoms: tuple[Geom, ...], at: Placement, pack: Pack) -> BoxArrays:
+    """Boxes of what collides; a convex mesh counts as the smallest box around it."""
+    boxed = [boxed_hull(g, pack) if g.shape == "mesh" else g for g in geoms if g.collide]
+    return _boxes(boxed, np.array(at.pos), mat_from_quat(np.array(at.rotation)))
 
 
 def _boxes(geoms: list[Geom], pos: np.ndarray, rot: np.ndarray) -> BoxArrays:
@@ -229,6 +231,6 @@ def _links(layout: Layout, home: Home) -> dict[str, JointedLink]:
     out = {}
     for ref in layout.links:
         at = layout.articulation_placement(home, ref.articulation)
-        origin, quat = compose(at.pos, yaw_quat(at.yaw), ref.link.pos)
+        origin, quat = compose(at.pos, at.rotation, ref.link.pos)
         out[ref.id] = JointedLink(ref.id, ref.link, np.array(origin), mat_from_quat(np.array(quat)))
     return out

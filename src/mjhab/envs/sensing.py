@@ -18,7 +18,7 @@ class Sensing:
 
     def __init__(self, layout: Layout, addresses: Addresses, num_worlds: int) -> None:
         self._rows = np.arange(num_worlds)
-        self._fingers = [addresses.robot_body[f] for f in FINGER_LINKS]
+        self._fingers = np.array([addresses.robot_body[f] for f in FINGER_LINKS])
         self._opening = np.array([FINGER_OPEN_DIR[f] for f in FINGER_LINKS])
         self._tcp = addresses.robot_body[TCP_LINK]
         self._link_body = addresses.link_body
@@ -29,9 +29,9 @@ class Sensing:
     def world_state(self, state: SimState, tables: PlanTables, focus: Focus, joint_start: np.ndarray) -> WorldState:
         """The input of `tasks.measure` for the subtasks in focus; ``joint_start`` (W,) of those with a joint."""
         rows, column = self._rows, focus.columns
-        force = state.finger_force[rows[:, None], :, column] * (column >= 0)[..., None, None]
+        force = state.finger_force[rows[:, None], :, column] * focus.has_columns[..., None, None]
         joint_range = self._range[focus.link]
-        obj_pos = state.object_pose[rows[:, None], tables.obj, :3] * (tables.obj >= 0)[..., None]
+        obj_pos = state.object_pose[rows[:, None], tables.obj, :3] * focus.has_obj
         left, right = self._fingers
         return WorldState(
             base_pose=state.robot_q[:, :3],
@@ -41,7 +41,7 @@ class Sensing:
             finger_force=force[:, 0],
             finger_dir=np.einsum("wfij,fj->wfi", state.body_mat[:, self._fingers], self._opening),
             robot_force=state.link_force.sum(axis=1),
-            target_contact=state.touch[rows, column[:, 0]] & (column[:, 0] >= 0),
+            target_contact=state.touch[rows, column[:, 0]] & focus.has_columns[:, 0],
             plan_obj_pos=obj_pos,
             joint_q=self.joint_now(state, focus),
             joint_min=joint_range[:, 0],
@@ -52,7 +52,7 @@ class Sensing:
 
     def joint_now(self, state: SimState, focus: Focus) -> np.ndarray:
         """(W,) position of the joint of the subtask in focus, 0 where it has none."""
-        return state.link_q[self._rows, focus.link] * (focus.link >= 0)
+        return state.link_q[self._rows, focus.link] * focus.has_link
 
     def handle_pos(self, state: SimState, world: np.ndarray, link: np.ndarray) -> np.ndarray:
         """World positions (n, 3) of the handles of links (n,) in worlds (n,)."""
@@ -74,5 +74,5 @@ class Sensing:
         poses[0, :, 3:] = state.body_quat[:, self._tcp]
         poses[1] = state.object_pose[rows, focus.obj]
         poses[2, :, :3] = goal
-        local = pose_in_base(state.robot_q[:, :3], poses) * focus.shown.T[..., None]
+        local = pose_in_base(state.robot_q[:, :3], poses) * focus.shown
         return ObsContext(state.robot_q, state.robot_qd, local[0], local[1], local[2, :, :3], signals.is_grasped)

@@ -105,7 +105,7 @@ class SequentialTaskEnv(VectorEnv):
         self._state: SimState = self.sim.state()
 
     def _follow(self, progress: Progress) -> None:
-        """Take over progress whose pointers, or the plans they point into, may have changed."""
+        """Take over progress whose pointers, or the plans they point into, have changed."""
         self.progress: Progress = progress
         self._focus = self.tables.focus(progress.pointer)
 
@@ -237,8 +237,9 @@ class SequentialTaskEnv(VectorEnv):
         new, outcome = progress_rules.advance(self.progress, signals, self.tables.arrays, self.task_config)
         events = self.tracker.update(signals, self.progress)
         ended = self.tracker.ended(signals, outcome, self.progress, self.tables.plans)
-        self._follow(new)
-        self.signals = signals
+        if outcome.advanced.any():
+            self._follow(new)
+        self.progress, self.signals = new, signals
         reward = self._reward(signals)
         terminated = outcome.place_broken
         if not self.config.subtask:

@@ -126,25 +126,26 @@ class StartMaker:
     def _prepare(self, rng: np.random.Generator, episode: Episode, subtask: Subtask, qpos: np.ndarray) -> Held | None:
         """Bring the home into the state in which the subtask comes up; returns what the robot holds."""
         if subtask.kind == SubtaskKind.PICK and subtask.link:
-            self._open_link(rng, subtask.link, qpos)
+            self._open_link(rng, episode.home, subtask.link, qpos)
             self._carry_along(episode, subtask, qpos)
         elif subtask.kind == SubtaskKind.CLOSE:
-            self._open_link(rng, subtask.link, qpos)
+            self._open_link(rng, episode.home, subtask.link, qpos)
             target = next(t for t in episode.targets if t.start_link == subtask.link)
             self._put_at_goal(qpos, self.layout.object_names.index(target.obj), target.goal_pos)
         elif subtask.kind == SubtaskKind.PLACE or (subtask.kind == SubtaskKind.NAVIGATE and subtask.must_hold):
             if subtask.link and qpos[self._link_q(subtask.link)] < 1.0:
-                self._open_link(rng, subtask.link, qpos)
+                self._open_link(rng, episode.home, subtask.link, qpos)
             return self._hold(rng, subtask, qpos)
         return None
 
     def _link_q(self, link: str) -> int:
         return int(self.sim.addresses.link_q[self.layout.link_ids.index(link)])
 
-    def _open_link(self, rng: np.random.Generator, link: str, qpos: np.ndarray) -> None:
+    def _open_link(self, rng: np.random.Generator, home: str, link: str, qpos: np.ndarray) -> None:
         low, high = self.layout.links[self.layout.link_ids.index(link)].link.range
         fraction = rng.uniform(self.task_config.open_fraction(link), OPEN_START_MARGIN)
-        qpos[self._link_q(link)] = low + fraction * (high - low)
+        at = low + fraction * (high - low)
+        qpos[self._link_q(link)] = min(at, dict(self._homes[home].open_limits).get(link, at))
 
     def _carry_along(self, episode: Episode, subtask: Subtask, qpos: np.ndarray) -> None:
         """An object in a drawer moves with it (mshab/utils/gen/gen_spawn_positions.py)."""

@@ -14,6 +14,7 @@ SOURCE = Path(__file__).parents[1] / "src" / "mjhab"
 
 ALLOWED: dict[str, frozenset[str]] = {
     "core": frozenset(),
+    "assets": frozenset({"core"}),
     "scenes": frozenset({"core"}),
     "tasks": frozenset({"core"}),
     "sim": frozenset({"core", "scenes"}),
@@ -23,7 +24,9 @@ ALLOWED: dict[str, frozenset[str]] = {
     "data": frozenset({"core", "tasks", "rollout"}),
     "learning": frozenset({"core", "rollout", "data"}),
     "viewer": frozenset({"core", "scenes", "tasks", "sim", "envs", "experts", "rollout", "data"}),
-    "cli": frozenset({"core", "scenes", "tasks", "sim", "envs", "experts", "rollout", "data", "learning", "viewer"}),
+    "cli": frozenset(
+        {"core", "assets", "scenes", "tasks", "sim", "envs", "experts", "rollout", "data", "learning", "viewer"}
+    ),
 }
 """Package to the packages it may import, besides itself."""
 

@@ -51,7 +51,7 @@ def test_each_world_rests_on_the_furniture_of_its_own_home(layout: Layout):
     rows = []
     for i, home in enumerate(homes):
         qpos = start(sim, home)
-        qpos[sim.addresses.object_q[0] : sim.addresses.object_q[0] + 3] = free_place(layout, i) + [0, 0, 0.08]
+        qpos[sim.addresses.object_q[0] : sim.addresses.object_q[0] + 3] = free_place(layout, i) + np.array([0, 0, 0.08])
         rows.append(qpos)
     sim.reset([0, 1, 2], homes, np.stack(rows))
     ctrl = np.zeros((3, sim.batch.ctrl.shape[1]))

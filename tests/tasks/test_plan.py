@@ -57,8 +57,8 @@ def test_tidying_repeats_fetch_and_place(task: str, count: int) -> None:
 def test_wrong_plans_say_what_is_expected() -> None:
     with pytest.raises(UsageError, match="Did you mean 'set_table'"):
         chain("settable", [])
-    with pytest.raises(UsageError, match="tidy_house handles 5 objects, got 2"):
-        chain("tidy_house", [BOWL, APPLE])
+    with pytest.raises(UsageError, match="tidy_house handles 1 to 5 objects, got 6"):
+        chain("tidy_house", [BOWL, APPLE] * 3)
     with pytest.raises(UsageError, match="start_link for 'pear'"):
         chain("set_table", [BOWL, Target("pear", (0, 0, 0))])
 

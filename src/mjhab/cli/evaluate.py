@@ -122,6 +122,7 @@ def make_env(options: EvalOptions) -> Any:
         split=options.split,
         assets=options.assets,
         home=options.home or "",
+        episodes_file=options.episodes_file or "",
         seed=options.seed,
         threads=options.threads,
         autoreset="disabled",

@@ -5,19 +5,23 @@ from __future__ import annotations
 from collections import Counter
 from typing import Any
 
-from mjhab.cli.options import HomesListOptions, HomesRenderOptions, HomesShowOptions
-from mjhab.cli.output import at_least, print_json, print_table
-from mjhab.core.errors import UsageError, unknown_name
-
-PNG = ".png"
+from mjhab.cli.options import HomesCheckOptions, HomesListOptions, HomesRenderOptions, HomesShowOptions
+from mjhab.cli.output import print_json, print_table
+from mjhab.core.errors import unknown_name
 
 
-def run_homes(options: HomesListOptions | HomesShowOptions | HomesRenderOptions) -> int:
-    """Run one of the three commands and return the exit code."""
+def run_homes(options: HomesListOptions | HomesShowOptions | HomesCheckOptions | HomesRenderOptions) -> int:
+    """Run one of the four commands and return the exit code."""
     if isinstance(options, HomesListOptions):
         return list_homes(options)
     if isinstance(options, HomesShowOptions):
         return show_home(options)
+    if isinstance(options, HomesCheckOptions):
+        from mjhab.cli.homes_check import check
+
+        return check(options)
+    from mjhab.cli.homes_render import render
+
     return render(options)
 
 
@@ -36,7 +40,7 @@ def list_homes(options: HomesListOptions) -> int:
 
 def show_home(options: HomesShowOptions) -> int:
     """Print size, walls and furniture of one home."""
-    home = _home(options.assets, options.name)
+    home = find_home(options.assets, options.name)
     x_min, y_min, x_max, y_max = home.floor
     shown = {
         **_row(home),
@@ -45,12 +49,17 @@ def show_home(options: HomesShowOptions) -> int:
         "lights": len(home.lights),
         "props": dict(sorted(Counter(place.template for place in home.props).items())),
         "articulations": sorted(place.template for place in home.articulations),
+        "note": home.note,
+        "open_limits": dict(home.open_limits),
     }
     if options.json:
         print_json(shown)
         return 0
-    facts = [(key, value) for key, value in shown.items() if key not in ("props", "articulations")]
+    apart = ("props", "articulations", "note", "open_limits")
+    facts = [(key, value) for key, value in shown.items() if key not in apart]
     facts[5:6] = [("size", f"{shown['size_m'][0]} m x {shown['size_m'][1]} m")]
+    facts += [("note", home.note)] if home.note else []
+    facts += [(f"{link} opens to", f"{limit:g}") for link, limit in home.open_limits]
     print_table(f"home {home.name}", ("what", "value"), facts)
     furniture = [(name, count, "") for name, count in shown["props"].items()]
     furniture += [(name, 1, "opens") for name in shown["articulations"]]
@@ -58,38 +67,30 @@ def show_home(options: HomesShowOptions) -> int:
     return 0
 
 
-def render(options: HomesRenderOptions) -> int:
-    """Draw one home into a PNG."""
-    at_least("width", options.width, 16)
-    at_least("height", options.height, 16)
-    if options.out.suffix.lower() != PNG:
-        raise UsageError(f"--out must end with {PNG}, got {options.out}.")
-    if options.out.is_dir():
-        raise UsageError(f"--out {options.out} is a folder; give the name of a {PNG} file.")
-    home = _home(options.assets, options.name)
-    from PIL import Image
+def find_home(assets: str, name: str) -> Any:
+    """The home of that name.
 
-    from mjhab.scenes.packs import open_pack
-    from mjhab.sim.views import render_home
-
-    image = render_home(open_pack(options.assets), home.name, options.view, options.width, options.height)
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(image).save(options.out)
-    if options.json:
-        height, width = image.shape[:2]
-        print_json({"home": home.name, "view": options.view, "width": width, "height": height, "out": str(options.out)})
-    else:
-        print(f"drew {home.name} ({options.view}) into {options.out}")
-    return 0
-
-
-def _home(assets: str, name: str) -> Any:
+    Raises:
+        UsageError: unknown pack or home.
+    """
     from mjhab.scenes.packs import open_pack
 
     homes = {home.name: home for home in open_pack(assets).homes}
     if name not in homes:
         raise unknown_name("home", name, homes)
     return homes[name]
+
+
+def homes_of_split(pack: Any, split: str | None) -> list[Any]:
+    """Homes of a pack that belong to ``split``, all if it is None.
+
+    Raises:
+        UsageError: the pack has no home in that split.
+    """
+    found = [home for home in pack.homes if split in (None, home.split)]
+    if not found:
+        raise unknown_name("split", str(split), {home.split for home in pack.homes})
+    return found
 
 
 def _row(home: Any) -> dict[str, Any]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 from collections.abc import Sequence
+from typing import Any
 
 import tyro
 
@@ -16,6 +18,9 @@ DESCRIPTION = f"""mjhab {mjhab.__version__}: home assistant tasks with low-level
 A Fetch robot tidies furnished homes with real physics. Begin with `mjhab doctor` and
 `mjhab eval --task set_table --policy expert --episodes 4 --out runs/first`."""
 
+Parsed = (
+    opt.EvalOptions | opt.HomesCommand | opt.AssetsCommand | opt.EpisodesCommand | opt.BenchCommand | opt.DoctorOptions
+)
 OK, FAILED, USAGE, INTERRUPTED = 0, 1, 2, 130
 
 
@@ -37,7 +42,7 @@ def main(args: Sequence[str] | None = None) -> int:
         return INTERRUPTED
 
 
-def parse(args: Sequence[str] | None) -> opt.EvalOptions | opt.HomesCommand | opt.BenchCommand | opt.DoctorOptions:
+def parse(args: Sequence[str] | None) -> Parsed:
     """Parse a command line; exits with code 2 and a message if it does not fit."""
     return tyro.cli(
         opt.Command,  # type: ignore[arg-type]
@@ -48,8 +53,20 @@ def parse(args: Sequence[str] | None) -> opt.EvalOptions | opt.HomesCommand | op
     )
 
 
-def run(command: opt.EvalOptions | opt.HomesCommand | opt.BenchCommand | opt.DoctorOptions) -> int:
+def staged(options: Any) -> Any:
+    """Options whose ``stage_mesh`` has become part of the name of their asset pack, which is all the rest looks at."""
+    if hasattr(options, "command"):
+        return dataclasses.replace(options, command=staged(options.command))
+    if getattr(options, "stage_mesh", None) is None:
+        return options
+    from mjhab.scenes.packs import with_stage
+
+    return dataclasses.replace(options, assets=with_stage(options.assets, options.stage_mesh), stage_mesh=None)
+
+
+def run(command: Parsed) -> int:
     """Run a parsed command and return the exit code."""
+    command = staged(command)
     if isinstance(command, opt.EvalOptions):
         from mjhab.cli.evaluate import run_eval
 
@@ -58,6 +75,14 @@ def run(command: opt.EvalOptions | opt.HomesCommand | opt.BenchCommand | opt.Doc
         from mjhab.cli.homes import run_homes
 
         return run_homes(command.command)
+    if isinstance(command, opt.AssetsCommand):
+        from mjhab.cli.assets import run_assets
+
+        return run_assets(command.command)
+    if isinstance(command, opt.EpisodesCommand):
+        from mjhab.cli.episodes import run_episodes
+
+        return run_episodes(command.command)
     if isinstance(command, opt.BenchCommand):
         from mjhab.cli.bench import run_bench
 

@@ -13,6 +13,7 @@ Number = Annotated[int, tyro.conf.arg(metavar="N")]
 Name = Annotated[str, tyro.conf.arg(metavar="NAME")]
 MaybeName = Annotated[str | None, tyro.conf.arg(metavar="NAME")]
 Assets = Annotated[str, tyro.conf.arg(metavar="builtin|FOLDER")]
+StageMesh = Annotated[Path | None, tyro.conf.arg(metavar="FILE.glb")]
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,10 @@ class EvalOptions:
     """Which homes: train, val or test."""
     assets: Assets = "builtin"
     """Asset pack: builtin, or the folder of another pack."""
+    stage_mesh: StageMesh = None
+    """With a ReplicaCAD folder: walls and floor for every home, in place of the stages its scenes name."""
+    episodes_file: Annotated[str | None, tyro.conf.arg(metavar="FILE")] = None
+    """Run the episodes of this file (HAB format, .json or .json.gz) instead of generated ones, in the file's homes."""
     home: MaybeName = None
     """Use only this home (see: mjhab homes list)."""
     threads: Number = 0
@@ -80,41 +85,206 @@ class HomesShowOptions:
     """Name of the home (see: mjhab homes list)."""
     assets: Assets = "builtin"
     """Asset pack: builtin, or the folder of another pack."""
+    stage_mesh: StageMesh = None
+    """With a ReplicaCAD folder: walls and floor for every home, in place of the stages its scenes name."""
     json: bool = False
     """Print one line of JSON instead of a table."""
 
 
 @dataclass(frozen=True)
-class HomesRenderOptions:
-    """Draw one home into a PNG; needs no OpenGL.
+class HomesCheckOptions:
+    """Check that homes compile into one layout, that a robot gets everywhere and that what opens opens fully.
 
-    For instance: `mjhab homes render builtin_m0_00 --out home.png --view inside`
+    For instance: `mjhab homes check --split val`
+
+    Fails if a home cannot be used. Places out of reach are remarked upon; tasks draw their places from the others.
     """
 
-    name: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="HOME")]
-    """Name of the home (see: mjhab homes list)."""
-    out: Annotated[Path, tyro.conf.arg(metavar="FILE.png")] = Path("home.png")
-    """The PNG to write."""
-    view: Name = "top"
-    """top (plan from above) or inside (from a corner of a room)."""
-    width: Number = 1200
-    """Width of the picture [pixels]."""
-    height: Number = 900
-    """Height of the picture [pixels]."""
     assets: Assets = "builtin"
     """Asset pack: builtin, or the folder of another pack."""
+    stage_mesh: StageMesh = None
+    """With a ReplicaCAD folder: walls and floor for every home, in place of the stages its scenes name."""
+    split: MaybeName = None
+    """Check only these homes: train, val or test. All if absent."""
+    json: bool = False
+    """Print one line of JSON instead of tables."""
+
+
+@dataclass(frozen=True)
+class HomesRenderOptions:
+    """Draw one home, or a sheet of all homes of a pack; needs no OpenGL.
+
+    For instance: `mjhab homes render builtin_m0_00 --out home.png --view inside`
+
+    All of them: `mjhab homes render --all --out homes.html`
+    """
+
+    name: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="HOME")] = ""
+    """Name of the home (see: mjhab homes list)."""
+    all: bool = False
+    """Draw every home of the pack into one sheet; --width and --height are then those of one picture."""
+    split: MaybeName = None
+    """With --all: only these homes: train, val or test."""
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE.png")] = Path("home.png")
+    """The PNG to write; with --all also an HTML page that needs no network."""
+    view: Name = "top"
+    """top (plan from above) or inside (from a corner of a room)."""
+    width: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """Width of the picture [pixels]; 1200, or 400 with --all."""
+    height: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """Height of the picture [pixels]; 900, or 300 with --all."""
+    assets: Assets = "builtin"
+    """Asset pack: builtin, or the folder of another pack."""
+    stage_mesh: StageMesh = None
+    """With a ReplicaCAD folder: walls and floor for every home, in place of the stages its scenes name."""
     json: bool = False
     """Print one line of JSON at the end."""
 
 
 @dataclass(frozen=True)
 class HomesCommand:
-    """List, show or draw the homes of an asset pack."""
+    """List, show, check or draw the homes of an asset pack."""
 
     command: (
         Annotated[HomesListOptions, Sub("list")]
         | Annotated[HomesShowOptions, Sub("show")]
+        | Annotated[HomesCheckOptions, Sub("check")]
         | Annotated[HomesRenderOptions, Sub("render")]
+    )
+
+
+@dataclass(frozen=True)
+class EpisodesMakeOptions:
+    """Make episodes and write them in the HAB format, with a manifest beside the file.
+
+    `mjhab episodes make --task tidy_house --split val --count 100 --out episodes/tidy.json.gz`
+
+    Every episode comes to rest in simulation before it is written, and depends on (task, split, seed, index) alone.
+    Ctrl-C keeps what is finished; the same command continues.
+    """
+
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE.json.gz")]
+    """The file to write; gzip when it ends with .gz."""
+    task: Name = "tidy_house"
+    """Which task: set_table, tidy_house or prepare_groceries."""
+    split: Name = "train"
+    """Which homes: train, val or test."""
+    count: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """How many episodes; 10000 of train, 1000 of val and test if absent."""
+    first: Number = 0
+    """Index of the first one: any one can be made without the others."""
+    seed: Number = 0
+    """Seed of the episodes."""
+    assets: Assets = "builtin"
+    """Asset pack: builtin, or the folder of another pack."""
+    stage_mesh: StageMesh = None
+    """With a ReplicaCAD folder: walls and floor for every home, in place of the stages its scenes name."""
+    workers: Number = 0
+    """Processes; 0 takes all cores. Changes the speed, never the episodes."""
+    overwrite: bool = False
+    """Replace the file, and what an interrupted run with other options left beside it."""
+    json: bool = False
+    """Print one line of JSON at the end."""
+
+
+@dataclass(frozen=True)
+class EpisodesCheckOptions:
+    """Load a file of episodes, simulate each for 2 s and tell which objects do not stay where the file puts them.
+
+    `mjhab episodes check tidy_house.json.gz --assets data`
+    """
+
+    file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE")]
+    """The file: *.json or *.json.gz in the HAB format."""
+    assets: Assets = "builtin"
+    """Asset pack: builtin, or the folder of another pack."""
+    stage_mesh: StageMesh = None
+    """With a ReplicaCAD folder: walls and floor for every home, in place of the stages its scenes name."""
+    task: MaybeName = None
+    """Task of the episodes; found in the file, or in its name, if absent."""
+    threads: Number = 0
+    """Threads of the physics; 0 takes all cores."""
+    json: bool = False
+    """Print one line of JSON instead of a table."""
+
+
+@dataclass(frozen=True)
+class EpisodesCommand:
+    """Make or check files of episodes."""
+
+    command: Annotated[EpisodesMakeOptions, Sub("make")] | Annotated[EpisodesCheckOptions, Sub("check")]
+
+
+DataSet = Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="replica_cad|ycb|hab_episodes")]
+
+
+@dataclass(frozen=True)
+class AssetsListOptions:
+    """List the public data sets that mjhab reads, their licences, and which are installed."""
+
+    json: bool = False
+    """Print one line of JSON instead of a table."""
+
+
+@dataclass(frozen=True)
+class AssetsFetchOptions:
+    """Download a public data set and install it; none is needed for the built-in homes.
+
+    For instance: `mjhab assets fetch replica_cad --accept-licence`
+
+    A broken download continues with the same command. HF_ENDPOINT names a mirror of the hub; http_proxy, https_proxy
+    and no_proxy are honoured. Without a network: zip the folder that `mjhab assets where` names on another machine, and
+    give the file to --offline.
+    """
+
+    name: DataSet
+    """The data set."""
+    offline: Annotated[Path | None, tyro.conf.arg(metavar="BUNDLE")] = None
+    """Install from this zip or tar archive; nothing is downloaded."""
+    accept_licence: bool = False
+    """Accept the terms of the data set, which are not those of mjhab, without being asked."""
+    overwrite: bool = False
+    """Replace an installed data set."""
+    repo: MaybeName = None
+    """Another repository of the hub with the same files."""
+    revision: MaybeName = None
+    """Another branch, tag or commit of the repository."""
+    json: bool = False
+    """Print one line of JSON at the end."""
+
+
+@dataclass(frozen=True)
+class AssetsVerifyOptions:
+    """Compare the files of an installed data set with the hashes recorded when it was installed.
+
+    A folder that came here another way has no record: its hashes are recorded now, and it is trusted from then on.
+    """
+
+    name: DataSet
+    """The data set."""
+    json: bool = False
+    """Print one line of JSON instead of tables."""
+
+
+@dataclass(frozen=True)
+class AssetsWhereOptions:
+    """Print the folder of a data set, or the one that holds them all: MJHAB_ASSETS chooses it."""
+
+    name: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="replica_cad|ycb|hab_episodes")] = ""
+    """The data set; the folder of all of them if absent, which --assets takes."""
+    json: bool = False
+    """Print one line of JSON."""
+
+
+@dataclass(frozen=True)
+class AssetsCommand:
+    """Get, check and find public data sets."""
+
+    command: (
+        Annotated[AssetsListOptions, Sub("list")]
+        | Annotated[AssetsFetchOptions, Sub("fetch")]
+        | Annotated[AssetsVerifyOptions, Sub("verify")]
+        | Annotated[AssetsWhereOptions, Sub("where")]
     )
 
 
@@ -136,6 +306,8 @@ class BenchSimOptions:
     """Seed of the episodes."""
     assets: Assets = "builtin"
     """Asset pack: builtin, or the folder of another pack."""
+    stage_mesh: StageMesh = None
+    """With a ReplicaCAD folder: walls and floor for every home, in place of the stages its scenes name."""
     json: bool = False
     """Print one line of JSON instead of a table."""
 
@@ -170,6 +342,8 @@ class DoctorOptions:
 Command = (
     Annotated[EvalOptions, Sub("eval")]
     | Annotated[HomesCommand, Sub("homes")]
+    | Annotated[AssetsCommand, Sub("assets")]
+    | Annotated[EpisodesCommand, Sub("episodes")]
     | Annotated[BenchCommand, Sub("bench")]
     | Annotated[DoctorOptions, Sub("doctor")]
 )

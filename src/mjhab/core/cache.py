@@ -1,9 +1,9 @@
-"""The folder for things that can be made again: compiled homes, settled starts."""
+"""Where files live: things that can be made again (compiled homes, settled starts), and downloaded data sets."""
 
 from __future__ import annotations
 
 import os
-import tempfile
+import secrets
 from collections.abc import Callable
 from pathlib import Path
 
@@ -17,15 +17,23 @@ def cache_dir() -> Path:
     return (Path(base) if base else Path.home() / ".cache") / "mjhab"
 
 
+def assets_dir() -> Path:
+    """Folder of downloaded data sets: ``$MJHAB_ASSETS``, else ``$XDG_DATA_HOME/mjhab/assets``, else in ``~/.local``."""
+    given = os.environ.get("MJHAB_ASSETS")
+    if given:
+        return Path(given)
+    base = os.environ.get("XDG_DATA_HOME")
+    return (Path(base) if base else Path.home() / ".local" / "share") / "mjhab" / "assets"
+
+
 def write_atomic(path: Path, write: Callable[[Path], object]) -> None:
     """Let ``write`` fill a temporary file beside ``path``, then rename it into place.
 
     A reader sees the old file or the new one, never half of one, also when two processes write at once.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
-    os.close(handle)
-    temporary = Path(name)
+    # Not mkstemp: the file keeps the permissions that the user's umask gives to new files.
+    temporary = path.with_name(f".{path.stem}-{os.getpid()}-{secrets.token_hex(4)}{path.suffix}")
     try:
         write(temporary)
         os.replace(temporary, path)

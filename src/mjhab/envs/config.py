@@ -25,6 +25,7 @@ class EnvConfig:
     split, home: homes to draw from, or one home by name. assets: "builtin" or a folder.
     threads: 0 takes every core. cameras: outputs ("depth", "rgb", "seg") of both robot cameras; none by default.
     autoreset: what happens to a world after its episode ended.
+    episodes_file: a file in the HAB format whose i-th episode is episode i, in the home it names; "" to generate.
     """
 
     task: str = "set_table"
@@ -39,6 +40,7 @@ class EnvConfig:
     cameras: tuple[str, ...] = ()
     camera_size: int = 128
     autoreset: str = "same_step"
+    episodes_file: str = ""
 
     def __post_init__(self) -> None:
         if self.task not in TASKS:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +31,12 @@ FRIDGE_SHELF = "fridge/middle_top"
 BOWL_DRAWER = "kitchen_counter/drawer3"
 SETTABLE_TABLE = "table_01"
 FRIDGE_DOOR = "fridge/top_door"
+NEEDED = {
+    "tidy_house": (),
+    "prepare_groceries": ("fridge", "kitchen_counter"),
+    "set_table": ("fridge", "kitchen_counter", SETTABLE_TABLE),
+}
+"""Furniture a home must have for a task."""
 FRIDGE_PREOPEN = 1.5
 """Door angle [rad] of PrepareGroceries starts (HAB prepare_groceries, ao_states)."""
 REGION_RATIO = {"set_table": 0.5, "prepare_groceries": 0.9}
@@ -45,7 +52,7 @@ MAX_SHELF_CLUTTER = {"tidy_house": 0, "prepare_groceries": 0, "set_table": 1}
 MAX_DRIFT = 0.02
 """An object that settles further than this [m] from where it was put makes the draw invalid."""
 MAX_SPEED = 0.05
-_ATTEMPTS = 30
+_ATTEMPTS = 200
 _VERSION = 3
 
 
@@ -90,6 +97,8 @@ class EpisodeMaker:
         self.homes = [h for h in self.layout.pack.homes if (h.name == home if home else h.split == split)]
         if not self.homes:
             raise UsageError(f"pack {self.layout.pack.name!r} has no home in split {split!r}")
+        for chosen in self.homes:
+            require_furniture(chosen, task)
 
     def episode(self, seed: int, index: int) -> Episode:
         """The episode named by (seed, index); the same for everyone who asks.
@@ -100,11 +109,20 @@ class EpisodeMaker:
         path = self._path(seed, index)
         if path.exists():
             return self._load(path, seed, index)
+        episode, _ = self.make(seed, index)
+        self._save(path, episode)
+        return episode
+
+    def make(self, seed: int, index: int) -> tuple[Episode, int]:
+        """The episode named by (seed, index), made now, and how many draws were rejected before it.
+
+        Raises:
+            MjhabError: when no stable arrangement is found in a bounded number of draws.
+        """
         for attempt in range(_ATTEMPTS):
             episode = self._draw(seed, index, attempt)
             if episode is not None:
-                self._save(path, episode)
-                return episode
+                return episode, attempt
         raise MjhabError(f"no stable start for {self.task} episode {index} of seed {seed} in {_ATTEMPTS} draws")
 
     def _draw(self, seed: int, index: int, attempt: int) -> Episode | None:
@@ -133,13 +151,16 @@ class EpisodeMaker:
         return self.layout.object_names.index(name)
 
     def _open_receptacles(self, draw: _Draw, *, shelf: bool) -> list[PlacedReceptacle]:
-        return [
-            r
-            for r in draw.receptacles.values()
-            if r.template in OPEN_TEMPLATES
-            or (r.template == "kitchen_counter" and r.name in COUNTER_TOPS)
-            or (shelf and r.id == FRIDGE_SHELF)
-        ]
+        things: set[str] = set()
+        out = []
+        for r in draw.receptacles.values():
+            # Of a piece of furniture with several boards the first counts, its top.
+            if r.template in OPEN_TEMPLATES and r.id.split("/")[0] not in things:
+                things.add(r.id.split("/")[0])
+                out.append(r)
+            elif (r.template == "kitchen_counter" and r.name in COUNTER_TOPS) or (shelf and r.id == FRIDGE_SHELF):
+                out.append(r)
+        return out
 
     def _place_targets(self, rng: np.random.Generator, draw: _Draw) -> tuple[Target, ...] | None:
         if self.task == "set_table":
@@ -200,20 +221,15 @@ class EpisodeMaker:
     def _target(
         self, draw: _Draw, slot: int, start: PlacedReceptacle, where: PlacedReceptacle, goal: np.ndarray
     ) -> Target:
-        link = self._opens(start)
+        link = opens(start)
         return Target(
             obj=self.layout.object_names[slot],
             goal_pos=tuple(goal.tolist()),
             start_pos=tuple(draw.placed[slot][0].tolist()),
             start_link=link,
-            goal_link=self._opens(where),
+            goal_link=opens(where),
             handle_pos=self.layout.closed_handle(draw.home, link) if link else (0.0, 0.0, 0.0),
         )
-
-    @staticmethod
-    def _opens(place: PlacedReceptacle) -> str:
-        """The link that must be open to reach into a receptacle, or ""."""
-        return place.link or (FRIDGE_DOOR if place.id == FRIDGE_SHELF else "")
 
     def _radius(self, slot: int) -> float:
         return float(np.hypot(*self.layout.objects[slot].half[:2]))
@@ -287,16 +303,15 @@ class EpisodeMaker:
 
     # -- memory ----------------------------------------------------------------------------------------------------
 
+    @cached_property
+    def digest(self) -> str:
+        """Hash of everything an episode depends on besides its name: homes, objects, code that compiles them."""
+        shared = home_hash(self.layout, self.homes[0])
+        return hashlib.sha256(repr((_VERSION, shared, self.homes)).encode()).hexdigest()[:16]
+
     def _path(self, seed: int, index: int) -> Path:
-        digest = hashlib.sha256(str(_VERSION).encode())
-        for home in self.homes:
-            digest.update(home_hash(self.layout, home).encode())
-        return (
-            cache_dir()
-            / "episodes"
-            / digest.hexdigest()[:16]
-            / f"{self.task}{self.target}-{self.split}-{seed}-{index}.npz"
-        )
+        name = f"{self.task}{self.target}-{self.split}-{seed}-{index}.npz"
+        return cache_dir() / "episodes" / self.digest / name
 
     def _save(self, path: Path, episode: Episode) -> None:
         rows = np.array([(t.obj, t.start_link, t.goal_link) for t in episode.targets])
@@ -316,6 +331,23 @@ class EpisodeMaker:
             return Episode(
                 self.task, self.split, seed, index, str(data["home"]), data["object_pose"], data["link_q"], targets
             )
+
+
+def require_furniture(home: Home, task: str) -> None:
+    """Refuse a home that lacks furniture a task is about.
+
+    Raises:
+        UsageError: names home and furniture.
+    """
+    has = {p.template for p in (*home.articulations, *home.props)}
+    missing = [name for name in NEEDED[task] if name not in has]
+    if missing:
+        raise UsageError(f"scene {home.name!r} of pack {home.pack!r} has no {missing[0]}, which {task} needs.")
+
+
+def opens(place: PlacedReceptacle) -> str:
+    """The link that must be open to reach into a receptacle, or ""."""
+    return place.link or (FRIDGE_DOOR if place.id == FRIDGE_SHELF else "")
 
 
 def _point(row: np.ndarray) -> Vec3:

@@ -269,14 +269,14 @@ def _sphere_holds(shape: ObjectShape, pos: Array, rot: Array, gripper: Gripper, 
 
 
 def _bowl_holds(shape: ObjectShape, pos: Array, rot: Array, gripper: Gripper, options: Options) -> Iterator[_Hold]:
-    """One finger inside, one outside the wall, both parallel to it; three leans of the hand at every place."""
+    """One finger inside, one outside the wall, both parallel to it; four leans of the hand at every place."""
     axis, half, count = rot[:, 2], shape.half[2], shape.facets or 16
     # The middle of a flat facet lies nearer to the axis than its corners.
     radius = (shape.half[0] - shape.wall / 2) * (np.cos(np.pi / count) if shape.facets else 1.0)
     for angle in np.arange(count) * 2 * np.pi / count:
         out = np.cos(angle) * rot[:, 0] + np.sin(angle) * rot[:, 1]
         rim = pos + half * axis + radius * out
-        for extra in (0.0, 0.2, -0.2):
+        for extra in (0.0, 0.2, -0.2, 0.4):
             lean = shape.lean + extra
             down = -np.cos(lean) * axis - np.sin(lean) * out
             closing = np.cos(lean) * out - np.sin(lean) * axis

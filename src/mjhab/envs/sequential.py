@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,8 @@ from mjhab.core.seeding import stream
 from mjhab.envs.actions import ACTION_DIM, GRIPPER, JointDeltaController
 from mjhab.envs.config import EnvConfig
 from mjhab.envs.episodes import Episode, EpisodeMaker
+from mjhab.envs.hab_episodes import FileEpisodes, file_roster
+from mjhab.envs.hab_format import read_hab
 from mjhab.envs.observations import CAMERA_KEYS, camera_key, image_observation, single_space, state_observation
 from mjhab.envs.plan_tables import PlanTables
 from mjhab.envs.privileged import WorldView
@@ -62,13 +65,18 @@ class SequentialTaskEnv(VectorEnv):
         pack = open_pack(config.assets)
         if config.home and config.home not in {h.name for h in pack.homes}:
             raise unknown_name("home", config.home, [h.name for h in pack.homes])
-        self.layout = Layout(pack, roster(config.task))
+        file = read_hab(Path(config.episodes_file)) if config.episodes_file else None
+        self.layout = Layout(pack, file_roster(file, pack) if file else roster(config.task))
         check_target(config, self.layout)
         self.num_envs = config.num_envs
         self.sim = CpuSimulator(self.layout, config.num_envs, config.threads)
         self.task_config = TaskConfig(rest_qpos=REST_QPOS, continuous=bool(config.subtask))
         wanted = config.target if config.target in self.layout.roster else ""
-        self.episodes = EpisodeMaker(self.sim, config.task, config.split, config.home, wanted)
+        self.episodes = (
+            FileEpisodes(self.sim, file, config.task, config.home, wanted)
+            if file
+            else EpisodeMaker(self.sim, config.task, config.split, config.home, wanted)
+        )
         self.starts = StartMaker(self.sim, config, self.task_config)
         self.controller = JointDeltaController()
         self.sensing = Sensing(self.layout, self.sim.addresses, self.num_envs)
@@ -241,7 +249,7 @@ class SequentialTaskEnv(VectorEnv):
             self._follow(new)
         self.progress, self.signals = new, signals
         reward = self._reward(signals)
-        terminated = outcome.place_broken
+        terminated: np.ndarray = outcome.place_broken
         if not self.config.subtask:
             terminated = terminated | outcome.success | outcome.force_exceeded
         truncated = outcome.done & ~terminated

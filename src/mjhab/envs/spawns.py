@@ -11,10 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mjhab.core.rotations import pose_mul
+from mjhab.core.boxes import Boxes, sphere_box_distance
+from mjhab.core.rotations import mat_from_quat, pose_mul
 from mjhab.envs.actions import ARM_JOINTS
 from mjhab.scenes.fetch import REST_QPOS
 from mjhab.scenes.freespace import FreeMap, free_map
+from mjhab.scenes.spec import Home
 from mjhab.sim.cpu import CpuSimulator
 from mjhab.sim.scratch import Scratch
 
@@ -23,6 +25,8 @@ ROBOT_RADIUS = 0.3
 XY_NOISE, YAW_NOISE, ARM_NOISE = (0.1, 0.2), (0.25, 0.5), (0.1, 0.2)
 """(standard deviation, clip) in m, rad, rad."""
 MAX_DISTANCE = 2.0
+EYE_HEIGHT = 1.0
+"""Height [m] at which a wall between robot and goal counts; doorways are open there."""
 MAX_TRIES = 100
 
 
@@ -50,12 +54,12 @@ class SpawnSampler:
         self.scratch = Scratch(sim)
         self._maps: dict[str, FreeMap] = {}
         self._standing: dict[str, np.ndarray] = {}
+        self._walls: dict[str, Boxes] = {}
 
     def map(self, home: str) -> FreeMap:
         """Free-space map of a home."""
         if home not in self._maps:
-            spec = next(h for h in self.sim.layout.pack.homes if h.name == home)
-            self._maps[home] = free_map(spec, self.sim.layout.pack)
+            self._maps[home] = free_map(self._home(home), self.sim.layout.pack)
         return self._maps[home]
 
     def _walkable(self, home: str) -> np.ndarray:
@@ -136,7 +140,23 @@ class SpawnSampler:
             return None
         if np.linalg.norm(xy - goal.face) > MAX_DISTANCE or (goal.area is not None and not self._inside(xy, goal.area)):
             return None
+        if self._behind_wall(home, xy, goal):
+            return None
         return np.array([*xy, self._bearing(xy, goal) + turn])
+
+    def _behind_wall(self, home: str, xy: np.ndarray, goal: SpawnGoal) -> bool:
+        """Whether a wall stands between a base and its goal: two metres through a wall are a long way round."""
+        if home not in self._walls:
+            walls = [g for g in self._home(home).walls if g.collide and g.shape == "box"]
+            rot = mat_from_quat(np.array([g.quat for g in walls]).reshape(-1, 4))
+            self._walls[home] = Boxes.of([g.pos for g in walls], [g.size for g in walls], rot)
+        share = np.linspace(0.0, 1.0, 60)[:, None]
+        line = np.full((60, 3), EYE_HEIGHT)
+        line[:, :2] = xy + share * (goal.face - xy)
+        return bool((sphere_box_distance(line, self._walls[home]) < 0.0).any())
+
+    def _home(self, name: str) -> Home:
+        return next(h for h in self.sim.layout.pack.homes if h.name == name)
 
     def _pose(
         self, home: str, qpos: np.ndarray, base: np.ndarray, arm_noise: np.ndarray, held: Held | None

@@ -9,13 +9,13 @@ from mjhab.envs.privileged import JointedLink, WorldView
 from mjhab.experts import ik, motion
 from mjhab.experts.kinematics import wrap
 from mjhab.experts.navigation import CONTROL_DT
-from mjhab.experts.route import Route, follow, plan_route
+from mjhab.experts.route import BASE_LAG, Pilot, Route, follow, plan_route
 
 Array = np.ndarray
 Motion = motion.Motion
 FUNNEL_STEP = 0.02
 """Way of the hand per control step onto a handle [m]."""
-STRADDLE = 0.055
+STRADDLE = 0.068
 """Distance from the tool centre to a handle at which the fingertips do not reach it yet [m]."""
 ALONG_BAR = 0.04
 """How far from the wished place on its bar a handle may be taken [m]."""
@@ -23,12 +23,17 @@ FOLD_ROOM = 0.005
 """Clearance [m] with which the arm folds."""
 FLOOR = 0.29
 """Clearance of the base when it backs away [m]."""
-ROUTES_TRIED, ROUTES_MOST = 3, 8
+ROUTES_TRIED, ROUTES_MOST = 5, 8
 """Stances whose way is looked at; more only while none is free."""
 ARM_REACH = 1.3
 """Distance from the base beyond which nothing is in the way [m]."""
-ROUTE_ROOM = 0.003
-"""Clearance of a free way [m]."""
+ROUTE_LACK = 0.012
+"""How much less clearance [m] than `plan_route` asks for may do: it allows for errors of the drive."""
+_HAND_LINKS = ("wrist_flex_link", "wrist_roll_link", "r_gripper_finger_link", "l_gripper_finger_link")
+AMBIGUOUS = 2.8
+"""Turn at the end [rad] from which on the base might turn the other way round, where nobody looked."""
+DETOUR = 8.0
+"""Steps between the second and the first configuration of a stance."""
 BLOCKED = 1000.0
 """Cost, in steps, of a way that touches something."""
 
@@ -42,26 +47,72 @@ def obstacles(view: WorldView, goals: Array) -> Boxes:
     return boxes.take(np.flatnonzero(sphere_box_distance(points, boxes).min(axis=0) < ARM_REACH))
 
 
-def best_route(view: WorldView, goals: Array) -> tuple[int, Route] | None:
+def best_route(
+    view: WorldView, goals: Array, others: Array | None = None, link: JointedLink | None = None
+) -> tuple[int, Route] | None:  # fmt: skip
     """The quickest way to one of some configurations (M, 15), most wanted first, that touches nothing.
+
+    Args:
+        others: (M, 15) configurations that will do as well but for some more steps.
+        link: a door that the hand must not pass through: a fast hand could seem to jump from one side to the other.
 
     Returns:
         The index of the configuration and the way there, forwards or backwards; where none is free, the one with the
         most room; None when there is no way at all.
     """
     boxes = obstacles(view, goals[:ROUTES_MOST])
+    door = None if link is None else motion.as_boxes(link.boxes(view.link_q(link.id)))
     best: tuple[float, int, Route] | None = None
     for i, goal in enumerate(goals[:ROUTES_MOST]):
         if i >= ROUTES_TRIED and best is not None and best[0] < BLOCKED:
             break
-        for direction in (1, -1):
-            found = plan_route(view, goal[:3], goal, motion.spheres(), boxes, direction=direction)
+        # Backing up to a place turns the hand less, but from the other side: then it rather comes straight in.
+        for direction, end, more in ((1, goal, 0.0), (-1, goal if others is None else others[i], DETOUR)):
+            found = plan_route(view, end[:3], end, motion.spheres(), boxes, direction=direction)
             if found is None:
                 continue
-            cost = found.steps + (0.0 if found.room > ROUTE_ROOM else BLOCKED - 1e4 * found.room)
+            cost = _cost(view, found, door) + (0.0 if others is None else more)
             if best is None or cost < best[0]:
                 best = (cost, i, found)
     return None if best is None else (best[1], best[2])
+
+
+def _cost(view: WorldView, route: Route, door: Boxes | None) -> float:
+    """Steps a route takes, and a lot more where it is blocked."""
+    lack = max(-route.room, 0.0)
+    if door is not None and lack < ROUTE_LACK:
+        gap = motion.spheres().only(_HAND_LINKS).clearance(_passed(view, route), door).min()
+        lack += max(ROUTE_LACK - float(gap), 0.0)
+    if _turn_at_end(route) > AMBIGUOUS:
+        lack += ROUTE_LACK
+    return route.steps + 400.0 * lack + (0.0 if lack < ROUTE_LACK else BLOCKED + 1e4 * lack)
+
+
+def _turn_at_end(route: Route) -> float:
+    """How far the base turns on the spot where a route ends [rad]."""
+    way = route.path[-1] - route.path[-2]
+    if np.linalg.norm(way) < 0.03:
+        return 0.0
+    heading = np.arctan2(way[1], way[0]) + (0.0 if route.direction > 0 else np.pi)
+    return float(np.abs(wrap(route.yaw - heading)))
+
+
+def _passed(view: WorldView, route: Route) -> Array:
+    """Configurations (T, 15) expected on a route, two for every control step."""
+    pilot = Pilot(route.path, route.yaw, route.direction, route.lookahead, route.speed)
+    pose, speed, rate, share = view.q[:3], 0.0, 0.0, 1.0 - np.exp(-CONTROL_DT / BASE_LAG)
+    poses = [pose]
+    for _ in range(route.steps):
+        forward, turn, _done = pilot.step(pose)
+        speed, rate = speed + share * (forward - speed), rate + share * (turn - rate)
+        pose = pose + CONTROL_DT * np.array([speed * np.cos(pose[2]), speed * np.sin(pose[2]), rate])
+        poses.append(pose)
+    needed = float(ik.travel_steps(motion.chain(), view.q, route.arm, ik.columns(motion.chain())))
+    steps = np.arange(0.0, route.steps + 0.25, 0.5)
+    part = np.clip((steps - route.delay) / max(needed, 1.0), 0.0, 1.0)[:, None]
+    out = view.q + part * (route.arm - view.q)
+    out[:, :3] = np.stack([np.interp(steps, np.arange(len(poses)), column) for column in np.array(poses).T], axis=1)
+    return out
 
 
 def go(view: WorldView, route: Route, gripper: float) -> Motion:
@@ -118,45 +169,54 @@ def retreat(view: WorldView, way: float, speed: float = 0.4) -> Motion:
     return False
 
 
-def take(view: WorldView, link: JointedLink, rot: Array, posture: Array, height: float | None = None) -> Motion:
+def take(
+    view: WorldView, link: JointedLink, rot: Array, posture: Array, *, height: float | None = None,
+    gripper: float = motion.OPEN,
+) -> Motion:  # fmt: skip
     """Put the open hand onto the handle and close it. Returns whether both fingers press.
 
     Args:
         rot: (3, 3) of the hand in the world.
         posture: preferred configuration (15,).
         height: where on an upright bar [m]; None: its middle.
+        gripper: how wide the hand is open on its way.
     """
     for _ in range(2):
         handle, _, _ = link.handle_pose(view.link_q(link.id))
         if height is not None:
             handle = np.array([*handle[:2], height])
-        if (yield from _funnel(view, handle, rot, posture)) and (yield from motion.close_fingers(view, link.id)):
+        there = yield from _funnel(view, handle, rot, posture, gripper)
+        if there and (yield from motion.close_fingers(view, link.id)):
             return True
     return False
 
 
-def _funnel(view: WorldView, goal: Array, rot: Array, posture: Array, max_steps: int = 40) -> Motion:
+def _funnel(
+    view: WorldView, goal: Array, rot: Array, posture: Array, gripper: float, max_steps: int = 40
+) -> Motion:  # fmt: skip
     """Bring the hand to ``goal``, forward only as far as it is in line: open fingers must not hit what they straddle.
 
     Along the bar (the hand's z axis) the place matters little.
     """
     robot = motion.chain()
     dofs = ik.columns(robot)
-    for _ in range(max_steps):
+    for step in range(max_steps):
         here, turn = motion.tcp(view)
         ahead, across, along = rot.T @ (goal - here)
-        if abs(ahead) < 0.014 and abs(across) < 0.008 and abs(along) < ALONG_BAR:
+        loose = 1.0 if step < max_steps // 2 else 1.5
+        if abs(ahead) < 0.014 * loose and abs(across) < 0.008 * loose and abs(along) < ALONG_BAR:
             return True
         # Within a finger's reach of the handle the hand advances only in line with it.
         gap = max(ahead - FUNNEL_STEP, 0.0 if abs(across) < 0.015 else STRADDLE)
-        shift = np.array([ahead - gap, across, along])
+        clear = abs(across) < 0.015 or ahead > STRADDLE - 0.012
+        shift = np.array([ahead - gap, across if clear else 0.0, along])
         shift *= min(1.0, 0.03 / max(float(np.linalg.norm(shift)), 1e-9))
         aim_rot = ik.straight_line(here[None], goal[None], turn[None], rot[None], 1.0, 0.06)[1]
         v, w = base_towards(view, posture)
         ahead_base = next_base(view, v, w)
         aim = (here + rot @ shift)[None]
         delta = ik.servo(robot, view.q, aim, aim_rot, dofs, rest=posture, base_next=ahead_base)[0]
-        yield motion.action(view, view.q + delta / motion.ARM_DELAY, gripper=motion.OPEN, drive=(v, w))
+        yield motion.action(view, view.q + delta / motion.ARM_DELAY, gripper=gripper, drive=(v, w))
     return False
 
 

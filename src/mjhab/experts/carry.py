@@ -36,8 +36,13 @@ def inside_depth(view: WorldView, point: Array) -> float:
 
 
 def drive_in(view: WorldView, goal: Array, *, gripper: float) -> Motion:
-    """Drive straight on to the base pose of the configuration ``goal`` (15,), the arm stretched out as it says."""
-    route = Route(np.stack([view.q[:2], goal[:2]]), float(goal[2]), 1, 0.3, goal, 0, 40, 0.0, speed=0.35)
+    """Drive straight on about to the base pose of the configuration ``goal`` (15,), the arm stretched out as it says.
+
+    Small errors sideways stay: steering would sweep the arm.
+    """
+    ahead = np.array([np.cos(goal[2]), np.sin(goal[2])])
+    way = np.stack([view.q[:2], view.q[:2] + ahead * float((goal[:2] - view.q[:2]) @ ahead)])
+    route = Route(way, float(goal[2]), 1, 0.3, goal, 0, 40, 0.0, speed=0.35)
     return (yield from follow(view, route, gripper=gripper))
 
 
@@ -61,9 +66,10 @@ def go_home(view: WorldView, obj: str, *, holding: bool = True) -> Motion:
     robot = motion.spheres()
     if holding:
         robot = robot.with_held(*held_spheres(view, obj))
-    route = plan_home(view, obj, robot, holding=holding)
-    if route is not None:
-        yield from follow(view, route, gripper=gripper)
+    for _ in range(3):
+        route = plan_home(view, obj, robot, holding=holding)
+        if route is None or (yield from follow(view, route, gripper=gripper)):
+            break
     return (yield from motion.to_rest(view, gripper=gripper, max_steps=60))
 
 
@@ -72,11 +78,11 @@ def plan_home(view: WorldView, obj: str, robot: RobotSpheres, *, holding: bool) 
     others, target = surroundings(view, obj, view.tcp_pose[:3])
     boxes = others if holding else type(others).join([others, target])
     now, goal = view.q, motion.rest_goal(view)
-    planner = motion.planner(view.home)
+    cells = motion.planner(view.home)
     best: Route | None = None
     for back in BACK:
         end = now[:3] - back * np.array([np.cos(now[2]), np.sin(now[2]), 0.0])
-        if back and planner.line_clearance(now[:2], end[None, :2])[0] < 0.26:
+        if back and cells.line_clearance(now[:2], end[None, :2])[0] < 0.26:
             break
         route = plan_route(view, end, goal, robot, boxes, margin=0.01, direction=-1, straight=True)
         if route is None:

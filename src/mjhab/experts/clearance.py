@@ -20,6 +20,8 @@ from mjhab.experts.kinematics import Chain, Frames
 Array = np.ndarray
 FAR = 1e3
 """Distance [m] reported when there is nothing to be near to."""
+_THICK, _EDGE = 0.05, 0.03
+"""Boxes covered by larger spheres than the first get spheres of the second size along their edges [m]."""
 _PAIRS_AT_ONCE = 400_000
 
 
@@ -60,10 +62,10 @@ class RobotSpheres:
         link, pos, radius = [], [], []
         for i, name in enumerate(chain.links):
             for geom in geoms.get(name, ()) if name not in skip else ():
-                points, size = _fill(geom)
-                link += [i] * len(points)
-                pos.append(points)
-                radius += [size] * len(points)
+                for points, size in _cover(geom):
+                    link += [i] * len(points)
+                    pos.append(points)
+                    radius += [size] * len(points)
         pairs = [(chain.links.index(name), g) for name in trunk if name in chain.links for g in geoms.get(name, ())]
         rows = np.array(link, dtype=np.int64)
         chosen = [i for i, name in enumerate(chain.links) if name in distal]
@@ -96,7 +98,7 @@ class RobotSpheres:
     def clearance(self, q: Array, boxes: Boxes) -> Array:
         """Least distance (N,) [m] of any sphere to any box at configurations ``q`` (N, Q); negative: they overlap."""
         q = np.atleast_2d(q)
-        if len(boxes) == 0 or len(self.radius) == 0:
+        if len(q) == 0 or len(boxes) == 0 or len(self.radius) == 0:
             return np.full(len(q), FAR)
         rows = max(1, _PAIRS_AT_ONCE // (len(boxes) * len(self.radius)))
         parts = [self._clearance(q[start : start + rows], boxes) for start in range(0, len(q), rows)]
@@ -159,6 +161,20 @@ class RobotSpheres:
         q = (start + share * (ends - start)).reshape(-1, ends.shape[1])
         gap = np.minimum(self.clearance(q, boxes), self.self_clearance(q))
         return gap.reshape(pieces, len(ends)).min(axis=0)
+
+
+def _cover(geom: Any) -> list[tuple[Array, float]]:
+    """`_fill`, and small spheres along the long edges of thick boxes, where large ones leave much uncovered."""
+    points, size = _fill(geom)
+    if geom.shape != "box" or size <= _THICK:
+        return [(points, size)]
+    half = np.asarray(geom.size, dtype=np.float64)
+    room = np.maximum(half - _EDGE, 0.0)
+    axes = [np.linspace(-r, r, 2 + int(r / _EDGE)) for r in room]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    edges = grid[np.delete(np.abs(grid) >= room - 1e-9, np.argmax(half), axis=1).all(axis=1)]
+    rot = mat_from_quat(np.asarray(geom.quat, dtype=np.float64))
+    return [(points, size), (edges @ rot.T + np.asarray(geom.pos, dtype=np.float64), _EDGE)]
 
 
 def _fill(geom: Any) -> tuple[Array, float]:

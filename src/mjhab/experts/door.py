@@ -19,25 +19,33 @@ OPEN_TO = 0.775
 """Share of the range to pull to; 0.75 counts as open."""
 PRE_GRASP = 0.11
 """Distance from which the open hand goes straight onto the bar [m]."""
-LOOSE = 0.2
-"""Gripper command that frees the bar; opened wide, the inner finger would push the door."""
-PRESS_AHEAD = 0.22
-"""How far the hand starts beyond an open door before it pushes it shut [rad]."""
-PRESS_PAST = 0.06
-"""How far beyond the closed door the hand aims, so that it presses [rad]."""
-JAMMED = 300.0
-"""Contact force on the arm with which a motion is given up [N]."""
-STANCES_TRIED = 12
-HALF_OPEN = 0.95
-"""Share of the range up to which the hand need not start as far behind the door as for a wide open one."""
+AROUND, LOOSE = 0.45, 0.2
+"""Gripper commands around the bar and to free it; opened wide, the inner finger would push the door."""
+ABOVE_MIDDLE = 0.13
+"""Height over the middle of the bar at which it is taken, nearer to where the hand rests [m]."""
+SHUT = 0.006
+"""Share of the range at which a door is left as closed; 0.01 counts."""
+PRESS_AHEAD, PRESS_PAST = 0.16, 0.02
+"""How far from an open door the hand starts, and how far beyond the closed one it aims [rad]."""
+BEHIND = 0.25
+"""Way the hand goes straight in behind an open door [m]."""
 ABOVE_BAR = 0.08
 """Height over the end of the bar at which the door is pushed [m]."""
+HALF_OPEN = 0.95
+"""Share of the range up to which the hand need not start as far behind the door as for a wide open one."""
+STANCES_TRIED = 16
+JOINT_RATE = 0.037
+"""Joint motion per control step at which the hand leads the door [rad]."""
+SWING = 0.045
+"""Most the hand's aim moves along the door's arc per control step [rad]."""
 LATE = 12
 """Control steps the door may lag behind the end of the path before the hand gives up."""
-JOINT_RATE = 0.037
-"""Joint motion per control step that leaves the arm something to correct with [rad]."""
-SWING = 0.045
-"""Most a door moves per control step [rad]."""
+AT_REST = 0.002
+"""Most a door at rest moves per control step [rad]."""
+PRESS_STEPS = 2
+"""Control steps for which a closed door has to rest."""
+JAMMED = 300.0
+"""Contact force on the arm with which a motion is given up [N]."""
 TIP, FINGER_SIDE = 0.031, 0.0144
 """Fingertip before the tool centre and half-width of the closed fingers [m]."""
 
@@ -49,9 +57,9 @@ def open_door(view: WorldView, link: JointedLink) -> Motion:
         path = _reachable(view, link, stances.cached(link, "pull", _pull_stances), _pull_angles(link))
         if path is None:
             return False
-        yield from approach.go(view, path.route, motion.OPEN)
+        yield from approach.go(view, path.route, AROUND)
         rot = path.hand_at(path.angles[1])[1]
-        if (yield from approach.take(view, link, rot, path.q[1], height=path.height)):
+        if (yield from approach.take(view, link, rot, path.q[1], height=path.height, gripper=AROUND)):
             yield from _follow_arc(view, link, path, OPEN_TO * link.range[1], motion.CLOSED)
         yield from approach.let_go(view, 0.12, gripper=LOOSE)
     return (yield from approach.fold(view))
@@ -59,17 +67,18 @@ def open_door(view: WorldView, link: JointedLink) -> Motion:
 
 def close_door(view: WorldView, link: JointedLink) -> Motion:
     """Reach behind the door and push it shut along its arc."""
-    closed = 0.006 * link.range[1]
+    closed = SHUT * link.range[1]
     while view.steps_left > 40 and view.link_q(link.id) > closed:
         start = view.link_q(link.id) + PRESS_AHEAD
         half = start < HALF_OPEN * link.range[1]
         search = _push_half_open if half else _push_open
         angles = _push_angles(link, half)
         found, angles = _from_angle(stances.cached(link, search.__name__, search), angles, min(start, angles[0]))
-        path = _reachable(view, link, found, angles)
+        path = _reachable(view, link, found, angles, BEHIND)
         if path is None:
             return False
         yield from approach.go(view, path.route, motion.CLOSED)
+        yield from motion.move_joints(view, path.q[0], gripper=motion.CLOSED, tolerance=0.25, max_steps=25)
         yield from _follow_arc(view, link, path, closed, motion.CLOSED)
         yield from approach.retreat(view, 0.06)
     return (yield from approach.fold(view))
@@ -106,15 +115,20 @@ def _follow_arc(view: WorldView, link: JointedLink, path: ArcPath, goal: float, 
     """Move hand and base along the path until the door is at ``goal``; False when the hand loses the door."""
     way = 1.0 if goal > view.link_q(link.id) else -1.0
     aim, end = float(path.angles[1 if way > 0 else 0]), float(path.angles[-1])
-    late = pressed = 0
+    last, late, pressed, done = np.inf, 0, 0, 0
     for _ in range(110):
         now = view.link_q(link.id)
-        if way * (goal - now) <= 0:
+        # A door that was thrown shut may swing back.
+        there = way * (goal - now) <= 0 and (way > 0 or abs(now - last) < AT_REST)
+        done, last = done + 1 if there else 0, now
+        if done > (0 if way > 0 else PRESS_STEPS):
             return True
         pressed = pressed + 1 if view.link_forces.sum() > JAMMED else 0
         if pressed > 2:
             return False
         pace = _pace(path, aim, way)
+        if way < 0:
+            pace = min(pace, 0.012 + 0.1 * max(aim, 0.0))
         lead = 0.3 if way > 0 else PRESS_AHEAD + 0.15
         if way * (aim - now) < lead:
             aim += way * pace
@@ -151,19 +165,36 @@ def _arc_action(view: WorldView, path: ArcPath, aim: float, step: float, gripper
     here, _ = motion.tcp(view)
     lead = pos - here
     pos = here + lead * min(1.0, 0.08 / max(float(np.linalg.norm(lead)), 1e-9))
-    delta = ik.servo(
-        robot, q, pos[None], rot[None], ik.columns(robot), rest=wish, base_next=base_next, rest_gain=0.1
-    )[0]
+    delta = ik.servo(robot, q, pos[None], rot[None], ik.columns(robot), rest=wish, base_next=base_next, rest_gain=0.1)[
+        0
+    ]
     return motion.action(view, q + delta / motion.ARM_DELAY, gripper=gripper, drive=(v, w))
 
 
-def _reachable(view: WorldView, link: JointedLink, found: Stances, angles: Array) -> ArcPath | None:
-    """The soonest reached stance whose whole motion has room in this home."""
+def _reachable(view: WorldView, link: JointedLink, found: Stances, angles: Array, back: float = 0.0) -> ArcPath | None:
+    """The soonest reached stance whose whole motion has room in this home; ``back`` [m]: how far from its beginning the
+    hand comes straight in."""
     goals, _ = stances.rank(view, Frame.of(link), found)
     walls = Boxes.join([motion.as_boxes(view.home.boxes), motion.as_boxes(view.link_boxes((link.id,)))])
     free = np.array([g for g in goals[:STANCES_TRIED] if motion.spheres().clearance(g, walls).min() > 0.01])
-    best = approach.best_route(view, free[:, 0]) if len(free) else None
+    if not len(free):
+        return None
+    before = _withdrawn(free[:, 0], back) if back > 0 else None
+    best = approach.best_route(view, free[:, 0], before, link if back > 0 else None)
     return None if best is None else ArcPath(free[best[0]], angles, best[1])
+
+
+def _withdrawn(q: Array, back: float) -> Array:
+    """Configurations (M, Q) with the hand drawn back along its own axis, where the arm can do that."""
+    robot = motion.chain()
+    pos, rot = robot.tip_pose(q)
+    found = ik.solve(
+        robot, pos - back * rot[:, :, 0], rot, q[:, None], ik.columns(robot), rest=q[0],
+        options=ik.Options(iterations=25, rest_gain=0.0),
+    )  # fmt: skip
+    near = np.abs(found.q[:, 0, 3:] - q[:, 3:]).max(axis=1) < 1.2
+    good = found.ok[:, 0] & near & (motion.spheres().self_clearance(found.q[:, 0]) > stances.SELF_MARGIN)
+    return np.where(good[:, None], found.q[:, 0], q)
 
 
 def _from_angle(found: Stances, angles: Array, start: float) -> tuple[Stances, Array]:
@@ -240,7 +271,7 @@ def _pull_stances(link: JointedLink) -> Stances:
     """Hand before the bar, on it, and along its arc. The hand turns less than the door: the pads let the bar turn."""
     angles = _pull_angles(link)
     grip = np.array([link.handle_pose(max(a, 0.0))[0] for a in angles])
-    grip[:, 2] += 0.13
+    grip[:, 2] += ABOVE_MIDDLE
     share = np.clip(angles / angles[-1], 0.0, 1.0)
     base = _line(np.arange(0.8, 1.25, 0.1), np.arange(-0.85, 0.15, 0.15), (0.3, 0.6, 0.9), (0.4, 0.6), share)
     found = []
@@ -263,7 +294,8 @@ def _push_half_open(link: JointedLink) -> Stances:
 def _push_stances(link: JointedLink, angles: Array) -> Stances:
     """The closed fingers on the outside of the door above its bar, from behind the open door to the closed one."""
     share = np.clip(1.0 - angles / angles[0], 0.0, 1.0)
-    base = _line(np.arange(0.9, 1.7, 0.08), np.arange(-0.1, 1.05, 0.1), (0.3, 0.6, 0.9), (-1.0, -0.8, -0.6, -0.4), share)
+    ways = (-1.0, -0.8, -0.6, -0.4)
+    base = _line(np.arange(0.9, 1.7, 0.08), np.arange(-0.1, 1.05, 0.1), (0.3, 0.6, 0.9), ways, share)
     handle = link.handle
     found = []
     for first, last in ((0.0, 0.0), (0.0, 0.4), (0.5, 0.4)):

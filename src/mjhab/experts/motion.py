@@ -12,8 +12,17 @@ from functools import lru_cache
 import numpy as np
 
 from mjhab.core.rotations import mat_from_quat
-from mjhab.envs.actions import ACTION_DIM, ARM_JOINTS, BASE_FORWARD, BASE_YAW, GRIPPER, HEAD_PAN, HEAD_TILT, TORSO
-from mjhab.envs.actions import ActionLimits
+from mjhab.envs.actions import (
+    ACTION_DIM,
+    ARM_JOINTS,
+    BASE_FORWARD,
+    BASE_YAW,
+    GRIPPER,
+    HEAD_PAN,
+    HEAD_TILT,
+    TORSO,
+    ActionLimits,
+)
 from mjhab.envs.privileged import (
     DISTAL_LINKS,
     FETCH_JOINTS,
@@ -198,15 +207,14 @@ def still_tcp(view: WorldView, pos: Array, rot: Array, *, gripper: float, steps:
 
 def raise_tcp(view: WorldView, pos: Array, rot: Array, *, rest: Array, max_steps: int = 16) -> Motion:
     """Bring what the closed hand holds to a pose nearby; gently at first, a jerk would shift it between the pads."""
-    for speed in (0.05, 0.1, 0.15):
-        yield from move_tcp(
-            view, pos, rot, gripper=CLOSED, rest=rest, speed=speed, tolerance=0.02, max_steps=1, torso=False
+    near = min(0.02, 0.3 * float(np.linalg.norm(pos - tcp(view)[0])))
+    for speed, steps in ((0.05, 1), (0.1, 1), (0.15, 1), (0.25, max_steps)):
+        there = yield from move_tcp(
+            view, pos, rot, gripper=CLOSED, rest=rest, speed=speed, tolerance=near, max_steps=steps, torso=False
         )
-    return (
-        yield from move_tcp(
-            view, pos, rot, gripper=CLOSED, rest=rest, tolerance=0.02, max_steps=max_steps, torso=False
-        )
-    )
+        if there:
+            return True
+    return False
 
 
 def _base_motion(yaw: float, drive: tuple[float, float]) -> Array:
@@ -255,8 +263,9 @@ def stay_at_rest(view: WorldView, *, gripper: float) -> Motion:
 
 
 def joint_gap(view: WorldView, goal: Array) -> float:
-    """Largest distance of arm and torso from ``goal`` (15,) [rad or m]."""
-    return float(np.abs(goal - view.q)[[*_ARM, _TORSO_Q]].max())
+    """Largest distance of the arm from ``goal`` (15,) [rad]; 1 cm of the torso counts as 0.03 rad."""
+    off = np.abs(goal - view.q)
+    return float(max(off[_ARM].max(), 3.0 * off[_TORSO_Q]))
 
 
 def drives(view: WorldView, xy: Array, yaw: float) -> bool:

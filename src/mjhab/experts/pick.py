@@ -11,8 +11,8 @@ from mjhab.envs.privileged import WorldView
 from mjhab.experts import motion
 from mjhab.experts.carry import drive_in, go_home, grip, inside_depth
 from mjhab.experts.motion import Motion
-from mjhab.experts.reach import HandGoals, Scene, Stance, settle_reach, stances, surroundings
-from mjhab.experts.route import follow
+from mjhab.experts.reach import ROOMS, HandGoals, Scene, Stance, hand_room, settle_reach, stances, surroundings
+from mjhab.experts.route import BLOCKED_FORCE, follow
 
 Array = np.ndarray
 LIFT = 0.10
@@ -20,6 +20,8 @@ LIFT = 0.10
 SHELF_LIFT = 0.025
 MAX_GOALS = 60
 OPTIONS = Options(palm_gap=0.012, floor_gap=0.008)
+HAND_ROOM = -0.008
+"""Least clearance [m] of the hand with its wrist; the spheres that stand for it are up to so much too large."""
 _CLEAR = (0.010, 0.005, 0.0, -0.004)
 """Room [m] asked between gripper and neighbours, less each time no grasp is found."""
 
@@ -34,7 +36,7 @@ def pick(view: WorldView) -> Motion:
         found = plan_pick(view, obj, failed, attempt)
         attempt += 1
         if found is None:
-            yield from motion.hold(view, 5, gripper=motion.OPEN)
+            yield from motion.hold(view, 5 * attempt, gripper=motion.OPEN)
             failed = failed[:0]
             continue
         stance, goals, depth = found
@@ -68,11 +70,20 @@ def plan_pick(
         if not len(grasps):
             continue
         goals = _diverse(grasps)
-        for back in {depth, 0.0} if depth else (0.0,):
-            found = stances(view, pose[:3], goals, scene, drive_in=back, avoid=failed)
+        if depth:
+            goals = goals.take(np.flatnonzero(hand_room(goals, scene.beside.near(pose[:3], 0.8)) > HAND_ROOM))
+        for back in _ways_in(depth, attempt):
+            found = stances(view, pose[:3], goals, scene, drive_in=back, avoid=failed, room=ROOMS[min(attempt, 2)])
             if found:
                 return found[0], goals, back
     return None
+
+
+def _ways_in(depth: float, attempt: int) -> tuple[float, ...]:
+    """How far to come in with the arm stretched out; a second attempt is quicker from where the base is."""
+    if not depth:
+        return (0.0,)
+    return (0.0, depth) if attempt else (depth, 0.0)
 
 
 def height_below(shape: ObjectShape, rot: Array) -> float:
@@ -104,7 +115,10 @@ def _take(view: WorldView, obj: str, stance: Stance, goals: HandGoals, depth: fl
     start = view.object_pose(obj)[:3]
     pos, rot, pre = goals.pos[stance.goal], goals.rot[stance.goal], goals.pre[stance.goal]
     opening = grip(float(goals.opening[stance.goal]) + 0.004)
-    yield from follow(view, stance.route, gripper=opening)
+    arrived = yield from follow(view, stance.route, gripper=opening)
+    if not arrived and view.link_forces.sum() > BLOCKED_FORCE:
+        yield from go_home(view, obj, holding=False)
+        return False
     if depth:
         yield from drive_in(view, stance.pre, gripper=opening)
     if np.linalg.norm(view.object_pose(obj)[:3] - start) > 0.02:
@@ -144,7 +158,9 @@ def _keep(view: WorldView, obj: str) -> Motion:
 
 
 def _let_go(view: WorldView) -> Motion:
-    """Open the hand and draw it back, up where that is free."""
+    """Open the hand and draw it back and up, unless it is home already."""
+    if motion.joint_gap(view, motion.rest_goal(view)) < 0.1:
+        return True
     pos, rot = motion.tcp(view)
     yield from motion.hold(view, 4, gripper=motion.OPEN)
     back = pos - 0.10 * rot[:, 0] + np.array([0.0, 0.0, 0.03])

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 from mjhab.core.rotations import mat_from_quat
-from mjhab.envs.grasps import approach_clearance
 from mjhab.envs.held import shape_of
 from mjhab.envs.privileged import WorldView
 from mjhab.experts import ik, motion
 from mjhab.experts.carry import drive_in, go_home, grip, held_spheres, inside_depth
 from mjhab.experts.motion import Motion
 from mjhab.experts.pick import height_below
-from mjhab.experts.reach import HandGoals, Scene, Stance, settle_reach, stances, surroundings
+from mjhab.experts.reach import ROOMS, HandGoals, Scene, Stance, hand_room, settle_reach, stances, surroundings
 from mjhab.experts.route import follow
 
 Array = np.ndarray
@@ -20,10 +21,11 @@ DROP = 0.006
 """Height [m] above the surface at which an object is let go."""
 ABOVE, ABOVE_SHELF = 0.10, 0.035
 """Where the straight way down begins [m]."""
-YAWS = 16
-OFFSETS = (0.0, 0.05, 0.10)
-"""How far [m] nearer to the robot than the goal an object may be put; success asks for 0.15."""
-TILTS, SHELF_TILTS = (0.0, 0.3), (0.0, 0.35, 0.6, 0.85, 1.1)
+YAWS, SHELF_YAWS = 16, 8
+OFFSETS = ((0.0, 0.0), (0.05, 0.0), (0.10, 0.0))
+SHELF_OFFSETS = (*OFFSETS, (0.05, 0.05), (0.05, -0.05), (0.0, 0.06), (0.0, -0.06), (0.08, 0.06), (0.08, -0.06))
+"""How far [m] nearer to the robot, and to its side, than the goal an object may be put; success asks for 0.15."""
+TILTS, BALL_TILTS, SHELF_TILTS = (0.0, 0.3), (0.0, 0.35, 0.7, 1.0), (0.0, 0.35, 0.6, 0.85, 1.1)
 """Leans of the hand [rad]: they reach further, and under a shelf a hand that comes from above has no room."""
 HAND_ROOM = -0.008
 """Least clearance [m] of the hand; the spheres that stand for it are up to so much too large."""
@@ -41,7 +43,7 @@ def place(view: WorldView) -> Motion:
             break
         found = plan_place(view, obj, goal, failed, attempt)
         if found is None:
-            yield from motion.hold(view, 5, gripper=motion.CLOSED)
+            yield from motion.hold(view, 5 + 10 * attempt, gripper=motion.CLOSED)
             failed = failed[:0]
             continue
         stance, goals, depth = found
@@ -61,9 +63,8 @@ def plan_place(
     scene = Scene(near, near.take(np.zeros(0, np.int64)), support, held_spheres(view, obj))
     depth = inside_depth(view, goal)
     goals = hand_goals(view, obj, goal, shelf=depth > 0.0, any_side=attempt > 1)
-    room = approach_clearance(goals.pos, goals.rot, goals.opening, goals.pre, near.near(goal, 0.6))
-    goals = goals.take(np.flatnonzero(room > HAND_ROOM))
-    found = stances(view, goal, goals, scene, drive_in=depth, avoid=failed)
+    goals = goals.take(np.flatnonzero(hand_room(goals, near.near(goal, 0.8)) > HAND_ROOM))
+    found = stances(view, goal, goals, scene, drive_in=depth, avoid=failed, room=ROOMS[min(attempt, 2)])
     return (found[0], goals, depth) if found else None
 
 
@@ -80,24 +81,25 @@ def hand_goals(view: WorldView, obj: str, goal: Array, *, shelf: bool, any_side:
     turn = hand.T @ mat_from_quat(pose[3:])
     offset = hand.T @ (pose[:3] - tcp)
     floor = float(goal[2]) - shape.half[2]
-    upset = 0.2 if shape.kind == "sphere" else 2.0
+    # Tall things fall over when they are let go at an angle.
+    ball = shape.kind == "sphere"
+    upset = 0.2 if ball else 1.0 if shelf else 2.0 + 2.0 * shape.half[2] / min(shape.half)
     back = view.q[:2] - goal[:2]
     back = back / max(float(np.linalg.norm(back)), 1e-6)
+    aside = np.array([-back[1], back[0]])
+    spots = [goal[:2] + near * back + left * aside for near, left in (SHELF_OFFSETS if shelf else OFFSETS)]
+    spots = [spot for i, spot in enumerate(spots) if not i or _on_surface(view, goal, spot)]
+    yaws = np.arange(SHELF_YAWS if shelf else YAWS) * 2 * np.pi / (SHELF_YAWS if shelf else YAWS)
+    tilts = SHELF_TILTS if shelf else BALL_TILTS if ball else TILTS
     pos, rot, score = [], [], []
-    for side, price in _sides(any_side):
-        for yaw in np.arange(YAWS) * 2 * np.pi / YAWS:
-            upright = ik.rotate(np.array([[0.0, 0.0, yaw]]))[0] @ side
-            for tilt in SHELF_TILTS if shelf else TILTS:
-                lean = ik.rotate(tilt * np.array([[-back[1], back[0], 0.0]]))[0]
-                stand = lean @ upright
-                height = floor + height_below(shape, stand) + DROP
-                for near in OFFSETS:
-                    if near and not _on_surface(view, goal, goal[:2] + near * back):
-                        continue
-                    center = np.array([*(goal[:2] + near * back), height])
-                    rot.append(stand @ turn.T)
-                    pos.append(center - rot[-1] @ offset)
-                    score.append(-price - upset * tilt - 6.0 * near)
+    for (side, price), yaw, tilt in itertools.product(_sides(any_side), yaws, tilts):
+        upright = ik.rotate(np.array([[0.0, 0.0, yaw]]))[0] @ side
+        stand = ik.rotate(tilt * np.array([[*aside, 0.0]]))[0] @ upright
+        height = floor + height_below(shape, stand) + DROP
+        for spot in spots:
+            rot.append(stand @ turn.T)
+            pos.append(np.array([*spot, height]) - rot[-1] @ offset)
+            score.append(-price - upset * tilt - 6.0 * float(np.linalg.norm(spot - goal[:2])))
     at = np.array(pos)
     pre = at + np.array([0.0, 0.0, ABOVE_SHELF if shelf else ABOVE])
     width = np.full(len(at), 2.0 * float(view.q[13:15].mean()))

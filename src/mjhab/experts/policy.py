@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -54,7 +54,7 @@ class ExpertPolicy:
         for w in np.flatnonzero(mask):
             self._scripts[w] = self._tokens[w] = None
 
-    def act(self, obs: dict[str, np.ndarray], info: dict[str, Any]) -> np.ndarray:
+    def act(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:
         """Actions (W, 13) for the present state of the environment."""
         for w, view in enumerate(self._views):
             self._last[w] = self._next(w, view)

@@ -12,23 +12,24 @@ from functools import lru_cache
 import numpy as np
 
 from mjhab.core.boxes import Boxes, sphere_box_distance
+from mjhab.envs.grasps import approach_clearance
 from mjhab.envs.privileged import FETCH_JOINTS, REST_QPOS, WorldView
 from mjhab.experts import ik, motion
 from mjhab.experts.clearance import RobotSpheres
 from mjhab.experts.kinematics import wrap
-from mjhab.experts.route import Route, plan_route
+from mjhab.experts.route import Route, plan_route, planner
 
 Array = np.ndarray
 HAND_LINKS = ("gripper_link", "r_gripper_finger_link", "l_gripper_finger_link")
 NEARBY = 2.6
 """Furniture within this distance [m] of the work is looked at."""
 BASE_RADIUS, BASE_TOP = 0.285, 0.40
-ROOM_AT, ROOM_PRE = 0.012, 0.012
-"""Least clearance [m] of the arm at the work and of the whole robot just before it."""
+ROOMS = (0.012, 0.006, 0.0)
+"""Least clearance [m] of the arm at the work and of the whole robot just before it, at one attempt after the other."""
 _STRETCHED = 60.0
 """Price in steps per radian that the elbow is nearly straight."""
 _ELBOW = FETCH_JOINTS.index("elbow_flex_joint")
-_BASES, _PER_BASE, _SEEDS, _KEPT = 24, 8, 5, 60
+_BASES, _PER_BASE, _SEEDS, _KEPT = 24, 8, 5, 50
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +98,7 @@ def surroundings(view: WorldView, obj: str, point: Array) -> tuple[Boxes, Boxes]
 
 def stances(
     view: WorldView, point: Array, goals: HandGoals, scene: Scene, *, drive_in: float = 0.0, avoid: Array | None = None,
-    count: int = 4,
+    count: int = 3, room: float = ROOMS[0],
 ) -> list[Stance]:  # fmt: skip
     """Ways to bring the hand to one of ``goals`` around ``point`` (3,), quickest first; empty when there is none.
 
@@ -106,6 +107,7 @@ def stances(
             fridge; the routes end that far behind.
         avoid: (A, 3) base poses that did not work before.
         count: give at most so many.
+        room: least clearance at the work, see `ROOMS`.
     """
     now = view.q
     bases, drive = base_poses(view, point, scene, drive_in, avoid)
@@ -114,19 +116,37 @@ def stances(
     base, goal, score = _pairs(bases, point, goals)
     if not len(base):
         return []
-    q, cost, goal = _configurations(now, bases[base], goal, goals, drive[base] - 10.0 * score)
-    if not len(q):
-        return []
-    arm_only = motion.spheres().only([n for n in motion.spheres().chain.links if n not in HAND_LINKS])
-    fine = arm_only.clearance(q, scene.near) > ROOM_AT
-    fine[fine] = motion.spheres().self_clearance(q[fine]) > ROOM_AT
-    if scene.held is not None and fine.any():
-        load = motion.spheres().only([]).with_held(*scene.held)
-        fine[fine] = load.clearance(q[fine], scene.beside) > -0.004
-    rows = np.flatnonzero(fine)[:_KEPT]
-    q, cost, goal = q[rows], cost[rows], goal[rows]
-    pre, fine = _before(q, goals, goal, scene, drive_in)
+    q, goal = _configurations(now, bases[base], goal, goals, drive[base] - 10.0 * score)
+    rows = _clear_ones(q, scene, room)
+    q, goal = q[rows], goal[rows]
+    pre, fine = _before(q, goals, goal, scene, drive_in, room)
     return _routed(view, q[fine], pre[fine], goal[fine], scene, drive_in, count)
+
+
+def _clear_ones(q: Array, scene: Scene, room: float) -> Array:
+    """The first few (indices) of the configurations (N, 15) that touch nothing; the hand is looked at elsewhere."""
+    whole = motion.spheres()
+    arm = whole.only([n for n in whole.chain.links if n not in HAND_LINKS])
+    load = None if scene.held is None else whole.only([]).with_held(*scene.held)
+    found: list[Array] = []
+    for start in range(0, len(q), _KEPT):
+        rows = np.arange(start, min(start + _KEPT, len(q)))
+        rows = rows[arm.clearance(q[rows], scene.near) > room]
+        rows = rows[whole.self_clearance(q[rows]) > room] if len(rows) else rows
+        if load is not None and len(rows):
+            rows = rows[load.clearance(q[rows], scene.beside) > -0.004]
+        found.append(rows)
+        if sum(map(len, found)) >= _KEPT:
+            break
+    return np.concatenate(found)[:_KEPT] if found else np.zeros(0, np.int64)
+
+
+def hand_room(goals: HandGoals, boxes: Boxes) -> Array:
+    """Clearance (G,) of the hand and of the wrist behind it on the straight way to the goals."""
+    hand = approach_clearance(goals.pos, goals.rot, goals.opening, goals.pre, boxes)
+    back = 0.05 * goals.rot[:, :, 0]
+    wrist = approach_clearance(goals.pos - back, goals.rot, goals.opening, goals.pre - back, boxes)
+    return np.minimum(hand, wrist)
 
 
 def base_poses(
@@ -141,16 +161,16 @@ def base_poses(
     here = view.q[:3] - drive_in * np.array([np.cos(view.q[2]), np.sin(view.q[2]), 0.0])
     bearing = np.arctan2(point[1] - here[1], point[0] - here[0])
     poses = np.concatenate([poses, [view.q[:3], *([here[0], here[1], bearing + k] for k in (-0.35, 0.0, 0.35))]])
-    planner = motion.planner(view.home)
+    cells = planner(view)
     back = poses[:, :2] - drive_in * np.stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])], axis=1)
-    good = (planner.clearance_at(back) >= planner.radius) & (planner.clearance_at(poses[:, :2]) >= 0.27)
+    good = (cells.clearance_at(back) >= cells.radius) & (cells.clearance_at(poses[:, :2]) >= 0.27)
     good &= floor_room(poses, scene.near) > 0.0
     if avoid is not None and len(avoid):
         gap = np.linalg.norm((poses[:, None] - avoid) * [1.0, 1.0, 0.3], axis=2).min(axis=1)
         good &= gap > 0.10
     good[good] = _in_sight(poses[good], point, scene.near)
     poses, back = poses[good], back[good]
-    far = planner.costs(view.q[:2])[planner.cells(back)]
+    far = cells.costs(view.q[:2])[cells.cells(back)]
     steps = _drive_steps(view.q[:3], np.concatenate([back, poses[:, 2:]], axis=1), far) + 6.0 * drive_in / 0.3
     reachable = np.isfinite(steps)
     return _spread(poses[reachable], steps[reachable])
@@ -158,8 +178,8 @@ def base_poses(
 
 def _in_sight(poses: Array, point: Array, boxes: Boxes) -> Array:
     """Whether no wall or tall piece stands between base poses (B, 3) and ``point`` (3,)."""
-    tall = boxes.take(boxes.center[:, 2] + boxes.half.min(axis=1) > point[2] + 0.5)
-    tall = tall.take(tall.half.max(axis=1) > 0.4)
+    top = boxes.center[:, 2] + np.einsum("kj,kj->k", np.abs(boxes.rot[:, 2]), boxes.half)
+    tall = boxes.take((top > point[2] + 0.5) & (boxes.half.max(axis=1) > 0.4))
     if not len(poses) or not len(tall):
         return np.ones(len(poses), bool)
     share = np.linspace(0.1, 0.9, 8)[:, None, None]
@@ -171,9 +191,7 @@ def _in_sight(poses: Array, point: Array, boxes: Boxes) -> Array:
 
 def floor_room(poses: Array, boxes: Boxes) -> Array:
     """Room (B,) between the base at poses (B, 3) and boxes on the floor that no map knows: things that fell."""
-    low = boxes.take(
-        (boxes.center[:, 2] - boxes.half.max(axis=1) < BASE_TOP) & (boxes.half.max(axis=1) < 0.12)
-    )
+    low = boxes.take((boxes.center[:, 2] - boxes.half.max(axis=1) < BASE_TOP) & (boxes.half.max(axis=1) < 0.12))
     if not len(low):
         return np.ones(len(poses))
     gap = np.linalg.norm(poses[:, None, :2] - low.center[:, :2], axis=2) - low.half[:, :2].max(axis=1)
@@ -240,10 +258,8 @@ def _seeds() -> Array:
     return ik.random_seeds(motion.chain(), REST_QPOS, dofs, _SEEDS, np.random.default_rng(3), 0.6)
 
 
-def _configurations(
-    now: Array, bases: Array, goal: Array, goals: HandGoals, price: Array
-) -> tuple[Array, Array, Array]:
-    """Configurations (N, 15) that reach the goals of the pairs, their cost in steps (N,) and goal (N,), best first."""
+def _configurations(now: Array, bases: Array, goal: Array, goals: HandGoals, price: Array) -> tuple[Array, Array]:
+    """Configurations (N, 15) that reach the goals of the pairs, and their goal (N,), quickest first."""
     robot = motion.chain()
     dofs = ik.columns(robot)
     seeds = np.repeat(_seeds()[None], len(bases), axis=0)
@@ -262,10 +278,12 @@ def _configurations(
     q = q.reshape(-1, q.shape[-1])[order]
     goal = np.repeat(goal, seeds.shape[1])[order]
     q[:, 13:15] = np.minimum(goals.opening[goal] / 2, 0.05)[:, None]
-    return q, cost[order], goal
+    return q, goal
 
 
-def _before(q: Array, goals: HandGoals, goal: Array, scene: Scene, drive_in: float) -> tuple[Array, Array]:
+def _before(
+    q: Array, goals: HandGoals, goal: Array, scene: Scene, drive_in: float, asked: float
+) -> tuple[Array, Array]:
     """Configurations (N, 15) at the start of the straight approach, and where they and the way in are clear (N,).
 
     The torso is at its final height already: it is too slow for fine work.
@@ -286,7 +304,7 @@ def _before(q: Array, goals: HandGoals, goal: Array, scene: Scene, drive_in: flo
         room = whole.clearance(shifted, scene.all)
         if back == 0.0:
             room = np.minimum(room, whole.self_clearance(shifted))
-        fine[fine] = room > ROOM_PRE
+        fine[fine] = room > asked
     return pre, fine
 
 
@@ -314,23 +332,22 @@ def _routed(
 
 
 def settle_reach(view: WorldView, stance: Stance, pos: Array, rot: Array) -> Array | None:
-    """Configurations (M, 15) for hand positions (M, 3) from where the base really stands; one torso height for all.
+    """Configurations (M, 15) for hand positions (M, 3) from where the base really stands; one torso height for all,
+    the planned one if possible.
 
     None when one of them is out of reach from here.
     """
     robot = motion.chain()
-    for torso in (False, True):
-        dofs = ik.columns(robot, torso=torso)
+    arm = ik.columns(robot, torso=False)
+    for free in (arm, ik.columns(robot)):
         seed = np.stack([stance.pre, stance.at])
-        seed[:, :4] = view.q[:4]
-        first = ik.solve(robot, pos[:1], rot[None], seed, dofs, rest=stance.at)
-        seeds = np.concatenate([first.q[0, first.ok[0]], seed])
+        seed[:, :3] = view.q[:3]
+        first = ik.solve(robot, pos[:1], rot[None], seed, free, rest=stance.at)
         for start in first.q[0, first.ok[0]]:
+            seeds = np.concatenate([start[None], seed])
             seeds[:, 3] = start[3]
-            rest = ik.solve(
-                robot, pos, np.repeat(rot[None], len(pos), axis=0), seeds, ik.columns(robot, torso=False), rest=start
-            )
-            if rest.ok.any(axis=1).all():
-                gap = np.abs(rest.q - start).max(axis=-1)
-                return ik.unwind(robot, rest.best(gap)[0], view.q)
+            found = ik.solve(robot, pos, np.repeat(rot[None], len(pos), axis=0), seeds, arm, rest=start)
+            if found.ok.any(axis=1).all():
+                gap = np.abs(found.q - start).max(axis=-1)
+                return ik.unwind(robot, found.best(gap)[0], view.q)
     return None

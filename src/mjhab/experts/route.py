@@ -6,33 +6,37 @@ Lengths [m], angles [rad], world frame. Letters: T control steps, P way points, 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
-from mjhab.envs.privileged import WorldView
+from mjhab.envs.privileged import HomeShapes, WorldView
 from mjhab.experts import ik, motion
-from mjhab.experts.clearance import Boxes, RobotSpheres
+from mjhab.experts.clearance import Boxes, RobotSpheres, sphere_box_distance
 from mjhab.experts.kinematics import wrap
 from mjhab.experts.motion import Motion
-from mjhab.experts.navigation import CONTROL_DT
+from mjhab.experts.navigation import CONTROL_DT, Planner
 
 Array = np.ndarray
 MARGIN = 0.015
 """Room [m] wanted around the robot on its way."""
+OWN_ROOM = 0.015
 DRIVE_ERROR = 0.05
 """More room [m] wanted while the base drives."""
 BASE_ROOM = 0.27
 """Clearance [m] of the map's cells that the base may pass."""
 LOWEST = 0.3
 """Lower things [m] concern the base alone, and the map keeps it clear of them."""
+BODY_SLIMMER = 0.05
+"""Doors and drawers hang above the base; the body there is so much [m] slimmer."""
 BASE_LAG = 0.15
 """Time constant [s] of the base's speed."""
 BLOCKED_FORCE = 60.0
 BLOCKED_STEPS = 4
 LOOKAHEADS = (0.30, 0.20, 0.10)
 """How far ahead [m] the base steers; short ones keep to the way at corners, long ones are quicker."""
-_DELAYS = (0.0, 0.3, 0.5, 0.7, 0.85, 1.0)
-MAX_SPEED = 0.8
+_SHARES = (0.35, 0.6, 0.8)
+MAX_SPEED = 1.0
 _TURN_RATE, _PREVIEW = 2.6, 0.1
 _NEAR, _TURNED = 0.02, 0.05
 
@@ -90,8 +94,8 @@ class Pilot:
         ahead = np.arange(self._at, min(self._at + 0.3, float(self._along[-1])) + 1e-9, 0.01)
         if not len(ahead):
             return self._at
-        gaps = [np.linalg.norm(self._point(s) - point) for s in ahead]
-        return float(ahead[int(np.argmin(gaps))])
+        x, y = (np.interp(ahead, self._along, self._path[:, k]) for k in range(2))
+        return float(ahead[np.argmin((x - point[0]) ** 2 + (y - point[1]) ** 2)])
 
     def _point(self, at: float) -> Array:
         """The point (2,) at an arc length; past the end straight on, so that the heading settles before it."""
@@ -101,6 +105,27 @@ class Pilot:
 
 def _bounded(value: float, limit: float) -> float:
     return float(np.clip(value, -limit, limit))
+
+
+def planner(view: WorldView) -> Planner:
+    """Path planner of the world's home that knows which doors and drawers stand open now."""
+    ajar = {name: round(view.link_q(name), 1) for name in view.home.links}
+    return _planner_with(view.home, tuple((name, q) for name, q in ajar.items() if q > 0.05))
+
+
+@lru_cache(maxsize=64)
+def _planner_with(home: HomeShapes, ajar: tuple[tuple[str, float], ...]) -> Planner:
+    plain = motion.planner(home)
+    if not ajar:
+        return plain
+    boxes = Boxes.join([motion.as_boxes(home.links[name].boxes(q)) for name, q in ajar])
+    nx, ny = plain.clearance.shape
+    x, y = plain.origin[0] + (np.arange(nx) + 0.5) * plain.cell, plain.origin[1] + (np.arange(ny) + 0.5) * plain.cell
+    cells = np.stack([*np.meshgrid(x, y, indexing="ij"), np.zeros((nx, ny))], axis=-1).reshape(-1, 3)
+    # Seen from above: doors and drawers stand upright, so that height plays no part.
+    flat = Boxes(boxes.center * [1.0, 1.0, 0.0], boxes.half, boxes.rot)
+    gap = sphere_box_distance(cells, flat).min(axis=1).reshape(nx, ny) + BODY_SLIMMER
+    return Planner(plain.origin, plain.cell, np.minimum(plain.clearance, np.maximum(gap, 0.0)), radius=plain.radius)
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,36 +153,47 @@ def plan_route(
     """The quickest way to the base pose ``goal`` (3,) with the arm at ``arm`` (15,) that keeps clear of ``boxes``.
 
     The arm starts at once if there is room, otherwise later; when even the whole way with the arm as it is comes too
-    close, the route with the most room is given: look at its ``room``.
+    close, the route with the most room is given: look at its ``room``. None when furniture cuts the goal off.
 
     Args:
         robot: what moves, the held object included.
-        direction: see `motion.drive_to`.
+        margin: room [m] wanted.
+        direction: 1 forwards, -1 backwards, 0 whatever is quicker.
         straight: do not plan around furniture.
     """
     start = view.q
     boxes = _within_reach(boxes, np.stack([start[:2], goal[:2]]))
-    path = np.stack([start[:2], goal[:2]]) if straight else motion.planner(view.home).plan(start[:2], goal[:2])
+    path = np.stack([start[:2], goal[:2]]) if straight else _way(view, goal[:2])
     if path is None:
         return None
-    if np.linalg.norm(path[-1] - goal[:2]) > 1e-6:
-        path = np.concatenate([path, goal[None, :2]])
     direction = direction or _direction(start[:3], path, float(goal[2]))
     lookahead, poses = _smoothest(view, start[:3], path, float(goal[2]), direction)
-    before = float(_room(start[None], robot, boxes)[0])
-    best: Route | None = None
-    for delay in sorted({round(share * len(poses)) for share in _DELAYS}):
+    before, own = float(robot.clearance(start[None], boxes)[0]), _own_room(start, arm, robot)
+
+    def at(share: float) -> Route:
+        delay = round(share * len(poses))
         swept = _swept(start, poses, arm, delay)
-        at = np.arange(0, len(swept), max(1, len(swept) // 40))
+        some = np.arange(0, len(swept), max(1, len(swept) // 40))
         # While the base drives, the robot is only about where it is expected to be.
-        asked = np.minimum(np.where(at < len(poses) - 1, margin + DRIVE_ERROR, margin), before - 0.004)
-        room = float((_room(swept[at], robot, boxes) - asked).min())
-        route = Route(path, float(goal[2]), direction, lookahead, arm, delay, len(swept), room)
-        if room >= 0.0:
-            return route
-        if best is None or room > best.room:
-            best = route
-    return best
+        asked = np.minimum(np.where(some < len(poses) - 1, margin + DRIVE_ERROR, margin), before - 0.004)
+        room = min(own, float((robot.clearance(swept[some], boxes) - asked).min()))
+        return Route(path, float(goal[2]), direction, lookahead, arm, delay, len(swept), room)
+
+    early = at(0.0)
+    if early.room >= 0.0 or len(poses) == 1:
+        return early
+    late = at(1.0)
+    if late.room < 0.0:
+        return max(early, late, key=lambda route: route.room)
+    return next((route for route in map(at, _SHARES) if route.room >= 0.0), late)
+
+
+def _way(view: WorldView, goal: Array) -> Array | None:
+    """Way points (P, 2) to ``goal`` (2,) around furniture and what stands open."""
+    path = planner(view).plan(view.q[:2], goal)
+    if path is not None and np.linalg.norm(path[-1] - goal) > 1e-6:
+        path = np.concatenate([path, goal[None]])
+    return path
 
 
 def follow(view: WorldView, route: Route, *, gripper: float, tolerance: float = 0.05) -> Motion:
@@ -194,11 +230,11 @@ def _direction(pose: Array, path: Array, yaw: float) -> int:
 
 def _smoothest(view: WorldView, pose: Array, path: Array, yaw: float, direction: int) -> tuple[float, Array]:
     """The quickest steering that keeps the base clear of furniture: look-ahead and base poses (T, 3)."""
-    planner = motion.planner(view.home)
+    cells = planner(view)
     best: tuple[float, float, Array] | None = None
     for lookahead in LOOKAHEADS:
         poses = _simulate(pose, path, yaw, direction, lookahead)
-        room = float(planner.clearance_at(poses[:, :2]).min())
+        room = float(cells.clearance_at(poses[:, :2]).min())
         if best is None or room > best[0]:
             best = (room, lookahead, poses)
         if room >= BASE_ROOM or len(path) == 2:
@@ -246,5 +282,7 @@ def _within_reach(boxes: Boxes, way: Array) -> Boxes:
     return near.take(near.center[:, 2] + near.half.max(axis=1) > LOWEST)
 
 
-def _room(q: Array, robot: RobotSpheres, boxes: Boxes) -> Array:
-    return np.minimum(robot.clearance(q, boxes), robot.self_clearance(q))
+def _own_room(start: Array, arm: Array, robot: RobotSpheres) -> float:
+    """Least distance of the arm to the trunk on the way from ``start`` to ``arm`` (15,), beyond the one that is due."""
+    gap = robot.self_clearance(start + np.linspace(0.0, 1.0, 10)[:, None] * (arm - start))
+    return float(gap.min() - min(OWN_ROOM, gap[0] - 0.004))

@@ -129,6 +129,7 @@ def track(
     found = ik.solve(robot, pos[:, 0], rot[:, 0], start, dofs, rest=rest, mode=mode)
     path = [ik.unwind(robot, found.q, rest).reshape(-1, robot.size)]
     row = np.repeat(np.arange(len(base)), tries)
+    path[0][:, :3] = base[row, 0]
     ok = found.ok.reshape(-1)
     path, row = [path[0][ok]], row[ok]
     path, row = _drop(path, row, _clear(path[0], boxes[0] if boxes else None, margin))

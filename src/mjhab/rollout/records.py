@@ -63,10 +63,10 @@ class EpisodeRecord:
     """One finished episode.
 
     ``subtasks`` holds the subtasks that ended; those never reached are absent. ``completed`` counts the subtasks of the
-    plan that succeeded. ``force`` is the robot force [N] of every control step, to 0.1 N; ``taint`` names what the
-    simulation flagged (then the episode's physics cannot be trusted); ``spawn_fallback``: no random start was valid
-    and the nearest valid one was taken. ``final_state`` is a hash of the last state, bit by bit. ``seconds`` is wall time and takes no part in
-    comparisons: everything else is a function of (seed, index).
+    plan that succeeded. ``force`` is the robot force [N] of every control step, to 0.1 N. ``taint`` names what the
+    simulation flagged (then the episode's physics cannot be trusted). ``spawn_fallback``: no random start was valid and
+    the nearest valid one was taken. ``final_state`` is a hash of the last state, bit by bit. ``seconds`` is wall time
+    and takes no part in comparisons: everything else is a function of (seed, index).
     """
 
     seed: int

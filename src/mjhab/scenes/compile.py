@@ -32,18 +32,24 @@ def home_hash(layout: Layout, home: Home) -> str:
     return digest.hexdigest()[:24]
 
 
+def model_path(layout: Layout, home: Home) -> Path:
+    """File in the cache that holds, or will hold, the model of a home."""
+    return cache_dir() / "models" / f"{home.name}-{home_hash(layout, home)}.mjb"
+
+
 def compile_home(layout: Layout, home: Home) -> mujoco.MjModel:
     """The MjModel of a home, from the cache when it was compiled before.
 
     Raises:
         ValueError: when MuJoCo refuses the home; the message names it.
     """
-    path = cache_dir() / "models" / f"{home.name}-{home_hash(layout, home)}.mjb"
+    path = model_path(layout, home)
     if path.exists():
         return mujoco.MjModel.from_binary_path(str(path))
     try:
         model = build_spec(layout, home).compile()
     except ValueError as error:
-        raise ValueError(f"home {home.name!r} does not compile: {error}") from error
+        reason = ", ".join(str(error).splitlines())
+        raise ValueError(f"home {home.name!r} does not compile: {reason}") from error
     write_atomic(path, lambda temporary: mujoco.mj_saveModel(model, str(temporary), None))
     return model

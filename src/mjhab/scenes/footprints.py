@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 
@@ -21,6 +21,19 @@ class Footprint:
     name: str
     corners: np.ndarray
     z: tuple[float, float]
+
+    @cached_property
+    def box(self) -> tuple[float, float, float, float]:
+        """x_min, y_min, x_max, y_max [m]."""
+        x, y = self.corners.T.tolist()
+        return min(x), min(y), max(x), max(y)
+
+    def meets(self, other: Footprint) -> bool:
+        """Whether the two share space: boxes and heights are compared first, which rules most pairs out."""
+        a, b = self.box, other.box
+        if a[0] > b[2] or b[0] > a[2] or a[1] > b[3] or b[1] > a[3]:
+            return False
+        return self.z[0] < other.z[1] and other.z[0] < self.z[1] and meet(self.corners, other.corners)
 
 
 def outline(geom: Geom, meshes: Mapping[str, object] | None = None) -> np.ndarray:

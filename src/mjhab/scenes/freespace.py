@@ -12,8 +12,9 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt, label
 from scipy.spatial import ConvexHull, KDTree
 
+from mjhab.core.rotations import mat_from_quat
 from mjhab.scenes.footprints import all_geoms, outline, rectangle
-from mjhab.scenes.spec import Articulation, Geom, Home, Pack, Placement, Prop
+from mjhab.scenes.spec import IDENTITY, Articulation, Geom, Home, Pack, Placement, Prop
 
 BASE_RADIUS = 0.3
 """Radius [m] that HAB's navigation meshes use for Fetch."""
@@ -111,13 +112,16 @@ def blocking_polygons(home: Home, pack: Pack) -> list[np.ndarray]:
 
 
 def _flatten(geom: Geom, placement: Placement, pack: Pack) -> np.ndarray | None:
-    """Outline of a geom on the floor, or None if it is above the robot."""
-    points = outline(geom, pack.meshes) + np.array((0.0, 0.0, placement.pos[2]))
+    """Outline of a geom on the floor, counter-clockwise, or None if it is above the robot."""
+    if geom.shape == "box" and geom.quat == IDENTITY and placement.quat is None:  # most geoms, and no hull to find
+        (x, y, z), (hx, hy, hz) = geom.pos, geom.size
+        z += placement.pos[2]
+        hidden = z - hz >= ROBOT_HEIGHT or z + hz <= 0.0
+        return None if hidden else rectangle(placement, (x - hx, x + hx), (y - hy, y + hy))
+    points = outline(geom, pack.meshes) @ mat_from_quat(np.array(placement.rotation)).T + np.array(placement.pos)
     if points[:, 2].min() >= ROBOT_HEIGHT or points[:, 2].max() <= 0.0:
         return None
-    c, s = np.cos(placement.yaw), np.sin(placement.yaw)
-    flat = points[:, :2] @ np.array([[c, s], [-s, c]]) + np.array(placement.pos[:2])
-    flat = np.unique(flat.round(9), axis=0)
+    flat = np.unique(points[:, :2].round(9), axis=0)
     return flat[ConvexHull(flat).vertices]
 
 

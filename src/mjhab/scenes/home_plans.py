@@ -47,6 +47,20 @@ class Plan:
     spots: tuple[Spot, ...]
 
 
+@dataclass(frozen=True)
+class HardCase:
+    """A home whose fridge stands in a corner, so that its doors open toward a wall.
+
+    ``side``: free floor between the hinge side of the fridge and the wall [m]; ``limits``: where the doors meet the
+    wall, if they do, as (link id, angle [rad]).
+    """
+
+    fridge: Piece
+    side: float
+    note: str
+    limits: tuple[tuple[str, float], ...] = ()
+
+
 SMALL = ("indoor_plant_01", "indoor_plant_02", "beanbag", "lamp_01", "bin_01")
 """The pieces that micro layouts deal out over a plan's spots, in the order of the spots in micro layout 0."""
 
@@ -143,3 +157,16 @@ PLANS: tuple[Plan, ...] = (
         ((5.1, 3.0, 0), (0.4, 3.0, 0), (3.9, 0.5, 0), (0.4, 0.35, 0), (0.35, 6.5, 0), (7.0, 5.4, 0)),
     ),
 )
+
+_NARROW = "hard case, solvable: the fridge opens toward a wall 0.9 m away; its doors open fully"
+HARD: dict[tuple[int, int], HardCase] = {
+    (3, 19): HardCase(("fridge", 9.955, 5.835, -90), 0.90, _NARROW),
+    (3, 20): HardCase(
+        ("fridge", 10.605, 5.835, -90), 0.25,
+        "hard case, not solvable: the fridge opens against a wall 0.25 m away; a hand cannot follow its handle",
+        (("fridge/top_door", 1.85), ("fridge/bottom_door", 1.85)),
+    ),
+    (4, 20): HardCase(("fridge", 5.295, 7.635, -90), 0.90, _NARROW),
+}
+"""(macro, micro) of the homes in which the fridge opens toward a wall. In MS-HAB's val homes a fridge door that stands
+open against a wall cannot be closed: its handle is out of reach."""

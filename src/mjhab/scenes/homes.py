@@ -6,6 +6,7 @@ Macro layouts 0, 1, 2 are for training, 3 for validation, 4 for testing, as in R
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from typing import Literal
@@ -14,10 +15,11 @@ import numpy as np
 
 from mjhab.core.errors import UsageError
 from mjhab.core.seeding import stream
-from mjhab.scenes.footprints import Footprint, footprint, meet, rectangle
+from mjhab.scenes.footprints import Footprint, footprint, rectangle
 from mjhab.scenes.freespace import BASE_RADIUS, free_map, reach
 from mjhab.scenes.furniture import builtin_articulations, builtin_props
-from mjhab.scenes.home_plans import PLANS, SMALL, Piece, Plan, Wall
+from mjhab.scenes.home_cache import cached_homes
+from mjhab.scenes.home_plans import HARD, PLANS, SMALL, Piece, Plan, Wall
 from mjhab.scenes.shapes import span
 from mjhab.scenes.spec import Articulation, Geom, Home, Light, Pack, Placement, Prop
 
@@ -25,7 +27,12 @@ MICROS = 21
 """Micro layouts per macro layout."""
 WALL_HEIGHT = 2.6
 WALL_THICK = 0.12
-VERSION_ONE = ((0, 0), (0, 1), (1, 0), (2, 0), (3, 0), (4, 0))
+Key = tuple[int, int]
+VERSION_ONE: tuple[Key, ...] = ((0, 0), (0, 1), (1, 0), (2, 0), (3, 0), (4, 0))
+"""(macro, micro) of six homes, enough to try things quickly."""
+EVERY: tuple[Key, ...] = tuple((macro, micro) for macro in range(len(PLANS)) for micro in range(MICROS))
+"""(macro, micro) of all 105 homes."""
+LISTED = VERSION_ONE
 """(macro, micro) of the homes that the pack lists."""
 
 MAX_REACH_CENTER = 0.85
@@ -41,6 +48,8 @@ KEEP_CLEAR: dict[str, Zone] = {
     "fridge": ((0.42, 1.90), (-0.80, 1.15)),
 }
 """Floor in front of what opens, in its frame: x and y extents [m] that stay free for doors, drawers and a robot."""
+FRIDGE_HALF = 0.345
+"""Half the width of the fridge [m]."""
 
 # how far a micro layout may move a piece: across, along its own y axis [m], turn [rad]
 _SHIFTS: dict[str, tuple[float, float, float]] = {
@@ -57,10 +66,13 @@ def split_of(macro: int) -> Literal["train", "val", "test"]:
     return "train" if macro < 3 else ("val" if macro == 3 else "test")
 
 
-@cache
-def builtin_homes() -> tuple[Home, ...]:
-    """The homes of the built-in pack."""
-    return tuple(make_home(macro, micro) for macro, micro in VERSION_ONE)
+def builtin_homes(keys: Sequence[Key] = LISTED) -> tuple[Home, ...]:
+    """The homes of the built-in pack, furnished once and then read from the cache.
+
+    Args:
+        keys: (macro, micro) of the homes.
+    """
+    return cached_homes("builtin", keys, bare_home, make_home)
 
 
 @cache
@@ -74,17 +86,33 @@ def make_home(macro: int, micro: int) -> Home:
     Raises:
         UsageError: out of range.
     """
-    if not (0 <= macro < len(PLANS) and 0 <= micro < MICROS):
-        raise UsageError(f"no home ({macro}, {micro}): macro is 0..{len(PLANS) - 1}, micro 0..{MICROS - 1}.")
-    plan = PLANS[macro]
+    return _furnish(bare_home(macro, micro), plan_of(macro, micro))
+
+
+def bare_home(macro: int, micro: int) -> Home:
+    """One home with walls, kitchen and lamps but no props yet; arguments and errors as in `make_home`."""
+    plan, hard = plan_of(macro, micro), HARD.get((macro, micro))
     width, depth = plan.size
     kitchen = tuple(_place(p) for p in plan.kitchen)
     rooms = tuple(span(_x(r.extent), _y(r.extent), (-0.02, 0.001), r.floor, collide=False) for r in plan.rooms)
-    home = Home(
+    note, limits = (hard.note, hard.limits) if hard else ("", ())
+    return Home(
         f"builtin_m{macro}_{micro:02d}", "builtin", split_of(macro), macro, micro, wall_geoms(plan),
         (0.0, 0.0, width, depth), plan.rooms[0].floor, (), kitchen, _lights(plan), rooms,
+        note, limits,
     )
-    return _furnish(home, plan)
+
+
+def plan_of(macro: int, micro: int) -> Plan:
+    """Plan of the macro layout; hard cases have their fridge elsewhere.
+
+    Raises:
+        UsageError: out of range.
+    """
+    if not (0 <= macro < len(PLANS) and 0 <= micro < MICROS):
+        raise UsageError(f"no home ({macro}, {micro}): macro is 0..{len(PLANS) - 1}, micro 0..{MICROS - 1}.")
+    plan, hard = PLANS[macro], HARD.get((macro, micro))
+    return replace(plan, kitchen=(plan.kitchen[0], hard.fridge)) if hard else plan
 
 
 def _x(extent: tuple[float, float, float, float]) -> tuple[float, float]:
@@ -135,8 +163,9 @@ def _furnish(home: Home, plan: Plan) -> Home:
         RuntimeError: the plan leaves no room (a plan that was edited wrongly; tests build every home).
     """
     rng = stream(0, "home", home.macro, home.micro)
+    taken = _blocked(plan, keep_clear(home.macro, home.micro))
     for _ in range(_TRIES):
-        placed = _try_furnish(plan, home.micro, rng)
+        placed = _try_furnish(plan, home.micro, rng, list(taken))
         if placed is not None:
             furnished = replace(home, props=placed)
             if usable(furnished, _templates_pack()):
@@ -153,10 +182,11 @@ def usable(home: Home, pack: Pack) -> bool:
     )
 
 
-def _try_furnish(plan: Plan, micro: int, rng: np.random.Generator) -> tuple[Placement, ...] | None:
+def _try_furnish(
+    plan: Plan, micro: int, rng: np.random.Generator, taken: list[Footprint]
+) -> tuple[Placement, ...] | None:
     order = np.arange(len(plan.spots)) if micro == 0 else rng.permutation(len(plan.spots))
     small = [_place((name, *plan.spots[k])) for name, k in zip(SMALL, order, strict=False)]
-    taken = _blocked(plan)
     result: list[Placement] = []
     for group, tries in (([_place(p) for p in plan.fixed], 1), ([_place(p) for p in plan.loose], 12), (small, 12)):
         for placement in group:
@@ -167,7 +197,16 @@ def _try_furnish(plan: Plan, micro: int, rng: np.random.Generator) -> tuple[Plac
     return tuple(result)
 
 
-def _blocked(plan: Plan) -> list[Footprint]:
+def keep_clear(macro: int, micro: int) -> dict[str, Zone]:
+    """Zone in front of each articulation of one home; where a wall stands beside the fridge, it ends there."""
+    hard = HARD.get((macro, micro))
+    if hard is None:
+        return KEEP_CLEAR
+    x, (low, high) = KEEP_CLEAR["fridge"]
+    return {**KEEP_CLEAR, "fridge": (x, (low, min(high, FRIDGE_HALF + hard.side)))}
+
+
+def _blocked(plan: Plan, clear: dict[str, Zone]) -> list[Footprint]:
     """Walls, kitchen and clear zones, as floor areas that props must not enter."""
     taken = []
     for wall in wall_geoms(plan):
@@ -179,7 +218,7 @@ def _blocked(plan: Plan) -> list[Footprint]:
         body = footprint(at, _template(at.template))
         assert body is not None
         taken.append(body)
-        taken.append(Footprint("zone", rectangle(at, *KEEP_CLEAR[at.template]), (0.0, WALL_HEIGHT)))
+        taken.append(Footprint("zone", rectangle(at, *clear[at.template]), (0.0, WALL_HEIGHT)))
     return taken
 
 
@@ -193,9 +232,7 @@ def _template(name: str) -> Prop | Articulation:
     return pack.props.get(name) or pack.articulations[name]
 
 
-def _settle(
-    placement: Placement, taken: list[Footprint], rng: np.random.Generator, tries: int
-) -> Placement | None:
+def _settle(placement: Placement, taken: list[Footprint], rng: np.random.Generator, tries: int) -> Placement | None:
     """Try shifted poses until one is free, then take its floor; None if there is none."""
     movable = tries > 1
     for _ in range(tries):
@@ -203,7 +240,7 @@ def _settle(
         area = footprint(pose, _template(pose.template))
         if area is None:
             return pose
-        if not any(a.z[0] < area.z[1] and area.z[0] < a.z[1] and meet(a.corners, area.corners) for a in taken):
+        if not any(area.meets(other) for other in taken):
             taken.append(area)
             return pose
     return None

@@ -120,14 +120,14 @@ class Layout:
         return [left[s.template][s.index] if s.index < len(left.get(s.template, ())) else None for s in self.prop_slots]
 
     def articulation_placement(self, home: Home, name: str) -> Placement:
-        """Where an articulation stands in a home."""
-        return next(p for p in home.articulations if p.template == name)
+        """Where an articulation stands in a home; parked below the floor when the home has none."""
+        return next((p for p in home.articulations if p.template == name), Placement(name, PARKED))
 
     def closed_link_origin(self, home: Home, link_id: str) -> Vec3:
         """World position [m] of the origin of a link while it is closed."""
         ref = self.links[self.link_ids.index(link_id)]
         at = self.articulation_placement(home, ref.articulation)
-        return compose(at.pos, yaw_quat(at.yaw), ref.link.pos)[0]
+        return compose(at.pos, at.rotation, ref.link.pos)[0]
 
     def closed_handle(self, home: Home, link_id: str) -> Vec3:
         """World position [m] of the grasp point of a link's handle while the link is closed."""
@@ -135,7 +135,7 @@ class Layout:
         at = self.articulation_placement(home, ref.articulation)
         x, y, z = ref.link.handle.pos
         ox, oy, oz = ref.link.pos
-        return compose(at.pos, yaw_quat(at.yaw), (ox + x, oy + y, oz + z))[0]
+        return compose(at.pos, at.rotation, (ox + x, oy + y, oz + z))[0]
 
 
 def build_spec(layout: Layout, home: Home) -> mujoco.MjSpec:
@@ -157,7 +157,8 @@ def build_spec(layout: Layout, home: Home) -> mujoco.MjSpec:
         bit = contact_bits.STATIC if prop.blocks_base else contact_bits.RUG
         _add_static(world, prop.geoms, slot.name, placement, bit)
     for articulation in layout.articulations:
-        _add_articulation(spec, articulation, layout.articulation_placement(home, articulation.name))
+        at = layout.articulation_placement(home, articulation.name)
+        _add_articulation(spec, articulation, at, dict(home.open_limits))
     for name, kind, pose in zip(layout.object_names, layout.objects, layout.parked_poses, strict=True):
         _add_object(spec, name, kind, pose)
     _add_sensors(spec, layout)
@@ -188,22 +189,26 @@ def _add_geom(
 
 def _add_static(world: mujoco.MjsBody, geoms: tuple[Geom, ...], name: str, at: Placement | None, bit: int) -> None:
     for i, geom in enumerate(g for g in geoms if g.collide):
-        pos, quat = (PARKED, IDENTITY) if at is None else compose(at.pos, yaw_quat(at.yaw), geom.pos, geom.quat)
+        pos, quat = (PARKED, IDENTITY) if at is None else compose(at.pos, at.rotation, geom.pos, geom.quat)
         moved = Geom(geom.shape, geom.size, pos, quat, mesh=geom.mesh)
         _add_geom(world, moved, f"{name}/{i}", bit)
 
 
-def _add_articulation(spec: mujoco.MjSpec, articulation: Articulation, at: Placement) -> None:
+def _add_articulation(
+    spec: mujoco.MjSpec, articulation: Articulation, at: Placement, limits: dict[str, float]
+) -> None:
     _add_static(spec.worldbody, articulation.geoms, articulation.name, at, contact_bits.STATIC)
     for link in articulation.links:
-        pos, quat = compose(at.pos, yaw_quat(at.yaw), link.pos)
+        pos, quat = compose(at.pos, at.rotation, link.pos)
         name = f"{articulation.name}/{link.name}"
         body = spec.worldbody.add_body(name=name, pos=pos, quat=quat)
         slide = link.joint == "slide"
+        # Doors do not collide with walls; in a home where one would, its joint ends there.
+        low, high = link.range
         body.add_joint(
             name=name,
             type=mujoco.mjtJoint.mjJNT_SLIDE if slide else mujoco.mjtJoint.mjJNT_HINGE,
-            axis=link.axis, range=link.range, armature=JOINT_ARMATURE,
+            axis=link.axis, range=(low, min(high, limits.get(name, high))), armature=JOINT_ARMATURE,
             damping=[SLIDE_DAMPING if slide else HINGE_DAMPING, 0, 0],
             frictionloss=SLIDE_FRICTION if slide else HINGE_FRICTION,
         )  # fmt: skip

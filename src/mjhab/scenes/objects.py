@@ -38,6 +38,11 @@ MASSES: dict[str, float] = {
 }
 """Masses [kg]."""
 
+SCAN_YAW: dict[str, float] = {
+    "004_sugar_box": 0.031, "008_pudding_box": 1.089, "009_gelatin_box": -0.229, "010_potted_meat_can": 1.524,
+}
+"""Heading [rad] of the axes of the google_16k scan in our frame, where the thing stands at an angle in its scan."""
+
 CLUTTER_TYPES: tuple[str, ...] = tuple(name for name in SIZES if name != "013_apple")
 """The nine types of TidyHouse, PrepareGroceries and of the clutter of SetTable."""
 
@@ -85,7 +90,7 @@ def builtin_objects() -> dict[str, ObjectType]:
     for name, size in SIZES.items():
         half = (size[0] / 2, size[1] / 2, size[2] / 2)
         collision, visuals = makers[name](half)
-        types[name] = ObjectType(name, MASSES[name], half, tuple(collision), tuple(visuals))
+        types[name] = ObjectType(name, MASSES[name], half, tuple(collision), tuple(visuals), SCAN_YAW.get(name, 0.0))
     return types
 
 

@@ -1,4 +1,4 @@
-"""Asset packs: the built-in one, made by code, and packs kept in a folder.
+"""Asset packs: the built-in one, made by code, the ReplicaCAD data set, and packs kept in a folder.
 
 A pack folder holds ``pack.json`` (templates, homes, objects) and ``meshes.npz`` (arrays, no pickles).
 """
@@ -8,9 +8,10 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+import types
 import typing
 import zipfile
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -21,24 +22,36 @@ from mjhab.scenes.furniture import builtin_articulations, builtin_props, furnitu
 from mjhab.scenes.homes import builtin_homes
 from mjhab.scenes.meshes import Mesh
 from mjhab.scenes.objects import builtin_objects, object_meshes
+from mjhab.scenes.replica_cad_files import SCENE_SUFFIX, is_replica_cad
 from mjhab.scenes.spec import Articulation, Home, ObjectType, Pack, Prop
 
 PACK_FORMAT = "mjhab-pack-1"
 _JSON, _MESHES = "pack.json", "meshes.npz"
+_STAGE = "?stage="
 
 
 def open_pack(name: str) -> Pack:
     """Open an asset pack.
 
     Args:
-        name: ``"builtin"`` or the path of a folder that ``save_pack`` wrote.
+        name: ``"builtin"``; or the path of a ReplicaCAD data set (or of the folder that holds it as ``replica_cad``),
+            of one ``*.scene_instance.json`` of it, or of a folder that ``save_pack`` wrote. ``?stage=FILE`` behind a
+            ReplicaCAD path takes that ``.glb`` as the stage of every scene (see ``with_stage``).
 
     Raises:
-        UsageError: neither; the message says what the folder lacks or which names exist.
+        UsageError: nothing of that; the message says what the folder lacks or which names exist.
     """
     if name == "builtin":
         return builtin_pack()
-    folder = Path(name)
+    place, _, stage = name.partition(_STAGE)
+    folder, scene = Path(place), ""
+    if place.endswith(SCENE_SUFFIX) and folder.is_file():
+        folder, scene = folder.resolve().parents[2], folder.name.removesuffix(SCENE_SUFFIX)
+    for data_set in (folder, folder / "replica_cad"):
+        if scene or is_replica_cad(data_set):
+            return _replica_cad(data_set.resolve(), scene, Path(stage) if stage else None)
+    if stage:
+        raise UsageError(f"{place!r} is not a ReplicaCAD folder: a stage mesh means nothing to it.")
     if folder.is_dir():
         return load_pack(folder)
     if folder.exists():
@@ -47,6 +60,26 @@ def open_pack(name: str) -> Pack:
     if looks_like_path:
         raise UsageError(f"asset folder {name!r} does not exist; expected 'builtin' or a folder with {_JSON}.")
     raise unknown_name("asset pack", name, ("builtin",))
+
+
+def with_stage(assets: str, stage_mesh: Path | None) -> str:
+    """The name of an asset pack with another stage mesh, for ``open_pack``; None leaves it as it is.
+
+    Raises:
+        UsageError: the file does not exist.
+    """
+    if stage_mesh is None:
+        return assets
+    if not stage_mesh.is_file():
+        raise UsageError(f"stage mesh {str(stage_mesh)!r} does not exist.")
+    return f"{assets}{_STAGE}{stage_mesh}"
+
+
+@lru_cache(maxsize=4)
+def _replica_cad(folder: Path, scene: str, stage_mesh: Path | None) -> Pack:
+    from mjhab.scenes.replica_cad import open_replica_cad
+
+    return open_replica_cad(folder, scene, stage_mesh)
 
 
 @cache
@@ -95,7 +128,8 @@ def load_pack(folder: Path) -> Pack:
         if not (folder / needed).is_file():
             raise UsageError(
                 f"asset folder '{folder}' has no {needed}; a pack folder must hold {_JSON} and {_MESHES} "
-                "as written by mjhab.scenes.packs.save_pack."
+                "as written by mjhab.scenes.packs.save_pack. It is no ReplicaCAD data set either (no configs/scenes, "
+                "configs/objects); `mjhab assets fetch replica_cad` gets one."
             )
     path = folder / _JSON
     try:
@@ -164,6 +198,8 @@ def _read(kind: Any, value: Any, where: str) -> Any:
     origin, args = typing.get_origin(kind), typing.get_args(kind)
     if dataclasses.is_dataclass(kind):
         return _read_record(kind, value, where)
+    if origin is types.UnionType:
+        return None if value is None else _read(args[0], value, where)
     if origin is tuple:
         if not isinstance(value, list) or (Ellipsis not in args and len(value) != len(args)):
             raise ValueError(f"{where}: expected a list of {'any' if Ellipsis in args else len(args)} entries.")

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mjhab.scenes.layout import Layout, compose, yaw_quat
+from mjhab.scenes.layout import Layout, compose
 from mjhab.scenes.spec import Home, Placement, Receptacle, Vec3
 
 
@@ -49,6 +49,8 @@ def placed_receptacles(layout: Layout, home: Home) -> tuple[PlacedReceptacle, ..
             out += [_place(slot.name, slot.template, r, placement, (0.0, 0.0, 0.0)) for r in prop.receptacles]
     for articulation in layout.articulations:
         placement = layout.articulation_placement(home, articulation.name)
+        if placement not in home.articulations:
+            continue
         origin = {link.name: link.pos for link in articulation.links}
         for r in articulation.receptacles:
             out.append(_place(articulation.name, articulation.name, r, placement, origin.get(r.link, (0.0, 0.0, 0.0))))
@@ -57,6 +59,6 @@ def placed_receptacles(layout: Layout, home: Home) -> tuple[PlacedReceptacle, ..
 
 def _place(thing: str, template: str, r: Receptacle, at: Placement, origin: Vec3) -> PlacedReceptacle:
     local = (origin[0] + r.pos[0], origin[1] + r.pos[1], origin[2] + r.pos[2])
-    pos, _ = compose(at.pos, yaw_quat(at.yaw), local)
+    pos, _ = compose(at.pos, at.rotation, local)
     link = f"{thing}/{r.link}" if r.link else ""
     return PlacedReceptacle(f"{thing}/{r.name}", r.name, template, r.kind, link, pos, at.yaw, r.half, r.height)

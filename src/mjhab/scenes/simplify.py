@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 Array = np.ndarray
-_CELLS = (0.25, 0.0005)
+_CELLS = (0.25, 0.005)
 """Coarsest and finest cell, as shares of the largest extent of the mesh."""
-_ROUNDS = 12
+_ROUNDS = 9
 _STIFFNESS = 1e-3
 """Pull of a merged vertex toward the mean of its cell, where the planes around it leave it free."""
 
@@ -57,13 +57,16 @@ def _sides(vertices: Array, faces: Array) -> Array:
 def _cluster(vertices: Array, faces: Array, side: Array, cell: float) -> tuple[Array, Array]:
     """Label (V,) of the cluster of every vertex, and the faces (f, 3) that keep three clusters, each once."""
     grid = np.floor((vertices - vertices.min(axis=0)) / cell).astype(np.int64)
-    _, label = np.unique(np.column_stack([grid, side]), axis=0, return_inverse=True)
-    label = label.reshape(-1)
+    width = grid.max(axis=0) + 1
+    key = ((grid[:, 0] * width[1] + grid[:, 1]) * width[2] + grid[:, 2]) * 6 + side
+    found, label = np.unique(key, return_inverse=True)
     new = label[faces]
     new = new[(new[:, 0] != new[:, 1]) & (new[:, 1] != new[:, 2]) & (new[:, 2] != new[:, 0])]
     turn = new.argmin(axis=1)
     rolled = np.take_along_axis(new, (turn[:, None] + np.arange(3)) % 3, axis=1)
-    return label, np.unique(rolled, axis=0)
+    count = len(found)
+    _, first = np.unique((rolled[:, 0] * count + rolled[:, 1]) * count + rolled[:, 2], return_index=True)
+    return label, rolled[first]
 
 
 def _merged(vertices: Array, faces: Array, label: Array) -> Array:
@@ -85,4 +88,9 @@ def _merged(vertices: Array, faces: Array, label: Array) -> Array:
         np.add.at(right, at, (area * offset)[:, None] * normal)
     trace = np.maximum(np.trace(matrix, axis1=1, axis2=2), 1e-30)
     matrix = matrix / trace[:, None, None] + _STIFFNESS * np.eye(3)
-    return mean + np.linalg.solve(matrix, (right / trace[:, None])[..., None])[..., 0]
+    place = mean + np.linalg.solve(matrix, (right / trace[:, None])[..., None])[..., 0]
+    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+    np.minimum.at(low, label, vertices)
+    np.maximum.at(high, label, vertices)
+    # Planes that are nearly parallel meet far away.
+    return np.clip(place, low, high)

@@ -6,6 +6,7 @@ person stands at). Lengths [m], angles [rad], masses [kg], quaternions wxyz.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -104,11 +105,21 @@ class Articulation:
 
 @dataclass(frozen=True)
 class Placement:
-    """Where a template stands: floor position [m] and yaw [rad]."""
+    """Where a template stands: position [m] and heading [rad] of its frame.
+
+    ``quat``: the whole rotation of a piece that does not stand upright (a bike on its stand); ``yaw`` is then the
+    heading of its x axis.
+    """
 
     template: str
     pos: Vec3
     yaw: float = 0.0
+    quat: Quat | None = None
+
+    @property
+    def rotation(self) -> Quat:
+        """Rotation from the frame of the template to the world."""
+        return self.quat or (math.cos(self.yaw / 2), 0.0, 0.0, math.sin(self.yaw / 2))
 
 
 @dataclass(frozen=True)
@@ -138,6 +149,10 @@ class Home:
     lights: tuple[Light, ...] = ()
     floor_patches: tuple[Geom, ...] = ()
     """Visual-only thin boxes that give rooms their own flooring."""
+    note: str = ""
+    """What a person should know about this home: a hard case, or empty."""
+    open_limits: tuple[tuple[str, float], ...] = ()
+    """(link id, joint position [m] or [rad]) of links that meet a wall before the end of their range."""
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial import ConvexHull, cKDTree
+from scipy.spatial import ConvexHull, KDTree
 
 from mjhab.core.errors import UsageError
 from mjhab.scenes.meshes import Mesh
@@ -36,7 +36,7 @@ WALL = 0.0045
 """Thickness of the collision wall of a bowl [m]; the scanned wall is thinner, too thin for a stable grasp."""
 RIM_PIECES, BASE_PIECES = 16, 8
 _COLOR_STEP = 0.04
-_SAMPLE_EDGE = 0.004
+_SAMPLE_EDGE = 0.006
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,41 +108,58 @@ def _face_color(part: Any) -> np.ndarray:
 
 def object_from_scan(name: str, scan: Scan) -> tuple[ObjectType, dict[str, Mesh]]:
     """Choose collision shapes for a scan and reduce what is seen of it."""
-    yaw, half = box_fit(scan.vertices)
-    if primitive_share(scan, "box", yaw, half) < PRIMITIVE_SHARE:
-        yaw = 0.0
-    turned = Scan(_turn(scan.vertices, -yaw), scan.faces, scan.color)
-    outer = np.ptp(turned.vertices, axis=0) / 2
-    collision, meshes = _collision(name, turned, half)
-    meshes[f"{name}_look"] = render_mesh(turned)
+    surface = HullSurface.of(scan.vertices)
+    yaw, half = box_fit(scan.vertices, surface)
+    meshes: dict[str, Mesh] = {}
+    if primitive_share(surface.turned(-yaw), "box", half) >= PRIMITIVE_SHARE:
+        collision = [Geom("box", half, visual=False)]
+    else:
+        # Only boxes have a heading to look along.
+        yaw, half = 0.0, can_fit(scan.vertices, surface)
+        if primitive_share(surface, "cylinder", half) >= PRIMITIVE_SHARE:
+            collision = [Geom("cylinder", (half[0], half[2], 0.0), visual=False)]
+        else:
+            x, y, z = (np.ptp(scan.vertices, axis=0) / 2).tolist()
+            half = (x, y, z)
+            collision, meshes = _bowl(name, scan) if _fill(scan) < OPEN_SHARE else _lump(name, scan)
+    meshes[f"{name}_look"] = render_mesh(Scan(_turn(scan.vertices, -yaw), scan.faces, scan.color))
     visuals = (look(f"{name}_look", "plain_white"),)
-    bounds = (float(outer[0]), float(outer[1]), float(outer[2]))
-    if collision[0].shape in ("box", "cylinder") and len(collision) == 1:
-        bounds = _bounds(collision[0])
-    return ObjectType(name, MASSES[name], bounds, tuple(collision), visuals, scan_yaw=-yaw), meshes
-
-
-def _bounds(geom: Geom) -> Vec3:
-    x, y, z = geom.size
-    return (x, y, z) if geom.shape == "box" else (x, x, y)
-
-
-def _collision(name: str, scan: Scan, box_half: Vec3) -> tuple[list[Geom], dict[str, Mesh]]:
-    """Geoms of a scan that is already turned, and the meshes they name."""
-    if primitive_share(scan, "box", 0.0, box_half) >= PRIMITIVE_SHARE:
-        return [Geom("box", box_half, visual=False)], {}
-    can = can_fit(scan.vertices)
-    if primitive_share(scan, "cylinder", 0.0, can) >= PRIMITIVE_SHARE:
-        return [Geom("cylinder", (can[0], can[2], 0.0), visual=False)], {}
-    if _fill(scan) < OPEN_SHARE:
-        return _bowl(name, scan)
-    return [Geom("mesh", (1.0, 1.0, 1.0), mesh=f"{name}_hull", visual=False)], {f"{name}_hull": hull_of(scan.vertices)}
+    return ObjectType(name, MASSES[name], half, tuple(collision), visuals, scan_yaw=0.0 - yaw), meshes
 
 
 # -- primitives --------------------------------------------------------------------------------------------------------
 
 
-def box_fit(vertices: np.ndarray) -> tuple[float, Vec3]:
+@dataclass(frozen=True, eq=False)
+class HullSurface:
+    """Spots on a convex hull: ``points`` (P, 3) [m], outward unit ``normals`` (P, 3), ``areas`` (P,) [m^2]."""
+
+    points: np.ndarray
+    normals: np.ndarray
+    areas: np.ndarray
+
+    @staticmethod
+    def of(vertices: np.ndarray) -> HullSurface:
+        """Cut the hull of ``vertices`` (V, 3) into triangles no larger than `_SAMPLE_EDGE`."""
+        hull = ConvexHull(vertices)
+        triangles, normals = vertices[hull.simplices], hull.equations[:, :3]
+        done: list[tuple[np.ndarray, np.ndarray]] = []
+        while len(triangles):
+            edge = np.linalg.norm(triangles - np.roll(triangles, -1, axis=1), axis=2)
+            large = edge.max(axis=1) > _SAMPLE_EDGE
+            done.append((triangles[~large], normals[~large]))
+            triangles, normals = _halve(triangles[large], edge[large]), np.repeat(normals[large], 2, axis=0)
+        corners = np.concatenate([part[0] for part in done])
+        a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+        areas = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+        return HullSurface(corners.mean(axis=1), np.concatenate([part[1] for part in done]), areas)
+
+    def turned(self, yaw: float) -> HullSurface:
+        """The same, turned about z by ``yaw`` [rad]."""
+        return HullSurface(_turn(self.points, yaw), _turn(self.normals, yaw), self.areas)
+
+
+def box_fit(vertices: np.ndarray, surface: HullSurface) -> tuple[float, Vec3]:
     """Best upright box about the origin: heading [rad] in (-pi/4, pi/4] and half-extents [m].
 
     The heading is that of the smallest rectangle around the plan; the sides lie in the middle of the hull's faces
@@ -152,60 +169,42 @@ def box_fit(vertices: np.ndarray) -> tuple[float, Vec3]:
     angles = np.linspace(-np.pi / 4, np.pi / 4, 901)[1:]
     areas = [np.ptp(_turn(plan, -a), axis=0).prod() for a in angles]
     yaw = float(angles[int(np.argmin(areas))])
-    points, normals, weights = hull_surface(_turn(vertices, -yaw))
-    half = [_face_distance(points, normals, weights, axis) for axis in range(2)]
-    return yaw, (half[0], half[1], float(np.ptp(vertices[:, 2]) / 2))
+    turned = surface.turned(-yaw)
+    return yaw, (_face_distance(turned, 0), _face_distance(turned, 1), float(np.ptp(vertices[:, 2]) / 2))
 
 
-def _face_distance(points: np.ndarray, normals: np.ndarray, weights: np.ndarray, axis: int) -> float:
-    """Mean distance [m] of the two faces that look along an axis from the origin."""
+def _face_distance(surface: HullSurface, axis: int) -> float:
+    """Mean distance [m] of the two faces that look along an axis from the origin; each at its median by area."""
     sides = []
     for sign in (-1.0, 1.0):
-        facing = sign * normals[:, axis] > 0.94
-        height = sign * points[:, axis]
+        facing = sign * surface.normals[:, axis] > 0.94
+        height = sign * surface.points[:, axis]
         if not facing.any():
-            sides.append(float(height.max()))
-            continue
+            return float(np.abs(surface.points[:, axis]).max())
         order = np.argsort(height[facing])
-        total = np.cumsum(weights[facing][order])
+        total = np.cumsum(surface.areas[facing][order])
         sides.append(float(height[facing][order][np.searchsorted(total, total[-1] / 2)]))
     return sum(sides) / 2
 
 
-def can_fit(vertices: np.ndarray) -> Vec3:
+def can_fit(vertices: np.ndarray, surface: HullSurface) -> Vec3:
     """Best upright cylinder about the origin: (radius, radius, half-height) [m]."""
-    points, normals, weights = hull_surface(vertices)
-    side = np.abs(normals[:, 2]) < 0.3
-    radius = np.hypot(points[side, 0], points[side, 1])
-    mean = float(np.average(radius, weights=weights[side])) if side.any() else float(np.ptp(vertices[:, 0]) / 2)
+    side = np.abs(surface.normals[:, 2]) < 0.3
+    radius = np.hypot(surface.points[side, 0], surface.points[side, 1])
+    mean = float(np.average(radius, weights=surface.areas[side])) if side.any() else float(np.ptp(vertices[:, 0]) / 2)
     return (mean, mean, float(np.ptp(vertices[:, 2]) / 2))
 
 
-def primitive_share(scan: Scan, shape: str, yaw: float, half: Vec3) -> float:
-    """Share of the surface of a scan's convex hull within `PRIMITIVE_TOLERANCE` of a box or cylinder."""
-    points, _, weights = hull_surface(_turn(scan.vertices, -yaw))
+def primitive_share(surface: HullSurface, shape: str, half: Vec3) -> float:
+    """Share of the area of a hull within `PRIMITIVE_TOLERANCE` of an upright box or cylinder about the origin."""
+    points = surface.points
     if shape == "box":
         beyond = np.abs(points) - np.array(half)
     else:
         radial = np.hypot(points[:, 0], points[:, 1]) - half[0]
         beyond = np.stack([radial, np.abs(points[:, 2]) - half[2]], axis=1)
     gap = np.linalg.norm(np.maximum(beyond, 0.0), axis=1) + np.minimum(beyond.max(axis=1), 0.0)
-    return float(weights[np.abs(gap) <= PRIMITIVE_TOLERANCE].sum() / weights.sum())
-
-
-def hull_surface(vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points (P, 3) spread over the convex hull, their outward normals (P, 3) and areas (P,)."""
-    hull = ConvexHull(vertices)
-    triangles, normals = vertices[hull.simplices], hull.equations[:, :3]
-    while True:
-        edge = np.linalg.norm(triangles - np.roll(triangles, -1, axis=1), axis=2)
-        large = edge.max(axis=1) > _SAMPLE_EDGE
-        if not large.any() or len(triangles) > 200_000:
-            break
-        halves, twice = _halve(triangles[large], edge[large]), np.repeat(normals[large], 2, axis=0)
-        triangles, normals = np.concatenate([triangles[~large], halves]), np.concatenate([normals[~large], twice])
-    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
-    return triangles.mean(axis=1), normals, np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+    return float(surface.areas[np.abs(gap) <= PRIMITIVE_TOLERANCE].sum() / surface.areas.sum())
 
 
 def _halve(triangles: np.ndarray, edge: np.ndarray) -> np.ndarray:
@@ -248,6 +247,12 @@ def _sphere(count: int) -> np.ndarray:
     z, angle = 1 - 2 * k / count, np.pi * (1 + math.sqrt(5)) * k
     r = np.sqrt(1 - z * z)
     return np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
+
+
+def _lump(name: str, scan: Scan) -> tuple[list[Geom], dict[str, Mesh]]:
+    """One convex hull."""
+    mesh = f"{name}_hull"
+    return [Geom("mesh", (1.0, 1.0, 1.0), mesh=mesh, visual=False)], {mesh: hull_of(scan.vertices)}
 
 
 def _bowl(name: str, scan: Scan) -> tuple[list[Geom], dict[str, Mesh]]:
@@ -316,7 +321,7 @@ def render_mesh(scan: Scan, max_faces: int = MAX_FACES) -> Mesh:
     middle = corner.mean(axis=1, keepdims=True)
     # Four places per face: its middle, and half-way to each corner.
     places = np.concatenate([middle, (corner + middle) / 2], axis=1)
-    _, nearest = cKDTree(scan.vertices[scan.faces].mean(axis=1)).query(places.reshape(-1, 3))
+    _, nearest = KDTree(scan.vertices[scan.faces].mean(axis=1)).query(places.reshape(-1, 3))
     color = scan.color[nearest].reshape(len(faces), 4, 3).mean(axis=1)
     color = np.round(color / _COLOR_STEP) * _COLOR_STEP
     return Mesh(vertices.astype(np.float32), faces.astype(np.int32), color.clip(0, 1).astype(np.float32))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import os
 from collections.abc import Sequence
 
@@ -57,8 +58,10 @@ class CpuSimulator:
         self._world_models = [first] * num_worlds
         self.batch = Batch(first, num_worlds, self.num_threads, persistent=True)
         self.batch.set_models(self._world_models)
-        for field in ("xpos", "xmat", "xquat", "sensordata", "qpos", "qvel", "ctrl"):
-            self.batch.bind(field)
+        # Live arrays, looked up once: the batch takes longer to find a field than numpy to read it.
+        self._qpos, self._qvel, self._ctrl = (self.batch.bind(f) for f in ("qpos", "qvel", "ctrl"))
+        self._sensors, self._xpos, self._xquat = (self.batch.bind(f) for f in ("sensordata", "xpos", "xquat"))
+        self._xmat = self.batch.bind("xmat").reshape(num_worlds, -1, 3, 3)
         # A batch with caller models shows a world its static poses only after that world's reset.
         self.batch.reset()
         a = self.addresses
@@ -83,7 +86,7 @@ class CpuSimulator:
     @property
     def qpos(self) -> np.ndarray:
         """(W, nq) live generalized positions; write through `write_qpos`."""
-        return self.batch.qpos
+        return self._qpos
 
     def reset(self, ids: Sequence[int], homes: Sequence[str], qpos: np.ndarray) -> None:
         """Put worlds into homes, at rest in ``qpos`` (n, nq). Other worlds keep every bit."""
@@ -92,49 +95,48 @@ class CpuSimulator:
             self._world_models[world] = self.model(home)
         self.batch.set_models(self._world_models)
         self.batch.reset(ids=ids, stage=_STAGE_NONE)
-        self.batch.qpos[ids] = qpos
-        self.batch.ctrl[ids] = 0.0
+        self._qpos[ids] = qpos
+        self._ctrl[ids] = 0.0
         self.batch.forward(ids=ids)
         self._warned[ids] = self.batch.warning[ids, :, 1]
         self._taint[ids] = 0
 
     def write_qpos(self, world: int, qpos: np.ndarray) -> None:
         """Move one world to ``qpos`` (nq,), its robot and what it holds at rest; its home stays."""
-        changed = np.flatnonzero(self.batch.qpos[world] != qpos)
-        self.batch.qpos[world] = qpos
-        self.batch.qvel[world, self.addresses.robot_v] = 0.0
+        changed = np.flatnonzero(self._qpos[world] != qpos)
+        self._qpos[world] = qpos
+        self._qvel[world, self.addresses.robot_v] = 0.0
         for start, dof in zip(self.addresses.object_q, self.addresses.object_v, strict=True):
             if np.any((changed >= start) & (changed < start + 7)):
-                self.batch.qvel[world, dof : dof + 6] = 0.0
+                self._qvel[world, dof : dof + 6] = 0.0
         self.batch.forward(ids=[world])
 
     def step(self, ctrl: np.ndarray) -> None:
         """Advance all worlds by one control step under ``ctrl`` (W, nu)."""
-        self.batch.ctrl[:] = ctrl
+        self._ctrl[:] = ctrl
         # Stage VEL makes positions current without cost; the contact sensors are those of the last substep.
         self.batch.step(nstep=SUBSTEPS, stage=POSITION_STAGE)
         self._update_taint()
 
     def state(self) -> SimState:
         """The current state of all worlds; body arrays are views that the next step overwrites."""
-        a, batch = self.addresses, self.batch
-        qpos, sensors = batch.qpos, batch.sensordata
-        worlds = self.num_worlds
-        force = sensors[:, self._force_cols].reshape(worlds, -1, 3)
-        # Per target: force on the left finger (3), on the right finger (3), touch (1).
-        targets = sensors[:, self._target_cols].reshape(worlds, -1, 7)
+        a, qpos, worlds = self.addresses, self._qpos, self.num_worlds
+        force = self._sensors[:, self._force_cols].reshape(worlds, -1, 3)
+        force = force * force
+        # Per target: force on the left finger (3), on the right finger (3), touch (1). The sensor gives the force of
+        # the finger on the target; what is wanted is the opposite.
+        targets = -self._sensors[:, self._target_cols].reshape(worlds, -1, 7)
         return SimState(
             robot_q=qpos[:, a.robot_q],
-            robot_qd=batch.qvel[:, a.robot_v],
+            robot_qd=self._qvel[:, a.robot_v],
             object_pose=qpos[:, self._object_q].reshape(worlds, -1, 7),
             link_q=qpos[:, a.link_q],
-            link_force=np.sqrt(np.einsum("wki,wki->wk", force, force)),
-            # The sensor gives the force of the finger on the target.
-            finger_force=-targets[..., :6].reshape(worlds, -1, 2, 3).swapaxes(1, 2),
-            touch=targets[..., 6] > 0,
-            body_pos=batch.xpos,
-            body_mat=batch.xmat.reshape(worlds, -1, 3, 3),
-            body_quat=batch.xquat,
+            link_force=np.sqrt(force[..., 0] + force[..., 2] + force[..., 1]),
+            finger_force=targets[..., :6].reshape(worlds, -1, 2, 3).swapaxes(1, 2),
+            touch=targets[..., 6] < 0,
+            body_pos=self._xpos,
+            body_mat=self._xmat,
+            body_quat=self._xquat,
         )
 
     def taint(self) -> np.ndarray:
@@ -142,13 +144,13 @@ class CpuSimulator:
         return self._taint.copy()
 
     def _update_taint(self) -> None:
-        deep = self.batch.sensordata[:, self._depth_col] < -PENETRATION_LIMIT
+        deep = self._sensors[:, self._depth_col] < -PENETRATION_LIMIT
         if deep.any():
             self._taint |= deep.astype(np.uint8) << TAINTS.index("penetration")
         rose = self.batch.warning[:, :, 1] > self._warned
         # One sum over all worlds is enough to see that nothing is NaN or infinite.
-        if rose.any() or not np.isfinite(self.batch.qpos.sum()):
-            bad = ~np.isfinite(self.batch.qpos).all(axis=1)
+        if rose.any() or not math.isfinite(self._qpos.sum()):
+            bad = ~np.isfinite(self._qpos).all(axis=1)
             self._taint |= bad.astype(np.uint8) << TAINTS.index("nan")
             for name, kinds in _TAINT_WARNINGS.items():
                 hit = rose[:, [int(k) for k in kinds]].any(axis=1)

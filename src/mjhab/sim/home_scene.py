@@ -13,14 +13,16 @@ from mjhab.core.errors import unknown_name
 from mjhab.core.rotations import mat_from_quat
 from mjhab.scenes import fetch
 from mjhab.scenes.fetch_visuals import ROBOT_MATERIALS, robot_meshes
-from mjhab.scenes.layout import Layout, yaw_quat
+from mjhab.scenes.freespace import free_map
+from mjhab.scenes.layout import Layout
 from mjhab.scenes.materials import MATERIALS
-from mjhab.scenes.spec import IDENTITY, PARKED, Geom, Placement
+from mjhab.scenes.spec import IDENTITY, PARKED, Geom, Home, Placement
 from mjhab.sim.build_scene import SceneBuilder, box_mesh
 from mjhab.sim.cpu import CpuSimulator
 from mjhab.sim.protocol import SimState
 from mjhab.sim.rasterizer import Rasterizer, look_at
 from mjhab.sim.render_scene import RenderScene
+from mjhab.sim.settle import parked_robot_qpos
 
 VIEWS = ("top", "inside")
 FLOOR_HALF_THICKNESS = 0.02
@@ -31,6 +33,7 @@ FOLLOW_TARGET = (0.45, 0.85)
 TALL = 1.3
 """Standing things that reach above this height [m] can hide the robot."""
 FOLLOW_FOVY, HOME_FOVY = 0.85, 0.8
+INSIDE_HEIGHT = 2.0
 
 
 def build_render_scene(layout: Layout, model: mujoco.MjModel) -> RenderScene:
@@ -96,7 +99,7 @@ def _add_standing(
     builder: SceneBuilder, geoms: tuple[Geom, ...], at: Sequence[Placement | None], seg: str, meshes: dict[str, object]
 ) -> None:
     pos = np.array([PARKED if p is None else p.pos for p in at])
-    quat = np.array([IDENTITY if p is None else yaw_quat(p.yaw) for p in at])
+    quat = np.array([IDENTITY if p is None else p.rotation for p in at])
     present = np.array([p is not None for p in at])
     for geom in geoms:
         if geom.visual:
@@ -154,11 +157,13 @@ class HomeRenderer:
     def _tall(self, home: str) -> Boxes:
         if home not in self._tall_boxes:
             model = self._sim.model(home)
-            top = model.geom_pos[:, 2] + model.geom_size[:, 2]
-            is_box = model.geom_type == int(mujoco.mjtGeom.mjGEOM_BOX)
-            keep = (model.geom_bodyid == 0) & is_box & (top > TALL)
-            rot = mat_from_quat(model.geom_quat[keep])
-            self._tall_boxes[home] = Boxes.of(model.geom_pos[keep], model.geom_size[keep], rot)
+            rot = mat_from_quat(model.geom_quat)
+            # geom_aabb: centre and half-extents in the geom's frame, of a mesh too.
+            center = model.geom_pos + np.einsum("kij,kj->ki", rot, model.geom_aabb[:, :3])
+            half = model.geom_aabb[:, 3:]
+            top = center[:, 2] + np.einsum("kj,kj->k", np.abs(rot[:, 2]), half)
+            keep = (model.geom_bodyid == 0) & (model.geom_type != int(mujoco.mjtGeom.mjGEOM_PLANE)) & (top > TALL)
+            self._tall_boxes[home] = Boxes.of(center[keep], half[keep], rot[keep])
         return self._tall_boxes[home]
 
     def home_view(self, home: str, view: str, width: int, height: int) -> np.ndarray:
@@ -172,21 +177,43 @@ class HomeRenderer:
         if home not in self._home_index:
             raise unknown_name("home", home, self._home_index)
         spec = self.layout.pack.homes[self._home_index[home]]
-        x0, y0, x1, y1 = spec.floor
-        center = np.array([(x0 + x1) / 2, (y0 + y1) / 2, 0.0])
-        if view == "top":
-            fit = max(y1 - y0, (x1 - x0) * height / width) / 2 * 1.15
-            eye = center + np.array([0.0, -0.18 * fit, 2.6 + fit / np.tan(HOME_FOVY / 2)])
-            fovy = HOME_FOVY
-        else:
-            eye, fovy = np.array([x0 + 0.35, y0 + 0.35, 2.2]), 1.1
-            center[2] = 0.6
+        eye, target, fovy = self._from_top(spec, width, height) if view == "top" else self._from_inside(spec)
         model = self._sim.model(home)
         data = mujoco.MjData(model)
+        data.qpos[self._sim.addresses.robot_q] = parked_robot_qpos()
         mujoco.mj_kinematics(model, data)
         return self._picture(
-            home, data.xpos[None], data.xmat.reshape(1, -1, 3, 3), eye, center, fovy, width, height, "nice"
+            home, data.xpos[None], data.xmat.reshape(1, -1, 3, 3), eye, target, fovy, width, height, "nice"
         )
+
+    @staticmethod
+    def _from_top(home: Home, width: int, height: int) -> tuple[np.ndarray, np.ndarray, float]:
+        """Eye, target and field of view that show a whole floor; a deep one lies on its side in a wide picture."""
+        x0, y0, x1, y1 = home.floor
+        size, up = np.array([x1 - x0, y1 - y0]), np.array([0.0, 1.0])
+        if (size[1] > size[0]) != (height > width):
+            size, up = size[::-1], np.array([1.0, 0.0])
+        fit = max(size[1], size[0] * height / width) / 2 * 1.15
+        center = np.array([(x0 + x1) / 2, (y0 + y1) / 2, 0.0])
+        return center + np.append(-0.18 * fit * up, 2.6 + fit / np.tan(HOME_FOVY / 2)), center, HOME_FOVY
+
+    def _from_inside(self, home: Home) -> tuple[np.ndarray, np.ndarray, float]:
+        """Eye, target and field of view of somebody at the end of the home who looks over it: from the place far from
+        its middle with the clearest view."""
+        fmap = free_map(home, self.layout.pack, cell=0.25)
+        floor = fmap.to_xy(np.argwhere(fmap.navigable(0.2)))
+        middle = floor.mean(axis=0)
+        places = floor[np.argsort(np.linalg.norm(floor - middle, axis=1))[-max(1, len(floor) // 3) :]]
+        places = places[:: max(1, len(places) // 40)]
+        share = np.linspace(0.02, 0.8, 30)[:, None]
+        seen = []
+        for xy in places:
+            eye, spots = np.append(xy, INSIDE_HEIGHT), np.column_stack([floor[::7], np.full(len(floor[::7]), 0.5)])
+            rays = (eye + share[:, None] * (spots - eye)).reshape(-1, 3)
+            free = (sphere_box_distance(rays, self._tall(home.name)) > 0.02).all(axis=1).reshape(len(share), -1)
+            seen.append(int(free.all(axis=0).sum()))
+        eye = np.append(places[int(np.argmax(seen))], INSIDE_HEIGHT)
+        return eye, np.append(middle, 0.5), 1.2
 
     def _picture(
         self,

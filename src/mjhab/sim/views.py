@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+
 import numpy as np
 
 from mjhab.scenes.layout import Layout
@@ -16,5 +18,12 @@ def render_home(pack: Pack, home: str, view: str = "top", width: int = 960, heig
     Raises:
         UsageError: unknown home or view.
     """
-    sim = CpuSimulator(Layout(pack, ()), 1, 1)
-    return HomeRenderer(sim).home_view(home, view, width, height)
+    return next(render_homes(pack, [home], view, width, height))
+
+
+def render_homes(
+    pack: Pack, homes: Sequence[str], view: str = "top", width: int = 960, height: int = 720
+) -> Iterator[np.ndarray]:
+    """The same for several homes, one after the other; the scene is built once."""
+    renderer = HomeRenderer(CpuSimulator(Layout(pack, ()), 1, 1))
+    return (renderer.home_view(home, view, width, height) for home in homes)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from mjhab.core.arrays import Array, constant, count, dot3, namespace, norm3, pick_column, pile
 from mjhab.core.errors import UsageError
 from mjhab.tasks.plan import PADDING, PlanArrays, SubtaskKind, TaskConfig
-from mjhab.tasks.success import CHECKS, applicable, subtask_success
+from mjhab.tasks.success import CHECKS, masks
 
 if TYPE_CHECKING:
     from mjhab.tasks.progress import Progress
@@ -101,25 +101,62 @@ _SIGNAL_ROWS = CHECKS[: CHECKS.index("let_go")]
 
 @dataclass(frozen=True)
 class Active:
-    """Entries of the plan for the active subtask of every world, as in ``PlanArrays``."""
+    """What the plan says about the active subtask of every world; the last one's where the plan is finished.
+
+    It depends on the plan and the pointer alone: whoever steps worlds keeps it until a pointer moves.
+    """
 
     index: Array
-    """(W,) int64 position of the active subtask, that of the last one once the plan is finished."""
+    """(W,) int64 position in the plan."""
     kind: Array
     """(W,) int64, -1 once the plan is finished."""
     goal_pos: Array
-    must_hold: Array
+    """(W, 3), like the next two as in ``PlanArrays``."""
     open_frac: Array
     box: Array
+    navigate: Array
+    """(W,) bool."""
+    must_hold: Array
+    """(W,) bool: a Navigate that carries an object."""
+    rest_tol: Array
+    """(W, 10) how far torso, head and arm may be from rest: with an object in the hand they may give way."""
+    force_limit: Array
+    """(W,) [N x control steps], infinite once the plan is finished."""
+    unfinished: Array
+    """(W, S) bool: anything but a Place that has been completed."""
+    applies: Array
+    """(K, W) bool, see ``success.masks``."""
+    optional: Array
 
 
-def active_entries(plan: PlanArrays, pointer: Array) -> Active:
-    """Gather the entries of the subtasks at ``pointer`` (W,)."""
+def active_entries(plan: PlanArrays, pointer: Array, config: TaskConfig) -> Active:
+    """Look up the subtasks at ``pointer`` (W,)."""
     xp = namespace(pointer)
     index = xp.minimum(pointer, plan.length - 1)
     kind = xp.where(pointer < plan.length, pick_column(plan.kind, index), PADDING)
-    entries = (pick_column(table, index) for table in (plan.goal_pos, plan.must_hold, plan.open_frac, plan.box))
-    return Active(index, kind, *entries)
+    navigate = kind == int(SubtaskKind.NAVIGATE)
+    must_hold = pick_column(plan.must_hold, index) & navigate
+    goal_pos = pick_column(plan.goal_pos, index)
+    loose = (kind == int(SubtaskKind.PICK)) | must_hold
+    tight = constant((config.torso_tol,) + (config.arm_tol,) * 9, goal_pos)
+    order = count(plan.kind.shape[1], pointer)
+    # A finished plan has kind -1, which reads the last entry: no limit.
+    limits = constant((*config.force_limits, math.inf), goal_pos)
+    applies, optional = masks(kind, config.ignore_arm)
+    return Active(
+        index=index,
+        kind=kind,
+        goal_pos=goal_pos,
+        open_frac=pick_column(plan.open_frac, index),
+        box=pick_column(plan.box, index),
+        navigate=navigate,
+        must_hold=must_hold,
+        rest_tol=xp.where(loose[:, None], config.arm_tol_grasped, tight),
+        force_limit=limits[kind],
+        unfinished=(plan.kind != int(SubtaskKind.PLACE)) | (order >= pointer[:, None]),
+        applies=applies,
+        optional=optional,
+    )
 
 
 def _grip(state: WorldState, nav: Array, config: TaskConfig) -> tuple[Array, Array, Array]:
@@ -175,18 +212,16 @@ def _rest(state: WorldState, cos: Array, sin: Array, config: TaskConfig) -> Arra
     return namespace(dx).sqrt(dx * dx + dy * dy + dz * dz) <= config.ee_rest_tol
 
 
-def _stillness(state: WorldState, loose: Array, config: TaskConfig) -> tuple[Array, Array]:
+def _stillness(state: WorldState, tolerance: Array, config: TaskConfig) -> tuple[Array, Array]:
     """Torso, head and arm near rest; and base, torso, head and arm not moving. Returns two (W,) bool.
 
-    ``loose`` (W,): an object is held, the arm may give way.
+    ``tolerance`` (W, 10): how far the joints may be from rest.
     """
-    xp = namespace(state.robot_q)
-    off = xp.abs(state.robot_q[:, 3:13] - constant(config.rest_qpos[3:13], state.robot_q))
-    tight = constant((config.torso_tol,) + (config.arm_tol,) * 9, off)
-    near_rest = off <= xp.where(loose[:, None], config.arm_tol_grasped, tight)
-    limits = constant((config.static_base_speed,) * 3 + (config.static_speed,) * 10, off)
+    xp = namespace(tolerance)
+    near_rest = xp.abs(state.robot_q[:, 3:13] - constant(config.rest_qpos[3:13], state.robot_q)) <= tolerance
+    limits = constant((config.static_base_speed,) * 3 + (config.static_speed,) * 10, state.robot_qd)
     slow = xp.abs(state.robot_qd[:, :13]) <= limits
-    return xp.all(near_rest, axis=-1), xp.all(slow, axis=-1)
+    return near_rest.all(-1), slow.all(-1)
 
 
 def _arrival(state: WorldState, active: Active, cos: Array, sin: Array, config: TaskConfig) -> tuple[Array, Array]:
@@ -214,16 +249,6 @@ def _joint(state: WorldState, active: Active, config: TaskConfig) -> tuple[Array
     )
 
 
-def _placed(
-    state: WorldState, plan: PlanArrays, pointer: Array, index: Array, config: TaskConfig
-) -> tuple[Array, Array]:
-    """The object of the active subtask is at its goal; so is every object of a finished Place. Two (W,) bool."""
-    there = at_goal(state.plan_obj_pos, plan.goal_pos, plan.goal_rect, config)
-    order = count(plan.kind.shape[1], pointer)
-    finished = (plan.kind == int(SubtaskKind.PLACE)) & (order < pointer[:, None])
-    return pick_column(there, index), namespace(pointer).all(there | ~finished, axis=-1)
-
-
 def measure(
     state: WorldState, plan: PlanArrays, progress: Progress, config: TaskConfig, active: Active | None = None
 ) -> Signals:
@@ -234,44 +259,33 @@ def measure(
         plan: their plans.
         progress: which subtask is active and the force it has accumulated, this step's included.
         config: the thresholds.
-        active: the plan's entries at ``progress.pointer``; gathered here if not given.
+        active: ``active_entries`` at ``progress.pointer``; looked up here if not given.
 
     Returns:
         Signals for the subtask at ``progress.pointer``; a world whose plan is finished has kind -1 and no success.
     """
-    xp = namespace(progress.pointer)
     if active is None:
-        active = active_entries(plan, progress.pointer)
-    kind, cumulative = active.kind, progress.cumulative_force
-    nav = kind == int(SubtaskKind.NAVIGATE)
-    must_hold = active.must_hold & nav
-    yaw = state.base_pose[:, 2]
+        active = active_entries(plan, progress.pointer, config)
+    xp = namespace(state.base_pose)
+    yaw, cumulative = state.base_pose[:, 2], progress.cumulative_force
     cos, sin = xp.cos(yaw), xp.sin(yaw)
-    is_grasped, contact, target_force = _grip(state, nav, config)
-    robot_rest, is_static = _stillness(state, (kind == int(SubtaskKind.PICK)) | must_hold, config)
-    there, placed_ok = _placed(state, plan, progress.pointer, active.index, config)
-    near, oriented = _arrival(state, active, cos, sin, config)
-    force_ok = cumulative <= _force_limit(kind, cumulative, config)
+    is_grasped, contact, target_force = _grip(state, active.navigate, config)
+    there = at_goal(state.plan_obj_pos, plan.goal_pos, plan.goal_rect, config)  # (W, S)
     # In the order of CHECKS.
     rows = (
-        is_grasped, _rest(state, cos, sin, config), robot_rest, is_static, force_ok,
-        contact, state.target_contact | contact, there, *_joint(state, active, config), near, oriented,
-        ~is_grasped, is_grasped | ~must_hold,
+        is_grasped, _rest(state, cos, sin, config), *_stillness(state, active.rest_tol, config),
+        cumulative <= active.force_limit, contact, state.target_contact | contact, pick_column(there, active.index),
+        *_joint(state, active, config), *_arrival(state, active, cos, sin, config),
+        ~is_grasped, is_grasped | ~active.must_hold,
     )  # fmt: skip
-    checks = applicable(pile(rows), kind)
+    checks = pile(rows) & active.applies
     return Signals(
         **dict(zip(_SIGNAL_ROWS, checks, strict=False)),
         robot_force=state.robot_force,
         target_force=target_force,
         cumulative_force=cumulative,
-        success=subtask_success(checks, kind, config.ignore_arm),
-        placed_ok=placed_ok,
-        kind=kind,
-        must_hold=must_hold,
+        success=(checks | active.optional).all(0),
+        placed_ok=xp.all(there | active.unfinished, axis=-1),
+        kind=active.kind,
+        must_hold=active.must_hold,
     )
-
-
-def _force_limit(kind: Array, like: Array, config: TaskConfig) -> Array:
-    """(W,) largest cumulative force of the active kinds; a finished plan has kind -1, which reads the last entry."""
-    limits = tuple(c.force_limit for c in (config.pick, config.place, config.navigate, config.open, config.close))
-    return constant((*limits, math.inf), like)[kind]

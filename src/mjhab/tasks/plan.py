@@ -201,7 +201,7 @@ def chain(task: str, targets: Sequence[Target], home: str = "") -> TaskPlan:
     Args:
         task: one of ``TASKS``.
         targets: the objects in the order they are handled: 5 for tidy_house, 3 for prepare_groceries, 2 for
-            set_table (the bowl in the drawer, then the apple in the fridge).
+            set_table (the bowl in the drawer, then the apple in the fridge). Imported episodes may have fewer.
         home: name of the home, carried along.
 
     Raises:
@@ -209,8 +209,8 @@ def chain(task: str, targets: Sequence[Target], home: str = "") -> TaskPlan:
     """
     if task not in TASKS:
         raise unknown_name("task", task, TASKS)
-    if len(targets) != TARGETS_PER_TASK[task]:
-        raise UsageError(f"{task} handles {TARGETS_PER_TASK[task]} objects, got {len(targets)} targets.")
+    if not 1 <= len(targets) <= TARGETS_PER_TASK[task]:
+        raise UsageError(f"{task} handles 1 to {TARGETS_PER_TASK[task]} objects, got {len(targets)} targets.")
     build = _open_fetch_place_close if task == "set_table" else _fetch_and_place
     return TaskPlan(task, tuple(subtask for target in targets for subtask in build(target)), home)
 

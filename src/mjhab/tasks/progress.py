@@ -122,7 +122,7 @@ def advance(progress: Progress, signals: Signals, plan: PlanArrays, config: Task
     force_exceeded = alive & ~signals.force_ok
     place_broken = alive & ~signals.placed_ok
     timeout = alive & ~advanced & (progress.steps_left <= 0)
-    pointer = progress.pointer + xp.astype(advanced, progress.pointer.dtype)
+    pointer = progress.pointer + advanced
     success = advanced & (pointer >= plan.length)
     fail = force_exceeded | place_broken | timeout
     done = success | fail

@@ -6,7 +6,7 @@ accumulated over the subtask is within its limit; a subtask with too much force 
 
 from __future__ import annotations
 
-from mjhab.core.arrays import Array, Table, constant, namespace
+from mjhab.core.arrays import Array, Table, constant
 from mjhab.tasks.plan import SubtaskKind
 
 CHECKS: tuple[str, ...] = (
@@ -72,22 +72,16 @@ def _optional(ignore_arm: bool) -> Table:
 _OPTIONAL = {ignore_arm: _optional(ignore_arm) for ignore_arm in (False, True)}
 
 
-def applicable(checks: Array, kind: Array) -> Array:
-    """Clear the checks that do not apply to the active kinds.
+def masks(kind: Array, ignore_arm: bool) -> tuple[Array, Array]:
+    """Return what the active kinds make of the checks.
 
     Args:
-        checks: (K, W) bool, rows ``CHECKS``.
-        kind: (W,) int64, -1 for a finished plan.
-    """
-    return checks & constant(_APPLIES, checks)[:, kind]
-
-
-def subtask_success(checks: Array, kind: Array, ignore_arm: bool) -> Array:
-    """Apply the success condition of each world's active kind. Returns (W,) bool; kind -1 never succeeds.
-
-    Args:
-        checks: (K, W) bool, rows ``CHECKS``, cleared where they do not apply.
-        kind: (W,) int64.
+        kind: (W,) int64, -1 for a finished plan, which never succeeds.
         ignore_arm: Navigate drops ``ARM_CONDITIONS``.
+
+    Returns:
+        applies, optional: (K, W) bool, rows ``CHECKS``. Checks count as ``checks & applies``; the subtask is done
+        where all of ``checks | optional`` hold.
     """
-    return namespace(checks).all(checks | constant(_OPTIONAL[ignore_arm], checks)[:, kind], axis=0)
+    no = kind < kind
+    return constant(_APPLIES, no)[:, kind], constant(_OPTIONAL[ignore_arm], no)[:, kind]

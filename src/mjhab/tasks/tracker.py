@@ -61,6 +61,9 @@ class SubtaskTracker:
             Names of this step's events per world.
         """
         before, now = self._labels.now, lb.watch(signals)
+        if self._begun.all() and not to_numpy(before ^ now).any():
+            # Nothing changed in any world: there are no events, and every note says so already.
+            return [[] for _ in self._notes]
         labels = lb.add(self._labels, now)
         if live is not None:
             kind = namespace(kind).where(live, kind, PADDING)

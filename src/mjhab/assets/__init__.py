@@ -1,0 +1,1 @@
+"""Public data sets on this machine: where they come from, download, checks, atomic installation."""

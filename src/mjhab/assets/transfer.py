@@ -1,0 +1,204 @@
+"""HTTP with the standard library: retries, resumed downloads, checksums.
+
+``urllib`` and not a client library: it is always there, follows redirects with the Range header, and honours the proxy
+variables (``http_proxy``, ``https_proxy``, ``no_proxy``).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import http.client
+import re
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO
+from urllib.error import HTTPError, URLError
+from urllib.request import Request, build_opener
+
+import mjhab
+from mjhab.core.errors import MjhabError
+
+TRIES = 6
+"""Tries in a row that bring nothing new before a transfer is given up."""
+WRONG_COSTS = 3
+"""A whole file with wrong bytes counts as so many tries: it may be large."""
+TIMEOUT = 30.0
+"""Longest silence of a server [s]."""
+CHUNK = 1 << 18
+_PASSING = (408, 425, 429, 500, 502, 503, 504)
+"""HTTP states that pass by themselves."""
+
+
+class TransferError(MjhabError):
+    """A download did not come about; what has arrived is kept for the next try."""
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What a file must be, as far as the hub tells: ``size`` [bytes], its SHA-256, or git's SHA-1 of it as a blob."""
+
+    size: int | None = None
+    sha256: str = ""
+    blob_sha1: str = ""
+
+
+def pause(attempt: int) -> float:
+    """Seconds to wait before another try."""
+    return min(2.0**attempt, 30.0)
+
+
+def get(url: str, sleep: Callable[[float], object] = time.sleep) -> tuple[bytes, str]:
+    """Body and ``Link`` header of a small document.
+
+    Raises:
+        TransferError: the server does not give it.
+    """
+    problem = ""
+    for attempt in range(TRIES):
+        try:
+            with _open(url) as answer:
+                return answer.read(), answer.headers.get("Link", "")
+        except (OSError, http.client.HTTPException) as error:
+            problem = _worth_another_try(url, error)
+        sleep(pause(attempt))
+    raise TransferError(f"{url}: {problem}, {TRIES} times in a row; check the network or the proxy and try again.")
+
+
+def download(
+    url: str,
+    target: Path,
+    expected: Expected,
+    tell: Callable[[int], object] = lambda count: None,
+    stop: threading.Event | None = None,
+    sleep: Callable[[float], object] = time.sleep,
+) -> str:
+    """Fetch one file; a cut connection continues where it broke off, also in a later run.
+
+    Args:
+        url: address.
+        target: the file; it appears only when it is whole and right, until then its bytes are in ``<target>.part``.
+        expected: what it must be.
+        tell: called with the number of new bytes, negative when bytes had to be thrown away.
+        stop: when set, the transfer ends early.
+        sleep: waits between tries.
+
+    Returns:
+        Its SHA-256.
+
+    Raises:
+        TransferError: the server does not give the file, or gives another one.
+    """
+    target.parent.mkdir(parents=True, exist_ok=True)
+    part = target.with_name(target.name + ".part")
+    tell(_size(part))
+    failures, problem = 0, ""
+    while failures < TRIES:
+        before = _size(part)
+        if expected.size is None or before != expected.size:
+            problem = _append(url, part, expected, tell, stop)
+        if not problem:
+            problem, digest = _wrong(part, expected)
+            if not problem:
+                part.replace(target)
+                return digest
+            tell(-_size(part))
+            part.unlink()
+            failures += WRONG_COSTS - 1
+        failures = 0 if _size(part) > before else failures + 1
+        if stop is not None and stop.is_set():
+            raise TransferError("interrupted")
+        if 0 < failures < TRIES:
+            sleep(pause(failures - 1))
+    raise TransferError(f"{url}: {problem}, again and again; the same command continues from what has arrived.")
+
+
+def _append(
+    url: str, part: Path, expected: Expected, tell: Callable[[int], object], stop: threading.Event | None
+) -> str:
+    """Add what the server sends to ``part``; returns what went wrong, or nothing when the file is whole."""
+    have = _size(part)
+    if expected.size is not None and have > expected.size:
+        tell(-have)
+        part.unlink()
+        have = 0
+    try:
+        with _open(url, have) as answer:
+            if have and not _continues(answer, have):  # the server knows no ranges and sends the whole file
+                tell(-have)
+                have = 0
+            with part.open("ab" if have else "wb") as file:
+                total = have + _copy(answer, file, tell, stop)
+            length = answer.headers.get("Content-Length")
+    except HTTPError as error:
+        if error.code == 416:  # our bytes are not part of what the server has
+            tell(-_size(part))
+            part.unlink(missing_ok=True)
+            return "the server refused to continue"
+        return _worth_another_try(url, error)
+    except (OSError, http.client.HTTPException) as error:
+        return _worth_another_try(url, error)
+    wanted = expected.size if expected.size is not None else (have + int(length) if length else total)
+    return "" if total >= wanted else f"the connection broke off at {total} of {wanted} bytes"
+
+
+def _copy(answer: IO[bytes], file: IO[bytes], tell: Callable[[int], object], stop: threading.Event | None) -> int:
+    count = 0
+    while chunk := answer.read(CHUNK):
+        file.write(chunk)
+        count += len(chunk)
+        tell(len(chunk))
+        if stop is not None and stop.is_set():
+            raise TransferError("interrupted")
+    return count
+
+
+def _continues(answer: http.client.HTTPResponse, have: int) -> bool:
+    """Whether the answer goes on at byte ``have``."""
+    match = re.match(r"bytes (\d+)-", answer.headers.get("Content-Range", ""))
+    return answer.status == 206 and match is not None and int(match[1]) == have
+
+
+def _wrong(part: Path, expected: Expected) -> tuple[str, str]:
+    """What is wrong with the whole file, or nothing; and its SHA-256."""
+    size = _size(part)
+    if expected.size is not None and size != expected.size:
+        return f"the server sent {size} bytes, the hub lists {expected.size}", ""
+    sha256, blob = hashlib.sha256(), hashlib.sha1(b"blob %d\0" % size, usedforsecurity=False)
+    with part.open("rb") as file:
+        while chunk := file.read(CHUNK):
+            sha256.update(chunk)
+            blob.update(chunk)
+    for given, wanted in ((sha256.hexdigest(), expected.sha256), (blob.hexdigest(), expected.blob_sha1)):
+        if wanted and given != wanted:
+            return f"the server sent other bytes than the hub lists (hash {given[:12]}, not {wanted[:12]})", ""
+    return "", sha256.hexdigest()
+
+
+def _open(url: str, start: int = 0) -> http.client.HTTPResponse:
+    """Ask for a file from byte ``start`` on. A fresh opener, since urllib's own keeps the proxies it saw first."""
+    headers = {"User-Agent": f"mjhab/{mjhab.__version__}", "Accept-Encoding": "identity"}
+    if start:
+        headers["Range"] = f"bytes={start}-"
+    return build_opener().open(Request(url, headers=headers), timeout=TIMEOUT)
+
+
+def _worth_another_try(url: str, error: Exception) -> str:
+    """Words for an error that may pass.
+
+    Raises:
+        TransferError: it will not.
+    """
+    if isinstance(error, HTTPError) and error.code not in _PASSING:
+        hint = {401: "it needs an account", 403: "it is not public", 404: "it is not there"}.get(error.code, "")
+        raise TransferError(f"{url}: the server says {error.code} {error.reason}" + (f": {hint}." if hint else "."))
+    if isinstance(error, HTTPError):
+        return f"the server says {error.code} {error.reason}"
+    reason = error.reason if isinstance(error, URLError) else error
+    return f"the connection failed ({reason})"
+
+
+def _size(path: Path) -> int:
+    return path.stat().st_size if path.exists() else 0

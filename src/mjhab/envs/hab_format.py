@@ -1,0 +1,322 @@
+"""Files of rearrangement episodes in the format of the Home Assistant Benchmark: reader, writer and frames.
+
+The format is that of habitat-lab (habitat/datasets/rearrange/rearrange_dataset.py): JSON, or JSON under gzip, with
+``episodes``, whose matrices are 4x4, row by row, in a world with +y up. Reading changes nothing: what is written back
+equals what was read.
+"""
+
+from __future__ import annotations
+
+import gzip
+import json
+import math
+import zlib
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from contextlib import nullcontext
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mjhab.core.cache import write_atomic
+from mjhab.core.errors import UsageError
+from mjhab.core.rotations import mat_from_quat, pose_mul, quat_from_mat, quat_from_yaw
+
+OBJECT_SUFFIX = ".object_config.json"
+SCENE_SUFFIX = ".scene_instance.json"
+DECIMALS = 6
+"""Digits of the matrices written: 1 micrometre."""
+ROUND_TRIP = 1e-3
+"""How far a rotation matrix read may be from a rotation: published files give five digits."""
+UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+"""Takes vectors from the +y up world to our +z up world: a quarter turn about x."""
+
+Receptacle = tuple[str, int | None]
+
+
+@dataclass(frozen=True)
+class Marker:
+    """A named point on a link, such as a handle. ``offset`` [m] is in the frame of the link, +y up."""
+
+    name: str
+    object: str
+    link: str
+    offset: tuple[float, float, float]
+    type: str = "articulated_object"
+
+
+@dataclass(frozen=True, eq=False)
+class HabEpisode:
+    """One episode as the file tells it; world with +y up.
+
+    ``rigid_objs``: file name of the type and pose (4, 4) of every object. ``targets``: goal pose (4, 4) by instance
+    name ("003_cracker_box_:0000"). ``ao_states``: joint positions by furniture handle and link number (or link name).
+    ``target_receptacles``, ``goal_receptacles``: (handle, link number) in the order of the targets; may be empty.
+    ``name_to_receptacle``: receptacle id by instance name. ``info``: free data; ``object_labels`` in it names the
+    targets in order. ``rest``: fields of the file that are none of these, kept as they are.
+    """
+
+    episode_id: str
+    scene_id: str
+    rigid_objs: tuple[tuple[str, np.ndarray], ...]
+    targets: dict[str, np.ndarray]
+    ao_states: dict[str, dict[str, float]] = field(default_factory=dict)
+    markers: tuple[Marker, ...] = ()
+    target_receptacles: tuple[Receptacle, ...] = ()
+    goal_receptacles: tuple[Receptacle, ...] = ()
+    name_to_receptacle: dict[str, str] = field(default_factory=dict)
+    info: dict[str, Any] = field(default_factory=dict)
+    rest: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def scene(self) -> str:
+        """Name of the scene: the file name of ``scene_id`` without its suffix."""
+        return self.scene_id.replace("\\", "/").rsplit("/", 1)[-1].removesuffix(SCENE_SUFFIX)
+
+    @property
+    def types(self) -> tuple[str, ...]:
+        """Object type of every rigid object."""
+        return tuple(
+            name.replace("\\", "/").rsplit("/", 1)[-1].removesuffix(OBJECT_SUFFIX) for name, _ in self.rigid_objs
+        )
+
+    @property
+    def instances(self) -> tuple[str, ...]:
+        """Instance name of every rigid object; the number counts the objects of a type."""
+        seen: Counter[str] = Counter()
+        names = []
+        for kind in self.types:
+            names.append(f"{kind}_:{seen[kind]:04d}")
+            seen[kind] += 1
+        return tuple(names)
+
+    @property
+    def target_names(self) -> tuple[str, ...]:
+        """Instance names of the targets in their order."""
+        labels = self.info.get("object_labels") or {}
+        return tuple(name for name in labels if name in self.targets) or tuple(self.targets)
+
+
+@dataclass(frozen=True, eq=False)
+class HabFile:
+    """The episodes of a file, and what else it holds (``config``). ``path``: where it was read, for messages."""
+
+    episodes: tuple[HabEpisode, ...]
+    rest: dict[str, Any] = field(default_factory=dict)
+    path: Path = Path("episodes")
+
+
+# -- files -------------------------------------------------------------------------------------------------------------
+
+
+def read_hab(path: Path) -> HabFile:
+    """Read ``*.json`` or ``*.json.gz``.
+
+    Raises:
+        UsageError: no such file, cut off, not JSON, or a field that is missing or does not fit; names file and field.
+    """
+    body = _load(path)
+    if not isinstance(body, dict) or not isinstance(body.get("episodes"), list):
+        raise UsageError(f"{path}: field 'episodes' must be a list; this is not a file of rearrangement episodes.")
+    if not body["episodes"]:
+        raise UsageError(f"{path}: field 'episodes' is empty.")
+    try:
+        episodes = tuple(_episode(row, f"episodes[{i}]") for i, row in enumerate(body["episodes"]))
+    except ValueError as error:
+        raise UsageError(f"{path}: {error}") from error
+    return HabFile(episodes, {key: value for key, value in body.items() if key != "episodes"}, path)
+
+
+def _load(path: Path) -> Any:
+    try:
+        raw = path.read_bytes()
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be read ({error.strerror or error}).") from error
+    if raw[:2] == b"\x1f\x8b":
+        try:
+            raw = gzip.decompress(raw)
+        except (EOFError, OSError, zlib.error) as error:
+            raise UsageError(f"{path}: the gzip data is cut off or damaged ({error}); fetch the file again.") from error
+    try:
+        return json.loads(raw.decode("utf-8"))
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise UsageError(f"{path}: not valid JSON ({error}); fetch the file again.") from error
+
+
+def write_hab(path: Path, file: HabFile) -> None:
+    """Write episodes; gzip when the name ends with ``.gz``. The file appears whole or not at all."""
+    write_rows(path, file.rest, (json.dumps(to_json(episode), allow_nan=False) for episode in file.episodes))
+
+
+def write_rows(path: Path, rest: Mapping[str, Any], rows: Iterable[str]) -> None:
+    """As `write_hab`, from episodes that are JSON already, one after the other."""
+
+    head = json.dumps({**rest, "episodes": []}, allow_nan=False).removesuffix("]}")
+
+    def write(temporary: Path) -> None:
+        with temporary.open("wb") as raw, _compressed(raw, path) as stream:
+            stream.write(head.encode())
+            for k, row in enumerate(rows):
+                stream.write((", " if k else "").encode() + row.encode())
+            stream.write(b"]}")
+
+    write_atomic(path, write)
+
+
+def _compressed(raw: Any, path: Path) -> Any:
+    # No name and no time stamp: the same episodes give the same bytes.
+    return gzip.GzipFile("", "wb", fileobj=raw, mtime=0) if path.suffix == ".gz" else nullcontext(raw)
+
+
+def to_json(episode: HabEpisode) -> dict[str, Any]:
+    """An episode as the JSON object of the format."""
+    return {
+        "episode_id": episode.episode_id,
+        "scene_id": episode.scene_id,
+        **episode.rest,
+        "info": episode.info,
+        "ao_states": episode.ao_states,
+        "rigid_objs": [[name, matrix.tolist()] for name, matrix in episode.rigid_objs],
+        "targets": {name: matrix.tolist() for name, matrix in episode.targets.items()},
+        "markers": [
+            {"name": m.name, "type": m.type,
+             "params": {"offset": list(m.offset), "link": m.link, "object": m.object}} for m in episode.markers
+        ],
+        "target_receptacles": [list(pair) for pair in episode.target_receptacles],
+        "goal_receptacles": [list(pair) for pair in episode.goal_receptacles],
+        "name_to_receptacle": episode.name_to_receptacle,
+    }  # fmt: skip
+
+
+_FIELDS = (
+    "episode_id", "scene_id", "rigid_objs", "targets", "ao_states", "markers", "target_receptacles", "goal_receptacles",
+    "name_to_receptacle", "info",
+)  # fmt: skip
+
+
+def from_json(row: Mapping[str, Any]) -> HabEpisode:
+    """The episode of a JSON object, the inverse of `to_json`.
+
+    Raises:
+        UsageError: a field is missing or does not fit.
+    """
+    try:
+        return _episode(row, "episode")
+    except ValueError as error:
+        raise UsageError(str(error)) from error
+
+
+def _episode(row: Any, where: str) -> HabEpisode:
+    if not isinstance(row, Mapping):
+        raise ValueError(f"{where}: expected an object.")
+    for name in ("scene_id", "rigid_objs", "targets"):
+        if name not in row:
+            raise ValueError(f"{where}: field {name!r} is missing.")
+
+    def fitting(name: str, kind: type, default: Any) -> Any:
+        value = row.get(name, default)
+        if value is None and default is not None:
+            return default
+        if not isinstance(value, kind):
+            raise ValueError(f"{where}.{name}: expected {kind.__name__}, got {type(value).__name__}.")
+        return value
+
+    objects = fitting("rigid_objs", list, None)
+    targets = fitting("targets", dict, None)
+    info = fitting("info", dict, {})
+    if not isinstance(info.get("object_labels", {}), dict):
+        raise ValueError(f"{where}.info.object_labels: expected an object.")
+    return HabEpisode(
+        episode_id=str(row.get("episode_id", "")),
+        scene_id=fitting("scene_id", str, None),
+        rigid_objs=tuple(_rigid(entry, f"{where}.rigid_objs[{i}]") for i, entry in enumerate(objects)),
+        targets={name: _matrix(value, f"{where}.targets[{name!r}]") for name, value in targets.items()},
+        ao_states=_states(fitting("ao_states", dict, {}), f"{where}.ao_states"),
+        markers=tuple(_marker(m, f"{where}.markers[{i}]") for i, m in enumerate(fitting("markers", list, []))),
+        target_receptacles=_receptacles(fitting("target_receptacles", list, []), f"{where}.target_receptacles"),
+        goal_receptacles=_receptacles(fitting("goal_receptacles", list, []), f"{where}.goal_receptacles"),
+        name_to_receptacle=fitting("name_to_receptacle", dict, {}),
+        info=info,
+        rest={key: value for key, value in row.items() if key not in _FIELDS},
+    )
+
+
+def _matrix(value: Any, where: str) -> np.ndarray:
+    try:
+        matrix = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        matrix = np.zeros(0)
+    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+        raise ValueError(f"{where}: expected a 4x4 matrix of finite numbers.")
+    rotation = matrix[:3, :3]
+    if np.abs(rotation @ rotation.T - np.eye(3)).max() > ROUND_TRIP or np.linalg.det(rotation) < 0:
+        raise ValueError(f"{where}: the upper left 3x3 part is not a rotation.")
+    return matrix
+
+
+def _rigid(entry: Any, where: str) -> tuple[str, np.ndarray]:
+    if not isinstance(entry, list) or len(entry) != 2 or not isinstance(entry[0], str):
+        raise ValueError(f"{where}: expected [file name, 4x4 matrix].")
+    return entry[0], _matrix(entry[1], f"{where}[1]")
+
+
+def _states(value: dict[str, Any], where: str) -> dict[str, dict[str, float]]:
+    out: dict[str, dict[str, float]] = {}
+    for handle, joints in value.items():
+        if not isinstance(joints, dict):
+            raise ValueError(f"{where}[{handle!r}]: expected an object of link number and joint position.")
+        for number, position in joints.items():
+            if isinstance(position, bool) or not isinstance(position, int | float) or not math.isfinite(position):
+                raise ValueError(f"{where}[{handle!r}][{number!r}]: expected a number, got {position!r}.")
+        out[handle] = dict(joints)
+    return out
+
+
+def _marker(value: Any, where: str) -> Marker:
+    try:
+        params = value["params"]
+        x, y, z = (float(v) for v in params["offset"])
+        return Marker(str(value["name"]), str(params["object"]), str(params["link"]), (x, y, z), str(value["type"]))
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{where}: expected name, type and params with offset, link and object.") from error
+
+
+def _receptacles(value: list[Any], where: str) -> tuple[Receptacle, ...]:
+    out: list[Receptacle] = []
+    for i, entry in enumerate(value):
+        fits = isinstance(entry, list) and len(entry) == 2 and isinstance(entry[0], str)
+        if not fits or not (entry[1] is None or isinstance(entry[1], int)):
+            raise ValueError(f"{where}[{i}]: expected [handle, link number or null].")
+        out.append((entry[0], entry[1]))
+    return tuple(out)
+
+
+# -- frames ------------------------------------------------------------------------------------------------------------
+
+
+def pose_from_hab(matrix: np.ndarray, scan_yaw: float = 0.0) -> np.ndarray:
+    """Pose (7,) in our +z up world of an object whose pose a file gives as a (4, 4) matrix.
+
+    Args:
+        matrix: world with +y up, object with +y up.
+        scan_yaw: heading of the scan in our frame of the object (``ObjectType.scan_yaw``).
+    """
+    rotation = UP @ matrix[:3, :3] @ UP.T
+    u, _, v = np.linalg.svd(rotation)  # the nearest rotation: files give few digits
+    pose = np.concatenate([UP @ matrix[:3, 3], quat_from_mat(u @ v)])
+    return pose_mul(pose, _turned(-scan_yaw))
+
+
+def pose_to_hab(pose: np.ndarray, scan_yaw: float = 0.0) -> np.ndarray:
+    """The (4, 4) matrix of a file for a pose (7,) of ours, with `DECIMALS` digits; inverse of `pose_from_hab`."""
+    scan = pose_mul(np.asarray(pose, np.float64), _turned(scan_yaw))
+    matrix = np.eye(4)
+    matrix[:3, :3] = UP.T @ mat_from_quat(scan[3:]) @ UP
+    matrix[:3, 3] = UP.T @ scan[:3]
+    return np.round(matrix, DECIMALS) + 0.0  # no minus zeros
+
+
+def _turned(yaw: float) -> np.ndarray:
+    return np.concatenate([np.zeros(3), quat_from_yaw(np.asarray(yaw))])

@@ -1,0 +1,52 @@
+"""Walkable areas from Recast navigation meshes (``.navmesh``), as ReplicaCAD brings one for every scene."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mjhab.core.errors import UsageError
+
+_SET, _TILE = b"TESM", b"VAND"
+_HEADER, _POLYGON = 100, 32
+"""Bytes of dtMeshHeader and dtPoly (Detour's DetourNavMesh.h)."""
+
+
+@dataclass(frozen=True, eq=False)
+class NavMesh:
+    """``bounds`` x_min, y_min, x_max, y_max [m] of the scene it was made for; ``polygons`` (N, 3) each: corners of the
+    convex walkable pieces, counter-clockwise seen from above, in our world axes (+z up) [m]."""
+
+    bounds: tuple[float, float, float, float]
+    polygons: list[np.ndarray]
+
+
+def read_navmesh(path: Path) -> NavMesh:
+    """Read a file of one tile.
+
+    Raises:
+        UsageError: it cannot be read or is not such a file; names it.
+    """
+    try:
+        raw = path.read_bytes()
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be read ({error.strerror or error}).") from error
+    tile = raw.find(_TILE)
+    if raw[:4] != _SET or tile < 0:
+        raise UsageError(f"{path}: not a navigation mesh of one tile; fetch the file again.")
+    try:
+        x, _, z, width, depth = struct.unpack_from("<5f", raw, 12)
+        polygon_count, vertex_count = struct.unpack_from("<2i", raw, tile + 24)
+        start = tile + _HEADER
+        vertices = np.frombuffer(raw, "<f4", 3 * vertex_count, start).reshape(-1, 3).astype(float)
+        polygons = []
+        for k in range(polygon_count):
+            record = struct.unpack_from("<I6H6HH2B", raw, start + 12 * vertex_count + _POLYGON * k)
+            corners = vertices[list(record[1 : 1 + record[14]])]
+            polygons.append(np.stack([corners[:, 0], -corners[:, 2], corners[:, 1]], axis=1))
+    except (struct.error, ValueError, IndexError) as error:
+        raise UsageError(f"{path}: cut off ({error}); fetch the file again.") from error
+    return NavMesh((x, -(z + depth), x + width, -z), polygons)

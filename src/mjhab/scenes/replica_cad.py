@@ -1,0 +1,185 @@
+"""Reader of the ReplicaCAD data set: real apartments as homes.
+
+A folder of the data set (``configs/``, ``objects/``, ``urdf/``, perhaps ``stages/`` and ``navmeshes/``) becomes a pack
+whose homes are the 84 staged scenes ``v3_sc<macro>_staging_<micro>``; any other scene makes a pack of its own.
+Splits follow the Home Assistant Benchmark: macro layouts 0-2 train, 3 val, 4 test.
+"""
+
+from __future__ import annotations
+
+import logging
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.rotations import mat_from_quat
+from mjhab.scenes.footprints import outline
+from mjhab.scenes.navmesh import read_navmesh
+from mjhab.scenes.objects import builtin_objects, object_meshes
+from mjhab.scenes.replica_cad_files import (
+    FETCH,
+    SCENE_SUFFIX,
+    check_folder,
+    load_json,
+    numbers,
+    placement,
+    short_name,
+)
+from mjhab.scenes.replica_cad_files import field as entry
+from mjhab.scenes.replica_cad_furniture import Furniture
+from mjhab.scenes.replica_cad_stage import Extent, stage_shape
+from mjhab.scenes.spec import Geom, Home, Light, ObjectType, Pack, Placement
+
+STAGED = re.compile(r"v3_sc(\d+)_staging_(\d+)")
+FLOOR_MATERIAL = "floor_oak"
+_MARGIN = 1.0
+"""Floor around the furniture where neither stage nor navigation mesh tells its extent [m]."""
+_LIGHTS = ((-1.1, 2.775, 2.3), (-0.5, -1.44, 2.3), (2.4, -1.6, 2.3), (2.5, -6.1, 2.3), (3.14, 3.24, 3.0))
+"""Positions of the lamps [m] (ManiSkill's ReplicaCAD scene builder)."""
+_log = logging.getLogger("mjhab")
+_warned: set[str] = set()
+
+
+def open_replica_cad(folder: Path, scene: str = "", stage_mesh: Path | None = None) -> Pack:
+    """Read the data set.
+
+    Args:
+        folder: of the data set; objects are those of a folder ``ycb`` in it or beside it, else the built-in ones.
+        scene: name of one scene, to make a pack of that scene alone; "" for all staged ones.
+        stage_mesh: a ``.glb`` to take as the stage of every scene, instead of those its configs name.
+
+    Raises:
+        UsageError: the folder lacks something or a file is broken; the message names it.
+    """
+    check_folder(folder)
+    names = sorted(p.name.removesuffix(SCENE_SUFFIX) for p in (folder / "configs" / "scenes").glob("*" + SCENE_SUFFIX))
+    if scene and scene not in names:
+        raise unknown_name("scene", scene, names)
+    chosen = [scene] if scene else [name for name in names if STAGED.fullmatch(name)]
+    if not chosen:
+        raise UsageError(f"{folder / 'configs' / 'scenes'} has no staged scene (v3_sc*_staging_*); {FETCH}.")
+    reader = _Scenes(folder, Furniture(folder), stage_mesh)
+    homes = tuple(reader.home(name) for name in chosen)
+    furniture = reader.furniture
+    _warn(folder, reader.missing, "homes have a floor but no walls (--stage-mesh FILE gives another stage)")
+    _warn(folder, furniture.missing, "their collision shapes are drawn instead")
+    objects, meshes = _objects(folder)
+    return Pack(
+        "replica_cad", furniture.props, furniture.articulations, homes, objects,
+        {**furniture.meshes, **furniture.looks.meshes(), **meshes},
+    )  # fmt: skip
+
+
+def _warn(folder: Path, missing: list[Path], meaning: str) -> None:
+    """Log once per process that files are missing, and what it means."""
+    names = [str(file.relative_to(folder)) if file.is_relative_to(folder) else str(file) for file in missing]
+    text = f"{folder}: {', '.join(names)} missing: {meaning}."
+    if missing and text not in _warned:
+        _warned.add(text)
+        _log.warning(text)
+
+
+def _objects(folder: Path) -> tuple[dict[str, ObjectType], dict[str, Any]]:
+    for place in (folder / "ycb", folder.parent / "ycb"):
+        if place.is_dir():
+            from mjhab.scenes.ycb import read_ycb
+
+            return read_ycb(place)
+    return builtin_objects(), dict(object_meshes())
+
+
+@dataclass(eq=False)
+class _Scenes:
+    """Reads scene files; stages are read once."""
+
+    folder: Path
+    furniture: Furniture
+    stage_mesh: Path | None
+    missing: list[Path] = field(default_factory=list)
+    """Stage meshes that are not there."""
+    _stages: dict[tuple[Any, ...], tuple[tuple[Geom, ...], Extent] | None] = field(default_factory=dict)
+
+    def home(self, name: str) -> Home:
+        path = self.folder / "configs" / "scenes" / (name + SCENE_SUFFIX)
+        body = load_json(path)
+        props, jointed = [], []
+        for k, record in enumerate(_list(path, body, "object_instances")):
+            where = f"object_instances[{k}]"
+            template = self.furniture.rigid(_text(path, record, "template_name", where))
+            props.append(placement(path, record, template, where))
+        for k, record in enumerate(_list(path, body, "articulated_object_instances")):
+            where = f"articulated_object_instances[{k}]"
+            given = _text(path, record, "template_name", where)
+            # Doors between rooms stay out, as in ManiSkill's scene builder: they would close off half the apartment.
+            if "door" in short_name(given):
+                continue
+            at = placement(path, record, short_name(given), where)
+            at = self.furniture.jointed(given, float(record.get("uniform_scale", 1.0)), at)
+            (jointed if at.template in self.furniture.articulations else props).append(at)
+        for place in jointed:
+            if sum(other.template == place.template for other in jointed) > 1:
+                raise UsageError(f"{path}: more than one {place.template!r}; a home may have one of each that opens.")
+        walls, extent = self._stage(path, body) or ((), None)
+        found = STAGED.fullmatch(name)
+        macro, micro = (int(found[1]), int(found[2])) if found else (0, 0)
+        split: Literal["train", "val", "test"] = "train" if macro < 3 else "val" if macro == 3 else "test"
+        extent = extent or self._extent(name, [*props, *jointed])
+        return Home(
+            name, "replica_cad", split, macro, micro, walls, extent, FLOOR_MATERIAL, tuple(props), tuple(jointed),
+            tuple(Light(pos) for pos in _LIGHTS),
+        )  # fmt: skip
+
+    def _stage(self, path: Path, body: dict[str, Any]) -> tuple[tuple[Geom, ...], Extent] | None:
+        """Walls and floor extent of a scene's stage; None, with one warning, when its mesh is not there."""
+        record = entry(path, body, "stage_instance")
+        given = _text(path, record, "template_name", "stage_instance")
+        if self.stage_mesh is not None:
+            file = self.stage_mesh
+        else:
+            config = self.folder / "configs" / "stages" / f"{given.rsplit('/', 1)[-1]}.stage_config.json"
+            file = (config.parent / _text(config, load_json(config), "render_asset", "")).resolve()
+        shift, turn = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
+        if "translation" in record:
+            shift = numbers(path, record, "translation", 3, "stage_instance")
+        if "rotation" in record:
+            turn = numbers(path, record, "rotation", 4, "stage_instance")
+        key = (file, *shift.tolist(), *turn.tolist())
+        if key not in self._stages:
+            if self.stage_mesh is None and not file.is_file():
+                self.missing.append(file)
+                self._stages[key] = None
+            else:
+                self._stages[key] = stage_shape(file, mat_from_quat(turn / np.linalg.norm(turn)), shift)
+        return self._stages[key]
+
+    def _extent(self, name: str, placed: list[Placement]) -> Extent:
+        """Floor of a home without stage: what its navigation mesh was made for, else the furniture with a margin."""
+        mesh = self.folder / "navmeshes" / f"{name}.navmesh"
+        if mesh.is_file():
+            return read_navmesh(mesh).bounds
+        points = []
+        for at in placed:
+            template = self.furniture.props.get(at.template) or self.furniture.articulations[at.template]
+            local = np.concatenate([outline(g, self.furniture.meshes) for g in template.geoms if g.collide])
+            points.append(local @ mat_from_quat(np.array(at.rotation)).T + np.array(at.pos))
+        corners = np.concatenate(points)[:, :2] if points else np.array([[-3.0, -3.0], [3.0, 3.0]])
+        low, high = corners.min(0) - _MARGIN, corners.max(0) + _MARGIN
+        return (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
+
+
+def _list(path: Path, body: dict[str, Any], key: str) -> list[Any]:
+    value = body.get(key, [])
+    if not isinstance(value, list):
+        raise UsageError(f"{path}: field {key!r}: expected a list.")
+    return value
+
+
+def _text(path: Path, record: Any, key: str, where: str) -> str:
+    value = entry(path, record, key, where)
+    if not isinstance(value, str):
+        raise UsageError(f"{path}: field {where}.{key}: expected a name, got {value!r}.")
+    return value

@@ -1,0 +1,111 @@
+"""Where things are in a ReplicaCAD folder, its JSON, and its axes.
+
+The data set is right-handed with +y up; here +z is up. A frame of the data set becomes a frame of ours by turning it
+a quarter about x: (x, y, z) -> (x, -z, y).
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mjhab.core.errors import UsageError
+from mjhab.core.rotations import mat_from_quat, quat_from_mat
+from mjhab.scenes.spec import Placement, Quat, Vec3
+
+SCENE_SUFFIX = ".scene_instance.json"
+PREFIX = "frl_apartment_"
+"""What most names of the data set begin with and ours do not."""
+FOLDERS = ("configs/scenes", "configs/objects", "objects", "urdf")
+FETCH = "`mjhab assets fetch replica_cad` gets it"
+TO_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+"""Turns a vector of the data set into ours."""
+_LEVEL = 1e-4
+"""Rotations that tilt by less than about this [rad] are headings."""
+
+
+def is_replica_cad(folder: Path) -> bool:
+    """Whether a folder looks like the data set, complete or not."""
+    return any((folder / name).is_dir() for name in FOLDERS[:2]) or (
+        (folder / "replicaCAD.scene_dataset_config.json").is_file()
+    )
+
+
+def check_folder(folder: Path) -> None:
+    """Raise a UsageError that names what a data set folder lacks."""
+    missing = [name for name in FOLDERS if not (folder / name).is_dir()]
+    if missing:
+        raise UsageError(f"'{folder}' is not a whole ReplicaCAD data set: {', '.join(missing)} missing; {FETCH}.")
+
+
+def load_json(path: Path) -> dict[str, Any]:
+    """Read a JSON object.
+
+    Raises:
+        UsageError: the file is missing, cut off or not an object; names it.
+    """
+    try:
+        body = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be read ({error.strerror or error}); {FETCH}.") from error
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise UsageError(f"{path}: not valid JSON ({error}); fetch the file again.") from error
+    if not isinstance(body, dict):
+        raise UsageError(f"{path}: expected a JSON object.")
+    return body
+
+
+def field(path: Path, record: Any, key: str, where: str = "") -> Any:
+    """``record[key]``, or a UsageError that names the file and the field."""
+    if not isinstance(record, dict) or key not in record:
+        raise UsageError(f"{path}: field {f'{where}.{key}' if where else key!r} is missing.")
+    return record[key]
+
+
+def numbers(path: Path, record: Any, key: str, count: int, where: str = "") -> np.ndarray:
+    """A list of ``count`` finite numbers of a record, or a UsageError that names the file and the field."""
+    value = field(path, record, key, where)
+    try:
+        array = np.asarray(value, float)
+    except (TypeError, ValueError):
+        array = np.zeros(0)
+    if array.shape != (count,) or not np.isfinite(array).all():
+        raise UsageError(f"{path}: field {where}.{key}: expected {count} numbers, got {value!r}.")
+    return array
+
+
+def short_name(template: str) -> str:
+    """Our name of a template: without folder and without the data set's prefix."""
+    return template.rsplit("/", 1)[-1].removeprefix(PREFIX)
+
+
+def point(row: np.ndarray) -> Vec3:
+    """A row of three numbers as a tuple."""
+    x, y, z = np.asarray(row, float).tolist()
+    return (x, y, z)
+
+
+def quat_of(rotation: np.ndarray) -> Quat:
+    """Quaternion (wxyz) of a rotation matrix (3, 3), as a tuple."""
+    w, x, y, z = quat_from_mat(np.asarray(rotation, float)).tolist()
+    return (w, x, y, z)
+
+
+def placement(path: Path, record: dict[str, Any], template: str, where: str) -> Placement:
+    """Where a scene puts a template, in our axes."""
+    x, y, z = numbers(path, record, "translation", 3, where).tolist()
+    given = numbers(path, record, "rotation", 4, where) if "rotation" in record else np.array([1.0, 0.0, 0.0, 0.0])
+    if np.linalg.norm(given) < 0.5:
+        raise UsageError(f"{path}: field {where}.rotation: not a quaternion: {given.tolist()}.")
+    turn = TO_Z_UP @ mat_from_quat(given / np.linalg.norm(given)) @ TO_Z_UP.T
+    return place(template, np.array([x, -z, y]), turn)
+
+
+def place(template: str, pos: np.ndarray, rotation: np.ndarray) -> Placement:
+    """A placement from a position (3,) and a rotation (3, 3); an upright one gets a heading and no quaternion."""
+    yaw = float(np.arctan2(rotation[1, 0], rotation[0, 0]))
+    tilted = np.hypot(rotation[0, 2], rotation[1, 2]) > _LEVEL or rotation[2, 2] < 0
+    return Placement(template, point(pos), yaw, quat_of(rotation) if tilted else None)

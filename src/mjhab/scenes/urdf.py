@@ -1,0 +1,189 @@
+"""URDF files of furniture: a tree of links that carry boxes and meshes.
+
+Number lists may be separated by spaces or commas. Inertias are not read: they are computed from shapes and masses.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mjhab.core.errors import UsageError
+
+JOINT_TYPES = ("fixed", "prismatic", "revolute")
+
+
+@dataclass(frozen=True, eq=False)
+class UrdfBox:
+    """A collision box: ``half`` (3,) half-extents [m], ``pose`` (4, 4) in the link's frame."""
+
+    half: np.ndarray
+    pose: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class UrdfVisual:
+    """A render mesh: its file, ``scale`` (3,), ``pose`` (4, 4) in the link's frame."""
+
+    file: Path
+    scale: np.ndarray
+    pose: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class UrdfLink:
+    """A rigid part; ``mass`` [kg], 0 if the file gives none."""
+
+    name: str
+    mass: float
+    boxes: tuple[UrdfBox, ...]
+    visuals: tuple[UrdfVisual, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class UrdfJoint:
+    """``pose`` (4, 4): frame of the child in the parent at joint 0; ``axis`` (3,) unit, in the child's frame;
+    ``limits`` [m or rad], (0, 0) for a fixed joint."""
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    pose: np.ndarray
+    axis: np.ndarray
+    limits: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Urdf:
+    """A furniture description: links by name, joints by the name of their child, the name of the root link."""
+
+    name: str
+    links: dict[str, UrdfLink]
+    joints: dict[str, UrdfJoint]
+    root: str
+
+    def pose(self, link: str) -> np.ndarray:
+        """Frame (4, 4) of a link in the root's, all joints at 0."""
+        out = np.eye(4)
+        while link != self.root:
+            joint = self.joints[link]
+            out, link = joint.pose @ out, joint.parent
+        return out
+
+    def moving(self, link: str) -> str:
+        """The nearest link at or above ``link`` whose own joint moves; the root when there is none."""
+        while link != self.root and self.joints[link].kind == "fixed":
+            link = self.joints[link].parent
+        return link
+
+
+def read_urdf(path: Path) -> Urdf:
+    """Read a file.
+
+    Raises:
+        UsageError: it is missing, not XML, or has something this reader does not know; names file and element.
+    """
+    try:
+        top = ElementTree.parse(path).getroot()
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be read ({error.strerror or error}).") from error
+    except ElementTree.ParseError as error:
+        raise UsageError(f"{path}: not valid XML ({error}); fetch the file again.") from error
+    links = {_need(path, e, "name"): _link(path, e) for e in top.iter("link")}
+    joints = {}
+    for element in top.iter("joint"):
+        joint = _joint(path, element)
+        for end in (joint.parent, joint.child):
+            if end not in links:
+                raise UsageError(f"{path}: joint {joint.name!r} names the link {end!r}, which is not in the file.")
+        joints[joint.child] = joint
+    roots = [name for name in links if name not in joints]
+    if len(roots) != 1:
+        raise UsageError(f"{path}: expected one root link, found {len(roots)} ({', '.join(roots) or 'none'}).")
+    return Urdf(top.get("name", path.stem), links, joints, roots[0])
+
+
+def _link(path: Path, element: ElementTree.Element) -> UrdfLink:
+    name = _need(path, element, "name")
+    mass = element.find("inertial/mass")
+    boxes, visuals = [], []
+    for part in element.findall("collision"):
+        box = part.find("geometry/box")
+        if box is None:
+            raise UsageError(f"{path}: link {name!r}: collision shapes must be boxes.")
+        size = _numbers(path, f"link {name!r}: box size", box.get("size"), 3)
+        boxes.append(UrdfBox(size / 2, _origin(path, part, f"link {name!r}")))
+    for part in element.findall("visual"):
+        mesh = part.find("geometry/mesh")
+        if mesh is None:
+            raise UsageError(f"{path}: link {name!r}: visual shapes must be meshes.")
+        scale = _numbers(path, f"link {name!r}: mesh scale", mesh.get("scale", "1 1 1"), 3)
+        file = path.parent / _need(path, mesh, "filename")
+        visuals.append(UrdfVisual(file, scale, _origin(path, part, f"link {name!r}")))
+    value = 0.0 if mass is None else float(_numbers(path, f"link {name!r}: mass", mass.get("value"), 1)[0])
+    return UrdfLink(name, value, tuple(boxes), tuple(visuals))
+
+
+def _joint(path: Path, element: ElementTree.Element) -> UrdfJoint:
+    name, kind = _need(path, element, "name"), _need(path, element, "type")
+    if kind not in JOINT_TYPES:
+        raise UsageError(f"{path}: joint {name!r}: unknown type {kind!r}; known are {', '.join(JOINT_TYPES)}.")
+    ends = []
+    for tag in ("parent", "child"):
+        found = element.find(tag)
+        if found is None:
+            raise UsageError(f"{path}: joint {name!r}: no <{tag}>.")
+        ends.append(_need(path, found, "link"))
+    axis, limits = np.array([1.0, 0.0, 0.0]), (0.0, 0.0)
+    if kind != "fixed":
+        given, limit = element.find("axis"), element.find("limit")
+        if given is not None:
+            axis = _numbers(path, f"joint {name!r}: axis", given.get("xyz"), 3)
+        if limit is None or not np.linalg.norm(axis):
+            raise UsageError(f"{path}: joint {name!r}: needs a <limit> and an axis that is not zero.")
+        axis = axis / np.linalg.norm(axis)
+        low, high = (
+            float(_numbers(path, f"joint {name!r}: {k} limit", limit.get(k, "0"), 1)[0]) for k in ("lower", "upper")
+        )
+        limits = (low, high)
+    return UrdfJoint(name, kind, ends[0], ends[1], _origin(path, element, f"joint {name!r}"), axis, limits)
+
+
+def _origin(path: Path, element: ElementTree.Element, where: str) -> np.ndarray:
+    pose = np.eye(4)
+    origin = element.find("origin")
+    if origin is not None:
+        roll, pitch, yaw = _numbers(path, f"{where}: origin rpy", origin.get("rpy", "0 0 0"), 3)
+        pose[:3, :3] = _about(2, yaw) @ _about(1, pitch) @ _about(0, roll)
+        pose[:3, 3] = _numbers(path, f"{where}: origin xyz", origin.get("xyz", "0 0 0"), 3)
+    return pose
+
+
+def _about(axis: int, angle: float) -> np.ndarray:
+    c, s = np.cos(angle), np.sin(angle)
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    turn = np.eye(3)
+    turn[i, i], turn[i, j], turn[j, i], turn[j, j] = c, -s, s, c
+    return turn
+
+
+def _need(path: Path, element: ElementTree.Element, attribute: str) -> str:
+    value = element.get(attribute)
+    if value is None:
+        raise UsageError(f"{path}: <{element.tag}> has no attribute {attribute!r}.")
+    return value
+
+
+def _numbers(path: Path, where: str, text: str | None, count: int) -> np.ndarray:
+    words = (text or "").replace(",", " ").split()
+    try:
+        numbers = np.array([float(word) for word in words])
+    except ValueError:
+        numbers = np.zeros(0)
+    if len(numbers) != count or not np.isfinite(numbers).all():
+        raise UsageError(f"{path}: {where}: expected {count} numbers, got {text!r}.")
+    return numbers

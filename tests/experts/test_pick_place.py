@@ -1,0 +1,176 @@
+"""Pick and place: real episodes from every kind of place, and the parts that plan them."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+import pytest
+
+import mjhab.envs as envs
+from mjhab.envs.grasps import ObjectShape
+from mjhab.envs.privileged import WorldView
+from mjhab.envs.sequential import SequentialTaskEnv
+from mjhab.experts import make_expert, motion
+from mjhab.experts.carry import grip, held_spheres, inside_depth
+from mjhab.experts.ik import rotate
+from mjhab.experts.pick import height_below, plan_pick
+from mjhab.experts.place import hand_goals
+from mjhab.experts.reach import surroundings
+from mjhab.experts.route import LOOKAHEADS, Pilot, plan_route, planner
+
+UPRIGHT = np.eye(3)
+
+
+def build(task: str, subtask: str, target: str = "", worlds: int = 3) -> SequentialTaskEnv:
+    return envs.make(
+        task=task, subtask=subtask, target=target, num_envs=worlds, split="train", autoreset="disabled", threads=1
+    )
+
+
+@lru_cache
+def view_of(task: str, subtask: str, target: str = "", episode: int = 0) -> WorldView:
+    """A world at its start; nothing here moves it, so tests share it."""
+    env = build(task, subtask, target, worlds=1)
+    env.reset(seed=0, options={"episode": [episode]})
+    return env.view(0)
+
+
+def the_object(view: WorldView) -> str:
+    assert view.subtask is not None
+    return view.subtask.obj
+
+
+@pytest.mark.parametrize(
+    ("task", "subtask", "target"),
+    [
+        ("tidy_house", "pick", ""),
+        ("set_table", "pick", "024_bowl"),
+        ("set_table", "pick", "013_apple"),
+        ("tidy_house", "place", ""),
+        ("prepare_groceries", "place", ""),
+    ],
+)
+def test_expert_succeeds_in_most_episodes(task: str, subtask: str, target: str):
+    env = build(task, subtask, target)
+    obs, info = env.reset(seed=0, options={"episode": [0, 1, 2]})
+    expert = make_expert(env)
+    expert.reset(np.ones(3, bool))
+    once = np.zeros(3, bool)
+    for _ in range(200):
+        actions = expert.act(obs, info)
+        assert np.isfinite(actions).all() and np.abs(actions).max() <= 1.0 + 1e-6
+        obs, reward, _, _, info = env.step(actions)
+        once |= reward > 0.5
+        if once.all():
+            break
+    assert once.sum() >= 2, f"{once} of {[e['plan'] for e in info['episode']]}"
+
+
+def drive(pilot: Pilot, pose: np.ndarray, steps: int = 300) -> tuple[np.ndarray, int]:
+    """An ideal unicycle under a pilot: where it ends and after how many steps."""
+    for step in range(steps):
+        forward, turn, done = pilot.step(pose)
+        if done:
+            return pose, step
+        pose = pose + 0.05 * np.array([forward * np.cos(pose[2]), forward * np.sin(pose[2]), turn])
+    return pose, steps
+
+
+@pytest.mark.parametrize("lookahead", LOOKAHEADS)
+@pytest.mark.parametrize("yaw", [0.0, 2.0, -3.0])
+def test_pilot_ends_near_the_goal_with_its_heading(lookahead: float, yaw: float):
+    path = np.array([[0.0, 0.0], [0.8, 0.0], [1.2, 0.6]])
+    pose, steps = drive(Pilot(path, yaw, 1, lookahead), np.array([0.0, 0.0, 0.4]))
+    assert np.linalg.norm(pose[:2] - path[-1]) < 0.06
+    assert abs((pose[2] - yaw + np.pi) % (2 * np.pi) - np.pi) < 0.06
+    assert steps < 160
+
+
+def test_pilot_drives_straight_back():
+    pose, steps = drive(Pilot(np.array([[0.0, 0.0], [-0.6, 0.0]]), 0.0, -1, 0.3), np.zeros(3))
+    np.testing.assert_allclose(pose, [-0.6, 0.0, 0.0], atol=0.03)
+    assert steps < 40
+
+
+@pytest.mark.parametrize(
+    ("shape", "rot", "height"),
+    [
+        (ObjectShape("box", (0.02, 0.04, 0.1)), UPRIGHT, 0.1),
+        (ObjectShape("box", (0.02, 0.04, 0.1)), rotate(np.array([[np.pi / 2, 0.0, 0.0]]))[0], 0.04),
+        (ObjectShape("cylinder", (0.03, 0.03, 0.05)), rotate(np.array([[0.0, np.pi / 4, 0.0]]))[0], 0.08 / np.sqrt(2)),
+        (ObjectShape("sphere", (0.04, 0.04, 0.04)), rotate(np.array([[0.3, 0.7, 0.1]]))[0], 0.04),
+    ],
+)
+def test_height_below_centre(shape: ObjectShape, rot: np.ndarray, height: float):
+    assert height_below(shape, rot) == pytest.approx(height)
+
+
+def test_gripper_action_for_an_opening():
+    assert grip(0.10) == pytest.approx(1.0) and grip(-0.02) == pytest.approx(-1.0)
+    assert grip(0.04) == pytest.approx(0.0)
+
+
+def test_plan_of_a_pick_is_clear_of_the_furniture():
+    view = view_of("tidy_house", "pick", episode=1)
+    obj = the_object(view)
+    found = plan_pick(view, obj, np.zeros((0, 3)))
+    assert found is not None
+    stance, goals, _ = found
+    near, target = surroundings(view, obj, view.object_pose(obj)[:3])
+    assert motion.spheres().clearance(stance.pre[None], type(near).join([near, target]))[0] > 0.0
+    pos, rot = motion.chain().tip_pose(stance.at[None])
+    np.testing.assert_allclose(pos[0], goals.pos[stance.goal], atol=0.01)
+    np.testing.assert_allclose(rot[0], goals.rot[stance.goal], atol=0.1)
+    assert motion.planner(view.home).clearance_at(stance.at[:2]) >= 0.27
+
+
+def test_failed_base_poses_are_avoided():
+    view = view_of("tidy_house", "pick", episode=1)
+    first = plan_pick(view, the_object(view), np.zeros((0, 3)))
+    assert first is not None
+    second = plan_pick(view, the_object(view), first[0].at[None, :3])
+    assert second is not None
+    assert np.linalg.norm((first[0].at[:3] - second[0].at[:3]) * [1.0, 1.0, 0.3]) > 0.1
+
+
+def test_fridge_shelf_asks_to_come_straight_in():
+    view = view_of("set_table", "pick", "013_apple")
+    point = view.object_pose(the_object(view))[:3]
+    assert inside_depth(view, point) > 0.3
+    assert inside_depth(view, view.q[:3]) == 0.0
+
+
+def test_hand_goals_put_the_object_upright_at_the_goal():
+    view = view_of("tidy_house", "place", episode=1)
+    obj = the_object(view)
+    assert view.subtask is not None
+    goal = np.array(view.subtask.goal_pos)
+    goals = hand_goals(view, obj, goal, shelf=False, any_side=False)
+    tcp, rot = motion.tcp(view)
+    offset = rot.T @ (view.object_pose(obj)[:3] - tcp)
+    centres = goals.pos + goals.rot @ offset
+    assert np.linalg.norm(centres[:, :2] - goal[:2], axis=1).max() <= 0.10 + 1e-9
+    assert (centres[:, 2] > goal[2]).all() and np.abs(centres[goals.score > -1e-9, 2] - goal[2]).max() < 0.02
+
+
+def test_spheres_of_a_held_object_stay_with_it():
+    view = view_of("tidy_house", "place", episode=1)
+    obj = the_object(view)
+    local, radius = held_spheres(view, obj)
+    tcp, rot = motion.tcp(view)
+    far = np.linalg.norm(tcp + local @ rot.T - view.object_pose(obj)[:3], axis=1)
+    assert far.max() <= np.linalg.norm(view.object_type(obj).half) and (radius > 0).all()
+
+
+def test_route_keeps_room_and_ends_at_the_goal():
+    view = view_of("tidy_house", "pick", episode=1)
+    cells = np.argwhere(planner(view).clearance > 0.6)
+    free = planner(view).origin + (cells + 0.5) * planner(view).cell
+    spot = free[np.argmin(np.abs(np.linalg.norm(free - view.q[:2], axis=1) - 1.0))]
+    near, target = surroundings(view, the_object(view), np.array([*spot, 1.0]))
+    rest = motion.rest_goal(view)
+    route = plan_route(view, np.array([*spot, 0.0]), rest, motion.spheres(), type(near).join([near, target]))
+    assert route is not None
+    np.testing.assert_allclose(route.path[-1], spot)
+    assert route.steps < 200

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from mjhab.core.errors import UsageError
 from mjhab.core.rotations import mat_from_quat
+from mjhab.envs.grasps import Gripper, ObjectShape, grasp_candidates
 from mjhab.experts import ik
 from mjhab.experts.clearance import Boxes
-from mjhab.experts.grasps import Gripper, ObjectShape, grasp_candidates
 from mjhab.experts.kinematics import Chain, rotation_vector
 from mjhab.scenes import fetch
 

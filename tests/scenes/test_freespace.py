@@ -89,8 +89,9 @@ def test_cells_and_positions_round_trip_and_samples_lie_in_the_mask() -> None:
 
 
 def test_reach_is_the_distance_from_navigable_floor() -> None:
-    table = Prop("table", (box((0.0, 0.0, 0.4), (0.8, 1.0, 0.8), "oak"),),
-                 (Receptacle("top", (0.0, 0.0, 0.8), (0.4, 0.5), 1.0),))
+    table = Prop(
+        "table", (box((0.0, 0.0, 0.4), (0.8, 1.0, 0.8), "oak"),), (Receptacle("top", (0.0, 0.0, 0.8), (0.4, 0.5), 1.0),)
+    )
     pack = _pack(table)
     home = _room(props=(Placement("table", (2.0, 2.0, 0.0), 0.4),))
     (row,) = reach(home, pack, free_map(home, pack))

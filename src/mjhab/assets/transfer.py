@@ -75,18 +75,13 @@ def download(
     stop: threading.Event | None = None,
     sleep: Callable[[float], object] = time.sleep,
 ) -> str:
-    """Fetch one file; a cut connection continues where it broke off, also in a later run.
+    """Fetch one file and return its SHA-256; a cut connection continues where it broke off, also in a later run.
 
     Args:
-        url: address.
-        target: the file; it appears only when it is whole and right, until then its bytes are in ``<target>.part``.
+        url, target: address, and the file; until it is whole and right, its bytes are in ``<target>.part``.
         expected: what it must be.
         tell: called with the number of new bytes, negative when bytes had to be thrown away.
-        stop: when set, the transfer ends early.
-        sleep: waits between tries.
-
-    Returns:
-        Its SHA-256.
+        stop: when set, the transfer ends early; sleep: waits between tries.
 
     Raises:
         TransferError: the server does not give the file, or gives another one.

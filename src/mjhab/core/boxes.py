@@ -26,6 +26,8 @@ class Boxes:
     def of(center: ArrayLike, half: ArrayLike, rot: ArrayLike | None = None) -> Boxes:
         """Boxes from anything array-like; ``rot`` None: along the axes of the world."""
         center = np.asarray(center, dtype=np.float64).reshape(-1, 3)
+        if not len(center):
+            return Boxes.join(())
         half = np.broadcast_to(np.asarray(half, dtype=np.float64), center.shape)
         turn = np.eye(3) if rot is None else np.asarray(rot, dtype=np.float64)
         return Boxes(center, half, np.broadcast_to(turn, (len(center), 3, 3)))

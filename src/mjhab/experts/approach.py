@@ -23,7 +23,7 @@ FOLD_ROOM = 0.005
 """Clearance [m] with which the arm folds."""
 FLOOR = 0.29
 """Clearance of the base when it backs away [m]."""
-ROUTES_TRIED, ROUTES_MOST = 5, 8
+ROUTES_TRIED, ROUTES_MOST = 5, 12
 """Stances whose way is looked at; more only while none is free."""
 ARM_REACH = 1.3
 """Distance from the base beyond which nothing is in the way [m]."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -19,8 +20,9 @@ OPEN_TO = 0.775
 """Share of the range to pull to; 0.75 counts as open."""
 PRE_GRASP = 0.11
 """Distance from which the open hand goes straight onto the bar [m]."""
-AROUND, LOOSE = 0.45, 0.2
-"""Gripper commands around the bar and to free it; opened wide, the inner finger would push the door."""
+AROUND, LOOSE = 0.045, 0.03
+"""Room [m] beside the bar in a hand that goes around it or frees it; opened wide, the inner finger would push the door.
+"""
 ABOVE_MIDDLE = 0.13
 """Height over the middle of the bar at which it is taken, nearer to where the hand rests [m]."""
 SHUT = 0.006
@@ -34,6 +36,7 @@ ABOVE_BAR = 0.08
 HALF_OPEN = 0.95
 """Share of the range up to which the hand need not start as far behind the door as for a wide open one."""
 STANCES_TRIED = 16
+"""Stances whose surroundings are looked at."""
 JOINT_RATE = 0.037
 """Joint motion per control step at which the hand leads the door [rad]."""
 SWING = 0.045
@@ -57,11 +60,12 @@ def open_door(view: WorldView, link: JointedLink) -> Motion:
         path = _reachable(view, link, stances.cached(link, "pull", _pull_stances), _pull_angles(link))
         if path is None:
             return False
-        yield from approach.go(view, path.route, AROUND)
+        around, loose = (motion.gripper_at(link.handle.thickness + room) for room in (AROUND, LOOSE))
+        yield from approach.go(view, path.route, around)
         rot = path.hand_at(path.angles[1])[1]
-        if (yield from approach.take(view, link, rot, path.q[1], height=path.height, gripper=AROUND)):
+        if (yield from approach.take(view, link, rot, path.q[1], height=path.height, gripper=around)):
             yield from _follow_arc(view, link, path, OPEN_TO * link.range[1], motion.CLOSED)
-        yield from approach.let_go(view, 0.12, gripper=LOOSE)
+        yield from approach.let_go(view, 0.12, gripper=loose)
     return (yield from approach.fold(view))
 
 
@@ -176,12 +180,19 @@ def _reachable(view: WorldView, link: JointedLink, found: Stances, angles: Array
     hand comes straight in."""
     goals, _ = stances.rank(view, Frame.of(link), found)
     walls = Boxes.join([motion.as_boxes(view.home.boxes), motion.as_boxes(view.link_boxes((link.id,)))])
-    free = np.array([g for g in goals[:STANCES_TRIED] if motion.spheres().clearance(g, walls).min() > 0.01])
+    goals = goals[_distinct(goals[:, 0, :3])[:STANCES_TRIED]]
+    free = np.array([g for g in goals if motion.spheres().clearance(g, walls).min() > 0.01])
     if not len(free):
         return None
     before = _withdrawn(free[:, 0], back) if back > 0 else None
     best = approach.best_route(view, free[:, 0], before, link if back > 0 else None)
     return None if best is None else ArcPath(free[best[0]], angles, best[1])
+
+
+def _distinct(base: Array) -> Array:
+    """Indices of the first of every group of like base poses (N, 3), in order."""
+    _, first = np.unique(np.round(base / [0.1, 0.1, 0.2]), axis=0, return_index=True)
+    return np.sort(first)
 
 
 def _withdrawn(q: Array, back: float) -> Array:
@@ -222,8 +233,14 @@ def _push_angles(link: JointedLink, half: bool) -> Array:
     return np.append(np.linspace(first, 0.0, 10), -PRESS_PAST)
 
 
+def _hand_side(link: JointedLink) -> float:
+    """1 for a door whose bar is to the right of its hinge, from outside seen to the left: what the searches take as
+    given; -1 for its mirror image."""
+    return -float(np.sign(link.handle.pos[1]))
+
+
 def _line(
-    near: Array, side: Array, headings: tuple[float, ...], ways: tuple[float, ...], share: Array
+    near: Array, side: Array, headings: Sequence[float], ways: tuple[float, ...], share: Array
 ) -> Array:  # fmt: skip
     """Base paths (N, K, 3): from points of a grid backwards along a heading, ``share`` (K,) of the way."""
     out = []
@@ -273,12 +290,14 @@ def _pull_stances(link: JointedLink) -> Stances:
     grip = np.array([link.handle_pose(max(a, 0.0))[0] for a in angles])
     grip[:, 2] += ABOVE_MIDDLE
     share = np.clip(angles / angles[-1], 0.0, 1.0)
-    base = _line(np.arange(0.8, 1.25, 0.1), np.arange(-0.85, 0.15, 0.15), (0.3, 0.6, 0.9), (0.4, 0.6), share)
+    m = _hand_side(link)
+    headings = m * np.array([0.3, 0.6, 0.9])
+    base = _line(np.arange(0.8, 1.25, 0.1), m * np.arange(-0.85, 0.15, 0.15), headings, (0.4, 0.6), share)
     found = []
     for first, last in ((0.4, 0.6), (0.8, 0.7)):
-        yaw = first + (last - first) * share
+        yaw = m * (first + (last - first) * share)
         pos = grip.copy()
-        pos[0] += PRE_GRASP * np.array([np.cos(first), np.sin(first), 0.0])
+        pos[0] += PRE_GRASP * np.array([np.cos(yaw[0]), np.sin(yaw[0]), 0.0])
         found.append(_search(link, base, pos, _level(yaw), angles, tries=5))
     return Stances.join(found)
 
@@ -295,7 +314,9 @@ def _push_stances(link: JointedLink, angles: Array) -> Stances:
     """The closed fingers on the outside of the door above its bar, from behind the open door to the closed one."""
     share = np.clip(1.0 - angles / angles[0], 0.0, 1.0)
     ways = (-1.0, -0.8, -0.6, -0.4)
-    base = _line(np.arange(0.9, 1.7, 0.08), np.arange(-0.1, 1.05, 0.1), (0.3, 0.6, 0.9), ways, share)
+    m = _hand_side(link)
+    headings = m * np.array([0.3, 0.6, 0.9])
+    base = _line(np.arange(0.9, 1.7, 0.1), m * np.arange(-0.1, 1.05, 0.1), headings, ways, share)
     handle = link.handle
     found = []
     for first, last in ((0.0, 0.0), (0.0, 0.4), (0.5, 0.4)):
@@ -306,5 +327,5 @@ def _push_stances(link: JointedLink, angles: Array) -> Stances:
         for angle, more in zip(angles, gap, strict=True):
             at, bar, out = link.handle_pose(float(angle))
             pos.append(at + more * out + (handle.half_length + ABOVE_BAR) * bar)
-        found.append(_search(link, base, np.array(pos), _level(yaw), angles, tries=5, mode="approach"))
+        found.append(_search(link, base, np.array(pos), _level(m * yaw), angles, tries=5, mode="approach"))
     return Stances.join(found)

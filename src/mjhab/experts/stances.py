@@ -22,6 +22,8 @@ SELF_MARGIN = 0.02
 FLOOR_MARGIN = 0.285
 """Clearance the base of a stance must have, `COMFORT` what it should have [m]."""
 COMFORT = 0.36
+FOLLOWED = 3
+"""Seeds followed per base path."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,12 +70,6 @@ class Frame:
     def base(self, q: Array) -> Array:
         """Configurations (..., Q) or base poses (..., 3) with the base columns moved to the world."""
         return np.concatenate([self.point(q[..., :2]), wrap(q[..., 2:3] + self.yaw), q[..., 3:]], axis=-1)
-
-    def inverse(self, pose: Array) -> Array:
-        """World base pose (3,) in the plan frame."""
-        c, s = np.cos(self.yaw), np.sin(self.yaw)
-        dx, dy = pose[:2] - self.origin
-        return np.array([c * dx + s * dy, c * dy - s * dx, float(wrap(pose[2] - self.yaw))])
 
 
 _FOUND: dict[tuple[str, str], Stances] = {}
@@ -132,6 +128,8 @@ def track(
     path[0][:, :3] = base[row, 0]
     ok = found.ok.reshape(-1)
     path, row = [path[0][ok]], row[ok]
+    travel = ik.travel_steps(robot, rest, path[0], dofs)
+    path, row = _drop(path, row, _quickest(row, travel, FOLLOWED))
     path, row = _drop(path, row, _clear(path[0], boxes[0] if boxes else None, margin))
     for k in range(1, base.shape[1]):
         if not len(row):
@@ -153,6 +151,15 @@ def track(
     _, first = np.unique(row[order], return_index=True)
     chosen = order[first]
     return Stances(np.stack(path, axis=1)[chosen], travel[chosen], back[chosen])
+
+
+def _quickest(row: Array, travel: Array, count: int) -> Array:
+    """Which of the seeds (R,) are among the ``count`` quickest, by ``travel`` (R,), of their base path ``row`` (R,)."""
+    order = np.lexsort((travel, row))
+    place = np.arange(len(row)) - np.searchsorted(row[order], row[order])
+    keep = np.zeros(len(row), dtype=bool)
+    keep[order] = place < count
+    return keep
 
 
 def _drop(path: list[Array], row: Array, keep: Array) -> tuple[list[Array], Array]:

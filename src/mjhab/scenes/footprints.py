@@ -75,9 +75,18 @@ def all_geoms(template: Prop | Articulation) -> tuple[Geom, ...]:
     if isinstance(template, Prop):
         return template.geoms
     moved = [
-        Geom(g.shape, g.size, (g.pos[0] + k.pos[0], g.pos[1] + k.pos[1], g.pos[2] + k.pos[2]), g.quat, g.material,
-             g.mesh, g.collide, g.visual)
-        for k in template.links for g in k.geoms
+        Geom(
+            g.shape,
+            g.size,
+            (g.pos[0] + k.pos[0], g.pos[1] + k.pos[1], g.pos[2] + k.pos[2]),
+            g.quat,
+            g.material,
+            g.mesh,
+            g.collide,
+            g.visual,
+        )
+        for k in template.links
+        for g in k.geoms
     ]
     return (*template.geoms, *moved)
 

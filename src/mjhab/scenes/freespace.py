@@ -169,4 +169,4 @@ def _fill(blocked: np.ndarray, polygon: np.ndarray, origin: tuple[float, float],
         normal = np.array([b[1] - a[1], a[0] - b[0]])
         slack = cell / 2 * np.abs(normal).sum() - 1e-9
         inside &= (xs[:, None] - a[0]) * normal[0] + (ys[None, :] - a[1]) * normal[1] < slack
-    blocked[low[0]:high[0], low[1]:high[1]] |= inside
+    blocked[low[0] : high[0], low[1] : high[1]] |= inside

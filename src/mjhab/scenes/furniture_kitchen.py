@@ -42,8 +42,12 @@ def kitchen_counter() -> Articulation:
     )
     inside = tuple(
         Receptacle(
-            name, (0.14, 0.0, floor - _link_z(z)), (0.145, (y[1] - y[0]) / 2 - 0.05),
-            z[1] - floor, "drawer", name,
+            name,
+            (0.14, 0.0, floor - _link_z(z)),
+            (0.145, (y[1] - y[0]) / 2 - 0.05),
+            z[1] - floor,
+            "drawer",
+            name,
         )
         for name, y, z, floor, _ in _DRAWERS
     )
@@ -178,8 +182,13 @@ def _door(
     inner, outer = _INNER - _OUTER, 0.0
     geoms = [
         span((inner, outer), (-_WIDTH, 0.0), z, "fridge_door"),
-        span((inner - 0.006, inner), (-_WIDTH + 0.035, -0.035), (z[0] + 0.03, z[1] - 0.03), "fridge_inside",
-             collide=False),
+        span(
+            (inner - 0.006, inner),
+            (-_WIDTH + 0.035, -0.035),
+            (z[0] + 0.03, z[1] - 0.03),
+            "fridge_inside",
+            collide=False,
+        ),
     ]
     for height in bins:
         geoms += _bin(inner, height)

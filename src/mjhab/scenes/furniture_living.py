@@ -10,8 +10,19 @@ from mjhab.scenes.spec import Geom, Prop, Receptacle
 def living_props() -> tuple[Prop, ...]:
     """Every template of this module."""
     return (
-        _table_01(), _table_02(), _table_03(), _chair_01(), _sofa(), _tvstand(), _tv(), _bed(),
-        _cabinet(), _chest_of_drawers(), _cupboard(), _sideboard(), _bookshelf(),
+        _table_01(),
+        _table_02(),
+        _table_03(),
+        _chair_01(),
+        _sofa(),
+        _tvstand(),
+        _tv(),
+        _bed(),
+        _cabinet(),
+        _chest_of_drawers(),
+        _cupboard(),
+        _sideboard(),
+        _bookshelf(),
     )
 
 
@@ -34,7 +45,8 @@ def living_meshes() -> dict[str, Mesh]:
 def _legs(x: float, y: float, height: float, thick: float, material: str, collide: bool = True) -> list[Geom]:
     return [
         box((sx * x, sy * y, height / 2), (thick, thick, height), material, collide=collide)
-        for sx in (-1.0, 1.0) for sy in (-1.0, 1.0)
+        for sx in (-1.0, 1.0)
+        for sy in (-1.0, 1.0)
     ]
 
 
@@ -158,8 +170,15 @@ def _fronts(
     for r in range(rows):
         for c in range(columns):
             y0, z0 = y[0] + c * dy, z[0] + r * dz
-            geoms.append(span((x, x + 0.012), (y0 + gap / 2, y0 + dy - gap / 2), (z0 + gap / 2, z0 + dz - gap / 2),
-                              material, collide=False))
+            geoms.append(
+                span(
+                    (x, x + 0.012),
+                    (y0 + gap / 2, y0 + dy - gap / 2),
+                    (z0 + gap / 2, z0 + dz - gap / 2),
+                    material,
+                    collide=False,
+                )
+            )
             toward = 0.5 if columns == 1 else (0.88 if c < columns / 2 else 0.12)
             height = 0.5 if rows > 1 else 0.55
             geoms.append(box((x + 0.02, y0 + toward * dy, z0 + height * dz), (0.018, 0.03, 0.03), knob, collide=False))
@@ -218,9 +237,13 @@ def _books(level: int, z: float, colors: tuple[str, ...]) -> list[Geom]:
     while y < 0.36 - 0.14 * (level % 2):
         thick = 0.028 + 0.011 * ((k * 7) % 4)
         height = 0.20 + 0.018 * ((k * 5) % 5)
-        geoms.append(box((0.0, y + thick / 2, z + height / 2), (0.20, thick - 0.003, height),
-                         colors[k % len(colors)], collide=False))
+        geoms.append(
+            box(
+                (0.0, y + thick / 2, z + height / 2),
+                (0.20, thick - 0.003, height),
+                colors[k % len(colors)],
+                collide=False,
+            )
+        )
         y, k = y + thick, k + 1
     return geoms
-
-

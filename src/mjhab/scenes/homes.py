@@ -32,7 +32,7 @@ VERSION_ONE: tuple[Key, ...] = ((0, 0), (0, 1), (1, 0), (2, 0), (3, 0), (4, 0))
 """(macro, micro) of six homes, enough to try things quickly."""
 EVERY: tuple[Key, ...] = tuple((macro, micro) for macro in range(len(PLANS)) for micro in range(MICROS))
 """(macro, micro) of all 105 homes."""
-LISTED = VERSION_ONE
+LISTED = EVERY
 """(macro, micro) of the homes that the pack lists."""
 
 MAX_REACH_CENTER = 0.85
@@ -53,8 +53,11 @@ FRIDGE_HALF = 0.345
 
 # how far a micro layout may move a piece: across, along its own y axis [m], turn [rad]
 _SHIFTS: dict[str, tuple[float, float, float]] = {
-    "table_01": (0.10, 0.12, 0.06), "chair_01": (0.06, 0.08, 0.30), "table_02": (0.10, 0.12, 0.10),
-    "rug_01": (0.10, 0.15, 0.08), "rug_02": (0.10, 0.15, 0.08),
+    "table_01": (0.10, 0.12, 0.06),
+    "chair_01": (0.06, 0.08, 0.30),
+    "table_02": (0.10, 0.12, 0.10),
+    "rug_01": (0.10, 0.15, 0.08),
+    "rug_02": (0.10, 0.15, 0.08),
 }
 _ALONG_WALL = (0.0, 0.12, 0.0)
 _SMALL_SHIFT = (0.05, 0.05, math.pi)
@@ -97,9 +100,20 @@ def bare_home(macro: int, micro: int) -> Home:
     rooms = tuple(span(_x(r.extent), _y(r.extent), (-0.02, 0.001), r.floor, collide=False) for r in plan.rooms)
     note, limits = (hard.note, hard.limits) if hard else ("", ())
     return Home(
-        f"builtin_m{macro}_{micro:02d}", "builtin", split_of(macro), macro, micro, wall_geoms(plan),
-        (0.0, 0.0, width, depth), plan.rooms[0].floor, (), kitchen, _lights(plan), rooms,
-        note, limits,
+        f"builtin_m{macro}_{micro:02d}",
+        "builtin",
+        split_of(macro),
+        macro,
+        micro,
+        wall_geoms(plan),
+        (0.0, 0.0, width, depth),
+        plan.rooms[0].floor,
+        (),
+        kitchen,
+        _lights(plan),
+        rooms,
+        note,
+        limits,
     )
 
 

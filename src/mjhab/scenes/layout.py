@@ -194,9 +194,7 @@ def _add_static(world: mujoco.MjsBody, geoms: tuple[Geom, ...], name: str, at: P
         _add_geom(world, moved, f"{name}/{i}", bit)
 
 
-def _add_articulation(
-    spec: mujoco.MjSpec, articulation: Articulation, at: Placement, limits: dict[str, float]
-) -> None:
+def _add_articulation(spec: mujoco.MjSpec, articulation: Articulation, at: Placement, limits: dict[str, float]) -> None:
     _add_static(spec.worldbody, articulation.geoms, articulation.name, at, contact_bits.STATIC)
     for link in articulation.links:
         pos, quat = compose(at.pos, at.rotation, link.pos)

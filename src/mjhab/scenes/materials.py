@@ -20,8 +20,13 @@ class Material:
 
 
 def _m(
-    r: float, g: float, b: float, pattern: Pattern = "plain",
-    color2: tuple[float, float, float] | None = None, scale: float = 0.1, gloss: float = 0.1,
+    r: float,
+    g: float,
+    b: float,
+    pattern: Pattern = "plain",
+    color2: tuple[float, float, float] | None = None,
+    scale: float = 0.1,
+    gloss: float = 0.1,
 ) -> Material:
     return Material((r, g, b), pattern, color2, scale, gloss)
 

@@ -32,14 +32,24 @@ SIZES: dict[str, Vec3] = {
 """Full extents (x, y, z) [m] of each object standing as it is usually put down."""
 
 MASSES: dict[str, float] = {
-    "002_master_chef_can": 0.414, "003_cracker_box": 0.411, "004_sugar_box": 0.514, "005_tomato_soup_can": 0.349,
-    "007_tuna_fish_can": 0.171, "008_pudding_box": 0.187, "009_gelatin_box": 0.097, "010_potted_meat_can": 0.370,
-    "013_apple": 0.068, "024_bowl": 0.147,
+    "002_master_chef_can": 0.414,
+    "003_cracker_box": 0.411,
+    "004_sugar_box": 0.514,
+    "005_tomato_soup_can": 0.349,
+    "007_tuna_fish_can": 0.171,
+    "008_pudding_box": 0.187,
+    "009_gelatin_box": 0.097,
+    "010_potted_meat_can": 0.370,
+    "013_apple": 0.068,
+    "024_bowl": 0.147,
 }
 """Masses [kg]."""
 
 SCAN_YAW: dict[str, float] = {
-    "004_sugar_box": 0.031, "008_pudding_box": 1.089, "009_gelatin_box": -0.229, "010_potted_meat_can": 1.524,
+    "004_sugar_box": 0.031,
+    "008_pudding_box": 1.089,
+    "009_gelatin_box": -0.229,
+    "010_potted_meat_can": 1.524,
 }
 """Heading [rad] of the axes of the google_16k scan in our frame, where the thing stands at an angle in its scan."""
 
@@ -103,13 +113,29 @@ def object_meshes() -> dict[str, Mesh]:
         "apple_look": _apple_look(),
         "bowl_rim_piece": _wall_piece(knee_r, knee_z, rim_r, rim_z, _RIM_PIECES),
         "bowl_base_piece": _wall_piece(foot_r, foot_z, knee_r, knee_z, _BASE_PIECES),
-        "bowl_outside": lathe([
-            (0.0, foot_z), (foot_r, foot_z), (0.062, -0.020), (knee_r - 0.001, knee_z), (0.0785, 0.010), (rim_r, rim_z),
-        ], 40),
-        "bowl_inside": lathe([
-            (rim_r, rim_z), (rim_r - w, rim_z), (0.0785 - w, 0.010), (knee_r - w, knee_z), (0.060, -0.015),
-            (0.040, foot_z + w), (0.0, foot_z + w),
-        ], 40),
+        "bowl_outside": lathe(
+            [
+                (0.0, foot_z),
+                (foot_r, foot_z),
+                (0.062, -0.020),
+                (knee_r - 0.001, knee_z),
+                (0.0785, 0.010),
+                (rim_r, rim_z),
+            ],
+            40,
+        ),
+        "bowl_inside": lathe(
+            [
+                (rim_r, rim_z),
+                (rim_r - w, rim_z),
+                (0.0785 - w, 0.010),
+                (knee_r - w, knee_z),
+                (0.060, -0.015),
+                (0.040, foot_z + w),
+                (0.0, foot_z + w),
+            ],
+            40,
+        ),
     }
 
 
@@ -124,8 +150,9 @@ def _carton(half: Vec3, main: str, band: str, mark: str) -> tuple[list[Geom], li
     for s in (-1.0, 1.0):
         visuals.append(box((s * (hx - skin / 2), 0.0, 0.40 * hz), (skin, 1.5 * hy, 0.5 * hz), mark, collide=False))
         visuals.append(box((0.0, s * (hy - skin / 2), 0.40 * hz), (1.3 * hx, skin, 0.3 * hz), mark, collide=False))
-        visuals.append(rod((s * (hx - skin), 0.0, -0.45 * hz), min(0.35 * hy, 0.2 * hz), 2 * skin, main, axis="x",
-                           collide=False))
+        visuals.append(
+            rod((s * (hx - skin), 0.0, -0.45 * hz), min(0.35 * hy, 0.2 * hz), 2 * skin, main, axis="x", collide=False)
+        )
     return [Geom("box", half, visual=False)], visuals
 
 
@@ -218,7 +245,9 @@ def _icosphere() -> np.ndarray:
     corners = np.array([p[i:] + p[:i] for p in base for i in range(3)])
     edges = [
         (corners[i] + corners[j]) / 2
-        for i in range(12) for j in range(i) if abs(np.linalg.norm(corners[i] - corners[j]) - 2.0) < 1e-6
+        for i in range(12)
+        for j in range(i)
+        if abs(np.linalg.norm(corners[i] - corners[j]) - 2.0) < 1e-6
     ]
     points = np.concatenate([corners, np.array(edges)])
     return points / np.linalg.norm(points, axis=1, keepdims=True)
@@ -227,6 +256,18 @@ def _icosphere() -> np.ndarray:
 def _apple_look() -> Mesh:
     """An apple with dimples at stem and flower, inside the bounds of the hull."""
     rx, _, rz = (s / 2 for s in SIZES["013_apple"])
-    profile = [(0.0, -0.86), (0.16, -0.96), (0.34, -1.0), (0.66, -0.82), (0.90, -0.42), (1.0, 0.10), (0.95, 0.52),
-               (0.74, 0.88), (0.44, 1.0), (0.20, 0.93), (0.06, 0.80), (0.0, 0.74)]
+    profile = [
+        (0.0, -0.86),
+        (0.16, -0.96),
+        (0.34, -1.0),
+        (0.66, -0.82),
+        (0.90, -0.42),
+        (1.0, 0.10),
+        (0.95, 0.52),
+        (0.74, 0.88),
+        (0.44, 1.0),
+        (0.20, 0.93),
+        (0.06, 0.80),
+        (0.0, 0.74),
+    ]
     return lathe([(rx * r, rz * z) for r, z in profile], 28)

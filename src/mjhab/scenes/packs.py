@@ -86,7 +86,11 @@ def _replica_cad(folder: Path, scene: str, stage_mesh: Path | None) -> Pack:
 def builtin_pack() -> Pack:
     """The pack made by code; always the same."""
     return Pack(
-        "builtin", builtin_props(), builtin_articulations(), builtin_homes(), builtin_objects(),
+        "builtin",
+        builtin_props(),
+        builtin_articulations(),
+        builtin_homes(),
+        builtin_objects(),
         {**furniture_meshes(), **object_meshes()},
     )
 
@@ -144,8 +148,14 @@ def load_pack(folder: Path) -> Pack:
         objects = {o.name: o for o in _read(tuple[ObjectType, ...], body["objects"], "objects")}
         homes = _read(tuple[Home, ...], body["homes"], "homes")
         names = _read(tuple[str, ...], body["meshes"], "meshes")
-        pack = Pack(_read(str, body["name"], "name"), props, articulations, homes, objects,
-                    _read_meshes(folder / _MESHES, names))
+        pack = Pack(
+            _read(str, body["name"], "name"),
+            props,
+            articulations,
+            homes,
+            objects,
+            _read_meshes(folder / _MESHES, names),
+        )
     except KeyError as error:
         raise UsageError(f"{path}: field {error} is missing.") from error
     except ValueError as error:
@@ -173,15 +183,18 @@ def _check_names(pack: Pack, path: Path) -> None:
     """Every name that a home or a geom uses must exist in the pack."""
     for home in pack.homes:
         for what, placed, known in (
-            ("props", home.props, pack.props), ("articulations", home.articulations, pack.articulations),
+            ("props", home.props, pack.props),
+            ("articulations", home.articulations, pack.articulations),
         ):
             for p in placed:
                 if p.template not in known:
                     raise UsageError(f"{path}: home {home.name!r}, {what}: template {p.template!r} is not in the pack.")
     links = [link for a in pack.articulations.values() for link in a.links]
     groups = [
-        *(t.geoms for t in pack.props.values()), *(t.geoms for t in pack.articulations.values()),
-        *(link.geoms for link in links), *(o.collision + o.visuals for o in pack.objects.values()),
+        *(t.geoms for t in pack.props.values()),
+        *(t.geoms for t in pack.articulations.values()),
+        *(link.geoms for link in links),
+        *(o.collision + o.visuals for o in pack.objects.values()),
         *(h.walls + h.floor_patches for h in pack.homes),
     ]
     for geom in (g for group in groups for g in group):

@@ -166,9 +166,7 @@ class Furniture:
         places = self._receptacles(path, frames, scale, shapes, moved)
         return Articulation(name, tuple(body), tuple(links), places)
 
-    def _link(
-        self, name: str, path: Path, link: UrdfLink, joint: UrdfJoint, frame: np.ndarray, scale: float
-    ) -> Link:
+    def _link(self, name: str, path: Path, link: UrdfLink, joint: UrdfJoint, frame: np.ndarray, scale: float) -> Link:
         try:
             shapes, grip = ARTICULATED[name](link.name, link.boxes)
         except KeyError as error:

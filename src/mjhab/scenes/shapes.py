@@ -19,8 +19,13 @@ def box(
 
 
 def span(
-    x: tuple[float, float], y: tuple[float, float], z: tuple[float, float], material: str,
-    *, collide: bool = True, visual: bool = True,
+    x: tuple[float, float],
+    y: tuple[float, float],
+    z: tuple[float, float],
+    material: str,
+    *,
+    collide: bool = True,
+    visual: bool = True,
 ) -> Geom:
     """A box from its extents along the three axes [m]."""
     center = ((x[0] + x[1]) / 2, (y[0] + y[1]) / 2, (z[0] + z[1]) / 2)
@@ -29,8 +34,14 @@ def span(
 
 
 def rod(
-    center: Vec3, radius: float, length: float, material: str,
-    *, axis: str = "z", collide: bool = True, visual: bool = True,
+    center: Vec3,
+    radius: float,
+    length: float,
+    material: str,
+    *,
+    axis: str = "z",
+    collide: bool = True,
+    visual: bool = True,
 ) -> Geom:
     """A cylinder from its centre, radius and full length [m] along a coordinate axis."""
     s = math.sqrt(0.5)
@@ -88,9 +99,7 @@ def rounded_box(size: Vec3, radius: float, steps: int = 2) -> Mesh:
     return Mesh(np.concatenate(vertices).astype(np.float32), np.concatenate(faces).astype(np.int32))
 
 
-def _rounded_side(
-    half: np.ndarray, radius: float, steps: int, axis: int, sign: float
-) -> tuple[np.ndarray, np.ndarray]:
+def _rounded_side(half: np.ndarray, radius: float, steps: int, axis: int, sign: float) -> tuple[np.ndarray, np.ndarray]:
     u, v = (axis + 1) % 3, (axis + 2) % 3
     core = half - radius
 

@@ -204,9 +204,7 @@ def _fill(inverse, ids, tag, x0, y0, w0, x1, y1, w1, x2, y2, w2, keep):
     if area < 0.0:
         x1, y1, x2, y2 = x2, y2, x1, y1
     if (right - left) <= 3.0 and (bottom - top) <= 3.0:
-        _fill_small(
-            inverse, ids, tag, x0, y0, x1, y1, x2, y2, w0, gx, gy, int(left), int(right), int(top), int(bottom)
-        )
+        _fill_small(inverse, ids, tag, x0, y0, x1, y1, x2, y2, w0, gx, gy, int(left), int(right), int(top), int(bottom))
         return
     for row in range(int(top), int(bottom) + 1):
         y = row + 0.5

@@ -1,1 +1,0 @@
-from mjhab.envs.grasps import *  # noqa: F403

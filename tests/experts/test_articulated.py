@@ -1,0 +1,90 @@
+"""Opening and closing drawers and doors: whole episodes with the expert, and the geometry its stances rest on."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mjhab.envs import make
+from mjhab.envs.privileged import JointedLink, home_shapes
+from mjhab.envs.sequential import SequentialTaskEnv
+from mjhab.experts import door, drawer, make_expert, motion, stances
+
+DRAWER, DOOR = "kitchen_counter/drawer3", "fridge/top_door"
+
+
+def play(subtask: str, target: str, episode: int) -> dict:
+    """The record of one episode's subtask, run to its horizon by the expert."""
+    env = make(task="set_table", subtask=subtask, target=target, num_envs=1, autoreset="disabled")
+    policy = make_expert(env)
+    obs, info = env.reset(seed=0, options={"episode": [episode], "reset_mask": np.ones(1, dtype=bool)})
+    policy.reset(np.ones(1, dtype=bool))
+    while info["ended"][0] is None:
+        obs, _, _, _, info = env.step(policy.act(obs, info))
+    return info["ended"][0]
+
+
+@pytest.mark.parametrize(
+    ("subtask", "target", "episode"),
+    [("open", DRAWER, 5), ("close", DRAWER, 6), ("open", DOOR, 13), ("close", DOOR, 13)],
+)
+def test_expert_succeeds(subtask: str, target: str, episode: int) -> None:
+    ended = play(subtask, target, episode)
+    assert ended["success_once"], ended
+    assert ended["cumulative_force"] < 5000.0
+
+
+@pytest.fixture(scope="module")
+def env() -> SequentialTaskEnv:
+    return make(task="set_table", subtask="open", target=DRAWER, num_envs=1, autoreset="disabled")
+
+
+def plan_link(env: SequentialTaskEnv, name: str) -> JointedLink:
+    link = home_shapes(env.layout, env.layout.pack.homes[0].name).links[name]
+    return JointedLink(link.id, link.spec, np.array([0.0, 0.0, link.origin[2]]), np.eye(3))
+
+
+def test_pull_stances_hold_the_bar(env: SequentialTaskEnv) -> None:
+    link = plan_link(env, DRAWER)
+    found = stances.cached(link, "pull", drawer._pull_stances)
+    pos, rot = motion.chain().tip_pose(found.q[:, 1])
+    handle, bar, out = link.handle_pose(0.0)
+    assert len(found) > 20
+    assert np.abs(pos - handle).max() < 5e-3
+    assert np.abs(rot[:, :, 0] + out).max() < 0.05  # points at the drawer
+    assert np.abs(rot[:, :, 1] @ bar).max() < 0.05  # fingers above and below
+
+
+def test_pull_stances_follow_the_arc(env: SequentialTaskEnv) -> None:
+    link = plan_link(env, DOOR)
+    found, angles = stances.cached(link, "pull", door._pull_stances), door._pull_angles(link)
+    assert len(found) > 20
+    assert angles[-1] > 0.75 * link.range[1]
+    for k in range(1, len(angles)):
+        pos, _ = motion.chain().tip_pose(found.q[:, k])
+        assert np.abs(pos - link.handle_pose(angles[k])[0])[:, :2].max() < 5e-3
+
+
+def test_frame_round_trip(env: SequentialTaskEnv) -> None:
+    link = home_shapes(env.layout, env.layout.pack.homes[-1].name).links[DOOR]
+    frame = stances.Frame.of(link)
+    pose = np.array([0.7, -0.4, 2.0])
+    world = frame.base(pose)
+    c, s = np.cos(frame.yaw), np.sin(frame.yaw)
+    assert np.allclose(np.array([[c, s], [-s, c]]) @ (world[:2] - frame.origin), pose[:2])
+    handle = JointedLink(link.id, link.spec, np.array([0.0, 0.0, link.origin[2]]), np.eye(3)).handle_pose(0.4)[0]
+    assert np.allclose(frame.point(handle[:2]), link.handle_pose(0.4)[0][:2])
+
+
+def test_withdrawn_hand_moves_straight_back(env: SequentialTaskEnv) -> None:
+    q = stances.cached(plan_link(env, DRAWER), "pull", drawer._pull_stances).q[:, 1]
+    moved = door._withdrawn(q, 0.05)
+    (start, rot), (end, _) = motion.chain().tip_pose(q), motion.chain().tip_pose(moved)
+    done = np.abs(moved - q).max(axis=1) > 0
+    assert done.mean() > 0.8
+    assert np.allclose(start - end, 0.05 * rot[:, :, 0] * done[:, None], atol=5e-3)
+
+
+def test_quickest_seeds_are_kept() -> None:
+    row, travel = np.array([1, 0, 0, 0, 1]), np.array([5.0, 3.0, 1.0, 2.0, 4.0])
+    assert stances._quickest(row, travel, 2).tolist() == [True, False, True, True, True]

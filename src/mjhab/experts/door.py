@@ -25,6 +25,8 @@ AROUND, LOOSE = 0.045, 0.03
 """
 ABOVE_MIDDLE = 0.13
 """Height over the middle of the bar at which it is taken, nearer to where the hand rests [m]."""
+THICK = 0.035
+"""Thickness of a bar that the hand must take squarely and that hardly turns between the pads [m]."""
 SHUT = 0.006
 """Share of the range at which a door is left as closed; 0.01 counts."""
 PRESS_AHEAD, PRESS_PAST = 0.16, 0.02
@@ -33,6 +35,8 @@ BEHIND = 0.25
 """Way the hand goes straight in behind an open door [m]."""
 ABOVE_BAR = 0.08
 """Height over the end of the bar at which the door is pushed [m]."""
+FROM_EDGE = 0.06
+"""Least distance from the free edge of the door at which it is pushed [m]."""
 HALF_OPEN = 0.95
 """Share of the range up to which the hand need not start as far behind the door as for a wide open one."""
 STANCES_TRIED = 16
@@ -258,12 +262,22 @@ def _in_reach(base: Array, hands: Array) -> Array:
     return (far.max(axis=1) < 0.95) & (far.min(axis=1) > 0.35)
 
 
-def _carcass() -> BoxArrays:
-    return BoxArrays(np.array([[-0.37, -0.345, 0.975]]), np.array([[0.31, 0.345, 0.975]]), np.eye(3)[None])
+def _panel(link: JointedLink) -> tuple[Array, Array]:
+    """Least and greatest corner (3,) of the closed door without its bar and shelves."""
+    boxes = link.boxes(0.0)
+    k = int(np.argmax(boxes.half.prod(axis=1)))
+    reach = np.abs(boxes.rot[k]) @ boxes.half[k]
+    return boxes.center[k] - reach, boxes.center[k] + reach
+
+
+def _carcass(link: JointedLink) -> BoxArrays:
+    low, high = _panel(link)
+    middle = np.array([low[0] - 0.006 - 0.31, (low[1] + high[1]) / 2, 0.975])
+    return BoxArrays(middle[None], np.array([[0.31, (high[1] - low[1]) / 2, 0.975]]), np.eye(3)[None])
 
 
 def _with_door(link: JointedLink, angle: float) -> BoxArrays:
-    parts = (_carcass(), link.boxes(max(angle, 0.0)))
+    parts = (_carcass(link), link.boxes(max(angle, 0.0)))
     return BoxArrays(*(np.concatenate([getattr(p, k) for p in parts]) for k in ("center", "half", "rot")))
 
 
@@ -291,10 +305,12 @@ def _pull_stances(link: JointedLink) -> Stances:
     grip[:, 2] += ABOVE_MIDDLE
     share = np.clip(angles / angles[-1], 0.0, 1.0)
     m = _hand_side(link)
-    headings = m * np.array([0.3, 0.6, 0.9])
-    base = _line(np.arange(0.8, 1.25, 0.1), m * np.arange(-0.85, 0.15, 0.15), headings, (0.4, 0.6), share)
+    thick = link.handle.thickness > THICK
+    headings = m * np.array([0.6, 0.9, 1.2, 1.5] if thick else [0.3, 0.6, 0.9])
+    ways = (0.5, 0.65, 0.8, 0.95) if thick else (0.4, 0.6)
+    base = _line(np.arange(0.8, 1.25, 0.1), m * np.arange(-0.85, 0.15, 0.15), headings, ways, share)
     found = []
-    for first, last in ((0.4, 0.6), (0.8, 0.7)):
+    for first, last in ((0.0, 0.6), (0.0, 1.2), (0.15, 0.7)) if thick else ((0.4, 0.6), (0.8, 0.7)):
         yaw = m * (first + (last - first) * share)
         pos = grip.copy()
         pos[0] += PRE_GRASP * np.array([np.cos(yaw[0]), np.sin(yaw[0]), 0.0])
@@ -317,15 +333,18 @@ def _push_stances(link: JointedLink, angles: Array) -> Stances:
     m = _hand_side(link)
     headings = m * np.array([0.3, 0.6, 0.9])
     base = _line(np.arange(0.9, 1.7, 0.1), m * np.arange(-0.1, 1.05, 0.1), headings, ways, share)
-    handle = link.handle
+    handle, (low, high) = link.handle, _panel(link)
+    edge = (low if m > 0 else high)[1]
+    inward = m * max(0.0, FROM_EDGE - abs(edge - handle.pos[1]))
     found = []
     for first, last in ((0.0, 0.0), (0.0, 0.4), (0.5, 0.4)):
         yaw = first + (last - first) * share
         lag = angles - yaw
-        gap = TIP * np.abs(np.cos(lag)) + FINGER_SIDE * np.abs(np.sin(lag)) - handle.pos[0]
+        gap = high[0] + TIP * np.abs(np.cos(lag)) + FINGER_SIDE * np.abs(np.sin(lag)) - handle.pos[0]
         pos = []
         for angle, more in zip(angles, gap, strict=True):
             at, bar, out = link.handle_pose(float(angle))
-            pos.append(at + more * out + (handle.half_length + ABOVE_BAR) * bar)
+            across = np.array([-out[1], out[0], 0.0])
+            pos.append(at + more * out + inward * across + (handle.half_length + ABOVE_BAR) * bar)
         found.append(_search(link, base, np.array(pos), _level(m * yaw), angles, tries=5, mode="approach"))
     return Stances.join(found)

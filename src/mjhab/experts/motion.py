@@ -46,8 +46,6 @@ OPEN, CLOSED = 1.0, -1.0
 """Gripper commands."""
 ARM_DELAY = 1.0 - np.exp(-0.5)
 """Share of a commanded delta an arm joint covers in one control step (kp/kd = 10 per second, 50 ms)."""
-FINGER_TRAVEL = (-0.01, 0.05)
-"""Finger positions [m] that the gripper commands -1 and 1 stand for."""
 _ARM = list(ARM_JOINTS)
 _TORSO_Q, _HEAD_PAN_Q, _HEAD_TILT_Q = (
     FETCH_JOINTS.index(n) for n in ("torso_lift_joint", "head_pan_joint", "head_tilt_joint")
@@ -113,7 +111,7 @@ def action(
 
 def gripper_at(opening: float) -> float:
     """The gripper command that opens the fingers to a width [m]."""
-    low, high = FINGER_TRAVEL
+    low, high = LIMITS.gripper
     return float(np.clip((opening - low - high) / (high - low), CLOSED, OPEN))
 
 

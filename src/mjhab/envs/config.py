@@ -8,7 +8,7 @@ from mjhab.core.errors import UsageError, unknown_name
 from mjhab.tasks.plan import KIND_NAMES, TASKS
 
 SPLITS = ("train", "val", "test")
-AUTORESET_MODES = ("same_step", "next_step", "disabled")
+AUTORESET_MODES = ("same_step", "disabled")
 SUBTASKS_OF_TASK = {
     "tidy_house": ("pick", "place", "navigate"),
     "prepare_groceries": ("pick", "place", "navigate"),

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from gymnasium import spaces
 
+from mjhab.scenes.fetch import BASE_HEIGHT
+
 
 @dataclass(frozen=True, eq=False)
 class ObsContext:
@@ -27,10 +29,6 @@ class ObsContext:
     obj_pose: np.ndarray
     goal_pos: np.ndarray
     is_grasped: np.ndarray
-
-
-BASE_HEIGHT = 0.02
-"""base_link floats this high [m] above the floor."""
 
 
 def pose_in_base(base: np.ndarray, pose: np.ndarray) -> np.ndarray:

@@ -107,7 +107,6 @@ class SequentialTaskEnv(VectorEnv):
         self._descriptions: list[dict[str, Any]] = [{} for _ in range(n)]
         self._gripper = np.ones(n, np.float32)
         self._joint_start = np.zeros(n)
-        self._needs_reset = np.zeros(n, bool)
         self._follow(progress_rules.start(self.tables.arrays, self.task_config))
         self.signals: Signals | None = None
         self._state: SimState = self.sim.state()
@@ -164,7 +163,6 @@ class SequentialTaskEnv(VectorEnv):
         mask = np.zeros(self.num_envs, bool)
         mask[worlds] = True
         self._count[worlds] += 1
-        self._needs_reset[worlds] = False
         self._pending[worlds] = -1
         held = self.tables.arrays.kind[:, 0] == SubtaskKind.PLACE
         self._gripper[worlds] = np.where(held[worlds], -1.0, 1.0)
@@ -238,8 +236,6 @@ class SequentialTaskEnv(VectorEnv):
             UsageError: wrong shape, or actions that are not finite.
         """
         actions = self._check(actions)
-        if self.config.autoreset == "next_step" and self._needs_reset.any():
-            self._begin_next(np.flatnonzero(self._needs_reset))
         self._advance_physics(actions)
         signals = self._measure_step()
         new, outcome = progress_rules.advance(self.progress, signals, self.tables.arrays, self.task_config)
@@ -260,7 +256,6 @@ class SequentialTaskEnv(VectorEnv):
         elif (self._pending >= 0).any():
             self._teleport()
             self._state = self.sim.state()
-        self._needs_reset |= outcome.done
         return self._finish(events, ended, reward, terminated, truncated)
 
     def _check(self, actions: np.ndarray) -> np.ndarray:
@@ -391,7 +386,6 @@ class SequentialTaskEnv(VectorEnv):
 
 _MODES = {
     "same_step": AutoresetMode.SAME_STEP,
-    "next_step": AutoresetMode.NEXT_STEP,
     "disabled": AutoresetMode.DISABLED,
 }
 _CHECKERS = (

@@ -15,13 +15,11 @@ from mjhab.core.boxes import Boxes, sphere_box_distance
 from mjhab.core.rotations import mat_from_quat, pose_mul
 from mjhab.envs.actions import ARM_JOINTS
 from mjhab.scenes.fetch import REST_QPOS
-from mjhab.scenes.freespace import FreeMap, free_map
+from mjhab.scenes.freespace import BASE_RADIUS, FreeMap, free_map
 from mjhab.scenes.spec import Home
 from mjhab.sim.cpu import CpuSimulator
 from mjhab.sim.scratch import Scratch
 
-ROBOT_RADIUS = 0.3
-"""Radius [m] the walkable maps of ReplicaCAD are made for."""
 XY_NOISE, YAW_NOISE, ARM_NOISE = (0.1, 0.2), (0.25, 0.5), (0.1, 0.2)
 """(standard deviation, clip) in m, rad, rad."""
 MAX_DISTANCE = 2.0
@@ -66,7 +64,7 @@ class SpawnSampler:
         """(P, 2) centres of the cells where the robot can stand."""
         if home not in self._standing:
             fmap = self.map(home)
-            self._standing[home] = fmap.to_xy(np.argwhere(fmap.navigable(ROBOT_RADIUS)))
+            self._standing[home] = fmap.to_xy(np.argwhere(fmap.navigable(BASE_RADIUS)))
         return self._standing[home]
 
     def try_once(
@@ -136,7 +134,7 @@ class SpawnSampler:
         fmap = self.map(home)
         cell = fmap.to_cell(xy)
         inside = np.all(cell >= 0) and np.all(cell < fmap.clearance.shape)
-        if not inside or fmap.clearance[tuple(cell)] < ROBOT_RADIUS - 0.02:
+        if not inside or fmap.clearance[tuple(cell)] < BASE_RADIUS - 0.02:
             return None
         if np.linalg.norm(xy - goal.face) > MAX_DISTANCE or (goal.area is not None and not self._inside(xy, goal.area)):
             return None

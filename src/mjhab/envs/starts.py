@@ -9,7 +9,7 @@ import numpy as np
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.seeding import stream
 from mjhab.envs.config import EnvConfig
-from mjhab.envs.episodes import FRIDGE_DOOR, Episode
+from mjhab.envs.episodes import BOWL_DRAWER, FRIDGE_DOOR, Episode
 from mjhab.envs.held import HeldStarts
 from mjhab.envs.spawns import MAX_TRIES, Held, SpawnGoal, SpawnSampler
 from mjhab.scenes.fetch import REST_QPOS
@@ -50,7 +50,7 @@ def check_target(config: EnvConfig, layout: Layout) -> None:
     if not config.target:
         return
     if config.subtask in ("open", "close"):
-        valid = ["kitchen_counter/drawer3", FRIDGE_DOOR]
+        valid = [BOWL_DRAWER, FRIDGE_DOOR]
     elif config.task == "set_table":
         valid = ["024_bowl", "013_apple"]
     else:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import product
 
@@ -87,6 +87,8 @@ def close_door(view: WorldView, link: JointedLink) -> Motion:
             return False
         yield from approach.go(view, path.route, motion.CLOSED)
         yield from motion.move_joints(view, path.q[0], gripper=motion.CLOSED, tolerance=0.25, max_steps=25)
+        if _inward(link):
+            yield from _behind_edge(view, path)
         yield from _follow_arc(view, link, path, closed, motion.CLOSED)
         yield from approach.retreat(view, 0.06)
     return (yield from approach.fold(view))
@@ -148,6 +150,17 @@ def _follow_arc(view: WorldView, link: JointedLink, path: ArcPath, goal: float, 
             return False
         yield _arc_action(view, path, aim, way * pace, gripper)
     return False
+
+
+def _behind_edge(view: WorldView, path: ArcPath) -> Motion:
+    """Bring the hand to the beginning of a path: with the base not quite in place it might meet the door's edge."""
+    pos, rot = path.hand_at(float(path.angles[0]))
+    return (
+        yield from motion.move_tcp(
+            view, pos, rot, gripper=motion.CLOSED, speed=0.8, tolerance=0.05, angle_tolerance=0.5, max_steps=8,
+            rest=path.q[0], mode="approach",
+        )
+    )  # fmt: skip
 
 
 def _far(view: WorldView, link: JointedLink, path: ArcPath) -> bool:
@@ -238,13 +251,21 @@ def _push_angles(link: JointedLink, half: bool) -> Array:
 
 
 def _hand_side(link: JointedLink) -> float:
-    """1 for a door whose bar is to the right of its hinge, from outside seen to the left: what the searches take as
-    given; -1 for its mirror image."""
+    """1 for a door with its bar at negative y, to the left as seen from outside, for which the searches are written
+    down; -1 for its mirror image."""
     return -float(np.sign(link.handle.pos[1]))
 
 
+def _inward(link: JointedLink) -> float:
+    """Way along y [m] from the bar to where the door is pushed: 0 unless the bar is at the door's very edge."""
+    m, (low, high) = _hand_side(link), _panel(link)
+    edge = (low if m > 0 else high)[1]
+    lack = FROM_EDGE - abs(edge - link.handle.pos[1])
+    return m * lack if lack > 0.001 else 0.0
+
+
 def _line(
-    near: Array, side: Array, headings: Sequence[float], ways: tuple[float, ...], share: Array
+    near: Array, side: Array, headings: Iterable[float], ways: tuple[float, ...], share: Array
 ) -> Array:  # fmt: skip
     """Base paths (N, K, 3): from points of a grid backwards along a heading, ``share`` (K,) of the way."""
     out = []
@@ -333,14 +354,12 @@ def _push_stances(link: JointedLink, angles: Array) -> Stances:
     m = _hand_side(link)
     headings = m * np.array([0.3, 0.6, 0.9])
     base = _line(np.arange(0.9, 1.7, 0.1), m * np.arange(-0.1, 1.05, 0.1), headings, ways, share)
-    handle, (low, high) = link.handle, _panel(link)
-    edge = (low if m > 0 else high)[1]
-    inward = m * max(0.0, FROM_EDGE - abs(edge - handle.pos[1]))
+    handle, face, inward = link.handle, _panel(link)[1][0], _inward(link)
     found = []
     for first, last in ((0.0, 0.0), (0.0, 0.4), (0.5, 0.4)):
         yaw = first + (last - first) * share
         lag = angles - yaw
-        gap = high[0] + TIP * np.abs(np.cos(lag)) + FINGER_SIDE * np.abs(np.sin(lag)) - handle.pos[0]
+        gap = face + TIP * np.abs(np.cos(lag)) + FINGER_SIDE * np.abs(np.sin(lag)) - handle.pos[0]
         pos = []
         for angle, more in zip(angles, gap, strict=True):
             at, bar, out = link.handle_pose(float(angle))

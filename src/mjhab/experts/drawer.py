@@ -14,6 +14,8 @@ PRE_GRASP = 0.11
 """Distance from which the open hand goes straight onto the handle [m]."""
 BACK_OFF = 0.08
 """Way between the handle and the hand before the arm folds [m]."""
+ROOM = 0.045
+"""Room beside the bar in the hand that goes around it [m]; a bar in a recess leaves no more."""
 CLOSED = 0.01
 """Share of the range at which a link counts as closed."""
 SPEED = 0.45
@@ -56,10 +58,11 @@ def _take_handle(view: WorldView, link: JointedLink) -> Motion:
     if best is None:
         return False
     posture = goals[best[0]]
-    yield from approach.go(view, best[1], motion.OPEN)
+    gripper = motion.gripper_at(link.handle.thickness + ROOM)
+    yield from approach.go(view, best[1], gripper)
     _, turn = motion.chain().tip_pose(posture[1])
     rot = stances.hand(-link.handle_pose(q)[2], turn[0, :, 1])
-    return (yield from approach.take(view, link, rot, posture[1]))
+    return (yield from approach.take(view, link, rot, posture[1], gripper=gripper))
 
 
 def _drive_link(view: WorldView, link: JointedLink, goal: float, speed: float, press: int = 0) -> Motion:

@@ -1,6 +1,7 @@
 """mjhab: the Home Assistant Benchmark with low-level whole-body control, on MuJoCo.
 
-Importing the package loads none of its libraries: the names below are looked up when they are first used.
+Importing the package makes its ids known to Gymnasium and loads neither mujoco nor any other heavy library: the names
+below are looked up when they are first used.
 """
 
 from __future__ import annotations
@@ -9,16 +10,17 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from mjhab.envs import make
+    from mjhab.envs import make, make_train
     from mjhab.experts import make_expert
     from mjhab.scenes.packs import open_pack
 
 __version__ = "0.1.0"
 
-__all__ = ["__version__", "make", "make_expert", "open_pack"]
+__all__ = ["__version__", "make", "make_expert", "make_train", "open_pack"]
 
 _LAZY = {
     "make": "mjhab.envs",
+    "make_train": "mjhab.envs",
     "make_expert": "mjhab.experts",
     "open_pack": "mjhab.scenes.packs",
 }
@@ -38,3 +40,12 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted({*globals(), *_LAZY, *_PACKAGES})
+
+
+def _register() -> None:
+    from mjhab.envs.catalog import register_envs
+
+    register_envs()
+
+
+_register()

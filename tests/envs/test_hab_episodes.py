@@ -15,12 +15,12 @@ from mjhab.core.errors import UsageError
 from mjhab.core.rotations import mat_from_quat
 from mjhab.envs import make
 from mjhab.envs.episodes import FRIDGE_PREOPEN, Episode, EpisodeMaker, require_furniture
-from mjhab.envs.hab_episodes import FileEpisodes, file_roster, number_of_root, object_poses
+from mjhab.envs.hab_episodes import FileEpisodes, file_roster, joint_positions, number_of_root, object_poses
 from mjhab.envs.hab_export import to_hab
 from mjhab.envs.hab_format import HabEpisode, HabFile, read_hab, write_hab
 from mjhab.scenes.layout import Layout
 from mjhab.scenes.objects import roster
-from mjhab.scenes.packs import open_pack
+from mjhab.scenes.packs import open_pack, with_joints
 from mjhab.scenes.spec import Home
 from mjhab.sim.cpu import CpuSimulator
 from tests.real_data import real_data
@@ -204,7 +204,7 @@ def test_the_env_runs_the_episodes_of_a_file(tmp_path: Path) -> None:
     write_hab(path, HabFile((hab("tidy_house", 1), one)))
     env = make(task="tidy_house", num_envs=3, episodes_file=str(path), split="val", autoreset="disabled")
     _, info = env.reset(seed=3, options={"episode": np.array([0, 1, 2])})
-    told = info["episode"]
+    told = info["episode_spec"]
     assert [e["index"] for e in told] == [0, 1, 2] and {e["home"] for e in told} == {home.name}
     assert [len(e["plan"]) for e in told] == [20, 4, 20]
     assert told[1]["plan"][1]["target"] == episodes[0].targets[0].obj
@@ -214,7 +214,7 @@ def test_the_env_runs_the_episodes_of_a_file(tmp_path: Path) -> None:
     kind = episodes[1].targets[2].obj.split("_:")[0]
     alone = make(task="tidy_house", subtask="pick", target=kind, episodes_file=str(path), autoreset="disabled")
     _, info = alone.reset(seed=0, options={"episode": np.array([0])})
-    assert info["episode"][0]["plan"][0]["target"].startswith(kind)
+    assert info["episode_spec"][0]["plan"][0]["target"].startswith(kind)
     with pytest.raises(UsageError, match=r"none of its 2 episodes is in home 'builtin_m1_00'"):
         make(task="tidy_house", episodes_file=str(path), home="builtin_m1_00")
 
@@ -239,3 +239,28 @@ def test_real_episodes_stay_at_rest() -> None:
         assert (upright > 0.9).mean() > 0.95
     assert total.total() == 5 * 30
     assert fallen.total() <= 0.01 * total.total(), fallen
+
+
+def test_states_of_furniture_that_is_welded_unless_asked_for() -> None:
+    folder = str(real_data("replica_cad"))
+    file = read_hab(real_data("hab_episodes", "tidy_house_v3_sc1_staging_01.json.gz"))
+    # Numbers of the data set: left cupboard doors open towards negative angles.
+    states = {"kitchenCupboard_01_:0000": {"2": -1.0, "3": 0.5}, "chestOfDrawers_01_:0000": {"2": 0.1}}
+    episode = replace(file.episodes[0], ao_states=states)
+    welded, opening = (Layout(open_pack(name), file_roster(file, open_pack(name)))
+                       for name in (folder, with_joints(folder, "kitchen_cupboards,chest_of_drawers")))  # fmt: skip
+    with pytest.raises(ValueError, match=r"\['2'\]: 'kitchenCupboard_01' is welded shut in this pack \(--articulate"):
+        joint_positions(welded, episode, 0)
+    found = dict(zip(opening.link_ids, joint_positions(opening, episode, 0).tolist(), strict=True))
+    assert {name: q for name, q in found.items() if q} == {
+        "kitchenCupboard_01/kitchencupboard_doorWhole_1L": 1.0,
+        "kitchenCupboard_01/kitchencupboard_doorWhole_1R": 0.5,
+        "chestOfDrawers_01/drawer_topL": 0.1,
+    }
+    home = next(h for h in opening.pack.homes if h.name == episode.scene)
+    assert number_of_root(opening, home, episode, object_poses(opening, episode)) == 0
+    assert number_of_root(welded, home, episode, object_poses(welded, episode)) == 0
+    made = Episode(
+        "tidy_house", "train", 0, 0, home.name, object_poses(opening, episode), np.array([*found.values()]), ()
+    )
+    assert to_hab(opening, home, made).ao_states == states

@@ -75,7 +75,7 @@ def test_worlds_can_be_in_different_subtasks():
     for _ in range(4):
         env.step(still(env))
     env.reset(options={"reset_mask": np.array([True, False, False, False])})
-    kinds = env._info([[]] * 4, [None] * 4)["kind"]
+    kinds = env.reporter.info(*env.reporter.nothing())["kind"]
     assert kinds[0] == SubtaskKind.NAVIGATE and (kinds[1:] == SubtaskKind.PICK).any()
 
 
@@ -83,7 +83,7 @@ def snapshot(env: SequentialTaskEnv, world: int) -> list[bytes]:
     batch = env.sim.batch
     rows = [batch.qpos, batch.qvel, batch.ctrl, batch.qacc_warmstart, batch.sensordata, batch.xpos]
     rows += [getattr(env.progress, f) for f in ("pointer", "steps_left", "cumulative_force", "peak_force")]
-    rows += [env._state.robot_q, env._state.object_pose, env.tracker._start_step, env._joint_start]
+    rows += [env.state.robot_q, env.state.object_pose, env.tracker._start_step, env.joint_start]
     rows += [getattr(env.tracker._notes._labels, f) for f in env.tracker._notes._labels.__dataclass_fields__]  # type: ignore[union-attr]
     return [np.ascontiguousarray(r[world]).tobytes() for r in rows if r is not None]
 
@@ -195,7 +195,7 @@ def test_nan_taints_only_its_world():
 
 
 def test_cameras_are_not_black():
-    env = build(num_envs=1, cameras=("depth", "rgb", "seg"), camera_size=64)
+    env = build(num_envs=1, obs_mode="rgbd+seg", camera_size=64)
     obs, _ = env.reset(seed=0)
     assert env.observation_space.contains(obs)
     depth = obs["sensor_data/fetch_head/depth"]
@@ -207,10 +207,10 @@ def test_cameras_are_not_black():
 def test_fixed_home_and_splits():
     env = build(home="builtin_m1_00", num_envs=2)
     _, info = env.reset(seed=0)
-    assert {e["home"] for e in info["episode"]} == {"builtin_m1_00"}
+    assert {e["home"] for e in info["episode_spec"]} == {"builtin_m1_00"}
     val = build(split="val", num_envs=2)
     _, info = val.reset(seed=0)
-    assert all(e["home"].startswith("builtin_m3") for e in info["episode"])
+    assert all(e["home"].startswith("builtin_m3") for e in info["episode_spec"])
 
 
 @pytest.mark.parametrize(
@@ -226,7 +226,7 @@ def test_fixed_home_and_splits():
         ({"split": "training"}, "train"),
         ({"assets": "bultin"}, "builtin"),
         ({"wrlds": 3}, "num_envs"),
-        ({"cameras": ("deth",)}, "depth"),
+        ({"obs_mode": "deth"}, "depth"),
     ],
 )
 def test_bad_options_name_what_is_valid(options: dict, message: str):

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from mjhab.core.errors import UsageError
 from mjhab.core.rotations import mat_from_quat
 from mjhab.envs.grasps import Gripper, ObjectShape, grasp_candidates
+from mjhab.envs.kinematics import Chain, rotation_vector
 from mjhab.experts import ik
 from mjhab.experts.clearance import Boxes
-from mjhab.experts.kinematics import Chain, rotation_vector
 from mjhab.scenes import fetch
 
 REST = np.array(fetch.REST_QPOS)

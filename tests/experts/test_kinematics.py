@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from mjhab.core.errors import UsageError
 from mjhab.core.rotations import frame_from_axes
+from mjhab.envs.kinematics import Chain, in_base, rotation_vector
 from mjhab.experts.clearance import Boxes, RobotSpheres, sphere_box_distance
-from mjhab.experts.kinematics import Chain, in_base, rotation_vector
 from mjhab.scenes import fetch
 
 REST = np.array(fetch.REST_QPOS)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.ndimage import distance_transform_edt
 
 from mjhab.core.errors import UsageError
-from mjhab.experts.kinematics import wrap
+from mjhab.envs.kinematics import wrap
 from mjhab.experts.navigation import CONTROL_DT, Follower, Planner
 
 ORIGIN, CELL = np.array([-4.0, -3.0]), 0.05

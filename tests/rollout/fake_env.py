@@ -122,7 +122,7 @@ class FakeEnv:
             "taint": np.array([world.taint for world in worlds], np.uint8),
             "events": [list(world.events) for world in worlds],
             "ended": [world.ended for world in worlds],
-            "episode": [None if world is None else world.episode for world in self.worlds],
+            "episode_spec": [None if world is None else world.episode for world in self.worlds],
         }
 
 

@@ -27,11 +27,11 @@ class Log(Sink):
         self.closed = 0
 
     def on_reset(self, env: Any, info: Mapping[str, Any], mask: np.ndarray) -> None:
-        self.begun += [info["episode"][w]["index"] for w in np.flatnonzero(mask)]
+        self.begun += [info["episode_spec"][w]["index"] for w in np.flatnonzero(mask)]
 
     def on_step(self, env: Any, step: StepView) -> None:
         for w in np.flatnonzero(step.active):
-            index = step.info["episode"][w]["index"]
+            index = step.info["episode_spec"][w]["index"]
             self.steps[index] = self.steps.get(index, 0) + 1
             assert self.steps[index] == step.steps[w]
 

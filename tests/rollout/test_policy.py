@@ -8,7 +8,7 @@ from mjhab.rollout.policy import RandomPolicy, ZeroPolicy
 
 
 def info_of(*indices: int | None) -> dict[str, list[dict[str, int] | None]]:
-    return {"episode": [None if index is None else {"index": index} for index in indices]}
+    return {"episode_spec": [None if index is None else {"index": index} for index in indices]}
 
 
 def test_zero_policy_is_zero_for_every_world() -> None:

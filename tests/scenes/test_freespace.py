@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mjhab.scenes.freespace import blocking_polygons, free_map, reach
+from mjhab.core.errors import UsageError
+from mjhab.scenes.freespace import MAX_FIELDS, blocking_polygons, free_map, reach
 from mjhab.scenes.shapes import box, rod, span
 from mjhab.scenes.spec import Geom, Home, Pack, Placement, Prop, Receptacle
 
@@ -98,3 +99,57 @@ def test_reach_is_the_distance_from_navigable_floor() -> None:
     assert (row.thing, row.receptacle) == ("table", "top")
     assert row.center == pytest.approx(0.7, abs=0.12)
     assert row.farthest == pytest.approx(0.7, abs=0.12)
+
+
+def test_ways_in_an_empty_room_are_straight() -> None:
+    free = free_map(_room(size=5.0), _pack())
+    rng = np.random.default_rng(0)
+    for a, b in rng.uniform(0.5, 4.5, (40, 2, 2)):
+        straight = float(np.linalg.norm(a - b))
+        # The ways of the raster are up to 3 % longer; looking up between cells adds or takes a cell.
+        assert straight - 0.04 < free.distance(a, b) < 1.03 * straight + 0.06
+        assert free.distance(a, b) == pytest.approx(free.distance(b, a), abs=0.08)
+
+
+def test_ways_lead_around_a_wall() -> None:
+    # From one side of a wall of 3 m to the other, past its end at (2, 3).
+    free = free_map(_room((span((1.95, 2.05), (0.0, 3.0), (0.0, 2.0), "oak"),), size=5.0), _pack())
+    here, there = np.array([1.0, 1.0]), np.array([3.0, 1.0])
+    # Around a circle of 0.3 m about each corner of the wall's end.
+    leg = float(np.hypot(0.95, 2.0))
+    shortest = 2 * np.sqrt(leg**2 - 0.3**2) + 0.3 * np.pi * 0.7
+    assert free.distance(here, there) == pytest.approx(shortest, rel=0.08)
+    assert free.distance(here, there) > shortest
+    field = free.distances_to(there)
+    assert field.dtype == np.float32 and field.shape == free.blocked.shape and not field.flags.writeable
+    assert free.distances_to(there) is field, "made once per goal"
+    # The field never says less than the straight line, and never jumps between free neighbours.
+    centres = free.to_xy(np.moveaxis(np.indices(free.blocked.shape), 0, -1))
+    assert (field >= np.linalg.norm(centres - there, axis=-1) - 1e-4).all()
+    nav = free.navigable()
+    steps = np.abs(np.diff(field, axis=0))[nav[1:] & nav[:-1]]
+    assert steps.max() < 0.0501
+
+
+def test_where_the_base_does_not_fit_the_straight_line_to_free_floor_counts() -> None:
+    table = Prop("table", (box((0.0, 0.0, 0.4), (1.0, 1.0, 0.8), "oak"),))
+    free = free_map(_room(props=(Placement("table", (2.0, 2.0, 0.0)),)), _pack(table))
+    inside, beside = np.array([1.9, 2.0]), np.array([0.9, 2.0])
+    # 0.7 m from there to where a base fits, as a goal and as a start.
+    assert free.distance(beside, inside) == pytest.approx(1.0, abs=0.1)
+    assert free.distance(inside, beside) == pytest.approx(1.0, abs=0.1)
+    # Off the map the way back to it counts too.
+    assert free.distance(np.array([-10.0, 2.0]), beside) == pytest.approx(10.9, abs=0.1)
+    walled = free_map(_room((span((0.9, 1.0), (0.0, 4.0), (0.0, 2.0), "oak"),)), _pack())
+    # The smaller room is cut off: from there it counts how far the other one is.
+    assert walled.distance(np.array([0.45, 2.0]), np.array([3.0, 2.0])) == pytest.approx(2.55, abs=0.1)
+    with pytest.raises(UsageError, match="no floor on which a base"):
+        free_map(_room(size=0.5), _pack()).distances_to(inside)
+
+
+def test_a_map_remembers_a_bounded_number_of_goals() -> None:
+    free = free_map(_room(size=1.0), _pack(), cell=0.1)
+    first = free.distances_to(np.array([0.5, 0.5]))
+    for k in range(MAX_FIELDS):
+        free.distances_to(np.array([0.4, 0.4 + 0.002 * k]))
+    assert free.distances_to(np.array([0.5, 0.5])) is not first

@@ -15,7 +15,7 @@ from mjhab.core.rotations import quat_rotate
 from mjhab.scenes.compile import compile_home
 from mjhab.scenes.footprints import outline
 from mjhab.scenes.layout import Layout
-from mjhab.scenes.packs import load_pack, open_pack, save_pack, with_stage
+from mjhab.scenes.packs import load_pack, open_pack, save_pack, with_joints, with_stage
 from mjhab.scenes.receptacles import placed_receptacles
 from mjhab.scenes.replica_cad import open_replica_cad
 from mjhab.scenes.spec import Pack
@@ -133,6 +133,17 @@ def test_stage_mesh_of_the_data_set_or_of_the_user(folder: Path, caplog: pytest.
         open_pack(with_stage("builtin", other))
 
 
+def test_furniture_to_articulate_is_part_of_the_name_of_a_pack(folder: Path) -> None:
+    stage = box_glb(folder.parent / "stage.glb", (5.0, 1.5, 3.0), at=((0, 1.5, 0),))
+    name = with_stage(with_joints(str(folder), "cabinet,kitchen_cupboards"), stage)
+    assert open_pack(name).homes[0].floor == pytest.approx((-5, -3, 5, 3))
+    assert with_joints("builtin", None) == "builtin"
+    with pytest.raises(UsageError, match=r"unknown furniture to articulate 'cabinets'\. Did you mean 'cabinet'\?"):
+        with_joints(str(folder), "cabinets")
+    with pytest.raises(UsageError, match="not a ReplicaCAD folder: furniture to articulate"):
+        open_pack(with_joints("builtin", "cabinet"))
+
+
 def test_other_scenes_by_their_file(folder: Path) -> None:
     scenes = folder / "configs" / "scenes"
     shutil.copy(scenes / f"{SCENE}.scene_instance.json", scenes / "apt_0.scene_instance.json")
@@ -141,6 +152,36 @@ def test_other_scenes_by_their_file(folder: Path) -> None:
     assert (home.name, home.split) == ("apt_0", "train")
     with pytest.raises(UsageError, match=r"unknown scene 'apt_1'\. Did you mean 'apt_0'\?"):
         open_replica_cad(folder, "apt_1")
+
+
+def test_other_scenes_by_their_names(folder: Path) -> None:
+    scenes = folder / "configs" / "scenes"
+    for name in ("apt_0", "apt_1"):
+        shutil.copy(scenes / f"{SCENE}.scene_instance.json", scenes / f"{name}.scene_instance.json")
+    for names, expected in {
+        "apt_0": ["apt_0"],
+        "apt_*": ["apt_0", "apt_1"],
+        f"{SCENE},apt_1": ["apt_1", SCENE],
+    }.items():
+        assert [home.name for home in open_pack(f"{folder}/{names}").homes] == expected
+    (outer := folder.parent / "outer").mkdir()
+    folder.rename(outer / "replica_cad")
+    assert [home.name for home in open_pack(f"{outer}/apt_1").homes] == ["apt_1"]
+    with pytest.raises(UsageError, match=r"unknown scene 'apt_2'\. Did you mean 'apt_[01]'\?"):
+        open_pack(f"{outer}/apt_0,apt_2")
+
+
+def test_objects_that_may_move_stand_fixed_with_one_warning(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = folder / "configs" / "scenes" / f"{SCENE}.scene_instance.json"
+    body = json.loads(path.read_text())
+    still = open_replica_cad(folder).homes[0].props
+    body["object_instances"][0]["motion_type"] = "DYNAMIC"
+    write(path, body)
+    with caplog.at_level(logging.WARNING, "mjhab"):
+        assert open_replica_cad(folder).homes[0].props == still
+        open_replica_cad(folder)
+    (told,) = [r.message for r in caplog.records if "DYNAMIC" in r.message]
+    assert f"objects that may move in {SCENE} (motion_type DYNAMIC) stand fixed here" in told
 
 
 def test_the_data_set_inside_a_folder_is_found(folder: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -11,6 +12,7 @@ import pytest
 
 from mjhab.core.rotations import mat_from_quat
 from mjhab.envs.privileged import home_shapes
+from mjhab.scenes.check import layout_hash
 from mjhab.scenes.compile import compile_home
 from mjhab.scenes.footprints import all_geoms, outline
 from mjhab.scenes.freespace import free_map, reach
@@ -18,7 +20,7 @@ from mjhab.scenes.gltf import read_glb, read_hulls
 from mjhab.scenes.hulls import vertical_extent
 from mjhab.scenes.layout import Layout
 from mjhab.scenes.navmesh import read_navmesh
-from mjhab.scenes.packs import open_pack, with_stage
+from mjhab.scenes.packs import open_pack, with_joints, with_stage
 from mjhab.scenes.receptacles import placed_receptacles
 from mjhab.scenes.replica_cad_stage import stage_shape
 from mjhab.scenes.spec import Pack
@@ -73,18 +75,41 @@ def test_every_urdf_of_the_data_set_is_read(folder: Path) -> None:
     assert counter.joints["drawer3"].limits == (0.0, 0.5) and counter.links["drawer3"].mass == 4
 
 
-@pytest.mark.parametrize("name", EVERY_MACRO)
-def test_the_data_sets_walkable_areas_are_free(name: str, folder: Path, pack: Pack) -> None:
-    home = next(h for h in pack.homes if h.name == name)
-    free = free_map(home, pack)
-    cells = np.argwhere(np.ones_like(free.blocked))
-    xy, walkable = free.to_xy(cells), np.zeros(len(cells), bool)
+def _walkable(folder: Path, name: str, xy: np.ndarray) -> np.ndarray:
+    """Which points (N, 2) are on the floor of the navigation mesh of a scene."""
+    found = np.zeros(len(xy), bool)
     for corners in read_navmesh(folder / "navmeshes" / f"{name}.navmesh").polygons:
         # Recast also walks on low furniture.
         if corners[:, 2].max() < 0.25:
             edge = np.roll(corners, -1, axis=0)[:, :2] - corners[:, :2]
             off = xy[:, None] - corners[:, :2]
-            walkable |= (edge[:, 0] * off[..., 1] - edge[:, 1] * off[..., 0] >= 0).all(axis=1)
+            found |= (edge[:, 0] * off[..., 1] - edge[:, 1] * off[..., 0] >= 0).all(axis=1)
+    return found
+
+
+@pytest.mark.parametrize("name", EVERY_MACRO)
+def test_ways_are_as_long_as_on_the_data_sets_walkable_areas(name: str, folder: Path, pack: Pack) -> None:
+    free = free_map(next(h for h in pack.homes if h.name == name), pack)
+    walkable = _walkable(folder, name, free.to_xy(np.argwhere(np.ones_like(free.blocked)))).reshape(free.blocked.shape)
+    theirs = replace(free, blocked=~walkable, clearance=np.where(walkable, 1.0, 0.0))
+    both = np.argwhere(theirs.navigable() & free.navigable())
+    rng = np.random.default_rng(1)
+    points = free.to_xy(both[rng.choice(len(both), (40, 2))])
+    ours, told = (np.array([m.distance(a, b) for a, b in points]) for m in (free, theirs))
+    assert told.max() > 5.0
+    # Both keep 0.3 m from everything. The areas were made with the walls of the stage, which may be missing here: then
+    # some of our ways are shorter, and none is longer.
+    assert np.median(np.abs(ours - told)) < 0.05
+    assert (ours < 1.03 * told + 0.15).all()
+    assert (np.abs(ours - told) < 0.3 + 0.05 * told).mean() > 0.7
+
+
+@pytest.mark.parametrize("name", EVERY_MACRO)
+def test_the_data_sets_walkable_areas_are_free(name: str, folder: Path, pack: Pack) -> None:
+    home = next(h for h in pack.homes if h.name == name)
+    free = free_map(home, pack)
+    cells = np.argwhere(np.ones_like(free.blocked))
+    walkable = _walkable(folder, name, free.to_xy(cells))
     clear = free.clearance[tuple(cells[walkable].T)]
     assert walkable.sum() * free.cell**2 > 25.0
     # Its agent has a radius of 0.3 m; its cells are 5 cm wide.
@@ -194,6 +219,49 @@ def test_doors_and_drawers_move_through_their_whole_range(pack: Pack, layout: La
         assert np.abs(data.qpos[model.jnt_qposadr[ids]] - low_high[:, end]).max() < 0.02
     bodies = [model.body(name).id for name in layout.link_ids]
     assert model.body_mass[bodies] == pytest.approx([ref.link.mass for ref in layout.links])
+
+
+def test_cupboards_cabinet_and_chest_open_when_asked_for(folder: Path, pack: Pack, layout: Layout) -> None:
+    more = open_pack(with_joints(str(folder), "kitchen_cupboards,cabinet,chest_of_drawers"))
+    opening = Layout(more, ())
+    closed, model = compile_home(layout, pack.homes[0]), compile_home(opening, more.homes[0])
+    others = {layout_hash(compile_home(opening, home)) for home in more.homes[21::21]}
+    assert others == {layout_hash(model)} != {layout_hash(closed)}
+    # Eight cupboard doors, two sliding doors, six drawers; the same collision shapes.
+    assert model.nv == closed.nv + 16 and model.ngeom == closed.ngeom
+    assert set(layout.link_ids) < set(opening.link_ids)
+    data = mujoco.MjData(model)
+    data.qpos[:2] = 30.0
+    ids = [model.joint(name).id for name in opening.link_ids]
+    dofs, address = model.jnt_dofadr[ids], model.jnt_qposadr[ids]
+    assert (model.jnt_range[ids][:, 0] == 0).all()
+    for end, force in ((1, 20.0), (0, -20.0)):
+        for _ in range(400):
+            data.qfrc_applied[dofs] = force
+            mujoco.mj_step(model, data)
+        assert np.abs(data.qpos[address] - model.jnt_range[ids, end]).max() < 0.02
+    data.qfrc_applied[:] = 0.0
+    data.qpos[address] = model.jnt_range[ids].mean(axis=1)
+    mujoco.mj_step(model, data, 200)
+    assert np.abs(data.qvel[dofs]).max() < 1e-3
+    assert np.abs(data.qpos[address] - model.jnt_range[ids].mean(axis=1)).max() < 0.01
+
+
+def test_optional_links_keep_the_numbers_of_the_data_set(folder: Path) -> None:
+    pack = open_pack(with_joints(str(folder), "kitchen_cupboards,cabinet,chest_of_drawers"))
+    links = {f"{a.name}/{k.name}": k for a in pack.articulations.values() for k in a.links}
+    left, right = (links[f"kitchenCupboard_01/kitchencupboard_doorWhole_1{side}"] for side in "LR")
+    # Hinges open outwards: the left one counts downwards in the data set, both upwards here. uniform_scale 0.38.
+    assert (left.mirrored, right.mirrored) == (True, False) and left.range == right.range == (0.0, 2.3)
+    assert left.axis[2] == pytest.approx(-1, abs=1e-3) and right.axis[2] == pytest.approx(1, abs=1e-3)
+    assert left.mass == pytest.approx(8 * 0.38**3)
+    drawer = links["chestOfDrawers_01/drawer_midR"]
+    assert drawer.range == pytest.approx((0.0, 0.2)) and drawer.axis == pytest.approx((1, 0, 0), abs=1e-3)
+    slide = links["cabinet/right_door"]
+    assert slide.mirrored and slide.range == (0.0, 0.76) and slide.axis == pytest.approx((-1, 0, 0))
+    # Bars and knobs are narrower than the gripper opens; the cabinet's doors have none.
+    assert all(link.handle.thickness < 0.09 for name, link in links.items() if not name.startswith("cabinet"))
+    assert slide.handle.thickness == pytest.approx(0.5)
 
 
 def test_walls_of_the_stage_mesh(folder: Path, pack: Pack) -> None:

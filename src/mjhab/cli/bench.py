@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from mjhab.cli.doctor import cores
+from mjhab.cli.env_options import BenchEnvOptions
 from mjhab.cli.options import BenchGraspOptions, BenchSimOptions
 from mjhab.cli.output import at_least, print_json, print_table
 from mjhab.core.errors import unknown_name
@@ -20,10 +21,14 @@ WARM_STEPS = 8
 """Untimed control steps after each reset: teleports happen and things come to rest."""
 
 
-def run_bench(options: BenchSimOptions | BenchGraspOptions) -> int:
+def run_bench(options: BenchSimOptions | BenchGraspOptions | BenchEnvOptions) -> int:
     """Run one of the benchmarks and return the exit code."""
     if isinstance(options, BenchSimOptions):
         return bench_sim(options)
+    if isinstance(options, BenchEnvOptions):
+        from mjhab.cli.bench_env import bench_env
+
+        return bench_env(options)
     return bench_grasp(options)
 
 
@@ -75,7 +80,7 @@ def measure_sps(env: Any, steps: int, rounds: int, seed: int) -> dict[str, Any]:
     worlds = env.num_envs
     times: dict[str, list[float]] = {"engine": [], "env": []}
     for number in range(rounds):
-        actions = _sway(worlds, steps, seed + number)
+        actions = sway(worlds, steps, seed + number)
         episodes = np.arange(number * worlds, (number + 1) * worlds)
 
         def begin(episodes: np.ndarray = episodes) -> None:
@@ -101,10 +106,10 @@ def measure_sps(env: Any, steps: int, rounds: int, seed: int) -> dict[str, Any]:
     }
 
 
-def _sway(worlds: int, steps: int, seed: int) -> np.ndarray:
-    """Smooth motions (steps, W, 13) of all joints and the base, each dimension with its own period."""
+def sway(worlds: int, steps: int, seed: int, size: int = ACTION_SIZE) -> np.ndarray:
+    """Smooth motions (steps, W, size) of all joints and the base, each dimension with its own period."""
     rng = np.random.default_rng(seed)
-    period, phase = rng.uniform(20, 60, (worlds, ACTION_SIZE)), rng.uniform(0, 2 * np.pi, (worlds, ACTION_SIZE))
+    period, phase = rng.uniform(20, 60, (worlds, size)), rng.uniform(0, 2 * np.pi, (worlds, size))
     time_axis = np.arange(steps)[:, None, None]
     return (0.5 * np.sin(2 * np.pi * time_axis / period + phase)).astype(np.float32)
 

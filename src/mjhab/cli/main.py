@@ -10,6 +10,8 @@ from typing import Any
 import tyro
 
 import mjhab
+from mjhab.cli import commands
+from mjhab.cli import env_options as env
 from mjhab.cli import options as opt
 from mjhab.core.errors import MjhabError, UsageError
 
@@ -19,7 +21,13 @@ A Fetch robot tidies furnished homes with real physics. Begin with `mjhab doctor
 `mjhab eval --task set_table --policy expert --episodes 4 --out runs/first`."""
 
 Parsed = (
-    opt.EvalOptions | opt.HomesCommand | opt.AssetsCommand | opt.EpisodesCommand | opt.BenchCommand | opt.DoctorOptions
+    opt.EvalOptions
+    | env.EnvsCommand
+    | opt.HomesCommand
+    | opt.AssetsCommand
+    | opt.EpisodesCommand
+    | commands.BenchCommand
+    | opt.DoctorOptions
 )
 OK, FAILED, USAGE, INTERRUPTED = 0, 1, 2, 130
 
@@ -45,7 +53,7 @@ def main(args: Sequence[str] | None = None) -> int:
 def parse(args: Sequence[str] | None) -> Parsed:
     """Parse a command line; exits with code 2 and a message if it does not fit."""
     return tyro.cli(
-        opt.Command,  # type: ignore[arg-type]
+        commands.Command,  # type: ignore[arg-type]
         prog="mjhab",
         description=DESCRIPTION,
         args=args,
@@ -54,14 +62,16 @@ def parse(args: Sequence[str] | None) -> Parsed:
 
 
 def staged(options: Any) -> Any:
-    """Options whose ``stage_mesh`` has become part of the name of their asset pack, which is all the rest looks at."""
+    """Options whose ``articulate`` and ``stage_mesh`` went into the name of their asset pack, where the rest looks."""
     if hasattr(options, "command"):
         return dataclasses.replace(options, command=staged(options.command))
-    if getattr(options, "stage_mesh", None) is None:
+    joints, stage = getattr(options, "articulate", None), getattr(options, "stage_mesh", None)
+    if joints is None and stage is None:
         return options
-    from mjhab.scenes.packs import with_stage
+    from mjhab.scenes.packs import with_joints, with_stage
 
-    return dataclasses.replace(options, assets=with_stage(options.assets, options.stage_mesh), stage_mesh=None)
+    assets = with_stage(with_joints(options.assets, joints), stage)
+    return dataclasses.replace(options, assets=assets, stage_mesh=None, articulate=None)
 
 
 def run(command: Parsed) -> int:
@@ -71,6 +81,10 @@ def run(command: Parsed) -> int:
         from mjhab.cli.evaluate import run_eval
 
         return run_eval(command)
+    if isinstance(command, env.EnvsCommand):
+        from mjhab.cli.envs import run_envs
+
+        return run_envs(command.command)
     if isinstance(command, opt.HomesCommand):
         from mjhab.cli.homes import run_homes
 
@@ -83,7 +97,7 @@ def run(command: Parsed) -> int:
         from mjhab.cli.episodes import run_episodes
 
         return run_episodes(command.command)
-    if isinstance(command, opt.BenchCommand):
+    if isinstance(command, commands.BenchCommand):
         from mjhab.cli.bench import run_bench
 
         return run_bench(command.command)

@@ -14,6 +14,7 @@ Name = Annotated[str, tyro.conf.arg(metavar="NAME")]
 MaybeName = Annotated[str | None, tyro.conf.arg(metavar="NAME")]
 Assets = Annotated[str, tyro.conf.arg(metavar="builtin|FOLDER")]
 StageMesh = Annotated[Path | None, tyro.conf.arg(metavar="FILE.glb")]
+Joints = Annotated[str | None, tyro.conf.arg(metavar="NAME,NAME")]
 
 
 @dataclass(frozen=True)
@@ -47,10 +48,12 @@ class EvalOptions:
     """Asset pack: builtin, or the folder of another pack."""
     stage_mesh: StageMesh = None
     """With a ReplicaCAD folder: walls and floor for every home, in place of the stages its scenes name."""
+    articulate: Joints = None
+    """With a ReplicaCAD folder: what opens besides counter and fridge: kitchen_cupboards, cabinet, chest_of_drawers."""
     episodes_file: Annotated[str | None, tyro.conf.arg(metavar="FILE")] = None
     """Run the episodes of this file (HAB format, .json or .json.gz) instead of generated ones, in the file's homes."""
     home: MaybeName = None
-    """Use only this home (see: mjhab homes list)."""
+    """Use only this home, or the homes that fit a pattern such as 'v3_sc0_*', in turn (see: mjhab homes list)."""
     threads: Number = 0
     """Threads of the physics; 0 takes all cores. Changes the speed, never the results."""
     films: Number = 4
@@ -87,6 +90,8 @@ class HomesShowOptions:
     """Asset pack: builtin, or the folder of another pack."""
     stage_mesh: StageMesh = None
     """With a ReplicaCAD folder: walls and floor for every home, in place of the stages its scenes name."""
+    articulate: Joints = None
+    """With a ReplicaCAD folder: what opens besides counter and fridge: kitchen_cupboards, cabinet, chest_of_drawers."""
     json: bool = False
     """Print one line of JSON instead of a table."""
 
@@ -104,6 +109,8 @@ class HomesCheckOptions:
     """Asset pack: builtin, or the folder of another pack."""
     stage_mesh: StageMesh = None
     """With a ReplicaCAD folder: walls and floor for every home, in place of the stages its scenes name."""
+    articulate: Joints = None
+    """With a ReplicaCAD folder: what opens besides counter and fridge: kitchen_cupboards, cabinet, chest_of_drawers."""
     split: MaybeName = None
     """Check only these homes: train, val or test. All if absent."""
     json: bool = False
@@ -137,6 +144,8 @@ class HomesRenderOptions:
     """Asset pack: builtin, or the folder of another pack."""
     stage_mesh: StageMesh = None
     """With a ReplicaCAD folder: walls and floor for every home, in place of the stages its scenes name."""
+    articulate: Joints = None
+    """With a ReplicaCAD folder: what opens besides counter and fridge: kitchen_cupboards, cabinet, chest_of_drawers."""
     json: bool = False
     """Print one line of JSON at the end."""
 
@@ -179,6 +188,8 @@ class EpisodesMakeOptions:
     """Asset pack: builtin, or the folder of another pack."""
     stage_mesh: StageMesh = None
     """With a ReplicaCAD folder: walls and floor for every home, in place of the stages its scenes name."""
+    articulate: Joints = None
+    """With a ReplicaCAD folder: what opens besides counter and fridge: kitchen_cupboards, cabinet, chest_of_drawers."""
     workers: Number = 0
     """Processes; 0 takes all cores. Changes the speed, never the episodes."""
     overwrite: bool = False
@@ -200,6 +211,8 @@ class EpisodesCheckOptions:
     """Asset pack: builtin, or the folder of another pack."""
     stage_mesh: StageMesh = None
     """With a ReplicaCAD folder: walls and floor for every home, in place of the stages its scenes name."""
+    articulate: Joints = None
+    """With a ReplicaCAD folder: what opens besides counter and fridge: kitchen_cupboards, cabinet, chest_of_drawers."""
     task: MaybeName = None
     """Task of the episodes; found in the file, or in its name, if absent."""
     threads: Number = 0
@@ -308,6 +321,8 @@ class BenchSimOptions:
     """Asset pack: builtin, or the folder of another pack."""
     stage_mesh: StageMesh = None
     """With a ReplicaCAD folder: walls and floor for every home, in place of the stages its scenes name."""
+    articulate: Joints = None
+    """With a ReplicaCAD folder: what opens besides counter and fridge: kitchen_cupboards, cabinet, chest_of_drawers."""
     json: bool = False
     """Print one line of JSON instead of a table."""
 
@@ -325,25 +340,8 @@ class BenchGraspOptions:
 
 
 @dataclass(frozen=True)
-class BenchCommand:
-    """Measure this machine and the physics."""
-
-    command: Annotated[BenchSimOptions, Sub("sim")] | Annotated[BenchGraspOptions, Sub("grasp")]
-
-
-@dataclass(frozen=True)
 class DoctorOptions:
     """Tell what is installed, which renderers work, how many cores there are and where caches live."""
 
     json: bool = False
     """Print one line of JSON instead of tables."""
-
-
-Command = (
-    Annotated[EvalOptions, Sub("eval")]
-    | Annotated[HomesCommand, Sub("homes")]
-    | Annotated[AssetsCommand, Sub("assets")]
-    | Annotated[EpisodesCommand, Sub("episodes")]
-    | Annotated[BenchCommand, Sub("bench")]
-    | Annotated[DoctorOptions, Sub("doctor")]
-)

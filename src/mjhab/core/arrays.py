@@ -121,6 +121,23 @@ def where_rows(mask: Array, new: Record, old: Record) -> Record:
     return type(old)(**chosen)
 
 
+def row_of(record: Record, row: int) -> Record:
+    """Return one row of a record of arrays (W, ...), copied to numpy."""
+    return map_record(lambda array: to_numpy(array[row]).copy(), record)
+
+
+def with_row(record: Record, row: int, values: dict[str, Any]) -> Record:
+    """Return a copy of a record of arrays (W, ...) in which row ``row`` has the values of that name."""
+    chosen = {}
+    for field in dataclasses.fields(record):  # type: ignore[arg-type]
+        array = getattr(record, field.name)
+        if array is not None:
+            array = namespace(array).asarray(array, copy=True)
+            array[row] = as_like(values[field.name], array)
+        chosen[field.name] = array
+    return type(record)(**chosen)
+
+
 def map_record(function: Any, record: Record) -> Record:
     """Return a copy of a dataclass of arrays with ``function`` applied to every field that is not None."""
     values = {f.name: getattr(record, f.name) for f in dataclasses.fields(record)}  # type: ignore[arg-type]

@@ -1,8 +1,8 @@
-"""Environments: configurations, episodes, spawns, actions, observations, SequentialTask, env ids."""
+"""Environments: configurations, episodes, spawns, actions, observations, SequentialTask, SubtaskTrain, env ids."""
 
-from mjhab.envs.catalog import ENV_IDS, make, make_by_id, register_envs
-from mjhab.envs.config import EnvConfig
+from mjhab.envs.catalog import ENV_IDS, make, make_by_id, make_train, register_envs
+from mjhab.envs.config import EnvConfig, TrainConfig
 
 register_envs()
 
-__all__ = ["ENV_IDS", "EnvConfig", "make", "make_by_id"]
+__all__ = ["ENV_IDS", "EnvConfig", "TrainConfig", "make", "make_by_id", "make_train"]

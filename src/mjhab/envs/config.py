@@ -2,30 +2,52 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import contextlib
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
 
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.tasks.plan import KIND_NAMES, TASKS
+from mjhab.tasks.plan import KIND_NAMES, TASKS, SubtaskConfig, TaskConfig
 
 SPLITS = ("train", "val", "test")
-AUTORESET_MODES = ("same_step", "disabled")
+AUTORESET_MODES = ("same_step", "next_step", "disabled")
+RENDER_MODES = ("", "rgb_array")
 SUBTASKS_OF_TASK = {
     "tidy_house": ("pick", "place", "navigate"),
     "prepare_groceries": ("pick", "place", "navigate"),
     "set_table": ("pick", "place", "navigate", "open", "close"),
 }
+REWARD_MODES = ("pointer", "sparse", "dense", "normalized_dense", "none")
+TRAIN_NAVIGATE_HORIZON = 1000
+"""Navigation is trained over more steps than it is judged over (mshab/envs/navigate.py)."""
 
 
 @dataclass(frozen=True)
 class EnvConfig:
     """What world to build and what to do in it.
 
-    task: HAB task. subtask: "" for the whole chain, or one kind of it, evaluated alone to its horizon.
-    target: restricts ``subtask`` (or the draw of targets) to an object type or a link; "" for any.
-    split, home: homes to draw from, or one home by name. assets: "builtin" or a folder.
-    threads: 0 takes every core. cameras: outputs ("depth", "rgb", "seg") of both robot cameras; none by default.
-    autoreset: what happens to a world after its episode ended.
+    task: HAB task. subtask: "" for the whole chain, or one kind of it, done alone to its horizon.
+    target: restricts ``subtask`` (or the draw of targets) to an object type or a link; "" or "all" for any.
+    split, home: homes to draw from, or one home by name (or a pattern such as ``v3_sc1_*``). assets: "builtin" or a
+    folder. seed: of the episodes. threads: 0 takes every core.
+    obs_mode: "state", or images too, see `observing.OBS_MODES`. cameras: of which of the robot's cameras; camera_size:
+    pixels, one number or (height, width).
+    control_mode, base, stationary: see `controllers.make_controller`.
+    reward_mode: one of REWARD_MODES; "" is the pointer for a chain, sparse for one subtask. reward_scales: changes of
+    the scales of single dense reward terms, as {"pick": {"reach": 4.0}}.
+    horizon: control steps of every subtask, 0 for those of the paper. continuous: one subtask runs to its horizon and
+    success may come and go; False ends it at success or failure; None: True for one subtask, False for a chain.
+    overrides: other values of `tasks.plan.TaskConfig`, as {"goal_type": "cylinder", "pick.force_limit": 2000}.
+    force_limits: False lifts the limits on the cumulative force.
+    episode_pool: 0 gives every reset an arrangement of its own; n draws one of n, so that a long training finds them
+    in the cache (where the robot starts is drawn anew each time all the same).
+    open_start: share of the resets of Open that find a drawer already 20 % of the way to open.
+    spawns: file of precomputed starts (`mjhab spawns make`). autoreset: what happens after an episode's end.
     episodes_file: a file in the HAB format whose i-th episode is episode i, in the home it names; "" to generate.
+    render_mode: "rgb_array" makes ``render()`` give human views.
     """
 
     task: str = "set_table"
@@ -37,32 +59,134 @@ class EnvConfig:
     assets: str = "builtin"
     seed: int = 0
     threads: int = 0
-    cameras: tuple[str, ...] = ()
-    camera_size: int = 128
+    obs_mode: str = "state"
+    cameras: tuple[str, ...] = ("fetch_head", "fetch_hand")
+    camera_size: int | tuple[int, int] = 128
+    control_mode: str = "pd_joint_delta_pos"
+    base: str = "forward"
+    stationary: tuple[str, ...] = ()
+    reward_mode: str = ""
+    reward_scales: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    horizon: int = 0
+    continuous: bool | None = None
+    overrides: Mapping[str, Any] = field(default_factory=dict)
+    force_limits: bool = True
+    episode_pool: int = 0
+    open_start: float = 0.0
+    spawns: str = ""
     autoreset: str = "same_step"
     episodes_file: str = ""
+    render_mode: str | None = ""
 
     def __post_init__(self) -> None:
-        if self.task not in TASKS:
-            raise unknown_name("task", self.task, TASKS)
-        if self.subtask and self.subtask not in KIND_NAMES:
-            raise unknown_name("subtask", self.subtask, KIND_NAMES)
-        if self.subtask and self.subtask not in SUBTASKS_OF_TASK[self.task]:
+        if self.target == "all":
+            object.__setattr__(self, "target", "")
+        _known("task", self.task, TASKS)
+        _known("split", self.split, SPLITS)
+        _known("autoreset mode", self.autoreset, AUTORESET_MODES)
+        _known("reward mode", self.reward_mode, ("", *REWARD_MODES))
+        _known("render mode", self.render_mode or "", RENDER_MODES)
+        if self.subtask:
+            _known("subtask", self.subtask, KIND_NAMES)
+            self._check_subtask()
+        elif self.continuous:
+            raise UsageError("continuous=True needs a subtask: in a chain, success is what brings the next subtask.")
+        self._check_numbers()
+
+    def _check_subtask(self) -> None:
+        if self.subtask not in SUBTASKS_OF_TASK[self.task]:
             having = [t for t in TASKS if self.subtask in SUBTASKS_OF_TASK[t]]
             raise UsageError(
                 f"task {self.task!r} has no subtask {self.subtask!r}; it has {', '.join(SUBTASKS_OF_TASK[self.task])}. "
                 f"{self.subtask!r} belongs to: {', '.join(having)}."
             )
-        if self.num_envs < 1:
-            raise UsageError(f"the number of worlds must be at least 1, got {self.num_envs}")
-        if self.split not in SPLITS:
-            raise unknown_name("split", self.split, SPLITS)
-        if self.autoreset not in AUTORESET_MODES:
-            raise unknown_name("autoreset mode", self.autoreset, AUTORESET_MODES)
-        for output in self.cameras:
-            if output not in ("depth", "rgb", "seg"):
-                raise unknown_name("camera output", output, ("depth", "rgb", "seg"))
-        if self.camera_size < 8:
-            raise UsageError(f"camera_size must be at least 8 pixels, got {self.camera_size}")
-        if self.threads < 0:
-            raise UsageError(f"threads must be 0 (all cores) or more, got {self.threads}")
+        if self.reward_mode == "pointer":
+            raise UsageError("reward_mode 'pointer' counts the subtasks of a chain; a single one takes 'sparse'.")
+
+    def _check_numbers(self) -> None:
+        least = {"num_envs": 1, "threads": 0, "horizon": 0, "episode_pool": 0}
+        for name, low in least.items():
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int) or value < low:
+                raise UsageError(f"{name} must be a whole number of at least {low}, got {value!r}")
+        if not 0.0 <= self.open_start <= 1.0:
+            raise UsageError(f"open_start is a share of resets between 0 and 1, got {self.open_start}")
+
+    @property
+    def reward(self) -> str:
+        """The reward mode in force."""
+        return self.reward_mode or ("sparse" if self.subtask else "pointer")
+
+    @property
+    def runs_to_horizon(self) -> bool:
+        """Whether an episode goes on after success (continuous evaluation)."""
+        return bool(self.subtask) if self.continuous is None else self.continuous
+
+
+@dataclass(frozen=True)
+class TrainConfig(EnvConfig):
+    """Configuration of the SubtaskTrain environments: EnvConfig with the defaults of training.
+
+    Episodes come from a pool of 1,000, the reward is dense and at most 1, one reset in ten of an Open finds the drawer
+    ajar (mshab/envs/open.py: without it learning does not start), and Navigate is driven and judged whole.
+    """
+
+    subtask: str = "pick"
+    reward_mode: str = "normalized_dense"
+    episode_pool: int = 1000
+    open_start: float = 0.1
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.subtask:
+            raise UsageError(f"a SubtaskTrain environment needs a subtask: {', '.join(KIND_NAMES)}")
+
+
+def task_config(config: EnvConfig, rest_qpos: tuple[float, ...]) -> TaskConfig:
+    """The thresholds in force: those of the paper, changed by ``overrides``, ``horizon`` and ``force_limits``.
+
+    Raises:
+        UsageError: an override names no threshold, or its value has the wrong type.
+    """
+    base = TaskConfig(rest_qpos=rest_qpos, continuous=config.runs_to_horizon)
+    if isinstance(config, TrainConfig):
+        base = dataclasses.replace(
+            base, ignore_arm=False, navigate=dataclasses.replace(base.navigate, horizon=TRAIN_NAVIGATE_HORIZON)
+        )
+    changes: dict[str, Any] = {}
+    for kind in KIND_NAMES:
+        limits: SubtaskConfig = getattr(base, kind)
+        if config.horizon:
+            limits = dataclasses.replace(limits, horizon=config.horizon)
+        if not config.force_limits:
+            limits = dataclasses.replace(limits, force_limit=math.inf)
+        changes[kind] = limits
+    for name, value in config.overrides.items():
+        _override(base, changes, name, value)
+    return dataclasses.replace(base, **changes)
+
+
+def _override(base: TaskConfig, changes: dict[str, Any], name: str, value: Any) -> None:
+    """Put one override into ``changes``, checked against the type of the present value."""
+    group, _, part = name.partition(".")
+    owner: Any = changes.get(group) if part else base
+    plain = [f.name for f in dataclasses.fields(base) if f.name not in (*KIND_NAMES, "rest_qpos", "continuous")]
+    nested = [f"{kind}.{f.name}" for kind in KIND_NAMES for f in dataclasses.fields(SubtaskConfig)]
+    if name not in (*plain, *nested):
+        raise unknown_name("task-config override", name, (*plain, *nested))
+    present = getattr(owner, part or name)
+    new: Any = None
+    with contextlib.suppress(TypeError, ValueError):
+        new = type(present)(value) if not isinstance(present, bool) else value
+    good = isinstance(value, bool) == isinstance(present, bool) and new is not None and new == value
+    if not good or (isinstance(present, tuple) and len(present) != len(tuple(new))):
+        raise UsageError(f"override {name} must be like {present!r}, got {value!r}")
+    if part:
+        changes[group] = dataclasses.replace(owner, **{part: new})
+    else:
+        changes[name] = new
+
+
+def _known(what: str, name: str, valid: tuple[str, ...]) -> None:
+    if name not in valid:
+        raise unknown_name(what, name, valid)

@@ -9,18 +9,19 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from mjhab.core.cache import cache_dir, write_atomic
-from mjhab.core.errors import MjhabError, UsageError
+from mjhab.core.errors import MjhabError, UsageError, unknown_name
 from mjhab.core.seeding import stream
 from mjhab.scenes.compile import home_hash
 from mjhab.scenes.layout import Layout, yaw_quat
 from mjhab.scenes.receptacles import PlacedReceptacle, placed_receptacles
-from mjhab.scenes.spec import Home, Vec3
+from mjhab.scenes.spec import Home, Pack, Vec3
 from mjhab.sim.cpu import CpuSimulator
 from mjhab.sim.settle import settle
 from mjhab.tasks.plan import TARGETS_PER_TASK, Target
@@ -87,16 +88,17 @@ class EpisodeMaker:
         sim: the simulator whose compiled homes are used for settling.
         task: HAB task name.
         split: homes to draw from.
-        home: name of one home to use always, or "" to draw one per episode.
+        home: name of one home to use always; or a pattern such as ``v3_sc0_staging_0?``, whose homes take turns:
+            episode i is in the i-th of them, counted on from the start after the last; or "" to draw one of ``split``
+            per episode.
         target: object type that must be among the targets, or "".
     """
 
     def __init__(self, sim: CpuSimulator, task: str, split: str, home: str = "", target: str = "") -> None:
         self.sim, self.task, self.split, self.target = sim, task, split, target
         self.layout: Layout = sim.layout
-        self.homes = [h for h in self.layout.pack.homes if (h.name == home if home else h.split == split)]
-        if not self.homes:
-            raise UsageError(f"pack {self.layout.pack.name!r} has no home in split {split!r}")
+        self.homes = homes_named(self.layout.pack, home) if home else homes_of(self.layout.pack, split)
+        self._in_turn = bool(home)
         for chosen in self.homes:
             require_furniture(chosen, task)
 
@@ -127,7 +129,7 @@ class EpisodeMaker:
 
     def _draw(self, seed: int, index: int, attempt: int) -> Episode | None:
         # The home is drawn apart from the attempts: a home where placing is hard stays as likely as the others.
-        home = self.homes[int(stream(seed, "home", self.task, self.split, index).integers(len(self.homes)))]
+        home = self._home(seed, index)
         rng = stream(seed, "episode", self.task, self.split, index, attempt)
         receptacles = {r.id: r for r in placed_receptacles(self.layout, home)}
         draw = _Draw(home, receptacles, {}, self.layout.parked_poses.copy())
@@ -144,6 +146,11 @@ class EpisodeMaker:
         if speed > MAX_SPEED or np.linalg.norm(pose[:, :3] - draw.pose[:, :3], axis=1).max() > MAX_DRIFT:
             return None
         return Episode(self.task, self.split, seed, index, home.name, pose, settled[a.link_q], targets)
+
+    def _home(self, seed: int, index: int) -> Home:
+        if self._in_turn:
+            return self.homes[index % len(self.homes)]
+        return self.homes[int(stream(seed, "home", self.task, self.split, index).integers(len(self.homes)))]
 
     # -- where things go -------------------------------------------------------------------------------------------
 
@@ -307,7 +314,7 @@ class EpisodeMaker:
     def digest(self) -> str:
         """Hash of everything an episode depends on besides its name: homes, objects, code that compiles them."""
         shared = home_hash(self.layout, self.homes[0])
-        return hashlib.sha256(repr((_VERSION, shared, self.homes)).encode()).hexdigest()[:16]
+        return hashlib.sha256(repr((_VERSION, shared, self.homes, self._in_turn)).encode()).hexdigest()[:16]
 
     def _path(self, seed: int, index: int) -> Path:
         name = f"{self.task}{self.target}-{self.split}-{seed}-{index}.npz"
@@ -331,6 +338,30 @@ class EpisodeMaker:
             return Episode(
                 self.task, self.split, seed, index, str(data["home"]), data["object_pose"], data["link_q"], targets
             )
+
+
+def homes_of(pack: Pack, split: str) -> list[Home]:
+    """Homes of a split.
+
+    Raises:
+        UsageError: there is none.
+    """
+    found = [home for home in pack.homes if home.split == split]
+    if not found:
+        raise UsageError(f"pack {pack.name!r} has no home in split {split!r}")
+    return found
+
+
+def homes_named(pack: Pack, pattern: str) -> list[Home]:
+    """Homes whose name is ``pattern``, or fits it as file names fit ``*``, ``?`` and ``[...]``.
+
+    Raises:
+        UsageError: there is none.
+    """
+    found = [home for home in pack.homes if fnmatchcase(home.name, pattern)]
+    if not found:
+        raise unknown_name("home", pattern, [home.name for home in pack.homes])
+    return found
 
 
 def require_furniture(home: Home, task: str) -> None:

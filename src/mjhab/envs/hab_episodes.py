@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 
 import numpy as np
 
@@ -76,7 +77,8 @@ class FileEpisodes:
         sim: its layout has the roster of `file_roster` (or more objects).
         file: what the file holds.
         task: HAB task the plans belong to.
-        home, target: only the episodes in this home, with a target of this object type; "" for all.
+        home, target: only the episodes in homes that fit this name or pattern (``v3_sc0_*``), with a target of this
+            object type; "" for all.
 
     Raises:
         UsageError: the file does not fit the layout: a scene, an object, a target or a link it does not have; or no
@@ -93,7 +95,7 @@ class FileEpisodes:
         self._rows = [
             i
             for i, episode in enumerate(self.file.episodes)
-            if home in ("", episode.scene) and any(n.startswith(target) for n in episode.target_names)
+            if fnmatchcase(episode.scene, home or "*") and any(n.startswith(target) for n in episode.target_names)
         ]
         if not self._rows:
             wanted = " ".join(filter(None, (home and f"in home {home!r}", target and f"with target {target!r}")))
@@ -121,7 +123,10 @@ class FileEpisodes:
         episode, where = self.file.episodes[row], f"{self.file.path}: episodes[{row}]"
         if episode.scene not in self._homes:
             near, _, _ = str(unknown_name("scene", episode.scene, self._homes)).partition(" Valid names")
-            raise UsageError(f"{where}.scene_id: {near} `mjhab homes list` names those of {self.layout.pack.name!r}.")
+            raise UsageError(
+                f"{where}.scene_id: {near} `mjhab homes list` names those of {self.layout.pack.name!r}; scenes of "
+                "ReplicaCAD that are not staged are opened by name, as --assets FOLDER/apt_0."
+            )
         try:
             require_furniture(self._homes[episode.scene], self.task)
         except UsageError as error:
@@ -202,13 +207,16 @@ def number_of_root(layout: Layout, home: Home, episode: HabEpisode, pose: np.nda
         ValueError: some number fits neither; the message names the field.
     """
     evidence: list[tuple[str, int, tuple[str, ...]]] = []
+    jointed = {a.name for a in layout.articulations}
     for handle, joints in episode.ao_states.items():
         known = link_names(layout, template_of(handle))
+        if template_of(handle) not in jointed:
+            continue  # welded shut: its numbers tell nothing
         evidence += [(template_of(handle), int(n), known[2:]) for n in joints if n.lstrip("-").isdigit()]
     places = placed_receptacles(layout, home)
     for name, (handle, number) in zip(episode.target_names, episode.target_receptacles, strict=False):
         furniture = template_of(handle)
-        if number is not None and furniture in {a.name for a in layout.articulations}:
+        if number is not None and furniture in jointed:
             found = receptacle_at(layout, places, name, pose[layout.object_names.index(name)])
             link = found.link.split("/")[1] if found is not None and found.link else ""
             evidence.append((furniture, number, (link,) if link else link_names(layout, furniture)))
@@ -239,9 +247,12 @@ def joint_positions(layout: Layout, episode: HabEpisode, root: int) -> np.ndarra
             if f"{furniture}/{name}" not in layout.link_ids:
                 if position == 0.0:
                     continue
+                if furniture in layout.pack.props:
+                    raise ValueError(f"{where}: {furniture!r} is welded shut in this pack (--articulate lets it open).")
                 raise ValueError(f"{where}: {unknown_name('link', f'{furniture}/{name}', layout.link_ids)}")
             k = layout.link_ids.index(f"{furniture}/{name}")
             low, high = layout.links[k].link.range
+            position = -position if layout.links[k].link.mirrored else position
             if not low - 0.05 <= position <= high + 0.05:
                 raise ValueError(f"{where}: {position:g} is outside the range {low:g} to {high:g} of the joint.")
             out[k] = min(max(position, low), high)

@@ -65,7 +65,8 @@ def _ao_states(layout: Layout, link_q: np.ndarray) -> dict[str, dict[str, float]
     for ref, position in zip(layout.links, link_q.tolist(), strict=True):
         if abs(position) > 1e-3:
             number = link_names(layout, ref.articulation).index(ref.link.name)
-            out.setdefault(f"{ref.articulation}_:0000", {})[str(number)] = round(position, 6)
+            stated = -position if ref.link.mirrored else position
+            out.setdefault(f"{ref.articulation}_:0000", {})[str(number)] = round(stated, 6)
     return out
 
 

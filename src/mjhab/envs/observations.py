@@ -1,18 +1,21 @@
 """One table of observations: key, shape, unit, frame, function (mshab/envs/sequential_task.py).
 
 The concatenation of the six state entries is the 42-D ``state``. Entries that the active subtask does not use are zero,
-so that one policy interface serves all subtasks.
+so that one policy interface serves all subtasks. Rows of the robot's cameras follow when images are asked for.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import numpy as np
 from gymnasium import spaces
 
-from mjhab.scenes.fetch import BASE_HEIGHT
+from mjhab.core.errors import UsageError, unknown_name
+from mjhab.scenes.fetch import BASE_HEIGHT, CAMERAS
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +32,22 @@ class ObsContext:
     obj_pose: np.ndarray
     goal_pos: np.ndarray
     is_grasped: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Views:
+    """What camera rows are computed from. W worlds, C cameras asked for, in order.
+
+    ``images``: "depth" (W, C, H, W) float32 [m], 0 where nothing is hit, "rgb" (W, C, H, W, 3) uint8, "seg"
+    (W, C, H, W) int32; ``pos`` (W, C, 3) [m] and ``mat`` (W, C, 3, 3): cameras in the world, x right, y up, z
+    backwards; ``base`` (W, 3): x, y [m], yaw [rad] of the base; ``intrinsic`` (C, 3, 3) [px].
+    """
+
+    images: Mapping[str, np.ndarray]
+    pos: np.ndarray
+    mat: np.ndarray
+    base: np.ndarray
+    intrinsic: np.ndarray
 
 
 def pose_in_base(base: np.ndarray, pose: np.ndarray) -> np.ndarray:
@@ -52,29 +71,65 @@ def pose_in_base(base: np.ndarray, pose: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class ObsEntry:
-    """One observation. ``compute`` returns (W, *shape)."""
+    """One observation. ``compute`` returns (W, *shape), from an ObsContext (state rows) or Views (camera rows)."""
 
     key: str
     shape: tuple[int, ...]
     unit: str
     frame: str
-    compute: Callable[[ObsContext], np.ndarray]
+    compute: Callable[[Any], np.ndarray]
+    meaning: str = ""
+    dtype: type[np.generic] = np.float32
+    low: float = -np.inf
+    high: float = np.inf
+
+    @property
+    def space(self) -> spaces.Box:
+        """Space of one world."""
+        return spaces.Box(self.low, self.high, self.shape, self.dtype)  # type: ignore[arg-type]
 
 
 STATE_TABLE = (
-    ObsEntry("agent/qpos", (12,), "m, rad", "joint: torso, head, arm, fingers", lambda c: c.robot_q[:, 3:]),
-    ObsEntry("agent/qvel", (12,), "m/s, rad/s", "joint: torso, head, arm, fingers", lambda c: c.robot_qd[:, 3:]),
-    ObsEntry("extra/tcp_pose_wrt_base", (7,), "m, wxyz", "base_link", lambda c: c.tcp_pose),
-    ObsEntry("extra/obj_pose_wrt_base", (7,), "m, wxyz", "base_link", lambda c: c.obj_pose),
-    ObsEntry("extra/goal_pos_wrt_base", (3,), "m", "base_link", lambda c: c.goal_pos),
-    ObsEntry("extra/is_grasped", (1,), "0 or 1", "-", lambda c: c.is_grasped[:, None]),
-)
+    ObsEntry(
+        "agent/qpos", (12,), "m, rad", "joint: torso, head, arm, fingers", lambda c: c.robot_q[:, 3:],
+        "joint positions without the base",
+    ),
+    ObsEntry(
+        "agent/qvel", (12,), "m/s, rad/s", "joint: torso, head, arm, fingers", lambda c: c.robot_qd[:, 3:],
+        "joint velocities without the base",
+    ),
+    ObsEntry(
+        "extra/tcp_pose_wrt_base", (7,), "m, wxyz", "base_link", lambda c: c.tcp_pose,
+        "gripper_link: position, quaternion",
+    ),
+    ObsEntry(
+        "extra/obj_pose_wrt_base", (7,), "m, wxyz", "base_link", lambda c: c.obj_pose,
+        "object of the active subtask (Open: the one inside); zero in Close and in Navigate with empty hands",
+    ),
+    ObsEntry(
+        "extra/goal_pos_wrt_base", (3,), "m", "base_link", lambda c: c.goal_pos,
+        "Place: goal; Open, Close: handle; Navigate: next target; zero in Pick",
+    ),
+    ObsEntry(
+        "extra/is_grasped", (1,), "0 or 1", "-", lambda c: c.is_grasped[:, None],
+        "the object (Open, Close: the handle) is grasped",
+    ),
+)  # fmt: skip
 STATE_DIM = sum(entry.shape[0] for entry in STATE_TABLE)
 STATE_KEY = "state"
-CAMERA_KEYS = ("fetch_head", "fetch_hand")
+CAMERA_KEYS = tuple(camera.name for camera in CAMERAS)
 CAMERA_OUTPUTS = ("depth", "rgb", "seg")
+POINTCLOUD = "pointcloud"
+OBS_MODES: dict[str, tuple[str, ...]] = {
+    "state": (), "depth": ("depth",), "rgb": ("rgb",), "rgbd": ("depth", "rgb"), "seg": ("seg",),
+    POINTCLOUD: (POINTCLOUD,),
+}  # fmt: skip
+"""Observation modes and what each adds to the state; joined by "+" they add up, as in "rgbd+seg"."""
 DEPTH_SCALE = 1000.0
 """Depth images are int16 millimetres, 0 where nothing is hit."""
+DEPTH_MAX = int(np.iinfo(np.int16).max)
+MIN_SIZE = 8
+"""Smallest image side [px]."""
 
 
 def camera_key(camera: str, output: str) -> str:
@@ -82,18 +137,186 @@ def camera_key(camera: str, output: str) -> str:
     return f"sensor_data/{camera}/{output}"
 
 
-def single_space(cameras: tuple[str, ...] = (), size: int = 128) -> spaces.Dict:
-    """Observation space of one world, with images of ``cameras`` (outputs of CAMERA_OUTPUTS) at ``size``."""
-    box: dict[str, spaces.Space] = {e.key: spaces.Box(-np.inf, np.inf, e.shape, np.float32) for e in STATE_TABLE}
+def param_key(camera: str, param: str) -> str:
+    """Key of one parameter of a camera in the observation."""
+    return f"sensor_param/{camera}/{param}"
+
+
+def mode_outputs(mode: str) -> tuple[str, ...]:
+    """What an observation mode adds to the state, e.g. "rgbd+seg" -> ("depth", "rgb", "seg").
+
+    Raises:
+        UsageError: a part that is no mode.
+    """
+    wanted = set[str]()
+    for part in mode.split("+"):
+        if part not in OBS_MODES:
+            raise unknown_name("observation mode", part, OBS_MODES)
+        wanted.update(OBS_MODES[part])
+    return tuple(name for name in (*CAMERA_OUTPUTS, POINTCLOUD) if name in wanted)
+
+
+def camera_names(cameras: str | Sequence[str]) -> tuple[str, ...]:
+    """Names of cameras, checked, each once, in the order given.
+
+    Raises:
+        UsageError: a name that is no camera, or none at all.
+    """
+    names = (cameras,) if isinstance(cameras, str) else tuple(dict.fromkeys(cameras))
+    for name in names:
+        if name not in CAMERA_KEYS:
+            raise unknown_name("camera", name, CAMERA_KEYS)
+    if not names:
+        raise UsageError(f"cameras must name at least one camera of: {', '.join(CAMERA_KEYS)}; got none.")
+    return names
+
+
+def image_size(size: int | Sequence[int]) -> tuple[int, int]:
+    """(height, width) [px] of a size that is one number or a pair.
+
+    Raises:
+        UsageError: not whole numbers, not one or two of them, or below MIN_SIZE.
+    """
+    sides = tuple(size) if isinstance(size, Sequence) else (size, size)
+    if len(sides) != 2 or any(not isinstance(side, int | np.integer) or side < MIN_SIZE for side in sides):
+        raise UsageError(f"camera size must be one whole number or (height, width), each >= {MIN_SIZE}; got {size!r}.")
+    return int(sides[0]), int(sides[1])
+
+
+def intrinsic_matrix(camera: str, size: tuple[int, int]) -> np.ndarray:
+    """(3, 3) float64 pinhole matrix [px] of a camera at (height, width); pixel centres lie at + 0.5."""
+    height, width = size
+    fovy = CAMERAS[CAMERA_KEYS.index(camera)].fovy
+    focal = 0.5 * height / np.tan(0.5 * fovy)
+    return np.array([[focal, 0.0, 0.5 * width], [0.0, focal, 0.5 * height], [0.0, 0.0, 1.0]])
+
+
+def observation_table(outputs: Sequence[str], cameras: Sequence[str], size: tuple[int, int]) -> tuple[ObsEntry, ...]:
+    """All rows but ``state``: those of STATE_TABLE and, with ``outputs`` of `mode_outputs`, those of the cameras."""
+    rows = list(STATE_TABLE)
+    for c, camera in enumerate(cameras if outputs else ()):
+        rows += [_image_row(c, camera, output, size) for output in outputs if output in CAMERA_OUTPUTS]
+        rows += _param_rows(c, camera)
+    if POINTCLOUD in outputs:
+        rows += _cloud_rows(len(cameras) * size[0] * size[1])
+    return tuple(rows)
+
+
+def table_space(table: Sequence[ObsEntry]) -> spaces.Dict:
+    """Observation space of one world: the rows of a table and ``state``."""
+    box: dict[str, spaces.Space] = {entry.key: entry.space for entry in table}
     box[STATE_KEY] = spaces.Box(-np.inf, np.inf, (STATE_DIM,), np.float32)
-    for name in CAMERA_KEYS if cameras else ():
-        for output in cameras:
-            if output == "rgb":
-                box[camera_key(name, output)] = spaces.Box(0, 255, (size, size, 3), np.uint8)
-            else:
-                kind = np.int16 if output == "depth" else np.int32
-                box[camera_key(name, output)] = spaces.Box(0, np.iinfo(kind).max, (size, size, 1), kind)
     return spaces.Dict(box)
+
+
+def describe(table: Sequence[ObsEntry]) -> list[dict[str, Any]]:
+    """The rows of a table and ``state`` for people and machines: key, shape, dtype, unit, frame, meaning."""
+    rows = [
+        {
+            "key": entry.key, "shape": list(entry.shape), "dtype": np.dtype(entry.dtype).name, "unit": entry.unit,
+            "frame": entry.frame, "meaning": entry.meaning,
+        }
+        for entry in table
+    ]  # fmt: skip
+    meaning = "the rows " + ", ".join(entry.key for entry in STATE_TABLE) + " in this order"
+    rows.append(
+        {"key": STATE_KEY, "shape": [STATE_DIM], "dtype": "float32", "unit": "mixed", "frame": "mixed"}
+        | {"meaning": meaning}
+    )
+    return rows
+
+
+def _image_row(index: int, camera: str, output: str, size: tuple[int, int]) -> ObsEntry:
+    compute = partial(_image, index=index, output=output)
+    key, frame = camera_key(camera, output), "image, rows from the top"
+    if output == "rgb":
+        return ObsEntry(key, (*size, 3), "sRGB", frame, compute, "colour", np.uint8, 0, 255)
+    if output == "depth":
+        meaning = "distance along the optical axis, 0 where nothing is hit"
+        return ObsEntry(key, (*size, 1), "mm", frame, compute, meaning, np.int16, 0, DEPTH_MAX)
+    meaning, most = "segmentation id, see `segmentation_names`; 0 where nothing is hit", np.iinfo(np.int32).max
+    return ObsEntry(key, (*size, 1), "id", frame, compute, meaning, np.int32, 0, most)
+
+
+def _param_rows(index: int, camera: str) -> list[ObsEntry]:
+    def row(name: str, shape: tuple[int, ...], unit: str, frame: str, compute: Callable, meaning: str) -> ObsEntry:
+        return ObsEntry(param_key(camera, name), shape, unit, frame, partial(compute, index=index), meaning)
+
+    return [
+        row("intrinsic_cv", (3, 3), "px", "camera: x right, y down, z forward", _intrinsic_cv,
+            "pinhole matrix; pixel centres lie at + 0.5"),
+        row("extrinsic_cv", (3, 4), "m", "camera: x right, y down, z forward", _extrinsic_cv,
+            "world to camera"),
+        row("cam2world_gl", (4, 4), "m", "world", _cam2world_gl,
+            "camera (x right, y up, z backwards) to world"),
+    ]  # fmt: skip
+
+
+def _cloud_rows(points: int) -> list[ObsEntry]:
+    most = np.iinfo(np.int32).max
+    order = "of every pixel: cameras in the order asked for, rows from the top"
+    return [
+        ObsEntry(f"{POINTCLOUD}/xyz", (points, 3), "m", "base_link", _cloud_xyz,
+                 f"position {order}; zero where nothing is hit (seg 0)"),
+        ObsEntry(f"{POINTCLOUD}/rgb", (points, 3), "sRGB", "-", partial(_cloud_image, output="rgb"),
+                 f"colour {order}", np.uint8, 0, 255),
+        ObsEntry(f"{POINTCLOUD}/seg", (points, 1), "id", "-", partial(_cloud_image, output="seg"),
+                 f"segmentation id {order}", np.int32, 0, most),
+    ]  # fmt: skip
+
+
+def _image(views: Views, index: int, output: str) -> np.ndarray:
+    image = views.images[output][:, index]
+    if output == "rgb":
+        return image
+    if output == "seg":
+        return image[..., None]
+    mm = image * np.float32(DEPTH_SCALE)
+    np.rint(mm, out=mm)
+    np.minimum(mm, np.float32(DEPTH_MAX), out=mm)
+    return mm.astype(np.int16)[..., None]
+
+
+def _intrinsic_cv(views: Views, index: int) -> np.ndarray:
+    return np.tile(views.intrinsic[index].astype(np.float32), (len(views.pos), 1, 1))
+
+
+def _extrinsic_cv(views: Views, index: int) -> np.ndarray:
+    # OpenCV's axes are MuJoCo's with y and z turned round.
+    rot = np.swapaxes(views.mat[:, index] * (1.0, -1.0, -1.0), 1, 2)
+    move = -np.einsum("wij,wj->wi", rot, views.pos[:, index])
+    return np.concatenate([rot, move[..., None]], axis=2).astype(np.float32)
+
+
+def _cam2world_gl(views: Views, index: int) -> np.ndarray:
+    out = np.zeros((len(views.pos), 4, 4), np.float32)
+    out[:, :3, :3], out[:, :3, 3], out[:, 3, 3] = views.mat[:, index], views.pos[:, index], 1.0
+    return out
+
+
+def _cloud_xyz(views: Views) -> np.ndarray:
+    depth = views.images["depth"]
+    yaw, zero = views.base[:, 2], np.zeros(len(views.base))
+    c, s = np.cos(yaw), np.sin(yaw)
+    to_base = np.array([[c, s, zero], [-s, c, zero], [zero, zero, zero + 1.0]]).transpose(2, 0, 1)
+    origin = np.column_stack([views.base[:, :2], zero + BASE_HEIGHT])
+    rot = to_base[:, None] @ views.mat
+    pos = np.einsum("wij,wcj->wci", to_base, views.pos - origin[:, None])
+    # Points in the camera (x right, y down, z forward) and 1, all 0 where nothing is hit, times a 4x3 matrix.
+    seen = np.empty((*depth.shape, 4), np.float32)
+    col, row = np.arange(depth.shape[3]) + 0.5, np.arange(depth.shape[2])[:, None] + 0.5
+    for k, matrix in enumerate(views.intrinsic):
+        np.multiply(depth[:, k], ((col - matrix[0, 2]) / matrix[0, 0]).astype(np.float32), out=seen[:, k, ..., 0])
+        np.multiply(depth[:, k], ((row - matrix[1, 2]) / matrix[1, 1]).astype(np.float32), out=seen[:, k, ..., 1])
+    seen[..., 2], seen[..., 3] = depth, depth > 0.0
+    move = np.concatenate([np.swapaxes(rot * (1.0, -1.0, -1.0), 2, 3), pos[:, :, None]], axis=2)
+    points = seen.reshape(*depth.shape[:2], -1, 4) @ move.astype(np.float32)
+    return points.reshape(len(depth), -1, 3)
+
+
+def _cloud_image(views: Views, output: str) -> np.ndarray:
+    image = views.images[output]
+    return image.reshape(len(image), -1, 3 if output == "rgb" else 1)
 
 
 def state_observation(context: ObsContext) -> dict[str, np.ndarray]:
@@ -106,12 +329,3 @@ def state_observation(context: ObsContext) -> dict[str, np.ndarray]:
         column += entry.shape[0]
     obs[STATE_KEY] = state
     return obs
-
-
-def image_observation(camera: str, output: str, image: np.ndarray) -> np.ndarray:
-    """Turn a rendered image (W, H, W[, 3]) into its observation: depth [m] to int16 mm, a channel axis for seg."""
-    if output == "rgb":
-        return image
-    if output == "depth":
-        return np.minimum(np.rint(image * DEPTH_SCALE), np.iinfo(np.int16).max).astype(np.int16)[..., None]
-    return image.astype(np.int32)[..., None]

@@ -98,9 +98,9 @@ class WorldView:
     @property
     def token(self) -> tuple[int, int, int]:
         """Changes when another subtask becomes active: (seed, episode index, pointer)."""
-        episode = self._env._episode[self.world]
-        index = episode.index if episode is not None else -1
-        return self._env._seed, index, int(self._env.progress.pointer[self.world])
+        episode = self._env.episodes_now[self.world]
+        seed, index = (-1, -1) if episode is None else (episode.seed, episode.index)
+        return seed, index, int(self._env.progress.pointer[self.world])
 
     @property
     def config(self) -> TaskConfig:
@@ -126,22 +126,22 @@ class WorldView:
     @property
     def home(self) -> HomeShapes:
         """Shapes of the home this world holds."""
-        return home_shapes(self._env.layout, self._env._home[self.world])
+        return home_shapes(self._env.layout, self._env.homes[self.world])
 
     @property
     def q(self) -> np.ndarray:
         """(15,) joint positions, FETCH_JOINTS order; the first three are base x, y, yaw in the world."""
-        return self._env._state.robot_q[self.world].copy()
+        return self._env.state.robot_q[self.world].copy()
 
     @property
     def qd(self) -> np.ndarray:
         """(15,) joint velocities."""
-        return self._env._state.robot_qd[self.world].copy()
+        return self._env.state.robot_qd[self.world].copy()
 
     @property
     def tcp_pose(self) -> np.ndarray:
         """(7,) world pose of gripper_link."""
-        return self._env.sensing.tcp_pose(self._env._state)[self.world]
+        return self._env.sensing.tcp_pose(self._env.state)[self.world]
 
     @property
     def object_names(self) -> tuple[str, ...]:
@@ -150,7 +150,7 @@ class WorldView:
 
     def object_pose(self, name: str) -> np.ndarray:
         """(7,) world pose of an object: centre of its bounding box, wxyz."""
-        return self._env._state.object_pose[self.world, self.object_names.index(name)].copy()
+        return self._env.state.object_pose[self.world, self.object_names.index(name)].copy()
 
     def object_type(self, name: str) -> ObjectType:
         """Shape, size and mass of an object."""
@@ -158,12 +158,12 @@ class WorldView:
 
     def link_q(self, link: str) -> float:
         """Joint position of a link by id [m or rad]."""
-        return float(self._env._state.link_q[self.world, self._env.layout.link_ids.index(link)])
+        return float(self._env.state.link_q[self.world, self._env.layout.link_ids.index(link)])
 
     def finger_forces(self, target: str) -> np.ndarray:
         """(2,) norm of the force [N] of an object or link on the [l, r] finger."""
         names = (*self.object_names, *self._env.layout.link_ids)
-        return np.linalg.norm(self._env._state.finger_force[self.world, :, names.index(target)], axis=-1)
+        return np.linalg.norm(self._env.state.finger_force[self.world, :, names.index(target)], axis=-1)
 
     def signal(self, name: str) -> Any:
         """One of the Signals of the active subtask, e.g. ``is_grasped``."""
@@ -173,12 +173,12 @@ class WorldView:
     @property
     def link_forces(self) -> np.ndarray:
         """(K,) contact force [N] on each robot link without fingers (fetch.FORCE_LINKS)."""
-        return self._env._state.link_force[self.world].copy()
+        return self._env.state.link_force[self.world].copy()
 
     def object_boxes(self, leave_out: tuple[str, ...] = ()) -> BoxArrays:
         """Bounding boxes of all objects but some, in their present poses."""
         keep = [i for i, name in enumerate(self.object_names) if name not in leave_out]
-        pose = self._env._state.object_pose[self.world, keep]
+        pose = self._env.state.object_pose[self.world, keep]
         half = np.array([self._env.layout.objects[i].half for i in keep]).reshape(-1, 3)
         return BoxArrays(pose[:, :3].copy(), half, mat_from_quat(pose[:, 3:]))
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,110 +20,137 @@ from gymnasium.vector.utils import batch_space
 
 from mjhab.core.arrays import where_rows
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.core.rotations import pose_inv, pose_mul
-from mjhab.core.seeding import stream
-from mjhab.envs.actions import ACTION_DIM, GRIPPER, JointDeltaController
-from mjhab.envs.config import EnvConfig
+from mjhab.envs.config import EnvConfig, task_config
+from mjhab.envs.controllers import check_actions, make_controller
 from mjhab.envs.episodes import Episode, EpisodeMaker
 from mjhab.envs.hab_episodes import FileEpisodes, file_roster
 from mjhab.envs.hab_format import read_hab
-from mjhab.envs.observations import CAMERA_KEYS, camera_key, image_observation, single_space, state_observation
+from mjhab.envs.memory import check_memory
+from mjhab.envs.nav_distance import NavDistance
+from mjhab.envs.observing import Observer
 from mjhab.envs.plan_tables import PlanTables
 from mjhab.envs.privileged import WorldView
+from mjhab.envs.reporting import Reporter
+from mjhab.envs.rewarding import Rewarder, RewardInputs
 from mjhab.envs.sensing import Sensing
-from mjhab.envs.spawns import MAX_TRIES, Held
+from mjhab.envs.snapshots import restore, snapshot
 from mjhab.envs.starts import StartMaker, check_target
+from mjhab.envs.teleport import Teleports
 from mjhab.envs.tracking import Tracker
+from mjhab.envs.zones import with_zones
 from mjhab.scenes.fetch import REST_QPOS
 from mjhab.scenes.layout import Layout
 from mjhab.scenes.objects import roster
 from mjhab.scenes.packs import open_pack
 from mjhab.sim.cpu import POSITION_STAGE, SUBSTEPS, CpuSimulator
-from mjhab.sim.home_scene import HomeRenderer
 from mjhab.sim.protocol import TAINTS, SimState
 from mjhab.tasks import progress as progress_rules
 from mjhab.tasks.measure import Signals, WorldState, measure
-from mjhab.tasks.plan import KIND_NAMES, TARGETS_PER_TASK, SubtaskKind, TaskConfig, TaskPlan
+from mjhab.tasks.plan import TARGETS_PER_TASK, SubtaskKind
 from mjhab.tasks.progress import Outcome, Progress
 
 SUBTASKS_PER_TARGET = {"tidy_house": 4, "prepare_groceries": 4, "set_table": 8}
-TRIES_PER_STEP = 3
-"""Teleport tries of one world in one control step: a hard spawn waits over several steps, alone."""
 INDEX_STRIDE = 1 << 20
 """Without explicit indices, the k-th episode of world i is number i * stride + k: it depends on nothing else."""
+_MODES = {
+    "same_step": AutoresetMode.SAME_STEP,
+    "next_step": AutoresetMode.NEXT_STEP,
+    "disabled": AutoresetMode.DISABLED,
+}
 
 
 class SequentialTaskEnv(VectorEnv):
     """HAB tasks on the CPU simulator. Build it with `mjhab.envs.make`.
 
-    Observations: the keys of `observations.STATE_TABLE`, ``state`` (W, 42), and camera images when asked for.
-    Actions: (W, 13) in [-1, 1], see `actions.action_table`. Reward: the subtask pointer, as in MS-HAB; in a single
-    subtask 1.0 while it is achieved.
+    Observations: the rows of `observer.table`, among them ``state`` (W, 42). Actions: (W, A), see ``action_table``.
+    Reward: by ``config.reward``; "pointer" is the subtask pointer, as in MS-HAB.
+
+    ``state``, ``signals``, ``progress`` and ``focus`` are those of the last step, for reading.
     """
 
     def __init__(self, config: EnvConfig) -> None:
-        self.config = config
+        self.config, self.num_envs = config, config.num_envs
+        check_memory(config.num_envs)
+        self.task_config = task_config(config, REST_QPOS)
+        self.controller = make_controller(
+            config.control_mode, config.num_envs, base=config.base, stationary=config.stationary
+        )
+        self._open_world(config)
+        self.starts = StartMaker(self.sim, config, self.task_config)
+        self.sensing = Sensing(self.layout, self.sim.addresses, self.num_envs)
+        self.observer = Observer(
+            self.sim, self.sensing, config.obs_mode, config.cameras, config.camera_size, config.threads
+        )
+        length = 1 if config.subtask else TARGETS_PER_TASK[config.task] * SUBTASKS_PER_TARGET[config.task]
+        self.tables = PlanTables(self.layout, self.task_config, self.num_envs, length)
+        self.tracker = Tracker(self.num_envs)
+        self.nav = NavDistance(self.layout, self.num_envs, self.starts.sampler.map)
+        self.rewarder = Rewarder(
+            self.num_envs, self.task_config, config.reward, config.reward_scales, self.layout, self.sensing,
+            lambda inputs: self.nav.at(inputs.world.base_pose[:, :2]),
+        )  # fmt: skip
+        self._set_spaces()
+        self._init_worlds()
+
+    def _open_world(self, config: EnvConfig) -> None:
         pack = open_pack(config.assets)
-        if config.home and config.home not in {h.name for h in pack.homes}:
-            raise unknown_name("home", config.home, [h.name for h in pack.homes])
         file = read_hab(Path(config.episodes_file)) if config.episodes_file else None
         self.layout = Layout(pack, file_roster(file, pack) if file else roster(config.task))
         check_target(config, self.layout)
-        self.num_envs = config.num_envs
-        self.sim = CpuSimulator(self.layout, config.num_envs, config.threads)
-        self.task_config = TaskConfig(rest_qpos=REST_QPOS, continuous=bool(config.subtask))
+        self.sim = CpuSimulator(self.layout, config.num_envs, config.threads, self.controller.drives)
         wanted = config.target if config.target in self.layout.roster else ""
         self.episodes = (
             FileEpisodes(self.sim, file, config.task, config.home, wanted)
             if file
             else EpisodeMaker(self.sim, config.task, config.split, config.home, wanted)
         )
-        self.starts = StartMaker(self.sim, config, self.task_config)
-        self.controller = JointDeltaController()
-        self.sensing = Sensing(self.layout, self.sim.addresses, self.num_envs)
-        length = 1 if config.subtask else TARGETS_PER_TASK[config.task] * SUBTASKS_PER_TARGET[config.task]
-        self.tables = PlanTables(self.layout, self.task_config, self.num_envs, length)
-        self.tracker = Tracker(self.num_envs)
-        self.metadata = {"autoreset_mode": _MODES[config.autoreset], "render_fps": 20}
-        self.single_observation_space = single_space(config.cameras, config.camera_size)
+
+    def _set_spaces(self) -> None:
+        self.metadata = {
+            "autoreset_mode": _MODES[self.config.autoreset], "render_fps": 20, "render_modes": ["rgb_array"]
+        }  # fmt: skip
+        self.render_mode = self.config.render_mode or None
+        self.single_observation_space = self.observer.single_space
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
-        self.single_action_space = spaces.Box(-1.0, 1.0, (ACTION_DIM,), np.float32)
+        low, high = (np.asarray(b, np.float32) for b in (self.controller.low, self.controller.high))
+        self.single_action_space = spaces.Box(low, high, dtype=np.float32)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self.action_table = self.controller.table
         self.taint_names = TAINTS
-        self._renderer: HomeRenderer | None = None
-        self._seed = config.seed
-        self._init_worlds()
 
     def _init_worlds(self) -> None:
         n = self.num_envs
-        self._episode: list[Episode | None] = [None] * n
-        self._home = [""] * n
-        self._boxes: list[dict] = [{} for _ in range(n)]
-        self._count = np.zeros(n, np.int64)
-        self._fallback = np.zeros(n, bool)
-        self._pending = np.full(n, -1)
-        """Teleport tries done for the active Navigate, -1 when none is due."""
-        self._outcome: Outcome | None = None
-        self._described: list[TaskPlan | None] = [None] * n
-        self._descriptions: list[dict[str, Any]] = [{} for _ in range(n)]
-        self._gripper = np.ones(n, np.float32)
-        self._joint_start = np.zeros(n)
-        self._follow(progress_rules.start(self.tables.arrays, self.task_config))
+        self.episodes_now: list[Episode | None] = [None] * n
+        self.homes = [""] * n
+        self.boxes: list[dict] = [{} for _ in range(n)]
+        self.fallback, self.success, self.fail, self.due = np.zeros((4, n), bool)
+        """(W,): spawned where nothing better was found; outcome of the last step; reset due in the next step."""
+        self.nan_resets = np.zeros(n, np.int64)
+        self.reward_terms: dict[str, np.ndarray] = {}
+        self.count = np.zeros(n, np.int64)
+        self.seeds = np.full(n, self.config.seed, np.int64)
+        self.joint_start, self.grip = np.zeros(n), np.ones(n, np.float32)
+        """(W,): joint of the active link when its subtask began; the gripper's number in the last action."""
+        self.teleports = Teleports(self)
+        self.reporter = Reporter(self)
+        self.follow(progress_rules.start(self.tables.arrays, self.task_config))
         self.signals: Signals | None = None
-        self._state: SimState = self.sim.state()
+        self.state: SimState = self.sim.state()
 
-    def _follow(self, progress: Progress) -> None:
+    def follow(self, progress: Progress) -> None:
         """Take over progress whose pointers, or the plans they point into, have changed."""
         self.progress: Progress = progress
-        self._focus = self.tables.focus(progress.pointer)
+        self.focus = self.tables.focus(progress.pointer)
 
     # -- reset -----------------------------------------------------------------------------------------------------
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict, dict]:
-        """Start episodes.
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict, dict]:
+        """Start episodes. World i's k-th episode since its seed was set depends on (its seed, i, k) only.
 
         Args:
-            seed: seed of the episodes from now on; keeps the present one when None.
+            seed: of the episodes from now on, one for all worlds or (W,) one each; None keeps the present one.
             options: "reset_mask" (W,) bool: worlds to reset (default all); "episode": indices of the episodes that
                 the worlds in the mask get, in order of worlds.
 
@@ -130,236 +158,221 @@ class SequentialTaskEnv(VectorEnv):
             UsageError: unknown option, or shapes that do not fit.
         """
         options = dict(options or {})
-        mask = np.asarray(options.pop("reset_mask", np.ones(self.num_envs, bool)), bool)
+        mask = np.asarray(options.pop("reset_mask", np.ones(self.num_envs, bool)))
         indices = options.pop("episode", None)
         if options:
             raise unknown_name("reset option", next(iter(options)), ("reset_mask", "episode"))
-        if mask.shape != (self.num_envs,):
-            raise UsageError(f"reset_mask must have shape ({self.num_envs},), got {mask.shape}")
-        if seed is not None:
-            self._seed = int(seed)
-            self._count[mask] = 0
+        if mask.shape != (self.num_envs,) or mask.dtype != bool:
+            raise UsageError(f"reset_mask must be bool ({self.num_envs},), got {mask.dtype} {mask.shape}")
+        self._reseed(seed, mask)
         worlds = np.flatnonzero(mask)
         if indices is None:
-            indices = worlds * INDEX_STRIDE + self._count[worlds]
-        if len(indices) != len(worlds):
-            need = f"options['episode'] must give {len(worlds)} indices, one per reset world"
-            raise UsageError(f"{need}; got {len(indices)}")
+            indices = worlds * INDEX_STRIDE + self.count[worlds]
+        if len(indices) != len(worlds) or any(int(i) < 0 for i in indices):
+            need = f"options['episode'] must give {len(worlds)} indices >= 0, one per reset world"
+            raise UsageError(f"{need}; got {list(indices)}")
         self._begin(worlds, [int(i) for i in indices])
-        return self._observe(), self._info([[] for _ in range(self.num_envs)], [None] * self.num_envs)
+        return self._observe(), self.reporter.info(*self.reporter.nothing())
+
+    def _reseed(self, seed: int | Sequence[int | None] | None, mask: np.ndarray) -> None:
+        if seed is None:
+            return
+        seeds = [seed] * self.num_envs if isinstance(seed, int | np.integer) else list(seed)
+        if len(seeds) != self.num_envs or any(s is not None and s < 0 for s in seeds):
+            raise UsageError(f"seed must be a number >= 0 or {self.num_envs} of them, one per world; got {seed!r}")
+        for world in np.flatnonzero(mask).tolist():
+            own = seeds[world]
+            if own is not None:
+                self.seeds[world], self.count[world] = own, 0
+
+    def make_episode(self, seed: int, index: int) -> Episode:
+        """The episode of a name."""
+        return self.episodes.episode(seed, index)
+
+    def episode_of(self, world: int) -> Episode:
+        """The episode a world is in. It must have been reset."""
+        episode = self.episodes_now[world]
+        assert episode is not None, f"world {world} has not been reset"
+        return episode
 
     def _begin(self, worlds: np.ndarray, indices: list[int]) -> None:
-        starts = []
-        for world, index in zip(worlds, indices, strict=True):
-            episode = self.episodes.episode(self._seed, index)
-            start = self.starts.start(episode)
-            starts.append(start)
-            self._episode[world], self._home[world], self._boxes[world] = episode, start.home, start.boxes
-            self._fallback[world] = start.fallback
-            self.tables.set_row(int(world), start.plan, start.boxes)
         if not len(worlds):
             return
+        starts = []
+        for world, index in zip(worlds.tolist(), indices, strict=True):
+            start = self.adopt(world, self.make_episode(int(self.seeds[world]), index))
+            self.fallback[world] = start.fallback
+            starts.append(start)
         self.sim.reset(worlds.tolist(), [s.home for s in starts], np.stack([s.qpos for s in starts]))
         mask = np.zeros(self.num_envs, bool)
         mask[worlds] = True
-        self._count[worlds] += 1
-        self._pending[worlds] = -1
+        self.count[worlds] += 1
+        self.success[worlds] = self.fail[worlds] = self.due[worlds] = False
         held = self.tables.arrays.kind[:, 0] == SubtaskKind.PLACE
-        self._gripper[worlds] = np.where(held[worlds], -1.0, 1.0)
-        self._follow(progress_rules.reset_rows(self.progress, mask, self.tables.arrays, self.task_config))
+        self.grip[worlds] = np.where(held[worlds], -1.0, 1.0)
+        self.follow(progress_rules.reset_rows(self.progress, mask, self.tables.arrays, self.task_config))
+        self.state = self.sim.state()
+        self.controller.reset(mask, self.state)
         self._enter_subtask(mask)
+
+    def adopt(self, world: int, episode: Episode) -> Any:
+        """Give a world an episode: its home, its plan; returns the `starts.Start` it begins with."""
+        start = self.starts.start(episode)
+        if self.task_config.goal_type == "zone":
+            plan = with_zones(start.plan, self.layout, self.starts.home(start.home), self.task_config.goal_tol)
+            start = dataclasses.replace(start, plan=plan)
+        self.episodes_now[world], self.homes[world], self.boxes[world] = episode, start.home, start.boxes
+        self.tables.set_row(world, start.plan, start.boxes)
+        return start
 
     def _enter_subtask(self, mask: np.ndarray) -> None:
         """Begin the subtask at the pointer of the worlds in ``mask``: teleport if due, joint start, label state."""
         if not self.config.subtask:
-            due = np.where(self._focus.kind == SubtaskKind.NAVIGATE, 0, -1)
-            self._pending = np.where(mask, due, self._pending)
+            self.teleports.begin(mask, self.focus.kind)
             self._teleport()
-        self._state = self.sim.state()
-        now = self.sensing.joint_now(self._state, self._focus)
-        self._joint_start = np.where(mask, now, self._joint_start)
-        signals = self._measure(self._sense())
+        now = self.sensing.joint_now(self.state, self.focus)
+        self.joint_start = np.where(mask, now, self.joint_start)
+        world = self._sense()
+        signals = self._measure(world)
         self.signals = signals if self.signals is None else where_rows(mask, signals, self.signals)
         self.tracker.begin(mask, self.signals, self.progress)
+        if self.config.reward in ("dense", "normalized_dense"):
+            for w in np.flatnonzero(mask & (self.focus.kind == SubtaskKind.NAVIGATE)).tolist():
+                self.nav.begin(w, self.homes[w], self.focus.active.goal_pos[w, :2])
+        self.rewarder.begin(mask, self._reward_inputs(world, signals))
+
+    def _teleport(self) -> None:
+        moved = self.teleports.run()
+        if moved.any():
+            self.state = self.sim.state()
+            self.controller.reset(moved, self.state)
 
     def _sense(self) -> WorldState:
-        return self.sensing.world_state(self._state, self.tables, self._focus, self._joint_start)
+        return self.sensing.world_state(self.state, self.tables, self.focus, self.joint_start)
 
-    def _measure(self, state: WorldState) -> Signals:
-        signals = measure(state, self.tables.arrays, self.progress, self.task_config, self._focus.active)
-        waiting = self._pending >= 0
+    def _measure(self, world: WorldState) -> Signals:
+        signals = measure(world, self.tables.arrays, self.progress, self.task_config, self.focus.active)
+        waiting = self.teleports.waiting
         # A Navigate that still waits for its spawn is not done, wherever the robot happens to stand.
         return dataclasses.replace(signals, success=signals.success & ~waiting) if waiting.any() else signals
 
-    # -- teleport --------------------------------------------------------------------------------------------------
-
-    def _teleport(self) -> None:
-        """Try to spawn the worlds whose Navigate is due; a few tries each, the rest in later steps."""
-        for world in np.flatnonzero(self._pending >= 0):
-            self._teleport_world(int(world))
-
-    def _teleport_world(self, world: int) -> None:
-        plan, position = self.tables.plans[world], int(self.progress.pointer[world])
-        goal = self.starts.spawn_goal(plan, position, self._boxes[world])
-        slot = int(self.tables.held[world, position])
-        qpos = self.sim.qpos[world]
-        held = Held(slot, self._held_pose(world, slot)) if slot >= 0 and self._is_held(world, slot) else None
-        episode = self._episode[world]
-        assert episode is not None
-        found = None
-        for _ in range(TRIES_PER_STEP):
-            rng = stream(self._seed, "navigate", episode.task, episode.index, position, int(self._pending[world]))
-            found = self.starts.sampler.try_once(self._home[world], qpos, goal, rng, held)
-            self._pending[world] += 1
-            if found is not None:
-                break
-        if found is None and self._pending[world] >= MAX_TRIES:
-            found = self.starts.sampler.fallback(self._home[world], qpos, goal, held)
-            self._fallback[world] = True
-        if found is not None:
-            self.sim.write_qpos(world, found)
-            self._pending[world] = -1
-
-    def _held_pose(self, world: int, slot: int) -> np.ndarray:
-        tcp = self.sensing.tcp_pose(self._state)[world]
-        return pose_mul(pose_inv(tcp), self._state.object_pose[world, slot])
-
-    def _is_held(self, world: int, slot: int) -> bool:
-        return bool((np.linalg.norm(self._state.finger_force[world, :, slot], axis=-1) > 0).all())
+    def _reward_inputs(self, world: WorldState, signals: Signals) -> RewardInputs:
+        return RewardInputs(self.state, world, signals, self.focus, self.progress)
 
     # -- step ------------------------------------------------------------------------------------------------------
 
     def step(self, actions: np.ndarray) -> tuple[dict, np.ndarray, np.ndarray, np.ndarray, dict]:
-        """One control step of 50 ms in every world. ``actions`` (W, 13) in [-1, 1], clipped.
+        """One control step of 50 ms in every world. ``actions`` (W, A), clipped to the action space.
 
         Raises:
-            UsageError: wrong shape, or actions that are not finite.
+            UsageError: wrong shape or type, or actions that are not finite.
         """
-        actions = self._check(actions)
-        self._advance_physics(actions)
-        signals = self._measure_step()
+        actions = check_actions(actions, self.action_table, self.num_envs)
+        broken = self._advance_physics(actions)
+        world = self._sense()
+        self.progress = progress_rules.accumulate(self.progress, world.robot_force)
+        signals = self._measure(world)
+        if broken is not None:
+            self.progress, signals = _give_up(broken, self.progress, signals)
         new, outcome = progress_rules.advance(self.progress, signals, self.tables.arrays, self.task_config)
+        reward = self._reward(world, signals, new)
         events = self.tracker.update(signals, self.progress)
         ended = self.tracker.ended(signals, outcome, self.progress, self.tables.plans)
         if outcome.advanced.any():
-            self._follow(new)
+            self.follow(new)
         self.progress, self.signals = new, signals
-        reward = self._reward(signals)
-        terminated: np.ndarray = outcome.place_broken
-        if not self.config.subtask:
-            terminated = terminated | outcome.success | outcome.force_exceeded
-        truncated = outcome.done & ~terminated
-        self._outcome = outcome
+        self.success, self.fail = outcome.success.copy(), outcome.fail.copy()
         moved = outcome.advanced & ~outcome.done
         if moved.any():
             self._enter_subtask(moved)
-        elif (self._pending >= 0).any():
+        elif self.teleports.waiting.any():
             self._teleport()
-            self._state = self.sim.state()
-        return self._finish(events, ended, reward, terminated, truncated)
+        return self._finish(events, ended, reward, outcome)
 
-    def _check(self, actions: np.ndarray) -> np.ndarray:
-        actions = np.asarray(actions, np.float32)
-        if actions.shape != (self.num_envs, ACTION_DIM):
-            raise UsageError(f"actions must have shape ({self.num_envs}, {ACTION_DIM}), got {actions.shape}")
-        if not np.isfinite(actions).all():
-            raise UsageError("actions must be finite, got NaN or infinity")
-        return actions
-
-    def _advance_physics(self, actions: np.ndarray) -> None:
-        teleporting = self._focus.kind == SubtaskKind.NAVIGATE
+    def _advance_physics(self, actions: np.ndarray) -> np.ndarray | None:
+        """Step the worlds; returns (W,) bool, those that broke and have been put back, or None."""
+        teleporting = self.focus.kind == SubtaskKind.NAVIGATE
         if not self.config.subtask and teleporting.any():
             # The teleport does the moving: the robot stands and keeps its grip.
-            actions = actions.copy()
-            actions[teleporting] = 0.0
-            actions[teleporting, GRIPPER] = self._gripper[teleporting]
-        self._gripper = actions[:, GRIPPER].copy()
-        self.sim.step(self.controller.ctrl(actions, self._state.robot_q))
-        self._state = self.sim.state()
+            still = self.controller.still(self.state)
+            still[:, self.controller.gripper] = self.grip
+            actions = np.where(teleporting[:, None], still, actions)
+        self.grip = actions[:, self.controller.gripper].copy()
+        ctrl = self.controller.ctrl(actions, self.state)
+        before = self.sim.qpos.copy()
+        self.sim.step(ctrl)
+        broken = self.sim.broken()
+        if not broken.any():
+            self.state = self.sim.state()
+            return None
+        worlds = np.flatnonzero(broken).tolist()
+        self.nan_resets[worlds] += 1
+        self.sim.mend(worlds, [self.homes[w] for w in worlds], before[worlds])
+        self.state = self.sim.state()
+        return broken.copy()
 
-    def _measure_step(self) -> Signals:
-        state = self._sense()
-        self.progress = progress_rules.accumulate(self.progress, state.robot_force)
-        return self._measure(state)
-
-    def _reward(self, signals: Signals) -> np.ndarray:
-        if self.config.subtask:
-            return signals.success.astype(np.float64)
-        return self.progress.pointer.astype(np.float64)
+    def _reward(self, world: WorldState, signals: Signals, new: Progress) -> np.ndarray:
+        if self.config.reward == "pointer":
+            return new.pointer.astype(np.float64)
+        reward, self.reward_terms = self.rewarder.step(self._reward_inputs(world, signals))
+        return reward
 
     def _finish(
-        self, events: list[list[str]], ended: list, reward: np.ndarray, terminated: np.ndarray, truncated: np.ndarray
+        self, events: list[list[str]], ended: list, reward: np.ndarray, outcome: Outcome
     ) -> tuple[dict, np.ndarray, np.ndarray, np.ndarray, dict]:
-        done = terminated | truncated
-        if done.any() and self.config.autoreset == "same_step":
-            final_obs, final_info = self._observe(), self._info(events, ended)
-            self._begin_next(np.flatnonzero(done))
-            obs, info = self._observe(), self._info(events, ended)
-            info |= {"final_obs": final_obs, "final_info": final_info, "_final_obs": done, "_final_info": done}
-            return obs, reward, terminated, truncated, info
-        return self._observe(), reward, terminated, truncated, self._info(events, ended)
+        terminated: np.ndarray = outcome.place_broken
+        if not self.config.runs_to_horizon:
+            terminated = terminated | outcome.success | outcome.force_exceeded
+        truncated = outcome.done & ~terminated
+        obs, info = None, None
+        if outcome.done.any() and self.config.autoreset == "same_step":
+            obs, info = self._renew(events, ended, outcome.done)
+        elif self.config.autoreset == "next_step":
+            if self.due.any():
+                # Gymnasium: the step after an episode's end is the reset, whatever the action; it brings no reward.
+                reward = np.where(self.due, 0.0, reward)
+                self._begin_next(np.flatnonzero(self.due))
+            self.due = outcome.done.copy()
+        if obs is None or info is None:
+            obs, info = self._observe(), self.reporter.info(events, ended)
+        return obs, reward, terminated, truncated, info
+
+    def _renew(self, events: list[list[str]], ended: list, done: np.ndarray) -> tuple[dict, dict]:
+        """Reset finished worlds in the same step: their last observation and info go into final_obs, final_info."""
+        final_obs, final_info = self._observe(), self.reporter.info(events, ended)
+        self._begin_next(np.flatnonzero(done))
+        # What happened belongs to the old episode; the new one begins with nothing.
+        gone = done.tolist()
+        events = [[] if old else names for names, old in zip(events, gone, strict=True)]
+        ended = [None if old else record for record, old in zip(ended, gone, strict=True)]
+        info = self.reporter.info(events, ended)
+        info |= {"final_obs": final_obs, "final_info": final_info, "_final_obs": done, "_final_info": done}
+        return self._observe(final_obs, done), info
 
     def _begin_next(self, worlds: np.ndarray) -> None:
-        self._begin(worlds, [int(i) for i in worlds * INDEX_STRIDE + self._count[worlds]])
+        self._begin(worlds, [int(i) for i in worlds * INDEX_STRIDE + self.count[worlds]])
 
-    # -- what comes back -------------------------------------------------------------------------------------------
-
-    def _observe(self) -> dict[str, np.ndarray]:
+    def _observe(self, known: dict[str, np.ndarray] | None = None, changed: np.ndarray | None = None) -> dict:
         assert self.signals is not None
-        context = self.sensing.context(self._state, self._focus, self.signals)
-        obs = state_observation(context)
-        if self.config.cameras:
-            images = self.renderer.robot_views(self._state, self._home, self.config.camera_size, self.config.cameras)
-            for c, name in enumerate(CAMERA_KEYS):
-                for output in self.config.cameras:
-                    obs[camera_key(name, output)] = image_observation(name, output, images[output][:, c])
-        return obs
+        return self.observer.observe(self.state, self.focus, self.signals, self.homes, known, changed)
 
-    def _info(self, events: list[list[str]], ended: list) -> dict[str, Any]:
-        s, p = self.signals, self.progress
-        assert s is not None
-        outcome = self._outcome
-        no = np.zeros(self.num_envs, bool)
-        info: dict[str, Any] = {
-            "pointer": p.pointer, "kind": self._focus.kind, "steps_left": p.steps_left,
-            "robot_force": s.robot_force, "cumulative_force": s.cumulative_force,
-            "success": no if outcome is None else outcome.success, "fail": no if outcome is None else outcome.fail,
-            "taint": self.sim.taint(), "spawn_fallback": self._fallback.copy(),
-        }  # fmt: skip
-        for name in _CHECKERS:
-            info[name] = getattr(s, name)
-        info["events"], info["ended"] = events, ended
-        info["episode"] = [self._describe(w) for w in range(self.num_envs)]
-        return info
+    # -- states and pictures ---------------------------------------------------------------------------------------
 
-    def _describe(self, world: int) -> dict[str, Any] | None:
-        episode = self._episode[world]
-        if episode is None:
-            return None
-        plan = self.tables.plans[world]
-        if self._described[world] is not plan:
-            self._described[world] = plan
-            self._descriptions[world] = {
-                "seed": self._seed, "index": episode.index, "home": episode.home, "task": episode.task,
-                "split": episode.split, "subtask": self.config.subtask or None,
-                "plan": [
-                    {"kind": KIND_NAMES[s.kind], "target": s.target, "goal": list(s.goal_pos)} for s in plan.subtasks
-                ],
-            }  # fmt: skip
-        return self._descriptions[world]
+    def get_state(self, world: int) -> dict[str, Any]:
+        """Everything one world is: nested dict of arrays, numbers, strings and lists. See `snapshots.snapshot`."""
+        return snapshot(self, world)
 
-    # -- pictures --------------------------------------------------------------------------------------------------
-
-    @property
-    def renderer(self) -> HomeRenderer:
-        """The renderer of this layout, made on first use."""
-        if self._renderer is None:
-            self._renderer = HomeRenderer(self.sim, self.config.threads)
-        return self._renderer
+    def set_state(self, world: int, state: dict[str, Any]) -> None:
+        """Put one world into a state from ``get_state``; the others keep every bit. See `snapshots.restore`."""
+        restore(self, world, state)
 
     def render_world(self, world: int, width: int = 480, height: int = 360) -> np.ndarray:
         """Human view (H, W, 3) uint8 of one world, from behind the robot's shoulder."""
-        return self.renderer.follow_view(self._state, self._home[world], world, width, height)
+        return self.observer.renderer.follow_view(self.state, self.homes[world], world, width, height)
+
+    def render(self) -> tuple[np.ndarray, ...] | None:
+        """Human views (H, W, 3) uint8 of all worlds, or None without a render mode."""
+        return tuple(self.render_world(w) for w in range(self.num_envs)) if self.render_mode else None
 
     def view(self, world: int) -> WorldView:
         """Privileged live view of one world, for scripted experts."""
@@ -380,15 +393,8 @@ class SequentialTaskEnv(VectorEnv):
         self.sim.batch.ctrl[:] = ctrl
         self.sim.batch.step(nstep=SUBSTEPS, stage=POSITION_STAGE)
 
-    def close_extras(self, **kwargs: Any) -> None:
-        """Nothing outlives the environment."""
 
-
-_MODES = {
-    "same_step": AutoresetMode.SAME_STEP,
-    "disabled": AutoresetMode.DISABLED,
-}
-_CHECKERS = (
-    "is_grasped", "at_goal", "ee_rest", "robot_rest", "is_static", "force_ok", "opened", "closed", "near", "oriented",
-    "contact", "touch",
-)  # fmt: skip
+def _give_up(broken: np.ndarray, progress: Progress, signals: Signals) -> tuple[Progress, Signals]:
+    """Let the time of worlds that broke be up, and nothing in them count as success."""
+    progress = dataclasses.replace(progress, steps_left=np.where(broken, 0, progress.steps_left))
+    return progress, dataclasses.replace(signals, success=signals.success & ~broken)

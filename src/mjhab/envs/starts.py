@@ -22,6 +22,9 @@ from mjhab.tasks.plan import Box, Subtask, SubtaskKind, TaskConfig, TaskPlan, ch
 OPEN_START_MARGIN = 1.0
 """Opened links start between their success fraction and this fraction of their range."""
 
+AJAR = 0.2
+"""Part of the way to open at which a drawer starts that was left ajar (mshab/envs/open.py)."""
+
 
 @dataclass(frozen=True, eq=False)
 class Start:
@@ -88,6 +91,10 @@ class StartMaker:
         qpos, fallback = self._spawn(episode, home.name, qpos, goal, held)
         return Start(plan.only(position), home.name, qpos, boxes, fallback)
 
+    def home(self, name: str) -> Home:
+        """The home of a name."""
+        return self._homes[name]
+
     def boxes(self, home: Home) -> dict[str, Box]:
         """Area in front of every link of a home, as (x_min, x_max, y_min, y_max)."""
         out = {}
@@ -132,6 +139,8 @@ class StartMaker:
             self._open_link(rng, episode.home, subtask.link, qpos)
             target = next(t for t in episode.targets if t.start_link == subtask.link)
             self._put_at_goal(qpos, self.layout.object_names.index(target.obj), target.goal_pos)
+        elif subtask.kind == SubtaskKind.OPEN:
+            self._leave_ajar(rng, episode, subtask, qpos)
         elif subtask.kind == SubtaskKind.PLACE or (subtask.kind == SubtaskKind.NAVIGATE and subtask.must_hold):
             if subtask.link and qpos[self._link_q(subtask.link)] < 1.0:
                 self._open_link(rng, episode.home, subtask.link, qpos)
@@ -146,6 +155,15 @@ class StartMaker:
         fraction = rng.uniform(self.task_config.open_fraction(link), OPEN_START_MARGIN)
         at = low + fraction * (high - low)
         qpos[self._link_q(link)] = min(at, dict(self._homes[home].open_limits).get(link, at))
+
+    def _leave_ajar(self, rng: np.random.Generator, episode: Episode, subtask: Subtask, qpos: np.ndarray) -> None:
+        """In training, let a drawer start part of the way to open now and then (mshab/envs/open.py)."""
+        ref = self.layout.links[self.layout.link_ids.index(subtask.link)]
+        if ref.link.joint != "slide" or rng.uniform() >= self.config.open_start:
+            return
+        low, high = ref.link.range
+        qpos[self._link_q(subtask.link)] = low + AJAR * self.task_config.open_fraction(subtask.link) * (high - low)
+        self._carry_along(episode, subtask, qpos)
 
     def _carry_along(self, episode: Episode, subtask: Subtask, qpos: np.ndarray) -> None:
         """An object in a drawer moves with it (mshab/utils/gen/gen_spawn_positions.py)."""

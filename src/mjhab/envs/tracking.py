@@ -28,6 +28,17 @@ class Tracker:
             self._notes.restart(mask, signals)
         self._start_step = np.where(mask, progress.episode_step, self._start_step)
 
+    def get_row(self, world: int) -> dict[str, Any]:
+        """Copy of everything noted about a world."""
+        assert self._notes is not None
+        return {"start_step": int(self._start_step[world]), **self._notes.get_row(world)}
+
+    def set_row(self, world: int, row: dict[str, Any]) -> None:
+        """Put what ``get_row`` gave into a world."""
+        assert self._notes is not None
+        self._start_step[world] = row["start_step"]
+        self._notes.set_row(world, row)
+
     def update(self, signals: Signals, progress: Progress) -> list[list[str]]:
         """Note one control step, before the pointer moves; returns the names of its events per world."""
         assert self._notes is not None

@@ -4,13 +4,27 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from mjhab.core.errors import UsageError
+
 if TYPE_CHECKING:
     from mjhab.envs.sequential import SequentialTaskEnv
     from mjhab.experts.policy import ExpertPolicy
 
 
 def make_expert(env: SequentialTaskEnv) -> ExpertPolicy:
-    """The expert policy of an environment (one script per world, restarted with every subtask)."""
+    """The expert policy of an environment (one script per world, restarted with every subtask).
+
+    Raises:
+        UsageError: the environment takes other actions than those experts give.
+    """
+    from mjhab.envs.controllers import DEFAULT_MODE
     from mjhab.experts.policy import ExpertPolicy
+
+    config = env.config
+    if (config.control_mode, config.base, tuple(config.stationary)) != (DEFAULT_MODE, "forward", ()):
+        raise UsageError(
+            f"experts act by control_mode {DEFAULT_MODE!r} with base 'forward' and nothing stationary; "
+            f"this environment has {config.control_mode!r}, base {config.base!r}, stationary {config.stationary!r}."
+        )
 
     return ExpertPolicy(env)

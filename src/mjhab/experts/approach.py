@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from mjhab.core.boxes import Boxes, sphere_box_distance
+from mjhab.envs.kinematics import wrap
 from mjhab.envs.privileged import JointedLink, WorldView
 from mjhab.experts import ik, motion
-from mjhab.experts.kinematics import wrap
 from mjhab.experts.navigation import CONTROL_DT
 from mjhab.experts.route import BASE_LAG, Pilot, Route, follow, plan_route
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from mjhab.core.boxes import Boxes, sphere_box_distance
 from mjhab.core.rotations import mat_from_quat
-from mjhab.experts.kinematics import Chain, Frames
+from mjhab.envs.kinematics import Chain, Frames
 
 Array = np.ndarray
 FAR = 1e3

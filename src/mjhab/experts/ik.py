@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from mjhab.experts.kinematics import Chain, rotation_vector, wrap
+from mjhab.envs.kinematics import Chain, limited_step, rotate, rotation_vector, wrap
 
 Array = np.ndarray
 Mode = Literal["pose", "approach", "closing", "position"]
@@ -30,10 +30,6 @@ ARM_STEP = 0.038
 kp 1e3, kd 1e2 covers 0.1 (1 - exp(-0.5)) of it."""
 TORSO_STEP = 0.02
 """A cautious bound for the torso in one control step [m]; it carries the arm, so it follows more slowly."""
-
-
-DAMPING = 1e-4
-"""Least damping of the normal equations; more is added far from the goal, where the linear model is poor."""
 
 
 @dataclass(frozen=True)
@@ -150,7 +146,7 @@ def _iterate(
         gain = options.rest_gain * max(0.0, 1.0 - 1.5 * iteration / options.iterations)
         pull = (rest - now)[:, dofs] * gain
         low, high = chain.lower[dofs] - now[:, dofs], chain.upper[dofs] - now[:, dofs]
-        now[:, dofs] += _limited_step(error[going], jac[going][:, :, dofs], pull, low, high, options.max_step)
+        now[:, dofs] += limited_step(error[going], jac[going][:, :, dofs], pull, low, high, options.max_step)
         flat[active] = chain.clip(now)
     return pos_err, rot_err
 
@@ -197,7 +193,7 @@ def servo(
     error, jac = _task(chain, ahead, pos, rot, mode)
     low, high = chain.lower[dofs] - q[:, dofs], chain.upper[dofs] - q[:, dofs]
     pull = (rest - q)[:, dofs] * rest_gain
-    step = _limited_step(gain * error, jac[:, :, dofs], pull, low, high, step_limits(chain)[dofs])
+    step = limited_step(gain * error, jac[:, :, dofs], pull, low, high, step_limits(chain)[dofs])
     delta = np.zeros_like(q)
     delta[:, dofs] = np.clip(step, np.minimum(low, 0.0), np.maximum(high, 0.0))
     return delta
@@ -240,18 +236,6 @@ def straight_line(
     return pos + share[:, None] * way, rotate(share[:, None] * spin) @ rot
 
 
-def rotate(vector: Array) -> Array:
-    """Rotation matrices (N, 3, 3) of rotation vectors (N, 3) [rad]."""
-    angle = np.linalg.norm(vector, axis=-1)[:, None, None]
-    x, y, z = np.moveaxis(vector, -1, 0)
-    zero = np.zeros_like(x)
-    skew = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(-1, 3, 3)
-    safe = np.maximum(angle, 1e-9)
-    first = np.where(angle > 1e-6, np.sin(angle) / safe, 1.0)
-    second = np.where(angle > 1e-6, (1 - np.cos(angle)) / safe**2, 0.5)
-    return np.eye(3) + first * skew + second * (skew @ skew)
-
-
 def _task(chain: Chain, q: Array, pos: Array, rot: Array, mode: Mode) -> tuple[Array, Array]:
     """Error (N, 6) in world axes and the Jacobian (N, 6, Q) of what counts in ``mode``."""
     frames = chain.forward(q)
@@ -282,33 +266,3 @@ def _axis_error(axis: Array, goal: Array) -> Array:
     direction = np.where(lost[:, None], other, normal)
     length = np.maximum(np.linalg.norm(direction, axis=1), 1e-12)
     return direction * (angle / length)[:, None]
-
-
-def _damped_step(error: Array, jac: Array, pull: Array) -> Array:
-    """Joint changes (N, D) for an error (N, 6), with ``pull`` (N, D) let through in the null space."""
-    size = np.minimum(np.sum(error * error, axis=1), 1.0)
-    square = jac @ jac.swapaxes(1, 2) + (DAMPING + 0.03 * size)[:, None, None] * np.eye(6)
-    wanted = error - np.einsum("nij,nj->ni", jac, pull)
-    return np.einsum("nij,ni->nj", jac, np.linalg.solve(square, wanted[..., None])[..., 0]) + pull
-
-
-def _limited_step(error: Array, jac: Array, pull: Array, low: Array, high: Array, largest: Array | float) -> Array:
-    """A damped step of at most ``largest`` (D,) per column that leaves what limited columns cannot do to the others.
-
-    ``low``, ``high`` (N, D): room left to the limits. A column that would run out of it goes to its limit, and the
-    step of the others is computed anew for the error that remains; clipping alone would stall at the limits.
-    """
-    stopped = np.zeros_like(pull)
-    free = np.ones_like(pull)
-    for last in (False, False, True):
-        remaining = error - np.einsum("nij,nj->ni", jac, stopped)
-        step = _bounded(stopped + _damped_step(remaining, jac * free[:, None], pull * free) * free, largest)
-        if not last:
-            over = (free > 0) & ((step < low) | (step > high))
-            stopped = np.where(over, np.clip(step, low, high), stopped)
-            free = np.where(over, 0.0, free)
-    return step
-
-
-def _bounded(step: Array, largest: Array | float) -> Array:
-    return step / np.maximum(np.max(np.abs(step) / largest, axis=1, keepdims=True), 1.0)

@@ -23,6 +23,7 @@ from mjhab.envs.actions import (
     TORSO,
     ActionLimits,
 )
+from mjhab.envs.kinematics import Chain
 from mjhab.envs.privileged import (
     DISTAL_LINKS,
     FETCH_JOINTS,
@@ -36,7 +37,6 @@ from mjhab.envs.privileged import (
 )
 from mjhab.experts import ik
 from mjhab.experts.clearance import Boxes, RobotSpheres
-from mjhab.experts.kinematics import Chain
 from mjhab.experts.navigation import DriveLimits, Follower, Planner
 
 Array = np.ndarray

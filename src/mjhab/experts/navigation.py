@@ -11,14 +11,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from mjhab.core.errors import UsageError
-from mjhab.experts.kinematics import wrap
+from mjhab.core.grids import grid_graph
+from mjhab.envs.kinematics import wrap
 
 Array = np.ndarray
-_NEIGHBOURS = ((1, 0), (0, 1), (1, 1), (1, -1))
 CONTROL_DT = 0.05
 """Seconds per control step."""
 
@@ -47,7 +46,7 @@ class Planner:
         if not self.free.any():
             raise UsageError(f"no cell of the map has a clearance of {radius} m; give a smaller radius or another home")
         lack = np.clip((radius + comfort - self.clearance) / comfort, 0.0, 1.0)
-        self._graph = self._build(1.0 + caution * lack**2)
+        self._graph = grid_graph(self.free, self.cell, price=1.0 + caution * lack**2)
 
     def clearance_at(self, points: Array) -> Array:
         """Clearance (...,) of the cells that hold world points (..., 2); 0 outside the map."""
@@ -123,20 +122,6 @@ class Planner:
     def _node(self, point: Array) -> int:
         x, y = np.floor((point - self.origin) / self.cell).astype(np.int64)
         return int(x * self.clearance.shape[1] + y)
-
-    def _build(self, price: Array) -> csr_matrix:
-        number = np.arange(self.free.size).reshape(self.free.shape)
-        starts, ends, costs = [], [], []
-        for dx, dy in _NEIGHBOURS:
-            a = (slice(0, -dx or None), slice(max(0, -dy), -dy if dy > 0 else None))
-            b = (slice(dx, None), slice(max(0, dy), dy if dy < 0 else None))
-            both = self.free[a] & self.free[b]
-            starts.append(number[a][both])
-            ends.append(number[b][both])
-            costs.append(np.hypot(dx, dy) * self.cell * 0.5 * (price[a] + price[b])[both])
-        size = self.free.size
-        triple = (np.concatenate(costs), (np.concatenate(starts), np.concatenate(ends)))
-        return csr_matrix(triple, shape=(size, size))
 
 
 @dataclass(frozen=True)

@@ -13,10 +13,10 @@ import numpy as np
 
 from mjhab.core.boxes import Boxes, sphere_box_distance
 from mjhab.envs.grasps import approach_clearance
+from mjhab.envs.kinematics import wrap
 from mjhab.envs.privileged import FETCH_JOINTS, REST_QPOS, WorldView
 from mjhab.experts import ik, motion
 from mjhab.experts.clearance import RobotSpheres
-from mjhab.experts.kinematics import wrap
 from mjhab.experts.route import Route, plan_route, planner
 
 Array = np.ndarray

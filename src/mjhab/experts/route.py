@@ -10,10 +10,10 @@ from functools import lru_cache
 
 import numpy as np
 
+from mjhab.envs.kinematics import wrap
 from mjhab.envs.privileged import HomeShapes, WorldView
 from mjhab.experts import ik, motion
 from mjhab.experts.clearance import Boxes, RobotSpheres, sphere_box_distance
-from mjhab.experts.kinematics import wrap
 from mjhab.experts.motion import Motion
 from mjhab.experts.navigation import CONTROL_DT, Planner
 

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mjhab.envs.kinematics import wrap
 from mjhab.envs.privileged import REST_QPOS, BoxArrays, JointedLink, WorldView
 from mjhab.experts import ik, motion
-from mjhab.experts.kinematics import wrap
 
 Array = np.ndarray
 SELF_MARGIN = 0.02

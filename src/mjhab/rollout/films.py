@@ -63,7 +63,7 @@ class FilmSink(Sink):
     def on_reset(self, env: Any, info: Mapping[str, Any], mask: np.ndarray) -> None:
         """Open films of wanted episodes; their first frame shows the start state."""
         for world in np.flatnonzero(mask):
-            index = int(info["episode"][world]["index"])
+            index = int(info["episode_spec"][world]["index"])
             if index in self._indices and self.problem is None:
                 self._films[int(world)] = self._open_film(self._path_of(index), FILM_FPS)
                 self._shoot(env, int(world))

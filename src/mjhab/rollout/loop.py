@@ -127,7 +127,7 @@ class _Run:
         self.active |= mask
         self.steps[mask] = 0
         for w, index in zip(np.flatnonzero(mask), indices, strict=True):
-            self.traces[w] = _Trace(self.seed, int(index), self.info["episode"][w])
+            self.traces[w] = _Trace(self.seed, int(index), self.info["episode_spec"][w])
         for sink in self.sinks:
             sink.on_reset(self.env, self.info, mask)
 

@@ -17,7 +17,7 @@ class Policy(Protocol):
     """Maps observations of W worlds to actions.
 
     A policy may keep state per world; ``reset`` tells it which worlds begin a new episode. What it does in an episode
-    must depend on that episode only (``info["episode"][w]``), never on the world it runs in or on its neighbours.
+    must depend on that episode only (``info["episode_spec"][w]``), never on the world it runs in or on its neighbours.
     """
 
     @property
@@ -70,7 +70,7 @@ class RandomPolicy:
     def act(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:
         """Return actions (W, 13) float32, uniform in [-1, 1]."""
         actions = np.empty((len(self._streams), ACTION_SIZE), np.float32)
-        for w, episode in enumerate(info["episode"]):
+        for w, episode in enumerate(info["episode_spec"]):
             generator = self._streams[w]
             if generator is None:
                 generator = stream(self._seed, "policy", "random", int((episode or {}).get("index", 0)))

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import mujoco
 
+from mjhab.core.errors import unknown_name
 from mjhab.scenes import contact_bits
 from mjhab.scenes.fetch_geometry import COLLISION, INERTIALS
 from mjhab.scenes.spec import Geom, Quat, Vec3
@@ -144,6 +145,20 @@ _GAINS |= dict.fromkeys(("r_gripper_finger_joint", "l_gripper_finger_joint"), GR
 _GAINS |= dict.fromkeys(FETCH_JOINTS[:3], BASE_GAINS)
 GAINS: tuple[Gains, ...] = tuple(_GAINS[n] for n in FETCH_JOINTS)
 """Per joint, FETCH_JOINTS order."""
+STIFF_GAINS = Gains(kp=1e5, kd=1e5, force=1e5, armature=1.0)
+"""Head and torso in pd_joint_delta_pos_stiff_body. kd = kp: they creep to a target within seconds, whatever pushes."""
+
+
+@dataclass(frozen=True)
+class Drives:
+    """Which servos differ from GAINS. A control mode asks for them, `apply_drives` sets them.
+
+    velocity: joints whose command is a speed [rad/s or m/s]: force = kd * (command - qd);
+    stiff: joints with STIFF_GAINS.
+    """
+
+    velocity: tuple[str, ...] = ()
+    stiff: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -288,3 +303,21 @@ def _add_actuators(spec: mujoco.MjSpec) -> None:
         name="finger_mimic", type=mujoco.mjtEq.mjEQ_JOINT, name1="r_gripper_finger_joint",
         name2="l_gripper_finger_joint", data=[0.0, 1.0] + [0.0] * 10,
     )  # fmt: skip
+
+
+def apply_drives(model: mujoco.MjModel, drives: Drives) -> None:
+    """Set servo gains and joint force limits of a compiled model in place; `Drives()` are those it was compiled with.
+
+    Raises:
+        UsageError: a joint that the robot does not have.
+    """
+    for name in (*drives.velocity, *drives.stiff):
+        if name not in FETCH_JOINTS:
+            raise unknown_name("joint", name, FETCH_JOINTS)
+    for name in ACTUATORS:
+        gains = STIFF_GAINS if name in drives.stiff else _GAINS[name]
+        kp = 0.0 if name in drives.velocity else gains.kp
+        servo = model.actuator(name)
+        servo.gainprm[0] = kp or gains.kd
+        servo.biasprm[:3] = 0.0, -kp, -gains.kd
+        model.jnt_actfrcrange[model.joint(name).id] = -gains.force, gains.force

@@ -7,11 +7,16 @@ height of the robot is drawn as the convex outline of its points, doors and draw
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt, label
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import ConvexHull, KDTree
 
+from mjhab.core.errors import UsageError
+from mjhab.core.grids import SIXTEEN, grid_graph
 from mjhab.core.rotations import mat_from_quat
 from mjhab.scenes.footprints import all_geoms, outline, rectangle
 from mjhab.scenes.spec import IDENTITY, Articulation, Geom, Home, Pack, Placement, Prop
@@ -20,6 +25,8 @@ BASE_RADIUS = 0.3
 """Radius [m] that HAB's navigation meshes use for Fetch."""
 ROBOT_HEIGHT = 1.4
 """What hangs above this [m] does not block the base; Fetch's head camera at rest is at 1.41 m."""
+MAX_FIELDS = 64
+"""Distance fields a map remembers; one of an apartment takes about 0.2 MB."""
 _MARGIN = 0.3
 """Border around the floor that the raster covers, so that outer walls are in it [m]."""
 
@@ -64,6 +71,55 @@ class FreeMap:
         index = np.clip(index, 0, np.array(self.blocked.shape) - 1)
         return np.where(inside, self.clearance[index[..., 0], index[..., 1]], 0.0)
 
+    def distances_to(self, xy: np.ndarray) -> np.ndarray:
+        """Length (X, Y) float32 [m] of the shortest way of the base from every cell to ``xy`` (2,).
+
+        Ways lead through cells where a base of `BASE_RADIUS` fits; they are up to 3 % longer than the true ones, and
+        begin at a cell's centre. A place where the base does not fit, as start or as goal, counts as the nearest one
+        where it does, and the straight line to there is added: every cell has a finite distance. Read-only; the last
+        `MAX_FIELDS` goals are remembered.
+
+        Raises:
+            UsageError: the base fits nowhere.
+        """
+        goal = np.asarray(xy, float)[:2]
+        key = (round(float(goal[0]), 3), round(float(goal[1]), 3))
+        if key not in self._fields:
+            if len(self._fields) >= MAX_FIELDS:
+                del self._fields[next(iter(self._fields))]
+            self._fields[key] = self._field(goal)
+        return self._fields[key]
+
+    def distance(self, a: np.ndarray, b: np.ndarray) -> float:
+        """Length [m] of the shortest way of the base between ``a`` and ``b`` (2,), as `distances_to` has it."""
+        field, origin, cell = self.distances_to(b)[None], np.array([self.origin]), np.array([self.cell])
+        return float(look_up(field, origin, cell, np.array([field.shape[1:]]), np.asarray(a, float)[None, :2])[0])
+
+    def _field(self, goal: np.ndarray) -> np.ndarray:
+        graph, nearest, off = self._ways
+        x, y = self.to_cell(goal)
+        source = nearest[:, x, y]
+        node = int(source[0] * self.blocked.shape[1] + source[1])
+        along = np.asarray(dijkstra(graph, directed=False, indices=node)).reshape(self.blocked.shape)
+        straight = np.linalg.norm(self.to_xy(np.moveaxis(np.indices(self.blocked.shape), 0, -1)) - goal, axis=-1)
+        apart = float(np.linalg.norm(self.to_xy(source) - goal)) if off[x, y] else 0.0
+        field = np.maximum(along[nearest[0], nearest[1]] + off + apart, straight).astype(np.float32)
+        field.flags.writeable = False
+        return field
+
+    @cached_property
+    def _fields(self) -> dict[tuple[float, float], np.ndarray]:
+        return {}
+
+    @cached_property
+    def _ways(self) -> tuple[csr_matrix, np.ndarray, np.ndarray]:
+        """Graph of the navigable cells; the nearest of them (2, X, Y) to every cell and how far off it is [m]."""
+        free = self.navigable()
+        if not free.any():
+            raise UsageError(f"no floor on which a base of radius {BASE_RADIUS} m can stand: nothing leads anywhere.")
+        off, nearest = distance_transform_edt(~free, return_indices=True)  # type: ignore[misc]
+        return grid_graph(free, self.cell, SIXTEEN), np.asarray(nearest), np.asarray(off) * self.cell
+
     def sample(self, rng: np.random.Generator, mask: np.ndarray) -> np.ndarray:
         """A uniform position (2,) [m] in the cells of ``mask`` (X, Y).
 
@@ -74,6 +130,25 @@ class FreeMap:
         if len(cells) == 0:
             raise ValueError("no cell to draw from: the mask is empty")
         return self.to_xy(cells[rng.integers(len(cells))] + rng.uniform(-0.5, 0.5, 2))
+
+
+def look_up(fields: np.ndarray, origin: np.ndarray, cell: np.ndarray, shape: np.ndarray, xy: np.ndarray) -> np.ndarray:
+    """Values (W,) at positions ``xy`` (W, 2) [m], one in each of ``fields`` (W, X, Y).
+
+    Args:
+        origin: (W, 2) and cell: (W,) [m], of the raster of each field; shape: (W, 2) how many of its cells are used.
+
+    Returns:
+        Values between those of the four cells around; beyond the raster that of its border plus the distance to it.
+    """
+    last = shape - 1
+    wanted = (xy - origin) / cell[:, None] - 0.5
+    at = np.clip(wanted, 0.0, last)
+    low = np.minimum(at.astype(int), np.maximum(last - 1, 0))
+    (i, j), (k, m), (u, v) = low.T, np.minimum(low + 1, last).T, (at - low).T
+    w = np.arange(len(fields))
+    near, far = ((1 - v) * fields[w, row, j] + v * fields[w, row, m] for row in (i, k))
+    return (1 - u) * near + u * far + np.linalg.norm(wanted - at, axis=1) * cell
 
 
 def free_map(home: Home, pack: Pack, cell: float = 0.05) -> FreeMap:

@@ -270,6 +270,9 @@ def _add_sensors(spec: mujoco.MjSpec, layout: Layout) -> None:
         for finger in fetch.FINGER_LINKS:
             _contact_sensor(spec, f"{finger}>{target}", finger, target, (_FORCE,))
         _contact_sensor(spec, f"touch>{target}", "base_link", target, (_FOUND,), subtree=True)
+    # Type XBODY is the origin of the link frame, not its centre of mass.
+    linvel, xbody = mujoco.mjtSensor.mjSENS_FRAMELINVEL, mujoco.mjtObj.mjOBJ_XBODY
+    spec.add_sensor(name="tcp_velocity", type=linvel, objtype=xbody, objname=fetch.TCP_LINK)
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,7 +281,8 @@ class Addresses:
 
     ``robot_q``, ``robot_v`` (J,): in FETCH_JOINTS order; ``object_q``, ``object_v`` (N,): first of 7 / 6;
     ``object_body`` (N,); ``link_q``, ``link_v``, ``link_body`` (L,); ``robot_body``: link name to body id;
-    sensor starts: ``link_force`` (K,), ``finger_force`` (2, N + L) for [l, r] finger, ``touch`` (N + L,).
+    sensor starts: ``link_force`` (K,), ``finger_force`` (2, N + L) for [l, r] finger, ``touch`` (N + L,),
+    ``tcp_velocity``.
     """
 
     robot_q: np.ndarray
@@ -293,6 +297,7 @@ class Addresses:
     link_force: np.ndarray
     finger_force: np.ndarray
     touch: np.ndarray
+    tcp_velocity: int
 
 
 def addresses(layout: Layout, model: mujoco.MjModel) -> Addresses:
@@ -317,4 +322,5 @@ def addresses(layout: Layout, model: mujoco.MjModel) -> Addresses:
         link_force=sensors([f"force/{n}" for n in fetch.FORCE_LINKS]),
         finger_force=np.array([sensors([f"{f}>{t}" for t in targets]) for f in fetch.FINGER_LINKS]),
         touch=sensors([f"touch>{t}" for t in targets]),
+        tcp_velocity=int(model.sensor("tcp_velocity").adr[0]),
     )  # fmt: skip

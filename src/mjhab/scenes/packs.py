@@ -27,7 +27,7 @@ from mjhab.scenes.spec import Articulation, Home, ObjectType, Pack, Prop
 
 PACK_FORMAT = "mjhab-pack-1"
 _JSON, _MESHES = "pack.json", "meshes.npz"
-_STAGE = "?stage="
+_JOINTS, _STAGE = "?articulate=", "?stage="
 
 
 def open_pack(name: str) -> Pack:
@@ -35,8 +35,10 @@ def open_pack(name: str) -> Pack:
 
     Args:
         name: ``"builtin"``; or the path of a ReplicaCAD data set (or of the folder that holds it as ``replica_cad``),
-            of one ``*.scene_instance.json`` of it, or of a folder that ``save_pack`` wrote. ``?stage=FILE`` behind a
-            ReplicaCAD path takes that ``.glb`` as the stage of every scene (see ``with_stage``).
+            of one ``*.scene_instance.json`` of it; or that path with names of scenes behind it
+            (``replica_cad/apt_0``, ``replica_cad/apt_*``); or a folder that ``save_pack`` wrote. Behind a
+            ReplicaCAD path ``?articulate=cabinet`` lets more furniture open (see ``with_joints``), and then
+            ``?stage=FILE`` takes that ``.glb`` as the stage of every scene (see ``with_stage``).
 
     Raises:
         UsageError: nothing of that; the message says what the folder lacks or which names exist.
@@ -44,14 +46,20 @@ def open_pack(name: str) -> Pack:
     if name == "builtin":
         return builtin_pack()
     place, _, stage = name.partition(_STAGE)
+    place, _, joints = place.partition(_JOINTS)
     folder, scene = Path(place), ""
     if place.endswith(SCENE_SUFFIX) and folder.is_file():
         folder, scene = folder.resolve().parents[2], folder.name.removesuffix(SCENE_SUFFIX)
+    elif not folder.exists() and any(map(is_replica_cad, (folder.parent, folder.parent / "replica_cad"))):
+        folder, scene = folder.parent, folder.name
+        folder = folder if is_replica_cad(folder) else folder / "replica_cad"
     for data_set in (folder, folder / "replica_cad"):
         if scene or is_replica_cad(data_set):
-            return _replica_cad(data_set.resolve(), scene, Path(stage) if stage else None)
-    if stage:
-        raise UsageError(f"{place!r} is not a ReplicaCAD folder: a stage mesh means nothing to it.")
+            opening = tuple(filter(None, joints.split(",")))
+            return _replica_cad(data_set.resolve(), scene, Path(stage) if stage else None, opening)
+    if stage or joints:
+        what = "a stage mesh means" if stage else "furniture to articulate means"
+        raise UsageError(f"{place!r} is not a ReplicaCAD folder: {what} nothing to it.")
     if folder.is_dir():
         return load_pack(folder)
     if folder.exists():
@@ -75,11 +83,34 @@ def with_stage(assets: str, stage_mesh: Path | None) -> str:
     return f"{assets}{_STAGE}{stage_mesh}"
 
 
+def with_joints(assets: str, furniture: str | None) -> str:
+    """The name of a ReplicaCAD pack in which more furniture opens, for ``open_pack``; None leaves it as it is.
+
+    Use it before ``with_stage``.
+
+    Args:
+        assets: path of the data set.
+        furniture: names with commas between them: kitchen_cupboards, cabinet, chest_of_drawers.
+
+    Raises:
+        UsageError: an unknown name.
+    """
+    if not furniture:
+        return assets
+    from mjhab.scenes.replica_cad_furniture import OPTIONAL
+
+    names = furniture.split(",")
+    for name in names:
+        if name not in OPTIONAL:
+            raise unknown_name("furniture to articulate", name, OPTIONAL)
+    return f"{assets}{_JOINTS}{','.join(sorted(set(names)))}"
+
+
 @lru_cache(maxsize=4)
-def _replica_cad(folder: Path, scene: str, stage_mesh: Path | None) -> Pack:
+def _replica_cad(folder: Path, scene: str, stage_mesh: Path | None, articulate: tuple[str, ...]) -> Pack:
     from mjhab.scenes.replica_cad import open_replica_cad
 
-    return open_replica_cad(folder, scene, stage_mesh)
+    return open_replica_cad(folder, scene, stage_mesh, articulate)
 
 
 @cache

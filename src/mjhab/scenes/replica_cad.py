@@ -1,12 +1,16 @@
 """Reader of the ReplicaCAD data set: real apartments as homes.
 
 A folder of the data set (``configs/``, ``objects/``, ``urdf/``, perhaps ``stages/`` and ``navmeshes/``) becomes a pack
-whose homes are the 84 staged scenes ``v3_sc<macro>_staging_<micro>``; any other scene makes a pack of its own.
-Splits follow the Home Assistant Benchmark: macro layouts 0-2 train, 3 val, 4 test.
+whose homes are the 84 staged scenes ``v3_sc<macro>_staging_<micro>``; other scenes make a pack when they are named.
+Splits follow the Home Assistant Benchmark: macro layouts 0-2 train, 3 val, 4 test; scenes that are not staged train.
+
+Objects that a scene lets move (``motion_type`` DYNAMIC, 101 to 109 in each of ``apt_0`` to ``apt_5``, none in the
+staged ones) stand fixed like furniture: what moves in a task are the objects of its episodes.
 """
 
 from __future__ import annotations
 
+import fnmatch
 import logging
 import re
 from dataclasses import dataclass, field
@@ -44,27 +48,32 @@ _log = logging.getLogger("mjhab")
 _warned: set[str] = set()
 
 
-def open_replica_cad(folder: Path, scene: str = "", stage_mesh: Path | None = None) -> Pack:
+def open_replica_cad(
+    folder: Path, scene: str = "", stage_mesh: Path | None = None, articulate: tuple[str, ...] = ()
+) -> Pack:
     """Read the data set.
 
     Args:
         folder: of the data set; objects are those of a folder ``ycb`` in it or beside it, else the built-in ones.
-        scene: name of one scene, to make a pack of that scene alone; "" for all staged ones.
+        scene: names of scenes to make a pack of, or patterns such as ``apt_*``, with commas between them; "" for all
+            staged ones.
         stage_mesh: a ``.glb`` to take as the stage of every scene, instead of those its configs name.
+        articulate: furniture that opens besides kitchen counter and fridge: keys of ``OPTIONAL``.
 
     Raises:
         UsageError: the folder lacks something or a file is broken; the message names it.
     """
     check_folder(folder)
     names = sorted(p.name.removesuffix(SCENE_SUFFIX) for p in (folder / "configs" / "scenes").glob("*" + SCENE_SUFFIX))
-    if scene and scene not in names:
-        raise unknown_name("scene", scene, names)
-    chosen = [scene] if scene else [name for name in names if STAGED.fullmatch(name)]
+    chosen = _named(scene, names) if scene else [name for name in names if STAGED.fullmatch(name)]
     if not chosen:
         raise UsageError(f"{folder / 'configs' / 'scenes'} has no staged scene (v3_sc*_staging_*); {FETCH}.")
-    reader = _Scenes(folder, Furniture(folder), stage_mesh)
+    reader = _Scenes(folder, Furniture(folder, articulate), stage_mesh)
     homes = tuple(reader.home(name) for name in chosen)
     furniture = reader.furniture
+    if reader.loose:
+        told = f"{len(reader.loose)} scenes ({reader.loose[0]}, ...)" if len(reader.loose) > 1 else reader.loose[0]
+        _warn_once(f"{folder}: objects that may move in {told} (motion_type DYNAMIC) stand fixed here, as furniture.")
     _warn(folder, reader.missing, "homes have a floor but no walls (--stage-mesh FILE gives another stage)")
     _warn(folder, furniture.missing, "their collision shapes are drawn instead")
     objects, meshes = _objects(folder)
@@ -77,10 +86,25 @@ def open_replica_cad(folder: Path, scene: str = "", stage_mesh: Path | None = No
 def _warn(folder: Path, missing: list[Path], meaning: str) -> None:
     """Log once per process that files are missing, and what it means."""
     names = [str(file.relative_to(folder)) if file.is_relative_to(folder) else str(file) for file in missing]
-    text = f"{folder}: {', '.join(names)} missing: {meaning}."
-    if missing and text not in _warned:
+    if missing:
+        _warn_once(f"{folder}: {', '.join(names)} missing: {meaning}.")
+
+
+def _warn_once(text: str) -> None:
+    if text not in _warned:
         _warned.add(text)
         _log.warning(text)
+
+
+def _named(wanted: str, names: list[str]) -> list[str]:
+    """Scenes that fit names or patterns with commas between them, in the order of ``names``."""
+    found: set[str] = set()
+    for pattern in wanted.split(","):
+        fitting = fnmatch.filter(names, pattern)
+        if not fitting:
+            raise unknown_name("scene", pattern, names)
+        found.update(fitting)
+    return sorted(found)
 
 
 def _objects(folder: Path) -> tuple[dict[str, ObjectType], dict[str, Any]]:
@@ -101,6 +125,8 @@ class _Scenes:
     stage_mesh: Path | None
     missing: list[Path] = field(default_factory=list)
     """Stage meshes that are not there."""
+    loose: list[str] = field(default_factory=list)
+    """Scenes in which objects may move."""
     _stages: dict[tuple[Any, ...], tuple[tuple[Geom, ...], Extent] | None] = field(default_factory=dict)
 
     def home(self, name: str) -> Home:
@@ -111,6 +137,8 @@ class _Scenes:
             where = f"object_instances[{k}]"
             template = self.furniture.rigid(_text(path, record, "template_name", where))
             props.append(placement(path, record, template, where))
+        if any(record.get("motion_type") == "DYNAMIC" for record in _list(path, body, "object_instances")):
+            self.loose.append(name)
         for k, record in enumerate(_list(path, body, "articulated_object_instances")):
             where = f"articulated_object_instances[{k}]"
             given = _text(path, record, "template_name", where)

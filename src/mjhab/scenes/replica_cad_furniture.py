@@ -26,7 +26,11 @@ from mjhab.scenes.spec import Articulation, Geom, Handle, Link, Placement, Prop,
 from mjhab.scenes.urdf import Urdf, UrdfBox, UrdfJoint, UrdfLink, UrdfVisual, read_urdf
 
 ARTICULATED = {"kitchen_counter": handles.drawer, "fridge": handles.door}
-"""Furniture that opens; everything else that has joints in its URDF is welded shut."""
+"""Furniture that opens; everything else that has joints in its URDF is welded shut, unless it is asked for."""
+OPTIONAL = {"kitchen_cupboards": "kitchenCupboard_01", "cabinet": "cabinet", "chest_of_drawers": "chestOfDrawers_01"}
+"""Furniture that opens when it is asked for: folder of the URDF, and name of the template."""
+_FRONT = {"cabinet": (0.0, 0.0, 1.0)}
+"""Axis of the links that points out of the front, where it is not x."""
 FLAT_WORDS = ("rug", "mat", "carpet")
 """Names of things the base drives over (ManiSkill's ReplicaCAD scene builder uses the same words)."""
 MATERIAL = "plain_white"
@@ -37,6 +41,8 @@ class Furniture:
     """What has been read so far: templates by name, their collision meshes, and the looks still to be painted."""
 
     folder: Path
+    articulate: tuple[str, ...] = ()
+    """Keys of `OPTIONAL` that open too."""
     props: dict[str, Prop] = field(default_factory=dict)
     articulations: dict[str, Articulation] = field(default_factory=dict)
     meshes: dict[str, Mesh] = field(default_factory=dict)
@@ -77,7 +83,7 @@ class Furniture:
         if name not in self.upright:
             self.upright[name] = _righted(world) @ TO_Z_UP
             urdf, path = self._urdf(name)
-            if name in ARTICULATED:
+            if name in ARTICULATED or name in {OPTIONAL[key] for key in self.articulate}:
                 self.articulations[name] = self._articulation(name, urdf, path, scale)
             else:
                 self.props[name] = self._welded(name, urdf, path, scale)
@@ -167,10 +173,7 @@ class Furniture:
         return Articulation(name, tuple(body), tuple(links), places)
 
     def _link(self, name: str, path: Path, link: UrdfLink, joint: UrdfJoint, frame: np.ndarray, scale: float) -> Link:
-        try:
-            shapes, grip = ARTICULATED[name](link.name, link.boxes)
-        except KeyError as error:
-            raise UsageError(f"{path}: link {link.name!r} of {name!r} has no known handle.") from error
+        shapes, grip = self._grip(name, path, link, scale)
         origin = frame[:3, 3]
         local = frame.copy()
         local[:3, 3] = 0.0
@@ -183,11 +186,26 @@ class Furniture:
         )  # fmt: skip
         slide = joint.kind == "prismatic"
         low, high = (limit * scale if slide else limit for limit in joint.limits)
+        # Some doors of the data set open towards negative positions; ours open upwards.
+        mirrored = high <= 0.0
+        axis, (low, high) = (-joint.axis, (0.0 - high, -low)) if mirrored else (joint.axis, (low, high))
         # Scaling a body by s scales its mass by s^3 (SAPIEN's convention, which ManiSkill uses for this data set).
         return Link(
-            link.name, "slide" if slide else "hinge", point(turn @ joint.axis), (low, high), point(origin),
-            link.mass * scale**3, tuple(geoms), handle,
+            link.name, "slide" if slide else "hinge", point(turn @ axis), (low, high), point(origin),
+            link.mass * scale**3, tuple(geoms), handle, mirrored,
         )  # fmt: skip
+
+    @staticmethod
+    def _grip(name: str, path: Path, link: UrdfLink, scale: float) -> tuple[tuple[UrdfBox, ...], handles.Grip]:
+        """Collision boxes of a link and its handle."""
+        if not link.boxes:
+            raise UsageError(f"{path}: link {link.name!r} of {name!r} has no collision boxes.")
+        if name not in ARTICULATED:
+            return link.boxes, handles.plain(link.boxes, np.array(_FRONT.get(name, (1.0, 0.0, 0.0))), scale)
+        try:
+            return ARTICULATED[name](link.name, link.boxes)
+        except KeyError as error:
+            raise UsageError(f"{path}: link {link.name!r} of {name!r} has no known handle.") from error
 
     def _receptacles(
         self, path: Path, frames: dict[str, np.ndarray], scale: float, geoms: list[Geom], moved: dict[str, np.ndarray]

@@ -168,3 +168,25 @@ def _rib(rib: Rib, inner: float) -> UrdfBox:
     pose[:3, :3] = [[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]
     pose[:3, 3] = ((front + inner) / 2, sum(rib.y) / 2, middle)
     return UrdfBox(np.array([(front - inner) / 2, (rib.y[1] - rib.y[0]) / 2, (rib.z[1] - rib.z[0]) / 2]), pose)
+
+
+def plain(boxes: tuple[UrdfBox, ...], out: np.ndarray, scale: float) -> Grip:
+    """Grip of a door or drawer whose file brings its handle: the box that stands out farthest.
+
+    A part of one box alone has no handle: the grip is then the middle of its face, too wide for a gripper, and the part
+    is pushed.
+
+    Args:
+        boxes: those of the URDF.
+        out: (3,) axis of the link that points out of the front.
+        scale: of the furniture; the gripper does not shrink with it.
+    """
+    reach = [float(out @ box.pose[:3, 3] + np.abs(out @ box.pose[:3, :3]) @ box.half) for box in boxes]
+    knob = boxes[int(np.argmax(reach))]
+    face = max((r for r, box in zip(reach, boxes, strict=True) if box is not knob), default=max(reach))
+    half = np.where(np.abs(out) > 0.5, 0.0, np.abs(knob.pose[:3, :3]) @ knob.half)
+    bar = np.eye(3)[int(half.argmax())]
+    across = np.abs(np.cross(bar, out))
+    pos = knob.pose[:3, 3]
+    pos = pos + out * (face + (FINGERTIP + 0.002) / scale - float(out @ pos))
+    return Grip(pos, bar, out, float(half @ bar), float(2 * half @ across))

@@ -81,7 +81,10 @@ class Handle:
 
 @dataclass(frozen=True)
 class Link:
-    """A moving part of an articulation with one joint to the static body."""
+    """A moving part of an articulation with one joint to the static body.
+
+    Its joint is closed at 0, the start of its ``range``, and opens upwards. ``mirrored``: files count it downwards.
+    """
 
     name: str
     joint: Literal["slide", "hinge"]
@@ -91,11 +94,12 @@ class Link:
     mass: float
     geoms: tuple[Geom, ...]
     handle: Handle
+    mirrored: bool = False
 
 
 @dataclass(frozen=True)
 class Articulation:
-    """Furniture with joints: a static body and links that open. ``name``: "kitchen_counter" | "fridge"."""
+    """Furniture with joints: a static body and links that open. Tasks use "kitchen_counter" and "fridge"."""
 
     name: str
     geoms: tuple[Geom, ...]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import mujoco
 import numpy as np
@@ -13,6 +13,7 @@ from mujoco.batch import Batch
 
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.scenes.compile import compile_home
+from mjhab.scenes.fetch import Drives, apply_drives
 from mjhab.scenes.layout import Layout, addresses
 from mjhab.sim.protocol import PENETRATION_LIMIT, TAINTS, SimState
 
@@ -42,15 +43,17 @@ class CpuSimulator:
         layout: what all homes share.
         num_worlds: worlds stepped together, >= 1.
         num_threads: threads over worlds; 0 takes every core.
+        drives: servos of the robot, as the control mode needs them.
     """
 
-    def __init__(self, layout: Layout, num_worlds: int, num_threads: int = 0) -> None:
+    def __init__(self, layout: Layout, num_worlds: int, num_threads: int = 0, drives: Drives | None = None) -> None:
         if num_worlds < 1:
             raise UsageError(f"num_worlds must be at least 1, got {num_worlds}")
         mujoco.set_mju_user_warning(_log_warning)
         self.layout = layout
         self.num_worlds = num_worlds
         self.num_threads = num_threads or os.cpu_count() or 1
+        self.drives = drives or Drives()
         self._homes = {home.name: home for home in layout.pack.homes}
         self._models: dict[str, mujoco.MjModel] = {}
         first = self.model(layout.pack.homes[0].name)
@@ -61,26 +64,31 @@ class CpuSimulator:
         # Live arrays, looked up once: the batch takes longer to find a field than numpy to read it.
         self._qpos, self._qvel, self._ctrl = (self.batch.bind(f) for f in ("qpos", "qvel", "ctrl"))
         self._sensors, self._xpos, self._xquat = (self.batch.bind(f) for f in ("sensordata", "xpos", "xquat"))
+        self._warmstart, self._time = self.batch.bind("qacc_warmstart"), self.batch.bind("time")
         self._xmat = self.batch.bind("xmat").reshape(num_worlds, -1, 3, 3)
         # A batch with caller models shows a world its static poses only after that world's reset.
         self.batch.reset()
         a = self.addresses
         # The layout puts objects, link forces and target sensors in unbroken rows: the state is made of views.
-        self._object_q = _rows(a.object_q, 7)
+        self._object_q, self._object_v = _rows(a.object_q, 7), _rows(a.object_v, 6)
         self._force_cols = _rows(a.link_force, 3)
         left, right = a.finger_force
         self._target_cols = _rows(left, 7)
         assert (right == left + 3).all() and (a.touch == left + 6).all()
         self._depth_col = int(first.sensor("robot_depth").adr[0])
-        self._taint = np.zeros(num_worlds, np.uint8)
+        self._taint, self._broken = np.zeros(num_worlds, np.uint8), np.zeros(num_worlds, bool)
         self._warned = np.zeros((num_worlds, self.batch.warning.shape[1]), np.int64)
+        self._nan_warned = self._warned.copy()
 
     def model(self, home: str) -> mujoco.MjModel:
         """The compiled model of a home of the pack."""
         if home not in self._models:
             if home not in self._homes:
                 raise unknown_name("home", home, self._homes)
-            self._models[home] = compile_home(self.layout, self._homes[home])
+            # Every call loads or builds a model of its own: another simulator's servos are not touched.
+            model = compile_home(self.layout, self._homes[home])
+            apply_drives(model, self.drives)
+            self._models[home] = model
         return self._models[home]
 
     @property
@@ -90,16 +98,36 @@ class CpuSimulator:
 
     def reset(self, ids: Sequence[int], homes: Sequence[str], qpos: np.ndarray) -> None:
         """Put worlds into homes, at rest in ``qpos`` (n, nq). Other worlds keep every bit."""
-        ids = list(ids)
+        self._clear(ids, homes)
+        self._qpos[ids] = qpos
+        self._ctrl[ids] = 0.0
+        self._forward(ids)
+
+    def _clear(self, ids: Sequence[int], homes: Sequence[str]) -> None:
         for world, home in zip(ids, homes, strict=True):
             self._world_models[world] = self.model(home)
         self.batch.set_models(self._world_models)
         self.batch.reset(ids=ids, stage=_STAGE_NONE)
-        self._qpos[ids] = qpos
-        self._ctrl[ids] = 0.0
+
+    def _forward(self, ids: Sequence[int]) -> None:
         self.batch.forward(ids=ids)
-        self._warned[ids] = self.batch.warning[ids, :, 1]
+        self._warned[ids] = self._nan_warned[ids] = self.batch.warning[ids, :, 1]
         self._taint[ids] = 0
+
+    def mend(self, ids: Sequence[int], homes: Sequence[str], qpos: np.ndarray) -> None:
+        """Put worlds that broke at rest in the states ``qpos`` (n, nq); they stay tainted.
+
+        A state that is not finite itself is replaced by the model's default.
+        """
+        taint = self._taint[ids]
+        sound = np.asarray(np.isfinite(qpos).all(axis=1))
+        default = np.stack([self.model(home).qpos0 for home in homes])
+        self.reset(ids, homes, np.where(sound[:, None], qpos, default))
+        self._taint[ids] = taint
+
+    def broken(self) -> np.ndarray:
+        """(W,) bool: worlds that the last step made NaN or infinite, or that the engine put back for it."""
+        return self._broken
 
     def write_qpos(self, world: int, qpos: np.ndarray) -> None:
         """Move one world to ``qpos`` (nq,), its robot and what it holds at rest; its home stays."""
@@ -110,6 +138,35 @@ class CpuSimulator:
             if np.any((changed >= start) & (changed < start + 7)):
                 self._qvel[world, dof : dof + 6] = 0.0
         self.batch.forward(ids=[world])
+
+    def get_world(self, world: int) -> dict[str, np.ndarray]:
+        """Copies of everything the physics of one world depends on: "time", "qpos", "qvel", "ctrl", "warmstart".
+
+        What sleeps is not in it: a restored world is awake, so it may differ in the last digits from the world it was
+        taken from. Worlds restored from the same state are equal in every bit.
+        """
+        return {name: rows[world].copy() for name, rows in self._world_rows().items()}
+
+    def set_world(self, world: int, home: str, saved: Mapping[str, np.ndarray]) -> None:
+        """Put one world into a home in a state from `get_world`, with everything awake. Its taint is cleared.
+
+        Raises:
+            UsageError: the state is that of another layout.
+        """
+        rows = self._world_rows()
+        for name, row in rows.items():
+            got = np.shape(saved[name])
+            if got != row[world].shape:
+                raise UsageError(f"state of another layout: {name} has shape {got}, this one needs {row[world].shape}")
+        self._clear([world], [home])
+        for name, row in rows.items():
+            row[world] = saved[name]
+        self._forward([world])
+
+    def _world_rows(self) -> dict[str, np.ndarray]:
+        return {
+            "time": self._time, "qpos": self._qpos, "qvel": self._qvel, "ctrl": self._ctrl, "warmstart": self._warmstart
+        }  # fmt: skip
 
     def step(self, ctrl: np.ndarray) -> None:
         """Advance all worlds by one control step under ``ctrl`` (W, nu)."""
@@ -130,7 +187,10 @@ class CpuSimulator:
             robot_q=qpos[:, a.robot_q],
             robot_qd=self._qvel[:, a.robot_v],
             object_pose=qpos[:, self._object_q].reshape(worlds, -1, 7),
+            object_vel=self._qvel[:, self._object_v].reshape(worlds, -1, 6),
+            tcp_vel=self._sensors[:, a.tcp_velocity : a.tcp_velocity + 3],
             link_q=qpos[:, a.link_q],
+            link_qd=self._qvel[:, a.link_v],
             link_force=np.sqrt(force[..., 0] + force[..., 2] + force[..., 1]),
             finger_force=targets[..., :6].reshape(worlds, -1, 2, 3).swapaxes(1, 2),
             touch=targets[..., 6] < 0,
@@ -138,6 +198,10 @@ class CpuSimulator:
             body_mat=self._xmat,
             body_quat=self._xquat,
         )
+
+    def add_taint(self, world: int, mask: int) -> None:
+        """Mark a world with the bits of ``mask``."""
+        self._taint[world] |= mask
 
     def taint(self) -> np.ndarray:
         """(W,) uint8 bit mask of TAINTS that arose since each world's reset."""
@@ -147,14 +211,19 @@ class CpuSimulator:
         deep = self._sensors[:, self._depth_col] < -PENETRATION_LIMIT
         if deep.any():
             self._taint |= deep.astype(np.uint8) << TAINTS.index("penetration")
-        rose = self.batch.warning[:, :, 1] > self._warned
+        self._broken[:] = False
+        warnings = self.batch.warning[:, :, 1]
+        rose = warnings > self._warned
         # One sum over all worlds is enough to see that nothing is NaN or infinite.
         if rose.any() or not math.isfinite(self._qpos.sum()):
-            bad = ~np.isfinite(self._qpos).all(axis=1)
-            self._taint |= bad.astype(np.uint8) << TAINTS.index("nan")
             for name, kinds in _TAINT_WARNINGS.items():
                 hit = rose[:, [int(k) for k in kinds]].any(axis=1)
                 self._taint |= hit.astype(np.uint8) << TAINTS.index(name)
+            nan_kinds = [int(k) for k in _TAINT_WARNINGS["nan"]]
+            again = (warnings > self._nan_warned)[:, nan_kinds].any(axis=1)
+            self._nan_warned = warnings.copy()
+            self._broken = again | ~np.isfinite(self._qpos).all(axis=1)
+            self._taint |= self._broken.astype(np.uint8) << TAINTS.index("nan")
 
 
 def _rows(starts: np.ndarray, width: int) -> slice:

@@ -34,6 +34,9 @@ TALL = 1.3
 """Standing things that reach above this height [m] can hide the robot."""
 FOLLOW_FOVY, HOME_FOVY = 0.85, 0.8
 INSIDE_HEIGHT = 2.0
+FAR = 1e4
+"""Bodies farther than this from the origin [m] have been thrown out of the world."""
+CAMERA_NAMES = tuple(camera.name for camera in fetch.CAMERAS)
 
 
 def build_render_scene(layout: Layout, model: mujoco.MjModel) -> RenderScene:
@@ -106,6 +109,14 @@ def _add_standing(
             builder.add_world_geom(geom, pos, quat, seg, present, meshes)
 
 
+def _camera_rows(cameras: Sequence[str]) -> list[int]:
+    """Rows of ``fetch.CAMERAS``."""
+    for name in cameras:
+        if name not in CAMERA_NAMES:
+            raise unknown_name("camera", name, CAMERA_NAMES)
+    return [CAMERA_NAMES.index(name) for name in cameras]
+
+
 class HomeRenderer:
     """Draws the worlds of a simulator with the CPU rasterizer.
 
@@ -122,20 +133,53 @@ class HomeRenderer:
         self.rasterizer = Rasterizer(self.scene, num_threads)
         self._home_index = {home.name: i for i, home in enumerate(sim.layout.pack.homes)}
         self._tall_boxes: dict[str, Boxes] = {}
-        self._mounts = [self._model.body(c.body).id for c in fetch.CAMERAS]
+        self._mounts = np.array([self._model.body(c.body).id for c in fetch.CAMERAS])
         self._mount_pos = np.array([c.pos for c in fetch.CAMERAS])
         self._mount_mat = mat_from_quat(np.array([c.quat for c in fetch.CAMERAS]))
 
     def robot_views(
-        self, state: SimState, homes: Sequence[str], size: int, outputs: Sequence[str]
+        self,
+        state: SimState,
+        homes: Sequence[str],
+        size: int | tuple[int, int],
+        outputs: Sequence[str],
+        cameras: Sequence[str] = CAMERA_NAMES,
     ) -> dict[str, np.ndarray]:
-        """Images (W, 2, size, size[, 3]) of the head and hand cameras of all worlds."""
-        mat = state.body_mat[:, self._mounts]
-        pos = state.body_pos[:, self._mounts] + np.einsum("wcij,cj->wci", mat, self._mount_pos)
+        """Images (W, C, height, width[, 3]) of robot cameras in all worlds; ``size``: one side or (height, width).
+
+        A world whose physics has diverged (poses not finite, or beyond FAR) gets images of zeros.
+
+        Raises:
+            UsageError: unknown camera or output.
+        """
+        height, width = (size, size) if isinstance(size, int) else size
         index = np.array([self._home_index[h] for h in homes])
-        cam_mat = mat @ self._mount_mat
-        fovy = [c.fovy for c in fetch.CAMERAS]
-        return self.rasterizer.render(index, state.body_pos, state.body_mat, pos, cam_mat, fovy, size, size, outputs)
+        fovy = [fetch.CAMERAS[c].fovy for c in _camera_rows(cameras)]
+        pos, mat = self.camera_poses(state, cameras)
+        # NaN fails the comparison. The kernels must not see it: they have no bounds checks.
+        sane = (np.abs(state.body_pos) < FAR).all((1, 2)) & (np.abs(state.body_mat) < 2.0).all((1, 2, 3))
+        rows = slice(None) if sane.all() else sane
+        drawn = self.rasterizer.render(
+            index[rows], state.body_pos[rows], state.body_mat[rows], pos[rows], mat[rows], fovy, width, height, outputs
+        )
+        if sane.all():
+            return drawn
+        images = {name: np.zeros((len(sane), *image.shape[1:]), image.dtype) for name, image in drawn.items()}
+        for name, image in drawn.items():
+            images[name][sane] = image
+        return images
+
+    def camera_poses(self, state: SimState, cameras: Sequence[str] = CAMERA_NAMES) -> tuple[np.ndarray, np.ndarray]:
+        """World positions (W, C, 3) [m] and orientations (W, C, 3, 3) (x right, y up, z backwards) of robot cameras.
+
+        Raises:
+            UsageError: unknown camera.
+        """
+        rows = _camera_rows(cameras)
+        mounts = self._mounts[rows]
+        mat = state.body_mat[:, mounts]
+        pos = state.body_pos[:, mounts] + np.einsum("wcij,cj->wci", mat, self._mount_pos[rows])
+        return pos, mat @ self._mount_mat[rows]
 
     def follow_view(self, state: SimState, home: str, world: int, width: int, height: int) -> np.ndarray:
         """RGB (height, width, 3) from behind the robot of one world, looking over its shoulder at its work."""

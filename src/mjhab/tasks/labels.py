@@ -10,11 +10,11 @@ The signals are folded step by step into a small ``LabelState``; a recorded hist
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
-from mjhab.core.arrays import Array, map_record, namespace, pile, to_numpy
+from mjhab.core.arrays import Array, as_like, map_record, namespace, pile, to_numpy
 from mjhab.tasks.plan import SubtaskKind
 
 LABELS: dict[SubtaskKind, tuple[str, ...]] = {
@@ -340,3 +340,19 @@ def fold(history: History, valid: Array | None = None) -> LabelState:
 def label_history(kind: Array, history: History, valid: Array | None = None) -> Array:
     """Label a recorded history: (W,) int64 codes, the same as those of the running state."""
     return label(fold(history, valid), kind)
+
+
+def get_row(state: LabelState, w: int) -> dict[str, Any]:
+    """Copy of what a label state says about world ``w``, as numpy arrays."""
+    return {f.name: to_numpy(getattr(state, f.name)[..., w]).copy() for f in dataclasses.fields(state)}
+
+
+def set_row(state: LabelState, w: int, row: Mapping[str, Any]) -> LabelState:
+    """A copy of a label state in which world ``w`` is as ``get_row`` gave it."""
+
+    def put(name: str) -> Array:
+        array = namespace(state.now).asarray(getattr(state, name), copy=True)
+        array[..., w] = as_like(row[name], array)
+        return array
+
+    return LabelState(*(put(f.name) for f in dataclasses.fields(state)))

@@ -6,6 +6,7 @@ This is the one stateful thing in ``tasks``: a notebook beside the pure function
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -47,6 +48,21 @@ class SubtaskTracker:
         for w in rows.nonzero()[0].tolist():
             self._notes[w] = _Notes()
         self._begun[rows] = self._success[rows] = self._at_goal_first[rows] = False
+
+    def get_row(self, w: int) -> dict[str, Any]:
+        """Copy of everything noted about world ``w``."""
+        return {
+            "labels": lb.get_row(self._labels, w),
+            "events": [[step, name] for step, name in self._notes[w].events],
+            "legacy": list(self._notes[w].legacy),
+            "flags": [bool(rows[w]) for rows in (self._begun, self._success, self._at_goal_first)],
+        }
+
+    def set_row(self, w: int, row: dict[str, Any]) -> None:
+        """Put what ``get_row`` gave into world ``w``."""
+        self._labels = lb.set_row(self._labels, w, row["labels"])
+        self._notes[w] = _Notes([(int(step), str(name)) for step, name in row["events"]], list(row["legacy"]))
+        self._begun[w], self._success[w], self._at_goal_first[w] = row["flags"]
 
     def step(self, kind: Array, signals: lb.Watched, step: Array, live: Array | None = None) -> list[list[str]]:
         """Add one control step.

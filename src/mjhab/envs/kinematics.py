@@ -1,8 +1,8 @@
-"""Batched forward kinematics and Jacobians of a robot tree, in numpy.
+"""Batched forward kinematics, Jacobians and damped least-squares steps of a robot tree, in numpy.
 
-The tree is given by the caller (the environment hands the robot's joint table over), so that this module knows
-no robot file. Joint columns follow the order the caller names; for Fetch that is the order of ``FETCH_JOINTS``:
-base x, y, yaw, torso lift, head pan, shoulder pan, head tilt, ... with the base joints in the world frame.
+The controllers of the end effector and the scripted experts share it. The tree is given by the caller, so that this
+module knows no robot file. Joint columns follow the order the caller names; for Fetch that is the order of
+``FETCH_JOINTS``: base x, y, yaw, torso lift, head pan, shoulder pan, ... with the base joints in the world frame.
 
 Letters: N configurations, Q joint columns, L links. Lengths [m], angles [rad], quaternions wxyz.
 """
@@ -20,6 +20,9 @@ from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.rotations import quat_from_mat
 
 Array = np.ndarray
+
+DAMPING = 1e-4
+"""Least damping of the normal equations; more is added far from the goal, where the linear model is poor."""
 
 
 class TreeRow(Protocol):
@@ -107,24 +110,27 @@ class Chain:
         extra: Sequence[str] = (),
         root: str = "base_link",
         root_height: float = 0.02,
+        moving_base: bool = True,
     ) -> Chain:
         """Pick from a joint table what leads to ``tip`` and to the ``extra`` links.
 
         Args:
             tree: every link below ``root``, see `TreeRow`; links on the way must be parallel to their parents at zero.
-            order: names of the Q columns of ``q``; the first three are the base's x, y and yaw, which the tree lacks.
+            order: names of the Q columns of ``q``; the first three are the base's x, y and yaw, which the tree lacks
+                (unless ``moving_base`` is False).
             tip: link whose pose is controlled (Fetch: ``gripper_link`` is the tool centre point).
             extra: more links whose frames are wanted.
-            root: the moving base.
-            root_height: height of the base frame above the floor [m].
+            root: the moving base, or the link whose frame everything is given in.
+            root_height: height of the root frame [m]: of the base above the floor.
+            moving_base: False: ``root`` stands at the origin and ``order`` holds joints of the tree only.
 
         Raises:
             UsageError: a link or joint name that the tree does not hold, or an axis that is not x, y or z.
         """
         rows = {row.link: row for row in tree}
-        wanted = _base_joints(order, root)
+        wanted = _base_joints(order, root) if moving_base else []
         for link in (tip, *extra):
-            _collect(link, rows, wanted)
+            _collect(link, rows, wanted, root)
         links = [wanted[0].parent, *(j.child for j in wanted)]
         column = tuple(_column(joint, order) for joint in wanted)
         limits = {row.joint: row.limits for row in tree if row.joint}
@@ -211,17 +217,22 @@ class Chain:
         """
         q = np.atleast_2d(np.asarray(q, dtype=np.float64))
         frames = self.forward(q) if frames is None else frames
+        links, axes, signs, columns, turns = self._tip_movers
+        axis = signs * frames.rot[:, links, :, axes].swapaxes(0, 1)
+        arm = frames.pos[:, self.tip_index, None] - frames.pos[:, links]
         jac = np.zeros((len(q), 6, self.size))
-        tip = frames.pos[:, self.tip_index]
-        for i in self.tip_joints:
-            joint = self.joints[i]
-            axis = joint.sign * frames.rot[:, i + 1, :, joint.axis]
-            if joint.kind == "slide":
-                jac[:, :3, self.column[i]] = axis
-            else:
-                jac[:, :3, self.column[i]] = _cross(axis, tip - frames.pos[:, i + 1])
-                jac[:, 3:, self.column[i]] = axis
+        jac[:, :3, columns] = np.where(turns, _cross(axis, arm), axis).swapaxes(1, 2)
+        jac[:, 3:, columns] = np.where(turns, axis, 0.0).swapaxes(1, 2)
         return jac
+
+    @cached_property
+    def _tip_movers(self) -> tuple[Array, Array, Array, Array, Array]:
+        """Link, axis number, sign (K, 1), column and "it turns" (K, 1) of the K joints that move the tip."""
+        joints = [self.joints[i] for i in self.tip_joints]
+        signs = np.array([[joint.sign] for joint in joints])
+        turns = np.array([[joint.kind == "hinge"] for joint in joints])
+        links, columns = np.array(self.tip_joints) + 1, np.array([self.column[i] for i in self.tip_joints])
+        return links, np.array([joint.axis for joint in joints]), signs, columns, turns
 
     def clip(self, q: Array) -> Array:
         """``q`` moved into the joint limits."""
@@ -250,6 +261,60 @@ def rotation_vector(rot: Array) -> Array:
     return quat[..., 1:] * scale[..., None]
 
 
+def rotate(vector: Array) -> Array:
+    """Rotation matrices (N, 3, 3) of rotation vectors (N, 3) [rad]."""
+    angle = np.linalg.norm(vector, axis=-1)[:, None, None]
+    x, y, z = np.moveaxis(vector, -1, 0)
+    zero = np.zeros_like(x)
+    skew = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(-1, 3, 3)
+    safe = np.maximum(angle, 1e-9)
+    first = np.where(angle > 1e-6, np.sin(angle) / safe, 1.0)
+    second = np.where(angle > 1e-6, (1 - np.cos(angle)) / safe**2, 0.5)
+    return np.eye(3) + first * skew + second * (skew @ skew)
+
+
+def damped_step(error: Array, jac: Array, pull: Array, damping: float = DAMPING) -> Array:
+    """Joint changes (N, D) for an error (N, E) under the Jacobian (N, E, D).
+
+    ``pull`` (N, D) is let through in the null space; ``damping``: see DAMPING.
+    """
+    size = np.minimum(np.sum(error * error, axis=1), 1.0)
+    square = jac @ jac.swapaxes(1, 2) + (damping + 0.03 * size)[:, None, None] * np.eye(error.shape[1])
+    wanted = error - np.einsum("nij,nj->ni", jac, pull)
+    return np.einsum("nij,ni->nj", jac, np.linalg.solve(square, wanted[..., None])[..., 0]) + pull
+
+
+def limited_step(
+    error: Array,
+    jac: Array,
+    pull: Array,
+    low: Array,
+    high: Array,
+    largest: Array | float,
+    damping: float = DAMPING,
+) -> Array:
+    """A damped step of at most ``largest`` (D,) per column that leaves what limited columns cannot do to the others.
+
+    ``low``, ``high`` (N, D): room left to the limits. A column that would run out of it goes to its limit, and the
+    step of the others is computed anew for the error that remains; clipping alone would stall at the limits.
+    """
+    stopped = np.zeros_like(pull)
+    free = np.ones_like(pull)
+    for last in (False, False, True):
+        remaining = error - np.einsum("nij,nj->ni", jac, stopped)
+        step = _bounded(stopped + damped_step(remaining, jac * free[:, None], pull * free, damping) * free, largest)
+        over = (free > 0) & ((step < low) | (step > high))
+        if last or not over.any():
+            break
+        stopped = np.where(over, np.clip(step, low, high), stopped)
+        free = np.where(over, 0.0, free)
+    return step
+
+
+def _bounded(step: Array, largest: Array | float) -> Array:
+    return step / np.maximum(np.max(np.abs(step) / largest, axis=1, keepdims=True), 1.0)
+
+
 def _cross(a: Array, b: Array) -> Array:
     # numpy's cross costs several times more for small batches.
     return np.stack(
@@ -276,8 +341,8 @@ def _base_joints(order: Sequence[str], root: str) -> list[Joint]:
     return [Joint(order[k], kinds[k], names[k], names[k + 1], (0.0, 0.0, 0.0), k) for k in range(3)]
 
 
-def _collect(link: str, rows: dict[str, TreeRow], into: list[Joint]) -> None:
-    have = {joint.child for joint in into}
+def _collect(link: str, rows: dict[str, TreeRow], into: list[Joint], root: str) -> None:
+    have = {joint.child for joint in into} | {root}
     path: list[Joint] = []
     while link not in have:
         if link not in rows:

@@ -1,0 +1,78 @@
+"""The options of ``mjhab envs`` and ``mjhab bench env``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import tyro
+
+from mjhab.cli.options import Assets, Joints, MaybeName, Name, Number, StageMesh, Sub
+
+EnvId = Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ID")]
+
+
+@dataclass(frozen=True)
+class EnvsListOptions:
+    """List the environment ids that `gymnasium.make` and `gymnasium.make_vec` know after `import mjhab`."""
+
+    json: bool = False
+    """Print one line of JSON instead of a table."""
+
+
+@dataclass(frozen=True)
+class EnvsDescribeOptions:
+    """Show the observations, the action table and the reward terms of an environment.
+
+    For instance: `mjhab envs describe mjhab/PickSubtaskTrain-v1 --obs rgbd`
+    """
+
+    env: EnvId
+    """The environment, e.g. mjhab/PickSubtaskTrain-v1 (see: mjhab envs list)."""
+    obs: Name = "state"
+    """Observation mode: state, depth, rgb, rgbd, seg, pointcloud, or several joined by +."""
+    control: Name = "pd_joint_delta_pos"
+    """Control mode, e.g. pd_ee_delta_pose."""
+    json: bool = False
+    """Print one line of JSON instead of tables."""
+
+
+@dataclass(frozen=True)
+class EnvsCommand:
+    """What environments there are, and what goes in and out of them."""
+
+    command: Annotated[EnvsListOptions, Sub("list")] | Annotated[EnvsDescribeOptions, Sub("describe")]
+
+
+@dataclass(frozen=True)
+class BenchEnvOptions:
+    """Measure an environment: steps per second beside the bare engine, where the time goes, memory, cold start."""
+
+    env: Name = "mjhab/PickSubtaskTrain-v1"
+    """The environment id (see: mjhab envs list)."""
+    obs: Name = "state"
+    """Observation mode: state, depth, rgb, rgbd, seg, pointcloud, or several joined by +."""
+    worlds: Number = 16
+    """How many worlds step at the same time."""
+    threads: Number = 0
+    """Threads of physics and pictures; 0 takes all cores."""
+    camera_size: Number = 128
+    """Side of the camera images [px]."""
+    reward: MaybeName = None
+    """Reward mode, e.g. dense; that of the environment if absent."""
+    task: MaybeName = None
+    """Task; that of the environment if absent."""
+    steps: Number = 40
+    """Control steps per block; blocks of engine and environment alternate."""
+    rounds: Number = 7
+    """Pairs of blocks; the medians count."""
+    seed: Number = 0
+    """Seed of the episodes and of the motion."""
+    assets: Assets = "builtin"
+    """Asset pack: builtin, or the folder of another pack."""
+    stage_mesh: StageMesh = None
+    """With a ReplicaCAD folder: walls and floor for every home, in place of the stages its scenes name."""
+    articulate: Joints = None
+    """With a ReplicaCAD folder: what opens besides counter and fridge: kitchen_cupboards, cabinet, chest_of_drawers."""
+    json: bool = False
+    """Print one line of JSON instead of tables."""

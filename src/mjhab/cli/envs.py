@@ -1,0 +1,83 @@
+"""``mjhab envs``: what environments there are, and what goes in and out of them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mjhab.cli.env_options import EnvsDescribeOptions, EnvsListOptions
+from mjhab.cli.output import print_json, print_table
+
+
+def run_envs(options: EnvsListOptions | EnvsDescribeOptions) -> int:
+    """Run one of the commands and return the exit code."""
+    return list_envs(options) if isinstance(options, EnvsListOptions) else describe_env(options)
+
+
+def list_envs(options: EnvsListOptions) -> int:
+    """Print the ids."""
+    from mjhab.envs.catalog import ENV_IDS
+
+    if options.json:
+        print_json({"envs": list(ENV_IDS)})
+    else:
+        rows = [(env_id, o["task"], o.get("subtask", "the whole chain")) for env_id, o in ENV_IDS.items()]
+        print_table("environments", ("id", "task (default)", "subtask"), rows)
+        print('gymnasium.make_vec("mjhab/PickSubtaskTrain-v1", num_envs=16, task="set_table", obs_mode="depth", ...)')
+    return 0
+
+
+def describe_env(options: EnvsDescribeOptions) -> int:
+    """Print observations, actions and rewards of one environment."""
+    found = description(options.env, options.obs, options.control)
+    if options.json:
+        print_json(found)
+        return 0
+    for title, part in (
+        ("observations", "observations"), ("actions", "actions"), ("dense reward", "reward_terms"),
+    ):  # fmt: skip
+        rows: list[dict[str, Any]] = found[part]
+        if rows:
+            print_table(f"{found['id']}: {title}", list(rows[0]), [[_text(v) for v in r.values()] for r in rows])
+    print(f"reward mode {found['reward_mode']}; horizons {found['horizons']} control steps of 50 ms")
+    return 0
+
+
+def description(env_id: str, obs_mode: str, control_mode: str) -> dict[str, Any]:
+    """What an environment takes and gives, as plain values."""
+    import dataclasses
+
+    from mjhab.envs import make_by_id
+    from mjhab.tasks.plan import KIND_NAMES
+    from mjhab.tasks.rewards import reward_table
+
+    env = make_by_id(env_id, num_envs=1, obs_mode=obs_mode, control_mode=control_mode)
+    kinds = [env.config.subtask] if env.config.subtask else list(KIND_NAMES)
+    horizons = dict(zip(KIND_NAMES, env.task_config.horizons, strict=True))
+    found = {
+        "id": env_id,
+        "observations": [{k: _plain(v) for k, v in row.items()} for row in env.observer.describe()],
+        "actions": [{k: _plain(v) for k, v in dataclasses.asdict(row).items()} for row in env.action_table],
+        "reward_mode": env.config.reward,
+        "reward_terms": [
+            {"subtask": kind, **{k: _plain(v) for k, v in dataclasses.asdict(row).items()}}
+            for kind in kinds
+            for row in reward_table(kind).terms
+        ],
+        "horizons": {kind: horizons[kind] for kind in kinds},
+    }
+    env.close()
+    return found
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, tuple):
+        return [_plain(v) for v in value]
+    if isinstance(value, float) and abs(value) == float("inf"):
+        return str(value)
+    return value if isinstance(value, int | float | str | list | bool | None) else str(value)
+
+
+def _text(value: Any) -> Any:
+    if isinstance(value, float):
+        return f"{value:g}"
+    return "×".join(str(v) for v in value) if isinstance(value, list) else value

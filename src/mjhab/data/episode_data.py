@@ -1,0 +1,125 @@
+"""One finished episode in memory, on its way into a shard; and how plain data becomes bytes."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from mjhab.data.schema import problems
+from mjhab.rollout.records import EpisodeRecord
+
+_ARRAY = "__array__"
+
+
+@dataclass(frozen=True)
+class RunInfo:
+    """What made an episode, as plain JSON data. Episodes of equal ``config``, seed and index are the same episode.
+
+    config: what decides what happens in an episode besides its seed and index: options of the environment and the
+    policy, not how many worlds or threads. options: what changes only how it is seen (images, reward). versions: engine, libraries, schema. commit: of the source, "" if unknown,
+    with "+changes" if it had any. machine: processor and system; bit-exact replay may need the same. layout: names and
+    sizes that give the columns of states their meaning. assets, licence: the pack and the terms of what is in it.
+    """
+
+    config: dict[str, Any]
+    options: dict[str, Any] = field(default_factory=dict)
+    versions: dict[str, str] = field(default_factory=dict)
+    commit: str = ""
+    machine: str = ""
+    layout: dict[str, Any] = field(default_factory=dict)
+    assets: str = "builtin"
+    licence: str = ""
+
+    @property
+    def config_id(self) -> str:
+        """Hash of the config: 8 hexadecimal digits."""
+        return _hash(self.config)[:8]
+
+    @property
+    def id(self) -> str:
+        """Name of the run in a shard: hash of everything in it."""
+        return f"{self.config_id}-{_hash(vars(self))[:8]}"
+
+    def episode_name(self, seed: int, index: int) -> str:
+        """Name of the group of an episode."""
+        return f"{self.config_id}-{seed}-{index:07d}"
+
+
+@dataclass(frozen=True)
+class EpisodeData:
+    """What a shard takes: the record, every dataset by its path (without ``record``), names of their columns.
+
+    A column name "name:n" stands for n columns.
+
+    Raises:
+        ValueError: the datasets do not fit the schema, for instance not N+1 states for N actions.
+    """
+
+    record: EpisodeRecord
+    run: RunInfo
+    model: str
+    ending: str
+    arrays: Mapping[str, np.ndarray]
+    columns: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        wrong = problems({**self.arrays, "record": np.zeros(1, np.uint8)}, self.record.steps)
+        if wrong:
+            raise ValueError(f"episode {self.record.index} does not fit the schema: {'; '.join(wrong)}")
+
+    @property
+    def name(self) -> str:
+        """Name of its group."""
+        return self.run.episode_name(self.record.seed, self.record.index)
+
+
+def episode_digest(arrays: Mapping[str, np.ndarray]) -> str:
+    """SHA-256 over names, types, shapes and bytes of all datasets of an episode, its record among them."""
+    digest = hashlib.sha256()
+    for path in sorted(arrays):
+        array = np.ascontiguousarray(arrays[path])
+        digest.update(f"{path} {array.dtype.str} {array.shape}\n".encode())
+        digest.update(array.data)
+    return digest.hexdigest()
+
+
+def record_bytes(record: EpisodeRecord) -> np.ndarray:
+    """A record as (n,) uint8 JSON."""
+    return to_bytes(record.to_dict())
+
+
+def to_bytes(value: Any) -> np.ndarray:
+    """Nested dicts and lists of plain data and numpy arrays as (n,) uint8 JSON, without loss."""
+    return np.frombuffer(json.dumps(value, default=_plain, separators=(",", ":")).encode(), np.uint8)
+
+
+def from_bytes(data: np.ndarray) -> Any:
+    """What ``to_bytes`` was given; tuples come back as lists.
+
+    Raises:
+        ValueError: not JSON.
+    """
+    return json.loads(np.asarray(data, np.uint8).tobytes().decode(), object_hook=_restore)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return {_ARRAY: value.dtype.str, "shape": list(value.shape), "data": value.ravel().tolist()}
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(f"{type(value).__name__} cannot be kept in a file: {value!r}")
+
+
+def _restore(value: dict[str, Any]) -> Any:
+    if _ARRAY not in value:
+        return value
+    return np.array(value["data"], np.dtype(value[_ARRAY])).reshape(value["shape"])
+
+
+def _hash(value: Any) -> str:
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()

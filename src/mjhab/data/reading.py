@@ -1,0 +1,281 @@
+"""Reading shards and folders of shards."""
+
+from __future__ import annotations
+
+import functools
+import os
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from mjhab.core.errors import UsageError, unknown_name
+from mjhab.data.episode_data import RunInfo, episode_digest, from_bytes
+from mjhab.data.images import decode
+from mjhab.data.journal import Overlay, committed_length, read_journal
+from mjhab.data.locking import is_written
+from mjhab.data.schema import CHECKS, COLUMNS, EPISODES, RUNS, TERMINAL, DamagedError, problems
+from mjhab.data.shard import read_arrays
+from mjhab.data.versions import check_format
+from mjhab.rollout.records import EpisodeRecord
+from mjhab.tasks.labels import History
+
+
+def shard_paths(places: Path | Sequence[Path]) -> list[Path]:
+    """Shards among files and in folders (and folders in them), in order of their names.
+
+    Raises:
+        UsageError: a place that does not exist, or a folder without shards.
+    """
+    found: list[Path] = []
+    for place in [places] if isinstance(places, Path) else places:
+        if place.is_dir():
+            inside = sorted(path for path in place.rglob("*.h5") if not path.name.startswith("."))
+            if not inside:
+                raise UsageError(f"no shards (*.h5) in {place} or the folders in it.")
+            found += inside
+        elif place.is_file():
+            found.append(place)
+        else:
+            raise UsageError(f"{place} does not exist; give a shard (*.h5) or a folder of shards.")
+    return list(dict.fromkeys(found))
+
+
+class Episode:
+    """One recorded episode; arrays are read when they are asked for. Valid while its shard is open."""
+
+    def __init__(self, shard: Shard, name: str) -> None:
+        self.shard, self.name = shard, name
+        self._group: h5py.Group = shard.file[EPISODES][name]
+
+    @functools.cached_property
+    def record(self) -> EpisodeRecord:
+        """Identity, plan, labels, events, forces."""
+        return EpisodeRecord.from_dict(from_bytes(self._group["record"][()]))
+
+    @property
+    def run(self) -> RunInfo:
+        """What made it: config, versions, layout."""
+        return self.shard.runs[str(self._group.attrs["run"])]
+
+    @property
+    def attributes(self) -> dict[str, Any]:
+        """The attributes of its group, see `schema.ATTRIBUTES`."""
+        return {key: value.item() if hasattr(value, "item") else value for key, value in self._group.attrs.items()}
+
+    @property
+    def steps(self) -> int:
+        """Number N of control steps."""
+        return int(self._group.attrs["steps"])
+
+    @property
+    def terminated(self) -> bool:
+        """Whether the environment said "terminated" in the last step; otherwise the episode was truncated."""
+        return str(self._group.attrs["ending"]) in TERMINAL
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that its data takes in the file, without HDF5's own bookkeeping."""
+        return sum(self._group[path].id.get_storage_size() for path in self.paths)
+
+    def initial(self) -> dict[str, Any]:
+        """The state after the reset, for ``env.set_state``."""
+        return from_bytes(self.array("states/initial"))
+
+    @property
+    def paths(self) -> list[str]:
+        """Paths of its datasets."""
+        found: list[str] = []
+        self._group.visititems(lambda path, item: found.append(path) if isinstance(item, h5py.Dataset) else None)
+        return found
+
+    def array(self, path: str) -> np.ndarray:
+        """One dataset by its path in the schema, e.g. "actions" (N, A) or "states/qpos" (N+1, nq).
+
+        Raises:
+            UsageError: it was not recorded.
+        """
+        item = self._group.get(path)
+        if isinstance(item, h5py.Dataset):
+            return item[()]
+        if path.startswith("states/"):
+            raise UsageError(
+                f"episode {self.name} was recorded without states: {path} is not there. Nothing can be rendered from "
+                "it; `mjhab replay` makes states from its actions."
+            )
+        raise unknown_name("dataset", path, self.paths)
+
+    def columns(self, path: str) -> dict[str, int]:
+        """Names of the columns of a two-dimensional dataset, and how many columns each name stands for."""
+        names = [name for name in str(self._group[path].attrs.get(COLUMNS, "")).split(",") if name]
+        split = [name.rpartition(":") for name in names]
+        return {head or tail: int(tail) if head else 0 for head, _, tail in split}
+
+    def table(self, path: str) -> dict[str, np.ndarray]:
+        """A two-dimensional dataset as its columns, e.g. "signals/checks": (N+1,) each, or (N+1, n) for n columns."""
+        array, at, table = self.array(path), 0, {}
+        for name, width in self.columns(path).items():
+            table[name] = array[:, at : at + width] if width else array[:, at]
+            at += width or 1
+        return table
+
+    def observation(self, key: str) -> np.ndarray:
+        """One observation (N+1, ...) by its key in the environment; images are decoded.
+
+        Raises:
+            UsageError: it was not recorded.
+        """
+        if f"obs/{key}" in self._group:
+            return self.array(f"obs/{key}")
+        parts = self.table("obs/state")
+        if key in parts:
+            return parts[key]
+        camera, output = _camera_output(key)
+        if camera:
+            return np.stack([self.frame(camera, output, t) for t in range(self.steps + 1)])
+        raise unknown_name("observation", key, [*parts, *(p[4:] for p in self.paths if p.startswith("obs/"))])
+
+    @property
+    def images(self) -> list[tuple[str, str]]:
+        """(camera, output) of the images stored with it."""
+        return [(p.split("/")[1], p.split("/")[2]) for p in self.paths if p.startswith("images/") and p.endswith("ends")]
+
+    def frame(self, camera: str, output: str, t: int) -> np.ndarray:
+        """The image of state t, 0 to N: rgb (H, W, 3) uint8, depth (H, W, 1) int16 mm, seg (H, W, 1) int32.
+
+        Raises:
+            UsageError: no such image was recorded.
+        """
+        group = self._group.get(f"images/{camera}/{output}")
+        if group is None:
+            had = ", ".join(f"{c} {o}" for c, o in self.images) or "none"
+            raise UsageError(
+                f"episode {self.name} has no {output} images of {camera} (it has: {had}). `mjhab replay --render` draws "
+                "them from its states."
+            )
+        ends = group["ends"]
+        start = int(ends[t - 1]) if t else 0
+        return decode(group["bytes"][start : int(ends[t])].tobytes(), output)
+
+    def history(self, k: int) -> tuple[int, History]:
+        """Index in the plan of the k-th subtask that was reached, and its signals (T+1, 1) bool for `tasks.labels`."""
+        starts = [*self.array("subtasks/step").tolist(), self.steps]
+        first = self.array("subtasks/checks")[k : k + 1]
+        checks = np.concatenate([first, self.array("signals/checks")[starts[k] + 1 : starts[k + 1] + 1]]).astype(bool)
+        fields = {name: checks[:, column : column + 1] for column, name in enumerate(CHECKS)}
+        return int(self.array("subtasks/index")[k]), History(**{n: fields[n] for n in History.__dataclass_fields__})
+
+    def problems(self) -> list[str]:
+        """What is wrong with it, in words: parts that are missing or do not fit, or bytes that have changed."""
+        try:
+            arrays = read_arrays(self._group)
+            wrong = problems(arrays, self.steps)
+            if not wrong and episode_digest(arrays) != self._group.attrs["digest"]:
+                wrong.append("its bytes are not those that were written (digest)")
+            if not wrong and self.record.steps != self.steps:
+                wrong.append(f"its record has {self.record.steps} steps, its group {self.steps}")
+            if not wrong:
+                _ = self.run
+        except (OSError, RuntimeError, ValueError, KeyError, TypeError) as error:
+            return [f"cannot be read ({type(error).__name__}: {error})"]
+        return wrong
+
+
+class Shard:
+    """A shard open for reading; a context manager. Make one with `open_shard`."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._fd = -1
+        try:
+            self.file = self._open()
+            check_format(self.file, path)
+        except OSError as error:
+            self.close()
+            raise _unreadable(path, error) from error
+        except BaseException:
+            self.close()
+            raise
+
+    def _open(self) -> h5py.File:
+        committed_length(self.path)
+        journal = read_journal(self.path)
+        if journal is None:
+            return h5py.File(self.path, "r", locking=False)
+        # A writer was killed while it put the last episode in place: look at the file as it will be.
+        self._fd = os.open(self.path, os.O_RDONLY)
+        return h5py.File(Overlay(self._fd, journal.after, journal.pages), "r")
+
+    @functools.cached_property
+    def runs(self) -> dict[str, RunInfo]:
+        """What made the episodes, by name."""
+        return {name: RunInfo(**from_bytes(item[()])) for name, item in self.file[RUNS].items()}
+
+    @functools.cached_property
+    def names(self) -> list[str]:
+        """Names of the episodes, in order of config, seed and index."""
+        return sorted(self.file[EPISODES])
+
+    def episode(self, name: str) -> Episode:
+        """One episode by its name.
+
+        Raises:
+            UsageError: there is none of that name.
+        """
+        if name not in self.file[EPISODES]:
+            raise unknown_name(f"episode in {self.path}", name, self.names[:20])
+        return Episode(self, name)
+
+    def __iter__(self) -> Iterator[Episode]:
+        return (Episode(self, name) for name in self.names)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def close(self) -> None:
+        """Close the file; episodes of it can no longer be read."""
+        if hasattr(self, "file"):
+            self.file.close()
+        if self._fd >= 0:
+            os.close(self._fd)
+            self._fd = -1
+
+    def __enter__(self) -> Shard:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+
+def open_shard(path: Path | str) -> Shard:
+    """Open a shard for reading, also while another process appends to it: it shows what was there when it was opened.
+
+    Raises:
+        UsageError: there is no such file, or it is of another schema version.
+        DamagedError: not an HDF5 file, a foreign one, or a damaged one.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise UsageError(f"{path} does not exist or is no file; give a shard (*.h5).")
+    return Shard(path)
+
+
+def episodes(places: Path | Sequence[Path]) -> Iterator[Episode]:
+    """Every episode of shards and folders; each is valid until the next shard is reached."""
+    for path in shard_paths(places):
+        with open_shard(path) as shard:
+            yield from shard
+
+
+def _camera_output(key: str) -> tuple[str, str]:
+    parts = key.split("/")
+    return (parts[1], parts[2]) if len(parts) == 3 and parts[0] == "sensor_data" else ("", "")
+
+
+def _unreadable(path: Path, error: Exception) -> DamagedError:
+    if is_written(path):
+        return DamagedError(f"{path} is being written at this moment; try again.")
+    return DamagedError(f"{path} cannot be read: {error}. Try: mjhab data repair {path}")
+

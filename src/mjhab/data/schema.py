@@ -1,0 +1,135 @@
+"""What a shard holds: names, shapes, units and the version of the format. `docs/data.md` prints this table."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from mjhab.core.errors import MjhabError
+
+FORMAT = "mjhab-episodes"
+"""Root attribute ``format``: what tells a shard from any other HDF5 file."""
+VERSION = 1
+"""Root attribute ``schema``. It grows with every change that a reader of the old one could not read."""
+EPISODES, RUNS = "episodes", "runs"
+STEP_SECONDS = 0.05
+"""One control step [s]: control at 20 Hz (MS-HAB paper Sec. 4.1)."""
+
+CHECKS: tuple[str, ...] = (
+    "is_grasped", "at_goal", "ee_rest", "robot_rest", "is_static", "force_ok", "opened", "closed", "slightly_opened",
+    "slightly_closed", "near", "oriented", "contact", "touch", "success", "placed_ok", "must_hold",
+)  # fmt: skip
+"""Columns of ``signals/checks``: the boolean fields of `tasks.measure.Signals`; labels need nothing else."""
+FORCES: tuple[str, ...] = ("robot_force", "target_force", "cumulative_force")
+"""Columns of ``signals/forces``: the float fields of `tasks.measure.Signals`."""
+COLUMNS = "columns"
+"""Attribute of a two-dimensional dataset: names of its columns, joined by commas; "name:n" stands for n of them."""
+TERMINAL = frozenset({"success", "force_exceeded", "place_broken"})
+"""Endings with which an environment says "terminated"; the others are truncations."""
+
+
+@dataclass(frozen=True)
+class Field:
+    """One dataset of an episode. ``rows``: "N" control steps, "N+1" states, "K" subtasks entered, "" anything."""
+
+    path: str
+    rows: str
+    shape: str
+    dtype: str
+    unit: str
+    meaning: str
+    optional: bool = False
+
+
+FIELDS: tuple[Field, ...] = (
+    Field("record", "", "bytes", "uint8", "JSON", "the `EpisodeRecord`: identity, plan, labels, events, forces, taint"),
+    Field("actions", "N", "(N, A)", "float32", "action table", "as given to the environment, before clipping"),
+    Field("states/initial", "", "bytes", "uint8", "JSON", "`env.get_state` after the reset: the full first state"),
+    Field("states/qpos", "N+1", "(N+1, nq)", "float64", "m, rad, wxyz", "generalized positions", optional=True),
+    Field("states/qvel", "N+1", "(N+1, nv)", "float64", "m/s, rad/s", "generalized velocities", optional=True),
+    Field("signals/checks", "N+1", "(N+1, 17)", "uint8", "0 or 1", "CHECKS of the subtask that was active in the step"),
+    Field("signals/forces", "N+1", "(N+1, 3)", "float64", "N, N, N x steps", "FORCES, likewise"),
+    Field("signals/taint", "N+1", "(N+1,)", "uint8", "bit mask", "faults of the simulation since the reset"),
+    Field("subtasks/active", "N+1", "(N+1,)", "int16", "index in the plan", "subtask active after the step"),
+    Field("subtasks/step", "K", "(K,)", "int32", "control steps", "when each subtask that was reached began"),
+    Field("subtasks/index", "K", "(K,)", "int16", "index in the plan", "which subtask it was"),
+    Field("subtasks/checks", "K", "(K, 17)", "uint8", "0 or 1", "CHECKS at its start: row 0 of its history"),
+    Field("reward/total", "N", "(N,)", "float64", "-", "what the environment returned"),
+    Field("reward/terms", "N", "(N, R)", "float64", "-", "terms of the dense reward, as named", optional=True),
+    Field("reward/success", "N", "(N,)", "uint8", "0 or 1", "`info['success']` of every step"),
+    Field("reward/fail", "N", "(N,)", "uint8", "0 or 1", "`info['fail']` of every step"),
+    Field("obs/state", "N+1", "(N+1, D)", "float32", "see columns", "all state observations, side by side"),
+    Field("obs/*", "N+1", "(N+1, ...)", "any", "see the observation table", "any other observation", optional=True),
+    Field("images/*/bytes", "", "bytes", "uint8", "PNG or JPEG", "encoded frames, one after another", optional=True),
+    Field("images/*/ends", "N+1", "(N+1,)", "int64", "bytes", "where each frame ends in them", optional=True),
+)
+"""Every dataset of an episode group; N actions, N+1 states, K subtasks reached, A action size."""
+
+ATTRIBUTES: dict[str, str] = {
+    "seed": "seed of the episode",
+    "index": "index of the episode: (config, seed, index) is its identity",
+    "run": "name under `/runs` of what made it",
+    "home": "home it happened in",
+    "model": "hash of the compiled home: sizes, poses, masses, servos",
+    "label": "label of the last subtask that ended",
+    "success": "whether the goal was reached at least once",
+    "steps": "number N of control steps",
+    "ending": "how it ended: success, force_exceeded, place_broken, timeout, or cut (by the caller)",
+    "digest": "SHA-256 over the record and every dataset",
+}
+"""Attributes of an episode group."""
+
+
+class DamagedError(MjhabError):
+    """A file that cannot be read as what it claims to be."""
+
+
+def field_of(path: str) -> Field | None:
+    """The row of FIELDS that a dataset of an episode belongs to; None if there is none."""
+    for field in FIELDS:
+        if field.path == path:
+            return field
+    parts = path.split("/")
+    if parts[0] == "obs" and len(parts) > 1:
+        return next(f for f in FIELDS if f.path == "obs/*")
+    if parts[0] == "images" and len(parts) == 4:
+        return next((f for f in FIELDS if f.path == f"images/*/{parts[-1]}"), None)
+    return None
+
+
+def problems(arrays: Mapping[str, np.ndarray], steps: int) -> list[str]:
+    """What is wrong with the datasets of an episode of ``steps`` actions, in words; empty if nothing is.
+
+    Every field that is not optional must be there, with its type; N actions go with N+1 states.
+    """
+    found = [f"{f.path} is missing" for f in FIELDS if not f.optional and f.path not in arrays]
+    count = len(arrays["subtasks/step"]) if "subtasks/step" in arrays else 0
+    rows = {"N": steps, "N+1": steps + 1, "K": count}
+    for path, array in arrays.items():
+        field = field_of(path)
+        if field is None:
+            found.append(f"{path} is not part of the schema")
+            continue
+        if field.dtype != "any" and array.dtype != np.dtype(field.dtype):
+            found.append(f"{path} is {array.dtype}, not {field.dtype}")
+        if field.rows and len(array) != rows[field.rows]:
+            found.append(f"{path} has {len(array)} rows, not {rows[field.rows]} ({field.rows} with N = {steps} actions)")
+    return found + _bad_values(arrays) if not found else found
+
+
+def _bad_values(arrays: Mapping[str, np.ndarray]) -> list[str]:
+    found = []
+    for path, columns in (("signals/checks", CHECKS), ("signals/forces", FORCES), ("subtasks/checks", CHECKS)):
+        if arrays[path].shape[1:] != (len(columns),):
+            found.append(f"{path} has shape {arrays[path].shape}, not {len(columns)} columns")
+    starts = arrays["subtasks/step"]
+    if not len(starts) or starts[0] != 0 or (np.diff(starts) <= 0).any():
+        found.append("subtasks/step must begin with 0 and grow")
+    for path, ends in arrays.items():
+        if path.endswith("/ends") and path.startswith("images/"):
+            data = arrays.get(path.removesuffix("ends") + "bytes")
+            if data is None or (np.diff(ends) <= 0).any() or ends[-1] != len(data):
+                found.append(f"{path} does not fit its bytes")
+    return found

@@ -1,0 +1,210 @@
+"""Writing shards: one HDF5 file of episodes, which a kill at any moment leaves readable (see `journal`)."""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+import mjhab
+from mjhab.core.cache import write_atomic
+from mjhab.core.errors import MjhabError, UsageError
+from mjhab.data.episode_data import EpisodeData, RunInfo, episode_digest, record_bytes, to_bytes
+from mjhab.data.journal import Overlay, commit, committed_length, recover, sync_folder
+from mjhab.data.locking import WriteLock
+from mjhab.data.schema import COLUMNS, EPISODES, FORMAT, RUNS, VERSION
+from mjhab.data.versions import check_format
+from mjhab.rollout.records import EpisodeRecord
+
+LIBVER = ("v110", "v110")
+"""File format of HDF5 1.10 (2016): small files, and every reader knows it."""
+_GZIP = 4
+_SMALL = 256
+"""Arrays of fewer bytes lie in the header of their dataset, uncompressed."""
+_CHUNK = 4 << 20
+"""Largest chunk [bytes]."""
+
+
+class StorageError(MjhabError):
+    """The disk is full or broken. What was written before is safe."""
+
+
+class ShardWriter:
+    """A shard open for writing; ``append`` returns when the episode is on the disk. A context manager.
+
+    A shard that does not exist is made. One that a killed process left is put in order first; ``recovered`` then says
+    whether the last episode of that process was completed.
+
+    Raises:
+        UsageError: another process is writing it, or it is of another schema version.
+        DamagedError: the file is none of ours or cannot be read.
+        StorageError: the disk is full or broken.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.recovered = path, False
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._lock: WriteLock | None = WriteLock(path)
+        try:
+            self._open()
+        except OSError as error:
+            self.close()
+            raise _storage_error(path, error) from error
+        except BaseException:
+            self.close()
+            raise
+
+    def _open(self) -> None:
+        if self.path.exists():
+            self.recovered = recover(self.path)
+        else:
+            write_atomic(self.path, _make_empty)
+            sync_folder(self.path)
+        self._names: set[str] = set()
+        self._runs: set[str] = set()
+        with h5py.File(self.path, "r", locking=False) as file:
+            check_format(file, self.path)
+            self._names.update(file[EPISODES])
+            self._runs.update(file[RUNS])
+
+    @property
+    def names(self) -> frozenset[str]:
+        """Names of the episodes in it."""
+        return frozenset(self._names)
+
+    def has(self, run: RunInfo, seed: int, index: int) -> bool:
+        """Whether an episode is in it already, so that a resumed run leaves it out."""
+        return run.episode_name(seed, index) in self._names
+
+    def append(self, data: EpisodeData) -> int:
+        """Add an episode; returns by how many bytes the file has grown.
+
+        Raises:
+            UsageError: the episode is in the shard already.
+            StorageError: the disk is full or broken; the shard is as before. Make a new writer to go on.
+        """
+        if data.name in self._names:
+            raise UsageError(
+                f"episode {data.record.index} of seed {data.record.seed} is in {self.path} already; nothing was written"
+            )
+
+        def fill(file: h5py.File) -> None:
+            if data.run.id not in self._runs:
+                _put(file[RUNS], data.run.id, to_bytes(vars(data.run)))
+            _put_episode(file[EPISODES].create_group(data.name), data)
+
+        grown = self._change(fill)
+        self._names.add(data.name)
+        self._runs.add(data.run.id)
+        return grown
+
+    def replace_records(self, records: dict[str, EpisodeRecord]) -> None:
+        """Give episodes, by name, other records (labels computed anew), all at once."""
+
+        def fill(file: h5py.File) -> None:
+            for name, record in records.items():
+                group = file[EPISODES][name]
+                del group["record"]
+                _put(group, "record", record_bytes(record))
+                group.attrs["label"] = last_label(record)
+                group.attrs["digest"] = episode_digest(read_arrays(group))
+
+        self._change(fill)
+
+    def _change(self, fill: Callable[[h5py.File], None]) -> int:
+        if self._lock is None:
+            raise UsageError(f"{self.path} has been closed; open it anew to write")
+        fd = os.open(self.path, os.O_RDONLY)
+        try:
+            overlay = Overlay(fd, committed_length(self.path))
+            with h5py.File(overlay, "r+", libver=LIBVER) as file:
+                fill(file)
+            commit(self.path, overlay)
+        except OSError as error:
+            self.close()
+            raise _storage_error(self.path, error) from error
+        finally:
+            os.close(fd)
+        return len(overlay.tail)
+
+    def close(self) -> None:
+        """Let others write; may be called again."""
+        if self._lock is not None:
+            self._lock.release()
+            self._lock = None
+
+    def __enter__(self) -> ShardWriter:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+
+def last_label(record: EpisodeRecord) -> str:
+    """Label of the last subtask that ended, "" if none did."""
+    return (record.subtasks[-1].label or "") if record.subtasks else ""
+
+
+def read_arrays(group: h5py.Group) -> dict[str, np.ndarray]:
+    """Every dataset of an episode group by its path."""
+    arrays: dict[str, np.ndarray] = {}
+
+    def visit(path: str, item: object) -> None:
+        if isinstance(item, h5py.Dataset):
+            arrays[path] = item[()]
+
+    group.visititems(visit)
+    return arrays
+
+
+def _make_empty(path: Path) -> None:
+    with h5py.File(path, "w", libver=LIBVER) as file:
+        file.attrs["format"], file.attrs["schema"], file.attrs["mjhab"] = FORMAT, VERSION, mjhab.__version__
+        file.create_group(EPISODES)
+        file.create_group(RUNS)
+    with open(path, "rb") as file:
+        os.fsync(file.fileno())
+
+
+def _put_episode(group: h5py.Group, data: EpisodeData) -> None:
+    arrays = {**data.arrays, "record": record_bytes(data.record)}
+    for path, array in arrays.items():
+        _put(group, path, array, data.columns.get(path))
+    record = data.record
+    group.attrs.update(
+        seed=record.seed, index=record.index, run=data.run.id, home=record.home, model=data.model,
+        label=last_label(record), success=record.success_once, steps=record.steps, ending=data.ending,
+        digest=episode_digest(arrays),
+    )  # fmt: skip
+
+
+def _put(group: h5py.Group, path: str, array: np.ndarray, columns: tuple[str, ...] | None = None) -> None:
+    array = np.ascontiguousarray(array)
+    plist = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    plist.set_obj_track_times(False)
+    if array.nbytes < _SMALL:
+        plist.set_layout(h5py.h5d.COMPACT)
+    else:
+        rows = max(1, min(len(array), _CHUNK // max(1, array.nbytes // len(array))))
+        plist.set_chunk((rows, *array.shape[1:]))
+        plist.set_shuffle()
+        plist.set_deflate(_GZIP)
+    folder, _, name = path.rpartition("/")
+    place = group.require_group(folder) if folder else group
+    space, kind = h5py.h5s.create_simple(array.shape), h5py.h5t.py_create(array.dtype, logical=True)
+    dataset = h5py.Dataset(h5py.h5d.create(place.id, name.encode(), kind, space, plist))
+    dataset[...] = array
+    if columns:
+        dataset.attrs[COLUMNS] = ",".join(columns)
+
+
+def _storage_error(path: Path, error: OSError) -> StorageError:
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        what = "the disk is full. Free some space and give the same command again: it goes on where it stopped"
+    else:
+        what = f"{error.strerror or error}. Give the same command again when that is mended"
+    return StorageError(f"cannot write {path}: {what}. Every episode finished before is safe.")

@@ -1,0 +1,143 @@
+"""Joint modes of the arm: what its share of the action makes its seven servos do."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mjhab.core.errors import UsageError
+from mjhab.envs.controllers.table import (
+    ARM_JOINTS,
+    ARM_NAMES,
+    ActionEntry,
+    ActionLimits,
+    absolute_rows,
+    delta_rows,
+    speed_rows,
+)
+from mjhab.scenes import fetch
+
+ARM_LOW, ARM_HIGH = np.array([fetch.JOINT_LIMITS[j] for j in ARM_JOINTS]).T
+FEED_FORWARD = fetch.ARM_GAINS.kd / fetch.ARM_GAINS.kp
+"""A speed added to a position command by this factor [s] acts as the speed target of the servo:
+kp (q* + v* kd/kp - q) - kd v = kp (q* - q) + kd (v* - v)."""
+
+
+class Arm:
+    """One way to command the arm.
+
+    ``rows``: its dimensions of the action. ``drives``: what its servos must be. ``target`` (W, 7): joint positions
+    asked for last, kept between control steps where ``remembers`` is set. ``from_measured``: the command is measured
+    position + action; the controller sums that together with head and torso and does not call `command`.
+    """
+
+    remembers = False
+    from_measured = False
+    drives = fetch.Drives()
+
+    def __init__(self, num_worlds: int, rows: tuple[ActionEntry, ...]) -> None:
+        self.rows = rows
+        self.target = np.zeros((num_worlds, len(ARM_JOINTS)))
+
+    def command(self, move: np.ndarray, q: np.ndarray) -> np.ndarray:
+        """Servo commands (W, 7) for the action ``move`` (W, len(rows)) in units, at joint positions ``q`` (W, 7)."""
+        raise NotImplementedError
+
+    def still(self, q: np.ndarray) -> np.ndarray:
+        """The action (W, len(rows)) in units that keeps the arm where it is."""
+        return np.zeros((len(q), len(self.rows)))
+
+    def reset(self, mask: np.ndarray, q: np.ndarray) -> None:
+        """Targets := measured positions ``q`` (W, 7) in the worlds of ``mask`` (W,)."""
+        self.target = np.where(mask[:, None], q, self.target)
+
+    def get_state(self, world: int) -> dict[str, np.ndarray]:
+        """What `set_state` needs of one world."""
+        return {"arm_target": self.target[world].copy()} if self.remembers else {}
+
+    def set_state(self, world: int, state: dict[str, np.ndarray]) -> None:
+        """Put one world back into a state of `get_state`."""
+        if self.remembers:
+            self.target = with_row(self.target, world, state, "arm_target")
+
+
+def with_row(target: np.ndarray, world: int, state: dict[str, np.ndarray], key: str) -> np.ndarray:
+    """A copy of ``target`` (W, n) whose row of one world is ``state[key]``.
+
+    Raises:
+        UsageError: the state has no such key, or it has another shape.
+    """
+    if key not in state or np.shape(state[key]) != target.shape[1:]:
+        got = {name: np.shape(value) for name, value in state.items()}
+        raise UsageError(
+            f"controller state needs {key!r} of shape {target.shape[1:]}, got {got}; is it of another mode?"
+        )
+    target = target.copy()
+    target[world] = state[key]
+    return target
+
+
+class JointDelta(Arm):
+    """``pd_joint_delta_pos``: measured position + change."""
+
+    from_measured = True
+
+    def __init__(self, num_worlds: int, limits: ActionLimits) -> None:
+        super().__init__(num_worlds, delta_rows(ARM_NAMES, limits.joint_delta, "joint, from measured"))
+
+
+class JointTargetDelta(Arm):
+    """``pd_joint_target_delta_pos``: previous target + change, kept inside the joint limits: no wind-up."""
+
+    remembers = True
+
+    def __init__(self, num_worlds: int, limits: ActionLimits) -> None:
+        super().__init__(num_worlds, delta_rows(ARM_NAMES, limits.joint_delta, "joint, from previous target"))
+
+    def command(self, move: np.ndarray, q: np.ndarray) -> np.ndarray:
+        self.target = np.clip(self.target + move, ARM_LOW, ARM_HIGH)
+        return self.target
+
+
+class JointPosition(Arm):
+    """``pd_joint_pos``: the position itself."""
+
+    def __init__(self, num_worlds: int, limits: ActionLimits) -> None:
+        super().__init__(num_worlds, absolute_rows(ARM_JOINTS))
+
+    def command(self, move: np.ndarray, q: np.ndarray) -> np.ndarray:
+        return move
+
+    def still(self, q: np.ndarray) -> np.ndarray:
+        return q
+
+
+class JointVelocity(Arm):
+    """``pd_joint_vel``: speed servos (kp 0) that hold no position."""
+
+    drives = fetch.Drives(velocity=ARM_NAMES)
+
+    def __init__(self, num_worlds: int, limits: ActionLimits) -> None:
+        super().__init__(num_worlds, speed_rows(limits.joint_speed))
+
+    def command(self, move: np.ndarray, q: np.ndarray) -> np.ndarray:
+        return move
+
+
+class JointPositionVelocity(Arm):
+    """``pd_joint_pos_vel``, ``pd_joint_delta_pos_vel``: seven positions or changes, then seven speeds."""
+
+    def __init__(self, num_worlds: int, limits: ActionLimits, *, delta: bool) -> None:
+        first = (
+            delta_rows(ARM_NAMES, limits.joint_delta, "joint, from measured") if delta else absolute_rows(ARM_JOINTS)
+        )
+        super().__init__(num_worlds, first + speed_rows(limits.joint_speed, normalized=delta))
+        self._delta = delta
+
+    def command(self, move: np.ndarray, q: np.ndarray) -> np.ndarray:
+        count = len(ARM_JOINTS)
+        wanted = q + move[:, :count] if self._delta else move[:, :count]
+        return wanted + FEED_FORWARD * move[:, count:]
+
+    def still(self, q: np.ndarray) -> np.ndarray:
+        speed = np.zeros_like(q)
+        return np.concatenate([speed if self._delta else q, speed], axis=1)

@@ -1,0 +1,64 @@
+"""How far every world's robot still has to drive around the furniture of its home, looked up in every step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from mjhab.core.errors import unknown_name
+from mjhab.scenes.freespace import FreeMap, free_map, look_up
+from mjhab.scenes.layout import Layout
+
+
+class NavDistance:
+    """Distances to drive in W worlds, each with a home and a goal of its own.
+
+    Args:
+        layout: what the homes belong to.
+        num_worlds: W.
+        maps: gives the free floor of a home by name, where somebody has it already (`SpawnSampler.map`).
+    """
+
+    def __init__(self, layout: Layout, num_worlds: int, maps: Callable[[str], FreeMap] | None = None) -> None:
+        self._homes = {home.name: home for home in layout.pack.homes}
+        self._pack = layout.pack
+        self._maps: dict[str, FreeMap] = {}
+        self._given = maps
+        self._fields = np.zeros((num_worlds, 1, 1), np.float32)
+        self._origin, self._cell = np.zeros((num_worlds, 2)), np.ones(num_worlds)
+        self._begun = np.zeros(num_worlds, bool)
+        self._shape = np.ones((num_worlds, 2), np.int64)
+
+    def begin(self, world: int, home: str, goal_xy: np.ndarray) -> None:
+        """From now on ``world`` drives to ``goal_xy`` (2,) [m] in ``home``; takes some 10 ms for a new goal.
+
+        Raises:
+            UsageError: no such home, or the base fits nowhere in it.
+        """
+        found = self._map(home)
+        field = found.distances_to(goal_xy)
+        worlds, x, y = self._fields.shape
+        if field.shape[0] > x or field.shape[1] > y:
+            grown = np.zeros((worlds, max(x, field.shape[0]), max(y, field.shape[1])), np.float32)
+            grown[:, :x, :y] = self._fields
+            self._fields = grown
+        self._fields[world, : field.shape[0], : field.shape[1]] = field
+        self._origin[world], self._cell[world] = found.origin, found.cell
+        self._shape[world] = field.shape
+        self._begun[world] = True
+
+    def at(self, base_xy: np.ndarray) -> np.ndarray:
+        """Distance (W,) [m] that each robot at ``base_xy`` (W, 2) has to drive to its goal; see `distances_to`.
+
+        0 in worlds for which nothing has begun. Off the map it grows with the distance to it.
+        """
+        found = look_up(self._fields, self._origin, self._cell, self._shape, base_xy)
+        return np.where(self._begun, found, 0.0)
+
+    def _map(self, home: str) -> FreeMap:
+        if home not in self._maps:
+            if home not in self._homes:
+                raise unknown_name("home", home, self._homes)
+            self._maps[home] = self._given(home) if self._given else free_map(self._homes[home], self._pack)
+        return self._maps[home]

@@ -1,0 +1,126 @@
+"""From the simulator's state to the observations of a mode: the state, camera images, point clouds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from mjhab.core.arrays import map_record
+from mjhab.envs.observations import (
+    CAMERA_KEYS,
+    CAMERA_OUTPUTS,
+    POINTCLOUD,
+    STATE_TABLE,
+    Views,
+    camera_names,
+    describe,
+    image_size,
+    intrinsic_matrix,
+    mode_outputs,
+    observation_table,
+    state_observation,
+    table_space,
+)
+from mjhab.envs.plan_tables import Focus
+from mjhab.envs.sensing import Sensing
+from mjhab.sim.cpu import CpuSimulator
+from mjhab.sim.home_scene import HomeRenderer
+from mjhab.sim.protocol import SimState
+from mjhab.tasks.measure import Signals
+
+
+class Observer:
+    """Computes the rows of the observation table for all worlds.
+
+    Segmentation ids are the same in every home and world of a layout: id i is ``segmentation_names[i]``, one of
+    "background" (0, nothing hit), "floor", "wall", a piece of furniture by its name, "<articulation>/<link>" for its
+    doors and drawers, an object by its name in the layout, "robot/<link>".
+
+    Args:
+        sim: worlds to look into. sensing: of the same layout.
+        mode: parts of OBS_MODES joined by "+", e.g. "state", "rgbd+seg".
+        cameras: names of CAMERA_KEYS, one or several; the order is that of the points in a point cloud.
+        size: side of the images [px], or (height, width). The vertical field of view stays as it is.
+        threads: of the renderer, over images; 0 takes every core.
+
+    ``single_space``: observation space of one world; ``table``: its rows; ``outputs``: what is drawn or derived.
+
+    Raises:
+        UsageError: unknown mode or camera, size below 8 pixels.
+    """
+
+    def __init__(
+        self,
+        sim: CpuSimulator,
+        sensing: Sensing,
+        mode: str = "state",
+        cameras: str | Sequence[str] = CAMERA_KEYS,
+        size: int | Sequence[int] = 128,
+        threads: int = 0,
+    ) -> None:
+        self._sim, self._sensing, self._threads = sim, sensing, threads
+        self.outputs = mode_outputs(mode)
+        self.cameras = camera_names(cameras)
+        self.size = image_size(size)
+        self.table = observation_table(self.outputs, self.cameras, self.size)
+        self.single_space = table_space(self.table)
+        self._camera_rows = self.table[len(STATE_TABLE) :]
+        # A point cloud is made of all three.
+        self._drawn = CAMERA_OUTPUTS if POINTCLOUD in self.outputs else self.outputs
+        self._intrinsic = np.stack([intrinsic_matrix(name, self.size) for name in self.cameras])
+        self._renderer: HomeRenderer | None = None
+
+    @property
+    def renderer(self) -> HomeRenderer:
+        """The renderer of this layout, made on first use."""
+        if self._renderer is None:
+            self._renderer = HomeRenderer(self._sim, self._threads)
+        return self._renderer
+
+    @property
+    def segmentation_names(self) -> tuple[str, ...]:
+        """Name of every segmentation id, index = id."""
+        return self.renderer.scene.seg_names
+
+    def describe(self) -> list[dict[str, Any]]:
+        """Rows of the table: key, shape, dtype, unit, frame, meaning."""
+        return describe(self.table)
+
+    def observe(
+        self,
+        state: SimState,
+        focus: Focus,
+        signals: Signals,
+        homes: Sequence[str],
+        known: Mapping[str, np.ndarray] | None = None,
+        changed: np.ndarray | None = None,
+    ) -> dict[str, np.ndarray]:
+        """Observations (W, ...) of all worlds.
+
+        Args:
+            state: of the simulator, after the control step or reset.
+            focus: what each world's active subtask is about; hides what it does not use.
+            signals: measured in this state.
+            homes: (W,) name of each world's home.
+            known: observations made before of all worlds but those in ``changed`` (W,) bool, for which alone pictures
+                are drawn.
+        """
+        obs = state_observation(self._sensing.context(state, focus, signals))
+        if self.outputs:
+            if known is None or changed is None:
+                return obs | self.draw(state, homes)
+            worlds = np.flatnonzero(changed)
+            drawn = self.draw(map_record(lambda rows: rows[worlds], state), [homes[w] for w in worlds.tolist()])
+            for key, rows in drawn.items():
+                obs[key] = known[key].copy()
+                obs[key][worlds] = rows
+        return obs
+
+    def draw(self, state: SimState, homes: Sequence[str]) -> dict[str, np.ndarray]:
+        """What cameras see, and what is made of it, in the worlds of ``state``."""
+        pos, mat = self.renderer.camera_poses(state, self.cameras)
+        images = self.renderer.robot_views(state, homes, self.size, self._drawn, self.cameras)
+        views = Views(images, pos, mat, state.robot_q[:, :3], self._intrinsic)
+        return {entry.key: entry.compute(views) for entry in self._camera_rows}

@@ -1,0 +1,144 @@
+"""The reward of a control step: gathers what the reward tables read, and keeps what they remember."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mjhab.core.arrays import norm3
+from mjhab.core.errors import unknown_name
+from mjhab.envs.config import REWARD_MODES
+from mjhab.envs.plan_tables import Focus
+from mjhab.envs.sensing import Sensing
+from mjhab.scenes.fetch import FETCH_JOINTS, JOINT_LIMITS
+from mjhab.scenes.layout import Layout
+from mjhab.sim.protocol import SimState
+from mjhab.tasks.measure import Signals, WorldState
+from mjhab.tasks.plan import SubtaskKind, TaskConfig
+from mjhab.tasks.progress import Progress
+from mjhab.tasks.rewards import IDEAL_SPEED, DenseReward, RewardView, closed_near, kinds_of
+
+_JOINTED = (SubtaskKind.OPEN, SubtaskKind.CLOSE)
+_TORSO = FETCH_JOINTS.index("torso_lift_joint")
+_TORSO_TOP = JOINT_LIMITS[_TORSO][1]
+
+
+@dataclass(frozen=True, eq=False)
+class RewardInputs:
+    """What is known of W worlds after `measure`; ``progress`` only serves the mode "pointer"."""
+
+    state: SimState
+    world: WorldState
+    signals: Signals
+    focus: Focus
+    progress: Progress
+
+
+GoalDistance = Callable[[RewardInputs], np.ndarray]
+"""Ways (W,) [m] from the base to the goal of Navigate; what it says of worlds of other kinds is not read."""
+
+
+def straight_distance(inputs: RewardInputs) -> np.ndarray:
+    """Distance (W,) along the floor from the base to the goal of Navigate, as if nothing stood in between [m]."""
+    delta = inputs.focus.active.goal_pos[:, :2] - inputs.world.base_pose[:, :2]
+    return np.sqrt(delta[:, 0] * delta[:, 0] + delta[:, 1] * delta[:, 1])
+
+
+class Rewarder:
+    """Rewards of W worlds, whose active subtasks may be of any kind.
+
+    Args:
+        num_worlds: W.
+        config: the thresholds.
+        mode: "dense": sum of the terms of the active subtask's table (`tasks.rewards`); "normalized_dense": divided by
+            the largest sum they can reach; "sparse": 1 while the active subtask succeeds; "pointer": the number of
+            subtasks done, from ``inputs.progress``; "none": 0.
+        scales: other scales for single terms, by kind, as ``{"pick": {"reach": 4.0}}``.
+        layout, sensing: where the links' joints and handles are.
+        nav_distance: way to the navigation goal. The default is the straight line; the original goes around
+            obstacles (mshab/envs/navigate.py: shortest path over the navigation mesh, the straight line an option).
+        kinds: the kinds of subtasks the plans have; terms of others are not reported.
+
+    Raises:
+        UsageError: unknown mode, kind or term, or a scale that is not a finite number.
+    """
+
+    def __init__(
+        self,
+        num_worlds: int,
+        config: TaskConfig,
+        mode: str,
+        scales: Mapping[str, Mapping[str, float]] | None,
+        layout: Layout,
+        sensing: Sensing,
+        nav_distance: GoalDistance = straight_distance,
+        kinds: Sequence[SubtaskKind] = tuple(SubtaskKind),
+    ) -> None:
+        if mode not in REWARD_MODES:
+            raise unknown_name("reward mode", mode, REWARD_MODES)
+        self.mode = mode
+        self.dense = DenseReward(config, scales, kinds)
+        self.nav_distance = nav_distance
+        self._sensing = sensing
+        self._worlds = np.arange(num_worlds)
+        # The last entry is for "no link", index -1.
+        self._ideal = np.array([IDEAL_SPEED[ref.link.joint] for ref in layout.links] + [0.0])
+        self._zero, self._zero6 = np.zeros(num_worlds), np.zeros((num_worlds, 6))
+        self._closed_near = np.zeros(num_worlds, bool)
+
+    def begin(self, mask: np.ndarray, inputs: RewardInputs) -> None:
+        """Forget what was remembered of the worlds in ``mask`` (W,) bool: their subtask begins at ``inputs``."""
+        self._closed_near = self._closed_near & ~mask
+
+    def step(self, inputs: RewardInputs) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """Rewards of one control step, measured before the pointer moves.
+
+        Returns:
+            reward (W,) float64; and, in the dense modes, raw x scale (W,) of every term in ``dense.names``, which
+            sum to the dense reward before normalising, 0 where a world's subtask does not have the term.
+        """
+        if self.mode == "none":
+            return self._zero.copy(), {}
+        if self.mode == "sparse":
+            return inputs.signals.success.astype(np.float64), {}
+        if self.mode == "pointer":
+            return inputs.progress.pointer.astype(np.float64), {}
+        scored = self.dense.score(self._view(inputs))
+        reward = scored.total / scored.attainable if self.mode == "normalized_dense" else scored.total
+        return reward, dict(zip(self.dense.names, scored.terms, strict=True))
+
+    def _view(self, inputs: RewardInputs) -> RewardView:
+        """Gather what the kinds at hand read; the rest is zero."""
+        state, world, focus, rows, zero = inputs.state, inputs.world, inputs.focus, self._worlds, self._zero
+        kinds = kinds_of(inputs.signals.kind)
+        jointed, distance = not kinds.isdisjoint(_JOINTED), zero
+        if jointed:
+            handle = self._sensing.handle_pos(state, rows, np.maximum(focus.link, 0))
+            distance = norm3(world.tcp_pos - handle)
+            self._closed_near = closed_near(self._closed_near, inputs.signals.closed, distance)
+        torso = world.robot_q[:, _TORSO] / _TORSO_TOP
+        return RewardView(
+            world=world,
+            signals=inputs.signals,
+            tcp_vel=state.tcp_vel,
+            object_pos=state.object_pose[rows, focus.obj, :3],
+            object_vel=state.object_vel[rows, focus.obj] if SubtaskKind.PLACE in kinds else self._zero6,
+            goal_pos=focus.active.goal_pos,
+            torso_up=np.minimum(np.maximum(torso, 0.0), 1.0),
+            handle_distance=distance,
+            joint_qd=state.link_qd[rows, focus.link] if jointed else zero,
+            joint_ideal=self._ideal[focus.link] if jointed else zero,
+            open_frac=focus.active.open_frac,
+            nav_distance=self.nav_distance(inputs) if SubtaskKind.NAVIGATE in kinds else zero,
+            closed_near=self._closed_near,
+        )
+
+    def get_state(self, world: int) -> dict[str, bool]:
+        """What is remembered of one world."""
+        return {"closed_near": bool(self._closed_near[world])}
+
+    def set_state(self, world: int, state: Mapping[str, bool]) -> None:
+        """Put back what `get_state` returned; other worlds keep theirs."""
+        self._closed_near[world] = state["closed_near"]

@@ -1,0 +1,72 @@
+"""Full states of worlds: taken out, put back, kept in files."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING, Any
+
+from mjhab.core.arrays import row_of, with_row
+from mjhab.core.errors import UsageError
+
+if TYPE_CHECKING:
+    from mjhab.envs.sequential import SequentialTaskEnv
+
+_FLAGS = ("fallback", "success", "fail")
+
+
+def snapshot(env: SequentialTaskEnv, world: int) -> dict[str, Any]:
+    """Everything a world is, as a nested dict of arrays, numbers, strings and lists that later steps do not change.
+
+    Its episode by name, physics, progress, signals, label notes, controller targets, reward memory, faults. Physics
+    holds no sleep: a restored world is awake, see `CpuSimulator.get_world`.
+
+    Raises:
+        UsageError: the world has not been reset yet.
+    """
+    episode = env.episodes_now[world]
+    if episode is None or env.signals is None:
+        raise UsageError(f"world {world} has no state yet: call reset first")
+    return {
+        "episode": {"seed": episode.seed, "index": episode.index, "home": episode.home},
+        "next": {"seed": int(env.seeds[world]), "count": int(env.count[world])},
+        "sim": env.sim.get_world(world),
+        "progress": dataclasses.asdict(row_of(env.progress, world)),
+        "signals": dataclasses.asdict(row_of(env.signals, world)),
+        "tracker": env.tracker.get_row(world),
+        "controller": env.controller.get_state(world),
+        "rewarder": env.rewarder.get_state(world),
+        "flags": {name: bool(getattr(env, name)[world]) for name in _FLAGS},
+        "joint_start": float(env.joint_start[world]),
+        "grip": float(env.grip[world]),
+        "pending": int(env.teleports.pending[world]),
+        "taint": int(env.sim.taint()[world]),
+    }
+
+
+def restore(env: SequentialTaskEnv, world: int, state: dict[str, Any]) -> None:
+    """Put a world into a state from `snapshot`, taken from any world of an environment of the same configuration.
+
+    Raises:
+        UsageError: the state belongs to another layout or its episode does not exist here.
+    """
+    if env.signals is None:
+        raise UsageError("reset the environment once before putting a state into it")
+    name = state["episode"]
+    episode = env.make_episode(name["seed"], name["index"])
+    if episode.home != name["home"]:
+        raise UsageError(f"the state is of home {name['home']!r}, but that episode is in {episode.home!r} here")
+    env.sim.set_world(world, episode.home, state["sim"])
+    env.adopt(world, episode)
+    env.sim.add_taint(world, state["taint"])
+    env.seeds[world], env.count[world] = state["next"]["seed"], state["next"]["count"]
+    for flag in _FLAGS:
+        getattr(env, flag)[world] = state["flags"][flag]
+    env.due[world] = False
+    env.joint_start[world], env.grip[world] = state["joint_start"], state["grip"]
+    env.teleports.pending[world] = state["pending"]
+    env.signals = with_row(env.signals, world, state["signals"])
+    env.follow(with_row(env.progress, world, state["progress"]))
+    env.tracker.set_row(world, state["tracker"])
+    env.state = env.sim.state()
+    env.controller.set_state(world, state["controller"])
+    env.rewarder.set_state(world, state["rewarder"])

@@ -1,0 +1,110 @@
+"""What the observation wrappers share: spaces, image leaves of an observation, and the final observation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import VectorEnv, VectorWrapper
+from gymnasium.vector.utils import batch_space
+
+from mjhab.core.errors import UsageError, unknown_name
+
+IMAGE_PREFIX = "sensor_data/"
+PIXELS = "pixels"
+FINAL = "final_obs"
+
+
+@dataclass(frozen=True)
+class ImageLeaf:
+    """An image in an observation: keys that lead to it, its output ("depth", "rgb", "seg"), its axis of channels."""
+
+    path: tuple[str, ...]
+    output: str
+    channels: int
+
+
+def dict_space(env: VectorEnv, wrapper: str) -> spaces.Dict:
+    """The environment's observation space of one world.
+
+    Raises:
+        UsageError: not a Dict.
+    """
+    space = env.single_observation_space
+    if not isinstance(space, spaces.Dict):
+        raise UsageError(f"{wrapper} needs observations that are a dict; those of {env} are {space}.")
+    return space
+
+
+def image_leaves(space: spaces.Dict) -> Iterator[ImageLeaf]:
+    """Images of a space: "sensor_data/<camera>/<output>", channels last, and after FlattenStatePixels
+    "pixels"/"<camera>_<output>", channels before height and width."""
+    for key in space.spaces:
+        if key.startswith(IMAGE_PREFIX):
+            yield ImageLeaf((key,), key.rsplit("/", 1)[1], -1)
+    pixels = space.spaces.get(PIXELS)
+    for key in pixels.spaces if isinstance(pixels, spaces.Dict) else ():
+        yield ImageLeaf((PIXELS, key), key.rsplit("_", 1)[1], -3)
+
+
+def require_images(env: VectorEnv, wrapper: str, flat: bool = False) -> tuple[ImageLeaf, ...]:
+    """The images of an environment's observations; ``flat``: those of FlattenStatePixels will do too.
+
+    Raises:
+        UsageError: there are none, or they are flat where they must not be.
+    """
+    leaves = tuple(image_leaves(dict_space(env, wrapper)))
+    if not leaves:
+        raise UsageError(f"{wrapper}: the observations have no images; make the environment with obs_mode='depth'.")
+    if not flat and any(leaf.path[0] == PIXELS for leaf in leaves):
+        raise UsageError(f"{wrapper} must come before FlattenStatePixels, and FlattenStatePixels once only.")
+    return leaves
+
+
+def check_key(key: str, space: spaces.Dict) -> None:
+    """Raise a UsageError if a key is not in a space."""
+    if key not in space.spaces:
+        raise unknown_name("observation key", key, space.spaces)
+
+
+class ObservationMap(VectorWrapper):
+    """Applies ``observation`` to what reset and step return and to the final observation in ``info``.
+
+    It keeps nothing from step to step, so it is the same in every autoreset mode.
+    """
+
+    def __init__(self, env: VectorEnv, single_space: spaces.Dict) -> None:
+        super().__init__(env)
+        self.single_observation_space = single_space
+        self.observation_space = batch_space(single_space, env.num_envs)
+
+    def observation(self, obs: dict[str, Any]) -> dict[str, Any]:
+        """Transform an observation of all worlds."""
+        raise NotImplementedError
+
+    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[dict[str, Any], dict]:
+        """Reset, and transform what is seen."""
+        obs, info = self.env.reset(seed=seed, options=options)
+        return self.observation(obs), info
+
+    def step(self, actions: np.ndarray) -> tuple[dict[str, Any], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Step, and transform what is seen."""
+        obs, reward, terminated, truncated, info = self.env.step(actions)
+        return self.observation(obs), reward, terminated, truncated, map_final(info, self.observation)
+
+
+def map_final(info: dict[str, Any], change: Callable[[dict[str, Any]], dict[str, Any]]) -> dict[str, Any]:
+    """``info`` with its final observation, if there is one, put through ``change``.
+
+    Raises:
+        UsageError: the final observation is not a dict of arrays over all worlds.
+    """
+    if FINAL not in info:
+        return info
+    if not isinstance(info[FINAL], dict):
+        need = f"info[{FINAL!r}] must be a dict of (num_envs, ...) arrays like the observation"
+        raise UsageError(f"{need}, as mjhab environments give it; got {type(info[FINAL]).__name__}.")
+    return {**info, FINAL: change(info[FINAL])}

@@ -1,0 +1,204 @@
+"""The GPU simulator: MuJoCo Warp, one device model for all homes, worlds as rows of device arrays."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from mjhab.core.arrays import to_numpy
+from mjhab.core.errors import UsageError, unknown_name
+from mjhab.scenes.compile import compile_home
+from mjhab.scenes.fetch import Drives, apply_drives
+from mjhab.scenes.layout import Layout, addresses
+from mjhab.sim.protocol import SimState
+
+try:
+    import torch
+    import warp as wp
+
+    wp.config.log_level = wp.LOG_WARNING
+    from mjhab.sim.warp_engine import BufferSizes, Engine
+    from mjhab.sim.warp_device import open_device
+    from mjhab.sim.warp_sizes import buffer_sizes
+except ModuleNotFoundError as error:
+    raise UsageError(
+        f"backend 'warp' needs {error.name}, which is not installed; pip install 'mjhab[gpu,learn]'"
+    ) from error
+
+
+class WarpSimulator:
+    """Worlds on MuJoCo Warp. See `Simulator` for the methods; arrays are torch tensors on the device, float32.
+
+    Forces, flags and poses mean what they mean in `CpuSimulator`. A reset world is awake, as there.
+
+    Args:
+        layout: what all homes share.
+        num_worlds: worlds stepped together, >= 1.
+        device: a Warp device: "cpu", "cuda:0"; "" takes the first CUDA device.
+        drives: servos of the robot, as the control mode needs them.
+        sizes: of the engine's buffers; None calibrates them, once per layout.
+    """
+
+    num_threads = 1
+
+    def __init__(
+        self, layout: Layout, num_worlds: int, device: str = "", drives: Drives | None = None,
+        sizes: BufferSizes | None = None,
+    ) -> None:  # fmt: skip
+        if num_worlds < 1:
+            raise UsageError(f"num_worlds must be at least 1, got {num_worlds}")
+        self.layout, self.num_worlds = layout, num_worlds
+        self.drives = drives or Drives()
+        self.device = open_device(device)
+        self._homes = {home.name: home for home in layout.pack.homes}
+        self._models: dict[str, mujoco.MjModel] = {}
+        base = self.model(layout.pack.homes[0].name)
+        self.addresses = addresses(layout, base)
+        sizes = sizes or buffer_sizes(layout, self.model, self.addresses, num_worlds, self.device)
+        self.engine = Engine(base, self.addresses, num_worlds, len(self._homes), sizes, self.device)
+        a = self.addresses
+        self._robot_q, self._robot_v, self._link_q, self._link_v = map(
+            self._indices, (a.robot_q, a.robot_v, a.link_q, a.link_v)
+        )
+        self._views = self._make_views()
+        everyone = list(range(num_worlds))
+        self.reset(everyone, [layout.pack.homes[0].name] * num_worlds, np.tile(base.qpos0, (num_worlds, 1)))
+
+    def model(self, home: str) -> mujoco.MjModel:
+        """The compiled model of a home of the pack, on the host."""
+        if home not in self._models:
+            if home not in self._homes:
+                raise unknown_name("home", home, self._homes)
+            model = compile_home(self.layout, self._homes[home])
+            apply_drives(model, self.drives)
+            self._models[home] = model
+        return self._models[home]
+
+    @property
+    def qpos(self) -> torch.Tensor:
+        """(W, nq) live generalized positions; write through `write_qpos`."""
+        return self.engine.qpos_t
+
+    def reset(self, ids: Sequence[int], homes: Sequence[str], qpos: Any) -> None:
+        """Put worlds into homes, at rest in ``qpos`` (n, nq). Other worlds keep every bit."""
+        worlds = self._clear(ids, homes)
+        self.engine.qpos_t[worlds] = self._upload(qpos)
+        self._make_current(worlds)
+
+    def _clear(self, ids: Sequence[int], homes: Sequence[str]) -> torch.Tensor:
+        rows = [self.engine.homes.row(home, self.model(home)) for _, home in zip(ids, homes, strict=True)]
+        worlds = self._indices(ids)
+        self.engine.clear(worlds, self._indices(rows))
+        return worlds
+
+    def _make_current(self, worlds: torch.Tensor) -> None:
+        self.engine.refresh(worlds)
+        self.engine.clear_flags(worlds)
+
+    def mend(self, ids: Sequence[int], homes: Sequence[str], qpos: Any) -> None:
+        """Put worlds that broke at rest in the states ``qpos`` (n, nq); they stay tainted.
+
+        A state that is not finite itself is replaced by the model's default.
+        """
+        given = to_numpy(qpos)
+        worlds = self._indices(ids)
+        taint = self.engine.taint_t[worlds].clone()
+        default = np.stack([self.model(home).qpos0 for home in homes])
+        self.reset(ids, homes, np.where(np.isfinite(given).all(axis=1)[:, None], given, default))
+        self.engine.taint_t[worlds] = taint
+
+    def broken(self) -> torch.Tensor:
+        """(W,) bool: worlds that the last step made NaN or infinite."""
+        return self.engine.broken_t
+
+    def write_qpos(self, world: int, qpos: Any) -> None:
+        """Move one world to ``qpos`` (nq,), its robot and what it moves at rest; its home stays."""
+        self.teleport([world], qpos[None])
+
+    def teleport(self, ids: Sequence[int], qpos: Any) -> None:
+        """`write_qpos` of several worlds at once, ``qpos`` (n, nq)."""
+        worlds = self._indices(ids)
+        self.engine.new_qpos_t[worlds] = self._upload(qpos)
+        self.engine.refresh(worlds, teleport=True)
+
+    def get_world(self, world: int) -> dict[str, np.ndarray]:
+        """Copies of everything the physics of one world depends on: "time", "qpos", "qvel", "ctrl", "warmstart".
+
+        What sleeps is not in it, as in `CpuSimulator.get_world`.
+        """
+        return {name: to_numpy(rows[world]).copy() for name, rows in self._world_rows().items()}
+
+    def set_world(self, world: int, home: str, saved: Mapping[str, np.ndarray]) -> None:
+        """Put one world into a home in a state from `get_world`, with everything awake. Its taint is cleared.
+
+        Raises:
+            UsageError: the state is that of another layout.
+        """
+        rows = self._world_rows()
+        for name, row in rows.items():
+            got, need = np.shape(saved[name]), tuple(row[world].shape)
+            if got != need:
+                raise UsageError(f"state of another layout: {name} has shape {got}, this one needs {need}")
+        worlds = self._clear([world], [home])
+        for name, row in rows.items():
+            row[world] = self._upload(saved[name])
+        self._make_current(worlds)
+
+    def _world_rows(self) -> dict[str, torch.Tensor]:
+        engine = self.engine
+        return {
+            "time": engine.time_t, "qpos": engine.qpos_t, "qvel": engine.qvel_t, "ctrl": engine.ctrl_t,
+            "warmstart": engine.warmstart_t,
+        }  # fmt: skip
+
+    def step(self, ctrl: Any) -> None:
+        """Advance all worlds by one control step under ``ctrl`` (W, nu), best a float32 tensor on the device."""
+        self.engine.ctrl_t.copy_(torch.as_tensor(ctrl))
+        self.engine.step()
+
+    def state(self) -> SimState:
+        """The current state of all worlds; most arrays are views that the next step or reset overwrites."""
+        q, v = self.engine.qpos_t, self.engine.qvel_t
+        return dataclasses.replace(
+            self._views, robot_q=q[:, self._robot_q], robot_qd=v[:, self._robot_v], link_q=q[:, self._link_q],
+            link_qd=v[:, self._link_v],
+        )  # fmt: skip
+
+    def _make_views(self) -> SimState:
+        # Everything that lies in one block; the joints of the robot do not, `state` gathers them.
+        a, engine = self.addresses, self.engine
+        pose, velocity = (
+            rows[:, start : start + width * len(a.object_q)].unflatten(1, (len(a.object_q), width))
+            for rows, start, width in (
+                (engine.qpos_t, int(a.object_q[0]), 7), (engine.qvel_t, int(a.object_v[0]), 6),
+            )
+        )  # fmt: skip
+        return SimState(
+            robot_q=None, robot_qd=None, link_q=None, link_qd=None, object_pose=pose, object_vel=velocity,
+            tcp_vel=wp.to_torch(engine.tcp_vel), link_force=wp.to_torch(engine.link_force),
+            finger_force=wp.to_torch(engine.finger_force), touch=wp.to_torch(engine.touch),
+            body_pos=wp.to_torch(engine.data.xpos), body_mat=wp.to_torch(engine.data.xmat),
+            body_quat=wp.to_torch(engine.data.xquat),
+        )  # fmt: skip
+
+    def add_taint(self, world: int, mask: int) -> None:
+        """Mark a world with the bits of ``mask``."""
+        self.engine.taint_t[world] |= mask
+
+    def taint(self) -> torch.Tensor:
+        """(W,) uint8 bit mask of TAINTS that arose since each world's reset."""
+        return self.engine.taint_t.clone()
+
+    @property
+    def _torch_device(self) -> torch.device:
+        return self.engine.qpos_t.device
+
+    def _indices(self, values: Sequence[int] | np.ndarray) -> torch.Tensor:
+        return torch.as_tensor(np.asarray(values, np.int64), device=self._torch_device)
+
+    def _upload(self, values: Any) -> torch.Tensor:
+        return torch.as_tensor(values).to(device=self._torch_device, dtype=torch.float32)

@@ -1,0 +1,230 @@
+"""MuJoCo Warp's model and data for the homes of a layout, and the device work of a control step and of a reset."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass
+
+import mujoco
+import mujoco_warp as mjw
+import numpy as np
+import torch
+import warp as wp
+from mujoco_warp._src import sleep, smooth
+
+from mjhab.scenes.fetch import FINGER_LINKS, FORCE_LINKS, TCP_LINK
+from mjhab.scenes.layout import Addresses
+from mjhab.sim import warp_kernels as kernels
+from mjhab.sim.protocol import PENETRATION_LIMIT
+from mjhab.sim.warp_graphs import Graphs
+from mjhab.sim.warp_homes import HOME_FIELDS, HomeTables
+
+SUBSTEPS = 5
+"""Simulation at 100 Hz, control at 20 Hz (MS-HAB paper Sec. 4.1)."""
+_OVERFLOW = mjw.OverflowType
+CONTACT_OVERFLOW = _OVERFLOW.BROADPHASE | _OVERFLOW.NARROWPHASE | _OVERFLOW.CCD | _OVERFLOW.HFIELD
+ROW_OVERFLOW = _OVERFLOW.NEFC | _OVERFLOW.NJMAX_NNZ | _OVERFLOW.NVMAX
+ENGINE_OVERFLOW = _OVERFLOW.EPA_HORIZON
+AWAKE = sleep.K_AWAKE_VAL
+"""The engine's code for a tree that was just woken."""
+
+
+@dataclass(frozen=True)
+class BufferSizes:
+    """Capacities of the engine's buffers.
+
+    contacts: contacts, and pairs of geoms that may touch, of all worlds together; ccd: pairs of one kind in general convex
+    collision at once, all worlds together; rows: constraint rows of one world; awake: degrees of freedom of one world
+    that may be awake at once, None for all.
+    """
+
+    contacts: int
+    ccd: int
+    rows: int
+    awake: int | None = None
+
+
+class Engine:
+    """Worlds on the device. Arrays named ``*_t`` are torch tensors that share memory with the engine.
+
+    Args:
+        base: compiled model of any home, with its servos set.
+        a: addresses in it.
+        num_worlds: worlds W.
+        num_homes: homes there are, at most.
+        sizes: of the buffers.
+        device: a Warp device.
+    """
+
+    def __init__(
+        self, base: mujoco.MjModel, a: Addresses, num_worlds: int, num_homes: int, sizes: BufferSizes, device: wp.Device
+    ) -> None:
+        self.device, self.num_worlds, self.sizes = device, num_worlds, sizes
+        model = copy.copy(base)
+        # Contact sensors match every sensor with every contact; our own kernel reads each contact once.
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR
+        with wp.ScopedDevice(device):
+            self.model = mjw.put_model(model, batch_sizes=dict.fromkeys(HOME_FIELDS, num_worlds))
+            self.data = mjw.make_data(
+                model, num_worlds, naconmax=sizes.contacts, naccdmax=min(sizes.ccd, sizes.contacts), njmax=sizes.rows,
+                nvmax=sizes.awake,
+            )  # fmt: skip
+            self.model.opt.warn_overflow = 0  # printing from kernels is slow, and the bits say the same
+            self.homes = HomeTables(base, self.model, self.data, num_homes)
+            self.graphs = Graphs(device)
+            self._allocate(model, a)
+        self.model.callback.contactfilter = self._record_peak
+        self._tensors()
+
+    def _allocate(self, model: mujoco.MjModel, a: Addresses) -> None:
+        worlds, targets = self.num_worlds, len(a.object_body) + len(a.link_body)
+        self.link_net = wp.zeros((worlds, len(FORCE_LINKS)), dtype=wp.vec3)
+        self.link_force = wp.zeros((worlds, len(FORCE_LINKS)), dtype=wp.float32)
+        self.finger_force = wp.zeros((worlds, 2, targets), dtype=wp.vec3)
+        self.touch = wp.zeros((worlds, targets), dtype=wp.bool)
+        self.depth = wp.zeros(worlds, dtype=wp.float32)
+        self.tcp_vel = wp.zeros(worlds, dtype=wp.vec3)
+        self.taint = wp.zeros(worlds, dtype=wp.uint8)
+        self.broken = wp.zeros(worlds, dtype=wp.bool)
+        self.pairs_peak = wp.zeros(1, dtype=wp.int32)
+        self.update = wp.zeros(worlds, dtype=wp.bool)
+        self._everyone = wp.ones(worlds, dtype=wp.bool)
+        self.new_qpos = wp.zeros((worlds, model.nq), dtype=wp.float32)
+        self._asleep_before = wp.zeros_like(self.data.tree_asleep)
+        overflow = [int(CONTACT_OVERFLOW), int(ROW_OVERFLOW), int(ENGINE_OVERFLOW)]
+        self._overflow_bits = wp.array(overflow, dtype=wp.int32)
+        self._tcp = a.robot_body[TCP_LINK]
+        self._tcp_root = int(model.body_rootid[self._tcp])
+        self._map_bodies(model, a)
+        self._map_trees(model, a)
+
+    def _map_bodies(self, model: mujoco.MjModel, a: Addresses) -> None:
+        def numbered(bodies: list[int]) -> wp.array:
+            table = np.full(model.nbody, -1, np.int32)
+            table[bodies] = np.arange(len(bodies))
+            return wp.array(table, dtype=wp.int32)
+
+        self._link_of = numbered([a.robot_body[name] for name in FORCE_LINKS])
+        self._finger_of = numbered([a.robot_body[name] for name in FINGER_LINKS])
+        self._target_of = numbered([*a.object_body.tolist(), *a.link_body.tolist()])
+        self._is_robot = wp.array(model.body_rootid == self._tcp_root, dtype=wp.bool)
+
+    def _map_trees(self, model: mujoco.MjModel, a: Addresses) -> None:
+        spans_q, spans_v = np.zeros((model.ntree, 2), np.int32), np.zeros((model.ntree, 2), np.int32)
+        for tree in range(model.ntree):
+            first, count = int(model.tree_dofadr[tree]), int(model.tree_dofnum[tree])
+            spans_v[tree] = first, count
+            low, high = model.dof_jntid[first], model.dof_jntid[first + count - 1]
+            start = int(model.jnt_qposadr[low])
+            end = int(model.jnt_qposadr[high + 1]) if high + 1 < model.njnt else model.nq
+            spans_q[tree] = start, end - start
+        # A teleport stops the robot, and the objects that it moves.
+        stops = np.zeros(model.ntree, np.int32)
+        stops[model.body_treeid[a.object_body]] = 1
+        stops[model.body_treeid[self._tcp]] = 2
+        self._tree_q, self._tree_v = wp.array(spans_q, dtype=wp.vec2i), wp.array(spans_v, dtype=wp.vec2i)
+        self._stops = wp.array(stops, dtype=wp.int32)
+
+    def _tensors(self) -> None:
+        data = self.data
+        self.qpos_t, self.qvel_t, self.ctrl_t = wp.to_torch(data.qpos), wp.to_torch(data.qvel), wp.to_torch(data.ctrl)
+        self.warmstart_t, self.time_t = wp.to_torch(data.qacc_warmstart), wp.to_torch(data.time)
+        self.asleep_t, self.overflow_t = wp.to_torch(data.tree_asleep), wp.to_torch(data.overflow)
+        self.taint_t, self.broken_t = wp.to_torch(self.taint), wp.to_torch(self.broken)
+        self.update_t, self.new_qpos_t = wp.to_torch(self.update), wp.to_torch(self.new_qpos)
+
+    def _record_peak(self, model: mjw.Model, data: mjw.Data) -> None:
+        # Called after each collision pass. With sleep on there are two a substep, and the second starts the engine's
+        # counter anew: an overflow of the first pass leaves no trace in the engine.
+        wp.launch(kernels.record_peak, dim=1, inputs=[data.ncollision], outputs=[self.pairs_peak])
+
+    def clear(self, worlds: torch.Tensor, rows: torch.Tensor) -> None:
+        """Put worlds (n,) into the homes of table ``rows`` (n,), at rest and awake; their positions are to be written."""
+        self.homes.put(worlds, rows)
+        for zeroed in (self.qvel_t, self.ctrl_t, self.warmstart_t, self.time_t):
+            zeroed[worlds] = 0.0
+        self.asleep_t[worlds] = AWAKE
+
+    def step(self) -> None:
+        """One control step of all worlds under the ctrl that is set."""
+        with wp.ScopedDevice(self.device):
+            self.graphs.run("step", self._step)
+
+    def _step(self) -> None:
+        self.pairs_peak.zero_()
+        for _ in range(SUBSTEPS):
+            mjw.step(self.model, self.data)
+        # The engine's poses are those before the last integration.
+        smooth.kinematics(self.model, self.data)
+        smooth.com_pos(self.model, self.data)
+        smooth.camlight(self.model, self.data)
+        smooth.com_vel(self.model, self.data)
+        self._derive(self._everyone)
+        data = self.data
+        wp.launch(
+            kernels.check_worlds, dim=self.num_worlds,
+            inputs=[data.qpos, data.qvel, data.overflow, self.pairs_peak, data.naconmax, self.depth, PENETRATION_LIMIT,
+                    self._overflow_bits],
+            outputs=[self.taint, self.broken],
+        )  # fmt: skip
+
+    def refresh(self, worlds: torch.Tensor, *, teleport: bool = False) -> None:
+        """Make everything derived current in ``worlds`` (n,) int64; other worlds keep every bit.
+
+        Args:
+            worlds: those whose state was written.
+            teleport: also move them to ``new_qpos_t``.
+        """
+        self.update_t.zero_()
+        self.update_t[worlds] = True
+        with wp.ScopedDevice(self.device):
+            if teleport:
+                self.graphs.run("teleport", self._teleport)
+            else:
+                self.graphs.run("refresh", self._refresh)
+
+    def clear_flags(self, worlds: torch.Tensor) -> None:
+        """Forget overflow, taint and breakage of worlds (n,)."""
+        for flag in (self.overflow_t, self.taint_t, self.broken_t):
+            flag[worlds] = 0
+
+    def _teleport(self) -> None:
+        data = self.data
+        wp.launch(
+            kernels.teleport, dim=self.num_worlds,
+            inputs=[self.update, self.new_qpos, self._tree_q, self._tree_v, self._stops, AWAKE],
+            outputs=[data.qpos, data.qvel, data.tree_asleep],
+        )  # fmt: skip
+        self._refresh()
+
+    def _refresh(self) -> None:
+        # The engine has no mask here. In other worlds this computes again what it had, but for two things: what a
+        # touch would wake in the next substep would wake now, and the contacts would be those after, not before, the
+        # last integration. So sleep is put back, and forces are only derived for the worlds asked for.
+        data = self.data
+        self.pairs_peak.zero_()
+        wp.copy(self._asleep_before, data.tree_asleep)
+        mjw.forward(self.model, data)
+        self._derive(self.update)
+        wp.launch(
+            kernels.restore_sleep, dim=data.tree_asleep.shape, inputs=[self.update, self._asleep_before],
+            outputs=[data.tree_asleep],
+        )  # fmt: skip
+        sleep.update_sleep(self.model, data)
+
+    def _derive(self, update: wp.array) -> None:
+        data, contact = self.data, self.data.contact
+        forces = [self.link_net, self.finger_force, self.touch, self.depth]
+        wp.launch(kernels.clear_forces, dim=self.num_worlds, inputs=[update], outputs=forces)
+        wp.launch(
+            kernels.add_contacts, dim=data.naconmax,
+            inputs=[data.nacon, contact.dist, contact.frame, contact.dim, contact.geom, contact.efc_address,
+                    contact.worldid, contact.type, data.efc.force, data.njmax, self.model.geom_bodyid, self._link_of,
+                    self._finger_of, self._target_of, self._is_robot, update],
+            outputs=forces,
+        )  # fmt: skip
+        wp.launch(
+            kernels.finish_state, dim=self.num_worlds,
+            inputs=[update, self.link_net, self._tcp, self._tcp_root, data.xpos, data.subtree_com, data.cvel],
+            outputs=[self.link_force, self.tcp_vel],
+        )  # fmt: skip

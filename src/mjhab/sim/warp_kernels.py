@@ -1,0 +1,227 @@
+"""Kernels between MuJoCo Warp and our simulator: contact forces, taint, teleports.
+
+The engine's contact list is one for all worlds and in no order, so every kernel over contacts reads the world of each
+contact. A masked kernel leaves the rows of other worlds alone.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+CONSTRAINT_CONTACT = wp.constant(1)
+"""Bit of ``contact.type``: the contact is one for the solver, not only for a sensor."""
+
+
+@wp.kernel
+def record_peak(count: wp.array(dtype=wp.int32), peak: wp.array(dtype=wp.int32)):
+    """Keep the largest number of candidate pairs: the engine's own counter starts anew within a substep."""
+    wp.atomic_max(peak, 0, count[0])
+
+
+@wp.kernel
+def clear_forces(
+    update: wp.array(dtype=wp.bool),
+    link_net: wp.array2d(dtype=wp.vec3),
+    finger: wp.array3d(dtype=wp.vec3),
+    touch: wp.array2d(dtype=wp.bool),
+    depth: wp.array(dtype=wp.float32),
+):
+    """Zero the force rows of the worlds to update."""
+    world = wp.tid()
+    if not update[world]:
+        return
+    depth[world] = 0.0
+    for k in range(link_net.shape[1]):
+        link_net[world, k] = wp.vec3(0.0)
+    for t in range(touch.shape[1]):
+        touch[world, t] = False
+        finger[world, 0, t] = wp.vec3(0.0)
+        finger[world, 1, t] = wp.vec3(0.0)
+
+
+@wp.func
+def contact_force(
+    contact: int,
+    world: int,
+    njmax: int,
+    frame: wp.array(dtype=wp.mat33),
+    dim: wp.array(dtype=wp.int32),
+    efc_address: wp.array2d(dtype=wp.int32),
+    efc_force: wp.array2d(dtype=wp.float32),
+) -> wp.vec3:
+    """Force [N] of the first geom on the second, world frame; elliptic cones."""
+    local = wp.vec3(0.0)
+    for i in range(wp.min(dim[contact], 3)):
+        row = efc_address[contact, i]
+        if row >= 0 and row < njmax:
+            local[i] = efc_force[world, row]
+    return wp.transpose(frame[contact]) * local
+
+
+@wp.kernel
+def add_contacts(
+    nacon: wp.array(dtype=wp.int32),
+    dist: wp.array(dtype=wp.float32),
+    frame: wp.array(dtype=wp.mat33),
+    dim: wp.array(dtype=wp.int32),
+    geom: wp.array(dtype=wp.vec2i),
+    efc_address: wp.array2d(dtype=wp.int32),
+    worldid: wp.array(dtype=wp.int32),
+    kind: wp.array(dtype=wp.int32),
+    efc_force: wp.array2d(dtype=wp.float32),
+    njmax: int,
+    geom_bodyid: wp.array(dtype=wp.int32),
+    link_of: wp.array(dtype=wp.int32),
+    finger_of: wp.array(dtype=wp.int32),
+    target_of: wp.array(dtype=wp.int32),
+    is_robot: wp.array(dtype=wp.bool),
+    update: wp.array(dtype=wp.bool),
+    link_net: wp.array2d(dtype=wp.vec3),
+    finger: wp.array3d(dtype=wp.vec3),
+    touch: wp.array2d(dtype=wp.bool),
+    depth: wp.array(dtype=wp.float32),
+):
+    """Add the force of every contact of the robot to its link, finger and target. ``*_of`` map bodies, -1 is none."""
+    contact = wp.tid()
+    if contact >= nacon[0] or (kind[contact] & CONSTRAINT_CONTACT) == 0:
+        return
+    world = worldid[contact]
+    if not update[world]:
+        return
+    first = geom_bodyid[geom[contact][0]]
+    second = geom_bodyid[geom[contact][1]]
+    if not (is_robot[first] or is_robot[second]):
+        return
+    wp.atomic_min(depth, world, dist[contact])
+    force = contact_force(contact, world, njmax, frame, dim, efc_address, efc_force)
+    if is_robot[first] and target_of[second] >= 0:
+        touch[world, target_of[second]] = True
+    if is_robot[second] and target_of[first] >= 0:
+        touch[world, target_of[first]] = True
+    if link_of[first] >= 0:
+        wp.atomic_add(link_net, world, link_of[first], -force)
+    if link_of[second] >= 0:
+        wp.atomic_add(link_net, world, link_of[second], force)
+    if finger_of[first] >= 0 and target_of[second] >= 0:
+        wp.atomic_add(finger, world, finger_of[first], target_of[second], -force)
+    if finger_of[second] >= 0 and target_of[first] >= 0:
+        wp.atomic_add(finger, world, finger_of[second], target_of[first], force)
+
+
+@wp.kernel
+def finish_state(
+    update: wp.array(dtype=wp.bool),
+    link_net: wp.array2d(dtype=wp.vec3),
+    tcp: int,
+    tcp_root: int,
+    xpos: wp.array2d(dtype=wp.vec3),
+    subtree_com: wp.array2d(dtype=wp.vec3),
+    cvel: wp.array2d(dtype=wp.spatial_vector),
+    link_force: wp.array2d(dtype=wp.float32),
+    tcp_vel: wp.array(dtype=wp.vec3),
+):
+    """Norms of the net link forces [N], and the velocity [m/s] of the tool centre in the world."""
+    world = wp.tid()
+    if not update[world]:
+        return
+    for k in range(link_net.shape[1]):
+        link_force[world, k] = wp.length(link_net[world, k])
+    # The engine keeps velocities (rotation first) at the centre of mass of the whole tree.
+    velocity = cvel[world, tcp]
+    arm = xpos[world, tcp] - subtree_com[world, tcp_root]
+    tcp_vel[world] = wp.spatial_bottom(velocity) + wp.cross(wp.spatial_top(velocity), arm)
+
+
+@wp.kernel
+def check_worlds(
+    qpos: wp.array2d(dtype=wp.float32),
+    qvel: wp.array2d(dtype=wp.float32),
+    overflow: wp.array(dtype=wp.int32),
+    peak: wp.array(dtype=wp.int32),
+    naconmax: int,
+    depth: wp.array(dtype=wp.float32),
+    depth_limit: float,
+    bits: wp.array(dtype=wp.int32),
+    taint: wp.array(dtype=wp.uint8),
+    broken: wp.array(dtype=wp.bool),
+):
+    """Translate the engine's overflow bits into taints, and find worlds that are not finite.
+
+    ``bits``: two masks of the overflow bits that mean lost contacts and lost constraint rows, then those of the engine's
+    other complaints. Bits of TAINTS, lowest first: contacts, constraints, nan, engine, penetration.
+    """
+    world = wp.tid()
+    found = wp.int32(0)
+    # Nobody knows whose pairs were dropped, so every world is suspect.
+    if (overflow[world] & bits[0]) != 0 or peak[0] > naconmax:
+        found = found | 1
+    if (overflow[world] & bits[1]) != 0:
+        found = found | 2
+    if (overflow[world] & bits[2]) != 0:
+        found = found | 8
+    if depth[world] < -depth_limit:
+        found = found | 16
+    finite = bool(True)
+    for i in range(qpos.shape[1]):
+        finite = finite and wp.isfinite(qpos[world, i])
+    for i in range(qvel.shape[1]):
+        finite = finite and wp.isfinite(qvel[world, i])
+    if not finite:
+        found = found | 4
+    broken[world] = not finite
+    taint[world] = taint[world] | wp.uint8(found)
+
+
+@wp.kernel
+def teleport(
+    update: wp.array(dtype=wp.bool),
+    new_qpos: wp.array2d(dtype=wp.float32),
+    tree_q: wp.array(dtype=wp.vec2i),
+    tree_v: wp.array(dtype=wp.vec2i),
+    stops: wp.array(dtype=wp.int32),
+    awake: int,
+    qpos: wp.array2d(dtype=wp.float32),
+    qvel: wp.array2d(dtype=wp.float32),
+    tree_asleep: wp.array2d(dtype=wp.int32),
+):
+    """Write positions; wake every tree that moves and all that sleep with it, which the engine would leave hanging.
+
+    ``tree_q``, ``tree_v``: first index and number of each tree's positions and velocities; ``stops``: 2 a tree whose
+    velocity becomes zero in any case, 1 only if it moves, 0 never; ``awake``: the engine's code of a tree just woken.
+    """
+    world = wp.tid()
+    if not update[world]:
+        return
+    for tree in range(tree_q.shape[0]):
+        moved = bool(False)
+        for i in range(tree_q[tree][0], tree_q[tree][0] + tree_q[tree][1]):
+            if qpos[world, i] != new_qpos[world, i]:
+                moved = True
+                qpos[world, i] = new_qpos[world, i]
+        if stops[tree] == 2 or (stops[tree] == 1 and moved):
+            for i in range(tree_v[tree][0], tree_v[tree][0] + tree_v[tree][1]):
+                qvel[world, i] = 0.0
+        if moved:
+            # Trees that fell asleep together form a ring of indices.
+            sleeper = int(tree)
+            for _ in range(tree_q.shape[0]):
+                following = tree_asleep[world, sleeper]
+                if following < 0:
+                    break
+                tree_asleep[world, sleeper] = awake
+                sleeper = following
+            tree_asleep[world, tree] = awake
+
+
+@wp.kernel
+def restore_sleep(
+    update: wp.array(dtype=wp.bool),
+    saved: wp.array2d(dtype=wp.int32),
+    tree_asleep: wp.array2d(dtype=wp.int32),
+):
+    """Give the worlds that are not updated back what slept before."""
+    world, tree = wp.tid()
+    if not update[world]:
+        tree_asleep[world, tree] = saved[world, tree]

@@ -1,0 +1,81 @@
+"""Dense reward of Navigate (mshab/envs/navigate.py)."""
+
+from __future__ import annotations
+
+from mjhab.core.arrays import Array, namespace, norm3
+from mjhab.tasks.plan import SubtaskKind, TaskConfig
+from mjhab.tasks.reward_table import (
+    ALWAYS,
+    RewardTable,
+    RewardView,
+    Term,
+    above_zero,
+    force_excess,
+    joint_speed,
+    near,
+    posture_error,
+    rest_distance,
+)
+
+FORCE_PER_NEWTON = 0.005
+"""Contact forces below 40 N cost nothing."""
+
+NAVIGATE_TERMS = (
+    Term("ready", 2.0, "ready", "what must be carried is grasped, or nothing has to be"),
+    Term("approach", 8.0, "far", "way to the goal: 1 - tanh(d / 10)"),
+    Term("forward", 2.0, "far", "forward speed of the base: tanh(2 max(v, 0))"),
+    Term("arrived", 12.0, "near", "close to the goal, in place of approach and forward"),
+    Term("heading", 2.0, "misaligned", "goal ahead: 1 - tanh(|bearing| / 2)"),
+    Term("aligned", 2.0, "aligned", "facing the goal, in place of heading"),
+    Term("base_still", 2.0, "aligned", "base speed: 1 - tanh(v / 3)"),
+    Term("still", 1.0, "settled", "joint speeds: 1 - tanh(|qd|), with the hand at its rest point"),
+    Term("force", 5.0, ALWAYS, "contact force over 40 N: 1 - tanh(3 (max(0.005 F, 0.2) - 0.2))"),
+    Term("posture", 2.0, ALWAYS, "torso, head and arm to rest: 1 - tanh(|q - rest| / 5)"),
+    Term("rest", 2.0, ALWAYS, "hand to its rest point: 1 - tanh(3 d)"),
+)
+
+_SHARPNESS = {
+    "approach": 0.1, "forward": 2.0, "heading": 0.5, "base_still": 1 / 3, "still": 1.0, "force": 3.0, "posture": 0.2,
+    "rest": 3.0,
+}  # fmt: skip
+
+
+def _navigate(view: RewardView, config: TaskConfig) -> tuple[dict[str, Array], dict[str, Array]]:
+    world, signals = view.world, view.signals
+    xp = namespace(world.base_pose)
+    cos, sin = xp.cos(world.base_pose[:, 2]), xp.sin(world.base_pose[:, 2])
+    dx, dy = view.goal_pos[:, 0] - world.base_pose[:, 0], view.goal_pos[:, 1] - world.base_pose[:, 1]
+    bearing = xp.atan2(cos * dy - sin * dx, cos * dx + sin * dy)
+    distances = {
+        "approach": view.nav_distance,
+        "forward": above_zero(cos * world.robot_qd[:, 0] + sin * world.robot_qd[:, 1]),
+        "heading": xp.abs(bearing),
+        "base_still": norm3(world.robot_qd[:, :3]),
+        "still": joint_speed(world),
+        "force": force_excess(signals.robot_force, FORCE_PER_NEWTON),
+        "posture": posture_error(world, config),
+        "rest": rest_distance(world, config),
+    }
+    raw = near(_SHARPNESS, distances)
+    raw["forward"] = 1 - raw["forward"]
+    ready = signals.is_grasped | ~signals.must_hold
+    near_goal = ready & signals.near
+    aligned = near_goal & signals.oriented
+    when = {
+        "ready": ready,
+        "far": ready & ~signals.near,
+        "near": near_goal,
+        "misaligned": near_goal & ~signals.oriented,
+        "aligned": aligned,
+        "settled": aligned & signals.ee_rest,
+    }
+    return when, raw
+
+
+NAVIGATE = RewardTable(
+    SubtaskKind.NAVIGATE,
+    NAVIGATE_TERMS,
+    cases=(("ready", "far"), ("ready", "near", "misaligned"), ("ready", "near", "aligned", "settled")),
+    published=28.0,
+    raw=_navigate,
+)

@@ -1,0 +1,173 @@
+"""What a dense reward is made of: the table of a kind's terms, what they read, and the raw measures they share.
+
+A term is ``scale`` times a raw value between 0 and 1, given while its condition ``when`` holds. Terms, scales and
+shapes are those of mshab/envs/{pick,place,open,close,navigate}.py, with Euclidean distances and absolute speeds.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from mjhab.core.arrays import Array, constant, namespace, pile
+from mjhab.core.errors import UsageError, unknown_name
+from mjhab.tasks.measure import Signals, WorldState
+from mjhab.tasks.plan import SubtaskKind, TaskConfig
+
+ALWAYS = "always"
+"""The condition of terms that are given in every step."""
+FREE_FORCE = 0.2
+"""Scaled contact force up to which the force term costs nothing."""
+
+
+@dataclass(frozen=True)
+class RewardView:
+    """What dense rewards read of W worlds after a control step, about the active subtask. World frame, SI units."""
+
+    world: WorldState
+    signals: Signals
+    tcp_vel: Array
+    """(W, 3) velocity of the tool centre [m/s]."""
+    object_pos: Array
+    """(W, 3) position of the object; only Pick and Place read it."""
+    object_vel: Array
+    """(W, 6) linear [m/s] and angular [rad/s] velocity of the object; only Place reads it."""
+    goal_pos: Array
+    """(W, 3) Place: goal of the object; Navigate: point to go to."""
+    torso_up: Array
+    """(W,) height of the torso as a share of its travel."""
+    handle_distance: Array
+    """(W,) from the tool centre to the handle [m]; only Open and Close read it, and the next three."""
+    joint_qd: Array
+    """(W,) velocity of the link's joint [m/s or rad/s]."""
+    joint_ideal: Array
+    """(W,) the joint should move no faster than this [m/s or rad/s]."""
+    open_frac: Array
+    """(W,) part of its range at which the link counts as open."""
+    nav_distance: Array
+    """(W,) way to the navigation goal [m], along the floor; only Navigate reads it."""
+    closed_near: Array
+    """(W,) bool: the link has been closed with the hand at it; only Close reads it."""
+
+
+@dataclass(frozen=True)
+class Term:
+    """One row of a reward table."""
+
+    name: str
+    scale: float
+    when: str
+    """Condition under which it is given, see the kind's raw function."""
+    about: str
+    """What is rewarded and how: the raw value is the formula, or 1."""
+
+
+RawFunction = Callable[[RewardView, TaskConfig], tuple[dict[str, Array], dict[str, Array]]]
+"""(view, config) to the conditions, name to (W,) bool, and the raw values, name to (W,) in [0, 1]; a term without a
+raw value is worth 1 while its condition holds."""
+
+
+@dataclass(frozen=True)
+class RewardTable:
+    """The dense reward of one kind of subtask."""
+
+    kind: SubtaskKind
+    terms: tuple[Term, ...]
+    cases: tuple[tuple[str, ...], ...]
+    """Conditions that can hold together, besides ALWAYS: each a stage of the subtask at its best."""
+    published: float
+    """The normaliser of the original."""
+    raw: RawFunction
+
+    @property
+    def attainable(self) -> float:
+        """The largest sum the terms can reach: in the best of the cases, every raw value 1 (0 if its scale < 0)."""
+        return max(sum(max(t.scale, 0.0) for t in self.terms if t.when in (ALWAYS, *case)) for case in self.cases)
+
+    def scaled(self, scales: Mapping[str, float]) -> RewardTable:
+        """The table with other scales for some terms.
+
+        Raises:
+            UsageError: no such term, or a scale that is not a finite number.
+        """
+        kind = self.kind.name.lower()
+        for name, scale in scales.items():
+            if name not in {t.name for t in self.terms}:
+                raise unknown_name(f"reward term of {kind}", name, [t.name for t in self.terms])
+            if isinstance(scale, bool) or not isinstance(scale, int | float) or not math.isfinite(scale):
+                raise UsageError(f"the scale of reward term {kind}.{name} must be a finite number, got {scale!r}")
+        terms = tuple(dataclasses.replace(t, scale=float(scales.get(t.name, t.scale))) for t in self.terms)
+        return dataclasses.replace(self, terms=terms)
+
+
+# -- raw measures ------------------------------------------------------------------------------------------------------
+
+
+def near(sharpness: Mapping[str, float], distances: Mapping[str, Array]) -> dict[str, Array]:
+    """``1 - tanh(sharpness x)``: 1 at zero, falling to 0.
+
+    Args:
+        sharpness: by name; a dict that stays as it is, the array made of it is kept.
+        distances: (W,) each, of the same names in the same order. All in one call, because calls are the cost.
+    """
+    rows = pile(list(distances.values()))
+    column = constant(tuple(sharpness.values()), rows)[:, None]
+    return dict(zip(sharpness, 1 - namespace(rows).tanh(column * rows), strict=True))
+
+
+def above_zero(x: Array) -> Array:
+    """``max(x, 0)``."""
+    return namespace(x).where(x > 0, x, 0.0)
+
+
+def length(x: Array) -> Array:
+    """Euclidean length (W,) of the rows of (W, n).
+
+    The rows are laid out anew, so that the order of summation, and with it the last bit, does not depend on where
+    they come from or on how many worlds there are.
+    """
+    xp = namespace(x)
+    x = x.reshape(-1).reshape(x.shape)
+    return xp.sqrt(xp.vecdot(x, x))
+
+
+def force_excess(robot_force: Array, per_newton: float) -> Array:
+    """What counts of contact forces (W,) [N], ``max(m F, 0.2) - 0.2``; the force term is 1 - tanh(3 x)."""
+    return above_zero(per_newton * robot_force - FREE_FORCE)
+
+
+def posture_error(world: WorldState, config: TaskConfig) -> Array:
+    """(W,) distance of torso, head and arm from rest, over the ten joints [m, rad]."""
+    return length(world.robot_q[:, 3:13] - constant(config.rest_qpos[3:13], world.robot_q))
+
+
+def joint_speed(world: WorldState) -> Array:
+    """(W,) length of the joint velocities without the fingers [m/s, rad/s]."""
+    return length(world.robot_qd[:, :13])
+
+
+def lengths(*vectors: Array) -> list[Array]:
+    """Euclidean lengths (W,) of several (W, 3), by one call of each operation for all of them."""
+    xp = namespace(vectors[0])
+    return list(length(xp.concat(vectors)).reshape(len(vectors), -1))
+
+
+def rest_distance(world: WorldState, config: TaskConfig) -> Array:
+    """(W,) distance of the tool centre from where it rests in front of the base [m]."""
+    base, tcp = world.base_pose, world.tcp_pos
+    xp = namespace(base)
+    rx, ry, rz = config.ee_rest_pos
+    radius, heading = math.hypot(rx, ry), base[:, 2] + math.atan2(ry, rx)
+    dx = tcp[:, 0] - base[:, 0] - radius * xp.cos(heading)
+    dy = tcp[:, 1] - base[:, 1] - radius * xp.sin(heading)
+    dz = tcp[:, 2] - (config.base_height + rz)
+    return xp.sqrt(dx * dx + dy * dy + dz * dz)
+
+
+def share_left(gap: Array, whole: Array) -> Array:
+    """(W,) ``gap / whole`` between 0 and 1: how much of a way is left; 0 where there is no way to go."""
+    xp = namespace(gap)
+    left = above_zero(gap) / xp.where(whole > 0, whole, 1.0)
+    return xp.where(left < 1, left, 1.0)

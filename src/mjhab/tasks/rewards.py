@@ -1,0 +1,135 @@
+"""Dense rewards of every kind of subtask: tables of named raw terms times scales, scored over worlds of mixed kinds.
+
+The tables are in ``reward_object`` (Pick, Place), ``reward_joint`` (Open, Close) and ``reward_navigate``. A dense
+reward is normalised by the largest sum its terms can reach, which follows from the table (``RewardTable.attainable``):
+29 for Pick and 36 for Close, whose published normalisers are 28 and 37 (kept as ``RewardTable.published``), and
+44, 27 and 28 for Place, Open and Navigate, as published.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from mjhab.core.arrays import Array, Table, constant, device_of, namespace, pile, to_numpy
+from mjhab.core.errors import UsageError, unknown_name
+from mjhab.tasks.plan import KIND_NAMES, PADDING, SubtaskKind, TaskConfig
+from mjhab.tasks.reward_joint import CLOSE, IDEAL_SPEED, OPEN, closed_near
+from mjhab.tasks.reward_navigate import NAVIGATE
+from mjhab.tasks.reward_object import PICK, PLACE
+from mjhab.tasks.reward_table import ALWAYS, RewardTable, RewardView, Term
+
+__all__ = [
+    "IDEAL_SPEED",
+    "REWARD_TABLES",
+    "DenseReward",
+    "RewardTable",
+    "RewardView",
+    "Scored",
+    "Term",
+    "closed_near",
+    "kinds_of",
+    "reward_table",
+]
+
+REWARD_TABLES: dict[SubtaskKind, RewardTable] = {t.kind: t for t in (PICK, PLACE, NAVIGATE, OPEN, CLOSE)}
+
+
+def reward_table(kind: str) -> RewardTable:
+    """The reward table of a kind such as ``"pick"``.
+
+    Raises:
+        UsageError: no such kind.
+    """
+    if kind not in KIND_NAMES:
+        raise unknown_name("subtask", kind, KIND_NAMES)
+    return REWARD_TABLES[SubtaskKind(KIND_NAMES.index(kind))]
+
+
+@dataclass(frozen=True)
+class Scored:
+    """Dense rewards of W worlds, of the dtype of the state."""
+
+    terms: Array
+    """(N, W) raw x scale of every term in ``DenseReward.names``; 0 where the world's kind does not have it."""
+    total: Array
+    """(W,) their sum; 0 where the plan is finished."""
+    attainable: Array
+    """(W,) largest total of the world's kind; 1 where the plan is finished."""
+
+
+class DenseReward:
+    """Scores worlds by the tables. It holds no state.
+
+    Args:
+        config: the thresholds.
+        scales: other scales for some terms, by kind, as ``{"pick": {"reach": 4.0}}``.
+        kinds: the kinds of subtasks there are; terms of others are left out of ``names``.
+
+    Raises:
+        UsageError: no such kind or term, or a scale that is not a finite number.
+    """
+
+    def __init__(
+        self,
+        config: TaskConfig,
+        scales: Mapping[str, Mapping[str, float]] | None = None,
+        kinds: Sequence[SubtaskKind] = tuple(SubtaskKind),
+    ) -> None:
+        self.config = config
+        every = dict(REWARD_TABLES)
+        for kind, changes in (scales or {}).items():
+            table = reward_table(kind)
+            every[table.kind] = table.scaled(changes)
+        self.tables: dict[int, RewardTable] = {int(kind): every[kind] for kind in kinds}
+        self.names: tuple[str, ...] = tuple(dict.fromkeys(t.name for tb in self.tables.values() for t in tb.terms))
+        self._scales = {k: Table(tuple(t.scale for t in table.terms)) for k, table in self.tables.items()}
+        self._rows = {k: [self.names.index(t.name) for t in table.terms] for k, table in self.tables.items()}
+        # A table whose scales are all zero or negative has nothing to be measured against. Kind -1 reads the end.
+        self._attainable = Table((*(every[kind].attainable or 1.0 for kind in SubtaskKind), 1.0))
+
+    def score(self, view: RewardView) -> Scored:
+        """Score every world by the table of its active subtask (``view.signals.kind``).
+
+        Raises:
+            UsageError: a world does a subtask that is not among ``kinds``.
+        """
+        kind, like = view.signals.kind, view.tcp_vel
+        present = kinds_of(kind) - {PADDING}
+        strange = present - self.tables.keys()
+        if strange:
+            raise UsageError(f"these rewards are not for {', '.join(KIND_NAMES[k] for k in sorted(strange))}")
+        attainable = constant(self._attainable, like)[kind]
+        xp = namespace(like)
+        if len(present) == len(self.tables) == 1:
+            terms, total = self._score_kind(kind, present.pop(), view)
+            return Scored(terms, total, attainable)
+        terms = xp.zeros((len(self.names), kind.shape[0]), dtype=like.dtype, device=device_of(like))
+        total = xp.zeros_like(terms[0])
+        for number in sorted(present):
+            # Of all worlds, as picking out those of the kind costs more; the others come out as 0.
+            values, sums = self._score_kind(kind, number, view)
+            terms[self._rows[number], :] += values
+            total = total + sums
+        return Scored(terms, total, attainable)
+
+    def _score_kind(self, kinds: Array, kind: int, view: RewardView) -> tuple[Array, Array]:
+        """Raw x scale (K, W) in the order of the kind's table, and their sums (W,); 0 in worlds of other kinds."""
+        table = self.tables[kind]
+        when, raw = table.raw(view, self.config)
+        when[ALWAYS] = mine = kinds == kind
+        gates = [when[t.when] for t in table.terms]
+        scales = constant(self._scales[kind], view.tcp_vel)
+        xp = namespace(scales)
+        given = pile(gates) & mine
+        # A term without a raw value is worth 1 where its condition holds: its condition, as a number.
+        values = pile([raw.get(t.name, gate) for t, gate in zip(table.terms, gates, strict=True)])
+        values = xp.where(given, values, 0.0)
+        # One row per world, summed by itself: the last bit must not depend on the number of worlds.
+        by_world = values.T.reshape(-1).reshape(values.T.shape)
+        return values * scales[:, None], xp.vecdot(by_world, scales)
+
+
+def kinds_of(kind: Array) -> set[int]:
+    """The kinds among those of W worlds, as plain numbers (on a GPU: one transfer)."""
+    return set(to_numpy(kind).tolist())

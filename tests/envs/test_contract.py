@@ -1,0 +1,326 @@
+"""The Gymnasium contract: ids, autoreset step by step, seeds, single environments, states, faults."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
+
+import mjhab.envs as envs
+from mjhab.core.errors import UsageError
+from mjhab.envs.catalog import ENV_IDS, TRAIN_IDS
+from mjhab.envs.config import AUTORESET_MODES
+from mjhab.envs.sequential import INDEX_STRIDE, SequentialTaskEnv
+from mjhab.sim.protocol import TAINTS
+
+NAN_BIT = 1 << TAINTS.index("nan")
+
+
+def build(**options) -> SequentialTaskEnv:
+    defaults = {"task": "set_table", "subtask": "pick", "num_envs": 3, "autoreset": "disabled", "threads": 1}
+    return envs.make_train(**defaults | options)
+
+
+def actions(env: SequentialTaskEnv, seed: int) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-1, 1, env.action_space.shape).astype(np.float32)
+
+
+def physics(env: SequentialTaskEnv, world: int) -> list[bytes]:
+    return [row.tobytes() for row in env.sim.get_world(world).values()]
+
+
+@pytest.mark.parametrize("env_id", sorted(ENV_IDS))
+def test_check_env_passes_for_every_id(env_id: str):
+    with warnings.catch_warnings():
+        # The checker warns that state observations are unbounded; joint speeds and positions are.
+        warnings.filterwarnings("ignore", message=".*Box observation space.*")
+        env = gymnasium.make(env_id, disable_env_checker=True, threads=1)
+        check_env(env.unwrapped)
+        env.close()
+
+
+@pytest.mark.parametrize("env_id", sorted(TRAIN_IDS))
+def test_make_vec_by_id_runs_and_stays_in_its_spaces(env_id: str):
+    env = gymnasium.make_vec(env_id, num_envs=2, threads=1)
+    assert env.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP
+    obs, _ = env.reset(seed=1)
+    assert env.observation_space.contains(obs)
+    worlds = env.unwrapped
+    assert isinstance(worlds, SequentialTaskEnv)
+    for _ in range(3):
+        obs, reward, terminated, truncated, info = worlds.step(env.action_space.sample())
+    assert env.observation_space.contains(obs)
+    assert reward.shape == (2,) and reward.dtype == np.float64 and np.all(reward <= 1)
+    assert not terminated.any() and not truncated.any()
+    most = worlds.rewarder.dense.tables[int(info["kind"][0])].attainable
+    np.testing.assert_allclose(sum(info["reward_terms"].values()) / most, reward, atol=1e-9)
+
+
+def test_ids_are_known_after_import_mjhab_alone():
+    code = (
+        "import mjhab, gymnasium, sys; assert 'mjhab/PickSubtaskTrain-v1' in gymnasium.registry;"
+        "assert not {'mujoco', 'torch', 'numba', 'warp'} & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+
+
+def test_same_step_autoreset_step_by_step():
+    env = build(autoreset="same_step", num_envs=2)
+    first, _ = env.reset(seed=0)
+    env.progress.steps_left[0] = 2
+    obs, _, terminated, truncated, info = env.step(actions(env, 0))
+    assert not (terminated | truncated).any() and "final_obs" not in info
+    obs, _, terminated, truncated, info = env.step(actions(env, 1))
+    np.testing.assert_array_equal(truncated, [True, False])
+    assert not terminated.any()
+    np.testing.assert_array_equal(info["_final_obs"], [True, False])
+    assert info["final_info"]["ended"][0]["kind"] == "pick" and info["ended"][0] is None
+    assert info["episode_spec"][0]["index"] == 1 and info["final_info"]["episode_spec"][0]["index"] == 0
+    assert env.progress.episode_step.tolist() == [0, 2]
+    assert not np.array_equal(obs["state"][0], info["final_obs"]["state"][0])
+    np.testing.assert_array_equal(obs["state"][1], info["final_obs"]["state"][1])
+    # What begins is what a reset by name would begin.
+    named, _ = build(num_envs=2).reset(seed=0, options={"episode": [1, INDEX_STRIDE]})
+    np.testing.assert_array_equal(obs["state"][0], named["state"][0])
+    np.testing.assert_array_equal(first["state"][1], named["state"][1])
+
+
+def test_next_step_autoreset_step_by_step():
+    env = build(autoreset="next_step", num_envs=2)
+    env.reset(seed=0)
+    env.progress.steps_left[0] = 1
+    obs, _, terminated, truncated, info = env.step(actions(env, 0))
+    np.testing.assert_array_equal(truncated | terminated, [True, False])
+    assert "final_obs" not in info and info["ended"][0]["kind"] == "pick"
+    obs, reward, terminated, truncated, info = env.step(actions(env, 1))
+    # The reset step: the action is ignored, nothing is earned, the first observation of the next episode comes back.
+    assert reward[0] == 0.0 and reward[1] != 0.0 and not (terminated | truncated).any()
+    assert info["episode_spec"][0]["index"] == 1 and env.progress.episode_step.tolist() == [0, 2]
+    named, _ = build(num_envs=2).reset(seed=0, options={"episode": [1, INDEX_STRIDE]})
+    np.testing.assert_array_equal(obs["state"][0], named["state"][0])
+    obs, *_ = env.step(actions(env, 2))
+    assert env.progress.episode_step.tolist() == [1, 3]
+    assert not np.array_equal(obs["state"][0], named["state"][0])
+
+
+def test_disabled_autoreset_leaves_a_finished_world_finished():
+    env = build(num_envs=2)
+    env.reset(seed=0)
+    env.progress.steps_left[0] = 1
+    _, _, terminated, truncated, _ = env.step(actions(env, 0))
+    assert truncated[0]
+    _, _, terminated, truncated, info = env.step(actions(env, 1))
+    assert not terminated[0] and not truncated[0] and env.progress.done[0]
+    assert info["ended"][0] is None and info["episode_spec"][0]["index"] == 0
+
+
+def test_termination_is_failure_or_success_and_truncation_is_time():
+    env = build(continuous=False, overrides={"pick.force_limit": 0.0}, num_envs=1)
+    env.reset(seed=0)
+    push = np.zeros((1, 13), np.float32)
+    push[:, 11] = 1.0
+    for _ in range(120):
+        _, _, terminated, truncated, info = env.step(push)
+        if terminated[0] or truncated[0]:
+            break
+    assert terminated[0] and not truncated[0] and info["fail"][0] and info["cumulative_force"][0] > 0
+
+
+@pytest.mark.parametrize("mode", AUTORESET_MODES)
+def test_partial_reset_leaves_other_worlds_bytes(mode: str):
+    env = build(autoreset=mode, control_mode="pd_joint_target_delta_pos")
+    env.reset(seed=3)
+    for step in range(6):
+        obs, *_ = env.step(actions(env, step))
+    before = [env.get_state(w) for w in (0, 2)]
+    again, _ = env.reset(options={"reset_mask": np.array([False, True, False])})
+    for state, world in zip(before, (0, 2), strict=True):
+        assert flat(env.get_state(world)) == flat(state)
+    for key in obs:
+        np.testing.assert_array_equal(obs[key][[0, 2]], again[key][[0, 2]])
+    assert env.progress.episode_step.tolist() == [6, 0, 6]
+
+
+def flat(value) -> list:
+    """A nested state as a list of comparable parts, arrays as bytes."""
+    if isinstance(value, dict):
+        return [(key, flat(value[key])) for key in sorted(value)]
+    return [value.tobytes()] if isinstance(value, np.ndarray) else [value]
+
+
+def test_episode_of_a_world_depends_on_its_seed_its_number_and_its_count_only():
+    env = build(num_envs=3)
+    a, _ = env.reset(seed=[5, 6, 7])
+    b, _ = build(num_envs=2).reset(seed=[5, 6])
+    np.testing.assert_array_equal(a["state"][:2], b["state"])
+    mask = np.array([False, True, False])
+    env.reset(options={"reset_mask": mask})
+    c, info = env.reset(options={"reset_mask": mask})
+    assert info["episode_spec"][1]["index"] == INDEX_STRIDE + 2
+    d, _ = build(num_envs=2).reset(seed=6, options={"episode": [0, INDEX_STRIDE + 2]})
+    np.testing.assert_array_equal(c["state"][1], d["state"][1])
+
+
+def test_state_round_trip_in_another_environment():
+    env, other = build(), build()
+    env.reset(seed=1)
+    other.reset(seed=2)
+    for step in range(5):
+        env.step(actions(env, step))
+    state = env.get_state(1)
+    untouched = [physics(other, w) for w in (0, 1)]
+    other.set_state(2, state)
+    assert flat(other.get_state(2)) == flat(state)
+    assert [physics(other, w) for w in (0, 1)] == untouched
+    # Two worlds restored from one state go on alike, bit by bit, physics and rewards.
+    env.set_state(1, state)
+    for step in range(5):
+        act = actions(env, 10 + step)
+        act[2] = act[1]
+        _, r1, _, _, i1 = env.step(act)
+        _, r2, _, _, i2 = other.step(act)
+        assert r1[1] == r2[2] and i1["cumulative_force"][1] == i2["cumulative_force"][2]
+    assert physics(env, 1) == physics(other, 2)
+    assert flat(env.get_state(1)["tracker"]) == flat(other.get_state(2)["tracker"])
+
+
+def test_state_before_reset_and_of_another_layout_are_refused():
+    env = build(num_envs=1)
+    with pytest.raises(UsageError, match="call reset first"):
+        env.get_state(0)
+    env.reset(seed=0)
+    state = env.get_state(0)
+    state["sim"]["qpos"] = state["sim"]["qpos"][:-7]
+    with pytest.raises(UsageError, match="another layout"):
+        env.set_state(0, state)
+
+
+@pytest.mark.parametrize("mode", AUTORESET_MODES)
+def test_a_nan_world_resets_itself_and_the_others_do_not_notice(mode: str):
+    env, calm = build(autoreset=mode), build(autoreset=mode)
+    env.reset(seed=4)
+    calm.reset(seed=4)
+    env.step(actions(env, 0))
+    calm.step(actions(calm, 0))
+    env.sim.batch.qvel[1, 3] = np.nan
+    obs, reward, terminated, truncated, info = env.step(actions(env, 1))
+    calm.step(actions(calm, 1))
+    final = info["final_info"] if mode == "same_step" else info
+    assert truncated.tolist() == [False, True, False] and not terminated.any()
+    assert final["taint"][1] & NAN_BIT and not final["taint"][[0, 2]].any()
+    assert final["nan_resets"].tolist() == [0, 1, 0]
+    assert final["ended"][1] is not None and not final["ended"][1]["success_at_end"]
+    assert all(np.isfinite(obs[key]).all() for key in obs) and np.isfinite(reward).all()
+    for step in range(2, 6):
+        obs, *_ = env.step(actions(env, step))
+        calm.step(actions(calm, step))
+    assert [physics(env, w) for w in (0, 2)] == [physics(calm, w) for w in (0, 2)]
+    assert np.isfinite(obs["state"]).all()
+    if mode != "disabled":
+        assert env.episode_of(1).index == INDEX_STRIDE + 1 and not env.sim.taint()[1] & NAN_BIT
+
+
+def test_an_env_whose_state_was_made_infinite_from_outside_goes_on():
+    env = build(num_envs=2, autoreset="same_step")
+    env.reset(seed=0)
+    env.sim.qpos[0, :] = np.inf
+    obs, _, _, truncated, info = env.step(actions(env, 0))
+    assert truncated[0] and info["final_info"]["taint"][0] & NAN_BIT and np.isfinite(obs["state"]).all()
+    assert np.isfinite(info["final_obs"]["state"]).all()
+
+
+BAD_ACTIONS = [
+    (np.zeros((3, 12), np.float32), r"\(3, 13\).*\(3, 12\)"),
+    (np.array([["a"] * 13] * 3), "numbers"),
+    (np.full((3, 13), np.nan), r"world 0.*shoulder_pan"),
+]
+
+
+@pytest.mark.parametrize(("bad", "match"), BAD_ACTIONS)
+def test_bad_actions_say_what_is_wrong(bad: np.ndarray, match: str):
+    env = build()
+    env.reset(seed=0)
+    with pytest.raises(UsageError, match=match):
+        env.step(bad)
+
+
+def test_a_nan_action_names_world_and_dimension():
+    env = build()
+    env.reset(seed=0)
+    act = actions(env, 0)
+    act[2, 11] = np.inf
+    with pytest.raises(UsageError, match=r"world 2.*base_forward"):
+        env.step(act)
+
+
+BAD_OPTIONS = [
+    ({"control_mode": "pd_joint_delta_pose"}, "pd_joint_delta_pos"),
+    ({"obs_mode": "rgdb"}, "rgb"),
+    ({"cameras": ("fetch_heat",)}, "fetch_head"),
+    ({"overrides": {"goal_tool": 0.1}}, "goal_tol"),
+    ({"overrides": {"pick.horizont": 3}}, "pick.horizon"),
+    ({"overrides": {"goal_tol": "wide"}}, "like 0.15"),
+    ({"reward_mode": "sparce"}, "sparse"),
+    ({"reward_scales": {"pick": {"reech": 1.0}}}, "reach"),
+    ({"num_envs": 10**7}, "At most"),
+    ({"stationary": ("legs",)}, "base"),
+    ({"camera_size": 4}, "8"),
+    ({"autoreset": "sometimes"}, "same_step"),
+]
+
+
+@pytest.mark.parametrize(("options", "match"), BAD_OPTIONS)
+def test_bad_options_name_what_is_valid(options: dict, match: str):
+    with pytest.raises(UsageError, match=match):
+        build(**options)
+
+
+def test_options_of_training_take_effect():
+    env = build(overrides={"goal_tol": 0.2, "place.horizon": 50}, subtask="place", force_limits=False, num_envs=1)
+    assert env.task_config.goal_tol == 0.2 and env.task_config.place.horizon == 50
+    assert np.isinf(env.task_config.force_limits).all()
+    _, info = env.reset(seed=0)
+    assert info["steps_left"][0] == 50
+    env = build(horizon=7, num_envs=1)
+    env.reset(seed=0)
+    ends = [env.step(actions(env, i))[3][0] for i in range(7)]
+    assert ends == [False] * 6 + [True]
+
+
+def test_zone_goals_reach_over_the_whole_receptacle():
+    env = build(subtask="place", task="tidy_house", overrides={"goal_type": "zone"}, num_envs=1)
+    env.reset(seed=0)
+    rect = env.tables.plans[0].subtasks[0].goal_rect
+    goal = env.tables.plans[0].subtasks[0].goal_pos
+    low, high = np.min(rect, axis=0), np.max(rect, axis=0)
+    assert (low <= goal[:2]).all() and (goal[:2] <= np.array(high)).all() and np.prod(high - low) > 0.05
+
+
+def test_open_training_finds_one_drawer_in_ten_ajar_and_evaluation_none():
+    env = build(subtask="open", target="kitchen_counter/drawer3", num_envs=1)
+    link = env.layout.link_ids.index("kitchen_counter/drawer3")
+    ajar = 0
+    for k in range(40):
+        env.reset(seed=0, options={"episode": [k]})
+        q = env.state.link_q[0, link]
+        assert q < 0.01 or q == pytest.approx(0.2 * 0.9 * env.layout.links[link].link.range[1], abs=1e-3)
+        ajar += q > 0.01
+    assert 1 <= ajar <= 12
+    judged = envs.make(subtask="open", target="kitchen_counter/drawer3", num_envs=1, threads=1)
+    judged.reset(seed=0)
+    assert judged.state.link_q[0, link] < 0.01
+
+
+def test_render_mode_gives_pictures_of_every_world():
+    env = build(num_envs=1, render_mode="rgb_array")
+    env.reset(seed=0)
+    pictures = env.render()
+    assert pictures is not None and len(pictures) == 1
+    picture = pictures[0]
+    assert picture.dtype == np.uint8 and picture.ndim == 3 and picture.std() > 10

@@ -1,0 +1,464 @@
+"""Dense rewards: hand-computed states for every kind and branch, the normaliser, numpy against torch."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import replace
+from math import tanh
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mjhab.core.arrays import map_record
+from mjhab.core.errors import UsageError
+from mjhab.tasks.measure import WorldState, measure
+from mjhab.tasks.plan import KIND_NAMES, Subtask, SubtaskConfig, SubtaskKind, TaskConfig, TaskPlan, stack_plans
+from mjhab.tasks.progress import start
+from mjhab.tasks.rewards import REWARD_TABLES, DenseReward, RewardView, closed_near, reward_table
+from tests.tasks.build import CONFIG, REST, assert_same, resting, squeeze
+
+PICK, PLACE, NAVIGATE, OPEN, CLOSE = range(5)
+AT_REST = [0.5, 0.0, 1.27]
+"""Where the tool centre rests when the base is at the origin: (0.5, 0, 1.25) in a base 2 cm above the floor."""
+EXTRA = {
+    "tcp_vel": (3,), "object_pos": (3,), "object_vel": (6,), "torso_up": (), "handle_distance": (), "joint_qd": (),
+    "joint_ideal": (), "nav_distance": (), "closed_near": (),
+}  # fmt: skip
+"""Fields of a view beside the world, with the shape of a row."""
+GOAL = (1.0, 0.0, 0.5)
+FULL = DenseReward(CONFIG)
+
+
+def off(*shifts: tuple[int, float], base: tuple[float, ...] = REST) -> list[float]:
+    """Joint values ``base`` with some shifted."""
+    values = list(base)
+    for joint, shift in shifts:
+        values[joint] += shift
+    return values
+
+
+def speeds(*entries: tuple[int, float]) -> list[float]:
+    return off(*entries, base=(0.0,) * 15)
+
+
+def view_of(
+    kinds: list[int], config: Any = CONFIG, must_hold: Any = False, force: Any = 0.0, **over: Any
+) -> RewardView:
+    """Worlds that do one subtask each, place and navigation goals at ``GOAL``; the robot at rest at the origin."""
+    subtasks = [Subtask(SubtaskKind(k), "bowl", "kitchen_counter/drawer3", GOAL, must_hold) for k in kinds]
+    plan = stack_plans([TaskPlan("test", (s,)) for s in subtasks], config)
+    extra: dict[str, Any] = {name: np.zeros((len(kinds), *shape)) for name, shape in EXTRA.items()}
+    extra |= {"joint_ideal": extra["joint_ideal"] + 1.0, "closed_near": extra["closed_near"] > 0}
+    for name in set(over) & set(EXTRA):
+        extra[name] = np.broadcast_to(np.asarray(over.pop(name)), extra[name].shape).astype(extra[name].dtype)
+    world = resting(1, len(kinds), **{"plan_obj_pos": extra["object_pos"][:, None], **over})
+    return look(world, plan, config, force, extra)
+
+
+def look(world: WorldState, plan: Any, config: TaskConfig, force: Any, extra: dict[str, Any]) -> RewardView:
+    progress = start(plan, config)
+    progress = replace(progress, cumulative_force=progress.cumulative_force + force)
+    signals = measure(world, plan, progress, config)
+    goal, open_frac = plan.goal_pos[:, 0], plan.open_frac[:, 0]
+    return RewardView(world=world, signals=signals, goal_pos=goal, open_frac=open_frac, **extra)
+
+
+def terms_of(view: RewardView, reward: DenseReward = FULL) -> dict[str, float]:
+    """The terms of one world that are not zero; the total is their sum."""
+    scored = reward.score(view)
+    terms = dict(zip(reward.names, scored.terms[:, 0].tolist(), strict=True))
+    assert scored.total[0] == pytest.approx(sum(terms.values()), abs=1e-12)
+    return {name: value for name, value in terms.items() if value != 0}
+
+
+def expect(view: RewardView, **terms: float) -> None:
+    assert terms_of(view) == pytest.approx(terms, abs=1e-12)
+
+
+# -- states computed by hand -------------------------------------------------------------------------------------------
+
+
+def test_pick_before_the_grasp() -> None:
+    # Object 0.3 m beside and 0.4 m below the hand: 0.5 m away. Hand at 5 m/s. Head pan 0.5 rad off. Torso at 0.1 m/s.
+    # 700 N: 0.7 - 0.2 = 0.5 too many.
+    state: dict[str, Any] = {
+        "object_pos": [0.5, 0.3, 0.87], "tcp_vel": [3.0, 0.0, 4.0], "robot_q": off((4, 0.5)),
+        "robot_qd": speeds((3, -0.1)), "robot_force": 700.0,
+    }  # fmt: skip
+    common = {
+        "reach": 5 * (1 - tanh(1.5)), "slow_hand": 1 - tanh(1.0), "posture": 1 - tanh(0.1),
+        "force": 3 * (1 - tanh(1.5)), "above": 1 - tanh(1.5),
+    }  # fmt: skip
+    expect(view_of([PICK], force=5000.0, **state), **common, force_limit=2.0, torso_still=1 - tanh(0.5))
+    expect(view_of([PICK], force=5000.1, **state), **common, torso_still=1 - tanh(0.5))
+    # Within 0.3 m of the object the torso may move; 200 N are free.
+    state |= {"object_pos": [0.5, 0.0, 1.0], "robot_force": 200.0}
+    common |= {"reach": 5 * (1 - tanh(0.81)), "force": 3.0, "above": 1.0}
+    expect(view_of([PICK], **state), **common, force_limit=2.0, torso_still=1.0)
+
+
+def test_pick_after_the_grasp() -> None:
+    held: dict[str, Any] = {"finger_force": squeeze(), "object_pos": AT_REST}
+    always = {"reach": 5.0, "slow_hand": 1.0, "force": 3.0, "force_limit": 2.0, "grasp": 2.0, "hold": 2.0}
+    # On the way to rest: hand 0.2 m off, head 0.5 rad off, base at 0.5 (0.3 forward, 0.4 sideways).
+    away = held | {"tcp_pos": [0.5, 0.2, 1.27], "object_pos": [0.5, 0.2, 1.27], "robot_q": off((4, 0.5))}
+    expect(
+        view_of([PICK], robot_qd=speeds((0, 0.3), (1, 0.4)), **away),
+        **always, posture=1 - tanh(0.1), posture_holding=1 - tanh(0.1), rest=5 * (1 - tanh(0.6)),
+        base_still=1 - tanh(0.5),
+    )  # fmt: skip
+    # At rest but moving: wrist at 0.3 rad/s is not static, so no success.
+    rest = always | {"posture": 1.0, "posture_holding": 1.0, "rest": 5.0, "base_still": 1.0, "at_rest": 2.0}
+    expect(view_of([PICK], robot_qd=speeds((12, 0.3)), **held), **rest, still=1 - tanh(0.3))
+    # Fingers do not count as moving. Everything is reached: the largest reward there is.
+    expect(view_of([PICK], robot_qd=speeds((13, 0.3)), **held), **rest, still=1.0, success=3.0)
+
+
+def test_place_on_the_way() -> None:
+    # Goal (1, 0, 0.5). Object 0.3 m to the side at the goal's height + 0.25; hand 0.1 m above it.
+    # Torso sinks at 0.1 m/s. The object moves at 5 m/s and turns at 2 rad/s, which counts only once it is let go.
+    state: dict[str, Any] = {
+        "object_pos": [1.0, 0.3, 0.75], "tcp_pos": [1.0, 0.3, 0.85], "robot_qd": speeds((3, -0.1)),
+        "object_vel": [0.0, 3.0, 4.0, 2.0, 0.0, 0.0],
+    }  # fmt: skip
+    d_object, d_hand = math.hypot(0.3, 0.25), math.hypot(0.3, 0.35)
+    way = {
+        "slow_hand": 1.0, "force": 3.0, "force_limit": 2.0, "torso_not_sinking": 1 - tanh(0.5),
+        "transport": 6 * (1 - (tanh(d_object) + tanh(d_hand)) / 2), "height": 4 * (1 - tanh((0.2 + 0.3) / 2)),
+    }  # fmt: skip
+    expect(view_of([PLACE], finger_force=squeeze(), **state), **way, slow_object=3.0, grasp=2.0)
+    expect(view_of([PLACE], **state), **way, slow_object=3 * (1 - tanh(7 / 5)))
+    rising = state | {"robot_qd": speeds((3, 0.1))}
+    expect(view_of([PLACE], **rising), **way | {"torso_not_sinking": 1.0}, slow_object=3 * (1 - tanh(7 / 5)))
+
+
+def test_place_at_the_goal() -> None:
+    placed = {"slow_hand": 1.0, "slow_object": 3.0, "force": 3.0, "force_limit": 2.0, "placed": 13.0}
+    # Hand 0.1 m from rest, an elbow 0.1 rad off, torso halfway, base turning at 0.5 rad/s.
+    moving: dict[str, Any] = {
+        "object_pos": GOAL, "tcp_pos": [0.5, 0.0, 1.17], "robot_q": off((9, 0.1)), "robot_qd": speeds((2, 0.5)),
+        "torso_up": 0.5,
+    }  # fmt: skip
+    away = {"rest": 5 * (1 - tanh(0.3)), "posture": 4 * (1 - tanh(0.1)), "torso_up": 1.0, "base_still": 1 - tanh(0.5)}
+    expect(view_of([PLACE], **moving), **placed, **away)
+    resting_now = moving | {"tcp_pos": AT_REST}
+    expect(
+        view_of([PLACE], **resting_now),
+        **placed, **away | {"rest": 5.0}, at_rest=2.0, still=1 - tanh(0.5), base_still_resting=1 - tanh(0.5),
+    )  # fmt: skip
+    done = {"rest": 5.0, "posture": 4.0, "torso_up": 2.0, "base_still": 1.0, "at_rest": 2.0, "still": 1.0}
+    expect(
+        view_of([PLACE], object_pos=GOAL, torso_up=1.0), **placed, **done, base_still_resting=1.0, success=6.0
+    )  # fmt: skip
+
+
+def test_open_in_its_stages() -> None:
+    # Drawer 0 .. 0.5 m, open from 0.9 of it: 0.45. At 0.15 m a third of the way is done.
+    part: dict[str, Any] = {"joint_q": 0.15, "handle_distance": 0.4, "joint_qd": -1.0}
+    expect(view_of([OPEN], **part), reach=3 * (1 - tanh(0.4)), progress=2.0, started=3.0, gentle=3.0)
+    expect(view_of([OPEN], finger_force=squeeze(), **part), grasp=5.0, progress=2.0, started=3.0, gentle=3.0)
+    # Too fast, either way; doors may turn at 2 rad/s.
+    for fast in (1.1, -1.1):
+        expect(view_of([OPEN], **part | {"joint_qd": fast}), reach=3 * (1 - tanh(0.4)), progress=2.0, started=3.0)
+    door = part | {"joint_qd": 1.1, "joint_ideal": 2.0}
+    expect(view_of([OPEN], **door), reach=3 * (1 - tanh(0.4)), progress=2.0, started=3.0, gentle=3.0)
+    # Not started at 1 cm; pressed beyond its closed end there is no negative progress.
+    nothing = {"reach": 3 * (1 - tanh(0.4)), "gentle": 3.0}
+    expect(view_of([OPEN], **part | {"joint_q": 0.01}), **nothing, progress=6 / 45)
+    expect(view_of([OPEN], **part | {"joint_q": -0.01}), **nothing)
+
+
+def test_open_once_it_is_open() -> None:
+    opened: dict[str, Any] = {"joint_q": 0.48, "handle_distance": 0.4, "torso_up": 0.5, "finger_force": squeeze()}
+    stage = {"opened": 6.0, "progress": 6.0, "started": 3.0, "gentle": 3.0, "torso_up": 0.5}
+    away = opened | {"tcp_pos": [0.5, 0.3, 1.27], "robot_q": off((9, 0.3))}
+    expect(view_of([OPEN], **away), **stage, posture=2 * (1 - tanh(0.3)), rest=2 * (1 - tanh(0.3)))
+    at_rest = {"posture": 2.0, "rest": 2.0}
+    expect(view_of([OPEN], robot_qd=speeds((12, 0.4)), **opened), **stage, **at_rest, still=1 - tanh(0.4))
+    expect(view_of([OPEN], **opened), **stage, **at_rest, still=1.0, success=3.0)
+
+
+def test_close_in_its_stages() -> None:
+    # Drawer 0 .. 0.5 m, closed at 0.01 of it: 0.005; 0.5 - 0.252 5 is half of the 0.495 m to go. Elbow 0.4 rad off.
+    part: dict[str, Any] = {"joint_q": 0.2525, "handle_distance": 0.4, "joint_qd": -0.9, "robot_q": off((9, 0.4))}
+    posture = 1 - (tanh(0.4) + tanh(0.08)) / 2
+    expect(view_of([CLOSE], **part), reach=7 * (1 - tanh(0.4)), progress=2.5, gentle=5.0, posture=posture)
+    expect(view_of([CLOSE], finger_force=squeeze(), **part), grasp=7.5, progress=2.5, gentle=5.0, posture=posture)
+    expect(view_of([CLOSE], **part | {"joint_qd": 1.1}), reach=7 * (1 - tanh(0.4)), progress=2.5, posture=posture)
+    # Closed from afar earns no credit for it, and no success; opened to the end there is no progress.
+    shut = part | {"joint_q": 0.002, "robot_q": REST}
+    expect(view_of([CLOSE], **shut), reach=7 * (1 - tanh(0.4)), progress=5.0, gentle=5.0, posture=1.0)
+    expect(view_of([CLOSE], **part | {"joint_q": 0.51}), reach=7 * (1 - tanh(0.4)), gentle=5.0, posture=posture)
+
+
+def test_close_once_it_is_closed_by_the_hand() -> None:
+    shut: dict[str, Any] = {"joint_q": 0.005, "handle_distance": 0.4, "torso_up": 0.5, "closed_near": True}
+    stage = {"closed": 8.0, "progress": 5.0, "gentle": 5.0, "torso_up": 0.5}
+    away = shut | {"tcp_pos": [0.5, 0.3, 1.27], "robot_q": off((9, 0.4)), "finger_force": squeeze()}
+    expect(
+        view_of([CLOSE], **away),
+        **stage, posture_closed=10 * (1 - (tanh(0.4) + tanh(0.08)) / 2), rest=2 - (tanh(0.3) + tanh(0.9)),
+    )  # fmt: skip
+    at_rest = {"posture_closed": 10.0, "rest": 2.0}
+    expect(view_of([CLOSE], robot_qd=speeds((12, 0.4)), **shut), **stage, **at_rest, still=2 * (1 - tanh(0.4)))
+    expect(view_of([CLOSE], **shut), **stage, **at_rest, still=2.0, success=3.0)
+
+
+def test_navigate_on_the_way() -> None:
+    # Base at (-4, 0) heading for (1, 0) by a way of 6 m, driving at 0.5 m/s; 140 N: 0.7 - 0.2 = 0.5 too many.
+    far: dict[str, Any] = {
+        "base_pose": [-4.0, 0.0, 0.0], "tcp_pos": [-3.5, 0.2, 1.27], "nav_distance": 6.0, "robot_q": off((9, 0.5)),
+        "robot_force": 140.0,
+    }  # fmt: skip
+    always = {"force": 5 * (1 - tanh(1.5)), "posture": 2 * (1 - tanh(0.1)), "rest": 2 * (1 - tanh(0.6))}
+    way = {"ready": 2.0, "approach": 8 * (1 - tanh(0.6))}
+    expect(view_of([NAVIGATE], robot_qd=speeds((0, 0.5)), **far), **always, **way, forward=2 * tanh(1.0))
+    expect(view_of([NAVIGATE], robot_qd=speeds((0, -0.5)), **far), **always, **way)
+    turned = far | {"base_pose": [-4.0, 0.0, math.pi / 2], "tcp_pos": [-4.2, 0.5, 1.27]}
+    expect(view_of([NAVIGATE], robot_qd=speeds((1, 0.5)), **turned), **always, **way, forward=2 * tanh(1.0))
+    # What is to be carried has been lost: only the terms that are always given.
+    expect(view_of([NAVIGATE], must_hold=True, **far), **always)
+    expect(view_of([NAVIGATE], must_hold=True, held_force=squeeze(), **far), **always, **way)
+
+
+def test_navigate_at_the_goal() -> None:
+    # 1 m in front of the goal; turned by 1 rad from it it is misaligned.
+    there = {"ready": 2.0, "arrived": 12.0, "force": 5.0, "posture": 2.0}
+    turned: dict[str, Any] = {"base_pose": [0.0, 0.0, 1.0], "tcp_pos": [0.5 * math.cos(1), 0.5 * math.sin(1), 1.27]}
+    expect(view_of([NAVIGATE], **turned), **there, rest=2.0, heading=2 * (1 - tanh(0.5)))
+    moving = speeds((0, 0.3), (2, 0.4))
+    aligned = there | {"aligned": 2.0, "base_still": 2 * (1 - tanh(0.5 / 3))}
+    expect(view_of([NAVIGATE], robot_qd=moving), **aligned, rest=2.0, still=1 - tanh(0.5))
+    away = view_of([NAVIGATE], robot_qd=moving, tcp_pos=[0.5, 0.1, 1.27])
+    expect(away, **aligned, rest=2 * (1 - tanh(0.3)))
+    expect(view_of([NAVIGATE]), **there, rest=2.0, aligned=2.0, base_still=2.0, still=1.0)
+
+
+def test_a_finished_plan_earns_nothing() -> None:
+    view = view_of([PICK, PICK])
+    view = replace(view, signals=replace(view.signals, kind=np.array([-1, 0])))
+    scored = FULL.score(view)
+    assert scored.total[0] == 0 and not scored.terms[:, 0].any() and scored.attainable.tolist() == [1.0, 29.0]
+    done = replace(view, signals=replace(view.signals, kind=np.array([-1, -1])))
+    assert not FULL.score(done).total.any()
+
+
+def test_without_a_force_limit_its_term_is_always_given() -> None:
+    free = replace(CONFIG, pick=SubtaskConfig(200, math.inf), place=SubtaskConfig(200, math.inf))
+    for kind in (PICK, PLACE):
+        view = view_of([kind], config=free, force=1e12)
+        assert terms_of(view, DenseReward(free))["force_limit"] == 2.0
+
+
+# -- the normaliser ----------------------------------------------------------------------------------------------------
+
+BEST: dict[int, dict[str, Any]] = {
+    PICK: {"finger_force": squeeze(), "object_pos": AT_REST},
+    PLACE: {"object_pos": GOAL, "torso_up": 1.0},
+    NAVIGATE: {},
+    OPEN: {"joint_q": 0.45, "torso_up": 1.0},
+    CLOSE: {"joint_q": 0.005, "torso_up": 1.0, "closed_near": True},
+}
+
+
+@pytest.mark.parametrize("kind", SubtaskKind)
+def test_the_best_state_reaches_the_normaliser(kind: SubtaskKind) -> None:
+    scored = FULL.score(view_of([kind], **BEST[kind]))
+    assert scored.total[0] == pytest.approx({PICK: 29, PLACE: 44, NAVIGATE: 28, OPEN: 27, CLOSE: 36}[kind], abs=1e-12)
+    assert scored.attainable[0] == REWARD_TABLES[kind].attainable == pytest.approx(scored.total[0], abs=1e-12)
+
+
+def test_published_normalisers_differ_where_the_original_is_off() -> None:
+    differ = {t.kind: t.published for t in REWARD_TABLES.values() if t.published != t.attainable}
+    assert differ == {SubtaskKind.PICK: 28.0, SubtaskKind.CLOSE: 37.0}
+
+
+RANDOM = {
+    "tcp_pos": lambda r: AT_REST + r.normal(0, 0.3, 3),
+    "base_pose": lambda r: r.normal(0, 2, 3),
+    "robot_q": lambda r: REST + r.normal(0, 0.2, 15),
+    "robot_qd": lambda r: r.normal(0, 0.3, 15),
+    "finger_force": lambda r: squeeze()[0] * r.uniform(0, 2) + r.normal(0, 1, (2, 3)),
+    "held_force": lambda r: squeeze()[0],
+    "robot_force": lambda r: r.exponential(300),
+    "joint_q": lambda r: r.uniform(-0.05, 0.55),
+    "tcp_vel": lambda r: r.normal(0, 3, 3),
+    "object_pos": lambda r: GOAL + r.normal(0, 0.2, 3),
+    "object_vel": lambda r: r.normal(0, 3, 6),
+    "torso_up": lambda r: r.uniform(0, 1),
+    "handle_distance": lambda r: r.exponential(0.5),
+    "joint_qd": lambda r: r.normal(0, 1),
+    "joint_ideal": lambda r: r.choice([1.0, 2.0]),
+    "nav_distance": lambda r: r.exponential(5),
+    "closed_near": lambda r: r.random() < 0.5,
+}
+
+
+def random_view(seed: int, worlds: int, chance: float = 0.7) -> RewardView:
+    """Worlds that are at their best but for some quantities, each of which is random with a chance."""
+    rng = np.random.default_rng(seed)
+    views = []
+    for kind in rng.integers(0, 5, worlds).tolist():
+        over = {name: draw(rng) for name, draw in RANDOM.items() if rng.random() < chance}
+        must_hold, force = bool(rng.random() < 0.5), rng.exponential(5000)
+        views.append(view_of([kind], must_hold=must_hold, force=force, **BEST[kind] | over))
+    return join(views)
+
+
+def join(records: list[Any]) -> Any:
+    """One record of many, their rows one after the other."""
+    first = records[0]
+    values = {f.name: [getattr(r, f.name) for r in records] for f in dataclasses.fields(first)}
+    merged = {k: join(v) if dataclasses.is_dataclass(v[0]) else np.concatenate(v) for k, v in values.items()}
+    return type(first)(**merged)
+
+
+def rows(record: Any, index: Any) -> Any:
+    return map_record(lambda x: rows(x, index) if dataclasses.is_dataclass(x) else x[index], record)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**32), st.floats(0.0, 1.0))
+def test_no_state_earns_more_than_the_normaliser(seed: int, chance: float) -> None:
+    scored = FULL.score(random_view(seed, 20, chance=chance))
+    assert (scored.total <= scored.attainable * (1 + 1e-12)).all()
+    assert (scored.terms >= 0).all()
+    np.testing.assert_allclose(scored.terms.sum(0), scored.total, rtol=1e-12)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 2**32), st.lists(st.floats(-20, 20), min_size=5, max_size=5))
+def test_no_state_earns_more_than_the_normaliser_of_other_scales(seed: int, drawn: list[float]) -> None:
+    scales = {name: {REWARD_TABLES[SubtaskKind(k)].terms[k + 2].name: drawn[k]} for k, name in enumerate(KIND_NAMES)}
+    scored = DenseReward(CONFIG, scales).score(random_view(seed, 20))
+    assert (scored.total <= scored.attainable * (1 + 1e-12)).all()
+    np.testing.assert_allclose(scored.terms.sum(0), scored.total, rtol=1e-12, atol=1e-12)
+
+
+# -- properties --------------------------------------------------------------------------------------------------------
+
+
+def with_reach(kind: int, d: float) -> RewardView:
+    """A state of a subtask that is not done, ``d`` [m] from what it has to reach."""
+    away = {
+        PICK: {"object_pos": [0.5 + d, 0.0, 1.27]},
+        PLACE: {"object_pos": [1.2 + d, 0.0, 0.5], "tcp_pos": [1.2 + d, 0.0, 0.5]},
+        NAVIGATE: {"base_pose": [-5.0, 0.0, 0.0], "nav_distance": d},
+        OPEN: {"handle_distance": d},
+        CLOSE: {"handle_distance": d},
+    }
+    return view_of([kind], **away[kind])
+
+
+@pytest.mark.parametrize("kind", SubtaskKind)
+@settings(max_examples=25, deadline=None)
+@given(near=st.floats(0.0, 3.0), more=st.floats(0.001, 1.0))
+def test_nearer_is_better(kind: SubtaskKind, near: float, more: float) -> None:
+    assert FULL.score(with_reach(kind, near)).total[0] > FULL.score(with_reach(kind, near + more)).total[0]
+
+
+@pytest.mark.parametrize("kind", (OPEN, CLOSE))
+@settings(max_examples=25, deadline=None)
+@given(q=st.floats(0.02, 0.43), more=st.floats(0.001, 0.02))
+def test_moving_the_joint_towards_its_end_is_better(kind: int, q: float, more: float) -> None:
+    less_open, more_open = (FULL.score(view_of([kind], joint_q=x)).total[0] for x in (q, q + more))
+    assert more_open > less_open if kind == OPEN else less_open > more_open
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 2**32), st.sampled_from(["float64", "float32"]))
+def test_numpy_and_torch_agree(seed: int, dtype: str) -> None:
+    def cast(record: Any, make: Any) -> Any:
+        def one(x: Any) -> Any:
+            if dataclasses.is_dataclass(x):
+                return map_record(one, x)
+            return make(x.astype(dtype) if x.dtype == np.float64 else x)
+
+        return map_record(one, record)
+
+    view = random_view(seed, 12)
+    ours, theirs = FULL.score(cast(view, np.asarray)), FULL.score(cast(view, lambda x: torch.from_numpy(x.copy())))
+    for name in ("terms", "total", "attainable"):
+        assert getattr(ours, name).dtype == dtype
+        assert_same(getattr(ours, name), getattr(theirs, name), name, 1e-12 if dtype == "float64" else 1e-5)
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 2**32))
+def test_a_world_earns_the_same_whatever_is_beside_it(seed: int) -> None:
+    view = random_view(seed, 9)
+    together = FULL.score(view)
+    for w in range(9):
+        alone = FULL.score(rows(view, [w]))
+        assert alone.total[0] == together.total[w]
+        np.testing.assert_array_equal(alone.terms[:, 0], together.terms[:, w])
+        kind = SubtaskKind(int(view.signals.kind[w]))
+        only = DenseReward(CONFIG, kinds=(kind,))
+        own = only.score(rows(view, [w]))
+        assert own.total[0] == together.total[w]
+        assert only.names == tuple(t.name for t in REWARD_TABLES[kind].terms)
+        mine = [FULL.names.index(name) for name in only.names]
+        np.testing.assert_array_equal(own.terms[:, 0], together.terms[mine, w])
+
+
+def test_closed_near_is_earned_at_the_handle_kept_while_closed_and_lost_by_opening() -> None:
+    def run(closed: str, at_handle: str) -> str:
+        near, seen = np.array([False]), ""
+        for shut, at in zip(closed, at_handle, strict=True):
+            near = closed_near(near, np.array([shut == "1"]), np.array([0.3 if at == "1" else 0.3001]))
+            seen += str(int(near[0]))
+        return seen
+
+    assert run("0111", "1100") == "0111"  # shut at the handle, then the hand goes back to rest
+    assert run("0111", "1000") == "0000"  # it fell shut after the hand had left
+    assert run("0111", "0001") == "0001"  # the hand comes later
+    assert run("11011", "10000") == "11000"  # it opened again
+
+
+# -- tables and options ------------------------------------------------------------------------------------------------
+
+
+def test_other_scales_change_the_term_and_the_normaliser() -> None:
+    changed = DenseReward(CONFIG, {"pick": {"reach": 4.0, "success": 0.5}})
+    view = view_of([PICK], object_pos=[0.5, 0.3, 0.87])
+    assert terms_of(view, changed) == pytest.approx(terms_of(view) | {"reach": 4 * (1 - tanh(1.5))}, abs=1e-12)
+    assert changed.score(view).attainable[0] == 29 - 1 - 2.5
+    # Terms of stages that exclude each other do not add up: the grasp replaces the reach.
+    assert reward_table("close").scaled({"reach": 100.0}).attainable == 100 + 5 + 5 + 1
+    assert reward_table("pick").scaled({"above": -1.0}).attainable == 29
+
+
+@pytest.mark.parametrize(
+    ("scales", "said"),
+    [
+        ({"grab": {"reach": 1.0}}, "pick"),
+        ({"pick": {"reech": 1.0}}, "Did you mean 'reach'"),
+        ({"open": {"hold": 1.0}}, "reward term of open"),
+        ({"pick": {"reach": math.nan}}, "finite"),
+        ({"pick": {"reach": True}}, "finite"),
+        ({"pick": {"reach": "5"}}, "finite"),
+    ],
+)
+def test_scales_that_do_not_exist_are_refused(scales: Any, said: str) -> None:
+    with pytest.raises(UsageError, match=said):
+        DenseReward(CONFIG, scales)
+
+
+def test_a_kind_that_was_not_announced_is_refused() -> None:
+    with pytest.raises(UsageError, match="place"):
+        DenseReward(CONFIG, kinds=(SubtaskKind.PICK,)).score(view_of([PLACE]))
+
+
+@pytest.mark.parametrize("table", REWARD_TABLES.values(), ids=lambda t: t.kind.name.lower())
+def test_tables_are_sound(table: Any) -> None:
+    names = [t.name for t in table.terms]
+    assert len(set(names)) == len(names) and all(t.about and t.scale > 0 for t in table.terms)
+    assert reward_table(table.kind.name.lower()) is table
+    when, _ = table.raw(view_of([int(table.kind)]), CONFIG)
+    assert {t.when for t in table.terms} == {*when, "always"}
+    assert {c for case in table.cases for c in case} == set(when)

@@ -1,8 +1,7 @@
-"""Dense rewards: hand-computed states for every kind and branch, the normaliser, numpy against torch."""
+"""Dense rewards: hand-computed states for every kind and branch, the tables and their options."""
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from dataclasses import replace
 from math import tanh
@@ -10,62 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from mjhab.core.arrays import map_record
 from mjhab.core.errors import UsageError
-from mjhab.tasks.measure import WorldState, measure
-from mjhab.tasks.plan import KIND_NAMES, Subtask, SubtaskConfig, SubtaskKind, TaskConfig, TaskPlan, stack_plans
-from mjhab.tasks.progress import start
+from mjhab.tasks.plan import SubtaskConfig, SubtaskKind
 from mjhab.tasks.rewards import REWARD_TABLES, DenseReward, RewardView, closed_near, reward_table
-from tests.tasks.build import CONFIG, REST, assert_same, resting, squeeze
-
-PICK, PLACE, NAVIGATE, OPEN, CLOSE = range(5)
-AT_REST = [0.5, 0.0, 1.27]
-"""Where the tool centre rests when the base is at the origin: (0.5, 0, 1.25) in a base 2 cm above the floor."""
-EXTRA = {
-    "tcp_vel": (3,), "object_pos": (3,), "object_vel": (6,), "torso_up": (), "handle_distance": (), "joint_qd": (),
-    "joint_ideal": (), "nav_distance": (), "closed_near": (),
-}  # fmt: skip
-"""Fields of a view beside the world, with the shape of a row."""
-GOAL = (1.0, 0.0, 0.5)
-FULL = DenseReward(CONFIG)
-
-
-def off(*shifts: tuple[int, float], base: tuple[float, ...] = REST) -> list[float]:
-    """Joint values ``base`` with some shifted."""
-    values = list(base)
-    for joint, shift in shifts:
-        values[joint] += shift
-    return values
-
-
-def speeds(*entries: tuple[int, float]) -> list[float]:
-    return off(*entries, base=(0.0,) * 15)
-
-
-def view_of(
-    kinds: list[int], config: Any = CONFIG, must_hold: Any = False, force: Any = 0.0, **over: Any
-) -> RewardView:
-    """Worlds that do one subtask each, place and navigation goals at ``GOAL``; the robot at rest at the origin."""
-    subtasks = [Subtask(SubtaskKind(k), "bowl", "kitchen_counter/drawer3", GOAL, must_hold) for k in kinds]
-    plan = stack_plans([TaskPlan("test", (s,)) for s in subtasks], config)
-    extra: dict[str, Any] = {name: np.zeros((len(kinds), *shape)) for name, shape in EXTRA.items()}
-    extra |= {"joint_ideal": extra["joint_ideal"] + 1.0, "closed_near": extra["closed_near"] > 0}
-    for name in set(over) & set(EXTRA):
-        extra[name] = np.broadcast_to(np.asarray(over.pop(name)), extra[name].shape).astype(extra[name].dtype)
-    world = resting(1, len(kinds), **{"plan_obj_pos": extra["object_pos"][:, None], **over})
-    return look(world, plan, config, force, extra)
-
-
-def look(world: WorldState, plan: Any, config: TaskConfig, force: Any, extra: dict[str, Any]) -> RewardView:
-    progress = start(plan, config)
-    progress = replace(progress, cumulative_force=progress.cumulative_force + force)
-    signals = measure(world, plan, progress, config)
-    goal, open_frac = plan.goal_pos[:, 0], plan.open_frac[:, 0]
-    return RewardView(world=world, signals=signals, goal_pos=goal, open_frac=open_frac, **extra)
+from tests.tasks.build import CONFIG, REST, squeeze
+from tests.tasks.reward_states import AT_REST, CLOSE, FULL, GOAL, NAVIGATE, OPEN, PICK, PLACE, off, speeds, view_of
 
 
 def terms_of(view: RewardView, reward: DenseReward = FULL) -> dict[str, float]:
@@ -231,6 +180,9 @@ def test_navigate_at_the_goal() -> None:
     there = {"ready": 2.0, "arrived": 12.0, "force": 5.0, "posture": 2.0}
     turned: dict[str, Any] = {"base_pose": [0.0, 0.0, 1.0], "tcp_pos": [0.5 * math.cos(1), 0.5 * math.sin(1), 1.27]}
     expect(view_of([NAVIGATE], **turned), **there, rest=2.0, heading=2 * (1 - tanh(0.5)))
+    # Goal 45 degrees to the left of +x, the base turned to the right by 0.5 rad.
+    beside = {"base_pose": [0.0, -1.0, -0.5], "tcp_pos": [0.5 * math.cos(0.5), -1 - 0.5 * math.sin(0.5), 1.27]}
+    expect(view_of([NAVIGATE], **beside), **there, rest=2.0, heading=2 * (1 - tanh((math.pi / 4 + 0.5) / 2)))
     moving = speeds((0, 0.3), (2, 0.4))
     aligned = there | {"aligned": 2.0, "base_still": 2 * (1 - tanh(0.5 / 3))}
     expect(view_of([NAVIGATE], robot_qd=moving), **aligned, rest=2.0, still=1 - tanh(0.5))
@@ -253,157 +205,6 @@ def test_without_a_force_limit_its_term_is_always_given() -> None:
     for kind in (PICK, PLACE):
         view = view_of([kind], config=free, force=1e12)
         assert terms_of(view, DenseReward(free))["force_limit"] == 2.0
-
-
-# -- the normaliser ----------------------------------------------------------------------------------------------------
-
-BEST: dict[int, dict[str, Any]] = {
-    PICK: {"finger_force": squeeze(), "object_pos": AT_REST},
-    PLACE: {"object_pos": GOAL, "torso_up": 1.0},
-    NAVIGATE: {},
-    OPEN: {"joint_q": 0.45, "torso_up": 1.0},
-    CLOSE: {"joint_q": 0.005, "torso_up": 1.0, "closed_near": True},
-}
-
-
-@pytest.mark.parametrize("kind", SubtaskKind)
-def test_the_best_state_reaches_the_normaliser(kind: SubtaskKind) -> None:
-    scored = FULL.score(view_of([kind], **BEST[kind]))
-    assert scored.total[0] == pytest.approx({PICK: 29, PLACE: 44, NAVIGATE: 28, OPEN: 27, CLOSE: 36}[kind], abs=1e-12)
-    assert scored.attainable[0] == REWARD_TABLES[kind].attainable == pytest.approx(scored.total[0], abs=1e-12)
-
-
-def test_published_normalisers_differ_where_the_original_is_off() -> None:
-    differ = {t.kind: t.published for t in REWARD_TABLES.values() if t.published != t.attainable}
-    assert differ == {SubtaskKind.PICK: 28.0, SubtaskKind.CLOSE: 37.0}
-
-
-RANDOM = {
-    "tcp_pos": lambda r: AT_REST + r.normal(0, 0.3, 3),
-    "base_pose": lambda r: r.normal(0, 2, 3),
-    "robot_q": lambda r: REST + r.normal(0, 0.2, 15),
-    "robot_qd": lambda r: r.normal(0, 0.3, 15),
-    "finger_force": lambda r: squeeze()[0] * r.uniform(0, 2) + r.normal(0, 1, (2, 3)),
-    "held_force": lambda r: squeeze()[0],
-    "robot_force": lambda r: r.exponential(300),
-    "joint_q": lambda r: r.uniform(-0.05, 0.55),
-    "tcp_vel": lambda r: r.normal(0, 3, 3),
-    "object_pos": lambda r: GOAL + r.normal(0, 0.2, 3),
-    "object_vel": lambda r: r.normal(0, 3, 6),
-    "torso_up": lambda r: r.uniform(0, 1),
-    "handle_distance": lambda r: r.exponential(0.5),
-    "joint_qd": lambda r: r.normal(0, 1),
-    "joint_ideal": lambda r: r.choice([1.0, 2.0]),
-    "nav_distance": lambda r: r.exponential(5),
-    "closed_near": lambda r: r.random() < 0.5,
-}
-
-
-def random_view(seed: int, worlds: int, chance: float = 0.7) -> RewardView:
-    """Worlds that are at their best but for some quantities, each of which is random with a chance."""
-    rng = np.random.default_rng(seed)
-    views = []
-    for kind in rng.integers(0, 5, worlds).tolist():
-        over = {name: draw(rng) for name, draw in RANDOM.items() if rng.random() < chance}
-        must_hold, force = bool(rng.random() < 0.5), rng.exponential(5000)
-        views.append(view_of([kind], must_hold=must_hold, force=force, **BEST[kind] | over))
-    return join(views)
-
-
-def join(records: list[Any]) -> Any:
-    """One record of many, their rows one after the other."""
-    first = records[0]
-    values = {f.name: [getattr(r, f.name) for r in records] for f in dataclasses.fields(first)}
-    merged = {k: join(v) if dataclasses.is_dataclass(v[0]) else np.concatenate(v) for k, v in values.items()}
-    return type(first)(**merged)
-
-
-def rows(record: Any, index: Any) -> Any:
-    return map_record(lambda x: rows(x, index) if dataclasses.is_dataclass(x) else x[index], record)
-
-
-@settings(max_examples=40, deadline=None)
-@given(st.integers(0, 2**32), st.floats(0.0, 1.0))
-def test_no_state_earns_more_than_the_normaliser(seed: int, chance: float) -> None:
-    scored = FULL.score(random_view(seed, 20, chance=chance))
-    assert (scored.total <= scored.attainable * (1 + 1e-12)).all()
-    assert (scored.terms >= 0).all()
-    np.testing.assert_allclose(scored.terms.sum(0), scored.total, rtol=1e-12)
-
-
-@settings(max_examples=20, deadline=None)
-@given(st.integers(0, 2**32), st.lists(st.floats(-20, 20), min_size=5, max_size=5))
-def test_no_state_earns_more_than_the_normaliser_of_other_scales(seed: int, drawn: list[float]) -> None:
-    scales = {name: {REWARD_TABLES[SubtaskKind(k)].terms[k + 2].name: drawn[k]} for k, name in enumerate(KIND_NAMES)}
-    scored = DenseReward(CONFIG, scales).score(random_view(seed, 20))
-    assert (scored.total <= scored.attainable * (1 + 1e-12)).all()
-    np.testing.assert_allclose(scored.terms.sum(0), scored.total, rtol=1e-12, atol=1e-12)
-
-
-# -- properties --------------------------------------------------------------------------------------------------------
-
-
-def with_reach(kind: int, d: float) -> RewardView:
-    """A state of a subtask that is not done, ``d`` [m] from what it has to reach."""
-    away = {
-        PICK: {"object_pos": [0.5 + d, 0.0, 1.27]},
-        PLACE: {"object_pos": [1.2 + d, 0.0, 0.5], "tcp_pos": [1.2 + d, 0.0, 0.5]},
-        NAVIGATE: {"base_pose": [-5.0, 0.0, 0.0], "nav_distance": d},
-        OPEN: {"handle_distance": d},
-        CLOSE: {"handle_distance": d},
-    }
-    return view_of([kind], **away[kind])
-
-
-@pytest.mark.parametrize("kind", SubtaskKind)
-@settings(max_examples=25, deadline=None)
-@given(near=st.floats(0.0, 3.0), more=st.floats(0.001, 1.0))
-def test_nearer_is_better(kind: SubtaskKind, near: float, more: float) -> None:
-    assert FULL.score(with_reach(kind, near)).total[0] > FULL.score(with_reach(kind, near + more)).total[0]
-
-
-@pytest.mark.parametrize("kind", (OPEN, CLOSE))
-@settings(max_examples=25, deadline=None)
-@given(q=st.floats(0.02, 0.43), more=st.floats(0.001, 0.02))
-def test_moving_the_joint_towards_its_end_is_better(kind: int, q: float, more: float) -> None:
-    less_open, more_open = (FULL.score(view_of([kind], joint_q=x)).total[0] for x in (q, q + more))
-    assert more_open > less_open if kind == OPEN else less_open > more_open
-
-
-@settings(max_examples=15, deadline=None)
-@given(st.integers(0, 2**32), st.sampled_from(["float64", "float32"]))
-def test_numpy_and_torch_agree(seed: int, dtype: str) -> None:
-    def cast(record: Any, make: Any) -> Any:
-        def one(x: Any) -> Any:
-            if dataclasses.is_dataclass(x):
-                return map_record(one, x)
-            return make(x.astype(dtype) if x.dtype == np.float64 else x)
-
-        return map_record(one, record)
-
-    view = random_view(seed, 12)
-    ours, theirs = FULL.score(cast(view, np.asarray)), FULL.score(cast(view, lambda x: torch.from_numpy(x.copy())))
-    for name in ("terms", "total", "attainable"):
-        assert getattr(ours, name).dtype == dtype
-        assert_same(getattr(ours, name), getattr(theirs, name), name, 1e-12 if dtype == "float64" else 1e-5)
-
-
-@settings(max_examples=15, deadline=None)
-@given(st.integers(0, 2**32))
-def test_a_world_earns_the_same_whatever_is_beside_it(seed: int) -> None:
-    view = random_view(seed, 9)
-    together = FULL.score(view)
-    for w in range(9):
-        alone = FULL.score(rows(view, [w]))
-        assert alone.total[0] == together.total[w]
-        np.testing.assert_array_equal(alone.terms[:, 0], together.terms[:, w])
-        kind = SubtaskKind(int(view.signals.kind[w]))
-        only = DenseReward(CONFIG, kinds=(kind,))
-        own = only.score(rows(view, [w]))
-        assert own.total[0] == together.total[w]
-        assert only.names == tuple(t.name for t in REWARD_TABLES[kind].terms)
-        mine = [FULL.names.index(name) for name in only.names]
-        np.testing.assert_array_equal(own.terms[:, 0], together.terms[mine, w])
 
 
 def test_closed_near_is_earned_at_the_handle_kept_while_closed_and_lost_by_opening() -> None:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mjhab.cli.doctor import cores
-from mjhab.cli.env_options import BenchEnvOptions
+from mjhab.cli.env_options import BenchEnvOptions, BenchRewardOptions, BenchSoakOptions
 from mjhab.cli.options import BenchGraspOptions, BenchSimOptions
 from mjhab.cli.output import at_least, print_json, print_table
 from mjhab.core.errors import unknown_name
@@ -21,7 +21,7 @@ WARM_STEPS = 8
 """Untimed control steps after each reset: teleports happen and things come to rest."""
 
 
-def run_bench(options: BenchSimOptions | BenchGraspOptions | BenchEnvOptions) -> int:
+def run_bench(options: Any) -> int:
     """Run one of the benchmarks and return the exit code."""
     if isinstance(options, BenchSimOptions):
         return bench_sim(options)
@@ -29,6 +29,14 @@ def run_bench(options: BenchSimOptions | BenchGraspOptions | BenchEnvOptions) ->
         from mjhab.cli.bench_env import bench_env
 
         return bench_env(options)
+    if isinstance(options, BenchSoakOptions):
+        from mjhab.cli.bench_soak import bench_soak
+
+        return bench_soak(options)
+    if isinstance(options, BenchRewardOptions):
+        from mjhab.cli.bench_reward import bench_reward
+
+        return bench_reward(options)
     return bench_grasp(options)
 
 

@@ -18,6 +18,8 @@ class BenchCommand:
         Annotated[opt.BenchSimOptions, Sub("sim")]
         | Annotated[opt.BenchGraspOptions, Sub("grasp")]
         | Annotated[env.BenchEnvOptions, Sub("env")]
+        | Annotated[env.BenchSoakOptions, Sub("soak")]
+        | Annotated[env.BenchRewardOptions, Sub("reward")]
     )
 
 

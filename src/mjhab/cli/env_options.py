@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated
 
 import tyro
@@ -42,6 +43,48 @@ class EnvsCommand:
     """What environments there are, and what goes in and out of them."""
 
     command: Annotated[EnvsListOptions, Sub("list")] | Annotated[EnvsDescribeOptions, Sub("describe")]
+
+
+@dataclass(frozen=True)
+class BenchSoakOptions:
+    """Step all training environments with random actions for a long time: does anything break or grow?"""
+
+    steps: Number = 1_000_000
+    """Control steps over all worlds and subtasks."""
+    worlds: Number = 8
+    """Worlds of each subtask."""
+    task: Name = "set_table"
+    """Whose homes and objects; subtasks that the task lacks are left out."""
+    threads: Number = 0
+    """Threads of the physics; 0 takes all cores."""
+    seed: Number = 0
+    """Seed of the episodes and of the actions."""
+    json: bool = False
+    """Print one line of JSON instead of a table."""
+
+
+@dataclass(frozen=True)
+class BenchRewardOptions:
+    """Does the dense reward mean success? Run the expert, compare the returns of its successes and failures.
+
+    Writes a page with the reward over time of every subtask. The AUC is the chance that a successful episode has a
+    higher return than a failed one: 1 is right, 0.5 is chance.
+    """
+
+    episodes: Number = 100
+    """Episodes of every subtask."""
+    worlds: Number = 8
+    """How many episodes run at the same time. Changes the speed, never the results."""
+    seed: Number = 0
+    """Seed of the episodes."""
+    subtasks: Name = "pick,place,open,close"
+    """Which subtasks, separated by commas."""
+    threads: Number = 0
+    """Threads of the physics; 0 takes all cores."""
+    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("runs/reward")
+    """Folder of report.html and reward.json."""
+    json: bool = False
+    """Print one line of JSON at the end."""
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from PIL import Image
 from mjhab.core.errors import UsageError, unknown_name
 
 RGB_FORMATS = ("png", "jpeg")
-_PNG_LEVEL = 6
+_PNG_LEVEL = 4
 _MOST = int(np.iinfo(np.uint16).max)
 
 

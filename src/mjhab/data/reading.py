@@ -140,7 +140,9 @@ class Episode:
     @property
     def images(self) -> list[tuple[str, str]]:
         """(camera, output) of the images stored with it."""
-        return [(p.split("/")[1], p.split("/")[2]) for p in self.paths if p.startswith("images/") and p.endswith("ends")]
+        return [
+            (p.split("/")[1], p.split("/")[2]) for p in self.paths if p.startswith("images/") and p.endswith("ends")
+        ]
 
     def frame(self, camera: str, output: str, t: int) -> np.ndarray:
         """The image of state t, 0 to N: rgb (H, W, 3) uint8, depth (H, W, 1) int16 mm, seg (H, W, 1) int32.
@@ -176,8 +178,8 @@ class Episode:
                 wrong.append("its bytes are not those that were written (digest)")
             if not wrong and self.record.steps != self.steps:
                 wrong.append(f"its record has {self.record.steps} steps, its group {self.steps}")
-            if not wrong:
-                _ = self.run
+            if not wrong and self.run.id != self._group.attrs["run"]:
+                wrong.append("what made it (its run) is not what was written")
         except (OSError, RuntimeError, ValueError, KeyError, TypeError) as error:
             return [f"cannot be read ({type(error).__name__}: {error})"]
         return wrong
@@ -192,7 +194,7 @@ class Shard:
         try:
             self.file = self._open()
             check_format(self.file, path)
-        except OSError as error:
+        except (OSError, RuntimeError, ValueError, KeyError) as error:
             self.close()
             raise _unreadable(path, error) from error
         except BaseException:
@@ -227,6 +229,13 @@ class Shard:
         if name not in self.file[EPISODES]:
             raise unknown_name(f"episode in {self.path}", name, self.names[:20])
         return Episode(self, name)
+
+    def problems(self, name: str) -> list[str]:
+        """What is wrong with an episode, in words; it may be damaged beyond opening."""
+        try:
+            return Episode(self, name).problems()
+        except (OSError, RuntimeError, ValueError, KeyError, TypeError) as error:
+            return [f"cannot be read ({type(error).__name__}: {error})"]
 
     def __iter__(self) -> Iterator[Episode]:
         return (Episode(self, name) for name in self.names)
@@ -278,4 +287,3 @@ def _unreadable(path: Path, error: Exception) -> DamagedError:
     if is_written(path):
         return DamagedError(f"{path} is being written at this moment; try again.")
     return DamagedError(f"{path} cannot be read: {error}. Try: mjhab data repair {path}")
-

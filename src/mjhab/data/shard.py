@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import h5py
 import numpy as np
@@ -20,6 +21,9 @@ from mjhab.data.schema import COLUMNS, EPISODES, FORMAT, RUNS, VERSION
 from mjhab.data.versions import check_format
 from mjhab.rollout.records import EpisodeRecord
 
+if TYPE_CHECKING:
+    from mjhab.data.reading import Shard
+
 LIBVER = ("v110", "v110")
 """File format of HDF5 1.10 (2016): small files, and every reader knows it."""
 _GZIP = 4
@@ -27,6 +31,8 @@ _SMALL = 256
 """Arrays of fewer bytes lie in the header of their dataset, uncompressed."""
 _CHUNK = 4 << 20
 """Largest chunk [bytes]."""
+_BATCH = 32 << 20
+"""Episodes are copied in batches of about so many bytes, which are held in memory."""
 
 
 class StorageError(MjhabError):
@@ -115,6 +121,32 @@ class ShardWriter:
 
         self._change(fill)
 
+    def adopt(self, shard: Shard, names: Sequence[str]) -> int:
+        """Copy episodes of another shard as they are; returns by how many bytes the file has grown.
+
+        Raises:
+            UsageError: one of them is in this shard already.
+            StorageError: the disk is full or broken; what was copied before is safe.
+        """
+        taken = self._names.intersection(names)
+        if taken:
+            raise UsageError(f"episode {min(taken)} is in {self.path} already; nothing was written")
+        return sum(self._adopt(shard, batch) for batch in _batches(shard, names))
+
+    def _adopt(self, shard: Shard, names: Sequence[str]) -> int:
+        source = shard.file
+
+        def fill(file: h5py.File) -> None:
+            for name in names:
+                source.copy(source[EPISODES][name], file[EPISODES], name)
+            for run in {str(source[EPISODES][name].attrs["run"]) for name in names} - self._runs:
+                source.copy(source[RUNS][run], file[RUNS], run)
+
+        grown = self._change(fill)
+        self._names.update(names)
+        self._runs.update(str(source[EPISODES][name].attrs["run"]) for name in names)
+        return grown
+
     def _change(self, fill: Callable[[h5py.File], None]) -> int:
         if self._lock is None:
             raise UsageError(f"{self.path} has been closed; open it anew to write")
@@ -161,6 +193,20 @@ def read_arrays(group: h5py.Group) -> dict[str, np.ndarray]:
     return arrays
 
 
+def _batches(shard: Shard, names: Sequence[str]) -> Iterator[list[str]]:
+    """Names in groups that need no more than about _BATCH bytes."""
+    batch: list[str] = []
+    size = 0
+    for name in names:
+        batch.append(name)
+        size += shard.episode(name).nbytes
+        if size > _BATCH:
+            yield batch
+            batch, size = [], 0
+    if batch:
+        yield batch
+
+
 def _make_empty(path: Path) -> None:
     with h5py.File(path, "w", libver=LIBVER) as file:
         file.attrs["format"], file.attrs["schema"], file.attrs["mjhab"] = FORMAT, VERSION, mjhab.__version__
@@ -188,7 +234,8 @@ def _put(group: h5py.Group, path: str, array: np.ndarray, columns: tuple[str, ..
     plist.set_obj_track_times(False)
     if array.nbytes < _SMALL:
         plist.set_layout(h5py.h5d.COMPACT)
-    else:
+    elif not path.startswith("images/"):
+        # Frames are compressed already and read one at a time, so they lie in the file as they are.
         rows = max(1, min(len(array), _CHUNK // max(1, array.nbytes // len(array))))
         plist.set_chunk((rows, *array.shape[1:]))
         plist.set_shuffle()

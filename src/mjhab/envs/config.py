@@ -175,10 +175,10 @@ def _override(base: TaskConfig, changes: dict[str, Any], name: str, value: Any) 
     if name not in (*plain, *nested):
         raise unknown_name("task-config override", name, (*plain, *nested))
     present = getattr(owner, part or name)
-    new: Any = None
+    new: Any = ()
     with contextlib.suppress(TypeError, ValueError):
         new = type(present)(value) if not isinstance(present, bool) else value
-    good = isinstance(value, bool) == isinstance(present, bool) and new is not None and new == value
+    good = isinstance(value, bool) == isinstance(present, bool) and new == value
     if not good or (isinstance(present, tuple) and len(present) != len(tuple(new))):
         raise UsageError(f"override {name} must be like {present!r}, got {value!r}")
     if part:

@@ -6,9 +6,9 @@ from pathlib import Path
 
 from mjhab.core.errors import UsageError
 
-BASE_MB = 450
+BASE_MB = 500
 """An environment of one layout before its worlds: libraries and compiled homes (`mjhab bench env` measures it)."""
-WORLD_MB = 3.0
+WORLD_MB = 1.5
 """One world with 30 objects: MjData, its batch rows and scratch (`mjhab bench env` measures it)."""
 _CGROUP = (
     ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current"),

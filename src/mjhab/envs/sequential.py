@@ -88,6 +88,7 @@ class SequentialTaskEnv(VectorEnv):
         self.rewarder = Rewarder(
             self.num_envs, self.task_config, config.reward, config.reward_scales, self.layout, self.sensing,
             lambda inputs: self.nav.at(inputs.world.base_pose[:, :2]),
+            [SubtaskKind[config.subtask.upper()]] if config.subtask else list(SubtaskKind),
         )  # fmt: skip
         self._set_spaces()
         self._init_worlds()

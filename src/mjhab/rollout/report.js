@@ -27,6 +27,7 @@ function draw(id, figure) {
 }
 
 function drawAll() {
+  for (const [id, figure] of Object.entries(page.plots ?? {})) draw(id, figure);
   draw("progress-plot", page.progress);
   draw("labels-plot", page.labels);
   const select = document.getElementById("force-episode");

@@ -48,7 +48,7 @@ def render_report(
     else:
         body.append(parts.section("No episode finished", "", parts.empty("Resume the run to fill this report.")))
     body.append(parts.section("Run", "The options this run resolved to.", parts.config_list(config)))
-    return _page(_title(config), "\n".join(body), _figures(records, alone))
+    return render_page(_title(config), "\n".join(body), _figures(records, alone))
 
 
 _TAINT_HINT = (
@@ -141,7 +141,8 @@ def _figures(records: Sequence[EpisodeRecord], alone: AloneRates | None) -> dict
     }
 
 
-def _page(title: str, body: str, figures: Mapping[str, Any]) -> str:
+def render_page(title: str, body: str, figures: Mapping[str, Any]) -> str:
+    """A page in the house style: ``body`` is its HTML; ``figures["plots"]`` maps element ids to plotly figures."""
     from plotly.offline import get_plotlyjs
 
     here = files("mjhab.rollout")

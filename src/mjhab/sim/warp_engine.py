@@ -21,6 +21,8 @@ from mjhab.sim.warp_homes import HOME_FIELDS, HomeTables
 
 SUBSTEPS = 5
 """Simulation at 100 Hz, control at 20 Hz (MS-HAB paper Sec. 4.1)."""
+CPU_DEVICE_ITERATIONS = 30
+"""On Warp's CPU device the solver runs this many rounds whether it converged or not (on CUDA it stops when it did)."""
 _OVERFLOW = mjw.OverflowType
 CONTACT_OVERFLOW = _OVERFLOW.BROADPHASE | _OVERFLOW.NARROWPHASE | _OVERFLOW.CCD | _OVERFLOW.HFIELD
 ROW_OVERFLOW = _OVERFLOW.NEFC | _OVERFLOW.NJMAX_NNZ | _OVERFLOW.NVMAX
@@ -70,6 +72,8 @@ class Engine:
                 nvmax=sizes.awake,
             )  # fmt: skip
             self.model.opt.warn_overflow = 0  # printing from kernels is slow, and the bits say the same
+            if not device.is_cuda:
+                self.model.opt.iterations = CPU_DEVICE_ITERATIONS
             self.homes = HomeTables(base, self.model, self.data, num_homes)
             self.graphs = Graphs(device)
             self._allocate(model, a)

@@ -1,0 +1,235 @@
+"""``mjhab data ...`` and ``mjhab label``: what can be done with recorded episodes without a simulator."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from mjhab.cli.data_options import (
+    DataCheckOptions,
+    DataCommand,
+    DataFieldsOptions,
+    DataMergeOptions,
+    DataQueryOptions,
+    DataRepairOptions,
+    DataSplitOptions,
+    DataStatsOptions,
+    LabelOptions,
+)
+from mjhab.cli.output import at_least, print_json, print_table, progress_bar
+from mjhab.core.errors import UsageError, unknown_name
+from mjhab.data.checking import Repair, check, repair
+from mjhab.data.facts import FACTS, FUNCTIONS, target_of
+from mjhab.data.query import PRESETS, Filter
+from mjhab.data.reading import open_shard, shard_paths
+from mjhab.data.relabel import relabel
+from mjhab.data.sets import GROUPINGS, merge, select, split, stats
+from mjhab.data.shard import ShardWriter
+from mjhab.rollout.records import EpisodeRecord
+
+_MOST_ROWS = 20
+
+
+def run_data(command: DataCommand) -> int:
+    """Run a parsed ``mjhab data`` command; returns the exit code."""
+    options = command.command
+    runners = {
+        DataQueryOptions: _query, DataStatsOptions: _stats, DataMergeOptions: _merge, DataSplitOptions: _split,
+        DataCheckOptions: _check, DataRepairOptions: _repair, DataFieldsOptions: _fields,
+    }  # fmt: skip
+    return runners[type(options)](options)  # type: ignore[operator]
+
+
+def read_filter(where: str | None, preset: str | None) -> Filter | None:
+    """The filter of ``--where`` and ``--preset`` together; None if neither is given.
+
+    Raises:
+        UsageError: it cannot be understood; the message says where and what was probably meant.
+    """
+    if preset is not None:
+        named = Filter.preset(preset)
+        if where is None:
+            return named
+        return Filter(f"({named.text}) and ({Filter(where).text})")
+    return None if where is None else Filter(where)
+
+
+def _query(options: DataQueryOptions) -> int:
+    at_least("list", options.list, 0)
+    found = select(options.places, read_filter(options.where, options.preset))
+    rows = [
+        {**_row(record), "shard": str(path), "name": name}
+        for (path, name), record in zip(found.matched, found.records, strict=True)
+    ][: options.list]
+    if options.json:
+        listed = {"episodes": rows} if options.list else {}
+        print_json({"matched": len(found.matched), "of": found.of, "tainted_left_out": found.tainted, **listed})
+        return 0
+    if rows:
+        print_table("Episodes", list(rows[0]), [list(row.values()) for row in rows])
+    print(f"{len(found.matched)} of {found.of} episodes")
+    if found.tainted:
+        print(
+            f"{found.tainted} more were left out because they are tainted; a filter that says `tainted` decides itself"
+        )
+    return 0
+
+
+def _row(record: EpisodeRecord) -> dict[str, Any]:
+    label = record.subtasks[-1].label if record.subtasks else None
+    return {
+        "seed": record.seed, "index": record.index, "task": record.task, "subtask": record.subtask or "chain",
+        "target": target_of(record), "label": label or "-", "steps": record.steps, "max_force": record.peak_force,
+    }  # fmt: skip
+
+
+def _stats(options: DataStatsOptions) -> int:
+    numbers = stats(options.places, read_filter(options.where, options.preset))
+    if options.json:
+        print_json(numbers)
+        return 0
+    columns = ("task", "subtask", "target", "episodes", "success %", "median N", "largest N", "labels")
+    print_table("Recorded episodes", columns, [_stats_row(row) for row in numbers["rows"]])
+    print(
+        f"{numbers['episodes']} of {numbers['of']} episodes, {numbers['steps']:,} steps, {numbers['tainted']} tainted; "
+        f"{numbers['shards']} shards, {numbers['bytes']:,} bytes, {numbers['bytes_per_episode']:,} per episode"
+    )
+    return 0
+
+
+def _stats_row(row: Mapping[str, Any]) -> tuple[object, ...]:
+    labels = ", ".join(f"{name or 'none'} {count}" for name, count in row["labels"].items())
+    force = row["max_force"]
+    success = round(100 * row["success_once"], 1)
+    head = (row["task"], row["subtask"], row["target"], row["episodes"])
+    return (*head, success, force["median"], force["max"], labels)
+
+
+def _merge(options: DataMergeOptions) -> int:
+    done = merge(options.places, options.out, read_filter(options.where, options.preset))
+    if options.json:
+        print_json({"written": done.written, "left_out": done.left_out, "repeated": done.repeated})
+    else:
+        print(
+            f"{done.written} episodes written to {options.out}; {done.left_out} left out by the filter, "
+            f"{done.repeated} were there already"
+        )
+    return 0
+
+
+def _split(options: DataSplitOptions) -> int:
+    if options.by not in GROUPINGS:
+        raise unknown_name("--by", options.by, GROUPINGS)
+    at_least("seed", options.seed, 0)
+    sizes = split(options.places, options.out, _parts(options.parts), options.by, options.seed)
+    if options.json:
+        print_json({"parts": sizes})
+    else:
+        print_table(f"Parts in {options.out}", ("part", "episodes"), list(sizes.items()))
+    return 0
+
+
+def _parts(words: tuple[str, ...]) -> dict[str, float]:
+    parts: dict[str, float] = {}
+    for word in words:
+        name, _, share = word.partition("=")
+        try:
+            number = float(share)
+        except ValueError:
+            number = float("nan")
+        if not name or "/" in name or name in parts or number != number:
+            raise UsageError(f"--parts {word!r}: give names, each once, with shares, as in: train=0.9 val=0.1")
+        parts[name] = number
+    return parts
+
+
+def _check(options: DataCheckOptions) -> int:
+    total = sum(path.stat().st_size for path in shard_paths(options.places)) // 100_000
+    with progress_bar("checking", total) as advance:
+        report = check(options.places, advance)
+    damaged = [(str(path), name, "; ".join(wrong)) for (path, name), wrong in report.damaged.items()]
+    unreadable = [(str(path), "", wrong) for path, wrong in report.unreadable.items()]
+    if options.json:
+        print_json(
+            {
+                "episodes": report.episodes, "ok": report.ok, "damaged": len(damaged),
+                "unreadable": [path for path, _, _ in unreadable], "unfinished": [str(p) for p in report.unfinished],
+                "doubled": len(report.doubled),
+            }
+        )  # fmt: skip
+        return 0 if report.clean else 1
+    if damaged or unreadable:
+        print_table("Damaged", ("shard", "episode", "what is wrong"), (damaged + unreadable)[:_MOST_ROWS])
+    for path in report.unfinished:
+        print(f"{path}: a writer was stopped in the middle of an episode; the next one, or repair, clears that up")
+    for name in report.doubled[:_MOST_ROWS]:
+        print(f"episode {name} is there more than once")
+    print(f"{report.episodes} episodes, {report.ok} ok, {len(damaged)} damaged, {len(unreadable)} shards unreadable")
+    return 0 if report.clean else 1
+
+
+def _repair(options: DataRepairOptions) -> int:
+    done = [repair(path) for path in shard_paths(options.places)]
+    kept, lost = sum(r.kept for r in done), sum(len(r.lost) for r in done)
+    if options.json:
+        aside = [str(r.kept_as) for r in done if r.kept_as]
+        print_json({"kept": kept, "lost": lost, "finished": sum(r.finished for r in done), "damaged_files": aside})
+        return 0
+    for each in done:
+        print(_repaired(each))
+    print(f"{kept} episodes kept, {lost} lost")
+    return 0
+
+
+def _repaired(done: Repair) -> str:
+    if done.kept_as is not None:
+        return f"{done.path}: {done.kept} episodes saved, {len(done.lost)} lost; the damaged file is {done.kept_as}"
+    what = "the last episode's writing was cleared up" if done.finished else "nothing to do"
+    return f"{done.path}: {done.kept} episodes, {what}"
+
+
+def _fields(options: DataFieldsOptions) -> int:
+    names = [(fact.name, fact.kind, fact.meaning) for fact in FACTS.values()]
+    names += [(f"{name}(event)", "a number", meaning) for name, (meaning, _) in FUNCTIONS.items()]
+    presets = [(name, text, meaning) for name, (text, meaning) in PRESETS.items()]
+    if options.json:
+        print_json({"fields": [list(row) for row in names], "presets": [list(row) for row in presets]})
+        return 0
+    print_table("Names in filters", ("name", "is", "meaning"), names)
+    print_table("Presets", ("name", "filter", "meaning"), presets)
+    return 0
+
+
+def run_label(options: LabelOptions) -> int:
+    """Run ``mjhab label``; returns the exit code."""
+    episodes = subtasks = 0
+    changes: list[tuple[str, ...]] = []
+    for path in shard_paths(options.places):
+        new: dict[str, EpisodeRecord] = {}
+        with open_shard(path) as shard:
+            for episode in shard:
+                record, changed = relabel(episode)
+                episodes, subtasks = episodes + 1, subtasks + len(record.subtasks)
+                changes += [(episode.name, str(c.subtask), c.what, str(c.old), str(c.new)) for c in changed]
+                if changed:
+                    new[episode.name] = record
+        if options.write and new:
+            _write_records(path, new)
+    labels = sum(what == "label" for _, _, what, _, _ in changes)
+    if options.json:
+        print_json({"episodes": episodes, "subtasks": subtasks, "changed": labels, "changes": len(changes)})
+        return 0
+    if changes:
+        columns = ("episode", "subtask", "what", "recorded", "now")
+        print_table("Changes", columns, changes[:_MOST_ROWS])
+    written = " (written)" if options.write and changes else ""
+    print(
+        f"{episodes} episodes, {subtasks} subtasks: {labels} labels and {len(changes) - labels} other things changed{written}"
+    )
+    return 0
+
+
+def _write_records(path: Path, records: dict[str, EpisodeRecord]) -> None:
+    with ShardWriter(path) as writer:
+        writer.replace_records(records)

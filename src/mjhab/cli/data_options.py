@@ -1,0 +1,147 @@
+"""The options of ``mjhab data`` and ``mjhab label``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+Sub = tyro.conf.subcommand
+Places = Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="FILE|FOLDER ...")]
+Where = Annotated[str | None, tyro.conf.arg(metavar="FILTER")]
+Preset = Annotated[str | None, tyro.conf.arg(metavar="NAME")]
+
+
+@dataclass(frozen=True)
+class DataQueryOptions:
+    """Count the recorded episodes that pass a filter, and list them.
+
+    `mjhab data query runs/pick --where "label == 'straightforward_success' and max_force < 1400 and not dropped"`
+
+    Tainted episodes pass only if the filter speaks of `tainted` or `taints`. Names: `mjhab data fields`.
+    """
+
+    places: Places
+    """Shards (*.h5) or folders of shards."""
+    where: Where = None
+    """Which episodes; all if absent."""
+    preset: Preset = None
+    """A filter with a name, see `mjhab data fields`; with --where, both must hold."""
+    list: Annotated[int, tyro.conf.arg(metavar="N")] = 0
+    """Print the first N of them."""
+    json: bool = False
+    """Print one line of JSON instead of a table."""
+
+
+@dataclass(frozen=True)
+class DataFieldsOptions:
+    """Print the names that filters know, with their meanings, and the filters that have names."""
+
+    json: bool = False
+    """Print one line of JSON instead of tables."""
+
+
+@dataclass(frozen=True)
+class DataStatsOptions:
+    """Print labels, success, forces and sizes of recorded episodes, per task, subtask and target."""
+
+    places: Places
+    """Shards (*.h5) or folders of shards."""
+    where: Where = None
+    """Only these episodes, as in `mjhab data query`."""
+    preset: Preset = None
+    """A filter with a name, see `mjhab data fields`."""
+    json: bool = False
+    """Print one line of JSON instead of a table."""
+
+
+@dataclass(frozen=True)
+class DataMergeOptions:
+    """Copy the episodes that pass a filter into one shard, byte for byte; the sources stay as they are.
+
+    `mjhab data merge runs/pick runs/place --preset gentle --out gentle.h5`
+    """
+
+    places: Places
+    """Shards (*.h5) or folders of shards."""
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE.h5")]
+    """The shard to make, or to add to."""
+    where: Where = None
+    """Which episodes; all if absent."""
+    preset: Preset = None
+    """A filter with a name, see `mjhab data fields`."""
+    json: bool = False
+    """Print one line of JSON at the end."""
+
+
+@dataclass(frozen=True)
+class DataSplitOptions:
+    """Divide recorded episodes into shards, one per part; the sources stay as they are.
+
+    `mjhab data split runs/pick --parts train=0.9 val=0.1 --by home --out runs/pick_split`
+    """
+
+    places: Places
+    """Shards (*.h5) or folders of shards."""
+    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
+    """Where to: every part becomes <part>.h5 in it."""
+    parts: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=SHARE ...")] = ("train=0.9", "val=0.1")
+    """Names and shares of the parts, at most 1 in sum."""
+    by: Annotated[str, tyro.conf.arg(metavar="episode|home|target")] = "episode"
+    """What stays together in one part."""
+    seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0
+    """Another seed deals them out in another order."""
+    json: bool = False
+    """Print one line of JSON at the end."""
+
+
+@dataclass(frozen=True)
+class DataCheckOptions:
+    """Read every byte of recorded episodes and compare it with what was written; fails if anything is wrong."""
+
+    places: Places
+    """Shards (*.h5) or folders of shards."""
+    json: bool = False
+    """Print one line of JSON instead of a table."""
+
+
+@dataclass(frozen=True)
+class DataRepairOptions:
+    """Put shards in order: finish what a killed process left, drop damaged episodes.
+
+    A file from which episodes are dropped stays beside the new one, as *.damaged.
+    """
+
+    places: Places
+    """Shards (*.h5) or folders of shards."""
+    json: bool = False
+    """Print one line of JSON instead of a table."""
+
+
+@dataclass(frozen=True)
+class DataCommand:
+    """Query, count, merge, split, check or repair recorded episodes."""
+
+    command: (
+        Annotated[DataQueryOptions, Sub("query")]
+        | Annotated[DataStatsOptions, Sub("stats")]
+        | Annotated[DataMergeOptions, Sub("merge")]
+        | Annotated[DataSplitOptions, Sub("split")]
+        | Annotated[DataCheckOptions, Sub("check")]
+        | Annotated[DataRepairOptions, Sub("repair")]
+        | Annotated[DataFieldsOptions, Sub("fields")]
+    )
+
+
+@dataclass(frozen=True)
+class LabelOptions:
+    """Compute labels and events of recorded episodes anew from their signals, and tell what changes. No simulation."""
+
+    places: Places
+    """Shards (*.h5) or folders of shards."""
+    write: bool = False
+    """Put the new labels into the shards."""
+    json: bool = False
+    """Print one line of JSON instead of a table."""

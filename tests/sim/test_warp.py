@@ -1,0 +1,416 @@
+"""The GPU simulator on Warp's CPU device: agreement with C MuJoCo, isolation of worlds, and each trap of the engine.
+
+Every trap test fails when its cure in ``sim/warp*.py`` is taken out.
+"""
+
+from __future__ import annotations
+
+import copy
+import os
+from types import ModuleType
+
+import mujoco
+import numpy as np
+import pytest
+
+from mjhab.core.errors import UsageError
+from mjhab.scenes.fetch import REST_QPOS
+from mjhab.scenes.layout import Layout
+from mjhab.scenes.packs import open_pack
+from mjhab.sim.cpu import CpuSimulator
+from mjhab.sim.protocol import TAINTS
+from mjhab.sim.settle import parked_robot_qpos
+
+if not os.environ.get("CI"):
+    # In CI the engine must be there: the tests then fail rather than pass unseen.
+    pytest.importorskip("mujoco_warp", reason="the [gpu] extra is not installed")
+
+CAN, BOX = 0, 1
+ROSTER = ("005_tomato_soup_can", "004_sugar_box")
+WORLDS = 3
+
+
+@pytest.fixture(scope="module")
+def warp() -> ModuleType:
+    from mjhab.sim import warp
+
+    return warp
+
+
+@pytest.fixture(scope="module")
+def layout() -> Layout:
+    return Layout(open_pack("builtin"), ROSTER)
+
+
+@pytest.fixture(scope="module")
+def cpu(layout: Layout) -> CpuSimulator:
+    return CpuSimulator(layout, WORLDS, 1)
+
+
+@pytest.fixture(scope="module")
+def shared(warp: ModuleType, layout: Layout):
+    """One simulator for most tests: kernels load once. Every test resets it."""
+    return warp.WarpSimulator(layout, WORLDS, "cpu")
+
+
+def homes_of(layout: Layout, count: int = WORLDS) -> list[str]:
+    return [home.name for home in layout.pack.homes[:count]]
+
+
+def on_table(layout: Layout, home: int) -> np.ndarray:
+    """A point (3,) on the first dining table of a home."""
+    at = next(p for p in layout.pack.homes[home].props if p.template == "table_01")
+    return np.array([at.pos[0], at.pos[1], layout.pack.props["table_01"].receptacles[0].pos[2]])
+
+
+def put(sim: CpuSimulator, qpos: np.ndarray, slot: int, pos: np.ndarray) -> None:
+    start = sim.addresses.object_q[slot]
+    qpos[start : start + 3] = pos
+
+
+def starts(cpu: CpuSimulator, drop: float = 0.0) -> np.ndarray:
+    """(W, nq): the robot out of the way, the can on the table of each world's home, ``drop`` [m] above it."""
+    rows = []
+    for i, home in enumerate(homes_of(cpu.layout)):
+        qpos = cpu.model(home).qpos0.copy()
+        qpos[cpu.addresses.robot_q] = parked_robot_qpos()
+        put(cpu, qpos, CAN, on_table(cpu.layout, i) + [0, 0, cpu.layout.objects[CAN].half[2] + drop])
+        rows.append(qpos)
+    return np.stack(rows)
+
+
+def holding(cpu: CpuSimulator, home: str) -> tuple[np.ndarray, np.ndarray]:
+    """A state (nq,) with the can between the open fingers of a robot far outside, and the ctrl (nu,) that closes them."""
+    model, a = cpu.model(home), cpu.addresses
+    data = mujoco.MjData(model)
+    robot = parked_robot_qpos()
+    robot[13:15] = 0.0345
+    data.qpos[a.robot_q] = robot
+    mujoco.mj_kinematics(model, data)
+    body = a.robot_body["gripper_link"]
+    turn = np.zeros(4)
+    mujoco.mju_mulQuat(turn, data.xquat[body], np.array([np.sqrt(0.5), 0, -np.sqrt(0.5), 0]))
+    start = a.object_q[CAN]
+    data.qpos[start : start + 7] = [*data.xpos[body], *turn]
+    return data.qpos.copy(), hold(cpu, data.qpos, fingers=-0.01)
+
+
+def hold(cpu: CpuSimulator, qpos: np.ndarray, fingers: float | None = None) -> np.ndarray:
+    """(nu,) commands that keep the robot of a state where it is."""
+    model = cpu.model(homes_of(cpu.layout)[0])
+    joints = model.actuator_trnid[:, 0]
+    ctrl = np.where(model.actuator_biasprm[:, 1] != 0.0, qpos[model.jnt_qposadr[joints]], 0.0)
+    if fingers is not None:
+        ctrl[-2:] = fingers
+    return ctrl
+
+
+def bits_of(taint: object) -> list[set[str]]:
+    return [{name for i, name in enumerate(TAINTS) if int(mask) >> i & 1} for mask in taint]  # type: ignore[attr-defined]
+
+
+def rows_of(sim, world: int) -> list[bytes]:
+    """Everything of one world that a reset of another must keep."""
+    engine, state = sim.engine, sim.state()
+    arrays = [engine.qpos_t, engine.qvel_t, engine.warmstart_t, engine.ctrl_t, engine.time_t, engine.asleep_t]
+    arrays += [state.link_force, state.finger_force, state.touch, state.tcp_vel]
+    arrays += [state.body_pos, state.body_mat, state.body_quat, sim.taint()]
+    return [array[world].numpy().tobytes() for array in arrays]
+
+
+# -- agreement with C MuJoCo -----------------------------------------------------------------------------------------
+
+
+def test_states_agree_with_the_cpu_simulator(shared, cpu: CpuSimulator, layout: Layout) -> None:
+    qpos = starts(cpu, drop=0.05)
+    rng = np.random.default_rng(0)
+    for sim in (shared, cpu):
+        sim.reset(range(WORLDS), homes_of(layout), qpos)
+    for step in range(12):
+        ctrl = np.stack([hold(cpu, q) for q in qpos]) + rng.uniform(-0.2, 0.2, (WORLDS, 15))
+        for sim in (shared, cpu):
+            sim.step(ctrl)
+        if step in (0, 11):
+            got, want = shared.state(), cpu.state()
+            for field, limit in {
+                "robot_q": 1e-4, "robot_qd": 1e-3, "object_pose": 2e-3, "tcp_vel": 1e-3, "link_q": 1e-5,
+                "link_qd": 1e-5, "body_pos": 1e-3, "body_quat": 2e-3, "body_mat": 4e-3,
+            }.items():  # fmt: skip
+                np.testing.assert_allclose(getattr(got, field), getattr(want, field), atol=limit, err_msg=field)
+    # What rests sleeps in both.
+    assert shared.engine.data.nv_awake.numpy().tolist() == [15] * WORLDS
+    assert not shared.taint().any()
+
+
+def test_forces_of_a_grasp_agree_with_the_cpu_simulator(shared, cpu: CpuSimulator, layout: Layout) -> None:
+    home = homes_of(layout)[0]
+    qpos, ctrl = holding(cpu, home)
+    for sim in (shared, cpu):
+        sim.reset(range(WORLDS), [home] * WORLDS, np.tile(qpos, (WORLDS, 1)))
+        for _ in range(10):
+            sim.step(np.tile(ctrl, (WORLDS, 1)))
+    got, want = shared.state(), cpu.state()
+    pinch = np.linalg.norm(want.finger_force[0, :, CAN], axis=-1)
+    assert (pinch > 5.0).all()
+    np.testing.assert_allclose(got.finger_force, want.finger_force, atol=0.02 * pinch.max())
+    np.testing.assert_allclose(got.link_force, want.link_force, atol=0.02 * pinch.max())
+    np.testing.assert_array_equal(got.touch, want.touch)
+    assert got.touch[0, CAN] and not got.touch[0, BOX]
+
+
+def test_link_forces_and_touch_agree_where_the_robot_leans_on_things(shared, cpu: CpuSimulator, layout: Layout) -> None:
+    # The base drives the arm and the torso into the table and the can on it.
+    qpos = starts(cpu)
+    reach = np.array(REST_QPOS)
+    reach[:2] = on_table(layout, 0)[:2] - [0.75, 0.0]
+    qpos[0, cpu.addresses.robot_q] = reach
+    ctrl = np.stack([hold(cpu, q) for q in qpos])
+    ctrl[0, 0] = 0.3
+    touched = 0
+    for sim in (shared, cpu):
+        sim.reset(range(WORLDS), homes_of(layout), qpos)
+    for _ in range(8):
+        for sim in (shared, cpu):
+            sim.step(ctrl)
+        got, want = shared.state(), cpu.state()
+        scale = max(1.0, float(want.link_force.max()))
+        np.testing.assert_allclose(got.link_force, want.link_force, atol=0.1 * scale)
+        touched += int((want.link_force[0] > 1.0).any())
+    assert touched > 0
+
+
+# -- homes -----------------------------------------------------------------------------------------------------------
+
+
+def test_trap_static_poses_each_world_rests_on_its_own_furniture(shared, cpu: CpuSimulator, layout: Layout) -> None:
+    shared.reset(range(WORLDS), homes_of(layout), starts(cpu))
+    for world, home in enumerate(homes_of(layout)):
+        data = mujoco.MjData(cpu.model(home))
+        mujoco.mj_kinematics(cpu.model(home), data)
+        static = cpu.model(home).body_weldid[cpu.model(home).geom_bodyid] == 0
+        got = shared.engine.data.geom_xpos.numpy()[world]
+        np.testing.assert_allclose(got[static], data.geom_xpos[static], atol=1e-5)
+    for _ in range(8):
+        shared.step(np.stack([hold(cpu, q) for q in starts(cpu)]))
+    for world in range(WORLDS):
+        top = on_table(layout, world)[2] + layout.objects[CAN].half[2]
+        assert float(shared.state().object_pose[world, CAN, 2]) == pytest.approx(top, abs=0.003)
+
+
+def test_a_world_moves_to_another_home(shared, cpu: CpuSimulator, layout: Layout) -> None:
+    qpos = starts(cpu)
+    shared.reset(range(WORLDS), homes_of(layout), qpos)
+    shared.reset([2], [homes_of(layout)[0]], qpos[:1])
+    data = shared.engine.data
+    for rows in (data.geom_xpos, data.geom_xmat, shared.engine.model.geom_size, shared.engine.model.body_pos):
+        np.testing.assert_array_equal(rows.numpy()[2], rows.numpy()[0])
+        assert (rows.numpy()[1] != rows.numpy()[0]).any()
+
+
+def test_every_home_differs_only_in_rows_that_worlds_have_of_their_own(shared, cpu: CpuSimulator, layout: Layout):
+    for home in layout.pack.homes[::10]:
+        shared.engine.homes.row(home.name, cpu.model(home.name))
+    odd = copy.copy(cpu.model(homes_of(layout)[0]))
+    odd.geom_friction[3] += 0.1
+    with pytest.raises(ValueError, match="geom_friction"):
+        shared.engine.homes.row("odd", odd)
+
+
+# -- isolation -------------------------------------------------------------------------------------------------------
+
+
+def test_trap_masked_reset_other_worlds_keep_every_bit(shared, cpu: CpuSimulator, layout: Layout) -> None:
+    # World 1 holds the can, so that it has forces to lose; world 0 is reset, whose reset would clear all contacts.
+    homes, qpos = homes_of(layout), starts(cpu)
+    qpos[1], ctrl = holding(cpu, homes[1])
+    ends = []
+    for resets in (True, False):
+        shared.reset(range(WORLDS), homes, qpos)
+        for step in range(9):
+            if step == 6 and resets:
+                before = [rows_of(shared, world) for world in (1, 2)]
+                shared.reset([0], [homes[2]], qpos[2:])
+                assert [rows_of(shared, world) for world in (1, 2)] == before
+                assert float(shared.state().finger_force[1].abs().max()) > 1.0
+            shared.step(np.tile(ctrl, (WORLDS, 1)))
+        ends.append([rows_of(shared, world) for world in (1, 2)])
+    assert ends[0] == ends[1]
+
+
+def test_a_reset_wakes_nothing_in_other_worlds(shared, cpu: CpuSimulator, layout: Layout) -> None:
+    # In world 1 the box, awake, has just come to touch the sleeping can.
+    qpos = starts(cpu)
+    can = on_table(layout, 1) + [0, 0, layout.objects[CAN].half[2]]
+    put(cpu, qpos[1], BOX, can + [0.056, 0, 0.037])
+    shared.reset(range(WORLDS), homes_of(layout), qpos)
+    tree = cpu.model(homes_of(layout)[1]).body_treeid[cpu.addresses.object_body[CAN]]
+    shared.engine.asleep_t[1, tree] = int(tree)
+    assert any(1 == w for w in shared.engine.data.contact.worldid.numpy()[: shared.engine.data.nacon.numpy()[0]])
+    shared.reset([0], homes_of(layout)[:1], qpos[:1])
+    assert int(shared.engine.asleep_t[1, tree]) == int(tree)
+
+
+def test_a_replay_after_reset_is_bit_equal(shared, cpu: CpuSimulator, layout: Layout) -> None:
+    ends = []
+    for _ in range(2):
+        shared.reset(range(WORLDS), homes_of(layout), starts(cpu, drop=0.02))
+        for step in range(4):
+            shared.step(np.random.default_rng(step).uniform(-0.4, 0.4, (WORLDS, 15)))
+        ends.append(rows_of(shared, 0))
+    assert ends[0] == ends[1]
+
+
+def test_worlds_are_saved_and_restored(shared, cpu: CpuSimulator, layout: Layout) -> None:
+    homes, qpos = homes_of(layout), starts(cpu, drop=0.05)
+    ctrl = np.stack([hold(cpu, q) for q in qpos])
+    shared.reset(range(WORLDS), homes, qpos)
+    shared.step(ctrl)
+    saved = shared.get_world(1)
+    shared.set_world(0, homes[1], saved)
+    ctrl[0] = ctrl[1]
+    for _ in range(2):
+        shared.step(ctrl)
+    np.testing.assert_array_equal(shared.qpos[0], shared.qpos[1])
+    with pytest.raises(UsageError, match="another layout: qpos"):
+        shared.set_world(0, homes[1], saved | {"qpos": np.zeros(5)})
+
+
+# -- sleep -----------------------------------------------------------------------------------------------------------
+
+
+def test_trap_a_teleport_wakes_what_it_moves_and_nothing_else(shared, cpu: CpuSimulator, layout: Layout) -> None:
+    qpos = starts(cpu)
+    ctrl = np.stack([hold(cpu, q) for q in qpos])
+    shared.reset(range(WORLDS), homes_of(layout), qpos)
+    for _ in range(6):
+        shared.step(ctrl)
+    model = cpu.model(homes_of(layout)[0])
+    can, box = (int(model.body_treeid[cpu.addresses.object_body[slot]]) for slot in (CAN, BOX))
+    assert (shared.engine.asleep_t[:, [can, box]] >= 0).all()
+    others = [rows_of(shared, world) for world in (0, 2)]
+    lifted = shared.qpos[1].numpy().copy()
+    rest = lifted[cpu.addresses.object_q[CAN] + 2]
+    lifted[cpu.addresses.object_q[CAN] + 2] += 0.1
+    shared.write_qpos(1, lifted)
+    assert [rows_of(shared, world) for world in (0, 2)] == others
+    assert float(shared.state().object_pose[1, CAN, 2]) == pytest.approx(rest + 0.1)
+    body = cpu.addresses.object_body[CAN]
+    assert float(shared.state().body_pos[1, body, 2]) == pytest.approx(rest + 0.1)
+    for _ in range(5):
+        shared.step(ctrl)
+    assert float(shared.state().object_pose[1, CAN, 2]) == pytest.approx(rest, abs=0.005)
+    assert int(shared.engine.asleep_t[1, box]) >= 0
+
+
+def test_a_teleport_stops_the_robot(shared, cpu: CpuSimulator, layout: Layout) -> None:
+    qpos = starts(cpu)
+    shared.reset(range(WORLDS), homes_of(layout), qpos)
+    shared.step(np.stack([hold(cpu, q) for q in qpos]) + 0.2)
+    assert float(shared.state().robot_qd[0].abs().max()) > 0.01
+    shared.write_qpos(0, qpos[0])
+    assert float(shared.state().robot_qd[0].abs().max()) == 0.0
+    assert float(shared.state().tcp_vel[0].abs().max()) == 0.0
+
+
+# -- taint -----------------------------------------------------------------------------------------------------------
+
+
+def test_trap_overflow_of_contacts_taints(warp: ModuleType, cpu: CpuSimulator, layout: Layout) -> None:
+    sizes = warp.BufferSizes(contacts=6, ccd=6, rows=200)
+    sim = warp.WarpSimulator(layout, 2, "cpu", sizes=sizes)
+    sim.reset(range(2), homes_of(layout, 2), starts(cpu)[:2])
+    sim.step(np.zeros((2, 15)))
+    assert all("contact_overflow" in names for names in bits_of(sim.taint()))
+
+
+def test_trap_overflow_of_pairs_taints_though_the_engine_says_nothing(
+    shared, cpu: CpuSimulator, layout: Layout
+) -> None:
+    data = shared.engine.data
+    shared.reset(range(WORLDS), homes_of(layout), starts(cpu))
+    ctrl = np.stack([hold(cpu, q) for q in starts(cpu)])
+    shared.step(ctrl)
+    whole = data.naconmax
+    pairs = int(shared.engine.pairs_peak.numpy()[0])
+    assert 1 < pairs < whole and not shared.taint().any()
+    data.naconmax = pairs - 1
+    try:
+        shared.step(ctrl)
+        missed = [int(bits) & 6 for bits in data.overflow.numpy()]
+    finally:
+        data.naconmax = whole
+    assert all("contact_overflow" in names for names in bits_of(shared.taint()))
+    del missed
+
+
+def test_trap_overflow_of_constraint_rows_taints(warp: ModuleType, cpu: CpuSimulator, layout: Layout) -> None:
+    sim = warp.WarpSimulator(layout, 1, "cpu", sizes=warp.BufferSizes(contacts=200, ccd=100, rows=20))
+    sim.reset([0], homes_of(layout, 1), starts(cpu)[:1])
+    sim.step(np.zeros((1, 15)))
+    assert "constraint_overflow" in bits_of(sim.taint())[0]
+
+
+def test_trap_nan_is_found_mended_and_stays_in_its_world(shared, cpu: CpuSimulator, layout: Layout) -> None:
+    homes, qpos = homes_of(layout), starts(cpu)
+    ctrl = np.stack([hold(cpu, q) for q in qpos])
+    ends = []
+    for breaks in (False, True):
+        shared.reset(range(WORLDS), homes, qpos)
+        if breaks:
+            shared.engine.qvel_t[1, 3] = float("nan")
+        shared.step(ctrl)
+        assert shared.broken().tolist() == [False, breaks, False]
+        if breaks:
+            shared.mend([1], homes[1:2], shared.qpos[1:2])
+            assert shared.broken().tolist() == [False] * WORLDS
+        shared.step(ctrl)
+        ends.append([rows_of(shared, world) for world in (0, 2)])
+    assert ends[0] == ends[1]
+    assert bits_of(shared.taint()) == [set(), {"nan"}, set()]
+    assert np.isfinite(shared.state().body_pos).all() and np.isfinite(shared.qpos).all()
+
+
+def test_deep_penetration_is_flagged_in_its_world(shared, cpu: CpuSimulator, layout: Layout) -> None:
+    qpos = starts(cpu)
+    robot = np.array(REST_QPOS)
+    robot[:2] = layout.pack.homes[1].walls[0].pos[:2]
+    qpos[1, cpu.addresses.robot_q] = robot
+    shared.reset(range(WORLDS), homes_of(layout), qpos)
+    shared.step(np.zeros((WORLDS, 15)))
+    assert bits_of(shared.taint())[0] == bits_of(shared.taint())[2] == set()
+    assert "penetration" in bits_of(shared.taint())[1]
+    shared.add_taint(0, 1)
+    assert bits_of(shared.taint())[0] == {"contact_overflow"}
+    shared.reset([0, 1], homes_of(layout)[:2], starts(cpu)[:2])
+    assert bits_of(shared.taint()) == [set()] * WORLDS
+
+
+# -- buffers, arguments ----------------------------------------------------------------------------------------------
+
+
+def test_buffer_sizes_are_measured_once_and_hold_the_stress(
+    warp: ModuleType, cpu: CpuSimulator, layout: Layout, monkeypatch: pytest.MonkeyPatch, shared
+) -> None:
+    from mjhab.sim import warp_sizes
+
+    monkeypatch.setattr(warp_sizes, "measure_demand", None)
+    sizes = warp_sizes.buffer_sizes(layout, cpu.model, cpu.addresses, WORLDS, shared.device)
+    assert sizes == shared.engine.sizes
+    many = warp_sizes.buffer_sizes(layout, cpu.model, cpu.addresses, 100 * WORLDS, shared.device)
+    assert sizes.contacts < many.contacts < 100 * sizes.contacts and many.rows == sizes.rows
+    home = layout.pack.homes[0]
+    states, rows = warp_sizes.stress(layout, home, cpu.model(home.name), cpu.addresses, 7)
+    assert rows <= sizes.rows
+    shared.reset(range(WORLDS), [home.name] * WORLDS, np.stack(states[:WORLDS]))
+    shared.step(np.zeros((WORLDS, 15)))
+    assert not {"contact_overflow", "constraint_overflow", "nan"} & set().union(*bits_of(shared.taint()))
+
+
+def test_bad_arguments(warp: ModuleType, layout: Layout) -> None:
+    with pytest.raises(UsageError, match="at least 1"):
+        warp.WarpSimulator(layout, 0, "cpu")
+    with pytest.raises(UsageError, match="unknown device 'cpu:3'"):
+        warp.WarpSimulator(layout, 1, "cpu:3")
+    sizes = warp.BufferSizes(contacts=64, ccd=64, rows=64)
+    with pytest.raises(UsageError, match="builtin_m0_00"):
+        warp.WarpSimulator(layout, 1, "cpu", sizes=sizes).model("builtin_m0_0")

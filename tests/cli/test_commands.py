@@ -139,6 +139,10 @@ class TimedEnv(FakeEnv):
     bare_steps = 0
     ctrl = np.zeros((1, 15))
 
+    @property
+    def sim(self) -> TimedEnv:
+        return self
+
     def bare_step(self, ctrl: np.ndarray) -> None:
         self.bare_steps += 1
 

@@ -147,3 +147,21 @@ def test_one_real_sheet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     assert main(["homes", "render", "--all", "--out", str(out), "--width", "96", "--height", "72"]) == 0
     pixels = np.asarray(Image.open(out))
     assert len(np.unique(pixels.reshape(-1, 3), axis=0)) > 500
+
+
+def test_options_of_a_real_pack_go_into_its_name(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    asked: list[str] = []
+
+    def opened(name: str) -> Pack:
+        asked.append(name)
+        return pack_of((0, 0))
+
+    monkeypatch.setattr(packs, "open_pack", opened)
+    (stage := tmp_path / "stage.glb").touch()
+    options = ["--assets", "data", "--stage-mesh", str(stage), "--articulate", "chest_of_drawers,cabinet", "--json"]
+    assert main(["homes", "show", "builtin_m0_00", *options]) == 0
+    assert asked == [f"data?articulate=cabinet,chest_of_drawers?stage={stage}"]
+    assert main(["homes", "show", "builtin_m0_00", "--assets", "data", "--articulate", "fridge"]) == 2
+    assert "unknown furniture to articulate 'fridge'" in capsys.readouterr().err

@@ -11,12 +11,14 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
+from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
 import mjhab.envs as envs
 from mjhab.core.errors import UsageError
 from mjhab.envs.catalog import ENV_IDS, TRAIN_IDS
 from mjhab.envs.config import AUTORESET_MODES
 from mjhab.envs.sequential import INDEX_STRIDE, SequentialTaskEnv
+from mjhab.envs.wrappers import FlattenStatePixels, FrameStack
 from mjhab.sim.protocol import TAINTS
 
 NAN_BIT = 1 << TAINTS.index("nan")
@@ -324,3 +326,33 @@ def test_render_mode_gives_pictures_of_every_world():
     assert pictures is not None and len(pictures) == 1
     picture = pictures[0]
     assert picture.dtype == np.uint8 and picture.ndim == 3 and picture.std() > 10
+
+
+def test_pictures_of_a_new_episode_stand_beside_those_that_go_on():
+    env = build(autoreset="same_step", obs_mode="rgbd", camera_size=24, num_envs=2)
+    stacked = FlattenStatePixels(FrameStack(env, 3))
+    stacked.reset(seed=0)
+    env.progress.steps_left[0] = 1
+    obs, _, _, truncated, info = stacked.step(actions(env, 0))
+    assert truncated[0]
+    whole = env._observe()
+    for camera in ("fetch_head", "fetch_hand"):
+        depth = obs["pixels"][f"{camera}_depth"]
+        assert depth.shape == (2, 3, 1, 24, 24)
+        now = np.moveaxis(whole[f"sensor_data/{camera}/depth"], -1, 1)
+        np.testing.assert_array_equal(depth[:, -1], now)
+        np.testing.assert_array_equal(depth[0, 0], now[0])
+        old = info["final_obs"]["pixels"][f"{camera}_depth"]
+        assert not np.array_equal(old[0, -1], now[0]) and not np.array_equal(depth[1, 0], depth[1, -1])
+
+
+def test_statistics_of_gymnasium_wrap_around_ours():
+    env = RecordEpisodeStatistics(build(autoreset="same_step", num_envs=2, horizon=3))
+    env.reset(seed=0)
+    total = np.zeros(2)
+    for step in range(3):
+        _, reward, _, truncated, info = env.step(actions(env.unwrapped, step))  # type: ignore[arg-type]
+        total += reward
+    assert np.all(truncated)
+    np.testing.assert_allclose(info["episode"]["r"], total, rtol=1e-6)
+    assert info["episode"]["l"].tolist() == [3, 3]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from mjhab.core.errors import UsageError
 from mjhab.envs.episodes import FRIDGE_PREOPEN, MIN_START_GOAL, EpisodeMaker
 from mjhab.scenes.layout import Layout
 from mjhab.scenes.objects import roster
@@ -67,3 +68,14 @@ def test_wanted_target_type_is_among_the_targets():
     episodes = maker("tidy_house", "009_gelatin_box")
     for i in range(3):
         assert any(t.obj.startswith("009_gelatin_box") for t in episodes.episode(1, i).targets)
+
+
+def test_homes_of_a_pattern_take_turns():
+    sim = CpuSimulator(Layout(open_pack("builtin"), roster("tidy_house")), 1, 1)
+    some = EpisodeMaker(sim, "tidy_house", "train", home="builtin_m3_0[0-2]")
+    assert [some.make(0, index)[0].home[-2:] for index in range(4)] == ["00", "01", "02", "00"]
+    drawn = EpisodeMaker(sim, "tidy_house", "val")
+    every = EpisodeMaker(sim, "tidy_house", "val", home="builtin_m3_*")
+    assert drawn.homes == every.homes and drawn.digest != every.digest, "another home for the same name"
+    with pytest.raises(UsageError, match=r"unknown home 'builtin_m9_\*'"):
+        EpisodeMaker(sim, "tidy_house", "train", home="builtin_m9_*")

@@ -1,17 +1,25 @@
-"""Spawns: noise within its clips, navigable, collision-free, bounded."""
+"""Spawns: noise within its clips, navigable, collision-free, bounded; homes as the subtask finds them."""
 
 from __future__ import annotations
 
+import dataclasses
+
+import mujoco
 import numpy as np
 import pytest
 
+from mjhab.core.rotations import pose_inv, pose_mul, quat_from_yaw
 from mjhab.core.seeding import stream
-from mjhab.envs.spawns import ARM_NOISE, MAX_DISTANCE, SpawnGoal, SpawnSampler
+from mjhab.envs.config import EnvConfig, task_config
+from mjhab.envs.episodes import BOWL_DRAWER, FRIDGE_DOOR, Episode, EpisodeMaker
+from mjhab.envs.spawns import ARM_NOISE, MAX_DISTANCE, MAX_TRIES, Held, SpawnGoal, SpawnSampler
+from mjhab.envs.starts import DOORSTEP_REACH, Start, StartMaker
 from mjhab.scenes.fetch import REST_QPOS
 from mjhab.scenes.layout import Layout
+from mjhab.scenes.objects import roster
 from mjhab.scenes.packs import open_pack
 from mjhab.sim.cpu import CpuSimulator
-from mjhab.sim.settle import parked_robot_qpos
+from mjhab.sim.settle import hold_robot, parked_robot_qpos
 from mjhab.tasks.plan import front_box
 
 
@@ -78,3 +86,231 @@ def test_fallback_is_valid_where_one_exists(sampler: SpawnSampler):
     table = next(p for p in home.props if p.template == "table_01")
     start = sampler.fallback(home.name, empty_home(sampler, home.name), SpawnGoal(np.array(table.pos[:2])))
     assert sampler.scratch.collision_free(home.name, start)
+
+
+def test_a_search_ends_after_its_tries(sampler: SpawnSampler):
+    home = sampler.sim.layout.pack.homes[0]
+    inside_a_wall = np.array([home.walls[0].pos[0]] * 2 + [home.walls[0].pos[1]] * 2)
+    goal = SpawnGoal(np.zeros(2), inside_a_wall)
+    found, tries = sampler.search(home.name, empty_home(sampler, home.name), goal, (stream(0, k) for k in range(7)))
+    assert found is None and tries == 7
+
+
+# -- starts of subtasks ----------------------------------------------------------------------------------------------
+
+
+class Bench:
+    """Episodes of a task and the starts of its subtasks, on one simulator."""
+
+    def __init__(self, task: str) -> None:
+        self.sim = CpuSimulator(Layout(open_pack("builtin"), roster(task)), 1, 1)
+        self.episodes = EpisodeMaker(self.sim, task, "train")
+        self.task = task
+
+    def maker(self, subtask: str, target: str = "") -> StartMaker:
+        config = EnvConfig(task=self.task, subtask=subtask, target=target)
+        return StartMaker(self.sim, config, task_config(config, REST_QPOS))
+
+    def named(self, count: int, first: int = 0) -> list[Episode]:
+        """Episodes with the same few arrangements."""
+        return [dataclasses.replace(self.episodes.episode(0, i % 3), index=first + i) for i in range(count)]
+
+
+@pytest.fixture(scope="module")
+def set_table() -> Bench:
+    return Bench("set_table")
+
+
+@pytest.fixture(scope="module")
+def groceries() -> Bench:
+    return Bench("prepare_groceries")
+
+
+@pytest.fixture(scope="module")
+def tidy_house() -> Bench:
+    return Bench("tidy_house")
+
+
+def base_of(bench: Bench, start: Start) -> np.ndarray:
+    return start.qpos[bench.sim.addresses.robot_q[:3]]
+
+
+def heading_error(base: np.ndarray, point: np.ndarray) -> float:
+    bearing = np.arctan2(point[1] - base[1], point[0] - base[0]) - base[2]
+    return abs((bearing + np.pi) % (2 * np.pi) - np.pi)
+
+
+def check_free(bench: Bench, start: Start) -> None:
+    """Nothing touches the robot now or after a control step, in a world where everything is awake."""
+    model, a = bench.sim.model(start.home), bench.sim.addresses
+    data = mujoco.MjData(model)
+    data.qpos[:] = start.qpos
+    for steps in (0, 5):
+        hold_robot(model, data)
+        mujoco.mj_step(model, data, steps)
+        mujoco.mj_forward(model, data)
+        force = data.sensordata[a.link_force[:, None] + np.arange(3)]
+        assert not force.any()
+        assert not any(data.sensordata[adr] for adr in a.touch)
+
+
+def test_starts_depend_on_seed_and_index_alone(set_table: Bench):
+    episodes = set_table.named(8)
+    alone = [set_table.maker("pick").start(episode) for episode in episodes]
+    maker = set_table.maker("pick")
+    together = maker.starts(episodes[::-1], threads=4)[::-1]
+    for one, two in zip(alone, together, strict=True):
+        np.testing.assert_array_equal(one.qpos, two.qpos)
+        assert (one.plan, one.fallback, one.tries) == (two.plan, two.fallback, two.tries)
+    assert len({start.qpos.tobytes() for start in alone}) == 8
+    other_seed = maker.start(dataclasses.replace(episodes[0], seed=1))
+    assert (other_seed.qpos != alone[0].qpos).any()
+
+
+@pytest.mark.parametrize("subtask", ["pick", "place", "open", "close", "navigate"])
+def test_nothing_is_touched(set_table: Bench, subtask: str):
+    maker = set_table.maker(subtask)
+    for start in maker.starts(set_table.named(4)):
+        if not start.plan.subtasks[0].must_hold and subtask != "place":
+            check_free(set_table, start)
+        robot = start.qpos[set_table.sim.addresses.robot_q]
+        assert np.abs(robot[3:13] - REST_QPOS[3:13]).max() <= ARM_NOISE[1] + 1e-9
+        np.testing.assert_array_equal(robot[[3, 4, 6]], np.array(REST_QPOS)[[3, 4, 6]])
+
+
+def test_pick_finds_its_link_open_and_the_bowl_carried_along(set_table: Bench):
+    sim, a = set_table.sim, set_table.sim.addresses
+    seen: list[float] = []
+    for episode, start in zip(
+        set_table.named(6), set_table.maker("pick", "024_bowl").starts(set_table.named(6)), strict=True
+    ):
+        k = sim.layout.link_ids.index(BOWL_DRAWER)
+        low, high = sim.layout.links[k].link.range
+        drawn = float(start.qpos[a.link_q[k]])
+        assert low + 0.9 * (high - low) <= drawn <= high
+        seen.append(drawn)
+        slot = sim.layout.object_names.index(start.plan.subtasks[0].obj)
+        before, after = (link_frame(set_table, start.home, q) for q in (float(episode.link_q[k]), drawn))
+        own = slice(a.object_q[slot], a.object_q[slot] + 7)
+        np.testing.assert_allclose(
+            pose_mul(pose_inv(after), start.qpos[own]), pose_mul(pose_inv(before), episode.object_pose[slot]), atol=1e-9
+        )
+    assert np.ptp(seen) > 0.005
+
+
+def link_frame(bench: Bench, home: str, q: float) -> np.ndarray:
+    """(7,) pose of the bowl's drawer pulled out by ``q``, from the engine."""
+    model, k = bench.sim.model(home), bench.sim.layout.link_ids.index(BOWL_DRAWER)
+    data = mujoco.MjData(model)
+    data.qpos[bench.sim.addresses.link_q[k]] = q
+    mujoco.mj_kinematics(model, data)
+    body = bench.sim.addresses.link_body[k]
+    return np.concatenate([data.xpos[body], data.xquat[body]])
+
+
+def test_fridge_is_open_for_pick_and_close_and_shut_for_open(set_table: Bench):
+    sim, door = set_table.sim, set_table.sim.layout.link_ids.index(FRIDGE_DOOR)
+    column = sim.addresses.link_q[door]
+    for subtask, target in (("pick", "013_apple"), ("close", FRIDGE_DOOR)):
+        for start in set_table.maker(subtask, target).starts(set_table.named(4)):
+            limit = dict(next(h for h in sim.layout.pack.homes if h.name == start.home).open_limits)
+            assert 0.75 * 2.3 - 1e-9 <= start.qpos[column] <= limit.get(FRIDGE_DOOR, 2.3) + 1e-9
+    for episode, start in zip(
+        set_table.named(4), set_table.maker("open", FRIDGE_DOOR).starts(set_table.named(4)), strict=True
+    ):
+        assert start.qpos[column] == episode.link_q[door] and abs(start.qpos[column]) < 1e-3
+        rows = sim.addresses.object_q[:, None] + np.arange(7)
+        np.testing.assert_array_equal(start.qpos[rows], episode.object_pose)
+
+
+def test_open_and_close_stand_in_the_area_and_face_what_they_open(set_table: Bench):
+    for subtask in ("open", "close"):
+        maker = set_table.maker(subtask)
+        for episode, start in zip(set_table.named(8), maker.starts(set_table.named(8)), strict=True):
+            link = start.plan.subtasks[0].link
+            x_min, x_max, y_min, y_max = start.boxes[link]
+            x, y, _ = base = base_of(set_table, start)
+            assert x_min <= x <= x_max and y_min <= y <= y_max
+            target = next(t for t in episode.targets if t.start_link == link)
+            at = next(p for p in maker.home(start.home).articulations if p.template == link.split("/")[0])
+            root = at.pos if "fridge" in link else set_table.sim.layout.closed_link_origin(maker.home(start.home), link)
+            face = np.array(target.start_pos if subtask == "open" else root)
+            assert heading_error(base, face) <= 0.5 + 1e-9
+
+
+def test_navigate_starts_anywhere_facing_anywhere(tidy_house: Bench):
+    starts = tidy_house.maker("navigate").starts(tidy_house.named(60))
+    bases = np.array([base_of(tidy_house, start) for start in starts])
+    goals = np.array([start.plan.subtasks[0].goal_pos for start in starts])
+    far = np.linalg.norm(bases[:, :2] - goals[:, :2], axis=1)
+    assert (far > 2.5).mean() > 0.3
+    turned = np.histogram(bases[:, 2], bins=4, range=(-np.pi, np.pi))[0]
+    assert turned.sum() == 60 and turned.min() >= 6
+    carrying = [start.plan.subtasks[0].must_hold for start in starts]
+    assert 0.25 < np.mean(carrying) < 0.75
+
+
+def test_groceries_navigate_where_the_leg_before_ended(groceries: Bench):
+    maker = groceries.maker("navigate")
+    starts = maker.starts(groceries.named(30))
+    first = [start for start in starts if start.position == 0]
+    assert first and len(first) < 30
+    for episode, start in zip(groceries.named(30), starts, strict=True):
+        base = base_of(groceries, start)
+        if start.position == 0:
+            middle = maker.sampler.roomiest(start.home)
+            assert np.linalg.norm(base[:2] - middle) <= DOORSTEP_REACH
+            assert abs(base[2]) <= np.pi / 2
+            continue
+        target = episode.targets[start.position // 4]
+        left = target.start_pos if start.position % 4 == 2 else episode.targets[start.position // 4 - 1].goal_pos
+        assert np.linalg.norm(base[:2] - left[:2]) <= MAX_DISTANCE + 1e-9
+        assert heading_error(base, np.array(left)) <= 0.5 + 1e-9
+
+
+def test_navigate_carries_what_the_plan_says(set_table: Bench):
+    maker, a = set_table.maker("navigate"), set_table.sim.addresses
+    opened = set()
+    for start in maker.starts(set_table.named(24)):
+        subtask, leg = start.plan.subtasks[0], start.position % 8
+        link = subtask.link or {0: BOWL_DRAWER, 1: FRIDGE_DOOR}[start.position // 8]
+        stands_open = start.qpos[a.link_q[set_table.sim.layout.link_ids.index(link)]] > 0.1
+        assert stands_open == (leg in (2, 4, 6))
+        opened.add(leg)
+        if subtask.must_hold:
+            slot = set_table.sim.layout.object_names.index(subtask.obj)
+            tcp = maker.sampler.scratch.tcp_pose(start.home, start.qpos)
+            held = start.qpos[a.object_q[slot] : a.object_q[slot] + 3]
+            assert np.linalg.norm(held - tcp[:3]) < 0.15
+    assert opened == {0, 2, 4, 6}
+
+
+def test_crowded_floor_gives_the_nearest_place_and_says_so(set_table: Bench):
+    maker = set_table.maker("open", FRIDGE_DOOR)
+    episode = set_table.named(1)[0]
+    home, layout = maker.home(episode.home), set_table.sim.layout
+    x_min, x_max, y_min, y_max = maker.boxes(home)[FRIDGE_DOOR]
+    grid = np.stack(np.meshgrid(np.linspace(x_min, x_max, 5), np.linspace(y_min, y_max, 5)), axis=-1).reshape(-1, 2)
+    targets = {layout.object_names.index(t.obj) for t in episode.targets}
+    pose = episode.object_pose.copy()
+    for slot, xy in zip((s for s in range(len(pose)) if s not in targets), grid, strict=False):
+        pose[slot] = [*xy, layout.objects[slot].half[2], *quat_from_yaw(np.array(0.3))]
+    start = maker.start(dataclasses.replace(episode, object_pose=pose))
+    assert start.fallback and start.tries == MAX_TRIES
+    assert maker.sampler.scratch.collision_free(start.home, start.qpos)
+    x, y, _ = base_of(set_table, start)
+    assert x_min - 1 <= x <= x_max + 1 and y_min - 1 <= y <= y_max + 1
+    assert not (x_min <= x <= x_max and y_min <= y <= y_max)
+
+
+def test_a_start_that_does_not_hold_its_object_does_not_count(tidy_house: Bench):
+    maker = tidy_house.maker("place")
+    start = maker.start(tidy_house.named(1)[0])
+    slot = tidy_house.sim.layout.object_names.index(start.plan.subtasks[0].obj)
+    column = tidy_house.sim.addresses.object_q[slot]
+    pose = pose_mul(pose_inv(maker.sampler.scratch.tcp_pose(start.home, start.qpos)), start.qpos[column : column + 7])
+    xy = base_of(tidy_house, start)[:2]
+    goal, grip = SpawnGoal(np.array(start.plan.subtasks[0].goal_pos[:2])), (0.5, np.radians(30.0))
+    assert maker.sampler.at(start.home, start.qpos, xy, goal, Held(slot, pose)) is not None
+    away = pose + np.array([0.0, 0.0, 0.5, 0.0, 0.0, 0.0, 0.0])
+    assert maker.sampler.at(start.home, start.qpos, xy, goal, Held(slot, away, grip)) is None

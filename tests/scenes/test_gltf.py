@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from mjhab.core.errors import UsageError
 from mjhab.scenes.gltf import read_glb, read_hulls
-from mjhab.scenes.painting import painted_mesh
+from mjhab.scenes.painting import TEXELS_PER_M, textured_mesh
 from tests.scenes.glb import BOX, BOX_FACES, box_glb, write_glb
 
 QUAD = np.array([[0, 0, 0], [1, 0, 0], [1, 0, 1], [0, 0, 1]], float)
@@ -96,34 +96,53 @@ def test_missing_files_and_other_files_say_so(tmp_path: Path) -> None:
         read_glb(tmp_path / "text.glb")
 
 
-def test_a_textured_quad_is_cut_where_its_picture_changes(tmp_path: Path) -> None:
+def test_a_textured_quad_keeps_its_picture_on_both_sides(tmp_path: Path) -> None:
     image = np.full((64, 64, 3), 200, np.uint8)
-    image[:, :21] = (200, 0, 0)
+    image[:, :32] = (200, 0, 0)
     path = write_glb(tmp_path / "a.glb", [(QUAD, QUAD_FACES)], uv=QUAD_UV, image=image)
-    mesh = painted_mesh(read_glb(path), 600)
-    assert mesh.face_color is not None and len(mesh.faces) > 100
+    mesh = textured_mesh(read_glb(path))
     # A sheet is there twice, once for each side; both sides together have twice its area.
+    assert len(mesh.faces) == 2 * len(QUAD_FACES)
     assert area(mesh.vertices, mesh.faces) == pytest.approx(2.0, rel=1e-5)
-    x = mesh.vertices[mesh.faces].mean(1)[:, 0]
-    red = mesh.face_color[:, 1] < 0.2
-    assert (x[red] < 0.36).all() and red[x < 0.3].all()
-    # Far from the red stripe nothing is cut.
-    corners = mesh.vertices[mesh.faces]
-    assert area(mesh.vertices, mesh.faces[(corners[..., 0] > 0.45).any(axis=1)]) > 1.0
-    assert (corners[..., 0] > 0.6).any(axis=1).sum() < 30
+    assert mesh.uv is not None and mesh.face_texture is not None
+    np.testing.assert_array_equal(mesh.face_texture, 0)
+    np.testing.assert_array_equal(mesh.textures[0], image)
+    # Every corner of both sides keeps its place in the picture.
+    want = {tuple(p): tuple(q) for p, q in zip(QUAD.round(5).tolist(), QUAD_UV.tolist(), strict=True)}
+    for face, uv in zip(mesh.faces, mesh.uv, strict=True):
+        for corner, place in zip(mesh.vertices[face].round(5).tolist(), uv, strict=True):
+            np.testing.assert_allclose(place, want[tuple(corner)], atol=1e-6)
+
+
+def test_textures_become_no_finer_than_can_be_seen(tmp_path: Path) -> None:
+    image = np.zeros((64, 128, 3), np.uint8)
+    image[::2] = 100
+    small = write_glb(tmp_path / "a.glb", [(QUAD * 0.02, QUAD_FACES)], uv=QUAD_UV, image=image)
+    (shrunk,) = textured_mesh(read_glb(small)).textures
+    assert shrunk.shape == (16, 32, 3) and (shrunk == 50).all()
+    # 16 x 32 texels on 2 cm: the next finer picture would be above the limit.
+    assert np.sqrt(16 * 32) / 0.02 < TEXELS_PER_M < np.sqrt(32 * 64) / 0.02
+
+
+def test_odd_textures_are_brought_to_powers_of_two(tmp_path: Path) -> None:
+    image = np.full((50, 700, 3), 77, np.uint8)
+    path = write_glb(tmp_path / "a.glb", [(QUAD, QUAD_FACES)], uv=QUAD_UV, image=image)
+    texture = read_glb(path)[0].texture
+    assert texture is not None and texture.shape == (32, 512, 3) and (texture == 77).all()
 
 
 def test_closed_bodies_are_drawn_from_outside_only(tmp_path: Path) -> None:
-    mesh = painted_mesh(read_glb(box_glb(tmp_path / "a.glb", (1, 1, 1))), 500)
-    assert len(mesh.faces) == 12
+    mesh = textured_mesh(read_glb(box_glb(tmp_path / "a.glb", (1, 1, 1))))
+    assert len(mesh.faces) == 12 and not mesh.textures
     assert mesh.face_color is not None and np.allclose(mesh.face_color, 1.0)
 
 
 def test_texture_transform_moves_the_picture(tmp_path: Path) -> None:
     image = np.zeros((4, 4, 3), np.uint8)
-    image[:, 2:] = 255
     moved = write_glb(
         tmp_path / "a.glb", [(QUAD, QUAD_FACES)], uv=QUAD_UV * 0.4, image=image, transform={"offset": [0.55, 0.0]}
     )
-    color = painted_mesh(read_glb(moved), 0).face_color
-    assert color is not None and np.allclose(color, 1.0)
+    uv = textured_mesh(read_glb(moved)).uv
+    assert uv is not None
+    np.testing.assert_allclose([uv[..., 0].min(), uv[..., 0].max()], [0.55, 0.95], atol=1e-6)
+    np.testing.assert_allclose([uv[..., 1].min(), uv[..., 1].max()], [0.0, 0.4], atol=1e-6)

@@ -9,8 +9,9 @@ from mjhab.core.errors import UsageError
 from mjhab.scenes.materials import Material
 from mjhab.scenes.meshes import Mesh
 from mjhab.scenes.spec import Geom, Light
-from mjhab.sim.build_scene import SceneBuilder, corner_normals, primitive_mesh
+from mjhab.sim.build_scene import SceneBuilder, primitive_mesh
 from mjhab.sim.gl_probe import GL_BACKENDS, best_renderer, renderer_probe
+from mjhab.sim.mesh_levels import corner_normals
 from mjhab.sim.rasterizer import Rasterizer, look_at
 
 SIZE = (96, 64)
@@ -285,6 +286,28 @@ def test_mesh_colors_become_materials():
     builder.add_world_instance(0, (3.0, 0.0, 0.0), seg="green")
     r, g, b = draw(builder, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0))["rgb"][0, SIZE[1] // 2, SIZE[0] // 2].astype(int)
     assert g > 80 and g > 3 * r and g > 3 * b
+
+
+def test_a_world_looks_the_same_in_any_batch_and_with_any_outputs():
+    # Threads take worlds in portions: what a thread drew before must not show.
+    eye, target = (3.0, 2.0, 2.0), (0.0, 0.0, 0.8)
+    many = draw(crowded(), eye, target, homes=(0, 1) * 9, threads=2)
+    for home in (0, 1):
+        alone = draw(crowded(), eye, target, homes=(home,), outputs=("rgb",))["rgb"][0]
+        for world in range(home, 18, 2):
+            np.testing.assert_array_equal(many["rgb"][world], alone)
+
+
+def test_corners_are_darker_than_open_floor():
+    builder = SceneBuilder(1)
+    builder.add_world_geom(Geom("box", (3.0, 3.0, 0.1), (0.0, 0.0, -0.1)), seg="floor")
+    bare = draw(builder, (0.0, -1.0, 0.8), (0.0, 0.0, 0.0))["rgb"][0].astype(int)
+    builder.add_world_geom(Geom("box", (0.2, 0.2, 0.3), (0.0, 0.3, 0.3)), seg="crate")
+    image = draw(builder, (0.0, -1.0, 0.8), (0.0, 0.0, 0.0))
+    floor = image["seg"][0] == builder.segment("floor")
+    darker = bare[floor].mean(axis=1) - image["rgb"][0][floor].astype(int).mean(axis=1)
+    assert (darker > 12).sum() > 30, "at the foot of the crate"
+    assert np.median(darker) < 2, "and nowhere else"
 
 
 def test_bad_input_is_named():

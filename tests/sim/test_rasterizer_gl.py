@@ -1,10 +1,16 @@
-"""The rasterizer against MuJoCo's own OpenGL renderer, on machines that have one."""
+"""The rasterizer against MuJoCo's own OpenGL renderer, on machines that have one.
+
+Where none works the test warns (``no OpenGL here``) and checks only that the probe says so: there
+``test_rasterizer_rays.py`` and ``test_rasterizer_golden.py`` are the oracles. Where one works its name is printed and
+stored as the property ``opengl`` of the test suite.
+"""
 
 from __future__ import annotations
 
 import os
 import subprocess
 import sys
+import warnings
 
 import numpy as np
 
@@ -55,9 +61,24 @@ def scene_xml() -> str:
     )
 
 
-def test_depth_and_seg_agree_with_mujoco_where_opengl_works(tmp_path):
+def away_from_edges(seg: np.ndarray) -> np.ndarray:
+    """Pixels (h, w) whose four neighbours see the same."""
+    inner = np.ones(seg.shape, bool)
+    for axis in (0, 1):
+        change = np.diff(seg, axis=axis) != 0
+        for pad in ((0, 1), (1, 0)):
+            pads = [(0, 0), (0, 0)]
+            pads[axis] = pad
+            inner &= ~np.pad(change, pads)
+    return inner
+
+
+def test_depth_and_seg_agree_with_mujoco_where_opengl_works(tmp_path, record_testsuite_property):
     backend = best_renderer()
+    record_testsuite_property("opengl", backend if backend in GL_BACKENDS else "none")
+    print(f"OpenGL: compared with {backend}")
     if backend not in GL_BACKENDS:
+        warnings.warn("no OpenGL here: the rasterizer was not compared with mujoco.Renderer", stacklevel=1)
         assert backend == "rasterizer" and not any(renderer_probe()[name] for name in GL_BACKENDS)
         return
     file = tmp_path / "gl.npz"
@@ -76,7 +97,8 @@ def test_depth_and_seg_agree_with_mujoco_where_opengl_works(tmp_path):
     )
     with np.load(file) as gl:
         alike = own["seg"][0, 0] == gl["seg"]
-        assert alike.mean() > 0.998
+        # OpenGL snaps corners to a 256th of a pixel: at edges the two may differ.
+        assert alike[away_from_edges(gl["seg"])].mean() >= 0.999 and alike.mean() > 0.99
         hit = alike & (gl["seg"] > 0)
         error = np.abs(own["depth"][0, 0] - gl["depth"])[hit]
         assert np.median(error) < 1e-4 and np.quantile(error, 0.99) < 2e-3

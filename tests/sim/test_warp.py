@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import copy
 import os
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -17,9 +17,10 @@ from mjhab.core.errors import UsageError
 from mjhab.scenes.fetch import REST_QPOS
 from mjhab.scenes.layout import Layout
 from mjhab.scenes.packs import open_pack
+from mjhab.scenes.spec import Home
 from mjhab.sim.cpu import CpuSimulator
 from mjhab.sim.protocol import TAINTS
-from mjhab.sim.settle import parked_robot_qpos
+from mjhab.sim.settle import parked_robot_qpos, settle
 
 if not os.environ.get("CI"):
     # In CI the engine must be there: the tests then fail rather than pass unseen.
@@ -53,13 +54,19 @@ def shared(warp: ModuleType, layout: Layout):
     return warp.WarpSimulator(layout, WORLDS, "cpu")
 
 
+def chosen(layout: Layout) -> list[Home]:
+    """The home of each world: with other rooms, not only other furniture."""
+    homes = layout.pack.homes
+    return [homes[0], homes[len(homes) // 2], homes[-1]]
+
+
 def homes_of(layout: Layout, count: int = WORLDS) -> list[str]:
-    return [home.name for home in layout.pack.homes[:count]]
+    return [home.name for home in chosen(layout)[:count]]
 
 
-def on_table(layout: Layout, home: int) -> np.ndarray:
-    """A point (3,) on the first dining table of a home."""
-    at = next(p for p in layout.pack.homes[home].props if p.template == "table_01")
+def on_table(layout: Layout, world: int) -> np.ndarray:
+    """A point (3,) on the first dining table of a world's home."""
+    at = next(p for p in chosen(layout)[world].props if p.template == "table_01")
     return np.array([at.pos[0], at.pos[1], layout.pack.props["table_01"].receptacles[0].pos[2]])
 
 
@@ -74,13 +81,15 @@ def starts(cpu: CpuSimulator, drop: float = 0.0) -> np.ndarray:
     for i, home in enumerate(homes_of(cpu.layout)):
         qpos = cpu.model(home).qpos0.copy()
         qpos[cpu.addresses.robot_q] = parked_robot_qpos()
-        put(cpu, qpos, CAN, on_table(cpu.layout, i) + [0, 0, cpu.layout.objects[CAN].half[2] + drop])
+        put(cpu, qpos, CAN, on_table(cpu.layout, i) + [0, 0, cpu.layout.objects[CAN].half[2]])
+        qpos = settle(cpu.model(home), cpu.addresses, qpos)[0]
+        qpos[cpu.addresses.object_q[CAN] + 2] += drop
         rows.append(qpos)
     return np.stack(rows)
 
 
 def holding(cpu: CpuSimulator, home: str) -> tuple[np.ndarray, np.ndarray]:
-    """A state (nq,) with the can between the open fingers of a robot far outside, and the ctrl (nu,) that closes them."""
+    """A state (nq,) with the can held by a robot far outside, and the ctrl (nu,) that holds it."""
     model, a = cpu.model(home), cpu.addresses
     data = mujoco.MjData(model)
     robot = parked_robot_qpos()
@@ -92,7 +101,9 @@ def holding(cpu: CpuSimulator, home: str) -> tuple[np.ndarray, np.ndarray]:
     mujoco.mju_mulQuat(turn, data.xquat[body], np.array([np.sqrt(0.5), 0, -np.sqrt(0.5), 0]))
     start = a.object_q[CAN]
     data.qpos[start : start + 7] = [*data.xpos[body], *turn]
-    return data.qpos.copy(), hold(cpu, data.qpos, fingers=-0.01)
+    ctrl = data.ctrl[:] = hold(cpu, data.qpos, fingers=-0.01)
+    mujoco.mj_step(model, data, 150)
+    return data.qpos.copy(), ctrl.copy()
 
 
 def hold(cpu: CpuSimulator, qpos: np.ndarray, fingers: float | None = None) -> np.ndarray:
@@ -147,36 +158,34 @@ def test_forces_of_a_grasp_agree_with_the_cpu_simulator(shared, cpu: CpuSimulato
     qpos, ctrl = holding(cpu, home)
     for sim in (shared, cpu):
         sim.reset(range(WORLDS), [home] * WORLDS, np.tile(qpos, (WORLDS, 1)))
-        for _ in range(10):
-            sim.step(np.tile(ctrl, (WORLDS, 1)))
-    got, want = shared.state(), cpu.state()
-    pinch = np.linalg.norm(want.finger_force[0, :, CAN], axis=-1)
-    assert (pinch > 5.0).all()
-    np.testing.assert_allclose(got.finger_force, want.finger_force, atol=0.02 * pinch.max())
-    np.testing.assert_allclose(got.link_force, want.link_force, atol=0.02 * pinch.max())
-    np.testing.assert_array_equal(got.touch, want.touch)
-    assert got.touch[0, CAN] and not got.touch[0, BOX]
-
-
-def test_link_forces_and_touch_agree_where_the_robot_leans_on_things(shared, cpu: CpuSimulator, layout: Layout) -> None:
-    # The base drives the arm and the torso into the table and the can on it.
-    qpos = starts(cpu)
-    reach = np.array(REST_QPOS)
-    reach[:2] = on_table(layout, 0)[:2] - [0.75, 0.0]
-    qpos[0, cpu.addresses.robot_q] = reach
-    ctrl = np.stack([hold(cpu, q) for q in qpos])
-    ctrl[0, 0] = 0.3
-    touched = 0
-    for sim in (shared, cpu):
-        sim.reset(range(WORLDS), homes_of(layout), qpos)
-    for _ in range(8):
+    # Which points stand for the contact of a lid with a palm is arbitrary: moved by 9 m, C MuJoCo itself differs by 6 %.
+    limit = 0.1
+    for steps in (0, 1, 9):
         for sim in (shared, cpu):
-            sim.step(ctrl)
+            for _ in range(steps):
+                sim.step(np.tile(ctrl, (WORLDS, 1)))
         got, want = shared.state(), cpu.state()
-        scale = max(1.0, float(want.link_force.max()))
-        np.testing.assert_allclose(got.link_force, want.link_force, atol=0.1 * scale)
-        touched += int((want.link_force[0] > 1.0).any())
-    assert touched > 0
+        pinch = np.linalg.norm(want.finger_force[0, :, CAN], axis=-1)
+        assert (pinch > 20.0).all()
+        np.testing.assert_allclose(got.finger_force, want.finger_force, atol=limit * pinch.max())
+        np.testing.assert_allclose(got.link_force, want.link_force, atol=limit * pinch.max())
+        np.testing.assert_array_equal(got.touch, want.touch)
+        assert got.touch[0, CAN] and not got.touch[0, BOX]
+
+
+def test_forces_agree_where_the_robot_is_in_the_thick_of_things(shared, cpu: CpuSimulator, layout: Layout) -> None:
+    from mjhab.sim.warp_sizes import stress
+
+    homes = homes_of(layout)
+    qpos = np.stack(
+        [stress(layout, home, cpu.model(home.name), cpu.addresses, i).states[0][0] for i, home in enumerate(chosen(layout))]
+    )
+    for sim in (shared, cpu):
+        sim.reset(range(WORLDS), homes, qpos)
+    got, want = shared.state(), cpu.state()
+    assert (want.link_force > 1.0).sum() >= WORLDS
+    np.testing.assert_allclose(got.link_force, want.link_force, rtol=0.05, atol=0.02 * want.link_force.max())
+    np.testing.assert_array_equal(got.touch, want.touch)
 
 
 # -- homes -----------------------------------------------------------------------------------------------------------
@@ -210,6 +219,9 @@ def test_a_world_moves_to_another_home(shared, cpu: CpuSimulator, layout: Layout
 def test_every_home_differs_only_in_rows_that_worlds_have_of_their_own(shared, cpu: CpuSimulator, layout: Layout):
     for home in layout.pack.homes[::10]:
         shared.engine.homes.row(home.name, cpu.model(home.name))
+    narrow = copy.copy(cpu.model(homes_of(layout)[0]))
+    narrow.jnt_range[-5] *= 0.5
+    shared.engine.homes.row("narrow", narrow)
     odd = copy.copy(cpu.model(homes_of(layout)[0]))
     odd.geom_friction[3] += 0.1
     with pytest.raises(ValueError, match="geom_friction"):
@@ -266,16 +278,30 @@ def test_worlds_are_saved_and_restored(shared, cpu: CpuSimulator, layout: Layout
     shared.reset(range(WORLDS), homes, qpos)
     shared.step(ctrl)
     saved = shared.get_world(1)
-    shared.set_world(0, homes[1], saved)
-    ctrl[0] = ctrl[1]
+    for world in (0, 2):
+        shared.set_world(world, homes[1], saved)
+        ctrl[world] = ctrl[1]
     for _ in range(2):
         shared.step(ctrl)
-    np.testing.assert_array_equal(shared.qpos[0], shared.qpos[1])
+    # The restored worlds are awake, in the other something may have fallen asleep.
+    assert rows_of(shared, 0) == rows_of(shared, 2)
+    np.testing.assert_allclose(shared.qpos[0], shared.qpos[1], atol=1e-6)
     with pytest.raises(UsageError, match="another layout: qpos"):
         shared.set_world(0, homes[1], saved | {"qpos": np.zeros(5)})
 
 
 # -- sleep -----------------------------------------------------------------------------------------------------------
+
+
+def test_what_lies_still_starts_asleep_and_what_falls_does_not(shared, cpu: CpuSimulator, layout: Layout) -> None:
+    qpos = starts(cpu, drop=0.05)
+    qpos[0] = starts(cpu)[0]
+    shared.reset(range(WORLDS), homes_of(layout), qpos)
+    model = cpu.model(homes_of(layout)[0])
+    can, box = (int(model.body_treeid[cpu.addresses.object_body[slot]]) for slot in (CAN, BOX))
+    assert (shared.engine.asleep_t[:, box] >= 0).all()
+    assert [int(counter) >= 0 for counter in shared.engine.asleep_t[:, can]] == [True, False, False]
+    assert shared.engine.data.nv_awake.numpy().tolist() == [15, 21, 21]
 
 
 def test_trap_a_teleport_wakes_what_it_moves_and_nothing_else(shared, cpu: CpuSimulator, layout: Layout) -> None:
@@ -302,6 +328,26 @@ def test_trap_a_teleport_wakes_what_it_moves_and_nothing_else(shared, cpu: CpuSi
     assert int(shared.engine.asleep_t[1, box]) >= 0
 
 
+def test_a_teleport_wakes_what_lay_on_what_it_moves(shared, cpu: CpuSimulator, layout: Layout) -> None:
+    # The box stands on the can.
+    model = cpu.model(homes_of(layout)[1])
+    can, box = (int(model.body_treeid[cpu.addresses.object_body[slot]]) for slot in (CAN, BOX))
+    qpos = starts(cpu)
+    top = layout.objects[CAN].half[2] + layout.objects[BOX].half[2]
+    put(cpu, qpos[1], BOX, qpos[1][cpu.addresses.object_q[CAN] :][:3] + [0.0, 0.0, top])
+    qpos[1] = settle(model, cpu.addresses, qpos[1])[0]
+    shared.reset(range(WORLDS), homes_of(layout), qpos)
+    assert (shared.engine.asleep_t[1, [can, box]] >= 0).all()
+    away = qpos[1].copy()
+    away[cpu.addresses.object_q[CAN]] += 5.0
+    shared.write_qpos(1, away)
+    assert (shared.engine.asleep_t[1, [can, box]] < 0).all()
+    height = float(shared.state().object_pose[1, BOX, 2])
+    for _ in range(2):
+        shared.step(np.stack([hold(cpu, q) for q in qpos]))
+    assert float(shared.state().object_pose[1, BOX, 2]) < height - 0.02
+
+
 def test_a_teleport_stops_the_robot(shared, cpu: CpuSimulator, layout: Layout) -> None:
     qpos = starts(cpu)
     shared.reset(range(WORLDS), homes_of(layout), qpos)
@@ -315,37 +361,55 @@ def test_a_teleport_stops_the_robot(shared, cpu: CpuSimulator, layout: Layout) -
 # -- taint -----------------------------------------------------------------------------------------------------------
 
 
-def test_trap_overflow_of_contacts_taints(warp: ModuleType, cpu: CpuSimulator, layout: Layout) -> None:
-    sizes = warp.BufferSizes(contacts=6, ccd=6, rows=200)
-    sim = warp.WarpSimulator(layout, 2, "cpu", sizes=sizes)
-    sim.reset(range(2), homes_of(layout, 2), starts(cpu)[:2])
-    sim.step(np.zeros((2, 15)))
-    assert all("contact_overflow" in names for names in bits_of(sim.taint()))
+@pytest.mark.parametrize("buffer", ["naconmax", "naccdmax"])
+def test_trap_overflow_of_contacts_taints_until_the_reset(
+    shared, cpu: CpuSimulator, layout: Layout, buffer: str
+) -> None:
+    # Can and box have just landed; there are more points of contact than pairs that may touch.
+    data, qpos = shared.engine.data, starts(cpu, drop=0.001)
+    qpos[:, cpu.addresses.object_q[BOX] + 2] += 0.001
+    ctrl = np.stack([hold(cpu, q) for q in qpos])
+    shared.reset(range(WORLDS), homes_of(layout), qpos)
+    shared.step(ctrl)
+    contacts, pairs = int(data.nacon.numpy()[0]), int(shared.engine.pairs_peak.numpy()[0])
+    assert pairs < contacts and not shared.taint().any()
+    whole = getattr(data, buffer)
+    setattr(data, buffer, contacts - 1 if buffer == "naconmax" else 1)
+    try:
+        shared.step(ctrl)
+    finally:
+        setattr(data, buffer, whole)
+    tainted = [names == {"contact_overflow"} for names in bits_of(shared.taint())]
+    # A full contact buffer is everybody's loss; in convex collision the engine knows who lost.
+    assert all(tainted) if buffer == "naconmax" else any(tainted)
+    shared.reset(range(WORLDS), homes_of(layout), qpos)
+    shared.step(ctrl)
+    assert not shared.taint().any()
 
 
 def test_trap_overflow_of_pairs_taints_though_the_engine_says_nothing(
     shared, cpu: CpuSimulator, layout: Layout
 ) -> None:
-    data = shared.engine.data
-    shared.reset(range(WORLDS), homes_of(layout), starts(cpu))
-    ctrl = np.stack([hold(cpu, q) for q in starts(cpu)])
+    # Of the pairs, those beyond the limit are dropped; what is left of them gives few contacts, so nothing else is full.
+    data, qpos = shared.engine.data, starts(cpu, drop=0.03)
+    ctrl = np.stack([hold(cpu, q) for q in qpos])
+    shared.reset(range(WORLDS), homes_of(layout), qpos)
     shared.step(ctrl)
-    whole = data.naconmax
-    pairs = int(shared.engine.pairs_peak.numpy()[0])
+    whole, pairs = data.naconmax, int(shared.engine.pairs_peak.numpy()[0])
     assert 1 < pairs < whole and not shared.taint().any()
+    shared.reset(range(WORLDS), homes_of(layout), qpos)
     data.naconmax = pairs - 1
     try:
         shared.step(ctrl)
-        missed = [int(bits) & 6 for bits in data.overflow.numpy()]
     finally:
         data.naconmax = whole
-    assert all("contact_overflow" in names for names in bits_of(shared.taint()))
-    del missed
+    assert not data.overflow.numpy().any()
+    assert all(names == {"contact_overflow"} for names in bits_of(shared.taint()))
 
 
 def test_trap_overflow_of_constraint_rows_taints(warp: ModuleType, cpu: CpuSimulator, layout: Layout) -> None:
     sim = warp.WarpSimulator(layout, 1, "cpu", sizes=warp.BufferSizes(contacts=200, ccd=100, rows=20))
-    sim.reset([0], homes_of(layout, 1), starts(cpu)[:1])
+    sim.reset([0], homes_of(layout, 1), starts(cpu, drop=0.001)[:1])
     sim.step(np.zeros((1, 15)))
     assert "constraint_overflow" in bits_of(sim.taint())[0]
 
@@ -361,19 +425,21 @@ def test_trap_nan_is_found_mended_and_stays_in_its_world(shared, cpu: CpuSimulat
         shared.step(ctrl)
         assert shared.broken().tolist() == [False, breaks, False]
         if breaks:
+            # Else it would overlap with everything and fill the buffers of all worlds.
+            assert shared.state().body_pos.isfinite().all()
             shared.mend([1], homes[1:2], shared.qpos[1:2])
             assert shared.broken().tolist() == [False] * WORLDS
         shared.step(ctrl)
         ends.append([rows_of(shared, world) for world in (0, 2)])
     assert ends[0] == ends[1]
-    assert bits_of(shared.taint()) == [set(), {"nan"}, set()]
-    assert np.isfinite(shared.state().body_pos).all() and np.isfinite(shared.qpos).all()
+    assert [("nan" in names) for names in bits_of(shared.taint())] == [False, True, False]
+    assert shared.state().body_pos.isfinite().all() and shared.qpos.isfinite().all()
 
 
 def test_deep_penetration_is_flagged_in_its_world(shared, cpu: CpuSimulator, layout: Layout) -> None:
     qpos = starts(cpu)
     robot = np.array(REST_QPOS)
-    robot[:2] = layout.pack.homes[1].walls[0].pos[:2]
+    robot[:2] = chosen(layout)[1].walls[0].pos[:2]
     qpos[1, cpu.addresses.robot_q] = robot
     shared.reset(range(WORLDS), homes_of(layout), qpos)
     shared.step(np.zeros((WORLDS, 15)))
@@ -399,11 +465,43 @@ def test_buffer_sizes_are_measured_once_and_hold_the_stress(
     many = warp_sizes.buffer_sizes(layout, cpu.model, cpu.addresses, 100 * WORLDS, shared.device)
     assert sizes.contacts < many.contacts < 100 * sizes.contacts and many.rows == sizes.rows
     home = layout.pack.homes[0]
-    states, rows = warp_sizes.stress(layout, home, cpu.model(home.name), cpu.addresses, 7)
-    assert rows <= sizes.rows
-    shared.reset(range(WORLDS), [home.name] * WORLDS, np.stack(states[:WORLDS]))
+    run = warp_sizes.stress(layout, home, cpu.model(home.name), cpu.addresses, 70)
+    assert run.rows <= sizes.rows and len(run.states) < WORLDS
+    qpos = np.stack([*(qpos for qpos, _ in run.states), starts(cpu)[0]])
+    shared.reset(range(WORLDS), [home.name] * WORLDS, qpos)
     shared.step(np.zeros((WORLDS, 15)))
     assert not {"contact_overflow", "constraint_overflow", "nan"} & set().union(*bits_of(shared.taint()))
+
+
+def test_work_is_captured_once_replayed_and_captured_anew_when_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    from mjhab.sim import warp_graphs
+
+    log: list[str] = []
+
+    class Capture:
+        def __init__(self, device: object) -> None:
+            self.graph = f"graph {len(log)}"
+
+        def __enter__(self) -> Capture:
+            log.append("capture")
+            return self
+
+        def __exit__(self, *error: object) -> None:
+            log.append("end")
+
+    monkeypatch.setattr(warp_graphs.wp, "ScopedCapture", Capture)
+    monkeypatch.setattr(warp_graphs.wp, "capture_launch", log.append)
+    graphs = warp_graphs.Graphs(SimpleNamespace(is_cuda=True))
+    for _ in range(3):
+        graphs.run("step", lambda: log.append("work"))
+    first = ["work", "capture", "work", "end"]
+    assert log == [*first, "graph 1", "graph 1"]
+    graphs.forget()
+    graphs.run("step", lambda: log.append("work"))
+    assert log[6:] == first
+    plain = warp_graphs.Graphs(SimpleNamespace(is_cuda=False))
+    plain.run("step", lambda: log.append("called"))
+    assert log[10:] == ["called"]
 
 
 def test_bad_arguments(warp: ModuleType, layout: Layout) -> None:

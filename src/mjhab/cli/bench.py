@@ -13,6 +13,7 @@ from mjhab.cli.doctor import cores
 from mjhab.cli.env_options import BenchEnvOptions, BenchRewardOptions, BenchSoakOptions
 from mjhab.cli.options import BenchGraspOptions, BenchSimOptions
 from mjhab.cli.output import at_least, print_json, print_table
+from mjhab.cli.spawn_options import BenchSpawnOptions
 from mjhab.core.errors import unknown_name
 from mjhab.rollout.policy import ACTION_SIZE
 from mjhab.tasks.plan import TASKS
@@ -29,6 +30,10 @@ def run_bench(options: Any) -> int:
         from mjhab.cli.bench_env import bench_env
 
         return bench_env(options)
+    if isinstance(options, BenchSpawnOptions):
+        from mjhab.cli.spawns import bench_spawn
+
+        return bench_spawn(options)
     if isinstance(options, BenchSoakOptions):
         from mjhab.cli.bench_soak import bench_soak
 
@@ -77,7 +82,7 @@ def measure_sps(env: Any, steps: int, rounds: int, seed: int) -> dict[str, Any]:
     commands; then the environment and the engine under those commands run them again, timed, in turn.
 
     Args:
-        env: env with autoreset disabled, ``ctrl`` (the last commands) and ``bare_step(ctrl)``.
+        env: env with autoreset disabled, ``ctrl`` (the last commands) and a simulator with ``bare_step(ctrl)``.
         steps: control steps per block.
         rounds: rounds; the medians of their times count.
         seed: seed of the episodes and of the motions.
@@ -103,7 +108,7 @@ def measure_sps(env: Any, steps: int, rounds: int, seed: int) -> dict[str, Any]:
             commands.append(env.ctrl)
         for name in ("engine", "env") if number % 2 else ("env", "engine"):
             begin()
-            call, inputs = (env.step, actions) if name == "env" else (env.bare_step, commands)
+            call, inputs = (env.step, actions) if name == "env" else (env.sim.bare_step, commands)
             times[name].append(_seconds(call, inputs))
     engine, whole = (worlds * steps / median(times[name]) for name in ("engine", "env"))
     return {

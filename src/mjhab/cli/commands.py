@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
+from mjhab.cli import data_options as data
 from mjhab.cli import env_options as env
 from mjhab.cli import options as opt
+from mjhab.cli import spawn_options as spawn
 from mjhab.cli.options import Sub
 
 
@@ -18,6 +20,7 @@ class BenchCommand:
         Annotated[opt.BenchSimOptions, Sub("sim")]
         | Annotated[opt.BenchGraspOptions, Sub("grasp")]
         | Annotated[env.BenchEnvOptions, Sub("env")]
+        | Annotated[spawn.BenchSpawnOptions, Sub("spawn")]
         | Annotated[env.BenchSoakOptions, Sub("soak")]
         | Annotated[env.BenchRewardOptions, Sub("reward")]
     )
@@ -29,6 +32,9 @@ Command = (
     | Annotated[opt.HomesCommand, Sub("homes")]
     | Annotated[opt.AssetsCommand, Sub("assets")]
     | Annotated[opt.EpisodesCommand, Sub("episodes")]
+    | Annotated[spawn.SpawnsCommand, Sub("spawns")]
     | Annotated[BenchCommand, Sub("bench")]
+    | Annotated[data.DataCommand, Sub("data")]
+    | Annotated[data.LabelOptions, Sub("label")]
     | Annotated[opt.DoctorOptions, Sub("doctor")]
 )

@@ -31,8 +31,10 @@ from mjhab.rollout.records import EpisodeRecord
 _MOST_ROWS = 20
 
 
-def run_data(command: DataCommand) -> int:
-    """Run a parsed ``mjhab data`` command; returns the exit code."""
+def run_data(command: DataCommand | LabelOptions) -> int:
+    """Run a parsed ``mjhab data`` or ``mjhab label`` command; returns the exit code."""
+    if isinstance(command, LabelOptions):
+        return _label(command)
     options = command.command
     runners = {
         DataQueryOptions: _query, DataStatsOptions: _stats, DataMergeOptions: _merge, DataSplitOptions: _split,
@@ -70,9 +72,7 @@ def _query(options: DataQueryOptions) -> int:
         print_table("Episodes", list(rows[0]), [list(row.values()) for row in rows])
     print(f"{len(found.matched)} of {found.of} episodes")
     if found.tainted:
-        print(
-            f"{found.tainted} more were left out because they are tainted; a filter that says `tainted` decides itself"
-        )
+        print(f"{found.tainted} more are tainted and left out; a filter that speaks of `tainted` decides itself")
     return 0
 
 
@@ -89,8 +89,14 @@ def _stats(options: DataStatsOptions) -> int:
     if options.json:
         print_json(numbers)
         return 0
-    columns = ("task", "subtask", "target", "episodes", "success %", "median N", "largest N", "labels")
+    columns = ("task", "subtask", "target", "episodes", "success %", "median N", "largest N")
     print_table("Recorded episodes", columns, [_stats_row(row) for row in numbers["rows"]])
+    labels = [
+        (row["task"], row["subtask"], row["target"], label or "none", count)
+        for row in numbers["rows"]
+        for label, count in row["labels"].items()
+    ]
+    print_table("Labels", ("task", "subtask", "target", "label", "subtasks"), labels)
     print(
         f"{numbers['episodes']} of {numbers['of']} episodes, {numbers['steps']:,} steps, {numbers['tainted']} tainted; "
         f"{numbers['shards']} shards, {numbers['bytes']:,} bytes, {numbers['bytes_per_episode']:,} per episode"
@@ -99,11 +105,10 @@ def _stats(options: DataStatsOptions) -> int:
 
 
 def _stats_row(row: Mapping[str, Any]) -> tuple[object, ...]:
-    labels = ", ".join(f"{name or 'none'} {count}" for name, count in row["labels"].items())
     force = row["max_force"]
     success = round(100 * row["success_once"], 1)
     head = (row["task"], row["subtask"], row["target"], row["episodes"])
-    return (*head, success, force["median"], force["max"], labels)
+    return (*head, success, force["median"], force["max"])
 
 
 def _merge(options: DataMergeOptions) -> int:
@@ -145,8 +150,7 @@ def _parts(words: tuple[str, ...]) -> dict[str, float]:
 
 
 def _check(options: DataCheckOptions) -> int:
-    total = sum(path.stat().st_size for path in shard_paths(options.places)) // 100_000
-    with progress_bar("checking", total) as advance:
+    with progress_bar("checking", len(shard_paths(options.places))) as advance:
         report = check(options.places, advance)
     damaged = [(str(path), name, "; ".join(wrong)) for (path, name), wrong in report.damaged.items()]
     unreadable = [(str(path), "", wrong) for path, wrong in report.unreadable.items()]
@@ -201,8 +205,7 @@ def _fields(options: DataFieldsOptions) -> int:
     return 0
 
 
-def run_label(options: LabelOptions) -> int:
-    """Run ``mjhab label``; returns the exit code."""
+def _label(options: LabelOptions) -> int:
     episodes = subtasks = 0
     changes: list[tuple[str, ...]] = []
     for path in shard_paths(options.places):
@@ -224,9 +227,8 @@ def run_label(options: LabelOptions) -> int:
         columns = ("episode", "subtask", "what", "recorded", "now")
         print_table("Changes", columns, changes[:_MOST_ROWS])
     written = " (written)" if options.write and changes else ""
-    print(
-        f"{episodes} episodes, {subtasks} subtasks: {labels} labels and {len(changes) - labels} other things changed{written}"
-    )
+    others = len(changes) - labels
+    print(f"{episodes} episodes, {subtasks} subtasks: {labels} labels and {others} other things changed{written}")
     return 0
 
 

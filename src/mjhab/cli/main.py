@@ -11,8 +11,10 @@ import tyro
 
 import mjhab
 from mjhab.cli import commands
+from mjhab.cli import data_options as data
 from mjhab.cli import env_options as env
 from mjhab.cli import options as opt
+from mjhab.cli import spawn_options as spawn
 from mjhab.core.errors import MjhabError, UsageError
 
 DESCRIPTION = f"""mjhab {mjhab.__version__}: home assistant tasks with low-level whole-body control, on MuJoCo.
@@ -26,6 +28,9 @@ Parsed = (
     | opt.HomesCommand
     | opt.AssetsCommand
     | opt.EpisodesCommand
+    | spawn.SpawnsCommand
+    | data.DataCommand
+    | data.LabelOptions
     | commands.BenchCommand
     | opt.DoctorOptions
 )
@@ -97,6 +102,14 @@ def run(command: Parsed) -> int:
         from mjhab.cli.episodes import run_episodes
 
         return run_episodes(command.command)
+    if isinstance(command, spawn.SpawnsCommand):
+        from mjhab.cli.spawns import run_spawns
+
+        return run_spawns(command.command)
+    if isinstance(command, data.DataCommand | data.LabelOptions):
+        from mjhab.cli.data import run_data
+
+        return run_data(command)
     if isinstance(command, commands.BenchCommand):
         from mjhab.cli.bench import run_bench
 

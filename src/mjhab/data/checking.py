@@ -50,7 +50,7 @@ class Repair:
     kept_as: Path | None
 
 
-def check(places: Path | Sequence[Path], on_episode: Callable[[], object] | None = None) -> CheckReport:
+def check(places: Path | Sequence[Path], on_shard: Callable[[], object] | None = None) -> CheckReport:
     """Read every byte of every episode and compare it with its digest and with the schema.
 
     Raises:
@@ -69,10 +69,10 @@ def check(places: Path | Sequence[Path], on_episode: Callable[[], object] | None
                     wrong = shard.problems(name)
                     if wrong:
                         report.damaged[path, name] = wrong
-                    if on_episode is not None:
-                        on_episode()
         except DamagedError as error:
             report.unreadable[path] = str(error)
+        if on_shard is not None:
+            on_shard()
     report.ok = report.episodes - len(report.damaged)
     report.doubled = sorted(name for name, times in seen.items() if times > 1)
     return report

@@ -21,9 +21,10 @@ class RunInfo:
     """What made an episode, as plain JSON data. Episodes of equal ``config``, seed and index are the same episode.
 
     config: what decides what happens in an episode besides its seed and index: options of the environment and the
-    policy, not how many worlds or threads. options: what changes only how it is seen (images, reward). versions: engine, libraries, schema. commit: of the source, "" if unknown,
-    with "+changes" if it had any. machine: processor and system; bit-exact replay may need the same. layout: names and
-    sizes that give the columns of states their meaning. assets, licence: the pack and the terms of what is in it.
+    policy, not how many worlds or threads. options: what changes only how it is seen (images, reward). versions:
+    engine, libraries. commit: of the source, "" if unknown, with "+changes" if it had any. machine: processor and
+    system; bit-exact replay may need the same. layout: names and sizes that give the columns of states their meaning.
+    assets, licence: the pack and the terms of what is in it.
     """
 
     config: dict[str, Any]
@@ -89,8 +90,8 @@ def episode_digest(arrays: Mapping[str, np.ndarray]) -> str:
 
 
 def record_bytes(record: EpisodeRecord) -> np.ndarray:
-    """A record as (n,) uint8 JSON."""
-    return to_bytes(record.to_dict())
+    """A record as (n,) uint8 JSON; without the wall time, so that equal episodes are equal bytes."""
+    return to_bytes({**record.to_dict(), "seconds": 0.0})
 
 
 def to_bytes(value: Any) -> np.ndarray:

@@ -100,7 +100,8 @@ class Overlay(io.RawIOBase):
         """Write at the present offset, in memory."""
         view = memoryview(data).cast("B")
         old = max(0, min(len(view), self.base - self._at))
-        self._write_pages(self._at, view[:old])
+        if old:
+            self._write_pages(self._at, view[:old])
         if old < len(view):
             start = self._at + old - self.base
             self.tail.extend(bytes(max(0, start - len(self.tail))))
@@ -120,11 +121,12 @@ class Overlay(io.RawIOBase):
         out = bytearray(os.pread(self._fd, old, at)) if old else bytearray()
         if len(out) < old:
             raise DamagedError(f"the file ends {old - len(out)} bytes early")
-        for number in range(at // PAGE, -(-(at + old) // PAGE)):
+        for number in range(at // PAGE, -(-(at + old) // PAGE)) if old else ():
             page = self.pages.get(number)
             if page is not None:
                 low, high = max(at, number * PAGE), min(at + old, number * PAGE + len(page))
-                out[low - at : high - at] = page[low - number * PAGE : high - number * PAGE]
+                if low < high:  # a page that was the last one may be short
+                    out[low - at : high - at] = page[low - number * PAGE : high - number * PAGE]
         start = at + old - self.base
         return out + self.tail[start : start + count - old]
 

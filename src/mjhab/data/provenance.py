@@ -38,7 +38,7 @@ def describe_run(env: Any, policy: Mapping[str, Any], licence: str = "") -> RunI
     first = env.sim.get_world(0)
     return RunInfo(
         config={"env": {k: v for k, v in options.items() if k not in _FREE | _VIEW}, "policy": dict(policy)},
-        options={name: options[name] for name in sorted(_VIEW)},
+        options={k: v for k, v in options.items() if k in _VIEW},
         versions=versions(),
         commit=source_commit(),
         machine=f"{platform.machine()} {platform.system()}",
@@ -72,9 +72,8 @@ def source_commit() -> str:
     folder = Path(mjhab.__file__).parent
 
     def git(*words: str) -> str:
-        done = subprocess.run(
-            ["git", "-C", str(folder), *words], capture_output=True, text=True, timeout=10, check=True
-        )
+        words = ("git", "-C", str(folder), *words)
+        done = subprocess.run(words, capture_output=True, text=True, timeout=10, check=True)
         return done.stdout.strip()
 
     try:

@@ -23,6 +23,8 @@ from mjhab.tasks.events import EVENT_NAMES
 
 LONGEST = 4000
 """Longest filter [characters]."""
+DEEPEST = 40
+"""Deepest nesting of a filter."""
 _NUMBERS = "a list of numbers"
 _CONSTANTS = {"true": True, "false": False}
 _ORDER: dict[type[ast.cmpop], Callable[[Any, Any], bool]] = {
@@ -118,6 +120,7 @@ class _Compiler:
 
     def __init__(self, text: str) -> None:
         self.text, self.names = text, set[str]()
+        self._lead = self._depth = 0
 
     def compile(self) -> _Part:
         """The part of the whole text."""
@@ -141,6 +144,8 @@ class _Compiler:
         for wrong, right in (("&&", "and"), ("||", "or"), ("!(", "not ("), ("<>", "!=")):
             if wrong in self.text:
                 return f"write {right!r} instead of {wrong!r}"
+        if self.text[(error.offset or 1) - 1 + len(self.text) - len(self.text.lstrip()) :].startswith("="):
+            return "write == to compare"
         return f"cannot be read: {error.msg}"
 
     def _error(self, node: ast.AST, problem: str) -> FilterError:
@@ -167,7 +172,12 @@ class _Compiler:
         }.get(type(node))  # fmt: skip
         if maker is None:
             raise self._error(node, "only names, numbers, texts, lists, comparisons, + - * /, and, or, not are known")
-        return maker(node)  # type: ignore[arg-type]
+        self._depth += 1
+        if self._depth > DEEPEST:
+            raise self._error(node, f"nested deeper than {DEEPEST} levels")
+        part = maker(node)  # type: ignore[arg-type]
+        self._depth -= 1
+        return part
 
     def _bool_op(self, node: ast.BoolOp) -> _Part:
         word, gather = ("and", all) if isinstance(node.op, ast.And) else ("or", any)
@@ -235,8 +245,8 @@ class _Compiler:
     def _unknown(self, node: ast.AST, what: str, given: str, valid: Iterable[str]) -> FilterError:
         names = sorted(filter(None, valid))
         near = difflib.get_close_matches(given, names, n=1, cutoff=0.5)
-        hint = f" Did you mean {near[0]!r}?" if near else ""
-        return self._error(node, f"{what} {given!r}.{hint} Known: {', '.join(names)}.")
+        rest = f"Did you mean {near[0]!r}?" if near else f"Known: {', '.join(names)}."
+        return self._error(node, f"{what} {given!r}. {rest} (`mjhab data fields` explains all names)")
 
     def _name(self, node: ast.Name) -> _Part:
         if node.id in _CONSTANTS:

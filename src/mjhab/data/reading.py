@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import os
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +14,11 @@ import numpy as np
 
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.data.episode_data import RunInfo, episode_digest, from_bytes
+from mjhab.data.hdf5 import check_format, dataset, dataset_paths, group, read_arrays
 from mjhab.data.images import decode
 from mjhab.data.journal import Overlay, committed_length, read_journal
 from mjhab.data.locking import is_written
 from mjhab.data.schema import CHECKS, COLUMNS, EPISODES, RUNS, TERMINAL, DamagedError, problems
-from mjhab.data.shard import read_arrays
-from mjhab.data.versions import check_format
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.tasks.labels import History
 
@@ -48,37 +48,52 @@ class Episode:
 
     def __init__(self, shard: Shard, name: str) -> None:
         self.shard, self.name = shard, name
-        self._group: h5py.Group = shard.file[EPISODES][name]
+        with self._reading():
+            self._group = group(shard.file, f"{EPISODES}/{name}")
+
+    @contextmanager
+    def _reading(self) -> Iterator[None]:
+        """Turn what h5py says about damage into what the user can do about it."""
+        try:
+            yield
+        except (OSError, RuntimeError, ValueError, KeyError, TypeError) as error:
+            raise DamagedError(
+                f"episode {self.name} of {self.shard.path} cannot be read ({type(error).__name__}: {error}). See what "
+                f"is wrong with: mjhab data check {self.shard.path}"
+            ) from error
 
     @functools.cached_property
     def record(self) -> EpisodeRecord:
         """Identity, plan, labels, events, forces."""
-        return EpisodeRecord.from_dict(from_bytes(self._group["record"][()]))
+        with self._reading():
+            return EpisodeRecord.from_dict(from_bytes(dataset(self._group, "record")[()]))
 
     @property
     def run(self) -> RunInfo:
         """What made it: config, versions, layout."""
-        return self.shard.runs[str(self._group.attrs["run"])]
+        with self._reading():
+            return self.shard.runs[str(self.attributes["run"])]
 
-    @property
+    @functools.cached_property
     def attributes(self) -> dict[str, Any]:
         """The attributes of its group, see `schema.ATTRIBUTES`."""
-        return {key: value.item() if hasattr(value, "item") else value for key, value in self._group.attrs.items()}
+        with self._reading():
+            return {key: value.item() if hasattr(value, "item") else value for key, value in self._group.attrs.items()}
 
     @property
     def steps(self) -> int:
         """Number N of control steps."""
-        return int(self._group.attrs["steps"])
+        return int(self.attributes["steps"])
 
     @property
     def terminated(self) -> bool:
         """Whether the environment said "terminated" in the last step; otherwise the episode was truncated."""
-        return str(self._group.attrs["ending"]) in TERMINAL
+        return str(self.attributes["ending"]) in TERMINAL
 
     @property
     def nbytes(self) -> int:
         """Bytes that its data takes in the file, without HDF5's own bookkeeping."""
-        return sum(self._group[path].id.get_storage_size() for path in self.paths)
+        return sum(dataset(self._group, path).id.get_storage_size() for path in self.paths)
 
     def initial(self) -> dict[str, Any]:
         """The state after the reset, for ``env.set_state``."""
@@ -87,9 +102,7 @@ class Episode:
     @property
     def paths(self) -> list[str]:
         """Paths of its datasets."""
-        found: list[str] = []
-        self._group.visititems(lambda path, item: found.append(path) if isinstance(item, h5py.Dataset) else None)
-        return found
+        return dataset_paths(self._group)
 
     def array(self, path: str) -> np.ndarray:
         """One dataset by its path in the schema, e.g. "actions" (N, A) or "states/qpos" (N+1, nq).
@@ -97,9 +110,9 @@ class Episode:
         Raises:
             UsageError: it was not recorded.
         """
-        item = self._group.get(path)
-        if isinstance(item, h5py.Dataset):
-            return item[()]
+        with self._reading():
+            if path in self._group:
+                return dataset(self._group, path)[()]
         if path.startswith("states/"):
             raise UsageError(
                 f"episode {self.name} was recorded without states: {path} is not there. Nothing can be rendered from "
@@ -140,9 +153,8 @@ class Episode:
     @property
     def images(self) -> list[tuple[str, str]]:
         """(camera, output) of the images stored with it."""
-        return [
-            (p.split("/")[1], p.split("/")[2]) for p in self.paths if p.startswith("images/") and p.endswith("ends")
-        ]
+        parts = [path.split("/") for path in self.paths]
+        return [(part[1], part[2]) for part in parts if part[0] == "images" and part[-1] == "ends"]
 
     def frame(self, camera: str, output: str, t: int) -> np.ndarray:
         """The image of state t, 0 to N: rgb (H, W, 3) uint8, depth (H, W, 1) int16 mm, seg (H, W, 1) int32.
@@ -150,16 +162,17 @@ class Episode:
         Raises:
             UsageError: no such image was recorded.
         """
-        group = self._group.get(f"images/{camera}/{output}")
-        if group is None:
+        place = f"images/{camera}/{output}"
+        if place not in self._group:
             had = ", ".join(f"{c} {o}" for c, o in self.images) or "none"
             raise UsageError(
-                f"episode {self.name} has no {output} images of {camera} (it has: {had}). `mjhab replay --render` draws "
-                "them from its states."
+                f"episode {self.name} has no {output} images of {camera} (it has: {had}). `mjhab replay --render` "
+                "draws them from its states."
             )
-        ends = group["ends"]
-        start = int(ends[t - 1]) if t else 0
-        return decode(group["bytes"][start : int(ends[t])].tobytes(), output)
+        with self._reading():
+            ends = dataset(self._group, f"{place}/ends")
+            start = int(ends[t - 1]) if t else 0
+            return decode(dataset(self._group, f"{place}/bytes")[start : int(ends[t])].tobytes(), output)
 
     def history(self, k: int) -> tuple[int, History]:
         """Index in the plan of the k-th subtask that was reached, and its signals (T+1, 1) bool for `tasks.labels`."""
@@ -171,22 +184,23 @@ class Episode:
 
     def problems(self) -> list[str]:
         """What is wrong with it, in words: parts that are missing or do not fit, or bytes that have changed."""
-        try:
+        with self._reading():
             arrays = read_arrays(self._group)
             wrong = problems(arrays, self.steps)
-            if not wrong and episode_digest(arrays) != self._group.attrs["digest"]:
+            if not wrong and episode_digest(arrays) != self.attributes["digest"]:
                 wrong.append("its bytes are not those that were written (digest)")
             if not wrong and self.record.steps != self.steps:
                 wrong.append(f"its record has {self.record.steps} steps, its group {self.steps}")
-            if not wrong and self.run.id != self._group.attrs["run"]:
+            if not wrong and self.run.id != self.attributes["run"]:
                 wrong.append("what made it (its run) is not what was written")
-        except (OSError, RuntimeError, ValueError, KeyError, TypeError) as error:
-            return [f"cannot be read ({type(error).__name__}: {error})"]
         return wrong
 
 
 class Shard:
-    """A shard open for reading; a context manager. Make one with `open_shard`."""
+    """A shard open for reading; a context manager. Make one with `open_shard`.
+
+    ``names``: of the episodes, in order of config, seed and index.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -194,6 +208,8 @@ class Shard:
         try:
             self.file = self._open()
             check_format(self.file, path)
+            self.names = sorted(map(str, group(self.file, EPISODES)))
+            self._known = frozenset(self.names)
         except (OSError, RuntimeError, ValueError, KeyError) as error:
             self.close()
             raise _unreadable(path, error) from error
@@ -213,12 +229,8 @@ class Shard:
     @functools.cached_property
     def runs(self) -> dict[str, RunInfo]:
         """What made the episodes, by name."""
-        return {name: RunInfo(**from_bytes(item[()])) for name, item in self.file[RUNS].items()}
-
-    @functools.cached_property
-    def names(self) -> list[str]:
-        """Names of the episodes, in order of config, seed and index."""
-        return sorted(self.file[EPISODES])
+        runs = group(self.file, RUNS)
+        return {str(name): RunInfo(**from_bytes(dataset(runs, str(name))[()])) for name in runs}
 
     def episode(self, name: str) -> Episode:
         """One episode by its name.
@@ -226,7 +238,7 @@ class Shard:
         Raises:
             UsageError: there is none of that name.
         """
-        if name not in self.file[EPISODES]:
+        if name not in self._known:
             raise unknown_name(f"episode in {self.path}", name, self.names[:20])
         return Episode(self, name)
 
@@ -234,8 +246,9 @@ class Shard:
         """What is wrong with an episode, in words; it may be damaged beyond opening."""
         try:
             return Episode(self, name).problems()
-        except (OSError, RuntimeError, ValueError, KeyError, TypeError) as error:
-            return [f"cannot be read ({type(error).__name__}: {error})"]
+        except DamagedError as error:
+            cause = error.__cause__ or error
+            return [f"cannot be read ({type(cause).__name__}: {cause})"]
 
     def __iter__(self) -> Iterator[Episode]:
         return (Episode(self, name) for name in self.names)

@@ -52,7 +52,6 @@ class Recorder(Sink):
         self._writer, self._keep, self._states, self._images = writer, keep, states, images
         self._open: dict[int, _Buffer] = {}
         self._models: dict[str, str] = {}
-        self._endings: dict[int, str] = {}
 
     def on_reset(self, env: Any, info: Mapping[str, Any], mask: np.ndarray) -> None:
         """Begin buffers with the first states of the worlds in ``mask``."""
@@ -78,8 +77,6 @@ class Recorder(Sink):
             buffer.add_obs(step.obs, w, self._images)
             if now != before and now < buffer.length:
                 buffer.enter(int(step.steps[w]), now, begun[w])
-            if step.done[w]:
-                self._endings[w] = _ending(env, w)
 
     def on_episode_end(self, env: Any, world: int, record: EpisodeRecord) -> None:
         """Write the episode, if it is to be kept."""
@@ -91,8 +88,8 @@ class Recorder(Sink):
         if record.home not in self._models:
             self._models[record.home] = model_hash(env.sim.model(record.home))
         columns = {"signals/checks": CHECKS, "signals/forces": FORCES, **buffer.columns()}
-        model, ending = self._models[record.home], self._endings.pop(world)
-        data = EpisodeData(record, self.run, model, ending, buffer.arrays(), columns)
+        model = self._models[record.home]
+        data = EpisodeData(record, self.run, model, _ending(env, world), buffer.arrays(), columns)
         self.bytes += self._writer.append(data)
         self.kept += 1
 

@@ -115,10 +115,9 @@ def problems(arrays: Mapping[str, np.ndarray], steps: int) -> list[str]:
         if field.dtype != "any" and array.dtype != np.dtype(field.dtype):
             found.append(f"{path} is {array.dtype}, not {field.dtype}")
         if field.rows and len(array) != rows[field.rows]:
-            found.append(
-                f"{path} has {len(array)} rows, not {rows[field.rows]} ({field.rows} with N = {steps} actions)"
-            )
-    return found + _bad_values(arrays) if not found else found
+            wanted = f"{rows[field.rows]} ({field.rows} with N = {steps} actions)"
+            found.append(f"{path} has {len(array)} rows, not {wanted}")
+    return found or _bad_values(arrays)
 
 
 def _bad_values(arrays: Mapping[str, np.ndarray]) -> list[str]:

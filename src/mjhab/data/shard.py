@@ -15,10 +15,10 @@ import mjhab
 from mjhab.core.cache import write_atomic
 from mjhab.core.errors import MjhabError, UsageError
 from mjhab.data.episode_data import EpisodeData, RunInfo, episode_digest, record_bytes, to_bytes
+from mjhab.data.hdf5 import check_format, group, read_arrays
 from mjhab.data.journal import Overlay, commit, committed_length, recover, sync_folder
 from mjhab.data.locking import WriteLock
 from mjhab.data.schema import COLUMNS, EPISODES, FORMAT, RUNS, VERSION
-from mjhab.data.versions import check_format
 from mjhab.rollout.records import EpisodeRecord
 
 if TYPE_CHECKING:
@@ -53,9 +53,10 @@ class ShardWriter:
 
     def __init__(self, path: Path) -> None:
         self.path, self.recovered = path, False
-        path.parent.mkdir(parents=True, exist_ok=True)
-        self._lock: WriteLock | None = WriteLock(path)
+        self._lock: WriteLock | None = None
         try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._lock = WriteLock(path)
             self._open()
         except OSError as error:
             self.close()
@@ -74,8 +75,8 @@ class ShardWriter:
         self._runs: set[str] = set()
         with h5py.File(self.path, "r", locking=False) as file:
             check_format(file, self.path)
-            self._names.update(file[EPISODES])
-            self._runs.update(file[RUNS])
+            self._names.update(group(file, EPISODES))
+            self._runs.update(group(file, RUNS))
 
     @property
     def names(self) -> frozenset[str]:
@@ -100,8 +101,8 @@ class ShardWriter:
 
         def fill(file: h5py.File) -> None:
             if data.run.id not in self._runs:
-                _put(file[RUNS], data.run.id, to_bytes(vars(data.run)))
-            _put_episode(file[EPISODES].create_group(data.name), data)
+                _put(group(file, RUNS), data.run.id, to_bytes(vars(data.run)))
+            _put_episode(group(file, EPISODES).create_group(data.name), data)
 
         grown = self._change(fill)
         self._names.add(data.name)
@@ -113,11 +114,11 @@ class ShardWriter:
 
         def fill(file: h5py.File) -> None:
             for name, record in records.items():
-                group = file[EPISODES][name]
-                del group["record"]
-                _put(group, "record", record_bytes(record))
-                group.attrs["label"] = last_label(record)
-                group.attrs["digest"] = episode_digest(read_arrays(group))
+                episode = group(file, f"{EPISODES}/{name}")
+                del episode["record"]
+                _put(episode, "record", record_bytes(record))
+                episode.attrs["label"] = last_label(record)
+                episode.attrs["digest"] = episode_digest(read_arrays(episode))
 
         self._change(fill)
 
@@ -134,17 +135,17 @@ class ShardWriter:
         return sum(self._adopt(shard, batch) for batch in _batches(shard, names))
 
     def _adopt(self, shard: Shard, names: Sequence[str]) -> int:
-        source = shard.file
+        runs = {str(shard.episode(name).attributes["run"]) for name in names}
 
         def fill(file: h5py.File) -> None:
             for name in names:
-                source.copy(source[EPISODES][name], file[EPISODES], name)
-            for run in {str(source[EPISODES][name].attrs["run"]) for name in names} - self._runs:
-                source.copy(source[RUNS][run], file[RUNS], run)
+                shard.file.copy(f"{EPISODES}/{name}", group(file, EPISODES), name)
+            for run in runs - self._runs:
+                shard.file.copy(f"{RUNS}/{run}", group(file, RUNS), run)
 
         grown = self._change(fill)
         self._names.update(names)
-        self._runs.update(str(source[EPISODES][name].attrs["run"]) for name in names)
+        self._runs.update(runs)
         return grown
 
     def _change(self, fill: Callable[[h5py.File], None]) -> int:
@@ -181,18 +182,6 @@ def last_label(record: EpisodeRecord) -> str:
     return (record.subtasks[-1].label or "") if record.subtasks else ""
 
 
-def read_arrays(group: h5py.Group) -> dict[str, np.ndarray]:
-    """Every dataset of an episode group by its path."""
-    arrays: dict[str, np.ndarray] = {}
-
-    def visit(path: str, item: object) -> None:
-        if isinstance(item, h5py.Dataset):
-            arrays[path] = item[()]
-
-    group.visititems(visit)
-    return arrays
-
-
 def _batches(shard: Shard, names: Sequence[str]) -> Iterator[list[str]]:
     """Names in groups that need no more than about _BATCH bytes."""
     batch: list[str] = []
@@ -216,19 +205,19 @@ def _make_empty(path: Path) -> None:
         os.fsync(file.fileno())
 
 
-def _put_episode(group: h5py.Group, data: EpisodeData) -> None:
+def _put_episode(parent: h5py.Group, data: EpisodeData) -> None:
     arrays = {**data.arrays, "record": record_bytes(data.record)}
     for path, array in arrays.items():
-        _put(group, path, array, data.columns.get(path))
+        _put(parent, path, array, data.columns.get(path))
     record = data.record
-    group.attrs.update(
+    parent.attrs.update(
         seed=record.seed, index=record.index, run=data.run.id, home=record.home, model=data.model,
         label=last_label(record), success=record.success_once, steps=record.steps, ending=data.ending,
         digest=episode_digest(arrays),
     )  # fmt: skip
 
 
-def _put(group: h5py.Group, path: str, array: np.ndarray, columns: tuple[str, ...] | None = None) -> None:
+def _put(parent: h5py.Group, path: str, array: np.ndarray, columns: tuple[str, ...] | None = None) -> None:
     array = np.ascontiguousarray(array)
     plist = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
     plist.set_obj_track_times(False)
@@ -241,7 +230,7 @@ def _put(group: h5py.Group, path: str, array: np.ndarray, columns: tuple[str, ..
         plist.set_shuffle()
         plist.set_deflate(_GZIP)
     folder, _, name = path.rpartition("/")
-    place = group.require_group(folder) if folder else group
+    place = parent.require_group(folder) if folder else parent
     space, kind = h5py.h5s.create_simple(array.shape), h5py.h5t.py_create(array.dtype, logical=True)
     dataset = h5py.Dataset(h5py.h5d.create(place.id, name.encode(), kind, space, plist))
     dataset[...] = array

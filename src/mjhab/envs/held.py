@@ -1,25 +1,41 @@
 """Starts with an object in the gripper, found by physics and not by a policy.
 
-Grasp candidates from the object's geometry are tried in an empty corner of the world: the gripper at rest, the object
-between the fingers, closing; those that still pass the grasp test after half a second are kept.
+Antipodal grasp candidates on the object's geometry are tried in an empty corner of the world: the gripper at rest, the
+object between the fingers, closing; those that pass the grasp test for half a second, and keep the object while the
+base turns, are kept. They are spread over the ways in which a gripper can come, and remembered on disk.
 """
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from threading import RLock
 
 import numpy as np
 
-from mjhab.core.errors import MjhabError
-from mjhab.envs.grasps import ObjectShape, grasp_candidates
+from mjhab.core.cache import cache_dir, write_atomic
+from mjhab.core.errors import MjhabError, UsageError, unknown_name
+from mjhab.core.rotations import pose_inv
+from mjhab.envs.grasps import Grasps, ObjectShape, grasp_candidates
+from mjhab.scenes.compile import home_hash
 from mjhab.scenes.spec import ObjectType
 from mjhab.sim.cpu import CpuSimulator
-from mjhab.sim.scratch import Scratch
+from mjhab.sim.scratch import FINGER_MAX, Scratch
 from mjhab.tasks.plan import TaskConfig
 
 HOLD_SECONDS = 0.5
-MAX_GRASPS = 6
+MAX_GRASPS = 32
+MAX_TRIES = 256
+MAX_OFFSET = 0.15
+"""An object whose origin is further [m] from the tool centre counts as badly held (MS-HAB's
+mshab/utils/gen/gen_spawn_positions.py leaves such grasps out)."""
 _UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
+_VERSION = 1
+_POSITION_SCALE, _CLOSING_WEIGHT = 0.05, 0.5
+"""What counts as far apart: 5 cm as much as a radian of approach or two of roll."""
 
 
 def shape_of(kind: ObjectType) -> ObjectShape:
@@ -28,6 +44,20 @@ def shape_of(kind: ObjectType) -> ObjectShape:
         return ObjectShape("bowl", kind.half)
     shape = next(iter(kind.collision)).shape
     return ObjectShape(shape if shape in ("box", "cylinder") else "sphere", kind.half)
+
+
+def spread(candidates: Grasps, count: int) -> Iterator[int]:
+    """Rows of at most ``count`` candidates: the best, then always the one least like all those before it."""
+    if not len(candidates):
+        return
+    closing = _CLOSING_WEIGHT * candidates.rot[:, :, 1]
+    features = np.concatenate([candidates.pos / _POSITION_SCALE, candidates.rot[:, :, 0], closing], axis=1)
+    apart, row = np.full(len(candidates), np.inf), 0
+    for _ in range(min(count, len(candidates))):
+        yield row
+        apart = np.minimum(apart, np.linalg.norm(features - features[row], axis=1))
+        apart[row] = -1.0
+        row = int(np.argmax(apart))
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,35 +69,119 @@ class HeldGrasp:
 
 
 class HeldStarts:
-    """Stable grasps per object type, found once and remembered."""
+    """Stable grasps per object type: found once per layout, kept in the cache.
 
-    def __init__(self, sim: CpuSimulator, config: TaskConfig, scratch: Scratch) -> None:
-        self.layout, self.config, self.scratch = sim.layout, config, scratch
+    Args:
+        sim: whose layout has the objects.
+        config: the grasp test.
+        scratch: world to try grasps in.
+        harvested: `grasps` gives those that were added too, so that starts depend on what this machine has harvested.
+    """
+
+    def __init__(self, sim: CpuSimulator, config: TaskConfig, scratch: Scratch, harvested: bool = False) -> None:
+        self.layout, self.config, self.scratch, self.harvested = sim.layout, config, scratch, harvested
         self._found: dict[str, list[HeldGrasp]] = {}
+        self._lock = RLock()
 
     def grasps(self, kind: str) -> list[HeldGrasp]:
-        """Stable grasps of an object type, best first.
+        """Stable grasps of an object type, the most sensible one first, then as different ones as possible.
 
         Raises:
+            UsageError: the layout has no object of this type.
             MjhabError: no candidate holds.
         """
-        if kind not in self._found:
-            self._found[kind] = self._search(kind)
-        return self._found[kind]
+        with self._lock:
+            if kind not in self._found:
+                self._check(kind)
+                self._found[kind] = self._library(kind) + (self.added(kind) if self.harvested else [])
+            return self._found[kind]
+
+    def add(self, kind: str, pose: np.ndarray, fingers: float) -> HeldGrasp | None:
+        """Add a grasp, e.g. from a successful episode, if it passes the test that the found ones passed.
+
+        Args:
+            kind: object type.
+            pose: (7,) object pose in the frame of gripper_link.
+            fingers: finger position [m].
+
+        Returns:
+            The grasp as it settled and was written into the cache, where every process with the same layout finds it;
+            None if it does not hold.
+
+        Raises:
+            UsageError: unknown type, or numbers that are no pose.
+        """
+        self._check(kind)
+        pose = np.asarray(pose, dtype=np.float64)
+        if pose.shape != (7,) or not np.isfinite(pose).all() or abs(np.linalg.norm(pose[3:]) - 1.0) > 1e-3:
+            raise UsageError(f"a grasp needs the pose x, y, z, w, x, y, z of the object in the gripper, got {pose}")
+        if not 0.0 <= fingers <= FINGER_MAX:
+            raise UsageError(f"fingers must be between 0 and {FINGER_MAX} m, got {fingers}")
+        grasp = self._try(kind, pose_inv(pose), 2 * fingers)
+        if grasp is None:
+            return None
+        name = hashlib.sha256(grasp.pose.tobytes() + np.float64(grasp.fingers).tobytes()).hexdigest()[:16]
+        _save(self._folder / f"{kind}-added" / f"{name}.npz", [grasp])
+        with self._lock:
+            if self.harvested:
+                self._found.pop(kind, None)
+        return grasp
+
+    def added(self, kind: str) -> list[HeldGrasp]:
+        """The grasps that were added for an object type, in the order of their hashes."""
+        return [g for file in sorted((self._folder / f"{kind}-added").glob("[!.]*.npz")) for g in _load(file)]
+
+    def digest(self, kind: str) -> str:
+        """Hash of the grasps of an object type: equal when the same draws give the same starts."""
+        rows = [np.append(grasp.pose, grasp.fingers) for grasp in self.grasps(kind)]
+        return hashlib.sha256(np.array(rows).tobytes()).hexdigest()[:16]
+
+    @cached_property
+    def _folder(self) -> Path:
+        test = (self.config.grasp_force, self.config.grasp_angle, HOLD_SECONDS, MAX_GRASPS, MAX_TRIES, _VERSION)
+        name = repr((home_hash(self.layout, self.layout.pack.homes[0]), test))
+        return cache_dir() / "grasps" / hashlib.sha256(name.encode()).hexdigest()[:16]
+
+    def _check(self, kind: str) -> None:
+        if kind not in self.layout.roster:
+            raise unknown_name("object", kind, set(self.layout.roster))
+
+    def _library(self, kind: str) -> list[HeldGrasp]:
+        path = self._folder / f"{kind}.npz"
+        if path.exists():
+            return _load(path)
+        found = self._search(kind)
+        _save(path, found)
+        return found
 
     def _search(self, kind: str) -> list[HeldGrasp]:
-        slot, shape = self.layout.roster.index(kind), shape_of(self.layout.pack.objects[kind])
+        shape = shape_of(self.layout.pack.objects[kind])
         candidates = grasp_candidates(shape, np.zeros(3), _UPRIGHT, support_z=-shape.half[2])
         found: list[HeldGrasp] = []
-        for pos, quat, width in zip(candidates.pos, candidates.quat, candidates.width, strict=True):
-            held = self.scratch.try_grasp(
-                slot, np.concatenate([pos, quat]), float(width), HOLD_SECONDS,
-                self.config.grasp_force, self.config.grasp_angle,
-            )  # fmt: skip
-            if held is not None:
-                found.append(HeldGrasp(*held))
+        for row in spread(candidates, MAX_TRIES):
+            tcp = np.concatenate([candidates.pos[row], candidates.quat[row]])
+            grasp = self._try(kind, tcp, float(candidates.width[row]))
+            if grasp is not None:
+                found.append(grasp)
             if len(found) == MAX_GRASPS:
                 break
         if not found:
             raise MjhabError(f"no grasp of {kind} holds for {HOLD_SECONDS} s")
         return found
+
+    def _try(self, kind: str, tcp: np.ndarray, width: float) -> HeldGrasp | None:
+        """Try a grasp: pose ``tcp`` (7,) of the tool centre in the object's frame, distance of the pads [m]."""
+        slot = self.layout.roster.index(kind)
+        force, angle = self.config.grasp_force, self.config.grasp_angle
+        held = self.scratch.try_grasp(slot, tcp, width, HOLD_SECONDS, force, angle)
+        return HeldGrasp(*held) if held is not None and np.linalg.norm(held[0][:3]) <= MAX_OFFSET else None
+
+
+def _save(path: Path, grasps: list[HeldGrasp]) -> None:
+    arrays = {"pose": np.array([g.pose for g in grasps]), "fingers": np.array([g.fingers for g in grasps])}
+    write_atomic(path, lambda temporary: np.savez(temporary, allow_pickle=False, **arrays))
+
+
+def _load(path: Path) -> list[HeldGrasp]:
+    with np.load(path, allow_pickle=False) as data:
+        return [HeldGrasp(pose, float(fingers)) for pose, fingers in zip(data["pose"], data["fingers"], strict=True)]

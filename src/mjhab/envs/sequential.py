@@ -42,7 +42,7 @@ from mjhab.scenes.fetch import REST_QPOS
 from mjhab.scenes.layout import Layout
 from mjhab.scenes.objects import roster
 from mjhab.scenes.packs import open_pack
-from mjhab.sim.cpu import POSITION_STAGE, SUBSTEPS, CpuSimulator
+from mjhab.sim.cpu import CpuSimulator
 from mjhab.sim.protocol import TAINTS, SimState
 from mjhab.tasks import progress as progress_rules
 from mjhab.tasks.measure import Signals, WorldState, measure
@@ -52,11 +52,6 @@ from mjhab.tasks.progress import Outcome, Progress
 SUBTASKS_PER_TARGET = {"tidy_house": 4, "prepare_groceries": 4, "set_table": 8}
 INDEX_STRIDE = 1 << 20
 """Without explicit indices, the k-th episode of world i is number i * stride + k: it depends on nothing else."""
-_MODES = {
-    "same_step": AutoresetMode.SAME_STEP,
-    "next_step": AutoresetMode.NEXT_STEP,
-    "disabled": AutoresetMode.DISABLED,
-}
 
 
 class SequentialTaskEnv(VectorEnv):
@@ -65,7 +60,8 @@ class SequentialTaskEnv(VectorEnv):
     Observations: the rows of `observer.table`, among them ``state`` (W, 42). Actions: (W, A), see ``action_table``.
     Reward: by ``config.reward``; "pointer" is the subtask pointer, as in MS-HAB.
 
-    ``state``, ``signals``, ``progress`` and ``focus`` are those of the last step, for reading.
+    For reading: ``state``, ``signals``, ``progress``, ``focus`` are the present ones; ``judged`` are the signals that
+    decided the last step, which in worlds where a subtask began are those of the one before.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -108,7 +104,7 @@ class SequentialTaskEnv(VectorEnv):
 
     def _set_spaces(self) -> None:
         self.metadata = {
-            "autoreset_mode": _MODES[self.config.autoreset], "render_fps": 20, "render_modes": ["rgb_array"]
+            "autoreset_mode": AutoresetMode[self.config.autoreset.upper()], "render_fps": 20, "render_modes": ["rgb_array"]
         }  # fmt: skip
         self.render_mode = self.config.render_mode or None
         self.single_observation_space = self.observer.single_space
@@ -122,7 +118,7 @@ class SequentialTaskEnv(VectorEnv):
     def _init_worlds(self) -> None:
         n = self.num_envs
         self.episodes_now: list[Episode | None] = [None] * n
-        self.homes = [""] * n
+        self.homes = [self.layout.pack.homes[0].name] * n
         self.boxes: list[dict] = [{} for _ in range(n)]
         self.fallback, self.success, self.fail, self.due = np.zeros((4, n), bool)
         """(W,): spawned where nothing better was found; outcome of the last step; reset due in the next step."""
@@ -134,8 +130,11 @@ class SequentialTaskEnv(VectorEnv):
         """(W,): joint of the active link when its subtask began; the gripper's number in the last action."""
         self.teleports = Teleports(self)
         self.reporter = Reporter(self)
-        self.follow(progress_rules.start(self.tables.arrays, self.task_config))
+        # A world that nobody has reset is like one whose episode is over.
+        begun = progress_rules.start(self.tables.arrays, self.task_config)
+        self.follow(dataclasses.replace(begun, done=np.ones(n, bool)))
         self.signals: Signals | None = None
+        self.judged: Signals | None = None
         self.state: SimState = self.sim.state()
 
     def follow(self, progress: Progress) -> None:
@@ -236,6 +235,7 @@ class SequentialTaskEnv(VectorEnv):
         world = self._sense()
         signals = self._measure(world)
         self.signals = signals if self.signals is None else where_rows(mask, signals, self.signals)
+        self.judged = self.signals if self.judged is None else self.judged
         self.tracker.begin(mask, self.signals, self.progress)
         if self.config.reward in ("dense", "normalized_dense"):
             for w in np.flatnonzero(mask & (self.focus.kind == SubtaskKind.NAVIGATE)).tolist():
@@ -281,7 +281,7 @@ class SequentialTaskEnv(VectorEnv):
         ended = self.tracker.ended(signals, outcome, self.progress, self.tables.plans)
         if outcome.advanced.any():
             self.follow(new)
-        self.progress, self.signals = new, signals
+        self.progress, self.signals, self.judged = new, signals, signals
         self.success, self.fail = outcome.success.copy(), outcome.fail.copy()
         moved = outcome.advanced & ~outcome.done
         if moved.any():
@@ -368,7 +368,7 @@ class SequentialTaskEnv(VectorEnv):
         restore(self, world, state)
 
     def render_world(self, world: int, width: int = 480, height: int = 360) -> np.ndarray:
-        """Human view (H, W, 3) uint8 of one world, from behind the robot's shoulder."""
+        """Human view (H, W, 3) uint8 of one world."""
         return self.observer.renderer.follow_view(self.state, self.homes[world], world, width, height)
 
     def render(self) -> tuple[np.ndarray, ...] | None:
@@ -388,11 +388,6 @@ class SequentialTaskEnv(VectorEnv):
         """Hash of positions and velocities of one world: equal only if every bit is."""
         batch = self.sim.batch
         return hashlib.sha256(batch.qpos[world].tobytes() + batch.qvel[world].tobytes()).hexdigest()[:16]
-
-    def bare_step(self, ctrl: np.ndarray) -> None:
-        """One control step of the engine alone under commands (W, nu), for benchmarks."""
-        self.sim.batch.ctrl[:] = ctrl
-        self.sim.batch.step(nstep=SUBSTEPS, stage=POSITION_STAGE)
 
 
 def _give_up(broken: np.ndarray, progress: Progress, signals: Signals) -> tuple[Progress, Signals]:

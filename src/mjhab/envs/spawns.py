@@ -7,6 +7,7 @@ articulations within an area in front of them.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +17,6 @@ from mjhab.core.rotations import mat_from_quat, pose_mul
 from mjhab.envs.actions import ARM_JOINTS
 from mjhab.scenes.fetch import REST_QPOS
 from mjhab.scenes.freespace import BASE_RADIUS, FreeMap, free_map
-from mjhab.scenes.spec import Home
 from mjhab.sim.cpu import CpuSimulator
 from mjhab.sim.scratch import Scratch
 
@@ -30,26 +30,54 @@ MAX_TRIES = 100
 
 @dataclass(frozen=True, eq=False)
 class SpawnGoal:
-    """Where to spawn: within 2 m of ``face`` (2,) or, with ``area``, in that world box (x_min, x_max, y_min, y_max)."""
+    """Where to spawn, in the world frame [m, rad].
 
-    face: np.ndarray
+    face: (2,) the point the robot faces; None: its heading is drawn from ``yaw`` (low, high).
+    area: stand in this box (x_min, x_max, y_min, y_max); else within ``reach`` of ``near`` (2,), which is ``face`` if
+    None; without any of them, anywhere.
+    """
+
+    face: np.ndarray | None
     area: np.ndarray | None = None
+    near: np.ndarray | None = None
+    reach: float = MAX_DISTANCE
+    yaw: tuple[float, float] = (-np.pi, np.pi)
+
+    @property
+    def center(self) -> np.ndarray | None:
+        """(2,) what the robot shall be near to, None if it may be anywhere."""
+        return self.face if self.near is None else self.near
+
+    def allows(self, xy: np.ndarray, slack: float = 0.0) -> np.ndarray:
+        """(...,) bool: whether bases at ``xy`` (..., 2) are where they shall be, or ``slack`` [m] beyond."""
+        if self.area is not None:
+            x_min, x_max, y_min, y_max = self.area
+            inside = (xy[..., 0] >= x_min - slack) & (xy[..., 0] <= x_max + slack)
+            return inside & (xy[..., 1] >= y_min - slack) & (xy[..., 1] <= y_max + slack)
+        if self.center is None:
+            return np.ones(xy.shape[:-1], bool)
+        return np.hypot(xy[..., 0] - self.center[0], xy[..., 1] - self.center[1]) <= self.reach + slack
 
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """An object in the gripper: its slot and its pose (7,) in the frame of gripper_link."""
+    """An object in the gripper: its slot and its pose (7,) in the frame of gripper_link.
+
+    With ``grip``, a start counts only if the object passes this grasp test: see `Scratch.collision_free`.
+    """
 
     slot: int
     pose: np.ndarray
+    grip: tuple[float, float] | None = None
 
 
 class SpawnSampler:
-    """Draws starts one try at a time, so that a hard one never holds up the other worlds."""
+    """Draws starts; single tries too, so that a hard one never holds up the other worlds. Threads may share it."""
 
     def __init__(self, sim: CpuSimulator) -> None:
         self.sim = sim
         self.scratch = Scratch(sim)
+        self._homes = {home.name: home for home in sim.layout.pack.homes}
         self._maps: dict[str, FreeMap] = {}
         self._standing: dict[str, np.ndarray] = {}
         self._walls: dict[str, Boxes] = {}
@@ -57,104 +85,118 @@ class SpawnSampler:
     def map(self, home: str) -> FreeMap:
         """Free-space map of a home."""
         if home not in self._maps:
-            self._maps[home] = free_map(self._home(home), self.sim.layout.pack)
+            self._maps[home] = free_map(self._homes[home], self.sim.layout.pack)
         return self._maps[home]
 
-    def _walkable(self, home: str) -> np.ndarray:
-        """(P, 2) centres of the cells where the robot can stand."""
+    def walkable(self, home: str) -> np.ndarray:
+        """(P, 2) centres [m] of the cells where the robot can stand."""
         if home not in self._standing:
             fmap = self.map(home)
             self._standing[home] = fmap.to_xy(np.argwhere(fmap.navigable(BASE_RADIUS)))
         return self._standing[home]
 
+    def roomiest(self, home: str) -> np.ndarray:
+        """(2,) the cell [m] of the floor that is farthest from everything."""
+        return self._roomiest(home, self.walkable(home))
+
     def try_once(
         self, home: str, qpos: np.ndarray, goal: SpawnGoal, rng: np.random.Generator, held: Held | None = None
     ) -> np.ndarray | None:
-        """One random try.
+        """One random try: the new state (nq,) when it is valid, else None. See `search`."""
+        return self.search(home, qpos, goal, (rng,), held)[0]
+
+    def search(
+        self,
+        home: str,
+        qpos: np.ndarray,
+        goal: SpawnGoal,
+        rngs: Iterable[np.random.Generator],
+        held: Held | None = None,
+    ) -> tuple[np.ndarray | None, int]:
+        """Random tries, one from each of ``rngs``, until one is valid.
 
         Args:
             home: home of the world.
             qpos: (nq,) its present state; objects and joints stay, robot and held object move.
             goal: where to stand.
-            rng: stream of this try.
+            rngs: streams of the tries.
             held: what the gripper carries.
 
         Returns:
-            The new state (nq,) when it is valid, else None.
+            The new state (nq,), None if no try was valid, and the number of tries.
         """
-        base = self._sample_base(home, goal, rng)
-        arm_noise = np.clip(rng.normal(0, ARM_NOISE[0], 7), -ARM_NOISE[1], ARM_NOISE[1])
-        if base is None:
-            return None
-        return self._apply(home, qpos, base, arm_noise, held)
+        candidates, tries = self._candidates(home, goal), 0
+        for rng in rngs:
+            tries += 1
+            base = self._sample_base(home, goal, candidates, rng)
+            arm_noise = np.clip(rng.normal(0, ARM_NOISE[0], 7), -ARM_NOISE[1], ARM_NOISE[1])
+            found = None if base is None else self._apply(home, qpos, base, arm_noise, held)
+            if found is not None:
+                return found, tries
+        return None, tries
 
-    def at(self, home: str, qpos: np.ndarray, xy: np.ndarray, goal: SpawnGoal) -> np.ndarray | None:
+    def at(
+        self, home: str, qpos: np.ndarray, xy: np.ndarray, goal: SpawnGoal, held: Held | None = None
+    ) -> np.ndarray | None:
         """The state with the robot at ``xy`` (2,) in its rest pose, facing the goal; None when it touches something."""
-        return self._apply(home, qpos, np.array([*xy, self._bearing(xy, goal)]), np.zeros(7), None)
+        return self._apply(home, qpos, np.array([*xy, self._heading(xy, goal)]), np.zeros(7), held)
 
     def fallback(self, home: str, qpos: np.ndarray, goal: SpawnGoal, held: Held | None = None) -> np.ndarray:
         """Without noise: the nearest valid start, else the roomiest place near the goal (the caller flags it)."""
-        cells = self._candidates(home, goal, MAX_DISTANCE + 1.0)
-        order = np.argsort(np.linalg.norm(cells - goal.face, axis=1), kind="stable")[:: max(1, len(cells) // 200)]
+        cells = self.walkable(home)
+        close = goal.allows(cells, slack=1.0)
+        cells = cells[close] if close.any() else cells
+        center = cells.mean(axis=0) if goal.center is None else goal.center
+        order = np.argsort(np.linalg.norm(cells - center, axis=1), kind="stable")[:: max(1, len(cells) // 200)]
         for xy in cells[order]:
-            base = np.array([*xy, self._bearing(xy, goal)])
-            found = self._apply(home, qpos, base, np.zeros(7), held)
+            found = self.at(home, qpos, xy, goal, held)
             if found is not None:
                 return found
-        fmap = self.map(home)
-        best = max(cells, key=lambda xy: float(fmap.clearance[tuple(fmap.to_cell(xy))]))
-        return self._pose(home, qpos, np.array([*best, self._bearing(best, goal)]), np.zeros(7), held)
+        best = self._roomiest(home, cells)
+        return self._pose(home, qpos, np.array([*best, self._heading(best, goal)]), np.zeros(7), held)
 
     # -- one try ---------------------------------------------------------------------------------------------------
 
     @staticmethod
-    def _bearing(xy: np.ndarray, goal: SpawnGoal) -> float:
+    def _heading(xy: np.ndarray, goal: SpawnGoal) -> float:
+        """Towards what is to be faced; without it the middle of the range of headings."""
+        if goal.face is None:
+            return 0.5 * (goal.yaw[0] + goal.yaw[1])
         return float(np.arctan2(goal.face[1] - xy[1], goal.face[0] - xy[0]))
 
-    def _candidates(self, home: str, goal: SpawnGoal, reach: float = MAX_DISTANCE) -> np.ndarray:
-        xy = self._walkable(home)
-        near = np.linalg.norm(xy - goal.face, axis=1) <= reach
-        if goal.area is not None:
-            inside = self._inside(xy, goal.area)
-            near = inside if inside.any() else near
-        return xy[near]
+    def _roomiest(self, home: str, cells: np.ndarray) -> np.ndarray:
+        return cells[int(np.argmax(self.map(home).clearance_at(cells)))]
 
-    @staticmethod
-    def _inside(xy: np.ndarray, area: np.ndarray) -> np.ndarray:
-        x_min, x_max, y_min, y_max = area
-        return (xy[..., 0] >= x_min) & (xy[..., 0] <= x_max) & (xy[..., 1] >= y_min) & (xy[..., 1] <= y_max)
+    def _candidates(self, home: str, goal: SpawnGoal) -> np.ndarray:
+        xy = self.walkable(home)
+        return xy[goal.allows(xy)]
 
-    def _sample_base(self, home: str, goal: SpawnGoal, rng: np.random.Generator) -> np.ndarray | None:
-        candidates = self._candidates(home, goal)
+    def _sample_base(
+        self, home: str, goal: SpawnGoal, candidates: np.ndarray, rng: np.random.Generator
+    ) -> np.ndarray | None:
         noise = np.clip(rng.normal(0, XY_NOISE[0], 2), -XY_NOISE[1], XY_NOISE[1])
         turn = float(np.clip(rng.normal(0, YAW_NOISE[0]), -YAW_NOISE[1], YAW_NOISE[1]))
         if not len(candidates):
             return None
         xy = candidates[int(rng.integers(len(candidates)))] + noise
-        fmap = self.map(home)
-        cell = fmap.to_cell(xy)
-        inside = np.all(cell >= 0) and np.all(cell < fmap.clearance.shape)
-        if not inside or fmap.clearance[tuple(cell)] < BASE_RADIUS - 0.02:
+        if self.map(home).clearance_at(xy) < BASE_RADIUS - 0.02 or not goal.allows(xy):
             return None
-        if np.linalg.norm(xy - goal.face) > MAX_DISTANCE or (goal.area is not None and not self._inside(xy, goal.area)):
+        if goal.face is None:
+            return np.array([*xy, rng.uniform(*goal.yaw)])
+        if self._behind_wall(home, xy, goal.face):
             return None
-        if self._behind_wall(home, xy, goal):
-            return None
-        return np.array([*xy, self._bearing(xy, goal) + turn])
+        return np.array([*xy, self._heading(xy, goal) + turn])
 
-    def _behind_wall(self, home: str, xy: np.ndarray, goal: SpawnGoal) -> bool:
+    def _behind_wall(self, home: str, xy: np.ndarray, face: np.ndarray) -> bool:
         """Whether a wall stands between a base and its goal: two metres through a wall are a long way round."""
         if home not in self._walls:
-            walls = [g for g in self._home(home).walls if g.collide and g.shape == "box"]
+            walls = [g for g in self._homes[home].walls if g.collide and g.shape == "box"]
             rot = mat_from_quat(np.array([g.quat for g in walls]).reshape(-1, 4))
             self._walls[home] = Boxes.of([g.pos for g in walls], [g.size for g in walls], rot)
         share = np.linspace(0.0, 1.0, 60)[:, None]
         line = np.full((60, 3), EYE_HEIGHT)
-        line[:, :2] = xy + share * (goal.face - xy)
+        line[:, :2] = xy + share * (face - xy)
         return bool((sphere_box_distance(line, self._walls[home]) < 0.0).any())
-
-    def _home(self, name: str) -> Home:
-        return next(h for h in self.sim.layout.pack.homes if h.name == name)
 
     def _pose(
         self, home: str, qpos: np.ndarray, base: np.ndarray, arm_noise: np.ndarray, held: Held | None
@@ -174,5 +216,5 @@ class SpawnSampler:
         self, home: str, qpos: np.ndarray, base: np.ndarray, arm_noise: np.ndarray, held: Held | None
     ) -> np.ndarray | None:
         out = self._pose(home, qpos, base, arm_noise, held)
-        carried = held.slot if held else -1
-        return out if self.scratch.collision_free(home, out, carried) else None
+        carried, grip = (held.slot, held.grip) if held else (-1, None)
+        return out if self.scratch.collision_free(home, out, carried, grip) else None

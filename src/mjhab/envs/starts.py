@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -11,13 +14,14 @@ from mjhab.core.seeding import stream
 from mjhab.envs.config import EnvConfig
 from mjhab.envs.episodes import BOWL_DRAWER, FRIDGE_DOOR, Episode
 from mjhab.envs.held import HeldStarts
+from mjhab.envs.spawn_sets import SpawnSet
 from mjhab.envs.spawns import MAX_TRIES, Held, SpawnGoal, SpawnSampler
 from mjhab.scenes.fetch import REST_QPOS
 from mjhab.scenes.layout import Layout
 from mjhab.scenes.spec import Home
 from mjhab.sim.cpu import CpuSimulator
 from mjhab.sim.settle import parked_robot_qpos
-from mjhab.tasks.plan import Box, Subtask, SubtaskKind, TaskConfig, TaskPlan, chain, front_box
+from mjhab.tasks.plan import FRONT_AREAS, Box, Subtask, SubtaskKind, TaskConfig, TaskPlan, chain, front_box
 
 OPEN_START_MARGIN = 1.0
 """Opened links start between their success fraction and this fraction of their range."""
@@ -25,16 +29,25 @@ OPEN_START_MARGIN = 1.0
 AJAR = 0.2
 """Part of the way to open at which a drawer starts that was left ajar (mshab/envs/open.py)."""
 
+DOORSTEP, DOORSTEP_REACH, DOORSTEP_YAW = (-1.0, 0.0), 0.5, (-np.pi / 2, np.pi / 2)
+"""Where the first Navigate of PrepareGroceries begins, how near to it, and heading [m, rad]
+(mshab/utils/gen/gen_spawn_positions.py, in ReplicaCAD's apartment)."""
+
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """How a world begins: its plan, its state (nq,), whether the first robot pose was a fallback."""
+    """How a world begins: its plan, its state (nq,), whether the first robot pose was a fallback.
+
+    ``position`` of the subtask in the episode's chain, 0 for a whole chain; ``tries`` it took to place the robot.
+    """
 
     plan: TaskPlan
     home: str
     qpos: np.ndarray
     boxes: dict[str, Box]
     fallback: bool
+    position: int = 0
+    tries: int = 1
 
 
 def subtask_positions(plan: TaskPlan, layout: Layout, kind: str, target: str) -> list[int]:
@@ -65,31 +78,56 @@ def check_target(config: EnvConfig, layout: Layout) -> None:
 
 
 class StartMaker:
-    """Builds starts of whole chains and of single subtasks."""
+    """Builds starts of whole chains and of single subtasks.
 
-    def __init__(self, sim: CpuSimulator, config: EnvConfig, task_config: TaskConfig) -> None:
+    Args:
+        sim: whose homes are used. config, task_config: what is to be done.
+        harvested: place with the grasps, too, that were added to `held`.
+    """
+
+    def __init__(self, sim: CpuSimulator, config: EnvConfig, task_config: TaskConfig, harvested: bool = False) -> None:
         self.sim, self.config, self.task_config = sim, config, task_config
         self.layout = sim.layout
         self.sampler = SpawnSampler(sim)
-        self.held = HeldStarts(sim, task_config, self.sampler.scratch)
+        self.held = HeldStarts(sim, task_config, self.sampler.scratch, harvested)
+        self.spawn_set = SpawnSet.load(Path(config.spawns), self.layout) if config.spawns else None
+        if self.spawn_set is not None:
+            self.spawn_set.check(config)
         self._homes = {home.name: home for home in self.layout.pack.homes}
+        self._boxes: dict[str, dict[str, Box]] = {}
 
     def start(self, episode: Episode) -> Start:
-        """The start of an episode under this configuration; random draws are named by (seed, index)."""
+        """The start of an episode under this configuration; random draws are named by (seed, index).
+
+        With ``config.spawns`` it is the one of that file for the episode's index.
+        """
         home = self._homes[episode.home]
-        plan = chain(episode.task, episode.targets, home.name)
-        qpos = self._episode_qpos(episode)
         boxes = self.boxes(home)
+        plan = chain(episode.task, episode.targets, home.name)
+        if self.spawn_set is not None:
+            row = self.spawn_set.row(episode.index)
+            own = plan.only(row.position) if self.config.subtask else plan
+            return Start(own, home.name, row.qpos, boxes, row.fallback, row.position, row.tries)
+        qpos = self._episode_qpos(episode)
         if not self.config.subtask:
-            qpos, fallback = self._roam(episode, qpos)
-            return Start(plan, home.name, qpos, boxes, fallback)
+            qpos, fallback, tries = self._roam(episode, qpos)
+            return Start(plan, home.name, qpos, boxes, fallback, tries=tries)
         position = self._pick_position(plan, episode)
-        subtask = plan.subtasks[position]
         rng = stream(episode.seed, "start", episode.task, episode.index)
-        held = self._prepare(rng, episode, subtask, qpos)
-        goal = self.spawn_goal(plan, position, boxes)
-        qpos, fallback = self._spawn(episode, home.name, qpos, goal, held)
-        return Start(plan.only(position), home.name, qpos, boxes, fallback)
+        held = self._prepare(rng, episode, plan, position, qpos)
+        goal = self._goal(episode, plan, position, boxes)
+        qpos, fallback, tries = self._spawn(episode, qpos, goal, held)
+        return Start(plan.only(position), home.name, qpos, boxes, fallback, position, tries)
+
+    def starts(self, episodes: Sequence[Episode], threads: int = 1) -> list[Start]:
+        """The starts of several episodes, the same for any number of ``threads``.
+
+        One thread makes a thousand in a second, and half of that time is Python: more hardly help.
+        """
+        if threads <= 1:
+            return [self.start(episode) for episode in episodes]
+        with ThreadPoolExecutor(threads) as pool:
+            return list(pool.map(self.start, episodes))
 
     def home(self, name: str) -> Home:
         """The home of a name."""
@@ -97,15 +135,29 @@ class StartMaker:
 
     def boxes(self, home: Home) -> dict[str, Box]:
         """Area in front of every link of a home, as (x_min, x_max, y_min, y_max)."""
-        out = {}
-        for ref in self.layout.links:
-            at = self.layout.articulation_placement(home, ref.articulation)
-            x, y, _ = at.pos if ref.articulation == "fridge" else self.layout.closed_link_origin(home, ref.id)
-            out[ref.id] = front_box(ref.id, (x, y), at.yaw)
-        return out
+        if home.name not in self._boxes:
+            self._boxes[home.name] = {
+                ref.id: front_box(
+                    ref.id,
+                    self._link_root(home, ref.id),
+                    self.layout.articulation_placement(home, ref.articulation).yaw,
+                )
+                for ref in self.layout.links
+                if ref.articulation in FRONT_AREAS
+            }
+        return self._boxes[home.name]
+
+    def _link_root(self, home: Home, link: str) -> tuple[float, float]:
+        """Where the original measures from: the origin of the fridge, or of the closed drawer's link [m]."""
+        furniture = link.split("/")[0]
+        if furniture == "fridge":
+            x, y, _ = self.layout.articulation_placement(home, furniture).pos
+        else:
+            x, y, _ = self.layout.closed_link_origin(home, link)
+        return (x, y)
 
     def spawn_goal(self, plan: TaskPlan, position: int, boxes: dict[str, Box]) -> SpawnGoal:
-        """Where a robot stands to start the subtask at ``position`` of a plan."""
+        """Where a robot stands that has navigated to the subtask at ``position`` of a plan, or does so now."""
         subtask = plan.subtasks[position]
         if subtask.kind == SubtaskKind.PICK:
             point = next(s.goal_pos for s in plan.subtasks[:position][::-1] if s.kind == SubtaskKind.NAVIGATE)
@@ -130,20 +182,56 @@ class StartMaker:
         qpos[a.link_q] = episode.link_q
         return qpos
 
-    def _prepare(self, rng: np.random.Generator, episode: Episode, subtask: Subtask, qpos: np.ndarray) -> Held | None:
+    def _goal(self, episode: Episode, plan: TaskPlan, position: int, boxes: dict[str, Box]) -> SpawnGoal:
+        """Where the robot stands to start the subtask at ``position`` alone.
+
+        Open is faced by the object inside, Close by the furniture, as in mshab/utils/gen/gen_spawn_positions.py.
+        """
+        subtask = plan.subtasks[position]
+        if subtask.kind == SubtaskKind.NAVIGATE:
+            return self._departure(episode, plan, position)
+        goal = self.spawn_goal(plan, position, boxes)
+        if subtask.kind == SubtaskKind.OPEN:
+            inside = next(t.start_pos for t in episode.targets if t.obj == subtask.obj)
+            return SpawnGoal(np.array(inside[:2]), goal.area)
+        if subtask.kind == SubtaskKind.CLOSE:
+            return SpawnGoal(np.array(self._link_root(self._homes[episode.home], subtask.link)), goal.area)
+        return goal
+
+    def _departure(self, episode: Episode, plan: TaskPlan, position: int) -> SpawnGoal:
+        """Where a Navigate alone begins: anywhere; in PrepareGroceries where the one before it led to.
+
+        Its first one begins at the original's doorstep, or in a home that has no floor there, where there is most room.
+        """
+        if episode.task != "prepare_groceries":
+            return SpawnGoal(None)
+        before = [s.goal_pos for s in plan.subtasks[:position] if s.kind in (SubtaskKind.NAVIGATE, SubtaskKind.PLACE)]
+        if before:
+            return SpawnGoal(np.array(before[-1][:2]))
+        at = SpawnGoal(None, near=np.array(DOORSTEP), reach=DOORSTEP_REACH, yaw=DOORSTEP_YAW)
+        if not at.allows(self.sampler.walkable(episode.home)).any():
+            at = SpawnGoal(None, near=self.sampler.roomiest(episode.home), reach=DOORSTEP_REACH, yaw=DOORSTEP_YAW)
+        return at
+
+    def _prepare(
+        self, rng: np.random.Generator, episode: Episode, plan: TaskPlan, position: int, qpos: np.ndarray
+    ) -> Held | None:
         """Bring the home into the state in which the subtask comes up; returns what the robot holds."""
+        subtask = plan.subtasks[position]
         if subtask.kind == SubtaskKind.PICK and subtask.link:
-            self._open_link(rng, episode.home, subtask.link, qpos)
+            self._ensure_open(rng, episode, subtask.link, qpos, anew=episode.task == "set_table")
             self._carry_along(episode, subtask, qpos)
         elif subtask.kind == SubtaskKind.CLOSE:
-            self._open_link(rng, episode.home, subtask.link, qpos)
-            target = next(t for t in episode.targets if t.start_link == subtask.link)
-            self._put_at_goal(qpos, self.layout.object_names.index(target.obj), target.goal_pos)
+            self._leave_open(rng, episode, subtask.link, qpos, placed=True)
         elif subtask.kind == SubtaskKind.OPEN:
             self._leave_ajar(rng, episode, subtask, qpos)
-        elif subtask.kind == SubtaskKind.PLACE or (subtask.kind == SubtaskKind.NAVIGATE and subtask.must_hold):
-            if subtask.link and qpos[self._link_q(subtask.link)] < 1.0:
-                self._open_link(rng, episode.home, subtask.link, qpos)
+        elif subtask.kind == SubtaskKind.NAVIGATE:
+            link, placed = _open_before(plan, position)
+            if link:
+                self._leave_open(rng, episode, link, qpos, placed)
+        if subtask.kind == SubtaskKind.PLACE or (subtask.kind == SubtaskKind.NAVIGATE and subtask.must_hold):
+            if subtask.link:
+                self._ensure_open(rng, episode, subtask.link, qpos)
             return self._hold(rng, subtask, qpos)
         return None
 
@@ -155,6 +243,26 @@ class StartMaker:
         fraction = rng.uniform(self.task_config.open_fraction(link), OPEN_START_MARGIN)
         at = low + fraction * (high - low)
         qpos[self._link_q(link)] = min(at, dict(self._homes[home].open_limits).get(link, at))
+
+    def _ensure_open(
+        self, rng: np.random.Generator, episode: Episode, link: str, qpos: np.ndarray, anew: bool = False
+    ) -> None:
+        """Open a link that stands less than half open, or draw ``anew`` how far it is open."""
+        low, high = self.layout.links[self.layout.link_ids.index(link)].link.range
+        half_open = low + 0.5 * self.task_config.open_fraction(link) * (high - low)
+        if anew or qpos[self._link_q(link)] < half_open:
+            self._open_link(rng, episode.home, link, qpos)
+
+    def _leave_open(
+        self, rng: np.random.Generator, episode: Episode, link: str, qpos: np.ndarray, placed: bool
+    ) -> None:
+        """Open a link as its Open has left it; what was inside is still there, or ``placed`` at its goal."""
+        self._open_link(rng, episode.home, link, qpos)
+        target = next(t for t in episode.targets if t.start_link == link)
+        if placed:
+            self._put_at_goal(qpos, self.layout.object_names.index(target.obj), target.goal_pos)
+        else:
+            self._carry_along(episode, Subtask(SubtaskKind.PICK, obj=target.obj, link=link), qpos)
 
     def _leave_ajar(self, rng: np.random.Generator, episode: Episode, subtask: Subtask, qpos: np.ndarray) -> None:
         """In training, let a drawer start part of the way to open now and then (mshab/envs/open.py)."""
@@ -189,30 +297,44 @@ class StartMaker:
         robot = np.array(REST_QPOS, dtype=np.float64)
         robot[13:15] = grasp.fingers
         qpos[self.sim.addresses.robot_q] = robot
-        return Held(slot, grasp.pose)
+        return Held(slot, grasp.pose, (self.task_config.grasp_force, self.task_config.grasp_angle))
 
     # -- where the robot stands ------------------------------------------------------------------------------------
 
     def _spawn(
-        self, episode: Episode, home: str, qpos: np.ndarray, goal: SpawnGoal, held: Held | None
-    ) -> tuple[np.ndarray, bool]:
-        for attempt in range(MAX_TRIES):
-            rng = stream(episode.seed, "spawn", episode.task, episode.index, attempt)
-            found = self.sampler.try_once(home, qpos, goal, rng, held)
-            if found is not None:
-                return found, False
-        return self.sampler.fallback(home, qpos, goal, held), True
+        self, episode: Episode, qpos: np.ndarray, goal: SpawnGoal, held: Held | None
+    ) -> tuple[np.ndarray, bool, int]:
+        """The state (nq,) with the robot in it, whether it stands there for want of a better place, and the tries."""
+        name = ("spawn", episode.task, episode.index)
+        rngs = (stream(episode.seed, *name, attempt) for attempt in range(MAX_TRIES))
+        found, tries = self.sampler.search(episode.home, qpos, goal, rngs, held)
+        if found is None:
+            return self.sampler.fallback(episode.home, qpos, goal, held), True, tries
+        return found, False, tries
 
-    def _roam(self, episode: Episode, qpos: np.ndarray) -> tuple[np.ndarray, bool]:
+    def _roam(self, episode: Episode, qpos: np.ndarray) -> tuple[np.ndarray, bool, int]:
         """A chain begins with the robot somewhere in the home; its first Navigate brings it to work."""
         fmap = self.sampler.map(episode.home)
         rng = stream(episode.seed, "roam", episode.task, episode.index)
         cells = fmap.to_xy(np.argwhere(fmap.navigable(0.5)))
-        for _ in range(MAX_TRIES):
+        for attempt in range(MAX_TRIES):
             xy = cells[int(rng.integers(len(cells)))]
             heading = rng.uniform(-np.pi, np.pi)
             face = xy + np.array([np.cos(heading), np.sin(heading)])
             found = self.sampler.at(episode.home, qpos, xy, SpawnGoal(face))
             if found is not None:
-                return found, False
-        return self.sampler.fallback(episode.home, qpos, SpawnGoal(cells[0])), True
+                return found, False, attempt + 1
+        return self.sampler.fallback(episode.home, qpos, SpawnGoal(cells[0])), True, MAX_TRIES
+
+
+def _open_before(plan: TaskPlan, position: int) -> tuple[str, bool]:
+    """The link that a plan has left open before ``position``, or "", and whether what was inside is placed by then."""
+    link, placed = "", False
+    for subtask in plan.subtasks[:position]:
+        if subtask.kind == SubtaskKind.OPEN:
+            link, placed = subtask.link, False
+        elif subtask.kind == SubtaskKind.PLACE:
+            placed = True
+        elif subtask.kind == SubtaskKind.CLOSE:
+            link = ""
+    return link, placed

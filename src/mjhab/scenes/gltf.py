@@ -17,9 +17,8 @@ import numpy as np
 
 from mjhab.core.errors import UsageError
 from mjhab.core.rotations import mat_from_quat
+from mjhab.scenes.meshes import MAX_TEXTURE
 
-MAX_TEXTURE = 512
-"""Textures are brought down to this many pixels: colours are averaged over faces anyway."""
 _COMPONENT = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
 _WIDTH = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _TRIANGLES = 4
@@ -30,8 +29,8 @@ class Primitive:
     """Triangles of one material. V vertices, F faces.
 
     ``vertices`` (V, 3) float64 [m] in the frame of the file, ``faces`` (F, 3) int32, ``uv`` (V, 2) float64 with (0, 0)
-    at the first pixel, or None; ``texture`` (H, W, 3) uint8 sRGB or None; ``color`` (3,) linear factor of the
-    base colour; ``mesh`` the name of the glTF mesh it belongs to.
+    at the first pixel, or None; ``texture`` (H, W, 3) uint8 sRGB, sides powers of two, or None; ``color`` (3,) linear
+    factor of the base colour; ``mesh`` the name of the glTF mesh it belongs to.
     """
 
     mesh: str
@@ -192,8 +191,9 @@ class _Reader:
             start = view.get("byteOffset", 0)
             with Image.open(io.BytesIO(self.blob[start : start + view["byteLength"]])) as image:
                 rgb = image.convert("RGB")
-            rgb.thumbnail((MAX_TEXTURE, MAX_TEXTURE), Image.Resampling.BOX)
-            self._images[index] = np.asarray(rgb)
+            # Powers of two repeat and halve exactly.
+            width, height = (min(MAX_TEXTURE, 1 << (side.bit_length() - 1)) for side in rgb.size)
+            self._images[index] = np.asarray(rgb.resize((width, height), Image.Resampling.BOX))
         return self._images[index]
 
 

@@ -20,7 +20,7 @@ import numpy as np
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.scenes.furniture import builtin_articulations, builtin_props, furniture_meshes
 from mjhab.scenes.homes import builtin_homes
-from mjhab.scenes.meshes import Mesh
+from mjhab.scenes.meshes import Mesh, mesh_arrays, mesh_from_arrays
 from mjhab.scenes.objects import builtin_objects, object_meshes
 from mjhab.scenes.replica_cad_files import SCENE_SUFFIX, is_replica_cad
 from mjhab.scenes.spec import Articulation, Home, ObjectType, Pack, Prop
@@ -135,9 +135,7 @@ def save_pack(pack: Pack, folder: Path) -> None:
     arrays: dict[str, np.ndarray] = {}
     for name, mesh in pack.meshes.items():
         assert isinstance(mesh, Mesh)
-        arrays[f"{name}/vertices"], arrays[f"{name}/faces"] = mesh.vertices, mesh.faces
-        if mesh.face_color is not None:
-            arrays[f"{name}/face_color"] = mesh.face_color
+        arrays |= mesh_arrays(name, mesh)
     np.savez_compressed(folder / _MESHES, **arrays)  # type: ignore[arg-type]
     body = {
         "format": PACK_FORMAT,
@@ -203,8 +201,7 @@ def _read_meshes(path: Path, names: tuple[str, ...]) -> dict[str, object]:
                 for part in ("vertices", "faces"):
                     if f"{name}/{part}" not in arrays:
                         raise UsageError(f"{path}: array '{name}/{part}' is missing.")
-                color = arrays.get(f"{name}/face_color")
-                meshes[name] = Mesh(arrays[f"{name}/vertices"], arrays[f"{name}/faces"], color)
+                meshes[name] = mesh_from_arrays(name, arrays)
     except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
         raise UsageError(f"{path}: cannot be read ({error}); write the pack again.") from error
     return meshes

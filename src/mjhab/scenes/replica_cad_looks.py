@@ -1,4 +1,4 @@
-"""Render meshes of ReplicaCAD templates, painted once and remembered on disk."""
+"""Render meshes of ReplicaCAD templates, read and shrunk once and remembered on disk."""
 
 from __future__ import annotations
 
@@ -12,16 +12,13 @@ import numpy as np
 
 from mjhab.core.cache import cache_dir, write_atomic
 from mjhab.scenes.gltf import Primitive, read_glb
-from mjhab.scenes.meshes import Mesh
-from mjhab.scenes.painting import painted_mesh
-
-MAX_FACES = 2000
-"""Faces of a render mesh after its texture has been cut into faces of one colour."""
+from mjhab.scenes.meshes import Mesh, mesh_arrays, mesh_from_arrays
+from mjhab.scenes.painting import textured_mesh
 
 
 @dataclass(eq=False)
 class Looks:
-    """Collects which files a render mesh is made of; ``meshes`` reads and paints them all."""
+    """Collects which files a render mesh is made of; ``meshes`` reads them all."""
 
     wanted: dict[str, list[tuple[Path, np.ndarray]]] = field(default_factory=dict)
 
@@ -39,12 +36,12 @@ class Looks:
         found = _load(path, list(self.wanted)) if path.exists() else None
         if found is not None:
             return found
-        made = {name: painted_mesh(self._parts(name), MAX_FACES) for name in self.wanted}
+        made = {name: textured_mesh(self._parts(name)) for name in self.wanted}
         arrays: dict[str, np.ndarray] = {}
         for name, mesh in made.items():
-            assert mesh.face_color is not None
-            arrays[f"{name}/v"], arrays[f"{name}/f"], arrays[f"{name}/c"] = mesh.vertices, mesh.faces, mesh.face_color
-        write_atomic(path, lambda temporary: np.savez_compressed(temporary, allow_pickle=False, **arrays))
+            arrays |= mesh_arrays(name, mesh)
+        # Not compressed: packed pictures would take longer to unpack than to read.
+        write_atomic(path, lambda temporary: np.savez(temporary, allow_pickle=False, **arrays))
         return made
 
     def _parts(self, name: str) -> list[Primitive]:
@@ -55,9 +52,9 @@ class Looks:
         return parts
 
     def _digest(self) -> str:
-        """Hash of what goes in: files by name, size and time, poses, and the code that paints."""
-        digest = hashlib.sha256(str(MAX_FACES).encode())
-        for code in ("gltf.py", "painting.py"):
+        """Hash of what goes in: files by name, size and time, poses, and the code that reads."""
+        digest = hashlib.sha256()
+        for code in ("gltf.py", "painting.py", "meshes.py"):
             digest.update((Path(__file__).parent / code).read_bytes())
         for name, parts in sorted(self.wanted.items()):
             for file, pose in parts:
@@ -74,6 +71,6 @@ def _load(path: Path, names: list[str]) -> dict[str, Mesh] | None:
     """The meshes of a cache file, None when it cannot be read: it is then made anew."""
     try:
         with np.load(path, allow_pickle=False) as arrays:
-            return {name: Mesh(arrays[f"{name}/v"], arrays[f"{name}/f"], arrays[f"{name}/c"]) for name in names}
+            return {name: mesh_from_arrays(name, arrays) for name in names}
     except (KeyError, ValueError, OSError, EOFError, zipfile.BadZipFile):
         return None

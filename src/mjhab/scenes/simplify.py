@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 Array = np.ndarray
@@ -12,7 +14,17 @@ _STIFFNESS = 1e-3
 """Pull of a merged vertex toward the mean of its cell, where the planes around it leave it free."""
 
 
-def simplify(vertices: Array, faces: Array, max_faces: int) -> tuple[Array, Array]:
+@dataclass(frozen=True, eq=False)
+class Simplified:
+    """A mesh with fewer faces: ``vertices`` (v, 3), ``faces`` (f, 3); ``source`` (f,): the face of the mesh it was made
+    from that each of them was, corner by corner."""
+
+    vertices: Array
+    faces: Array
+    source: Array
+
+
+def simplify(vertices: Array, faces: Array, max_faces: int) -> Simplified:
     """Merge the vertices of a triangle mesh cell by cell until few enough faces are left.
 
     Vertices whose normals point along different axes are never merged, so both sides of a thin wall survive. Each
@@ -21,14 +33,11 @@ def simplify(vertices: Array, faces: Array, max_faces: int) -> tuple[Array, Arra
 
     Args:
         vertices: (V, 3). faces: (F, 3) indices.
-        max_faces: upper bound of the faces returned.
-
-    Returns:
-        Vertices (v, 3) and faces (f, 3) with f <= max_faces; the input itself when it is small enough.
+        max_faces: upper bound of the faces returned; with fewer the mesh itself comes back.
     """
     vertices, faces = np.asarray(vertices, np.float64), np.asarray(faces, np.int64)
     if len(faces) <= max_faces:
-        return vertices, faces
+        return Simplified(vertices, faces, np.arange(len(faces)))
     side = _sides(vertices, faces)
     size = float(np.ptp(vertices, axis=0).max())
     fine, coarse = np.log(_CELLS[1] * size), np.log(_CELLS[0] * size)
@@ -40,8 +49,8 @@ def simplify(vertices: Array, faces: Array, max_faces: int) -> tuple[Array, Arra
             best, coarse = found, middle
         else:
             fine = middle
-    label, kept = best
-    return _merged(vertices, faces, label), kept
+    label, source = best
+    return Simplified(_merged(vertices, faces, label), label[faces[source]], source)
 
 
 def _sides(vertices: Array, faces: Array) -> Array:
@@ -55,18 +64,19 @@ def _sides(vertices: Array, faces: Array) -> Array:
 
 
 def _cluster(vertices: Array, faces: Array, side: Array, cell: float) -> tuple[Array, Array]:
-    """Label (V,) of the cluster of every vertex, and the faces (f, 3) that keep three clusters, each once."""
+    """Label (V,) of the cluster of every vertex, and the faces (f,) that keep three clusters, each once."""
     grid = np.floor((vertices - vertices.min(axis=0)) / cell).astype(np.int64)
     width = grid.max(axis=0) + 1
     key = ((grid[:, 0] * width[1] + grid[:, 1]) * width[2] + grid[:, 2]) * 6 + side
     found, label = np.unique(key, return_inverse=True)
     new = label[faces]
-    new = new[(new[:, 0] != new[:, 1]) & (new[:, 1] != new[:, 2]) & (new[:, 2] != new[:, 0])]
+    kept = np.flatnonzero((new[:, 0] != new[:, 1]) & (new[:, 1] != new[:, 2]) & (new[:, 2] != new[:, 0]))
+    new = new[kept]
     turn = new.argmin(axis=1)
     rolled = np.take_along_axis(new, (turn[:, None] + np.arange(3)) % 3, axis=1)
     count = len(found)
     _, first = np.unique((rolled[:, 0] * count + rolled[:, 1]) * count + rolled[:, 2], return_index=True)
-    return label, rolled[first]
+    return label, kept[first]
 
 
 def _merged(vertices: Array, faces: Array, label: Array) -> Array:

@@ -10,21 +10,19 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from scipy.spatial import ConvexHull, KDTree
+from scipy.spatial import ConvexHull
 
 from mjhab.core.errors import UsageError
+from mjhab.scenes.gltf import Primitive, read_glb
 from mjhab.scenes.meshes import Mesh
 from mjhab.scenes.objects import MASSES
+from mjhab.scenes.painting import textured_mesh
 from mjhab.scenes.shapes import about_z, look
-from mjhab.scenes.simplify import simplify
 from mjhab.scenes.spec import Geom, ObjectType, Vec3
 
 SCAN = "textured.glb"
-MAX_FACES = 2500
-"""Most triangles of an object's render mesh."""
 PRIMITIVE_TOLERANCE = 0.003
 """A box or cylinder stands for a scan when `PRIMITIVE_SHARE` of its convex hull's surface lies within this [m]."""
 PRIMITIVE_SHARE = 0.90
@@ -35,17 +33,18 @@ HULL_DIRECTIONS = 160
 WALL = 0.0045
 """Thickness of the collision wall of a bowl [m]; the scanned wall is thinner, too thin for a stable grasp."""
 RIM_PIECES, BASE_PIECES = 16, 8
-_COLOR_STEP = 0.04
 _SAMPLE_EDGE = 0.006
 
 
 @dataclass(frozen=True, eq=False)
 class Scan:
-    """A scan about the centre of its bounding box: ``vertices`` (V, 3) [m], ``faces`` (F, 3), ``color`` (F, 3) sRGB."""
+    """A scan about the centre of its bounding box: ``vertices`` (V, 3) [m], ``faces`` (F, 3); ``uv`` (V, 2) and
+    ``texture`` (h, w, 3) uint8 as in ``gltf.Primitive``, None for a plain white thing."""
 
     vertices: np.ndarray
     faces: np.ndarray
-    color: np.ndarray
+    uv: np.ndarray | None = None
+    texture: np.ndarray | None = None
 
 
 def read_ycb(folder: Path) -> tuple[dict[str, ObjectType], dict[str, object]]:
@@ -75,35 +74,16 @@ def read_ycb(folder: Path) -> tuple[dict[str, ObjectType], dict[str, object]]:
 
 
 def read_scan(path: Path) -> Scan:
-    """Read a textured mesh and the colour of every face.
+    """Read a textured mesh.
 
     Raises:
         UsageError: the file is broken, or has no texture; the message names it.
     """
-    import trimesh
-
-    try:
-        scene: Any = trimesh.load(path, force="scene")
-        parts = [g for g in scene.dump() if len(getattr(g, "faces", ()))]
-        (part,) = parts
-        vertices, faces = np.asarray(part.vertices, np.float64), np.asarray(part.faces, np.int64)
-        color = _face_color(part)
-    except Exception as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise UsageError(f"{path}: not a readable textured mesh ({reason}); fetch the file again.") from error
-    center = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
-    return Scan(vertices - center, faces, color)
-
-
-def _face_color(part: Any) -> np.ndarray:
-    """(F, 3) sRGB 0..1: the texture at the middle of every face."""
-    from trimesh.visual.color import uv_to_color
-
-    middle = part.visual.uv[part.faces].mean(axis=1)
-    image = part.visual.material.baseColorTexture
-    if image is None:
-        raise ValueError("it has no base colour texture")
-    return np.asarray(uv_to_color(middle, image))[:, :3] / 255.0
+    (part, *others) = read_glb(path)
+    if others or part.texture is None or part.uv is None:
+        raise UsageError(f"{path}: not one mesh with a base colour texture; fetch the file again.")
+    center = (part.vertices.min(axis=0) + part.vertices.max(axis=0)) / 2
+    return Scan(part.vertices - center, part.faces.astype(np.int64), part.uv, part.texture)
 
 
 def object_from_scan(name: str, scan: Scan) -> tuple[ObjectType, dict[str, Mesh]]:
@@ -122,7 +102,7 @@ def object_from_scan(name: str, scan: Scan) -> tuple[ObjectType, dict[str, Mesh]
             x, y, z = (np.ptp(scan.vertices, axis=0) / 2).tolist()
             half = (x, y, z)
             collision, meshes = _bowl(name, scan) if _fill(scan) < OPEN_SHARE else _lump(name, scan)
-    meshes[f"{name}_look"] = render_mesh(Scan(_turn(scan.vertices, -yaw), scan.faces, scan.color))
+    meshes[f"{name}_look"] = render_mesh(scan, -yaw)
     visuals = (look(f"{name}_look", "plain_white"),)
     return ObjectType(name, MASSES[name], half, tuple(collision), visuals, scan_yaw=0.0 - yaw), meshes
 
@@ -314,17 +294,10 @@ def _wedge(low: tuple[float, float], high: tuple[float, float], count: int) -> n
 # -- looks -------------------------------------------------------------------------------------------------------------
 
 
-def render_mesh(scan: Scan, max_faces: int = MAX_FACES) -> Mesh:
-    """A scan with at most ``max_faces`` triangles, each in the mean colour of the scan there."""
-    vertices, faces = simplify(scan.vertices, scan.faces, max_faces)
-    corner = vertices[faces]
-    middle = corner.mean(axis=1, keepdims=True)
-    # Four places per face: its middle, and half-way to each corner.
-    places = np.concatenate([middle, (corner + middle) / 2], axis=1)
-    _, nearest = KDTree(scan.vertices[scan.faces].mean(axis=1)).query(places.reshape(-1, 3))
-    color = scan.color[nearest].reshape(len(faces), 4, 3).mean(axis=1)
-    color = np.round(color / _COLOR_STEP) * _COLOR_STEP
-    return Mesh(vertices.astype(np.float32), faces.astype(np.int32), color.clip(0, 1).astype(np.float32))
+def render_mesh(scan: Scan, yaw: float) -> Mesh:
+    """What is seen of a scan, turned about z by ``yaw`` [rad]: every triangle, with the texture."""
+    part = Primitive("scan", _turn(scan.vertices, yaw), scan.faces, scan.uv, scan.texture, np.ones(3))
+    return textured_mesh([part])
 
 
 def _turn(points: np.ndarray, yaw: float) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""From scene descriptions to a RenderScene: meshes of primitives, normals, materials, instances, lamps."""
+"""From scene descriptions to a RenderScene: meshes of primitives, materials, textures, instances, lamps."""
 
 from __future__ import annotations
 
@@ -12,15 +12,18 @@ from mjhab.core.rotations import mat_from_quat
 from mjhab.scenes.materials import MATERIALS, Material
 from mjhab.scenes.meshes import Mesh
 from mjhab.scenes.spec import Geom, Light, Vec3
-from mjhab.sim.render_scene import PATTERNS, RenderScene
+from mjhab.sim.mesh_levels import Level, mesh_levels
+from mjhab.sim.patterns import PERIODS
+from mjhab.sim.render_scene import RenderScene
+from mjhab.sim.textures import TexturePool
 
 SEGMENTS = 24
 """Sides of a cylinder and meridians of a sphere."""
-CREASE = np.cos(np.radians(40.0))
-"""Faces that meet at less than 40 deg are shaded as one curved surface."""
 UNIT: Vec3 = (1.0, 1.0, 1.0)
 PLAIN_FACE = 0
 """Material 0: light grey, for meshes that were given none."""
+MESH_GLOSS = 0.2
+"""Gloss of meshes that bring their own colours."""
 
 
 def srgb_to_linear(color: ArrayLike) -> np.ndarray:
@@ -82,37 +85,8 @@ def primitive_mesh(geom: Geom) -> Mesh:
     raise UsageError(f"primitive_mesh: a geom of shape {geom.shape!r} has no primitive; look its mesh up in the pack.")
 
 
-def corner_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Unit normals (F, 3, 3) f32 per face corner: averaged over touching faces that meet below the crease angle,
-    each weighted by its angle at the corner.
-
-    Vertices at the same place count as one, so split seams and STL triangle soups come out smooth.
-    """
-    points = np.asarray(vertices, np.float64)[faces]
-    away, back = np.roll(points, -1, 1) - points, np.roll(points, 1, 1) - points
-    angle = np.arctan2(np.linalg.norm(np.cross(away, back), axis=2), (away * back).sum(2)).reshape(-1, 1)
-    area = np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0])
-    size = np.linalg.norm(area, axis=1, keepdims=True)
-    unit = np.where(size > 1e-14, area / np.maximum(size, 1e-14), (0.0, 0.0, 1.0))
-    grid = np.round(np.asarray(vertices, np.float64) / max(float(np.ptp(vertices, axis=0).max()), 1e-9) * 1e5)
-    weld = np.unique(grid.astype(np.int64), axis=0, return_inverse=True)[1].reshape(-1)
-    corner = weld[faces].reshape(-1)
-    order = np.argsort(corner, kind="stable")
-    starts = np.flatnonzero(np.r_[True, np.diff(corner[order]) > 0])
-    counts = np.diff(np.r_[starts, len(order)])
-    result = np.repeat(unit[:, None], 3, axis=1).reshape(-1, 3)
-    for count in np.unique(counts):
-        rows = order[starts[counts == count][:, None] + np.arange(count)]
-        own = unit[rows // 3]
-        weight = own * angle[rows]
-        for k in range(count):
-            alike = np.einsum("nkc,nc->nk", own, own[:, k]) > CREASE
-            total = np.einsum("nk,nkc->nc", alike, weight)
-            length = np.linalg.norm(total, axis=1, keepdims=True)
-            result[rows[:, k]] = np.where(length > 1e-14, total / np.maximum(length, 1e-14), own[:, k])
-    flat = np.abs(result.reshape(-1, 3, 3) - unit[:, None]).max((1, 2)) < 1e-5
-    result = np.where(flat[:, None, None], unit[:, None], result.reshape(-1, 3, 3))
-    return result.astype(np.float32)
+def _pick(textures: tuple[np.ndarray, ...], number: int) -> np.ndarray | None:
+    return textures[number] if number >= 0 else None
 
 
 class SceneBuilder:
@@ -126,9 +100,12 @@ class SceneBuilder:
     def __init__(self, num_homes: int, materials: Mapping[str, Material] = MATERIALS) -> None:
         self.num_homes = num_homes
         self._named = dict(materials)
-        self._materials: dict[Material, int] = {}
+        self._materials: dict[tuple[Material, int], int] = {}
+        self._textures = TexturePool()
         self._meshes: dict[Hashable, int] = {}
-        self._parts: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = []
+        self._levels: list[Level] = []
+        self._face_materials: list[np.ndarray] = []
+        self._coarser: list[int] = []
         self._instances: list[tuple[int, int, int]] = []
         self._local: list[tuple[np.ndarray, np.ndarray]] = []
         self._home_pose: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
@@ -137,9 +114,19 @@ class SceneBuilder:
         self._lights: list[list[Light]] = [[] for _ in range(num_homes)]
         self.add_material(Material((0.8, 0.8, 0.8)))
 
-    def add_material(self, material: Material) -> int:
-        """Id of a material; equal materials share one."""
-        return self._materials.setdefault(material, len(self._materials))
+    def add_material(self, material: Material, texture: np.ndarray | None = None) -> int:
+        """Id of a material; equal materials share one.
+
+        Args:
+            material: its colour is multiplied with the texture.
+            texture: picture (h, w, 3) uint8 as in ``scenes.meshes.Mesh``, laid on by the mesh; or None.
+        """
+        number = -1
+        if texture is not None:
+            number = self._textures.add(texture)
+        elif material.pattern != "plain":
+            number = self._textures.add_pattern(material.pattern)
+        return self._materials.setdefault((material, number), len(self._materials))
 
     def material(self, name: str) -> int:
         """Id of the named material. Raises UsageError with the nearest name if there is none."""
@@ -155,15 +142,27 @@ class SceneBuilder:
         """Id of a mesh; a key that was added before returns the first mesh."""
         if key in self._meshes:
             return self._meshes[key]
-        faces = np.asarray(mesh.faces, np.int32)
-        material = np.full(len(faces), PLAIN_FACE, np.int32)
-        if mesh.face_color is not None:
-            colors, index = np.unique(np.round(mesh.face_color, 2), axis=0, return_inverse=True)
-            ids = [self.add_material(Material((float(r), float(g), float(b)), gloss=0.25)) for r, g, b in colors]
-            material = np.array(ids, np.int32)[index.reshape(-1)]
-        vertices = np.asarray(mesh.vertices, np.float32)
-        self._parts.append((vertices, faces, material, corner_normals(vertices, faces)))
-        return self._meshes.setdefault(key, len(self._meshes))
+        first, material = len(self._levels), self._own_materials(mesh)
+        for level in mesh_levels(mesh):
+            self._coarser.append(len(self._levels) + 1)
+            self._levels.append(level)
+            self._face_materials.append(material[level.source])
+        self._coarser[-1] = -1
+        return self._meshes.setdefault(key, first)
+
+    def _own_materials(self, mesh: Mesh) -> np.ndarray:
+        """Material (F,) i32 of every face of a mesh: from its colours and textures, else `PLAIN_FACE`."""
+        count = len(mesh.faces)
+        if mesh.face_color is None and not mesh.textures:
+            return np.full(count, PLAIN_FACE, np.int32)
+        color = np.ones((count, 3)) if mesh.face_color is None else np.round(mesh.face_color, 2)
+        number = np.full(count, -1) if mesh.face_texture is None else mesh.face_texture
+        looks, index = np.unique(np.c_[color, number], axis=0, return_inverse=True)
+        ids = [
+            self.add_material(Material((float(r), float(g), float(b)), gloss=MESH_GLOSS), _pick(mesh.textures, int(k)))
+            for r, g, b, k in looks
+        ]
+        return np.array(ids, np.int32)[index.reshape(-1)]
 
     def add_geom_mesh(self, geom: Geom, meshes: Mapping[str, object] | None = None) -> tuple[int, Vec3]:
         """Mesh id and instance scale that draw a geom: unit primitives are shared by all sizes.
@@ -228,8 +227,8 @@ class SceneBuilder:
     def _add(
         self, mesh: int, body: int, seg: str, pos: ArrayLike, mat: ArrayLike, scale: ArrayLike, material: ArrayLike
     ) -> int:
-        if not 0 <= mesh < len(self._parts):
-            raise UsageError(f"mesh id {mesh} is not in 0..{len(self._parts) - 1}; use what add_mesh returned.")
+        if not 0 <= mesh < len(self._levels):
+            raise UsageError(f"mesh id {mesh} is not in 0..{len(self._levels) - 1}; use what add_mesh returned.")
         h = self.num_homes
         self._home_pose.append(
             (
@@ -273,7 +272,7 @@ class SceneBuilder:
 
     def _colored(self, mesh: int) -> bool:
         """True if the mesh brings its own face colours."""
-        return bool((self._parts[mesh][2] != PLAIN_FACE).any())
+        return bool((self._face_materials[mesh] != PLAIN_FACE).any())
 
     def add_light(self, home: int, light: Light) -> None:
         """Hang a point light in one home."""
@@ -283,18 +282,10 @@ class SceneBuilder:
         """The arrays; at least one instance is needed."""
         if not self._instances:
             raise UsageError("SceneBuilder.build: nothing was added; add an instance first.")
-        counts = np.array([len(part[0]) for part in self._parts])
-        first = np.cumsum(counts) - counts
-        face_count = np.array([len(part[1]) for part in self._parts], np.int32)
         mesh, body, seg = (np.array(column, np.int32) for column in zip(*self._instances, strict=True))
         pos, mat, scale = (np.ascontiguousarray(np.stack(part, 1)) for part in zip(*self._home_pose, strict=True))
         return RenderScene(
-            vertices=np.concatenate([part[0] for part in self._parts]),
-            faces=np.concatenate([p[1] + start for p, start in zip(self._parts, first, strict=True)]).astype(np.int32),
-            face_material=np.concatenate([part[2] for part in self._parts]),
-            corner_normals=np.concatenate([part[3] for part in self._parts]),
-            mesh_face_start=(np.cumsum(face_count) - face_count).astype(np.int32),
-            mesh_face_count=face_count,
+            **self._mesh_arrays(),
             instance_mesh=mesh,
             instance_body=body,
             instance_pos=np.stack([p for p, _ in self._local]),
@@ -305,18 +296,41 @@ class SceneBuilder:
             home_mat=mat,
             home_scale=scale,
             seg_names=tuple(self._segments),
+            texels=self._textures.build(),
             **self._look_arrays(),
             **self._light_arrays(),
         )
 
+    def _mesh_arrays(self) -> dict[str, np.ndarray]:
+        levels = self._levels
+        counts = np.array([len(level.vertices) for level in levels])
+        faces = np.array([len(level.faces) for level in levels], np.int32)
+        return {
+            "vertices": np.concatenate([level.vertices for level in levels]),
+            "faces": (
+                np.concatenate([level.faces for level in levels])
+                + np.repeat(np.cumsum(counts) - counts, faces)[:, None]
+            ).astype(np.int32),
+            "face_material": np.concatenate(self._face_materials),
+            "face_normal": np.concatenate([level.normal for level in levels]),
+            "face_uv": np.concatenate([level.uv for level in levels]),
+            "face_density": np.concatenate([level.density for level in levels]),
+            "mesh_face_start": (np.cumsum(faces) - faces).astype(np.int32),
+            "mesh_face_count": faces,
+            "mesh_coarser": np.array(self._coarser, np.int32),
+            "mesh_error": np.concatenate([level.error for level in levels]),
+        }
+
     def _look_arrays(self) -> dict[str, np.ndarray]:
-        looks = list(self._materials)
+        looks = [material for material, _ in self._materials]
         second = [m.color2 or tuple(0.72 * c for c in m.color) for m in looks]
+        pattern = np.array([m.pattern != "plain" for m in looks])
         return {
             "mat_color": srgb_to_linear([m.color for m in looks]),
             "mat_color2": srgb_to_linear(second),
-            "mat_pattern": np.array([PATTERNS.index(m.pattern) for m in looks], np.int32),
-            "mat_scale": np.array([m.scale for m in looks]),
+            "mat_texture": np.array([texture for _, texture in self._materials], np.int32),
+            "mat_pattern": pattern,
+            "mat_size": np.array([np.multiply(m.scale, PERIODS.get(m.pattern, (1.0, 1.0))) for m in looks]),
             "mat_gloss": np.array([m.gloss for m in looks]),
         }
 

@@ -170,10 +170,14 @@ class CpuSimulator:
 
     def step(self, ctrl: np.ndarray) -> None:
         """Advance all worlds by one control step under ``ctrl`` (W, nu)."""
+        self.bare_step(ctrl)
+        self._update_taint()
+
+    def bare_step(self, ctrl: np.ndarray) -> None:
+        """The engine's part of `step`, for benchmarks."""
         self._ctrl[:] = ctrl
         # Stage VEL makes positions current without cost; the contact sensors are those of the last substep.
         self.batch.step(nstep=SUBSTEPS, stage=POSITION_STAGE)
-        self._update_taint()
 
     def state(self) -> SimState:
         """The current state of all worlds; body arrays are views that the next step overwrites."""

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from mjhab.sim.patterns import INLINE, JIT
+from mjhab.sim.jit import color_inline, color_kernel
 
-RADIUS = 0.45
+RADIUS = 0.3
 """Reach [m] of the occlusion."""
-STRENGTH = 1.9
+STRENGTH = 2.4
 TAPS = 12
 TURNS = 16
 """Sample patterns of neighbouring cells, a 4 x 4 block of which the blur averages."""
@@ -27,7 +26,7 @@ def _disk() -> np.ndarray:
 DISK = _disk()
 
 
-@njit(**INLINE)
+@color_inline
 def _slope(inverse, y, x, dy, dx):
     """Change of inverse depth per pixel along (dy, dx): the flatter side, so that edges do not count."""
     height, width = inverse.shape
@@ -42,7 +41,7 @@ def _slope(inverse, y, x, dy, dx):
     return forward if abs(forward) < abs(backward) else backward
 
 
-@njit(**INLINE)
+@color_inline
 def _blocked(inverse, y, x, focal, turn):
     """Occlusion of one pixel, in 0..1 before ``STRENGTH``."""
     height, width = inverse.shape
@@ -70,7 +69,7 @@ def _blocked(inverse, y, x, focal, turn):
     return total / TAPS
 
 
-@njit(**JIT)
+@color_kernel
 def ambient_occlusion(inverse, step, focal, raw, share, depths):
     """Fill ``share`` (a, b) f32 with openness 0..1 (1: nothing near), one cell per ``step`` pixels of ``inverse``.
 

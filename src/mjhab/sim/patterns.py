@@ -1,146 +1,113 @@
-"""Compiled procedural patterns: the colour of a surface point from its place in the instance's own frame.
+"""Procedural patterns of surfaces, baked into pictures that repeat.
 
-``shading.shade`` compiles these in. Numba renews a cached kernel only when the file of the kernel itself changes:
-after an edit here, ``touch`` shading.py.
+A picture has two channels: the mix of the two colours of the material (0: first, 1: second), and a shade that
+multiplies them, in steps of ``SHADE_TOP / 255``.
 """
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numba import njit
 
-from mjhab.sim.render_scene import PATTERNS
-
-JIT: dict[str, Any] = {"nogil": True, "cache": True, "error_model": "numpy", "fastmath": True, "_nrt": False}
-"""``_nrt`` off: the kernels make no arrays, and counting references to their arguments took 2/3 of the time."""
-INLINE: dict[str, Any] = JIT | {"forceinline": True}
-"""For helpers called per pixel: a call would copy every array descriptor it is given."""
-WOOD = PATTERNS.index("wood")
-PLANKS = PATTERNS.index("planks")
-TILES = PATTERNS.index("tiles")
-FABRIC = PATTERNS.index("fabric")
-STRIPES = PATTERNS.index("stripes")
-
-
-@njit(**INLINE)
-def _hash(x, y):
-    """Pseudo-random number in 0..1 of two integers."""
-    h = (x * 374761393 + y * 668265263) & 0xFFFFFFFF
-    h = ((h ^ (h >> 13)) * 1274126177) & 0xFFFFFFFF
-    return ((h ^ (h >> 16)) & 0xFFFF) / 65535.0
+Array = np.ndarray
+PERIODS: dict[str, tuple[float, float]] = {
+    "wood": (16.0, 8.0),
+    "planks": (32.0, 16.0),
+    "tiles": (4.0, 4.0),
+    "fabric": (8.0, 8.0),
+    "stripes": (1.0, 1.0),
+}
+"""Size (u, v) of a picture in units of the material's ``scale``; grain, boards and stripes' normals run along u."""
+SHADE_TOP = 1.25
+_BOARD = 8.0
+"""Length of a board in units of its width."""
 
 
-@njit(**INLINE)
-def _noise(x, y):
-    """Smooth value noise in 0..1 with period about 1."""
-    fx, fy = np.floor(x), np.floor(y)
-    ix, iy = np.int64(fx), np.int64(fy)
-    u, v = x - fx, y - fy
-    u, v = u * u * (3.0 - 2.0 * u), v * v * (3.0 - 2.0 * v)
-    low = _hash(ix, iy) * (1.0 - u) + _hash(ix + 1, iy) * u
-    high = _hash(ix, iy + 1) * (1.0 - u) + _hash(ix + 1, iy + 1) * u
-    return low * (1.0 - v) + high * v
+def pattern_tile(kind: str) -> Array:
+    """Picture (h, w, 3) uint8 of a pattern: mix, shade, 0. Sides are powers of two.
+
+    Raises:
+        KeyError: no such pattern; "plain" has none.
+    """
+    mix, shade = {"wood": _wood, "planks": _planks, "tiles": _tiles, "fabric": _fabric, "stripes": _stripes}[kind]()
+    shade = np.broadcast_to(shade, mix.shape)
+    levels = np.stack([np.clip(mix, 0.0, 1.0), np.clip(shade / SHADE_TOP, 0.0, 1.0), np.zeros_like(mix)], axis=-1)
+    return np.round(255.0 * levels).astype(np.uint8)
 
 
-@njit(**INLINE)
-def _fade(period, pixel):
-    """Weight of a detail: 1 when its period is many pixels wide, 0 when it is below two."""
-    return min(max(0.5 * period / pixel - 1.0, 0.0), 1.0)
+def _grid(width: int, height: int) -> tuple[Array, Array]:
+    """Places (h, w) of pixel centres in 0..1."""
+    return np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
 
 
-@njit(**INLINE)
-def _seam(distance, width, pixel):
-    """Coverage of a pixel by a line of ``width`` at ``distance`` from its middle."""
-    return min(max((0.5 * width - distance) / pixel + 0.5, 0.0), 1.0) * min(1.0, 1.5 * width / pixel + 0.2)
+def _noise(seed: int, u: Array, v: Array, cells_u: int, cells_v: int) -> Array:
+    """Smooth value noise in 0..1 that repeats when u or v (in 0..1) grow by 1, with so many cells each way."""
+    values = np.random.default_rng(seed).random((cells_v, cells_u))
+    x, y = u * cells_u, v * cells_v
+    i, j = np.floor(x).astype(int), np.floor(y).astype(int)
+    a, b = x - i, y - j
+    a, b = a * a * (3.0 - 2.0 * a), b * b * (3.0 - 2.0 * b)
+    i0, i1, j0, j1 = i % cells_u, (i + 1) % cells_u, j % cells_v, (j + 1) % cells_v
+    low = values[j0, i0] * (1.0 - a) + values[j0, i1] * a
+    high = values[j1, i0] * (1.0 - a) + values[j1, i1] * a
+    return low * (1.0 - b) + high * b
 
 
-@njit(**INLINE)
-def _wood(u, v, scale, pixel, seed):
-    """Grain along u: stretched noise in two octaves, bent by a slow wave."""
-    bend = 0.6 * _noise(0.25 * u / scale + seed, 0.5 * v / scale)
-    ring = (v / scale + bend) * 2.0
-    coarse = _noise(0.22 * u / scale + seed, ring * 1.7)
-    fine = _noise(0.9 * u / scale, ring * 9.0 + seed)
-    a, b = _fade(0.3 * scale, pixel), _fade(0.06 * scale, pixel)
-    return 0.45 + a * (coarse - 0.5) * 0.75 + b * (fine - 0.5) * 0.35
+def _grain(seed: int, u: Array, v: Array, length: float, width: float) -> Array:
+    """Grain along u of a piece of so many units: stretched noise in two octaves, bent by a slow wave."""
+    bend = 0.6 * _noise(seed, u, v, max(1, round(0.25 * length)), max(1, round(0.5 * width)))
+    ring = v + bend / width
+    coarse = _noise(seed + 1, u, ring, max(1, round(0.22 * length)), max(1, round(3.4 * width)))
+    fine = _noise(seed + 2, u, ring, max(1, round(0.9 * length)), max(1, round(18.0 * width)))
+    return 0.45 + 0.75 * (coarse - 0.5) + 0.35 * (fine - 0.5)
 
 
-@njit(**INLINE)
-def _planks(u, v, scale, pixel):
-    """Boards of width ``scale`` and eight times the length, each with its tint; returns (mix, shade)."""
-    row = np.floor(v / scale)
-    shifted = u / (8.0 * scale) + _hash(np.int64(row), 7)
-    board = np.floor(shifted)
-    tint = _hash(np.int64(board) * 13 + 5, np.int64(row))
-    grain = _wood(u, v, 0.7 * scale, pixel, 17.0 * tint)
-    across, along = v / scale - row, shifted - board
-    edge = min(across, 1.0 - across) * scale
-    end = min(along, 1.0 - along) * 8.0 * scale
-    line = max(_seam(edge, 0.006, pixel), _seam(end, 0.006, pixel))
+def _wood() -> tuple[Array, Array]:
+    u, v = _grid(256, 512)
+    length, width = PERIODS["wood"]
+    return _grain(1, u, v, length, width), np.ones(1)
+
+
+def _planks() -> tuple[Array, Array]:
+    """Boards of width 1, each with its tint, with dark joints of 0.04."""
+    length, width = PERIODS["planks"]
+    u, v = _grid(512, 1024)
+    rng = np.random.default_rng(7)
+    row = np.floor(v * width).astype(int)
+    shifted = u * length / _BOARD + rng.random(int(width))[row]
+    count = round(length / _BOARD)
+    board = np.floor(shifted).astype(int) % count
+    tint = rng.random((int(width), count))[row, board]
+    grain = _grain(8, (u + tint) % 1.0, v, length / 0.7, width / 0.7)
+    across, along = v * width - row, shifted - np.floor(shifted)
+    edge, end = np.minimum(across, 1.0 - across), np.minimum(along, 1.0 - along) * _BOARD
+    line = np.maximum(_seam(edge, 0.04, width / 1024), _seam(end, 0.04, length / 512))
     return 0.55 * tint + 0.45 * grain, 1.0 - 0.45 * line
 
 
-@njit(**INLINE)
-def _tiles(u, v, scale, pixel):
-    """Square tiles; returns (mix towards the grout, shade of the tile)."""
-    p, q = u / scale, v / scale
-    i, j = np.floor(p), np.floor(q)
-    a, b = p - i, q - j
-    edge = min(min(a, 1.0 - a), min(b, 1.0 - b)) * scale
-    shade = 0.95 + 0.08 * _hash(np.int64(i), np.int64(j))
-    return _seam(edge, 0.02 * scale + 0.002, pixel), shade
+def _seam(distance: Array, width: float, pixel: float) -> Array:
+    """Coverage of pixels by a line of ``width`` at ``distance`` from its middle."""
+    return np.clip((0.5 * width - distance) / pixel + 0.5, 0.0, 1.0) * min(1.0, width / pixel)
 
 
-@njit(**INLINE)
-def _fabric(u, v, scale, pixel):
-    """Woven threads with soft blotches."""
-    p, q = np.floor(u / scale * 8.0), np.floor(v / scale * 8.0)
-    thread = _hash(np.int64(p), np.int64(q))
-    blotch = _noise(1.5 * u / scale, 1.5 * v / scale)
-    return 0.4 + 0.5 * _fade(scale / 8.0, pixel) * (thread - 0.5) + 0.6 * _fade(scale, pixel) * (blotch - 0.5)
+def _tiles() -> tuple[Array, Array]:
+    """Square tiles of size 1 with grout (mix 1), each with its shade."""
+    count = int(PERIODS["tiles"][0])
+    u, v = _grid(512, 512)
+    p, q = u * count, v * count
+    i, j = np.floor(p).astype(int), np.floor(q).astype(int)
+    edge = np.minimum(np.minimum(p - i, 1.0 - p + i), np.minimum(q - j, 1.0 - q + j))
+    shade = 0.95 + 0.08 * np.random.default_rng(5).random((count, count))[j, i]
+    return _seam(edge, 0.026, count / 512), shade
 
 
-@njit(**INLINE)
-def _stripes(u, scale, pixel):
-    """Two equal stripes per period, edges smoothed over a pixel."""
-    p = u / scale - np.floor(u / scale)
-    d = (0.25 - abs(p - 0.5)) * scale
-    mix = min(max(d / pixel + 0.5, 0.0), 1.0)
-    return 0.5 + (mix - 0.5) * _fade(scale, pixel)
+def _fabric() -> tuple[Array, Array]:
+    """Woven threads of 1/8 with soft blotches."""
+    u, v = _grid(256, 256)
+    thread = np.random.default_rng(3).random((64, 64))[(v * 64).astype(int), (u * 64).astype(int)]
+    return 0.4 + 0.5 * (thread - 0.5) + 0.6 * (_noise(4, u, v, 12, 12) - 0.5), np.ones(1)
 
 
-@njit(**INLINE)
-def _plane(x, y, z, nx, ny, nz, sx, sy, sz):
-    """Coordinates (u, v) on the face a normal looks out of; u runs along its longer side."""
-    ax, ay, az = abs(nx), abs(ny), abs(nz)
-    if az >= ax and az >= ay:
-        u, v, longer = x, y, sx >= sy
-    elif ax >= ay:
-        u, v, longer = y, z, sy >= sz
-    else:
-        u, v, longer = x, z, sx >= sz
-    return (u, v) if longer else (v, u)
-
-
-@njit(**INLINE)
-def pattern(kind, scale, x, y, z, nx, ny, nz, sx, sy, sz, pixel):
-    """Mix (0: first colour, 1: second) and shade (factor) at a point.
-
-    x, y, z [m] and nx, ny, nz: point and normal in the instance's frame; sx, sy, sz: size of the piece,
-    which turns grain and boards along its longer side; pixel: size of a pixel on the surface [m].
-    """
-    u, v = _plane(x, y, z, nx, ny, nz, sx, sy, sz)
-    mix, shade = 0.0, 1.0
-    if kind == WOOD:
-        mix = _wood(u, v, scale, pixel, 3.0 * (nx + 2.0 * ny))
-    elif kind == PLANKS:
-        mix, shade = _planks(u, v, scale, pixel)
-    elif kind == TILES:
-        mix, shade = _tiles(u, v, scale, pixel)
-    elif kind == FABRIC:
-        mix = _fabric(u, v, scale, pixel)
-    elif kind == STRIPES:
-        mix = _stripes(u, scale, pixel)
-    return min(max(mix, 0.0), 1.0), shade
+def _stripes() -> tuple[Array, Array]:
+    """Two equal stripes."""
+    u, _ = _grid(64, 2)
+    return (np.abs(u - 0.5) < 0.25).astype(float), np.ones(1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import threading
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Literal
 
@@ -13,12 +13,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.sim.lighting import SHADOW_SLOPE, Lamps
 from mjhab.sim.occlusion import ambient_occlusion
+from mjhab.sim.raster_batch import Room, Scenery, Views, draw_worlds
 from mjhab.sim.raster_kernels import (
+    FACE_BITS,
+    PARKED_BELOW,
     Geometry,
     Lens,
-    Pose,
-    Scratch,
+    Placing,
     draw,
     make_scratch,
     place_instances,
@@ -26,7 +29,7 @@ from mjhab.sim.raster_kernels import (
     read_segments,
 )
 from mjhab.sim.render_scene import RenderScene
-from mjhab.sim.shading import SHADOW_SLOPE, Lamps, Surface, shade, tone_curve
+from mjhab.sim.shading import Openness, Surface, make_shade_scratch, shade, tone_curve
 
 OUTPUTS = ("rgb", "depth", "seg")
 NEAR = 0.01
@@ -34,6 +37,14 @@ NEAR = 0.01
 SHADOW_SIZE = 512
 SHADOW_MAPS_KEPT = 64
 """Shadow maps of still furniture kept in memory (1 MiB each)."""
+FAST_STRIDE, FAST_CELL = 8, 4
+"""Fast pictures: light is computed at every 8th pixel of a face's run, ambient occlusion on cells of 4 x 4 pixels."""
+ALL, STILL, MOVING = 0, 1, 2
+"""Which instances ``draw`` draws."""
+SIZES_KEPT = 6
+"""Sizes of pictures that a thread keeps buffers for."""
+CHUNKS_PER_THREAD = 4
+"""Worlds are handed out to threads in so many portions each, so that none waits long for the last one."""
 
 
 def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) -> np.ndarray:
@@ -64,23 +75,7 @@ class Rasterizer:
     def __init__(self, scene: RenderScene, num_threads: int = 0, cull_backfaces: bool = True) -> None:
         self.scene = scene
         self.cull_backfaces = cull_backfaces
-        self._geometry = _geometry(scene)
-        self._smooth = np.ascontiguousarray((scene.corner_normals != scene.corner_normals[:, :1]).any((1, 2)))
-        self._extent = (self._geometry.mesh_box[:, 1] - self._geometry.mesh_box[:, 0])[scene.instance_mesh]
-        self._still = np.flatnonzero(scene.instance_body == 0).astype(np.int32)
-        self._moving = np.flatnonzero(scene.instance_body != 0).astype(np.int32)
-        self._all = np.arange(len(scene.instance_mesh), dtype=np.int32)
-        self._looks = [
-            np.ascontiguousarray(a, t)
-            for a, t in (
-                (scene.mat_color, np.float64),
-                (scene.mat_color2, np.float64),
-                (scene.mat_pattern, np.int32),
-                (scene.mat_scale, np.float64),
-                (scene.mat_gloss, np.float64),
-            )
-        ]
-        self._tone = tone_curve()
+        self._scenery = _scenery(scene)
         self._local = threading.local()
         self._lock = threading.Lock()
         self._shadows: OrderedDict[tuple[int, int], np.ndarray] = OrderedDict()
@@ -116,7 +111,8 @@ class Rasterizer:
             fovy: vertical field of view [rad], one number or one per camera.
             width, height: image size [px].
             outputs: any of "rgb", "depth", "seg".
-            quality: "fast" for observations; "nice" for people: lamp shadows, ambient occlusion, ssaa 2.
+            quality: "fast" for observations: ambient occlusion on a coarse grid, lamps without shadows; "nice" for
+                people: lamp shadows, fine ambient occlusion, ssaa 2.
             ssaa: samples per pixel side of rgb; 0 means what ``quality`` says. Depth and seg are never smoothed.
 
         Returns:
@@ -134,21 +130,27 @@ class Rasterizer:
         body_mat = _array(body_mat, (len(home), body_pos.shape[1], 3, 3), "body_mat")
         self._check(home, body_pos.shape[1], width, height)
         fovy = np.broadcast_to(np.asarray(fovy, np.float64), (cam_pos.shape[1],))
-        shape = (*cam_pos.shape[:2], height, width)
-        kinds = {"rgb": ((*shape, 3), np.uint8), "depth": (shape, np.float32), "seg": (shape, np.int32)}
-        images = {name: np.empty(kinds[name][0], kinds[name][1]) for name in outputs}
         samples = ssaa or (2 if quality == "nice" else 1)
+        views = _views(home, (body_pos, body_mat, cam_pos, cam_mat), fovy, (height, width), outputs)
+        if quality == "nice" or samples > 1:
+            jobs = [(w, c) for w in range(len(home)) for c in range(cam_pos.shape[1])]
+            self._each(lambda job: self._draw(views, *job, height, width, quality == "nice", samples), jobs)
+        else:
+            self._each(lambda job: self._draw_fast(views, *job, height, width), self._portions(len(home)))
+        return {name: getattr(views, name) for name in outputs}
 
-        def one(job: tuple[int, int]) -> None:
-            w, c = job
-            lens = Lens(cam_pos[w, c], cam_mat[w, c], 0.5 * height / np.tan(0.5 * fovy[c]), NEAR)
-            views = {name: image[w, c] for name, image in images.items()}
-            self._draw(int(home[w]), body_pos[w], body_mat[w], lens, height, width, views, quality == "nice", samples)
+    def _portions(self, worlds: int) -> list[tuple[int, int]]:
+        size = max(1, worlds // (CHUNKS_PER_THREAD * self.num_threads))
+        return [(first, min(first + size, worlds)) for first in range(0, worlds, size)]
 
-        jobs = [(w, c) for w in range(shape[0]) for c in range(shape[1])]
-        for _ in map(one, jobs) if self._pool is None or len(jobs) == 1 else self._pool.map(one, jobs):
+    def _each(self, work: Callable[[tuple[int, int]], None], jobs: list[tuple[int, int]]) -> None:
+        for _ in map(work, jobs) if self._pool is None or len(jobs) == 1 else self._pool.map(work, jobs):
             pass
-        return images
+
+    def _draw_fast(self, views: Views, first: int, last: int, height: int, width: int) -> None:
+        """Draw all cameras of the worlds ``first`` to ``last``."""
+        room = self._room(height, width, FAST_CELL)
+        draw_worlds(self._scenery, views, first, last, NEAR, self.cull_backfaces, FAST_CELL, FAST_STRIDE, room)
 
     def _check(self, home: np.ndarray, bodies: int, width: int, height: int) -> None:
         homes = len(self.scene.home_pos)
@@ -160,112 +162,85 @@ class Rasterizer:
         if width < 1 or height < 1:
             raise UsageError(f"width and height must be positive; got {width} x {height}.")
 
-    def _draw(
-        self,
-        home: int,
-        body_pos: np.ndarray,
-        body_mat: np.ndarray,
-        lens: Lens,
-        height: int,
-        width: int,
-        views: dict[str, np.ndarray],
-        nice: bool,
-        samples: int,
-    ) -> None:
-        """Draw one camera of one world into ``views``."""
-        pose = self._pose(home, body_pos, body_mat)
-        if samples > 1 and "rgb" in views:
-            fine = lens._replace(focal=lens.focal * samples)
-            self._shade(home, pose, fine, *self._trace(pose, fine, height * samples, width * samples), views, nice)
-            views = {name: view for name, view in views.items() if name != "rgb"}
-        if not views:
-            return
-        inverse, ids = self._trace(pose, lens, height, width)
-        if "depth" in views:
-            read_depth(inverse, views["depth"])
-        if "seg" in views:
-            read_segments(inverse, ids, self.scene.instance_seg, views["seg"])
-        if "rgb" in views:
-            self._shade(home, pose, lens, inverse, ids, views, nice)
+    def _draw(self, views: Views, w: int, c: int, height: int, width: int, nice: bool, samples: int) -> None:
+        """Draw one camera of one world with shadows (``nice``), its colours from samples x samples per pixel."""
+        placing, home = self._scenery.placing, int(views.home[w])
+        lens = Lens(views.cam_pos[w, c], views.cam_mat[w, c], float(views.focal[c]), NEAR)
+        fine = views.rgb.shape[1] > 0 and samples > 1
+        room = self._room(height * samples, width * samples, 2 * samples) if fine else self._room(height, width, 2)
+        place_instances(placing, home, views.body_pos[w], views.body_mat[w], room.draw)
+        if fine:
+            lens = lens._replace(focal=lens.focal * samples)
+            self._trace(home, lens, room)
+            self._shade(home, lens, room, views.rgb[w, c], nice, samples)
+            lens = lens._replace(focal=lens.focal / samples)
+            room = self._room(height, width, 2)
+            place_instances(placing, home, views.body_pos[w], views.body_mat[w], room.draw)
+        if views.depth.shape[1] or views.seg.shape[1] or not fine:
+            self._trace(home, lens, room)
+        if views.depth.shape[1]:
+            read_depth(room.inverse, views.depth[w, c])
+        if views.seg.shape[1]:
+            read_segments(room.inverse, room.ids, self._scenery.seg, views.seg[w, c])
+        if views.rgb.shape[1] and not fine:
+            self._shade(home, lens, room, views.rgb[w, c], nice, samples)
 
-    def _scratch(self, name: str, shape: tuple[int, ...], dtype: type) -> np.ndarray:
-        """An uninitialised array of this thread that is reused from call to call."""
-        store = self._local.__dict__
-        size = int(np.prod(shape))
-        if name not in store or store[name].size < size or store[name].dtype != dtype:
-            store[name] = np.empty(size, dtype)
-        return store[name][:size].reshape(shape)
+    def _room(self, height: int, width: int, cell: int) -> Room:
+        """This thread's buffers for pictures of a size."""
+        rooms = self._local.__dict__.setdefault("rooms", OrderedDict())
+        key = (height, width, cell)
+        if key not in rooms:
+            count = len(self.scene.instance_mesh)
+            cells = (-(-height // cell), -(-width // cell))
+            rooms[key] = Room(
+                make_scratch(self._scenery.geometry, count), make_shade_scratch(count, width),
+                np.empty((height, width), np.float32), np.empty((height, width), np.int32),
+                *(np.empty(cells, np.float32) for _ in range(3)),
+            )  # fmt: skip
+            if len(rooms) > SIZES_KEPT:
+                rooms.popitem(last=False)
+        return rooms[key]
 
-    def _pose(self, home: int, body_pos: np.ndarray, body_mat: np.ndarray) -> Pose:
-        scene, count = self.scene, len(self._all)
-        rot, pos = self._scratch("rot", (count, 3, 3), np.float64), self._scratch("pos", (count, 3), np.float64)
-        place_instances(
-            scene.instance_body, scene.instance_pos, scene.instance_mat,
-            scene.home_pos[home], scene.home_mat[home], body_pos, body_mat, rot, pos,
-        )  # fmt: skip
-        return Pose(rot, pos, scene.home_scale[home])
+    def _trace(self, home: int, lens: Lens, room: Room) -> None:
+        """Inverse depth and ids of everything into the buffers."""
+        room.inverse[:] = 0.0
+        s = self._scenery
+        draw(s.geometry, s.placing, home, ALL, lens, self.cull_backfaces, room.inverse, room.ids, room.draw)
 
-    def _trace(self, pose: Pose, lens: Lens, height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
-        """Inverse depth and ids (height, width) of everything, in this thread's scratch."""
-        inverse = self._scratch("inverse", (height, width), np.float32)
-        ids = self._scratch("ids", (height, width), np.int64)
-        inverse[:] = 0.0
-        draw(self._geometry, self._all, pose, lens, self.cull_backfaces, inverse, ids, self._room())
-        return inverse, ids
-
-    def _room(self) -> Scratch:
-        """This thread's scratch of the drawing kernel."""
-        if not hasattr(self._local, "room"):
-            self._local.room = make_scratch(self._geometry)
-        return self._local.room
-
-    def _shade(
-        self,
-        home: int,
-        pose: Pose,
-        lens: Lens,
-        inverse: np.ndarray,
-        ids: np.ndarray,
-        views: dict[str, np.ndarray],
-        nice: bool,
-    ) -> None:
-        scene, rgb = self.scene, views["rgb"]
-        share = depths = np.empty((0, 0), np.float32)
-        shadow = np.empty((0, 1, 1), np.float32)
+    def _shade(self, home: int, lens: Lens, room: Room, rgb: np.ndarray, nice: bool, samples: int) -> None:
+        s, cell = self._scenery, 2 * samples
+        lamps, stride = s.lamps, FAST_STRIDE * samples
+        openness = Openness(room.share, room.depths, 1.0 / cell)
+        ambient_occlusion(room.inverse, cell, lens.focal, room.raw, room.share, room.depths)
         if nice:
-            step = 2 * (inverse.shape[0] // rgb.shape[0])
-            cells = (-(-inverse.shape[0] // step), -(-inverse.shape[1] // step))
-            raw, share, depths = (self._scratch(n, cells, np.float32) for n in ("raw", "share", "depths"))
-            ambient_occlusion(inverse, step, lens.focal, raw, share, depths)
-            shadow = self._lamp_maps(home, pose)
-        surface = Surface(
-            scene.vertices, scene.faces, scene.corner_normals, self._smooth, scene.face_material,
-            scene.instance_material[home], self._extent * np.abs(pose.scale), *self._looks,
-        )  # fmt: skip
-        lamps = Lamps(scene.light_pos[home], scene.light_color[home], shadow)
-        shade(surface, pose, lamps, lens, inverse, ids, share, depths, self._tone, np.empty((3, 6)), rgb)
+            drawn = room.draw.drawn.copy()
+            lamps, stride = lamps._replace(shadow=self._lamp_maps(home, room)), 1
+            room.draw.drawn[:] = drawn
+        shade(
+            s.surface, room.draw, lamps, home, lens, room.inverse, room.ids, openness, s.tone, room.shade, stride, rgb
+        )
 
-    def _lamp_maps(self, home: int, pose: Pose) -> np.ndarray:
+    def _lamp_maps(self, home: int, room: Room) -> np.ndarray:
         """Inverse depths (L, S, S) below every lamp: still furniture from the cache, moving bodies on top."""
-        scene = self.scene
-        maps = self._scratch("shadow", (scene.light_pos.shape[1], SHADOW_SIZE, SHADOW_SIZE), np.float32)
-        ids = self._scratch("shadow_ids", (SHADOW_SIZE, SHADOW_SIZE), np.int64)
+        scene, s = self.scene, self._scenery
+        maps = np.zeros((scene.light_pos.shape[1], SHADOW_SIZE, SHADOW_SIZE), np.float32)
+        ids = np.empty((SHADOW_SIZE, SHADOW_SIZE), np.int32)
         focal = 0.5 * SHADOW_SIZE * SHADOW_SLOPE / np.sqrt(1.0 - SHADOW_SLOPE**2)
         for k, color in enumerate(scene.light_color[home]):
             if not color.any():
                 continue
-            lens = Lens(scene.light_pos[home, k], np.eye(3), focal, 0.05)
+            lens = Lens(scene.light_pos[home, k], np.eye(3), float(focal), 0.05)
             with self._lock:
                 still = self._shadows.get((home, k))
             if still is None:
                 still = np.zeros((SHADOW_SIZE, SHADOW_SIZE), np.float32)
-                draw(self._geometry, self._still, pose, lens, False, still, ids, self._room())
+                draw(s.geometry, s.placing, home, STILL, lens, False, still, ids, room.draw)
                 with self._lock:
                     self._shadows[(home, k)] = still
                     while len(self._shadows) > SHADOW_MAPS_KEPT:
                         self._shadows.popitem(last=False)
             maps[k] = still
-            draw(self._geometry, self._moving, pose, lens, False, maps[k], ids, self._room())
+            draw(s.geometry, s.placing, home, MOVING, lens, False, maps[k], ids, room.draw)
         return maps
 
 
@@ -287,16 +262,74 @@ def _array(value: np.ndarray, shape: tuple[int, ...], name: str) -> np.ndarray:
     return np.ascontiguousarray(array)
 
 
+def _views(
+    home: np.ndarray,
+    given: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+    fovy: np.ndarray,
+    size: tuple[int, int],
+    outputs: Sequence[str],
+) -> Views:
+    """Inputs of the kernels, with empty images for what is wanted."""
+    height, width = size
+    cameras = given[2].shape[1]
+    kinds = {"rgb": (np.uint8, (3,)), "depth": (np.float32, ()), "seg": (np.int32, ())}
+    images = {
+        name: np.empty((len(home), cameras if name in outputs else 0, height, width, *tail), kind)
+        for name, (kind, tail) in kinds.items()
+    }
+    body_pos, body_mat, cam_pos, cam_mat = given
+    return Views(home, body_pos, body_mat, cam_pos, cam_mat, 0.5 * height / np.tan(0.5 * fovy), **images)
+
+
+def _scenery(scene: RenderScene) -> Scenery:
+    """Kernel view of the scene."""
+    geometry = _geometry(scene)
+    extent = (geometry.mesh_box[:, 1] - geometry.mesh_box[:, 0])[scene.instance_mesh]
+    smooth = np.ascontiguousarray(scene.face_normal[:, :, :3].any((1, 2)))
+    surface = Surface(
+        scene.mesh_face_start, scene.face_material, scene.face_normal, scene.face_uv, scene.face_density, smooth,
+        scene.instance_material, extent, scene.mat_color, scene.mat_color2, scene.mat_texture, scene.mat_pattern,
+        scene.mat_size, scene.mat_gloss, scene.texels,
+    )  # fmt: skip
+    lamps = Lamps(scene.light_pos, scene.light_color, np.empty((0, 1, 1), np.float32))
+    return Scenery(geometry, _placing(scene), surface, lamps, scene.instance_seg, tone_curve())
+
+
+def _placing(scene: RenderScene) -> Placing:
+    there = (scene.home_scale != 0.0).all(axis=2)
+    there &= (scene.instance_body != 0) | (scene.home_pos[:, :, 2] > PARKED_BELOW)
+    start = np.concatenate([[0], np.cumsum(there.sum(axis=1))]).astype(np.int64)
+    return Placing(
+        scene.instance_mesh, scene.instance_body, scene.instance_pos, scene.instance_mat,
+        scene.home_pos, scene.home_mat, scene.home_scale, np.nonzero(there)[1].astype(np.int32), start,
+    )  # fmt: skip
+
+
 def _geometry(scene: RenderScene) -> Geometry:
-    """Kernel view of the meshes: vertex ranges and bounding boxes from the faces of each mesh."""
+    """Kernel view of the meshes: vertex ranges, bounding boxes and balls from the faces of each mesh.
+
+    Raises:
+        UsageError: more instances or faces in a mesh than fit in the id of a pixel.
+    """
+    most = int(scene.mesh_face_count.max(initial=0)), len(scene.instance_mesh)
+    if most[0] > 1 << FACE_BITS or most[1] > 1 << (31 - FACE_BITS):
+        raise UsageError(
+            f"a mesh of {most[0]} faces or {most[1]} instances: the rasterizer draws up to {1 << FACE_BITS} faces per "
+            f"mesh and {1 << (31 - FACE_BITS)} instances."
+        )
     spans = np.stack([scene.mesh_face_start, scene.mesh_face_count], 1).astype(np.int32)
-    verts = np.zeros_like(spans)
-    box = np.zeros((len(spans), 2, 3))
+    verts, faces = np.zeros_like(spans), scene.faces.copy()
+    box, ball = np.zeros((len(spans), 2, 3)), np.zeros((len(spans), 4))
     for k, (start, count) in enumerate(spans):
-        used = scene.faces[start : start + count]
         if count == 0:
             continue
-        verts[k] = used.min(), used.max() - used.min() + 1
-        corners = scene.vertices[np.unique(used)]
+        used = faces[start : start + count]
+        first = used.min()
+        verts[k] = first, used.max() - first + 1
+        corners = scene.vertices[np.unique(used)].astype(np.float64)
+        used -= first
         box[k] = corners.min(0), corners.max(0)
-    return Geometry(scene.vertices, scene.faces, spans, verts, box, scene.instance_mesh)
+        ball[k, :3] = box[k].mean(0)
+        ball[k, 3] = np.linalg.norm(corners - ball[k, :3], axis=1).max() * (1.0 + 1e-9)
+    vertices = np.ascontiguousarray(scene.vertices.T)
+    return Geometry(vertices, faces, spans, verts, box, ball, scene.mesh_coarser, scene.mesh_error)

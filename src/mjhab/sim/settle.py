@@ -29,16 +29,14 @@ def settle(model: mujoco.MjModel, a: Addresses, qpos: np.ndarray, seconds: float
     data.qpos[:] = qpos
     data.qpos[a.robot_q] = parked_robot_qpos()
     # The finger servos would drive to 0 m; every other servo is held where it is.
-    hold_robot(model, data, a)
+    hold_robot(model, data)
     steps = round(seconds / model.opt.timestep)
     mujoco.mj_step(model, data, steps)
     speed = np.abs(data.qvel[a.object_v[:, None] + np.arange(6)]).max() if len(a.object_v) else 0.0
     return data.qpos.copy(), float(speed)
 
 
-def hold_robot(model: mujoco.MjModel, data: mujoco.MjData, a: Addresses) -> None:
+def hold_robot(model: mujoco.MjModel, data: mujoco.MjData) -> None:
     """Command every position servo to stay where its joint is, and the base to stand still."""
-    for i in range(model.nu):
-        joint = int(model.actuator_trnid[i, 0])
-        is_servo = model.actuator_biasprm[i, 1] != 0.0
-        data.ctrl[i] = data.qpos[model.jnt_qposadr[joint]] if is_servo else 0.0
+    at = data.qpos[model.jnt_qposadr[model.actuator_trnid[:, 0]]]
+    data.ctrl[:] = np.where(model.actuator_biasprm[:, 1] != 0.0, at, 0.0)

@@ -23,6 +23,7 @@ try:
     wp.config.log_level = wp.LOG_WARNING
     from mjhab.sim.warp_engine import BufferSizes, Engine
     from mjhab.sim.warp_device import open_device
+    from mjhab.sim.warp_rest import RestFinder
     from mjhab.sim.warp_sizes import buffer_sizes
 except ModuleNotFoundError as error:
     raise UsageError(
@@ -33,7 +34,8 @@ except ModuleNotFoundError as error:
 class WarpSimulator:
     """Worlds on MuJoCo Warp. See `Simulator` for the methods; arrays are torch tensors on the device, float32.
 
-    Forces, flags and poses mean what they mean in `CpuSimulator`. A reset world is awake, as there.
+    Forces, flags and poses mean what they mean in `CpuSimulator`. There, everything in a reset world is awake for ten
+    substeps; here what lies still sleeps at once, since buffers and solver are sized for what is awake.
 
     Args:
         layout: what all homes share.
@@ -59,6 +61,7 @@ class WarpSimulator:
         base = self.model(layout.pack.homes[0].name)
         self.addresses = addresses(layout, base)
         sizes = sizes or buffer_sizes(layout, self.model, self.addresses, num_worlds, self.device)
+        self._rest = RestFinder(base, self.addresses)
         self.engine = Engine(base, self.addresses, num_worlds, len(self._homes), sizes, self.device)
         a = self.addresses
         self._robot_q, self._robot_v, self._link_q, self._link_v = map(
@@ -85,14 +88,17 @@ class WarpSimulator:
 
     def reset(self, ids: Sequence[int], homes: Sequence[str], qpos: Any) -> None:
         """Put worlds into homes, at rest in ``qpos`` (n, nq). Other worlds keep every bit."""
-        worlds = self._clear(ids, homes)
+        qpos = to_numpy(qpos)
+        worlds = self._clear(ids, homes, qpos, np.zeros((len(qpos), self.engine.qvel_t.shape[1])))
         self.engine.qpos_t[worlds] = self._upload(qpos)
         self._make_current(worlds)
 
-    def _clear(self, ids: Sequence[int], homes: Sequence[str]) -> torch.Tensor:
+    def _clear(self, ids: Sequence[int], homes: Sequence[str], qpos: np.ndarray, qvel: np.ndarray) -> torch.Tensor:
         rows = [self.engine.homes.row(home, self.model(home)) for _, home in zip(ids, homes, strict=True)]
+        states = zip(homes, qpos, qvel, strict=True)
+        rings = [self._rest.rings(home, self.model(home), q, v) for home, q, v in states]
         worlds = self._indices(ids)
-        self.engine.clear(worlds, self._indices(rows))
+        self.engine.clear(worlds, self._indices(rows), torch.as_tensor(np.stack(rings), device=self._torch_device))
         return worlds
 
     def _make_current(self, worlds: torch.Tensor) -> None:
@@ -112,7 +118,7 @@ class WarpSimulator:
         self.engine.taint_t[worlds] = taint
 
     def broken(self) -> torch.Tensor:
-        """(W,) bool: worlds that the last step made NaN or infinite."""
+        """(W,) bool: worlds that the last step made NaN or infinite, and that were put back for it."""
         return self.engine.broken_t
 
     def write_qpos(self, world: int, qpos: Any) -> None:
@@ -133,7 +139,7 @@ class WarpSimulator:
         return {name: to_numpy(rows[world]).copy() for name, rows in self._world_rows().items()}
 
     def set_world(self, world: int, home: str, saved: Mapping[str, np.ndarray]) -> None:
-        """Put one world into a home in a state from `get_world`, with everything awake. Its taint is cleared.
+        """Put one world into a home in a state from `get_world`. Its taint is cleared.
 
         Raises:
             UsageError: the state is that of another layout.
@@ -143,7 +149,7 @@ class WarpSimulator:
             got, need = np.shape(saved[name]), tuple(row[world].shape)
             if got != need:
                 raise UsageError(f"state of another layout: {name} has shape {got}, this one needs {need}")
-        worlds = self._clear([world], [home])
+        worlds = self._clear([world], [home], saved["qpos"][None], saved["qvel"][None])
         for name, row in rows.items():
             row[world] = self._upload(saved[name])
         self._make_current(worlds)

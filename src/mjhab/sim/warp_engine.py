@@ -94,6 +94,7 @@ class Engine:
         self.update = wp.zeros(worlds, dtype=wp.bool)
         self._everyone = wp.ones(worlds, dtype=wp.bool)
         self.new_qpos = wp.zeros((worlds, model.nq), dtype=wp.float32)
+        self._qpos_before = wp.zeros_like(self.data.qpos)
         self._asleep_before = wp.zeros_like(self.data.tree_asleep)
         overflow = [int(CONTACT_OVERFLOW), int(ROW_OVERFLOW), int(ENGINE_OVERFLOW)]
         self._overflow_bits = wp.array(overflow, dtype=wp.int32)
@@ -142,12 +143,15 @@ class Engine:
         # counter anew: an overflow of the first pass leaves no trace in the engine.
         wp.launch(kernels.record_peak, dim=1, inputs=[data.ncollision], outputs=[self.pairs_peak])
 
-    def clear(self, worlds: torch.Tensor, rows: torch.Tensor) -> None:
-        """Put worlds (n,) into the homes of table ``rows`` (n,), at rest and awake; their positions are to be written."""
+    def clear(self, worlds: torch.Tensor, rows: torch.Tensor, rings: torch.Tensor) -> None:
+        """Put worlds (n,) into the homes of table ``rows`` (n,), at rest; their positions are to be written.
+
+        ``rings`` (n, ntree) int32: for a tree that is to sleep the next of those that sleep with it, else negative.
+        """
         self.homes.put(worlds, rows)
         for zeroed in (self.qvel_t, self.ctrl_t, self.warmstart_t, self.time_t):
             zeroed[worlds] = 0.0
-        self.asleep_t[worlds] = AWAKE
+        self.asleep_t[worlds] = torch.where(rings < 0, AWAKE, rings).to(self.asleep_t.dtype)
 
     def step(self) -> None:
         """One control step of all worlds under the ctrl that is set."""
@@ -155,21 +159,27 @@ class Engine:
             self.graphs.run("step", self._step)
 
     def _step(self) -> None:
+        data = self.data
         self.pairs_peak.zero_()
+        self.broken.zero_()
+        wp.copy(self._qpos_before, data.qpos)
         for _ in range(SUBSTEPS):
-            mjw.step(self.model, self.data)
+            mjw.step(self.model, data)
+            wp.launch(
+                kernels.put_back_broken, dim=self.num_worlds, inputs=[self._qpos_before, AWAKE],
+                outputs=[data.qpos, data.qvel, data.qacc_warmstart, data.tree_asleep, self.broken],
+            )  # fmt: skip
         # The engine's poses are those before the last integration.
         smooth.kinematics(self.model, self.data)
         smooth.com_pos(self.model, self.data)
         smooth.camlight(self.model, self.data)
         smooth.com_vel(self.model, self.data)
         self._derive(self._everyone)
-        data = self.data
         wp.launch(
             kernels.check_worlds, dim=self.num_worlds,
-            inputs=[data.qpos, data.qvel, data.overflow, self.pairs_peak, data.naconmax, self.depth, PENETRATION_LIMIT,
-                    self._overflow_bits],
-            outputs=[self.taint, self.broken],
+            inputs=[data.overflow, self.pairs_peak, data.naconmax, self.depth, PENETRATION_LIMIT, self._overflow_bits,
+                    self.broken],
+            outputs=[self.taint],
         )  # fmt: skip
 
     def refresh(self, worlds: torch.Tensor, *, teleport: bool = False) -> None:
@@ -208,6 +218,8 @@ class Engine:
         data = self.data
         self.pairs_peak.zero_()
         wp.copy(self._asleep_before, data.tree_asleep)
+        # Else the engine would take what was just put to sleep for something just woken.
+        sleep.update_sleep(self.model, data)
         mjw.forward(self.model, data)
         self._derive(self.update)
         wp.launch(

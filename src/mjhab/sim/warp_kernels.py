@@ -15,18 +15,18 @@ CONSTRAINT_CONTACT = wp.constant(1)
 
 
 @wp.kernel
-def record_peak(count: wp.array(dtype=wp.int32), peak: wp.array(dtype=wp.int32)):
+def record_peak(count: wp.array[int], peak: wp.array[int]):
     """Keep the largest number of candidate pairs: the engine's own counter starts anew within a substep."""
     wp.atomic_max(peak, 0, count[0])
 
 
 @wp.kernel
 def clear_forces(
-    update: wp.array(dtype=wp.bool),
-    link_net: wp.array2d(dtype=wp.vec3),
-    finger: wp.array3d(dtype=wp.vec3),
-    touch: wp.array2d(dtype=wp.bool),
-    depth: wp.array(dtype=wp.float32),
+    update: wp.array[bool],
+    link_net: wp.array2d[wp.vec3],
+    finger: wp.array3d[wp.vec3],
+    touch: wp.array2d[bool],
+    depth: wp.array[float],
 ):
     """Zero the force rows of the worlds to update."""
     world = wp.tid()
@@ -46,10 +46,10 @@ def contact_force(
     contact: int,
     world: int,
     njmax: int,
-    frame: wp.array(dtype=wp.mat33),
-    dim: wp.array(dtype=wp.int32),
-    efc_address: wp.array2d(dtype=wp.int32),
-    efc_force: wp.array2d(dtype=wp.float32),
+    frame: wp.array[wp.mat33],
+    dim: wp.array[int],
+    efc_address: wp.array2d[int],
+    efc_force: wp.array2d[float],
 ) -> wp.vec3:
     """Force [N] of the first geom on the second, world frame; elliptic cones."""
     local = wp.vec3(0.0)
@@ -62,26 +62,26 @@ def contact_force(
 
 @wp.kernel
 def add_contacts(
-    nacon: wp.array(dtype=wp.int32),
-    dist: wp.array(dtype=wp.float32),
-    frame: wp.array(dtype=wp.mat33),
-    dim: wp.array(dtype=wp.int32),
-    geom: wp.array(dtype=wp.vec2i),
-    efc_address: wp.array2d(dtype=wp.int32),
-    worldid: wp.array(dtype=wp.int32),
-    kind: wp.array(dtype=wp.int32),
-    efc_force: wp.array2d(dtype=wp.float32),
+    nacon: wp.array[int],
+    dist: wp.array[float],
+    frame: wp.array[wp.mat33],
+    dim: wp.array[int],
+    geom: wp.array[wp.vec2i],
+    efc_address: wp.array2d[int],
+    worldid: wp.array[int],
+    kind: wp.array[int],
+    efc_force: wp.array2d[float],
     njmax: int,
-    geom_bodyid: wp.array(dtype=wp.int32),
-    link_of: wp.array(dtype=wp.int32),
-    finger_of: wp.array(dtype=wp.int32),
-    target_of: wp.array(dtype=wp.int32),
-    is_robot: wp.array(dtype=wp.bool),
-    update: wp.array(dtype=wp.bool),
-    link_net: wp.array2d(dtype=wp.vec3),
-    finger: wp.array3d(dtype=wp.vec3),
-    touch: wp.array2d(dtype=wp.bool),
-    depth: wp.array(dtype=wp.float32),
+    geom_bodyid: wp.array[int],
+    link_of: wp.array[int],
+    finger_of: wp.array[int],
+    target_of: wp.array[int],
+    is_robot: wp.array[bool],
+    update: wp.array[bool],
+    link_net: wp.array2d[wp.vec3],
+    finger: wp.array3d[wp.vec3],
+    touch: wp.array2d[bool],
+    depth: wp.array[float],
 ):
     """Add the force of every contact of the robot to its link, finger and target. ``*_of`` map bodies, -1 is none."""
     contact = wp.tid()
@@ -112,15 +112,15 @@ def add_contacts(
 
 @wp.kernel
 def finish_state(
-    update: wp.array(dtype=wp.bool),
-    link_net: wp.array2d(dtype=wp.vec3),
+    update: wp.array[bool],
+    link_net: wp.array2d[wp.vec3],
     tcp: int,
     tcp_root: int,
-    xpos: wp.array2d(dtype=wp.vec3),
-    subtree_com: wp.array2d(dtype=wp.vec3),
-    cvel: wp.array2d(dtype=wp.spatial_vector),
-    link_force: wp.array2d(dtype=wp.float32),
-    tcp_vel: wp.array(dtype=wp.vec3),
+    xpos: wp.array2d[wp.vec3],
+    subtree_com: wp.array2d[wp.vec3],
+    cvel: wp.array2d[wp.spatial_vector],
+    link_force: wp.array2d[float],
+    tcp_vel: wp.array[wp.vec3],
 ):
     """Norms of the net link forces [N], and the velocity [m/s] of the tool centre in the world."""
     world = wp.tid()
@@ -135,19 +135,49 @@ def finish_state(
 
 
 @wp.kernel
-def check_worlds(
-    qpos: wp.array2d(dtype=wp.float32),
-    qvel: wp.array2d(dtype=wp.float32),
-    overflow: wp.array(dtype=wp.int32),
-    peak: wp.array(dtype=wp.int32),
-    naconmax: int,
-    depth: wp.array(dtype=wp.float32),
-    depth_limit: float,
-    bits: wp.array(dtype=wp.int32),
-    taint: wp.array(dtype=wp.uint8),
-    broken: wp.array(dtype=wp.bool),
+def put_back_broken(
+    before: wp.array2d[float],
+    awake: int,
+    qpos: wp.array2d[float],
+    qvel: wp.array2d[float],
+    warmstart: wp.array2d[float],
+    tree_asleep: wp.array2d[int],
+    broken: wp.array[bool],
 ):
-    """Translate the engine's overflow bits into taints, and find worlds that are not finite.
+    """Put a world that is not finite back to its positions ``before``, at rest and awake, and say so in ``broken``.
+
+    Left alone it would overlap with everything: its pairs would fill the contact buffer that all worlds share.
+    """
+    world = wp.tid()
+    finite = bool(True)
+    for i in range(qpos.shape[1]):
+        finite = finite and wp.isfinite(qpos[world, i])
+    for i in range(qvel.shape[1]):
+        finite = finite and wp.isfinite(qvel[world, i])
+    if finite:
+        return
+    broken[world] = True
+    for i in range(qpos.shape[1]):
+        qpos[world, i] = before[world, i]
+    for i in range(qvel.shape[1]):
+        qvel[world, i] = 0.0
+        warmstart[world, i] = 0.0
+    for tree in range(tree_asleep.shape[1]):
+        tree_asleep[world, tree] = awake
+
+
+@wp.kernel
+def check_worlds(
+    overflow: wp.array[int],
+    peak: wp.array[int],
+    naconmax: int,
+    depth: wp.array[float],
+    depth_limit: float,
+    bits: wp.array[int],
+    broken: wp.array[bool],
+    taint: wp.array[wp.uint8],
+):
+    """Translate what went wrong in a control step into bits of TAINTS.
 
     ``bits``: two masks of the overflow bits that mean lost contacts and lost constraint rows, then those of the engine's
     other complaints. Bits of TAINTS, lowest first: contacts, constraints, nan, engine, penetration.
@@ -163,28 +193,22 @@ def check_worlds(
         found = found | 8
     if depth[world] < -depth_limit:
         found = found | 16
-    finite = bool(True)
-    for i in range(qpos.shape[1]):
-        finite = finite and wp.isfinite(qpos[world, i])
-    for i in range(qvel.shape[1]):
-        finite = finite and wp.isfinite(qvel[world, i])
-    if not finite:
+    if broken[world]:
         found = found | 4
-    broken[world] = not finite
     taint[world] = taint[world] | wp.uint8(found)
 
 
 @wp.kernel
 def teleport(
-    update: wp.array(dtype=wp.bool),
-    new_qpos: wp.array2d(dtype=wp.float32),
-    tree_q: wp.array(dtype=wp.vec2i),
-    tree_v: wp.array(dtype=wp.vec2i),
-    stops: wp.array(dtype=wp.int32),
+    update: wp.array[bool],
+    new_qpos: wp.array2d[float],
+    tree_q: wp.array[wp.vec2i],
+    tree_v: wp.array[wp.vec2i],
+    stops: wp.array[int],
     awake: int,
-    qpos: wp.array2d(dtype=wp.float32),
-    qvel: wp.array2d(dtype=wp.float32),
-    tree_asleep: wp.array2d(dtype=wp.int32),
+    qpos: wp.array2d[float],
+    qvel: wp.array2d[float],
+    tree_asleep: wp.array2d[int],
 ):
     """Write positions; wake every tree that moves and all that sleep with it, which the engine would leave hanging.
 
@@ -217,9 +241,9 @@ def teleport(
 
 @wp.kernel
 def restore_sleep(
-    update: wp.array(dtype=wp.bool),
-    saved: wp.array2d(dtype=wp.int32),
-    tree_asleep: wp.array2d(dtype=wp.int32),
+    update: wp.array[bool],
+    saved: wp.array2d[int],
+    tree_asleep: wp.array2d[int],
 ):
     """Give the worlds that are not updated back what slept before."""
     world, tree = wp.tid()

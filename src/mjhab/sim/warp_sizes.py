@@ -8,6 +8,7 @@ import json
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import mujoco
 import mujoco_warp as mjw
@@ -18,21 +19,36 @@ import warp as wp
 from mjhab.core.cache import cache_dir, write_atomic
 from mjhab.core.seeding import stream
 from mjhab.scenes.compile import home_hash
+from mjhab.scenes.fetch import REST_QPOS, TCP_LINK
 from mjhab.scenes.layout import Addresses, Layout
 from mjhab.scenes.receptacles import placed_receptacles
-from mjhab.scenes.spec import Home
+from mjhab.scenes.spec import PARKED, Home
+from mjhab.sim.settle import settle
 from mjhab.sim.warp_engine import BufferSizes, Engine
 
-MARGIN = 1.5
+MARGIN = 1.25
 """Over the largest demand that the stress rollouts saw."""
-STRESS_HOMES, STRESS_STEPS, HOLD_STEPS = 4, 300, 25
-"""Homes driven through, substeps [10 ms] in each, and substeps that one random command lasts."""
+STRESS_HOMES, ROUNDS, STRESS_STEPS, HOLD_STEPS = 4, 6, 600, 40
+"""Homes driven through, how often, substeps [10 ms] each time, and substeps that one random command lasts."""
+HEAPS = 6
+"""Receptacles on which all objects of a round lie: closer than in any task, so that the robot has much to push."""
+LEAST = BufferSizes(contacts=24, ccd=16, rows=256, awake=64)
+"""Per world, whatever was measured: the robot and eight objects in motion."""
+CROWD = 256
+"""Contacts on top, so that one world in trouble does not take those of the others."""
+PLACES, REACH = 30, (0.6, 1.0)
+"""Random places at that distance [m] from random objects, of which the robot starts where it touches least."""
 TOP_SPEED = 1.5
 """Largest command [m/s or rad/s] of velocity servos, and angle [rad] of joints without limits."""
-WORST_STATES, OTHER_STATES = 6, 6
-"""Per home: states with most contacts, and random ones, whose demand is measured on the device."""
+WORST_STATES, OTHER_STATES = 1, 1
+"""Per round: states with most contacts, and random ones, whose demand is measured on the device."""
+SLEEP_STEPS = 30
+"""Substeps [10 ms] after which what lies still sleeps in C MuJoCo."""
+AWAKE_STEP = 16
+"""The engine solves dense blocks of this many degrees of freedom."""
+_CCD_TRIES = (16, 32, 64, 96, 128, 192, 256, 512, 1024)
 _GENEROUS = BufferSizes(contacts=4096, ccd=1024, rows=2048)
-_CCD_TRIES = (8, 16, 24, 32, 48, 64, 96, 128, 192, 256, 512, 1024)
+_CCD_TRIES = (16, 32, 64, 96, 128, 192, 256, 512, 1024)
 _FORMAT = "mjhab-warp-sizes-1"
 
 
@@ -45,16 +61,29 @@ class Demand:
     ccd: int
     mean_ccd: float
     rows: int
+    awake: int
 
-    def sizes(self, num_worlds: int) -> BufferSizes:
-        """Buffers for a batch: as contacts are shared, not every world needs the worst at once."""
+    def sizes(self, num_worlds: int, nv: int) -> BufferSizes:
+        """Buffers for a batch of a model with ``nv`` dofs: contacts are shared, so not all worlds need the worst."""
 
         def shared(worst: int, mean: float) -> int:
-            return math.ceil(MARGIN * (worst + (num_worlds - 1) * (mean + 2.0 * math.sqrt(worst * mean / num_worlds))))
+            spread = 2.0 * math.sqrt(worst * mean / num_worlds)
+            return math.ceil(MARGIN * (worst + (num_worlds - 1) * min(worst, mean + spread)))
 
-        contacts = shared(self.contacts, self.mean_contacts)
-        ccd = min(contacts, shared(self.ccd, self.mean_ccd))
-        return BufferSizes(contacts, ccd, math.ceil(MARGIN * self.rows))
+        contacts = CROWD + max(LEAST.contacts * num_worlds, shared(self.contacts, self.mean_contacts))
+        ccd = min(contacts, CROWD + max(LEAST.ccd * num_worlds, shared(self.ccd, self.mean_ccd)))
+        rows = max(LEAST.rows, math.ceil(MARGIN * self.rows))
+        awake = max(LEAST.awake or 0, AWAKE_STEP * math.ceil(MARGIN * self.awake / AWAKE_STEP))
+        return BufferSizes(contacts, ccd, rows, min(nv, awake))
+
+
+@dataclass(frozen=True, eq=False)
+class Stress:
+    """A rollout: ``states`` (qpos (nq,), tree_asleep (ntree,)) of interest; the most rows and awake dofs of any state."""
+
+    states: list[tuple[np.ndarray, np.ndarray]]
+    rows: int
+    awake: int
 
 
 def buffer_sizes(
@@ -63,16 +92,17 @@ def buffer_sizes(
     """Sizes for a batch of worlds of a layout, from the cache when they were measured before."""
     homes = layout.pack.homes
     chosen = [homes[i] for i in sorted({round(x) for x in np.linspace(0, len(homes) - 1, STRESS_HOMES)})]
-    digest = hashlib.sha256(repr((_FORMAT, mjw.__version__, STRESS_STEPS, HOLD_STEPS)).encode())
+    digest = hashlib.sha256(repr((_FORMAT, mjw.__version__)).encode() + Path(__file__).read_bytes())
     for home in chosen:
         digest.update(home_hash(layout, home).encode())
     path = cache_dir() / "warp" / f"sizes-{digest.hexdigest()[:24]}.json"
     if path.exists():
-        return Demand(**json.loads(path.read_text(encoding="utf-8"))).sizes(num_worlds)
-    demand = measure_demand(layout, model, a, chosen, device)
-    text = json.dumps(dataclasses.asdict(demand))
-    write_atomic(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
-    return demand.sizes(num_worlds)
+        demand = Demand(**json.loads(path.read_text(encoding="utf-8")))
+    else:
+        demand = measure_demand(layout, model, a, chosen, device)
+        text = json.dumps(dataclasses.asdict(demand))
+        write_atomic(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    return demand.sizes(num_worlds, model(homes[0].name).nv)
 
 
 def measure_demand(
@@ -80,53 +110,80 @@ def measure_demand(
 ) -> Demand:
     """Drive through some homes on C MuJoCo and measure chosen states of them on the device, one by one."""
     engine = Engine(model(homes[0].name), a, 1, len(homes), _GENEROUS, device)
-    pairs, ccd, rows = [], [], []
-    for index, home in enumerate(homes):
-        states, most_rows = stress(layout, home, model(home.name), a, index)
-        rows.append(most_rows)
-        row = engine.homes.row(home.name, model(home.name))
-        for qpos in states:
-            need = _measure(engine, row, qpos)
-            pairs.append(need[0])
-            ccd.append(need[1])
-            rows.append(need[2])
-    return Demand(max(pairs), float(np.mean(pairs)), max(ccd), float(np.mean(ccd)), max(rows))
+    turns = [home for home in homes for _ in range(ROUNDS)]
+    runs = [stress(layout, home, model(home.name), a, index) for index, home in enumerate(turns)]
+    needs = np.array(
+        [
+            _measure(engine, engine.homes.row(home.name, model(home.name)), *state)
+            for home, run in zip(turns, runs, strict=True)
+            for state in run.states
+        ]
+    )
+    contacts, ccd, rows = needs.T
+    most_rows = max(int(rows.max()), *(run.rows for run in runs))
+    return Demand(
+        int(contacts.max()), float(contacts.mean()), int(ccd.max()), float(ccd.mean()), most_rows,
+        max(run.awake for run in runs),
+    )  # fmt: skip
 
 
-def stress(
-    layout: Layout, home: Home, model: mujoco.MjModel, a: Addresses, index: int
-) -> tuple[list[np.ndarray], int]:
-    """Random commands at full speed among objects dropped on the receptacles of a home.
-
-    Returns:
-        States (nq,) with many contacts and random ones; the most constraint rows of any state.
-    """
+def stress(layout: Layout, home: Home, model: mujoco.MjModel, a: Addresses, index: int) -> Stress:
+    """Random commands at full speed among objects that lie on the receptacles of a home, from stream ``index``."""
     rng = stream(0, "warp stress", index)
     data = mujoco.MjData(model)
-    surfaces = [r for r in placed_receptacles(layout, home) if not r.link and r.kind == "open"]
-    for slot in range(layout.num_objects if surfaces else 0):
-        on = surfaces[rng.integers(len(surfaces))]
-        place = on.point(*rng.uniform(-1.0, 1.0, 2) * on.half)
-        start = a.object_q[slot]
-        data.qpos[start : start + 3] = place + [0.0, 0.0, layout.objects[slot].half[2] + 0.02]
-    counts, states, rows = [], [], 0
+    data.qpos[:] = settle(model, a, _strew(layout, home, model, a, rng))[0]
+    _stand_free(data, model, a, rng)
     low, high = model.jnt_range[model.actuator_trnid[:, 0]].T
     # A servo without stiffness is commanded a speed.
     is_speed = (model.actuator_biasprm[:, 1] == 0.0) | (high <= low)
     low, high = np.where(is_speed, -TOP_SPEED, low), np.where(is_speed, TOP_SPEED, high)
+    mujoco.mj_step(model, data, SLEEP_STEPS)
+    counts, states, rows, awake = [], [], 0, 0
     for step in range(STRESS_STEPS):
         if step % HOLD_STEPS == 0:
             data.ctrl[:] = rng.uniform(low, high)
         mujoco.mj_step(model, data)
         counts.append(data.ncon)
-        rows = max(rows, data.nefc)
-        states.append(data.qpos.copy())
+        states.append((data.qpos.copy(), data.tree_asleep.copy()))
+        rows, awake = max(rows, data.nefc), max(awake, data.nv_awake)
     order = np.argsort(counts, kind="stable")[-WORST_STATES:].tolist()
     order += rng.choice(STRESS_STEPS, OTHER_STATES, replace=False).tolist()
-    return [states[i] for i in order], rows
+    return Stress([states[i] for i in order], rows, awake)
 
 
-def _measure(engine: Engine, home_row: int, qpos: np.ndarray) -> tuple[int, int, int]:
+def _strew(
+    layout: Layout, home: Home, model: mujoco.MjModel, a: Addresses, rng: np.random.Generator
+) -> np.ndarray:
+    """(nq,) state with every object just above a random place of one of a few open receptacles."""
+    qpos = model.qpos0.copy()
+    surfaces = [r for r in placed_receptacles(layout, home) if not r.link and r.kind == "open"]
+    surfaces = [surfaces[i] for i in rng.permutation(len(surfaces))[:HEAPS]]
+    for slot in range(layout.num_objects if surfaces else 0):
+        on = surfaces[rng.integers(len(surfaces))]
+        place = on.point(*rng.uniform(-1.0, 1.0, 2) * on.half)
+        start = a.object_q[slot]
+        qpos[start : start + 3] = place + [0.0, 0.0, layout.objects[slot].half[2] + 0.02]
+    return qpos
+
+
+def _stand_free(data: mujoco.MjData, model: mujoco.MjModel, a: Addresses, rng: np.random.Generator) -> None:
+    """Put the robot near an object, where it touches least of some random places; inside of furniture it would blow up."""
+    robot_tree = model.body_treeid[a.robot_body[TCP_LINK]]
+    data.qpos[a.robot_q] = REST_QPOS
+    best, least = np.zeros(3), math.inf
+    for _ in range(PLACES):
+        yaw, distance = rng.uniform(-np.pi, np.pi), rng.uniform(*REACH)
+        thing = data.qpos[a.object_q[rng.integers(len(a.object_q))] :][:2] if len(a.object_q) else np.zeros(2)
+        place = np.array([*(thing - distance * np.array([np.cos(yaw), np.sin(yaw)])), yaw])
+        data.qpos[a.robot_q[:3]] = place
+        mujoco.mj_forward(model, data)
+        touching = (model.body_treeid[model.geom_bodyid[data.contact.geom]] == robot_tree).any(axis=1).sum()
+        if touching < least:
+            best, least = place, touching
+    data.qpos[a.robot_q[:3]] = best
+
+
+def _measure(engine: Engine, home_row: int, qpos: np.ndarray, asleep: np.ndarray) -> tuple[int, int, int]:
     """Demand of one state: contacts or candidate pairs, pairs in convex collision, constraint rows."""
     data, device = engine.data, engine.qpos_t.device
     world, row = torch.zeros(1, dtype=torch.int64, device=device), torch.as_tensor([home_row], device=device)
@@ -134,7 +191,7 @@ def _measure(engine: Engine, home_row: int, qpos: np.ndarray) -> tuple[int, int,
     # The engine counts pairs in convex collision nowhere, but says when there are more than it may take.
     for allowed in _CCD_TRIES:
         data.naccdmax = allowed
-        engine.clear(world, row)
+        engine.clear(world, row, torch.as_tensor(asleep[None], device=device))
         engine.qpos_t[world] = torch.as_tensor(qpos).to(engine.qpos_t)
         engine.clear_flags(world)
         engine.refresh(world)

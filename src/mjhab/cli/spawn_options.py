@@ -1,0 +1,104 @@
+"""The options of ``mjhab spawns`` and ``mjhab bench spawn``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from mjhab.cli.options import Assets, Joints, MaybeName, Name, Number, StageMesh, Sub
+
+
+@dataclass(frozen=True)
+class SpawnsMakeOptions:
+    """Make starts of a subtask once, for many runs: nothing is settled or searched when they are used.
+
+    `mjhab spawns make --task set_table --subtask pick --count 1000 --out spawns/pick.npz`
+
+    Use them with `EnvConfig(..., spawns="spawns/pick.npz")`. Ctrl-C keeps what is finished; the same command continues.
+    """
+
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE.npz")]
+    """The file to write."""
+    task: Name = "set_table"
+    """Which task: set_table, tidy_house or prepare_groceries."""
+    subtask: MaybeName = None
+    """Which subtask: pick, place, navigate, open or close. Starts of the whole chain if absent."""
+    target: MaybeName = None
+    """The object or link to act on, e.g. 024_bowl or kitchen_counter/drawer3. All of them if absent."""
+    split: Name = "train"
+    """Which homes: train, val or test."""
+    home: MaybeName = None
+    """Use only this home, or the homes that fit a pattern, in turn (see: mjhab homes list)."""
+    count: Number = 1000
+    """How many starts: those of the episodes 0 to N-1."""
+    pool: Number = 0
+    """How many arrangements of objects the starts share; 0 gives each its own, which takes most of the time."""
+    seed: Number = 0
+    """Seed of the episodes."""
+    harvested: bool = False
+    """Place and navigate: begin with grasps that were added on this machine, too, not only with those found."""
+    assets: Assets = "builtin"
+    """Asset pack: builtin, or the folder of another pack."""
+    stage_mesh: StageMesh = None
+    """With a ReplicaCAD folder: walls and floor for every home, in place of the stages its scenes name."""
+    articulate: Joints = None
+    """With a ReplicaCAD folder: what opens besides counter and fridge: kitchen_cupboards, cabinet, chest_of_drawers."""
+    threads: Number = 0
+    """Threads; 0 takes all cores. Changes the speed, never the starts."""
+    overwrite: bool = False
+    """Replace the file, and what an interrupted run with other options left beside it."""
+    json: bool = False
+    """Print one line of JSON at the end."""
+
+
+@dataclass(frozen=True)
+class SpawnsListOptions:
+    """List sets of starts: what they were made for, how many they are, the layout they fit.
+
+    `mjhab spawns list spawns`
+    """
+
+    path: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FOLDER|FILE")] = Path()
+    """A spawn set, or a folder with some."""
+    json: bool = False
+    """Print one line of JSON instead of a table."""
+
+
+@dataclass(frozen=True)
+class SpawnsCommand:
+    """Make or list sets of starts."""
+
+    command: Annotated[SpawnsMakeOptions, Sub("make")] | Annotated[SpawnsListOptions, Sub("list")]
+
+
+@dataclass(frozen=True)
+class BenchSpawnOptions:
+    """Measure how many starts are found per second, and how long settling a new arrangement of objects takes."""
+
+    task: Name = "tidy_house"
+    """Which task: set_table, tidy_house or prepare_groceries."""
+    subtask: Name = "pick"
+    """Which subtask: pick, place, navigate, open or close."""
+    target: MaybeName = None
+    """The object or link to act on. All of them if absent."""
+    count: Number = 400
+    """Starts in the measured part."""
+    pool: Number = 16
+    """Arrangements of objects the starts share; all are seen once before the clock runs."""
+    fresh: Number = 4
+    """New arrangements to time."""
+    threads: Number = 1
+    """Threads; 0 takes all cores. One is fastest where the engine's share of a start is small."""
+    seed: Number = 0
+    """Seed of the episodes."""
+    assets: Assets = "builtin"
+    """Asset pack: builtin, or the folder of another pack."""
+    stage_mesh: StageMesh = None
+    """With a ReplicaCAD folder: walls and floor for every home, in place of the stages its scenes name."""
+    articulate: Joints = None
+    """With a ReplicaCAD folder: what opens besides counter and fridge: kitchen_cupboards, cabinet, chest_of_drawers."""
+    json: bool = False
+    """Print one line of JSON instead of a table."""

@@ -1,0 +1,181 @@
+"""Files that are not ours, not of this version, cut, rotten: clear errors, and repair saves what can be saved."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from mjhab.core.errors import UsageError
+from mjhab.data.checking import check, repair
+from mjhab.data.hdf5 import dataset, group
+from mjhab.data.reading import Episode, episodes, open_shard, shard_paths
+from mjhab.data.schema import ATTRIBUTES, CHECKS, FIELDS, FORCES, VERSION, DamagedError, field_of
+from mjhab.data.shard import ShardWriter
+from mjhab.tasks.labels import History
+from mjhab.tasks.measure import Signals
+from tests.data.fake_world import FakeEnv
+from tests.data.make import record
+
+DOCS = Path(__file__).parents[2] / "docs" / "data.md"
+
+
+@pytest.fixture
+def shard(tmp_path: Path) -> Path:
+    record(tmp_path / "a.h5", range(4))
+    return tmp_path / "a.h5"
+
+
+def spoil(path: Path, data: str) -> str:
+    """Turn a byte of a dataset of the second episode; returns the name of that episode."""
+    with h5py.File(path) as file:
+        name = sorted(group(file, "episodes"))[1]
+        item = dataset(file, f"episodes/{name}/{data}")
+        at = item.id.get_chunk_info(0).byte_offset + item.id.get_storage_size() // 2
+    with open(path, "r+b") as raw:
+        raw.seek(at)
+        byte = raw.read(1)
+        raw.seek(at)
+        raw.write(bytes([byte[0] ^ 0x55]))
+    return name
+
+
+def test_foreign_files(tmp_path: Path) -> None:
+    (tmp_path / "text.h5").write_text("hello")
+    (tmp_path / "empty.h5").write_bytes(b"")
+    with h5py.File(tmp_path / "other.h5", "w", libver="latest") as file:
+        file.create_group("traj_0")
+    with h5py.File(tmp_path / "old.h5", "w") as file:
+        file.create_group("traj_0")
+    for name, message in (
+        ("text", "not an HDF5 file"),
+        ("empty", "not an HDF5 file"),
+        ("other", "holds no episodes of mjhab (it holds traj_0)"),
+        ("old", "of a kind that mjhab does not write"),
+    ):
+        path = tmp_path / f"{name}.h5"
+        before = path.read_bytes()
+        for act in (open_shard, repair, ShardWriter):
+            with pytest.raises(DamagedError, match=re.escape(message)):
+                act(path)
+        assert path.read_bytes() == before
+    report = check(tmp_path)
+    assert len(report.unreadable) == 4 and not report.clean and report.episodes == 0
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["empty.h5", "old.h5", "other.h5", "text.h5"]
+
+
+@pytest.mark.parametrize("version", [0, VERSION + 6])
+def test_other_versions(shard: Path, version: int) -> None:
+    with h5py.File(shard, "r+") as file:
+        file.attrs["schema"], file.attrs["mjhab"] = version, "9.8"
+    for act in (open_shard, ShardWriter, repair, check):
+        with pytest.raises(UsageError, match=rf"schema {version} .* mjhab 9.8; this mjhab reads schema {VERSION}"):
+            act(shard)
+
+
+def test_places(tmp_path: Path, shard: Path) -> None:
+    deep = tmp_path / "pick" / "bowl"
+    deep.mkdir(parents=True)
+    record(deep / "b.h5", range(1), seed=1)
+    assert shard_paths(tmp_path) == shard_paths([shard, tmp_path, deep]) == [shard, deep / "b.h5"]
+    assert len(list(episodes(tmp_path))) == 5
+    (tmp_path / "none").mkdir()
+    with pytest.raises(UsageError, match=r"no shards \(\*.h5\) in"):
+        shard_paths(tmp_path / "none")
+    for act in (open_shard, shard_paths, repair):
+        with pytest.raises(UsageError, match="does not exist"):
+            act(tmp_path / "nowhere.h5")
+    with open_shard(shard) as opened, pytest.raises(UsageError, match=r"unknown episode in .*Did you mean"):
+        opened.episode(opened.names[0][:-1] + "9")
+
+
+@pytest.mark.parametrize("data", ["states/qpos", "states/qvel", "record", "actions"])
+def test_a_rotten_byte_is_found_and_the_rest_is_saved(shard: Path, data: str) -> None:
+    before = {e.name: e.attributes for e in episodes(shard)}
+    name = spoil(shard, data)
+    report = check(shard)
+    assert list(report.damaged) == [(shard, name)] and report.ok == 3 and report.episodes == 4
+    done = repair(shard)
+    assert done.kept == 3 and list(done.lost) == [name] and done.kept_as == shard.with_name("a.h5.damaged")
+    assert check(shard).clean
+    assert {e.name: e.attributes for e in episodes(shard)} == {k: v for k, v in before.items() if k != name}
+    assert sorted(p.name for p in shard.parent.iterdir()) == ["a.h5", "a.h5.damaged"]
+    assert repair(shard).kept_as is None
+    spoil(shard, data)
+    assert repair(shard).kept_as == shard.with_name("a.h5.damaged1")
+
+
+def test_a_cut_file(shard: Path) -> None:
+    size = shard.stat().st_size
+    os.truncate(shard, size - 3000)
+    with pytest.raises(DamagedError, match=r"cannot be read.*data repair"):
+        open_shard(shard)
+    report = check(shard)
+    assert list(report.unreadable) == [shard] and not report.clean
+    done = repair(shard)
+    assert 1 <= done.kept < 4 and done.kept_as is not None and done.kept_as.stat().st_size == size - 3000
+    assert check(shard).ok == done.kept
+    os.truncate(shard, 200)
+    with pytest.raises(DamagedError):
+        repair(shard)
+    assert shard.stat().st_size == 200
+
+
+def test_bytes_turned_anywhere_never_pass_unseen(tmp_path: Path) -> None:
+    """A flip is either found or hits bytes that nothing reads; what is read as good is what was written."""
+    path = tmp_path / "a.h5"
+    record(path, range(3), FakeEnv(1, "pick", horizon=6))
+    good = path.read_bytes()
+    truth = {e.name: e.array("actions").tobytes() for e in episodes(path)}
+    rng = np.random.default_rng(0)
+    found = 0
+    for at in rng.integers(0, len(good), 150):
+        path.write_bytes(good[:at] + bytes([good[at] ^ (1 << int(rng.integers(8)))]) + good[at + 1 :])
+        try:
+            report = check(path)
+        except UsageError as error:
+            assert "schema" in str(error)
+            continue
+        found += not report.clean
+        if report.clean:
+            assert {e.name: e.array("actions").tobytes() for e in episodes(path)} == truth
+    assert found > 50
+
+
+def test_doubled_episodes_are_found(tmp_path: Path) -> None:
+    record(tmp_path / "a.h5", range(3))
+    record(tmp_path / "b.h5", range(2, 5))
+    report = check(tmp_path)
+    assert report.ok == 6 and len(report.doubled) == 1 and not report.clean
+
+
+def test_the_schema_names_what_labels_need() -> None:
+    assert set(History.__dataclass_fields__) <= set(CHECKS)
+    assert {*CHECKS, *FORCES, "kind"} == set(Signals.__dataclass_fields__)
+    for path in ("obs/agent/qpos", "images/fetch_head/rgb/ends", "states/qpos"):
+        assert field_of(path) is not None
+    assert field_of("images/fetch_head/ends") is None and field_of("extra") is None
+
+
+def test_files_hold_what_the_schema_says(tmp_path: Path) -> None:
+    from mjhab.data.images import ImageFormat
+
+    record(tmp_path / "a.h5", range(1), FakeEnv(1, images=True), images=ImageFormat())
+    with open_shard(tmp_path / "a.h5") as shard:
+        episode: Episode = next(iter(shard))
+        assert {field.path for path in episode.paths if (field := field_of(path))} == {f.path for f in FIELDS}
+        assert set(episode.attributes) == set(ATTRIBUTES)
+
+
+def test_docs_show_the_schema() -> None:
+    text = DOCS.read_text(encoding="utf-8")
+    for field in FIELDS:
+        path = f"`{field.path}`" + (" (optional)" if field.optional else "")
+        assert f"| {path} | {field.shape} | {field.dtype} | {field.unit} | {field.meaning} |" in text
+    for name, meaning in ATTRIBUTES.items():
+        assert f"| `{name}` | {meaning} |" in text
+    assert f"schema {VERSION}" in text

@@ -152,6 +152,9 @@ class FakeEnv:
     def get_state(self, world: int) -> dict[str, Any]:
         return {"sim": self.sim.get_world(world), "flags": {"fallback": False}, "t": self.worlds[world].t}
 
+    def close(self) -> None:
+        self.worlds.clear()
+
     def state_digest(self, world: int) -> str:
         return f"{self.worlds[world].qpos.sum():.6f}"
 

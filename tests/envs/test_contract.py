@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import warnings
+from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -18,6 +19,8 @@ from mjhab.core.errors import UsageError
 from mjhab.envs.catalog import ENV_IDS, TRAIN_IDS
 from mjhab.envs.config import AUTORESET_MODES
 from mjhab.envs.sequential import INDEX_STRIDE, SequentialTaskEnv
+from mjhab.envs.spawn_factory import make_set
+from mjhab.envs.spawn_sets import SpawnRecipe
 from mjhab.envs.wrappers import FlattenStatePixels, FrameStack
 from mjhab.sim.protocol import TAINTS
 
@@ -356,3 +359,20 @@ def test_statistics_of_gymnasium_wrap_around_ours():
     assert np.all(truncated)
     np.testing.assert_allclose(info["episode"]["r"], total, rtol=1e-6)
     assert info["episode"]["l"].tolist() == [3, 3]
+
+
+def test_a_spawn_set_gives_the_starts_it_was_made_with(tmp_path: Path):
+    recipe = SpawnRecipe("set_table", "place", "", "train", seed=3, count=3)
+    made = make_set(recipe, tmp_path / "place.npz", 1, lambda done, fallbacks: None)
+    online = build(subtask="place", episode_pool=0, num_envs=3)
+    used = build(subtask="place", spawns=str(made.path), num_envs=3)
+    names = {"episode": [0, 1, 2]}
+    a, _ = online.reset(seed=3, options=names)
+    b, info = used.reset(seed=3, options=names)
+    np.testing.assert_array_equal(a["state"], b["state"])
+    assert [spec["index"] for spec in info["episode_spec"]] == [0, 1, 2]
+    used.reset(seed=4)
+    homes = {used.episode_of(w).home for w in range(3)}
+    assert homes <= {str(name) for name in made.columns["home"]}
+    with pytest.raises(UsageError, match="place"):
+        build(subtask="pick", spawns=str(made.path))

@@ -6,8 +6,11 @@ Every trap test fails when its cure in ``sim/warp*.py`` is taken out.
 from __future__ import annotations
 
 import copy
+import importlib
 import os
+import sys
 from types import ModuleType, SimpleNamespace
+from typing import Any, cast
 
 import mujoco
 import numpy as np
@@ -70,6 +73,10 @@ def on_table(layout: Layout, world: int) -> np.ndarray:
     return np.array([at.pos[0], at.pos[1], layout.pack.props["table_01"].receptacles[0].pos[2]])
 
 
+def up(height: float) -> np.ndarray:
+    return np.array([0.0, 0.0, height])
+
+
 def put(sim: CpuSimulator, qpos: np.ndarray, slot: int, pos: np.ndarray) -> None:
     start = sim.addresses.object_q[slot]
     qpos[start : start + 3] = pos
@@ -81,7 +88,7 @@ def starts(cpu: CpuSimulator, drop: float = 0.0) -> np.ndarray:
     for i, home in enumerate(homes_of(cpu.layout)):
         qpos = cpu.model(home).qpos0.copy()
         qpos[cpu.addresses.robot_q] = parked_robot_qpos()
-        put(cpu, qpos, CAN, on_table(cpu.layout, i) + [0, 0, cpu.layout.objects[CAN].half[2]])
+        put(cpu, qpos, CAN, on_table(cpu.layout, i) + up(cpu.layout.objects[CAN].half[2]))
         qpos = settle(cpu.model(home), cpu.addresses, qpos)[0]
         qpos[cpu.addresses.object_q[CAN] + 2] += drop
         rows.append(qpos)
@@ -158,7 +165,7 @@ def test_forces_of_a_grasp_agree_with_the_cpu_simulator(shared, cpu: CpuSimulato
     qpos, ctrl = holding(cpu, home)
     for sim in (shared, cpu):
         sim.reset(range(WORLDS), [home] * WORLDS, np.tile(qpos, (WORLDS, 1)))
-    # Which points stand for the contact of a lid with a palm is arbitrary: moved by 9 m, C MuJoCo itself differs by 6 %.
+    # Which points stand for the contact of lid and palm is arbitrary: moved by 9 m, C MuJoCo itself differs by 6 %.
     limit = 0.1
     for steps in (0, 1, 9):
         for sim in (shared, cpu):
@@ -178,7 +185,10 @@ def test_forces_agree_where_the_robot_is_in_the_thick_of_things(shared, cpu: Cpu
 
     homes = homes_of(layout)
     qpos = np.stack(
-        [stress(layout, home, cpu.model(home.name), cpu.addresses, i).states[0][0] for i, home in enumerate(chosen(layout))]
+        [
+            stress(layout, home, cpu.model(home.name), cpu.addresses, i).states[0][0]
+            for i, home in enumerate(chosen(layout))
+        ]
     )
     for sim in (shared, cpu):
         sim.reset(range(WORLDS), homes, qpos)
@@ -252,12 +262,12 @@ def test_trap_masked_reset_other_worlds_keep_every_bit(shared, cpu: CpuSimulator
 def test_a_reset_wakes_nothing_in_other_worlds(shared, cpu: CpuSimulator, layout: Layout) -> None:
     # In world 1 the box, awake, has just come to touch the sleeping can.
     qpos = starts(cpu)
-    can = on_table(layout, 1) + [0, 0, layout.objects[CAN].half[2]]
-    put(cpu, qpos[1], BOX, can + [0.056, 0, 0.037])
+    can = on_table(layout, 1) + up(layout.objects[CAN].half[2])
+    put(cpu, qpos[1], BOX, can + np.array([0.056, 0, 0.037]))
     shared.reset(range(WORLDS), homes_of(layout), qpos)
     tree = cpu.model(homes_of(layout)[1]).body_treeid[cpu.addresses.object_body[CAN]]
     shared.engine.asleep_t[1, tree] = int(tree)
-    assert any(1 == w for w in shared.engine.data.contact.worldid.numpy()[: shared.engine.data.nacon.numpy()[0]])
+    assert any(w == 1 for w in shared.engine.data.contact.worldid.numpy()[: shared.engine.data.nacon.numpy()[0]])
     shared.reset([0], homes_of(layout)[:1], qpos[:1])
     assert int(shared.engine.asleep_t[1, tree]) == int(tree)
 
@@ -334,7 +344,7 @@ def test_a_teleport_wakes_what_lay_on_what_it_moves(shared, cpu: CpuSimulator, l
     can, box = (int(model.body_treeid[cpu.addresses.object_body[slot]]) for slot in (CAN, BOX))
     qpos = starts(cpu)
     top = layout.objects[CAN].half[2] + layout.objects[BOX].half[2]
-    put(cpu, qpos[1], BOX, qpos[1][cpu.addresses.object_q[CAN] :][:3] + [0.0, 0.0, top])
+    put(cpu, qpos[1], BOX, qpos[1][cpu.addresses.object_q[CAN] :][:3] + up(top))
     qpos[1] = settle(model, cpu.addresses, qpos[1])[0]
     shared.reset(range(WORLDS), homes_of(layout), qpos)
     assert (shared.engine.asleep_t[1, [can, box]] >= 0).all()
@@ -390,7 +400,7 @@ def test_trap_overflow_of_contacts_taints_until_the_reset(
 def test_trap_overflow_of_pairs_taints_though_the_engine_says_nothing(
     shared, cpu: CpuSimulator, layout: Layout
 ) -> None:
-    # Of the pairs, those beyond the limit are dropped; what is left of them gives few contacts, so nothing else is full.
+    # Pairs beyond the limit are dropped; those that are left give few contacts, so nothing else is full.
     data, qpos = shared.engine.data, starts(cpu, drop=0.03)
     ctrl = np.stack([hold(cpu, q) for q in qpos])
     shared.reset(range(WORLDS), homes_of(layout), qpos)
@@ -407,8 +417,11 @@ def test_trap_overflow_of_pairs_taints_though_the_engine_says_nothing(
     assert all(names == {"contact_overflow"} for names in bits_of(shared.taint()))
 
 
-def test_trap_overflow_of_constraint_rows_taints(warp: ModuleType, cpu: CpuSimulator, layout: Layout) -> None:
-    sim = warp.WarpSimulator(layout, 1, "cpu", sizes=warp.BufferSizes(contacts=200, ccd=100, rows=20))
+@pytest.mark.parametrize("least", [{"rows": 20}, {"rows": 200, "awake": 16}])
+def test_trap_overflow_of_constraint_rows_or_awake_dofs_taints(
+    warp: ModuleType, cpu: CpuSimulator, layout: Layout, least: dict[str, int]
+) -> None:
+    sim = warp.WarpSimulator(layout, 1, "cpu", sizes=warp.BufferSizes(contacts=200, ccd=100, **least))
     sim.reset([0], homes_of(layout, 1), starts(cpu, drop=0.001)[:1])
     sim.step(np.zeros((1, 15)))
     assert "constraint_overflow" in bits_of(sim.taint())[0]
@@ -451,6 +464,34 @@ def test_deep_penetration_is_flagged_in_its_world(shared, cpu: CpuSimulator, lay
     assert bits_of(shared.taint()) == [set()] * WORLDS
 
 
+# -- the device ------------------------------------------------------------------------------------------------------
+
+
+def test_a_step_copies_nothing_to_the_host(
+    shared, cpu: CpuSimulator, layout: Layout, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import torch
+    import warp as wp
+
+    qpos = starts(cpu)
+    shared.reset(range(WORLDS), homes_of(layout), qpos)
+    ctrl = torch.as_tensor(np.stack([hold(cpu, q) for q in qpos]), dtype=torch.float32)
+
+    def forbidden(*_: object, **__: object) -> None:
+        raise AssertionError("copied to the host")
+
+    with monkeypatch.context() as patch:
+        for kind, names in ((torch.Tensor, ("cpu", "numpy", "item", "tolist", "__array__")), (wp.array, ("numpy",))):
+            for name in names:
+                patch.setattr(kind, name, forbidden)
+        shared.step(ctrl)
+        state = shared.state()
+        taint = shared.taint()
+    assert not taint.any()
+    for view, owner in ((state.object_pose, shared.engine.data.qpos), (state.body_pos, shared.engine.data.xpos)):
+        assert owner.ptr <= view.data_ptr() < owner.ptr + owner.capacity
+
+
 # -- buffers, arguments ----------------------------------------------------------------------------------------------
 
 
@@ -491,7 +532,7 @@ def test_work_is_captured_once_replayed_and_captured_anew_when_asked(monkeypatch
 
     monkeypatch.setattr(warp_graphs.wp, "ScopedCapture", Capture)
     monkeypatch.setattr(warp_graphs.wp, "capture_launch", log.append)
-    graphs = warp_graphs.Graphs(SimpleNamespace(is_cuda=True))
+    graphs = warp_graphs.Graphs(cast(Any, SimpleNamespace(is_cuda=True)))
     for _ in range(3):
         graphs.run("step", lambda: log.append("work"))
     first = ["work", "capture", "work", "end"]
@@ -499,9 +540,26 @@ def test_work_is_captured_once_replayed_and_captured_anew_when_asked(monkeypatch
     graphs.forget()
     graphs.run("step", lambda: log.append("work"))
     assert log[6:] == first
-    plain = warp_graphs.Graphs(SimpleNamespace(is_cuda=False))
+    plain = warp_graphs.Graphs(cast(Any, SimpleNamespace(is_cuda=False)))
     plain.run("step", lambda: log.append("called"))
     assert log[10:] == ["called"]
+
+
+def test_without_the_engine_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delitem(sys.modules, "mjhab.sim.warp", raising=False)
+    monkeypatch.setitem(sys.modules, "warp", None)
+    with pytest.raises(UsageError, match=r"needs warp, .*pip install 'mjhab\[gpu\]'"):
+        importlib.import_module("mjhab.sim.warp")
+
+
+def test_too_many_worlds_for_the_memory(warp: ModuleType, layout: Layout, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise RuntimeError("Failed to allocate 123 bytes on device 'cuda:0'")
+
+    monkeypatch.setattr(warp, "Engine", full)
+    sizes = warp.BufferSizes(contacts=64, ccd=64, rows=64)
+    with pytest.raises(UsageError, match="6 worlds do not fit into the memory of cpu; try num_worlds=3"):
+        warp.WarpSimulator(layout, 6, "cpu", sizes=sizes)
 
 
 def test_bad_arguments(warp: ModuleType, layout: Layout) -> None:

@@ -7,6 +7,7 @@ from typing import Annotated
 
 from mjhab.cli import data_options as data
 from mjhab.cli import env_options as env
+from mjhab.cli import generate_options as gen
 from mjhab.cli import options as opt
 from mjhab.cli import spawn_options as spawn
 from mjhab.cli.options import Sub
@@ -34,6 +35,8 @@ Command = (
     | Annotated[opt.EpisodesCommand, Sub("episodes")]
     | Annotated[spawn.SpawnsCommand, Sub("spawns")]
     | Annotated[BenchCommand, Sub("bench")]
+    | Annotated[gen.GenerateOptions, Sub("generate")]
+    | Annotated[gen.ReplayOptions, Sub("replay")]
     | Annotated[data.DataCommand, Sub("data")]
     | Annotated[data.LabelOptions, Sub("label")]
     | Annotated[opt.DoctorOptions, Sub("doctor")]

@@ -28,7 +28,7 @@ from mjhab.rollout.store import RunFolder, StoreSink, check_folder, read_records
 from mjhab.tasks.plan import KIND_NAMES, TASKS
 
 POLICIES = ("expert", "random", "zero")
-SUBTASKS = tuple(kind for kind in KIND_NAMES if kind != "navigate")
+NAVIGATE_MODES = ("teleport", "drive")
 SPLITS = ("train", "val", "test")
 FILM_QUALITY = 27
 """x264 rate factor: a film of a whole chain stays at a few MB, since the report carries it."""
@@ -68,9 +68,10 @@ def check_options(options: EvalOptions) -> None:
     """
     for kind, given, valid in (
         ("task", options.task, TASKS),
-        ("subtask", options.subtask, SUBTASKS),
+        ("subtask", options.subtask, KIND_NAMES),
         ("policy", options.policy, POLICIES),
         ("split", options.split, SPLITS),
+        ("navigate mode", options.navigate, NAVIGATE_MODES),
     ):
         if given is not None and given not in valid:
             raise unknown_name(kind, given, valid)
@@ -86,12 +87,18 @@ def check_options(options: EvalOptions) -> None:
 def resolved_config(options: EvalOptions) -> dict[str, Any]:
     """Everything that decides what happens in the episodes, with the versions that simulate them."""
     chosen = {key: value for key, value in asdict(options).items() if key not in NOT_IN_CONFIG}
+    if options.spawns:
+        from mjhab.envs.spawn_sets import SpawnSet
+
+        # A path says little: what the set holds and its hash are what fixes the episodes.
+        chosen["spawns"] = SpawnSet.read(Path(options.spawns)).describe()
     return {**chosen, "mjhab": mjhab.__version__, "mujoco": version("mujoco")}
 
 
 def default_out(options: EvalOptions) -> Path:
     """The folder used when none is given."""
-    words = (options.task, options.subtask, (options.target or "").replace("/", "-"), options.policy)
+    driven = "drive" if options.navigate == "drive" and not options.subtask else None
+    words = (options.task, options.subtask, (options.target or "").replace("/", "-"), driven, options.policy)
     return Path("runs") / "_".join([*filter(None, words), f"seed{options.seed}"])
 
 
@@ -123,6 +130,8 @@ def make_env(options: EvalOptions) -> Any:
         assets=options.assets,
         home=options.home or "",
         episodes_file=options.episodes_file or "",
+        spawns=options.spawns or "",
+        navigate=options.navigate,
         seed=options.seed,
         threads=options.threads,
         autoreset="disabled",

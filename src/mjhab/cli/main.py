@@ -13,6 +13,7 @@ import mjhab
 from mjhab.cli import commands
 from mjhab.cli import data_options as data
 from mjhab.cli import env_options as env
+from mjhab.cli import generate_options as gen
 from mjhab.cli import options as opt
 from mjhab.cli import spawn_options as spawn
 from mjhab.core.errors import MjhabError, UsageError
@@ -29,6 +30,8 @@ Parsed = (
     | opt.AssetsCommand
     | opt.EpisodesCommand
     | spawn.SpawnsCommand
+    | gen.GenerateOptions
+    | gen.ReplayOptions
     | data.DataCommand
     | data.LabelOptions
     | commands.BenchCommand
@@ -106,6 +109,14 @@ def run(command: Parsed) -> int:
         from mjhab.cli.spawns import run_spawns
 
         return run_spawns(command.command)
+    if isinstance(command, gen.GenerateOptions):
+        from mjhab.cli.generate import run_generate
+
+        return run_generate(command)
+    if isinstance(command, gen.ReplayOptions):
+        from mjhab.cli.replay import run_replay
+
+        return run_replay(command)
     if isinstance(command, data.DataCommand | data.LabelOptions):
         from mjhab.cli.data import run_data
 

@@ -31,7 +31,7 @@ class EvalOptions:
     task: Name = "set_table"
     """What to do: set_table, tidy_house or prepare_groceries."""
     subtask: MaybeName = None
-    """Evaluate one subtask from spawned starts instead of the whole chain: pick, place, open or close."""
+    """Evaluate one subtask from spawned starts instead of the whole chain: pick, place, navigate, open or close."""
     target: MaybeName = None
     """With --subtask: the object or link to act on, e.g. 024_bowl or kitchen_counter/drawer3. All of them if absent."""
     policy: Name = "expert"
@@ -52,6 +52,10 @@ class EvalOptions:
     """With a ReplicaCAD folder: what opens besides counter and fridge: kitchen_cupboards, cabinet, chest_of_drawers."""
     episodes_file: Annotated[str | None, tyro.conf.arg(metavar="FILE")] = None
     """Run the episodes of this file (HAB format, .json or .json.gz) instead of generated ones, in the file's homes."""
+    navigate: Name = "teleport"
+    """Of a whole task: teleport puts the robot near every goal as the paper does; drive leaves the way to the policy."""
+    spawns: Annotated[str | None, tyro.conf.arg(metavar="FILE.npz")] = None
+    """With --subtask: begin where this set of starts says (see: mjhab spawns make)."""
     home: MaybeName = None
     """Use only this home, or the homes that fit a pattern such as 'v3_sc0_*', in turn (see: mjhab homes list)."""
     threads: Number = 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -12,12 +12,20 @@ from mjhab.data.episode_data import EpisodeData, RunInfo, to_bytes
 from mjhab.data.images import ImageFormat, encode
 from mjhab.data.provenance import describe_run, model_hash
 from mjhab.data.schema import CHECKS, FORCES
-from mjhab.data.shard import ShardWriter, last_label
+from mjhab.data.shard import last_label
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink, StepView
 
 STATE = "state"
 _IMAGE = "sensor_data/"
+
+
+class Appends(Protocol):
+    """What takes episodes: a `ShardWriter`, or something in front of one."""
+
+    def append(self, data: EpisodeData) -> int:
+        """Take an episode; returns the bytes that this took."""
+        ...
 
 
 class Recorder(Sink):
@@ -37,7 +45,7 @@ class Recorder(Sink):
 
     def __init__(
         self,
-        writer: ShardWriter,
+        writer: Appends,
         env: Any,
         policy: Mapping[str, Any],
         *,

@@ -56,6 +56,11 @@ def select(places: Path | Sequence[Path], where: Filter | None = None) -> Select
     return found
 
 
+def nothing_passes() -> UsageError:
+    """The error for a filter that leaves nothing to write."""
+    return UsageError("no episode passes; see what is there with: mjhab data stats")
+
+
 def stats(places: Path | Sequence[Path], where: Filter | None = None) -> dict[str, Any]:
     """Numbers of a data set as plain data: totals, and one row per task, subtask and target.
 

@@ -21,6 +21,7 @@ SUBTASKS_OF_TASK = {
     "set_table": ("pick", "place", "navigate", "open", "close"),
 }
 REWARD_MODES = ("pointer", "sparse", "dense", "normalized_dense", "none")
+NAVIGATE_MODES = ("teleport", "drive")
 TRAIN_NAVIGATE_HORIZON = 1000
 """Navigation is trained over more steps than it is judged over (mshab/envs/navigate.py)."""
 
@@ -47,6 +48,8 @@ class EnvConfig:
     open_start: share of the resets of Open that find a drawer already 20 % of the way to open.
     spawns: file of precomputed starts (`mjhab spawns make`). autoreset: what happens after an episode's end.
     episodes_file: a file in the HAB format whose i-th episode is episode i, in the home it names; "" to generate.
+    navigate: of a chain: "teleport" puts the robot near every goal, as the paper does; "drive" leaves the way to the
+    policy, and arm and grasp count. Navigate alone is always driven.
     render_mode: "rgb_array" makes ``render()`` give human views.
     """
 
@@ -76,6 +79,7 @@ class EnvConfig:
     spawns: str = ""
     autoreset: str = "same_step"
     episodes_file: str = ""
+    navigate: str = "teleport"
     render_mode: str | None = ""
 
     def __post_init__(self) -> None:
@@ -85,6 +89,7 @@ class EnvConfig:
         _known("split", self.split, SPLITS)
         _known("autoreset mode", self.autoreset, AUTORESET_MODES)
         _known("reward mode", self.reward_mode, ("", *REWARD_MODES))
+        _known("navigate mode", self.navigate, NAVIGATE_MODES)
         _known("render mode", self.render_mode or "", RENDER_MODES)
         if self.subtask:
             _known("subtask", self.subtask, KIND_NAMES)
@@ -118,6 +123,11 @@ class EnvConfig:
         return self.reward_mode or ("sparse" if self.subtask else "pointer")
 
     @property
+    def teleports(self) -> bool:
+        """Whether the environment does the navigation of a chain."""
+        return not self.subtask and self.navigate == "teleport"
+
+    @property
     def runs_to_horizon(self) -> bool:
         """Whether an episode goes on after success (continuous evaluation)."""
         return bool(self.subtask) if self.continuous is None else self.continuous
@@ -148,11 +158,9 @@ def task_config(config: EnvConfig, rest_qpos: tuple[float, ...]) -> TaskConfig:
     Raises:
         UsageError: an override names no threshold, or its value has the wrong type.
     """
-    base = TaskConfig(rest_qpos=rest_qpos, continuous=config.runs_to_horizon)
+    base = TaskConfig(rest_qpos=rest_qpos, continuous=config.runs_to_horizon, ignore_arm=config.teleports)
     if isinstance(config, TrainConfig):
-        base = dataclasses.replace(
-            base, ignore_arm=False, navigate=dataclasses.replace(base.navigate, horizon=TRAIN_NAVIGATE_HORIZON)
-        )
+        base = dataclasses.replace(base, navigate=dataclasses.replace(base.navigate, horizon=TRAIN_NAVIGATE_HORIZON))
     changes: dict[str, Any] = {}
     for kind in KIND_NAMES:
         limits: SubtaskConfig = getattr(base, kind)

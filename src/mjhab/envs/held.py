@@ -32,8 +32,11 @@ MAX_TRIES = 256
 MAX_OFFSET = 0.15
 """An object whose origin is further [m] from the tool centre counts as badly held (MS-HAB's
 mshab/utils/gen/gen_spawn_positions.py leaves such grasps out)."""
+MAX_SLANT = np.radians(50.0)
+"""Largest angle [rad] between the approach and straight down, where the object has grasps within. The hand points down
+at rest: what it took from the side would lie on its side in it, as few picks leave it."""
 _UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
-_VERSION = 1
+_VERSION = 3
 _POSITION_SCALE, _CLOSING_WEIGHT = 0.05, 0.5
 """What counts as far apart: 5 cm as much as a radian of approach or two of roll."""
 
@@ -138,7 +141,15 @@ class HeldStarts:
 
     @cached_property
     def _folder(self) -> Path:
-        test = (self.config.grasp_force, self.config.grasp_angle, HOLD_SECONDS, MAX_GRASPS, MAX_TRIES, _VERSION)
+        test = (
+            self.config.grasp_force,
+            self.config.grasp_angle,
+            HOLD_SECONDS,
+            MAX_GRASPS,
+            MAX_TRIES,
+            MAX_SLANT,
+            _VERSION,
+        )
         name = repr((home_hash(self.layout, self.layout.pack.homes[0]), test))
         return cache_dir() / "grasps" / hashlib.sha256(name.encode()).hexdigest()[:16]
 
@@ -157,6 +168,9 @@ class HeldStarts:
     def _search(self, kind: str) -> list[HeldGrasp]:
         shape = shape_of(self.layout.pack.objects[kind])
         candidates = grasp_candidates(shape, np.zeros(3), _UPRIGHT, support_z=-shape.half[2])
+        steep = candidates.rot[:, 2, 0] <= -np.cos(MAX_SLANT)
+        if steep.any():
+            candidates = candidates.take(steep)
         found: list[HeldGrasp] = []
         for row in spread(candidates, MAX_TRIES):
             tcp = np.concatenate([candidates.pos[row], candidates.quat[row]])

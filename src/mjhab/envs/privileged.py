@@ -160,6 +160,10 @@ class WorldView:
         """Joint position of a link by id [m or rad]."""
         return float(self._env.state.link_q[self.world, self._env.layout.link_ids.index(link)])
 
+    def front_area(self, link: str) -> tuple[float, float, float, float] | None:
+        """Floor in front of a link, from which it is opened: x_min, x_max, y_min, y_max [m]; None where it has none."""
+        return self._env.boxes[self.world].get(link)
+
     def finger_forces(self, target: str) -> np.ndarray:
         """(2,) norm of the force [N] of an object or link on the [l, r] finger."""
         names = (*self.object_names, *self._env.layout.link_ids)

@@ -187,7 +187,7 @@ class SequentialTaskEnv(VectorEnv):
 
     def make_episode(self, seed: int, index: int) -> Episode:
         """The episode of a name."""
-        return self.episodes.episode(seed, index)
+        return (self.starts.spawn_set or self.episodes).episode(seed, index)
 
     def episode_of(self, world: int) -> Episode:
         """The episode a world is in. It must have been reset."""
@@ -227,7 +227,7 @@ class SequentialTaskEnv(VectorEnv):
 
     def _enter_subtask(self, mask: np.ndarray) -> None:
         """Begin the subtask at the pointer of the worlds in ``mask``: teleport if due, joint start, label state."""
-        if not self.config.subtask:
+        if self.config.teleports:
             self.teleports.begin(mask, self.focus.kind)
             self._teleport()
         now = self.sensing.joint_now(self.state, self.focus)
@@ -293,7 +293,7 @@ class SequentialTaskEnv(VectorEnv):
     def _advance_physics(self, actions: np.ndarray) -> np.ndarray | None:
         """Step the worlds; returns (W,) bool, those that broke and have been put back, or None."""
         teleporting = self.focus.kind == SubtaskKind.NAVIGATE
-        if not self.config.subtask and teleporting.any():
+        if self.config.teleports and teleporting.any():
             # The teleport does the moving: the robot stands and keeps its grip.
             still = self.controller.still(self.state)
             still[:, self.controller.gripper] = self.grip

@@ -61,16 +61,20 @@ def subtask_positions(plan: TaskPlan, layout: Layout, kind: str, target: str) ->
     return [i for i, s in enumerate(plan.subtasks) if s.kind == wanted and matches(s)]
 
 
+def valid_targets(config: EnvConfig, layout: Layout) -> list[str]:
+    """Object types or links that the task's subtask can be about."""
+    if config.subtask in ("open", "close"):
+        return [BOWL_DRAWER, FRIDGE_DOOR]
+    if config.task == "set_table":
+        return ["024_bowl", "013_apple"]
+    return sorted(set(layout.roster))
+
+
 def check_target(config: EnvConfig, layout: Layout) -> None:
     """Raise a UsageError when ``config.target`` names nothing that the task's subtask can be about."""
     if not config.target:
         return
-    if config.subtask in ("open", "close"):
-        valid = [BOWL_DRAWER, FRIDGE_DOOR]
-    elif config.task == "set_table":
-        valid = ["024_bowl", "013_apple"]
-    else:
-        valid = sorted(set(layout.roster))
+    valid = valid_targets(config, layout)
     if config.target not in valid:
         raise unknown_name("target", config.target, valid)
     if not config.subtask:

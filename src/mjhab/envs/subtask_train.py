@@ -26,7 +26,7 @@ class SubtaskTrainEnv(SequentialTaskEnv):
 
     def make_episode(self, seed: int, index: int) -> Episode:
         pool = self.config.episode_pool
-        if not pool or self.config.episodes_file:
+        if not pool or self.config.episodes_file or self.starts.spawn_set is not None:
             return super().make_episode(seed, index)
         key = (self.config.seed, int(stream(seed, "pool", index).integers(pool)))
         if key not in self._pool:

@@ -14,7 +14,7 @@ from scipy.ndimage import distance_transform_edt
 
 from mjhab.core.boxes import Boxes
 from mjhab.envs.kinematics import wrap
-from mjhab.envs.privileged import DISTAL_LINKS, TRUNK_LINKS, HomeShapes, WorldView
+from mjhab.envs.privileged import TRUNK_LINKS, HomeShapes, WorldView
 from mjhab.experts import motion
 from mjhab.experts.carry import held_spheres
 from mjhab.experts.route import planner
@@ -22,8 +22,12 @@ from mjhab.experts.route import planner
 Array = np.ndarray
 BASE_NEED = 0.29
 """Clearance the base needs; it is 0.285 m wide at its widest."""
+ARM_NEED = 0.02
+"""Clearance of the arm that counts as none: it swings a little, and cells are coarse."""
 LEVELS = np.arange(0.7, 1.75, 0.1)
 """Lower ends of the slices of height in which the arm at rest may touch something; below, the map of the base holds."""
+AT_REST = 0.05
+"""Nearer than this [rad] the arm is where it shall be."""
 FALLEN, FALLEN_SIZE = 0.4, 0.15
 """Objects below this height, and not larger than this, lie where the base may want to drive."""
 _STEP = 0.1
@@ -40,19 +44,19 @@ class Arm:
 
     @classmethod
     def of(cls, view: WorldView, posture: Array, held: str = "") -> Arm:
-        """The arm in a configuration (15,), with an object as it sits in the hand now."""
+        """The arm in a configuration (15,) and as it is now, with an object as it sits in the hand now."""
         whole = motion.spheres()
         robot = whole.only([name for name in whole.chain.links if name not in TRUNK_LINKS])
         if held:
             robot = robot.with_held(*held_spheres(view, held))
-        q = posture.copy()
-        q[:3] = 0.0
-        center = robot.centers(robot.chain.forward(q[None]))[0]
-        low = np.floor((center[:, 2] - robot.radius - LEVELS[0]) / _STEP).astype(np.int64)
-        high = np.floor((center[:, 2] + robot.radius - LEVELS[0]) / _STEP).astype(np.int64)
-        out = (np.linalg.norm(center[:, :2], axis=1) + robot.radius > BASE_NEED) & (high >= 0) & (low < len(LEVELS))
+        q = np.stack([posture, view.q][: 1 if motion.joint_gap(view, posture) < AT_REST else 2])
+        q[:, :3] = 0.0
+        center, radius = robot.centers(robot.chain.forward(q)).reshape(-1, 3), np.tile(robot.radius, len(q))
+        low = np.floor((center[:, 2] - radius - LEVELS[0]) / _STEP).astype(np.int64)
+        high = np.floor((center[:, 2] + radius - LEVELS[0]) / _STEP).astype(np.int64)
+        out = (np.linalg.norm(center[:, :2], axis=1) + radius > BASE_NEED) & (high >= 0) & (low < len(LEVELS))
         level = np.clip(np.stack([low, high], axis=1)[out], 0, len(LEVELS) - 1)
-        return cls(center[out, :2], robot.radius[out], level)
+        return cls(center[out, :2], radius[out] + ARM_NEED, level)
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,10 +158,15 @@ class Floorplan:
         return index[..., 0], index[..., 1]
 
     def _at(self, values: Array, points: Array, outside: float) -> Array:
-        index = np.floor((points - self.origin) / self.cell).astype(np.int64)
-        inside = ((index >= 0) & (index < values.shape)).all(axis=-1)
-        i, j = self.cells(points)
-        return np.where(inside, values[i, j], outside)
+        """Values (...,) between those of the four cells around points (..., 2)."""
+        at = (points - self.origin) / self.cell - 0.5
+        last = np.array(values.shape) - 1
+        inside = ((at >= 0) & (at <= last)).all(axis=-1)
+        low = np.clip(np.floor(at).astype(np.int64), 0, last - 1)
+        i, j, (u, v) = low[..., 0], low[..., 1], np.moveaxis(at - low, -1, 0)
+        near = (1 - v) * values[i, j] + v * values[i, j + 1]
+        far = (1 - v) * values[i + 1, j] + v * values[i + 1, j + 1]
+        return np.where(inside, (1 - u) * near + u * far, outside)
 
     @property
     def _groups(self) -> list[tuple[Array, Array]]:

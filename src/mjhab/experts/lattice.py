@@ -31,6 +31,8 @@ COMFORT, CAUTION = 0.15, 3.0
 """Room that is worth a detour; where there is none to spare, a metre costs 1 + `CAUTION` times as much."""
 STARTS = np.array([0.0, -0.1, -0.2, -0.3, -0.4, -0.5, -0.6, -0.7, -0.8, 0.1, 0.2, 0.3, 0.4])
 """How far straight on a way may begin before its first turn."""
+TIGHT = 40.0
+"""[s] for every metre that is lacking where the robot first turns."""
 ENTRY = 0.12
 """How far the grid point may be where the robot gets onto the grid."""
 
@@ -143,7 +145,9 @@ class Lattice:
                     cost = pay + abs(turn) / TURN_RATE
                     if node in found and found[node][0] <= cost:
                         continue
-                    if self.plan.turning(line[-1, :2], float(pose[2]), turn) >= asked:
+                    least = self.plan.turning(line[-1, :2], float(pose[2]), turn)
+                    cost += TIGHT * max(0.03 - least, 0.0)
+                    if least >= asked and (node not in found or cost < found[node][0]):
                         found[node] = (cost, far, turn)
         return found
 
@@ -162,19 +166,22 @@ class Lattice:
         """Strict legs: a turn on the spot wherever the heading changes."""
         h, x, y = np.unravel_index(np.asarray(way), self.shape)
         far, turn = entry
-        start = pose[:2] + far * np.array([np.cos(pose[2]), np.sin(pose[2])])
-        legs = [Leg(np.stack([pose[:2], start]), -1 if far < 0 else 1, float(pose[2]))] if far else []
-        legs += turns(start, float(pose[2]), turn)
-        here = self.points[x, y]
-        here[0] = start
+        here, yaw = pose[:2] + far * np.array([np.cos(pose[2]), np.sin(pose[2])]), float(pose[2])
+        legs = [Leg(np.stack([pose[:2], here]), -1 if far < 0 else 1, yaw)] if far else []
         for k in range(1, len(way)):
             if h[k] != h[k - 1]:
-                legs.append(Leg(here[[k, k]], 1, float(YAWS[h[k]])))
+                turn += turn_between(YAWS[h[k - 1]], YAWS[h[k]])
                 continue
-            step = (x[k] - x[k - 1], y[k] - y[k - 1])
-            direction = 1 if step == tuple(MOVES[h[k]]) else -1
-            legs.append(Leg(here[[k - 1, k]], direction, float(YAWS[h[k]])))
-        return _joined(legs)
+            legs += turns(here, yaw, turn)
+            there, yaw, turn = self.points[x[k], y[k]], float(YAWS[h[k]]), 0.0
+            direction = 1 if (x[k] - x[k - 1], y[k] - y[k - 1]) == tuple(MOVES[h[k]]) else -1
+            last = legs[-1] if legs else None
+            if last is not None and length(last) and last.direction == direction and last.yaw == yaw:
+                legs[-1] = Leg(np.stack([last.points[0], there]), direction, yaw)
+            else:
+                legs.append(Leg(np.stack([here, there]), direction, yaw))
+            here = there
+        return legs + turns(here, yaw, turn)
 
 
 def turns(xy: Array, start: float, turn: float) -> list[Leg]:
@@ -184,24 +191,6 @@ def turns(xy: Array, start: float, turn: float) -> list[Leg]:
     pieces = 1 + int(abs(turn) / 2.2)
     yaws = [float(wrap(start + turn * (k + 1) / pieces)) for k in range(pieces)]
     return [Leg(np.stack([xy, xy]), 1, yaw) for yaw in yaws]
-
-
-def _joined(legs: Sequence[Leg]) -> list[Leg]:
-    """Straight pieces in one line as one leg, and small turns that follow each other as one."""
-    out: list[Leg] = []
-    for leg in legs:
-        last = out[-1] if out else None
-        if last is not None and length(last) and length(leg) and last.direction == leg.direction:
-            if abs(turn_between(last.yaw, leg.yaw)) < 1e-6:
-                out[-1] = Leg(np.stack([last.points[0], leg.points[-1]]), leg.direction, leg.yaw)
-                continue
-        if last is not None and not length(leg) and not length(last):
-            before = out[-2].yaw if len(out) > 1 else None
-            if before is not None and abs(turn_between(before, leg.yaw)) > 0.5 > abs(turn_between(before, last.yaw)):
-                out[-1] = leg
-                continue
-        out.append(leg)
-    return out
 
 
 def length(leg: Leg) -> float:

@@ -11,6 +11,7 @@ from mjhab.envs.actions import ACTION_DIM
 from mjhab.envs.privileged import WorldView
 from mjhab.experts import motion
 from mjhab.experts.articulated import close_link, open_link
+from mjhab.experts.navigate import navigate
 from mjhab.experts.pick import pick
 from mjhab.experts.place import place
 from mjhab.tasks.plan import SubtaskKind
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 Script = Generator[np.ndarray, None, Any]
 
 
-def _navigate(view: WorldView) -> Script:
+def _wait(view: WorldView) -> Script:
     """The environment teleports; the robot waits and keeps its grip."""
     subtask = view.subtask
     holding = subtask is not None and subtask.must_hold
@@ -32,7 +33,7 @@ def _navigate(view: WorldView) -> Script:
 SCRIPTS: dict[SubtaskKind, Callable[[WorldView], Script]] = {
     SubtaskKind.PICK: pick,
     SubtaskKind.PLACE: place,
-    SubtaskKind.NAVIGATE: _navigate,
+    SubtaskKind.NAVIGATE: navigate,
     SubtaskKind.OPEN: open_link,
     SubtaskKind.CLOSE: close_link,
 }
@@ -44,6 +45,7 @@ class ExpertPolicy:
     name = "expert"
 
     def __init__(self, env: SequentialTaskEnv) -> None:
+        self._start = {**SCRIPTS, SubtaskKind.NAVIGATE: _wait} if env.config.teleports else SCRIPTS
         self._views = [env.view(w) for w in range(env.num_envs)]
         self._scripts: list[Script | None] = [None] * env.num_envs
         self._tokens: list[tuple[int, int, int] | None] = [None] * env.num_envs
@@ -65,7 +67,7 @@ class ExpertPolicy:
         if subtask is None or view.done:
             return np.zeros(ACTION_DIM, np.float32)
         if self._tokens[w] != view.token:
-            self._tokens[w], self._scripts[w] = view.token, SCRIPTS[subtask.kind](view)
+            self._tokens[w], self._scripts[w] = view.token, self._start[subtask.kind](view)
         script = self._scripts[w]
         assert script is not None
         try:

@@ -24,12 +24,15 @@ class FilmWriter:
         path: the mp4 to write; its folder is made.
         fps: frames per second of the film.
         quality: x264 constant rate factor, 18 (large) to 30 (small).
+        keyframes: a frame that needs no other one every so many; 0 lets x264 choose. Few make single frames slow to
+            reach.
     """
 
-    def __init__(self, path: str | Path, fps: float = 20.0, quality: int = 23) -> None:
+    def __init__(self, path: str | Path, fps: float = 20.0, quality: int = 23, keyframes: int = 0) -> None:
         self.path = Path(path)
         self.fps = fps
         self.quality = quality
+        self.keyframes = keyframes
         self.frames = 0
         self._shape: tuple[int, int] | None = None
         self._process: subprocess.Popen[bytes] | None = None
@@ -110,6 +113,8 @@ class FilmWriter:
         command = [imageio_ffmpeg.get_ffmpeg_exe(), "-loglevel", "error", "-y"]
         command += ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", str(self.fps), "-i", "-"]
         command += ["-an", "-c:v", "libx264", "-preset", "veryfast", "-crf", str(self.quality), "-threads", "2"]
+        if self.keyframes:
+            command += ["-g", str(self.keyframes), "-bf", "0"]
         command += ["-pix_fmt", "yuv420p", "-movflags", "+faststart", str(self._part)]
         return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=self._log)
 

@@ -16,10 +16,8 @@ from mjhab.core.rotations import pose_inv, pose_mul
 from mjhab.scenes import contact_bits
 from mjhab.scenes.fetch import FINGER_LINKS, FINGER_OPEN_DIR, TCP_LINK, Drives, apply_drives
 from mjhab.sim.cpu import SUBSTEPS, CpuSimulator
-from mjhab.sim.settle import hold_robot, parked_robot_qpos
+from mjhab.sim.settle import CLOSED_FINGER, hold_robot, parked_robot_qpos
 
-CLOSED_FINGER = -0.01
-"""Finger command [m] that squeezes (the gripper action at -1)."""
 CLOSING_STEPS = 30
 TURN_RATE, TURN_STEPS, TURN_SLIP = 1.6, 20, 0.02
 """A held object must stay within this slip [m] while the base is jerked to either side at half its top speed [rad/s]:

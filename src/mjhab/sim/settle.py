@@ -8,6 +8,8 @@ import numpy as np
 from mjhab.scenes.fetch import REST_QPOS
 from mjhab.scenes.layout import Addresses
 
+CLOSED_FINGER = -0.01
+"""Finger command [m] that squeezes (the gripper action at -1)."""
 ROBOT_PARKING = (19.0, 19.0)
 """Base position [m] of the robot while a home settles: beyond every home, inside the base's joint range."""
 

@@ -21,14 +21,12 @@ try:
     import warp as wp
 
     wp.config.log_level = wp.LOG_WARNING
-    from mjhab.sim.warp_engine import BufferSizes, Engine
     from mjhab.sim.warp_device import open_device
+    from mjhab.sim.warp_engine import BufferSizes, Engine
     from mjhab.sim.warp_rest import RestFinder
     from mjhab.sim.warp_sizes import buffer_sizes
 except ModuleNotFoundError as error:
-    raise UsageError(
-        f"backend 'warp' needs {error.name}, which is not installed; pip install 'mjhab[gpu,learn]'"
-    ) from error
+    raise UsageError(f"backend 'warp' needs {error.name}, which is not installed; pip install 'mjhab[gpu]'") from error
 
 
 class WarpSimulator:
@@ -62,7 +60,7 @@ class WarpSimulator:
         self.addresses = addresses(layout, base)
         sizes = sizes or buffer_sizes(layout, self.model, self.addresses, num_worlds, self.device)
         self._rest = RestFinder(base, self.addresses)
-        self.engine = Engine(base, self.addresses, num_worlds, len(self._homes), sizes, self.device)
+        self.engine = self._make_engine(base, sizes)
         a = self.addresses
         self._robot_q, self._robot_v, self._link_q, self._link_v = map(
             self._indices, (a.robot_q, a.robot_v, a.link_q, a.link_v)
@@ -70,6 +68,17 @@ class WarpSimulator:
         self._views = self._make_views()
         everyone = list(range(num_worlds))
         self.reset(everyone, [layout.pack.homes[0].name] * num_worlds, np.tile(base.qpos0, (num_worlds, 1)))
+
+    def _make_engine(self, base: mujoco.MjModel, sizes: BufferSizes) -> Engine:
+        try:
+            return Engine(base, self.addresses, self.num_worlds, len(self._homes), sizes, self.device)
+        except RuntimeError as error:
+            if "alloc" not in str(error) and "memory" not in str(error):
+                raise
+            raise UsageError(
+                f"{self.num_worlds} worlds do not fit into the memory of {self.device}; "
+                f"try num_worlds={max(1, self.num_worlds // 2)}"
+            ) from error
 
     def model(self, home: str) -> mujoco.MjModel:
         """The compiled model of a home of the pack, on the host."""
@@ -114,7 +123,7 @@ class WarpSimulator:
         worlds = self._indices(ids)
         taint = self.engine.taint_t[worlds].clone()
         default = np.stack([self.model(home).qpos0 for home in homes])
-        self.reset(ids, homes, np.where(np.isfinite(given).all(axis=1)[:, None], given, default))
+        self.reset(ids, homes, np.where(np.isfinite(given).all(axis=1, keepdims=True), given, default))
         self.engine.taint_t[worlds] = taint
 
     def broken(self) -> torch.Tensor:

@@ -17,8 +17,8 @@ def open_device(name: str) -> wp.Device:
     if not name:
         if not wp.is_cuda_available():
             raise UsageError(
-                "backend 'warp' found no CUDA device (is an NVIDIA driver installed?). For tests there is device='cpu', "
-                "far slower than backend 'cpu'."
+                "backend 'warp' found no CUDA device (is an NVIDIA driver installed?); for tests there is "
+                "device='cpu', far slower than backend 'cpu'."
             )
         name = "cuda:0"
     names = [str(device) for device in wp.get_devices()]

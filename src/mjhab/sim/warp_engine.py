@@ -35,9 +35,9 @@ AWAKE = sleep.K_AWAKE_VAL
 class BufferSizes:
     """Capacities of the engine's buffers.
 
-    contacts: contacts, and pairs of geoms that may touch, of all worlds together; ccd: pairs of one kind in general convex
-    collision at once, all worlds together; rows: constraint rows of one world; awake: degrees of freedom of one world
-    that may be awake at once, None for all.
+    contacts: contacts, and pairs of geoms that may touch, of all worlds together; ccd: pairs of one kind of geoms in
+    general convex collision at once, all worlds together; rows: constraint rows of one world; awake: degrees of freedom
+    of one world that may be awake at once, None for all.
     """
 
     contacts: int

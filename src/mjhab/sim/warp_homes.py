@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+
 import mujoco
 import mujoco_warp as mjw
 import numpy as np

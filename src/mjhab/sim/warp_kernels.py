@@ -1,3 +1,5 @@
+# type: ignore
+# Kernels are Warp's language in the syntax of Python; its types are not those of Python.
 """Kernels between MuJoCo Warp and our simulator: contact forces, taint, teleports.
 
 The engine's contact list is one for all worlds and in no order, so every kernel over contacts reads the world of each
@@ -149,7 +151,7 @@ def put_back_broken(
     Left alone it would overlap with everything: its pairs would fill the contact buffer that all worlds share.
     """
     world = wp.tid()
-    finite = bool(True)
+    finite = wp.bool(True)
     for i in range(qpos.shape[1]):
         finite = finite and wp.isfinite(qpos[world, i])
     for i in range(qvel.shape[1]):
@@ -179,8 +181,8 @@ def check_worlds(
 ):
     """Translate what went wrong in a control step into bits of TAINTS.
 
-    ``bits``: two masks of the overflow bits that mean lost contacts and lost constraint rows, then those of the engine's
-    other complaints. Bits of TAINTS, lowest first: contacts, constraints, nan, engine, penetration.
+    ``bits``: masks of the overflow bits that mean lost contacts, lost constraint rows, and what else the engine says.
+    Bits of TAINTS, lowest first: contacts, constraints, nan, engine, penetration.
     """
     world = wp.tid()
     found = wp.int32(0)
@@ -219,7 +221,7 @@ def teleport(
     if not update[world]:
         return
     for tree in range(tree_q.shape[0]):
-        moved = bool(False)
+        moved = wp.bool(False)
         for i in range(tree_q[tree][0], tree_q[tree][0] + tree_q[tree][1]):
             if qpos[world, i] != new_qpos[world, i]:
                 moved = True

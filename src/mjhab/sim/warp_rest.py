@@ -11,7 +11,7 @@ from mjhab.scenes.fetch import TCP_LINK
 from mjhab.scenes.layout import Addresses
 
 REST_ACCELERATION = 0.5
-"""A tree of bodies that would accelerate less than this [m/s^2] lies still. Settled starts of the tasks have at most 0.11
+"""A tree of bodies that would accelerate less than this [m/s^2] lies still. Settled starts of tasks have at most 0.11
 (the damping of their last creep), a falling object has 9.8."""
 _REMEMBERED = 4096
 

@@ -22,7 +22,7 @@ from mjhab.scenes.compile import home_hash
 from mjhab.scenes.fetch import REST_QPOS, TCP_LINK
 from mjhab.scenes.layout import Addresses, Layout
 from mjhab.scenes.receptacles import placed_receptacles
-from mjhab.scenes.spec import PARKED, Home
+from mjhab.scenes.spec import Home
 from mjhab.sim.settle import settle
 from mjhab.sim.warp_engine import BufferSizes, Engine
 
@@ -79,7 +79,7 @@ class Demand:
 
 @dataclass(frozen=True, eq=False)
 class Stress:
-    """A rollout: ``states`` (qpos (nq,), tree_asleep (ntree,)) of interest; the most rows and awake dofs of any state."""
+    """A rollout: ``states`` (qpos (nq,), tree_asleep (ntree,)) of interest; the most rows and awake dofs of any."""
 
     states: list[tuple[np.ndarray, np.ndarray]]
     rows: int
@@ -151,9 +151,7 @@ def stress(layout: Layout, home: Home, model: mujoco.MjModel, a: Addresses, inde
     return Stress([states[i] for i in order], rows, awake)
 
 
-def _strew(
-    layout: Layout, home: Home, model: mujoco.MjModel, a: Addresses, rng: np.random.Generator
-) -> np.ndarray:
+def _strew(layout: Layout, home: Home, model: mujoco.MjModel, a: Addresses, rng: np.random.Generator) -> np.ndarray:
     """(nq,) state with every object just above a random place of one of a few open receptacles."""
     qpos = model.qpos0.copy()
     surfaces = [r for r in placed_receptacles(layout, home) if not r.link and r.kind == "open"]
@@ -162,12 +160,12 @@ def _strew(
         on = surfaces[rng.integers(len(surfaces))]
         place = on.point(*rng.uniform(-1.0, 1.0, 2) * on.half)
         start = a.object_q[slot]
-        qpos[start : start + 3] = place + [0.0, 0.0, layout.objects[slot].half[2] + 0.02]
+        qpos[start : start + 3] = place + np.array([0.0, 0.0, layout.objects[slot].half[2] + 0.02])
     return qpos
 
 
 def _stand_free(data: mujoco.MjData, model: mujoco.MjModel, a: Addresses, rng: np.random.Generator) -> None:
-    """Put the robot near an object, where it touches least of some random places; inside of furniture it would blow up."""
+    """Put the robot near an object, at that of some random places where it touches least."""
     robot_tree = model.body_treeid[a.robot_body[TCP_LINK]]
     data.qpos[a.robot_q] = REST_QPOS
     best, least = np.zeros(3), math.inf

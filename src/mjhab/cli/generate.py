@@ -1,0 +1,213 @@
+"""``mjhab generate``: data sets by several workers."""
+
+from __future__ import annotations
+
+import functools
+import math
+import signal
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from mjhab.cli.data import read_filter
+from mjhab.cli.doctor import cores
+from mjhab.cli.evaluate import check_options, make_policy
+from mjhab.cli.generate_options import GenerateOptions
+from mjhab.cli.options import EvalOptions
+from mjhab.cli.output import at_least, print_json, print_table
+from mjhab.core.errors import UsageError
+from mjhab.data.crew import ALL, Crew, ProcessCrew, Stage, WorkerSpec
+from mjhab.data.generation import Job, Standing, generate
+from mjhab.data.images import ImageFormat
+
+TRIES_PER_EPISODE = 20
+"""Without --episodes, so many episodes are tried per episode to keep before a quota is given up."""
+NO_IMAGES = "none"
+_NOT_IN_CONFIG = frozenset(
+    {"out", "per_target", "per_label", "episodes", "workers", "worlds", "threads", "ray", "resume", "json"}
+)
+
+
+def run_generate(options: GenerateOptions) -> int:
+    """Run the command; returns 0, 1 if a quota could not be filled, or 130 after Ctrl-C or SIGTERM."""
+    job = make_job(options)
+    crew = make_crew(options)
+    begun = time.perf_counter()
+    with stop_signals() as stopped, _progress(options, job) as tell:
+        done = generate(job, crew, tell, stopped, options.resume)
+    seconds = time.perf_counter() - begun
+    numbers = {
+        "written": done.written,
+        "kept": done.kept,
+        "labels": dict(done.labels.most_common()),
+        "episodes_per_hour": round(done.written / seconds * 3600, 1),
+        "bytes_per_episode": round(done.bytes / done.kept) if done.kept else 0,
+        "tried": done.tried,
+        "yield": round(done.passed / done.tried, 4) if done.tried else 0.0,
+        "seconds": round(seconds, 1),
+    }
+    _tell(options, done, numbers, stopped())
+    if stopped() and not done.complete:
+        return 130
+    return 1 if done.wanted and done.kept < done.wanted else 0
+
+
+def make_job(options: GenerateOptions) -> Job:
+    """Check the options and turn them into a job.
+
+    Raises:
+        UsageError: an unknown name, a number out of range, a filter that cannot be understood.
+    """
+    eval_options = _eval_options(options)
+    check_options(eval_options)
+    for name in ("per_target", "per_label", "threads"):
+        at_least(name.replace("_", "-"), getattr(options, name), 0)
+    for name in ("workers", "worlds"):
+        at_least(name, getattr(options, name), 1)
+    if options.episodes is None and not options.per_target:
+        raise UsageError("say when to stop: --per-target N keeps N episodes of every target, --episodes N tries N.")
+    keep = read_filter(options.keep, options.preset)
+    images = None if options.images == NO_IMAGES else ImageFormat(options.rgb)
+    _check_images(options)
+    config = {key: value for key, value in vars(options).items() if key not in _NOT_IN_CONFIG}
+    config = {key: str(value) if isinstance(value, Path) else value for key, value in config.items()}
+    spec = WorkerSpec(
+        functools.partial(build_stage, replace(options, threads=options.threads or max(1, cores() // options.workers))),
+        options.seed, keep.text if keep else "", not options.no_states, images,
+    )  # fmt: skip
+    # 13 targets are more than any task has.
+    most = options.episodes or TRIES_PER_EPISODE * 13 * options.per_target
+    # Episodes of one subtask all last to the horizon: one per world leaves no world idle. Chains end when they end.
+    chunk = options.worlds if options.subtask else 2 * options.worlds
+    return Job(
+        spec, config, options.out, most, options.workers, chunk, options.per_target, options.per_label
+    )  # fmt: skip
+
+
+def make_crew(options: GenerateOptions) -> Crew:
+    """Processes of this machine, or actors of a Ray cluster.
+
+    Raises:
+        UsageError: Ray is not installed, or the cluster cannot be reached.
+    """
+    if options.ray is None:
+        return ProcessCrew()
+    from mjhab.data.ray_crew import RayCrew
+
+    return RayCrew(options.ray)
+
+
+def build_stage(options: GenerateOptions) -> Stage:
+    """What a worker acts in; called in the worker's process."""
+    from mjhab.envs import make
+    from mjhab.envs.starts import valid_targets
+
+    env = make(
+        task=options.task, subtask=options.subtask or "", target=options.target or "", num_envs=options.worlds,
+        split=options.split, assets=options.assets, home=options.home or "", navigate=options.navigate,
+        seed=options.seed, threads=options.threads, reward_mode=options.reward, autoreset="disabled",
+        obs_mode="state" if options.images == NO_IMAGES else options.images, cameras=options.cameras,
+        camera_size=options.camera_size,
+    )  # fmt: skip
+    targets = (ALL,)
+    if options.subtask and options.subtask != "navigate":
+        targets = (options.target,) if options.target else tuple(valid_targets(env.config, env.layout))
+    about: dict[str, Any] = {"name": options.policy}
+    if options.policy == "random":
+        about["seed"] = options.seed
+    policy = make_policy(_eval_options(options), env)
+    return Stage(env, policy, about, targets, licence_of(options.assets))
+
+
+def licence_of(assets: str) -> str:
+    """Terms of an asset pack that is one of the public data sets; "" for any other."""
+    from mjhab.assets.sources import SOURCES
+
+    if assets == "builtin" or not SOURCES["replica_cad"].complete(Path(assets.partition("?")[0])):
+        return ""
+    return "; ".join(f"{SOURCES[name].title.partition(':')[0]}: {SOURCES[name].licence}" for name in ("replica_cad", "ycb"))
+
+
+@contextmanager
+def stop_signals() -> Iterator[Any]:
+    """While it is open, SIGTERM and Ctrl-C only make the function it gives say True; a second Ctrl-C interrupts."""
+    seen: list[int] = []
+
+    def note(number: int, frame: Any) -> None:
+        if seen and number == signal.SIGINT:
+            raise KeyboardInterrupt
+        seen.append(number)
+
+    before = {number: signal.signal(number, note) for number in (signal.SIGTERM, signal.SIGINT)}
+    try:
+        yield lambda: bool(seen)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def _progress(options: GenerateOptions, job: Job) -> Iterator[Any]:
+    columns = (
+        TextColumn("[bold]{task.description}"), BarColumn(bar_width=20),
+        TextColumn("{task.completed:.0f}/{task.total:.0f}{task.fields[what]}"), TimeRemainingColumn(),
+    )  # fmt: skip
+    begun = time.perf_counter()
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        name = f"{options.task} {options.subtask or 'chain'}"
+        task = bar.add_task(name, total=job.per_target or job.episodes, what="")
+
+        def tell(now: Standing) -> None:
+            done, total = (now.kept, now.wanted) if now.wanted else (now.tried, job.episodes)
+            rate = now.written / (time.perf_counter() - begun) * 3600
+            share = f", yield {100 * now.passed / now.tried:.0f} %" if now.tried else ""
+            what = f"{share}, {rate:,.0f} episodes/h"
+            bar.update(task, completed=done, total=max(total, 1), what=what)
+
+        yield tell
+
+
+def _tell(options: GenerateOptions, done: Standing, numbers: dict[str, Any], stopped: bool) -> None:
+    if stopped and not done.complete:
+        print(
+            f"mjhab: stopped; {done.kept} episodes are kept in {options.out}. The same command with --resume goes on.",
+            file=sys.stderr,
+        )
+    elif done.wanted and done.kept < done.wanted:
+        print(
+            f"mjhab: only {done.kept} of {done.wanted} episodes passed of {done.tried} that were tried. A larger "
+            "--episodes with --resume tries more.",
+            file=sys.stderr,
+        )
+    if options.json:
+        print_json(numbers)
+        return
+    print_table(f"Episodes in {options.out}", ("label", "kept"), [(k or "none", n) for k, n in numbers["labels"].items()])
+    print(
+        f"{done.kept} episodes kept, {done.written} of them written now, {done.tried} tried; "
+        f"{numbers['episodes_per_hour']:,.0f} episodes per hour, {numbers['bytes_per_episode']:,} bytes per episode"
+    )
+
+
+def _check_images(options: GenerateOptions) -> None:
+    from mjhab.envs.observations import camera_names, image_size, mode_outputs
+
+    if options.images != NO_IMAGES:
+        mode_outputs(options.images)
+        camera_names(options.cameras)
+        image_size(options.camera_size)
+
+
+def _eval_options(options: GenerateOptions) -> EvalOptions:
+    return EvalOptions(
+        task=options.task, subtask=options.subtask, target=options.target, policy=options.policy, seed=options.seed,
+        split=options.split, navigate=options.navigate, worlds=options.worlds, threads=options.threads,
+        episodes=max(1, math.ceil(options.episodes)) if options.episodes is not None else 1,
+    )  # fmt: skip

@@ -1,0 +1,118 @@
+"""The options of ``mjhab generate`` and ``mjhab replay``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from mjhab.cli.data_options import Places, Preset, Where
+from mjhab.cli.options import Assets, Joints, MaybeName, Name, Number, StageMesh
+
+
+@dataclass(frozen=True)
+class GenerateOptions:
+    """Make recorded episodes with several workers until every target has its quota; failures are kept by default.
+
+    `mjhab generate --subtask pick --per-target 1000 --keep "label == 'straightforward_success'" --workers 2 --out
+    runs/pick`
+
+    Ctrl-C and SIGTERM keep the finished episodes; the same command with `--resume` goes on. Which episodes are kept
+    does not depend on the number of workers: of those that pass, the ones with the lowest indices.
+    """
+
+    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
+    """Folder of the shards."""
+    task: Name = "set_table"
+    """What to do: set_table, tidy_house or prepare_groceries."""
+    subtask: MaybeName = None
+    """One subtask from spawned starts instead of the whole chain: pick, place, navigate, open or close."""
+    target: MaybeName = None
+    """With --subtask: the object or link to act on, e.g. 024_bowl or kitchen_counter/drawer3. All of them if absent."""
+    policy: Name = "expert"
+    """What acts: expert (scripted, knows the state), random or zero (stands still)."""
+    per_target: Number = 0
+    """Episodes to keep of every target (of all together for chains and Navigate); 0 for no limit."""
+    per_label: Number = 0
+    """Episodes to keep of every label of every target; 0 for no limit."""
+    episodes: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """Try the episodes 0 to N-1 at most; needed without --per-target, else 20 times what is to be kept."""
+    keep: Where = None
+    """Which episodes to keep, as in `mjhab data query`; all if absent."""
+    preset: Preset = None
+    """A filter with a name, see `mjhab data fields`; with --keep, both must hold."""
+    images: Annotated[str, tyro.conf.arg(metavar="none|depth|rgb|rgbd|seg")] = "none"
+    """Camera images to store; several joined by +. `mjhab replay --render` draws them later, too."""
+    cameras: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ("fetch_head", "fetch_hand")
+    """Of which cameras."""
+    camera_size: Number = 128
+    """Side of the images [px]."""
+    rgb: Annotated[str, tyro.conf.arg(metavar="png|jpeg")] = "png"
+    """How colour is stored; png is without loss."""
+    no_states: bool = False
+    """Leave out positions and velocities: smaller, but nothing can be rendered later."""
+    reward: Annotated[str, tyro.conf.arg(metavar="MODE")] = ""
+    """Reward to store, e.g. dense with all its terms; that of an evaluation if absent."""
+    workers: Number = 1
+    """Processes that make episodes. Changes the speed, never the results."""
+    worlds: Number = 4
+    """Episodes that a worker runs at the same time. Changes the speed, never the results."""
+    threads: Number = 0
+    """Threads of the physics of each worker; 0 divides the cores among them."""
+    ray: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS")] = None
+    """Let the workers be actors on this Ray cluster ("local" starts one here); --out must be a folder all can see."""
+    seed: Number = 0
+    """Seed of the run; with the index it fixes the episode."""
+    split: Name = "train"
+    """Which homes: train, val or test."""
+    home: MaybeName = None
+    """Only this home, or those that fit a pattern (see: mjhab homes list)."""
+    assets: Assets = "builtin"
+    """Asset pack: builtin, or the folder of another pack."""
+    stage_mesh: StageMesh = None
+    """With a ReplicaCAD folder: walls and floor for every home, in place of the stages its scenes name."""
+    articulate: Joints = None
+    """With a ReplicaCAD folder: what opens besides counter and fridge: kitchen_cupboards, cabinet, chest_of_drawers."""
+    navigate: Name = "teleport"
+    """Of a whole task: teleport puts the robot near every goal as the paper does; drive leaves the way to the policy."""
+    resume: bool = False
+    """Go on in --out; --workers, --episodes and the quotas may differ."""
+    json: bool = False
+    """Print one line of JSON at the end."""
+
+
+@dataclass(frozen=True)
+class ReplayOptions:
+    """Simulate recorded actions again and compare every bit (--verify), or draw images from recorded states (--render).
+
+    `mjhab replay runs/pick --verify`
+
+    `mjhab replay runs/pick --render rgbd --camera-size 256 --out pick_rgbd.h5`
+    """
+
+    places: Places
+    """Shards (*.h5) or folders of shards."""
+    verify: bool = False
+    """Simulate the actions on the CPU and compare positions and velocities of every step; fails unless all are equal."""
+    render: Annotated[str | None, tyro.conf.arg(metavar="depth|rgb|rgbd|seg|pointcloud")] = None
+    """Draw these images of every state into a new shard; several joined by +. Nothing is simulated."""
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FILE.h5")] = None
+    """With --render: the shard to make, or to go on with."""
+    cameras: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ("fetch_head", "fetch_hand")
+    """With --render: fetch_head, fetch_hand, and follow, which looks over the robot's shoulder (colour only)."""
+    camera_size: Annotated[tuple[int, ...], tyro.conf.arg(metavar="N|HEIGHT WIDTH")] = (128,)
+    """With --render: side of the images, or height and width [px]."""
+    rgb: Annotated[str, tyro.conf.arg(metavar="png|jpeg")] = "png"
+    """With --render: how colour is stored; png is without loss."""
+    where: Where = None
+    """Only these episodes, as in `mjhab data query`."""
+    preset: Preset = None
+    """A filter with a name, see `mjhab data fields`."""
+    worlds: Number = 8
+    """How many episodes run (or frames are drawn) at the same time. Changes the speed, never the results."""
+    threads: Number = 0
+    """Threads; 0 takes all cores."""
+    json: bool = False
+    """Print one line of JSON at the end."""

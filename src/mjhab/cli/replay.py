@@ -1,0 +1,102 @@
+"""``mjhab replay``: are recorded episodes what the simulator does? And images of recorded states."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from mjhab.cli.data import read_filter
+from mjhab.cli.generate_options import ReplayOptions
+from mjhab.cli.output import at_least, print_json, print_table, progress_bar
+from mjhab.core.errors import UsageError
+from mjhab.data.episode_data import RunInfo
+from mjhab.data.images import ImageFormat
+from mjhab.data.reading import open_shard, shard_paths
+from mjhab.data.replay import FOLLOW, render, verify
+
+_MOST_ROWS = 20
+
+
+def run_replay(options: ReplayOptions) -> int:
+    """Run the command; returns 0, or 1 if an episode does not come out as it was recorded."""
+    at_least("worlds", options.worlds, 1)
+    at_least("threads", options.threads, 0)
+    if options.verify == (options.render is not None):
+        raise UsageError("say what to do, one of the two: --verify, or --render depth (or rgb, rgbd, ...).")
+    return _verify(options) if options.verify else _render(options)
+
+
+def _verify(options: ReplayOptions) -> int:
+    where = read_filter(options.where, options.preset)
+    with progress_bar("replaying", _count(options)) as advance:
+        found = verify(options.places, _maker(options), where, advance)
+    if options.json:
+        error = found.max_error if math.isfinite(found.max_error) else None
+        print_json({"episodes": found.episodes, "exact": found.exact, "max_error": error, "unlike": len(found.unlike)})
+    else:
+        if found.wrong:
+            rows = [(name, "yes" if name in found.unlike else "", what) for name, what in found.wrong.items()]
+            print_table("Not as recorded", ("episode", "other model", "what differs"), rows[:_MOST_ROWS])
+        print(f"{found.exact} of {found.episodes} episodes exact, largest difference {found.max_error:g}")
+        if found.wrong and found.unlike:
+            print(
+                "\"other model\": the home is compiled to another model here than where it was recorded; another "
+                "version of mjhab or of its assets made it (see `versions` and `commit` in the shard)."
+            )
+    return 0 if found.exact == found.episodes else 1
+
+
+def _render(options: ReplayOptions) -> int:
+    if options.out is None:
+        raise UsageError("--render needs --out FILE.h5: the recorded shard stays as it is.")
+    if any(path.resolve() == options.out.resolve() for path in shard_paths(options.places)):
+        raise UsageError(f"--out {options.out} is one of the shards to replay; give a new file.")
+    if len(options.camera_size) > 2:
+        raise UsageError(f"--camera-size is one number or height and width, got {options.camera_size}.")
+    if FOLLOW in options.cameras and "rgb" not in (options.render or ""):
+        raise UsageError("the camera 'follow' gives colour only: add rgb to --render, as in --render rgb.")
+    images = ImageFormat(options.rgb)
+    where = read_filter(options.where, options.preset)
+    with progress_bar("drawing", _count(options)) as advance:
+        done = render(options.places, options.out, _maker(options), options.cameras, images, where, advance)
+    if options.json:
+        print_json(vars(done))
+    else:
+        print(
+            f"{done.episodes} episodes, {done.frames} frames each camera and image, {done.bytes:,} bytes in "
+            f"{options.out}; {done.present} were there already"
+        )
+    return 0
+
+
+def _count(options: ReplayOptions) -> int:
+    count = 0
+    for path in shard_paths(options.places):
+        with open_shard(path) as shard:
+            count += len(shard)
+    return count
+
+
+def _maker(options: ReplayOptions) -> Callable[[RunInfo], Any]:
+    """What makes an environment like that of a recorded run, with the cameras that are asked for."""
+    robot_cameras = tuple(name for name in options.cameras if name != FOLLOW)
+    size = options.camera_size[0] if len(options.camera_size) == 1 else tuple(options.camera_size)
+    sight: dict[str, Any] = {"obs_mode": "state"}
+    if options.render is not None:
+        sight = {"obs_mode": options.render if robot_cameras else "state", "camera_size": size}
+        if robot_cameras:
+            sight["cameras"] = robot_cameras
+
+    def make_env(run: RunInfo) -> Any:
+        from mjhab.envs import make
+
+        # Shards tell lists, configurations hold tuples.
+        config = {key: tuple(v) if isinstance(v, list) else v for key, v in run.config["env"].items()}
+        missing = Path(str(config.get("episodes_file") or "."))
+        if not missing.exists():
+            raise UsageError(f"the episodes were recorded with the file {missing}, which is not there.")
+        return make(**config, **sight, num_envs=options.worlds, threads=options.threads, autoreset="disabled")
+
+    return make_env

@@ -1,0 +1,186 @@
+"""Recorded episodes in the layout of MS-HAB's own data set, for its behaviour cloning and diffusion policy scripts.
+
+``<out>/<task>/<subtask>/<target>.h5`` with a ``.json`` beside each, as mshab/envs/wrappers/record.py writes them. Its
+scripts join ``obs/agent`` and then ``obs/extra`` to the state in the order in which groups list their members: groups
+keep the order of our ``obs/state``.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from mjhab.data.facts import target_of
+from mjhab.data.folders import whole_folder
+from mjhab.data.query import Filter
+from mjhab.data.reading import Episode, open_shard
+from mjhab.data.sets import nothing_passes, select
+from mjhab.data.shard import last_label
+from mjhab.rollout.records import EpisodeRecord
+
+CHAIN = "sequential_task"
+"""Name of the folder of whole chains."""
+_GZIP = 5
+"""As in the original; for images only."""
+_TRUTHS = frozenset({"is_grasped"})
+"""Observations that are yes or no there, without an axis of their own."""
+
+
+@dataclass(frozen=True)
+class ManiSkillSet:
+    """What was written. ``without_depth``: episodes without depth images, which the original's scripts cannot use."""
+
+    episodes: int
+    frames: int
+    files: tuple[Path, ...]
+    without_depth: int
+
+
+def export_maniskill(
+    places: Path | Sequence[Path],
+    out: Path,
+    *,
+    where: Filter | None = None,
+    overwrite: bool = False,
+    begin: Callable[[int], Callable[[], object]] | None = None,
+) -> ManiSkillSet:
+    """Write the episodes that pass the filter as files of trajectories, in a folder that appears whole or not.
+
+    Args:
+        places: shards or folders of them.
+        out: the folder; it holds what the original calls rearrange-dataset.
+        where: which episodes; all of them if None. The original keeps one label per subtask, see the presets.
+        overwrite: take the place of an export that is there.
+        begin: told the number of episodes; gives what is called after each.
+
+    Raises:
+        UsageError: no episode passes, or ``out`` exists.
+    """
+    found = select(places, where)
+    if not found.matched:
+        raise nothing_passes()
+    after = begin(len(found.matched)) if begin else None
+    frames = without = 0
+    files: dict[Path, _File] = {}
+    with whole_folder(out, "*/*/*.h5", overwrite) as root, ExitStack() as stack:
+        for (path, name), record in zip(found.matched, found.records, strict=True):
+            place = place_of(record)
+            if place not in files:
+                files[place] = stack.enter_context(_File(root / place))
+            with open_shard(path) as shard:
+                episode = shard.episode(name)
+                files[place].add(episode)
+                frames += episode.steps
+                without += not any(output == "depth" for _, output in episode.images)
+            if after is not None:
+                after()
+        for file in files.values():
+            file.describe()
+    return ManiSkillSet(len(found.matched), frames, tuple(out / place for place in files), without)
+
+
+def place_of(record: EpisodeRecord) -> Path:
+    """Where an episode goes: task/subtask/target.h5, with the piece of furniture as the target of a link."""
+    if not record.subtask:
+        return Path(record.task, CHAIN, "all.h5")
+    target = target_of(record)
+    return Path(record.task, record.subtask, f"{target.rpartition('/')[0] or target}.h5")
+
+
+class _File:
+    """One file of trajectories while it is written."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._file = h5py.File(path, "w")
+        self._episodes: list[dict[str, Any]] = []
+        self._runs: dict[str, Any] = {}
+
+    def __enter__(self) -> _File:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._file.close()
+
+    def add(self, episode: Episode) -> None:
+        """Add an episode as the next trajectory."""
+        number = len(self._episodes)
+        group = self._file.create_group(f"traj_{number}", track_order=True)
+        obs = group.create_group("obs", track_order=True)
+        for key, values in _observations(episode):
+            *folders, last = key.split("/")
+            parent = obs
+            for folder in folders:
+                parent = parent[folder] if folder in parent else parent.create_group(folder, track_order=True)
+            squeeze = {"compression": "gzip", "compression_opts": _GZIP} if folders[:1] == ["sensor_data"] else {}
+            parent.create_dataset(last, data=values, **squeeze)
+        ends = np.zeros(episode.steps, bool)
+        ends[-1] = True
+        group["actions"] = episode.array("actions").astype(np.float32)
+        group["terminated"] = ends & episode.terminated
+        group["truncated"] = ends & (not episode.terminated)
+        group["success"] = episode.array("reward/success").astype(bool)
+        group["fail"] = episode.array("reward/fail").astype(bool)
+        group["rewards"] = episode.array("reward/total").astype(np.float32)
+        self._episodes.append(_episode_info(number, episode))
+        self._runs.setdefault(episode.run.id, vars(episode.run))
+
+    def describe(self) -> None:
+        """Write what is said of the trajectories beside them."""
+        env = next(iter(self._runs.values()))["config"].get("env", {})
+        value = {
+            "env_info": {
+                "env_id": f"{env['subtask'].capitalize()}SubtaskTrain-v0" if env.get("subtask") else "SequentialTask-v0",
+                "env_kwargs": env,
+                "max_episode_steps": max(each["elapsed_steps"] for each in self._episodes),
+            },
+            "commit_info": {"mjhab": [run["commit"] for run in self._runs.values()]},
+            "source_type": "mjhab",
+            "source_desc": "recorded by mjhab (MuJoCo), not by ManiSkill",
+            "runs": self._runs,
+            "episodes": self._episodes,
+        }
+        self._path.with_suffix(".json").write_text(json.dumps(value, indent=2), encoding="utf-8")
+
+
+def _observations(episode: Episode) -> Iterator[tuple[str, np.ndarray]]:
+    """Keys of the environment and arrays (N+1, ...): the parts of the state in their order, then cameras."""
+    for key, values in episode.table("obs/state").items():
+        yield key, values.astype(bool).reshape(-1) if key.rpartition("/")[2] in _TRUTHS else values
+    for path in episode.paths:
+        if path.startswith("obs/sensor_param/"):
+            yield path.removeprefix("obs/"), episode.array(path)
+    for camera, output in sorted(episode.images, key=lambda image: (image[0] != "fetch_head", image)):
+        frames = [episode.frame(camera, output, t) for t in range(episode.steps + 1)]
+        yield f"sensor_data/{camera}/{output}", np.stack(frames)
+
+
+def _episode_info(number: int, episode: Episode) -> dict[str, Any]:
+    record = episode.record
+    link = target_of(record).rpartition("/")[0]
+    return {
+        "episode_id": number,
+        "episode_seed": [record.seed],
+        # Indices into the original's asset files; home and index say here which episode it was.
+        **dict.fromkeys(("build_config_idx", "task_plan_idx", "init_config_idx", "spawn_selection_idx")),
+        "home": record.home,
+        "episode_index": record.index,
+        "control_mode": episode.run.config.get("env", {}).get("control_mode", "pd_joint_delta_pos"),
+        "elapsed_steps": record.steps,
+        "label": last_label(record),
+        "events": [name for _, name in record.events],
+        "events_verbose": [[step, name, None] for step, name in record.events],
+        "articulation_type": link or None,
+        "reset_kwargs": {},
+        "success_once": record.success_once,
+        "success_at_end": record.success_at_end,
+        "fail": record.fail,
+    }

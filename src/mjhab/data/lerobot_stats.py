@@ -1,0 +1,71 @@
+"""The statistics that LeRobot keeps with a data set, per episode and for all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+Stats = dict[str, np.ndarray]
+"""min, max, mean, std, count and quantiles of one feature; count is (1,)."""
+QUANTILES: dict[str, float] = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
+"""Quantiles of LeRobot v3.0 (lerobot/datasets/compute_stats.py)."""
+_FRAMES = 100
+"""Images of an episode that statistics are taken of, about."""
+
+
+def vector_stats(values: np.ndarray) -> Stats:
+    """Statistics per number of a feature (N, D) or (N,): arrays (D,) or (1,)."""
+    return _stats(values.reshape(len(values), -1).astype(np.float64), len(values))
+
+
+def map_stats(values: np.ndarray) -> Stats:
+    """Statistics of maps (N, H, W), such as depth, over all their pixels: arrays (1,)."""
+    return _stats(values.reshape(-1, 1).astype(np.float64), len(values))
+
+
+def image_stats(images: np.ndarray) -> Stats:
+    """Statistics of images (n, H, W, 3) uint8 per channel, in 0..1: arrays (3, 1, 1)."""
+    stats = _stats(images.reshape(-1, 3) / 255.0, len(images))
+    return {name: value if name == "count" else value.reshape(3, 1, 1) for name, value in stats.items()}
+
+
+def sampled(count: int) -> frozenset[int]:
+    """Which of ``count`` images of an episode statistics are taken of."""
+    return frozenset(np.linspace(0, count - 1, min(count, _FRAMES)).round().astype(int).tolist())
+
+
+def aggregate(parts: Sequence[Mapping[str, Stats]]) -> dict[str, Stats]:
+    """Statistics of a data set from those of its episodes; quantiles are weighted means, as LeRobot has them."""
+    out: dict[str, Stats] = {}
+    for key in parts[0]:
+        each = [part[key] for part in parts]
+        count = np.sum([stats["count"] for stats in each], axis=0)
+        weights = [stats["count"].item() / count.item() for stats in each]
+
+        def mean(name: str, each: list[Stats] = each, weights: list[float] = weights) -> np.ndarray:
+            return np.sum([w * stats[name] for w, stats in zip(weights, each, strict=True)], axis=0)
+
+        centre = mean("mean")
+        spread = [w * (s["std"] ** 2 + (s["mean"] - centre) ** 2) for w, s in zip(weights, each, strict=True)]
+        out[key] = {
+            "min": np.min([stats["min"] for stats in each], axis=0),
+            "max": np.max([stats["max"] for stats in each], axis=0),
+            "mean": centre,
+            "std": np.sqrt(np.sum(spread, axis=0)),
+            "count": count,
+            **{name: mean(name) for name in QUANTILES},
+        }
+    return out
+
+
+def _stats(rows: np.ndarray, count: int) -> Stats:
+    quantiles = np.quantile(rows, list(QUANTILES.values()), axis=0)
+    return {
+        "min": rows.min(axis=0),
+        "max": rows.max(axis=0),
+        "mean": rows.mean(axis=0),
+        "std": rows.std(axis=0),
+        "count": np.array([count]),
+        **dict(zip(QUANTILES, quantiles, strict=True)),
+    }

@@ -1,0 +1,101 @@
+"""Normalization statistics of recorded episodes: computed once, kept in a file beside the data."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mjhab.core.cache import write_atomic
+from mjhab.core.errors import UsageError
+
+_FORMAT = "mjhab-statistics-1"
+_LEAST = 1e-3
+"""Numbers that hardly change are not blown up: the least spread that is divided by."""
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """Mean, spread, smallest and largest of every number of some arrays, each (D,) float32, by the array's name.
+
+    ``fingerprint`` tells the data they were computed of.
+    """
+
+    mean: Mapping[str, np.ndarray]
+    std: Mapping[str, np.ndarray]
+    low: Mapping[str, np.ndarray]
+    high: Mapping[str, np.ndarray]
+    fingerprint: str = ""
+
+    @classmethod
+    def of(cls, arrays: Mapping[str, Sequence[np.ndarray]], fingerprint: str = "") -> Statistics:
+        """Compute them over all rows of lists of arrays (n, D), in float64."""
+        parts: dict[str, dict[str, np.ndarray]] = {"mean": {}, "std": {}, "low": {}, "high": {}}
+        for name, pieces in arrays.items():
+            count = sum(len(piece) for piece in pieces)
+            mean = sum(piece.sum(axis=0, dtype=np.float64) for piece in pieces) / count
+            square = sum(((piece - mean) ** 2).sum(axis=0) for piece in pieces) / count
+            parts["mean"][name] = np.asarray(mean, np.float32)
+            parts["std"][name] = np.sqrt(square).astype(np.float32)
+            parts["low"][name] = np.min([piece.min(axis=0) for piece in pieces], axis=0).astype(np.float32)
+            parts["high"][name] = np.max([piece.max(axis=0) for piece in pieces], axis=0).astype(np.float32)
+        return cls(**parts, fingerprint=fingerprint)
+
+    def normalize(self, name: str, values: np.ndarray) -> np.ndarray:
+        """Values (..., D) with mean 0 and spread 1."""
+        return ((values - self.mean[name]) / self._spread(name)).astype(np.float32)
+
+    def restore(self, name: str, values: np.ndarray) -> np.ndarray:
+        """What was normalized, (..., D)."""
+        return (values * self._spread(name) + self.mean[name]).astype(np.float32)
+
+    def _spread(self, name: str) -> np.ndarray:
+        return np.maximum(self.std[name], _LEAST)
+
+    def save(self, path: Path) -> None:
+        """Write them as npz, without pickles, whole or not at all."""
+        arrays = {f"{part}/{name}": value for part in _PARTS for name, value in getattr(self, part).items()}
+        head = np.frombuffer(json.dumps({"format": _FORMAT, "of": self.fingerprint}).encode(), np.uint8)
+
+        def write(temporary: Path) -> None:
+            with temporary.open("wb") as file:
+                np.savez(file, head=head, **arrays)
+
+        write_atomic(path, write)
+
+    @classmethod
+    def load(cls, path: Path) -> Statistics:
+        """Read what ``save`` wrote.
+
+        Raises:
+            UsageError: no such file, or not one of these.
+        """
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                head = json.loads(file["head"].tobytes())
+                if head["format"] != _FORMAT:
+                    raise ValueError(f"its format is {head['format']!r}")
+                parts: dict[str, dict[str, np.ndarray]] = {part: {} for part in _PARTS}
+                for key in file.files:
+                    part, _, name = key.partition("/")
+                    if name:
+                        parts[part][name] = file[key]
+        except (OSError, ValueError, KeyError) as error:
+            raise UsageError(f"{path} cannot be read as statistics of mjhab: {error}. Delete it to have it made anew.") \
+                from error  # fmt: skip
+        return cls(**parts, fingerprint=head["of"])
+
+
+_PARTS = ("mean", "std", "low", "high")
+
+
+def fingerprint(episodes: Iterable[tuple[str, str]]) -> str:
+    """Hash of names and digests of episodes, in their order."""
+    digest = hashlib.sha256()
+    for name, content in episodes:
+        digest.update(f"{name} {content}\n".encode())
+    return digest.hexdigest()[:16]

@@ -8,10 +8,10 @@ SETUP_FILES := pyproject.toml constraints.txt
 DEMO_OUT := runs/demo
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test check format bench clean distclean
+.PHONY: help setup demo test test-lerobot test-ray check format bench gpu-report clean distclean
 
 help:  ## show this list
-	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-10s %s\n", $$1, $$2}'
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
 
 $(BIN)/python:
 	@command -v "$(PYTHON)" >/dev/null 2>&1 || { \
@@ -40,6 +40,38 @@ demo: $(VENV)/.core  ## a Fetch robot does SetTable in furnished homes; films an
 test: $(VENV)/.dev  ## the whole test suite, with the slowest tests listed at the end
 	$(BIN)/python -m pytest --durations=15 --durations-min=0.5 $(PYTEST_ARGS)
 
+# The real lerobot package needs other versions than mjhab and, on Linux, CUDA libraries: 8 GB in a place of its own.
+# The reader of v2.1 (the last lerobot before v3.0) lies beside it with the datasets package it was made for.
+LEROBOT := .venv-lerobot
+LEROBOT_OUT := runs/lerobot
+EPISODES ?= 50
+$(LEROBOT)/.ready: Makefile
+	@echo "mjhab: installing lerobot into $(LEROBOT), once (8 GB)"
+	@"$(PYTHON)" -m venv $(LEROBOT)
+	@$(LEROBOT)/bin/python -m pip install -q lerobot==0.4.4 h5py
+	@$(LEROBOT)/bin/python -m pip install -q --no-deps --upgrade --target $(LEROBOT)/v21 lerobot==0.3.3 \
+	  datasets==3.6.0 dill==0.3.8 multiprocess==0.70.16 fsspec==2025.3.0
+	@touch $@
+
+test-lerobot: $(VENV)/.dev $(LEROBOT)/.ready  ## load exported data sets with the real lerobot package (8 GB to install)
+	$(BIN)/python tests/lerobot/make_set.py $(LEROBOT_OUT)/shards $(EPISODES)
+	$(BIN)/mjhab export lerobot $(LEROBOT_OUT)/shards --version 3.0 --out $(LEROBOT_OUT)/v30 --overwrite --json
+	$(BIN)/mjhab export lerobot $(LEROBOT_OUT)/shards --version 2.1 --out $(LEROBOT_OUT)/v21 --overwrite --json
+	HF_HUB_OFFLINE=1 HF_DATASETS_CACHE=$(LEROBOT_OUT)/cache30 \
+	  $(LEROBOT)/bin/python tests/lerobot/check_export.py $(LEROBOT_OUT)/v30 $(LEROBOT_OUT)/shards
+	HF_HUB_OFFLINE=1 HF_DATASETS_CACHE=$(LEROBOT_OUT)/cache21 PYTHONPATH=$(LEROBOT)/v21 \
+	  $(LEROBOT)/bin/python tests/lerobot/check_export.py $(LEROBOT_OUT)/v21 $(LEROBOT_OUT)/shards
+
+RAY := .venv-ray
+$(RAY)/.ready: $(SETUP_FILES) | $(BIN)/python
+	@echo "mjhab: installing Ray into $(RAY), once"
+	@"$(PYTHON)" -m venv $(RAY)
+	@$(RAY)/bin/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[scale]' pytest
+	@touch $@
+
+test-ray: $(RAY)/.ready  ## generation on a local Ray cluster, with workers killed in the middle
+	PYTHONPATH=src:. $(RAY)/bin/python -m pytest tests/data/ray_cluster.py $(PYTEST_ARGS)
+
 check: $(VENV)/.dev  ## lint, format, types and the import rule
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -53,9 +85,12 @@ format: $(VENV)/.dev  ## rewrite the sources in the house format
 bench: $(VENV)/.core  ## control steps per second of the engine and of the environment
 	$(BIN)/mjhab bench sim --worlds 16
 
+gpu-report: $(VENV)/.dev  ## measure the warp backend, on a GPU if there is one; writes docs/results/gpu-*.json
+	$(BIN)/python -m mjhab.cli.gpu_report docs/results
+
 clean:  ## remove caches and build products (runs and .venv stay)
 	rm -rf build dist .pytest_cache .ruff_cache .hypothesis
 	find src tests -name __pycache__ -type d -prune -exec rm -rf {} +
 
 distclean: clean  ## also remove .venv
-	rm -rf $(VENV) src/*.egg-info
+	rm -rf $(VENV) $(LEROBOT) $(RAY) src/*.egg-info

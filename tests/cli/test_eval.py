@@ -145,7 +145,7 @@ def test_full_folder_is_refused_and_overwritten_on_demand(
     [
         (("--task", "set_tabel"), ("unknown task 'set_tabel'", "Did you mean 'set_table'", "tidy_house")),
         (("--subtask", "pik"), ("unknown subtask 'pik'", "'pick'", "open")),
-        (("--subtask", "navigate"), ("unknown subtask 'navigate'", "pick")),
+        (("--navigate", "fly"), ("unknown navigate mode 'fly'", "teleport", "drive")),
         (("--policy", "export"), ("unknown policy", "'expert'", "zero")),
         (("--split", "vla"), ("unknown split", "'val'", "train")),
         (("--target", "024_bowl"), ("--target needs --subtask",)),

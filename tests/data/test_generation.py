@@ -8,7 +8,6 @@ import json
 import os
 import random
 import signal
-import threading
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -22,14 +21,17 @@ from mjhab.data.generation import CONFIG, TRIED, Standing, generate
 from mjhab.data.shard import ShardWriter, StorageError
 from tests.data.crews import KEEP, InlineCrew, after, build, job, kept
 
+COUNT = 16
+"""Episodes to keep; not every one that is tried passes."""
+
 
 @pytest.fixture(scope="module")
 def reference(tmp_path_factory: pytest.TempPathFactory) -> dict[int, str]:
     """What one worker with one world keeps."""
     out = tmp_path_factory.mktemp("reference") / "set"
-    done = generate(job(out, KEEP, worlds=1, per_target=25, chunk=1), InlineCrew())
-    assert done.complete and (done.written, done.kept, done.wanted) == (25, 25, 25)
-    assert done.tried > 25 and done.passed >= 25 and sum(done.labels.values()) == 25
+    done = generate(job(out, KEEP, worlds=1, per_target=COUNT, chunk=1), InlineCrew())
+    assert done.complete and (done.written, done.kept, done.wanted) == (COUNT, COUNT, COUNT)
+    assert done.tried > COUNT and done.passed >= COUNT and sum(done.labels.values()) == COUNT
     assert done.bytes == sum(path.stat().st_size for path in out.glob("*.h5"))
     return kept(out)
 
@@ -39,8 +41,8 @@ def test_workers_and_deaths_do_not_change_the_set(
     tmp_path: Path, reference: dict[int, str], workers: int, worlds: int, chunk: int, deaths: float
 ) -> None:
     crew = InlineCrew(seed=workers, deaths=deaths)
-    done = generate(job(tmp_path, KEEP, worlds, per_target=25, workers=workers, chunk=chunk), crew)
-    assert done.complete and done.written == done.kept == 25 and crew.stopped
+    done = generate(job(tmp_path, KEEP, worlds, per_target=COUNT, workers=workers, chunk=chunk), crew)
+    assert done.complete and done.written == done.kept == COUNT and crew.stopped
     assert kept(tmp_path) == reference and check(tmp_path).clean
     assert (crew.died > 0) == (deaths > 0)
 
@@ -52,23 +54,23 @@ def test_failures_are_kept_without_a_filter(tmp_path: Path) -> None:
 
 
 def test_quotas_of_labels(tmp_path: Path) -> None:
-    done = generate(job(tmp_path / "three", episodes=80, per_label=2, workers=3), InlineCrew(1))
-    assert done.complete and max(done.labels.values()) == 2 and len(done.labels) > 5
-    generate(job(tmp_path / "one", episodes=80, per_label=2), InlineCrew(2))
+    done = generate(job(tmp_path / "three", episodes=45, per_label=2, workers=3), InlineCrew(1))
+    assert done.complete and max(done.labels.values()) == 2 and len(done.labels) > 3
+    generate(job(tmp_path / "one", episodes=45, per_label=2), InlineCrew(2))
     assert kept(tmp_path / "one") == kept(tmp_path / "three")
 
 
 def test_a_stopped_run_goes_on_where_it_was(tmp_path: Path, reference: dict[int, str]) -> None:
-    work = job(tmp_path, KEEP, per_target=25, workers=2)
-    first = generate(work, InlineCrew(3), stopped=after(20))
-    assert not first.complete and 0 < first.kept < 25
+    work = job(tmp_path, KEEP, per_target=COUNT, workers=2)
+    first = generate(work, InlineCrew(3), stopped=after(12))
+    assert not first.complete and 0 < first.kept < COUNT
     written = first.written
     for n in range(20):
         now = generate(work, InlineCrew(n, deaths=0.1), stopped=after(25), resume=True)
         written += now.written
         if now.complete:
             break
-    assert now.complete and written == now.kept == 25 and kept(tmp_path) == reference
+    assert now.complete and written == now.kept == COUNT and kept(tmp_path) == reference
     again = generate(work, InlineCrew(), resume=True)
     assert again.complete and again.written == 0 and kept(tmp_path) == reference
 
@@ -77,9 +79,9 @@ def test_a_raised_quota_gives_the_set_of_the_larger_one(tmp_path: Path, referenc
     generate(job(tmp_path, KEEP, per_target=10, workers=3), InlineCrew(1))
     assert len(kept(tmp_path)) == 10
     told: list[Standing] = []
-    generate(job(tmp_path, KEEP, per_target=25, workers=1), InlineCrew(2), told.append, resume=True)
+    generate(job(tmp_path, KEEP, per_target=COUNT, workers=1), InlineCrew(2), told.append, resume=True)
     assert kept(tmp_path) == reference
-    assert [s.kept for s in told] == sorted(s.kept for s in told) and told[-1].kept == 25 == told[-1].wanted
+    assert [s.kept for s in told] == sorted(s.kept for s in told) and told[-1].kept == COUNT == told[-1].wanted
 
 
 def test_a_quota_that_cannot_be_filled_ends_with_the_episodes(tmp_path: Path) -> None:
@@ -94,24 +96,16 @@ def test_a_quota_that_cannot_be_filled_ends_with_the_episodes(tmp_path: Path) ->
 
 
 def test_processes_killed_at_random_lose_and_double_nothing(tmp_path: Path, reference: dict[int, str]) -> None:
-    crew, dice, killed, over = ProcessCrew(), random.Random(5), [], threading.Event()
+    crew, dice, killed = ProcessCrew(), random.Random(5), list[int]()
 
-    def kill() -> None:
-        while len(killed) < 2 and not over.wait(0.05 + 0.2 * dice.random()):
-            shards = [path for path in tmp_path.glob("*.h5") if path.stat().st_size > 20_000 * (1 + len(killed))]
-            pids = [pid for pid in crew.pids.values() if pid not in killed]
-            if shards and pids:
-                killed.append(dice.choice(pids))
-                os.kill(killed[-1], signal.SIGKILL)
+    def kill(now: Standing) -> None:
+        if len(killed) < 2 and now.written >= 4 * (1 + len(killed)):
+            time.sleep(0.05 * dice.random())
+            killed.append(dice.choice([pid for pid in crew.pids.values() if pid not in killed]))
+            os.kill(killed[-1], signal.SIGKILL)
 
-    thread = threading.Thread(target=kill)
-    thread.start()
-    try:
-        done = generate(job(tmp_path, KEEP, per_target=25, workers=2), crew)
-    finally:
-        over.set()
-        thread.join()
-    assert len(killed) == 2 and done.complete and done.written == 25
+    done = generate(job(tmp_path, KEEP, per_target=COUNT, workers=2), crew, kill)
+    assert len(killed) == 2 and done.complete and done.written == COUNT
     assert kept(tmp_path) == reference and check(tmp_path).clean and not crew.pids
 
 
@@ -134,7 +128,7 @@ def test_a_full_disk_stops_and_can_be_resumed(
             raise StorageError("the disk is full")
         return real(self, fill)  # type: ignore[arg-type]
 
-    work = job(tmp_path, KEEP, per_target=25, workers=2)
+    work = job(tmp_path, KEEP, per_target=COUNT, workers=2)
     with monkeypatch.context() as patch:
         patch.setattr(ShardWriter, "_change", change)
         crew = InlineCrew()

@@ -1,23 +1,27 @@
 """Load an exported data set with the real lerobot package and compare frames with the shards it was made from.
 
-    make test-lerobot                              # records, exports and checks a small set
-    python check_export.py EXPORT SHARDS           # in an environment that has lerobot
+    make test-lerobot                       # records, exports and checks a set
+    python check_export.py EXPORT SHARDS    # in an environment that has lerobot
 
 It runs apart from the test suite: lerobot needs other versions of numpy and torch than mjhab.
 """
 
 from __future__ import annotations
 
+import io
+import json
 import sys
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
-from lerobot.datasets.lerobot_dataset import LeRobotDataset
+from lerobot.datasets.lerobot_dataset import LeRobotDataset  # pyright: ignore[reportMissingImports]
+from PIL import Image
 
 FPS = 20
-MOST_ERROR = 6.0
-"""Mean error of a film's pixels, of 255: 4:2:0 colour and x264 cost 2 to 4 at 128 x 128."""
+MOST_ERROR = 8.0
+"""Mean error of a film's pixels, of 255: 4:2:0 colour and x264 cost about 3 at 128 x 128."""
 OTHERS = (-10, -1, 1, 10)
 """Neighbours that a frame must not fit better than its own."""
 
@@ -25,27 +29,23 @@ OTHERS = (-10, -1, 1, 10)
 ERRORS: list[float] = []
 
 
-def source_of(shards: Path, name: str) -> h5py.Group:
+def source_of(shards: Path, name: str) -> Any:
     """The group of an episode in the shards, read with h5py alone."""
     for path in sorted(shards.rglob("*.h5")):
-        file = h5py.File(path, "r", locking=False)
+        file: Any = h5py.File(path, "r", locking=False)
         if name in file["episodes"]:
             return file["episodes"][name]
     raise LookupError(name)
 
 
-def image(group: h5py.Group, camera: str, output: str, t: int) -> np.ndarray:
+def image(group: Any, camera: str, output: str, t: int) -> np.ndarray:
     """A stored image, decoded."""
-    import io
-
-    from PIL import Image
-
     stored = group[f"images/{camera}/{output}"]
     ends = [0, *stored["ends"][()]]
     return np.asarray(Image.open(io.BytesIO(stored["bytes"][ends[t] : ends[t + 1]].tobytes())))
 
 
-def check_frame(data: LeRobotDataset, row: int, group: h5py.Group, t: int) -> None:
+def check_frame(data: LeRobotDataset, row: int, group: Any, t: int) -> None:
     """Compare everything of a row with state t of its source."""
     item = data[row]
     assert abs(float(item["timestamp"]) - t / FPS) < 1e-5, (item["timestamp"], t)
@@ -87,8 +87,6 @@ def main(export: Path, shards: Path) -> None:
 
 def episodes(data: LeRobotDataset, export: Path) -> list[tuple[int, int, str]]:
     """First row, number of rows and source of every episode."""
-    import json
-
     version = json.loads((export / "meta/info.json").read_text())["codebase_version"]
     if version == "v3.0":
         return [(e["dataset_from_index"], e["length"], e["source"]) for e in data.meta.episodes]

@@ -11,6 +11,7 @@ import numpy as np
 
 from mjhab.cli.doctor import cores
 from mjhab.cli.env_options import BenchEnvOptions, BenchRewardOptions, BenchSoakOptions
+from mjhab.cli.gpu_options import BenchInteractOptions, BenchParityOptions
 from mjhab.cli.options import BenchGraspOptions, BenchSimOptions
 from mjhab.cli.output import at_least, print_json, print_table
 from mjhab.cli.spawn_options import BenchSpawnOptions
@@ -42,6 +43,14 @@ def run_bench(options: Any) -> int:
         from mjhab.cli.bench_reward import bench_reward
 
         return bench_reward(options)
+    if isinstance(options, BenchInteractOptions):
+        from mjhab.cli.bench_interact import bench_interact
+
+        return bench_interact(options)
+    if isinstance(options, BenchParityOptions):
+        from mjhab.cli.bench_parity import bench_parity
+
+        return bench_parity(options)
     return bench_grasp(options)
 
 

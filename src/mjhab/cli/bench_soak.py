@@ -11,8 +11,9 @@ from mjhab.cli.bench_env import resident_mb
 from mjhab.cli.env_options import BenchSoakOptions
 from mjhab.cli.output import at_least, print_json, print_table, progress_bar
 
-SETTLED = 0.25
-"""Part of the run after which every home has been visited, as far as chance goes; growth counts from there."""
+QUARTERS = 4
+"""Memory is read after every quarter. In the first half homes are met for the first time and the pool of arrangements
+fills; growth counts over the second."""
 MOST_GROWTH = 0.03
 
 
@@ -38,7 +39,7 @@ def soak(options: BenchSoakOptions) -> dict[str, Any]:
 
     Returns:
         ``steps`` and ``episodes`` done, ``seconds``, ``tainted`` episodes per kind of taint, ``nan_resets``,
-        ``spawn_fallbacks``, ``rss_mb`` at the end, ``rss_growth`` (relative, from a quarter of the run on).
+        ``spawn_fallbacks``, ``rss_mb`` after each quarter, ``rss_growth`` (relative, over the second half).
     """
     from mjhab.envs import make_train
     from mjhab.envs.config import SUBTASKS_OF_TASK
@@ -53,7 +54,9 @@ def soak(options: BenchSoakOptions) -> dict[str, Any]:
         env.reset()
     rng = np.random.default_rng(options.seed)
     rounds = -(-options.steps // (options.worlds * len(envs)))
-    settled, episodes, fallbacks = 0.0, 0, 0
+    episodes, fallbacks = 0, 0
+    marks = {rounds * q // QUARTERS - 1 for q in range(1, QUARTERS + 1)}
+    memory: list[float] = []
     tainted = dict.fromkeys(envs[0].taint_names, 0)
     begun = time.perf_counter()
     with progress_bar("random actions", rounds) as advance:
@@ -66,13 +69,13 @@ def soak(options: BenchSoakOptions) -> dict[str, Any]:
                     fallbacks += int(final["spawn_fallback"][done].sum())
                     for bit, name in enumerate(env.taint_names):
                         tainted[name] += int((final["taint"][done] >> bit & 1).sum())
-            if number == int(SETTLED * rounds):
-                settled = resident_mb()
+            if number in marks:
+                memory.append(resident_mb())
             advance()
-    now = resident_mb()
+    half, end = memory[len(memory) // 2 - 1] if len(memory) > 1 else memory[-1], memory[-1]
     return {
         "steps": rounds * options.worlds * len(envs), "episodes": episodes,
         "seconds": round(time.perf_counter() - begun, 1), "tainted": tainted,
-        "nan_resets": int(sum(env.nan_resets.sum() for env in envs)), "spawn_fallbacks": fallbacks, "rss_mb": now,
-        "rss_growth": round(now / settled - 1.0, 4) if settled else 0.0,
+        "nan_resets": int(sum(env.nan_resets.sum() for env in envs)), "spawn_fallbacks": fallbacks, "rss_mb": memory,
+        "rss_growth": round(end / half - 1.0, 4) if half else 0.0,
     }  # fmt: skip

@@ -7,7 +7,9 @@ from typing import Annotated
 
 from mjhab.cli import data_options as data
 from mjhab.cli import env_options as env
+from mjhab.cli import export_options as export
 from mjhab.cli import generate_options as gen
+from mjhab.cli import gpu_options as gpu
 from mjhab.cli import options as opt
 from mjhab.cli import spawn_options as spawn
 from mjhab.cli.options import Sub
@@ -24,6 +26,8 @@ class BenchCommand:
         | Annotated[spawn.BenchSpawnOptions, Sub("spawn")]
         | Annotated[env.BenchSoakOptions, Sub("soak")]
         | Annotated[env.BenchRewardOptions, Sub("reward")]
+        | Annotated[gpu.BenchInteractOptions, Sub("interact")]
+        | Annotated[gpu.BenchParityOptions, Sub("parity")]
     )
 
 
@@ -39,5 +43,7 @@ Command = (
     | Annotated[gen.ReplayOptions, Sub("replay")]
     | Annotated[data.DataCommand, Sub("data")]
     | Annotated[data.LabelOptions, Sub("label")]
+    | Annotated[export.ExportCommand, Sub("export")]
+    | Annotated[gpu.WarmupOptions, Sub("warmup")]
     | Annotated[opt.DoctorOptions, Sub("doctor")]
 )

@@ -13,11 +13,13 @@ from mjhab.cli.data_options import (
     DataMergeOptions,
     DataQueryOptions,
     DataRepairOptions,
+    DataReportOptions,
     DataSplitOptions,
     DataStatsOptions,
     LabelOptions,
 )
-from mjhab.cli.output import at_least, print_json, print_table, progress_bar
+from mjhab.cli.output import at_least, late_bar, print_json, print_table, progress_bar
+from mjhab.core.cache import write_atomic
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.data.checking import Repair, check, repair
 from mjhab.data.facts import FACTS, FUNCTIONS, target_of
@@ -39,6 +41,7 @@ def run_data(command: DataCommand | LabelOptions) -> int:
     runners = {
         DataQueryOptions: _query, DataStatsOptions: _stats, DataMergeOptions: _merge, DataSplitOptions: _split,
         DataCheckOptions: _check, DataRepairOptions: _repair, DataFieldsOptions: _fields,
+        DataReportOptions: _report,
     }  # fmt: skip
     return runners[type(options)](options)  # type: ignore[operator]
 
@@ -109,6 +112,24 @@ def _stats_row(row: Mapping[str, Any]) -> tuple[object, ...]:
     success = round(100 * row["success_once"], 1)
     head = (row["task"], row["subtask"], row["target"], row["episodes"])
     return (*head, success, force["median"], force["max"])
+
+
+def _report(options: DataReportOptions) -> int:
+    from mjhab.data.report import render_data_report
+    from mjhab.sim.film import FilmWriter
+
+    if options.out.is_dir():
+        raise UsageError(f"--out {options.out} is a folder; give a file such as {options.out / 'report.html'}.")
+    where = read_filter(options.where, options.preset)
+    with late_bar("films") as begin:
+        page = render_data_report(options.places, FilmWriter, where, begin)
+    write_atomic(options.out, lambda path: path.write_text(page, encoding="utf-8"))
+    size = options.out.stat().st_size
+    if options.json:
+        print_json({"report": str(options.out), "bytes": size})
+    else:
+        print(f"{options.out} ({size / 1e6:.1f} MB); it opens without network")
+    return 0
 
 
 def _merge(options: DataMergeOptions) -> int:

@@ -121,12 +121,29 @@ class DataRepairOptions:
 
 
 @dataclass(frozen=True)
+class DataReportOptions:
+    """Write a report of recorded episodes: labels next to the paper's, films per label, forces. One HTML file."""
+
+    places: Places
+    """Shards (*.h5) or folders of shards."""
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE.html")]
+    """The page to write; it opens without network."""
+    where: Where = None
+    """Only these episodes, as in `mjhab data query`."""
+    preset: Preset = None
+    """A filter with a name, see `mjhab data fields`."""
+    json: bool = False
+    """Print one line of JSON at the end."""
+
+
+@dataclass(frozen=True)
 class DataCommand:
-    """Query, count, merge, split, check or repair recorded episodes."""
+    """Query, count, report, merge, split, check or repair recorded episodes."""
 
     command: (
         Annotated[DataQueryOptions, Sub("query")]
         | Annotated[DataStatsOptions, Sub("stats")]
+        | Annotated[DataReportOptions, Sub("report")]
         | Annotated[DataMergeOptions, Sub("merge")]
         | Annotated[DataSplitOptions, Sub("split")]
         | Annotated[DataCheckOptions, Sub("check")]

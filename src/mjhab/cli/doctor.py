@@ -26,6 +26,10 @@ EXTRAS = {
 
 def run_doctor(options: DoctorOptions) -> int:
     """Print the findings; fails if MuJoCo is missing or is not the version the benchmark is defined on."""
+    if options.estimate:
+        from mjhab.cli.estimate import run_estimate
+
+        return run_estimate(options)
     found = diagnose()
     if options.json:
         print_json(found)

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
-from typing import Any
 
 from mjhab.cli.data import read_filter
 from mjhab.cli.export_options import ExportLerobotOptions, ExportManiskillOptions
-from mjhab.cli.output import print_json, progress_bar
+from mjhab.cli.output import late_bar, print_json
 from mjhab.core.errors import UsageError
 from mjhab.data.export_maniskill import export_maniskill
 from mjhab.sim.film import FilmWriter
@@ -36,7 +33,7 @@ def _lerobot(options: ExportLerobotOptions) -> int:
         raise UsageError("LeRobot data sets need pyarrow; install it with: pip install 'mjhab[data]'") from error
     choice = lerobot.Choice(rgb=not options.no_rgb, depth=not options.no_depth)
     open_film = functools.partial(FilmWriter, quality=options.quality, keyframes=_KEYFRAMES)
-    with _bar() as begin:
+    with late_bar("exporting") as begin:
         done = lerobot.export_lerobot(
             options.places, options.out, open_film, version=options.version,
             where=read_filter(options.where, options.preset), choice=choice, overwrite=options.overwrite, begin=begin,
@@ -50,7 +47,7 @@ def _lerobot(options: ExportLerobotOptions) -> int:
 
 
 def _maniskill(options: ExportManiskillOptions) -> int:
-    with _bar() as begin:
+    with late_bar("exporting") as begin:
         done = export_maniskill(
             options.places, options.out, where=read_filter(options.where, options.preset),
             overwrite=options.overwrite, begin=begin,
@@ -65,10 +62,3 @@ def _maniskill(options: ExportManiskillOptions) -> int:
             "mjhab replay --render adds them"
         )
     return 0
-
-
-@contextmanager
-def _bar() -> Iterator[Callable[[int], Callable[[], Any]]]:
-    """A progress bar that is begun by whoever knows how long it will be."""
-    with ExitStack() as stack:
-        yield lambda total: stack.enter_context(progress_bar("exporting", total))

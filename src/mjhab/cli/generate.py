@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import math
 import signal
 import sys
 import time
@@ -29,6 +28,8 @@ from mjhab.data.images import ImageFormat
 
 TRIES_PER_EPISODE = 20
 """Without --episodes, so many episodes are tried per episode to keep before a quota is given up."""
+MOST_TARGETS = 10
+"""No task has more kinds of objects."""
 NO_IMAGES = "none"
 _NOT_IN_CONFIG = frozenset(
     {"out", "per_target", "per_label", "episodes", "workers", "worlds", "threads", "ray", "resume", "json"}
@@ -82,13 +83,10 @@ def make_job(options: GenerateOptions) -> Job:
         functools.partial(build_stage, replace(options, threads=options.threads or max(1, cores() // options.workers))),
         options.seed, keep.text if keep else "", not options.no_states, images,
     )  # fmt: skip
-    # 13 targets are more than any task has.
-    most = options.episodes or TRIES_PER_EPISODE * 13 * options.per_target
+    most = options.episodes or TRIES_PER_EPISODE * MOST_TARGETS * options.per_target
     # Episodes of one subtask all last to the horizon: one per world leaves no world idle. Chains end when they end.
     chunk = options.worlds if options.subtask else 2 * options.worlds
-    return Job(
-        spec, config, options.out, most, options.workers, chunk, options.per_target, options.per_label
-    )  # fmt: skip
+    return Job(spec, config, options.out, most, options.workers, chunk, options.per_target, options.per_label)
 
 
 def make_crew(options: GenerateOptions) -> Crew:
@@ -130,9 +128,12 @@ def licence_of(assets: str) -> str:
     """Terms of an asset pack that is one of the public data sets; "" for any other."""
     from mjhab.assets.sources import SOURCES
 
-    if assets == "builtin" or not SOURCES["replica_cad"].complete(Path(assets.partition("?")[0])):
+    folder = Path(assets.partition("?")[0])
+    parts = (folder, folder / "replica_cad", folder.parent, folder.parent / "replica_cad")
+    if assets == "builtin" or not any(SOURCES["replica_cad"].complete(part) for part in parts):
         return ""
-    return "; ".join(f"{SOURCES[name].title.partition(':')[0]}: {SOURCES[name].licence}" for name in ("replica_cad", "ycb"))
+    named = [SOURCES[name] for name in ("replica_cad", "ycb")]
+    return "; ".join(f"{source.title.partition(':')[0]}: {source.licence}" for source in named)
 
 
 @contextmanager
@@ -189,7 +190,8 @@ def _tell(options: GenerateOptions, done: Standing, numbers: dict[str, Any], sto
     if options.json:
         print_json(numbers)
         return
-    print_table(f"Episodes in {options.out}", ("label", "kept"), [(k or "none", n) for k, n in numbers["labels"].items()])
+    rows = [(label or "none", count) for label, count in numbers["labels"].items()]
+    print_table(f"Episodes in {options.out}", ("label", "kept"), rows)
     print(
         f"{done.kept} episodes kept, {done.written} of them written now, {done.tried} tried; "
         f"{numbers['episodes_per_hour']:,.0f} episodes per hour, {numbers['bytes_per_episode']:,} bytes per episode"
@@ -209,5 +211,5 @@ def _eval_options(options: GenerateOptions) -> EvalOptions:
     return EvalOptions(
         task=options.task, subtask=options.subtask, target=options.target, policy=options.policy, seed=options.seed,
         split=options.split, navigate=options.navigate, worlds=options.worlds, threads=options.threads,
-        episodes=max(1, math.ceil(options.episodes)) if options.episodes is not None else 1,
+        episodes=1 if options.episodes is None else options.episodes,
     )  # fmt: skip

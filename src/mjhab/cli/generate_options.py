@@ -76,7 +76,7 @@ class GenerateOptions:
     articulate: Joints = None
     """With a ReplicaCAD folder: what opens besides counter and fridge: kitchen_cupboards, cabinet, chest_of_drawers."""
     navigate: Name = "teleport"
-    """Of a whole task: teleport puts the robot near every goal as the paper does; drive leaves the way to the policy."""
+    """Of a whole task: teleport puts the robot near every goal, as the paper does; drive leaves that to the policy."""
     resume: bool = False
     """Go on in --out; --workers, --episodes and the quotas may differ."""
     json: bool = False
@@ -95,7 +95,7 @@ class ReplayOptions:
     places: Places
     """Shards (*.h5) or folders of shards."""
     verify: bool = False
-    """Simulate the actions on the CPU and compare positions and velocities of every step; fails unless all are equal."""
+    """Simulate the actions on the CPU and compare positions and velocities of every step; fails unless all agree."""
     render: Annotated[str | None, tyro.conf.arg(metavar="depth|rgb|rgbd|seg|pointcloud")] = None
     """Draw these images of every state into a new shard; several joined by +. Nothing is simulated."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE.h5")] = None

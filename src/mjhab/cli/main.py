@@ -13,7 +13,9 @@ import mjhab
 from mjhab.cli import commands
 from mjhab.cli import data_options as data
 from mjhab.cli import env_options as env
+from mjhab.cli import export_options as export
 from mjhab.cli import generate_options as gen
+from mjhab.cli import gpu_options as gpu
 from mjhab.cli import options as opt
 from mjhab.cli import spawn_options as spawn
 from mjhab.core.errors import MjhabError, UsageError
@@ -34,7 +36,9 @@ Parsed = (
     | gen.ReplayOptions
     | data.DataCommand
     | data.LabelOptions
+    | export.ExportCommand
     | commands.BenchCommand
+    | gpu.WarmupOptions
     | opt.DoctorOptions
 )
 OK, FAILED, USAGE, INTERRUPTED = 0, 1, 2, 130
@@ -121,10 +125,18 @@ def run(command: Parsed) -> int:
         from mjhab.cli.data import run_data
 
         return run_data(command)
+    if isinstance(command, export.ExportCommand):
+        from mjhab.cli.export import run_export
+
+        return run_export(command.command)
     if isinstance(command, commands.BenchCommand):
         from mjhab.cli.bench import run_bench
 
         return run_bench(command.command)
+    if isinstance(command, gpu.WarmupOptions):
+        from mjhab.cli.warmup import run_warmup
+
+        return run_warmup(command)
     from mjhab.cli.doctor import run_doctor
 
     return run_doctor(command)

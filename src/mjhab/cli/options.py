@@ -345,7 +345,18 @@ class BenchGraspOptions:
 
 @dataclass(frozen=True)
 class DoctorOptions:
-    """Tell what is installed, which renderers work, how many cores there are and where caches live."""
+    """Tell what is installed, which renderers work, how many cores there are and where caches live.
 
+    `mjhab doctor --estimate --num-envs 4096 --obs rgbd` tells what memory that takes on either backend.
+    """
+
+    estimate: bool = False
+    """Estimate memory instead; fails if --num-envs worlds fit neither here nor on the GPU."""
+    num_envs: Number = 4096
+    """With --estimate: how many worlds."""
+    obs: Name = "state"
+    """With --estimate: observation mode, e.g. rgbd."""
+    camera_size: Number = 128
+    """With --estimate: side of the camera images [px]."""
     json: bool = False
     """Print one line of JSON instead of tables."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
 from rich.console import Console
@@ -50,3 +50,10 @@ def progress_bar(what: str, total: int) -> Iterator[Callable[[], None]]:
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         bar = progress.add_task(what, total=total)
         yield lambda: progress.advance(bar)
+
+
+@contextmanager
+def late_bar(what: str) -> Iterator[Callable[[int], Callable[[], None]]]:
+    """A bar that is begun by whoever learns how long it will be; gives what `progress_bar` gives."""
+    with ExitStack() as stack:
+        yield lambda total: stack.enter_context(progress_bar(what, total))

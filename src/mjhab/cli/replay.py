@@ -42,8 +42,8 @@ def _verify(options: ReplayOptions) -> int:
         print(f"{found.exact} of {found.episodes} episodes exact, largest difference {found.max_error:g}")
         if found.wrong and found.unlike:
             print(
-                "\"other model\": the home is compiled to another model here than where it was recorded; another "
-                "version of mjhab or of its assets made it (see `versions` and `commit` in the shard)."
+                "Other model: the home is compiled to another one here than where it was recorded; another version of "
+                "mjhab or of its assets made it (see `versions` and `commit` in the shard)."
             )
     return 0 if found.exact == found.episodes else 1
 

@@ -66,7 +66,7 @@ class Request:
 
     indices: tuple[int, ...]
     keep: frozenset[int] = frozenset()
-    sure: Surety = Surety(True)
+    sure: Surety = field(default_factory=lambda: Surety(True))
     decided: Mapping[int, bool] = field(default_factory=dict)
 
 

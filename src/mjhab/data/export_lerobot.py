@@ -66,7 +66,7 @@ def export_lerobot(
     Args:
         places: shards or folders of them.
         out: folder of the data set.
-        open_film: opens a film file (from ``sim.film``, which this package may not import), given path and frames/s.
+        open_film: opens a film file, given path and frames per second.
         version: "3.0" or "2.1".
         where: which episodes; all of them if None.
         choice: which images.
@@ -83,18 +83,13 @@ def export_lerobot(
         raise nothing_passes()
     after = begin(len(found)) if begin else None
     with whole_folder(out, "meta/info.json", overwrite) as root:
-        files = VERSIONS[version](root, FPS, open_film)
-        export = _Export(root, files, choice or Choice())
-        try:
+        with _Export(root, VERSIONS[version](root, FPS, open_film), choice or Choice()) as export:
             for path, name in found:
                 with open_shard(path) as shard:
                     export.add(shard.episode(name))
                 if after is not None:
                     after()
             return export.finish()
-        except BaseException:
-            files.abort()
-            raise
 
 
 class _Export:
@@ -109,6 +104,13 @@ class _Export:
         self._stats: list[dict[str, Stats]] = []
         self._frames = 0
         self._licences: dict[str, None] = {}
+
+    def __enter__(self) -> _Export:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
+        if kind is not None:
+            self._files.abort()
 
     def add(self, episode: Episode) -> None:
         """Write one episode."""

@@ -19,6 +19,7 @@ import numpy as np
 
 from mjhab.data.facts import target_of
 from mjhab.data.folders import whole_folder
+from mjhab.data.hdf5 import group as subgroup
 from mjhab.data.query import Filter
 from mjhab.data.reading import Episode, open_shard
 from mjhab.data.sets import nothing_passes, select
@@ -67,8 +68,7 @@ def export_maniskill(
     if not found.matched:
         raise nothing_passes()
     after = begin(len(found.matched)) if begin else None
-    frames = without = 0
-    files: dict[Path, _File] = {}
+    without, files = 0, dict[Path, _File]()
     with whole_folder(out, "*/*/*.h5", overwrite) as root, ExitStack() as stack:
         for (path, name), record in zip(found.matched, found.records, strict=True):
             place = place_of(record)
@@ -77,12 +77,12 @@ def export_maniskill(
             with open_shard(path) as shard:
                 episode = shard.episode(name)
                 files[place].add(episode)
-                frames += episode.steps
                 without += not any(output == "depth" for _, output in episode.images)
             if after is not None:
                 after()
         for file in files.values():
             file.describe()
+    frames = sum(record.steps for record in found.records)
     return ManiSkillSet(len(found.matched), frames, tuple(out / place for place in files), without)
 
 
@@ -119,7 +119,9 @@ class _File:
             *folders, last = key.split("/")
             parent = obs
             for folder in folders:
-                parent = parent[folder] if folder in parent else parent.create_group(folder, track_order=True)
+                if folder not in parent:
+                    parent.create_group(folder, track_order=True)
+                parent = subgroup(parent, folder)
             squeeze = {"compression": "gzip", "compression_opts": _GZIP} if folders[:1] == ["sensor_data"] else {}
             parent.create_dataset(last, data=values, **squeeze)
         ends = np.zeros(episode.steps, bool)
@@ -136,9 +138,10 @@ class _File:
     def describe(self) -> None:
         """Write what is said of the trajectories beside them."""
         env = next(iter(self._runs.values()))["config"].get("env", {})
+        subtask = env.get("subtask")
         value = {
             "env_info": {
-                "env_id": f"{env['subtask'].capitalize()}SubtaskTrain-v0" if env.get("subtask") else "SequentialTask-v0",
+                "env_id": f"{subtask.capitalize()}SubtaskTrain-v0" if subtask else "SequentialTask-v0",
                 "env_kwargs": env,
                 "max_episode_steps": max(each["elapsed_steps"] for each in self._episodes),
             },

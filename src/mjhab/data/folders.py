@@ -10,6 +10,7 @@ from pathlib import Path
 
 from mjhab.core.errors import UsageError
 from mjhab.data.locking import WriteLock
+from mjhab.data.shard import StorageError
 
 
 @contextmanager
@@ -22,6 +23,7 @@ def whole_folder(out: Path, mark: str, overwrite: bool) -> Iterator[Path]:
 
     Raises:
         UsageError: ``out`` exists and may not be overwritten, or another process is filling it.
+        StorageError: the disk is full or broken; nothing is left of what was written.
     """
     part, old = (out.with_name(f".{out.name}.{word}") for word in ("part", "old"))
     out.parent.mkdir(parents=True, exist_ok=True)
@@ -38,6 +40,9 @@ def whole_folder(out: Path, mark: str, overwrite: bool) -> Iterator[Path]:
             os.replace(out, old)
         os.replace(part, out)
         shutil.rmtree(old, ignore_errors=True)
+    except OSError as error:
+        what = error.strerror or str(error)
+        raise StorageError(f"cannot write {out}: {what}. Give the same command again when that is mended.") from error
     finally:
         shutil.rmtree(part, ignore_errors=True)
         lock.release()

@@ -300,9 +300,7 @@ class _Run:
         stored = [outcome for path in paths for outcome in self._stored(path)]
         labels = Counter(outcome.label for outcome in stored)
         size = sum(path.stat().st_size for path in paths)
-        return Standing(
-            self.written, len(stored), len(outcomes), passed, wanted, labels, self.finished, size
-        )  # fmt: skip
+        return Standing(self.written, len(stored), len(outcomes), passed, wanted, labels, self.finished, size)
 
 
 def _open_folder(job: Job, resume: bool) -> WriteLock:

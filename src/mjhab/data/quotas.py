@@ -54,7 +54,7 @@ class Quotas:
 
     def __init__(self, targets: Iterable[str] = (), per_target: int = 0, per_label: int = 0) -> None:
         if per_target < 0 or per_label < 0:
-            raise UsageError(f"quotas must be at least 0 (no limit); got {per_target} per target, {per_label} per label")
+            raise UsageError(f"quotas are at least 0 (no limit); got {per_target} per target, {per_label} per label.")
         self.targets = tuple(targets)
         self._per_target, self._per_label = per_target or _NONE, per_label or _NONE
         self._kept: dict[tuple[str, str | None], list[int]] = defaultdict(list)

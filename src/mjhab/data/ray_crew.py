@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import socket
 import threading
 import time
 from pathlib import Path
 from typing import Any
 
 from mjhab.core.errors import UsageError
-from mjhab.data.crew import Done, Failed, Gone, Message, Request, Stopped, Worker, WorkerSpec, failure
+from mjhab.data.crew import Failed, Gone, Message, Request, Stopped, Worker, WorkerSpec, failure
 
 LOCAL = "local"
-_LONGEST_STOP = 15.0
+_LONGEST_STOP, _LONGEST_CALL = 15.0, 10.0
+"""Seconds until an actor that does not stop is ended, and until an address that does not answer is given up."""
 
 
 class _Actor:
@@ -64,6 +66,7 @@ class RayCrew:
         except ImportError as error:
             raise UsageError("--ray needs Ray, which is not installed: pip install 'mjhab[scale]'.") from error
         self._ray = ray
+        _check_reachable(address)
         try:
             ray.init(address=None if address == LOCAL else address, log_to_driver=False, configure_logging=False)
         except (ConnectionError, ValueError, RuntimeError) as error:
@@ -113,3 +116,18 @@ class RayCrew:
         for actor in self._actors.values():
             self._ray.kill(actor)
         self._ray.shutdown()
+
+
+def _check_reachable(address: str) -> None:
+    """Ray itself would try for minutes.
+
+    Raises:
+        UsageError: nobody listens at a "host:port" or "ray://host:port".
+    """
+    host, _, port = address.rpartition("://")[2].rpartition(":")
+    if not host or not port.isdigit():
+        return
+    try:
+        socket.create_connection((host, int(port)), _LONGEST_CALL).close()
+    except OSError as error:
+        raise UsageError(f"no Ray cluster can be reached at {address!r}: {error}.") from error

@@ -85,8 +85,8 @@ class Statistics:
                     if name:
                         parts[part][name] = file[key]
         except (OSError, ValueError, KeyError) as error:
-            raise UsageError(f"{path} cannot be read as statistics of mjhab: {error}. Delete it to have it made anew.") \
-                from error  # fmt: skip
+            what = f"{path} cannot be read as statistics of mjhab: {error}"
+            raise UsageError(f"{what}. Delete it to have it made anew.") from error
         return cls(**parts, fingerprint=head["of"])
 
 

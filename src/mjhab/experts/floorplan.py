@@ -200,7 +200,9 @@ def _draw(solid: Array, boxes: Boxes, origin: Array, cell: float) -> None:
         # Seen from above: what stands upright is turned about the vertical alone.
         local = (at - boxes.center[k, :2]) @ boxes.rot[k, :2, :2]
         upright = abs(boxes.rot[k, 2, 2]) > 0.99
-        inside = (np.abs(local) <= boxes.half[k, :2] + cell / 2).all(axis=-1) if upright else np.ones((m - i, n - j), bool)
+        inside = (
+            (np.abs(local) <= boxes.half[k, :2] + cell / 2).all(axis=-1) if upright else np.ones((m - i, n - j), bool)
+        )
         solid[a:b, i:m, j:n] |= inside
 
 

@@ -25,7 +25,7 @@ BASE_RADIUS = 0.3
 """Radius [m] that HAB's navigation meshes use for Fetch."""
 ROBOT_HEIGHT = 1.4
 """What hangs above this [m] does not block the base; Fetch's head camera at rest is at 1.41 m."""
-MAX_FIELDS = 64
+MAX_FIELDS = 4
 """Distance fields a map remembers; one of an apartment takes about 0.2 MB."""
 _MARGIN = 0.3
 """Border around the floor that the raster covers, so that outer walls are in it [m]."""

@@ -6,6 +6,7 @@ import os
 import subprocess
 import tempfile
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 
@@ -93,7 +94,9 @@ class FilmWriter:
         if self._process is not None:
             self._process.kill()
             if self._process.stdin is not None:
-                self._process.stdin.close()
+                # What is still in its buffer has nowhere to go.
+                with suppress(OSError):
+                    self._process.stdin.close()
             self._process.wait()
         if self._part is not None:
             self._part.unlink(missing_ok=True)

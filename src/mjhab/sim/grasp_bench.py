@@ -87,7 +87,7 @@ def bench_model(name: str) -> mujoco.MjModel:
     return build_spec(Layout(pack, (name,)), home).compile()
 
 
-class _Bench:
+class GraspBench:
     """One robot with one object in its hand."""
 
     def __init__(self, name: str) -> None:
@@ -141,7 +141,7 @@ class _Bench:
         return norms, bool((norms >= MIN_FORCE).all() and (along >= norms * np.cos(MAX_ANGLE)).all())
 
 
-def _motion(time: float, rest: np.ndarray, phase: np.ndarray) -> tuple[np.ndarray, float, float]:
+def shake_motion(time: float, rest: np.ndarray, phase: np.ndarray) -> tuple[np.ndarray, float, float]:
     """Joint goal (15,), base speed [m/s] and yaw rate [rad/s] at a time."""
     goal = rest.copy()
     goal[3] -= 0.1
@@ -154,7 +154,7 @@ def _motion(time: float, rest: np.ndarray, phase: np.ndarray) -> tuple[np.ndarra
 
 
 def _shake(name: str, seconds: float, seed: int) -> dict[str, object]:
-    bench = _Bench(name)
+    bench = GraspBench(name)
     phase = stream(seed, "grasp_bench").uniform(0.0, 2 * np.pi, 7)
     for _ in range(SETTLE_STEPS):
         bench.step(bench.rest, 0.0, 0.0)
@@ -163,7 +163,7 @@ def _shake(name: str, seconds: float, seed: int) -> dict[str, object]:
     slip = angle = force = 0.0
     held, dropped, steps = 0, False, round(seconds / CONTROL_DT)
     for k in range(steps):
-        bench.step(*_motion(k * CONTROL_DT, bench.rest, phase))
+        bench.step(*shake_motion(k * CONTROL_DT, bench.rest, phase))
         pos, turn = bench.pose_in_hand()
         slip = max(slip, float(np.linalg.norm(pos + turn @ held_point)))
         cosine = 0.5 * (np.trace(turn0.T @ turn) - 1.0)

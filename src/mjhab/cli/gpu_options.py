@@ -1,0 +1,104 @@
+"""The options of ``mjhab bench interact``, ``mjhab bench parity`` and ``mjhab warmup``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from mjhab.cli.options import Assets, Joints, Name, Number, StageMesh
+
+Backend = Annotated[str, tyro.conf.arg(metavar="auto|cpu|warp")]
+Device = Annotated[str, tyro.conf.arg(metavar="DEVICE")]
+Numbers = Annotated[tuple[int, ...], tyro.conf.arg(metavar="N ...")]
+Folder = Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
+
+
+@dataclass(frozen=True)
+class BenchInteractOptions:
+    """The paper's Interact benchmark: 200 control steps sweep the arm through five objects, two cameras each step.
+
+    `mjhab bench interact --backend warp --worlds 64 256 1024 4096 --no-render`
+
+    Writes interact.json, interact.csv and report.html with the plot of speed over memory.
+    """
+
+    backend: Backend = "auto"
+    """cpu: C MuJoCo and the CPU rasterizer; warp: MuJoCo Warp; auto: warp where there is a CUDA device."""
+    worlds: Numbers = (16,)
+    """Numbers of worlds, measured one after the other."""
+    seeds: Number = 10
+    """How often each is measured. Nothing in the benchmark is random: seeds 1 to K are repetitions."""
+    no_render: bool = False
+    """Physics only, without 2 x 128 x 128 RGB and depth."""
+    steps: Number = 200
+    """Control steps of a run: the first of the 200 that are recorded."""
+    device: Device = ""
+    """Of the warp backend: cuda:0, ... or cpu (slow, for tests); the first CUDA device if absent."""
+    threads: Number = 0
+    """Threads of the cpu backend; 0 takes all cores."""
+    assets: Assets = "builtin"
+    """Asset pack: builtin, or the folder of another pack."""
+    stage_mesh: StageMesh = None
+    """With a ReplicaCAD folder: walls and floor for every home, in place of the stages its scenes name."""
+    articulate: Joints = None
+    """With a ReplicaCAD folder: what opens besides counter and fridge: kitchen_cupboards, cabinet, chest_of_drawers."""
+    out: Folder = Path("runs/interact")
+    """Folder of the results; what an earlier run left there is replaced."""
+    json: bool = False
+    """Print one line of JSON at the end."""
+
+
+@dataclass(frozen=True)
+class BenchParityOptions:
+    """How far both simulators drift apart from the same starts under the same actions, and whether they agree.
+
+    Divergence: actions of the expert on the cpu backend, applied to both. Agreement: with --episodes, the expert acts
+    on each backend by itself, and outcomes, labels and returns are compared episode by episode.
+    """
+
+    worlds: Number = 4
+    """Starts that are compared: episodes 0 to N-1."""
+    steps: Number = 200
+    """Control steps; divergence is printed after 1, 10, 100 and 200 of them."""
+    episodes: Number = 0
+    """Expert episodes on each backend for the agreement of outcomes; 0 judges the --worlds runs alone."""
+    task: Name = "set_table"
+    """Task whose episodes are used."""
+    subtask: Name = "pick"
+    """Subtask: pick, place, open or close."""
+    grasp_seconds: Annotated[float, tyro.conf.arg(metavar="S")] = 5.0
+    """How long held objects are shaken on both; 0 leaves the test out."""
+    device: Device = ""
+    """Of the warp backend: cuda:0, ... or cpu (slow, for tests); the first CUDA device if absent, else cpu."""
+    threads: Number = 0
+    """Threads of the cpu backend; 0 takes all cores."""
+    seed: Number = 0
+    """Seed of the episodes."""
+    json: bool = False
+    """Print one line of JSON instead of tables."""
+
+
+@dataclass(frozen=True)
+class WarmupOptions:
+    """Compile what is compiled at first use, and keep it: kernels of the rasterizer, and those of MuJoCo Warp.
+
+    Minutes the first time, seconds later. Compiled kernels of Warp lie in $WARP_CACHE_PATH, else ~/.cache/warp.
+    """
+
+    backend: Backend = "auto"
+    """cpu: only the rasterizer; warp: also MuJoCo Warp; auto: warp where there is a CUDA device."""
+    task: Name = "tidy_house"
+    """Whose objects the layout has: buffers of the warp backend are measured for it, too."""
+    device: Device = ""
+    """Of the warp backend: cuda:0, ... or cpu (slow, for tests); the first CUDA device if absent."""
+    assets: Assets = "builtin"
+    """Asset pack: builtin, or the folder of another pack."""
+    stage_mesh: StageMesh = None
+    """With a ReplicaCAD folder: walls and floor for every home, in place of the stages its scenes name."""
+    articulate: Joints = None
+    """With a ReplicaCAD folder: what opens besides counter and fridge: kitchen_cupboards, cabinet, chest_of_drawers."""
+    json: bool = False
+    """Print one line of JSON at the end."""

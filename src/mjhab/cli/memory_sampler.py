@@ -1,0 +1,51 @@
+"""Memory of the process and of the GPU, looked at while work runs."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from types import TracebackType
+
+
+class MemorySampler:
+    """A thread that reads memory every ``interval`` [s] between enter and exit, and once at either end.
+
+    Args:
+        rss_mb: memory of the process [MB].
+        device_mb: memory of the device in use [MB], None where there is none.
+
+    ``peak_rss_mb``, ``peak_device_mb``: the largest values; ``samples``: how many were taken.
+    """
+
+    def __init__(
+        self, rss_mb: Callable[[], float], device_mb: Callable[[], float | None], interval: float = 0.05
+    ) -> None:
+        self._rss, self._device, self._interval = rss_mb, device_mb, interval
+        self.peak_rss_mb = 0.0
+        self.peak_device_mb: float | None = None
+        self.samples = 0
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="memory sampler", daemon=True)
+
+    def __enter__(self) -> MemorySampler:
+        self._sample()
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stop.set()
+        self._thread.join()
+        self._sample()
+
+    def _run(self) -> None:
+        while not self._stop.wait(self._interval):
+            self._sample()
+
+    def _sample(self) -> None:
+        self.samples += 1
+        self.peak_rss_mb = max(self.peak_rss_mb, round(self._rss(), 1))
+        device = self._device()
+        if device is not None:
+            self.peak_device_mb = max(self.peak_device_mb or 0.0, round(device, 1))

@@ -1,0 +1,77 @@
+"""``mjhab warmup``: compile now what would be compiled at first use."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from mjhab.cli.gpu_options import WarmupOptions
+from mjhab.cli.output import print_json, print_table
+from mjhab.core.errors import unknown_name
+from mjhab.sim.backends import resolve
+from mjhab.tasks.plan import TASKS
+
+WORLDS = 2
+
+
+def run_warmup(options: WarmupOptions) -> int:
+    """Do the work of `warmup` and print how long each part took."""
+    if options.task not in TASKS:
+        raise unknown_name("task", options.task, TASKS)
+    backend = resolve(options.backend)
+    seconds = warmup(options, backend)
+    if options.json:
+        print_json({"backend": backend, "seconds": seconds})
+    else:
+        print_table(f"ready for backend {backend}", ("what", "seconds"), list(seconds.items()))
+    return 0
+
+
+def warmup(options: WarmupOptions, backend: str) -> dict[str, float]:
+    """Compile homes and kernels for a task; seconds that each part took. A line on stderr says what is under way."""
+    from mjhab.scenes.layout import Layout
+    from mjhab.scenes.objects import roster
+    from mjhab.scenes.packs import open_pack
+    from mjhab.sim.cpu import CpuSimulator
+
+    layout = Layout(open_pack(options.assets), roster(options.task))
+    homes = [home.name for home in layout.pack.homes]
+    simulators: list[Any] = []
+
+    def compile_homes() -> None:
+        sim = CpuSimulator(layout, 1, 1)
+        for home in homes:
+            sim.model(home)
+        simulators.append(sim)
+
+    def rasterizer() -> None:
+        from mjhab.envs.observations import CAMERA_OUTPUTS
+        from mjhab.sim.home_scene import HomeRenderer
+
+        sim = simulators[0]
+        HomeRenderer(sim, 1).robot_views(sim.state(), homes[:1], 16, CAMERA_OUTPUTS)
+
+    def warp() -> None:
+        from mjhab.sim.warp import WarpSimulator
+
+        sim = WarpSimulator(layout, WORLDS, options.device)
+        qpos = simulators[0].model(homes[0]).qpos0
+        sim.reset(range(WORLDS), homes[:1] * WORLDS, np.tile(qpos, (WORLDS, 1)))
+        sim.step(np.zeros((WORLDS, 15), np.float32))
+        sim.write_qpos(0, qpos)
+
+    parts: dict[str, Callable[[], None]] = {f"{len(homes)} homes": compile_homes, "rasterizer": rasterizer}
+    if backend == "warp":
+        parts["MuJoCo Warp (minutes the first time)"] = warp
+    return {name.split(" (")[0]: _timed(name, work) for name, work in parts.items()}
+
+
+def _timed(name: str, work: Callable[[], None]) -> float:
+    print(f"mjhab: compiling: {name} ...", file=sys.stderr, flush=True)
+    begun = time.perf_counter()
+    work()
+    return round(time.perf_counter() - begun, 2)

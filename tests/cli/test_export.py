@@ -1,0 +1,56 @@
+"""``mjhab export`` and ``mjhab data report`` from the command line."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from mjhab.cli.main import OK, USAGE, main
+from mjhab.data.images import ImageFormat
+from tests.data.fake_world import FakeEnv
+from tests.data.make import record
+
+
+@pytest.fixture
+def shard(tmp_path: Path) -> Path:
+    record(tmp_path / "a.h5", range(3), FakeEnv(subtask="pick", images=True), images=ImageFormat())
+    return tmp_path / "a.h5"
+
+
+def test_export_lerobot(shard: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command = ["export", "lerobot", str(shard), "--out", str(tmp_path / "set")]
+    assert main([*command, "--version", "3.0", "--where", "index < 2", "--json"]) == OK
+    said = json.loads(capsys.readouterr().out)
+    assert (said["episodes"], said["frames"]) == (2, 40)
+    assert main(command) == USAGE and "--overwrite" in capsys.readouterr().err
+    assert main([*command, "--overwrite", "--version", "2.1", "--no-rgb", "--no-depth"]) == OK
+    assert "without images" in capsys.readouterr().out
+    assert main([*command, "--overwrite", "--quality", "90"]) == USAGE
+
+
+def test_without_pyarrow_the_extra_is_named(
+    shard: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in [name for name in sys.modules if name.startswith(("mjhab.data.export_lerobot", "mjhab.data.lerobot_"))]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.delattr("mjhab.data.export_lerobot", raising=False)
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    assert main(["export", "lerobot", str(shard), "--out", str(tmp_path / "set")]) == USAGE
+    assert "pip install 'mjhab[data]'" in capsys.readouterr().err
+
+
+def test_export_maniskill(shard: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command = ["export", "maniskill", str(shard), "--out", str(tmp_path / "out")]
+    assert main([*command, "--json"]) == OK
+    said = json.loads(capsys.readouterr().out)
+    assert (said["episodes"], said["frames"]) == (3, 60) and Path(said["files"][0]).name == "024_bowl.h5"
+
+
+def test_data_report(shard: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "deep/report.html"
+    assert main(["data", "report", str(shard), "--out", str(out), "--json"]) == OK
+    assert json.loads(capsys.readouterr().out)["bytes"] == out.stat().st_size
+    assert main(["data", "report", str(shard), "--out", str(tmp_path)]) == USAGE

@@ -1,0 +1,149 @@
+"""``mjhab generate`` and ``mjhab replay``: data sets from the command line, on the real environment."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from mjhab.cli.generate import build_stage, licence_of, make_job, stop_signals
+from mjhab.cli.generate_options import GenerateOptions
+from mjhab.cli.main import main
+from mjhab.core.errors import UsageError
+from mjhab.data.crew import ALL
+from mjhab.data.reading import open_shard
+from tests.data.crews import InlineCrew
+from tests.data.test_replay import changed
+
+
+def machine(capsys: pytest.CaptureFixture[str], *args: str, code: int = 0) -> dict[str, Any]:
+    capsys.readouterr()
+    assert main([*args, "--json"]) == code
+    lines = capsys.readouterr().out.strip().splitlines()
+    assert len(lines) == 1
+    return json.loads(lines[0])
+
+
+def refused(capsys: pytest.CaptureFixture[str], *args: str) -> str:
+    assert main(list(args)) == 2
+    return capsys.readouterr().err
+
+
+COMMAND = ("generate", "--subtask", "pick", "--policy", "zero", "--worlds", "2", "--episodes", "2", "--threads", "2")
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two episodes by a worker process."""
+    out = tmp_path_factory.mktemp("generate") / "set"
+    assert main([*COMMAND, "--out", str(out)]) == 0
+    return out
+
+
+def test_generate_tells_machines_what_it_made(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    again = machine(capsys, *COMMAND, "--out", str(made), "--resume")
+    assert {"written", "kept", "labels", "episodes_per_hour", "bytes_per_episode"} <= set(again)
+    assert (again["written"], again["kept"], sum(again["labels"].values())) == (0, 2, 2)
+    assert again["bytes_per_episode"] == (made / "shard_000.h5").stat().st_size // 2
+    with open_shard(made / "shard_000.h5") as shard:
+        assert [(episode.record.index, episode.steps) for episode in shard] == [(0, 200), (1, 200)]
+        assert next(iter(shard)).run.config["policy"] == {"name": "zero"}
+
+
+def test_replay_verifies(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    found = machine(capsys, "replay", str(made), "--verify", "--worlds", "2")
+    assert found == {"episodes": 2, "exact": 2, "max_error": 0.0, "unlike": 0}
+
+    def shift(arrays: dict[str, Any]) -> None:
+        arrays["states/qpos"][5] += 1e-9
+
+    wrong = changed(made / "shard_000.h5", tmp_path / "wrong.h5", shift)
+    found = machine(capsys, "replay", str(wrong), "--verify", "--where", "index == 1", "--worlds", "1", code=1)
+    assert (found["episodes"], found["exact"]) == (1, 0) and 0.9e-9 < found["max_error"] < 1.1e-9
+
+
+def test_replay_renders(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "depth.h5"
+    command = ("replay", str(made), "--render", "depth", "--cameras", "fetch_hand", "--camera-size", "12", "16",
+               "--where", "index == 1", "--out", str(out))  # fmt: skip
+    found = machine(capsys, *command)
+    assert (found["episodes"], found["frames"]) == (1, 201) and found["bytes"] > 0
+    with open_shard(out) as shard:
+        assert next(iter(shard)).frame("fetch_hand", "depth", 200).shape == (12, 16, 1)
+
+
+def test_what_cannot_work_is_refused_before_anything_is_built(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = ("--out", str(tmp_path / "new"))
+    for args, words in (
+        (("generate", "--subtask", "pick", *out), "say when to stop"),
+        (("generate", "--subtask", "pik", "--episodes", "1", *out), "Did you mean 'pick'"),
+        (("generate", "--episodes", "1", "--keep", "lable == 'x'", *out), "column 1"),
+        (("generate", "--episodes", "1", "--workers", "0", *out), "--workers must be at least 1"),
+        (("generate", "--episodes", "1", "--images", "dept", *out), "unknown observation mode"),
+        (("generate", "--episodes", "1", "--out", str(made)), "add --resume"),
+        (("generate", "--subtask", "place", "--episodes", "1", "--resume", "--out", str(made)), "another"),
+        (("generate", "--episodes", "1", "--ray", "127.0.0.1:1", *out), "Ray"),
+        (("replay", str(made)), "--verify, or --render"),
+        (("replay", str(made), "--verify", "--render", "rgb"), "one of the two"),
+        (("replay", str(made), "--render", "rgb"), "needs --out"),
+        (("replay", str(made), "--render", "rgb", "--out", str(made / "shard_000.h5")), "one of the shards"),
+        (("replay", str(made), "--render", "depth", "--cameras", "follow", *out), "colour only"),
+    ):
+        assert words in refused(capsys, *args), args
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_quota_that_was_not_filled_fails(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mjhab.cli.generate.make_crew", lambda options: InlineCrew())
+    found = machine(
+        capsys, *COMMAND, "--target", "024_bowl", "--per-target", "1", "--keep", "success", "--out", str(tmp_path / "a"),
+        code=1,
+    )  # fmt: skip
+    assert (found["written"], found["kept"], found["tried"], found["yield"]) == (0, 0, 2, 0.0)
+    assert found["labels"] == {} and found["bytes_per_episode"] == 0
+
+
+def test_targets_that_quotas_count(tmp_path: Path) -> None:
+    stage = build_stage(GenerateOptions(tmp_path, subtask="open", policy="random", worlds=1, threads=1))
+    assert stage.targets == ("kitchen_counter/drawer3", "fridge/top_door")
+    assert stage.about == {"name": "random", "seed": 0} and stage.licence == ""
+    stage.env.close()
+    job = make_job(GenerateOptions(tmp_path, per_target=5, images="depth", rgb="jpeg"))
+    assert job.episodes >= 500 and job.spec.images is not None and job.spec.states and ALL == "all"
+
+
+def test_licence_of_public_assets(tmp_path: Path) -> None:
+    assert licence_of("builtin") == "" == licence_of(str(tmp_path))
+    for name in ("configs/scenes/a.scene_instance.json", "configs/objects/a.object_config.json", "urdf/a/a.urdf"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    assert "CC BY" in licence_of(f"{tmp_path}?articulate=cabinet") and "YCB" in licence_of(str(tmp_path / "apt_0"))
+
+
+def test_signals_are_noted_and_given_back() -> None:
+    before = signal.getsignal(signal.SIGTERM), signal.getsignal(signal.SIGINT)
+    with stop_signals() as stopped:
+        assert not stopped()
+        os.kill(os.getpid(), signal.SIGTERM)
+        assert stopped()
+        with pytest.raises(KeyboardInterrupt):
+            os.kill(os.getpid(), signal.SIGINT)
+    assert (signal.getsignal(signal.SIGTERM), signal.getsignal(signal.SIGINT)) == before
+
+
+def test_ray_that_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
+    import sys
+
+    from mjhab.data.ray_crew import RayCrew
+
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(UsageError, match=r"pip install 'mjhab\[scale\]'"):
+        RayCrew("local")

@@ -104,7 +104,7 @@ def test_a_quota_that_was_not_filled_fails(
 ) -> None:
     monkeypatch.setattr("mjhab.cli.generate.make_crew", lambda options: InlineCrew())
     found = machine(
-        capsys, *COMMAND, "--target", "024_bowl", "--per-target", "1", "--keep", "success", "--out", str(tmp_path / "a"),
+        capsys, *COMMAND, "--target", "024_bowl", "--per-target", "1", "--keep", "success", "--out", str(tmp_path),
         code=1,
     )  # fmt: skip
     assert (found["written"], found["kept"], found["tried"], found["yield"]) == (0, 0, 2, 0.0)

@@ -25,7 +25,7 @@ from mjhab.sim.cpu import CpuSimulator
 @pytest.fixture
 def installed(monkeypatch: pytest.MonkeyPatch) -> dict[str, bool]:
     """Which modules of the extra are there; tests change it."""
-    here = dict.fromkeys(backends.GPU_MODULES, True)
+    here: dict[str, bool] = dict.fromkeys(backends.GPU_MODULES, True)
     monkeypatch.setattr(backends, "_installed", here.__getitem__)
     return here
 
@@ -44,7 +44,7 @@ def test_auto_is_warp_where_the_extra_finds_a_device(
     assert backends.resolve("auto") == "cpu"
     with pytest.raises(UsageError, match=r"needs torch, not installed here; pip install 'mjhab\[gpu\]'"):
         backends.resolve("warp")
-    with pytest.raises(UsageError, match="unknown backend 'wrap'.*warp"):
+    with pytest.raises(UsageError, match=r"unknown backend 'wrap'.*warp"):
         backends.resolve("wrap")
 
 

@@ -11,8 +11,10 @@ from mjhab.core.errors import UsageError
 from mjhab.envs.kinematics import wrap
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.experts import make_expert, navigate
+from mjhab.experts.driving import BRISK, simulate
 from mjhab.experts.floorplan import BASE_NEED, LEVELS, Arm, Floorplan
 from mjhab.experts.lattice import YAWS, Lattice, Leg
+from mjhab.tasks.plan import Subtask
 
 CELL, REACH, THICK = 0.05, 0.6, 0.05
 FRIDGE = "fridge/top_door"
@@ -34,7 +36,7 @@ def ending_at(lattice: Lattice, xy: tuple[float, float]) -> np.ndarray:
 
 
 def driven(legs: list[Leg], pose: np.ndarray) -> np.ndarray:
-    return navigate._simulate(pose, legs, 0.1, navigate.BRISK)
+    return simulate(pose, legs, 0.1, BRISK)
 
 
 def two_rooms() -> Map:
@@ -104,6 +106,12 @@ def build(task: str, subtask: str = "navigate", **more: str) -> SequentialTaskEn
     return envs.make(task=task, subtask=subtask, num_envs=1, autoreset="disabled", threads=1, **more)
 
 
+def active(env: SequentialTaskEnv) -> Subtask:
+    subtask = env.view(0).subtask
+    assert subtask is not None
+    return subtask
+
+
 def drive(env: SequentialTaskEnv, episode: int, steps: int, halfway=None) -> dict:
     """Let the expert drive; returns how it ended. ``halfway(env)`` is called once in the middle of the way."""
     obs, info = env.reset(seed=0, options={"episode": [episode]})
@@ -131,14 +139,14 @@ def test_drives_around_walls_and_faces_the_goal():
     assert ended["moves"].max() < 0.1
     assert np.linalg.norm(q[:2] - goal[:2]) <= 2.0
     assert abs(wrap(np.arctan2(*(goal[:2] - q[:2])[::-1]) - q[2])) <= 0.5
-    x_min, x_max, y_min, y_max = env.boxes[0][env.view(0).subtask.link]
+    x_min, x_max, y_min, y_max = env.boxes[0][active(env).link]
     assert x_min <= q[0] <= x_max and y_min <= q[1] <= y_max
 
 
 def test_keeps_what_it_holds():
     env = build("tidy_house")
     ended = drive(env, 5, 400)
-    assert env.view(0).subtask.must_hold and ended["success"]
+    assert active(env).must_hold and ended["success"]
     assert ended["moves"].sum() > 2.0
     assert env.view(0).signal("is_grasped")
 
@@ -159,7 +167,7 @@ def test_plans_anew_when_a_door_opens_in_its_way(monkeypatch: pytest.MonkeyPatch
 
     monkeypatch.setattr(navigate, "plan_trip", spy)
     ended = drive(env, 4, 400, open_the_door)
-    assert env.view(0).subtask.link == FRIDGE
+    assert active(env).link == FRIDGE
     assert len(planned) >= 2 and ended["success"] and ended["force"] == 0.0
     door = env.view(0).home.links[FRIDGE].boxes(1.6)
     gap = np.linalg.norm(planned[-1].poses[:, None, :2] - door.center[:, :2], axis=-1)
@@ -183,5 +191,5 @@ def test_chain_teleports_unless_told_otherwise():
         away[mode] = np.linalg.norm(env.state.robot_q[0, :2] - env.focus.active.goal_pos[0, :2])
     assert away["teleport"] <= 2.0 < away["drive"]
     assert build("tidy_house", "").task_config.ignore_arm
-    with pytest.raises(UsageError, match="navigate mode 'fly'.*teleport"):
+    with pytest.raises(UsageError, match=r"navigate mode 'fly'.*teleport"):
         build("tidy_house", "", navigate="fly")

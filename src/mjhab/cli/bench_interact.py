@@ -30,7 +30,17 @@ WARM_STEPS = 3
 """Untimed steps: kernels load, graphs are captured."""
 MOVED = 0.01
 """An object farther than this from its start at the end [m] counts as moved."""
-COLUMNS = ("backend", "device", "render", "worlds", "seed", "sps", "reset_and_step_sps", "device_mb", "rss_mb")
+COLUMNS: tuple[str, ...] = (
+    "backend",
+    "device",
+    "render",
+    "worlds",
+    "seed",
+    "sps",
+    "reset_and_step_sps",
+    "device_mb",
+    "rss_mb",
+)
 _POINT_KEYS = (
     "worlds", "sps_mean", "sps_ci95", "reset_and_step_sps", "device_mb", "rss_mb", "moved", "tainted_worlds"
 )  # fmt: skip
@@ -64,14 +74,12 @@ class InteractBench:
         self._homes = [scene.home] * worlds
         self._draw = self._drawer(threads) if render else None
         self.reset()
+        self._offset: Any
+        self._moves: Any
         self._offset, self._moves = affine_commands(interact_actions(scene))
         if backend == "warp":
-            import torch
-
-            like = self.sim.state().robot_q
-            self._offset, self._moves = (
-                torch.as_tensor(x, dtype=like.dtype, device=like.device) for x in (self._offset, self._moves)
-            )
+            tensor = self.sim.state().robot_q.new_tensor  # on the device: no copy to the host in a step
+            self._offset, self._moves = tensor(self._offset), tensor(self._moves)
 
     def _drawer(self, threads: int) -> Callable[[], object]:
         from mjhab.sim.home_scene import HomeRenderer
@@ -93,9 +101,9 @@ class InteractBench:
         """Wait until the device has done all work."""
         device = getattr(self.sim, "device", None)
         if device is not None and device.is_cuda:
-            import warp as wp
+            from mjhab.sim.warp_probe import synchronize
 
-            wp.synchronize_device(device)
+            synchronize(device)
 
     def moved(self) -> list[str]:
         """Objects of world 0 that are not where they started."""
@@ -144,9 +152,7 @@ def bench_interact(options: BenchInteractOptions) -> int:
         print_json(found)
         return 0
     kind = "no cameras" if options.no_render else f"2 x {CAMERA_SIZE} x {CAMERA_SIZE} RGB-D"
-    rows = [[str(p[k]) if k == "moved" else p[k] for k in _POINT_KEYS] for p in found["points"]]
-    for row, point in zip(rows, found["points"], strict=True):
-        row[_POINT_KEYS.index("moved")] = len(point["moved"])
+    rows = [[len(p[k]) if k == "moved" else p[k] for k in _POINT_KEYS] for p in found["points"]]
     print_table(f"Interact, {found['backend']} on {found['device']}, {kind}", _POINT_KEYS, rows)
     print(f"Plot of speed over memory: {options.out / 'report.html'}")
     return 0
@@ -164,9 +170,7 @@ def measure_interact(options: BenchInteractOptions) -> tuple[dict[str, Any], lis
     points, runs = [], []
     with progress_bar("interact", len(options.worlds) * options.seeds) as advance:
         for worlds in options.worlds:
-            bench = InteractBench(
-                scene, backend, worlds, render=render, device=options.device, threads=options.threads
-            )
+            bench = InteractBench(scene, backend, worlds, render=render, device=options.device, threads=options.threads)
             warm(bench)
             mine = []
             for seed in range(1, options.seeds + 1):
@@ -229,7 +233,7 @@ def write_results(out: Path, found: dict[str, Any], runs: list[dict[str, Any]]) 
 
     def table(path: Path) -> None:
         with path.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, COLUMNS)
+            writer = csv.DictWriter(file, list(COLUMNS))
             writer.writeheader()
             writer.writerows(runs)
 

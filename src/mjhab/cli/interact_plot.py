@@ -22,7 +22,8 @@ def interact_figure(found: dict[str, Any]) -> Figure:
     ours = {
         "x": memory, "y": [p["sps_mean"] for p in points], "text": [f"{p['worlds']} worlds" for p in points],
         "error_y": {"type": "data", "array": [p["sps_ci95"] or 0.0 for p in points]}, "type": "scatter",
-        "mode": "lines+markers", "name": f"mjhab, {found['backend']} on {found['device']}", "line": {"color": "#2563eb"},
+        "mode": "lines+markers", "name": f"mjhab, {found['backend']} on {found['device']}",
+        "line": {"color": "#2563eb"},
     }  # fmt: skip
     paper = [
         {

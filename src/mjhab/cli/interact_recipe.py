@@ -28,8 +28,8 @@ from mjhab.cli.interact_scene import (
 from mjhab.core.cache import write_atomic
 from mjhab.envs.controllers import make_controller
 from mjhab.envs.controllers.table import ARM_JOINTS
-from mjhab.experts.ik import columns, random_seeds, solve
 from mjhab.envs.kinematics import Chain
+from mjhab.experts.ik import columns, random_seeds, solve
 from mjhab.scenes.fetch import FETCH_JOINTS, KINEMATIC_TREE
 from mjhab.sim.cpu import CpuSimulator
 

@@ -1,7 +1,7 @@
 """What ``mjhab bench interact`` simulates: a home with its stage and articulations, one surface with five objects, a
 robot before it, and 200 recorded actions that sweep the arm through the objects. All worlds are alike.
 
-After the paper's benchmark (mshab/envs/interact.py, MS-HAB paper Sec. 4): stage, articulations and YCB objects, no
+After the paper's benchmark (mshab/utils/bench, MS-HAB paper Sec. 4): stage, articulations and YCB objects, no
 other furniture. Its file of actions belongs to the Habitat 2.0 assets, so the actions are our own;
 ``python -m mjhab.cli.interact_recipe`` makes them again.
 """
@@ -34,7 +34,8 @@ SHOULDER_X, RADIUS = 0.033, 0.75
 STAND = 0.45
 """From the centre of the base to the usable part of the surface [m]."""
 START_QPOS = (0.0, 0.0, 0.0, 0.15, 0.0, -0.45, 0.562, -1.08, 0.1, 0.935, -0.001, 1.573, 0.005, 0.015, 0.015)
-"""Robot before a surface at SURFACE_HEIGHT, FETCH_JOINTS order (mshab/envs/interact.py); at another, the torso differs."""
+"""Robot before a surface at SURFACE_HEIGHT, FETCH_JOINTS order (mshab's interact_scene_builder.py); at another height
+the torso differs."""
 SURFACE_HEIGHT, TORSO_RANGE = 0.75, (0.0, 0.386)
 TORSO = 3
 DEPTH, HALF_WIDTH = 0.36, 0.42

@@ -79,7 +79,7 @@ def _held(sim: Any, home: str, slot: int) -> np.ndarray:
     qpos[sim.addresses.robot_q] = robot
     thing = bench.data.body(bench.object)
     start = sim.addresses.object_q[slot]
-    qpos[start : start + 7] = [*(thing.xpos + [*PLACE, 0.0]), *thing.xquat]
+    qpos[start : start + 7] = [*(thing.xpos + np.array([*PLACE, 0.0])), *thing.xquat]
     return qpos
 
 

@@ -82,14 +82,16 @@ def export_lerobot(
     if not found:
         raise nothing_passes()
     after = begin(len(found)) if begin else None
-    with whole_folder(out, "meta/info.json", overwrite) as root:
-        with _Export(root, VERSIONS[version](root, FPS, open_film), choice or Choice()) as export:
-            for path, name in found:
-                with open_shard(path) as shard:
-                    export.add(shard.episode(name))
-                if after is not None:
-                    after()
-            return export.finish()
+    with (
+        whole_folder(out, "meta/info.json", overwrite) as root,
+        _Export(root, VERSIONS[version](root, FPS, open_film), choice or Choice()) as export,
+    ):
+        for path, name in found:
+            with open_shard(path) as shard:
+                export.add(shard.episode(name))
+            if after is not None:
+                after()
+        return export.finish()
 
 
 class _Export:

@@ -127,6 +127,7 @@ class _Run:
         self.again: list[int] = []
         self.next = self.written = 0
         self._take_stock()
+        self.before = self.quotas.kept
         self.members: dict[int, _Member] = {}
 
     def _take_stock(self) -> None:
@@ -300,7 +301,9 @@ class _Run:
         stored = [outcome for path in paths for outcome in self._stored(path)]
         labels = Counter(outcome.label for outcome in stored)
         size = sum(path.stat().st_size for path in paths)
-        return Standing(self.written, len(stored), len(outcomes), passed, wanted, labels, self.finished, size)
+        # What was written when nobody listened any more counts as well.
+        written = len(stored) - self.before
+        return Standing(written, len(stored), len(outcomes), passed, wanted, labels, self.finished, size)
 
 
 def _open_folder(job: Job, resume: bool) -> WriteLock:

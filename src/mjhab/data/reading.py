@@ -115,8 +115,8 @@ class Episode:
                 return dataset(self._group, path)[()]
         if path.startswith("states/"):
             raise UsageError(
-                f"episode {self.name} was recorded without states: {path} is not there. Nothing can be rendered from "
-                "it; `mjhab replay` makes states from its actions."
+                f"episode {self.name} was recorded without states: {path} is not there, and nothing can be rendered "
+                "from it. Record it again with states: `mjhab generate` without --no-states, same seed and index."
             )
         raise unknown_name("dataset", path, self.paths)
 

@@ -25,7 +25,7 @@ from mjhab.rollout.report_plots import tone
 from mjhab.tasks.plan import KIND_NAMES
 
 _LABEL_HINT = (
-    "Percent of subtasks. Bold: this data set. Below it: what the MS-HAB "
+    "Percent of subtasks. Bold: this data set, of which only some labels may have been kept. Below it: what the MS-HAB "
     "paper published for its policies on the same task, split and target (Tables 6 to 13, 1,008 episodes each): RL-Per "
     "has one policy per object, RL-All one for all, IL imitates RL-Per. Our homes, objects and physics are others than "
     "theirs, so this is a comparison of data sets, not of policies."

@@ -196,13 +196,11 @@ def _draw(solid: Array, boxes: Boxes, origin: Array, cell: float) -> None:
     low, high = np.clip(low, 0, top), np.clip(high, 0, top)
     for k in np.flatnonzero((high > low).all(axis=1)):
         (i, j, a), (m, n, b) = low[k], high[k]
-        at = origin + (np.moveaxis(np.indices((m - i, n - j)), 0, -1) + [i + 0.5, j + 0.5]) * cell
+        at = origin + (np.moveaxis(np.mgrid[i:m, j:n], 0, -1) + 0.5) * cell
         # Seen from above: what stands upright is turned about the vertical alone.
         local = (at - boxes.center[k, :2]) @ boxes.rot[k, :2, :2]
-        upright = abs(boxes.rot[k, 2, 2]) > 0.99
-        inside = (
-            (np.abs(local) <= boxes.half[k, :2] + cell / 2).all(axis=-1) if upright else np.ones((m - i, n - j), bool)
-        )
+        leaning = abs(boxes.rot[k, 2, 2]) < 0.99
+        inside = (np.abs(local) <= (np.inf if leaning else boxes.half[k, :2] + cell / 2)).all(axis=-1)
         solid[a:b, i:m, j:n] |= inside
 
 

@@ -170,7 +170,7 @@ class Lattice:
         legs = [Leg(np.stack([pose[:2], here]), -1 if far < 0 else 1, yaw)] if far else []
         for k in range(1, len(way)):
             if h[k] != h[k - 1]:
-                turn += turn_between(YAWS[h[k - 1]], YAWS[h[k]])
+                turn += turn_between(float(YAWS[h[k - 1]]), float(YAWS[h[k]]))
                 continue
             legs += turns(here, yaw, turn)
             there, yaw, turn = self.points[x[k], y[k]], float(YAWS[h[k]]), 0.0

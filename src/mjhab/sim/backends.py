@@ -38,11 +38,9 @@ def resolve(name: str) -> str:
 
 def cuda_devices() -> list[str]:
     """Names of the CUDA devices that Warp can use, e.g. ["cuda:0"]; it must be installed."""
-    import warp as wp
+    from mjhab.sim import warp_probe
 
-    wp.config.log_level = wp.LOG_WARNING
-    wp.init()
-    return [str(device) for device in wp.get_cuda_devices()]
+    return warp_probe.cuda_devices()
 
 
 def open_simulator(

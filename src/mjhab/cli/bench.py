@@ -10,48 +10,14 @@ from typing import Any
 import numpy as np
 
 from mjhab.cli.doctor import cores
-from mjhab.cli.env_options import BenchEnvOptions, BenchRewardOptions, BenchSoakOptions
-from mjhab.cli.gpu_options import BenchInteractOptions, BenchParityOptions
 from mjhab.cli.options import BenchGraspOptions, BenchSimOptions
 from mjhab.cli.output import at_least, print_json, print_table
-from mjhab.cli.spawn_options import BenchSpawnOptions
 from mjhab.core.errors import unknown_name
 from mjhab.rollout.policy import ACTION_SIZE
 from mjhab.tasks.plan import TASKS
 
 WARM_STEPS = 8
 """Untimed control steps after each reset: teleports happen and things come to rest."""
-
-
-def run_bench(options: Any) -> int:
-    """Run one of the benchmarks and return the exit code."""
-    if isinstance(options, BenchSimOptions):
-        return bench_sim(options)
-    if isinstance(options, BenchEnvOptions):
-        from mjhab.cli.bench_env import bench_env
-
-        return bench_env(options)
-    if isinstance(options, BenchSpawnOptions):
-        from mjhab.cli.spawns import bench_spawn
-
-        return bench_spawn(options)
-    if isinstance(options, BenchSoakOptions):
-        from mjhab.cli.bench_soak import bench_soak
-
-        return bench_soak(options)
-    if isinstance(options, BenchRewardOptions):
-        from mjhab.cli.bench_reward import bench_reward
-
-        return bench_reward(options)
-    if isinstance(options, BenchInteractOptions):
-        from mjhab.cli.bench_interact import bench_interact
-
-        return bench_interact(options)
-    if isinstance(options, BenchParityOptions):
-        from mjhab.cli.bench_parity import bench_parity
-
-        return bench_parity(options)
-    return bench_grasp(options)
 
 
 def bench_sim(options: BenchSimOptions) -> int:

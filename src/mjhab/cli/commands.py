@@ -47,3 +47,29 @@ Command = (
     | Annotated[gpu.WarmupOptions, Sub("warmup")]
     | Annotated[opt.DoctorOptions, Sub("doctor")]
 )
+
+RUNNERS: dict[type, tuple[str, str]] = {
+    opt.EvalOptions: ("evaluate", "run_eval"),
+    env.EnvsCommand: ("envs", "run_envs"),
+    opt.HomesCommand: ("homes", "run_homes"),
+    opt.AssetsCommand: ("assets", "run_assets"),
+    opt.EpisodesCommand: ("episodes", "run_episodes"),
+    spawn.SpawnsCommand: ("spawns", "run_spawns"),
+    opt.BenchSimOptions: ("bench", "bench_sim"),
+    opt.BenchGraspOptions: ("bench", "bench_grasp"),
+    env.BenchEnvOptions: ("bench_env", "bench_env"),
+    spawn.BenchSpawnOptions: ("spawns", "bench_spawn"),
+    env.BenchSoakOptions: ("bench_soak", "bench_soak"),
+    env.BenchRewardOptions: ("bench_reward", "bench_reward"),
+    gpu.BenchInteractOptions: ("bench_interact", "bench_interact"),
+    gpu.BenchParityOptions: ("bench_parity", "bench_parity"),
+    gen.GenerateOptions: ("generate", "run_generate"),
+    gen.ReplayOptions: ("replay", "run_replay"),
+    data.DataCommand: ("data", "run_data"),
+    data.LabelOptions: ("data", "run_data"),
+    export.ExportCommand: ("export", "run_export"),
+    gpu.WarmupOptions: ("warmup", "run_warmup"),
+    opt.DoctorOptions: ("doctor", "run_doctor"),
+}
+"""Module of `mjhab.cli` and function that run a command, by its options or by those of its group; imported when it is
+asked for, so that --help is quick."""

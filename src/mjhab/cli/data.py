@@ -8,7 +8,6 @@ from typing import Any
 
 from mjhab.cli.data_options import (
     DataCheckOptions,
-    DataCommand,
     DataFieldsOptions,
     DataMergeOptions,
     DataQueryOptions,
@@ -33,15 +32,12 @@ from mjhab.rollout.records import EpisodeRecord
 _MOST_ROWS = 20
 
 
-def run_data(command: DataCommand | LabelOptions) -> int:
-    """Run a parsed ``mjhab data`` or ``mjhab label`` command; returns the exit code."""
-    if isinstance(command, LabelOptions):
-        return _label(command)
-    options = command.command
+def run_data(options: Any) -> int:
+    """Run one of the commands of ``mjhab data``, or ``mjhab label``; returns the exit code."""
     runners = {
         DataQueryOptions: _query, DataStatsOptions: _stats, DataMergeOptions: _merge, DataSplitOptions: _split,
         DataCheckOptions: _check, DataRepairOptions: _repair, DataFieldsOptions: _fields,
-        DataReportOptions: _report,
+        DataReportOptions: _report, LabelOptions: _label,
     }  # fmt: skip
     return runners[type(options)](options)  # type: ignore[operator]
 

@@ -53,7 +53,7 @@ class EvalOptions:
     episodes_file: Annotated[str | None, tyro.conf.arg(metavar="FILE")] = None
     """Run the episodes of this file (HAB format, .json or .json.gz) instead of generated ones, in the file's homes."""
     navigate: Name = "teleport"
-    """Of a whole task: teleport puts the robot near every goal as the paper does; drive leaves the way to the policy."""
+    """Of a whole task: teleport puts the robot near every goal, as the paper does; drive leaves it to the policy."""
     spawns: Annotated[str | None, tyro.conf.arg(metavar="FILE.npz")] = None
     """With --subtask: begin where this set of starts says (see: mjhab spawns make)."""
     home: MaybeName = None

@@ -16,7 +16,7 @@ from mjhab.scenes.compile import compile_home
 from mjhab.scenes.fetch import Drives, apply_drives
 from mjhab.scenes.layout import Layout, addresses
 from mjhab.sim.protocol import PENETRATION_LIMIT, TAINTS, SimState
-from mjhab.sim.settle import CLOSED_FINGER
+from mjhab.sim.settle import holding_ctrl
 
 SUBSTEPS = 5
 """Simulation at 100 Hz, control at 20 Hz (MS-HAB paper Sec. 4.1)."""
@@ -76,9 +76,6 @@ class CpuSimulator:
         left, right = a.finger_force
         self._target_cols = _rows(left, 7)
         assert (right == left + 3).all() and (a.touch == left + 6).all()
-        joints = first.actuator_trnid[:, 0]
-        self._servo_q, self._holds = first.jnt_qposadr[joints], first.actuator_biasprm[:, 1] != 0.0
-        self._fingers = [i for i, j in enumerate(joints) if "gripper_finger" in first.joint(int(j)).name]
         self._depth_col = int(first.sensor("robot_depth").adr[0])
         self._taint, self._broken = np.zeros(num_worlds, np.uint8), np.zeros(num_worlds, bool)
         self._warned = np.zeros((num_worlds, self.batch.warning.shape[1]), np.int64)
@@ -104,9 +101,7 @@ class CpuSimulator:
         """Put worlds into homes, at rest in ``qpos`` (n, nq). Other worlds keep every bit."""
         self._clear(ids, homes)
         self._qpos[ids] = qpos
-        # Servos hold, fingers squeeze: the forces of the start are those of a robot that keeps what it has.
-        self._ctrl[ids] = np.where(self._holds, np.asarray(qpos)[:, self._servo_q], 0.0)
-        self._ctrl[np.ix_(ids, self._fingers)] = CLOSED_FINGER
+        self._ctrl[ids] = holding_ctrl(self._world_models[0], np.asarray(qpos))
         self._forward(ids)
 
     def _clear(self, ids: Sequence[int], homes: Sequence[str]) -> None:

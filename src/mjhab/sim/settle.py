@@ -5,11 +5,12 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from mjhab.scenes.fetch import REST_QPOS
+from mjhab.scenes.fetch import FETCH_JOINTS, REST_QPOS
 from mjhab.scenes.layout import Addresses
 
 CLOSED_FINGER = -0.01
 """Finger command [m] that squeezes (the gripper action at -1)."""
+_FINGERS = tuple(name for name in FETCH_JOINTS if "finger" in name)
 ROBOT_PARKING = (19.0, 19.0)
 """Base position [m] of the robot while a home settles: beyond every home, inside the base's joint range."""
 
@@ -36,6 +37,17 @@ def settle(model: mujoco.MjModel, a: Addresses, qpos: np.ndarray, seconds: float
     mujoco.mj_step(model, data, steps)
     speed = np.abs(data.qvel[a.object_v[:, None] + np.arange(6)]).max() if len(a.object_v) else 0.0
     return data.qpos.copy(), float(speed)
+
+
+def holding_ctrl(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
+    """Commands (n, nu) at the start of an episode in the states ``qpos`` (n, nq).
+
+    Servos hold and fingers squeeze, so that the forces of the start are those of a robot that keeps what it has.
+    """
+    joints = model.actuator_trnid[:, 0]
+    out = np.where(model.actuator_biasprm[:, 1] != 0.0, qpos[:, model.jnt_qposadr[joints]], 0.0)
+    out[:, [i for i, j in enumerate(joints) if model.joint(int(j)).name in _FINGERS]] = CLOSED_FINGER
+    return out
 
 
 def hold_robot(model: mujoco.MjModel, data: mujoco.MjData) -> None:

@@ -15,6 +15,7 @@ from mjhab.scenes.compile import compile_home
 from mjhab.scenes.fetch import Drives, apply_drives
 from mjhab.scenes.layout import Layout, addresses
 from mjhab.sim.protocol import SimState
+from mjhab.sim.settle import holding_ctrl
 
 try:
     import torch
@@ -100,6 +101,7 @@ class WarpSimulator:
         qpos = to_numpy(qpos)
         worlds = self._clear(ids, homes, qpos, np.zeros((len(qpos), self.engine.qvel_t.shape[1])))
         self.engine.qpos_t[worlds] = self._upload(qpos)
+        self.engine.ctrl_t[worlds] = self._upload(holding_ctrl(self.model(homes[0]), qpos))
         self._make_current(worlds)
 
     def _clear(self, ids: Sequence[int], homes: Sequence[str], qpos: np.ndarray, qvel: np.ndarray) -> torch.Tensor:

@@ -7,12 +7,14 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from mjhab.cli import bench_parity, estimate, gpu_report, warmup
+from mjhab.cli.gpu_options import BenchParityOptions
 from mjhab.cli.main import main
 from mjhab.cli.options import DoctorOptions
 from mjhab.core.errors import UsageError
@@ -147,6 +149,41 @@ def test_difference_is_per_kind_and_world() -> None:
 def test_share_of_nothing_is_none() -> None:
     assert bench_parity.share([]) is None
     assert bench_parity.share(np.array([True, False, True])) == 0.6667
+
+
+def test_agreement_is_per_episode(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Three of four outcomes alike, half of the labels, one mean reward of four."""
+    outcomes = {"cpu": [True, True, False, True], "warp": [True, True, False, False]}
+    labels = {"cpu": ["a", "b", "c", "d"], "warp": ["a", "b", "x", "y"]}
+    rewards = {"cpu": [0.5, 0.5, 0.5, 0.5], "warp": [0.51, 0.6, 0.2, 0.9]}
+    sides = iter(("cpu", "warp"))
+
+    def run(env: Any, policy: Any, episodes: range, seed: int, sinks: list[Any]) -> list[Any]:
+        side = next(sides)
+        assert env.on_warp == (side == "warp")
+        found = []
+        for index in episodes:
+            row = np.array([True, False])
+            step = SimpleNamespace(active=row, reward=np.array([rewards[side][index], 9.0]))
+            sinks[0].on_step(env, step)
+            record = SimpleNamespace(
+                index=index, steps=1, success_once=outcomes[side][index],
+                subtasks=[SimpleNamespace(label=labels[side][index])],
+            )  # fmt: skip
+            sinks[0].on_episode_end(env, 0, record)
+            found.append(record)
+        return found
+
+    monkeypatch.setattr(bench_parity, "rollout", run)
+    monkeypatch.setattr("mjhab.experts.make_expert", lambda env: None)
+    monkeypatch.setattr(
+        bench_parity, "make_env", lambda options, worlds: SimpleNamespace(num_envs=worlds, on_warp=False)
+    )
+    monkeypatch.setattr(bench_parity, "use_warp", lambda env, device: setattr(env, "on_warp", True))
+    found = bench_parity.closed_loop(BenchParityOptions(worlds=2, episodes=4), "cpu")
+    assert found == {
+        "success": 0.75, "label": 0.5, "reward": 0.25, "success_rate_cpu": 0.75, "success_rate_warp": 0.5
+    }  # fmt: skip
 
 
 def test_parity_refuses_what_has_no_expert(capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from mjhab.envs import make
 from mjhab.envs.privileged import JointedLink, home_shapes
 from mjhab.envs.sequential import SequentialTaskEnv
-from mjhab.experts import door, drawer, make_expert, motion, stances
+from mjhab.experts import door, door_stances, drawer, make_expert, motion, stances
 
 DRAWER, DOOR = "kitchen_counter/drawer3", "fridge/top_door"
 
@@ -57,12 +59,46 @@ def test_pull_stances_hold_the_bar(env: SequentialTaskEnv) -> None:
 
 def test_pull_stances_follow_the_arc(env: SequentialTaskEnv) -> None:
     link = plan_link(env, DOOR)
-    found, angles = stances.cached(link, "pull", door._pull_stances), door._pull_angles(link)
+    found, angles = stances.cached(link, "pull", door_stances.pull_stances), door_stances.pull_angles(link)
     assert len(found) > 20
     assert angles[-1] > 0.75 * link.range[1]
     for k in range(1, len(angles)):
         pos, _ = motion.chain().tip_pose(found.q[:, k])
         assert np.abs(pos - link.handle_pose(angles[k])[0])[:, :2].max() < 5e-3
+
+
+def test_hand_gets_in_behind_an_open_door(env: SequentialTaskEnv) -> None:
+    link = plan_link(env, DOOR)
+    found, angles = (
+        stances.cached(link, "push_open", door_stances.push_open),
+        door_stances.push_angles(link, half=False),
+    )
+    assert len(found) > 20
+    hand = motion.spheres().only(("wrist_roll_link", "gripper_link"))
+    assert hand.clearance(found.q[:, 0], motion.as_boxes(link.boxes(link.range[1]))).min() > 0.03
+    pos, _ = motion.chain().tip_pose(found.q[:, 0])
+    origin, rot = link.pose(angles[0])
+    assert (((pos - origin) @ rot)[:, 0] > link.boxes(0.0).center[0, 0]).all()  # on its outside
+
+
+def test_stances_belong_to_one_piece_of_furniture(env: SequentialTaskEnv) -> None:
+    link = plan_link(env, DRAWER)
+    handle = replace(link.handle, half_length=link.handle.half_length + 0.01)
+    other = JointedLink(link.id, replace(link.spec, handle=handle), link.origin, link.rot)
+    none = stances.Stances(np.zeros((0, 1, 15)), np.zeros(0), np.zeros(0))
+    stances.cached(link, "pull", drawer._pull_stances)
+    assert stances.cached(other, "pull", lambda _: none) is none
+
+
+@pytest.mark.parametrize("speed", [0.3, 0.8, 1.5])
+def test_thrown_door_coasts(speed: float) -> None:
+    way, dt = 0.0, 1e-4
+    v = speed
+    while v > 0:
+        way += v * dt
+        v -= (v + door.COAST_STOP) / door.COAST_TIME * dt
+    assert door._coasts(speed) == pytest.approx(way, abs=1e-3)
+    assert door._coasts(-speed) == 0.0
 
 
 def test_frame_round_trip(env: SequentialTaskEnv) -> None:

@@ -38,9 +38,11 @@ BLOCKED = 1000.0
 """Cost, in steps, of a way that touches something."""
 
 
-def obstacles(view: WorldView, goals: Array) -> Boxes:
-    """What the robot might touch on its way to some base poses (M, 3+): walls, furniture, links as they are now."""
-    boxes = Boxes.join([motion.as_boxes(view.home.boxes), motion.as_boxes(view.link_boxes())])
+def obstacles(view: WorldView, goals: Array, shut: JointedLink | None = None) -> Boxes:
+    """What the robot might touch on its way to some base poses (M, 3+): walls, furniture, links as they are now but
+    for ``shut``, which counts as closed."""
+    links = [view.link_boxes()] if shut is None else [view.link_boxes((shut.id,)), shut.boxes(0.0)]
+    boxes = Boxes.join([motion.as_boxes(view.home.boxes), *map(motion.as_boxes, links)])
     places = np.concatenate([view.q[None, :2], goals[:, :2]])
     heights = np.array([0.3, 1.0, 1.6])
     points = np.array([[*place, z] for place in places for z in heights])
@@ -140,10 +142,19 @@ def let_go(view: WorldView, way: float, *, gripper: float = motion.OPEN, speed: 
     )  # fmt: skip
 
 
-def fold(view: WorldView, ways: tuple[float, ...] = (0.0, 0.15, 0.3, 0.45, 0.6)) -> Motion:
-    """Bring the arm to rest, backing away first as far [m] as it needs to touch nothing."""
+def fold(
+    view: WorldView, ways: tuple[float, ...] = (0.0, 0.15, 0.3, 0.45, 0.6), shut: JointedLink | None = None,
+    gripper: float = motion.OPEN,
+) -> Motion:  # fmt: skip
+    """Bring the arm to rest, backing away first as far [m] as it needs to touch nothing.
+
+    Args:
+        ways: how far it may back away [m], tried in this order.
+        shut: a door that will be closed by then.
+        gripper: open fingers might take hold of the edge of a door nearby.
+    """
     q, rest = view.q, motion.rest_goal(view)
-    boxes, floor = obstacles(view, q[None]), motion.planner(view.home)
+    boxes, floor = obstacles(view, q[None], shut), motion.planner(view.home)
     best: Route | None = None
     for way in ways:
         goal = q[:3] - way * np.array([np.cos(q[2]), np.sin(q[2]), 0.0])
@@ -155,8 +166,8 @@ def fold(view: WorldView, ways: tuple[float, ...] = (0.0, 0.15, 0.3, 0.45, 0.6))
         if found is not None and found.room > FOLD_ROOM:
             break
     if best is not None:
-        yield from follow(view, best, gripper=motion.OPEN, tolerance=0.03)
-    return (yield from motion.to_rest(view, gripper=motion.OPEN))
+        yield from follow(view, best, gripper=gripper, tolerance=0.03)
+    return (yield from motion.to_rest(view, gripper=gripper))
 
 
 def retreat(view: WorldView, way: float, speed: float = 0.4) -> Motion:

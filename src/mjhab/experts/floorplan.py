@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt
@@ -26,6 +26,8 @@ ARM_NEED = 0.02
 """Clearance of the arm that counts as none: it swings a little, and cells are coarse."""
 LEVELS = np.arange(0.7, 1.75, 0.1)
 """Lower ends of the slices of height in which the arm at rest may touch something; below, the map of the base holds."""
+NOTHING = 100.0
+"""Distance where a slice of height is empty."""
 AT_REST = 0.05
 """Nearer than this [rad] the arm is where it shall be."""
 FALLEN, FALLEN_SIZE = 0.4, 0.15
@@ -86,10 +88,11 @@ class Floorplan:
         cells = planner(view)
         sight = _solid(view.home)
         solid = sight.copy()
-        moving = Boxes.join([motion.as_boxes(view.link_boxes()), motion.as_boxes(view.object_boxes((held,)))])
-        _draw(solid, moving, cells.origin, cells.cell)
-        base = cells.clearance
-        low = moving.take((moving.center[:, 2] < FALLEN) & (moving.half.max(axis=1) < FALLEN_SIZE))
+        objects = motion.as_boxes(view.object_boxes((held,)))
+        _draw(solid, Boxes.join([motion.as_boxes(view.link_boxes()), objects]), cells.origin, cells.cell)
+        base, height = cells.clearance, objects.center[:, 2]
+        # What an episode has no use for is parked below the floor.
+        low = objects.take((height > -0.1) & (height < FALLEN) & (objects.half.max(axis=1) < FALLEN_SIZE))
         felt = np.zeros((0, 3)) if blocks is None else np.asarray(blocks, float).reshape(-1, 3)
         if len(low) or len(felt):
             fallen = np.column_stack([low.center[:, :2], low.half[:, :2].max(axis=1)])
@@ -98,8 +101,8 @@ class Floorplan:
             gap = np.linalg.norm(centers[:, :, None] - spots[:, :2], axis=-1) - spots[:, 2]
             base = np.minimum(base, np.maximum(gap.min(axis=-1), 0.0))
             solid |= (gap[..., len(fallen) :] < 0.0).any(axis=-1)
-        free = np.stack([np.asarray(distance_transform_edt(~level)) for level in solid]) * cells.cell - cells.cell / 2
-        return cls(cells.origin, cells.cell, base - BASE_NEED, np.maximum(free, 0.0), sight, arm)
+        free = np.stack([_distance(level, cells.cell) for level in solid])
+        return cls(cells.origin, cells.cell, base - BASE_NEED, free, sight, arm)
 
     def slimmer(self, base: float, arm: float) -> Floorplan:
         """The same for a base and an arm that are so much smaller [m]: what still may go when nothing else does."""
@@ -168,7 +171,7 @@ class Floorplan:
         far = (1 - v) * values[i + 1, j] + v * values[i + 1, j + 1]
         return np.where(inside, (1 - u) * near + u * far, outside)
 
-    @property
+    @cached_property
     def _groups(self) -> list[tuple[Array, Array]]:
         """Spheres (indices) that pass through the same slices, and the distances (X, Y) there."""
         kinds, which = np.unique(self.arm.level, axis=0, return_inverse=True)
@@ -185,6 +188,13 @@ def _solid(home: HomeShapes) -> Array:
     _draw(solid, motion.as_boxes(home.boxes), home.map_origin, home.map_cell)
     solid.flags.writeable = False
     return solid
+
+
+def _distance(taken: Array, cell: float) -> Array:
+    """Distance (X, Y) from cells' centres to the nearest taken cell."""
+    if not taken.any():
+        return np.full(taken.shape, NOTHING)
+    return np.maximum(np.asarray(distance_transform_edt(~taken)) * cell - cell / 2, 0.0)
 
 
 def _draw(solid: Array, boxes: Boxes, origin: Array, cell: float) -> None:

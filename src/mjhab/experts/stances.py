@@ -7,7 +7,7 @@ stances have free floor. Letters: N stances, K way points, Q robot columns (FETC
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,12 +72,12 @@ class Frame:
         return np.concatenate([self.point(q[..., :2]), wrap(q[..., 2:3] + self.yaw), q[..., 3:]], axis=-1)
 
 
-_FOUND: dict[tuple[str, str], Stances] = {}
+_FOUND: dict[tuple[Hashable, str], Stances] = {}
 
 
 def cached(link: JointedLink, job: str, search: Callable[[JointedLink], Stances]) -> Stances:
     """The stances of a job on a link, searched for on first use with the link in its plan frame."""
-    key = (link.id, job)
+    key = (link.spec, job)
     if key not in _FOUND:
         _FOUND[key] = search(JointedLink(link.id, link.spec, np.array([0.0, 0.0, link.origin[2]]), np.eye(3)))
     return _FOUND[key]

@@ -103,9 +103,8 @@ class SequentialTaskEnv(VectorEnv):
         )
 
     def _set_spaces(self) -> None:
-        self.metadata = {
-            "autoreset_mode": AutoresetMode[self.config.autoreset.upper()], "render_fps": 20, "render_modes": ["rgb_array"]
-        }  # fmt: skip
+        autoreset = AutoresetMode[self.config.autoreset.upper()]
+        self.metadata = {"autoreset_mode": autoreset, "render_fps": 20, "render_modes": ["rgb_array"]}
         self.render_mode = self.config.render_mode or None
         self.single_observation_space = self.observer.single_space
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)

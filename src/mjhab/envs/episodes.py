@@ -335,9 +335,9 @@ class EpisodeMaker:
                 Target(str(obj), _point(goal), _point(start_pos), str(start), str(where), _point(handle))
                 for (obj, start, where), (goal, start_pos, handle) in zip(data["targets"], data["goals"], strict=True)
             )
-            return Episode(
-                self.task, self.split, seed, index, str(data["home"]), data["object_pose"], data["link_q"], targets
-            )
+            # Copies: what comes out of the file is a view of a buffer 20 times its size, and pools keep a thousand.
+            pose, link_q = data["object_pose"].copy(), data["link_q"].copy()
+            return Episode(self.task, self.split, seed, index, str(data["home"]), pose, link_q, targets)
 
 
 def homes_of(pack: Pack, split: str) -> list[Home]:

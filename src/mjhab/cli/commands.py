@@ -7,6 +7,7 @@ from typing import Annotated
 
 from mjhab.cli import data_options as data
 from mjhab.cli import env_options as env
+from mjhab.cli import expert_options as expert
 from mjhab.cli import export_options as export
 from mjhab.cli import generate_options as gen
 from mjhab.cli import gpu_options as gpu
@@ -26,6 +27,7 @@ class BenchCommand:
         | Annotated[spawn.BenchSpawnOptions, Sub("spawn")]
         | Annotated[env.BenchSoakOptions, Sub("soak")]
         | Annotated[env.BenchRewardOptions, Sub("reward")]
+        | Annotated[expert.BenchExpertsOptions, Sub("experts")]
         | Annotated[gpu.BenchInteractOptions, Sub("interact")]
         | Annotated[gpu.BenchParityOptions, Sub("parity")]
     )
@@ -61,6 +63,7 @@ RUNNERS: dict[type, tuple[str, str]] = {
     spawn.BenchSpawnOptions: ("spawns", "bench_spawn"),
     env.BenchSoakOptions: ("bench_soak", "bench_soak"),
     env.BenchRewardOptions: ("bench_reward", "bench_reward"),
+    expert.BenchExpertsOptions: ("bench_experts", "bench_experts"),
     gpu.BenchInteractOptions: ("bench_interact", "bench_interact"),
     gpu.BenchParityOptions: ("bench_parity", "bench_parity"),
     gen.GenerateOptions: ("generate", "run_generate"),

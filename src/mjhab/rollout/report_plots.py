@@ -82,9 +82,9 @@ def progress_figure(rows: Sequence[SubtaskRow], curve: Sequence[float], bound: S
     }
 
 
-def labels_figure(counts: Mapping[str, Counter[str]]) -> Figure:
-    """Stacked bars: share of every trajectory label within each kind of subtask."""
-    kinds = [kind for kind in KIND_NAMES if kind in counts]
+def labels_figure(counts: Mapping[str, Counter[str]], order: Sequence[str] = KIND_NAMES) -> Figure:
+    """Stacked bars: share of every trajectory label within each kind of subtask, or whatever ``order`` names."""
+    kinds = [kind for kind in order if kind in counts]
     totals = {kind: sum(counts[kind].values()) for kind in kinds}
     labels = sorted({label for kind in kinds for label in counts[kind]}, key=_label_order)
     used: Counter[str] = Counter()

@@ -8,7 +8,7 @@ SETUP_FILES := pyproject.toml constraints.txt
 DEMO_OUT := runs/demo
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-lerobot test-ray check format bench gpu-report clean distclean
+.PHONY: help setup demo test test-generate test-lerobot test-ray check format bench gpu-report clean distclean
 
 help:  ## show this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
@@ -40,11 +40,15 @@ demo: $(VENV)/.core  ## a Fetch robot does SetTable in furnished homes; films an
 test: $(VENV)/.dev  ## the whole test suite, with the slowest tests listed at the end
 	$(BIN)/python -m pytest --durations=15 --durations-min=0.5 $(PYTEST_ARGS)
 
+GENERATE_OUT := runs/generate
+EPISODES ?= 50
+test-generate: $(VENV)/.dev  ## generate EPISODES=50 with two kills -9, resume; check all, replay all bit by bit
+	$(BIN)/python tests/generate/check_generate.py $(GENERATE_OUT) $(EPISODES)
+
 # The real lerobot package needs other versions than mjhab and, on Linux, CUDA libraries: 8 GB in a place of its own.
 # The reader of v2.1 (the last lerobot before v3.0) lies beside it with the datasets package it was made for.
 LEROBOT := .venv-lerobot
 LEROBOT_OUT := runs/lerobot
-EPISODES ?= 50
 $(LEROBOT)/.ready: Makefile
 	@echo "mjhab: installing lerobot into $(LEROBOT), once (8 GB)"
 	@"$(PYTHON)" -m venv $(LEROBOT)

@@ -34,7 +34,7 @@ HEAVY: dict[str, frozenset[str]] = {
     "mujoco": frozenset({"scenes", "sim", "viewer"}),
     "warp": frozenset({"sim"}),
     "mujoco_warp": frozenset({"sim"}),
-    "torch": frozenset({"sim", "data", "learning"}),
+    "torch": frozenset({"sim", "envs", "data", "learning"}),
     "h5py": frozenset({"data"}),
     "viser": frozenset({"viewer"}),
     "trimesh": frozenset({"scenes"}),
@@ -73,6 +73,7 @@ def test_file_imports_only_what_its_package_may(path: Path) -> None:
         elif parts[0] in HEAVY:
             assert package in HEAVY[parts[0]], f"{package} may not import {parts[0]}"
             assert parts[0] not in ("warp", "mujoco_warp") or path.name.startswith("warp"), f"{parts[0]} in {path.name}"
+            assert parts[0] != "torch" or package != "envs" or path.parent.name == "device", f"torch in {path.name}"
 
 
 def test_the_rule_can_be_broken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

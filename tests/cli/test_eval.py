@@ -211,3 +211,16 @@ def test_alone_runs_give_the_bound(run: Callable[..., int], tmp_path: Path, caps
 def test_default_folder_names_the_run() -> None:
     options = EvalOptions(subtask="open", target="fridge/top_door", seed=3)
     assert evaluate.default_out(options) == Path("runs/set_table_open_fridge-top_door_expert_seed3")
+
+
+def test_a_style_needs_the_expert_and_valid_names(run: Callable[..., int], capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("--style", "speed=0.5") == 2
+    assert "--style is for --policy expert" in capsys.readouterr().err
+    assert run("--style", "sped=0.5", policy="expert") == 2
+    assert "Did you mean 'speed'?" in capsys.readouterr().err
+
+
+def test_a_style_belongs_to_the_config_of_a_run() -> None:
+    assert "style" not in evaluate.resolved_config(EvalOptions())
+    asked = evaluate.resolved_config(EvalOptions(style=("release=drop", "speed=0.5..1")))
+    assert asked["style"] == ["speed=0.5..1.0", "release=drop"]

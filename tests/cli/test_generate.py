@@ -16,6 +16,7 @@ from mjhab.cli.main import main
 from mjhab.core.errors import UsageError
 from mjhab.data.crew import ALL
 from mjhab.data.reading import open_shard
+from mjhab.tasks.style import Styles
 from tests.data.crews import InlineCrew
 from tests.data.test_replay import changed
 
@@ -48,7 +49,7 @@ def test_generate_tells_machines_what_it_made(made: Path, capsys: pytest.Capture
     again = machine(capsys, *COMMAND, "--out", str(made), "--resume")
     assert {"written", "kept", "labels", "episodes_per_hour", "bytes_per_episode"} <= set(again)
     assert (again["written"], again["kept"], sum(again["labels"].values())) == (0, 2, 2)
-    assert again["bytes_per_episode"] == (made / "shard_000.h5").stat().st_size // 2
+    assert again["bytes_per_episode"] == round((made / "shard_000.h5").stat().st_size / 2)
     with open_shard(made / "shard_000.h5") as shard:
         assert [(episode.record.index, episode.steps) for episode in shard] == [(0, 200), (1, 200)]
         assert next(iter(shard)).run.config["policy"] == {"name": "zero"}
@@ -56,7 +57,7 @@ def test_generate_tells_machines_what_it_made(made: Path, capsys: pytest.Capture
 
 def test_replay_verifies(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     found = machine(capsys, "replay", str(made), "--verify", "--worlds", "2")
-    assert found == {"episodes": 2, "exact": 2, "max_error": 0.0, "unlike": 0}
+    assert found == {"episodes": 2, "exact": 2, "max_error": 0.0, "unlike": 0, "moved": 0}
 
     def shift(arrays: dict[str, Any]) -> None:
         arrays["states/qpos"][5] += 1e-9
@@ -147,3 +148,28 @@ def test_ray_that_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(UsageError, match=r"pip install 'mjhab\[scale\]'"):
         RayCrew("local")
+
+
+def test_styles_are_drawn_per_episode_and_kept_with_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "styled"
+    words = ("--style", "release=drop", "speed=0.7..0.9", "hold=2")
+    machine(capsys, *COMMAND, "--subtask", "place", "--policy", "expert", *words, "--out", str(out))
+    with open_shard(out / "shard_000.h5") as shard:
+        episodes = list(shard)
+        for episode in episodes:
+            style = episode.record.style
+            assert style == Styles.parse(words[1:]).draw(0, episode.record.index).__dict__
+            assert json.loads(episode.attributes["style"]) == style
+            assert episode.run.config["policy"]["style"] == ["speed=0.7..0.9", "release=drop", "hold=2"]
+    assert len({episode.record.style["speed"] for episode in episodes}) == 2
+    found = machine(capsys, "data", "query", str(out), "--where", "style.speed < 0.95 and style.release == 'drop'")
+    assert (found["matched"], found["of"]) == (2, 2)
+    assert "style" in refused(
+        capsys, *COMMAND, "--subtask", "place", "--policy", "expert", "--resume", "--out", str(out)
+    )
+
+
+def test_a_job_without_a_style_says_nothing_of_it(tmp_path: Path) -> None:
+    assert "style" not in make_job(GenerateOptions(out=tmp_path, episodes=1)).config
+    asked = make_job(GenerateOptions(out=tmp_path, episodes=1, style=("hold=2", "speed=0.5..1"))).config
+    assert asked["style"] == ["speed=0.5..1.0", "hold=2"]

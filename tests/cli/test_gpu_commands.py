@@ -7,16 +7,15 @@ import json
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from mjhab.cli import bench_parity, estimate, gpu_report, warmup
-from mjhab.cli.gpu_options import BenchParityOptions
 from mjhab.cli.main import main
 from mjhab.cli.options import DoctorOptions
+from mjhab.cli.parity_episodes import KINDS, Leg, Log, difference
 from mjhab.core.errors import UsageError
 from mjhab.scenes.layout import Layout
 from mjhab.scenes.packs import open_pack
@@ -80,9 +79,9 @@ def test_estimate_grows_with_worlds_and_pictures(monkeypatch: pytest.MonkeyPatch
         assert c["world_mb"] - a["world_mb"] == pytest.approx(4 * (b["world_mb"] - a["world_mb"]), rel=0.05)
         assert a["most"] > b["most"] > c["most"] and a["fits"]
     # The number named fits, one more does not.
-    need = estimate.needs(DoctorOptions(obs="rgbd"))[1]
-    assert need.most is not None
-    assert need.total_mb(need.most) <= 8_000.0 < need.total_mb(need.most + 1)
+    room = estimate.rooms(DoctorOptions(obs="rgbd"))[1]
+    assert room.most is not None
+    assert room.need.total_mb(room.most) <= 8_000.0 < room.need.total_mb(room.most + 1)
 
 
 def test_estimate_command(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -136,14 +135,14 @@ def test_difference_is_per_kind_and_world() -> None:
     pose[1, 2] = [0.3, 0.4, 0.0, np.cos(0.1), np.sin(0.1), 0.0, 0.0]
     robot = np.zeros((2, 15))
     robot[0, 4] = -0.25
-    found = bench_parity.difference(state_like(), state_like(object_pose=pose, robot_q=robot))
+    found = difference(state_like(), state_like(object_pose=pose, robot_q=robot))
     np.testing.assert_allclose(found["objects"], [0.0, 0.5])
     np.testing.assert_allclose(found["turns"], [0.0, 0.2], atol=1e-7)
     np.testing.assert_allclose(found["robot"], [0.25, 0.0])
     np.testing.assert_allclose(found["links"], [0.0, 0.0])
     # q and -q are one orientation.
     flipped = state_like().object_pose * np.array([1, 1, 1, -1, -1, -1, -1])
-    assert not bench_parity.difference(state_like(), state_like(object_pose=flipped))["turns"].any()
+    assert not difference(state_like(), state_like(object_pose=flipped))["turns"].any()
 
 
 def test_share_of_nothing_is_none() -> None:
@@ -151,44 +150,106 @@ def test_share_of_nothing_is_none() -> None:
     assert bench_parity.share(np.array([True, False, True])) == 0.6667
 
 
-def test_agreement_is_per_episode(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Three of four outcomes alike, half of the labels, one mean reward of four."""
-    outcomes = {"cpu": [True, True, False, True], "warp": [True, True, False, False]}
-    labels = {"cpu": ["a", "b", "c", "d"], "warp": ["a", "b", "x", "y"]}
-    rewards = {"cpu": [0.5, 0.5, 0.5, 0.5], "warp": [0.51, 0.6, 0.2, 0.9]}
-    sides = iter(("cpu", "warp"))
+def record_equal(index: int, **changed: Any) -> dict[str, Any]:
+    """A row of `run_equal` in which everything agrees."""
+    plain = {
+        "index": index, "steps": 4, "success": [True, True], "label": ["a", "a"], "reward": [0.5, 0.5], "close": 4,
+        "taint": [0, 0], "drift": {},
+    }  # fmt: skip
+    return plain | changed
 
-    def run(env: Any, policy: Any, episodes: range, seed: int, sinks: list[Any]) -> list[Any]:
-        side = next(sides)
-        assert env.on_warp == (side == "warp")
-        found = []
-        for index in episodes:
-            row = np.array([True, False])
-            step = SimpleNamespace(active=row, reward=np.array([rewards[side][index], 9.0]))
-            sinks[0].on_step(env, step)
-            record = SimpleNamespace(
-                index=index, steps=1, success_once=outcomes[side][index],
-                subtasks=[SimpleNamespace(label=labels[side][index])],
-            )  # fmt: skip
-            sinks[0].on_episode_end(env, 0, record)
-            found.append(record)
-        return found
 
-    monkeypatch.setattr(bench_parity, "rollout", run)
-    monkeypatch.setattr("mjhab.experts.make_expert", lambda env: None)
-    monkeypatch.setattr(
-        bench_parity, "make_env", lambda options, worlds: SimpleNamespace(num_envs=worlds, on_warp=False)
-    )
-    monkeypatch.setattr(bench_parity, "use_warp", lambda env, device: setattr(env, "on_warp", True))
-    found = bench_parity.closed_loop(BenchParityOptions(worlds=2, episodes=4), "cpu")
-    assert found == {
-        "success": 0.75, "label": 0.5, "reward": 0.25, "success_rate_cpu": 0.75, "success_rate_warp": 0.5
+def test_agreement_is_per_episode() -> None:
+    rows = [
+        record_equal(0),
+        record_equal(1, success=[True, False], label=["b", None], reward=[0.5, 0.4], close=1, taint=[0, 4]),
+        record_equal(2, success=[False, False], label=[None, None], reward=[0.5, 0.51]),
+        record_equal(3, label=["c", "d"], reward=[0.2, 0.9], close=0),
+    ]
+    assert bench_parity.equal_shares(rows) == {
+        "episodes": 4, "steps": 16, "success": 0.75, "label": 0.3333, "reward": 0.5625, "mean_reward": 0.5,
+        "success_cpu": 0.75, "success_warp": 0.5, "tainted": 1,
+    }  # fmt: skip
+    own = [
+        {"success": True, "label": "a", "reward": 0.51, "taint": []},
+        {"success": True, "label": "b", "reward": 0.6, "taint": ["nan"]},
+    ]
+    assert bench_parity.own_shares(list(zip(rows, own, strict=False))) == {
+        "episodes": 2, "success": 1.0, "label": 1.0, "reward": 0.5, "success_cpu": 1.0, "success_warp": 1.0,
+        "tainted": 1,
     }  # fmt: skip
 
 
-def test_parity_refuses_what_has_no_expert(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["bench", "parity", "--subtask", "navigate"]) == 2
-    assert "--subtask must be pick, place, open or close" in capsys.readouterr().err
+def test_divergence_is_the_worst_and_the_median_world() -> None:
+    drift = [{str(step): dict.fromkeys(KINDS, x * step) for step in (1, 10)} for x in (1.0, 2.0, 9.0)]
+    drift[2] |= {"100": dict.fromkeys(KINDS, 7.0)}  # only one world got so far
+    found = bench_parity.divergence([record_equal(i, drift=rows) for i, rows in enumerate(drift)])
+    assert found["steps"] == [1, 10]
+    assert found["qpos_max"]["robot"] == [9.0, 90.0] and found["qpos_median"]["links"] == [2.0, 20.0]
+
+
+def test_the_log_lets_a_killed_run_go_on(tmp_path: Path) -> None:
+    path, leg = tmp_path / "deep" / "log.jsonl", Leg("set_table", "open")
+    log = Log(path)
+    for index in (2, 0):
+        log.add(leg, "equal", index, {"steps": index + 5})
+    log.add(Leg("set_table", "close"), "equal", 1, {"steps": 9})
+    with path.open("a") as file:
+        file.write('{"acting": "equal", "task": "set_ta')  # killed while it wrote
+    again = Log(path)
+    assert again.missing(leg, "equal", range(4)) == [1, 3] and again.missing(leg, "own", [0]) == [0]
+    assert [row["steps"] for row in again.of(leg, "equal")] == [5, 7]
+    assert [row["steps"] for row in again.of(leg, "equal", [2])] == [7]
+    again.add(leg, "equal", 1, {"steps": 6})
+    assert Log(path).missing(leg, "equal", range(4)) == [3]
+    path.write_text("steps,success\n")
+    with pytest.raises(UsageError, match="is no log of mjhab bench parity"):
+        Log(path)
+
+
+def test_only_what_the_log_lacks_is_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ran: list[tuple[str, str, int]] = []
+
+    def run(name: str) -> Any:
+        def work(leg: Leg, episodes: list[int], done: Any) -> None:
+            for index in episodes:
+                ran.append((name, leg.subtask, index))
+                done(index, record_equal(index) | ({} if name == "equal" else {"success": True, "label": "a",
+                                                                              "reward": 0.5, "taint": []}))  # fmt: skip
+
+        return work
+
+    monkeypatch.setattr(bench_parity, "run_equal", run("equal"))
+    monkeypatch.setattr(bench_parity, "run_own", run("own"))
+    legs, log = [Leg("set_table", name) for name in ("open", "close")], Log(tmp_path / "log")
+    log.add(legs[0], "equal", 0, record_equal(0))
+    bench_parity.run_episodes(legs, 3, log)  # 2 of each: 3 do not divide
+    assert ran == [
+        ("equal", "open", 1), ("equal", "close", 0), ("equal", "close", 1), ("own", "open", 0), ("own", "open", 1),
+        ("own", "close", 0), ("own", "close", 1),
+    ]  # fmt: skip
+    found = bench_parity.shares(log, "own", legs, bench_parity.own_shares)
+    assert list(found) == ["set_table open", "set_table close", "all"] and found["all"]["episodes"] == 4
+
+
+def test_parity_knows_which_subtasks_there_are(capsys: pytest.CaptureFixture[str]) -> None:
+    assert bench_parity.pairs("set_table", "pick") == [("set_table", "pick")]
+    every = bench_parity.pairs("all", "all")
+    assert len(every) == 11 and ("tidy_house", "navigate") in every and ("tidy_house", "open") not in every
+    assert bench_parity.pairs("all", "open") == [("set_table", "open")]
+    for wrong, said in (
+        (["--task", "tidy_house", "--subtask", "open"], "has no subtask 'open'; it has pick, place, navigate"),
+        (["--task", "dishes"], "unknown task 'dishes'"),
+        (["--subtask", "pik"], "unknown subtask 'pik'"),
+    ):
+        with pytest.raises(UsageError, match=said):
+            bench_parity.pairs(**{"task": "set_table", "subtask": "pick"} | _named(wrong))
+    assert main(["bench", "parity", "--worlds", "0"]) == 2
+    assert "--worlds must be at least 1" in capsys.readouterr().err
+
+
+def _named(args: list[str]) -> dict[str, str]:
+    return {name.removeprefix("--"): value for name, value in zip(args[::2], args[1::2], strict=True)}
 
 
 # -- report ----------------------------------------------------------------------------------------------------------

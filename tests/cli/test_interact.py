@@ -90,9 +90,12 @@ def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     rows = list(csv.DictReader((out / "interact.csv").open()))
     assert [(row["worlds"], row["seed"]) for row in rows] == [("1", "1"), ("1", "2"), ("2", "1"), ("2", "2")]
     page = (out / "report.html").read_text(encoding="utf-8")
-    assert "4299.18" in page and "Habitat 2.0" in page
+    assert "4299.18" in page and "Habitat 2.0" in page and 'alt="head and hand' in page
+    assert all(point["physics_ms"] > 0.0 and point["render_ms"] > 0.0 for point in found["points"])
     assert main([*args, "--no-render", "--threads", "1", "--out", str(out)]) == 0
     assert "no cameras" in capsys.readouterr().out
+    assert 'alt="head and hand' not in (out / "report.html").read_text(encoding="utf-8")
+    assert json.loads((out / "interact.json").read_text())["points"][0]["render_ms"] is None
 
 
 @pytest.mark.parametrize(
@@ -114,7 +117,12 @@ def test_pictures_are_drawn_in_every_step_unless_told_not_to(scene: InteractScen
     drawn: list[Any] = []
     draw = run._draw
     assert draw is not None
-    run._draw = lambda: drawn.append(draw())
+
+    def note() -> Any:
+        drawn.append(draw())
+        return drawn[-1]
+
+    run._draw = note
     run.step(0)
     run.step(1)
     assert len(drawn) == 2

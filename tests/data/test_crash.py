@@ -156,10 +156,12 @@ def test_real_kills_at_random_moments(tmp_path: Path, template: EpisodeData) -> 
             _write_until_killed(path, template, write)
         os.close(write)
         assert os.read(read, 1) == b"."
+        # On a busy machine some milliseconds may hold no episode at all: up to two are waited for.
+        waited = [os.read(read, 1) for _ in range(dice.randrange(3))]
         time.sleep(dice.uniform(0.0, 0.05))
         os.kill(child, signal.SIGKILL)
         os.waitpid(child, 0)
-        told = count + len(os.read(read, 1 << 16))
+        told = count + len(waited) + len(os.read(read, 1 << 16))
         os.close(read)
         assert not is_written(path)
         with open_shard(path) as shard:

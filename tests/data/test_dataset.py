@@ -11,10 +11,12 @@ import torch
 from torch.utils.data import DataLoader
 
 from mjhab.core.errors import UsageError
+from mjhab.data import journal
 from mjhab.data.dataset import SeededSampler, WindowDataset
 from mjhab.data.images import ImageFormat
 from mjhab.data.query import Filter
 from mjhab.data.reading import episodes
+from mjhab.data.schema import DamagedError
 from mjhab.data.statistics import Statistics
 from tests.data.fake_world import SIZE, FakeEnv
 from tests.data.make import record
@@ -54,13 +56,51 @@ def test_windows_hold_what_was_before_and_what_comes(source: Path) -> None:
 
 
 def test_normalized_numbers_have_mean_zero_and_come_back(source: Path, tmp_path: Path) -> None:
-    plain, data = WindowDataset(source), WindowDataset(source, normalize=True, cache=tmp_path / "stats.npz")
+    plain, data = WindowDataset(source), WindowDataset(source, normalize="spread", cache=tmp_path / "stats.npz")
     actions = torch.cat([data[i]["action"] for i in range(len(data))]).numpy()
     np.testing.assert_allclose(actions.mean(axis=0), 0, atol=1e-5)
     np.testing.assert_allclose(actions.std(axis=0), 1, atol=1e-4)
     known = Statistics.load(tmp_path / "stats.npz")
     np.testing.assert_allclose(known.restore("action", actions[7]), plain[7]["action"][0], atol=1e-5)
     assert known.low["state"].shape == (5,) and (known.high["state"] >= known.low["state"]).all()
+
+
+def test_normalized_to_a_range(source: Path) -> None:
+    plain, data = WindowDataset(source), WindowDataset(source, normalize="range")
+    actions = torch.cat([data[i]["action"] for i in range(len(data))]).numpy()
+    np.testing.assert_allclose(actions.min(axis=0), -1, atol=1e-5)
+    np.testing.assert_allclose(actions.max(axis=0), 1, atol=1e-5)
+    back = data.statistics.restore("action", actions[7], "range")
+    np.testing.assert_allclose(back, plain[7]["action"][0], atol=1e-5)
+    with pytest.raises(UsageError, match=r"unknown way to normalize 'rang'\. Did you mean 'range'"):
+        WindowDataset(source, normalize="rang")
+
+
+def test_images_of_a_shard_with_a_journal(source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A writer was killed while it put its last episode in place: frames come through HDF5, and are the same."""
+    path = tmp_path / "a.h5"
+    record(path, range(1), FakeEnv(subtask="pick", images=True), images=ImageFormat())
+
+    def killed(fd: int, pages: dict[int, bytes]) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(journal, "_apply", killed)
+        record(path, range(1, 2), FakeEnv(subtask="pick", images=True), images=ImageFormat())
+    assert journal.journal_path(path).exists()
+    pending, whole = WindowDataset(path, images=[DEPTH]), WindowDataset(source, images=[DEPTH])
+    assert len(pending) == 2 * len(whole) // 6
+    for t in (0, len(pending) - 1):
+        assert torch.equal(pending[t][DEPTH], whole[t][DEPTH])
+
+
+def test_a_file_that_was_replaced_is_told(source: Path, tmp_path: Path) -> None:
+    path = tmp_path / "a.h5"
+    record(path, range(1), FakeEnv(subtask="pick", images=True), images=ImageFormat())
+    data = WindowDataset(path, images=[DEPTH])
+    path.write_bytes(bytes(path.stat().st_size))
+    with pytest.raises(DamagedError, match=r"image 3 of fetch_head depth .* Has the file been replaced"):
+        data[3]
 
 
 def test_statistics_are_computed_once_for_the_same_data(

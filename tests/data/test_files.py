@@ -12,7 +12,8 @@ import pytest
 
 from mjhab.core.errors import UsageError
 from mjhab.data.checking import check, repair
-from mjhab.data.hdf5 import dataset, group
+from mjhab.data.episode_data import episode_digest, from_bytes, run_id, to_bytes
+from mjhab.data.hdf5 import dataset, group, read_arrays
 from mjhab.data.reading import Episode, episodes, open_shard, shard_paths
 from mjhab.data.schema import ATTRIBUTES, CHECKS, FIELDS, FORCES, VERSION, DamagedError, field_of
 from mjhab.data.shard import ShardWriter
@@ -72,9 +73,31 @@ def test_foreign_files(tmp_path: Path) -> None:
 def test_other_versions(shard: Path, version: int) -> None:
     with h5py.File(shard, "r+") as file:
         file.attrs["schema"], file.attrs["mjhab"] = version, "9.8"
+    how = "Update mjhab to 9.8 or later" if version > VERSION else "Read it with mjhab 9.8"
+    before = shard.read_bytes()
     for act in (open_shard, ShardWriter, repair, check):
-        with pytest.raises(UsageError, match=rf"schema {version} .* mjhab 9.8; this mjhab reads schema {VERSION}"):
+        with pytest.raises(UsageError, match=rf"schema {version} .* mjhab 9.8; .* reads schema {VERSION}. {how}"):
             act(shard)
+    assert shard.read_bytes() == before
+
+
+def test_what_a_later_version_adds_is_passed_over(shard: Path) -> None:
+    """Names that this version does not know do no harm: that is the rule by which they need no other schema version."""
+    with h5py.File(shard, "r+") as file:
+        runs, episode = group(file, "runs"), group(file, f"episodes/{min(group(file, 'episodes'))}")
+        (run,) = runs
+        values = {**from_bytes(dataset(runs, run)[()]), "weather": "rain"}
+        record_ = {**from_bytes(dataset(episode, "record")[()]), "mood": "good"}
+        del episode["record"]
+        episode["record"], episode["audio/left"] = to_bytes(record_), np.zeros(5)
+        runs[run_id(values)] = to_bytes(values)
+        episode.attrs["run"], episode.attrs["colour"] = run_id(values), "red"
+        episode.attrs["digest"] = episode_digest(read_arrays(episode))
+    assert check(shard).clean and repair(shard).kept == 4
+    with open_shard(shard) as opened:
+        first = next(iter(opened))
+        assert first.record.steps == first.steps and first.run.config["policy"] == {"name": "random"}
+        assert first.array("audio/left").shape == (5,) and first.attributes["colour"] == "red"
 
 
 def test_places(tmp_path: Path, shard: Path) -> None:

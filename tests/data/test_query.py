@@ -27,6 +27,9 @@ GOOD = EpisodeRecord(
 )  # fmt: skip
 
 
+STYLED = dataclasses.replace(GOOD, style={"speed": 0.7, "release": "drop"})
+
+
 def ask(text: str, record: EpisodeRecord = GOOD) -> bool:
     return Filter(text)(record, RUN)
 
@@ -175,3 +178,18 @@ def test_presets() -> None:
     assert not Filter.preset("close_published")(drawer, RUN)
     with pytest.raises(UsageError, match="Did you mean 'pick_paper'"):
         Filter.preset("pickpaper")
+
+
+def test_filters_ask_for_styles():
+    assert ask("style.speed < 0.8 and style.release == 'drop' and style.hold == 0", STYLED)
+    assert ask("style.speed == 1 and style.release in ('place', 'drop') and style.grasp == 'any'", GOOD)
+    for text, column, problem in (
+        ("success and style.spee < 1", 13, "Did you mean 'style.speed'?"),
+        ("style.release == 'dropp'", 18, "Did you mean 'drop'?"),
+        ("style.speed.real < 1", 1, "one point"),
+        ("style < 1", 1, "unknown name 'style'"),
+        ("style.release < 1", 17, "cannot be compared"),
+    ):
+        with pytest.raises(FilterError) as caught:
+            Filter(text)
+        assert caught.value.column == column and problem in str(caught.value)

@@ -133,7 +133,7 @@ def test_without_states_nothing_can_be_rendered_and_the_message_says_so(tmp_path
         assert not episode.problems() and episode.initial()["sim"]["qpos"].shape == (NQ,)
         with pytest.raises(UsageError, match="recorded without states"):
             episode.array("states/qpos")
-        with pytest.raises(UsageError, match=r"no rgb images of fetch_head \(it has: none\).*replay --render"):
+        with pytest.raises(UsageError, match=r"no rgb images of fetch_head \(it has: none\).*recorded without states"):
             episode.frame("fetch_head", "rgb", 0)
         with pytest.raises(UsageError, match="Did you mean 'actions'"):
             episode.array("action")

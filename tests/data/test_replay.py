@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mjhab.cli.main import main
 from mjhab.core.errors import UsageError
 from mjhab.data.checking import check
 from mjhab.data.episode_data import EpisodeData, RunInfo
@@ -19,7 +21,7 @@ from mjhab.data.reading import Episode, open_shard
 from mjhab.data.recorder import Recorder
 from mjhab.data.replay import FOLLOW, render, verify
 from mjhab.data.shard import ShardWriter
-from mjhab.envs import make
+from mjhab.envs import make, make_train
 from mjhab.rollout.loop import rollout
 from mjhab.rollout.policy import RandomPolicy
 
@@ -74,7 +76,7 @@ def test_every_bit_comes_again_in_any_number_of_worlds(recorded: Path, env: Any)
     for maker in (given(env), one_world):
         found = verify(recorded, maker, tell=lambda: told.append(1))
         assert (found.episodes, found.exact, found.max_error) == (3, 3, 0.0)
-        assert not found.wrong and not found.unlike
+        assert not found.wrong and not found.unlike and not found.moved
     assert len(made) == 1 and len(told) == 6
     assert verify(recorded, given(env), Filter("index == 2 and (tainted or not tainted)")).episodes == 1
 
@@ -131,7 +133,7 @@ def test_another_start_is_replaced_by_the_recorded_one(recorded: Path, env: Any,
             assert env.homes[0] == home
             writer.append(resimulated(env, episode))
     found = verify(tmp_path / "a.h5", given(env))
-    assert (found.exact, found.max_error) == (3, 0.0)
+    assert (found.exact, found.max_error, len(found.moved)) == (3, 0.0, 3)
 
 
 def resimulated(env: Any, episode: Episode) -> EpisodeData:
@@ -194,3 +196,22 @@ def test_other_sizes_cameras_and_modalities(recorded: Path, tmp_path: Path) -> N
 def test_what_is_replayed_is_never_written(recorded: Path, env: Any) -> None:
     with pytest.raises(UsageError, match="one of the shards to replay"):
         render(recorded, recorded, given(env), ["fetch_head"], PNG)
+
+
+def test_training_environments_are_built_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Their arrangements come from a pool drawn with the seed of the environment: `make` would begin elsewhere."""
+    path = tmp_path / "train.h5"
+    env = make_train(task="set_table", subtask="open", num_envs=2, autoreset="disabled", seed=5, episode_pool=2)
+    with ShardWriter(path) as writer:
+        recorder = Recorder(writer, env, {"name": "random"})
+        rollout(env, RandomPolicy(0), [0, 1, 2], 3, [recorder], max_steps=STEPS)
+    assert recorder.run.config["maker"] == "make_train" and recorder.run.config["env"]["seed"] == 5
+    assert main(["replay", str(path), "--verify", "--worlds", "2", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["episodes"], found["exact"], found["moved"]) == (3, 3, 0)
+
+    def without_pool(run: RunInfo) -> Any:
+        return make(task="set_table", subtask="open", num_envs=2, autoreset="disabled")
+
+    lost = verify(path, without_pool)
+    assert len(lost.moved) == 3 and lost.exact < 3 and "it cannot begin here: the state is of home" in str(lost.wrong)

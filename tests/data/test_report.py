@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from mjhab.core.errors import UsageError
+from mjhab.data import report_labels
 from mjhab.data.images import ImageFormat
 from mjhab.data.mosaics import EVERY, TILE, mosaic
 from mjhab.data.paper import ORDER, POLICIES, paper_row
@@ -131,3 +132,10 @@ def test_the_page_is_whole(tmp_path: Path) -> None:
     assert "mjhab replay --render adds them" in bare and "<video" not in bare
     with pytest.raises(UsageError, match="no episode passes"):
         render_data_report(tmp_path, FilmWriter, Filter("steps > 1000"))
+
+
+def test_columns_of_every_kind_have_names_of_their_own() -> None:
+    for kind in KIND_NAMES:
+        names = [report_labels._short(label) for label in report_labels.label_order(kind)]
+        assert len(set(names)) == len(names) == len(set(report_labels.label_order(kind)))
+    assert report_labels.label_order("navigate")[0] == "navigation_success"

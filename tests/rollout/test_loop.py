@@ -129,3 +129,17 @@ def test_env_that_resets_to_another_episode_is_caught() -> None:
 
     with pytest.raises(RuntimeError, match="asked for episode 3"):
         rollout(Wrong(1), ZeroPolicy(), [3], seed=0)
+
+
+class Careful(ZeroPolicy):
+    """A policy that is asked to act in one way."""
+
+    def style(self, world: int) -> Mapping[str, Any]:
+        return {"speed": 0.5}
+
+
+def test_the_style_of_a_policy_is_recorded() -> None:
+    (record,) = rollout(FakeEnv(1), Careful(), [3], seed=0)
+    assert record.style == {"speed": 0.5} and EpisodeRecord.from_dict(record.to_dict()) == record
+    (plain,) = rollout(FakeEnv(1), ZeroPolicy(), [3], seed=0)
+    assert plain.style == {} and "style" not in plain.to_dict() and EpisodeRecord.from_dict(plain.to_dict()) == plain

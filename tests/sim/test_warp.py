@@ -9,6 +9,8 @@ import copy
 import importlib
 import os
 import sys
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from types import ModuleType, SimpleNamespace
 from typing import Any, cast
 
@@ -371,6 +373,18 @@ def test_a_teleport_stops_the_robot(shared, cpu: CpuSimulator, layout: Layout) -
 # -- taint -----------------------------------------------------------------------------------------------------------
 
 
+@contextmanager
+def smaller(sim: Any, buffer: str, size: int) -> Iterator[None]:
+    """The engine takes a buffer for smaller than it is; what was captured knows its size."""
+    data = sim.engine.data
+    whole = getattr(data, buffer)
+    setattr(data, buffer, size)
+    sim.engine.graphs.forget()
+    yield
+    setattr(data, buffer, whole)
+    sim.engine.graphs.forget()
+
+
 @pytest.mark.parametrize("buffer", ["naconmax", "naccdmax"])
 def test_trap_overflow_of_contacts_taints_until_the_reset(
     shared, cpu: CpuSimulator, layout: Layout, buffer: str
@@ -383,12 +397,8 @@ def test_trap_overflow_of_contacts_taints_until_the_reset(
     shared.step(ctrl)
     contacts, pairs = int(data.nacon.numpy()[0]), int(shared.engine.pairs_peak.numpy()[0])
     assert pairs < contacts and not shared.taint().any()
-    whole = getattr(data, buffer)
-    setattr(data, buffer, contacts - 1 if buffer == "naconmax" else 1)
-    try:
+    with smaller(shared, buffer, contacts - 1 if buffer == "naconmax" else 1):
         shared.step(ctrl)
-    finally:
-        setattr(data, buffer, whole)
     tainted = [names == {"contact_overflow"} for names in bits_of(shared.taint())]
     # A full contact buffer is everybody's loss; in convex collision the engine knows who lost.
     assert all(tainted) if buffer == "naconmax" else any(tainted)
@@ -408,11 +418,8 @@ def test_trap_overflow_of_pairs_taints_though_the_engine_says_nothing(
     whole, pairs = data.naconmax, int(shared.engine.pairs_peak.numpy()[0])
     assert 1 < pairs < whole and not shared.taint().any()
     shared.reset(range(WORLDS), homes_of(layout), qpos)
-    data.naconmax = pairs - 1
-    try:
+    with smaller(shared, "naconmax", pairs - 1):
         shared.step(ctrl)
-    finally:
-        data.naconmax = whole
     assert not data.overflow.numpy().any()
     assert all(names == {"contact_overflow"} for names in bits_of(shared.taint()))
 
@@ -514,6 +521,35 @@ def test_buffer_sizes_are_measured_once_and_hold_the_stress(
     assert not {"contact_overflow", "constraint_overflow", "nan"} & set().union(*bits_of(shared.taint()))
 
 
+def host_block(size: int, **_: object) -> Any:
+    """Memory on the host in place of memory on a GPU."""
+    block = np.zeros(size, np.uint8)
+    return SimpleNamespace(ptr=block.ctypes.data, block=block)
+
+
+def nullcontext_of(*_: object) -> AbstractContextManager[None]:
+    return nullcontext()
+
+
+def test_trap_captured_work_takes_the_memory_of_its_first_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    # The body of a conditional graph must hold no allocation, and the engine allocates wherever it computes.
+    from mjhab.sim import warp_graphs
+
+    monkeypatch.setattr(warp_graphs.wp, "ScopedAllocator", nullcontext_of)
+    arena = warp_graphs._Arena(cast(Any, SimpleNamespace(is_cuda=True)))
+    monkeypatch.setattr(warp_graphs.wp, "empty", host_block)
+    first = [arena.allocate(size) for size in (64, 64, 128)]
+    assert len(set(first)) == 3
+    for address, size in zip(first, (64, 64, 128), strict=True):
+        arena.deallocate(address, size)
+
+    def refuse(*_: object, **__: object) -> None:
+        raise AssertionError("memory is allocated while work is captured")
+
+    monkeypatch.setattr(warp_graphs.wp, "empty", refuse)
+    assert sorted(arena.allocate(size) for size in (128, 64, 64)) == sorted(first)
+
+
 def test_work_is_captured_once_replayed_and_captured_anew_when_asked(monkeypatch: pytest.MonkeyPatch) -> None:
     from mjhab.sim import warp_graphs
 
@@ -532,6 +568,7 @@ def test_work_is_captured_once_replayed_and_captured_anew_when_asked(monkeypatch
 
     monkeypatch.setattr(warp_graphs.wp, "ScopedCapture", Capture)
     monkeypatch.setattr(warp_graphs.wp, "capture_launch", log.append)
+    monkeypatch.setattr(warp_graphs.wp, "ScopedAllocator", nullcontext_of)
     graphs = warp_graphs.Graphs(cast(Any, SimpleNamespace(is_cuda=True)))
     for _ in range(3):
         graphs.run("step", lambda: log.append("work"))
@@ -540,9 +577,6 @@ def test_work_is_captured_once_replayed_and_captured_anew_when_asked(monkeypatch
     graphs.forget()
     graphs.run("step", lambda: log.append("work"))
     assert log[6:] == first
-    plain = warp_graphs.Graphs(cast(Any, SimpleNamespace(is_cuda=False)))
-    plain.run("step", lambda: log.append("called"))
-    assert log[10:] == ["called"]
 
 
 def test_without_the_engine_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:

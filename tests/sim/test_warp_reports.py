@@ -12,7 +12,6 @@ from mjhab.cli import bench_interact, bench_parity
 from mjhab.cli.gpu_options import BenchParityOptions
 from mjhab.cli.host_twin import HostTwin
 from mjhab.cli.interact_scene import InteractScene, interact_scene
-from mjhab.core.errors import UsageError
 
 if not os.environ.get("CI"):
     # In CI the engine must be there: the tests then fail rather than pass unseen.
@@ -50,9 +49,17 @@ def test_interact_runs_on_warp_as_on_the_cpu(scene: InteractScene) -> None:
     assert runs[0].device_used_mb() is None and runs[0].moved() == []
 
 
-def test_interact_has_no_cameras_on_warp(scene: InteractScene) -> None:
-    with pytest.raises(UsageError, match="no cameras yet; add --no-render"):
-        bench_interact.InteractBench(scene, "warp", 1, render=True, device="cpu")
+def test_interact_draws_the_same_on_both_backends(scene: InteractScene) -> None:
+    found = []
+    for backend in ("warp", "cpu"):
+        run = bench_interact.InteractBench(scene, backend, 2, render=True, device="cpu", threads=1)
+        times, views = bench_interact.stage_times(run, 2)
+        assert min(times["physics_ms"] or 0.0, times["render_ms"] or 0.0) > 0.0
+        found.append(views)
+    warp, cpu = found
+    assert warp["rgb"].shape == (2, 128, 128, 3) and warp["depth"].shape == (2, 128, 128)
+    assert np.median(np.abs(warp["depth"] - cpu["depth"])) < 1e-3
+    assert np.abs(warp["rgb"].astype(float) - cpu["rgb"]).mean() < 2.0
 
 
 def test_parity_of_an_environment(monkeypatch: pytest.MonkeyPatch) -> None:

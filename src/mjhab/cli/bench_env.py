@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import time
 from collections.abc import Callable
 from typing import Any
@@ -11,38 +12,60 @@ import numpy as np
 from mjhab.cli.bench import measure_sps, sway
 from mjhab.cli.env_options import BenchEnvOptions
 from mjhab.cli.output import at_least, print_json, print_table
+from mjhab.sim.backends import resolve
 
 STAGES = ("physics", "measure", "reward", "labels", "render", "observe", "reset", "other")
 
 
 def bench_env(options: BenchEnvOptions) -> int:
-    """Print what `measure_env` finds."""
-    for name in ("worlds", "steps", "rounds", "camera-size"):
+    """Print what `measure` finds."""
+    for name in ("steps", "rounds", "camera-size"):
         at_least(name, getattr(options, name.replace("-", "_")), 1)
+    at_least("worlds", min(options.worlds, default=0), 1)
     at_least("threads", options.threads, 0)
     at_least("seed", options.seed, 0)
-    found = measure_env(options)
+    found = measure(options)
     if options.json:
         print_json(found)
         return 0
-    title = f"{options.env}, {options.obs}, {options.worlds} worlds"
-    rows = [
-        ("environment [control steps/s]", found["env_sps"]),
-        ("bare engine [control steps/s]", found["engine_sps"]),
-        ("environment / engine", found["ratio"]),
-        ("one reset [ms]", found["reset_ms"]),
-        ("memory [MB]", found["rss_mb"]),
-        ("memory per world [MB]", found["world_mb"]),
-        ("cold start [s]", found["cold_start_s"]),
-    ]
-    print_table(title, ("what", "value"), rows)
-    steps = found["profiled_steps"]
-    rows = [(stage, round(1000 * found["stages"][stage] / steps, 3)) for stage in STAGES]
-    print_table("where the time of a step of all worlds goes", ("stage", "ms"), rows)
+    for point in found["points"]:
+        _print(options, found["backend"], point)
     return 0
 
 
-def measure_env(options: BenchEnvOptions) -> dict[str, Any]:
+def measure(options: BenchEnvOptions) -> dict[str, Any]:
+    """Measure every number of worlds, see `measure_env` and, for backend warp, `bench_device.measure_device_env`.
+
+    Returns:
+        The fastest point, "backend", and all "points".
+    """
+    backend = resolve(options.backend)
+    if backend == "warp":
+        from mjhab.cli.bench_device import measure_device_env as work
+    else:
+        work = measure_env
+    points = []
+    for worlds in options.worlds:
+        points.append(work(options, worlds))
+        gc.collect()  # the worlds of this point make room for the next
+    return max(points, key=lambda point: point["env_sps"]) | {"backend": backend, "points": points}
+
+
+def _print(options: BenchEnvOptions, backend: str, point: dict[str, Any]) -> None:
+    names = {
+        "env_sps": "environment [control steps/s]", "engine_sps": "bare engine [control steps/s]",
+        "ratio": "environment / engine", "reset_ms": "one reset [ms]", "rss_mb": "memory [MB]",
+        "world_mb": "memory per world [MB]", "device_mb": "memory of the GPU [MB]", "cold_start_s": "cold start [s]",
+        "tainted": "tainted worlds",
+    }  # fmt: skip
+    rows = [(told, point[name]) for name, told in names.items() if point.get(name) is not None]
+    print_table(f"{options.env}, {options.obs}, {point['worlds']} worlds, {backend}", ("what", "value"), rows)
+    steps = point["profiled_steps"]
+    stages = [(stage, round(1000 * point["stages"][stage] / steps, 3)) for stage in STAGES]
+    print_table("where the time of a step of all worlds goes", ("stage", "ms"), stages)
+
+
+def measure_env(options: BenchEnvOptions, worlds: int) -> dict[str, Any]:
     """Build an environment, time it against its engine, and split the time of its steps into stages.
 
     Returns:
@@ -56,19 +79,19 @@ def measure_env(options: BenchEnvOptions) -> dict[str, Any]:
 
     extra = {"reward_mode": options.reward, "task": options.task}
     env = make_by_id(
-        options.env, num_envs=options.worlds, obs_mode=options.obs, camera_size=options.camera_size,
+        options.env, num_envs=worlds, obs_mode=options.obs, camera_size=options.camera_size,
         assets=options.assets, seed=options.seed, threads=options.threads, autoreset="disabled",
         **{k: v for k, v in extra.items() if v is not None},
     )  # fmt: skip
     env.reset(seed=options.seed)
-    actions = sway(options.worlds, options.steps, options.seed, len(env.action_table))
+    actions = sway(worlds, options.steps, options.seed, len(env.action_table))
     env.step(actions[0])
     cold = time.perf_counter() - begun
     sps = measure_sps(env, options.steps, options.rounds, options.seed)
     stages, reset_ms = profile(env, actions)
     full = resident_mb()
     return {
-        "env_sps": sps["env_sps"], "engine_sps": sps["engine_sps"], "ratio": sps["ratio"], "worlds": options.worlds,
+        "env_sps": sps["env_sps"], "engine_sps": sps["engine_sps"], "ratio": sps["ratio"], "worlds": worlds,
         "stages": stages, "profiled_steps": len(actions), "reset_ms": reset_ms, "rss_mb": full,
         "world_mb": world_mb(env), "cold_start_s": round(cold, 2),
     }  # fmt: skip
@@ -76,7 +99,7 @@ def measure_env(options: BenchEnvOptions) -> dict[str, Any]:
 
 def profile(env: Any, actions: np.ndarray) -> tuple[dict[str, float], float]:
     """Seconds per stage over the steps under ``actions`` (T, W, A) and one reset, and a world's reset [ms]."""
-    watch = _Stopwatch()
+    watch = Stopwatch()
     watch.time(env.sim, "step", "physics")
     watch.time(env, "_sense", "measure")
     watch.time(env, "_measure", "measure")
@@ -90,17 +113,26 @@ def profile(env: Any, actions: np.ndarray) -> tuple[dict[str, float], float]:
     env.reset()
     for action in actions:
         env.step(action)
-    total = time.perf_counter() - begun
+    return stage_seconds(watch, time.perf_counter() - begun, env.num_envs)
+
+
+def stage_seconds(watch: Stopwatch, total: float, num_envs: int) -> tuple[dict[str, float], float]:
+    """Stop a watch: seconds of each of STAGES, of ``total`` [s], and the time of a world's one reset [ms]."""
     seconds = watch.stop()
     seconds["other"] = total - sum(seconds.values())
-    reset_ms = 1000 * seconds.get("reset", 0.0) / env.num_envs
+    reset_ms = 1000 * seconds.get("reset", 0.0) / num_envs
     return {stage: round(seconds.get(stage, 0.0), 5) for stage in STAGES}, round(reset_ms, 3)
 
 
-class _Stopwatch:
-    """Counts the time spent in methods of given objects; time inside another counted method belongs to that one."""
+class Stopwatch:
+    """Counts the time spent in methods of given objects; time inside another counted method belongs to that one.
 
-    def __init__(self) -> None:
+    Args:
+        wait: called at the end of each, for a device that works on while the caller goes on.
+    """
+
+    def __init__(self, wait: Callable[[], None] = lambda: None) -> None:
+        self._wait = wait
         self._seconds: dict[str, float] = {}
         self._inner: list[float] = []
         self._wrapped: list[tuple[Any, str]] = []
@@ -115,6 +147,7 @@ class _Stopwatch:
             try:
                 return original(*args, **kwargs)
             finally:
+                self._wait()
                 spent = time.perf_counter() - begun
                 own = spent - self._inner.pop()
                 self._seconds[stage] = self._seconds.get(stage, 0.0) + own

@@ -6,7 +6,7 @@ import csv
 import json
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -23,11 +23,15 @@ from mjhab.core.arrays import to_numpy
 from mjhab.core.cache import write_atomic
 from mjhab.core.errors import UsageError
 from mjhab.envs.controllers import make_controller
+from mjhab.scenes.fetch import CAMERAS
 from mjhab.sim.backends import open_simulator, resolve
 
 CAMERA_SIZE, OUTPUTS = 128, ("rgb", "depth")
+CAMERA_NAMES = tuple(camera.name for camera in CAMERAS)
 WARM_STEPS = 3
 """Untimed steps: kernels load, graphs are captured."""
+STAGE_STEPS = 80
+"""Steps timed stage by stage after the runs: to where the hand is among the objects, which the report shows."""
 MOVED = 0.01
 """An object farther than this from its start at the end [m] counts as moved."""
 COLUMNS: tuple[str, ...] = (
@@ -41,9 +45,11 @@ COLUMNS: tuple[str, ...] = (
     "device_mb",
     "rss_mb",
 )
-_POINT_KEYS = (
-    "worlds", "sps_mean", "sps_ci95", "reset_and_step_sps", "device_mb", "rss_mb", "moved", "tainted_worlds"
-)  # fmt: skip
+_HEADS = {
+    "worlds": "worlds", "sps_mean": "SPS", "sps_ci95": "± 95 %", "physics_ms": "phys", "render_ms": "render",
+    "device_mb": "GPU MB", "rss_mb": "RSS MB", "moved": "moved", "tainted_worlds": "taint",
+}  # fmt: skip
+Pictures = dict[str, np.ndarray]
 
 
 class InteractBench:
@@ -57,14 +63,12 @@ class InteractBench:
         device, threads: see `open_simulator`.
 
     Raises:
-        UsageError: rendering on the warp backend, or what `open_simulator` refuses.
+        UsageError: what `open_simulator` refuses.
     """
 
     def __init__(
         self, scene: InteractScene, backend: str, worlds: int, *, render: bool, device: str = "", threads: int = 0
     ) -> None:
-        if render and backend == "warp":
-            raise UsageError("the warp backend has no cameras yet; add --no-render.")
         self.scene, self.worlds = scene, worlds
         controller = make_controller(CONTROL_MODE, 1)
         self.sim: Any = open_simulator(
@@ -72,7 +76,7 @@ class InteractBench:
         )
         self._start = np.tile(scene.qpos, (worlds, 1))
         self._homes = [scene.home] * worlds
-        self._draw = self._drawer(threads) if render else None
+        self._draw = self._drawer(backend, threads) if render else None
         self.reset()
         self._offset: Any
         self._moves: Any
@@ -81,7 +85,11 @@ class InteractBench:
             tensor = self.sim.state().robot_q.new_tensor  # on the device: no copy to the host in a step
             self._offset, self._moves = tensor(self._offset), tensor(self._moves)
 
-    def _drawer(self, threads: int) -> Callable[[], object]:
+    def _drawer(self, backend: str, threads: int) -> Callable[[], Mapping[str, Any]]:
+        if backend == "warp":
+            from mjhab.sim.warp_cameras import WarpCameras
+
+            return WarpCameras(self.sim, CAMERA_NAMES, (CAMERA_SIZE, CAMERA_SIZE), OUTPUTS).draw
         from mjhab.sim.home_scene import HomeRenderer
 
         renderer = HomeRenderer(self.sim, threads)
@@ -93,9 +101,16 @@ class InteractBench:
 
     def step(self, number: int) -> None:
         """Control step ``number`` of the recorded ones, with its pictures."""
+        self.move(number)
+        self.draw()
+
+    def move(self, number: int) -> None:
+        """Physics of control step ``number``."""
         self.sim.step(self._offset[number] + self._moves * self.sim.state().robot_q)
-        if self._draw:
-            self._draw()
+
+    def draw(self) -> Mapping[str, Any]:
+        """Pictures of the present state, if any are wanted: "rgb" and "depth", see `HomeRenderer.robot_views`."""
+        return self._draw() if self._draw else {}
 
     def sync(self) -> None:
         """Wait until the device has done all work."""
@@ -146,28 +161,31 @@ def bench_interact(options: BenchInteractOptions) -> int:
     at_least("threads", options.threads, 0)
     if options.steps > STEPS:
         raise UsageError(f"--steps must be at most {STEPS}, as many as are recorded; got {options.steps}.")
-    found, runs = measure_interact(options)
-    write_results(options.out, found, runs)
+    found, runs, pictures = measure_interact(options)
+    write_results(options.out, found, runs, pictures)
     if options.json:
         print_json(found)
         return 0
     kind = "no cameras" if options.no_render else f"2 x {CAMERA_SIZE} x {CAMERA_SIZE} RGB-D"
-    rows = [[len(p[k]) if k == "moved" else p[k] for k in _POINT_KEYS] for p in found["points"]]
-    print_table(f"Interact, {found['backend']} on {found['device']}, {kind}", _POINT_KEYS, rows)
+    rows = [[len(p[k]) if k == "moved" else p[k] for k in _HEADS] for p in found["points"]]
+    print_table(
+        f"Interact, {found['backend']} on {found['device']}, {kind}; stages in ms", tuple(_HEADS.values()), rows
+    )
     print(f"Plot of speed over memory: {options.out / 'report.html'}")
     return 0
 
 
-def measure_interact(options: BenchInteractOptions) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+def measure_interact(options: BenchInteractOptions) -> tuple[dict[str, Any], list[dict[str, Any]], Pictures]:
     """Measure every number of worlds, ``seeds`` times.
 
     Returns:
         The best point, and all ``points`` (mean and 95 % confidence interval of the control steps/s over all worlds;
-        largest memory during the runs; ``moved`` objects; ``tainted_worlds``); and the single runs.
+        largest memory during the runs; ``moved`` objects; ``tainted_worlds``; time of each stage, see `stage_times`);
+        the single runs; and pictures of a world in the midst of it.
     """
     backend, render = resolve(options.backend), not options.no_render
     scene = interact_scene(options.assets)
-    points, runs = [], []
+    points, runs, pictures = [], [], {}
     with progress_bar("interact", len(options.worlds) * options.seeds) as advance:
         for worlds in options.worlds:
             bench = InteractBench(scene, backend, worlds, render=render, device=options.device, threads=options.threads)
@@ -177,12 +195,14 @@ def measure_interact(options: BenchInteractOptions) -> tuple[dict[str, Any], lis
                 mine.append({"worlds": worlds, "seed": seed} | measure_run(bench, options.steps))
                 advance()
             points.append(summarize(mine) | {"moved": bench.moved(), "tainted_worlds": bench.tainted()})
+            stages, pictures = stage_times(bench, min(options.steps, STAGE_STEPS))
+            points[-1] |= stages
             device = str(getattr(bench.sim, "device", "cpu"))
             runs += [{"backend": backend, "device": device, "render": render, **run} for run in mine]
             del bench
     common = {"backend": backend, "device": runs[0]["device"], "render": render, "steps": options.steps}
     best = max(points, key=lambda point: point["sps_mean"])
-    return best | common | {"seeds": options.seeds, "home": scene.home, "points": points}, runs
+    return best | common | {"seeds": options.seeds, "home": scene.home, "points": points}, runs, pictures
 
 
 def warm(bench: InteractBench) -> None:
@@ -212,6 +232,27 @@ def measure_run(bench: InteractBench, steps: int) -> dict[str, Any]:
     }
 
 
+def stage_times(bench: InteractBench, steps: int) -> tuple[dict[str, float | None], Pictures]:
+    """Mean time of a control step of all worlds by stage, "physics_ms" and "render_ms" (None without pictures), each
+    waited for, so that on a GPU they add up to more than a step takes; and what world 0 sees at the end."""
+    spent = {"physics": 0.0, "render": 0.0}
+    bench.reset()
+    bench.sync()
+    images: Mapping[str, Any] = {}
+    for number in range(steps):
+        begun = time.perf_counter()
+        bench.move(number)
+        bench.sync()
+        moved = time.perf_counter()
+        images = bench.draw()
+        bench.sync()
+        spent["physics"] += moved - begun
+        spent["render"] += time.perf_counter() - moved
+    views = {name: to_numpy(image[0]).copy() for name, image in images.items()}
+    times: dict[str, float | None] = {f"{stage}_ms": round(1e3 * total / steps, 2) for stage, total in spent.items()}
+    return times if views else times | {"render_ms": None}, views
+
+
 def summarize(runs: list[dict[str, Any]]) -> dict[str, Any]:
     """Mean and interval of runs with one number of worlds. One run has no interval."""
     sps = np.array([run["sps"] for run in runs])
@@ -228,7 +269,7 @@ def summarize(runs: list[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-def write_results(out: Path, found: dict[str, Any], runs: list[dict[str, Any]]) -> None:
+def write_results(out: Path, found: dict[str, Any], runs: list[dict[str, Any]], pictures: Pictures) -> None:
     """Write interact.json, interact.csv (a row per run) and report.html into a folder."""
 
     def table(path: Path) -> None:
@@ -238,7 +279,7 @@ def write_results(out: Path, found: dict[str, Any], runs: list[dict[str, Any]]) 
             writer.writerows(runs)
 
     text = json.dumps(found, indent=1) + "\n"
-    page = interact_page(found)
+    page = interact_page(found, pictures)
     write_atomic(out / "interact.json", lambda path: path.write_text(text, encoding="utf-8"))
     write_atomic(out / "interact.csv", table)
     write_atomic(out / "report.html", lambda path: path.write_text(page, encoding="utf-8"))

@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
+import dataclasses
+import functools
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
 from mjhab.cli.gpu_options import BenchParityOptions
-from mjhab.cli.host_twin import HostTwin
 from mjhab.cli.output import at_least, print_json, print_table, progress_bar
-from mjhab.core.errors import UsageError
-from mjhab.rollout.loop import rollout
-from mjhab.rollout.records import EpisodeRecord
-from mjhab.rollout.sinks import Sink, StepView
+from mjhab.cli.parity_episodes import KINDS, MARKS, REWARD_TOLERANCE, Leg, Log, Row, run_equal, run_own
+from mjhab.core.errors import UsageError, unknown_name
+from mjhab.envs.config import SUBTASKS_OF_TASK
 from mjhab.sim.backends import cuda_devices, resolve
-from mjhab.sim.protocol import SimState
+from mjhab.tasks.plan import KIND_NAMES
 
-MARKS = (1, 10, 100, 200)
-"""Control steps after which the divergence is printed."""
-KINDS = {"robot": "m or rad", "objects": "m", "turns": "rad", "links": "m or rad"}
-REWARD_TOLERANCE = 0.02
-"""Normalised dense rewards this close agree."""
-NOT_COMPARED = "pictures (the warp backend has no cameras yet), sleep, the order of contacts, spawns and teleports"
+NOT_COMPARED = "pictures (see tests/sim/test_warp_cameras.py), sleep, the order of contacts, spawns and teleports"
 
 
 def bench_parity(options: BenchParityOptions) -> int:
@@ -31,18 +27,20 @@ def bench_parity(options: BenchParityOptions) -> int:
     for name in ("episodes", "threads", "seed"):
         at_least(name, getattr(options, name), 0)
     at_least("grasp-seconds", options.grasp_seconds, 0.0)
-    if options.subtask not in ("pick", "place", "open", "close"):
-        raise UsageError(f"--subtask must be pick, place, open or close, got {options.subtask!r}.")
     found = measure_parity(options)
     if options.json:
         print_json(found)
         return 0
     marks = [f"step {mark}" for mark in found["steps"]]
-    rows = [[f"{kind} [{KINDS[kind]}]", *(f"{x:.2g}" for x in found["qpos_max"][kind])] for kind in KINDS]
-    print_table(f"largest difference in {options.worlds} worlds", ("what", *marks), rows)
-    rows = [[f"{kind} [{KINDS[kind]}]", *(f"{x:.2g}" for x in found["qpos_median"][kind])] for kind in KINDS]
-    print_table("median over the worlds", ("what", *marks), rows)
-    print_table("share that agrees", ("what", "share"), list(found["agree"].items()))
+    for name, title in (("max", "largest difference in any world"), ("median", "median over the worlds")):
+        rows = [[f"{kind} [{KINDS[kind]}]", *(f"{x:.2g}" for x in found[f"qpos_{name}"][kind])] for kind in KINDS]
+        print_table(title, ("what", *marks), rows)
+    for acting, title in (("equal", "the same actions"), ("own", "the expert on each by itself")):
+        legs = found[f"episodes_{acting}"]
+        if legs:
+            print_table(f"share that agrees, {title}", ("what", *next(iter(legs.values()))),
+                        [[name, *shares.values()] for name, shares in legs.items()])  # fmt: skip
+    print_table("agreement", ("what", "share"), list(found["agree"].items()))
     if found["grasps"]:
         rows = [
             [row["object"], *(row[b][key] for b in ("cpu", "warp") for key in ("slip_mm", "dropped"))]
@@ -59,148 +57,142 @@ def measure_parity(options: BenchParityOptions) -> dict[str, Any]:
 
     Returns:
         "steps": the marks; "qpos_max", "qpos_median": {kind: [largest difference in a world, largest and median over
-        worlds, at each mark]}; "agree": shares of worlds (success), of ended subtasks (label), of steps (reward)
-        that agree, from the expert on either backend with ``episodes`` and else from the runs under equal actions;
-        "grasps": see `grasp_parity`.
+        worlds, at each mark]}; "agree": shares of episodes (success), of ended subtasks (label) and of steps (reward)
+        that agree under the same actions; "episodes_equal", "episodes_own": the like for every subtask and for "all",
+        of the expert episodes (see `shares_equal`, `shares_own`), empty without; "grasps": see `grasp_parity`.
+
+    Raises:
+        UsageError: unknown task or subtask, or a log that is none.
     """
     resolve("warp")
     device = options.device or ("cuda:0" if cuda_devices() else "cpu")
-    env, twin = (make_env(options, options.worlds) for _ in range(2))
-    use_warp(twin, device)
-    drift, agree = lockstep(env, twin, options)
-    closed = closed_loop(options, device) if options.episodes else None
+    legs = [
+        Leg(task, subtask, options.seed, options.worlds, options.threads, device)
+        for task, subtask in pairs(options.task, options.subtask)
+    ]
+    log = Log(options.log)
+    drift = run_drift(legs, options.steps, log)
+    run_episodes(legs, options.episodes, log)
+    equal, own = shares(log, "equal", legs, equal_shares), shares(log, "own", legs, own_shares)
+    judged = equal["all"] if equal else equal_shares(drift)
     grasps: list[dict[str, Any]] = []
     if options.grasp_seconds:
         from mjhab.cli.parity_grasp import grasp_parity
 
         grasps = grasp_parity(options.grasp_seconds, device, options.threads, options.seed)
-    marks = [mark for mark in MARKS if mark <= options.steps]
-    table = {
-        f"qpos_{name}": {kind: [float(f"{reduce(drift[mark][kind]):.4g}") for mark in marks] for kind in KINDS}
-        for name, reduce in (("max", np.max), ("median", np.median))
-    }
     return {
-        "device": device, "worlds": options.worlds, "steps": marks, **table, "agree": (closed or agree),
-        "agree_equal_actions": agree, "episodes": options.episodes, "grasps": grasps, "not_compared": NOT_COMPARED,
+        "device": device, "worlds": len(drift), **divergence(drift),
+        "agree": {name: judged[name] for name in ("success", "label", "reward")},
+        "episodes_equal": equal, "episodes_own": own, "grasps": grasps, "not_compared": NOT_COMPARED,
     }  # fmt: skip
 
 
-def make_env(options: BenchParityOptions, worlds: int) -> Any:
-    """An environment on the cpu backend."""
-    from mjhab.envs import make
+def pairs(task: str, subtask: str) -> list[tuple[str, str]]:
+    """Tasks and subtasks that the names stand for, of which "all" stands for all there are.
 
-    return make(
-        task=options.task, subtask=options.subtask, num_envs=worlds, threads=options.threads, seed=options.seed,
-        reward_mode="normalized_dense", autoreset="disabled",
-    )  # fmt: skip
-
-
-def use_warp(env: Any, device: str) -> None:
-    """Put an environment on the warp backend; what tries out states before a reset stays on the CPU."""
-    from mjhab.sim.warp import WarpSimulator
-
-    env.sim = HostTwin(WarpSimulator(env.layout, env.num_envs, device, env.controller.drives), env.sim)
-    env.state = env.sim.state()
-
-
-def lockstep(
-    env: Any, twin: Any, options: BenchParityOptions
-) -> tuple[dict[int, dict[str, np.ndarray]], dict[str, float | None]]:
-    """Run the expert on ``env`` and the same actions on ``twin``.
-
-    Returns:
-        At each mark the difference {kind: (W,)}; and the shares that agree. Worlds whose episode is over on either
-        side count for rewards no more.
+    Raises:
+        UsageError: unknown names, or no such subtask in that task.
     """
-    from mjhab.experts import make_expert
-
-    policy = make_expert(env)
-    worlds = np.arange(env.num_envs)
-    (obs, info), _ = (e.reset(seed=options.seed, options={"episode": worlds}) for e in (env, twin))
-    policy.reset(np.ones(len(worlds), bool))
-    drift: dict[int, dict[str, np.ndarray]] = {}
-    over = np.zeros(len(worlds), bool)
-    close: list[np.ndarray] = []
-    won = np.zeros((2, len(worlds)), bool)
-    labels: list[list[str | None]] = [[None] * len(worlds) for _ in range(2)]
-    with progress_bar("equal actions", options.steps) as advance:
-        for step in range(1, options.steps + 1):
-            actions = np.asarray(policy.act(obs, info), np.float32)
-            mine, theirs = env.step(actions), twin.step(actions)
-            obs, info = mine[0], mine[4]
-            if step in MARKS:
-                drift[step] = difference(env.sim.state(), twin.sim.state())
-            close.append(np.abs(mine[1] - theirs[1])[~over] <= REWARD_TOLERANCE)
-            for side, result in enumerate((mine, theirs)):
-                won[side] |= result[4]["success"] & ~over
-                _note_labels(labels[side], result[4]["ended"], over)
-            over |= mine[2] | mine[3] | theirs[2] | theirs[3]
-            advance()
-    same = [a == b for a, b in zip(*labels, strict=True) if a or b]
-    agree = {"success": share(won[0] == won[1]), "label": share(same), "reward": share(np.concatenate(close))}
-    return drift, agree
+    if task not in (*SUBTASKS_OF_TASK, "all"):
+        raise unknown_name("task", task, (*SUBTASKS_OF_TASK, "all"))
+    if subtask not in (*KIND_NAMES, "all"):
+        raise unknown_name("subtask", subtask, (*KIND_NAMES, "all"))
+    tasks = SUBTASKS_OF_TASK if task == "all" else (task,)
+    found = [(t, s) for t in tasks for s in SUBTASKS_OF_TASK[t] if subtask in ("all", s)]
+    if not found:
+        raise UsageError(f"task {task!r} has no subtask {subtask!r}; it has {', '.join(SUBTASKS_OF_TASK[task])}.")
+    return found
 
 
-def _note_labels(labels: list[str | None], ended: Any, over: np.ndarray) -> None:
-    for world, entry in enumerate(ended):
-        if entry is not None and not over[world]:
-            labels[world] = str(entry["label"])
+def run_drift(legs: list[Leg], steps: int, log: Log) -> list[Row]:
+    """Rows of `run_equal` of as many episodes as there are worlds, ``steps`` long whether they succeed or not."""
+    rows = []
+    for leg in legs:
+        acting, indices = f"drift{steps}", range(leg.worlds)
+        if missing := log.missing(leg, acting, indices):
+            add = functools.partial(log.add, leg, acting)
+            run_equal(dataclasses.replace(leg, whole=True), missing, add, steps)
+        rows += log.of(leg, acting, indices)
+    return rows
 
 
-def difference(a: SimState, b: SimState) -> dict[str, np.ndarray]:
-    """Largest difference (W,) of each kind; turns are angles between orientations of objects."""
-    dot = np.abs((a.object_pose[..., 3:] * b.object_pose[..., 3:]).sum(-1))
-    norms = np.linalg.norm(a.object_pose[..., 3:], axis=-1) * np.linalg.norm(b.object_pose[..., 3:], axis=-1)
-    by_kind = {
-        "robot": np.abs(a.robot_q - b.robot_q),
-        "objects": np.linalg.norm(a.object_pose[..., :3] - b.object_pose[..., :3], axis=-1),
-        "turns": 2 * np.arccos(np.clip(dot / norms, 0.0, 1.0)),
-        "links": np.abs(a.link_q - b.link_q),
+def run_episodes(legs: list[Leg], episodes: int, log: Log) -> None:
+    """Run expert episodes, spread over the legs, under the same actions on both and with the expert by itself."""
+    each = -(-episodes // len(legs))
+    plans = [(leg, acting) for acting in ("equal", "own") for leg in legs]
+    with progress_bar("expert episodes", len(plans) * each) as advance:
+        for leg, acting in plans:
+            missing = log.missing(leg, acting, range(each))
+            for _ in range(each - len(missing)):
+                advance()
+
+            def done(index: int, row: Row, leg: Leg = leg, acting: str = acting) -> None:
+                log.add(leg, acting, index, row)
+                advance()
+
+            if missing:
+                (run_equal if acting == "equal" else run_own)(leg, missing, done)
+
+
+def divergence(rows: Sequence[Row]) -> dict[str, Any]:
+    """ "steps", "qpos_max" and "qpos_median" of rows of `run_equal`: see `measure_parity`."""
+    marks = [mark for mark in MARKS if all(str(mark) in row["drift"] for row in rows)]
+    table = {
+        f"qpos_{name}": {
+            kind: [float(f"{reduce([row['drift'][str(mark)][kind] for row in rows]):.4g}") for mark in marks]
+            for kind in KINDS
+        }
+        for name, reduce in (("max", np.max), ("median", np.median))
     }
-    return {kind: rows.max(axis=1, initial=0.0) for kind, rows in by_kind.items()}
+    return {"steps": marks, **table}
 
 
-class _Returns(Sink):
-    """Sums the rewards of every episode: ``returns`` by episode index."""
+def shares(
+    log: Log, acting: str, legs: Sequence[Leg], reduce: Callable[[Sequence[Any]], dict[str, Any]]
+) -> dict[str, dict[str, Any]]:
+    """``reduce`` of the episodes in the log, for every leg by its name and for "all" of them; empty without any."""
+    found = {f"{leg.task} {leg.subtask}": log.of(leg, acting) for leg in legs}
+    if acting == "own":
+        known = {leg: {row["index"]: row for row in log.of(leg, "equal")} for leg in legs}
+        found = {
+            name: [(known[leg][row["index"]], row) for row in rows]
+            for leg, (name, rows) in zip(legs, found.items(), strict=True)
+        }
+    found = {name: rows for name, rows in found.items() if rows}
+    every = [row for rows in found.values() for row in rows]
+    return {name: reduce(rows) for name, rows in found.items()} | ({"all": reduce(every)} if every else {})
 
-    def __init__(self, num_envs: int) -> None:
-        self.returns: dict[int, float] = {}
-        self._sum = np.zeros(num_envs)
 
-    def on_step(self, env: Any, step: StepView) -> None:
-        """Add the rewards of the worlds in which an episode runs."""
-        self._sum += np.where(step.active, step.reward, 0.0)
-
-    def on_episode_end(self, env: Any, world: int, record: EpisodeRecord) -> None:
-        """Close the sum of a world."""
-        self.returns[record.index] = float(self._sum[world]) / max(1, record.steps)
-        self._sum[world] = 0.0
-
-
-def closed_loop(options: BenchParityOptions, device: str) -> dict[str, float | None]:
-    """Let the expert act on each backend by itself; shares of episodes whose success, label and mean reward agree,
-    and the success rate of each.
+def equal_shares(rows: Sequence[Row]) -> dict[str, Any]:
+    """Of rows of `run_equal`: number of "episodes" and of "steps"; shares that agree of episodes ("success"), of those
+    with a label ("label") and of steps ("reward"); success rates of each; "mean_reward": of episodes in which it
+    agrees; "tainted": on either.
     """
-    from mjhab.experts import make_expert
-
-    records, returns = [], []
-    for backend in ("cpu", "warp"):
-        env = make_env(options, min(options.worlds, options.episodes))
-        if backend == "warp":
-            use_warp(env, device)
-        sums = _Returns(env.num_envs)
-        records.append(rollout(env, make_expert(env), range(options.episodes), options.seed, [sums]))
-        returns.append([sums.returns[record.index] for record in records[-1]])
-    won = [np.array([record.success_once for record in side]) for side in records]
-    labels = [[[s.label for s in record.subtasks] for record in side] for side in records]
-    gap = np.abs(np.subtract(*returns))
+    labels = [row["label"] for row in rows if any(row["label"])]
+    steps = sum(row["steps"] for row in rows)
     return {
-        "success": share(won[0] == won[1]),
-        "label": share([a == b for a, b in zip(*labels, strict=True)]),
-        "reward": share(gap <= REWARD_TOLERANCE),
-        "success_rate_cpu": share(won[0]),
-        "success_rate_warp": share(won[1]),
-    }
+        "episodes": len(rows), "steps": steps,
+        "success": share([row["success"][0] == row["success"][1] for row in rows]),
+        "label": share([a == b for a, b in labels]),
+        "reward": round(sum(row["close"] for row in rows) / max(1, steps), 4),
+        "mean_reward": share([abs(a - b) <= REWARD_TOLERANCE for a, b in (row["reward"] for row in rows)]),
+        "success_cpu": share([row["success"][0] for row in rows]),
+        "success_warp": share([row["success"][1] for row in rows]),
+        "tainted": sum(any(row["taint"]) for row in rows),
+    }  # fmt: skip
+
+
+def own_shares(pairs_of_rows: Sequence[tuple[Row, Row]]) -> dict[str, Any]:
+    """Of episodes (row of `run_equal`, row of `run_own`): the like, with the mean reward of an episode for "reward"."""
+    return {
+        "episodes": len(pairs_of_rows),
+        "success": share([a["success"][0] == b["success"] for a, b in pairs_of_rows]),
+        "label": share([a["label"][0] == b["label"] for a, b in pairs_of_rows]),
+        "reward": share([abs(a["reward"][0] - b["reward"]) <= REWARD_TOLERANCE for a, b in pairs_of_rows]),
+        "success_cpu": share([a["success"][0] for a, _ in pairs_of_rows]),
+        "success_warp": share([b["success"] for _, b in pairs_of_rows]),
+        "tainted": sum(bool(b["taint"]) for _, b in pairs_of_rows),
+    }  # fmt: skip
 
 
 def share(hits: Any) -> float | None:

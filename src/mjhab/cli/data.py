@@ -22,6 +22,7 @@ from mjhab.core.cache import write_atomic
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.data.checking import Repair, check, repair
 from mjhab.data.facts import FACTS, FUNCTIONS, target_of
+from mjhab.data.folders import broken
 from mjhab.data.query import PRESETS, Filter
 from mjhab.data.reading import open_shard, shard_paths
 from mjhab.data.relabel import relabel
@@ -119,7 +120,10 @@ def _report(options: DataReportOptions) -> int:
     where = read_filter(options.where, options.preset)
     with late_bar("films") as begin:
         page = render_data_report(options.places, FilmWriter, where, begin)
-    write_atomic(options.out, lambda path: path.write_text(page, encoding="utf-8"))
+    try:
+        write_atomic(options.out, lambda path: path.write_text(page, encoding="utf-8"))
+    except OSError as error:
+        raise broken(options.out, error) from error
     size = options.out.stat().st_size
     if options.json:
         print_json({"report": str(options.out), "bytes": size})

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from mjhab.cli.options import Assets, Joints, MaybeName, Name, Number, StageMesh, Sub
+from mjhab.cli.options import Assets, Backend, Device, Joints, MaybeName, Name, Number, Numbers, StageMesh, Sub
 
 EnvId = Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ID")]
 
@@ -95,10 +95,14 @@ class BenchEnvOptions:
     """The environment id (see: mjhab envs list)."""
     obs: Name = "state"
     """Observation mode: state, depth, rgb, rgbd, seg, pointcloud, or several joined by +."""
-    worlds: Number = 16
-    """How many worlds step at the same time."""
+    worlds: Numbers = (16,)
+    """Numbers of worlds that step at the same time, measured one after the other."""
+    backend: Backend = "cpu"
+    """cpu: C MuJoCo and the CPU rasterizer; warp: environments on a GPU; auto: warp where there is a CUDA device."""
+    device: Device = ""
+    """Of the warp backend: cuda:0, ... or cpu (slow, for tests); the first CUDA device if absent."""
     threads: Number = 0
-    """Threads of physics and pictures; 0 takes all cores."""
+    """Threads of physics and pictures; 0 takes all cores. Of the cpu backend."""
     camera_size: Number = 128
     """Side of the camera images [px]."""
     reward: MaybeName = None

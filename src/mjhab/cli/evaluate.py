@@ -26,6 +26,7 @@ from mjhab.rollout.report import render_report
 from mjhab.rollout.sinks import Sink, StepView
 from mjhab.rollout.store import RunFolder, StoreSink, check_folder, read_records
 from mjhab.tasks.plan import KIND_NAMES, TASKS
+from mjhab.tasks.style import Styles
 
 POLICIES = ("expert", "random", "zero")
 NAVIGATE_MODES = ("teleport", "drive")
@@ -75,6 +76,9 @@ def check_options(options: EvalOptions) -> None:
     ):
         if given is not None and given not in valid:
             raise unknown_name(kind, given, valid)
+    if options.style and options.policy != "expert":
+        raise UsageError(f"--style is for --policy expert: {options.policy} has no style.")
+    Styles.parse(options.style)
     if options.target is not None and options.subtask is None:
         raise UsageError("--target needs --subtask: a whole task has its targets in its plan.")
     at_least("episodes", options.episodes, 1)
@@ -87,6 +91,9 @@ def check_options(options: EvalOptions) -> None:
 def resolved_config(options: EvalOptions) -> dict[str, Any]:
     """Everything that decides what happens in the episodes, with the versions that simulate them."""
     chosen = {key: value for key, value in asdict(options).items() if key not in NOT_IN_CONFIG}
+    chosen.pop("style")
+    if options.style:
+        chosen["style"] = Styles.parse(options.style).words
     if options.spawns:
         from mjhab.envs.spawn_sets import SpawnSet
 
@@ -146,7 +153,7 @@ def make_policy(options: EvalOptions, env: Any) -> Policy:
         return RandomPolicy(options.seed)
     from mjhab.experts import make_expert
 
-    return make_expert(env)
+    return make_expert(env, Styles.parse(options.style)) if options.style else make_expert(env)
 
 
 def finish(folder: RunFolder, seconds: float, film_problem: str | None, alone: AloneRates | None) -> dict[str, Any]:

@@ -25,6 +25,7 @@ from mjhab.core.errors import UsageError
 from mjhab.data.crew import ALL, Crew, ProcessCrew, Stage, WorkerSpec
 from mjhab.data.generation import Job, Standing, generate
 from mjhab.data.images import ImageFormat
+from mjhab.tasks.style import Styles
 
 TRIES_PER_EPISODE = 20
 """Without --episodes, so many episodes are tried per episode to keep before a quota is given up."""
@@ -78,6 +79,8 @@ def make_job(options: GenerateOptions) -> Job:
     images = None if options.images == NO_IMAGES else ImageFormat(options.rgb)
     _check_images(options)
     config = {key: value for key, value in vars(options).items() if key not in _NOT_IN_CONFIG}
+    # Without a style nothing is said of it: what was made before there were styles can be gone on with.
+    config |= {"style": Styles.parse(options.style).words} if config.pop("style") else {}
     config = {key: str(value) if isinstance(value, Path) else value for key, value in config.items()}
     spec = WorkerSpec(
         functools.partial(build_stage, replace(options, threads=options.threads or max(1, cores() // options.workers))),
@@ -118,6 +121,8 @@ def build_stage(options: GenerateOptions) -> Stage:
     if options.subtask and options.subtask != "navigate":
         targets = (options.target,) if options.target else tuple(valid_targets(env.config, env.layout))
     about: dict[str, Any] = {"name": options.policy}
+    if options.style:
+        about["style"] = Styles.parse(options.style).words
     if options.policy == "random":
         about["seed"] = options.seed
     policy = make_policy(_eval_options(options), env)
@@ -209,7 +214,7 @@ def _check_images(options: GenerateOptions) -> None:
 
 def _eval_options(options: GenerateOptions) -> EvalOptions:
     return EvalOptions(
-        task=options.task, subtask=options.subtask, target=options.target, policy=options.policy, seed=options.seed,
-        split=options.split, navigate=options.navigate, worlds=options.worlds, threads=options.threads,
-        episodes=1 if options.episodes is None else options.episodes,
+        task=options.task, subtask=options.subtask, target=options.target, policy=options.policy, style=options.style,
+        seed=options.seed, split=options.split, navigate=options.navigate, worlds=options.worlds,
+        threads=options.threads, episodes=1 if options.episodes is None else options.episodes,
     )  # fmt: skip

@@ -8,11 +8,8 @@ from typing import Annotated
 
 import tyro
 
-from mjhab.cli.options import Assets, Joints, Name, Number, StageMesh
+from mjhab.cli.options import Assets, Backend, Device, Joints, Name, Number, Numbers, StageMesh
 
-Backend = Annotated[str, tyro.conf.arg(metavar="auto|cpu|warp")]
-Device = Annotated[str, tyro.conf.arg(metavar="DEVICE")]
-Numbers = Annotated[tuple[int, ...], tyro.conf.arg(metavar="N ...")]
 Folder = Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
 
 
@@ -55,20 +52,25 @@ class BenchInteractOptions:
 class BenchParityOptions:
     """How far both simulators drift apart from the same starts under the same actions, and whether they agree.
 
-    Divergence: actions of the expert on the cpu backend, applied to both. Agreement: with --episodes, the expert acts
-    on each backend by itself, and outcomes, labels and returns are compared episode by episode.
+    Divergence: actions of the expert on the cpu backend, applied to both, whatever they lead to. Agreement: with
+    --episodes, whole episodes of the expert, under the same actions on both and with the expert acting on each by
+    itself, whose outcomes, labels and rewards are compared one by one.
+
+    `mjhab bench parity --worlds 8 --task all --subtask all --episodes 200 --log parity.jsonl`
     """
 
     worlds: Number = 4
-    """Starts that are compared: episodes 0 to N-1."""
+    """Starts whose divergence is measured: episodes 0 to N-1 of every subtask; also the worlds stepped together."""
     steps: Number = 200
     """Control steps; divergence is printed after 1, 10, 100 and 200 of them."""
     episodes: Number = 0
-    """Expert episodes on each backend for the agreement of outcomes; 0 judges the --worlds runs alone."""
+    """Expert episodes for the agreement, spread over the subtasks; 0 judges the --worlds runs alone."""
     task: Name = "set_table"
-    """Task whose episodes are used."""
+    """Task whose episodes are used, or all."""
     subtask: Name = "pick"
-    """Subtask: pick, place, open or close."""
+    """Subtask, or all that the task has."""
+    log: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """Finished episodes are kept in this file (JSON lines), and the same command goes on where it was stopped."""
     grasp_seconds: Annotated[float, tyro.conf.arg(metavar="S")] = 5.0
     """How long held objects are shaken on both; 0 leaves the test out."""
     device: Device = ""

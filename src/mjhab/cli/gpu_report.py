@@ -6,25 +6,33 @@ On a machine without a GPU it runs small versions on Warp's CPU device, and the 
 from __future__ import annotations
 
 import dataclasses
+import gc
 import json
 import platform
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from mjhab.cli import bench_env
 from mjhab.cli.bench_interact import measure_interact
 from mjhab.cli.bench_parity import measure_parity
 from mjhab.cli.doctor import cores, gpu_name, installed
+from mjhab.cli.env_options import BenchEnvOptions
 from mjhab.cli.estimate import estimate_rows
 from mjhab.cli.gpu_options import BenchInteractOptions, BenchParityOptions
+from mjhab.cli.gpu_sleep import sleep_cost
 from mjhab.cli.options import DoctorOptions
+from mjhab.cli.parity_episodes import Leg
 from mjhab.core.cache import write_atomic
-from mjhab.core.errors import MjhabError
+from mjhab.core.errors import MjhabError, unknown_name
 from mjhab.sim.backends import cuda_devices, resolve
 
 NO_GPU = "no GPU at hand: these numbers come from Warp's CPU device and say nothing about a GPU"
 GPU_WORLDS, CPU_WORLDS = (64, 256, 1024, 4096, 8192), (1, 16)
+ENV_WORLDS = (256, 512, 1024, 2048, 4096)
+PARITY_LOG = Path("runs/gpu-parity.jsonl")
+"""Finished episodes of the full parity report, which goes on from there when it was stopped."""
 
 
 def machine() -> dict[str, Any]:
@@ -36,30 +44,79 @@ def machine() -> dict[str, Any]:
     }  # fmt: skip
 
 
-def interact_results(has_gpu: bool) -> list[dict[str, Any]]:
+def memory_results(has_gpu: bool) -> dict[str, Any]:
+    """Estimates of `mjhab doctor --estimate`."""
+    return {
+        "estimates": [
+            {"num_envs": count, "obs": obs, "backends": estimate_rows(DoctorOptions(num_envs=count, obs=obs))}
+            for count in (1024, 4096)
+            for obs in ("state", "rgbd")
+        ]
+    }
+
+
+def interact_results(has_gpu: bool) -> dict[str, Any]:
     """The Interact benchmark on both backends; a number of worlds that does not fit gives its error."""
-    cpu = BenchInteractOptions(backend="cpu", seeds=3)
-    warp = BenchInteractOptions(backend="warp", no_render=True)
-    if has_gpu:
-        plans = [dataclasses.replace(warp, worlds=(count,)) for count in GPU_WORLDS]
-    else:
-        plans = [dataclasses.replace(warp, device="cpu", worlds=(2,), seeds=2, steps=40)]
-    plans += [
-        dataclasses.replace(cpu, worlds=(count,), no_render=bare) for bare in (True, False) for count in CPU_WORLDS
+    cpu, warp = BenchInteractOptions(backend="cpu", seeds=3), BenchInteractOptions(backend="warp")
+    counts = GPU_WORLDS if has_gpu else (2,)
+    if not has_gpu:
+        warp = dataclasses.replace(warp, device="cpu", seeds=2, steps=40)
+    plans = [
+        dataclasses.replace(base, worlds=(count,), no_render=bare)
+        for base, several in ((warp, counts), (cpu, CPU_WORLDS))
+        for bare in (True, False)
+        for count in several
     ]
-    return [attempt(lambda plan=plan: measure_interact(plan)[0], f"interact {_words(plan)}") for plan in plans]
+    return {"points": [attempt(lambda plan=plan: measure_interact(plan)[0], _words(plan)) for plan in plans]}
 
 
 def _words(plan: BenchInteractOptions) -> str:
-    return f"{plan.backend}, {plan.worlds[0]} worlds, {'no cameras' if plan.no_render else 'RGB-D'}"
+    return f"interact {plan.backend}, {plan.worlds[0]} worlds, {'no cameras' if plan.no_render else 'RGB-D'}"
+
+
+def env_results(has_gpu: bool) -> dict[str, Any]:
+    """TidyHouse with 30 objects, PickSubtaskTrain with depth and dense reward, on both backends."""
+    base = BenchEnvOptions(task="tidy_house", obs="depth", reward="dense")
+    warp = dataclasses.replace(base, backend="warp")
+    if has_gpu:
+        plans = [dataclasses.replace(warp, worlds=(count,)) for count in ENV_WORLDS]
+    else:
+        plans = [dataclasses.replace(warp, worlds=(2,), device="cpu", steps=10, rounds=2)]
+    plans.append(dataclasses.replace(base, rounds=3))
+    points = [
+        attempt(lambda plan=plan: bench_env.measure(plan)["points"][0], f"env {plan.backend}, {plan.worlds[0]} worlds")
+        for plan in plans
+    ]
+    return {"env": base.env, "task": base.task, "obs": base.obs, "reward": base.reward, "points": points}
+
+
+def sleep_results(has_gpu: bool) -> dict[str, Any]:
+    """What sleep changes and saves: Pick in TidyHouse with 30 objects."""
+    worlds, steps, device = (256, 100, "cuda:0") if has_gpu else (4, 60, "cpu")
+    leg = Leg("tidy_house", "pick", worlds=worlds, device=device)
+    what = {"task": leg.task, "subtask": leg.subtask, "worlds": worlds, "steps": steps}
+    return what | attempt(lambda: {"rows": sleep_cost(leg, steps)}, "sleep")
 
 
 def parity_results(has_gpu: bool) -> dict[str, Any]:
-    """The parity report: 200 expert episodes on a GPU, two starts and no episodes without."""
-    options = BenchParityOptions(worlds=16, episodes=200)
-    if not has_gpu:
-        options = BenchParityOptions(worlds=2, steps=100, grasp_seconds=2.0, device="cpu")
+    """The parity report over all subtasks with 200 expert episodes."""
+    options = BenchParityOptions(
+        worlds=16 if has_gpu else 10, episodes=200, task="all", subtask="all", log=PARITY_LOG
+    )  # fmt: skip
     return attempt(lambda: measure_parity(options), "parity")
+
+
+def quick_parity_results(has_gpu: bool) -> dict[str, Any]:
+    """The parity report of two starts of one subtask."""
+    options = BenchParityOptions(worlds=2, steps=100, episodes=2, grasp_seconds=2.0)
+    return attempt(lambda: measure_parity(options), "parity, quick")
+
+
+MEASURES: dict[str, Callable[[bool], dict[str, Any]]] = {
+    "memory": memory_results, "interact": interact_results, "env": env_results, "sleep": sleep_results,
+    "parity": parity_results, "parity-quick": quick_parity_results,
+}  # fmt: skip
+"""What can be measured: name of the file after "gpu-", and function of whether there is a GPU."""
 
 
 def attempt(work: Callable[[], dict[str, Any]], name: str) -> dict[str, Any]:
@@ -69,31 +126,30 @@ def attempt(work: Callable[[], dict[str, Any]], name: str) -> dict[str, Any]:
         return {"what": name} | work()
     except MjhabError as error:
         return {"what": name, "error": str(error)}
+    finally:
+        gc.collect()  # makes room on the device
 
 
-def main(out: Path) -> None:
-    """Measure and write gpu-interact.json, gpu-parity.json and gpu-memory.json."""
+def main(out: Path, names: Sequence[str] = ()) -> None:
+    """Measure and write gpu-NAME.json for the names of MEASURES.
+
+    Without names: all; the quick parity report in place of the full one, which takes an hour, where there is no GPU.
+    """
     resolve("warp")
+    for name in names:
+        if name not in MEASURES:
+            raise unknown_name("measure", name, MEASURES)
     has_gpu = bool(cuda_devices())
+    left_out = "parity-quick" if has_gpu else "parity"
     head = {"machine": machine(), "note": None if has_gpu else NO_GPU}
-    estimates = [
-        {"num_envs": count, "obs": obs, "backends": estimate_rows(DoctorOptions(num_envs=count, obs=obs))}
-        for count in (1024, 4096)
-        for obs in ("state", "rgbd")
-    ]
-    results = {
-        "memory": lambda: {"estimates": estimates},
-        "interact": lambda: {"points": interact_results(has_gpu)},
-        "parity": lambda: parity_results(has_gpu),
-    }
-    for name, work in results.items():
-        text = json.dumps(head | work(), indent=1) + "\n"
+    for name in names or [name for name in MEASURES if name != left_out]:
+        text = json.dumps(head | MEASURES[name](has_gpu), indent=1) + "\n"
         path = out / f"gpu-{name}.json"
         write_atomic(path, lambda temporary, text=text: temporary.write_text(text, encoding="utf-8"))
-        print(path)
+        print(path, flush=True)
     if not has_gpu:
         print(f"Note: {NO_GPU}.")
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main(Path(sys.argv[1]), sys.argv[2:])

@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
+import base64
+import io
+from collections.abc import Mapping
+from html import escape
 from typing import Any
+
+import numpy as np
+from PIL import Image
 
 from mjhab.rollout.report import render_page
 from mjhab.rollout.report_parts import section
@@ -20,10 +27,10 @@ def interact_figure(found: dict[str, Any]) -> Figure:
     points = sorted(found["points"], key=lambda point: point["worlds"])
     memory = [(p["rss_mb"] if p["device_mb"] is None else p["device_mb"]) / 1024 for p in points]
     ours = {
-        "x": memory, "y": [p["sps_mean"] for p in points], "text": [f"{p['worlds']} worlds" for p in points],
+        "x": memory, "y": [p["sps_mean"] for p in points], "text": [f"W = {p['worlds']:,}" for p in points],
         "error_y": {"type": "data", "array": [p["sps_ci95"] or 0.0 for p in points]}, "type": "scatter",
-        "mode": "lines+markers", "name": f"mjhab, {found['backend']} on {found['device']}",
-        "line": {"color": "#2563eb"},
+        "mode": "lines+markers+text", "textposition": "middle right", "line": {"color": "#2563eb"},
+        "name": f"mjhab, {found['backend']} on {found['device']}",
     }  # fmt: skip
     paper = [
         {
@@ -34,14 +41,19 @@ def interact_figure(found: dict[str, Any]) -> Figure:
     ]  # fmt: skip
     layout = {
         "xaxis": {"title": {"text": "memory [GB]"}, "rangemode": "tozero"},
-        "yaxis": {"title": {"text": "control steps per second, all worlds"}, "type": "log"},
+        "yaxis": {"title": {"text": "control steps per second, all worlds"}, "type": "log", "dtick": 1},
         "height": 460,
     }
     return {"data": [ours, *paper], "layout": layout}
 
 
-def interact_page(found: dict[str, Any]) -> str:
-    """The report: the plot and what it does not say by itself."""
+def interact_page(found: dict[str, Any], pictures: Mapping[str, np.ndarray]) -> str:
+    """The report: the plot, the numbers, what the cameras saw, and what these do not say by themselves.
+
+    Args:
+        found: see ``measure_interact``.
+        pictures: "rgb" (C, h, w, 3) uint8 and "depth" (C, h, w) float32 [m] of one world, or none.
+    """
     cameras = "two 128 x 128 RGB-D pictures in every step" if found["render"] else "no pictures"
     memory = "of the process" if found["points"][0]["device_mb"] is None else "of the GPU, all processes"
     hint = (
@@ -51,5 +63,51 @@ def interact_page(found: dict[str, Any]) -> str:
     )
     if not found["render"]:
         hint += " Without pictures the two do not compare."
-    body = "<h1>Interact benchmark</h1>" + section("Speed over memory", hint, '<div id="interact"></div>')
-    return render_page("Interact benchmark", body, {"plots": {"interact": interact_figure(found)}, "force": []})
+    parts = ["<h1>Interact benchmark</h1>", section("Speed over memory", hint, '<div id="interact"></div>')]
+    parts.append(section("Numbers", _STAGES_HINT, _table(found)))
+    if pictures:
+        parts.append(section("What the cameras see", _VIEWS_HINT, _strip(pictures)))
+    return render_page(
+        "Interact benchmark", "".join(parts), {"plots": {"interact": interact_figure(found)}, "force": []}
+    )
+
+
+_COLUMNS = {
+    "worlds": "worlds", "sps_mean": "control steps/s", "sps_ci95": "± 95 %", "reset_and_step_sps": "with the reset",
+    "physics_ms": "physics [ms]", "render_ms": "pictures [ms]", "device_mb": "GPU [MB]", "rss_mb": "process [MB]",
+    "tainted_worlds": "tainted worlds",
+}  # fmt: skip
+_STAGES_HINT = (
+    "Physics and pictures: time of one control step of all worlds, measured apart after the runs, each waited for."
+)
+_VIEWS_HINT = (
+    "World 0 at the end of those steps: head and hand, colour and depth (black: 0 m, or nothing; white: 3 m and more)."
+)
+_DEPTH_WHITE = 3.0
+_SCALE = 2
+
+
+def _table(found: dict[str, Any]) -> str:
+    def cell(value: Any) -> str:
+        return "-" if value is None else f"{value:,}"
+
+    head = "".join(f'<th class="n">{escape(name)}</th>' for name in _COLUMNS.values())
+    rows = [
+        "".join(f'<td class="n">{cell(point[key])}</td>' for key in _COLUMNS)
+        for point in sorted(found["points"], key=lambda point: point["worlds"])
+    ]
+    body = "".join(f"<tr>{row}</tr>" for row in rows)
+    return f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
+
+
+def _strip(pictures: Mapping[str, np.ndarray]) -> str:
+    """All pictures side by side, twice as large."""
+    tiles = []
+    for rgb, depth in zip(pictures["rgb"], pictures["depth"], strict=True):
+        grey = np.round(255.0 * np.clip(depth / _DEPTH_WHITE, 0.0, 1.0)).astype(np.uint8)
+        tiles += [rgb, np.repeat(grey[..., None], 3, axis=2)]
+    strip = Image.fromarray(np.concatenate(tiles, axis=1))
+    buffer = io.BytesIO()
+    strip.resize((_SCALE * strip.width, _SCALE * strip.height), Image.Resampling.NEAREST).save(buffer, "PNG")
+    data = base64.b64encode(buffer.getvalue()).decode("ascii")
+    return f'<img style="max-width:100%" alt="head and hand, colour and depth" src="data:image/png;base64,{data}">'

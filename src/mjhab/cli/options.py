@@ -12,6 +12,9 @@ Sub = tyro.conf.subcommand
 Number = Annotated[int, tyro.conf.arg(metavar="N")]
 Name = Annotated[str, tyro.conf.arg(metavar="NAME")]
 MaybeName = Annotated[str | None, tyro.conf.arg(metavar="NAME")]
+Numbers = Annotated[tuple[int, ...], tyro.conf.arg(metavar="N ...")]
+Backend = Annotated[str, tyro.conf.arg(metavar="auto|cpu|warp")]
+Device = Annotated[str, tyro.conf.arg(metavar="DEVICE")]
 Assets = Annotated[str, tyro.conf.arg(metavar="builtin|FOLDER")]
 StageMesh = Annotated[Path | None, tyro.conf.arg(metavar="FILE.glb")]
 Joints = Annotated[str | None, tyro.conf.arg(metavar="NAME,NAME")]
@@ -36,6 +39,10 @@ class EvalOptions:
     """With --subtask: the object or link to act on, e.g. 024_bowl or kitchen_counter/drawer3. All of them if absent."""
     policy: Name = "expert"
     """What acts: expert (scripted, knows the state), random or zero (stands still)."""
+    style: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = ()
+    """How the expert acts, e.g. speed=0.5..1.0 grasp=side release=drop noise=0.05; of a range or a list (a,b) every
+    episode draws its own. Names: speed, grasp, release, drop_height, noise, base_noise, noise_kind, hold,
+    dither (see docs/data.md)."""
     episodes: Number = 20
     """How many episodes: those with index 0 to N-1. The same index is the same episode for every policy."""
     worlds: Number = 8

@@ -13,6 +13,7 @@ from mjhab.cli.output import at_least, print_json, print_table, progress_bar
 from mjhab.core.errors import UsageError
 from mjhab.data.episode_data import RunInfo
 from mjhab.data.images import ImageFormat
+from mjhab.data.provenance import TRAIN_MAKER
 from mjhab.data.reading import open_shard, shard_paths
 from mjhab.data.replay import FOLLOW, render, verify
 
@@ -34,12 +35,15 @@ def _verify(options: ReplayOptions) -> int:
         found = verify(options.places, _maker(options), where, advance)
     if options.json:
         error = found.max_error if math.isfinite(found.max_error) else None
-        print_json({"episodes": found.episodes, "exact": found.exact, "max_error": error, "unlike": len(found.unlike)})
+        others = {"unlike": len(found.unlike), "moved": len(found.moved)}
+        print_json({"episodes": found.episodes, "exact": found.exact, "max_error": error, **others})
     else:
         if found.wrong:
             rows = [(name, "yes" if name in found.unlike else "", what) for name, what in found.wrong.items()]
             print_table("Not as recorded", ("episode", "other model", "what differs"), rows[:_MOST_ROWS])
         print(f"{found.exact} of {found.episodes} episodes exact, largest difference {found.max_error:g}")
+        if found.moved:
+            print(f"{len(found.moved)} of them begin elsewhere here and were replayed from the recorded first state.")
         if found.wrong and found.unlike:
             print(
                 "Other model: the home is compiled to another one here than where it was recorded; another version of "
@@ -90,13 +94,15 @@ def _maker(options: ReplayOptions) -> Callable[[RunInfo], Any]:
             sight["cameras"] = robot_cameras
 
     def make_env(run: RunInfo) -> Any:
-        from mjhab.envs import make
+        from mjhab.envs import make, make_train
 
         # Shards tell lists, configurations hold tuples.
         config = {key: tuple(v) if isinstance(v, list) else v for key, v in run.config["env"].items()}
-        missing = Path(str(config.get("episodes_file") or "."))
-        if not missing.exists():
-            raise UsageError(f"the episodes were recorded with the file {missing}, which is not there.")
-        return make(**config, **sight, num_envs=options.worlds, threads=options.threads, autoreset="disabled")
+        for name in ("episodes_file", "spawns"):
+            missing = Path(str(config.get(name) or "."))
+            if not missing.exists():
+                raise UsageError(f"the episodes were recorded with the file {missing} ({name}), which is not there.")
+        build = make_train if run.config.get("maker") == TRAIN_MAKER else make
+        return build(**config, **sight, num_envs=options.worlds, threads=options.threads, autoreset="disabled")
 
     return make_env

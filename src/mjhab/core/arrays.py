@@ -81,6 +81,42 @@ def _count(size: int, xp: ModuleType, device: Any) -> Array:
     return xp.arange(size, device=device)
 
 
+def indices(values: tuple[Any, ...] | Table, like: Array) -> Array:
+    """Return whole numbers as an int64 array on the device of ``like``, kept as by `constant`."""
+    xp = namespace(like)
+    return _constant(values, xp, device_of(like), xp.int64)
+
+
+def zeros(shape: tuple[int, ...], like: Array) -> Array:
+    """New zeros of the library, device and dtype of ``like``."""
+    if type(like) is np.ndarray:
+        return np.zeros(shape, like.dtype)
+    return namespace(like).zeros(shape, dtype=like.dtype, device=device_of(like))
+
+
+def empty(shape: tuple[int, ...], like: Array) -> Array:
+    """A new array to be filled, of the library, device and dtype of ``like``."""
+    if type(like) is np.ndarray:
+        return np.empty(shape, like.dtype)
+    return namespace(like).empty(shape, dtype=like.dtype, device=device_of(like))
+
+
+def between(x: Array, low: Array, high: Array) -> Array:
+    """``x`` moved into [low, high]; all three are arrays, which broadcast."""
+    if type(x) is np.ndarray:
+        return np.clip(x, low, high)
+    xp = namespace(x)
+    return xp.minimum(xp.maximum(x, low), high)
+
+
+def may_hold(mask: Array) -> bool:
+    """Whether ``mask`` holds anywhere, as far as that is free to know: a device is not asked, because it would stall.
+
+    For numpy only work that would be thrown away is skipped by it; elsewhere the answer is always True.
+    """
+    return bool(mask.any()) if type(mask) is np.ndarray else True
+
+
 def pick_column(table: Array, index: Array) -> Array:
     """Return ``table[w, index[w]]`` for every world.
 

@@ -15,7 +15,7 @@ from mjhab.data.journal import committed_length, journal_path, recover
 from mjhab.data.locking import WriteLock
 from mjhab.data.reading import Shard, open_shard, shard_paths
 from mjhab.data.schema import DamagedError
-from mjhab.data.shard import ShardWriter
+from mjhab.data.shard import ShardWriter, StorageError, is_full
 
 
 @dataclass
@@ -101,6 +101,9 @@ def repair(path: Path) -> Repair:
                 if not any(shard.problems(name) for name in shard.names):
                     return Repair(path, pending, len(shard), {}, None)
         return _salvage(path, cut)
+    except OSError as error:
+        what = "the disk is full" if is_full(error) else error.strerror or str(error)
+        raise StorageError(f"cannot repair {path}: {what}. The file was left as it is.") from error
     finally:
         lock.release()
 
@@ -117,12 +120,17 @@ def _salvage(path: Path, cut: bool) -> Repair:
         source = path.with_name(f".{path.name}.padded")
         shutil.copyfile(path, source)
         os.truncate(source, committed_length(path))
+    nothing = DamagedError(f"no episode in {path} can be read; the file was left as it is.")
     try:
-        with Shard(source) as shard:
+        try:
+            shard = Shard(source)
+        except DamagedError as error:
+            raise nothing from error
+        with shard:
             found = {name: shard.problems(name) for name in shard.names}
             names = [name for name, wrong in found.items() if not wrong]
             if not names:
-                raise DamagedError(f"no episode in {path} can be read; the file was left as it is.")
+                raise nothing
 
             def fill(temporary: Path) -> None:
                 with ShardWriter(temporary) as writer:

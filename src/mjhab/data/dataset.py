@@ -6,9 +6,11 @@ The only module of the package that imports torch.
 from __future__ import annotations
 
 import bisect
+import itertools
 import os
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +20,15 @@ from torch.utils.data import Dataset, Sampler
 
 from mjhab.core.errors import UsageError
 from mjhab.core.seeding import stream
+from mjhab.data.images import decode
 from mjhab.data.query import Filter
-from mjhab.data.reading import Shard, open_shard
+from mjhab.data.reading import Episode, open_shard
+from mjhab.data.schema import DamagedError
 from mjhab.data.sets import nothing_passes, select
 from mjhab.data.statistics import Statistics, fingerprint
 
 STATE, ACTION = "state", "action"
-_OPEN = 16
+_OPEN = 64
 """Shards that a process keeps open."""
 
 
@@ -37,7 +41,8 @@ class WindowDataset(Dataset[dict[str, Any]]):
     ``action`` (chunk, A) float32 of steps t to t+chunk-1, the last one repeated after the end;
     ``action_is_pad`` (chunk,) bool; ``episode`` and ``step``.
 
-    States and actions are held in memory; images are read when asked for, by every process from files it opens itself.
+    States and actions are held in memory; images are read from the files when they are asked for. HDF5 is done with
+    when this is made: what workers do needs no open HDF5 file, so they may be forked or spawned.
 
     Args:
         places: shards or folders of them.
@@ -45,7 +50,7 @@ class WindowDataset(Dataset[dict[str, Any]]):
         chunk: actions in a window.
         images: camera images, such as "fetch_head/depth".
         where: which episodes; all of them if None.
-        normalize: give states and actions with mean 0 and spread 1.
+        normalize: "spread" gives states and actions with mean 0 and spread 1, "range" from -1 to 1, "" as they are.
         statistics: those to normalize with, of another set; those of this one if not given.
         cache: file to keep the statistics in; read if it is of this data, else written.
 
@@ -61,7 +66,7 @@ class WindowDataset(Dataset[dict[str, Any]]):
         chunk: int = 1,
         images: Sequence[str] = (),
         where: Filter | None = None,
-        normalize: bool = False,
+        normalize: str = "",
         statistics: Statistics | None = None,
         cache: Path | None = None,
     ) -> None:
@@ -71,32 +76,36 @@ class WindowDataset(Dataset[dict[str, Any]]):
         self._members = select(places, where).matched
         if not self._members:
             raise nothing_passes()
-        self._shards: OrderedDict[Path, Shard] = OrderedDict()
-        self._process = os.getpid()
+        self._files = _Files()
+        self._frames: dict[str, list[_Frames]] = {image: [] for image in self.images}
         self._states: list[np.ndarray] = []
         self._actions: list[np.ndarray] = []
         mark = self._read()
         self._starts: list[int] = np.cumsum([0, *map(len, self._actions)]).tolist()
         self.statistics = statistics or self._statistics(mark, cache)
         if normalize:
-            self._states = [self.statistics.normalize(STATE, values) for values in self._states]
-            self._actions = [self.statistics.normalize(ACTION, values) for values in self._actions]
+            self._states = [self.statistics.normalize(STATE, values, normalize) for values in self._states]
+            self._actions = [self.statistics.normalize(ACTION, values, normalize) for values in self._actions]
 
     def _read(self) -> str:
         digests = []
-        for path, name in self._members:
-            episode = self._shard(path).episode(name)
-            self._states.append(episode.array("obs/state"))
-            self._actions.append(episode.array("actions"))
-            sizes = [each[-1].shape[1] for each in (self._states, self._actions)]
-            if sizes != [each[0].shape[1] for each in (self._states, self._actions)]:
-                raise UsageError(f"episode {name} of {path} has other sizes of state and action than the ones before.")
-            for image in self.images:
-                camera, _, output = image.partition("/")
-                if (camera, output) not in episode.images:
-                    episode.frame(camera, output, 0)
-            digests.append((name, str(episode.attributes["digest"])))
+        for path, names in itertools.groupby(self._members, lambda member: member[0]):
+            with open_shard(path) as shard:
+                for _, name in names:
+                    episode = shard.episode(name)
+                    self._add(episode)
+                    digests.append((name, str(episode.attributes["digest"])))
         return fingerprint(digests)
+
+    def _add(self, episode: Episode) -> None:
+        self._states.append(episode.array("obs/state"))
+        self._actions.append(episode.array("actions"))
+        sizes = [each[-1].shape[1] for each in (self._states, self._actions)]
+        if sizes != [each[0].shape[1] for each in (self._states, self._actions)]:
+            where = f"episode {episode.name} of {episode.shard.path}"
+            raise UsageError(f"{where} has other sizes of state and action than the ones before.")
+        for image, frames in self._frames.items():
+            frames.append(_Frames.of(episode, image))
 
     def _statistics(self, mark: str, cache: Path | None) -> Statistics:
         if cache is not None and cache.exists():
@@ -130,28 +139,68 @@ class WindowDataset(Dataset[dict[str, Any]]):
             "episode": episode,
             "step": t,
         }
-        path, name = self._members[episode]
         for image in self.images:
-            camera, _, output = image.partition("/")
-            source = self._shard(path).episode(name)
-            frames = {step: source.frame(camera, output, step) for step in sorted(set(seen.tolist()))}
+            source = self._frames[image][episode]
+            frames = {step: source.read(step, self._files) for step in sorted(set(seen.tolist()))}
             item[image] = torch.from_numpy(np.stack([frames[step].transpose(2, 0, 1) for step in seen.tolist()]))
         return item
 
-    def _shard(self, path: Path) -> Shard:
-        """A shard open in this process; HDF5 files must not be shared with a parent."""
-        if self._process != os.getpid():
-            self._shards, self._process = OrderedDict(), os.getpid()
-        if path not in self._shards:
-            self._shards[path] = open_shard(path)
-            if len(self._shards) > _OPEN:
-                self._shards.popitem(last=False)[1].close()
-        self._shards.move_to_end(path)
-        return self._shards[path]
-
     def __getstate__(self) -> dict[str, Any]:
         """What a worker process is given: everything but open files."""
-        return {**self.__dict__, "_shards": OrderedDict()}
+        return {**self.__dict__, "_files": _Files()}
+
+
+@dataclass(frozen=True)
+class _Frames:
+    """Where the images of one camera of an episode lie: ``offset`` in the file, and ``ends`` from there on."""
+
+    path: Path
+    name: str
+    camera: str
+    output: str
+    offset: int
+    ends: np.ndarray | None
+
+    @classmethod
+    def of(cls, episode: Episode, image: str) -> _Frames:
+        camera, _, output = image.partition("/")
+        offset, ends = episode.frame_places(camera, output) or (0, None)
+        return cls(episode.shard.path, episode.name, camera, output, offset, ends)
+
+    def read(self, t: int, files: _Files) -> np.ndarray:
+        """The image of state t (H, W, C)."""
+        if self.ends is None:
+            with open_shard(self.path) as shard:
+                return shard.episode(self.name).frame(self.camera, self.output, t)
+        start = int(self.ends[t - 1]) if t else 0
+        try:
+            data = os.pread(files.get(self.path), int(self.ends[t]) - start, self.offset + start)
+            return decode(data, self.output)
+        except (OSError, ValueError) as error:
+            raise DamagedError(
+                f"image {t} of {self.camera} {self.output} in episode {self.name} of {self.path} cannot be read: "
+                f"{error}. Has the file been replaced? See what is wrong with: mjhab data check {self.path}"
+            ) from error
+
+
+class _Files:
+    """Files open for reading. Reads give their place themselves, so processes may share them after a fork."""
+
+    def __init__(self) -> None:
+        self._open: OrderedDict[Path, int] = OrderedDict()
+
+    def get(self, path: Path) -> int:
+        """Descriptor of a file."""
+        if path not in self._open:
+            self._open[path] = os.open(path, os.O_RDONLY)
+            if len(self._open) > _OPEN:
+                os.close(self._open.popitem(last=False)[1])
+        self._open.move_to_end(path)
+        return self._open[path]
+
+    def __del__(self) -> None:
+        for fd in self._open.values():
+            os.close(fd)
 
 
 class SeededSampler(Sampler[int]):

@@ -44,11 +44,16 @@ class RunInfo:
     @property
     def id(self) -> str:
         """Name of the run in a shard: hash of everything in it."""
-        return f"{self.config_id}-{_hash(vars(self))[:8]}"
+        return run_id(vars(self))
 
     def episode_name(self, seed: int, index: int) -> str:
         """Name of the group of an episode."""
         return f"{self.config_id}-{seed}-{index:07d}"
+
+
+def run_id(values: Mapping[str, Any]) -> str:
+    """Name of a run in a shard, of the fields of a `RunInfo` and of whatever else is told there."""
+    return f"{_hash(values['config'])[:8]}-{_hash(dict(values))[:8]}"
 
 
 @dataclass(frozen=True)

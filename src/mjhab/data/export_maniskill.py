@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ import numpy as np
 
 from mjhab.data.facts import target_of
 from mjhab.data.folders import whole_folder
+from mjhab.data.hdf5 import change_file, make_file
 from mjhab.data.hdf5 import group as subgroup
 from mjhab.data.query import Filter
 from mjhab.data.reading import Episode, open_shard
@@ -69,11 +69,11 @@ def export_maniskill(
         raise nothing_passes()
     after = begin(len(found.matched)) if begin else None
     without, files = 0, dict[Path, _File]()
-    with whole_folder(out, "*/*/*.h5", overwrite) as root, ExitStack() as stack:
+    with whole_folder(out, "*/*/*.h5", overwrite) as root:
         for (path, name), record in zip(found.matched, found.records, strict=True):
             place = place_of(record)
             if place not in files:
-                files[place] = stack.enter_context(_File(root / place))
+                files[place] = _File(root / place)
             with open_shard(path) as shard:
                 episode = shard.episode(name)
                 files[place].add(episode)
@@ -100,38 +100,14 @@ class _File:
     def __init__(self, path: Path) -> None:
         self._path = path
         path.parent.mkdir(parents=True, exist_ok=True)
-        self._file = h5py.File(path, "w")
+        make_file(path, {})
         self._episodes: list[dict[str, Any]] = []
         self._runs: dict[str, Any] = {}
-
-    def __enter__(self) -> _File:
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self._file.close()
 
     def add(self, episode: Episode) -> None:
         """Add an episode as the next trajectory."""
         number = len(self._episodes)
-        group = self._file.create_group(f"traj_{number}", track_order=True)
-        obs = group.create_group("obs", track_order=True)
-        for key, values in _observations(episode):
-            *folders, last = key.split("/")
-            parent = obs
-            for folder in folders:
-                if folder not in parent:
-                    parent.create_group(folder, track_order=True)
-                parent = subgroup(parent, folder)
-            squeeze = {"compression": "gzip", "compression_opts": _GZIP} if folders[:1] == ["sensor_data"] else {}
-            parent.create_dataset(last, data=values, **squeeze)
-        ends = np.zeros(episode.steps, bool)
-        ends[-1] = True
-        group["actions"] = episode.array("actions").astype(np.float32)
-        group["terminated"] = ends & episode.terminated
-        group["truncated"] = ends & (not episode.terminated)
-        group["success"] = episode.array("reward/success").astype(bool)
-        group["fail"] = episode.array("reward/fail").astype(bool)
-        group["rewards"] = episode.array("reward/total").astype(np.float32)
+        change_file(self._path, lambda file: _put(file.create_group(f"traj_{number}", track_order=True), episode))
         self._episodes.append(_episode_info(number, episode))
         self._runs.setdefault(episode.run.id, vars(episode.run))
 
@@ -152,6 +128,28 @@ class _File:
             "episodes": self._episodes,
         }
         self._path.with_suffix(".json").write_text(json.dumps(value, indent=2), encoding="utf-8")
+
+
+def _put(group: h5py.Group, episode: Episode) -> None:
+    """Fill the group of a trajectory."""
+    obs = group.create_group("obs", track_order=True)
+    for key, values in _observations(episode):
+        *folders, last = key.split("/")
+        parent = obs
+        for folder in folders:
+            if folder not in parent:
+                parent.create_group(folder, track_order=True)
+            parent = subgroup(parent, folder)
+        squeeze = {"compression": "gzip", "compression_opts": _GZIP} if folders[:1] == ["sensor_data"] else {}
+        parent.create_dataset(last, data=values, **squeeze)
+    ends = np.zeros(episode.steps, bool)
+    ends[-1] = True
+    group["actions"] = episode.array("actions").astype(np.float32)
+    group["terminated"] = ends & episode.terminated
+    group["truncated"] = ends & (not episode.terminated)
+    group["success"] = episode.array("reward/success").astype(bool)
+    group["fail"] = episode.array("reward/fail").astype(bool)
+    group["rewards"] = episode.array("reward/total").astype(np.float32)
 
 
 def _observations(episode: Episode) -> Iterator[tuple[str, np.ndarray]]:

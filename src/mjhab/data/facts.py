@@ -12,6 +12,7 @@ from mjhab.rollout.records import EpisodeRecord
 from mjhab.tasks.events import EVENT_NAMES
 from mjhab.tasks.labels import LABELS
 from mjhab.tasks.plan import KIND_NAMES, TASKS
+from mjhab.tasks.style import NAMES, descriptions, field_words, value_of
 
 NUMBER, TEXT, TRUTH, TEXTS = "a number", "a text", "yes or no", "a list of texts"
 ALL_LABELS: tuple[str, ...] = tuple(dict.fromkeys(name for names in LABELS.values() for name in names))
@@ -85,7 +86,15 @@ _BASE: tuple[Fact, ...] = (
     Fact("events", TEXTS, "names of all events in order", lambda r, _: events_of(r), EVENT_NAMES),
 )  # fmt: skip
 
+
+def _styled(name: str) -> Fact:
+    words = field_words(name)
+    about = f"asked of the expert: {descriptions()[name]}"
+    return Fact(f"style.{name}", TEXT if words else NUMBER, about, lambda r, _: value_of(r.style, name), words)
+
+
 FACTS: dict[str, Fact] = {fact.name: fact for fact in _BASE}
+FACTS |= {f"style.{name}": _styled(name) for name in NAMES}
 FACTS |= {name: _event(name) for name in EVENT_NAMES if name not in FACTS}
 """Every name of the filter language."""
 

@@ -8,9 +8,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import MjhabError, UsageError
 from mjhab.data.locking import WriteLock
-from mjhab.data.shard import StorageError
+from mjhab.data.shard import StorageError, is_full
 
 
 @contextmanager
@@ -27,7 +27,7 @@ def whole_folder(out: Path, mark: str, overwrite: bool) -> Iterator[Path]:
     """
     part, old = (out.with_name(f".{out.name}.{word}") for word in ("part", "old"))
     out.parent.mkdir(parents=True, exist_ok=True)
-    lock = WriteLock(out)
+    lock = WriteLock(out, out)
     try:
         if old.exists() and not out.exists():
             os.replace(old, out)
@@ -40,12 +40,25 @@ def whole_folder(out: Path, mark: str, overwrite: bool) -> Iterator[Path]:
             os.replace(out, old)
         os.replace(part, out)
         shutil.rmtree(old, ignore_errors=True)
-    except OSError as error:
-        what = error.strerror or str(error)
-        raise StorageError(f"cannot write {out}: {what}. Give the same command again when that is mended.") from error
+    except (OSError, MjhabError) as error:
+        # ffmpeg says in words of its own that the disk is full.
+        if isinstance(error, OSError) or is_full(error):
+            raise broken(out, error) from error
+        raise
     finally:
         shutil.rmtree(part, ignore_errors=True)
         lock.release()
+
+
+def broken(out: Path, error: Exception) -> StorageError:
+    """The error for something that is written as a whole and could not be."""
+    if is_full(error):
+        return StorageError(
+            f"cannot write {out}: the disk is full. Nothing of it was left; free some space and give the same command "
+            "again."
+        )
+    what = getattr(error, "strerror", None) or str(error)
+    return StorageError(f"cannot write {out}: {what}. Give the same command again when that is mended.")
 
 
 def _check(out: Path, mark: str, overwrite: bool) -> None:

@@ -327,7 +327,7 @@ def _open_folder(job: Job, resume: bool) -> WriteLock:
     elif there and any(job.out.glob("*.h5")):
         raise UsageError(f"{job.out} holds shards that `mjhab generate` has not made; choose another --out.")
     job.out.mkdir(parents=True, exist_ok=True)
-    lock = WriteLock(path)
+    lock = WriteLock(path, job.out)
     if not path.exists():
         text = json.dumps(config, indent=2) + "\n"
         write_atomic(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))

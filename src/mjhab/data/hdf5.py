@@ -1,14 +1,61 @@
-"""Telling our HDF5 files from others, this version of the schema from others, groups from datasets."""
+"""Telling our HDF5 files from others, this version of the schema from others, groups from datasets; changing files.
+
+HDF5 itself never writes to a disk here: where that is full it fails at places of its own and may take the process
+along.
+"""
 
 from __future__ import annotations
 
+import io
+import os
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
 
+import mjhab
 from mjhab.core.errors import UsageError
+from mjhab.data.journal import Overlay, commit, committed_length
 from mjhab.data.schema import EPISODES, FORMAT, RUNS, VERSION, DamagedError
+
+LIBVER = ("v110", "v110")
+"""File format of HDF5 1.10 (2016): small files, and every reader knows it."""
+
+
+def make_file(path: Path, attributes: Mapping[str, Any], groups: Sequence[str] = ()) -> None:
+    """Write a new HDF5 file with attributes and empty groups to the disk.
+
+    Raises:
+        OSError: the disk is full or broken.
+    """
+    memory = io.BytesIO()
+    with h5py.File(memory, "w", libver=LIBVER) as file:
+        file.attrs.update(attributes)
+        for name in groups:
+            file.create_group(name)
+    with open(path, "wb") as out:
+        out.write(memory.getvalue())
+        out.flush()
+        os.fsync(out.fileno())
+
+
+def change_file(path: Path, fill: Callable[[h5py.File], None]) -> int:
+    """Let ``fill`` change a file of `make_file`, all of it or nothing; returns by how many bytes it has grown.
+
+    Raises:
+        OSError: the disk is full or broken; the file is as before.
+    """
+    fd = os.open(path, os.O_RDONLY)
+    try:
+        overlay = Overlay(fd, committed_length(path))
+        with h5py.File(overlay, "r+", libver=LIBVER) as file:
+            fill(file)
+        commit(path, overlay)
+    finally:
+        os.close(fd)
+    return len(overlay.tail)
 
 
 def check_format(file: h5py.File, path: Path) -> None:
@@ -27,9 +74,16 @@ def check_format(file: h5py.File, path: Path) -> None:
     version = int(file.attrs.get("schema", 0))
     if version != VERSION:
         maker = str(file.attrs.get("mjhab", "?"))
+        if version > VERSION:
+            how = f"Update mjhab to {maker} or later: pip install --upgrade 'mjhab>={maker}'."
+        else:
+            how = (
+                f"Read it with mjhab {maker} in an environment of its own, or record its episodes anew: the same "
+                "options of `mjhab generate` give the same seeds and indices."
+            )
         raise UsageError(
-            f"{path} has schema {version} and was written by mjhab {maker}; this mjhab reads schema {VERSION}. "
-            f"Read it with mjhab {maker}, or record its episodes anew: they are functions of config, seed and index."
+            f"{path} has schema {version} and was written by mjhab {maker}; this is mjhab {mjhab.__version__}, which "
+            f"reads schema {VERSION}. {how}"
         )
     missing = [name for name in (EPISODES, RUNS) if name not in file]
     if missing:

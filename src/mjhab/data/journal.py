@@ -151,7 +151,9 @@ def committed_length(path: Path) -> int:
     if head[:8] != SIGNATURE:
         raise DamagedError(f"{path} is not an HDF5 file: it does not begin with the signature of one.")
     if len(head) < _END_OF_FILE + 8 or head[8] not in (2, 3) or head[9] != 8:
-        raise DamagedError(f"{path} is an HDF5 file of a kind that mjhab does not write.")
+        raise DamagedError(
+            f"{path} is an HDF5 file of a kind that mjhab does not write; give a shard, as `mjhab generate` makes them."
+        )
     return int.from_bytes(head[_END_OF_FILE:], "little")
 
 

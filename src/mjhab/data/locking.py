@@ -16,13 +16,13 @@ def lock_path(path: Path) -> Path:
 
 
 class WriteLock:
-    """Held while a shard is open for writing.
+    """Held while a shard is open for writing, or a folder that ``what`` names is being filled.
 
     Raises:
         UsageError: another process (or this one) is writing the shard.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, what: Path | None = None) -> None:
         self._path = lock_path(path)
         while True:
             self._fd = os.open(self._path, os.O_RDWR | os.O_CREAT, 0o666)
@@ -32,8 +32,8 @@ class WriteLock:
                 owner = os.pread(self._fd, 200, 0).decode(errors="replace").strip()
                 os.close(self._fd)
                 raise UsageError(
-                    f"{path} is being written by {owner or 'another process'}. Wait until it has finished, or write to "
-                    "another file."
+                    f"{what or path} is being written by {owner or 'another process'}. Wait until it has finished, or "
+                    f"write to another {'folder' if what else 'file'}."
                 ) from error
             if self._is_current():
                 break

@@ -23,6 +23,7 @@ EVERY = 4
 """A frame every 4th control step of 20 Hz, played at 20 frames/s: four times the speed of life."""
 TILE = 160
 """Side of an episode's picture [px]."""
+_CAMERAS = {"follow": 0, "fetch_head": 1}
 _GAP = 4
 _FAR = 4000.0
 """Depth shown as black [mm]."""
@@ -65,9 +66,9 @@ def mosaic(members: Sequence[tuple[Path, str]], open_film: OpenFilm) -> Mosaic |
 
 
 def _best(episode: Episode) -> tuple[str, str] | None:
-    """Camera and output to show: colour before depth, the head before the hand."""
+    """Camera and output to show: colour before depth; over the shoulder before the head before the hand."""
     shown = [image for image in episode.images if image[1] in ("rgb", "depth")]
-    return min(shown, key=lambda image: (image[1] != "rgb", image[0] != "fetch_head", image), default=None)
+    return min(shown, key=lambda image: (image[1] != "rgb", _CAMERAS.get(image[0], 2), image), default=None)
 
 
 def _tile(episode: Episode, camera: str, output: str, t: int) -> np.ndarray:

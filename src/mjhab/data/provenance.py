@@ -18,10 +18,13 @@ import mjhab
 from mjhab.data.episode_data import RunInfo
 
 _LIBRARIES = ("mujoco", "mujoco-warp", "numpy", "h5py")
-_FREE = frozenset({"num_envs", "threads", "seed", "autoreset", "render_mode"})
-"""Options of an environment that change nothing in an episode; its seed is kept with each episode."""
+_FREE = frozenset({"num_envs", "threads", "seed", "autoreset", "render_mode", "backend", "device", "starts", "buffers"})
+"""Options of an environment that change nothing in an episode; its seed is kept with each episode. What is recorded
+comes from the CPU: the options of the other backend are not in force."""
 _VIEW = frozenset({"obs_mode", "cameras", "camera_size", "reward_mode", "reward_scales"})
 """Options that change what is seen and said of an episode, not what happens in it."""
+TRAIN_MAKER = "make_train"
+"""``config["maker"]`` of runs in SubtaskTrain environments; the others have none: `mjhab.envs.make` builds them."""
 BUILTIN_LICENCE = "Apache-2.0: homes, furniture and objects made by the code of mjhab"
 
 
@@ -29,15 +32,20 @@ def describe_run(env: Any, policy: Mapping[str, Any], licence: str = "") -> RunI
     """Describe what is about to make episodes.
 
     Args:
-        env: a SequentialTask or SubtaskTrain environment.
+        env: a SequentialTask or SubtaskTrain environment on the CPU.
         policy: its name and every option that changes what it does, as plain JSON data: {"name": "expert", ...}.
         licence: terms of the assets; needed for other assets than the built-in ones.
     """
     options = {name: _plain(value) for name, value in dataclasses.asdict(env.config).items()}
+    config = {"env": {k: v for k, v in options.items() if k not in _FREE | _VIEW}, "policy": dict(policy)}
+    if getattr(env, "trains", False):
+        # Its arrangements come from a pool that is drawn with the seed of the environment.
+        config["env"]["seed"] = options["seed"]
+        config["maker"] = TRAIN_MAKER
     layout = env.layout
     first = env.sim.get_world(0)
     return RunInfo(
-        config={"env": {k: v for k, v in options.items() if k not in _FREE | _VIEW}, "policy": dict(policy)},
+        config=config,
         options={k: v for k, v in options.items() if k in _VIEW},
         versions=versions(),
         commit=source_commit(),

@@ -167,8 +167,8 @@ class _Compiler:
     def _part(self, node: ast.AST) -> _Part:
         maker = {
             ast.BoolOp: self._bool_op, ast.UnaryOp: self._unary, ast.Compare: self._compare, ast.BinOp: self._binary,
-            ast.Name: self._name, ast.Constant: self._constant, ast.Tuple: self._list, ast.List: self._list,
-            ast.Set: self._list, ast.Call: self._call,
+            ast.Name: self._name, ast.Attribute: self._name, ast.Constant: self._constant, ast.Tuple: self._list,
+            ast.List: self._list, ast.Set: self._list, ast.Call: self._call,
         }.get(type(node))  # fmt: skip
         if maker is None:
             raise self._error(node, "only names, numbers, texts, lists, comparisons, + - * /, and, or, not are known")
@@ -248,13 +248,20 @@ class _Compiler:
         rest = f"Did you mean {near[0]!r}?" if near else f"Known: {', '.join(names)}."
         return self._error(node, f"{what} {given!r}. {rest} (`mjhab data fields` explains all names)")
 
-    def _name(self, node: ast.Name) -> _Part:
-        if node.id in _CONSTANTS:
-            return _Part(TRUTH, lambda r, run: _CONSTANTS[node.id])
-        fact = FACTS.get(node.id)
+    def _name(self, node: ast.Name | ast.Attribute) -> _Part:
+        if isinstance(node, ast.Name):
+            name = node.id
+        elif isinstance(node.value, ast.Name):
+            # Not an attribute of anything: the name of a fact with a point in it, as style.speed.
+            name = f"{node.value.id}.{node.attr}"
+        else:
+            raise self._error(node, "only names with one point are known, as in style.speed")
+        if name in _CONSTANTS:
+            return _Part(TRUTH, lambda r, run: _CONSTANTS[name])
+        fact = FACTS.get(name)
         if fact is None:
-            raise self._unknown(node, "unknown name", node.id, FACTS)
-        self.names.add(node.id)
+            raise self._unknown(node, "unknown name", name, FACTS)
+        self.names.add(name)
         return _Part(fact.kind, fact.get, fact)
 
     def _constant(self, node: ast.Constant) -> _Part:

@@ -13,7 +13,7 @@ import h5py
 import numpy as np
 
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.data.episode_data import RunInfo, episode_digest, from_bytes
+from mjhab.data.episode_data import RunInfo, episode_digest, from_bytes, run_id
 from mjhab.data.hdf5 import check_format, dataset, dataset_paths, group, read_arrays
 from mjhab.data.images import decode
 from mjhab.data.journal import Overlay, committed_length, read_journal
@@ -165,14 +165,31 @@ class Episode:
         place = f"images/{camera}/{output}"
         if place not in self._group:
             had = ", ".join(f"{c} {o}" for c, o in self.images) or "none"
-            raise UsageError(
-                f"episode {self.name} has no {output} images of {camera} (it has: {had}). `mjhab replay --render` "
-                "draws them from its states."
-            )
+            how = "`mjhab replay --render` draws them from its states."
+            if "states/qpos" not in self._group:
+                how = "It was recorded without states to draw them from; record it again: `mjhab generate --images`."
+            raise UsageError(f"episode {self.name} has no {output} images of {camera} (it has: {had}). {how}")
         with self._reading():
             ends = dataset(self._group, f"{place}/ends")
             start = int(ends[t - 1]) if t else 0
             return decode(dataset(self._group, f"{place}/bytes")[start : int(ends[t])].tobytes(), output)
+
+    def frame_places(self, camera: str, output: str) -> tuple[int, np.ndarray] | None:
+        """Offset of the first frame in the file and ends (N+1,) of all frames from there on [bytes].
+
+        For those who read many single frames without HDF5, see `images.decode`. None if a journal or a layout that is
+        not contiguous stands in between: then `frame` reads them all the same.
+
+        Raises:
+            UsageError: no such image was recorded.
+        """
+        self.frame(camera, output, 0)
+        with self._reading():
+            place = f"images/{camera}/{output}"
+            offset = dataset(self._group, f"{place}/bytes").id.get_offset()
+            if offset is None or self.shard.journalled:
+                return None
+            return int(offset), dataset(self._group, f"{place}/ends")[()]
 
     def history(self, k: int) -> tuple[int, History]:
         """Index in the plan of the k-th subtask that was reached, and its signals (T+1, 1) bool for `tasks.labels`."""
@@ -186,12 +203,13 @@ class Episode:
         """What is wrong with it, in words: parts that are missing or do not fit, or bytes that have changed."""
         with self._reading():
             arrays = read_arrays(self._group)
-            wrong = problems(arrays, self.steps)
+            wrong = problems(arrays, self.steps, others=True)
             if not wrong and episode_digest(arrays) != self.attributes["digest"]:
                 wrong.append("its bytes are not those that were written (digest)")
             if not wrong and self.record.steps != self.steps:
                 wrong.append(f"its record has {self.record.steps} steps, its group {self.steps}")
-            if not wrong and self.run.id != self.attributes["run"]:
+            name = str(self.attributes["run"])
+            if not wrong and run_id(self.shard.told[name]) != name:
                 wrong.append("what made it (its run) is not what was written")
         return wrong
 
@@ -226,11 +244,22 @@ class Shard:
         self._fd = os.open(self.path, os.O_RDONLY)
         return h5py.File(Overlay(self._fd, journal.after, journal.pages), "r")
 
+    @property
+    def journalled(self) -> bool:
+        """Whether a part of it is in a journal beside the file."""
+        return self._fd >= 0
+
+    @functools.cached_property
+    def told(self) -> dict[str, dict[str, Any]]:
+        """What the file tells of each run, by name; a later version may tell more than a `RunInfo` holds."""
+        runs = group(self.file, RUNS)
+        return {str(name): from_bytes(dataset(runs, str(name))[()]) for name in runs}
+
     @functools.cached_property
     def runs(self) -> dict[str, RunInfo]:
         """What made the episodes, by name."""
-        runs = group(self.file, RUNS)
-        return {str(name): RunInfo(**from_bytes(dataset(runs, str(name))[()])) for name in runs}
+        known = RunInfo.__dataclass_fields__
+        return {name: RunInfo(**{k: v for k, v in run.items() if k in known}) for name, run in self.told.items()}
 
     def episode(self, name: str) -> Episode:
         """One episode by its name.
@@ -299,4 +328,10 @@ def _camera_output(key: str) -> tuple[str, str]:
 def _unreadable(path: Path, error: Exception) -> DamagedError:
     if is_written(path):
         return DamagedError(f"{path} is being written at this moment; try again.")
+    there, whole = path.stat().st_size, committed_length(path)
+    if there < whole:
+        return DamagedError(
+            f"{path} cannot be read: it is cut off, {there:,} of its {whole:,} bytes are there. Copy it again from "
+            f"where it came from, or save the episodes that are whole: mjhab data repair {path}"
+        )
     return DamagedError(f"{path} cannot be read: {error}. Try: mjhab data repair {path}")

@@ -31,13 +31,15 @@ MakeEnv = Callable[[RunInfo], Any]
 @dataclass
 class Verified:
     """``max_error``: largest difference of a position or velocity [m, rad, m/s, rad/s]; infinite if one is not a
-    number. ``wrong``: by episode, what differs. ``unlike``: episodes whose home is compiled to another model here."""
+    number. ``wrong``: by episode, what differs. ``unlike``: episodes whose home is compiled to another model here.
+    ``moved``: episodes that begin elsewhere here; they were replayed from the recorded first state."""
 
     episodes: int = 0
     exact: int = 0
     max_error: float = 0.0
     wrong: dict[str, str] = field(default_factory=dict)
     unlike: list[str] = field(default_factory=list)
+    moved: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -68,12 +70,14 @@ def verify(
     """
     found = Verified()
     for env, batch in _batches(places, make_env, where):
-        for episode, problem, error in _verify_batch(env, batch):
+        for episode, problem, error, moved in _verify_batch(env, batch):
             found.episodes += 1
             found.exact += not problem
             found.max_error = max(found.max_error, error)
             if problem:
                 found.wrong[episode.name] = problem
+            if moved:
+                found.moved.append(episode.name)
             if model_hash(env.sim.model(episode.record.home)) != episode.attributes["model"]:
                 found.unlike.append(episode.name)
             tell()
@@ -106,6 +110,7 @@ class _Comparison:
     def __init__(self, episode: Episode) -> None:
         self.actions = episode.array("actions")
         self.final = episode.record.final_state
+        self.first = episode.initial()["sim"]
         self.states = None
         if "states/qpos" in episode.paths and "states/qvel" in episode.paths:
             self.states = episode.array("states/qpos"), episode.array("states/qvel")
@@ -117,9 +122,7 @@ class _Comparison:
 
     def begins_with(self, state: Mapping[str, np.ndarray]) -> bool:
         """Whether a state is the first one."""
-        return self.states is not None and all(
-            _same_bits(state[name], rows[0]) for name, rows in zip(("qpos", "qvel"), self.states, strict=True)
-        )
+        return all(_same_bits(state[name], self.first[name]) for name in ("qpos", "qvel"))
 
     def compare(self, t: int, state: Mapping[str, np.ndarray], digest: str) -> None:
         """Compare state ``t``."""
@@ -141,10 +144,11 @@ def _same_bits(a: np.ndarray, b: np.ndarray) -> bool:
     return a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes()
 
 
-def _verify_batch(env: Any, batch: list[Episode]) -> list[tuple[Episode, str, float]]:
-    """What is wrong with each of at most W episodes of one config ("" if nothing), and the largest difference."""
+def _verify_batch(env: Any, batch: list[Episode]) -> list[tuple[Episode, str, float, bool]]:
+    """Of each of at most W episodes of one config what is wrong ("" if nothing), the largest difference, and whether
+    it begins elsewhere here."""
     compared = [_Comparison(episode) for episode in batch]
-    _begin(env, batch, compared)
+    moved = _begin(env, batch, compared)
     longest = max(one.steps for one in compared)
     actions = np.zeros((env.num_envs, compared[0].actions.shape[1]), np.float32)
     for t in range(longest + 1):
@@ -155,18 +159,25 @@ def _verify_batch(env: Any, batch: list[Episode]) -> list[tuple[Episode, str, fl
             for world, one in enumerate(compared):
                 actions[world] = one.actions[t] if t < one.steps else 0.0
             env.step(actions)
-    return [(episode, one.problem, one.error) for episode, one in zip(batch, compared, strict=True)]
+    return [
+        (episode, one.problem, one.error, other) for episode, one, other in zip(batch, compared, moved, strict=True)
+    ]
 
 
-def _begin(env: Any, batch: list[Episode], compared: list[_Comparison]) -> None:
-    """Reset worlds to episodes; where the start has another state here, take the recorded one."""
+def _begin(env: Any, batch: list[Episode], compared: list[_Comparison]) -> list[bool]:
+    """Reset worlds to episodes; where the start has another state here, take the recorded one, and say True."""
     mask = np.arange(env.num_envs) < len(batch)
     seeds = [episode.record.seed for episode in batch] + [None] * (env.num_envs - len(batch))
     indices = np.array([episode.record.index for episode in batch])
     env.reset(seed=seeds, options={"episode": indices, "reset_mask": mask})
+    moved = [not one.begins_with(env.sim.get_world(world)) for world, one in enumerate(compared)]
     for world, (episode, one) in enumerate(zip(batch, compared, strict=True)):
-        if not one.begins_with(env.sim.get_world(world)):
-            env.set_state(world, episode.initial())
+        if moved[world]:
+            try:
+                env.set_state(world, episode.initial())
+            except UsageError as error:
+                one.problem = f"it cannot begin here: {error}"
+    return moved
 
 
 def render(

@@ -31,8 +31,8 @@ _LABEL_HINT = (
     "theirs, so this is a comparison of data sets, not of policies."
 )
 _FILM_HINT = (
-    "Episodes by the label of their last subtask, side by side, four times as fast as life, as the robot saw them. An "
-    "episode that has ended stands still."
+    "Episodes by the label of their last subtask, side by side, four times as fast as life, as the camera that is "
+    "named saw them. An episode that has ended stands still."
 )
 _FORCE_HINT = (
     "Contact force on the robot, summed over its links without the fingers, of every subtask. Left: the largest of a "

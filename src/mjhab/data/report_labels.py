@@ -21,6 +21,8 @@ _SHORT = {
     "success_then_dropped": "then dropped",
     "excessive_collision": "collisions",
     "cant_reach_articulation": "cant reach",
+    "navigation_success": "navigated",
+    "navigation_failure": "not navigated",
 }
 """Long labels in a head; the cells have them in full."""
 ALL = "all"
@@ -61,8 +63,9 @@ def _place(group: Group) -> tuple[str | bool, ...]:
 
 
 def label_order(kind: str) -> tuple[str, ...]:
-    """Labels of a kind in the order of the paper's tables; of ours where the paper has none (Navigate)."""
-    return ORDER.get(kind) or LABELS[SubtaskKind(KIND_NAMES.index(kind))]
+    """Labels of a kind in the order of the paper's tables; where it has none (Navigate), successes before failures."""
+    names = LABELS[SubtaskKind(KIND_NAMES.index(kind))]
+    return ORDER.get(kind) or tuple(sorted(names, key=lambda name: (name.endswith("_failure"), "_then_" in name)))
 
 
 def label_table(kind: str, groups: Mapping[Group, Sequence[SubtaskRecord]]) -> str:
@@ -82,8 +85,8 @@ def label_table(kind: str, groups: Mapping[Group, Sequence[SubtaskRecord]]) -> s
 
 
 def _short(label: str) -> str:
-    label = label.removesuffix("_failure").removesuffix("_success")
-    return _SHORT.get(label, label).replace("_", " ")
+    short = label.removesuffix("_failure").removesuffix("_success")
+    return (_SHORT.get(label) or _SHORT.get(short, short)).replace("_", " ")
 
 
 def _our_row(group: Group, members: Sequence[SubtaskRecord], labels: Sequence[str]) -> str:

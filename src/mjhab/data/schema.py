@@ -12,7 +12,8 @@ from mjhab.core.errors import MjhabError
 FORMAT = "mjhab-episodes"
 """Root attribute ``format``: what tells a shard from any other HDF5 file."""
 VERSION = 1
-"""Root attribute ``schema``. It grows with every change that a reader of the old one could not read."""
+"""Root attribute ``schema``. It grows with every change that a reader of the old one could not read. Optional datasets,
+attributes and keys of the JSON can be added without: readers pass over names that they do not know."""
 EPISODES, RUNS = "episodes", "runs"
 STEP_SECONDS = 0.05
 """One control step [s]: control at 20 Hz (MS-HAB paper Sec. 4.1)."""
@@ -77,6 +78,7 @@ ATTRIBUTES: dict[str, str] = {
     "success": "whether the goal was reached at least once",
     "steps": "number N of control steps",
     "ending": "how it ended: success, force_exceeded, place_broken, timeout, or cut (by the caller)",
+    "style": "JSON: how the expert was asked to act in this episode; empty if nothing was asked",
     "digest": "SHA-256 over the record and every dataset",
 }
 """Attributes of an episode group."""
@@ -99,10 +101,11 @@ def field_of(path: str) -> Field | None:
     return None
 
 
-def problems(arrays: Mapping[str, np.ndarray], steps: int) -> list[str]:
+def problems(arrays: Mapping[str, np.ndarray], steps: int, others: bool = False) -> list[str]:
     """What is wrong with the datasets of an episode of ``steps`` actions, in words; empty if nothing is.
 
-    Every field that is not optional must be there, with its type; N actions go with N+1 states.
+    Every field that is not optional must be there, with its type; N actions go with N+1 states. ``others``: datasets
+    that are not of this schema may be there, too: a later version may have added them.
     """
     found = [f"{f.path} is missing" for f in FIELDS if not f.optional and f.path not in arrays]
     count = len(arrays["subtasks/step"]) if "subtasks/step" in arrays else 0
@@ -110,7 +113,7 @@ def problems(arrays: Mapping[str, np.ndarray], steps: int) -> list[str]:
     for path, array in arrays.items():
         field = field_of(path)
         if field is None:
-            found.append(f"{path} is not part of the schema")
+            found += [] if others else [f"{path} is not part of the schema"]
             continue
         if field.dtype != "any" and array.dtype != np.dtype(field.dtype):
             found.append(f"{path} is {array.dtype}, not {field.dtype}")

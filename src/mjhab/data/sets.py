@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -13,9 +14,11 @@ import numpy as np
 
 from mjhab.core.errors import UsageError
 from mjhab.data.facts import target_of
+from mjhab.data.folders import broken
+from mjhab.data.journal import journal_path
 from mjhab.data.query import Filter
 from mjhab.data.reading import Episode, episodes, open_shard, shard_paths
-from mjhab.data.shard import ShardWriter
+from mjhab.data.shard import ShardWriter, StorageError
 from mjhab.rollout.records import EpisodeRecord
 
 GROUPINGS: dict[str, Callable[[Episode], str]] = {
@@ -174,12 +177,33 @@ def split(
         names.add(episode.name)
         groups[GROUPINGS[by](episode)].append((episode.shard.path, episode.name))
     dealt = _deal(groups, parts, seed)
-    for part, path in targets.items():
-        with ShardWriter(path) as writer:
-            for source, members in _by_shard(dealt[part]):
-                with open_shard(source) as shard:
-                    writer.adopt(shard, members)
+    _write_parts({path: dealt[part] for part, path in targets.items()})
     return {part: len(dealt[part]) for part in parts}
+
+
+def _write_parts(dealt: Mapping[Path, Sequence[Place]]) -> None:
+    """Write shards under hidden names, which no command reads, and give them their own when all are complete."""
+    hidden = {path: path.with_name(f".{path.name}") for path in dealt}
+    try:
+        for path, members in dealt.items():
+            _remove(hidden[path])
+            with ShardWriter(hidden[path]) as writer:
+                for source, names in _by_shard(members):
+                    with open_shard(source) as shard:
+                        writer.adopt(shard, names)
+        for path in dealt:
+            os.replace(hidden[path], path)
+    except StorageError as error:
+        cause = error.__cause__
+        raise broken(path, cause) if isinstance(cause, OSError) else error from cause
+    finally:
+        for path in hidden.values():
+            _remove(path)
+
+
+def _remove(path: Path) -> None:
+    path.unlink(missing_ok=True)
+    journal_path(path).unlink(missing_ok=True)
 
 
 def _deal(groups: Mapping[str, list[Place]], parts: Mapping[str, float], seed: int) -> dict[str, list[Place]]:

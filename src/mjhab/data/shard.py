@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -15,8 +16,8 @@ import mjhab
 from mjhab.core.cache import write_atomic
 from mjhab.core.errors import MjhabError, UsageError
 from mjhab.data.episode_data import EpisodeData, RunInfo, episode_digest, record_bytes, to_bytes
-from mjhab.data.hdf5 import check_format, group, read_arrays
-from mjhab.data.journal import Overlay, commit, committed_length, recover, sync_folder
+from mjhab.data.hdf5 import change_file, check_format, group, make_file, read_arrays
+from mjhab.data.journal import recover, sync_folder
 from mjhab.data.locking import WriteLock
 from mjhab.data.schema import COLUMNS, EPISODES, FORMAT, RUNS, VERSION
 from mjhab.rollout.records import EpisodeRecord
@@ -24,8 +25,6 @@ from mjhab.rollout.records import EpisodeRecord
 if TYPE_CHECKING:
     from mjhab.data.reading import Shard
 
-LIBVER = ("v110", "v110")
-"""File format of HDF5 1.10 (2016): small files, and every reader knows it."""
 _GZIP = 4
 _SMALL = 256
 """Arrays of fewer bytes lie in the header of their dataset, uncompressed."""
@@ -151,18 +150,11 @@ class ShardWriter:
     def _change(self, fill: Callable[[h5py.File], None]) -> int:
         if self._lock is None:
             raise UsageError(f"{self.path} has been closed; open it anew to write")
-        fd = os.open(self.path, os.O_RDONLY)
         try:
-            overlay = Overlay(fd, committed_length(self.path))
-            with h5py.File(overlay, "r+", libver=LIBVER) as file:
-                fill(file)
-            commit(self.path, overlay)
+            return change_file(self.path, fill)
         except OSError as error:
             self.close()
             raise _storage_error(self.path, error) from error
-        finally:
-            os.close(fd)
-        return len(overlay.tail)
 
     def close(self) -> None:
         """Let others write; may be called again."""
@@ -197,12 +189,7 @@ def _batches(shard: Shard, names: Sequence[str]) -> Iterator[list[str]]:
 
 
 def _make_empty(path: Path) -> None:
-    with h5py.File(path, "w", libver=LIBVER) as file:
-        file.attrs["format"], file.attrs["schema"], file.attrs["mjhab"] = FORMAT, VERSION, mjhab.__version__
-        file.create_group(EPISODES)
-        file.create_group(RUNS)
-    with open(path, "rb") as file:
-        os.fsync(file.fileno())
+    make_file(path, {"format": FORMAT, "schema": VERSION, "mjhab": mjhab.__version__}, (EPISODES, RUNS))
 
 
 def _put_episode(parent: h5py.Group, data: EpisodeData) -> None:
@@ -213,7 +200,7 @@ def _put_episode(parent: h5py.Group, data: EpisodeData) -> None:
     parent.attrs.update(
         seed=record.seed, index=record.index, run=data.run.id, home=record.home, model=data.model,
         label=last_label(record), success=record.success_once, steps=record.steps, ending=data.ending,
-        digest=episode_digest(arrays),
+        digest=episode_digest(arrays), style=json.dumps(record.style) if record.style else "",
     )  # fmt: skip
 
 
@@ -238,8 +225,14 @@ def _put(parent: h5py.Group, path: str, array: np.ndarray, columns: tuple[str, .
         dataset.attrs[COLUMNS] = ",".join(columns)
 
 
+def is_full(error: Exception) -> bool:
+    """Whether an error, of Python or of a library that tells the number in words alone, says that the disk is full."""
+    number = getattr(error, "errno", None)
+    return number in (errno.ENOSPC, errno.EDQUOT) or os.strerror(errno.ENOSPC) in str(error)
+
+
 def _storage_error(path: Path, error: OSError) -> StorageError:
-    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+    if is_full(error):
         what = "the disk is full. Free some space and give the same command again: it goes on where it stopped"
     else:
         what = f"{error.strerror or error}. Give the same command again when that is mended"

@@ -11,9 +11,12 @@ from pathlib import Path
 import numpy as np
 
 from mjhab.core.cache import write_atomic
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, unknown_name
 
 _FORMAT = "mjhab-statistics-1"
+SPREAD, RANGE = "spread", "range"
+NORMALS = (SPREAD, RANGE)
+"""Ways to normalize: mean 0 and spread 1, or all values from -1 to 1, as diffusion needs it."""
 _LEAST = 1e-3
 """Numbers that hardly change are not blown up: the least spread that is divided by."""
 
@@ -45,16 +48,27 @@ class Statistics:
             parts["high"][name] = np.max([piece.max(axis=0) for piece in pieces], axis=0).astype(np.float32)
         return cls(**parts, fingerprint=fingerprint)
 
-    def normalize(self, name: str, values: np.ndarray) -> np.ndarray:
-        """Values (..., D) with mean 0 and spread 1."""
-        return ((values - self.mean[name]) / self._spread(name)).astype(np.float32)
+    def normalize(self, name: str, values: np.ndarray, how: str = SPREAD) -> np.ndarray:
+        """Values (..., D) with mean 0 and spread 1, or with ``how`` = RANGE from -1 to 1.
 
-    def restore(self, name: str, values: np.ndarray) -> np.ndarray:
+        Raises:
+            UsageError: ``how`` is none of NORMALS.
+        """
+        centre, scale = self._frame(name, how)
+        return ((values - centre) / scale).astype(np.float32)
+
+    def restore(self, name: str, values: np.ndarray, how: str = SPREAD) -> np.ndarray:
         """What was normalized, (..., D)."""
-        return (values * self._spread(name) + self.mean[name]).astype(np.float32)
+        centre, scale = self._frame(name, how)
+        return (values * scale + centre).astype(np.float32)
 
-    def _spread(self, name: str) -> np.ndarray:
-        return np.maximum(self.std[name], _LEAST)
+    def _frame(self, name: str, how: str) -> tuple[np.ndarray, np.ndarray]:
+        if how not in NORMALS:
+            raise unknown_name("way to normalize", str(how), NORMALS)
+        if how == SPREAD:
+            return self.mean[name], np.maximum(self.std[name], _LEAST)
+        low, high = self.low[name], self.high[name]
+        return (low + high) / 2, np.maximum((high - low) / 2, _LEAST)
 
     def save(self, path: Path) -> None:
         """Write them as npz, without pickles, whole or not at all."""

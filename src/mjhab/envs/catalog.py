@@ -7,13 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium
 
-from mjhab.core.errors import unknown_name
+from mjhab.core.errors import UsageError, unknown_name
 from mjhab.envs.config import EnvConfig, TrainConfig
+from mjhab.sim.backends import resolve
 
 if TYPE_CHECKING:
-    from mjhab.envs.sequential import SequentialTaskEnv
+    from gymnasium.vector import VectorEnv
+
+    from mjhab.envs.device.env import DeviceEnv
     from mjhab.envs.single import SingleEnv
-    from mjhab.envs.subtask_train import SubtaskTrainEnv
 
 CHAIN_IDS: dict[str, dict[str, Any]] = {
     "mjhab/TidyHouse-v1": {"task": "tidy_house"},
@@ -32,35 +34,53 @@ TRAIN_IDS: dict[str, dict[str, Any]] = {
 ENV_IDS = {**CHAIN_IDS, **TRAIN_IDS}
 
 
-def make(**options: Any) -> SequentialTaskEnv:
+def make(**options: Any) -> Any:
     """Build a vector environment of a chain, or of one of its subtasks as it is evaluated.
 
     Args:
         **options: fields of `EnvConfig`.
 
+    Returns:
+        A `SequentialTaskEnv`, with backend warp a `DeviceEnv`.
+
     Raises:
         UsageError: unknown option or value; the message lists the valid ones.
     """
+    config = EnvConfig(**_known(options, EnvConfig))
+    if resolve(config.backend) == "warp":
+        return _on_device(config)
     from mjhab.envs.sequential import SequentialTaskEnv
 
-    return SequentialTaskEnv(EnvConfig(**_known(options, EnvConfig)))
+    return SequentialTaskEnv(config)
 
 
-def make_train(**options: Any) -> SubtaskTrainEnv:
+def make_train(**options: Any) -> Any:
     """Build a vector environment in which one subtask is trained.
 
     Args:
         **options: fields of `TrainConfig`.
 
+    Returns:
+        A `SubtaskTrainEnv`, with backend warp a `DeviceEnv`.
+
     Raises:
         UsageError: unknown option or value; the message lists the valid ones.
     """
+    config = TrainConfig(**_known(options, TrainConfig))
+    if resolve(config.backend) == "warp":
+        return _on_device(config)
     from mjhab.envs.subtask_train import SubtaskTrainEnv
 
-    return SubtaskTrainEnv(TrainConfig(**_known(options, TrainConfig)))
+    return SubtaskTrainEnv(config)
 
 
-def make_by_id(env_id: str, **options: Any) -> SequentialTaskEnv:
+def _on_device(config: EnvConfig) -> DeviceEnv:
+    from mjhab.envs.device.env import DeviceEnv
+
+    return DeviceEnv(config)
+
+
+def make_by_id(env_id: str, **options: Any) -> Any:
     """Build the vector environment of a Gymnasium id, e.g. ``"mjhab/SetTable-v1"``."""
     if env_id not in ENV_IDS:
         raise unknown_name("environment id", env_id, ENV_IDS)
@@ -72,10 +92,13 @@ def make_single(*, env_id: str, **options: Any) -> SingleEnv:
     """Build one world of a Gymnasium id as a plain `gymnasium.Env`; entry point of ``gymnasium.make``."""
     from mjhab.envs.single import SingleEnv
 
-    return SingleEnv(make_by_id(env_id, **{**options, "num_envs": 1, "autoreset": "disabled"}))
+    if options.get("backend") == "warp":
+        raise UsageError("one world as a plain gymnasium.Env runs on backend 'cpu'; use gymnasium.make_vec for 'warp'")
+    fixed = {"num_envs": 1, "autoreset": "disabled", "backend": "cpu"}
+    return SingleEnv(make_by_id(env_id, **{**options, **fixed}))
 
 
-def _make_vector(*, env_id: str, **options: Any) -> SequentialTaskEnv:
+def _make_vector(*, env_id: str, **options: Any) -> VectorEnv:
     return make_by_id(env_id, **options)
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.sim.backends import BACKENDS
 from mjhab.tasks.plan import KIND_NAMES, TASKS, SubtaskConfig, TaskConfig
 
 SPLITS = ("train", "val", "test")
@@ -51,6 +52,9 @@ class EnvConfig:
     navigate: of a chain: "teleport" puts the robot near every goal, as the paper does; "drive" leaves the way to the
     policy, and arm and grasp count. Navigate alone is always driven.
     render_mode: "rgb_array" makes ``render()`` give human views.
+    backend: "cpu"; "warp" for the environments on a GPU, `device.DeviceEnv`; "auto" is warp where there is CUDA.
+    device, starts, buffers: of backend warp: the device ("" for the first GPU; "cpu" is slow, for tests); how many
+    precomputed starts worlds draw from (0: by num_envs); other sizes of the engine's buffers (`BufferSizes`).
     """
 
     task: str = "set_table"
@@ -81,6 +85,10 @@ class EnvConfig:
     episodes_file: str = ""
     navigate: str = "teleport"
     render_mode: str | None = ""
+    backend: str = "cpu"
+    device: str = ""
+    starts: int = 0
+    buffers: Mapping[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.target == "all":
@@ -91,6 +99,7 @@ class EnvConfig:
         _known("reward mode", self.reward_mode, ("", *REWARD_MODES))
         _known("navigate mode", self.navigate, NAVIGATE_MODES)
         _known("render mode", self.render_mode or "", RENDER_MODES)
+        _known("backend", self.backend, BACKENDS)
         if self.subtask:
             _known("subtask", self.subtask, KIND_NAMES)
             self._check_subtask()
@@ -109,7 +118,7 @@ class EnvConfig:
             raise UsageError("reward_mode 'pointer' counts the subtasks of a chain; a single one takes 'sparse'.")
 
     def _check_numbers(self) -> None:
-        least = {"num_envs": 1, "threads": 0, "horizon": 0, "episode_pool": 0}
+        least = {"num_envs": 1, "threads": 0, "horizon": 0, "episode_pool": 0, "starts": 0}
         for name, low in least.items():
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int) or value < low:

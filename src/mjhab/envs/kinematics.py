@@ -1,10 +1,11 @@
-"""Batched forward kinematics, Jacobians and damped least-squares steps of a robot tree, in numpy.
+"""Batched forward kinematics, Jacobians and damped least-squares steps of a robot tree, on numpy and torch.
 
 The controllers of the end effector and the scripted experts share it. The tree is given by the caller, so that this
 module knows no robot file. Joint columns follow the order the caller names; for Fetch that is the order of
 ``FETCH_JOINTS``: base x, y, yaw, torso lift, head pan, shoulder pan, ... with the base joints in the world frame.
 
-Letters: N configurations, Q joint columns, L links. Lengths [m], angles [rad], quaternions wxyz.
+Letters: N configurations, Q joint columns, L links. Lengths [m], angles [rad], quaternions wxyz. Results are float64
+for numpy and of the tensor's dtype for torch.
 """
 
 from __future__ import annotations
@@ -16,13 +17,14 @@ from typing import Literal, Protocol
 
 import numpy as np
 
+from mjhab.core.arrays import Array, Table, between, constant, empty, indices, may_hold, namespace, norm3, zeros
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.rotations import quat_from_mat
 
-Array = np.ndarray
-
 DAMPING = 1e-4
 """Least damping of the normal equations; more is added far from the goal, where the linear model is poor."""
+_EYES = {n: Table(tuple(tuple(float(i == k) for k in range(n)) for i in range(n))) for n in range(1, 7)}
+_EYE = _EYES[3]
 
 
 class TreeRow(Protocol):
@@ -177,13 +179,13 @@ class Chain:
 
     def forward(self, q: Array) -> Frames:
         """World frames of every link for ``q`` (N, Q) or (Q,); base columns are world x, y [m] and yaw [rad]."""
-        q = np.atleast_2d(np.asarray(q, dtype=np.float64))
-        count, n_links = len(q), len(self.links)
-        pos = np.empty((count, n_links, 3))
-        axes = np.empty((count, n_links, 3, 3))  # [n, link, axis, xyz]: rows are the link axes
-        pos[:, 0] = (0.0, 0.0, self.root_height)
-        axes[:, 0] = np.eye(3)
-        cos, sin = np.cos(q), np.sin(q)
+        q = _rows(q)
+        xp, count, n_links = namespace(q), len(q), len(self.links)
+        pos = empty((count, n_links, 3), q)
+        axes = empty((count, n_links, 3, 3), q)  # [n, link, axis, xyz]: rows are the link axes
+        pos[:, 0] = constant((0.0, 0.0, self.root_height), q)
+        axes[:, 0] = constant(_EYE, q)
+        cos, sin = xp.cos(q), xp.sin(q)
         for i, joint in enumerate(self.joints):
             up, link, col = self.parent[i], i + 1, self.column[i]
             point = pos[:, up]
@@ -215,31 +217,36 @@ class Chain:
             q: (N, Q) or (Q,).
             frames: the result of `forward` for the same ``q`` if it is at hand.
         """
-        q = np.atleast_2d(np.asarray(q, dtype=np.float64))
+        q = _rows(q)
         frames = self.forward(q) if frames is None else frames
-        links, axes, signs, columns, turns = self._tip_movers
+        where, movers = namespace(q).where, self._tip_movers
+        links, axes, columns = (indices(values, q) for values in movers[:3])
+        signs, turns = constant(movers[3], q), constant(movers[4], q) > 0.5
         axis = signs * frames.rot[:, links, :, axes].swapaxes(0, 1)
         arm = frames.pos[:, self.tip_index, None] - frames.pos[:, links]
-        jac = np.zeros((len(q), 6, self.size))
-        jac[:, :3, columns] = np.where(turns, _cross(axis, arm), axis).swapaxes(1, 2)
-        jac[:, 3:, columns] = np.where(turns, axis, 0.0).swapaxes(1, 2)
+        jac = zeros((len(q), 6, self.size), q)
+        jac[:, :3, columns] = where(turns, _cross(axis, arm), axis).swapaxes(1, 2)
+        jac[:, 3:, columns] = where(turns, axis, 0.0).swapaxes(1, 2)
         return jac
 
     @cached_property
-    def _tip_movers(self) -> tuple[Array, Array, Array, Array, Array]:
-        """Link, axis number, sign (K, 1), column and "it turns" (K, 1) of the K joints that move the tip."""
+    def _tip_movers(self) -> tuple[Table, Table, Table, Table, Table]:
+        """Link, axis number, column, sign (K, 1) and "it turns" (K, 1) of the K joints that move the tip."""
         joints = [self.joints[i] for i in self.tip_joints]
-        signs = np.array([[joint.sign] for joint in joints])
-        turns = np.array([[joint.kind == "hinge"] for joint in joints])
-        links, columns = np.array(self.tip_joints) + 1, np.array([self.column[i] for i in self.tip_joints])
-        return links, np.array([joint.axis for joint in joints]), signs, columns, turns
+        return (
+            Table(tuple(i + 1 for i in self.tip_joints)),
+            Table(tuple(joint.axis for joint in joints)),
+            Table(tuple(self.column[i] for i in self.tip_joints)),
+            Table(tuple((joint.sign,) for joint in joints)),
+            Table(tuple((float(joint.kind == "hinge"),) for joint in joints)),
+        )
 
-    def clip(self, q: Array) -> Array:
+    def clip(self, q: np.ndarray) -> np.ndarray:
         """``q`` moved into the joint limits."""
         return np.clip(q, self.lower, self.upper)
 
 
-def in_base(base_pose: Array, points: Array) -> Array:
+def in_base(base_pose: np.ndarray, points: np.ndarray) -> np.ndarray:
     """World points (N, 3) in the frame of base poses (N, 3: x, y, yaw), heights still above the floor."""
     yaw = base_pose[:, 2]
     dx, dy = points[:, 0] - base_pose[:, 0], points[:, 1] - base_pose[:, 1]
@@ -247,30 +254,31 @@ def in_base(base_pose: Array, points: Array) -> Array:
     return np.stack([c * dx + s * dy, c * dy - s * dx, points[:, 2]], axis=1)
 
 
-def wrap(angle: Array | float) -> Array:
+def wrap(angle: np.ndarray | float) -> np.ndarray:
     """Angles moved to [-pi, pi)."""
     return (np.asarray(angle) + np.pi) % (2 * np.pi) - np.pi
 
 
 def rotation_vector(rot: Array) -> Array:
     """Rotation vectors (..., 3) [rad], length in [0, pi], of rotation matrices (..., 3, 3)."""
-    quat = quat_from_mat(rot)
-    sin_half = np.linalg.norm(quat[..., 1:], axis=-1)
-    angle = 2 * np.arctan2(sin_half, quat[..., 0])
-    scale = np.where(sin_half > 1e-9, angle / np.maximum(sin_half, 1e-12), 2.0)
+    xp, quat = namespace(rot), quat_from_mat(rot)
+    sin_half = norm3(quat[..., 1:])
+    angle = 2 * xp.atan2(sin_half, quat[..., 0])
+    scale = xp.where(sin_half > 1e-9, angle / xp.maximum(sin_half, constant((1e-12,), sin_half)), 2.0)
     return quat[..., 1:] * scale[..., None]
 
 
 def rotate(vector: Array) -> Array:
     """Rotation matrices (N, 3, 3) of rotation vectors (N, 3) [rad]."""
-    angle = np.linalg.norm(vector, axis=-1)[:, None, None]
-    x, y, z = np.moveaxis(vector, -1, 0)
-    zero = np.zeros_like(x)
-    skew = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(-1, 3, 3)
-    safe = np.maximum(angle, 1e-9)
-    first = np.where(angle > 1e-6, np.sin(angle) / safe, 1.0)
-    second = np.where(angle > 1e-6, (1 - np.cos(angle)) / safe**2, 0.5)
-    return np.eye(3) + first * skew + second * (skew @ skew)
+    xp = namespace(vector)
+    angle = norm3(vector)[:, None, None]
+    x, y, z = vector[:, 0], vector[:, 1], vector[:, 2]
+    zero = xp.zeros_like(x)
+    skew = xp.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(-1, 3, 3)
+    safe = xp.maximum(angle, constant((1e-9,), angle))
+    first = xp.where(angle > 1e-6, xp.sin(angle) / safe, 1.0)
+    second = xp.where(angle > 1e-6, (1 - xp.cos(angle)) / safe**2, 0.5)
+    return constant(_EYE, vector) + first * skew + second * (skew @ skew)
 
 
 def damped_step(error: Array, jac: Array, pull: Array, damping: float = DAMPING) -> Array:
@@ -278,10 +286,24 @@ def damped_step(error: Array, jac: Array, pull: Array, damping: float = DAMPING)
 
     ``pull`` (N, D) is let through in the null space; ``damping``: see DAMPING.
     """
-    size = np.minimum(np.sum(error * error, axis=1), 1.0)
-    square = jac @ jac.swapaxes(1, 2) + (damping + 0.03 * size)[:, None, None] * np.eye(error.shape[1])
-    wanted = error - np.einsum("nij,nj->ni", jac, pull)
-    return np.einsum("nij,ni->nj", jac, np.linalg.solve(square, wanted[..., None])[..., 0]) + pull
+    xp = namespace(error)
+    size = xp.minimum(xp.sum(error * error, axis=1), constant((1.0,), error))
+    square = jac @ jac.swapaxes(1, 2) + (damping + 0.03 * size)[:, None, None] * constant(_EYES[error.shape[1]], error)
+    wanted = error - xp.einsum("nij,nj->ni", jac, pull)
+    return xp.einsum("nij,ni->nj", jac, _solve(square, wanted)) + pull
+
+
+def _solve(square: Array, wanted: Array) -> Array:
+    """The ``x`` (N, E) of ``square x = wanted`` for symmetric positive definite matrices (N, E, E)."""
+    if isinstance(square, np.ndarray):
+        return np.linalg.solve(square, wanted[..., None])[..., 0]
+    # torch's solver asks the device whether it succeeded. Elimination without pivots does for these matrices.
+    xp, eye = namespace(square), constant(_EYES[wanted.shape[1]], wanted)
+    both = xp.concat([square, wanted[..., None]], axis=2)
+    for k in range(wanted.shape[1]):
+        row = both[:, k] / both[:, k, k, None]
+        both = both - (both[:, :, k] - eye[k])[..., None] * row[:, None]
+    return both[..., -1]
 
 
 def limited_step(
@@ -298,26 +320,36 @@ def limited_step(
     ``low``, ``high`` (N, D): room left to the limits. A column that would run out of it goes to its limit, and the
     step of the others is computed anew for the error that remains; clipping alone would stall at the limits.
     """
-    stopped = np.zeros_like(pull)
-    free = np.ones_like(pull)
+    xp = namespace(error)
+    stopped = xp.zeros_like(pull)
+    free = xp.ones_like(pull)
     for last in (False, False, True):
-        remaining = error - np.einsum("nij,nj->ni", jac, stopped)
+        remaining = error - xp.einsum("nij,nj->ni", jac, stopped)
         step = _bounded(stopped + damped_step(remaining, jac * free[:, None], pull * free, damping) * free, largest)
         over = (free > 0) & ((step < low) | (step > high))
-        if last or not over.any():
+        if last or not may_hold(over):
             break
-        stopped = np.where(over, np.clip(step, low, high), stopped)
-        free = np.where(over, 0.0, free)
+        stopped = xp.where(over, between(step, low, high), stopped)
+        free = xp.where(over, 0.0, free)
     return step
 
 
 def _bounded(step: Array, largest: Array | float) -> Array:
-    return step / np.maximum(np.max(np.abs(step) / largest, axis=1, keepdims=True), 1.0)
+    xp = namespace(step)
+    share = xp.max(xp.abs(step) / largest, axis=1, keepdims=True)
+    return step / xp.maximum(share, constant((1.0,), share))
+
+
+def _rows(q: Array) -> Array:
+    """Configurations (N, Q) of numbers (N, Q) or (Q,): numpy in float64, tensors (N, Q) as they are."""
+    if isinstance(q, np.ndarray | Sequence):
+        return np.atleast_2d(np.asarray(q, dtype=np.float64))
+    return q
 
 
 def _cross(a: Array, b: Array) -> Array:
     # numpy's cross costs several times more for small batches.
-    return np.stack(
+    return namespace(a).stack(
         [
             a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1],
             a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2],

@@ -1,19 +1,80 @@
-"""How much memory worlds take, asked before they are made."""
+"""How much memory worlds take, on the host and on a device, asked before they are made."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from mjhab.core.errors import UsageError
+from mjhab.envs.observations import mode_outputs
+from mjhab.scenes.fetch import CAMERAS
 
 BASE_MB = 500
 """An environment of one layout before its worlds: libraries and compiled homes (`mjhab bench env` measures it)."""
 WORLD_MB = 1.5
 """One world with 30 objects: MjData, its batch rows and scratch (`mjhab bench env` measures it)."""
+PIXEL_BYTES = {"rgb": 3, "depth": 2, "seg": 2, "pointcloud": 12 + 3 + 2}
+"""Per pixel and camera of an observation: uint8 colour, int16 millimetres, int16 ids; xyz float32, colour, id."""
+RASTER_BYTES = 3 + 4 + 2
+"""What the rasterizer holds of a pixel beside: colour, depth float32, id."""
+OBS_COPIES = 2
+"""The last observation, and that of the step before, which the caller may still hold."""
+WARP_BASE_MB = 700
+"""CUDA context, kernels, the shared model, tables of homes, contacts kept for a crowd. Not measured on a GPU."""
+WARP_WORLD_MB = 1.1
+"""One world with 30 objects in MuJoCo Warp: 0.41 MB of arrays, 0.56 MB that a substep allocates on its way (sums of the
+arrays of 3 and of 32 worlds of TidyHouse on Warp's CPU device, difference over 29), and a tenth on top."""
+WARP_RENDER_BYTES = 17
+"""What a batch renderer holds of a pixel, its tree of boxes included: 0.54 MB for 2 x 128 x 128."""
 _CGROUP = (
     ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current"),
     ("/sys/fs/cgroup/memory/memory.limit_in_bytes", "/sys/fs/cgroup/memory/memory.usage_in_bytes"),
 )
+
+
+@dataclass(frozen=True)
+class Need:
+    """Memory [MB] of worlds: before the first, and of each."""
+
+    base_mb: float
+    world_mb: float
+
+    def total_mb(self, num_envs: int) -> float:
+        """All of it."""
+        return self.base_mb + self.world_mb * num_envs
+
+    def most(self, free_mb: float) -> int:
+        """The largest number of worlds that fits."""
+        return max(0, int((free_mb - self.base_mb) / self.world_mb))
+
+
+def host_need(obs_mode: str = "state", camera_size: int | tuple[int, int] = 128, cameras: int = len(CAMERAS)) -> Need:
+    """What the worlds of backend cpu take of the machine's memory.
+
+    Raises:
+        UsageError: unknown observation mode.
+    """
+    pixels, images = _pictures(obs_mode, camera_size, cameras)
+    return Need(BASE_MB, WORLD_MB + images + RASTER_BYTES * pixels / 2**20)
+
+
+def device_need(obs_mode: str = "state", camera_size: int | tuple[int, int] = 128, cameras: int = len(CAMERAS)) -> Need:
+    """What the worlds of backend warp take of the device's memory.
+
+    Raises:
+        UsageError: unknown observation mode.
+    """
+    pixels, images = _pictures(obs_mode, camera_size, cameras)
+    return Need(WARP_BASE_MB, WARP_WORLD_MB + images + WARP_RENDER_BYTES * pixels / 2**20)
+
+
+def _pictures(obs_mode: str, camera_size: int | tuple[int, int], cameras: int) -> tuple[int, float]:
+    """Pixels of a world, and what its observations take of them [MB]."""
+    outputs = mode_outputs(obs_mode)
+    height, width = (camera_size, camera_size) if isinstance(camera_size, int) else camera_size
+    pixels = cameras * height * width if outputs else 0
+    return pixels, OBS_COPIES * sum(PIXEL_BYTES[name] for name in outputs) * pixels / 2**20
 
 
 def available_mb() -> float | None:
@@ -28,24 +89,42 @@ def available_mb() -> float | None:
     return min(found, default=None)
 
 
-def estimate_mb(num_envs: int) -> float:
-    """Estimated memory [MB] of an environment of ``num_envs`` worlds without cameras."""
-    return BASE_MB + WORLD_MB * num_envs
-
-
 def check_memory(num_envs: int) -> None:
-    """Refuse a number of worlds that does not fit into memory.
+    """Refuse a number of worlds of backend cpu, without cameras, that does not fit into memory.
 
     Raises:
         UsageError: says what is needed, what is free, and the largest number that fits.
     """
-    free = available_mb()
-    need = estimate_mb(num_envs)
-    if free is not None and need > free:
-        most = max(0, int((free - BASE_MB) / WORLD_MB))
+    _check(host_need(), num_envs, available_mb(), "here")
+
+
+def check_device_memory(
+    num_envs: int, obs_mode: str = "state", camera_size: int | tuple[int, int] = 128, device: str = "",
+    cameras: Sequence[str] = tuple(CAMERAS),
+) -> None:  # fmt: skip
+    """Refuse a number of worlds of backend warp that does not fit into the device's memory; imports Warp.
+
+    Args:
+        num_envs: worlds. obs_mode, camera_size, cameras: as in `EnvConfig`.
+        device: a Warp device, "" for the first GPU. For "cpu" the memory of this machine counts.
+
+    Raises:
+        UsageError: says what is needed, what is free, and the largest number that fits; or there is no such device.
+    """
+    from mjhab.sim.warp_device import free_mb, open_device
+
+    opened = open_device(device)
+    free = free_mb(opened) if opened.is_cuda else available_mb()
+    _check(device_need(obs_mode, camera_size, len(cameras)), num_envs, free, f"on {opened}")
+
+
+def _check(need: Need, num_envs: int, free: float | None, where: str) -> None:
+    if free is not None and need.total_mb(num_envs) > free:
+        most = need.most(free)
+        advice = f"At most {most:,} fit: set num_envs={most}." if most else "Not even one fits."
         raise UsageError(
-            f"{num_envs} worlds need about {need:,.0f} MB, but {free:,.0f} MB are free. "
-            f"At most {most:,} fit: set num_envs={most}."
+            f"{num_envs} worlds need about {need.total_mb(num_envs):,.0f} MB, but {free:,.0f} MB are free {where}. "
+            f"{advice}"
         )
 
 

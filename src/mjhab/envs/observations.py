@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
+from mjhab.core.arrays import Array, constant, count, device_of, empty, namespace, zeros
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.scenes.fetch import BASE_HEIGHT, CAMERAS
 
@@ -26,12 +27,12 @@ class ObsContext:
     zero where the subtask has none; ``is_grasped`` (W,).
     """
 
-    robot_q: np.ndarray
-    robot_qd: np.ndarray
-    tcp_pose: np.ndarray
-    obj_pose: np.ndarray
-    goal_pos: np.ndarray
-    is_grasped: np.ndarray
+    robot_q: Array
+    robot_qd: Array
+    tcp_pose: Array
+    obj_pose: Array
+    goal_pos: Array
+    is_grasped: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,22 +44,22 @@ class Views:
     backwards; ``base`` (W, 3): x, y [m], yaw [rad] of the base; ``intrinsic`` (C, 3, 3) [px].
     """
 
-    images: Mapping[str, np.ndarray]
-    pos: np.ndarray
-    mat: np.ndarray
-    base: np.ndarray
-    intrinsic: np.ndarray
+    images: Mapping[str, Array]
+    pos: Array
+    mat: Array
+    base: Array
+    intrinsic: Array
 
 
-def pose_in_base(base: np.ndarray, pose: np.ndarray) -> np.ndarray:
+def pose_in_base(base: Array, pose: Array) -> Array:
     """World poses (..., W, 7) in the frame of base_link. ``base`` (W, 3): x, y, yaw."""
     # The base turns about z only: half of the quaternion product is zero and left out.
-    yaw = base[:, 2]
-    c, s = np.cos(yaw), np.sin(yaw)
-    ch, sh = np.cos(0.5 * yaw), np.sin(0.5 * yaw)
+    xp, yaw = namespace(base), base[:, 2]
+    c, s = xp.cos(yaw), xp.sin(yaw)
+    ch, sh = xp.cos(0.5 * yaw), xp.sin(0.5 * yaw)
     x, y = pose[..., 0] - base[:, 0], pose[..., 1] - base[:, 1]
     qw, qx, qy, qz = pose[..., 3], pose[..., 4], pose[..., 5], pose[..., 6]
-    out = np.empty(pose.shape)
+    out = empty(pose.shape, pose)
     out[..., 0] = c * x + s * y
     out[..., 1] = c * y - s * x
     out[..., 2] = pose[..., 2] - BASE_HEIGHT
@@ -77,7 +78,7 @@ class ObsEntry:
     shape: tuple[int, ...]
     unit: str
     frame: str
-    compute: Callable[[Any], np.ndarray]
+    compute: Callable[[Any], Array]
     meaning: str = ""
     dtype: type[np.generic] = np.float32
     low: float = -np.inf
@@ -265,64 +266,73 @@ def _cloud_rows(points: int) -> list[ObsEntry]:
     ]  # fmt: skip
 
 
-def _image(views: Views, index: int, output: str) -> np.ndarray:
+def _image(views: Views, index: int, output: str) -> Array:
     image = views.images[output][:, index]
     if output == "rgb":
         return image
     if output == "seg":
         return image[..., None]
-    mm = image * np.float32(DEPTH_SCALE)
-    np.rint(mm, out=mm)
-    np.minimum(mm, np.float32(DEPTH_MAX), out=mm)
-    return mm.astype(np.int16)[..., None]
+    xp, mm = namespace(image), image * DEPTH_SCALE
+    xp.round(mm, out=mm)
+    xp.minimum(mm, constant((float(DEPTH_MAX),), mm), out=mm)
+    return xp.astype(mm, xp.int16)[..., None]
 
 
-def _intrinsic_cv(views: Views, index: int) -> np.ndarray:
-    return np.tile(views.intrinsic[index].astype(np.float32), (len(views.pos), 1, 1))
+def _intrinsic_cv(views: Views, index: int) -> Array:
+    xp = namespace(views.intrinsic)
+    return xp.tile(xp.astype(views.intrinsic[index], xp.float32), (len(views.pos), 1, 1))
 
 
-def _extrinsic_cv(views: Views, index: int) -> np.ndarray:
-    # OpenCV's axes are MuJoCo's with y and z turned round.
-    rot = np.swapaxes(views.mat[:, index] * (1.0, -1.0, -1.0), 1, 2)
-    move = -np.einsum("wij,wj->wi", rot, views.pos[:, index])
-    return np.concatenate([rot, move[..., None]], axis=2).astype(np.float32)
+def _extrinsic_cv(views: Views, index: int) -> Array:
+    xp = namespace(views.mat)
+    rot = xp.permute_dims(_turned(views.mat[:, index]), (0, 2, 1))
+    move = -xp.einsum("wij,wj->wi", rot, views.pos[:, index])
+    return xp.astype(xp.concat([rot, move[..., None]], axis=2), xp.float32)
 
 
-def _cam2world_gl(views: Views, index: int) -> np.ndarray:
-    out = np.zeros((len(views.pos), 4, 4), np.float32)
+def _turned(mat: Array) -> Array:
+    """Rotations (..., 3, 3) of cameras with the axes of OpenCV: those of MuJoCo with y and z turned round."""
+    return mat * constant((1.0, -1.0, -1.0), mat)
+
+
+def _cam2world_gl(views: Views, index: int) -> Array:
+    xp = namespace(views.mat)
+    out = xp.zeros((len(views.pos), 4, 4), dtype=xp.float32, device=device_of(views.mat))
     out[:, :3, :3], out[:, :3, 3], out[:, 3, 3] = views.mat[:, index], views.pos[:, index], 1.0
     return out
 
 
-def _cloud_xyz(views: Views) -> np.ndarray:
+def _cloud_xyz(views: Views) -> Array:
     depth = views.images["depth"]
-    yaw, zero = views.base[:, 2], np.zeros(len(views.base))
-    c, s = np.cos(yaw), np.sin(yaw)
-    to_base = np.array([[c, s, zero], [-s, c, zero], [zero, zero, zero + 1.0]]).transpose(2, 0, 1)
-    origin = np.column_stack([views.base[:, :2], zero + BASE_HEIGHT])
+    xp, f32 = namespace(depth), namespace(depth).float32
+    yaw = views.base[:, 2]
+    c, s, zero = xp.cos(yaw), xp.sin(yaw), zeros(yaw.shape, yaw)
+    to_base = xp.stack([xp.stack([c, s, zero]), xp.stack([-s, c, zero]), xp.stack([zero, zero, zero + 1.0])])
+    to_base = xp.permute_dims(to_base, (2, 0, 1))
+    origin = xp.concat([views.base[:, :2], zero[:, None] + BASE_HEIGHT], axis=1)
     rot = to_base[:, None] @ views.mat
-    pos = np.einsum("wij,wcj->wci", to_base, views.pos - origin[:, None])
+    pos = xp.einsum("wij,wcj->wci", to_base, views.pos - origin[:, None])
     # Points in the camera (x right, y down, z forward) and 1, all 0 where nothing is hit, times a 4x3 matrix.
-    seen = np.empty((*depth.shape, 4), np.float32)
-    col, row = np.arange(depth.shape[3]) + 0.5, np.arange(depth.shape[2])[:, None] + 0.5
+    seen = empty((*depth.shape, 4), depth)
+    col, row = count(depth.shape[3], depth) + 0.5, count(depth.shape[2], depth)[:, None] + 0.5
     for k, matrix in enumerate(views.intrinsic):
-        np.multiply(depth[:, k], ((col - matrix[0, 2]) / matrix[0, 0]).astype(np.float32), out=seen[:, k, ..., 0])
-        np.multiply(depth[:, k], ((row - matrix[1, 2]) / matrix[1, 1]).astype(np.float32), out=seen[:, k, ..., 1])
+        seen[:, k, ..., 0] = depth[:, k] * xp.astype((col - matrix[0, 2]) / matrix[0, 0], f32)
+        seen[:, k, ..., 1] = depth[:, k] * xp.astype((row - matrix[1, 2]) / matrix[1, 1], f32)
     seen[..., 2], seen[..., 3] = depth, depth > 0.0
-    move = np.concatenate([np.swapaxes(rot * (1.0, -1.0, -1.0), 2, 3), pos[:, :, None]], axis=2)
-    points = seen.reshape(*depth.shape[:2], -1, 4) @ move.astype(np.float32)
-    return points.reshape(len(depth), -1, 3)
+    move = xp.concat([xp.permute_dims(_turned(rot), (0, 1, 3, 2)), pos[:, :, None]], axis=2)
+    points = xp.reshape(seen, (*depth.shape[:2], -1, 4)) @ xp.astype(move, f32)
+    return xp.reshape(points, (len(depth), -1, 3))
 
 
-def _cloud_image(views: Views, output: str) -> np.ndarray:
+def _cloud_image(views: Views, output: str) -> Array:
     image = views.images[output]
     return image.reshape(len(image), -1, 3 if output == "rgb" else 1)
 
 
-def state_observation(context: ObsContext) -> dict[str, np.ndarray]:
+def state_observation(context: ObsContext) -> dict[str, Array]:
     """Every entry of STATE_TABLE and their concatenation, float32, (W, ...); the entries are views of it."""
-    state = np.empty((len(context.robot_q), STATE_DIM), np.float32)
-    np.concatenate([entry.compute(context) for entry in STATE_TABLE], axis=1, out=state)
+    xp = namespace(context.robot_q)
+    state = xp.astype(xp.concat([entry.compute(context) for entry in STATE_TABLE], axis=1), xp.float32)
     obs, column = {}, 0
     for entry in STATE_TABLE:
         obs[entry.key] = state[:, column : column + entry.shape[0]]

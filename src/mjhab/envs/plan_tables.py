@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Protocol
 
 import numpy as np
 
-from mjhab.core.arrays import pick_column
+from mjhab.core.arrays import Array, namespace, pick_column
 from mjhab.scenes.layout import Layout
 from mjhab.tasks.measure import Active, active_entries
 from mjhab.tasks.plan import Box, PlanArrays, SubtaskKind, TaskConfig, TaskPlan, stack_plans
@@ -22,15 +23,53 @@ class Focus:
     a goal pose; ``has_obj`` (W, S, 1) bool: the subtasks of the plan that have an object; ``active``: for `measure`.
     """
 
-    kind: np.ndarray
-    obj: np.ndarray
-    link: np.ndarray
-    columns: np.ndarray
-    has_columns: np.ndarray
-    has_link: np.ndarray
-    shown: np.ndarray
-    has_obj: np.ndarray
+    kind: Array
+    obj: Array
+    link: Array
+    columns: Array
+    has_columns: Array
+    has_link: Array
+    shown: Array
+    has_obj: Array
     active: Active
+
+
+class Tables(Protocol):
+    """What `look_up` reads of `PlanTables` or of `Rows`."""
+
+    @property
+    def arrays(self) -> PlanArrays: ...
+    @property
+    def obj(self) -> Array: ...
+    @property
+    def link(self) -> Array: ...
+    @property
+    def target(self) -> Array: ...
+    @property
+    def held(self) -> Array: ...
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Rows:
+    """The tables of `PlanTables` alone, as arrays of any library."""
+
+    arrays: PlanArrays
+    obj: Array
+    link: Array
+    target: Array
+    held: Array
+
+
+def look_up(tables: Tables, pointer: Array, config: TaskConfig) -> Focus:
+    """Look up the subtasks at ``pointer`` (W,). It is made of copies: later changes of the tables do not change it."""
+    xp = namespace(pointer)
+    active = active_entries(tables.arrays, pointer, config)
+    columns = (tables.arrays.kind, tables.obj, tables.link, tables.target, tables.held)
+    kind, obj, link, target, held = (pick_column(table, active.index) for table in columns)
+    columns = xp.stack([target, held], axis=1)
+    shown = [kind == kind, (obj >= 0) & (kind != int(SubtaskKind.CLOSE)), kind != int(SubtaskKind.PICK)]
+    has_obj = (tables.obj >= 0)[..., None]
+    return Focus(kind, obj, link, columns, columns >= 0, link >= 0, xp.stack(shown)[..., None], has_obj, active)
 
 
 class PlanTables:
@@ -72,10 +111,4 @@ class PlanTables:
 
     def focus(self, pointer: np.ndarray) -> Focus:
         """Look up the subtasks at ``pointer`` (W,). It is made of copies: later rows do not change it."""
-        active = active_entries(self.arrays, pointer, self.config)
-        tables = (self.arrays.kind, self.obj, self.link, self.target, self.held)
-        kind, obj, link, target, held = (pick_column(table, active.index) for table in tables)
-        columns = np.stack([target, held], axis=1)
-        shown = np.stack([kind == kind, (obj >= 0) & (kind != SubtaskKind.CLOSE), kind != SubtaskKind.PICK])
-        has_obj = (self.obj >= 0)[..., None]
-        return Focus(kind, obj, link, columns, columns >= 0, link >= 0, shown[..., None], has_obj, active)
+        return look_up(self, pointer, self.config)

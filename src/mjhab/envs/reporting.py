@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+from mjhab.envs.episodes import Episode
 from mjhab.tasks.plan import KIND_NAMES, TaskPlan
 
 if TYPE_CHECKING:
@@ -64,11 +65,16 @@ class Reporter:
         plan = env.tables.plans[world]
         if self._described[world] is not plan:
             self._described[world] = plan
-            entries = ({"kind": KIND_NAMES[s.kind], "target": s.target, "goal": s.goal_pos} for s in plan.subtasks)
-            # The same object goes into every info until the next episode, so nobody may write into it.
-            self._descriptions[world] = MappingProxyType({
-                "seed": episode.seed, "index": episode.index, "home": episode.home, "task": episode.task,
-                "split": episode.split, "subtask": env.config.subtask or None,
-                "plan": tuple(MappingProxyType(entry) for entry in entries),
-            })  # fmt: skip
+            self._descriptions[world] = describe_episode(episode, plan, env.config.subtask)
         return self._descriptions[world]
+
+
+def describe_episode(episode: Episode, plan: TaskPlan, subtask: str) -> Mapping[str, Any]:
+    """What `info` tells of an episode; ``subtask``: the kind that is done alone, or ""."""
+    entries = ({"kind": KIND_NAMES[s.kind], "target": s.target, "goal": s.goal_pos} for s in plan.subtasks)
+    # The same object goes into every info until the next episode, so nobody may write into it.
+    return MappingProxyType({
+        "seed": episode.seed, "index": episode.index, "home": episode.home, "task": episode.task,
+        "split": episode.split, "subtask": subtask or None,
+        "plan": tuple(MappingProxyType(entry) for entry in entries),
+    })  # fmt: skip

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mjhab.core.arrays import norm3
+from mjhab.core.arrays import Array, as_like, count, namespace, norm3, zeros
 from mjhab.core.errors import unknown_name
 from mjhab.envs.config import REWARD_MODES
 from mjhab.envs.plan_tables import Focus
@@ -18,7 +18,7 @@ from mjhab.sim.protocol import SimState
 from mjhab.tasks.measure import Signals, WorldState
 from mjhab.tasks.plan import SubtaskKind, TaskConfig
 from mjhab.tasks.progress import Progress
-from mjhab.tasks.rewards import IDEAL_SPEED, DenseReward, RewardView, closed_near, kinds_of
+from mjhab.tasks.rewards import IDEAL_SPEED, DenseReward, RewardView, closed_near, kinds_at_hand
 
 _JOINTED = (SubtaskKind.OPEN, SubtaskKind.CLOSE)
 _TORSO = FETCH_JOINTS.index("torso_lift_joint")
@@ -36,14 +36,14 @@ class RewardInputs:
     progress: Progress
 
 
-GoalDistance = Callable[[RewardInputs], np.ndarray]
+GoalDistance = Callable[[RewardInputs], Array]
 """Ways (W,) [m] from the base to the goal of Navigate; what it says of worlds of other kinds is not read."""
 
 
-def straight_distance(inputs: RewardInputs) -> np.ndarray:
+def straight_distance(inputs: RewardInputs) -> Array:
     """Distance (W,) along the floor from the base to the goal of Navigate, as if nothing stood in between [m]."""
     delta = inputs.focus.active.goal_pos[:, :2] - inputs.world.base_pose[:, :2]
-    return np.sqrt(delta[:, 0] * delta[:, 0] + delta[:, 1] * delta[:, 1])
+    return namespace(delta).sqrt(delta[:, 0] * delta[:, 0] + delta[:, 1] * delta[:, 1])
 
 
 class Rewarder:
@@ -59,7 +59,9 @@ class Rewarder:
         layout, sensing: where the links' joints and handles are.
         nav_distance: way to the navigation goal. The default is the straight line; the original goes around
             obstacles (mshab/envs/navigate.py: shortest path over the navigation mesh, the straight line an option).
-        kinds: the kinds of subtasks the plans have; terms of others are not reported.
+        kinds: the kinds of subtasks the plans have; terms of others are not reported. On torch the terms of all of
+            these are computed in every step, on numpy those of the kinds at hand.
+        like: an array of the library, device and dtype of the simulator's; numpy float64 if not given.
 
     Raises:
         UsageError: unknown mode, kind or term, or a scale that is not a finite number.
@@ -75,6 +77,7 @@ class Rewarder:
         sensing: Sensing,
         nav_distance: GoalDistance = straight_distance,
         kinds: Sequence[SubtaskKind] = tuple(SubtaskKind),
+        like: Array | None = None,
     ) -> None:
         if mode not in REWARD_MODES:
             raise unknown_name("reward mode", mode, REWARD_MODES)
@@ -82,29 +85,30 @@ class Rewarder:
         self.dense = DenseReward(config, scales, kinds)
         self.nav_distance = nav_distance
         self._sensing = sensing
-        self._worlds = np.arange(num_worlds)
+        like = np.zeros(0) if like is None else like
+        self._worlds = count(num_worlds, like)
         # The last entry is for "no link", index -1.
-        self._ideal = np.array([IDEAL_SPEED[ref.link.joint] for ref in layout.links] + [0.0])
-        self._zero, self._zero6 = np.zeros(num_worlds), np.zeros((num_worlds, 6))
-        self._closed_near = np.zeros(num_worlds, bool)
+        self._ideal = as_like([*(IDEAL_SPEED[ref.link.joint] for ref in layout.links), 0.0], like)
+        self._zero, self._zero6 = zeros((num_worlds,), like), zeros((num_worlds, 6), like)
+        self._low, self._high = as_like([0.0], like), as_like([1.0], like)
+        self._closed_near = self._zero > 0
 
-    def begin(self, mask: np.ndarray, inputs: RewardInputs) -> None:
+    def begin(self, mask: Array, inputs: RewardInputs) -> None:
         """Forget what was remembered of the worlds in ``mask`` (W,) bool: their subtask begins at ``inputs``."""
         self._closed_near = self._closed_near & ~mask
 
-    def step(self, inputs: RewardInputs) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    def step(self, inputs: RewardInputs) -> tuple[Array, dict[str, Array]]:
         """Rewards of one control step, measured before the pointer moves.
 
         Returns:
-            reward (W,) float64; and, in the dense modes, raw x scale (W,) of every term in ``dense.names``, which
-            sum to the dense reward before normalising, 0 where a world's subtask does not have the term.
+            reward (W,), float64 on numpy; and, in the dense modes, raw x scale (W,) of every term in ``dense.names``,
+            which sum to the dense reward before normalising, 0 where a world's subtask does not have the term.
         """
         if self.mode == "none":
-            return self._zero.copy(), {}
-        if self.mode == "sparse":
-            return inputs.signals.success.astype(np.float64), {}
-        if self.mode == "pointer":
-            return inputs.progress.pointer.astype(np.float64), {}
+            return self._zero + 0.0, {}
+        if self.mode in ("sparse", "pointer"):
+            counted = inputs.signals.success if self.mode == "sparse" else inputs.progress.pointer
+            return namespace(counted).astype(counted, self._zero.dtype), {}
         scored = self.dense.score(self._view(inputs))
         reward = scored.total / scored.attainable if self.mode == "normalized_dense" else scored.total
         return reward, dict(zip(self.dense.names, scored.terms, strict=True))
@@ -112,10 +116,11 @@ class Rewarder:
     def _view(self, inputs: RewardInputs) -> RewardView:
         """Gather what the kinds at hand read; the rest is zero."""
         state, world, focus, rows, zero = inputs.state, inputs.world, inputs.focus, self._worlds, self._zero
-        kinds = kinds_of(inputs.signals.kind)
+        xp, kinds = namespace(rows), kinds_at_hand(inputs.signals.kind, self.dense.tables.keys())
         jointed, distance = not kinds.isdisjoint(_JOINTED), zero
         if jointed:
-            handle = self._sensing.handle_pos(state, rows, np.maximum(focus.link, 0))
+            some = xp.where(focus.link > 0, focus.link, 0)
+            handle = self._sensing.handle_pos(state, rows, some)
             distance = norm3(world.tcp_pos - handle)
             self._closed_near = closed_near(self._closed_near, inputs.signals.closed, distance)
         torso = world.robot_q[:, _TORSO] / _TORSO_TOP
@@ -126,7 +131,7 @@ class Rewarder:
             object_pos=state.object_pose[rows, focus.obj, :3],
             object_vel=state.object_vel[rows, focus.obj] if SubtaskKind.PLACE in kinds else self._zero6,
             goal_pos=focus.active.goal_pos,
-            torso_up=np.minimum(np.maximum(torso, 0.0), 1.0),
+            torso_up=xp.minimum(xp.maximum(torso, self._low), self._high),
             handle_distance=distance,
             joint_qd=state.link_qd[rows, focus.link] if jointed else zero,
             joint_ideal=self._ideal[focus.link] if jointed else zero,

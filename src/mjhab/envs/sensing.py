@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from mjhab.core.arrays import Array, as_like, count, may_hold, namespace, zeros
 from mjhab.envs.observations import ObsContext, pose_in_base
-from mjhab.envs.plan_tables import Focus, PlanTables
+from mjhab.envs.plan_tables import Focus, Tables
 from mjhab.scenes.fetch import FINGER_LINKS, FINGER_OPEN_DIR, TCP_LINK
 from mjhab.scenes.layout import Addresses, Layout
 from mjhab.sim.protocol import SimState
@@ -14,32 +15,40 @@ from mjhab.tasks.plan import SubtaskKind
 
 
 class Sensing:
-    """Gathers, for every world, the quantities of its active subtask."""
+    """Gathers, for every world, the quantities of its active subtask.
 
-    def __init__(self, layout: Layout, addresses: Addresses, num_worlds: int) -> None:
-        self._rows = np.arange(num_worlds)
-        self._fingers = np.array([addresses.robot_body[f] for f in FINGER_LINKS])
-        self._opening = np.array([FINGER_OPEN_DIR[f] for f in FINGER_LINKS])
+    Args:
+        layout, addresses: of the simulator.
+        num_worlds: W.
+        like: an array of the library, device and dtype of the simulator's; numpy float64 if not given.
+    """
+
+    def __init__(self, layout: Layout, addresses: Addresses, num_worlds: int, like: Array | None = None) -> None:
+        like = np.zeros(0) if like is None else like
+        whole = namespace(like).int64
+        self._rows = count(num_worlds, like)
+        self._left, self._right = (addresses.robot_body[f] for f in FINGER_LINKS)
+        self._fingers = as_like([self._left, self._right], like, whole)
+        self._opening = as_like([FINGER_OPEN_DIR[f] for f in FINGER_LINKS], like)
         self._tcp = addresses.robot_body[TCP_LINK]
-        self._link_body = addresses.link_body
-        self._handles = np.array([ref.link.handle.pos for ref in layout.links])
+        self._link_body = as_like(addresses.link_body, like, whole)
+        self._handles = as_like([ref.link.handle.pos for ref in layout.links], like)
         # The last row is for "no link", index -1.
-        self._range = np.array([ref.link.range for ref in layout.links] + [(0.0, 0.0)])
+        self._range = as_like([*(ref.link.range for ref in layout.links), (0.0, 0.0)], like)
 
-    def world_state(self, state: SimState, tables: PlanTables, focus: Focus, joint_start: np.ndarray) -> WorldState:
+    def world_state(self, state: SimState, tables: Tables, focus: Focus, joint_start: Array) -> WorldState:
         """The input of `tasks.measure` for the subtasks in focus; ``joint_start`` (W,) of those with a joint."""
         rows, column = self._rows, focus.columns
         force = state.finger_force[rows[:, None], :, column] * focus.has_columns[..., None, None]
         joint_range = self._range[focus.link]
         obj_pos = state.object_pose[rows[:, None], tables.obj, :3] * focus.has_obj
-        left, right = self._fingers
         return WorldState(
             base_pose=state.robot_q[:, :3],
             robot_q=state.robot_q,
             robot_qd=state.robot_qd,
-            tcp_pos=(state.body_pos[:, left] + state.body_pos[:, right]) / 2,
+            tcp_pos=(state.body_pos[:, self._left] + state.body_pos[:, self._right]) / 2,
             finger_force=force[:, 0],
-            finger_dir=np.einsum("wfij,fj->wfi", state.body_mat[:, self._fingers], self._opening),
+            finger_dir=namespace(force).einsum("wfij,fj->wfi", state.body_mat[:, self._fingers], self._opening),
             robot_force=state.link_force.sum(axis=1),
             target_contact=state.touch[rows, column[:, 0]] & focus.has_columns[:, 0],
             plan_obj_pos=obj_pos,
@@ -50,26 +59,30 @@ class Sensing:
             held_force=force[:, 1],
         )
 
-    def joint_now(self, state: SimState, focus: Focus) -> np.ndarray:
+    def joint_now(self, state: SimState, focus: Focus) -> Array:
         """(W,) position of the joint of the subtask in focus, 0 where it has none."""
         return state.link_q[self._rows, focus.link] * focus.has_link
 
-    def handle_pos(self, state: SimState, world: np.ndarray, link: np.ndarray) -> np.ndarray:
+    def handle_pos(self, state: SimState, world: Array, link: Array) -> Array:
         """World positions (n, 3) of the handles of links (n,) in worlds (n,)."""
         body = self._link_body[link]
-        return state.body_pos[world, body] + np.einsum("nij,nj->ni", state.body_mat[world, body], self._handles[link])
+        rot = state.body_mat[world, body]
+        return state.body_pos[world, body] + namespace(rot).einsum("nij,nj->ni", rot, self._handles[link])
 
-    def tcp_pose(self, state: SimState) -> np.ndarray:
+    def tcp_pose(self, state: SimState) -> Array:
         """(W, 7) world pose of gripper_link."""
-        return np.concatenate([state.body_pos[:, self._tcp], state.body_quat[:, self._tcp]], axis=1)
+        pos = state.body_pos[:, self._tcp]
+        return namespace(pos).concat([pos, state.body_quat[:, self._tcp]], axis=1)
 
     def context(self, state: SimState, focus: Focus, signals: Signals) -> ObsContext:
         """The input of the observation table, masked by each world's active subtask."""
         rows, goal = self._rows, focus.active.goal_pos
-        jointed = focus.kind >= SubtaskKind.OPEN
-        if jointed.any():
-            goal = np.where(jointed[:, None], self.handle_pos(state, rows, np.maximum(focus.link, 0)), goal)
-        poses = np.zeros((3, len(rows), 7))
+        jointed = focus.kind >= int(SubtaskKind.OPEN)
+        if may_hold(jointed):
+            where = namespace(jointed).where
+            handle = self.handle_pos(state, rows, where(focus.has_link, focus.link, 0))
+            goal = where(jointed[:, None], handle, goal)
+        poses = zeros((3, len(rows), 7), state.body_pos)
         poses[0, :, :3] = state.body_pos[:, self._tcp]
         poses[0, :, 3:] = state.body_quat[:, self._tcp]
         poses[1] = state.object_pose[rows, focus.obj]

@@ -34,7 +34,7 @@ from mjhab.envs.reporting import Reporter
 from mjhab.envs.rewarding import Rewarder, RewardInputs
 from mjhab.envs.sensing import Sensing
 from mjhab.envs.snapshots import restore, snapshot
-from mjhab.envs.starts import StartMaker, check_target
+from mjhab.envs.starts import Start, StartMaker, check_target
 from mjhab.envs.teleport import Teleports
 from mjhab.envs.tracking import Tracker
 from mjhab.envs.zones import with_zones
@@ -214,12 +214,17 @@ class SequentialTaskEnv(VectorEnv):
         self.controller.reset(mask, self.state)
         self._enter_subtask(mask)
 
-    def adopt(self, world: int, episode: Episode) -> Any:
-        """Give a world an episode: its home, its plan; returns the `starts.Start` it begins with."""
+    def start_of(self, episode: Episode) -> Start:
+        """How an episode begins here, with place zones where the goal type asks for them."""
         start = self.starts.start(episode)
-        if self.task_config.goal_type == "zone":
-            plan = with_zones(start.plan, self.layout, self.starts.home(start.home), self.task_config.goal_tol)
-            start = dataclasses.replace(start, plan=plan)
+        if self.task_config.goal_type != "zone":
+            return start
+        plan = with_zones(start.plan, self.layout, self.starts.home(start.home), self.task_config.goal_tol)
+        return dataclasses.replace(start, plan=plan)
+
+    def adopt(self, world: int, episode: Episode) -> Start:
+        """Give a world an episode: its home, its plan; returns what it begins with."""
+        start = self.start_of(episode)
         self.episodes_now[world], self.homes[world], self.boxes[world] = episode, start.home, start.boxes
         self.tables.set_row(world, start.plan, start.boxes)
         return start

@@ -170,6 +170,25 @@ class StartMaker:
         area = np.array(boxes[subtask.link]) if subtask.link else None
         return SpawnGoal(np.array(point[:2]), area)
 
+    def foresee(self, episode: Episode, plan: TaskPlan, position: int) -> np.ndarray:
+        """State (nq,) in which a chain comes to the Navigate at ``position`` if all before went well, the robot parked.
+
+        What the robot carries then is out of the way.
+        """
+        qpos, slots = self._episode_qpos(episode), self.layout.object_names
+        for subtask in plan.subtasks[:position]:
+            if subtask.kind == SubtaskKind.PLACE:
+                self._put_at_goal(qpos, slots.index(subtask.obj), subtask.goal_pos)
+        link, placed = _open_before(plan, position)
+        if link:
+            rng = stream(episode.seed, "foresee", episode.task, episode.index, position)
+            self._leave_open(rng, episode, link, qpos, placed)
+        if plan.subtasks[position].must_hold:
+            slot = slots.index(plan.subtasks[position].obj)
+            start = self.sim.addresses.object_q[slot]
+            qpos[start : start + 7] = self.layout.parked_poses[slot]
+        return qpos
+
     # -- single subtasks -------------------------------------------------------------------------------------------
 
     def _pick_position(self, plan: TaskPlan, episode: Episode) -> int:

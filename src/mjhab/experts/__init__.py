@@ -9,10 +9,14 @@ from mjhab.core.errors import UsageError
 if TYPE_CHECKING:
     from mjhab.envs.sequential import SequentialTaskEnv
     from mjhab.experts.policy import ExpertPolicy
+    from mjhab.tasks.style import Styles
 
 
-def make_expert(env: SequentialTaskEnv) -> ExpertPolicy:
+def make_expert(env: SequentialTaskEnv, styles: Styles | None = None) -> ExpertPolicy:
     """The expert policy of an environment (one script per world, restarted with every subtask).
+
+    Args:
+        styles: what every episode draws its style from; the expert as it is if not given.
 
     Raises:
         UsageError: the environment takes other actions than those experts give.
@@ -27,4 +31,4 @@ def make_expert(env: SequentialTaskEnv) -> ExpertPolicy:
             f"this environment has {config.control_mode!r}, base {config.base!r}, stationary {config.stationary!r}."
         )
 
-    return ExpertPolicy(env)
+    return ExpertPolicy(env, styles)

@@ -68,7 +68,7 @@ def go_home(view: WorldView, obj: str, *, holding: bool = True) -> Motion:
         robot = robot.with_held(*held_spheres(view, obj))
     for _ in range(3):
         route = plan_home(view, obj, robot, holding=holding)
-        if route is None or (yield from follow(view, route, gripper=gripper)):
+        if route is None or (yield from follow(view, route, gripper=gripper, gentle=holding)):
             break
     return (yield from motion.to_rest(view, gripper=gripper, max_steps=60))
 

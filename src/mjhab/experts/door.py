@@ -12,6 +12,7 @@ from mjhab.experts import approach, door_stances, ik, motion, stances
 from mjhab.experts.door_stances import HALF_OPEN, OPEN_TO, PRESS_AHEAD
 from mjhab.experts.navigation import CONTROL_DT
 from mjhab.experts.stances import Frame, Stances
+from mjhab.experts.style import style_of
 
 Array = np.ndarray
 Motion = motion.Motion
@@ -124,7 +125,7 @@ def _follow_arc(view: WorldView, link: JointedLink, path: ArcPath, goal: float, 
     last, late, pressed, done = np.inf, 0, 0, 0
     for _ in range(110):
         now = view.link_q(link.id)
-        if way < 0 and _coasts((last - now) / CONTROL_DT) > now + COAST_SPARE:
+        if way < 0 and _coasts(style_of(view).speed * (last - now) / CONTROL_DT) > now + COAST_SPARE:
             return True
         # A door that was thrown shut may swing back.
         there = way * (goal - now) <= 0 and (way > 0 or abs(now - last) < AT_REST)

@@ -73,7 +73,7 @@ def planner(home: HomeShapes) -> Planner:
     """Path planner of a home, made once."""
     found = _PLANNERS.get(home.name)
     if found is None or found[0] is not home:
-        found = (home, Planner(home.map_origin, home.map_cell, home.map_clearance, radius=0.29))
+        found = (home, Planner(home.map_origin, home.map_cell, home.map_clearance, radius=0.29, narrow=0.27))
         _PLANNERS[home.name] = found
     return found[1]
 

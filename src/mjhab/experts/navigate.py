@@ -111,6 +111,16 @@ def navigate(view: WorldView) -> Motion:
             yield from _stand(view, aim, posture, gripper)
 
 
+def face(view: WorldView, *, gripper: float) -> Motion:
+    """Turn on the spot to the goal of the active Navigate, slowly, the arm at rest, for as long as it is active."""
+    aim, posture = Aim.of(view), motion.rest_goal(view)
+    while True:
+        q = view.q
+        off = float(wrap(aim.bearing(q[:2]) - q[2]))
+        turn = float(np.clip(off, -0.4, 0.4)) if abs(off) > 0.1 and aim.allows(q[:2], 0.0) else 0.0
+        yield motion.action(view, posture, gripper=gripper, drive=(0.0, turn))
+
+
 def plan_trip(view: WorldView, aim: Aim, posture: Array, held: str, felt: Array) -> Trip | None:
     """The cheapest way to where the goal is faced, None when there is none.
 

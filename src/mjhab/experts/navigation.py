@@ -20,6 +20,8 @@ from mjhab.envs.kinematics import wrap
 Array = np.ndarray
 CONTROL_DT = 0.05
 """Seconds per control step."""
+NARROW_PRICE = 20.0
+"""What a metre costs where it is narrower than it should be: no detour through a home is as long."""
 
 
 class Planner:
@@ -29,7 +31,8 @@ class Planner:
         origin: (2,) world xy of the corner of cell (0, 0).
         cell: edge length of a cell.
         clearance: (nx, ny) distance of each cell's centre to the nearest obstacle.
-        radius: clearance the base needs.
+        radius: clearance the base should have.
+        narrow: clearance it can do with where there is no other way; as ``radius`` if not given.
         comfort: clearance beyond ``radius`` that is worth a detour; a cell at ``radius`` costs ``1 + caution`` times
             its length.
         caution: see ``comfort``.
@@ -37,7 +40,7 @@ class Planner:
 
     def __init__(
         self, origin: Sequence[float] | Array, cell: float, clearance: Array, radius: float = 0.3,
-        comfort: float = 0.25, caution: float = 4.0,
+        comfort: float = 0.25, caution: float = 4.0, narrow: float | None = None,
     ) -> None:  # fmt: skip
         self.origin = np.asarray(origin, dtype=np.float64)
         self.cell, self.radius, self.comfort = float(cell), float(radius), float(comfort)
@@ -45,8 +48,11 @@ class Planner:
         self.free = self.clearance >= radius
         if not self.free.any():
             raise UsageError(f"no cell of the map has a clearance of {radius} m; give a smaller radius or another home")
+        self.narrow = radius if narrow is None else narrow
+        passable = self.clearance >= self.narrow
         lack = np.clip((radius + comfort - self.clearance) / comfort, 0.0, 1.0)
-        self._graph = grid_graph(self.free, self.cell, price=1.0 + caution * lack**2)
+        price = np.where(self.free, 1.0 + caution * lack**2, NARROW_PRICE)
+        self._graph = grid_graph(passable, self.cell, price=price)
 
     def clearance_at(self, points: Array) -> Array:
         """Clearance (...,) of the cells that hold world points (..., 2); 0 outside the map."""

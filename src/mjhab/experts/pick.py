@@ -13,6 +13,8 @@ from mjhab.experts.carry import drive_in, go_home, grip, inside_depth
 from mjhab.experts.motion import Motion
 from mjhab.experts.reach import ROOMS, HandGoals, Scene, Stance, hand_room, settle_reach, stances, surroundings
 from mjhab.experts.route import BLOCKED_FORCE, follow
+from mjhab.experts.style import of_kind, style_of
+from mjhab.tasks.style import ANY
 
 Array = np.ndarray
 LIFT = 0.10
@@ -33,7 +35,10 @@ def pick(view: WorldView) -> Motion:
     obj, failed = subtask.obj, np.zeros((0, 3))
     attempt = 0
     while True:
-        found = plan_pick(view, obj, failed, attempt)
+        wish = style_of(view).grasp
+        found = plan_pick(view, obj, failed, attempt, wish)
+        if found is None and wish != ANY:
+            found = plan_pick(view, obj, failed, attempt)
         attempt += 1
         if found is None:
             yield from motion.hold(view, 5 * attempt, gripper=motion.OPEN)
@@ -48,13 +53,14 @@ def pick(view: WorldView) -> Motion:
 
 
 def plan_pick(
-    view: WorldView, obj: str, failed: Array, attempt: int = 0
+    view: WorldView, obj: str, failed: Array, attempt: int = 0, wish: str = ANY
 ) -> tuple[Stance, HandGoals, float] | None:  # fmt: skip
     """The best way to grasp an object: stance, grasps it refers to, and how far the base comes straight in [m].
 
     Args:
         failed: (A, 3) base poses that did not work.
         attempt: number of attempts before; later ones take what the first leave out.
+        wish: the kind of grasp, a word of `tasks.style.Style.grasp`.
     """
     pose, kind = view.object_pose(obj), view.object_type(obj)
     shape = shape_of(kind)
@@ -67,6 +73,7 @@ def plan_pick(
             shape, pose[:3], pose[3:], support_z=support, neighbours=scene.beside.near(pose[:3], 0.6),
             least_clear=asked, options=OPTIONS,
         )  # fmt: skip
+        grasps = of_kind(grasps, wish)
         if not len(grasps):
             continue
         goals = _diverse(grasps)

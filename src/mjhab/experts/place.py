@@ -15,6 +15,8 @@ from mjhab.experts.motion import Motion
 from mjhab.experts.pick import height_below
 from mjhab.experts.reach import ROOMS, HandGoals, Scene, Stance, hand_room, settle_reach, stances, surroundings
 from mjhab.experts.route import follow
+from mjhab.experts.style import style_of
+from mjhab.tasks.style import DROP as DROP_IT
 
 Array = np.ndarray
 DROP = 0.006
@@ -36,12 +38,15 @@ def place(view: WorldView) -> Motion:
     """Put the held object to the active subtask's goal and return to rest."""
     subtask = view.subtask
     assert subtask is not None
-    obj, goal = subtask.obj, np.array(subtask.goal_pos)
+    obj, goal, style = subtask.obj, np.array(subtask.goal_pos), style_of(view)
     failed = np.zeros((0, 3))
     for attempt in range(20):
         if not (view.finger_forces(obj) > 0.1).any():
             break
-        found = plan_place(view, obj, goal, failed, attempt)
+        drop = style.drop_height if style.release == DROP_IT else 0.0
+        found = plan_place(view, obj, goal, failed, attempt, drop)
+        if found is None and drop:
+            found = plan_place(view, obj, goal, failed, attempt)
         if found is None:
             yield from motion.hold(view, 5 + 10 * attempt, gripper=motion.CLOSED)
             failed = failed[:0]
@@ -55,25 +60,29 @@ def place(view: WorldView) -> Motion:
 
 
 def plan_place(
-    view: WorldView, obj: str, goal: Array, failed: Array, attempt: int = 0
+    view: WorldView, obj: str, goal: Array, failed: Array, attempt: int = 0, drop: float = 0.0
 ) -> tuple[Stance, HandGoals, float] | None:
-    """The best way to put an object near ``goal`` (3,): stance, hand poses it refers to, depth as in `plan_pick`."""
+    """The best way to put an object near ``goal`` (3,): stance, hand poses it refers to, depth as in `plan_pick`.
+
+    ``drop``: how high above its place in the open it is let go [m].
+    """
     near, _ = surroundings(view, obj, goal)
     support = float(goal[2]) - view.object_type(obj).half[2]
     scene = Scene(near, near.take(np.zeros(0, np.int64)), support, held_spheres(view, obj))
     depth = inside_depth(view, goal)
-    goals = hand_goals(view, obj, goal, shelf=depth > 0.0, any_side=attempt > 1)
+    goals = hand_goals(view, obj, goal, shelf=depth > 0.0, any_side=attempt > 1, drop=0.0 if depth else drop)
     goals = goals.take(np.flatnonzero(hand_room(goals, near.near(goal, 0.8)) > HAND_ROOM))
     found = stances(view, goal, goals, scene, drive_in=depth, avoid=failed, room=ROOMS[min(attempt, 2)])
     return (found[0], goals, depth) if found else None
 
 
-def hand_goals(view: WorldView, obj: str, goal: Array, *, shelf: bool, any_side: bool) -> HandGoals:
+def hand_goals(view: WorldView, obj: str, goal: Array, *, shelf: bool, any_side: bool, drop: float = 0.0) -> HandGoals:
     """Hand poses that put the object, as it sits in the hand, upright near ``goal`` (3,).
 
     Args:
         shelf: something is above: lean the hand forwards too, and begin lower.
         any_side: let it lie on any of its sides, too.
+        drop: let it fall from so high [m].
     """
     shape = shape_of(view.object_type(obj))
     tcp, hand = motion.tcp(view)
@@ -95,7 +104,7 @@ def hand_goals(view: WorldView, obj: str, goal: Array, *, shelf: bool, any_side:
     for (side, price), yaw, tilt in itertools.product(_sides(any_side), yaws, tilts):
         upright = ik.rotate(np.array([[0.0, 0.0, yaw]]))[0] @ side
         stand = ik.rotate(tilt * np.array([[*aside, 0.0]]))[0] @ upright
-        height = floor + height_below(shape, stand) + DROP
+        height = floor + height_below(shape, stand) + max(DROP, drop)
         for spot in spots:
             rot.append(stand @ turn.T)
             pos.append(np.array([*spot, height]) - rot[-1] @ offset)
@@ -129,7 +138,7 @@ def _put(view: WorldView, obj: str, stance: Stance, goals: HandGoals, depth: flo
     """Drive there, lower, let go, draw back. Returns whether the hand has let go."""
     pos, rot, pre = goals.pos[stance.goal], goals.rot[stance.goal], goals.pre[stance.goal]
     closed = motion.CLOSED
-    yield from follow(view, stance.route, gripper=closed)
+    yield from follow(view, stance.route, gripper=closed, gentle=True)
     if depth:
         yield from drive_in(view, stance.pre, gripper=closed)
     joints = settle_reach(view, stance, np.stack([pre, pos]), rot)

@@ -7,27 +7,35 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mjhab.core.seeding import stream
 from mjhab.envs.actions import ACTION_DIM
 from mjhab.envs.privileged import WorldView
 from mjhab.experts import motion
 from mjhab.experts.articulated import close_link, open_link
-from mjhab.experts.navigate import navigate
+from mjhab.experts.navigate import face, navigate
 from mjhab.experts.pick import pick
 from mjhab.experts.place import place
+from mjhab.experts.style import Manner, StyledView
 from mjhab.tasks.plan import SubtaskKind
+from mjhab.tasks.style import Styles, recorded
 
 if TYPE_CHECKING:
     from mjhab.envs.sequential import SequentialTaskEnv
 
 Script = Generator[np.ndarray, None, Any]
+PATIENCE = 40
+"""Control steps after which a teleport has been tried as often as it is."""
 
 
 def _wait(view: WorldView) -> Script:
-    """The environment teleports; the robot waits and keeps its grip."""
+    """The environment teleports; the robot waits and keeps its grip. Teleports that leave it too far turned away from
+    the goal (their noise goes up to the very limit) never succeed by themselves: after a while it turns to the goal."""
     subtask = view.subtask
-    holding = subtask is not None and subtask.must_hold
-    while True:
-        yield motion.action(view, None, gripper=motion.CLOSED if holding else motion.OPEN)
+    assert subtask is not None
+    gripper = motion.CLOSED if subtask.must_hold else motion.OPEN
+    for _ in range(PATIENCE):
+        yield motion.action(view, None, gripper=gripper)
+    yield from face(view, gripper=gripper)
 
 
 SCRIPTS: dict[SubtaskKind, Callable[[WorldView], Script]] = {
@@ -44,17 +52,24 @@ class ExpertPolicy:
 
     name = "expert"
 
-    def __init__(self, env: SequentialTaskEnv) -> None:
+    def __init__(self, env: SequentialTaskEnv, styles: Styles | None = None) -> None:
+        self._styles = styles or Styles()
         self._start = {**SCRIPTS, SubtaskKind.NAVIGATE: _wait} if env.config.teleports else SCRIPTS
-        self._views = [env.view(w) for w in range(env.num_envs)]
+        self._views = [StyledView(env, w) for w in range(env.num_envs)]
+        self._manners: list[Manner | None] = [None] * env.num_envs
         self._scripts: list[Script | None] = [None] * env.num_envs
         self._tokens: list[tuple[int, int, int] | None] = [None] * env.num_envs
         self._last = np.zeros((env.num_envs, ACTION_DIM), np.float32)
+        self._wished = self._last.copy()
 
     def reset(self, mask: np.ndarray) -> None:
         """Forget the scripts of the worlds in ``mask`` (W,)."""
         for w in np.flatnonzero(mask):
-            self._scripts[w] = self._tokens[w] = None
+            self._scripts[w] = self._tokens[w] = self._manners[w] = None
+
+    def style(self, world: int) -> dict[str, Any]:
+        """The style of the running episode as plain data; empty when no styles were asked for."""
+        return {} if self._styles.plain else recorded(self._views[world].style)
 
     def act(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:
         """Actions (W, 13) for the present state of the environment."""
@@ -62,12 +77,31 @@ class ExpertPolicy:
             self._last[w] = self._next(w, view)
         return self._last.copy()
 
-    def _next(self, w: int, view: WorldView) -> np.ndarray:
+    def _next(self, w: int, view: StyledView) -> np.ndarray:
         subtask = view.subtask
         if subtask is None or view.done:
             return np.zeros(ACTION_DIM, np.float32)
-        if self._tokens[w] != view.token:
-            self._tokens[w], self._scripts[w] = view.token, self._start[subtask.kind](view)
+        manner, token = self._manner(w, view), view.token
+        if manner.holds:
+            gripper = motion.CLOSED if subtask.must_hold or subtask.kind is SubtaskKind.PLACE else motion.OPEN
+            return manner.wait(motion.action(view, motion.rest_goal(view), gripper=gripper))
+        begins = self._tokens[w] != token
+        if begins:
+            self._tokens[w], self._scripts[w] = token, self._start[subtask.kind](view)
+        if manner.due() or begins:
+            self._wished[w] = self._from_script(w, view)
+        return manner.shape(self._wished[w])
+
+    def _manner(self, w: int, view: StyledView) -> Manner:
+        """The manner of the running episode, which begins with drawing its style."""
+        manner = self._manners[w]
+        if manner is None:
+            seed, index, _ = view.token
+            view.style = self._styles.draw(seed, index)
+            self._manners[w] = manner = Manner(view.style, stream(seed, "style", "actions", index))
+        return manner
+
+    def _from_script(self, w: int, view: StyledView) -> np.ndarray:
         script = self._scripts[w]
         assert script is not None
         try:

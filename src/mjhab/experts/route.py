@@ -39,6 +39,9 @@ _SHARES = (0.35, 0.6, 0.8)
 MAX_SPEED = 1.0
 _TURN_RATE, _PREVIEW = 2.6, 0.1
 _NEAR, _TURNED = 0.02, 0.05
+GENTLE_RISE, GENTLE_CHANGE, GENTLE_SPIN = 0.12, 0.25, 1.8
+"""With an object in the hand: change of speed [m/s] and of yaw rate [rad/s] per control step, and most of the latter.
+The hand is almost a metre before the base: a sudden turn pulls objects out of it."""
 
 
 class Pilot:
@@ -125,7 +128,8 @@ def _planner_with(home: HomeShapes, ajar: tuple[tuple[str, float], ...]) -> Plan
     # Seen from above: doors and drawers stand upright, so that height plays no part.
     flat = Boxes(boxes.center * [1.0, 1.0, 0.0], boxes.half, boxes.rot)
     gap = sphere_box_distance(cells, flat).min(axis=1).reshape(nx, ny) + BODY_SLIMMER
-    return Planner(plain.origin, plain.cell, np.minimum(plain.clearance, np.maximum(gap, 0.0)), radius=plain.radius)
+    clearance = np.minimum(plain.clearance, np.maximum(gap, 0.0))
+    return Planner(plain.origin, plain.cell, clearance, radius=plain.radius, narrow=plain.narrow)
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,11 +200,16 @@ def _way(view: WorldView, goal: Array) -> Array | None:
     return path
 
 
-def follow(view: WorldView, route: Route, *, gripper: float, tolerance: float = 0.05) -> Motion:
-    """Drive a route. Returns whether base and arm arrived; not when something is in the way."""
+def follow(
+    view: WorldView, route: Route, *, gripper: float, tolerance: float = 0.05, gentle: bool = False
+) -> Motion:  # fmt: skip
+    """Drive a route. Returns whether base and arm arrived; not when something is in the way.
+
+    ``gentle``: there is an object in the hand that must not slip.
+    """
     pilot = Pilot(route.path, route.yaw, route.direction, route.lookahead, route.speed)
     start, pressed, arrived = view.q, 0, False
-    moving = motion.drives(view, route.path[-1], route.yaw)
+    moving, before = motion.drives(view, route.path[-1], route.yaw), (0.0, 0.0)
     for step in range(route.steps + 40):
         forward, turn, done = pilot.step(view.q[:3]) if moving and not arrived else (0.0, 0.0, True)
         arrived = arrived or done
@@ -209,12 +218,19 @@ def follow(view: WorldView, route: Route, *, gripper: float, tolerance: float = 
         if arrived and off <= tolerance:
             return True
         speed = (0.0, 0.0) if arrived else (forward, turn)
+        before = speed = _eased(speed, before) if gentle else speed
         ramp = min(1.0, 0.25 * (1 + step - min(step, route.delay)))
         yield motion.action(view, route.arm if on_time else start, gripper=gripper, drive=speed, speed=ramp)
         pressed = pressed + 1 if view.link_forces.sum() > BLOCKED_FORCE else 0
         if pressed >= BLOCKED_STEPS:
             return False
     return False
+
+
+def _eased(wish: tuple[float, float], before: tuple[float, float]) -> tuple[float, float]:
+    """Forward speed and yaw rate that are not far from those of the control step before."""
+    forward = before[0] + _bounded(wish[0] - before[0], GENTLE_RISE)
+    return forward, before[1] + _bounded(_bounded(wish[1], GENTLE_SPIN) - before[1], GENTLE_CHANGE)
 
 
 def _direction(pose: Array, path: Array, yaw: float) -> int:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from mjhab.core.errors import UsageError
-from mjhab.rollout.policy import Policy
+from mjhab.rollout.policy import Policy, Styled
 from mjhab.rollout.records import EpisodeRecord, Event, PlanEntry, SubtaskRecord
 from mjhab.rollout.sinks import Sink, StepView
 
@@ -109,7 +109,8 @@ class _Run:
         return trace
 
     def _finish(self, world: int) -> None:
-        record = self._trace(world).record(int(self.steps[world]), world, self.info, self.env)
+        style = self.policy.style(world) if isinstance(self.policy, Styled) else {}
+        record = self._trace(world).record(int(self.steps[world]), world, self.info, self.env, style)
         self.active[world] = False
         self.traces[world] = None
         self.records.append(record)
@@ -155,7 +156,9 @@ class _Trace:
         if info["ended"][world] is not None:
             self.subtasks.append(SubtaskRecord.from_dict(info["ended"][world]))
 
-    def record(self, steps: int, world: int, info: Mapping[str, Any], env: Any) -> EpisodeRecord:
+    def record(
+        self, steps: int, world: int, info: Mapping[str, Any], env: Any, style: Mapping[str, Any]
+    ) -> EpisodeRecord:  # fmt: skip
         """Close the episode after ``steps`` control steps; ``info`` is that of its last step."""
         episode = self.episode
         return EpisodeRecord(
@@ -182,6 +185,7 @@ class _Trace:
             spawn_fallback=bool(info["spawn_fallback"][world]),
             final_state=str(env.state_digest(world)),
             seconds=round(time.perf_counter() - self.started, 3),
+            style=dict(style),
         )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -31,6 +31,15 @@ class Policy(Protocol):
 
     def act(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:
         """Return actions (W, 13) float32 in [-1, 1] for the observations and info of the last reset or step."""
+        ...
+
+
+@runtime_checkable
+class Styled(Protocol):
+    """A policy that can be asked to act in one way or another."""
+
+    def style(self, world: int) -> Mapping[str, Any]:
+        """How it acts in the running episode of a world, as plain data for its record; empty if nothing was asked."""
         ...
 
 

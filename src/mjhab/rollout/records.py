@@ -66,7 +66,8 @@ class EpisodeRecord:
     plan that succeeded. ``force`` is the robot force [N] of every control step, to 0.1 N. ``taint`` names what the
     simulation flagged (then the episode's physics cannot be trusted). ``spawn_fallback``: no random start was valid and
     the nearest valid one was taken. ``final_state`` is a hash of the last state, bit by bit. ``seconds`` is wall time
-    and takes no part in comparisons: everything else is a function of (seed, index).
+    and takes no part in comparisons: everything else is a function of (seed, index). ``style``: how the policy was
+    asked to act in this episode (fields of `tasks.style.Style`), empty where nothing was asked.
     """
 
     seed: int
@@ -90,10 +91,14 @@ class EpisodeRecord:
     spawn_fallback: bool
     final_state: str
     seconds: float = field(default=0.0, compare=False)
+    style: Mapping[str, Any] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain data for ``json.dumps``; keys are the field names."""
-        return asdict(self)
+        """Return plain data for ``json.dumps``; keys are the field names, without ``style`` where there is none."""
+        values = asdict(self)
+        if not self.style:
+            del values["style"]
+        return values
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> EpisodeRecord:
@@ -102,7 +107,8 @@ class EpisodeRecord:
         Raises:
             KeyError: a field is missing.
         """
-        values = {f.name: data[f.name] for f in fields(cls)}
+        values = {f.name: data[f.name] for f in fields(cls) if f.name != "style"}
+        values["style"] = dict(data.get("style", {}))
         values["plan"] = tuple(PlanEntry(**entry) for entry in data["plan"])
         values["subtasks"] = tuple(SubtaskRecord.from_dict(entry) for entry in data["subtasks"])
         values["events"] = tuple((int(step), str(name)) for step, name in data["events"])

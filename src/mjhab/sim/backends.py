@@ -6,10 +6,10 @@ import importlib.util
 from typing import TYPE_CHECKING, Any
 
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.scenes.fetch import Drives
-from mjhab.scenes.layout import Layout
 
 if TYPE_CHECKING:
+    from mjhab.scenes.fetch import Drives
+    from mjhab.scenes.layout import Layout
     from mjhab.sim.cpu import CpuSimulator
     from mjhab.sim.warp import WarpSimulator
 

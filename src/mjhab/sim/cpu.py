@@ -11,10 +11,10 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from mjhab.core.errors import UsageError, unknown_name
-from mjhab.scenes.compile import compile_home
-from mjhab.scenes.fetch import Drives, apply_drives
+from mjhab.core.errors import UsageError
+from mjhab.scenes.fetch import Drives
 from mjhab.scenes.layout import Layout, addresses
+from mjhab.sim.home_models import HomeModels
 from mjhab.sim.protocol import PENETRATION_LIMIT, TAINTS, SimState
 from mjhab.sim.settle import holding_ctrl
 
@@ -55,8 +55,8 @@ class CpuSimulator:
         self.num_worlds = num_worlds
         self.num_threads = num_threads or os.cpu_count() or 1
         self.drives = drives or Drives()
-        self._homes = {home.name: home for home in layout.pack.homes}
-        self._models: dict[str, mujoco.MjModel] = {}
+        self.model = HomeModels(layout, self.drives)
+        """The compiled model of a home of the pack, by the name of the home."""
         first = self.model(layout.pack.homes[0].name)
         self.addresses = addresses(layout, first)
         self._world_models = [first] * num_worlds
@@ -80,17 +80,6 @@ class CpuSimulator:
         self._taint, self._broken = np.zeros(num_worlds, np.uint8), np.zeros(num_worlds, bool)
         self._warned = np.zeros((num_worlds, self.batch.warning.shape[1]), np.int64)
         self._nan_warned = self._warned.copy()
-
-    def model(self, home: str) -> mujoco.MjModel:
-        """The compiled model of a home of the pack."""
-        if home not in self._models:
-            if home not in self._homes:
-                raise unknown_name("home", home, self._homes)
-            # Every call loads or builds a model of its own: another simulator's servos are not touched.
-            model = compile_home(self.layout, self._homes[home])
-            apply_drives(model, self.drives)
-            self._models[home] = model
-        return self._models[home]
 
     @property
     def qpos(self) -> np.ndarray:

@@ -10,10 +10,10 @@ import mujoco
 import numpy as np
 
 from mjhab.core.arrays import to_numpy
-from mjhab.core.errors import UsageError, unknown_name
-from mjhab.scenes.compile import compile_home
-from mjhab.scenes.fetch import Drives, apply_drives
+from mjhab.core.errors import UsageError
+from mjhab.scenes.fetch import Drives
 from mjhab.scenes.layout import Layout, addresses
+from mjhab.sim.home_models import HomeModels
 from mjhab.sim.protocol import SimState
 from mjhab.sim.settle import holding_ctrl
 
@@ -25,7 +25,7 @@ try:
     from mjhab.sim.warp_device import open_device
     from mjhab.sim.warp_engine import BufferSizes, Engine
     from mjhab.sim.warp_rest import RestFinder
-    from mjhab.sim.warp_sizes import buffer_sizes
+    from mjhab.sim.warp_sizes import buffer_sizes, changed_sizes
 except ModuleNotFoundError as error:
     raise UsageError(f"backend 'warp' needs {error.name}, which is not installed; pip install 'mjhab[gpu]'") from error
 
@@ -42,24 +42,26 @@ class WarpSimulator:
         device: a Warp device: "cpu", "cuda:0"; "" takes the first CUDA device.
         drives: servos of the robot, as the control mode needs them.
         sizes: of the engine's buffers; None calibrates them, once per layout.
+        buffers: other values for single fields of `BufferSizes`, as {"contacts": 100_000}.
     """
 
     num_threads = 1
 
     def __init__(
         self, layout: Layout, num_worlds: int, device: str = "", drives: Drives | None = None,
-        sizes: BufferSizes | None = None,
+        sizes: BufferSizes | None = None, buffers: Mapping[str, int] | None = None,
     ) -> None:  # fmt: skip
         if num_worlds < 1:
             raise UsageError(f"num_worlds must be at least 1, got {num_worlds}")
         self.layout, self.num_worlds = layout, num_worlds
         self.drives = drives or Drives()
         self.device = open_device(device)
-        self._homes = {home.name: home for home in layout.pack.homes}
-        self._models: dict[str, mujoco.MjModel] = {}
+        self.model = HomeModels(layout, self.drives)
+        """The compiled model of a home of the pack, on the host, by the name of the home."""
         base = self.model(layout.pack.homes[0].name)
         self.addresses = addresses(layout, base)
         sizes = sizes or buffer_sizes(layout, self.model, self.addresses, num_worlds, self.device)
+        sizes = changed_sizes(sizes, buffers or {})
         self._rest = RestFinder(base, self.addresses)
         self.engine = self._make_engine(base, sizes)
         a = self.addresses
@@ -72,7 +74,7 @@ class WarpSimulator:
 
     def _make_engine(self, base: mujoco.MjModel, sizes: BufferSizes) -> Engine:
         try:
-            return Engine(base, self.addresses, self.num_worlds, len(self._homes), sizes, self.device)
+            return Engine(base, self.addresses, self.num_worlds, len(self.layout.pack.homes), sizes, self.device)
         except RuntimeError as error:
             if "alloc" not in str(error) and "memory" not in str(error):
                 raise
@@ -80,16 +82,6 @@ class WarpSimulator:
                 f"{self.num_worlds} worlds do not fit into the memory of {self.device}; "
                 f"try num_worlds={max(1, self.num_worlds // 2)}"
             ) from error
-
-    def model(self, home: str) -> mujoco.MjModel:
-        """The compiled model of a home of the pack, on the host."""
-        if home not in self._models:
-            if home not in self._homes:
-                raise unknown_name("home", home, self._homes)
-            model = compile_home(self.layout, self._homes[home])
-            apply_drives(model, self.drives)
-            self._models[home] = model
-        return self._models[home]
 
     @property
     def qpos(self) -> torch.Tensor:
@@ -141,6 +133,61 @@ class WarpSimulator:
         worlds = self._indices(ids)
         self.engine.new_qpos_t[worlds] = self._upload(qpos)
         self.engine.refresh(worlds, teleport=True)
+
+    def start_rows(self, homes: Sequence[str], qpos: np.ndarray) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """What `reset_masked` needs of starts at rest in the states ``qpos`` (n, nq) of ``homes``, on the device.
+
+        Returns:
+            rows (n,) int32 of the homes, which are uploaded; commands (n, nu) float32; sleep (n, ntree) int32.
+        """
+        rows = np.array([self.engine.homes.row(home, self.model(home)) for home in homes], np.int32)
+        still = np.zeros(self.engine.qvel_t.shape[1])
+        rings = [self._rest.rings(h, self.model(h), q, still) for h, q in zip(homes, qpos, strict=True)]
+        ctrl = holding_ctrl(self.model(homes[0]), qpos)
+        device = self._torch_device
+        return torch.as_tensor(rows, device=device), self._upload(ctrl), torch.as_tensor(np.stack(rings), device=device)
+
+    def reset_masked(
+        self, mask: torch.Tensor, rows: torch.Tensor, qpos: torch.Tensor, ctrl: torch.Tensor, rings: torch.Tensor,
+        moved: torch.Tensor | None = None,
+    ) -> None:  # fmt: skip
+        """Begin the worlds of ``mask`` (W,) bool at rest in ``qpos`` (W, nq); the others keep every bit.
+
+        Nothing is copied to or from the host. All arguments are tensors on the device with a row per world, and rows
+        outside of the masks are not read.
+
+        Args:
+            mask: worlds to reset.
+            rows, ctrl, rings: rows of `start_rows`.
+            moved: (W,) bool, worlds that are teleported to their row of ``qpos`` instead; none that is in ``mask``.
+        """
+        engine = self.engine
+        engine.fresh_t.copy_(mask)
+        engine.moved_t.copy_(torch.zeros_like(mask) if moved is None else moved)
+        given = (rows, qpos, ctrl, rings)
+        buffers = (engine.new_rows_t, engine.new_qpos_t, engine.new_ctrl_t, engine.new_rings_t)
+        for buffer, values in zip(buffers, given, strict=True):
+            buffer.copy_(values)
+        engine.renew()
+
+    def mend_broken(self) -> None:
+        """Let worlds that the last step broke lie still where they were before it, without a host copy.
+
+        They stay tainted, and under the commands of the step; `mend` would give them those of a start.
+        """
+        self.engine.mend()
+
+    def check_overflow(self) -> None:
+        """Complain if a buffer was ever too small. Waits for the device.
+
+        Raises:
+            UsageError: names the buffer, its size and a larger one.
+        """
+        names, sizes = self.engine.overflown(), dataclasses.asdict(self.engine.sizes)
+        if names:
+            now = ", ".join(f"{name}={sizes[name]}" for name in names)
+            more = ", ".join(f"{name!r}: {2 * (sizes[name] or 0)}" for name in names)
+            raise UsageError(f"buffers of the engine overflowed ({now}), episodes are tainted; set buffers={{{more}}}")
 
     def get_world(self, world: int) -> dict[str, np.ndarray]:
         """Copies of everything the physics of one world depends on: "time", "qpos", "qvel", "ctrl", "warmstart".

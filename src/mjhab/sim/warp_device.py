@@ -1,30 +1,51 @@
-"""Find the device that a simulation on MuJoCo Warp runs on."""
+"""The device that a simulation on MuJoCo Warp runs on: found by name, and what memory it has left."""
 
 from __future__ import annotations
 
 import warp as wp
 
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.sim.warp_builds import announce_builds
+
+LEAST_DRIVER = (12, 4)
+"""Version of CUDA that the driver must be good for: the first whose graphs can hold conditions."""
 
 
 def open_device(name: str) -> wp.Device:
     """A Warp device by name: "cpu", "cuda:0", "cuda:1", ...; "" takes the first CUDA device.
 
     Raises:
-        UsageError: there is no such device, or its driver cannot replay conditional graphs.
+        UsageError: there is no such device, or its driver is too old.
     """
     wp.init()
-    if not name:
-        if not wp.is_cuda_available():
-            raise UsageError(
-                "backend 'warp' found no CUDA device (is an NVIDIA driver installed?); for tests there is "
-                "device='cpu', far slower than backend 'cpu'."
-            )
-        name = "cuda:0"
+    announce_builds()
+    driver = wp.get_cuda_driver_version()
+    if name != "cpu" and driver is not None and driver < LEAST_DRIVER:
+        raise UsageError(
+            f"backend 'warp' needs an NVIDIA driver for CUDA {_version(LEAST_DRIVER)} or newer, this one is for "
+            f"{_version(driver)}; update the driver to 550 or newer."
+        )
+    if not name and not wp.is_cuda_available():
+        raise UsageError(
+            "backend 'warp' found no CUDA device (is an NVIDIA driver installed?); for tests there is "
+            "device='cpu', far slower than backend 'cpu'."
+        )
     names = [str(device) for device in wp.get_devices()]
-    if name not in names:
+    if name and name not in names:
         raise unknown_name("device", name, names)
-    device = wp.get_device(name)
+    device = wp.get_device(name or "cuda:0")
     if device.is_cuda and not wp.is_conditional_graph_supported():
-        raise UsageError("backend 'warp' needs an NVIDIA driver for CUDA 12.4 or newer; update the driver.")
+        raise UsageError(
+            f"backend 'warp' needs a Warp that was built with CUDA {_version(LEAST_DRIVER)} or newer; "
+            "pip install 'mjhab[gpu]' brings one."
+        )
     return device
+
+
+def _version(numbers: tuple[int, int]) -> str:
+    return ".".join(map(str, numbers))
+
+
+def free_mb(device: wp.Device) -> float:
+    """Free memory of a CUDA device [MB]."""
+    return device.free_memory / 2**20

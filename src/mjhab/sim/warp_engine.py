@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import mujoco
@@ -27,6 +28,13 @@ _OVERFLOW = mjw.OverflowType
 CONTACT_OVERFLOW = _OVERFLOW.BROADPHASE | _OVERFLOW.NARROWPHASE | _OVERFLOW.CCD | _OVERFLOW.HFIELD
 ROW_OVERFLOW = _OVERFLOW.NEFC | _OVERFLOW.NJMAX_NNZ | _OVERFLOW.NVMAX
 ENGINE_OVERFLOW = _OVERFLOW.EPA_HORIZON
+_BUFFER_BITS = {
+    "contacts": _OVERFLOW.BROADPHASE | _OVERFLOW.NARROWPHASE | _OVERFLOW.HFIELD,
+    "ccd": _OVERFLOW.CCD,
+    "rows": _OVERFLOW.NEFC | _OVERFLOW.NJMAX_NNZ,
+    "awake": _OVERFLOW.NVMAX,
+}
+"""Overflow bits of each of `BufferSizes`."""
 AWAKE = sleep.K_AWAKE_VAL
 """The engine's code for a tree that was just woken."""
 
@@ -91,11 +99,17 @@ class Engine:
         self.taint = wp.zeros(worlds, dtype=wp.uint8)
         self.broken = wp.zeros(worlds, dtype=wp.bool)
         self.pairs_peak = wp.zeros(1, dtype=wp.int32)
+        self.overflow_seen = wp.zeros(1, dtype=wp.int32)
         self.update = wp.zeros(worlds, dtype=wp.bool)
+        self.fresh, self.moved = wp.zeros(worlds, dtype=wp.bool), wp.zeros(worlds, dtype=wp.bool)
+        self._due = wp.zeros(1, dtype=wp.int32)
+        self.new_rows = wp.zeros(worlds, dtype=wp.int32)
+        self.new_ctrl = wp.zeros((worlds, model.nu), dtype=wp.float32)
+        self.new_rings = wp.zeros((worlds, model.ntree), dtype=wp.int32)
         self._everyone = wp.ones(worlds, dtype=wp.bool)
         self.new_qpos = wp.zeros((worlds, model.nq), dtype=wp.float32)
         self._qpos_before = wp.zeros_like(self.data.qpos)
-        self._asleep_before = wp.zeros_like(self.data.tree_asleep)
+        self._asleep_before, self._slept = wp.zeros_like(self.data.tree_asleep), wp.zeros_like(self.data.tree_asleep)
         overflow = [int(CONTACT_OVERFLOW), int(ROW_OVERFLOW), int(ENGINE_OVERFLOW)]
         self._overflow_bits = wp.array(overflow, dtype=wp.int32)
         self._tcp = a.robot_body[TCP_LINK]
@@ -137,6 +151,8 @@ class Engine:
         self.asleep_t, self.overflow_t = wp.to_torch(data.tree_asleep), wp.to_torch(data.overflow)
         self.taint_t, self.broken_t = wp.to_torch(self.taint), wp.to_torch(self.broken)
         self.update_t, self.new_qpos_t = wp.to_torch(self.update), wp.to_torch(self.new_qpos)
+        self.fresh_t, self.moved_t, self.new_rows_t = map(wp.to_torch, (self.fresh, self.moved, self.new_rows))
+        self.new_ctrl_t, self.new_rings_t = wp.to_torch(self.new_ctrl), wp.to_torch(self.new_rings)
 
     def _record_peak(self, model: mjw.Model, data: mjw.Data) -> None:
         # Called after each collision pass. With sleep on there are two a substep, and the second starts the engine's
@@ -163,11 +179,12 @@ class Engine:
         self.pairs_peak.zero_()
         self.broken.zero_()
         wp.copy(self._qpos_before, data.qpos)
+        wp.copy(self._slept, data.tree_asleep)
         for _ in range(SUBSTEPS):
             mjw.step(self.model, data)
             wp.launch(
-                kernels.put_back_broken, dim=self.num_worlds, inputs=[self._qpos_before, AWAKE],
-                outputs=[data.qpos, data.qvel, data.qacc_warmstart, data.tree_asleep, self.broken],
+                kernels.put_back_broken, dim=self.num_worlds, inputs=[self._qpos_before, self._slept],
+                outputs=[data.qpos, data.qvel, data.qacc_warmstart, data.tree_asleep, data.overflow, self.broken],
             )  # fmt: skip
         # The engine's poses are those before the last integration.
         smooth.kinematics(self.model, self.data)
@@ -181,6 +198,52 @@ class Engine:
                     self.broken],
             outputs=[self.taint],
         )  # fmt: skip
+        wp.launch(
+            kernels.note_overflow, dim=self.num_worlds,
+            inputs=[data.overflow, self.pairs_peak, data.naconmax, int(_OVERFLOW.BROADPHASE)],
+            outputs=[self.overflow_seen],
+        )  # fmt: skip
+
+    def renew(self) -> None:
+        """Begin the worlds of ``fresh_t`` anew and teleport those of ``moved_t``, which are others, to ``new_qpos_t``.
+
+        Homes, commands and sleep of the former are read from ``new_rows_t``, ``new_ctrl_t`` and ``new_rings_t``. Shapes
+        do not depend on the masks and nothing is asked of the device: on CUDA the launch of one captured graph, which
+        does next to nothing where both masks are empty. Other worlds keep every bit.
+        """
+        with wp.ScopedDevice(self.device):
+            self.graphs.run("renew", self._renew_due)
+
+    def mend(self) -> None:
+        """Make everything derived current in the worlds that the last step broke and put back."""
+        with wp.ScopedDevice(self.device):
+            self.graphs.run("mend", self._mend_due)
+
+    def _renew_due(self) -> None:
+        wp.launch(kernels.unite, dim=self.num_worlds, inputs=[self.fresh, self.moved], outputs=[self.update])
+        self._if_due(self._renew)
+
+    def _mend_due(self) -> None:
+        wp.copy(self.update, self.broken)
+        self._if_due(self._refresh)
+
+    def _if_due(self, work: Callable[[], None]) -> None:
+        self._due.zero_()
+        wp.launch(kernels.any_of, dim=self.num_worlds, inputs=[self.update], outputs=[self._due])
+        wp.capture_if(self._due, on_true=work)
+
+    def _renew(self) -> None:
+        data = self.data
+        self.homes.put_masked(self.fresh, self.new_rows)
+        wp.launch(
+            kernels.begin_worlds, dim=self.num_worlds,
+            inputs=[self.fresh, self.new_qpos, self.new_ctrl, self.new_rings, AWAKE],
+            outputs=[data.qpos, data.qvel, data.ctrl, data.qacc_warmstart, data.time, data.tree_asleep],
+        )  # fmt: skip
+        self._move(self.moved)
+        self._refresh()
+        flags = [data.overflow, self.taint, self.broken]
+        wp.launch(kernels.clear_flags, dim=self.num_worlds, inputs=[self.fresh], outputs=flags)
 
     def refresh(self, worlds: torch.Tensor, *, teleport: bool = False) -> None:
         """Make everything derived current in ``worlds`` (n,) int64; other worlds keep every bit.
@@ -197,19 +260,27 @@ class Engine:
             else:
                 self.graphs.run("refresh", self._refresh)
 
+    def overflown(self) -> list[str]:
+        """Names, as in `BufferSizes`, of the buffers that have ever been too small. Waits for the device."""
+        bits = int(self.overflow_seen.numpy()[0])
+        return [name for name, mask in _BUFFER_BITS.items() if bits & int(mask)]
+
     def clear_flags(self, worlds: torch.Tensor) -> None:
         """Forget overflow, taint and breakage of worlds (n,)."""
         for flag in (self.overflow_t, self.taint_t, self.broken_t):
             flag[worlds] = 0
 
     def _teleport(self) -> None:
+        self._move(self.update)
+        self._refresh()
+
+    def _move(self, mask: wp.array) -> None:
         data = self.data
         wp.launch(
             kernels.teleport, dim=self.num_worlds,
-            inputs=[self.update, self.new_qpos, self._tree_q, self._tree_v, self._stops, AWAKE],
+            inputs=[mask, self.new_qpos, self._tree_q, self._tree_v, self._stops, AWAKE],
             outputs=[data.qpos, data.qvel, data.tree_asleep],
         )  # fmt: skip
-        self._refresh()
 
     def _refresh(self) -> None:
         # The engine has no mask here. In other worlds this computes again what it had, but for two things: what a

@@ -1,40 +1,91 @@
-"""The one owner of captured CUDA graphs."""
+"""The one owner of captured graphs of device work, and of the memory that such work allocates."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import warp as wp
 
 
 class Graphs:
-    """Run device work by name; on a CUDA device it is captured after its first run and replayed from then on.
+    """Run device work by name; it is captured after its first run and replayed from then on.
 
     Work must launch the same kernels on the same arrays each time: no host copies, no replaced arrays. Whoever replaces
-    an array or changes an engine option calls `forget`. On the CPU device the work is simply called.
+    an array or changes an engine option calls `forget`. On Warp's CPU device a replay spares the launches by Python,
+    which cost more than the kernels of a few worlds.
     """
 
     def __init__(self, device: wp.Device) -> None:
         self.device = device
         self._graphs: dict[str, Any] = {}
+        self._arena = _Arena(device)
 
     def run(self, name: str, work: Callable[[], None]) -> None:
         """Do the work that ``name`` stands for."""
-        if not self.device.is_cuda:
-            work()
-            return
         graph = self._graphs.get(name)
         if graph is not None:
             wp.capture_launch(graph)
             return
-        # The first run loads kernels, which no capture may do, and counts as the run that was asked for; capturing
-        # runs nothing.
-        work()
-        with wp.ScopedCapture(self.device) as capture:
+        with self._arena.lending():
+            # The first run loads kernels, which no capture may do, and counts as the run that was asked for; capturing
+            # runs nothing.
             work()
+            with wp.ScopedCapture(self.device) as capture:
+                work()
         self._graphs[name] = capture.graph
 
     def forget(self) -> None:
         """Drop all graphs; the next run of each captures it again."""
         self._graphs.clear()
+
+
+class _Arena:
+    """Memory that captured work takes and gives back, kept for as long as graphs may use it.
+
+    The engine allocates within a step, and the body of a conditional graph must hold no allocation. All work runs on
+    one stream, so that a block can serve one piece of work after the other.
+    """
+
+    deallocate_requires_context_guard = False
+    memory_kind = None
+
+    def __init__(self, device: wp.Device) -> None:
+        self._device = device
+        self._free: dict[int, list[int]] = {}
+        self._kept: list[wp.array] = []
+        self._inner: Any = None
+
+    @contextmanager
+    def lending(self) -> Iterator[None]:
+        """While open, arrays that are made on the device get their memory here."""
+        if self._device.is_cuda:
+            with wp.ScopedAllocator(self._device, self):
+                yield
+            return
+        # Warp takes other allocators for CUDA only.
+        self._inner, self._device.default_allocator = self._device.default_allocator, self
+        try:
+            yield
+        finally:
+            self._device.default_allocator = self._inner
+
+    def allocate(self, size_in_bytes: int) -> int:
+        """Address of so many bytes."""
+        free = self._free.setdefault(size_in_bytes, [])
+        if not free:
+            free.append(self._new(size_in_bytes))
+        return free.pop()
+
+    def _new(self, size_in_bytes: int) -> int:
+        if not self._device.is_cuda:
+            return self._inner.allocate(size_in_bytes)
+        with wp.ScopedAllocator(self._device, None):
+            block = wp.empty(size_in_bytes, dtype=wp.uint8, device=self._device)  # type: ignore[arg-type]
+        self._kept.append(block)
+        return int(block.ptr or 0)
+
+    def deallocate(self, ptr: int, size_in_bytes: int) -> None:
+        """Let a block of `allocate` be used again."""
+        self._free[size_in_bytes].append(ptr)

@@ -10,6 +10,8 @@ import numpy as np
 import torch
 import warp as wp
 
+from mjhab.sim.warp_kernels import copy_rows, keep_rows
+
 HOME_FIELDS = (
     "body_pos", "body_quat", "geom_pos", "geom_quat", "geom_size", "geom_aabb", "geom_rbound", "jnt_range"
 )  # fmt: skip
@@ -21,6 +23,8 @@ _ROUNDING = 1e-6
 
 class HomeTables:
     """Rows of HOME_FIELDS and STATIC_POSES of every home used so far, and their copies in the worlds.
+
+    ``rows`` (W,) int32, on the device: row of the home that each world is in; ``names``: of the homes, by row.
 
     Args:
         base: the model that ``model`` was made from.
@@ -34,12 +38,24 @@ class HomeTables:
         views = {name: wp.to_torch(getattr(model, name)) for name in HOME_FIELDS}
         views |= {name: wp.to_torch(getattr(data, name)) for name in STATIC_POSES}
         self._worlds: dict[str, torch.Tensor] = views
+        self._rows = wp.zeros(data.nworld, dtype=wp.int32)
+        self.rows = wp.to_torch(self._rows)
         self._tables = {
             name: torch.zeros((capacity, *view.shape[1:]), dtype=view.dtype, device=view.device)
             for name, view in views.items()
         }
+        # The same memory as rows of numbers, for the kernel that copies them under a mask.
+        self._flat = [
+            (wp.from_torch(self._tables[name].flatten(1)), wp.from_torch(view.flatten(1)))
+            for name, view in views.items()
+        ]
         self._index: dict[str, int] = {}
         self._shared = _shared_fields(base)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the homes used so far, by row."""
+        return tuple(self._index)
 
     def row(self, home: str, model: mujoco.MjModel) -> int:
         """Row of a home, whose ``model`` is uploaded the first time.
@@ -58,8 +74,15 @@ class HomeTables:
 
     def put(self, worlds: torch.Tensor, rows: torch.Tensor) -> None:
         """Copy home ``rows`` (n,) to ``worlds`` (n,), both int64 on the device."""
+        self.rows[worlds] = rows.to(self.rows.dtype)
         for name, view in self._worlds.items():
             view[worlds] = self._tables[name][rows]
+
+    def put_masked(self, fresh: wp.array, rows: wp.array) -> None:
+        """Copy home ``rows`` (W,) int32 to the worlds in ``fresh`` (W,) bool; part of a captured graph."""
+        wp.launch(keep_rows, dim=rows.shape, inputs=[fresh, rows], outputs=[self._rows])
+        for table, world in self._flat:
+            wp.launch(copy_rows, dim=world.shape, inputs=[fresh, rows, table], outputs=[world])
 
     def _require_same(self, home: str, model: mujoco.MjModel) -> None:
         for name in self._shared:

@@ -139,16 +139,18 @@ def finish_state(
 @wp.kernel
 def put_back_broken(
     before: wp.array2d[float],
-    awake: int,
+    slept: wp.array2d[int],
     qpos: wp.array2d[float],
     qvel: wp.array2d[float],
     warmstart: wp.array2d[float],
     tree_asleep: wp.array2d[int],
+    overflow: wp.array[int],
     broken: wp.array[bool],
 ):
-    """Put a world that is not finite back to its positions ``before``, at rest and awake, and say so in ``broken``.
+    """Put a world that is not finite back to its positions ``before``, at rest and as it ``slept``; tell ``broken``.
 
-    Left alone it would overlap with everything: its pairs would fill the contact buffer that all worlds share.
+    Left alone it would overlap with everything: its pairs would fill the contact buffer that all worlds share; awake it
+    would need more rows than there are. That it did says nothing about the buffers.
     """
     world = wp.tid()
     finite = wp.bool(True)
@@ -159,13 +161,14 @@ def put_back_broken(
     if finite:
         return
     broken[world] = True
+    overflow[world] = 0
     for i in range(qpos.shape[1]):
         qpos[world, i] = before[world, i]
     for i in range(qvel.shape[1]):
         qvel[world, i] = 0.0
         warmstart[world, i] = 0.0
     for tree in range(tree_asleep.shape[1]):
-        tree_asleep[world, tree] = awake
+        tree_asleep[world, tree] = slept[world, tree]
 
 
 @wp.kernel
@@ -251,3 +254,86 @@ def restore_sleep(
     world, tree = wp.tid()
     if not update[world]:
         tree_asleep[world, tree] = saved[world, tree]
+
+
+@wp.kernel
+def any_of(update: wp.array[bool], found: wp.array[int]):
+    """Set ``found`` to 1 if some world is to be updated; it must have been 0."""
+    if update[wp.tid()]:
+        found[0] = 1
+
+
+@wp.kernel
+def unite(a: wp.array[bool], b: wp.array[bool], either: wp.array[bool]):
+    """``either`` of two masks of worlds."""
+    world = wp.tid()
+    either[world] = a[world] or b[world]
+
+
+@wp.kernel
+def keep_rows(fresh: wp.array[bool], rows: wp.array[int], kept: wp.array[int]):
+    """Note the row of every world in ``fresh``."""
+    world = wp.tid()
+    if fresh[world]:
+        kept[world] = rows[world]
+
+
+@wp.kernel
+def copy_rows(fresh: wp.array[bool], rows: wp.array[int], table: wp.array2d[float], out: wp.array2d[float]):
+    """Row ``rows[world]`` of a table to the worlds that begin anew."""
+    world, i = wp.tid()
+    if fresh[world]:
+        out[world, i] = table[rows[world], i]
+
+
+@wp.kernel
+def begin_worlds(
+    fresh: wp.array[bool],
+    new_qpos: wp.array2d[float],
+    new_ctrl: wp.array2d[float],
+    new_rings: wp.array2d[int],
+    awake: int,
+    qpos: wp.array2d[float],
+    qvel: wp.array2d[float],
+    ctrl: wp.array2d[float],
+    warmstart: wp.array2d[float],
+    time: wp.array[float],
+    tree_asleep: wp.array2d[int],
+):
+    """Put worlds at rest in new positions; ``new_rings``: -1 for a tree that is awake, else the next of its ring."""
+    world = wp.tid()
+    if not fresh[world]:
+        return
+    time[world] = 0.0
+    for i in range(qpos.shape[1]):
+        qpos[world, i] = new_qpos[world, i]
+    for i in range(qvel.shape[1]):
+        qvel[world, i] = 0.0
+        warmstart[world, i] = 0.0
+    for i in range(ctrl.shape[1]):
+        ctrl[world, i] = new_ctrl[world, i]
+    for tree in range(tree_asleep.shape[1]):
+        ring = new_rings[world, tree]
+        if ring < 0:
+            ring = awake
+        tree_asleep[world, tree] = ring
+
+
+@wp.kernel
+def clear_flags(fresh: wp.array[bool], overflow: wp.array[int], taint: wp.array[wp.uint8], broken: wp.array[bool]):
+    """Forget what went wrong in the worlds that begin anew."""
+    world = wp.tid()
+    if fresh[world]:
+        overflow[world] = 0
+        taint[world] = wp.uint8(0)
+        broken[world] = False
+
+
+@wp.kernel
+def note_overflow(overflow: wp.array[int], peak: wp.array[int], naconmax: int, pairs_bit: int, seen: wp.array[int]):
+    """Remember in ``seen`` which buffers have ever overflowed, as bits of the engine."""
+    bits = overflow[wp.tid()]
+    if peak[0] > naconmax:
+        bits = bits | pairs_bit
+    if bits != 0:
+        wp.atomic_or(seen, 0, bits)

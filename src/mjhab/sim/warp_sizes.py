@@ -6,7 +6,7 @@ import dataclasses
 import hashlib
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,6 +17,7 @@ import torch
 import warp as wp
 
 from mjhab.core.cache import cache_dir, write_atomic
+from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.seeding import stream
 from mjhab.scenes.compile import home_hash
 from mjhab.scenes.fetch import REST_QPOS, TCP_LINK
@@ -105,6 +106,21 @@ def buffer_sizes(
     return demand.sizes(num_worlds, model(homes[0].name).nv)
 
 
+def changed_sizes(sizes: BufferSizes, changes: Mapping[str, int]) -> BufferSizes:
+    """``sizes`` with other values for some fields.
+
+    Raises:
+        UsageError: no such buffer, or no whole number of at least 1.
+    """
+    names = [field.name for field in dataclasses.fields(BufferSizes)]
+    for name, value in changes.items():
+        if name not in names:
+            raise unknown_name("buffer", name, names)
+        if isinstance(value, bool) or not isinstance(value, int) or value < 1:
+            raise UsageError(f"buffer {name!r} must be a whole number of at least 1, got {value!r}")
+    return dataclasses.replace(sizes, **changes)
+
+
 def measure_demand(
     layout: Layout, model: Callable[[str], mujoco.MjModel], a: Addresses, homes: list[Home], device: wp.Device
 ) -> Demand:
@@ -189,6 +205,7 @@ def _measure(engine: Engine, home_row: int, qpos: np.ndarray, asleep: np.ndarray
     # The engine counts pairs in convex collision nowhere, but says when there are more than it may take.
     for allowed in _CCD_TRIES:
         data.naccdmax = allowed
+        engine.graphs.forget()
         engine.clear(world, row, torch.as_tensor(asleep[None], device=device))
         engine.qpos_t[world] = torch.as_tensor(qpos).to(engine.qpos_t)
         engine.clear_flags(world)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from mjhab.core.arrays import Array, as_like, constant, namespace, pick_column, where_rows
+from mjhab.core.arrays import Array, constant, namespace, pick_column, where_rows, zeros
 from mjhab.tasks.measure import Signals
 from mjhab.tasks.plan import PlanArrays, TaskConfig
 
@@ -76,7 +76,7 @@ def start(plan: PlanArrays, config: TaskConfig, like: Array | None = None) -> Pr
     """
     xp = namespace(plan.length)
     zero = xp.zeros_like(plan.length)
-    force = xp.zeros_like(plan.goal_pos[:, 0, 0]) if like is None else as_like([0.0] * zero.shape[0], like)
+    force = xp.zeros_like(plan.goal_pos[:, 0, 0]) if like is None else zeros((zero.shape[0],), like)
     no = plan.length < 0
     return Progress(zero, _horizon(plan, zero, config), zero, zero, force, force, no, no)
 

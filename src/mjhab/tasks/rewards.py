@@ -8,10 +8,12 @@ reward is normalised by the largest sum its terms can reach, which follows from 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
-from mjhab.core.arrays import Array, Table, constant, device_of, namespace, pile, to_numpy
+import numpy as np
+
+from mjhab.core.arrays import Array, Table, constant, indices, namespace, pile, zeros
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.tasks.plan import KIND_NAMES, PADDING, SubtaskKind, TaskConfig
 from mjhab.tasks.reward_joint import CLOSE, IDEAL_SPEED, OPEN, closed_near
@@ -28,7 +30,7 @@ __all__ = [
     "Scored",
     "Term",
     "closed_near",
-    "kinds_of",
+    "kinds_at_hand",
     "reward_table",
 ]
 
@@ -84,7 +86,7 @@ class DenseReward:
         self.tables: dict[int, RewardTable] = {int(kind): every[kind] for kind in kinds}
         self.names: tuple[str, ...] = tuple(dict.fromkeys(t.name for tb in self.tables.values() for t in tb.terms))
         self._scales = {k: Table(tuple(t.scale for t in table.terms)) for k, table in self.tables.items()}
-        self._rows = {k: [self.names.index(t.name) for t in table.terms] for k, table in self.tables.items()}
+        self._rows = {k: Table(tuple(self.names.index(t.name) for t in tb.terms)) for k, tb in self.tables.items()}
         # A table whose scales are all zero or negative has nothing to be measured against. Kind -1 reads the end.
         self._attainable = Table((*(every[kind].attainable or 1.0 for kind in SubtaskKind), 1.0))
 
@@ -92,24 +94,21 @@ class DenseReward:
         """Score every world by the table of its active subtask (``view.signals.kind``).
 
         Raises:
-            UsageError: a world does a subtask that is not among ``kinds``.
+            UsageError: a world does a subtask that is not among ``kinds`` (numpy only; elsewhere it scores 0).
         """
         kind, like = view.signals.kind, view.tcp_vel
-        present = kinds_of(kind) - {PADDING}
-        strange = present - self.tables.keys()
-        if strange:
-            raise UsageError(f"these rewards are not for {', '.join(KIND_NAMES[k] for k in sorted(strange))}")
+        present = kinds_at_hand(kind, self.tables.keys())
         attainable = constant(self._attainable, like)[kind]
         xp = namespace(like)
         if len(present) == len(self.tables) == 1:
             terms, total = self._score_kind(kind, present.pop(), view)
             return Scored(terms, total, attainable)
-        terms = xp.zeros((len(self.names), kind.shape[0]), dtype=like.dtype, device=device_of(like))
+        terms = zeros((len(self.names), kind.shape[0]), like)
         total = xp.zeros_like(terms[0])
         for number in sorted(present):
             # Of all worlds, as picking out those of the kind costs more; the others come out as 0.
             values, sums = self._score_kind(kind, number, view)
-            terms[self._rows[number], :] += values
+            terms[indices(self._rows[number], kind), :] += values
             total = total + sums
         return Scored(terms, total, attainable)
 
@@ -130,6 +129,16 @@ class DenseReward:
         return values * scales[:, None], xp.vecdot(by_world, scales)
 
 
-def kinds_of(kind: Array) -> set[int]:
-    """The kinds among those of W worlds, as plain numbers (on a GPU: one transfer)."""
-    return set(to_numpy(kind).tolist())
+def kinds_at_hand(kind: Array, known: Collection[int]) -> set[int]:
+    """Those of the ``known`` kinds that need work: of numpy the ones among ``kind`` (W,), else all of them.
+
+    Raises:
+        UsageError: a kind that is not known (numpy only, because asking a device would stall it).
+    """
+    if not isinstance(kind, np.ndarray):
+        return set(known)
+    present = set(kind.tolist()) - {PADDING}
+    if not present <= set(known):
+        strange = ", ".join(KIND_NAMES[k] for k in sorted(present - set(known)))
+        raise UsageError(f"these rewards are not for {strange}")
+    return present

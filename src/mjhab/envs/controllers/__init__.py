@@ -7,6 +7,7 @@ from functools import partial
 
 import numpy as np
 
+from mjhab.core.arrays import Array
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.envs.controllers.arm import (
     Arm,
@@ -28,7 +29,7 @@ __all__ = [
 DEFAULT_MODE = "pd_joint_delta_pos"
 """The mode of MS-HAB: every policy and expert speaks it."""
 _STIFF_BODY = "pd_joint_delta_pos_stiff_body"
-_ARMS: dict[str, Callable[[int, ActionLimits], Arm]] = {
+_ARMS: dict[str, Callable[[int, ActionLimits, Array], Arm]] = {
     DEFAULT_MODE: JointDelta,
     "pd_joint_target_delta_pos": JointTargetDelta,
     "pd_joint_pos": JointPosition,
@@ -53,6 +54,7 @@ def make_controller(
     base: str = "forward",
     stationary: Sequence[str] = (),
     limits: ActionLimits | None = None,
+    like: Array | None = None,
 ) -> Controller:
     """The controller of a mode.
 
@@ -63,6 +65,7 @@ def make_controller(
         stationary: parts whose numbers count as zero, of "head", "torso", "base" (mshab/envs/wrappers/action.py); a
             stiff body holds them where they were at the reset.
         limits: what ±1 means.
+        like: an array of the library, device and dtype of the simulator's joint positions; numpy float64 if not given.
 
     Raises:
         UsageError: a name that is not in these lists.
@@ -70,7 +73,7 @@ def make_controller(
     if mode not in _ARMS:
         raise unknown_name("control mode", mode, CONTROL_MODES)
     limits = limits or ActionLimits()
-    arm = _ARMS[mode](num_worlds, limits)
+    arm = _ARMS[mode](num_worlds, limits, np.zeros(0) if like is None else like)
     return Controller(mode, arm, limits, stiff_body=mode == _STIFF_BODY, base=base, stationary=stationary)
 
 

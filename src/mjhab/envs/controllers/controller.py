@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from mjhab.core.arrays import Array, as_like, device_of, empty, namespace, to_numpy, zeros
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.envs.controllers.arm import Arm, with_row
 from mjhab.envs.controllers.table import (
@@ -55,7 +56,7 @@ class Controller:
         self.high = np.array([1.0 if row.normalized else row.high for row in self.table], np.float32)
         self.drives = fetch.Drives(arm.drives.velocity, BODY_NAMES if stiff_body else ())
         self._place_columns(stationary)
-        self._body_target = np.zeros((len(arm.target), len(BODY_JOINTS)))
+        self._keep_arrays(arm.target)
 
     def _place_columns(self, stationary: Sequence[str]) -> None:
         """Where each part sits in the action and in the commands, whose columns are in FETCH_JOINTS order."""
@@ -64,36 +65,49 @@ class Controller:
         self._base = self._body.stop
         parts = {"head": (start, start + 1), "torso": (start + 2,), "base": range(self._base, self.dim)}
         self._zeroed = [column for part in stationary for column in parts[part]]
-        self._held_body = np.array([start + i in self._zeroed for i in range(len(BODY_JOINTS))])
+
+    def _keep_arrays(self, like: Array) -> None:
+        """What the commands are made with, on the device of ``like``."""
+        start, whole = self.gripper + 1, namespace(like).int64
         # Everything that moves from its measured position is one sum: in the default mode arm, head and torso.
         moved = dict(zip(ARM_JOINTS, range(self.gripper), strict=True)) if self._arm.from_measured else {}
         if not self._stiff_body:
             moved |= dict(zip(BODY_JOINTS, range(start, self._base), strict=True))
-        self._moved, self._deltas = np.array(list(moved), np.intp), np.array(list(moved.values()), np.intp)
-        self._arm_units = np.array([row.high if row.normalized else 1.0 for row in self._arm.rows])
+        self._moved, self._deltas = as_like(list(moved), like, whole), as_like(list(moved.values()), like, whole)
+        parts = (ARM_JOINTS, BODY_JOINTS, FINGER_JOINTS)
+        self._arm_columns, self._body_columns, self._finger_columns = (as_like(p, like, whole) for p in parts)
+        self._arm_units = as_like([row.high if row.normalized else 1.0 for row in self._arm.rows], like)
+        # The bounds are those of float32 actions, to the bit.
+        self._low, self._high = as_like(self.low, like), as_like(self.high, like)
+        free = as_like([column not in self._zeroed for column in range(self.dim)], like, namespace(like).bool)
+        self._free, self._held_body = free, ~free[self._body]
+        self._body_target = zeros((len(like), len(BODY_JOINTS)), like)
 
-    def ctrl(self, actions: np.ndarray, state: SimState) -> np.ndarray:
+    def ctrl(self, actions: Array, state: SimState) -> Array:
         """Actuator commands (W, nu) for actions (W, dim) in the present state; targets of the target modes move on."""
         return self.command(actions, state.robot_q)
 
-    def command(self, actions: np.ndarray, robot_q: np.ndarray) -> np.ndarray:
+    def command(self, actions: Array, robot_q: Array) -> Array:
         """`ctrl` at joint positions (W, 15), which are all it needs of the state."""
-        a = np.minimum(np.maximum(actions, self.low), self.high, dtype=np.float64)
+        xp = namespace(actions)
+        a = xp.minimum(xp.maximum(actions, self._low), self._high)
         if self._zeroed:
-            a[:, self._zeroed] = 0.0
-        out = np.empty((len(a), len(fetch.ACTUATORS)))
+            a = xp.where(self._free, a, 0.0)
+        out = empty((len(a), len(fetch.ACTUATORS)), robot_q)
         out[:, self._moved] = robot_q[:, self._moved] + self.limits.joint_delta * a[:, self._deltas]
         if not self._arm.from_measured:
-            out[:, _ARM] = self._arm.command(a[:, : self.gripper] * self._arm_units, robot_q[:, _ARM])
+            arm_q = robot_q[:, self._arm_columns]
+            out[:, self._arm_columns] = self._arm.command(a[:, : self.gripper] * self._arm_units, arm_q)
         if self._stiff_body:
-            out[:, _BODY] = np.where(self._held_body, self._body_target, a[:, self._body])
+            out[:, self._body_columns] = xp.where(self._held_body, self._body_target, a[:, self._body])
         low, high = self.limits.gripper
-        out[:, _FINGERS] = low + 0.5 * (a[:, self.gripper : self.gripper + 1] + 1.0) * (high - low)
+        out[:, self._finger_columns] = low + 0.5 * (a[:, self.gripper : self.gripper + 1] + 1.0) * (high - low)
         self._drive(out, a, robot_q[:, 2])
         return out
 
-    def _drive(self, out: np.ndarray, a: np.ndarray, yaw: np.ndarray) -> None:
-        speed, cos, sin = self.limits.forward * a[:, self._base], np.cos(yaw), np.sin(yaw)
+    def _drive(self, out: Array, a: Array, yaw: Array) -> None:
+        xp = namespace(yaw)
+        speed, cos, sin = self.limits.forward * a[:, self._base], xp.cos(yaw), xp.sin(yaw)
         out[:, 0] = speed * cos
         out[:, 1] = speed * sin
         if self._holonomic:
@@ -102,22 +116,24 @@ class Controller:
             out[:, 1] += left * cos
         out[:, 2] = self.limits.yaw_rate * a[:, -1]
 
-    def still(self, state: SimState) -> np.ndarray:
+    def still(self, state: SimState) -> Array:
         """Actions (W, dim) float32 that keep the robot where it is; the gripper's number is 0 (fingers at 2 cm)."""
-        actions = np.zeros((len(state.robot_q), self.dim), np.float32)
-        actions[:, : self.gripper] = self._arm.still(state.robot_q[:, _ARM]) / self._arm_units
+        xp, q = namespace(state.robot_q), state.robot_q
+        actions = xp.zeros((len(q), self.dim), dtype=xp.float32, device=device_of(q))
+        actions[:, : self.gripper] = self._arm.still(q[:, self._arm_columns]) / self._arm_units
         if self._stiff_body:
-            actions[:, self._body] = state.robot_q[:, _BODY]
+            actions[:, self._body] = q[:, self._body_columns]
         return actions
 
-    def reset(self, mask: np.ndarray, state: SimState) -> None:
+    def reset(self, mask: Array, state: SimState) -> None:
         """Previous targets := measured positions in the worlds of ``mask`` (W,) bool, after they were put elsewhere."""
-        self._arm.reset(mask, state.robot_q[:, _ARM])
-        self._body_target = np.where(mask[:, None], state.robot_q[:, _BODY], self._body_target)
+        q = state.robot_q
+        self._arm.reset(mask, q[:, self._arm_columns])
+        self._body_target = namespace(q).where(mask[:, None], q[:, self._body_columns], self._body_target)
 
     def get_state(self, world: int) -> dict[str, np.ndarray]:
         """What the next command of one world depends on besides action and state; {} where that is nothing."""
-        body = {"body_target": self._body_target[world].copy()} if self._stiff_body else {}
+        body = {"body_target": to_numpy(self._body_target[world]).copy()} if self._stiff_body else {}
         return self._arm.get_state(world) | body
 
     def set_state(self, world: int, state: dict[str, np.ndarray]) -> None:
@@ -132,7 +148,6 @@ class Controller:
 
 
 _MEASURED = "joint, from measured"
-_ARM, _BODY, _FINGERS = np.array(ARM_JOINTS), np.array(BODY_JOINTS), np.array(FINGER_JOINTS)
 
 
 def _check_options(base: str, stationary: Sequence[str]) -> None:

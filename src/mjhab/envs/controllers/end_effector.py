@@ -7,7 +7,8 @@ from typing import Literal
 
 import numpy as np
 
-from mjhab.envs.controllers.arm import ARM_HIGH, ARM_LOW, Arm
+from mjhab.core.arrays import Array, between, constant, namespace, zeros
+from mjhab.envs.controllers.arm import Arm
 from mjhab.envs.controllers.table import ARM_NAMES, ROOT, ActionEntry, ActionLimits
 from mjhab.envs.kinematics import Chain, limited_step, rotate, rotation_vector
 from mjhab.scenes import fetch
@@ -27,7 +28,7 @@ DAMPING = 1e-5
 """Small enough that no error is left, large enough for smooth motion along joint limits; far from the goal
 `limited_step` adds more."""
 _AXES = ("x", "y", "z")
-_WEIGHTS = np.array([1.0, 1.0, 1.0, LEVER, LEVER, LEVER])[:, None]
+_WEIGHTS = (1.0, 1.0, 1.0, LEVER, LEVER, LEVER)
 
 
 @lru_cache(maxsize=1)
@@ -46,49 +47,58 @@ class EndEffector(Arm):
     """
 
     def __init__(
-        self, num_worlds: int, limits: ActionLimits, *, start: Start, rotates: bool = True, own_axes: bool = False
+        self,
+        num_worlds: int,
+        limits: ActionLimits,
+        like: Array,
+        *,
+        start: Start,
+        rotates: bool = True,
+        own_axes: bool = False,
     ) -> None:
-        super().__init__(num_worlds, _rows(limits, start, rotates, own_axes))
+        super().__init__(num_worlds, _rows(limits, start, rotates, own_axes), like)
         self.remembers = start != "measured"
         self._start, self._rotates, self._own_axes = start, rotates, own_axes
         self._turn = limits.ee_turn
         self._chain = arm_chain()
 
-    def command(self, move: np.ndarray, q: np.ndarray) -> np.ndarray:
-        begin = np.clip(self.target if self.remembers else q, ARM_LOW, ARM_HIGH)
+    def command(self, move: Array, q: Array) -> Array:
+        begin = between(self.target if self.remembers else q, self.low, self.high)
         self.target = self._solve(*self._goal(move, begin), begin)
         return self.target
 
-    def still(self, q: np.ndarray) -> np.ndarray:
+    def still(self, q: Array) -> Array:
         if self._start != "absolute":
             return super().still(q)
         pos, rot = self._chain.tip_pose(self.target)
-        return np.concatenate([pos, rotation_vector(rot)], axis=1)
+        return namespace(pos).concat([pos, rotation_vector(rot)], axis=1)
 
-    def _goal(self, move: np.ndarray, begin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _goal(self, move: Array, begin: Array) -> tuple[Array, Array]:
         """Goal position (W, 3) and rotation (W, 3, 3) in the frame of the torso."""
         if self._start == "absolute":
             return move[:, :3], rotate(move[:, 3:])
         pos, rot = self._chain.tip_pose(begin)
         if not self._rotates:
             return pos + move, rot
-        length = np.sqrt(np.sum(move[:, 3:] ** 2, axis=1, keepdims=True))
-        turn = rotate(move[:, 3:] * (self._turn / np.maximum(length, self._turn)))
+        xp = namespace(move)
+        length = xp.sqrt(xp.sum(move[:, 3:] ** 2, axis=1, keepdims=True))
+        turn = rotate(move[:, 3:] * (self._turn / xp.maximum(length, constant((self._turn,), length))))
         if self._own_axes:
             return pos + (rot @ move[:, :3, None])[..., 0], rot @ turn
         return pos + move[:, :3], turn @ rot
 
-    def _solve(self, pos: np.ndarray, rot: np.ndarray, q: np.ndarray) -> np.ndarray:
-        rows = 6 if self._rotates else 3
+    def _solve(self, pos: Array, rot: Array, q: Array) -> Array:
+        xp, rows = namespace(q), 6 if self._rotates else 3
         for _ in range(ITERATIONS):
             frames = self._chain.forward(q)
             jac = self._chain.jacobian(q, frames)[:, :rows]
             error = pos - frames.pos[:, self._chain.tip_index]
             if self._rotates:
                 spin = rotation_vector(rot @ frames.rot[:, self._chain.tip_index].swapaxes(1, 2))
-                error, jac = np.concatenate([error, LEVER * spin], axis=1), jac * _WEIGHTS
-            step = limited_step(error, jac, np.zeros_like(q), ARM_LOW - q, ARM_HIGH - q, LARGEST_STEP, DAMPING)
-            q = np.clip(q + step, ARM_LOW, ARM_HIGH)
+                error, jac = xp.concat([error, LEVER * spin], axis=1), jac * constant(_WEIGHTS, jac)[:, None]
+            low, high = self.low - q, self.high - q
+            step = limited_step(error, jac, zeros(q.shape, q), low, high, LARGEST_STEP, DAMPING)
+            q = between(q + step, self.low, self.high)
         return q
 
 

@@ -31,8 +31,10 @@ def dict_space(env: VectorEnv, wrapper: str) -> spaces.Dict:
     """The environment's observation space of one world.
 
     Raises:
-        UsageError: not a Dict.
+        UsageError: not a Dict, or observations that are tensors on a device.
     """
+    if env.metadata.get("tensors"):
+        raise UsageError(f"{wrapper} works on numpy arrays, but {env} gives torch tensors; use backend='cpu'")
     space = env.single_observation_space
     if not isinstance(space, spaces.Dict):
         raise UsageError(f"{wrapper} needs observations that are a dict; those of {env} are {space}.")

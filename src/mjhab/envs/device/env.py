@@ -1,0 +1,359 @@
+"""The HAB tasks on the warp backend: what `SequentialTaskEnv` does, on torch tensors on the device.
+
+The order of a control step is the same. Nothing in it waits for the device or copies to or from the host: worlds that
+move on, end or break are told apart by masks, and every shape stays as it is.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from mjhab.core.arrays import to_numpy, where_rows
+from mjhab.core.errors import UsageError, unknown_name
+from mjhab.envs.config import EnvConfig, TrainConfig
+from mjhab.envs.controllers import make_controller
+from mjhab.envs.device.landings import Teleporter
+from mjhab.envs.device.notes import DeviceNotes
+from mjhab.envs.device.observing import DeviceObserver
+from mjhab.envs.device.pool import StartPool, pool_size
+from mjhab.envs.memory import check_device_memory
+from mjhab.envs.plan_tables import look_up
+from mjhab.envs.reporting import CHECKERS, describe_episode
+from mjhab.envs.rewarding import Rewarder, RewardInputs
+from mjhab.envs.sensing import Sensing
+from mjhab.envs.sequential import SequentialTaskEnv
+from mjhab.envs.subtask_train import SubtaskTrainEnv
+from mjhab.sim.protocol import TAINTS, SimState
+from mjhab.sim.warp import WarpSimulator
+from mjhab.tasks import progress as progress_rules
+from mjhab.tasks.events import EVENT_NAMES
+from mjhab.tasks.measure import Signals, WorldState, measure
+from mjhab.tasks.plan import SubtaskKind
+from mjhab.tasks.progress import Outcome, Progress
+
+Tensor = torch.Tensor
+
+
+class DeviceEnv(VectorEnv):
+    """HAB tasks on MuJoCo Warp. Build it with `mjhab.envs.make(backend="warp")` or `make_train`.
+
+    Spaces, observations, rewards and flags are those of `SequentialTaskEnv`, as tensors (W, ...) on ``device``, float32
+    where that has float64. It differs in this:
+
+    * Episodes come from a pool of P starts: world w's k-th episode is start (w + k W) mod P, and start i is the episode
+      (seed, i) of the cpu backend. A reset with another seed makes a new pool, which takes time.
+    * `info` holds tensors only. "event_flags" (W, E) bool has the columns `tasks.events.EVENT_NAMES`, "ended" (W,) bool
+      says whose subtask ended in this step and "label" (W,) its label, -1 for none. Records of them and descriptions
+      of episodes are made on the host when asked for: `records`, `episode_spec`.
+    * A teleport never waits; see `landings`.
+    * Numbers of an action that are not finite count as 0 and are told by `check_taint`.
+    * Pictures are drawn twice a step with autoreset "same_step", once for the observations and once for the final ones.
+    """
+
+    def __init__(self, config: EnvConfig) -> None:
+        if config.render_mode:
+            raise UsageError("backend 'warp' gives no human views; leave render_mode empty, or use backend='cpu'")
+        self.config, self.num_envs = config, config.num_envs
+        check_device_memory(config.num_envs, config.obs_mode, config.camera_size, config.device, config.cameras)
+        alone = dataclasses.replace(config, num_envs=1, backend="cpu", autoreset="disabled")
+        self._host = SubtaskTrainEnv(alone) if isinstance(alone, TrainConfig) else SequentialTaskEnv(alone)
+        host = self._host
+        self.layout, self.task_config = host.layout, host.task_config
+        drives = host.controller.drives
+        self.sim = WarpSimulator(self.layout, self.num_envs, config.device, drives, buffers=config.buffers)
+        self.device: torch.device = self.sim.qpos.device
+        self._make_parts(torch.zeros(1, dtype=torch.float32, device=self.device))
+        self.pool = StartPool(host, self.sim, pool_size(config), config.seed, config)
+        self._set_spaces()
+        self._init_worlds()
+
+    def _make_parts(self, like: Tensor) -> None:
+        """What does the steps; it keeps arrays of the library and device of ``like``."""
+        config, count = self.config, self.num_envs
+        self.controller = make_controller(
+            config.control_mode, count, base=config.base, stationary=config.stationary, like=like
+        )
+        self.sensing = Sensing(self.layout, self.sim.addresses, count, like=like)
+        self.observer = DeviceObserver(self.sim, self.sensing, self._host.observer)
+        self.rewarder = Rewarder(
+            count, self.task_config, config.reward, config.reward_scales, self.layout, self.sensing,
+            self._nav_distance, [SubtaskKind(kind) for kind in self._host.rewarder.dense.tables], like=like,
+        )  # fmt: skip
+        self.notes = DeviceNotes(count, max(self.task_config.horizons), self.device)
+        self.teleporter = Teleporter(self.sim.addresses, self.device)
+
+    def _set_spaces(self) -> None:
+        autoreset = AutoresetMode[self.config.autoreset.upper()]
+        self.metadata = {"autoreset_mode": autoreset, "render_fps": 20, "render_modes": [], "tensors": True}
+        self.render_mode = None
+        self.single_observation_space: spaces.Space = self._host.single_observation_space
+        self.single_action_space: spaces.Space = self._host.single_action_space
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self.action_table, self.taint_names = self.controller.table, TAINTS
+
+    def _init_worlds(self) -> None:
+        worlds, device = self.num_envs, self.device
+        self._worlds = torch.arange(worlds, device=device)
+        self._no = torch.zeros(worlds, dtype=torch.bool, device=device)
+        self.fallback = self.success = self.fail = self.due = self._no
+        """(W,): spawned where nothing better was found; outcome of the last step; reset due in the next step."""
+        zero = torch.zeros_like(self._worlds)
+        self.count, self.start_row, self._judged_row, self.nan_resets = zero, zero, zero, zero
+        """(W,): episodes begun, start each world is at, start of the last step; times a world broke."""
+        self.tainted = self.bad_actions = torch.zeros((), dtype=torch.int64, device=device)
+        """Episodes that ended with a taint; actions of single worlds that were not finite."""
+        self.reward_terms: dict[str, Tensor] = {}
+        self.joint_start = torch.zeros(worlds, device=device)
+        self.grip = torch.ones(worlds, device=device)
+        self.tables = self.pool.rows(self.start_row)
+        begun = progress_rules.start(self.tables.arrays, self.task_config)
+        # A world that nobody has reset is like one whose episode is over.
+        self.progress: Progress = dataclasses.replace(begun, done=~self._no)
+        self.focus = look_up(self.tables, self.progress.pointer, self.task_config)
+        self.state: SimState = self.sim.state()
+        self.signals: Signals | None = None
+        self.judged: Signals | None = None
+
+    # -- reset -----------------------------------------------------------------------------------------------------
+
+    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[dict, dict]:
+        """Start episodes.
+
+        Args:
+            seed: of the pool; another one than the present makes a new pool. None keeps it.
+            options: "reset_mask" (W,) bool: worlds to reset (default all); "episode": numbers of starts in the pool
+                that the worlds in the mask get, in order of worlds.
+
+        Raises:
+            UsageError: unknown option, shapes that do not fit, or no such start.
+        """
+        options = dict(options or {})
+        mask = torch.as_tensor(options.pop("reset_mask", ~self._no), device=self.device)
+        wanted = options.pop("episode", None)
+        if options:
+            raise unknown_name("reset option", next(iter(options)), ("reset_mask", "episode"))
+        if mask.shape != (self.num_envs,) or mask.dtype != torch.bool:
+            raise UsageError(f"reset_mask must be bool ({self.num_envs},), got {mask.dtype} {tuple(mask.shape)}")
+        self._reseed(seed, mask)
+        rows = self._next_rows()
+        if wanted is not None:
+            rows = self._chosen_rows(wanted, mask)
+        self._renew(mask, self._no, rows)
+        return self._observe(), self._info(self._no_events(), self._no, torch.full_like(self._worlds, -1))
+
+    def _reseed(self, seed: Any, mask: Tensor) -> None:
+        if seed is None:
+            return
+        if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
+            raise UsageError(f"backend 'warp' takes one seed for all worlds, a number >= 0; got {seed!r}")
+        if seed != self.pool.seed:
+            if not bool(mask.all()):
+                raise UsageError("a new seed is for all worlds: leave out reset_mask")
+            self.pool = StartPool(self._host, self.sim, self.pool.count, seed, self.config)
+        self.count = torch.where(mask, 0, self.count)
+
+    def _chosen_rows(self, wanted: Any, mask: Tensor) -> Tensor:
+        chosen = torch.as_tensor(wanted, device=self.device)
+        count, integral = int(mask.sum()), not (chosen.is_floating_point() or chosen.dtype == torch.bool)
+        if chosen.shape != (count,) or not integral or bool(((chosen < 0) | (chosen >= self.pool.count)).any()):
+            need = f"options['episode'] must give {count} starts in [0, {self.pool.count}), one per reset world"
+            raise UsageError(f"{need}; got {to_numpy(chosen).tolist()}; option starts sets how many")
+        rows = self.start_row.clone()
+        rows[mask] = chosen.to(rows.dtype)
+        return rows
+
+    def _next_rows(self) -> Tensor:
+        return (self._worlds + self.count * self.num_envs) % self.pool.count
+
+    def _renew(self, fresh: Tensor, moved: Tensor, rows: Tensor) -> None:
+        """Begin the episodes ``rows`` (W,) in the worlds ``fresh``, and the next subtask in the worlds ``moved``."""
+        pool = self.pool
+        moved = moved & ~fresh
+        self.start_row = torch.where(fresh, rows, self.start_row)
+        self.count = self.count + fresh
+        self.tables = pool.rows(self.start_row)
+        self.progress = progress_rules.reset_rows(self.progress, fresh, self.tables.arrays, self.task_config)
+        self.focus = look_up(self.tables, self.progress.pointer, self.task_config)
+        self.success, self.fail, self.due = self.success & ~fresh, self.fail & ~fresh, self.due & ~fresh
+        held = self.tables.arrays.kind[:, 0] == int(SubtaskKind.PLACE)
+        self.grip = torch.where(fresh, torch.where(held, -1.0, 1.0), self.grip)
+        self.fallback = torch.where(fresh, pool.fallback[self.start_row], self.fallback)
+        leaping = self._place(fresh, moved)
+        self.state = self.sim.state()
+        self.controller.reset(fresh | leaping, self.state)
+        self._enter_subtask(fresh | moved)
+
+    def _place(self, fresh: Tensor, moved: Tensor) -> Tensor:
+        """Put the worlds ``fresh`` at their starts; teleport those of ``moved`` that navigate, and return them."""
+        pool, row = self.pool, self.start_row
+        qpos, leaping = pool.qpos[row], self._no
+        if self.config.teleports:
+            leaping = moved & (self.focus.kind == int(SubtaskKind.NAVIGATE))
+            at = self.focus.active.index
+            there = self.teleporter.moved(self.sim.qpos, self.state, pool.landings[row, at], self.focus.columns[:, 1])
+            qpos = torch.where(fresh[:, None], qpos, there)
+            self.fallback = self.fallback | (leaping & pool.landing_fallback[row, at])
+        self.sim.reset_masked(fresh, pool.home_rows[row], qpos, pool.ctrl[row], pool.rings[row], leaping)
+        return leaping
+
+    def _enter_subtask(self, mask: Tensor) -> None:
+        now = self.sensing.joint_now(self.state, self.focus)
+        self.joint_start = torch.where(mask, now, self.joint_start)
+        world = self._sense()
+        signals = self._measure(world, self.progress)
+        self.signals = signals if self.signals is None else where_rows(mask, signals, self.signals)
+        self.judged = self.signals if self.judged is None else self.judged
+        self.notes.begin(mask, self.signals, self.progress)
+        self.rewarder.begin(mask, self._reward_inputs(world, signals))
+
+    def _sense(self) -> WorldState:
+        return self.sensing.world_state(self.state, self.tables, self.focus, self.joint_start)
+
+    def _measure(self, world: WorldState, progress: Progress) -> Signals:
+        return measure(world, self.tables.arrays, progress, self.task_config, self.focus.active)
+
+    def _reward_inputs(self, world: WorldState, signals: Signals) -> RewardInputs:
+        return RewardInputs(self.state, world, signals, self.focus, self.progress)
+
+    def _nav_distance(self, inputs: RewardInputs) -> Tensor:
+        fields, at = self.pool.fields, self.pool.field_index[self.start_row, self.focus.active.index]
+        xy = inputs.world.base_pose[:, :2]
+        return torch.zeros_like(xy[:, 0]) if fields is None else fields.at(at, xy)
+
+    # -- step ------------------------------------------------------------------------------------------------------
+
+    def step(self, actions: Any) -> tuple[dict, Tensor, Tensor, Tensor, dict]:
+        """One control step of 50 ms in every world. ``actions`` (W, A) on the device; clipped to the action space.
+
+        Raises:
+            UsageError: wrong shape or type, or nothing has been reset yet.
+        """
+        actions = self._checked(actions)
+        broken = self._advance_physics(actions)
+        world = self._sense()
+        progress = progress_rules.accumulate(self.progress, world.robot_force)
+        signals = self._measure(world, progress)
+        # The time of worlds that broke is up, and nothing in them counts as success.
+        progress = dataclasses.replace(progress, steps_left=torch.where(broken, 0, progress.steps_left))
+        signals = dataclasses.replace(signals, success=signals.success & ~broken)
+        new, outcome = progress_rules.advance(progress, signals, self.tables.arrays, self.task_config)
+        self.progress = progress
+        reward = self._reward(world, signals, new)
+        events = self.notes.update(signals, progress)
+        label = self.notes.end(signals, outcome, progress)
+        self._judged_row = self.start_row
+        self.progress, self.signals, self.judged = new, signals, signals
+        self.focus = look_up(self.tables, new.pointer, self.task_config)
+        self.success, self.fail = outcome.success, outcome.fail
+        self.tainted = self.tainted + ((self.sim.taint() != 0) & outcome.done).sum()
+        return self._finish(events, label, reward, outcome)
+
+    def _checked(self, actions: Any) -> Tensor:
+        if self.signals is None:
+            raise UsageError("call reset before step")
+        actions = torch.as_tensor(actions, device=self.device)
+        need = (self.num_envs, len(self.action_table))
+        if actions.dtype in (torch.bool, torch.complex64, torch.complex128):
+            raise UsageError(f"actions must be numbers (float32), got a tensor of type {actions.dtype}")
+        if actions.shape != need:
+            raise UsageError(f"actions must have shape {need}, got {tuple(actions.shape)}")
+        finite = torch.isfinite(actions)
+        self.bad_actions = self.bad_actions + (~finite.all(-1)).sum()
+        return torch.where(finite, actions, 0).to(torch.float32)
+
+    def _advance_physics(self, actions: Tensor) -> Tensor:
+        """Step the worlds; returns (W,) bool, those that broke and have been put back."""
+        if self.config.teleports:
+            # The teleport does the moving: the robot stands and keeps its grip.
+            still = self.controller.still(self.state).to(torch.float32).clone()
+            still[:, self.controller.gripper] = self.grip
+            teleporting = self.focus.kind == int(SubtaskKind.NAVIGATE)
+            actions = torch.where(teleporting[:, None], still, actions)
+        self.grip = actions[:, self.controller.gripper].clone()
+        self.sim.step(self.controller.ctrl(actions, self.state))
+        broken = self.sim.broken().clone()
+        self.nan_resets = self.nan_resets + broken
+        self.sim.mend_broken()
+        self.state = self.sim.state()
+        return broken
+
+    def _reward(self, world: WorldState, signals: Signals, new: Progress) -> Tensor:
+        if self.config.reward == "pointer":
+            return new.pointer.to(torch.float32)
+        reward, self.reward_terms = self.rewarder.step(self._reward_inputs(world, signals))
+        return reward
+
+    def _finish(
+        self, events: Tensor, label: Tensor, reward: Tensor, outcome: Outcome
+    ) -> tuple[dict, Tensor, Tensor, Tensor, dict]:
+        terminated: Tensor = outcome.place_broken
+        done, mode = outcome.done, self.config.autoreset
+        if not self.config.runs_to_horizon:
+            terminated = terminated | outcome.success | outcome.force_exceeded
+        truncated, moved, ended = done & ~terminated, outcome.advanced & ~done, outcome.ended
+        final: dict[str, Any] = {}
+        if mode == "same_step":
+            final = {"final_obs": self._observe(), "final_info": self._info(events, ended, label)}
+            final |= {"_final_obs": done, "_final_info": done}
+            self._renew(done, moved, self._next_rows())
+            # What happened belongs to the old episode; the new one begins with nothing.
+            events, ended, label = events & ~done[:, None], ended & ~done, torch.where(done, -1, label)
+        elif mode == "next_step":
+            # Gymnasium: the step after an episode's end is the reset, whatever the action; it brings no reward.
+            reward = torch.where(self.due, 0.0, reward)
+            self._renew(self.due, moved, self._next_rows())
+            self.due = done
+        elif not self.config.subtask:
+            self._renew(self._no, moved, self.start_row)
+        return self._observe(), reward, terminated, truncated, self._info(events, ended, label) | final
+
+    def _observe(self) -> dict[str, Tensor]:
+        assert self.signals is not None
+        return self.observer.observe(self.state, self.focus, self.signals)
+
+    def _no_events(self) -> Tensor:
+        return torch.zeros((self.num_envs, len(EVENT_NAMES)), dtype=torch.bool, device=self.device)
+
+    def _info(self, events: Tensor, ended: Tensor, label: Tensor) -> dict[str, Any]:
+        """Tensors (W,) that stay as they are; see `envs.reporting.Reporter.info`."""
+        s, p = self.signals, self.progress
+        assert s is not None
+        info: dict[str, Any] = {
+            "pointer": p.pointer, "kind": self.focus.kind, "steps_left": p.steps_left,
+            "robot_force": s.robot_force, "cumulative_force": s.cumulative_force,
+            "success": self.success, "fail": self.fail,
+            "taint": self.sim.taint(), "nan_resets": self.nan_resets, "spawn_fallback": self.fallback,
+            "reward_terms": self.reward_terms,
+        }  # fmt: skip
+        info |= {name: getattr(s, name) for name in CHECKERS}
+        return info | {"event_flags": events, "ended": ended, "label": label}
+
+    # -- told on the host ------------------------------------------------------------------------------------------
+
+    def records(self) -> list[dict[str, Any] | None]:
+        """(W,) records of the subtasks that ended in the last step, like ``info["ended"]`` of the cpu backend."""
+        rows = to_numpy(self._judged_row).tolist()
+        return self.notes.records([self.pool.plans[row] for row in rows])
+
+    def episode_spec(self, world: int) -> Mapping[str, Any]:
+        """The episode a world is in: its name, home and plan, read-only."""
+        row = int(self.start_row[world])
+        return describe_episode(self.pool.episodes[row], self.pool.plans[row], self.config.subtask)
+
+    def check_taint(self) -> None:
+        """For evaluation: complain if a buffer of the engine overflowed, or an action was not finite, at any time.
+
+        Raises:
+            UsageError: names the buffer and a size for the option ``buffers``; or says how many actions were bad.
+        """
+        self.sim.check_overflow()
+        if bad := int(self.bad_actions):
+            raise UsageError(f"actions must be finite; {bad} actions of single worlds were not, and counted as 0 there")

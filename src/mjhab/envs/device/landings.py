@@ -1,0 +1,100 @@
+"""Teleports on the device: where every Navigate of a chain ends is found when its start is made.
+
+The cpu backend tries places against the present state of a world, in the same order. Here they were tried against the
+state in which the subtask comes up if all before went well. So the robot lands at the same place, unless the tries
+fare differently because something lies where nobody foresaw it, and then it may touch that. With an object in hand the
+arm keeps its pose, which the cpu backend varies a little.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from mjhab.core.rotations import quat_mul
+from mjhab.core.seeding import stream
+from mjhab.envs.episodes import Episode
+from mjhab.envs.spawns import MAX_TRIES
+from mjhab.envs.starts import Start, StartMaker
+from mjhab.scenes.layout import Addresses
+from mjhab.sim.protocol import SimState
+from mjhab.tasks.plan import SubtaskKind
+
+ROBOT_JOINTS = 15
+
+
+def find_landings(starts: StartMaker, episode: Episode, start: Start, length: int) -> tuple[np.ndarray, np.ndarray]:
+    """Where the robot lands for every Navigate of a chain.
+
+    Returns:
+        Joints (length, 15) in FETCH_JOINTS order, zero where the subtask is no Navigate; and (length,) bool, whether
+        no try was valid and the place is the best there is.
+    """
+    joints, fallback = np.zeros((length, ROBOT_JOINTS)), np.zeros(length, bool)
+    for position, subtask in enumerate(start.plan.subtasks):
+        if subtask.kind == SubtaskKind.NAVIGATE:
+            joints[position], fallback[position] = _land(starts, episode, start, position)
+    return joints, fallback
+
+
+def _land(starts: StartMaker, episode: Episode, start: Start, position: int) -> tuple[np.ndarray, bool]:
+    qpos = starts.foresee(episode, start.plan, position)
+    goal = starts.spawn_goal(start.plan, position, start.boxes)
+    key = ("navigate", episode.task, episode.index, position)
+    rngs = (stream(episode.seed, *key, attempt) for attempt in range(MAX_TRIES))
+    found, _ = starts.sampler.search(episode.home, qpos, goal, rngs)
+    missed = found is None
+    if found is None:
+        found = starts.sampler.fallback(episode.home, qpos, goal)
+    return found[starts.sim.addresses.robot_q], missed
+
+
+class Teleporter:
+    """Moves robots, and what they hold, to their landings.
+
+    Args:
+        addresses: of the layout.
+        device: of the tensors.
+    """
+
+    def __init__(self, addresses: Addresses, device: torch.device) -> None:
+        self._robot_q = torch.as_tensor(np.asarray(addresses.robot_q, np.int64), device=device)
+        self._first = int(addresses.object_q[0])
+        self._slots = torch.arange(len(addresses.object_q), device=device)
+
+    def moved(
+        self, qpos: torch.Tensor, state: SimState, landing: torch.Tensor, carried: torch.Tensor
+    ) -> torch.Tensor:  # fmt: skip
+        """Positions (W, nq) of all worlds after a teleport.
+
+        Args:
+            qpos: (W, nq) present ones.
+            state: present state.
+            landing: (W, 15) joints to land with; of a robot that holds what it shall carry only the base moves.
+            carried: (W,) int64 slot of the object to carry, -1 for none.
+        """
+        worlds, some = torch.arange(len(qpos), device=qpos.device), carried.clamp(min=0)
+        pressed = state.finger_force[worlds, :, some].square().sum(-1) > 0
+        held = (carried >= 0) & pressed.all(-1)
+        base, robot = landing[:, :3], torch.where(held[:, None], state.robot_q, landing)
+        robot = torch.cat([base, robot[:, 3:]], dim=1)
+        along = _turned(state.object_pose, state.robot_q[:, :3], base)
+        mine = held[:, None] & (self._slots == carried[:, None])
+        poses = torch.where(mine[..., None], along, state.object_pose)
+        out = qpos.clone()
+        out[:, self._first : self._first + poses.shape[1] * 7] = poses.flatten(1)
+        out[:, self._robot_q] = robot
+        return out
+
+
+def _turned(poses: torch.Tensor, before: torch.Tensor, after: torch.Tensor) -> torch.Tensor:
+    """Poses (W, N, 7) moved as a base moves from ``before`` to ``after``, both (W, 3): x, y, yaw."""
+    turn = after[:, 2] - before[:, 2]
+    cos, sin, zero = torch.cos(turn)[:, None], torch.sin(turn)[:, None], torch.zeros_like(poses[..., 0])
+    x, y = poses[..., 0] - before[:, None, 0], poses[..., 1] - before[:, None, 1]
+    moved = torch.stack(
+        [after[:, None, 0] + cos * x - sin * y, after[:, None, 1] + sin * x + cos * y, poses[..., 2]], dim=-1
+    )
+    half = 0.5 * turn[:, None] + zero
+    spin = torch.stack([torch.cos(half), zero, zero, torch.sin(half)], dim=-1)
+    return torch.cat([moved, quat_mul(spin, poses[..., 3:])], dim=-1)

@@ -1,0 +1,134 @@
+"""Labels and events of every world's subtask on the device; what happened is told on the host, when somebody asks."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+
+from mjhab.core.arrays import Array, map_record, to_numpy
+from mjhab.envs.tracking import Tracker
+from mjhab.tasks import events as ev
+from mjhab.tasks import labels as lb
+from mjhab.tasks.measure import Signals
+from mjhab.tasks.plan import PADDING, TaskPlan
+from mjhab.tasks.progress import Outcome, Progress
+
+
+@dataclass(frozen=True)
+class _Row(lb.History):
+    """One step of the subtasks of n worlds, as the tracker reads it."""
+
+    kind: Array
+
+
+@dataclass(frozen=True)
+class _Ended:
+    """What a record needs of the last step, (W, ...): references to tensors that nobody writes into."""
+
+    signals: Signals
+    outcome: Outcome
+    progress: Progress
+    first: torch.Tensor
+    must_hold: torch.Tensor
+    start_step: torch.Tensor
+
+
+class DeviceNotes:
+    """Notes on the active subtask of W worlds. Nothing in `begin`, `update` and `end` waits for the device.
+
+    The checks of every step are kept as bits of one number, until the next subtask of the world overwrites them.
+
+    Args:
+        num_worlds: W.
+        longest: most control steps of a subtask.
+        device: of the tensors.
+    """
+
+    def __init__(self, num_worlds: int, longest: int, device: torch.device) -> None:
+        self._history = torch.zeros((num_worlds, longest + 2), dtype=torch.int16, device=device)
+        self._weights = (2 ** torch.arange(len(lb.WATCHED), dtype=torch.int16, device=device))[:, None]
+        self._start_step = torch.zeros(num_worlds, dtype=torch.int64, device=device)
+        self._labels: lb.LabelState | None = None
+        self._ended: _Ended | None = None
+
+    def begin(self, mask: torch.Tensor, signals: Signals, progress: Progress) -> None:
+        """Start new notes in the worlds of ``mask`` (W,) from the signals at the start of their subtask."""
+        new = lb.start(signals)
+        self._labels = new if self._labels is None else lb.choose(mask, new, self._labels)
+        self._history[:, 0] = torch.where(mask, self._pack(self._labels.now), self._history[:, 0])
+        self._start_step = torch.where(mask, progress.episode_step, self._start_step)
+
+    def update(self, signals: Signals, progress: Progress) -> torch.Tensor:
+        """Note one control step, before the pointer moves; returns its events, (W, E) bool, columns `EVENT_NAMES`."""
+        assert self._labels is not None
+        before, live = self._labels, ~progress.done
+        self._labels = lb.choose(live, lb.add(before, lb.watch(signals)), before)
+        column = torch.clamp(progress.subtask_step, max=self._history.shape[1] - 1)[:, None]
+        bits = torch.where(live, self._pack(self._labels.now), self._history.gather(1, column)[:, 0])
+        self._history.scatter_(1, column, bits[:, None])
+        kind = torch.where(live, signals.kind, PADDING)
+        return ev.edge_events(kind, before.now, self._labels.now)
+
+    def end(self, signals: Signals, outcome: Outcome, progress: Progress) -> torch.Tensor:
+        """Remember what ended in this step; ``progress`` is the one before the pointer moved.
+
+        Returns:
+            (W,) int64 label of the subtask that ended, an index into `tasks.labels.LABELS` of its kind; -1 for none.
+        """
+        assert self._labels is not None
+        first, hold = self._history[:, 0].clone(), self._labels.must_hold
+        self._ended = _Ended(signals, outcome, progress, first, hold, self._start_step)
+        return lb.label(self._labels, torch.where(outcome.ended, signals.kind, PADDING))
+
+    def records(self, plans: Sequence[TaskPlan]) -> list[dict[str, Any] | None]:
+        """Records of the subtasks that ended in the last step, (W,), as `envs.tracking.Tracker.ended` writes them.
+
+        Args:
+            plans: those of that step, one per world.
+        """
+        records: list[dict[str, Any] | None] = [None] * len(plans)
+        worlds = np.flatnonzero(to_numpy(self._ended.outcome.ended)) if self._ended else np.zeros(0, int)
+        if self._ended is None or not len(worlds):
+            return records
+        written = self._replay(self._ended, worlds, [plans[w] for w in worlds.tolist()])
+        for w, record in zip(worlds.tolist(), written, strict=True):
+            records[w] = record
+        return records
+
+    def _replay(self, ended: _Ended, worlds: np.ndarray, plans: list[TaskPlan]) -> list[dict[str, Any] | None]:
+        """Go through the kept steps of ``worlds`` (n,) again with the tracker of the cpu backend."""
+        rows = torch.as_tensor(worlds, device=self._history.device)
+
+        def chosen(values: torch.Tensor) -> np.ndarray:
+            return to_numpy(values[rows])
+
+        signals, outcome = map_record(chosen, ended.signals), map_record(chosen, ended.outcome)
+        progress = map_record(chosen, ended.progress)
+        start, first, hold = chosen(ended.start_step), chosen(ended.first), chosen(ended.must_hold)
+        steps = progress.subtask_step
+        bits = to_numpy(self._history[rows][:, : int(steps.max()) + 1]).copy()
+        bits[:, 0] = first
+        tracker = Tracker(len(worlds))
+        for t in range(bits.shape[1]):
+            row = _row(bits[:, t], hold, signals.kind)
+            now = dataclasses.replace(progress, episode_step=start + t, done=t > steps)
+            if t == 0:
+                tracker.begin(np.ones(len(worlds), bool), row, now)  # type: ignore[arg-type]
+            else:
+                tracker.update(row, now)  # type: ignore[arg-type]
+        return tracker.ended(signals, outcome, progress, plans)
+
+    def _pack(self, now: torch.Tensor) -> torch.Tensor:
+        """(K, W) bool to (W,) int16, row k as bit k."""
+        return (now.to(torch.int16) * self._weights).sum(0, dtype=torch.int16)
+
+
+def _row(bits: np.ndarray, must_hold: np.ndarray, kind: np.ndarray) -> _Row:
+    held = {name: (bits >> k & 1).astype(bool) for k, name in enumerate(lb.WATCHED)}
+    held["force_ok"] = ~held.pop("excess")
+    return _Row(**held, must_hold=must_hold, kind=kind)

@@ -1,0 +1,48 @@
+"""Observations on the device: the rows of the observation table, computed from tensors."""
+
+from __future__ import annotations
+
+import torch
+
+from mjhab.envs.observations import CAMERA_OUTPUTS, POINTCLOUD, STATE_TABLE, Views, intrinsic_matrix, state_observation
+from mjhab.envs.observing import Observer
+from mjhab.envs.plan_tables import Focus
+from mjhab.envs.sensing import Sensing
+from mjhab.sim.protocol import SimState
+from mjhab.sim.warp import WarpSimulator
+from mjhab.tasks.measure import Signals
+
+
+class DeviceObserver:
+    """Computes the rows of ``host``'s observation table for all worlds of a simulator on the device.
+
+    Args:
+        sim: worlds to look into.
+        sensing: of the same layout, on the device.
+        host: knows mode, cameras and size; it draws nothing.
+
+    ``cameras``: what draws, None without pictures.
+    """
+
+    def __init__(self, sim: WarpSimulator, sensing: Sensing, host: Observer) -> None:
+        self._sensing = sensing
+        self._rows = host.table[len(STATE_TABLE) :]
+        self.cameras = None
+        if host.outputs:
+            from mjhab.sim.warp_cameras import WarpCameras
+
+            drawn = CAMERA_OUTPUTS if POINTCLOUD in host.outputs else host.outputs
+            self.cameras = WarpCameras(sim, host.cameras, host.size, drawn)
+            matrices = [torch.as_tensor(intrinsic_matrix(name, host.size)) for name in host.cameras]
+            self._intrinsic = torch.stack(matrices).to(sim.qpos)
+
+    def observe(self, state: SimState, focus: Focus, signals: Signals) -> dict[str, torch.Tensor]:
+        """Observations (W, ...) of all worlds, which later steps do not change."""
+        obs = state_observation(self._sensing.context(state, focus, signals))
+        if self.cameras is None:
+            return obs
+        images = self.cameras.draw()
+        pos, mat = self.cameras.poses()
+        views = Views(images, pos, mat, state.robot_q[:, :3], self._intrinsic)
+        # The renderer draws into the same memory again.
+        return obs | {entry.key: entry.compute(views).clone() for entry in self._rows}

@@ -1,0 +1,136 @@
+"""Starts that worlds draw from on the device: made on the host once, uploaded once."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from rich.console import Console
+from rich.progress import track
+
+from mjhab.core.arrays import map_record
+from mjhab.envs.config import EnvConfig
+from mjhab.envs.device.fields import GoalFields
+from mjhab.envs.device.landings import ROBOT_JOINTS, find_landings
+from mjhab.envs.episodes import Episode
+from mjhab.envs.plan_tables import PlanTables, Rows
+from mjhab.envs.sequential import SequentialTaskEnv
+from mjhab.envs.starts import Start
+from mjhab.sim.warp import WarpSimulator
+from mjhab.tasks.plan import SubtaskKind, TaskPlan
+
+LEAST, MOST, PER_WORLD = 256, 8192, 4
+"""Starts of a pool unless the configuration says how many."""
+
+
+def pool_size(config: EnvConfig) -> int:
+    """Number of starts for a configuration."""
+    return config.starts or max(LEAST, min(PER_WORLD * config.num_envs, MOST))
+
+
+@dataclass(frozen=True, eq=False)
+class _Made:
+    """One start on the host: landing joints (S, 15), and whether each was for want of a better place (S,)."""
+
+    episode: Episode
+    start: Start
+    qpos: np.ndarray
+    landings: np.ndarray
+    fallback: np.ndarray
+
+
+class StartPool:
+    """P starts as tensors; number i is the cpu backend's episode (seed, i). S subtasks.
+
+    Attributes:
+        episodes, plans: (P,) on the host.
+        qpos: (P, nq) states; where a chain begins with a teleport, those after it.
+        ctrl, rings, home_rows: (P, ...) commands, sleep and homes, see `WarpSimulator.reset_masked`.
+        fallback: (P,) bool, the robot stands where nothing better was found.
+        landings, landing_fallback: (P, S, 15) and (P, S) of `find_landings`.
+        field_index: (P, S) int64, field of ``fields`` that leads to the goal of the subtask, -1 for none.
+        fields: way to the goals of Navigate, None where no reward asks for it.
+
+    Args:
+        host: an environment on the cpu that makes the episodes of the same configuration.
+        sim: on whose device the tensors are; the homes of the starts are uploaded to it.
+        count: P.
+        seed: of the episodes.
+        config: says whether robots teleport, and what the reward is.
+    """
+
+    def __init__(self, host: SequentialTaskEnv, sim: WarpSimulator, count: int, seed: int, config: EnvConfig) -> None:
+        self.seed, self.count = seed, count
+        self._host, self._config = host, config
+        made = self._make()
+        self.episodes: list[Episode] = [m.episode for m in made]
+        self.plans: list[TaskPlan] = [m.start.plan for m in made]
+        device, states = sim.qpos.device, np.stack([m.qpos for m in made])
+
+        def upload(values: Sequence[Any] | np.ndarray) -> torch.Tensor:
+            array = np.asarray(values)
+            return torch.as_tensor(array.astype(np.float32) if array.dtype.kind == "f" else array, device=device)
+
+        self.qpos = upload(states)
+        self.home_rows, self.ctrl, self.rings = sim.start_rows([m.start.home for m in made], states)
+        self.fallback = upload([m.start.fallback or bool(m.fallback[0]) for m in made])
+        self.landings = upload(np.stack([m.landings for m in made]))
+        self.landing_fallback = upload(np.stack([m.fallback for m in made]))
+        tables = PlanTables(host.layout, host.task_config, count, host.tables.num_subtasks)
+        for row, m in enumerate(made):
+            tables.set_row(row, m.start.plan, m.start.boxes)
+        arrays = map_record(upload, tables.arrays)
+        self._tables = Rows(arrays, *map(upload, (tables.obj, tables.link, tables.target, tables.held)))
+        self.fields, self.field_index = self._find_fields(made, device)
+
+    def rows(self, index: torch.Tensor) -> Rows:
+        """Plans of the starts ``index`` (W,) int64."""
+        t = self._tables
+        arrays = map_record(lambda x: x[index], t.arrays)
+        return Rows(arrays, t.obj[index], t.link[index], t.target[index], t.held[index])
+
+    def _make(self) -> list[_Made]:
+        console = Console(stderr=True)
+        # Settling takes most of the time, and is done by MuJoCo outside of Python.
+        with ThreadPoolExecutor(self._config.threads or os.cpu_count() or 1) as crew:
+            starts = crew.map(self._make_one, range(self.count))
+            return list(
+                track(
+                    starts, "starts of episodes", self.count, console=console, transient=True,
+                    disable=not console.is_terminal,
+                )
+            )  # fmt: skip
+
+    def _make_one(self, index: int) -> _Made:
+        host, length = self._host, self._host.tables.num_subtasks
+        episode = host.make_episode(self.seed, index)
+        start = host.start_of(episode)
+        qpos = start.qpos
+        landings, fallback = np.zeros((length, ROBOT_JOINTS)), np.zeros(length, bool)
+        if self._config.teleports:
+            landings, fallback = find_landings(host.starts, episode, start, length)
+            if start.plan.subtasks[0].kind == SubtaskKind.NAVIGATE:
+                qpos = qpos.copy()
+                qpos[host.sim.addresses.robot_q] = landings[0]
+        return _Made(episode, start, qpos, landings, fallback)
+
+    def _find_fields(self, made: list[_Made], device: torch.device) -> tuple[GoalFields | None, torch.Tensor]:
+        index = torch.full((self.count, self._host.tables.num_subtasks), -1, dtype=torch.int64, device=device)
+        where = [
+            (p, s)
+            for p, m in enumerate(made)
+            for s, subtask in enumerate(m.start.plan.subtasks)
+            if subtask.kind == SubtaskKind.NAVIGATE
+        ]
+        if not where or self._config.reward not in ("dense", "normalized_dense"):
+            return None, index
+        goals = [(made[p].start.home, made[p].start.plan.subtasks[s].goal_pos[:2]) for p, s in where]
+        fields = GoalFields(goals, self._host.starts.sampler.map, device)
+        p, s = torch.as_tensor(where, device=device).unbind(1)
+        index[p, s] = fields.index
+        return fields, index

@@ -1,0 +1,99 @@
+"""What makes an expert act in a style: scripts read it from their view, and `Manner` shapes the actions they give."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mjhab.envs.actions import ACTION_DIM, ARM_JOINTS, BASE_FORWARD, BASE_YAW, GRIPPER
+from mjhab.envs.grasps import KINDS, Grasps
+from mjhab.envs.privileged import WorldView
+from mjhab.tasks.style import ANY, PLAIN, SMOOTH, Style
+
+if TYPE_CHECKING:
+    from mjhab.envs.sequential import SequentialTaskEnv
+
+Array = np.ndarray
+ARM, BASE = slice(0, len(ARM_JOINTS)), [BASE_FORWARD, BASE_YAW]
+LASTING = 0.86
+"""What is left of smooth noise after a control step: it drifts with a time constant of a third of a second."""
+FULL_NOISE = 0.25
+"""Action from which on noise is as large as asked for. It fades with smaller ones: success asks for a robot that stands
+still, and fingers that close on something must not shake."""
+
+
+class StyledView(WorldView):
+    """A view whose world is to be acted in with a style. A slower script lives in slower time: its control steps last
+    longer, and what it reads of speeds counts per such step."""
+
+    def __init__(self, env: SequentialTaskEnv, world: int) -> None:
+        super().__init__(env, world)
+        self.style = PLAIN
+
+    @property
+    def qd(self) -> Array:
+        """(15,) joint velocities, per second of the script."""
+        return super().qd / self.style.speed
+
+
+def style_of(view: WorldView) -> Style:
+    """The style to act with; plain for a view without one."""
+    return view.style if isinstance(view, StyledView) else PLAIN
+
+
+def of_kind(grasps: Grasps, kind: str) -> Grasps:
+    """The grasps that come from one side: "top", "tilted", "side" or "any"."""
+    return grasps if kind == ANY else grasps.take(np.flatnonzero(grasps.kind == KINDS.index(kind)))
+
+
+class Manner:
+    """Slows, disturbs and delays the actions of one episode.
+
+    Args:
+        style: how. random: source of the noise, one stream per episode.
+    """
+
+    def __init__(self, style: Style, random: np.random.Generator) -> None:
+        self.style, self._random = style, random
+        self._phase = 1.0
+        self._noise = np.zeros(ACTION_DIM)
+        self.holds = style.hold
+        """Control steps for which the robot still stands before it begins."""
+
+    def due(self) -> bool:
+        """Whether the script gives its next action in this control step; else the last one goes on."""
+        self._phase += self.style.speed
+        if self._phase < 2.0 - 1e-9:
+            return False
+        self._phase -= 1.0
+        return True
+
+    def wait(self, still: Array) -> Array:
+        """The action (13,) of a control step before the beginning, from the one that holds ``still`` (13,)."""
+        self.holds -= 1
+        if not self.style.dither:
+            return still
+        scale = np.zeros(ACTION_DIM)
+        scale[ARM] = self.style.dither
+        return self._disturbed(still, scale)
+
+    def shape(self, action: Array) -> Array:
+        """The action (13,) float32 to take for one of the script; the gripper stays as it is."""
+        style = self.style
+        out = action * np.float32(style.speed)
+        out[GRIPPER] = action[GRIPPER]
+        if not (style.noise or style.base_noise):
+            return out
+        scale = np.zeros(ACTION_DIM)
+        scale[ARM] = style.noise * min(1.0, float(np.abs(out[ARM]).max()) / FULL_NOISE)
+        scale[BASE] = style.base_noise * min(1.0, float(np.abs(out[BASE]).max()) / FULL_NOISE)
+        return self._disturbed(out, scale)
+
+    def _disturbed(self, action: Array, scale: Array) -> Array:
+        fresh = self._random.standard_normal(ACTION_DIM)
+        if self.style.noise_kind == SMOOTH:
+            self._noise = LASTING * self._noise + np.sqrt(1.0 - LASTING**2) * fresh
+        else:
+            self._noise = fresh
+        return np.clip(action + scale * self._noise, -1.0, 1.0).astype(np.float32)

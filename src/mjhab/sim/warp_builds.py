@@ -1,0 +1,71 @@
+"""Tells on stderr that Warp compiles kernels, which takes minutes when it happens for the first time."""
+
+from __future__ import annotations
+
+import functools
+import re
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import warp as wp
+from warp._src import build
+
+LINE_EVERY = 15.0
+"""Seconds between two lines where nobody looks on: a log gets a few, a terminal one that renews itself."""
+
+
+class BuildProgress:
+    """Counts the modules that are compiled, and says so before each.
+
+    Args:
+        clock: seconds from any moment on.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.perf_counter) -> None:
+        self._clock = clock
+        self.count, self.seconds = 0, 0.0
+        self._last_line = -LINE_EVERY
+
+    def watch(self, compiler: Callable[..., Any], source: Callable[..., str]) -> Callable[..., Any]:
+        """``compiler``, announced; ``source`` gives the path of the file from the compiler's arguments."""
+
+        @functools.wraps(compiler)
+        def announced(*args: Any, **kwargs: Any) -> Any:
+            begun = self._clock()
+            self.count += 1
+            self._say(source(*args))
+            try:
+                return compiler(*args, **kwargs)
+            finally:
+                self.seconds += self._clock() - begun
+                if sys.stderr.isatty():
+                    print("\r\033[K", end="", file=sys.stderr, flush=True)
+
+        return announced
+
+    def _say(self, path: str) -> None:
+        # wp_mujoco_warp._src.solver_1a2b3c4.cu -> mujoco_warp._src.solver
+        module = re.sub(r"^wp_|_[0-9a-f]{7,}$", "", Path(path).stem)
+        text = (
+            f"mjhab: compiling kernels of backend warp: module {self.count} ({module}), {self.seconds:.0f} s so far. "
+            "Some minutes the first time, later they are on disk."
+        )
+        if sys.stderr.isatty():
+            print(f"\r\033[K{text}", end="", file=sys.stderr, flush=True)
+        elif self._clock() - self._last_line >= LINE_EVERY:
+            self._last_line = self._clock()
+            print(text, file=sys.stderr, flush=True)
+
+
+@functools.cache
+def announce_builds() -> BuildProgress:
+    """From now on, say whenever this process compiles kernels."""
+    wp.config.log_level = wp.LOG_WARNING
+    progress = BuildProgress()
+    # Warp tells of a module when it is there; what takes long is these two, called for what no cache holds.
+    build.build_cpu = progress.watch(build.build_cpu, lambda binary, source, *_: str(source))
+    build.build_cuda = progress.watch(build.build_cuda, lambda source, *_: str(source))
+    return progress

@@ -1,0 +1,164 @@
+"""How a scripted expert is asked to do things: one `Style` for an episode, `Styles` to draw them from."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields
+from functools import lru_cache
+from typing import Any
+
+from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.seeding import stream
+
+ANY, TOP, TILTED, SIDE = "any", "top", "tilted", "side"
+PLACE, DROP = "place", "drop"
+SMOOTH, STEP = "smooth", "step"
+RANGE, OR = "..", ","
+"""Between the ends of a range; between words to choose from."""
+
+
+@dataclass(frozen=True)
+class Style:
+    """How an episode is done. The default is the expert as it is; every field is an option of ``--style``."""
+
+    speed: float = field(default=1.0, metadata={"low": 0.3, "high": 1.0, "about": "of all motions; 1 is the fastest"})
+    grasp: str = field(
+        default=ANY,
+        metadata={"words": (ANY, TOP, TILTED, SIDE), "about": "how the hand comes, where the object can be held so"},
+    )
+    release: str = field(
+        default=PLACE,
+        metadata={"words": (PLACE, DROP), "about": "put it down, or let it fall on its goal where there is room to"},
+    )
+    drop_height: float = field(
+        default=0.18, metadata={"low": 0.0, "high": 0.5, "about": "from how high above its place a drop begins [m]"}
+    )
+    noise: float = field(
+        default=0.0, metadata={"low": 0.0, "high": 0.5, "about": "std on the arm while it moves; 1 is a whole action"}
+    )
+    base_noise: float = field(
+        default=0.0, metadata={"low": 0.0, "high": 0.5, "about": "std on the base while it moves; 1 is a whole action"}
+    )
+    noise_kind: str = field(
+        default=SMOOTH, metadata={"words": (SMOOTH, STEP), "about": "noise that drifts, or another one in every step"}
+    )
+    hold: int = field(
+        default=0, metadata={"low": 0, "high": 100, "about": "control steps to stand still at the start of an episode"}
+    )
+    dither: float = field(
+        default=0.0, metadata={"low": 0.0, "high": 0.5, "about": "std on the arm while it holds; 1 is a whole action"}
+    )
+
+
+PLAIN = Style()
+NAMES: tuple[str, ...] = tuple(f.name for f in fields(Style))
+
+
+@dataclass(frozen=True)
+class Styles:
+    """What every episode draws its style from. ``choices``: of each field that was named, what it may be.
+
+    Numbers: (value,) or the two ends of a range, both included; words: all that may be chosen.
+    """
+
+    choices: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
+
+    @classmethod
+    def parse(cls, words: Sequence[str]) -> Styles:
+        """Read ``("speed=0.5..1.0", "grasp=side", "release=place,drop")``.
+
+        Raises:
+            UsageError: an unknown name or word, or a number out of range; with the nearest name.
+        """
+        choices: dict[str, tuple[Any, ...]] = {}
+        for word in words:
+            name, equals, text = word.partition("=")
+            if name not in NAMES:
+                raise unknown_name("style", name, NAMES)
+            if not equals or not text:
+                raise UsageError(f"--style {word}: give a value, as in {name}={getattr(PLAIN, name)}.")
+            if name in choices:
+                raise UsageError(f"--style: {name} is given twice; give a range or a list, as in {_SAMPLE}.")
+            choices[name] = _read(name, text)
+        return cls(choices)
+
+    def draw(self, seed: int, index: int) -> Style:
+        """The style of episode ``index`` of a run: a function of (seed, index) alone, each field by itself."""
+        drawn = {}
+        for name, values in self.choices.items():
+            random = stream(seed, "style", name, index)
+            if isinstance(values[0], str):
+                drawn[name] = values[int(random.integers(len(values)))]
+            elif isinstance(values[0], int):
+                drawn[name] = int(random.integers(values[0], values[-1] + 1))
+            else:
+                drawn[name] = round(float(random.uniform(values[0], values[-1])), 4)
+        return Style(**drawn)
+
+    @property
+    def plain(self) -> bool:
+        """Nothing was asked for."""
+        return not self.choices
+
+    @property
+    def words(self) -> list[str]:
+        """What ``parse`` reads, in the order of the fields: equal styles are equal words."""
+        return [f"{name}={_write(self.choices[name])}" for name in NAMES if name in self.choices]
+
+
+_SAMPLE = "speed=0.5..1.0 release=place,drop"
+
+
+@lru_cache(maxsize=1)
+def descriptions() -> dict[str, str]:
+    """What each option of a style means, and its values."""
+    out = {}
+    for f in fields(Style):
+        values = f.metadata.get("words")
+        text = " or ".join(values) if values else f"{f.metadata['low']} to {f.metadata['high']}"
+        out[f.name] = f"{f.metadata['about']} ({text})"
+    return out
+
+
+def field_words(name: str) -> tuple[str, ...]:
+    """All words that a field of `Style` can be; empty for a number."""
+    return next(f for f in fields(Style) if f.name == name).metadata.get("words", ())
+
+
+def value_of(style: Mapping[str, Any], name: str) -> Any:
+    """A field of a style that was recorded; what was not is the default."""
+    return style.get(name, getattr(PLAIN, name))
+
+
+def recorded(style: Style) -> dict[str, Any]:
+    """A style as the plain data that records keep."""
+    return asdict(style)
+
+
+def _read(name: str, text: str) -> tuple[Any, ...]:
+    f = next(f for f in fields(Style) if f.name == name)
+    valid = f.metadata.get("words")
+    if valid:
+        words = tuple(text.split(OR))
+        for word in words:
+            if word not in valid:
+                raise unknown_name(f"{name} in --style", word, valid)
+        return tuple(sorted(set(words), key=valid.index))
+    kind: type[float] = type(getattr(PLAIN, name))
+    low, high = f.metadata["low"], f.metadata["high"]
+    try:
+        values = [kind(part) for part in text.split(RANGE)]
+    except ValueError:
+        values = []
+    good = len(values) in (1, 2) and all(math.isfinite(v) and low <= v <= high for v in values)
+    if not good or values != sorted(values):
+        what = "whole number" if kind is int else "number"
+        raise UsageError(
+            f"--style {name}={text}: expected a {what} from {low} to {high}, or a range of them: {name}={low}..{high}."
+        )
+    return tuple(values)
+
+
+def _write(values: tuple[Any, ...]) -> str:
+    return (OR if isinstance(values[0], str) else RANGE).join(str(value) for value in values)

@@ -1,0 +1,381 @@
+"""Environments on the warp backend against those on the cpu backend, on Warp's CPU device: few worlds, few steps."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from mjhab.core.arrays import map_record
+from mjhab.core.errors import UsageError
+from mjhab.core.rotations import pose_inv, pose_mul
+from mjhab.envs import make, make_train
+from mjhab.envs.reporting import CHECKERS
+from mjhab.envs.tracking import Tracker
+from mjhab.envs.wrappers import FrameStack
+from mjhab.sim.backends import cuda_devices
+from mjhab.sim.protocol import TAINTS
+from mjhab.tasks.events import EVENT_NAMES, event_names
+from mjhab.tasks.labels import LABELS
+from mjhab.tasks.measure import Signals
+from mjhab.tasks.plan import PADDING, Subtask, SubtaskKind, TaskPlan
+from mjhab.tasks.progress import Outcome, Progress
+from tests.no_sync import NoSync
+
+if not os.environ.get("CI"):
+    # In CI the engine must be there: the tests then fail rather than pass unseen.
+    pytest.importorskip("mujoco_warp", reason="the [gpu] extra is not installed")
+
+WORLDS, HORIZON = 2, 6
+DEVICE: dict[str, Any] = {"backend": "warp", "device": "cpu", "starts": 4}
+PICTURES: dict[str, Any] = {"obs_mode": "depth", "camera_size": 8}
+KINDS = [
+    ("tidy_house", "pick"), ("tidy_house", "place"), ("tidy_house", "navigate"), ("set_table", "open"),
+    ("set_table", "close"),
+]  # fmt: skip
+
+
+def actions_of(step: int, dim: int, gripper: int) -> np.ndarray:
+    """Slow random motion; the gripper stays shut and opens at the end."""
+    out = 0.3 * np.random.default_rng(step).uniform(-1, 1, (WORLDS, dim)).astype(np.float32)
+    out[:, gripper] = -1.0 if step < HORIZON - 2 else 1.0
+    return out
+
+
+@pytest.fixture(scope="module")
+def env() -> Any:
+    """Short Picks with small pictures, shared by the tests that reset what they need."""
+    return make(task="tidy_house", subtask="pick", num_envs=WORLDS, horizon=3, **PICTURES, **DEVICE)
+
+
+@contextmanager
+def autoreset(env: Any, mode: str) -> Iterator[Any]:
+    before, env.config = env.config, dataclasses.replace(env.config, autoreset=mode)
+    env.reset()
+    yield env
+    env.config = before
+
+
+@contextmanager
+def waiting_forbidden(device: str) -> Iterator[None]:
+    """On CUDA, torch raises where it waits for the device."""
+    if device == "cpu":
+        yield
+        return
+    torch.cuda.set_sync_debug_mode("error")
+    yield
+    torch.cuda.set_sync_debug_mode("default")
+
+
+def idle(env: Any, steps: int = 1) -> Any:
+    for _ in range(steps - 1):
+        env.step(torch.zeros(WORLDS, len(env.action_table)))
+    return env.step(torch.zeros(WORLDS, len(env.action_table)))
+
+
+# -- the same as on the cpu ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("task", "subtask"), KINDS)
+def test_episodes_are_those_of_the_cpu_backend(task: str, subtask: str) -> None:
+    options = {"task": task, "subtask": subtask, "num_envs": WORLDS, "reward_mode": "normalized_dense"}
+    cpu, dev = make(**options, horizon=HORIZON, threads=1), make(**options, horizon=HORIZON, **DEVICE)
+    assert dev.observation_space == cpu.observation_space and dev.action_space == cpu.action_space
+    theirs, _ = cpu.reset(options={"episode": [0, 1]})
+    ours, info = dev.reset()
+    np.testing.assert_array_equal(dev.sim.qpos.numpy(), cpu.sim.qpos.astype(np.float32))
+    assert dev.episode_spec(1) == cpu.reporter.describe(1)
+    compare(ours, theirs)
+    records: list[Any] = []
+    for step in range(HORIZON):
+        actions = actions_of(step, len(cpu.action_table), cpu.controller.gripper)
+        theirs, reward, *ends, told = cpu.step(actions)
+        ours, our_reward, *our_ends, info = dev.step(torch.as_tensor(actions))
+        np.testing.assert_allclose(our_reward.numpy(), reward, atol=2e-2)
+        for flags, expected in zip(our_ends, ends, strict=True):
+            np.testing.assert_array_equal(flags.numpy(), expected)
+        final, expected = (info["final_info"], told["final_info"]) if step == HORIZON - 1 else (info, told)
+        for name in (*CHECKERS, "pointer", "kind", "steps_left", "success", "fail"):
+            np.testing.assert_array_equal(final[name].numpy(), expected[name], err_msg=f"{name} in step {step}")
+        assert final["reward_terms"].keys() == expected["reward_terms"].keys()
+        assert event_names(expected["kind"], final["event_flags"]) == expected["events"]
+        records = expected["ended"]
+    compare(info["final_obs"], told["final_obs"])
+    assert final["ended"].all() and not info["ended"].any()
+    for w, (mine, record) in enumerate(zip(dev.records(), records, strict=True)):
+        close = {name: pytest.approx(record[name], rel=0.02, abs=0.5) for name in ("peak_force", "cumulative_force")}
+        assert mine == record | close
+        assert LABELS[SubtaskKind[subtask.upper()]][int(final["label"][w])] == record["label"]
+    # The next episodes: two worlds further.
+    assert [dev.episode_spec(w)["index"] for w in range(WORLDS)] == [2, 3]
+    cpu.reset(options={"episode": [2, 3]})
+    np.testing.assert_array_equal(dev.sim.qpos.numpy(), cpu.sim.qpos.astype(np.float32))
+
+
+def compare(ours: dict[str, torch.Tensor], theirs: dict[str, np.ndarray]) -> None:
+    assert ours.keys() == theirs.keys()
+    for key, value in theirs.items():
+        assert ours[key].numpy().dtype == value.dtype
+        np.testing.assert_allclose(ours[key].numpy(), value, atol=0.02, err_msg=key)
+
+
+def test_training_draws_the_same_starts() -> None:
+    options = {"task": "set_table", "subtask": "close", "num_envs": 1, "episode_pool": 3, "seed": 5}
+    cpu, dev = make_train(**options, threads=1), make_train(**options, **(DEVICE | {"starts": 2}))
+    cpu.reset(options={"episode": [1]})
+    dev.reset(options={"episode": [1]})
+    np.testing.assert_array_equal(dev.sim.qpos.numpy(), cpu.sim.qpos.astype(np.float32))
+    assert dev.config.reward == cpu.config.reward == "normalized_dense"
+
+
+def test_a_chain_teleports_to_where_it_does_on_the_cpu() -> None:
+    options = {"task": "tidy_house", "num_envs": WORLDS, "reward_mode": "dense"}
+    cpu, dev = make(**options, threads=1), make(**options, **(DEVICE | {"starts": 2}))
+    cpu.reset(options={"episode": [0, 1]})
+    dev.reset()
+    np.testing.assert_array_equal(dev.sim.qpos.numpy(), cpu.sim.qpos.astype(np.float32))
+    for _ in range(3):
+        actions = np.zeros((WORLDS, len(cpu.action_table)), np.float32)
+        _, reward, *_, told = cpu.step(actions)
+        _, ours, *_, info = dev.step(torch.as_tensor(actions))
+        np.testing.assert_array_equal(info["pointer"].numpy(), told["pointer"])
+        np.testing.assert_allclose(ours.numpy(), reward, atol=0.02)
+    # Picks succeed when somebody says so: then the robot leaps to the goal, its hands empty.
+    assert (info["kind"] == int(SubtaskKind.PICK)).all()
+    everyone = torch.ones(WORLDS, dtype=torch.bool)
+    dev.progress = dataclasses.replace(dev.progress, pointer=dev.progress.pointer + 1)
+    dev._renew(~everyone, everyone, dev.start_row)
+    for w in range(WORLDS):
+        goal = np.array(dev.pool.plans[w].subtasks[2].goal_pos)
+        base = dev.state.robot_q[w, :3].numpy()
+        np.testing.assert_allclose(base, dev.pool.landings[w, 2, :3].numpy(), atol=1e-6)
+        assert np.hypot(*(base[:2] - goal[:2])) <= 2.0
+
+
+def test_what_is_held_leaps_along() -> None:
+    from mjhab.envs.device.landings import Teleporter
+
+    rng = np.random.default_rng(0)
+    qpos = torch.as_tensor(rng.uniform(-1, 1, (3, 29)))
+    qpos[:, 15:].unflatten(1, (2, 7))[..., 3:] /= qpos[:, 15:].unflatten(1, (2, 7))[..., 3:].norm(dim=-1, keepdim=True)
+    force = torch.zeros(3, 2, 2, 3, dtype=qpos.dtype)
+    force[0, :, 1, 0] = force[1, 0, 1, 0] = 1.0  # world 0 holds object 1 with both fingers, world 1 touches it
+    state = SimpleNamespace(
+        robot_q=qpos[:, :15], object_pose=qpos[:, 15:].unflatten(1, (2, 7)), finger_force=force
+    )  # fmt: skip
+    addresses = SimpleNamespace(robot_q=np.arange(15), object_q=np.array([15, 22]))
+    landing = torch.as_tensor(rng.uniform(-1, 1, (3, 15)))
+    moved = Teleporter(addresses, torch.device("cpu")).moved(qpos, state, landing, torch.tensor([1, 1, -1]))  # type: ignore[arg-type]
+    np.testing.assert_array_equal(moved[0, 3:22], qpos[0, 3:22])
+    np.testing.assert_array_equal(moved[:, :3], landing[:, :3])
+    before, after = (pose_mul(pose_inv(_base(q[0, :3])), q[0, 22:].numpy()) for q in (qpos, moved))
+    np.testing.assert_allclose(after, before, atol=1e-12)
+    for w in (1, 2):
+        np.testing.assert_array_equal(moved[w, :15], landing[w])
+        np.testing.assert_array_equal(moved[w, 15:], qpos[w, 15:])
+
+
+def _base(pose: torch.Tensor) -> np.ndarray:
+    x, y, yaw = pose.tolist()
+    return np.array([x, y, 0.0, np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)])
+
+
+# -- masks -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_reset_leaves_every_bit_of_the_other_worlds(env: Any) -> None:
+    with autoreset(env, "disabled"):
+        idle(env)
+        before, was = env.sim.get_world(0), map_record(lambda x: x[0].clone(), env.progress)
+        _, info = env.reset(options={"reset_mask": torch.tensor([False, True]), "episode": [3]})
+        for name, value in env.sim.get_world(0).items():
+            np.testing.assert_array_equal(value, before[name], err_msg=name)
+        assert dataclasses.asdict(map_record(lambda x: x[0], env.progress)) == dataclasses.asdict(was)
+        assert info["steps_left"].tolist() == [2, 3] and env.episode_spec(1)["index"] == 3
+        np.testing.assert_array_equal(env.sim.qpos[1], env.pool.qpos[3])
+
+
+def test_disabled_autoreset_leaves_finished_worlds(env: Any) -> None:
+    with autoreset(env, "disabled"):
+        *_, truncated, info = idle(env, 3)
+        assert truncated.all() and info["ended"].all() and "final_obs" not in info
+        *_, truncated, info = idle(env)
+        assert not truncated.any() and not info["ended"].any() and (info["steps_left"] == 0).all()
+
+
+def test_next_step_autoreset_takes_a_step(env: Any) -> None:
+    with autoreset(env, "next_step"):
+        *_, truncated, info = idle(env, 3)
+        assert truncated.all() and (info["steps_left"] == 0).all()
+        _, reward, _, truncated, info = idle(env)
+        assert not truncated.any() and (info["steps_left"] == 3).all() and (reward == 0).all()
+        np.testing.assert_array_equal(env.sim.qpos, env.pool.qpos[env.start_row])
+
+
+def test_a_world_that_breaks_is_given_up_alone(env: Any) -> None:
+    env.reset()
+    env.sim.engine.qvel_t[1, 0] = torch.nan
+    _, _, _, truncated, info = idle(env)
+    assert truncated.tolist() == [False, True] and info["nan_resets"].tolist() == [0, 1]
+    assert info["final_info"]["taint"].tolist() == [0, 1 << TAINTS.index("nan")] and info["taint"].tolist() == [0, 0]
+    assert torch.isfinite(info["final_obs"]["state"]).all() and torch.isfinite(info["robot_force"]).all()
+    assert env.records()[0] is None and env.records()[1] is not None
+
+
+def test_overflow_and_bad_actions_raise_in_evaluation(env: Any) -> None:
+    env.reset()
+    env.check_taint()
+    tainted = int(env.tainted)
+    env.sim.engine.overflow_t[0] = int(row_bit())
+    *_, info = idle(env, 3)
+    assert info["final_info"]["taint"][0] == 1 << TAINTS.index("constraint_overflow") and int(env.tainted) > tainted
+    rows = env.sim.engine.sizes.rows
+    with pytest.raises(UsageError, match=rf"rows={rows}\).*buffers=\{{'rows': {2 * rows}\}}"):
+        env.check_taint()
+    env.sim.engine.overflow_seen.zero_()
+    env.step(torch.full((WORLDS, len(env.action_table)), torch.inf))
+    with pytest.raises(UsageError, match="finite; 2 actions"):
+        env.check_taint()
+    env.bad_actions = env.bad_actions * 0
+
+
+def row_bit() -> int:
+    import mujoco_warp
+
+    return int(mujoco_warp.OverflowType.NEFC)
+
+
+@pytest.mark.parametrize("device", ["cpu", *cuda_devices()])
+def test_a_step_never_waits_for_the_device(env: Any, device: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    import warp as wp
+
+    if device != "cpu":
+        options = DEVICE | PICTURES | {"device": device}
+        env = make(task="tidy_house", subtask="pick", num_envs=WORLDS, horizon=3, **options)
+    env.reset()
+    idle(env, 4)
+    actions = torch.zeros((WORLDS, len(env.action_table)), device=env.device)
+    begun = env.count.clone()
+
+    def refuse(*_: Any) -> None:
+        raise AssertionError("an array goes to the host")
+
+    monkeypatch.setattr(wp.array, "numpy", refuse)
+    with NoSync() as watched, waiting_forbidden(device):
+        for _ in range(3):
+            *_, info = env.step(actions)
+    assert watched.seen > 100 and (env.count == begun + 1).all()
+    assert not info["ended"].any()
+
+
+# -- labels and events -----------------------------------------------------------------------------------------------
+
+
+def test_history_tells_what_the_tracker_of_the_cpu_notes() -> None:
+    from mjhab.envs.device.notes import DeviceNotes
+
+    rng, worlds = np.random.default_rng(0), 6
+    kinds = np.array([0, 1, 2, 3, 4, 0])
+    plans = [TaskPlan("", (Subtask(SubtaskKind(int(k)), obj="a", link="b"),)) for k in kinds]
+    tracker, notes = Tracker(worlds), DeviceNotes(worlds, 40, torch.device("cpu"))
+    step, within, done = np.zeros(worlds, np.int64), np.zeros(worlds, np.int64), np.zeros(worlds, bool)
+    signals, progress = draw_signals(rng, kinds), draw_progress(rng, step, within, done)
+    tracker.begin(~done, signals, progress)
+    notes.begin(torch.as_tensor(~done), *tensors(signals, progress))
+    written = 0
+    for _ in range(40):
+        step, within = step + ~done, within + ~done
+        signals, progress = draw_signals(rng, kinds), draw_progress(rng, step, within, done)
+        flags = notes.update(*tensors(signals, progress))
+        assert tracker.update(signals, progress) == event_names(np.where(done, PADDING, kinds), flags)
+        ended = (rng.random(worlds) < 0.1) & ~done
+        outcome = Outcome(**{f.name: rng.random(worlds) < 0.5 for f in dataclasses.fields(Outcome)} | {"ended": ended})
+        expected = tracker.ended(signals, outcome, progress, plans)
+        codes = notes.end(*tensors(signals, outcome, progress))
+        # Some worlds go on with another subtask at once: what the last one did can still be told.
+        moved = ended & (rng.random(worlds) < 0.8)
+        done, within = done | (ended & ~moved), np.where(moved, 0, within)
+        signals, progress = draw_signals(rng, kinds), draw_progress(rng, step, within, done)
+        tracker.begin(moved, signals, progress)
+        notes.begin(torch.as_tensor(moved), *tensors(signals, progress))
+        assert notes.records(plans) == expected
+        for w, record in enumerate(expected):
+            label = LABELS[SubtaskKind(int(kinds[w]))][int(codes[w])] if codes[w] >= 0 else None
+            assert label == (record and record["label"])
+        written += sum(record is not None for record in expected)
+    assert written > worlds
+
+
+def draw_signals(rng: np.random.Generator, kinds: np.ndarray) -> Signals:
+    values: dict[str, Any] = {f.name: rng.random(len(kinds)) < 0.5 for f in dataclasses.fields(Signals)}
+    return Signals(**values | {"kind": kinds})
+
+
+def draw_progress(rng: np.random.Generator, step: np.ndarray, within: np.ndarray, done: np.ndarray) -> Progress:
+    zero = np.zeros_like(step)
+    force = rng.random(len(step)).astype(np.float32)
+    return Progress(zero, zero, within.copy(), step.copy(), force, force, done, done.copy())
+
+
+def tensors(*records: Any) -> Any:
+    return [map_record(lambda x: torch.as_tensor(x.copy()), record) for record in records]
+
+
+# -- bad input -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"reset_mask": [True]}, "reset_mask must be bool"),
+        ({"episode": [0, 4]}, r"2 starts in \[0, 4\).*got \[0, 4\]; option starts"),
+        ({"episode": [0.5, 1.0]}, "2 starts"),
+        ({"episodes": [0]}, "unknown reset option 'episodes'"),
+    ],
+)
+def test_bad_reset_options_are_told(env: Any, options: dict[str, Any], message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        env.reset(options=options)
+
+
+def test_bad_actions_and_seeds_are_told(env: Any) -> None:
+    env.reset()
+    with pytest.raises(UsageError, match=r"shape \(2, 13\), got \(2, 3\)"):
+        env.step(torch.zeros(2, 3))
+    with pytest.raises(UsageError, match="one seed for all worlds"):
+        env.reset(seed=[1, 2])
+    with pytest.raises(UsageError, match="leave out reset_mask"):
+        env.reset(seed=9, options={"reset_mask": torch.tensor([True, False])})
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"backend": "gpu"}, "unknown backend 'gpu'"),
+        ({"starts": -1}, "starts must be"),
+        ({"device": "cuda:77"}, "cuda:77|no CUDA device"),
+        ({"render_mode": "rgb_array"}, "no human views"),
+        ({"buffers": {"contact": 5}}, "unknown buffer 'contact'"),
+        ({"buffers": {"rows": 0}}, "at least 1"),
+    ],
+)
+def test_bad_configurations_are_told(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        make(**{"task": "tidy_house", "subtask": "pick", **DEVICE, **options})
+
+
+def test_wrappers_for_numpy_refuse_tensors(env: Any) -> None:
+    with pytest.raises(UsageError, match=r"FrameStack works on numpy arrays, .*backend='cpu'"):
+        FrameStack(env, 2)
+
+
+def test_event_flags_have_the_columns_of_the_events(env: Any) -> None:
+    _, info = env.reset()
+    assert info["event_flags"].shape == (WORLDS, len(EVENT_NAMES)) and not info["event_flags"].any()

@@ -1,0 +1,135 @@
+"""The expert's styles in real episodes: what was asked for is what happens, and nothing asked changes nothing."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+import pytest
+
+import mjhab.envs as envs
+from mjhab.envs.privileged import WorldView
+from mjhab.experts import make_expert
+from mjhab.experts.pick import plan_pick
+from mjhab.experts.style import Manner, StyledView
+from mjhab.rollout.loop import rollout
+from mjhab.rollout.records import EpisodeRecord
+from mjhab.tasks.style import PLAIN, Style, Styles
+
+
+@lru_cache
+def records(
+    subtask: str, *words: str, worlds: int = 4, episodes: tuple[int, ...] = (0, 1, 2, 3)
+) -> list[EpisodeRecord]:
+    env = envs.make(
+        task="tidy_house", subtask=subtask, num_envs=worlds, split="train", autoreset="disabled", threads=1
+    )  # fmt: skip
+    return rollout(env, make_expert(env, Styles.parse(words)), episodes, seed=0)
+
+
+def labels(found: list[EpisodeRecord]) -> list[str | None]:
+    return [record.subtasks[-1].label for record in found if record.success_once]
+
+
+def success_step(record: EpisodeRecord) -> int:
+    return min(step for step, name in record.events if name == "success")
+
+
+def test_a_style_that_is_the_default_changes_no_bit_but_is_recorded():
+    plain, asked = records("place"), records("place", "speed=1")
+    assert [r.final_state for r in plain] == [r.final_state for r in asked]
+    assert [r.force for r in plain] == [r.force for r in asked]
+    assert all("style" not in r.to_dict() for r in plain)
+    assert all(r.to_dict()["style"]["speed"] == 1.0 for r in asked)
+
+
+def test_styles_do_not_depend_on_the_worlds():
+    words = ("speed=0.6..1.0", "noise=0.0..0.1", "hold=0..5", "dither=0.05")
+    many, few = records("place", *words, episodes=(0, 1, 2)), records("place", *words, worlds=2, episodes=(2, 0, 1))
+    assert [r.style for r in many] == [r.style for r in few] and [r.final_state for r in many] == [
+        r.final_state for r in few
+    ]
+    assert len({r.style["speed"] for r in many}) == 3
+
+
+def test_dropped_objects_are_labelled_so():
+    placed, dropped = labels(records("place")), labels(records("place", "release=drop"))
+    assert len(placed) >= 3 and len(dropped) >= 3
+    assert set(dropped) == {"dropped_to_goal_success"} and "dropped_to_goal_success" not in placed
+
+
+def test_slower_takes_longer_and_holding_still_delays():
+    plain, slow, late = (records("pick", *words) for words in ((), ("speed=0.6",), ("hold=20",)))
+    both = [(p, s) for p, s in zip(plain, slow, strict=True) if p.success_once and s.success_once]
+    assert len(both) >= 2 and all(success_step(s) > 1.2 * success_step(p) for p, s in both)
+    begun = [(p.events[0][0], h.events[0][0]) for p, h in zip(plain, late, strict=True) if p.events and h.events]
+    assert len(begun) >= 2 and all(held > first + 5 for first, held in begun)
+
+
+def test_noise_changes_what_happens_and_is_corrected():
+    plain, noisy = records("pick"), records("pick", "noise=0.1", "base_noise=0.1")
+    assert all(p.final_state != n.final_state for p, n in zip(plain, noisy, strict=True))
+    assert sum(n.success_once for n in noisy) >= 3
+
+
+@lru_cache
+def a_start() -> WorldView:
+    """A pick that can be done from every side."""
+    env = envs.make(task="tidy_house", subtask="pick", target="003_cracker_box", num_envs=1, autoreset="disabled",
+                    threads=1)  # fmt: skip
+    env.reset(seed=0, options={"episode": [0]})
+    return env.view(0)
+
+
+@pytest.mark.parametrize(
+    ("wish", "low", "high"), [("top", -1.0, -0.93), ("tilted", -0.95, -0.33), ("side", -0.36, 1.0)]
+)
+def test_the_hand_comes_from_where_it_was_asked_to(wish: str, low: float, high: float):
+    view = a_start()
+    assert view.subtask is not None
+    found = plan_pick(view, view.subtask.obj, np.zeros((0, 3)), 0, wish)
+    assert found is not None
+    stance, goals, _ = found
+    assert low <= goals.rot[stance.goal, 2, 0] <= high
+
+
+def test_a_manner_slows_by_stretching_time():
+    manner = Manner(Style(speed=0.5), np.random.default_rng(0))
+    assert [manner.due() for _ in range(6)] == [False, True] * 3
+    action = np.linspace(-1.0, 1.0, 13).astype(np.float32)
+    out = manner.shape(action)
+    assert out[7] == action[7]
+    np.testing.assert_array_equal(np.delete(out, 7), np.delete(action, 7) * np.float32(0.5))
+
+
+def test_a_plain_manner_gives_the_very_action():
+    manner, action = Manner(PLAIN, np.random.default_rng(0)), np.linspace(-1.0, 1.0, 13).astype(np.float32)
+    assert manner.due() and manner.due()
+    np.testing.assert_array_equal(manner.shape(action), action)
+
+
+def test_noise_fades_where_the_robot_hardly_moves_and_spares_what_it_should():
+    manner = Manner(Style(noise=0.1, base_noise=0.1, noise_kind="step"), np.random.default_rng(0))
+    action = np.zeros(13, np.float32)
+    action[0], action[7] = 0.5, -1.0
+    moved = np.array([manner.shape(action) for _ in range(2000)]) - action
+    np.testing.assert_allclose(moved[:, :7].std(axis=0), 0.1, rtol=0.15)
+    assert not moved[:, 7:].any()
+    action[0] = 0.025
+    np.testing.assert_allclose(np.array([manner.shape(action)[1] for _ in range(2000)]).std(), 0.01, rtol=0.15)
+
+
+def test_smooth_noise_drifts():
+    manner = Manner(Style(noise=0.1), np.random.default_rng(0))
+    action = np.zeros(13, np.float32)
+    action[0] = 0.5
+    x = np.array([manner.shape(action)[1] for _ in range(4000)])
+    assert x.std() == pytest.approx(0.1, rel=0.2)
+    assert np.corrcoef(x[:-1], x[1:])[0, 1] == pytest.approx(0.86, abs=0.05)
+
+
+def test_slower_scripts_read_speeds_of_their_own_time():
+    view = a_start()
+    slow = StyledView(view._env, 0)
+    slow.style = Style(speed=0.5)
+    np.testing.assert_allclose(slow.qd, 2.0 * view.qd)

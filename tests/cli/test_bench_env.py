@@ -38,12 +38,16 @@ def test_an_unknown_id_names_the_nearest(capsys: pytest.CaptureFixture[str]):
 
 
 def test_bench_env_splits_the_time_of_a_step(capsys: pytest.CaptureFixture[str]):
-    small = ("--worlds", "2", "--steps", "3", "--rounds", "1", "--camera-size", "16", "--threads", "1")
+    small = ("--worlds", "1", "2", "--steps", "3", "--rounds", "1", "--camera-size", "16", "--threads", "1")
     code, found = run(capsys, "bench", "env", "--env", "mjhab/CloseSubtaskTrain-v1", "--obs", "depth", *small)
     assert code == 0 and list(found["stages"]) == list(STAGES)
     for stage in ("physics", "measure", "reward", "render", "reset"):
         assert found["stages"][stage] > 0, stage
     assert found["env_sps"] > 0 and found["engine_sps"] > found["env_sps"] and found["cold_start_s"] > 0
+    points = found["points"]
+    assert found["backend"] == "cpu" and [point["worlds"] for point in points] == [1, 2]
+    assert found["env_sps"] == max(point["env_sps"] for point in points)
+    assert main(["bench", "env", "--worlds", "0"]) == 2
 
 
 def test_bench_soak_counts_steps_and_episodes(capsys: pytest.CaptureFixture[str]):

@@ -17,6 +17,7 @@ from mjhab.cli.main import main
 from mjhab.cli.options import DoctorOptions
 from mjhab.cli.parity_episodes import KINDS, Leg, Log, difference
 from mjhab.core.errors import UsageError
+from mjhab.envs import memory
 from mjhab.scenes.layout import Layout
 from mjhab.scenes.packs import open_pack
 from mjhab.sim import backends
@@ -101,6 +102,32 @@ def test_estimate_command(capsys: pytest.CaptureFixture[str], monkeypatch: pytes
     assert main([*args, "--num-envs", "0"]) == 2
     assert main(["doctor", "--estimate", "--obs", "rgbx"]) == 2
     assert "unknown observation mode 'rgbx'" in capsys.readouterr().err
+
+
+def test_worlds_that_do_not_fit_the_device_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The number that the message names fits."""
+    device: Any = type("Device", (), {"is_cuda": True, "__str__": lambda self: "cuda:0"})()
+    probe: Any = type(sys)("mjhab.sim.warp_device")
+    probe.open_device, probe.free_mb = lambda name: device, lambda opened: 6_000.0
+    monkeypatch.setitem(sys.modules, "mjhab.sim.warp_device", probe)
+    with pytest.raises(UsageError, match=r"4096 worlds need about [\d,]+ MB, but 6,000 MB are free on cuda:0") as told:
+        memory.check_device_memory(4096, "rgbd", 128)
+    most = int(str(told.value).rpartition("num_envs=")[2].rstrip("."))
+    memory.check_device_memory(most, "rgbd", 128)
+    with pytest.raises(UsageError, match=f"num_envs={most}"):
+        memory.check_device_memory(most + 1, "rgbd", 128)
+    # Larger pictures leave room for fewer; one camera takes half of two.
+    with pytest.raises(UsageError):
+        memory.check_device_memory(most, "rgbd", (256, 128))
+    memory.check_device_memory(most, "rgbd", (256, 128), cameras=["fetch_head"])
+    probe.free_mb = lambda opened: 10.0
+    with pytest.raises(UsageError, match="Not even one fits"):
+        memory.check_device_memory(1)
+    # On Warp's CPU device the memory of this machine counts.
+    device.is_cuda = False
+    monkeypatch.setattr(memory, "available_mb", lambda: 20.0)
+    with pytest.raises(UsageError, match="20 MB are free"):
+        memory.check_device_memory(1, device="cpu")
 
 
 # -- warmup ----------------------------------------------------------------------------------------------------------
@@ -255,7 +282,10 @@ def _named(args: list[str]) -> dict[str, str]:
 # -- report ----------------------------------------------------------------------------------------------------------
 
 
-def test_report_says_that_there_was_no_gpu(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def quick_report(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every measure at once; Interact finds no room."""
+
     def no_room(plan: Any) -> Any:
         raise UsageError("no room")
 
@@ -263,12 +293,44 @@ def test_report_says_that_there_was_no_gpu(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(gpu_report, "cuda_devices", list)
     monkeypatch.setattr(gpu_report, "gpu_name", lambda: None)
     monkeypatch.setattr(gpu_report, "measure_interact", no_room)
-    monkeypatch.setattr(gpu_report, "measure_parity", lambda options: {"worlds": options.worlds})
+    monkeypatch.setattr(gpu_report, "measure_parity", lambda options: {"episodes": options.episodes})
+    monkeypatch.setattr(gpu_report, "sleep_cost", lambda leg, steps: [leg.task, steps])
+    monkeypatch.setattr(gpu_report.bench_env, "measure", lambda plan: {"points": [{"worlds": plan.worlds[0]}]})
+
+
+def read_all(folder: Path) -> dict[str, Any]:
+    return {path.stem: json.loads(path.read_text()) for path in folder.iterdir()}
+
+
+@pytest.mark.usefixtures("quick_report")
+def test_report_says_that_there_was_no_gpu(tmp_path: Path) -> None:
     gpu_report.main(tmp_path)
-    found = {path.stem: json.loads(path.read_text()) for path in tmp_path.iterdir()}
-    assert set(found) == {"gpu-interact", "gpu-memory", "gpu-parity"}
+    found = read_all(tmp_path)
+    assert set(found) == {f"gpu-{name}" for name in ("memory", "interact", "env", "sleep", "parity-quick")}
     for content in found.values():
         assert content["machine"]["gpu"] is None and content["note"] == gpu_report.NO_GPU
-    assert all(point["error"] == "no room" for point in found["gpu-interact"]["points"])
-    assert found["gpu-parity"]["worlds"] == 2
-    assert len(found["gpu-memory"]["estimates"]) == 4
+    points = found["gpu-interact"]["points"]
+    assert len(points) == 6 and all(point["error"] == "no room" for point in points)
+    assert found["gpu-parity-quick"]["episodes"] == 2
+    assert [point["worlds"] for point in found["gpu-env"]["points"]] == [2, 16]
+    assert len(found["gpu-memory"]["estimates"]) == 4 and found["gpu-sleep"]["rows"] == ["tidy_house", 60]
+
+
+@pytest.mark.usefixtures("quick_report")
+def test_report_on_a_gpu_measures_large_batches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gpu_report, "cuda_devices", lambda: ["cuda:0"])
+    gpu_report.main(tmp_path)
+    found = read_all(tmp_path)
+    assert set(found) == {f"gpu-{name}" for name in ("memory", "interact", "env", "sleep", "parity")}
+    parity = found["gpu-parity"]
+    assert parity.pop("machine") and parity == {"note": None, "what": "parity", "episodes": 200}
+    assert [point["worlds"] for point in found["gpu-env"]["points"]] == [256, 512, 1024, 2048, 4096, 16]
+    assert sum("4096 worlds, RGB-D" in point["what"] for point in found["gpu-interact"]["points"]) == 1
+
+
+@pytest.mark.usefixtures("quick_report")
+def test_report_measures_what_is_named(tmp_path: Path) -> None:
+    gpu_report.main(tmp_path, ["parity"])
+    assert read_all(tmp_path)["gpu-parity"]["episodes"] == 200
+    with pytest.raises(UsageError, match="unknown measure 'party'"):
+        gpu_report.main(tmp_path, ["party"])

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from types import SimpleNamespace
 from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
 import torch
@@ -18,22 +19,19 @@ from mjhab.core.errors import UsageError
 from mjhab.core.rotations import pose_inv, pose_mul
 from mjhab.envs import make, make_train
 from mjhab.envs.reporting import CHECKERS
-from mjhab.envs.tracking import Tracker
 from mjhab.envs.wrappers import FrameStack
 from mjhab.sim.backends import cuda_devices
 from mjhab.sim.protocol import TAINTS
 from mjhab.tasks.events import EVENT_NAMES, event_names
 from mjhab.tasks.labels import LABELS
-from mjhab.tasks.measure import Signals
-from mjhab.tasks.plan import PADDING, Subtask, SubtaskKind, TaskPlan
-from mjhab.tasks.progress import Outcome, Progress
+from mjhab.tasks.plan import SubtaskKind
 from tests.no_sync import NoSync
 
 if not os.environ.get("CI"):
     # In CI the engine must be there: the tests then fail rather than pass unseen.
     pytest.importorskip("mujoco_warp", reason="the [gpu] extra is not installed")
 
-WORLDS, HORIZON = 2, 6
+WORLDS, HORIZON = 2, 12
 DEVICE: dict[str, Any] = {"backend": "warp", "device": "cpu", "starts": 4}
 PICTURES: dict[str, Any] = {"obs_mode": "depth", "camera_size": 8}
 KINDS = [
@@ -159,6 +157,27 @@ def test_a_chain_teleports_to_where_it_does_on_the_cpu() -> None:
         assert np.hypot(*(base[:2] - goal[:2])) <= 2.0
 
 
+def test_landings_are_tried_in_the_state_that_is_to_be_expected() -> None:
+    env = make(task="set_table", threads=1)
+    episode = env.make_episode(0, 0)
+    plan, a = env.start_of(episode).plan, env.sim.addresses
+    bowl = env.layout.object_names.index(plan.subtasks[3].obj)
+    link = env.layout.link_ids.index(plan.subtasks[1].link)
+    low, high = env.layout.links[link].link.range
+    seen = {}
+    # Before and after Open, with the bowl in the hand, on the table, and on the way to the apple.
+    for position in (0, 2, 4, 6, 8):
+        assert plan.subtasks[position].kind == SubtaskKind.NAVIGATE
+        qpos = env.starts.foresee(episode, plan, position)
+        seen[position] = (qpos[a.link_q[link]] - low) / (high - low) >= 0.85, qpos[a.object_q[bowl] :][:3]
+    assert [bool(opened) for opened, _ in seen.values()] == [False, True, True, True, False]
+    np.testing.assert_array_equal(seen[0][1], episode.object_pose[bowl, :3])
+    assert np.linalg.norm(seen[2][1] - seen[0][1]) > 0.1, "it moves with the drawer"
+    np.testing.assert_array_equal(seen[4][1], env.layout.parked_poses[bowl, :3], err_msg="carried: out of the way")
+    for position in (6, 8):
+        np.testing.assert_allclose(seen[position][1], plan.subtasks[5].goal_pos, atol=0.002)
+
+
 def test_what_is_held_leaps_along() -> None:
     from mjhab.envs.device.landings import Teleporter
 
@@ -275,59 +294,6 @@ def test_a_step_never_waits_for_the_device(env: Any, device: str, monkeypatch: p
     assert not info["ended"].any()
 
 
-# -- labels and events -----------------------------------------------------------------------------------------------
-
-
-def test_history_tells_what_the_tracker_of_the_cpu_notes() -> None:
-    from mjhab.envs.device.notes import DeviceNotes
-
-    rng, worlds = np.random.default_rng(0), 6
-    kinds = np.array([0, 1, 2, 3, 4, 0])
-    plans = [TaskPlan("", (Subtask(SubtaskKind(int(k)), obj="a", link="b"),)) for k in kinds]
-    tracker, notes = Tracker(worlds), DeviceNotes(worlds, 40, torch.device("cpu"))
-    step, within, done = np.zeros(worlds, np.int64), np.zeros(worlds, np.int64), np.zeros(worlds, bool)
-    signals, progress = draw_signals(rng, kinds), draw_progress(rng, step, within, done)
-    tracker.begin(~done, signals, progress)
-    notes.begin(torch.as_tensor(~done), *tensors(signals, progress))
-    written = 0
-    for _ in range(40):
-        step, within = step + ~done, within + ~done
-        signals, progress = draw_signals(rng, kinds), draw_progress(rng, step, within, done)
-        flags = notes.update(*tensors(signals, progress))
-        assert tracker.update(signals, progress) == event_names(np.where(done, PADDING, kinds), flags)
-        ended = (rng.random(worlds) < 0.1) & ~done
-        outcome = Outcome(**{f.name: rng.random(worlds) < 0.5 for f in dataclasses.fields(Outcome)} | {"ended": ended})
-        expected = tracker.ended(signals, outcome, progress, plans)
-        codes = notes.end(*tensors(signals, outcome, progress))
-        # Some worlds go on with another subtask at once: what the last one did can still be told.
-        moved = ended & (rng.random(worlds) < 0.8)
-        done, within = done | (ended & ~moved), np.where(moved, 0, within)
-        signals, progress = draw_signals(rng, kinds), draw_progress(rng, step, within, done)
-        tracker.begin(moved, signals, progress)
-        notes.begin(torch.as_tensor(moved), *tensors(signals, progress))
-        assert notes.records(plans) == expected
-        for w, record in enumerate(expected):
-            label = LABELS[SubtaskKind(int(kinds[w]))][int(codes[w])] if codes[w] >= 0 else None
-            assert label == (record and record["label"])
-        written += sum(record is not None for record in expected)
-    assert written > worlds
-
-
-def draw_signals(rng: np.random.Generator, kinds: np.ndarray) -> Signals:
-    values: dict[str, Any] = {f.name: rng.random(len(kinds)) < 0.5 for f in dataclasses.fields(Signals)}
-    return Signals(**values | {"kind": kinds})
-
-
-def draw_progress(rng: np.random.Generator, step: np.ndarray, within: np.ndarray, done: np.ndarray) -> Progress:
-    zero = np.zeros_like(step)
-    force = rng.random(len(step)).astype(np.float32)
-    return Progress(zero, zero, within.copy(), step.copy(), force, force, done, done.copy())
-
-
-def tensors(*records: Any) -> Any:
-    return [map_record(lambda x: torch.as_tensor(x.copy()), record) for record in records]
-
-
 # -- bad input -------------------------------------------------------------------------------------------------------
 
 
@@ -369,6 +335,11 @@ def test_bad_actions_and_seeds_are_told(env: Any) -> None:
 def test_bad_configurations_are_told(options: dict[str, Any], message: str) -> None:
     with pytest.raises(UsageError, match=message):
         make(**{"task": "tidy_house", "subtask": "pick", **DEVICE, **options})
+
+
+def test_a_plain_gymnasium_env_runs_on_the_cpu_backend() -> None:
+    with pytest.raises(UsageError, match=r"plain gymnasium\.Env runs on backend 'cpu'"):
+        gymnasium.make("mjhab/PickSubtaskTrain-v1", backend="warp")
 
 
 def test_wrappers_for_numpy_refuse_tensors(env: Any) -> None:

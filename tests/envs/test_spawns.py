@@ -64,6 +64,16 @@ def test_spawns_near_a_table(sampler: SpawnSampler, home: str):
     assert len({s.tobytes() for s in starts}) == 12
 
 
+def test_a_robot_is_turned_away_no_further_than_it_may(sampler: SpawnSampler):
+    home = "builtin_m0_00"
+    spec = next(h for h in sampler.sim.layout.pack.homes if h.name == home)
+    table = next(p for p in spec.props if p.template == "table_01")
+    for start in spawns(sampler, home, SpawnGoal(np.array(table.pos[:2]), turn=0.1), 8):
+        x, y, yaw = start[sampler.sim.addresses.robot_q][:3]
+        bearing = np.arctan2(table.pos[1] - y, table.pos[0] - x) - yaw
+        assert abs((bearing + np.pi) % (2 * np.pi) - np.pi) <= 0.1 + 1e-9
+
+
 def test_spawns_in_front_of_the_fridge(sampler: SpawnSampler):
     home = sampler.sim.layout.pack.homes[0]
     fridge = next(p for p in home.articulations if p.template == "fridge")

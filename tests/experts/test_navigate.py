@@ -194,3 +194,18 @@ def test_chain_teleports_unless_told_otherwise():
     assert build("tidy_house", "").task_config.ignore_arm
     with pytest.raises(UsageError, match=r"navigate mode 'fly'.*teleport"):
         build("tidy_house", "", navigate="fly")
+
+
+def test_a_place_behind_furniture_is_a_long_way_round():
+    env = envs.make(task="tidy_house", num_envs=1, split="val", home="builtin_m3_08", autoreset="disabled", threads=1)
+    env.reset(seed=0, options={"episode": [0]})
+    view = env.view(0)
+    # A chair between a table and a wall: the floor to its left is reached from the far side of the table only.
+    seat = np.array([6.76, 5.21, 0.49])
+    below, beside = np.array([6.42, 3.68]), np.array([6.25, 4.95])
+    points = np.stack([below, beside])[:, None]
+    way = navigate.detours(view, navigate.Aim(seat, 0.95, 2.0, None), points)[:, 0]
+    assert way[0] > 5.0 and way[1] == 0.0
+    # What is opened has an area of its own before it.
+    area = np.array([0.0, 1.0, 0.0, 1.0])
+    assert not navigate.detours(view, navigate.Aim(seat, 0.95, 2.0, area), points).any()

@@ -117,3 +117,26 @@ def test_short_retreats_are_driven_backwards():
     steps, track = drive(Follower(np.array([[0.0, 0.0], [-0.3, 0.0]]), 0.0), np.zeros(3))
     assert 0 <= steps <= 30
     assert np.abs(track[:, 2]).max() < 0.1
+
+
+def test_narrow_cells_are_passed_only_where_there_is_no_other_way():
+    clearance = np.full((30, 30), 0.5)
+    clearance[15] = 0.0
+    clearance[15, 3] = 0.28
+    start, goal = np.array([0.25, 1.95]), np.array([2.75, 1.95])
+    assert Planner((0.0, 0.0), 0.1, clearance, radius=0.29).plan(start, goal) is None
+    narrow = Planner((0.0, 0.0), 0.1, clearance, radius=0.29, narrow=0.27)
+    path = narrow.plan(start, goal)
+    assert path is not None and path[:, 1].min() == pytest.approx(0.35, abs=0.06)
+    clearance[15, 29] = 0.3
+    path = Planner((0.0, 0.0), 0.1, clearance, radius=0.29, narrow=0.27).plan(start, goal)
+    assert path is not None and path[:, 1].min() > 1.8
+
+
+def test_costs_to_the_nearest_of_some_cells():
+    planner = Planner((0.0, 0.0), 0.1, np.full((30, 30), 1.0))
+    goals = np.zeros((30, 30), bool)
+    goals[2, 5] = goals[25, 5] = True
+    cost = planner.costs_to(goals)
+    assert cost[2, 5] == cost[25, 5] == 0.0
+    assert cost[5, 5] == pytest.approx(0.3) and cost[24, 5] == pytest.approx(0.1)

@@ -24,6 +24,8 @@ KINDS = {"robot": "m or rad", "objects": "m", "turns": "rad", "links": "m or rad
 REWARD_TOLERANCE = 0.02
 """Normalised dense rewards this close agree."""
 Row = dict[str, Any]
+KEY = ("acting", "task", "subtask", "seed", "index")
+"""Fields that name a row of the log."""
 
 
 @dataclass(frozen=True)
@@ -88,13 +90,13 @@ class Log:
     def _take(self, line: str) -> None:
         try:
             row = json.loads(line)
-            self.rows[tuple(row[k] for k in ("acting", "task", "subtask", "seed", "index"))] = row
+            self.rows[tuple(row[name] for name in KEY)] = row
         except (ValueError, KeyError, TypeError) as error:
             raise UsageError(f"{self._path} is no log of mjhab bench parity: {line[:60]!r}") from error
 
     def add(self, leg: Leg, acting: str, index: int, row: Mapping[str, Any]) -> None:
         """Keep the row of an episode."""
-        named = dict(zip(("acting", "task", "subtask", "seed", "index"), leg.key(acting, index), strict=True)) | row
+        named = {**dict(zip(KEY, leg.key(acting, index), strict=True)), **row}
         self.rows[leg.key(acting, index)] = named
         if self._path is not None:
             self._path.parent.mkdir(parents=True, exist_ok=True)
@@ -160,7 +162,7 @@ class Twin(Sink):
         """Take the same step in the twin."""
         _, reward, _, _, info = self._twin.step(step.actions)
         drift = None
-        for w in np.flatnonzero(step.active):
+        for w in np.flatnonzero(step.active).tolist():
             run = self._runs[w]
             run.add(0, w, step.reward, step.info)
             run.add(1, w, reward, info)

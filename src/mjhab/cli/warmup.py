@@ -7,8 +7,6 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-
 from mjhab.cli.gpu_options import WarmupOptions
 from mjhab.cli.output import print_json, print_table
 from mjhab.core.errors import unknown_name
@@ -56,13 +54,14 @@ def warmup(options: WarmupOptions, backend: str) -> dict[str, float]:
         HomeRenderer(sim, 1).robot_views(sim.state(), homes[:1], 16, CAMERA_OUTPUTS)
 
     def warp() -> None:
-        from mjhab.sim.warp import WarpSimulator
+        from mjhab.envs import make_train
 
-        sim = WarpSimulator(layout, WORLDS, options.device)
-        qpos = simulators[0].model(homes[0]).qpos0
-        sim.reset(range(WORLDS), homes[:1] * WORLDS, np.tile(qpos, (WORLDS, 1)))
-        sim.step(np.zeros((WORLDS, 15), np.float32))
-        sim.write_qpos(0, qpos)
+        env = make_train(
+            task=options.task, subtask="pick", backend="warp", device=options.device, num_envs=WORLDS, starts=WORLDS,
+            assets=options.assets, obs_mode="rgbd+seg", camera_size=16,
+        )  # fmt: skip
+        env.reset()
+        env.step(env.sim.qpos.new_zeros(env.action_space.shape))
 
     parts: dict[str, Callable[[], None]] = {f"{len(homes)} homes": compile_homes, "rasterizer": rasterizer}
     if backend == "warp":

@@ -227,8 +227,9 @@ class _Run:
             case Done():
                 member.busy = False
             case Failed(kind, text):
-                error = {"storage": StorageError, "usage": UsageError}.get(kind, MjhabError)
-                raise error(text if kind != "error" else f"a worker failed:\n{text}")
+                if kind == "storage":
+                    raise StorageError(f"{text} `mjhab generate` goes on with --resume.")
+                raise UsageError(text) if kind == "usage" else MjhabError(f"a worker failed:\n{text}")
             case Gone():
                 self._bury(number, member)
 

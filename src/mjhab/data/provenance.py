@@ -37,7 +37,10 @@ def describe_run(env: Any, policy: Mapping[str, Any], licence: str = "") -> RunI
         licence: terms of the assets; needed for other assets than the built-in ones.
     """
     options = {name: _plain(value) for name, value in dataclasses.asdict(env.config).items()}
-    config = {"env": {k: v for k, v in options.items() if k not in _FREE | _VIEW}, "policy": dict(policy)}
+    config: dict[str, Any] = {
+        "env": {k: v for k, v in options.items() if k not in _FREE | _VIEW},
+        "policy": dict(policy),
+    }
     if getattr(env, "trains", False):
         # Its arrangements come from a pool that is drawn with the seed of the environment.
         config["env"]["seed"] = options["seed"]

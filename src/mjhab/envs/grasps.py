@@ -7,7 +7,7 @@ close, z across them. Lengths [m], world frame. Letters: G grasps, K neighbour b
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -57,13 +57,16 @@ class ObjectShape:
 class Options:
     """``floor_gap``: room kept between gripper and support, ``palm_gap`` between palm and object; ``retreat``: how far
     back the pre-grasp lies; ``spread``: room added to the opening while approaching; ``fan``: directions tried around
-    each closing line; ``preference``: points for a `KINDS` of approach."""
+    each closing line; ``shallower``: how much less deep than possible [m] the hand may come; ``inward``: (2,) level
+    direction into a shelf, the hand does not come against it; ``preference``: points for a `KINDS` of approach."""
 
     floor_gap: float = 0.006
     palm_gap: float = 0.005
     retreat: float = 0.10
     spread: float = 0.036
     fan: int = 24
+    shallower: tuple[float, ...] = (0.0,)
+    inward: tuple[float, float] | None = None
     preference: dict[str, float] = field(default_factory=lambda: {"top": 1.0, "tilted": 0.8, "side": 0.5})
 
 
@@ -309,6 +312,10 @@ def _place(
 ) -> tuple[Array, Array, Array, Array]:
     """Tool centres for one way of closing: positions, rotations, widths and qualities of those that are possible."""
     approach = hold.approach
+    if options.inward is not None:
+        kept = approach[:, :2] @ np.array(options.inward) > -0.25
+        hold = replace(hold, approach=approach[kept], at=None if hold.at is None else hold.at[kept])
+        approach = hold.approach
     turn = frame_from_axes(approach, np.broadcast_to(hold.closing, approach.shape))
     lowest = _lowest(turn, min(hold.width + options.spread, gripper.opening), gripper)
     room = support_z + options.floor_gap - lowest
@@ -320,8 +327,10 @@ def _place(
         fall = np.maximum(-approach[:, 2], 1e-9)[:, None]
         floor = np.where(fall > 0.05, (at[..., 2] - room[:, None]) / fall, np.inf)
         push = np.minimum(np.minimum(deepest[:, None], floor), 0.0)
-        at = (at + push[..., None] * approach[:, None]).reshape(-1, 3)
-        turn, room = np.repeat(turn, shifts.shape[1], axis=0), np.repeat(room, shifts.shape[1])
+        deep = push[..., None] - np.array(options.shallower)
+        at = (at[:, :, None] + deep[..., None] * approach[:, None, None]).reshape(-1, 3)
+        count = shifts.shape[1] * len(options.shallower)
+        turn, room = np.repeat(turn, count, axis=0), np.repeat(room, count)
     else:
         at = hold.at
     held, off = _overlap(hold, pos, at, turn, gripper)

@@ -25,8 +25,16 @@ WARP_BASE_MB = 700
 WARP_WORLD_MB = 1.1
 """One world with 30 objects in MuJoCo Warp: 0.41 MB of arrays, 0.56 MB that a substep allocates on its way (sums of the
 arrays of 3 and of 32 worlds of TidyHouse on Warp's CPU device, difference over 29), and a tenth on top."""
-WARP_RENDER_BYTES = 17
-"""What a batch renderer holds of a pixel, its tree of boxes included: 0.54 MB for 2 x 128 x 128."""
+WARP_OBS_COPIES = 4
+"""Observations and final observations of a step, and those of the step before."""
+WARP_PIXEL_BYTES = {"rgb": 3, "depth": 4, "seg": 4}
+"""Per pixel and camera, what the renderer on the device hands out: uint8, float32, int32."""
+WARP_SCENE_MB = 25 + 184
+"""The render scene and the meshes of the 105 built-in homes, all in use; ReplicaCAD with 21 homes has 66 + 50."""
+WARP_MOVERS = 256
+"""Pieces that move in a world with 30 objects; the robot has most of them."""
+WARP_DRAWN_AT_ONCE = 256
+"""Worlds for which the renderer has scratch memory (`sim.warp_cameras.WORLDS_AT_ONCE`)."""
 _CGROUP = (
     ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current"),
     ("/sys/fs/cgroup/memory/memory.limit_in_bytes", "/sys/fs/cgroup/memory/memory.usage_in_bytes"),
@@ -56,7 +64,7 @@ def host_need(obs_mode: str = "state", camera_size: int | tuple[int, int] = 128,
         UsageError: unknown observation mode.
     """
     pixels, images = _pictures(obs_mode, camera_size, cameras)
-    return Need(BASE_MB, WORLD_MB + images + RASTER_BYTES * pixels / 2**20)
+    return Need(BASE_MB, WORLD_MB + OBS_COPIES * images + RASTER_BYTES * pixels / 2**20)
 
 
 def device_need(obs_mode: str = "state", camera_size: int | tuple[int, int] = 128, cameras: int = len(CAMERAS)) -> Need:
@@ -66,15 +74,25 @@ def device_need(obs_mode: str = "state", camera_size: int | tuple[int, int] = 12
         UsageError: unknown observation mode.
     """
     pixels, images = _pictures(obs_mode, camera_size, cameras)
-    return Need(WARP_BASE_MB, WARP_WORLD_MB + images + WARP_RENDER_BYTES * pixels / 2**20)
+    if not pixels:
+        return Need(WARP_BASE_MB, WARP_WORLD_MB)
+    wanted = mode_outputs(obs_mode)
+    drawn = [size for name, size in WARP_PIXEL_BYTES.items() if name in wanted or "pointcloud" in wanted]
+    # Scratch of a world: lists of what moves per tile of 16 x 16 pixels; with colours light by pixel and by 4 x 4 cell.
+    scratch = pixels / 256 * (4 + 2 * WARP_MOVERS) + pixels * (8 + 12 / 16)
+    poses = 48 * (WARP_MOVERS + cameras)
+    return Need(
+        WARP_BASE_MB + WARP_SCENE_MB + WARP_DRAWN_AT_ONCE * scratch / 2**20,
+        WARP_WORLD_MB + WARP_OBS_COPIES * images + (sum(drawn) * pixels + poses) / 2**20,
+    )
 
 
 def _pictures(obs_mode: str, camera_size: int | tuple[int, int], cameras: int) -> tuple[int, float]:
-    """Pixels of a world, and what its observations take of them [MB]."""
+    """Pixels of a world, and what one set of observations has of them [MB]."""
     outputs = mode_outputs(obs_mode)
     height, width = (camera_size, camera_size) if isinstance(camera_size, int) else camera_size
     pixels = cameras * height * width if outputs else 0
-    return pixels, OBS_COPIES * sum(PIXEL_BYTES[name] for name in outputs) * pixels / 2**20
+    return pixels, sum(PIXEL_BYTES[name] for name in outputs) * pixels / 2**20
 
 
 def available_mb() -> float | None:
@@ -100,7 +118,7 @@ def check_memory(num_envs: int) -> None:
 
 def check_device_memory(
     num_envs: int, obs_mode: str = "state", camera_size: int | tuple[int, int] = 128, device: str = "",
-    cameras: Sequence[str] = tuple(CAMERAS),
+    cameras: Sequence[str] = tuple(camera.name for camera in CAMERAS),
 ) -> None:  # fmt: skip
     """Refuse a number of worlds of backend warp that does not fit into the device's memory; imports Warp.
 

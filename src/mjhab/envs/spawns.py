@@ -34,7 +34,7 @@ class SpawnGoal:
 
     face: (2,) the point the robot faces; None: its heading is drawn from ``yaw`` (low, high).
     area: stand in this box (x_min, x_max, y_min, y_max); else within ``reach`` of ``near`` (2,), which is ``face`` if
-    None; without any of them, anywhere.
+    None; without any of them, anywhere. turn: how far it may be turned away from ``face`` at most.
     """
 
     face: np.ndarray | None
@@ -42,6 +42,7 @@ class SpawnGoal:
     near: np.ndarray | None = None
     reach: float = MAX_DISTANCE
     yaw: tuple[float, float] = (-np.pi, np.pi)
+    turn: float = np.pi
 
     @property
     def center(self) -> np.ndarray | None:
@@ -183,7 +184,7 @@ class SpawnSampler:
             return None
         if goal.face is None:
             return np.array([*xy, rng.uniform(*goal.yaw)])
-        if self._behind_wall(home, xy, goal.face):
+        if abs(turn) > goal.turn or self._behind_wall(home, xy, goal.face):
             return None
         return np.array([*xy, self._heading(xy, goal) + turn])
 

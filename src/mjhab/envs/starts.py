@@ -23,6 +23,9 @@ from mjhab.sim.cpu import CpuSimulator
 from mjhab.sim.settle import parked_robot_qpos
 from mjhab.tasks.plan import FRONT_AREAS, Box, Subtask, SubtaskKind, TaskConfig, TaskPlan, chain, front_box
 
+TURN_SPARE = 0.02
+"""By how much [rad] a teleport must face its goal better than success asks for: its noise is clipped at that very angle
+(`spawns.YAW_NOISE`), and one teleport in twenty would end there, fail by a rounding error and stay so to the end."""
 OPEN_START_MARGIN = 1.0
 """Opened links start between their success fraction and this fraction of their range."""
 
@@ -168,7 +171,9 @@ class StartMaker:
         else:
             point = subtask.goal_pos
         area = np.array(boxes[subtask.link]) if subtask.link else None
-        return SpawnGoal(np.array(point[:2]), area)
+        navigated = subtask.kind == SubtaskKind.NAVIGATE
+        turn = self.task_config.nav_bearing - TURN_SPARE if navigated else np.pi
+        return SpawnGoal(np.array(point[:2]), area, turn=turn)
 
     def foresee(self, episode: Episode, plan: TaskPlan, position: int) -> np.ndarray:
         """State (nq,) in which a chain comes to the Navigate at ``position`` if all before went well, the robot parked.

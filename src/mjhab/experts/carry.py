@@ -5,18 +5,29 @@ from __future__ import annotations
 import numpy as np
 
 from mjhab.core.rotations import mat_from_quat
+from mjhab.envs.kinematics import wrap
 from mjhab.envs.privileged import WorldView
-from mjhab.experts import motion
+from mjhab.experts import ik, motion
 from mjhab.experts.clearance import RobotSpheres
 from mjhab.experts.motion import Motion
 from mjhab.experts.reach import surroundings
-from mjhab.experts.route import Route, follow, plan_route
+from mjhab.experts.route import BLOCKED_FORCE, BLOCKED_STEPS, Route, follow, plan_route
 
 Array = np.ndarray
 BACK = (0.0, 0.2, 0.4, 0.6, 0.8)
 """How far [m] to drive back while the arm returns."""
 SHELF_DEPTH = 0.42
 """How far [m] the base comes straight in with the arm stretched out, to reach into the fridge."""
+
+
+IN_SPEED = 0.35
+"""Of the base while it comes straight in [m/s]."""
+OUT_SPEED = 0.5
+"""Of the base while it comes straight out [m/s]."""
+STUCK_STEPS = 6
+"""Control steps without motion after which it is stuck; fingers that touch something show no force."""
+MOST_SHIFT = 0.5
+"""Largest change of a joint [rad] that makes up for errors of the drive."""
 
 
 def grip(opening: float) -> float:
@@ -35,15 +46,58 @@ def inside_depth(view: WorldView, point: Array) -> float:
     return 0.0
 
 
-def drive_in(view: WorldView, goal: Array, *, gripper: float) -> Motion:
-    """Drive straight on about to the base pose of the configuration ``goal`` (15,), the arm stretched out as it says.
+def drive_in(view: WorldView, goal: Array, pos: Array, rot: Array, *, gripper: float) -> Motion:
+    """Drive straight on about to the base pose of the configuration ``goal`` (15,), the arm stretched out so that the
+    hand comes to ``pos`` (3,), ``rot`` (3, 3). Returns whether it got there; not when it is stuck.
 
-    Small errors sideways stay: steering would sweep the arm.
+    Small errors of the base sideways stay, steering would sweep the arm: the arm makes up for them before.
     """
-    ahead = np.array([np.cos(goal[2]), np.sin(goal[2])])
-    way = np.stack([view.q[:2], view.q[:2] + ahead * float((goal[:2] - view.q[:2]) @ ahead)])
-    route = Route(way, float(goal[2]), 1, 0.3, goal, 0, 40, 0.0, speed=0.35)
-    return (yield from follow(view, route, gripper=gripper))
+    goal = _lined_up(view, goal, pos, rot)
+    yield from motion.move_joints(view, goal, gripper=gripper, tolerance=0.05, max_steps=12)
+    heading, pressed, still, last = float(view.q[2]), 0, 0, view.q
+    for step in range(80):
+        q = view.q
+        ahead = np.array([np.cos(heading), np.sin(heading)])
+        left, moved = float((goal[:2] - q[:2]) @ ahead), float((q[:2] - last[:2]) @ ahead)
+        if left < 0.02 and abs(moved) < 0.006:
+            return True
+        pressed = pressed + 1 if view.link_forces.sum() > BLOCKED_FORCE else 0
+        still = still + 1 if step > STUCK_STEPS and moved < 0.002 else 0
+        if pressed >= BLOCKED_STEPS or still >= STUCK_STEPS:
+            return False
+        pace = max(min(IN_SPEED, 3.0 * (left - 2.0 * moved)), 0.04 if left > 0.02 else 0.0)
+        turn = float(np.clip(3.0 * wrap(heading - q[2]), -0.5, 0.5))
+        last = q
+        yield motion.action(view, goal, gripper=gripper, drive=(pace, turn))
+    return False
+
+
+def drive_out(view: WorldView, way: float, *, gripper: float) -> Motion:
+    """Drive straight back over ``way`` [m], the arm held as it is. Returns whether it got there."""
+    goal, start, heading, pressed = view.q, view.q[:2], float(view.q[2]), 0
+    for step in range(40):
+        left = way - float(np.linalg.norm(view.q[:2] - start))
+        if left < 0.04:
+            return True
+        pressed = pressed + 1 if view.link_forces.sum() > BLOCKED_FORCE else 0
+        if pressed >= BLOCKED_STEPS:
+            return False
+        turn = float(np.clip(3.0 * wrap(heading - view.q[2]), -0.5, 0.5))
+        pace = min(OUT_SPEED, 0.15 + 0.1 * step, 0.1 + 3.0 * left)
+        yield motion.action(view, goal, gripper=gripper, drive=(-pace, turn))
+    return False
+
+
+def _lined_up(view: WorldView, goal: Array, pos: Array, rot: Array) -> Array:
+    """``goal`` (15,) with the base where straight on from here leads and the arm such that the hand is at ``pos``,
+    ``rot`` there all the same; unchanged but for the base where the arm would have to move far."""
+    q, robot = view.q, motion.chain()
+    ahead = np.array([np.cos(q[2]), np.sin(q[2])])
+    end = goal.copy()
+    end[:2], end[2] = q[:2] + ahead * float((goal[:2] - q[:2]) @ ahead), q[2]
+    found = ik.solve(robot, pos[None], rot[None], end[None, None], ik.columns(robot, torso=False), rest=goal)
+    near = found.ok[0, 0] and np.abs(found.q[0, 0] - end)[3:].max() < MOST_SHIFT
+    return ik.unwind(robot, found.q[0, 0], q) if near else end
 
 
 def held_spheres(view: WorldView, obj: str) -> tuple[Array, Array]:

@@ -19,7 +19,8 @@ from mjhab.experts.floorplan import Arm, Floorplan, turn_between
 from mjhab.experts.lattice import YAWS, Lattice, Leg, turns
 from mjhab.experts.motion import Motion
 from mjhab.experts.navigation import CONTROL_DT
-from mjhab.experts.route import BLOCKED_FORCE, BLOCKED_STEPS
+from mjhab.experts.reach import in_sight
+from mjhab.experts.route import BLOCKED_FORCE, BLOCKED_STEPS, planner
 
 Array = np.ndarray
 DISTANCE, NEAREST = 0.95, 0.65
@@ -35,6 +36,10 @@ SLIMMER = ((0.0, 0.0), (0.015, 0.02), (0.03, 0.05))
 DOOR_MOVED = 0.08
 """Change of a joint [m or rad] after which a way is planned anew."""
 STUCK_STEPS, STUCK = 15, 0.02
+WORK = (0.5, 0.95)
+"""How far the base may be from what the hand shall do."""
+FAR_WAY, LONGEST_WAY, DETOUR_PACE = 1.5, 20.0, 1.5
+"""From which way [m] on it counts that the work cannot be done from where the robot ends, and its price [s/m]."""
 FELT = 0.12
 """Radius of what is assumed where the robot met something unknown."""
 
@@ -69,8 +74,11 @@ class Aim(NamedTuple):
             good = good & ((xy >= low) & (xy <= high)).all(axis=-1)
         return good
 
-    def price(self, lattice: Lattice) -> Array:
-        """Seconds (H, X, Y) that ending in each node is worth, infinite where it would be no success."""
+    def price(self, lattice: Lattice, detour: Array) -> Array:
+        """Seconds (H, X, Y) that ending in each node is worth, infinite where it would be no success.
+
+        ``detour`` (X, Y): see `detours`.
+        """
         xy = lattice.points
         good = self.allows(xy, WITHIN)
         if not good.any():
@@ -81,6 +89,7 @@ class Aim(NamedTuple):
         pay = 4.0 * np.maximum(far - self.distance, 0.0) + 6.0 * np.maximum(NEAREST - far, 0.0)
         pay = pay + 12.0 * (lattice.plan.hidden(xy[good], self.point, BESIDE) > 0.0)
         pay = pay + 3.0 * (lattice.plan.hidden(xy[good], self.point, 0.1) > 0.0)
+        pay = pay + DETOUR_PACE * detour[good]
         room = lattice.room[:, good]
         out[:, good] = np.where(off[:, good] <= FACING, pay + 1.5 * off[:, good], np.inf)
         out[:, good] += 10.0 * np.maximum(0.1 - room, 0.0)
@@ -111,14 +120,21 @@ def navigate(view: WorldView) -> Motion:
             yield from _stand(view, aim, posture, gripper)
 
 
-def face(view: WorldView, *, gripper: float) -> Motion:
-    """Turn on the spot to the goal of the active Navigate, slowly, the arm at rest, for as long as it is active."""
-    aim, posture = Aim.of(view), motion.rest_goal(view)
-    while True:
-        q = view.q
-        off = float(wrap(aim.bearing(q[:2]) - q[2]))
-        turn = float(np.clip(off, -0.4, 0.4)) if abs(off) > 0.1 and aim.allows(q[:2], 0.0) else 0.0
-        yield motion.action(view, posture, gripper=gripper, drive=(0.0, turn))
+def detours(view: WorldView, aim: Aim, points: Array) -> Array:
+    """Way (X, Y) [m, more where it is narrow] from ``points`` (X, Y, 2) to where the hand gets at the goal, if that is
+    far: a chair between table and wall may be near and yet a long way round. Zero for what stands in furniture."""
+    cells = planner(view)
+    centres = cells.origin + (np.indices(cells.clearance.shape).transpose(1, 2, 0) + 0.5) * cells.cell
+    far = np.linalg.norm(centres - aim.point[:2], axis=-1)
+    work = (cells.clearance >= cells.radius) & (far >= WORK[0]) & (far <= WORK[1])
+    if aim.area is not None or inside_depth(view, aim.point) or not work.any():
+        return np.zeros(points.shape[:2])
+    walls = motion.as_boxes(view.home.boxes).near(np.array([*aim.point[:2], 0.9]), 2.0)
+    work[work] = in_sight(centres[work], aim.point, walls)
+    if not work.any():
+        return np.zeros(points.shape[:2])
+    way = cells.costs_to(work)[cells.cells(points)]
+    return np.where(way > FAR_WAY, np.minimum(way, LONGEST_WAY), 0.0)
 
 
 def plan_trip(view: WorldView, aim: Aim, posture: Array, held: str, felt: Array) -> Trip | None:
@@ -132,7 +148,7 @@ def plan_trip(view: WorldView, aim: Aim, posture: Array, held: str, felt: Array)
     for base, less in SLIMMER:
         plan = whole.slimmer(base, less)
         lattice = Lattice(plan)
-        found = lattice.search(view.q[:3], aim.price(lattice))
+        found = lattice.search(view.q[:3], aim.price(lattice, detours(view, aim, lattice.points)))
         if found is not None:
             legs = _facing(plan, aim, view.q[:3], found[1])
             return plan_drive(plan, view.q[:3], legs, GENTLE if held else BRISK)

@@ -101,6 +101,11 @@ class Planner:
         found = dijkstra(self._graph, directed=False, indices=self._node(self.nearest_free(start)))
         return np.asarray(found).reshape(self.clearance.shape)
 
+    def costs_to(self, cells: Array) -> Array:
+        """Cost (nx, ny) of the ways from all cells to the nearest of ``cells`` (nx, ny) bool, inf if no way."""
+        found = dijkstra(self._graph, directed=False, indices=np.flatnonzero(cells), min_only=True)
+        return np.asarray(found).reshape(self.clearance.shape)
+
     def cells(self, points: Array) -> tuple[Array, Array]:
         """Indices (...,), (...,) of the cells that hold world points (..., 2), moved into the map."""
         index = np.floor((np.asarray(points) - self.origin) / self.cell).astype(np.int64)

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from mjhab.core.rotations import mat_from_quat
-from mjhab.envs.grasps import Grasps, ObjectShape, Options, grasp_candidates
+from mjhab.envs.grasps import Grasps, Gripper, ObjectShape, Options, grasp_candidates
 from mjhab.envs.held import shape_of
 from mjhab.envs.privileged import WorldView
 from mjhab.experts import motion
-from mjhab.experts.carry import drive_in, go_home, grip, inside_depth
+from mjhab.experts.carry import drive_in, drive_out, go_home, grip, inside_depth
 from mjhab.experts.motion import Motion
 from mjhab.experts.reach import ROOMS, HandGoals, Scene, Stance, hand_room, settle_reach, stances, surroundings
 from mjhab.experts.route import BLOCKED_FORCE, follow
@@ -20,12 +22,16 @@ Array = np.ndarray
 LIFT = 0.10
 """How far [m] an object is lifted off an open surface before it is carried."""
 SHELF_LIFT = 0.025
+WAITS = (5, 10, 20, 50)
+"""Control steps to wait after one attempt after the other without a way: things may come to rest meanwhile."""
 MAX_GOALS = 60
 OPTIONS = Options(palm_gap=0.012, floor_gap=0.008)
-HAND_ROOM = -0.008
-"""Least clearance [m] of the hand with its wrist; the spheres that stand for it are up to so much too large."""
-_CLEAR = (0.010, 0.005, 0.0, -0.004)
-"""Room [m] asked between gripper and neighbours, less each time no grasp is found."""
+# Little room: closer steps around the object, a short way in, and boxes nearly as wide as the hand opens.
+SHELF_OPTIONS = replace(OPTIONS, fan=36, shallower=(0.0, 0.02), retreat=0.06)
+SHELF_GRIPPER = Gripper(usable=0.0945)
+_CLEAR = ((0.010, -0.008, 0.0), (0.0, -0.02, 0.010), (-0.004, -0.03, 0.014))
+"""Room [m] asked between gripper and neighbours, on a shelf also with its wrist (the spheres that stand for it are up
+to 8 mm too large), and how much nearer than the arm the hand may come; less each time no good way is found."""
 
 
 def pick(view: WorldView) -> Motion:
@@ -41,15 +47,21 @@ def pick(view: WorldView) -> Motion:
             found = plan_pick(view, obj, failed, attempt)
         attempt += 1
         if found is None:
-            yield from motion.hold(view, 5 * attempt, gripper=motion.OPEN)
+            yield from motion.hold(view, WAITS[min(attempt, len(WAITS)) - 1], gripper=motion.OPEN)
             failed = failed[:0]
             continue
         stance, goals, depth = found
         if (yield from _take(view, obj, stance, goals, depth)):
+            if depth:
+                yield from drive_out(view, depth, gripper=motion.CLOSED)
             yield from go_home(view, obj)
             yield from _keep(view, obj)
         failed = np.concatenate([failed, stance.at[None, :3]])
         yield from _let_go(view)
+        if depth:
+            # From inside the next way in can hardly be found.
+            yield from drive_out(view, depth, gripper=motion.OPEN)
+            yield from go_home(view, obj, holding=False)
 
 
 def plan_pick(
@@ -62,28 +74,45 @@ def plan_pick(
         attempt: number of attempts before; later ones take what the first leave out.
         wish: the kind of grasp, a word of `tasks.style.Style.grasp`.
     """
-    pose, kind = view.object_pose(obj), view.object_type(obj)
-    shape = shape_of(kind)
-    near, target = surroundings(view, obj, pose[:3])
-    support = float(pose[2]) - height_below(shape, mat_from_quat(pose[3:]))
-    scene = Scene(near, target, support)
+    pose, shape, scene = view.object_pose(obj), shape_of(view.object_type(obj)), scene_of(view, obj)
     depth = inside_depth(view, pose[:3])
-    for asked in _CLEAR[min(attempt, 2) :]:
-        grasps = grasp_candidates(
-            shape, pose[:3], pose[3:], support_z=support, neighbours=scene.beside.near(pose[:3], 0.6),
-            least_clear=asked, options=OPTIONS,
-        )  # fmt: skip
-        grasps = of_kind(grasps, wish)
-        if not len(grasps):
+    around = scene.beside.near(pose[:3], 0.5)
+    options = replace(SHELF_OPTIONS, inward=_inward(view, pose)) if depth else OPTIONS
+    every = grasp_candidates(
+        shape, pose[:3], pose[3:], support_z=scene.support_z, neighbours=around, least_clear=_CLEAR[-1][0],
+        options=options, gripper=SHELF_GRIPPER if depth else None,
+    )  # fmt: skip
+    every = of_kind(every, wish)
+    room, best, tried = hand_room(every, around) if depth else None, None, 0
+    for asked, hand, nearer in _CLEAR[min(attempt, 1) :]:
+        keep = every.clear >= asked
+        grasps = every.take(np.flatnonzero(keep if room is None else keep & (room > hand)))
+        if len(grasps) <= tried:
             continue
-        goals = _diverse(grasps)
-        if depth:
-            goals = goals.take(np.flatnonzero(hand_room(goals, scene.beside.near(pose[:3], 0.8)) > HAND_ROOM))
+        tried, goals = len(grasps), _diverse(grasps)
         for back in _ways_in(depth, attempt):
-            found = stances(view, pose[:3], goals, scene, drive_in=back, avoid=failed, room=ROOMS[min(attempt, 2)])
-            if found:
-                return found[0], goals, back
-    return None
+            found = stances(
+                view, pose[:3], goals, scene, drive_in=back, avoid=failed, room=ROOMS[min(attempt, 2)], nearer=nearer
+            )
+            if found and (best is None or found[0].route.room > best[0].route.room):
+                best = found[0], goals, back
+            if best is not None and (not depth or best[0].route.room >= 0.0):
+                return best
+    return best
+
+
+def scene_of(view: WorldView, obj: str) -> Scene:
+    """What is around an object that lies somewhere."""
+    pose, shape = view.object_pose(obj), shape_of(view.object_type(obj))
+    near, target = surroundings(view, obj, pose[:3])
+    return Scene(near, target, float(pose[2]) - height_below(shape, mat_from_quat(pose[3:])))
+
+
+def _inward(view: WorldView, pose: Array) -> tuple[float, float]:
+    """Level unit vector from the robot to an object at ``pose`` (7,)."""
+    way = pose[:2] - view.q[:2]
+    x, y = way / max(float(np.linalg.norm(way)), 1e-6)
+    return float(x), float(y)
 
 
 def _ways_in(depth: float, attempt: int) -> tuple[float, ...]:
@@ -126,8 +155,8 @@ def _take(view: WorldView, obj: str, stance: Stance, goals: HandGoals, depth: fl
     if not arrived and view.link_forces.sum() > BLOCKED_FORCE:
         yield from go_home(view, obj, holding=False)
         return False
-    if depth:
-        yield from drive_in(view, stance.pre, gripper=opening)
+    if depth and not (yield from drive_in(view, stance.pre, pre, rot, gripper=opening)):
+        return False
     if np.linalg.norm(view.object_pose(obj)[:3] - start) > 0.02:
         return False
     joints = settle_reach(view, stance, np.stack([pre, pos]), rot)
@@ -136,8 +165,8 @@ def _take(view: WorldView, obj: str, stance: Stance, goals: HandGoals, depth: fl
     yield from motion.move_joints(view, joints[0], gripper=opening, tolerance=0.04, max_steps=20)
     # The torso is slow to stop: the last piece belongs to the arm alone.
     near = yield from motion.move_tcp(
-        view, pre, rot, gripper=opening, rest=joints[1], speed=0.3, tolerance=0.015, max_steps=20, stop_on_force=80.0,
-        torso=False,
+        view, pre, rot, gripper=opening, rest=joints[1], speed=0.3, tolerance=0.006 if depth else 0.015, max_steps=20,
+        stop_on_force=80.0, torso=False,
     )  # fmt: skip
     if not near:
         return False

@@ -31,6 +31,8 @@ TILTS, BALL_TILTS, SHELF_TILTS = (0.0, 0.3), (0.0, 0.35, 0.7, 1.0), (0.0, 0.35, 
 """Leans of the hand [rad]: they reach further, and under a shelf a hand that comes from above has no room."""
 HAND_ROOM = -0.008
 """Least clearance [m] of the hand; the spheres that stand for it are up to so much too large."""
+HAND_NEARER = 0.014
+"""How much nearer than the arm the hand may come to what is around it before it goes down [m]."""
 _WIDER = 0.03
 
 
@@ -72,7 +74,8 @@ def plan_place(
     depth = inside_depth(view, goal)
     goals = hand_goals(view, obj, goal, shelf=depth > 0.0, any_side=attempt > 1, drop=0.0 if depth else drop)
     goals = goals.take(np.flatnonzero(hand_room(goals, near.near(goal, 0.8)) > HAND_ROOM))
-    found = stances(view, goal, goals, scene, drive_in=depth, avoid=failed, room=ROOMS[min(attempt, 2)])
+    room = ROOMS[min(attempt, 2)]
+    found = stances(view, goal, goals, scene, drive_in=depth, avoid=failed, room=room, nearer=HAND_NEARER)
     return (found[0], goals, depth) if found else None
 
 
@@ -140,7 +143,7 @@ def _put(view: WorldView, obj: str, stance: Stance, goals: HandGoals, depth: flo
     closed = motion.CLOSED
     yield from follow(view, stance.route, gripper=closed, gentle=True)
     if depth:
-        yield from drive_in(view, stance.pre, gripper=closed)
+        yield from drive_in(view, stance.pre, pre, rot, gripper=closed)
     joints = settle_reach(view, stance, np.stack([pre, pos]), rot)
     if joints is None:
         return False

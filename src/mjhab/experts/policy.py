@@ -12,7 +12,7 @@ from mjhab.envs.actions import ACTION_DIM
 from mjhab.envs.privileged import WorldView
 from mjhab.experts import motion
 from mjhab.experts.articulated import close_link, open_link
-from mjhab.experts.navigate import face, navigate
+from mjhab.experts.navigate import navigate
 from mjhab.experts.pick import pick
 from mjhab.experts.place import place
 from mjhab.experts.style import Manner, StyledView
@@ -23,19 +23,14 @@ if TYPE_CHECKING:
     from mjhab.envs.sequential import SequentialTaskEnv
 
 Script = Generator[np.ndarray, None, Any]
-PATIENCE = 40
-"""Control steps after which a teleport has been tried as often as it is."""
 
 
 def _wait(view: WorldView) -> Script:
-    """The environment teleports; the robot waits and keeps its grip. Teleports that leave it too far turned away from
-    the goal (their noise goes up to the very limit) never succeed by themselves: after a while it turns to the goal."""
+    """The environment teleports; the robot waits and keeps its grip."""
     subtask = view.subtask
-    assert subtask is not None
-    gripper = motion.CLOSED if subtask.must_hold else motion.OPEN
-    for _ in range(PATIENCE):
-        yield motion.action(view, None, gripper=gripper)
-    yield from face(view, gripper=gripper)
+    holding = subtask is not None and subtask.must_hold
+    while True:
+        yield motion.action(view, None, gripper=motion.CLOSED if holding else motion.OPEN)
 
 
 SCRIPTS: dict[SubtaskKind, Callable[[WorldView], Script]] = {

@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 
 from mjhab.core.boxes import Boxes, sphere_box_distance
-from mjhab.envs.grasps import approach_clearance
+from mjhab.envs.grasps import Grasps, approach_clearance
 from mjhab.envs.kinematics import wrap
 from mjhab.envs.privileged import FETCH_JOINTS, REST_QPOS, WorldView
 from mjhab.experts import ik, motion
@@ -26,6 +26,10 @@ NEARBY = 2.6
 BASE_RADIUS, BASE_TOP = 0.285, 0.40
 ROOMS = (0.012, 0.006, 0.0)
 """Least clearance [m] of the arm at the work and of the whole robot just before it, at one attempt after the other."""
+TIGHTEST = -0.075
+"""Ways with less room [m] than this touch something: `plan_route` asks for 0.065 more than none."""
+OUT_ROOM = 0.03
+"""Least room [m] of an object on its straight way out of a shelf."""
 _STRETCHED = 60.0
 """Price in steps per radian that the elbow is nearly straight."""
 _ELBOW = FETCH_JOINTS.index("elbow_flex_joint")
@@ -98,7 +102,7 @@ def surroundings(view: WorldView, obj: str, point: Array) -> tuple[Boxes, Boxes]
 
 def stances(
     view: WorldView, point: Array, goals: HandGoals, scene: Scene, *, drive_in: float = 0.0, avoid: Array | None = None,
-    count: int = 3, room: float = ROOMS[0],
+    count: int = 3, room: float = ROOMS[0], nearer: float = 0.0,
 ) -> list[Stance]:  # fmt: skip
     """Ways to bring the hand to one of ``goals`` around ``point`` (3,), quickest first; empty when there is none.
 
@@ -108,19 +112,38 @@ def stances(
         avoid: (A, 3) base poses that did not work before.
         count: give at most so many.
         room: least clearance at the work, see `ROOMS`.
+        nearer: how much nearer [m] than that the hand may come just before its work.
     """
     now = view.q
     bases, drive = base_poses(view, point, scene, drive_in, avoid)
     if not len(bases) or not len(goals):
         return []
+    if drive_in and len(scene.target):
+        out = way_out(bases, scene, drive_in)
+        rows = np.flatnonzero(out > min(OUT_ROOM, float(out.max()) - 0.005))
+        bases, drive = bases[rows], drive[rows]
     base, goal, score = _pairs(bases, point, goals)
     if not len(base):
         return []
     q, goal = _configurations(now, bases[base], goal, goals, drive[base] - 10.0 * score)
     rows = _clear_ones(q, scene, room)
     q, goal = q[rows], goal[rows]
-    pre, fine = _before(q, goals, goal, scene, drive_in, room)
+    pre, fine = _before(q, goals, goal, scene, drive_in, room, nearer)
     return _routed(view, q[fine], pre[fine], goal[fine], scene, drive_in, count)
+
+
+def way_out(bases: Array, scene: Scene, drive_in: float) -> Array:
+    """Room (B,) of the object, a little lifted, while bases (B, 3) drive straight back with it."""
+    box, half = scene.target, scene.target.half[0]
+    size = float(half.min())
+    axes = [np.linspace(-h + size, h - size, 1 + int(np.ceil(2 * (h - size) / (1.3 * size)))) for h in half]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    points = box.center[0] + grid @ box.rot[0].T + np.array([0.0, 0.0, 0.025])
+    ahead = np.stack([np.cos(bases[:, 2]), np.sin(bases[:, 2]), np.zeros(len(bases))], axis=1)
+    share = np.linspace(0.0, drive_in, 7)
+    moved = points - share[None, :, None, None] * ahead[:, None, None]
+    gap = sphere_box_distance(moved.reshape(-1, 3), scene.beside.near(box.center[0], 0.9)).min(axis=1)
+    return gap.reshape(len(bases), -1).min(axis=1) - size
 
 
 def _clear_ones(q: Array, scene: Scene, room: float) -> Array:
@@ -141,7 +164,7 @@ def _clear_ones(q: Array, scene: Scene, room: float) -> Array:
     return np.concatenate(found)[:_KEPT] if found else np.zeros(0, np.int64)
 
 
-def hand_room(goals: HandGoals, boxes: Boxes) -> Array:
+def hand_room(goals: HandGoals | Grasps, boxes: Boxes) -> Array:
     """Clearance (G,) of the hand and of the wrist behind it on the straight way to the goals."""
     hand = approach_clearance(goals.pos, goals.rot, goals.opening, goals.pre, boxes)
     back = 0.05 * goals.rot[:, :, 0]
@@ -168,7 +191,7 @@ def base_poses(
     if avoid is not None and len(avoid):
         gap = np.linalg.norm((poses[:, None] - avoid) * [1.0, 1.0, 0.3], axis=2).min(axis=1)
         good &= gap > 0.10
-    good[good] = _in_sight(poses[good], point, scene.near)
+    good[good] = in_sight(poses[good], point, scene.near)
     poses, back = poses[good], back[good]
     far = cells.costs(view.q[:2])[cells.cells(back)]
     steps = _drive_steps(view.q[:3], np.concatenate([back, poses[:, 2:]], axis=1), far) + 6.0 * drive_in / 0.3
@@ -176,8 +199,8 @@ def base_poses(
     return _spread(poses[reachable], steps[reachable])
 
 
-def _in_sight(poses: Array, point: Array, boxes: Boxes) -> Array:
-    """Whether no wall or tall piece stands between base poses (B, 3) and ``point`` (3,)."""
+def in_sight(poses: Array, point: Array, boxes: Boxes) -> Array:
+    """Whether no wall or tall piece stands between base poses (B, 2+) and ``point`` (3,)."""
     top = boxes.center[:, 2] + np.einsum("kj,kj->k", np.abs(boxes.rot[:, 2]), boxes.half)
     tall = boxes.take((top > point[2] + 0.5) & (boxes.half.max(axis=1) > 0.4))
     if not len(poses) or not len(tall):
@@ -282,7 +305,7 @@ def _configurations(now: Array, bases: Array, goal: Array, goals: HandGoals, pri
 
 
 def _before(
-    q: Array, goals: HandGoals, goal: Array, scene: Scene, drive_in: float, asked: float
+    q: Array, goals: HandGoals, goal: Array, scene: Scene, drive_in: float, asked: float, nearer: float
 ) -> tuple[Array, Array]:
     """Configurations (N, 15) at the start of the straight approach, and where they and the way in are clear (N,).
 
@@ -297,13 +320,16 @@ def _before(
     pre = found.q[:, 0]
     fine = found.ok[:, 0] & (np.abs(pre - q).max(axis=1) < 0.9)
     whole = scene.robot()
+    hand, arm = whole.only(HAND_LINKS), whole.only([n for n in whole.chain.links if n not in HAND_LINKS])
     for back in np.arange(0.0, drive_in + 0.01, 0.12):
         shifted = pre[fine].copy()
         shifted[:, 0] -= back * np.cos(shifted[:, 2])
         shifted[:, 1] -= back * np.sin(shifted[:, 2])
-        room = whole.clearance(shifted, scene.all)
         if back == 0.0:
-            room = np.minimum(room, whole.self_clearance(shifted))
+            room = np.minimum(arm.clearance(shifted, scene.all), whole.self_clearance(shifted))
+            room = np.minimum(room, hand.clearance(shifted, scene.all) + nearer)
+        else:
+            room = whole.clearance(shifted, scene.all)
         fine[fine] = room > asked
     return pre, fine
 
@@ -327,7 +353,7 @@ def _routed(
         (clear if route.room >= 0.0 else tight).append(Stance(int(goal[i]), pre[i], q[i], route))
         if len(clear) >= count or len(clear) + len(tight) >= 3 * count:
             break
-    tight.sort(key=lambda s: -s.route.room)
+    tight = sorted((s for s in tight if s.route.room > TIGHTEST), key=lambda s: -s.route.room)
     return sorted(clear, key=lambda s: s.route.steps) or tight[:1]
 
 

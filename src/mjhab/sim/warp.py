@@ -22,7 +22,7 @@ try:
     import warp as wp
 
     wp.config.log_level = wp.LOG_WARNING
-    from mjhab.sim.warp_device import open_device
+    from mjhab.sim.warp_device import open_device, room_for
     from mjhab.sim.warp_engine import BufferSizes, Engine
     from mjhab.sim.warp_rest import RestFinder
     from mjhab.sim.warp_sizes import buffer_sizes, changed_sizes
@@ -73,15 +73,8 @@ class WarpSimulator:
         self.reset(everyone, [layout.pack.homes[0].name] * num_worlds, np.tile(base.qpos0, (num_worlds, 1)))
 
     def _make_engine(self, base: mujoco.MjModel, sizes: BufferSizes) -> Engine:
-        try:
+        with room_for(self.num_worlds, self.device):
             return Engine(base, self.addresses, self.num_worlds, len(self.layout.pack.homes), sizes, self.device)
-        except RuntimeError as error:
-            if "alloc" not in str(error) and "memory" not in str(error):
-                raise
-            raise UsageError(
-                f"{self.num_worlds} worlds do not fit into the memory of {self.device}; "
-                f"try num_worlds={max(1, self.num_worlds // 2)}"
-            ) from error
 
     @property
     def qpos(self) -> torch.Tensor:
@@ -222,7 +215,8 @@ class WarpSimulator:
     def step(self, ctrl: Any) -> None:
         """Advance all worlds by one control step under ``ctrl`` (W, nu), best a float32 tensor on the device."""
         self.engine.ctrl_t.copy_(torch.as_tensor(ctrl))
-        self.engine.step()
+        with room_for(self.num_worlds, self.device):
+            self.engine.step()
 
     def state(self) -> SimState:
         """The current state of all worlds; most arrays are views that the next step or reset overwrites."""

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import warp as wp
 
 from mjhab.core.errors import UsageError, unknown_name
@@ -49,3 +52,21 @@ def _version(numbers: tuple[int, int]) -> str:
 def free_mb(device: wp.Device) -> float:
     """Free memory of a CUDA device [MB]."""
     return device.free_memory / 2**20
+
+
+@contextmanager
+def room_for(num_worlds: int, device: wp.Device) -> Iterator[None]:
+    """For work that takes memory of a device: where there is not enough, say so in one line.
+
+    Raises:
+        UsageError: the device is out of memory; names a smaller number of worlds.
+    """
+    try:
+        yield
+    except RuntimeError as error:  # of Warp ("Failed to allocate ...") and of torch ("CUDA out of memory ...")
+        if "alloc" not in str(error) and "memory" not in str(error):
+            raise
+        raise UsageError(
+            f"{num_worlds} worlds do not fit into the memory of {device}; try num_worlds={max(1, num_worlds // 2)} "
+            "(`mjhab doctor --estimate` tells how many should fit)"
+        ) from error

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from typing import Any
 
 import warp as wp
@@ -53,39 +53,39 @@ class _Arena:
 
     def __init__(self, device: wp.Device) -> None:
         self._device = device
+        self._plain = None if device.is_cuda else device.default_allocator
         self._free: dict[int, list[int]] = {}
         self._kept: list[wp.array] = []
-        self._inner: Any = None
 
-    @contextmanager
-    def lending(self) -> Iterator[None]:
+    def lending(self) -> AbstractContextManager[None]:
         """While open, arrays that are made on the device get their memory here."""
-        if self._device.is_cuda:
-            with wp.ScopedAllocator(self._device, self):
-                yield
-            return
-        # Warp takes other allocators for CUDA only.
-        self._inner, self._device.default_allocator = self._device.default_allocator, self
-        try:
-            yield
-        finally:
-            self._device.default_allocator = self._inner
+        return self._allocating(self)
 
     def allocate(self, size_in_bytes: int) -> int:
         """Address of so many bytes."""
         free = self._free.setdefault(size_in_bytes, [])
         if not free:
-            free.append(self._new(size_in_bytes))
+            with self._allocating(None):
+                block = wp.empty(size_in_bytes, dtype=wp.uint8, device=self._device)  # type: ignore[arg-type]
+            self._kept.append(block)
+            free.append(int(block.ptr or 0))
         return free.pop()
-
-    def _new(self, size_in_bytes: int) -> int:
-        if not self._device.is_cuda:
-            return self._inner.allocate(size_in_bytes)
-        with wp.ScopedAllocator(self._device, None):
-            block = wp.empty(size_in_bytes, dtype=wp.uint8, device=self._device)  # type: ignore[arg-type]
-        self._kept.append(block)
-        return int(block.ptr or 0)
 
     def deallocate(self, ptr: int, size_in_bytes: int) -> None:
         """Let a block of `allocate` be used again."""
         self._free[size_in_bytes].append(ptr)
+
+    @contextmanager
+    def _allocating(self, allocator: _Arena | None) -> Iterator[None]:
+        """While open, the device takes memory from ``allocator``; None is its own."""
+        device: Any = self._device
+        if device.is_cuda:
+            with wp.ScopedAllocator(device, allocator):
+                yield
+            return
+        # Warp offers this for CUDA only.
+        before, device.default_allocator = device.default_allocator, allocator or self._plain
+        try:
+            yield
+        finally:
+            device.default_allocator = before

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import mjhab.envs as envs
-from mjhab.envs.grasps import ObjectShape
+from mjhab.core.boxes import Boxes
+from mjhab.envs.grasps import ObjectShape, Options, grasp_candidates
 from mjhab.envs.privileged import WorldView
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.experts import make_expert, motion
@@ -16,7 +17,7 @@ from mjhab.experts.carry import grip, held_spheres, inside_depth
 from mjhab.experts.ik import rotate
 from mjhab.experts.pick import height_below, plan_pick
 from mjhab.experts.place import hand_goals
-from mjhab.experts.reach import surroundings
+from mjhab.experts.reach import Scene, surroundings, way_out
 from mjhab.experts.route import LOOKAHEADS, Pilot, plan_route, planner
 
 UPRIGHT = np.eye(3)
@@ -139,6 +140,26 @@ def test_fridge_shelf_asks_to_come_straight_in():
     point = view.object_pose(the_object(view))[:3]
     assert inside_depth(view, point) > 0.3
     assert inside_depth(view, view.q[:3]) == 0.0
+
+
+def test_way_out_of_a_shelf_keeps_the_object_off_the_walls():
+    half, eye = np.array([0.04, 0.04, 0.05]), np.eye(3)[None]
+    target = Boxes(np.array([[0.5, 0.0, 1.05]]), half[None], eye)
+    wall = Boxes(np.array([[0.3, 0.12, 1.1]]), np.array([[0.4, 0.01, 0.5]]), eye)
+    bases = np.array([[-0.3, 0.0, 0.0], [-0.2, 0.2, -0.35], [-0.2, -0.2, 0.35]])
+    straight, towards, away = way_out(bases, Scene(wall, target, 1.0), 0.42)
+    assert straight == pytest.approx(0.07, abs=0.005)
+    assert towards < 0.0 < away
+
+
+def test_grasps_on_a_shelf_come_from_its_open_side():
+    shape, pose = ObjectShape("box", (0.05, 0.03, 0.08)), np.array([0.0, 0.0, 1.08])
+    found = [
+        grasp_candidates(shape, pose, np.array([1.0, 0.0, 0.0, 0.0]), support_z=1.0, options=options)
+        for options in (Options(), Options(inward=(1.0, 0.0), shallower=(0.0, 0.02)))
+    ]
+    assert found[0].rot[:, 0, 0].min() < -0.25
+    assert len(found[1]) and found[1].rot[:, 0, 0].min() > -0.26
 
 
 def test_hand_goals_put_the_object_upright_at_the_goal():

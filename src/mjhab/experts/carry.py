@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from mjhab.core.boxes import Boxes
 from mjhab.core.rotations import mat_from_quat
 from mjhab.envs.kinematics import wrap
 from mjhab.envs.privileged import WorldView
@@ -26,6 +27,8 @@ OUT_SPEED = 0.5
 """Of the base while it comes straight out [m/s]."""
 STUCK_STEPS = 6
 """Control steps without motion after which it is stuck; fingers that touch something show no force."""
+ROOM_IN = 0.012
+"""Clearance [m] with which the arm may stay as it was planned."""
 MOST_SHIFT = 0.5
 """Largest change of a joint [rad] that makes up for errors of the drive."""
 
@@ -46,15 +49,16 @@ def inside_depth(view: WorldView, point: Array) -> float:
     return 0.0
 
 
-def drive_in(view: WorldView, goal: Array, pos: Array, rot: Array, *, gripper: float) -> Motion:
+def drive_in(view: WorldView, goal: Array, pos: Array, rot: Array, boxes: Boxes, *, gripper: float) -> Motion:
     """Drive straight on about to the base pose of the configuration ``goal`` (15,), the arm stretched out so that the
     hand comes to ``pos`` (3,), ``rot`` (3, 3). Returns whether it got there; not when it is stuck.
 
-    Small errors of the base sideways stay, steering would sweep the arm: the arm makes up for them before.
+    Small errors of the base sideways stay, steering would sweep the arm: where the arm would come too near to
+    ``boxes``, it makes up for them before.
     """
-    goal = _lined_up(view, goal, pos, rot)
+    goal = _lined_up(view, goal, pos, rot, boxes)
     yield from motion.move_joints(view, goal, gripper=gripper, tolerance=0.05, max_steps=12)
-    heading, pressed, still, last = float(view.q[2]), 0, 0, view.q
+    heading, pressed, still, last = float(goal[2]), 0, 0, view.q
     for step in range(80):
         q = view.q
         ahead = np.array([np.cos(heading), np.sin(heading)])
@@ -88,16 +92,27 @@ def drive_out(view: WorldView, way: float, *, gripper: float) -> Motion:
     return False
 
 
-def _lined_up(view: WorldView, goal: Array, pos: Array, rot: Array) -> Array:
-    """``goal`` (15,) with the base where straight on from here leads and the arm such that the hand is at ``pos``,
-    ``rot`` there all the same; unchanged but for the base where the arm would have to move far."""
+def _lined_up(view: WorldView, goal: Array, pos: Array, rot: Array, boxes: Boxes) -> Array:
+    """``goal`` (15,) with the base where straight on from here leads; where the arm so comes too near to something and
+    with a small change does not, such that the hand is at ``pos``, ``rot`` there all the same."""
     q, robot = view.q, motion.chain()
-    ahead = np.array([np.cos(q[2]), np.sin(q[2])])
+    ahead = np.array([np.cos(goal[2]), np.sin(goal[2])])
+    way = float((goal[:2] - q[:2]) @ ahead)
     end = goal.copy()
-    end[:2], end[2] = q[:2] + ahead * float((goal[:2] - q[:2]) @ ahead), q[2]
+    end[:2] = q[:2] + ahead * way
+    if _room_in(end, way, boxes) > ROOM_IN:
+        return end
     found = ik.solve(robot, pos[None], rot[None], end[None, None], ik.columns(robot, torso=False), rest=goal)
     near = found.ok[0, 0] and np.abs(found.q[0, 0] - end)[3:].max() < MOST_SHIFT
-    return ik.unwind(robot, found.q[0, 0], q) if near else end
+    better = near and _room_in(found.q[0, 0], way, boxes) > _room_in(end, way, boxes)
+    return ik.unwind(robot, found.q[0, 0], q) if better else end
+
+
+def _room_in(goal: Array, way: float, boxes: Boxes) -> float:
+    """Least clearance [m] on the straight ``way`` [m] of the base to ``goal`` (15,), the arm held."""
+    q = np.repeat(goal[None], 6, axis=0)
+    q[:, :2] -= np.linspace(0.0, way, 6)[:, None] * np.array([np.cos(goal[2]), np.sin(goal[2])])
+    return float(motion.spheres().clearance(q, boxes).min())
 
 
 def held_spheres(view: WorldView, obj: str) -> tuple[Array, Array]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Generator
 from dataclasses import replace
 
 import numpy as np
@@ -51,7 +52,11 @@ def pick(view: WorldView) -> Motion:
             failed = failed[:0]
             continue
         stance, goals, depth = found
-        if (yield from _take(view, obj, stance, goals, depth)):
+        taken = yield from _take(view, obj, stance, goals, depth)
+        if taken is None and not depth:
+            # The base stopped a little too far off: from where it is another grasp is the quickest.
+            continue
+        if taken:
             if depth:
                 yield from drive_out(view, depth, gripper=motion.CLOSED)
             yield from go_home(view, obj)
@@ -146,8 +151,10 @@ def _diverse(grasps: Grasps) -> HandGoals:
     return HandGoals(g.pos, g.rot, g.pre, g.opening, g.score)
 
 
-def _take(view: WorldView, obj: str, stance: Stance, goals: HandGoals, depth: float) -> Motion:
-    """Drive there, reach, close, lift. Returns whether the object is in the hand."""
+def _take(
+    view: WorldView, obj: str, stance: Stance, goals: HandGoals, depth: float
+) -> Generator[Array, None, bool | None]:
+    """Drive there, reach, close, lift. Returns whether the object is in the hand; None where it is out of reach."""
     start = view.object_pose(obj)[:3]
     pos, rot, pre = goals.pos[stance.goal], goals.rot[stance.goal], goals.pre[stance.goal]
     opening = grip(float(goals.opening[stance.goal]) + 0.004)
@@ -155,18 +162,20 @@ def _take(view: WorldView, obj: str, stance: Stance, goals: HandGoals, depth: fl
     if not arrived and view.link_forces.sum() > BLOCKED_FORCE:
         yield from go_home(view, obj, holding=False)
         return False
-    if depth and not (yield from drive_in(view, stance.pre, pre, rot, gripper=opening)):
-        return False
+    if depth:
+        boxes = scene_of(view, obj).all
+        if not (yield from drive_in(view, stance.pre, pre, rot, boxes, gripper=opening)):
+            return False
     if np.linalg.norm(view.object_pose(obj)[:3] - start) > 0.02:
         return False
     joints = settle_reach(view, stance, np.stack([pre, pos]), rot)
     if joints is None:
-        return False
+        return None
     yield from motion.move_joints(view, joints[0], gripper=opening, tolerance=0.04, max_steps=20)
     # The torso is slow to stop: the last piece belongs to the arm alone.
     near = yield from motion.move_tcp(
-        view, pre, rot, gripper=opening, rest=joints[1], speed=0.3, tolerance=0.006 if depth else 0.015, max_steps=20,
-        stop_on_force=80.0, torso=False,
+        view, pre, rot, gripper=opening, rest=joints[1], speed=0.3, tolerance=0.006, max_steps=20, stop_on_force=80.0,
+        torso=False,
     )  # fmt: skip
     if not near:
         return False

@@ -143,7 +143,8 @@ def _put(view: WorldView, obj: str, stance: Stance, goals: HandGoals, depth: flo
     closed = motion.CLOSED
     yield from follow(view, stance.route, gripper=closed, gentle=True)
     if depth:
-        yield from drive_in(view, stance.pre, pre, rot, gripper=closed)
+        boxes, _ = surroundings(view, obj, pos)
+        yield from drive_in(view, stance.pre, pre, rot, boxes, gripper=closed)
     joints = settle_reach(view, stance, np.stack([pre, pos]), rot)
     if joints is None:
         return False

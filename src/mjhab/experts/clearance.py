@@ -16,13 +16,13 @@ import numpy as np
 from mjhab.core.boxes import Boxes, sphere_box_distance
 from mjhab.core.rotations import mat_from_quat
 from mjhab.envs.kinematics import Chain, Frames
+from mjhab.experts.sphere_gaps import least_gaps
 
 Array = np.ndarray
 FAR = 1e3
 """Distance [m] reported when there is nothing to be near to."""
 _THICK, _EDGE = 0.05, 0.03
 """Boxes covered by larger spheres than the first get spheres of the second size along their edges [m]."""
-_PAIRS_AT_ONCE = 400_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,33 +100,16 @@ class RobotSpheres:
         q = np.atleast_2d(q)
         if len(q) == 0 or len(boxes) == 0 or len(self.radius) == 0:
             return np.full(len(q), FAR)
-        rows = max(1, _PAIRS_AT_ONCE // (len(boxes) * len(self.radius)))
-        parts = [self._clearance(q[start : start + rows], boxes) for start in range(0, len(q), rows)]
-        return np.concatenate(parts)
-
-    def _clearance(self, q: Array, boxes: Boxes) -> Array:
-        """Bounding spheres of whole links tell which few pairs of link and box can be the nearest ones."""
         frames = self.chain.forward(q)
-        points = self.centers(frames)
-        links, middle, around = self._bounds
-        centers = frames.pos[:, links] + np.einsum("nlij,lj->nli", frames.rot[:, links], middle)
-        least = sphere_box_distance(centers.reshape(-1, 3), boxes).reshape(len(q), len(links), len(boxes))
-        far = (least + around[:, None]).min(axis=(1, 2))
-        n, part, box = np.nonzero(least - around[:, None] <= far[:, None, None])
-        # Every pair left stands for the spheres of its link.
-        count = np.bincount(self.link, minlength=len(self.chain.links))[links[part]]
+        sides = [np.ascontiguousarray(side, dtype=np.float64) for side in (boxes.center, boxes.half, boxes.rot)]
+        return least_gaps(frames.pos, frames.rot, *self._bounds, *self._by_link, *sides)
+
+    @cached_property
+    def _by_link(self) -> tuple[Array, Array, Array]:
+        """Where each link of `_bounds` begins among the spheres sorted by link (L + 1,), their ``pos``, ``radius``."""
         order = np.argsort(self.link, kind="stable")
-        first = np.searchsorted(self.link[order], links[part])
-        pair = np.repeat(np.arange(len(n)), count)
-        sphere = order[np.arange(len(pair)) - np.repeat(np.cumsum(count) - count, count) + first[pair]]
-        n, box = n[pair], box[pair]
-        local = np.einsum("pi,pij->pj", points[n, sphere] - boxes.center[box], boxes.rot[box])
-        local = np.abs(local) - boxes.half[box]
-        outside = np.maximum(local, 0.0)
-        gap = np.sqrt(np.einsum("pc,pc->p", outside, outside)) + np.minimum(local.max(axis=1), 0.0)
-        found = np.full(len(q), np.inf)
-        np.minimum.at(found, n, gap - self.radius[sphere])
-        return found
+        first = np.searchsorted(self.link[order], np.unique(self.link))
+        return np.append(first, len(order)), self.pos[order], self.radius[order]
 
     @cached_property
     def _bounds(self) -> tuple[Array, Array, Array]:

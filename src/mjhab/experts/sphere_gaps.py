@@ -1,0 +1,67 @@
+"""The inner loop of the experts' planning, compiled: how near spheres on moving links come to boxes."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+Array = np.ndarray
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _gap(x: float, y: float, z: float, center: Array, half: Array, rot: Array) -> float:
+    """Signed distance of a point to one box: negative inside, exact outside."""
+    dx, dy, dz = x - center[0], y - center[1], z - center[2]
+    outside, inside = 0.0, -np.inf
+    for axis in range(3):
+        over = abs(dx * rot[0, axis] + dy * rot[1, axis] + dz * rot[2, axis]) - half[axis]
+        inside = max(inside, over)
+        if over > 0.0:
+            outside += over * over
+    return np.sqrt(outside) + min(inside, 0.0)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _place(pos: Array, rot: Array, local: Array) -> tuple[float, float, float]:
+    """A point of a link in the world."""
+    x = pos[0] + rot[0, 0] * local[0] + rot[0, 1] * local[1] + rot[0, 2] * local[2]
+    y = pos[1] + rot[1, 0] * local[0] + rot[1, 1] * local[1] + rot[1, 2] * local[2]
+    z = pos[2] + rot[2, 0] * local[0] + rot[2, 1] * local[1] + rot[2, 2] * local[2]
+    return x, y, z
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def least_gaps(
+    pos: Array, rot: Array, links: Array, middle: Array, around: Array, first: Array, points: Array, radius: Array,
+    center: Array, half: Array, turn: Array,
+) -> Array:  # fmt: skip
+    """Least distance (N,) [m] of any sphere to any box; negative: they overlap.
+
+    Spheres around whole links tell which few pairs of link and box can be the nearest; only their spheres are looked at.
+
+    Args:
+        pos, rot: (N, Q, 3), (N, Q, 3, 3) frames of the chain's links in N configurations.
+        links: (L,) those that have spheres. middle, around: (L, 3), (L,) spheres around all of a link, in its frame.
+        first: (L + 1,) where each link's spheres begin among ``points`` (M, 3), in its frame, and ``radius`` (M,).
+        center, half, turn: (K, 3), (K, 3), (K, 3, 3) the boxes.
+    """
+    found = np.empty(len(pos))
+    least = np.empty((len(links), len(center)))
+    for n in range(len(pos)):
+        nearest = np.inf
+        for i, link in enumerate(links):
+            x, y, z = _place(pos[n, link], rot[n, link], middle[i])
+            for k in range(len(center)):
+                gap = _gap(x, y, z, center[k], half[k], turn[k])
+                least[i, k] = gap - around[i]
+                nearest = min(nearest, gap + around[i])
+        best = np.inf
+        for i, link in enumerate(links):
+            for k in range(len(center)):
+                if least[i, k] > min(nearest, best):
+                    continue
+                for m in range(first[i], first[i + 1]):
+                    x, y, z = _place(pos[n, link], rot[n, link], points[m])
+                    best = min(best, _gap(x, y, z, center[k], half[k], turn[k]) - radius[m])
+        found[n] = best
+    return found

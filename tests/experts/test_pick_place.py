@@ -15,10 +15,10 @@ from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.experts import make_expert, motion
 from mjhab.experts.carry import grip, held_spheres, inside_depth
 from mjhab.experts.ik import rotate
-from mjhab.experts.pick import height_below, plan_pick
+from mjhab.experts.pick import EVEN, balanced, height_below, plan_pick
 from mjhab.experts.place import hand_goals
 from mjhab.experts.reach import Scene, surroundings, way_out
-from mjhab.experts.route import LOOKAHEADS, Pilot, plan_route, planner
+from mjhab.experts.route import LOOKAHEADS, LOST_STEPS, Pilot, follow, plan_route, planner
 
 UPRIGHT = np.eye(3)
 
@@ -195,3 +195,46 @@ def test_route_keeps_room_and_ends_at_the_goal():
     assert route is not None
     np.testing.assert_allclose(route.path[-1], spot)
     assert route.steps < 200
+
+
+def test_grasps_beside_the_centre_come_last():
+    centre = np.array([0.0, 0.0, 0.1])
+    found = grasp_candidates(
+        ObjectShape("box", (0.1, 0.03, 0.1)), centre, np.array([1.0, 0.0, 0.0, 0.0]), support_z=0.0
+    )
+
+    ordered = balanced(found, centre)
+    before, after = (np.abs(np.einsum("gj,gj->g", centre - g.pos, g.rot[:, :, 2])) for g in (found, ordered))
+    assert len(ordered) == len(found) and (np.diff(ordered.score) <= 0.0).all()
+    assert after[:10].max() <= EVEN < before.max()
+    assert after[:40].mean() < before[:40].mean()
+
+
+def test_a_drive_ends_when_the_object_is_lost():
+    view = view_of("tidy_house", "pick")
+    boxes, _ = surroundings(view, the_object(view), view.tcp_pose[:3])
+    ahead = view.q[:3] + np.array([np.cos(view.q[2]), np.sin(view.q[2]), 0.0])
+    route = plan_route(view, ahead, view.q, motion.spheres(), boxes, straight=True)
+    assert route is not None and route.steps > 2 * LOST_STEPS
+    # The hand is empty.
+    drive_with = follow(view, route, gripper=motion.CLOSED, held=the_object(view))
+    assert len(list(drive_with)) == LOST_STEPS
+
+
+def test_place_picks_up_again_what_it_lost():
+    env = envs.make(
+        task="tidy_house", subtask="place", num_envs=1, split="train", autoreset="disabled", threads=1, horizon=350
+    )
+    obs, info = env.reset(seed=0, options={"episode": [1]})
+    expert = make_expert(env)
+    expert.reset(np.ones(1, bool))
+    obj, height = the_object(env.view(0)), np.inf
+    for step in range(350):
+        actions = expert.act(obs, info)
+        if 10 <= step < 16:
+            actions[:, 7] = motion.OPEN
+        obs, reward, _, _, info = env.step(actions)
+        height = min(height, float(env.view(0).object_pose(obj)[2]))
+        if reward[0] > 0.5:
+            break
+    assert height < 0.1 and reward[0] > 0.5

@@ -12,7 +12,7 @@ from mjhab.experts import ik, motion
 from mjhab.experts.clearance import RobotSpheres
 from mjhab.experts.motion import Motion
 from mjhab.experts.reach import surroundings
-from mjhab.experts.route import BLOCKED_FORCE, BLOCKED_STEPS, Route, follow, plan_route
+from mjhab.experts.route import BLOCKED_FORCE, BLOCKED_STEPS, Route, follow, holds, plan_route
 
 Array = np.ndarray
 BACK = (0.0, 0.2, 0.4, 0.6, 0.8)
@@ -137,8 +137,10 @@ def go_home(view: WorldView, obj: str, *, holding: bool = True) -> Motion:
         robot = robot.with_held(*held_spheres(view, obj))
     for _ in range(3):
         route = plan_home(view, obj, robot, holding=holding)
-        if route is None or (yield from follow(view, route, gripper=gripper, gentle=holding)):
+        if route is None or (yield from follow(view, route, gripper=gripper, held=obj if holding else "")):
             break
+        if holding and not holds(view, obj):
+            return False
     return (yield from motion.to_rest(view, gripper=gripper, max_steps=60))
 
 

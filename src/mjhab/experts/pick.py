@@ -15,7 +15,7 @@ from mjhab.experts import motion
 from mjhab.experts.carry import drive_in, drive_out, go_home, grip, inside_depth
 from mjhab.experts.motion import Motion
 from mjhab.experts.reach import ROOMS, HandGoals, Scene, Stance, hand_room, settle_reach, stances, surroundings
-from mjhab.experts.route import BLOCKED_FORCE, follow
+from mjhab.experts.route import BLOCKED_FORCE, follow, holds
 from mjhab.experts.style import of_kind, style_of
 from mjhab.tasks.style import ANY
 
@@ -26,6 +26,9 @@ SHELF_LIFT = 0.025
 WAITS = (5, 10, 20, 50)
 """Control steps to wait after one attempt after the other without a way: things may come to rest meanwhile."""
 MAX_GOALS = 60
+EVEN, LEVER = 0.015, 15.0
+"""How far [m] beside the pads the centre of an object may be at no price, and the price in points per metre beyond: its
+weight turns such an object between the pads, and with less than a push on top it slips out."""
 OPTIONS = Options(palm_gap=0.012, floor_gap=0.008)
 # Little room: closer steps around the object, a short way in, and boxes nearly as wide as the hand opens.
 SHELF_OPTIONS = replace(OPTIONS, fan=36, shallower=(0.0, 0.02), retreat=0.06)
@@ -39,8 +42,15 @@ def pick(view: WorldView) -> Motion:
     """Pick up the active subtask's object and bring it home; try again while there is time."""
     subtask = view.subtask
     assert subtask is not None
-    obj, failed = subtask.obj, np.zeros((0, 3))
-    attempt = 0
+    return (yield from fetch(view, subtask.obj))
+
+
+def fetch(view: WorldView, obj: str, *, keep: bool = True) -> Motion:
+    """Pick up an object, wherever it lies, and bring it home; try again while there is time.
+
+    ``keep``: hold it there, and start again when it is lost; else end as soon as it is lifted.
+    """
+    failed, attempt = np.zeros((0, 3)), 0
     while True:
         wish = style_of(view).grasp
         found = plan_pick(view, obj, failed, attempt, wish)
@@ -59,6 +69,8 @@ def pick(view: WorldView) -> Motion:
         if taken:
             if depth:
                 yield from drive_out(view, depth, gripper=motion.CLOSED)
+            if not keep and holds(view, obj):
+                return True
             yield from go_home(view, obj)
             yield from _keep(view, obj)
         failed = np.concatenate([failed, stance.at[None, :3]])
@@ -87,7 +99,7 @@ def plan_pick(
         shape, pose[:3], pose[3:], support_z=scene.support_z, neighbours=around, least_clear=_CLEAR[-1][0],
         options=options, gripper=SHELF_GRIPPER if depth else None,
     )  # fmt: skip
-    every = of_kind(every, wish)
+    every = balanced(of_kind(every, wish), pose[:3])
     room, best, tried = hand_room(every, around) if depth else None, None, 0
     for asked, hand, nearer in _CLEAR[min(attempt, 1) :]:
         keep = every.clear >= asked
@@ -104,6 +116,13 @@ def plan_pick(
             if best is not None and (not depth or best[0].route.room >= 0.0):
                 return best
     return best
+
+
+def balanced(grasps: Grasps, centre: Array) -> Grasps:
+    """Grasps in the order of scores that count how far beside the pads the object's ``centre`` (3,) hangs."""
+    aside = np.abs(np.einsum("gj,gj->g", centre - grasps.pos, grasps.rot[:, :, 2]))
+    score = grasps.score - LEVER * np.maximum(aside - EVEN, 0.0)
+    return replace(grasps, score=score).take(np.argsort(-score, kind="stable"))
 
 
 def scene_of(view: WorldView, obj: str) -> Scene:

@@ -12,9 +12,9 @@ from mjhab.envs.privileged import WorldView
 from mjhab.experts import ik, motion
 from mjhab.experts.carry import drive_in, go_home, grip, held_spheres, inside_depth
 from mjhab.experts.motion import Motion
-from mjhab.experts.pick import height_below
+from mjhab.experts.pick import fetch, height_below
 from mjhab.experts.reach import ROOMS, HandGoals, Scene, Stance, hand_room, settle_reach, stances, surroundings
-from mjhab.experts.route import follow
+from mjhab.experts.route import follow, holds
 from mjhab.experts.style import style_of
 from mjhab.tasks.style import DROP as DROP_IT
 
@@ -40,11 +40,24 @@ def place(view: WorldView) -> Motion:
     """Put the held object to the active subtask's goal and return to rest."""
     subtask = view.subtask
     assert subtask is not None
-    obj, goal, style = subtask.obj, np.array(subtask.goal_pos), style_of(view)
-    failed = np.zeros((0, 3))
+    obj, goal = subtask.obj, np.array(subtask.goal_pos)
+    while True:
+        if holds(view, obj):
+            yield from _bring(view, obj, goal)
+        elif not view.signal("at_goal"):
+            # Lost on the way: it lies somewhere, mostly not far off.
+            yield from fetch(view, obj, keep=False)
+            continue
+        yield from go_home(view, obj, holding=False)
+        yield from _rest(view)
+
+
+def _bring(view: WorldView, obj: str, goal: Array) -> Motion:
+    """Put the held object to ``goal`` (3,). Returns whether the hand has let go of it."""
+    style, failed = style_of(view), np.zeros((0, 3))
     for attempt in range(20):
-        if not (view.finger_forces(obj) > 0.1).any():
-            break
+        if not holds(view, obj):
+            return True
         drop = style.drop_height if style.release == DROP_IT else 0.0
         found = plan_place(view, obj, goal, failed, attempt, drop)
         if found is None and drop:
@@ -55,10 +68,18 @@ def place(view: WorldView) -> Motion:
             continue
         stance, goals, depth = found
         if (yield from _put(view, obj, stance, goals, depth)):
-            break
+            return True
         failed = np.concatenate([failed, stance.at[None, :3]])
-    yield from go_home(view, obj, holding=False)
-    return (yield from motion.stay_at_rest(view, gripper=motion.OPEN))
+    return False
+
+
+def _rest(view: WorldView) -> Motion:
+    """Stay at rest with an open hand for as long as the object is at its goal. Returns when it is not."""
+    goal, off = motion.rest_goal(view), 0
+    while off < 4:
+        yield motion.action(view, goal, gripper=motion.OPEN)
+        off = 0 if view.signal("at_goal") else off + 1
+    return False
 
 
 def plan_place(
@@ -141,7 +162,9 @@ def _put(view: WorldView, obj: str, stance: Stance, goals: HandGoals, depth: flo
     """Drive there, lower, let go, draw back. Returns whether the hand has let go."""
     pos, rot, pre = goals.pos[stance.goal], goals.rot[stance.goal], goals.pre[stance.goal]
     closed = motion.CLOSED
-    yield from follow(view, stance.route, gripper=closed, gentle=True)
+    yield from follow(view, stance.route, gripper=closed, held=obj)
+    if not holds(view, obj):
+        return False
     if depth:
         boxes, _ = surroundings(view, obj, pos)
         yield from drive_in(view, stance.pre, pre, rot, boxes, gripper=closed)

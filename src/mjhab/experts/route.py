@@ -32,7 +32,7 @@ BODY_SLIMMER = 0.05
 BASE_LAG = 0.15
 """Time constant [s] of the base's speed."""
 BLOCKED_FORCE = 60.0
-BLOCKED_STEPS = 4
+BLOCKED_STEPS, LOST_STEPS = 4, 3
 LOOKAHEADS = (0.30, 0.20, 0.10)
 """How far ahead [m] the base steers; short ones keep to the way at corners, long ones are quicker."""
 _SHARES = (0.35, 0.6, 0.8)
@@ -201,14 +201,14 @@ def _way(view: WorldView, goal: Array) -> Array | None:
 
 
 def follow(
-    view: WorldView, route: Route, *, gripper: float, tolerance: float = 0.05, gentle: bool = False
+    view: WorldView, route: Route, *, gripper: float, tolerance: float = 0.05, held: str = ""
 ) -> Motion:  # fmt: skip
     """Drive a route. Returns whether base and arm arrived; not when something is in the way.
 
-    ``gentle``: there is an object in the hand that must not slip.
+    ``held``: the object in the hand. It must not slip: the drive is gentle, and ends when it is lost all the same.
     """
     pilot = Pilot(route.path, route.yaw, route.direction, route.lookahead, route.speed)
-    start, pressed, arrived = view.q, 0, False
+    start, pressed, lost, arrived = view.q, 0, 0, False
     moving, before = motion.drives(view, route.path[-1], route.yaw), (0.0, 0.0)
     for step in range(route.steps + 40):
         forward, turn, done = pilot.step(view.q[:3]) if moving and not arrived else (0.0, 0.0, True)
@@ -218,13 +218,19 @@ def follow(
         if arrived and off <= tolerance:
             return True
         speed = (0.0, 0.0) if arrived else (forward, turn)
-        before = speed = _eased(speed, before) if gentle else speed
+        before = speed = _eased(speed, before) if held else speed
         ramp = min(1.0, 0.25 * (1 + step - min(step, route.delay)))
         yield motion.action(view, route.arm if on_time else start, gripper=gripper, drive=speed, speed=ramp)
         pressed = pressed + 1 if view.link_forces.sum() > BLOCKED_FORCE else 0
-        if pressed >= BLOCKED_STEPS:
+        lost = 0 if not held or holds(view, held) else lost + 1
+        if pressed >= BLOCKED_STEPS or lost >= LOST_STEPS:
             return False
     return False
+
+
+def holds(view: WorldView, obj: str) -> bool:
+    """Whether the fingers press an object."""
+    return bool((view.finger_forces(obj) > 0.1).any())
 
 
 def _eased(wish: tuple[float, float], before: tuple[float, float]) -> tuple[float, float]:

@@ -37,7 +37,7 @@ def least_gaps(
 ) -> Array:  # fmt: skip
     """Least distance (N,) [m] of any sphere to any box; negative: they overlap.
 
-    Spheres around whole links tell which few pairs of link and box can be the nearest; only their spheres are looked at.
+    Spheres around whole links tell which few pairs of link and box can be nearest; only their spheres are looked at.
 
     Args:
         pos, rot: (N, Q, 3), (N, Q, 3, 3) frames of the chain's links in N configurations.

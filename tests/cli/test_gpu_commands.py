@@ -324,8 +324,33 @@ def test_report_on_a_gpu_measures_large_batches(tmp_path: Path, monkeypatch: pyt
     assert set(found) == {f"gpu-{name}" for name in ("memory", "interact", "env", "sleep", "parity")}
     parity = found["gpu-parity"]
     assert parity.pop("machine") and parity == {"note": None, "what": "parity", "episodes": 200}
-    assert [point["worlds"] for point in found["gpu-env"]["points"]] == [256, 512, 1024, 2048, 4096, 16]
-    assert sum("4096 worlds, RGB-D" in point["what"] for point in found["gpu-interact"]["points"]) == 1
+    assert [point["what"] for point in found["gpu-env"]["points"]] == [
+        *(f"PickSubtaskTrain-v1 warp, {count} worlds" for count in (256, 512, 1024, 2048, 4096)),
+        *(f"TidyHouse-v1 warp, {count} worlds" for count in (256, 1024)),
+        "PickSubtaskTrain-v1 cpu, 16 worlds",
+    ]
+    assert [point["what"] for point in found["gpu-interact"]["points"]] == [
+        f"interact {backend}, {count} worlds, {pictures}"
+        for backend, counts in (("warp", (64, 256, 1024, 4096, 8192)), ("cpu", (1, 16)))
+        for pictures in ("no cameras", "RGB-D")
+        for count in counts
+    ]
+
+
+@pytest.mark.usefixtures("quick_report")
+def test_report_goes_on_where_the_device_fails(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fails(plan: Any) -> Any:
+        raise RuntimeError("Graph launch error: CUDA error 700")
+
+    monkeypatch.setattr(gpu_report, "measure_interact", fails)
+    gpu_report.main(tmp_path, ["interact", "env"])
+    found = read_all(tmp_path)
+    assert {point["error"] for point in found["gpu-interact"]["points"]} == {
+        "RuntimeError: Graph launch error: CUDA error 700"
+    }
+    assert "in fails" in capsys.readouterr().err and len(found["gpu-env"]["points"]) == 2
 
 
 @pytest.mark.usefixtures("quick_report")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import dataclasses
 import json
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -130,6 +131,30 @@ def test_pictures_are_drawn_in_every_step_unless_told_not_to(scene: InteractScen
     # The head camera sees the table before it.
     assert 0.3 < np.median(drawn[0]["depth"][0, 0, 96:, 40:88]) < 2.0
     assert bench.InteractBench(scene, "cpu", 1, render=False, threads=1)._draw is None
+
+
+def test_worlds_that_do_not_fit_are_refused_before_they_are_made(
+    scene: InteractScene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On a GPU with 24 GB, as far as a machine without one can tell."""
+    device: Any = type("Device", (), {"is_cuda": True, "__str__": lambda self: "cuda:0"})()
+    probe: Any = type(sys)("mjhab.sim.warp_device")
+    probe.open_device, probe.free_mb = (lambda name: device), (lambda _: 24_000.0)
+    monkeypatch.setitem(sys.modules, "mjhab.sim.warp_device", probe)
+    opened: list[int] = []
+
+    def opens(backend: str, layout: Any, worlds: int, **_: Any) -> Any:
+        opened.append(worlds)
+        raise UsageError("no further")
+
+    monkeypatch.setattr(bench, "open_simulator", opens)
+    with pytest.raises(UsageError, match=r"100000 worlds need about .* are free on cuda:0.*--worlds.*num_envs=\d+"):
+        bench.InteractBench(scene, "warp", 100_000, render=True)
+    assert not opened
+    for backend, worlds in (("warp", 8192), ("cpu", 100_000)):
+        with pytest.raises(UsageError, match="no further"):
+            bench.InteractBench(scene, backend, worlds, render=True)
+    assert opened == [8192, 100_000]
 
 
 def test_confidence_interval_is_that_of_student() -> None:

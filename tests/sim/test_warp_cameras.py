@@ -240,6 +240,39 @@ def test_a_world_that_diverged_gets_zeros_and_the_others_their_pictures(pair: Pa
     pos[:] = kept
 
 
+def test_worlds_that_are_not_asked_for_keep_their_pixels(
+    pair: Pair, warp: ModuleType, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before, after = ([pair.start(home, place) for home in pair.homes] for place in (0, 1))
+    pair.begin(pair.homes, after)
+    want = pair.drawn()
+    monkeypatch.setattr(warp, "WORLDS_AT_ONCE", 2)  # the world that is drawn lies in the first portion
+    cameras = warp.WarpCameras(pair.sim, CAMERAS, SIZE, OUTPUTS)
+    pair.begin(pair.homes, before)
+    kept = {name: image.numpy().copy() for name, image in cameras.draw().items()}
+    pair.begin(pair.homes, after)
+    only = pair.sim.taint().new_tensor([0, 1, 0]).bool()
+    for name, image in cameras.draw(only).items():
+        np.testing.assert_array_equal(image[1], want[name][1])
+        np.testing.assert_array_equal(image[[0, 2]], kept[name][[0, 2]])
+        assert (kept[name] != want[name]).any(axis=tuple(range(1, kept[name].ndim))).all()
+    for name, image in cameras.draw().items():
+        np.testing.assert_array_equal(image, want[name])
+
+
+def test_a_device_that_is_full_is_told(pair: Pair, warp: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise RuntimeError("Failed to allocate 123 bytes on device 'cuda:0'")
+
+    cameras = warp.WarpCameras(pair.sim, CAMERAS, SIZE, OUTPUTS)
+    monkeypatch.setattr(warp.WarpCameras, "_draw", full)
+    with pytest.raises(UsageError, match="3 worlds do not fit into the memory of cpu; try 1 "):
+        cameras.draw()
+    monkeypatch.setattr(warp.WarpCameras, "_make_images", full)
+    with pytest.raises(UsageError, match="3 worlds do not fit"):
+        warp.WarpCameras(pair.sim, CAMERAS, SIZE, OUTPUTS)
+
+
 def test_portions_and_single_outputs_change_no_pixel(
     pair: Pair, warp: ModuleType, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -15,6 +15,7 @@ if not os.environ.get("CI"):
     # In CI the engine must be there: the tests then fail rather than pass unseen.
     pytest.importorskip("mujoco_warp", reason="the [gpu] extra is not installed")
 
+import torch
 import warp as wp
 
 from mjhab.sim import warp_builds, warp_device
@@ -65,12 +66,33 @@ def test_a_full_device_is_told_in_one_line() -> None:
     device: Any = "cuda:0"
     for told in ("Failed to allocate 123 bytes on device 'cuda:0'", "CUDA out of memory. Tried to allocate 2 GiB"):
         with (
-            pytest.raises(UsageError, match=r"4096 worlds do not fit into the memory of cuda:0; try num_worlds=2048"),
+            pytest.raises(UsageError, match=r"4096 worlds do not fit into the memory of cuda:0; try 2048 .*num_envs"),
             warp_device.room_for(4096, device),
         ):
             raise RuntimeError(told)
-    with pytest.raises(RuntimeError, match="something else"), warp_device.room_for(4096, device):
-        raise RuntimeError("something else")
+    with pytest.raises(UsageError, match=r"1 worlds do not fit .*not even one does"), warp_device.room_for(1, device):
+        raise RuntimeError("CUDA error 2: out of memory")
+    for other in ("something else", "CUDA error 700: an illegal memory access was encountered"):
+        with pytest.raises(RuntimeError, match=other), warp_device.room_for(4096, device):
+            raise RuntimeError(other)
+
+
+def test_warp_works_on_the_stream_of_torch(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As far as a machine without CUDA can show it: the current stream of the right device, one object for each."""
+    asked: list[int] = []
+
+    def current(ordinal: int) -> SimpleNamespace:
+        asked.append(ordinal)
+        return SimpleNamespace(cuda_stream=ordinal * 100)
+
+    monkeypatch.setattr(torch.cuda, "current_stream", current)
+    monkeypatch.setattr(wp, "stream_from_torch", lambda stream: SimpleNamespace(handle=stream.cuda_stream))
+    monkeypatch.setattr(warp_device, "_STREAMS", {})
+    one, two = SimpleNamespace(ordinal=1), SimpleNamespace(ordinal=2)
+    first: Any = warp_device.torch_stream(one)  # type: ignore[arg-type]
+    other: Any = warp_device.torch_stream(two)  # type: ignore[arg-type]
+    assert (first.handle, other.handle) == (100, 200) and asked == [1, 2]
+    assert warp_device.torch_stream(one) is first  # type: ignore[arg-type]
 
 
 # -- kernels that are compiled ---------------------------------------------------------------------------------------

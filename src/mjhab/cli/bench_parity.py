@@ -17,7 +17,10 @@ from mjhab.envs.config import SUBTASKS_OF_TASK
 from mjhab.sim.backends import cuda_devices, resolve
 from mjhab.tasks.plan import KIND_NAMES
 
-NOT_COMPARED = "pictures (see tests/sim/test_warp_cameras.py), sleep, the order of contacts, spawns and teleports"
+NOT_COMPARED = (
+    "pictures (tests/sim/test_warp_cameras.py compares them, mjhab bench interact times them), which objects sleep, "
+    "the order of contacts, spawns and teleports"
+)
 
 
 def bench_parity(options: BenchParityOptions) -> int:

@@ -10,6 +10,7 @@ import gc
 import json
 import platform
 import sys
+import traceback
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -31,6 +32,8 @@ from mjhab.sim.backends import cuda_devices, resolve
 NO_GPU = "no GPU at hand: these numbers come from Warp's CPU device and say nothing about a GPU"
 GPU_WORLDS, CPU_WORLDS = (64, 256, 1024, 4096, 8192), (1, 16)
 ENV_WORLDS = (256, 512, 1024, 2048, 4096)
+CHAIN_WORLDS = (256, 1024)
+"""Fewer: for the starts of a chain, all its landings are searched on the host."""
 PARITY_LOG = Path("runs/gpu-parity.jsonl")
 """Finished episodes of the full parity report, which goes on from there when it was stopped."""
 
@@ -75,19 +78,24 @@ def _words(plan: BenchInteractOptions) -> str:
 
 
 def env_results(has_gpu: bool) -> dict[str, Any]:
-    """TidyHouse with 30 objects, PickSubtaskTrain with depth and dense reward, on both backends."""
+    """TidyHouse with 30 objects, depth, dense reward: PickSubtaskTrain on both backends, on a GPU also the chain."""
     base = BenchEnvOptions(task="tidy_house", obs="depth", reward="dense")
     warp = dataclasses.replace(base, backend="warp")
     if has_gpu:
+        chain = dataclasses.replace(warp, env="mjhab/TidyHouse-v1")
         plans = [dataclasses.replace(warp, worlds=(count,)) for count in ENV_WORLDS]
+        plans += [dataclasses.replace(chain, worlds=(count,)) for count in CHAIN_WORLDS]
     else:
         plans = [dataclasses.replace(warp, worlds=(2,), device="cpu", steps=10, rounds=2)]
     plans.append(dataclasses.replace(base, rounds=3))
     points = [
-        attempt(lambda plan=plan: bench_env.measure(plan)["points"][0], f"env {plan.backend}, {plan.worlds[0]} worlds")
+        attempt(
+            lambda plan=plan: bench_env.measure(plan)["points"][0],
+            f"{plan.env.removeprefix('mjhab/')} {plan.backend}, {plan.worlds[0]} worlds",
+        )
         for plan in plans
     ]
-    return {"env": base.env, "task": base.task, "obs": base.obs, "reward": base.reward, "points": points}
+    return {"task": base.task, "obs": base.obs, "reward": base.reward, "points": points}
 
 
 def sleep_results(has_gpu: bool) -> dict[str, Any]:
@@ -120,12 +128,16 @@ MEASURES: dict[str, Callable[[bool], dict[str, Any]]] = {
 
 
 def attempt(work: Callable[[], dict[str, Any]], name: str) -> dict[str, Any]:
-    """What the work finds, or the one-line error that stopped it; a line on stderr says what is under way."""
+    """What the work finds, or the error that stopped it, so that the rest is measured all the same; a line on stderr
+    says what is under way."""
     print(f"mjhab: {name} ...", file=sys.stderr, flush=True)
     try:
         return {"what": name} | work()
     except MjhabError as error:
         return {"what": name, "error": str(error)}
+    except RuntimeError as error:  # of the device: Warp, torch
+        print(traceback.format_exc(), file=sys.stderr, flush=True)
+        return {"what": name, "error": f"{type(error).__name__}: {error}"}
     finally:
         gc.collect()  # makes room on the device
 

@@ -67,15 +67,23 @@ def host_need(obs_mode: str = "state", camera_size: int | tuple[int, int] = 128,
     return Need(BASE_MB, WORLD_MB + OBS_COPIES * images + RASTER_BYTES * pixels / 2**20)
 
 
-def device_need(obs_mode: str = "state", camera_size: int | tuple[int, int] = 128, cameras: int = len(CAMERAS)) -> Need:
+def device_need(
+    obs_mode: str = "state", camera_size: int | tuple[int, int] = 128, cameras: int = len(CAMERAS),
+    copies: int = WARP_OBS_COPIES, world_mb: float = WARP_WORLD_MB,
+) -> Need:  # fmt: skip
     """What the worlds of backend warp take of the device's memory.
+
+    Args:
+        obs_mode, camera_size, cameras: of the pictures.
+        copies: of the pictures that are kept as observations.
+        world_mb: a world without pictures [MB].
 
     Raises:
         UsageError: unknown observation mode.
     """
     pixels, images = _pictures(obs_mode, camera_size, cameras)
     if not pixels:
-        return Need(WARP_BASE_MB, WARP_WORLD_MB)
+        return Need(WARP_BASE_MB, world_mb)
     wanted = mode_outputs(obs_mode)
     drawn = [size for name, size in WARP_PIXEL_BYTES.items() if name in wanted or "pointcloud" in wanted]
     # Scratch of a world: lists of what moves per tile of 16 x 16 pixels; with colours light by pixel and by 4 x 4 cell.
@@ -83,7 +91,7 @@ def device_need(obs_mode: str = "state", camera_size: int | tuple[int, int] = 12
     poses = 48 * (WARP_MOVERS + cameras)
     return Need(
         WARP_BASE_MB + WARP_SCENE_MB + WARP_DRAWN_AT_ONCE * scratch / 2**20,
-        WARP_WORLD_MB + WARP_OBS_COPIES * images + (sum(drawn) * pixels + poses) / 2**20,
+        world_mb + copies * images + (sum(drawn) * pixels + poses) / 2**20,
     )
 
 
@@ -118,13 +126,15 @@ def check_memory(num_envs: int) -> None:
 
 def check_device_memory(
     num_envs: int, obs_mode: str = "state", camera_size: int | tuple[int, int] = 128, device: str = "",
-    cameras: Sequence[str] = tuple(camera.name for camera in CAMERAS),
+    cameras: Sequence[str] = tuple(camera.name for camera in CAMERAS), copies: int = WARP_OBS_COPIES,
+    world_mb: float = WARP_WORLD_MB,
 ) -> None:  # fmt: skip
     """Refuse a number of worlds of backend warp that does not fit into the device's memory; imports Warp.
 
     Args:
         num_envs: worlds. obs_mode, camera_size, cameras: as in `EnvConfig`.
         device: a Warp device, "" for the first GPU. For "cpu" the memory of this machine counts.
+        copies, world_mb: see `device_need`.
 
     Raises:
         UsageError: says what is needed, what is free, and the largest number that fits; or there is no such device.
@@ -133,13 +143,13 @@ def check_device_memory(
 
     opened = open_device(device)
     free = free_mb(opened) if opened.is_cuda else available_mb()
-    _check(device_need(obs_mode, camera_size, len(cameras)), num_envs, free, f"on {opened}")
+    _check(device_need(obs_mode, camera_size, len(cameras), copies, world_mb), num_envs, free, f"on {opened}")
 
 
 def _check(need: Need, num_envs: int, free: float | None, where: str) -> None:
     if free is not None and need.total_mb(num_envs) > free:
         most = need.most(free)
-        advice = f"At most {most:,} fit: set num_envs={most}." if most else "Not even one fits."
+        advice = f"At most {most:,} fit (--worlds, --num-envs): set num_envs={most}." if most else "Not even one fits."
         raise UsageError(
             f"{num_envs} worlds need about {need.total_mb(num_envs):,.0f} MB, but {free:,.0f} MB are free {where}. "
             f"{advice}"

@@ -63,18 +63,18 @@ class WarpSimulator:
         sizes = sizes or buffer_sizes(layout, self.model, self.addresses, num_worlds, self.device)
         sizes = changed_sizes(sizes, buffers or {})
         self._rest = RestFinder(base, self.addresses)
-        self.engine = self._make_engine(base, sizes)
-        a = self.addresses
+        with room_for(num_worlds, self.device):
+            self.engine = Engine(base, self.addresses, num_worlds, len(layout.pack.homes), sizes, self.device)
+            self._begin(base)
+
+    def _begin(self, base: mujoco.MjModel) -> None:
+        a, home = self.addresses, self.layout.pack.homes[0].name
         self._robot_q, self._robot_v, self._link_q, self._link_v = map(
             self._indices, (a.robot_q, a.robot_v, a.link_q, a.link_v)
         )
         self._views = self._make_views()
-        everyone = list(range(num_worlds))
-        self.reset(everyone, [layout.pack.homes[0].name] * num_worlds, np.tile(base.qpos0, (num_worlds, 1)))
-
-    def _make_engine(self, base: mujoco.MjModel, sizes: BufferSizes) -> Engine:
-        with room_for(self.num_worlds, self.device):
-            return Engine(base, self.addresses, self.num_worlds, len(self.layout.pack.homes), sizes, self.device)
+        # The first refresh takes memory, too.
+        self.reset(range(self.num_worlds), [home] * self.num_worlds, np.tile(base.qpos0, (self.num_worlds, 1)))
 
     @property
     def qpos(self) -> torch.Tensor:
@@ -161,14 +161,16 @@ class WarpSimulator:
         buffers = (engine.new_rows_t, engine.new_qpos_t, engine.new_ctrl_t, engine.new_rings_t)
         for buffer, values in zip(buffers, given, strict=True):
             buffer.copy_(values)
-        engine.renew()
+        with room_for(self.num_worlds, self.device):
+            engine.renew()
 
     def mend_broken(self) -> None:
         """Let worlds that the last step broke lie still where they were before it, without a host copy.
 
         They stay tainted, and under the commands of the step; `mend` would give them those of a start.
         """
-        self.engine.mend()
+        with room_for(self.num_worlds, self.device):
+            self.engine.mend()
 
     def check_overflow(self) -> None:
         """Complain if a buffer was ever too small. Waits for the device.

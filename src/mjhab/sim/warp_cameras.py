@@ -20,6 +20,7 @@ from mjhab.sim import warp_shading, warp_tracing
 from mjhab.sim.home_scene import CAMERA_NAMES, build_render_scene
 from mjhab.sim.rasterizer import FAST_CELL, NEAR, OUTPUTS
 from mjhab.sim.warp import WarpSimulator
+from mjhab.sim.warp_device import room_for, set_up
 from mjhab.sim.warp_graphs import Graphs
 from mjhab.sim.warp_scene import DeviceScene
 
@@ -39,7 +40,7 @@ class WarpCameras:
     ``segmentation_names``: name of every segment, index = id; the ids are those of `HomeRenderer`.
 
     Raises:
-        UsageError: unknown camera or output, or none; a size below 1.
+        UsageError: unknown camera or output, or none; a size below 1; no room for the pictures on the device.
     """
 
     def __init__(
@@ -54,7 +55,7 @@ class WarpCameras:
         self.segmentation_names = scene.seg_names
         self._graphs = Graphs(sim.device)
         self._rows, self._rows_known = wp.from_torch(sim.engine.homes.rows), 0
-        with wp.ScopedDevice(sim.device):
+        with room_for(sim.num_worlds, sim.device), set_up(sim.device):
             self._scene = DeviceScene(scene)
             self._home_of_row = wp.zeros(len(homes), dtype=wp.int32)
             self._mount(model)
@@ -64,17 +65,29 @@ class WarpCameras:
             self._images = self._make_images()
         self._views = {name: wp.to_torch(self._images[name]) for name in self._outputs}
         self._pos, self._mat = wp.to_torch(self._worlds.cam_pos), wp.to_torch(self._worlds.cam_mat)
+        self._wanted = wp.to_torch(self._worlds.wanted)
 
-    def draw(self) -> dict[str, torch.Tensor]:
+    def draw(self, only: torch.Tensor | None = None) -> dict[str, torch.Tensor]:
         """Pictures of the present state, by output; the next call overwrites them.
+
+        Args:
+            only: (W,) bool on the device, worlds to draw; the others keep the pixels they have. None draws all.
 
         Returns:
             "depth" (W, C, height, width) float32 planar distance [m], 0 where nothing is hit; "rgb" (W, C, height,
             width, 3) uint8 sRGB; "seg" (W, C, height, width) int32 ids. A world whose physics has diverged gets zeros.
+
+        Raises:
+            UsageError: no room on the device.
         """
-        self._add_homes()
-        with wp.ScopedDevice(self._sim.device):
-            self._graphs.run("draw", self._draw)
+        if only is None:
+            self._wanted.fill_(True)
+        else:
+            self._wanted.copy_(only)
+        with room_for(self._sim.num_worlds, self._sim.device):
+            self._add_homes()
+            with wp.ScopedDevice(self._sim.device):
+                self._graphs.run("draw", self._draw)
         return dict(self._views)
 
     def poses(self) -> tuple[torch.Tensor, torch.Tensor]:
@@ -109,6 +122,7 @@ class WarpCameras:
         worlds, count = warp_tracing.Worlds(), self._sim.num_worlds
         movers, cameras = len(self._scene.movers.body), len(self._cameras)
         worlds.home, worlds.sane = wp.zeros(count, dtype=wp.int32), wp.zeros(count, dtype=wp.bool)
+        worlds.wanted = wp.ones(count, dtype=wp.bool)
         worlds.pos, worlds.mat = (wp.zeros((count, movers), dtype=kind) for kind in (wp.vec3, wp.mat33))
         worlds.cam_pos, worlds.cam_mat = (wp.zeros((count, cameras), dtype=kind) for kind in (wp.vec3, wp.mat33))
         return worlds
@@ -147,7 +161,7 @@ class WarpCameras:
         names = self._sim.engine.homes.names
         if len(names) == self._rows_known:
             return
-        with wp.ScopedDevice(self._sim.device):
+        with set_up(self._sim.device):
             for name in names[self._rows_known :]:
                 self._scene.add_home(self._home_index[name])
             index = [self._home_index[name] for name in names]
@@ -190,8 +204,8 @@ class WarpCameras:
         if "rgb" not in self._outputs:
             return
         spots = (*shape, cells.width * cells.height)
-        wp.launch(warp_shading.block_cells, dim=spots, inputs=[scene.looks, frame, cells])
-        wp.launch(warp_shading.blur_cells, dim=spots, inputs=[cells])
+        wp.launch(warp_shading.block_cells, dim=spots, inputs=[scene.looks, worlds, frame, cells, first])
+        wp.launch(warp_shading.blur_cells, dim=spots, inputs=[worlds, cells, first])
         wp.launch(
             warp_shading.shade, dim=(*shape, frame.width * frame.height),
             inputs=[scene.looks, scene.stills, scene.movers, worlds, frame, cells, first],

@@ -1,10 +1,11 @@
-"""The device that a simulation on MuJoCo Warp runs on: found by name, and what memory it has left."""
+"""The device of a simulation on MuJoCo Warp: found by name, the memory it has left, and the order of work on it."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+import torch
 import warp as wp
 
 from mjhab.core.errors import UsageError, unknown_name
@@ -12,6 +13,9 @@ from mjhab.sim.warp_builds import announce_builds
 
 LEAST_DRIVER = (12, 4)
 """Version of CUDA that the driver must be good for: the first whose graphs can hold conditions."""
+_FULL = ("Failed to allocate", "out of memory", "not enough memory")
+_STREAMS: dict[tuple[int, int], wp.Stream] = {}
+"""Streams of torch, which has a fixed set of them per device, as Warp knows them."""
 
 
 def open_device(name: str) -> wp.Device:
@@ -63,10 +67,31 @@ def room_for(num_worlds: int, device: wp.Device) -> Iterator[None]:
     """
     try:
         yield
-    except RuntimeError as error:  # of Warp ("Failed to allocate ...") and of torch ("CUDA out of memory ...")
-        if "alloc" not in str(error) and "memory" not in str(error):
+    except RuntimeError as error:
+        # Of Warp ("Failed to allocate ...") and of torch ("CUDA out of memory ..."), but no "illegal memory access".
+        if not any(words in str(error) for words in _FULL):
             raise
+        fewer = f"try {num_worlds // 2}" if num_worlds > 1 else "not even one does"
         raise UsageError(
-            f"{num_worlds} worlds do not fit into the memory of {device}; try num_worlds={max(1, num_worlds // 2)} "
-            "(`mjhab doctor --estimate` tells how many should fit)"
+            f"{num_worlds} worlds do not fit into the memory of {device}; {fewer} (num_envs, --worlds; "
+            "`mjhab doctor --estimate` tells how many should fit)"
         ) from error
+
+
+def torch_stream(device: wp.Device) -> wp.Stream:
+    """The stream of a CUDA device that torch works on at present: what is launched there comes after what torch was
+    given before, and before what torch is given next."""
+    stream = torch.cuda.current_stream(device.ordinal)
+    key = (device.ordinal, stream.cuda_stream)
+    if key not in _STREAMS:
+        _STREAMS[key] = wp.stream_from_torch(stream)
+    return _STREAMS[key]
+
+
+@contextmanager
+def set_up(device: wp.Device) -> Iterator[None]:
+    """For work on Warp's own stream: torch's is done before it begins, and it is done before torch goes on. Waits."""
+    wp.synchronize_device(device)
+    with wp.ScopedDevice(device):
+        yield
+    wp.synchronize_device(device)

@@ -17,6 +17,7 @@ from mjhab.scenes.fetch import FINGER_LINKS, FORCE_LINKS, TCP_LINK
 from mjhab.scenes.layout import Addresses
 from mjhab.sim import warp_kernels as kernels
 from mjhab.sim.protocol import PENETRATION_LIMIT
+from mjhab.sim.warp_device import set_up
 from mjhab.sim.warp_graphs import Graphs
 from mjhab.sim.warp_homes import HOME_FIELDS, HomeTables
 
@@ -73,13 +74,15 @@ class Engine:
         model = copy.copy(base)
         # Contact sensors match every sensor with every contact; our own kernel reads each contact once.
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR
-        with wp.ScopedDevice(device):
+        with set_up(device):
             self.model = mjw.put_model(model, batch_sizes=dict.fromkeys(HOME_FIELDS, num_worlds))
             self.data = mjw.make_data(
                 model, num_worlds, naconmax=sizes.contacts, naccdmax=min(sizes.ccd, sizes.contacts), njmax=sizes.rows,
                 nvmax=sizes.awake,
             )  # fmt: skip
             self.model.opt.warn_overflow = 0  # printing from kernels is slow, and the bits say the same
+            # What the engine takes for large models sorts, which allocates: no graph may do that under a condition.
+            self.model.opt.broadphase = mjw.BroadphaseType.NXN
             if not device.is_cuda:
                 self.model.opt.iterations = CPU_DEVICE_ITERATIONS
             self.homes = HomeTables(base, self.model, self.data, num_homes)
@@ -262,7 +265,7 @@ class Engine:
 
     def overflown(self) -> list[str]:
         """Names, as in `BufferSizes`, of the buffers that have ever been too small. Waits for the device."""
-        bits = int(self.overflow_seen.numpy()[0])
+        bits = int(wp.to_torch(self.overflow_seen)[0])
         return [name for name, mask in _BUFFER_BITS.items() if bits & int(mask)]
 
     def clear_flags(self, worlds: torch.Tensor) -> None:

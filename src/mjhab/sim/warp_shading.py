@@ -16,7 +16,7 @@ from mjhab.sim import lighting, occlusion
 from mjhab.sim.patterns import SHADE_TOP
 from mjhab.sim.shading import TONE_RANGE
 from mjhab.sim.textures import LEVELS
-from mjhab.sim.warp_tracing import Frame, Movers, Stills, Worlds, mover_of, pixel_slopes, still_of
+from mjhab.sim.warp_tracing import Frame, Movers, Stills, Worlds, is_drawn, mover_of, pixel_slopes, still_of
 
 wp.set_module_options({"enable_backward": False})
 
@@ -87,9 +87,11 @@ def _slope(inverse: wp.array3d[float], k: int, c: int, at: int, before: int, aft
 
 
 @wp.kernel
-def block_cells(looks: Looks, frame: Frame, cells: Cells):
+def block_cells(looks: Looks, worlds: Worlds, frame: Frame, cells: Cells, first: int):
     """Occlusion of the pixel in the middle of every cell, before `blur_cells`."""
     k, c, at = wp.tid()
+    if not is_drawn(worlds, first + k):
+        return
     i, j = at // cells.width, at % cells.width
     y = wp.min(i * cells.cell + cells.cell // 2, frame.height - 1)
     x = wp.min(j * cells.cell + cells.cell // 2, frame.width - 1)
@@ -129,9 +131,11 @@ def block_cells(looks: Looks, frame: Frame, cells: Cells):
 
 
 @wp.kernel
-def blur_cells(cells: Cells):
+def blur_cells(worlds: Worlds, cells: Cells, first: int):
     """Openness of every cell: mean over a block of cells at like depth."""
     k, c, at = wp.tid()
+    if not is_drawn(worlds, first + k):
+        return
     i, j = at // cells.width, at % cells.width
     depth = cells.depths[k, c, at]
     total, weight = float(0.0), float(1.0e-9)
@@ -333,7 +337,7 @@ def shade(
     k, c, pixel = wp.tid()
     world = first + k
     y, x = pixel // frame.width, pixel % frame.width
-    if world >= worlds.home.shape[0]:
+    if not is_drawn(worlds, world):
         return
     if not worlds.sane[world]:
         rgb[world, c, y, x] = wp.vec3ub(wp.uint8(0), wp.uint8(0), wp.uint8(0))

@@ -64,8 +64,10 @@ class Movers:
 
 @wp.struct
 class Worlds:
-    """Of all worlds (W): home; sane: its physics has not diverged; poses of movers (W, D) and cameras (W, C)."""
+    """Of all worlds (W): whether its pictures are wanted; home; sane: its physics has not diverged; poses of movers
+    (W, D) and cameras (W, C)."""
 
+    wanted: wp.array[bool]
     home: wp.array[int]
     sane: wp.array[bool]
     pos: wp.array2d[wp.vec3]
@@ -90,6 +92,14 @@ class Frame:
     movers: wp.array4d[wp.int16]
     inverse: wp.array3d[float]
     ids: wp.array3d[int]
+
+
+@wp.func
+def is_drawn(worlds: Worlds, world: int):
+    """Whether there is such a world, and its pictures are wanted; the pixels of others stay as they are."""
+    if world >= worlds.wanted.shape[0]:
+        return False
+    return worlds.wanted[world]
 
 
 @wp.func
@@ -159,7 +169,7 @@ def list_movers(stills: Stills, movers: Movers, worlds: Worlds, frame: Frame, fi
     k, c, tile = wp.tid()
     world = first + k
     frame.listed[k, c, tile] = 0
-    if world >= worlds.home.shape[0]:
+    if not is_drawn(worlds, world):
         return
     home, eye, axes = worlds.home[world], worlds.cam_pos[world, c], wp.transpose(worlds.cam_mat[world, c])
     left, top = TILE * (tile % frame.columns), TILE * (tile // frame.columns)
@@ -267,7 +277,7 @@ def trace(
     tile, within = ray_index // TILE_PIXELS, ray_index % TILE_PIXELS
     x = TILE * (tile % frame.columns) + within % TILE
     y = TILE * (tile // frame.columns) + within // TILE
-    if world >= worlds.home.shape[0] or x >= frame.width or y >= frame.height:
+    if x >= frame.width or y >= frame.height or not is_drawn(worlds, world):
         return
     pixel, home = y * frame.width + x, worlds.home[world]
     tag, best, segment = int(0), float(0.0), int(0)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from typing import Any
 
 import torch
@@ -32,6 +33,7 @@ from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.envs.subtask_train import SubtaskTrainEnv
 from mjhab.sim.protocol import TAINTS, SimState
 from mjhab.sim.warp import WarpSimulator
+from mjhab.sim.warp_device import room_for
 from mjhab.tasks import progress as progress_rules
 from mjhab.tasks.events import EVENT_NAMES
 from mjhab.tasks.measure import Signals, WorldState, measure
@@ -54,7 +56,8 @@ class DeviceEnv(VectorEnv):
       of episodes are made on the host when asked for: `records`, `episode_spec`.
     * A teleport never waits; see `landings`.
     * Numbers of an action that are not finite count as 0 and are told by `check_taint`.
-    * Pictures are drawn twice a step with autoreset "same_step", once for the observations and once for the final ones.
+    * With autoreset "same_step" pictures of the final observations are drawn in every step, whether an episode ends or
+      not, and those of worlds that begin anew or teleport are drawn again.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -69,10 +72,15 @@ class DeviceEnv(VectorEnv):
         drives = host.controller.drives
         self.sim = WarpSimulator(self.layout, self.num_envs, config.device, drives, buffers=config.buffers)
         self.device: torch.device = self.sim.qpos.device
-        self._make_parts(torch.zeros(1, dtype=torch.float32, device=self.device))
-        self.pool = StartPool(host, self.sim, pool_size(config), config.seed, config)
-        self._set_spaces()
-        self._init_worlds()
+        with self._room():
+            self._make_parts(torch.zeros(1, dtype=torch.float32, device=self.device))
+            self.pool = StartPool(host, self.sim, pool_size(config), config.seed, config)
+            self._set_spaces()
+            self._init_worlds()
+
+    def _room(self) -> AbstractContextManager[None]:
+        """For work that takes memory of the device."""
+        return room_for(self.num_envs, self.sim.device)
 
     def _make_parts(self, like: Tensor) -> None:
         """What does the steps; it keeps arrays of the library and device of ``like``."""
@@ -133,9 +141,12 @@ class DeviceEnv(VectorEnv):
                 that the worlds in the mask get, in order of worlds.
 
         Raises:
-            UsageError: unknown option, shapes that do not fit, or no such start.
+            UsageError: unknown option, shapes that do not fit, no such start, or no room on the device.
         """
-        options = dict(options or {})
+        with self._room():
+            return self._reset(seed, dict(options or {}))
+
+    def _reset(self, seed: Any, options: dict[str, Any]) -> tuple[dict, dict]:
         mask = torch.as_tensor(options.pop("reset_mask", ~self._no), device=self.device)
         wanted = options.pop("episode", None)
         if options:
@@ -173,8 +184,12 @@ class DeviceEnv(VectorEnv):
     def _next_rows(self) -> Tensor:
         return (self._worlds + self.count * self.num_envs) % self.pool.count
 
-    def _renew(self, fresh: Tensor, moved: Tensor, rows: Tensor) -> None:
-        """Begin the episodes ``rows`` (W,) in the worlds ``fresh``, and the next subtask in the worlds ``moved``."""
+    def _renew(self, fresh: Tensor, moved: Tensor, rows: Tensor) -> Tensor:
+        """Begin the episodes ``rows`` (W,) in the worlds ``fresh``, and the next subtask in the worlds ``moved``.
+
+        Returns:
+            (W,) bool, worlds whose physics is in another state now.
+        """
         pool = self.pool
         moved = moved & ~fresh
         self.start_row = torch.where(fresh, rows, self.start_row)
@@ -190,6 +205,7 @@ class DeviceEnv(VectorEnv):
         self.state = self.sim.state()
         self.controller.reset(fresh | leaping, self.state)
         self._enter_subtask(fresh | moved)
+        return fresh | leaping
 
     def _place(self, fresh: Tensor, moved: Tensor) -> Tensor:
         """Put the worlds ``fresh`` at their starts; teleport those of ``moved`` that navigate, and return them."""
@@ -234,9 +250,12 @@ class DeviceEnv(VectorEnv):
         """One control step of 50 ms in every world. ``actions`` (W, A) on the device; clipped to the action space.
 
         Raises:
-            UsageError: wrong shape or type, or nothing has been reset yet.
+            UsageError: wrong shape or type, nothing has been reset yet, or no room on the device.
         """
-        actions = self._checked(actions)
+        with self._room():
+            return self._step(self._checked(actions))
+
+    def _step(self, actions: Tensor) -> tuple[dict, Tensor, Tensor, Tensor, dict]:
         broken = self._advance_physics(actions)
         world = self._sense()
         progress = progress_rules.accumulate(self.progress, world.robot_force)
@@ -259,7 +278,8 @@ class DeviceEnv(VectorEnv):
     def _checked(self, actions: Any) -> Tensor:
         if self.signals is None:
             raise UsageError("call reset before step")
-        actions = torch.as_tensor(actions, device=self.device)
+        # What a policy still knows of its gradients would stay in the buffers of the engine, and grow with every step.
+        actions = torch.as_tensor(actions, device=self.device).detach()
         need = (self.num_envs, len(self.action_table))
         if actions.dtype in (torch.bool, torch.complex64, torch.complex128):
             raise UsageError(f"actions must be numbers (float32), got a tensor of type {actions.dtype}")
@@ -300,10 +320,11 @@ class DeviceEnv(VectorEnv):
             terminated = terminated | outcome.success | outcome.force_exceeded
         truncated, moved, ended = done & ~terminated, outcome.advanced & ~done, outcome.ended
         final: dict[str, Any] = {}
+        changed: Tensor | None = None
         if mode == "same_step":
             final = {"final_obs": self._observe(), "final_info": self._info(events, ended, label)}
             final |= {"_final_obs": done, "_final_info": done}
-            self._renew(done, moved, self._next_rows())
+            changed = self._renew(done, moved, self._next_rows())
             # What happened belongs to the old episode; the new one begins with nothing.
             events, ended, label = events & ~done[:, None], ended & ~done, torch.where(done, -1, label)
         elif mode == "next_step":
@@ -313,11 +334,12 @@ class DeviceEnv(VectorEnv):
             self.due = done
         elif not self.config.subtask:
             self._renew(self._no, moved, self.start_row)
-        return self._observe(), reward, terminated, truncated, self._info(events, ended, label) | final
+        return self._observe(changed), reward, terminated, truncated, self._info(events, ended, label) | final
 
-    def _observe(self) -> dict[str, Tensor]:
+    def _observe(self, changed: Tensor | None = None) -> dict[str, Tensor]:
+        """Observations; ``changed`` (W,) bool: worlds that are not as they were when last observed, None for all."""
         assert self.signals is not None
-        return self.observer.observe(self.state, self.focus, self.signals)
+        return self.observer.observe(self.state, self.focus, self.signals, changed)
 
     def _no_events(self) -> Tensor:
         return torch.zeros((self.num_envs, len(EVENT_NAMES)), dtype=torch.bool, device=self.device)

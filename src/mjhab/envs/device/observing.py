@@ -36,12 +36,19 @@ class DeviceObserver:
             matrices = [torch.as_tensor(intrinsic_matrix(name, host.size)) for name in host.cameras]
             self._intrinsic = torch.stack(matrices).to(sim.qpos)
 
-    def observe(self, state: SimState, focus: Focus, signals: Signals) -> dict[str, torch.Tensor]:
-        """Observations (W, ...) of all worlds, which later steps do not change."""
+    def observe(
+        self, state: SimState, focus: Focus, signals: Signals, changed: torch.Tensor | None = None
+    ) -> dict[str, torch.Tensor]:
+        """Observations (W, ...) of all worlds, which later steps do not change.
+
+        Args:
+            state, focus, signals: of the present.
+            changed: (W,) bool, worlds whose state is another than in the last call; None where all may have moved.
+        """
         obs = state_observation(self._sensing.context(state, focus, signals))
         if self.cameras is None:
             return obs
-        images = self.cameras.draw()
+        images = self.cameras.draw(changed)
         pos, mat = self.cameras.poses()
         views = Views(images, pos, mat, state.robot_q[:, :3], self._intrinsic)
         # The renderer draws into the same memory again.

@@ -49,7 +49,6 @@ AWAKE_STEP = 16
 """The engine solves dense blocks of this many degrees of freedom."""
 _CCD_TRIES = (16, 32, 64, 96, 128, 192, 256, 512, 1024)
 _GENEROUS = BufferSizes(contacts=4096, ccd=1024, rows=2048)
-_CCD_TRIES = (16, 32, 64, 96, 128, 192, 256, 512, 1024)
 _FORMAT = "mjhab-warp-sizes-1"
 
 

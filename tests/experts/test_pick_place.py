@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import importlib
+from collections.abc import Iterator
 from functools import lru_cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,6 +22,9 @@ from mjhab.experts.pick import EVEN, balanced, height_below, plan_pick
 from mjhab.experts.place import hand_goals
 from mjhab.experts.reach import Scene, surroundings, way_out
 from mjhab.experts.route import LOOKAHEADS, LOST_STEPS, Pilot, follow, plan_route, planner
+from mjhab.tasks.style import ANY
+
+pick_module = importlib.import_module("mjhab.experts.pick")
 
 UPRIGHT = np.eye(3)
 
@@ -238,3 +244,27 @@ def test_place_picks_up_again_what_it_lost():
         if reward[0] > 0.5:
             break
     assert height < 0.1 and reward[0] > 0.5
+
+
+def test_a_grasp_out_of_reach_from_where_the_base_stays_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    stance = SimpleNamespace(at=np.zeros(6))
+    plans: list[int] = []
+
+    def plan(view: object, obj: str, failed: np.ndarray, *rest: object) -> object:
+        plans.append(len(failed))
+        assert len(plans) < 10, "plans again and again within one control step"
+        return None if len(failed) else (stance, None, 0.0)
+
+    def at_once(*args: object, **options: object) -> Iterator[np.ndarray]:
+        yield from ()
+
+    def hold(*args: object, **options: object) -> Iterator[np.ndarray]:
+        yield np.zeros(13)
+
+    monkeypatch.setattr(pick_module, "plan_pick", plan)
+    monkeypatch.setattr(pick_module, "_take", at_once)
+    monkeypatch.setattr(pick_module, "_let_go", at_once)
+    monkeypatch.setattr(pick_module, "style_of", lambda view: SimpleNamespace(grasp=ANY))
+    monkeypatch.setattr(pick_module.motion, "hold", hold)
+    assert next(pick_module.fetch(SimpleNamespace(), "024_bowl_:0000")).shape == (13,)  # type: ignore[arg-type]
+    assert plans == [0, 0, 1]

@@ -50,7 +50,7 @@ def fetch(view: WorldView, obj: str, *, keep: bool = True) -> Motion:
 
     ``keep``: hold it there, and start again when it is lost; else end as soon as it is lifted.
     """
-    failed, attempt = np.zeros((0, 3)), 0
+    failed, attempt, short = np.zeros((0, 3)), 0, False
     while True:
         wish = style_of(view).grasp
         found = plan_pick(view, obj, failed, attempt, wish)
@@ -63,8 +63,10 @@ def fetch(view: WorldView, obj: str, *, keep: bool = True) -> Motion:
             continue
         stance, goals, depth = found
         taken = yield from _take(view, obj, stance, goals, depth)
-        if taken is None and not depth:
-            # The base stopped a little too far off: from where it is another grasp is the quickest.
+        short = taken is None and not depth and not short
+        if short:
+            # The base stopped a little too far off: from where it is another grasp is the quickest. Once: the plan
+            # may be to stay, and would be the same for ever.
             continue
         if taken:
             if depth:

@@ -88,10 +88,10 @@ def test_the_rule_can_be_broken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
 
 def test_import_mjhab_is_quick_and_light() -> None:
     code = (
-        "import time; start = time.perf_counter(); import mjhab; took = time.perf_counter() - start\n"
+        "import time; start = time.process_time(); import mjhab; took = time.process_time() - start\n"
         "import sys; bad = {'torch', 'warp', 'mujoco', 'numba'} & set(sys.modules)\n"
         "assert not bad, f'import mjhab loaded {bad}'\n"
-        "assert took < 0.5, f'import mjhab took {took:.2f} s'\n"
+        "assert took < 0.5, f'import mjhab took {took:.2f} s of processor time'\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 0, done.stderr

@@ -32,7 +32,7 @@ def make_file(path: Path, attributes: Mapping[str, Any], groups: Sequence[str] =
     """
     memory = io.BytesIO()
     with h5py.File(memory, "w", libver=LIBVER) as file:
-        file.attrs.update(attributes)
+        put_attributes(file, attributes)
         for name in groups:
             file.create_group(name)
     with open(path, "wb") as out:
@@ -58,6 +58,30 @@ def change_file(path: Path, fill: Callable[[h5py.File], None]) -> int:
     return len(overlay.tail)
 
 
+def put_attributes(item: h5py.Group | h5py.Dataset, values: Mapping[str, Any]) -> None:
+    """Set attributes of a group or dataset; text at its fixed length.
+
+    h5py's own way, text of variable length, puts it into the one part of the file that has no checksum: a bit turned
+    there changes the text unseen, or HDF5 goes round in it for ever.
+    """
+    for name, value in values.items():
+        if isinstance(value, str):
+            data = value.encode()
+            item.attrs.create(name, data, dtype=h5py.string_dtype("utf-8", max(1, len(data))))
+        else:
+            item.attrs[name] = value
+
+
+def read_attributes(item: h5py.Group | h5py.Dataset) -> dict[str, Any]:
+    """The attributes of a group or dataset as values of Python."""
+    return {str(name): _plain(value) for name, value in item.attrs.items()}
+
+
+def _plain(value: Any) -> Any:
+    value = value.item() if isinstance(value, np.generic) else value
+    return value.decode() if isinstance(value, bytes) else value
+
+
 def check_format(file: h5py.File, path: Path) -> None:
     """Refuse files that this version of mjhab cannot read.
 
@@ -65,15 +89,16 @@ def check_format(file: h5py.File, path: Path) -> None:
         DamagedError: some other HDF5 file, or one that lost its parts.
         UsageError: a shard of another schema version; the message says how to read it.
     """
-    if file.attrs.get("format") != FORMAT:
+    told = read_attributes(file)
+    if told.get("format") != FORMAT:
         names = ", ".join(list(file)[:4]) or "nothing"
         raise DamagedError(
             f"{path} is an HDF5 file, but holds no episodes of mjhab (it holds {names}). Sets in the layout of "
             "ManiSkill or LeRobot are read with their own tools; mjhab writes them from shards."
         )
-    version = int(file.attrs.get("schema", 0))
+    version = int(told.get("schema", 0))
     if version != VERSION:
-        maker = str(file.attrs.get("mjhab", "?"))
+        maker = str(told.get("mjhab", "?"))
         if version > VERSION:
             how = f"Update mjhab to {maker} or later: pip install --upgrade 'mjhab>={maker}'."
         else:

@@ -14,7 +14,7 @@ import numpy as np
 
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.data.episode_data import RunInfo, episode_digest, from_bytes, run_id
-from mjhab.data.hdf5 import check_format, dataset, dataset_paths, group, read_arrays
+from mjhab.data.hdf5 import check_format, dataset, dataset_paths, group, read_arrays, read_attributes
 from mjhab.data.images import decode
 from mjhab.data.journal import Overlay, committed_length, read_journal
 from mjhab.data.locking import is_written
@@ -78,7 +78,7 @@ class Episode:
     def attributes(self) -> dict[str, Any]:
         """The attributes of its group, see `schema.ATTRIBUTES`."""
         with self._reading():
-            return {key: value.item() if hasattr(value, "item") else value for key, value in self._group.attrs.items()}
+            return read_attributes(self._group)
 
     @property
     def steps(self) -> int:
@@ -122,7 +122,8 @@ class Episode:
 
     def columns(self, path: str) -> dict[str, int]:
         """Names of the columns of a two-dimensional dataset, and how many columns each name stands for."""
-        names = [name for name in str(self._group[path].attrs.get(COLUMNS, "")).split(",") if name]
+        told = read_attributes(dataset(self._group, path))
+        names = [name for name in str(told.get(COLUMNS, "")).split(",") if name]
         split = [name.rpartition(":") for name in names]
         return {head or tail: int(tail) if head else 0 for head, _, tail in split}
 

@@ -16,7 +16,7 @@ import mjhab
 from mjhab.core.cache import write_atomic
 from mjhab.core.errors import MjhabError, UsageError
 from mjhab.data.episode_data import EpisodeData, RunInfo, episode_digest, record_bytes, to_bytes
-from mjhab.data.hdf5 import change_file, check_format, group, make_file, read_arrays
+from mjhab.data.hdf5 import change_file, check_format, group, make_file, put_attributes, read_arrays
 from mjhab.data.journal import recover, sync_folder
 from mjhab.data.locking import WriteLock
 from mjhab.data.schema import COLUMNS, EPISODES, FORMAT, RUNS, VERSION
@@ -116,8 +116,8 @@ class ShardWriter:
                 episode = group(file, f"{EPISODES}/{name}")
                 del episode["record"]
                 _put(episode, "record", record_bytes(record))
-                episode.attrs["label"] = last_label(record)
-                episode.attrs["digest"] = episode_digest(read_arrays(episode))
+                digest = episode_digest(read_arrays(episode))
+                put_attributes(episode, {"label": last_label(record), "digest": digest})
 
         self._change(fill)
 
@@ -197,11 +197,12 @@ def _put_episode(parent: h5py.Group, data: EpisodeData) -> None:
     for path, array in arrays.items():
         _put(parent, path, array, data.columns.get(path))
     record = data.record
-    parent.attrs.update(
-        seed=record.seed, index=record.index, run=data.run.id, home=record.home, model=data.model,
-        label=last_label(record), success=record.success_once, steps=record.steps, ending=data.ending,
-        digest=episode_digest(arrays), style=json.dumps(record.style) if record.style else "",
-    )  # fmt: skip
+    values = {
+        "seed": record.seed, "index": record.index, "run": data.run.id, "home": record.home, "model": data.model,
+        "label": last_label(record), "success": record.success_once, "steps": record.steps, "ending": data.ending,
+        "digest": episode_digest(arrays), "style": json.dumps(record.style) if record.style else "",
+    }  # fmt: skip
+    put_attributes(parent, values)
 
 
 def _put(parent: h5py.Group, path: str, array: np.ndarray, columns: tuple[str, ...] | None = None) -> None:
@@ -222,7 +223,7 @@ def _put(parent: h5py.Group, path: str, array: np.ndarray, columns: tuple[str, .
     dataset = h5py.Dataset(h5py.h5d.create(place.id, name.encode(), kind, space, plist))
     dataset[...] = array
     if columns:
-        dataset.attrs[COLUMNS] = ",".join(columns)
+        put_attributes(dataset, {COLUMNS: ",".join(columns)})
 
 
 def is_full(error: Exception) -> bool:

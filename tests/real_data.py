@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-import pytest
+from tests.missing import missing
 
 VARIABLE = "MJHAB_TEST_DATA"
 DEFAULT = Path(__file__).parents[2] / "shared" / "data"
@@ -19,8 +19,5 @@ def real_data(*parts: str) -> Path:
     """
     path = Path(os.environ.get(VARIABLE) or DEFAULT).joinpath(*parts)
     if not path.exists():
-        why = f"real data {path} is absent; set {VARIABLE} to the folder that holds {parts[0]}"
-        if os.environ.get("CI", "").lower() == "true":
-            pytest.fail(why)
-        pytest.skip(why)
+        missing(f"real data {path} is absent; set {VARIABLE} to the folder that holds {parts[0]}")
     return path

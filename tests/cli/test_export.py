@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+import signal
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from mjhab.cli.main import OK, USAGE, main
+from mjhab.cli.main import INTERRUPTED, OK, USAGE, main
 from mjhab.data.images import ImageFormat
+from mjhab.data.reading import Episode
 from tests.data.fake_world import FakeEnv
 from tests.data.make import record
 
@@ -47,6 +50,28 @@ def test_export_maniskill(shard: Path, tmp_path: Path, capsys: pytest.CaptureFix
     assert main([*command, "--json"]) == OK
     said = json.loads(capsys.readouterr().out)
     assert (said["episodes"], said["frames"]) == (3, 60) and Path(said["files"][0]).name == "024_bowl.h5"
+
+
+@pytest.mark.parametrize("format", ["lerobot", "maniskill"])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_stopped_export_goes_on(
+    shard: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, format: str,
+    number: signal.Signals,
+) -> None:  # fmt: skip
+    real, left = Episode.array, [10]
+
+    def array(self: Episode, path: str) -> Any:
+        left[0] -= 1
+        if left[0] == 0:
+            signal.raise_signal(number)
+        return real(self, path)
+
+    command = ["export", format, str(shard), "--out", str(tmp_path / "set")]
+    monkeypatch.setattr(Episode, "array", array)
+    assert main(command) == INTERRUPTED and "The same command with --resume goes on" in capsys.readouterr().err
+    assert not (tmp_path / "set").exists() and signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
+    assert main(command) == USAGE and "begun and stopped" in capsys.readouterr().err
+    assert main([*command, "--resume"]) == OK and "3 episodes" in capsys.readouterr().out
 
 
 def test_data_report(shard: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

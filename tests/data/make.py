@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+from mjhab.data.images import ImageFormat
 from mjhab.data.recorder import Recorder
 from mjhab.data.shard import ShardWriter
 from mjhab.rollout.loop import rollout
@@ -26,3 +27,10 @@ def record(
         recorder = Recorder(writer, env, POLICY, **options)
         records = rollout(env, RandomPolicy(0), list(episodes), seed, [recorder], max_steps)
     return records, recorder
+
+
+def chains_and_picks(folder: Path) -> Path:
+    """Three chains and two Picks in a folder, with images."""
+    record(folder / "chains.h5", range(3), FakeEnv(images=True), images=ImageFormat())
+    record(folder / "picks.h5", range(2), FakeEnv(subtask="pick", images=True), images=ImageFormat())
+    return folder

@@ -14,14 +14,16 @@ from mjhab.data import hdf5, journal
 from mjhab.data.export_lerobot import export_lerobot
 from mjhab.data.export_maniskill import export_maniskill
 from mjhab.data.images import ImageFormat
+from mjhab.data.lerobot_pieces import FilmTools
 from mjhab.data.sets import split
 from mjhab.data.shard import StorageError
-from mjhab.sim.film import FilmWriter
+from mjhab.sim.film import FilmWriter, join_films
 from tests.data.fake_world import FakeEnv
 from tests.data.make import record
 
-MESSAGE = "the disk is full. Nothing of it was left; free some space and give the same command again"
-Write = Callable[[Path, Path], Any]
+ANEW = "the disk is full. Nothing of it was left; free some space and give the same command again"
+RESUME = "the disk is full. What is done stays beside it; free some space and give the same command with --resume"
+Write = Callable[..., Any]
 
 
 @pytest.fixture(scope="module")
@@ -44,12 +46,12 @@ def full_after(calls: int, real: Callable[..., Any]) -> Callable[..., Any]:
     return limited
 
 
-def lerobot(source: Path, out: Path) -> None:
-    export_lerobot(source, out, FilmWriter)
+def lerobot(source: Path, out: Path, **options: Any) -> None:
+    export_lerobot(source, out, FilmTools(FilmWriter, join_films), **options)
 
 
-def maniskill(source: Path, out: Path) -> None:
-    export_maniskill(source, out)
+def maniskill(source: Path, out: Path, **options: Any) -> None:
+    export_maniskill(source, out, **options)
 
 
 def parts(source: Path, out: Path) -> None:
@@ -57,16 +59,18 @@ def parts(source: Path, out: Path) -> None:
 
 
 def check(write: Write, source: Path, out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(StorageError, match=MESSAGE):
+    resumes = write is not parts
+    with pytest.raises(StorageError, match=RESUME if resumes else ANEW):
         write(source, out)
-    assert [path for path in out.parent.rglob("*") if path.is_file()] == []
+    assert not list(out.glob("*"))
+    assert resumes or [path for path in out.parent.rglob("*") if path.is_file()] == []
     monkeypatch.undo()
-    write(source, out)
+    write(source, out, **({"resume": True} if resumes else {}))
     assert sum(path.is_file() for path in out.rglob("*")) >= 2
     assert not [path for path in out.parent.rglob(".*")]
 
 
-@pytest.mark.parametrize("calls", [0, 1, 4, 7])
+@pytest.mark.parametrize("calls", [0, 1, 3, 5])
 @pytest.mark.parametrize("write", [maniskill, parts])
 def test_hdf5(source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, write: Write, calls: int) -> None:
     monkeypatch.setattr(journal, "_write", full_after(calls, journal._write))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import SimpleNamespace
@@ -25,11 +24,10 @@ from mjhab.sim.protocol import TAINTS
 from mjhab.tasks.events import EVENT_NAMES, event_names
 from mjhab.tasks.labels import LABELS
 from mjhab.tasks.plan import SubtaskKind
+from tests.missing import need_warp
 from tests.no_sync import NoSync
 
-if not os.environ.get("CI"):
-    # In CI the engine must be there: the tests then fail rather than pass unseen.
-    pytest.importorskip("mujoco_warp", reason="the [gpu] extra is not installed")
+need_warp()
 
 WORLDS, HORIZON = 2, 12
 DEVICE: dict[str, Any] = {"backend": "warp", "device": "cpu", "starts": 4}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 from typing import Any
 
 import numpy as np
@@ -12,10 +11,9 @@ import torch
 
 from mjhab.core.errors import UsageError
 from mjhab.envs import make
+from tests.missing import need_warp
 
-if not os.environ.get("CI"):
-    # In CI the engine must be there: the tests then fail rather than pass unseen.
-    pytest.importorskip("mujoco_warp", reason="the [gpu] extra is not installed")
+need_warp()
 
 WORLDS = 2
 DEVICE: dict[str, Any] = {"backend": "warp", "device": "cpu", "starts": 4}

@@ -2,28 +2,34 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from mjhab.core.boxes import sphere_box_distance
 from mjhab.envs import make
-from mjhab.envs.privileged import JointedLink, home_shapes
+from mjhab.envs.privileged import JointedLink, WorldView, home_shapes
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.experts import door, door_stances, drawer, make_expert, motion, stances
+from mjhab.tasks.style import Styles
 
 DRAWER, DOOR = "kitchen_counter/drawer3", "fridge/top_door"
 
 
-def play(subtask: str, target: str, episode: int) -> dict:
-    """The record of one episode's subtask, run to its horizon by the expert."""
+def play(
+    subtask: str, target: str, episode: int, *words: str, look: Callable[[WorldView], object] = bool
+) -> dict:  # fmt: skip
+    """The record of one episode's subtask, run to its horizon by the expert; ``look`` is called after every step."""
     env = make(task="set_table", subtask=subtask, target=target, num_envs=1, autoreset="disabled")
-    policy = make_expert(env)
+    policy = make_expert(env, Styles.parse(words))
     obs, info = env.reset(seed=0, options={"episode": [episode], "reset_mask": np.ones(1, dtype=bool)})
     policy.reset(np.ones(1, dtype=bool))
     while info["ended"][0] is None:
         obs, _, _, _, info = env.step(policy.act(obs, info))
-    return info["ended"][0]
+        look(env.view(0))
+    return {**info["ended"][0], "state": env.state_digest(0)}
 
 
 @pytest.mark.parametrize(
@@ -34,6 +40,45 @@ def test_expert_succeeds(subtask: str, target: str, episode: int) -> None:
     ended = play(subtask, target, episode)
     assert ended["success_once"], ended
     assert ended["cumulative_force"] < 5000.0
+
+
+def test_a_door_is_pushed_all_the_way_or_thrown_as_asked() -> None:
+    """Pushed, the hand is at the door until it is shut; thrown, it is well behind before."""
+
+    def behind(*words: str) -> tuple[dict, float]:
+        far = [0.0]
+
+        def look(view: WorldView) -> None:
+            q = view.link_q(DOOR)
+            if 0.05 < q < 0.5:
+                door_now = motion.as_boxes(view.home.links[DOOR].boxes(q))
+                far[0] = max(far[0], float(sphere_box_distance(motion.tcp(view)[0][None], door_now).min()))
+
+        ended = play("close", DOOR, 13, *words, look=look)
+        return ended, far[0]
+
+    (pushed, near), (thrown, far), (plain, _) = behind("close=push"), behind("close=throw"), behind()
+    assert pushed["success_once"] and thrown["success_once"]
+    assert near < 0.06 < 0.15 < far, (near, far)
+    assert thrown["state"] == plain["state"] != pushed["state"]
+
+
+def test_a_drawer_is_shut_with_its_handle_held_where_that_is_asked_for() -> None:
+    def widths(*words: str) -> tuple[dict, np.ndarray]:
+        found, last = [], [0.0]
+
+        def look(view: WorldView) -> None:
+            q = view.link_q(DRAWER)
+            if last[0] - q > 0.002:
+                found.append(view.q[-2:].sum())
+            last[0] = q
+
+        return play("close", DRAWER, 6, *words, look=look), np.array(found)
+
+    (held, around), (pushed, fist), (plain, _) = widths("close=grasp"), widths("close=push"), widths()
+    assert held["success_once"] and pushed["success_once"]
+    assert fist.max() < 0.003 < 0.01 < around.min(), (fist, around)
+    assert pushed["state"] == plain["state"]
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,6 @@ Every trap test fails when its cure in ``sim/warp_cameras.py``, ``warp_scene.py`
 
 from __future__ import annotations
 
-import os
 from types import ModuleType
 
 import numpy as np
@@ -19,11 +18,10 @@ from mjhab.scenes.packs import open_pack
 from mjhab.scenes.spec import PARKED, Home
 from mjhab.sim.cpu import CpuSimulator
 from mjhab.sim.home_scene import HomeRenderer, build_render_scene
+from tests.missing import need_warp
 from tests.real_data import real_data
 
-if not os.environ.get("CI"):
-    # In CI the engine must be there: the tests then fail rather than pass unseen.
-    pytest.importorskip("mujoco_warp", reason="the [gpu] extra is not installed")
+need_warp()
 
 CAMERAS = ("fetch_head", "fetch_hand")
 OUTPUTS = ("rgb", "depth", "seg")

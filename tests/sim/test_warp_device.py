@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from types import SimpleNamespace
 from typing import Any
@@ -10,15 +9,14 @@ from typing import Any
 import pytest
 
 from mjhab.core.errors import UsageError
+from tests.missing import need_warp
 
-if not os.environ.get("CI"):
-    # In CI the engine must be there: the tests then fail rather than pass unseen.
-    pytest.importorskip("mujoco_warp", reason="the [gpu] extra is not installed")
+need_warp()
 
-import torch
-import warp as wp
+import torch  # noqa: E402
+import warp as wp  # noqa: E402
 
-from mjhab.sim import warp_builds, warp_device
+from mjhab.sim import warp_builds, warp_device  # noqa: E402
 
 
 @pytest.fixture

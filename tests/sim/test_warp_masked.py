@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from typing import Any
 
 import numpy as np
@@ -13,10 +12,9 @@ from mjhab.core.errors import UsageError
 from mjhab.scenes.layout import Layout
 from mjhab.scenes.packs import open_pack
 from mjhab.sim.settle import settle
+from tests.missing import need_warp
 
-if not os.environ.get("CI"):
-    # In CI the engine must be there: the tests then fail rather than pass unseen.
-    pytest.importorskip("mujoco_warp", reason="the [gpu] extra is not installed")
+need_warp()
 
 WORLDS = 3
 NO = torch.zeros(WORLDS, dtype=torch.bool)

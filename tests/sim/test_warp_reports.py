@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import os
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +18,12 @@ from mjhab.cli.interact_scene import InteractScene, interact_scene
 from mjhab.cli.parity_episodes import KINDS, Leg, Log, run_equal, run_own
 from mjhab.rollout.loop import rollout
 from mjhab.scenes import packs
+from tests.missing import need_warp
 
-if not os.environ.get("CI"):
-    # In CI the engine must be there: the tests then fail rather than pass unseen.
-    pytest.importorskip("mujoco_warp", reason="the [gpu] extra is not installed")
+need_warp()
 
-from mjhab.envs.device import pool
-from mjhab.envs.device.env import DeviceEnv
+from mjhab.envs.device import pool  # noqa: E402
+from mjhab.envs.device.env import DeviceEnv  # noqa: E402
 
 
 @pytest.fixture(scope="module")

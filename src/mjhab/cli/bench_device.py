@@ -8,7 +8,7 @@ from statistics import median
 from typing import Any
 
 from mjhab.cli.bench import sway
-from mjhab.cli.bench_env import Stopwatch, resident_mb, stage_seconds
+from mjhab.cli.bench_env import Stopwatch, resident_mb, stage_seconds, watch_env
 from mjhab.cli.env_options import BenchEnvOptions
 from mjhab.cli.memory_sampler import MemorySampler
 
@@ -93,13 +93,9 @@ def _rate(work: Callable[[], None], options: BenchEnvOptions, worlds: int, wait:
 def profile(env: Any, actions: list[Any], wait: Callable[[], None]) -> tuple[dict[str, float], float]:
     """Seconds per stage over the steps under ``actions``, and one reset of every world, and a world's reset [ms]."""
     watch = Stopwatch(wait)
-    watch.time(env.sim, "step", "physics")
-    watch.time(env, "_sense", "measure")
-    watch.time(env, "_measure", "measure")
-    watch.time(env.rewarder, "step", "reward")
+    watch_env(watch, env)
     watch.time(env.notes, "update", "labels")
     watch.time(env.notes, "end", "labels")
-    watch.time(env.observer, "observe", "observe")
     if env.observer.cameras is not None:
         watch.time(env.observer.cameras, "draw", "render")
     watch.time(env, "_renew", "reset")

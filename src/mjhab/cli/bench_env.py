@@ -100,13 +100,9 @@ def measure_env(options: BenchEnvOptions, worlds: int) -> dict[str, Any]:
 def profile(env: Any, actions: np.ndarray) -> tuple[dict[str, float], float]:
     """Seconds per stage over the steps under ``actions`` (T, W, A) and one reset, and a world's reset [ms]."""
     watch = Stopwatch()
-    watch.time(env.sim, "step", "physics")
-    watch.time(env, "_sense", "measure")
-    watch.time(env, "_measure", "measure")
-    watch.time(env.rewarder, "step", "reward")
+    watch_env(watch, env)
     watch.time(env.tracker, "update", "labels")
     watch.time(env.tracker, "ended", "labels")
-    watch.time(env.observer, "observe", "observe")
     watch.time(env.observer, "draw", "render")
     watch.time(env, "_begin", "reset")
     begun = time.perf_counter()
@@ -114,6 +110,15 @@ def profile(env: Any, actions: np.ndarray) -> tuple[dict[str, float], float]:
     for action in actions:
         env.step(action)
     return stage_seconds(watch, time.perf_counter() - begun, env.num_envs)
+
+
+def watch_env(watch: Stopwatch, env: Any) -> None:
+    """Count the stages that are the same on every backend."""
+    watch.time(env.sim, "step", "physics")
+    watch.time(env, "_sense", "measure")
+    watch.time(env, "_measure", "measure")
+    watch.time(env.rewarder, "step", "reward")
+    watch.time(env.observer, "observe", "observe")
 
 
 def stage_seconds(watch: Stopwatch, total: float, num_envs: int) -> tuple[dict[str, float], float]:

@@ -40,6 +40,8 @@ class ExportLerobotOptions:
     """Films: 0 (without loss) to 51 (small)."""
     overwrite: bool = False
     """Take the place of a data set that is there."""
+    resume: bool = False
+    """Go on with an export that was stopped; with the same options and episodes."""
     json: bool = False
     """Print one line of JSON at the end."""
 
@@ -61,6 +63,8 @@ class ExportManiskillOptions:
     """A filter with a name, see `mjhab data fields`."""
     overwrite: bool = False
     """Take the place of an export that is there."""
+    resume: bool = False
+    """Go on with an export that was stopped; with the same options and episodes."""
     json: bool = False
     """Print one line of JSON at the end."""
 

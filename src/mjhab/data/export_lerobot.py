@@ -7,8 +7,8 @@ numbers, millimetres, as in the shard.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +17,9 @@ import pyarrow as pa
 
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.data.describing import state_names, subtask_words, task_words
-from mjhab.data.folders import whole_folder
-from mjhab.data.lerobot_files import VERSIONS, Files, OpenFilm, write_json
+from mjhab.data.folders import Target, whole_folder
+from mjhab.data.lerobot_files import VERSIONS, Files, write_json
+from mjhab.data.lerobot_pieces import FilmTools, Made, Pieces
 from mjhab.data.lerobot_stats import Stats, image_stats, map_stats, sampled, vector_stats
 from mjhab.data.query import Filter
 from mjhab.data.reading import Episode, open_shard
@@ -53,12 +54,14 @@ class Choice:
 def export_lerobot(
     places: Path | Sequence[Path],
     out: Path,
-    open_film: OpenFilm,
+    films: FilmTools,
     *,
     version: str = "3.0",
     where: Filter | None = None,
     choice: Choice | None = None,
     overwrite: bool = False,
+    resume: bool = False,
+    options: Mapping[str, Any] | None = None,
     begin: Callable[[int], Callable[[], object]] | None = None,
 ) -> Exported:
     """Write the episodes that pass the filter, in order of shard and name, as a data set that appears whole or not.
@@ -66,29 +69,31 @@ def export_lerobot(
     Args:
         places: shards or folders of them.
         out: folder of the data set.
-        open_film: opens a film file, given path and frames per second.
+        films: how films are made.
         version: "3.0" or "2.1".
         where: which episodes; all of them if None.
         choice: which images.
         overwrite: take the place of a data set that is there.
+        resume: go on with an export that was stopped: episodes that are done are not read or coded again.
+        options: plain data that decides what ``films`` makes; an export goes on with the same only.
         begin: told the number of episodes; gives what is called after each.
 
     Raises:
-        UsageError: no episode passes, episodes differ in what they hold, or ``out`` exists.
+        UsageError, StorageError: no episode passes, episodes differ in what they hold; see ``whole_folder``.
     """
     if version not in VERSIONS:
         raise unknown_name("LeRobot version", version, VERSIONS)
-    found = select(places, where).matched
-    if not found:
+    found = select(places, where)
+    if not found.matched:
         raise nothing_passes()
-    after = begin(len(found)) if begin else None
-    with (
-        whole_folder(out, "meta/info.json", overwrite) as root,
-        _Export(root, VERSIONS[version](root, FPS, open_film), choice or Choice()) as export,
-    ):
-        for path, name in found:
-            with open_shard(path) as shard:
-                export.add(shard.episode(name))
+    choice = choice or Choice()
+    after = begin(len(found.matched)) if begin else None
+    job = {"format": "lerobot", "version": version, **vars(choice), **(options or {}), "episodes": found.fingerprint}
+    with whole_folder(Target(out, "meta/info.json", overwrite, resume), job) as filling:
+        pieces = Pieces(filling.work, FPS, films)
+        export = _Export(filling.root, VERSIONS[version](filling.root, FPS), pieces, choice)
+        for path, name in found.matched:
+            export.add(path, name)
             if after is not None:
                 after()
         return export.finish()
@@ -97,62 +102,67 @@ def export_lerobot(
 class _Export:
     """An export that is under way."""
 
-    def __init__(self, root: Path, files: Files, choice: Choice) -> None:
-        self._root, self._files, self._choice = root, files, choice
+    def __init__(self, root: Path, files: Files, pieces: Pieces, choice: Choice) -> None:
+        self._root, self._files, self._pieces, self._choice = root, files, pieces, choice
         self._features: Features = {}
         self._tasks: dict[str, int] = {}
         self._subtasks: dict[str, int] = {}
-        self._rows: list[dict[str, Any]] = []
-        self._stats: list[dict[str, Stats]] = []
+        self._made: list[Made] = []
         self._frames = 0
-        self._licences: dict[str, None] = {}
 
-    def __enter__(self) -> _Export:
-        return self
+    def add(self, path: Path, name: str) -> None:
+        """Write one episode, unless that is done."""
+        number = len(self._made)
+        made = self._pieces.made(number)
+        if made is None or not self._features:
+            with open_shard(path) as shard:
+                episode = shard.episode(name)
+                features = describe(episode, self._choice)
+                self._features = self._features or features
+                if features != self._features:
+                    raise _differs(episode, self._features, features)
+                made = made or self._make(number, episode)
+        self._count(made)
+        self._made.append(made)
+        self._frames += made.steps
 
-    def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
-        if kind is not None:
-            self._files.abort()
+    def _count(self, made: Made) -> tuple[int, list[int]]:
+        """Numbers of an episode's task and of the subtasks of its plan, in the order in which they first came."""
+        task = self._tasks.setdefault(made.row["tasks"][0], len(self._tasks))
+        return task, [self._subtasks.setdefault(text, len(self._subtasks)) for text in made.subtasks]
 
-    def add(self, episode: Episode) -> None:
-        """Write one episode."""
-        features = describe(episode, self._choice)
-        if not self._features:
-            self._features = features
-        elif features != self._features:
-            raise _differs(episode, self._features, features)
-        number, record = len(self._rows), episode.record
-        columns = self._columns(episode, number)
-        stats = {key: _column_stats(values, features[key]) for key, values in columns.items()}
+    def _make(self, number: int, episode: Episode) -> Made:
+        record = episode.record
         row: dict[str, Any] = {"episode_index": number, "tasks": [task_words(record)], "length": episode.steps}
         row |= {"source": episode.name, "home": record.home, "label": last_label(record)}
-        row |= self._files.add_table(number, to_table(columns))
-        for key in _films(features):
+        plan = [subtask_words(entry.kind, entry.target) for entry in record.plan]
+        made = Made(row, {}, 0, {}, plan, episode.run.licence)
+        columns = self._columns(episode, number, *self._count(made))
+        table = to_table(columns)
+        self._pieces.add_table(number, table)
+        made.stats.update({key: _column_stats(values, self._features[key]) for key, values in columns.items()})
+        for key in _films(self._features):
             samples: list[np.ndarray] = []
             camera = key.rpartition(".")[2]
-            size = len(episode.array(f"images/{camera}/rgb/bytes"))
-            row |= self._files.add_film(number, key, _shown(episode, camera, samples), episode.steps, size)
-            stats[key] = image_stats(np.stack(samples))
-        self._rows.append(row)
-        self._stats.append(stats)
-        self._frames += episode.steps
-        self._licences[episode.run.licence] = None
+            self._pieces.add_film(number, key, _shown(episode, camera, samples))
+            made.films[key] = len(episode.array(f"images/{camera}/rgb/bytes"))
+            made.stats[key] = image_stats(np.stack(samples))
+        made = replace(made, size=table.nbytes)
+        self._pieces.finish(number, made)
+        return made
 
-    def _columns(self, episode: Episode, number: int) -> dict[str, np.ndarray]:
-        count, record = episode.steps, episode.record
+    def _columns(self, episode: Episode, number: int, task: int, subtasks: list[int]) -> dict[str, np.ndarray]:
+        count = episode.steps
         done = np.zeros(count, bool)
         done[-1] = True
-        plan = [subtask_words(entry.kind, entry.target) for entry in record.plan]
-        words = [self._subtasks.setdefault(text, len(self._subtasks)) for text in plan]
-        active = np.minimum(episode.array("subtasks/active")[:count], len(plan) - 1)
-        task = self._tasks.setdefault(task_words(record), len(self._tasks))
+        active = np.minimum(episode.array("subtasks/active")[:count], len(subtasks) - 1)
         columns = {
             STATE: episode.array("obs/state")[:count],
             ACTION: episode.array("actions"),
             "next.reward": episode.array("reward/total").astype(np.float32),
             "next.success": episode.array("reward/success").astype(bool),
             "next.done": done,
-            "subtask_index": np.array(words, np.int64)[active],
+            "subtask_index": np.array(subtasks, np.int64)[active],
             "timestamp": (np.arange(count) / FPS).astype(np.float32),
             "frame_index": np.arange(count),
             "episode_index": np.full(count, number),
@@ -167,27 +177,29 @@ class _Export:
 
     def finish(self) -> Exported:
         """Write what describes the whole."""
-        self._files.close(self._rows, self._stats)
+        self._files.arrange(self._pieces, self._made)
+        self._files.describe([made.row for made in self._made], [made.stats for made in self._made])
         self._files.write_names("task", list(self._tasks))
         self._files.write_names("subtask", list(self._subtasks))
         films = _films(self._features)
         info = {
             "codebase_version": self._files.version,
             "robot_type": ROBOT,
-            "total_episodes": len(self._rows),
+            "total_episodes": len(self._made),
             "total_frames": self._frames,
             "total_tasks": len(self._tasks),
             "fps": FPS,
-            "splits": {"train": f"0:{len(self._rows)}"},
+            "splits": {"train": f"0:{len(self._made)}"},
             **self._files.paths,
             "features": self._features,
         }
         if not films:
             info["video_path"] = None
         write_json(self._root / "meta/info.json", info)
-        (self._root / "README.md").write_text(_card(len(self._rows), self._frames, self._licences), encoding="utf-8")
+        licences = dict.fromkeys(made.licence for made in self._made)
+        (self._root / "README.md").write_text(_card(len(self._made), self._frames, licences), encoding="utf-8")
         images = [key for key in self._features if key.startswith(("observation.images.", "observation.depth."))]
-        return Exported(len(self._rows), self._frames, tuple(images))
+        return Exported(len(self._made), self._frames, tuple(images))
 
 
 def describe(episode: Episode, choice: Choice) -> Features:

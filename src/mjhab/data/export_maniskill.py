@@ -8,6 +8,7 @@ keep the order of our ``obs/state``.
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,9 +18,10 @@ import h5py
 import numpy as np
 
 from mjhab.data.facts import target_of
-from mjhab.data.folders import whole_folder
+from mjhab.data.folders import Target, whole_folder
 from mjhab.data.hdf5 import change_file, make_file
 from mjhab.data.hdf5 import group as subgroup
+from mjhab.data.journal import recover
 from mjhab.data.query import Filter
 from mjhab.data.reading import Episode, open_shard
 from mjhab.data.sets import nothing_passes, select
@@ -50,6 +52,7 @@ def export_maniskill(
     *,
     where: Filter | None = None,
     overwrite: bool = False,
+    resume: bool = False,
     begin: Callable[[int], Callable[[], object]] | None = None,
 ) -> ManiSkillSet:
     """Write the episodes that pass the filter as files of trajectories, in a folder that appears whole or not.
@@ -59,21 +62,23 @@ def export_maniskill(
         out: the folder; it holds what the original calls rearrange-dataset.
         where: which episodes; all of them if None. The original keeps one label per subtask, see the presets.
         overwrite: take the place of an export that is there.
+        resume: go on with an export that was stopped: what it has is not written again.
         begin: told the number of episodes; gives what is called after each.
 
     Raises:
-        UsageError: no episode passes, or ``out`` exists.
+        UsageError, StorageError: no episode passes; see ``whole_folder``.
     """
     found = select(places, where)
     if not found.matched:
         raise nothing_passes()
     after = begin(len(found.matched)) if begin else None
     without, files = 0, dict[Path, _File]()
-    with whole_folder(out, "*/*/*.h5", overwrite) as root:
+    target = Target(out, "*/*/*.h5", overwrite, resume)
+    with whole_folder(target, {"format": "maniskill", "episodes": found.fingerprint}) as filling:
         for (path, name), record in zip(found.matched, found.records, strict=True):
             place = place_of(record)
             if place not in files:
-                files[place] = _File(root / place)
+                files[place] = _File(filling.root / place, filling.work)
             with open_shard(path) as shard:
                 episode = shard.episode(name)
                 files[place].add(episode)
@@ -95,19 +100,26 @@ def place_of(record: EpisodeRecord) -> Path:
 
 
 class _File:
-    """One file of trajectories while it is written."""
+    """One file of trajectories while it is written; one that a stopped process has left is gone on with."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, work: Path) -> None:
         self._path = path
         path.parent.mkdir(parents=True, exist_ok=True)
-        make_file(path, {})
+        if path.exists():
+            recover(path)
+        else:
+            make_file(work / path.name, {})
+            os.replace(work / path.name, path)
+        with h5py.File(path, "r", locking=False) as file:
+            self._present = len(file)
         self._episodes: list[dict[str, Any]] = []
         self._runs: dict[str, Any] = {}
 
     def add(self, episode: Episode) -> None:
-        """Add an episode as the next trajectory."""
+        """Add an episode as the next trajectory, unless it is there."""
         number = len(self._episodes)
-        change_file(self._path, lambda file: _put(file.create_group(f"traj_{number}", track_order=True), episode))
+        if number >= self._present:
+            change_file(self._path, lambda file: _put(file.create_group(f"traj_{number}", track_order=True), episode))
         self._episodes.append(_episode_info(number, episode))
         self._runs.setdefault(episode.run.id, vars(episode.run))
 

@@ -21,6 +21,7 @@ from typing import Any
 from mjhab.core.cache import write_atomic
 from mjhab.core.errors import MjhabError, UsageError
 from mjhab.data.crew import Crew, Done, Failed, Gone, Message, Ready, Report, Request, Stored, WorkerSpec, outcome_of
+from mjhab.data.folders import differences
 from mjhab.data.locking import WriteLock, is_written
 from mjhab.data.quotas import Outcome, Quotas
 from mjhab.data.reading import open_shard
@@ -317,13 +318,10 @@ def _open_folder(job: Job, resume: bool) -> WriteLock:
     if there and not resume:
         raise UsageError(f"{job.out} is not empty; add --resume to go on with what is in it, or choose another --out.")
     if there and path.exists():
-        before = json.loads(path.read_text(encoding="utf-8"))
-        other = sorted(key for key in {*before, *config} if before.get(key) != config.get(key))
+        other = differences(json.loads(path.read_text(encoding="utf-8")), config)
         if other:
             raise UsageError(
-                f"{job.out} was made with another {', '.join(other)} ("
-                + "; ".join(f"{key}: {before.get(key)!r}, now {config.get(key)!r}" for key in other)
-                + "). Give the same options, or choose another --out."
+                f"{job.out} was made with another {other}. Give the same options, or choose another --out."
             )
     elif there and any(job.out.glob("*.h5")):
         raise UsageError(f"{job.out} holds shards that `mjhab generate` has not made; choose another --out.")

@@ -33,12 +33,20 @@ Place = tuple[Path, str]
 
 @dataclass
 class Selection:
-    """Episodes that pass a filter. ``of``: how many there were; ``tainted``: how many were left out for that alone."""
+    """Episodes that pass a filter. ``of``: how many there were; ``tainted``: how many were left out for that alone;
+    ``digests``: of the contents of those that pass."""
 
     matched: list[Place] = field(default_factory=list)
     records: list[EpisodeRecord] = field(default_factory=list)
+    digests: list[str] = field(default_factory=list)
     of: int = 0
     tainted: int = 0
+
+    @property
+    def fingerprint(self) -> str:
+        """A short text that is another one for other episodes, other contents or another order."""
+        lines = (f"{name} {digest}\n" for (_, name), digest in zip(self.matched, self.digests, strict=True))
+        return f"{len(self.matched)} of {hashlib.sha256(''.join(lines).encode()).hexdigest()[:16]}"
 
 
 def select(places: Path | Sequence[Path], where: Filter | None = None) -> Selection:
@@ -54,6 +62,7 @@ def select(places: Path | Sequence[Path], where: Filter | None = None) -> Select
         if where is None or where(record, run):
             found.matched.append((episode.shard.path, episode.name))
             found.records.append(record)
+            found.digests.append(str(episode.attributes["digest"]))
         elif record.taint and not where.lets_taint_in and where.holds(record, run):
             found.tainted += 1
     return found

@@ -13,6 +13,7 @@ from mjhab.experts.door_stances import HALF_OPEN, OPEN_TO, PRESS_AHEAD
 from mjhab.experts.navigation import CONTROL_DT
 from mjhab.experts.stances import Frame, Stances
 from mjhab.experts.style import style_of
+from mjhab.tasks.style import PUSH
 
 Array = np.ndarray
 Motion = motion.Motion
@@ -35,6 +36,10 @@ JOINT_RATE = 0.037
 """Joint motion per control step at which the hand leads the door [rad]."""
 SWING = 0.045
 """Most the hand's aim moves along the door's arc per control step [rad]."""
+GENTLE = 0.02, 0.045
+"""Way of a door that is pushed all the way, per control step [rad]: this much, and so much more for every radian it
+is open. By itself it slows down sooner, so that it does not leave the hand.
+"""
 LATE = 12
 """Control steps the door may lag behind the end of the path before the hand gives up."""
 COAST_TIME, COAST_STOP = 1.4, 0.5
@@ -68,7 +73,9 @@ def open_door(view: WorldView, link: JointedLink) -> Motion:
 
 
 def close_door(view: WorldView, link: JointedLink) -> Motion:
-    """Reach behind the door and throw it shut along its arc, folding the arm while it swings; anew if it stays ajar."""
+    """Reach behind the door and throw it shut along its arc, folding the arm while it swings, or push it all the way
+    where that is asked for; anew if it stays ajar."""
+    throws = style_of(view).close != PUSH
     while view.steps_left > 40 and view.link_q(link.id) > AJAR * link.range[1]:
         start = view.link_q(link.id) + PRESS_AHEAD
         half = start < HALF_OPEN * link.range[1]
@@ -82,7 +89,7 @@ def close_door(view: WorldView, link: JointedLink) -> Motion:
         if view.link_q(link.id) > start - PRESS_AHEAD + STRUCK:
             continue
         yield from _behind_edge(view, path)
-        while (yield from _follow_arc(view, link, path, SHUT * link.range[1], motion.CLOSED)):
+        while (yield from _follow_arc(view, link, path, SHUT * link.range[1], motion.CLOSED, throws)):
             if (yield from _leave_swinging(view, link)):
                 break
         else:
@@ -117,15 +124,18 @@ class ArcPath:
         return float(self.hand_at(self.angles[-1])[0][2])
 
 
-def _follow_arc(view: WorldView, link: JointedLink, path: ArcPath, goal: float, gripper: float) -> Motion:
-    """Move hand and base along the path until the door is at ``goal``; False when the hand loses the door."""
+def _follow_arc(
+    view: WorldView, link: JointedLink, path: ArcPath, goal: float, gripper: float, throws: bool = False
+) -> Motion:  # fmt: skip
+    """Move hand and base along the path until the door is at ``goal``, or gets there by itself where the hand
+    ``throws`` it; False when the hand loses the door."""
     way = 1.0 if goal > view.link_q(link.id) else -1.0
     aim, end = float(path.angles[1 if way > 0 else 0]), float(path.angles[-1])
     aim = aim if way > 0 else min(aim, view.link_q(link.id) + PRESS_AHEAD)
     last, late, pressed, done = np.inf, 0, 0, 0
     for _ in range(110):
         now = view.link_q(link.id)
-        if way < 0 and _coasts(style_of(view).speed * (last - now) / CONTROL_DT) > now + COAST_SPARE:
+        if throws and _coasts(style_of(view).speed * (last - now) / CONTROL_DT) > now + COAST_SPARE:
             return True
         # A door that was thrown shut may swing back.
         there = way * (goal - now) <= 0 and (way > 0 or abs(now - last) < AT_REST)
@@ -134,6 +144,8 @@ def _follow_arc(view: WorldView, link: JointedLink, path: ArcPath, goal: float, 
             return True
         pressed = pressed + 1 if view.link_forces.sum() > JAMMED else 0
         pace = _pace(path, aim, way)
+        if way < 0 and not throws:
+            pace = min(pace, GENTLE[0] + GENTLE[1] * max(now, 0.0))
         if way * (aim - now) < (0.3 if way > 0 else PRESS_AHEAD + 0.15):
             aim += way * pace
         aim = min(aim, end) if way > 0 else max(aim, end)

@@ -7,6 +7,8 @@ import numpy as np
 from mjhab.envs.privileged import JointedLink, WorldView
 from mjhab.experts import approach, motion, stances
 from mjhab.experts.stances import Stances
+from mjhab.experts.style import style_of
+from mjhab.tasks.style import GRASP
 
 Array = np.ndarray
 Motion = motion.Motion
@@ -20,13 +22,17 @@ CLOSED = 0.01
 """Share of the range at which a link counts as closed."""
 SPEED = 0.45
 """Speed at which the drawer moves [m/s]."""
+HELD_SPEED = 0.3
+"""Speed at which a drawer is shut by its handle [m/s]: a hand pressed deep onto the bar is caught in its recess."""
+GRASPS = 2
+"""How often the handle is taken hold of to close the drawer before the fist pushes it."""
 
 
 def open_drawer(view: WorldView, link: JointedLink) -> Motion:
     """Grasp the bar, back up with it, let go and return to rest; anew after a slip."""
     full = link.range[1]
     while view.steps_left > 30 and view.link_q(link.id) < 0.92 * full:
-        if not (yield from _take_handle(view, link)):
+        if not (yield from _take_handle(view, link, full)):
             yield from approach.let_go(view, BACK_OFF)
             continue
         yield from _drive_link(view, link, 0.95 * full, -SPEED)
@@ -35,8 +41,16 @@ def open_drawer(view: WorldView, link: JointedLink) -> Motion:
 
 
 def close_drawer(view: WorldView, link: JointedLink) -> Motion:
-    """Push the handle with the closed fingers by driving forward."""
+    """Push the handle with the closed fingers by driving forward; or hold it, where that is asked for and goes."""
+    goal, grasps = 0.4 * CLOSED * link.range[1], GRASPS if style_of(view).close == GRASP else 0
     while view.steps_left > 30 and view.link_q(link.id) > 0.8 * CLOSED * link.range[1]:
+        if grasps > 0:
+            grasps -= 1
+            if (yield from _take_handle(view, link, 0.0)):
+                yield from _drive_link(view, link, goal, HELD_SPEED)
+            # Opened wide, fingers in a recess would pull the drawer along.
+            yield from approach.let_go(view, BACK_OFF, gripper=_around(link))
+            continue
         found = stances.cached(link, "push", _push_stances)
         moved = found.shifted(view.link_q(link.id))
         goals, _ = stances.rank(view, stances.Frame.of(link), moved, found.q[:, :1, :2])
@@ -44,25 +58,31 @@ def close_drawer(view: WorldView, link: JointedLink) -> Motion:
         if best is None:
             return False
         yield from approach.go(view, best[1], motion.CLOSED)
-        yield from _drive_link(view, link, 0.4 * CLOSED * link.range[1], SPEED, press=6)
+        yield from _drive_link(view, link, goal, SPEED, press=6)
         yield from approach.retreat(view, BACK_OFF)
     return (yield from approach.fold(view))
 
 
-def _take_handle(view: WorldView, link: JointedLink) -> Motion:
+def _take_handle(view: WorldView, link: JointedLink, goal: float) -> Motion:
+    """Hold the bar from where the base can move with it until the drawer is open by ``goal`` [m]."""
     found = stances.cached(link, "pull", _pull_stances)
     q = view.link_q(link.id)
-    end = found.q[:, :1, :2] + np.array([link.range[1], 0.0])
+    end = found.q[:, :1, :2] + np.array([goal, 0.0])
     goals, _ = stances.rank(view, stances.Frame.of(link), found.shifted(q), end)
     best = approach.best_route(view, goals[:, 0])
     if best is None:
         return False
     posture = goals[best[0]]
-    gripper = motion.gripper_at(link.handle.thickness + ROOM)
+    gripper = _around(link)
     yield from approach.go(view, best[1], gripper)
     _, turn = motion.chain().tip_pose(posture[1])
     rot = stances.hand(-link.handle_pose(q)[2], turn[0, :, 1])
     return (yield from approach.take(view, link, rot, posture[1], gripper=gripper))
+
+
+def _around(link: JointedLink) -> float:
+    """Gripper action for a hand that goes around the bar."""
+    return motion.gripper_at(link.handle.thickness + ROOM)
 
 
 def _drive_link(view: WorldView, link: JointedLink, goal: float, speed: float, press: int = 0) -> Motion:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
@@ -120,6 +120,25 @@ class FilmWriter:
             command += ["-g", str(self.keyframes), "-bf", "0"]
         command += ["-pix_fmt", "yuv420p", "-movflags", "+faststart", str(self._part)]
         return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=self._log)
+
+
+def join_films(parts: Sequence[Path], path: Path) -> None:
+    """Put films of one size and one way of coding one after another into a new one; no frame is coded again.
+
+    Raises:
+        MjhabError: ffmpeg failed.
+    """
+    import imageio_ffmpeg
+
+    quoted = (f"file:{part.resolve()}".replace("'", r"'\''") for part in parts)
+    listed = "".join(f"file '{name}'\n" for name in quoted)
+    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-loglevel", "error", "-y"]
+    command += ["-f", "concat", "-safe", "0", "-protocol_whitelist", "file,pipe", "-i", "pipe:0"]
+    command += ["-c", "copy", "-movflags", "+faststart", str(path)]
+    done = subprocess.run(command, input=listed.encode(), capture_output=True)
+    if done.returncode != 0:
+        tail = done.stderr.decode(errors="replace").strip()[-400:]
+        raise MjhabError(f"ffmpeg could not write {path}: {tail or 'it ended early'}.")
 
 
 def write_film(path: str | Path, frames: Iterable[np.ndarray], fps: float = 20.0) -> int:

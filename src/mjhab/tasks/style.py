@@ -13,6 +13,7 @@ from mjhab.core.seeding import stream
 
 ANY, TOP, TILTED, SIDE = "any", "top", "tilted", "side"
 PLACE, DROP = "place", "drop"
+PUSH, THROW, GRASP = "push", "throw", "grasp"
 SMOOTH, STEP = "smooth", "step"
 RANGE, OR = "..", ","
 """Between the ends of a range; between words to choose from."""
@@ -33,6 +34,13 @@ class Style:
     )
     drop_height: float = field(
         default=0.18, metadata={"low": 0.0, "high": 0.5, "about": "from how high above its place a drop begins [m]"}
+    )
+    close: str = field(
+        default=ANY,
+        metadata={
+            "words": (ANY, PUSH, THROW, GRASP),
+            "about": "how doors and drawers are shut: push all the way, throw (doors), hold the handle (drawers)",
+        },
     )
     noise: float = field(
         default=0.0, metadata={"low": 0.0, "high": 0.5, "about": "std on the arm while it moves; 1 is a whole action"}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+
 import numpy as np
 
 from mjhab.core.arrays import Array, as_like, between, namespace, to_numpy, zeros
@@ -26,14 +28,11 @@ class Arm:
     """One way to command the arm.
 
     ``rows``: its dimensions of the action. ``drives``: what its servos must be. ``target`` (W, 7): joint positions
-    asked for last, kept between control steps where ``remembers`` is set. ``from_measured``: the command is measured
-    position + action; the controller sums that together with head and torso and does not call `command`. ``low``,
-    ``high`` (7,): limits of the joints. Arrays are of the library, device and dtype of ``like``, as the arguments of
-    all methods must be.
+    asked for last, kept between control steps where ``remembers`` is set. ``low``, ``high`` (7,): limits of the joints.
+    Arrays are of the library, device and dtype of ``like``, as the arguments of all methods must be.
     """
 
     remembers = False
-    from_measured = False
     drives = fetch.Drives()
 
     def __init__(self, num_worlds: int, rows: tuple[ActionEntry, ...], like: Array) -> None:
@@ -41,10 +40,6 @@ class Arm:
         self.target = zeros((num_worlds, len(ARM_JOINTS)), like)
         limits = [fetch.JOINT_LIMITS[j] for j in ARM_JOINTS]
         self.low, self.high = (as_like([pair[k] for pair in limits], like) for k in (0, 1))
-
-    def command(self, move: Array, q: Array) -> Array:
-        """Servo commands (W, 7) for the action ``move`` (W, len(rows)) in units, at joint positions ``q`` (W, 7)."""
-        raise NotImplementedError
 
     def still(self, q: Array) -> Array:
         """The action (W, len(rows)) in units that keeps the arm where it is."""
@@ -80,16 +75,22 @@ def with_row(target: Array, world: int, state: dict[str, np.ndarray], key: str) 
     return target
 
 
-class JointDelta(Arm):
-    """``pd_joint_delta_pos``: measured position + change."""
+class CommandedArm(Arm, ABC):
+    """An arm whose commands are more than measured position + change."""
 
-    from_measured = True
+    @abstractmethod
+    def command(self, move: Array, q: Array) -> Array:
+        """Servo commands (W, 7) for the action ``move`` (W, len(rows)) in units, at joint positions ``q`` (W, 7)."""
+
+
+class JointDelta(Arm):
+    """``pd_joint_delta_pos``: measured position + change, which the controller sums together with head and torso."""
 
     def __init__(self, num_worlds: int, limits: ActionLimits, like: Array) -> None:
         super().__init__(num_worlds, delta_rows(ARM_NAMES, limits.joint_delta, "joint, from measured"), like)
 
 
-class JointTargetDelta(Arm):
+class JointTargetDelta(CommandedArm):
     """``pd_joint_target_delta_pos``: previous target + change, kept inside the joint limits: no wind-up."""
 
     remembers = True
@@ -102,7 +103,7 @@ class JointTargetDelta(Arm):
         return self.target
 
 
-class JointPosition(Arm):
+class JointPosition(CommandedArm):
     """``pd_joint_pos``: the position itself."""
 
     def __init__(self, num_worlds: int, limits: ActionLimits, like: Array) -> None:
@@ -115,7 +116,7 @@ class JointPosition(Arm):
         return q
 
 
-class JointVelocity(Arm):
+class JointVelocity(CommandedArm):
     """``pd_joint_vel``: speed servos (kp 0) that hold no position."""
 
     drives = fetch.Drives(velocity=ARM_NAMES)
@@ -127,7 +128,7 @@ class JointVelocity(Arm):
         return move
 
 
-class JointPositionVelocity(Arm):
+class JointPositionVelocity(CommandedArm):
     """``pd_joint_pos_vel``, ``pd_joint_delta_pos_vel``: seven positions or changes, then seven speeds."""
 
     def __init__(self, num_worlds: int, limits: ActionLimits, like: Array, *, delta: bool) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from mjhab.core.arrays import Array, as_like, device_of, empty, namespace, to_numpy, zeros
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.envs.controllers.arm import Arm, with_row
+from mjhab.envs.controllers.arm import Arm, CommandedArm, with_row
 from mjhab.envs.controllers.table import (
     ARM_JOINTS,
     BODY_JOINTS,
@@ -70,7 +70,8 @@ class Controller:
         """What the commands are made with, on the device of ``like``."""
         start, whole = self.gripper + 1, namespace(like).int64
         # Everything that moves from its measured position is one sum: in the default mode arm, head and torso.
-        moved = dict(zip(ARM_JOINTS, range(self.gripper), strict=True)) if self._arm.from_measured else {}
+        sums = not isinstance(self._arm, CommandedArm)
+        moved = dict(zip(ARM_JOINTS, range(self.gripper), strict=True)) if sums else {}
         if not self._stiff_body:
             moved |= dict(zip(BODY_JOINTS, range(start, self._base), strict=True))
         self._moved, self._deltas = as_like(list(moved), like, whole), as_like(list(moved.values()), like, whole)
@@ -95,7 +96,7 @@ class Controller:
             a = xp.where(self._free, a, 0.0)
         out = empty((len(a), len(fetch.ACTUATORS)), robot_q)
         out[:, self._moved] = robot_q[:, self._moved] + self.limits.joint_delta * a[:, self._deltas]
-        if not self._arm.from_measured:
+        if isinstance(self._arm, CommandedArm):
             arm_q = robot_q[:, self._arm_columns]
             out[:, self._arm_columns] = self._arm.command(a[:, : self.gripper] * self._arm_units, arm_q)
         if self._stiff_body:

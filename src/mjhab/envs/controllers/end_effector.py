@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from mjhab.core.arrays import Array, between, constant, namespace, zeros
-from mjhab.envs.controllers.arm import Arm
+from mjhab.envs.controllers.arm import CommandedArm
 from mjhab.envs.controllers.table import ARM_NAMES, ROOT, ActionEntry, ActionLimits
 from mjhab.envs.kinematics import Chain, limited_step, rotate, rotation_vector
 from mjhab.scenes import fetch
@@ -37,7 +37,7 @@ def arm_chain() -> Chain:
     return Chain.from_tree(fetch.KINEMATIC_TREE, ARM_NAMES, root=ROOT, root_height=0.0, moving_base=False)
 
 
-class EndEffector(Arm):
+class EndEffector(CommandedArm):
     """Changes along fixed or own axes, or absolute poses. Orientations are rotation vectors.
 
     ``rotates`` False: three numbers, and the orientation goes wherever the smallest joint motion takes it, as the

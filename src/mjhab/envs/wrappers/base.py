@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -72,7 +73,7 @@ def check_key(key: str, space: spaces.Dict) -> None:
         raise unknown_name("observation key", key, space.spaces)
 
 
-class ObservationMap(VectorWrapper):
+class ObservationMap(VectorWrapper, ABC):
     """Applies ``observation`` to what reset and step return and to the final observation in ``info``.
 
     It keeps nothing from step to step, so it is the same in every autoreset mode.
@@ -83,9 +84,9 @@ class ObservationMap(VectorWrapper):
         self.single_observation_space = single_space
         self.observation_space = batch_space(single_space, env.num_envs)
 
+    @abstractmethod
     def observation(self, obs: dict[str, Any]) -> dict[str, Any]:
         """Transform an observation of all worlds."""
-        raise NotImplementedError
 
     def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[dict[str, Any], dict]:
         """Reset, and transform what is seen."""

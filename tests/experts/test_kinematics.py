@@ -7,10 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mjhab.core.boxes import sphere_box_distance
 from mjhab.core.errors import UsageError
 from mjhab.core.rotations import frame_from_axes
 from mjhab.envs.kinematics import Chain, in_base, rotation_vector
-from mjhab.experts.clearance import Boxes, RobotSpheres, sphere_box_distance
+from mjhab.experts.clearance import Boxes, RobotSpheres
 from mjhab.scenes import fetch
 
 REST = np.array(fetch.REST_QPOS)

@@ -57,7 +57,8 @@ class ObjectShape:
 class Options:
     """``floor_gap``: room kept between gripper and support, ``palm_gap`` between palm and object; ``retreat``: how far
     back the pre-grasp lies; ``spread``: room added to the opening while approaching; ``fan``: directions tried around
-    each closing line; ``shallower``: how much less deep than possible [m] the hand may come; ``inward``: (2,) level
+    each closing line; ``shallower``: how much less deep than possible [m] the hand may come; ``leans``: of
+    the hand outwards over a bowl's rim, from along its wall [rad]; ``inward``: (2,) level
     direction into a shelf, the hand does not come against it; ``preference``: points for a `KINDS` of approach."""
 
     floor_gap: float = 0.006
@@ -66,6 +67,7 @@ class Options:
     spread: float = 0.036
     fan: int = 24
     shallower: tuple[float, ...] = (0.0,)
+    leans: tuple[float, ...] = (0.0, 0.2, -0.2, 0.4)
     inward: tuple[float, float] | None = None
     preference: dict[str, float] = field(default_factory=lambda: {"top": 1.0, "tilted": 0.8, "side": 0.5})
 
@@ -272,19 +274,20 @@ def _sphere_holds(shape: ObjectShape, pos: Array, rot: Array, gripper: Gripper, 
 
 
 def _bowl_holds(shape: ObjectShape, pos: Array, rot: Array, gripper: Gripper, options: Options) -> Iterator[_Hold]:
-    """One finger inside, one outside the wall, both parallel to it; four leans of the hand at every place."""
+    """One finger inside, one outside the wall, both about parallel to it; several leans of the hand at every place."""
     axis, half, count = rot[:, 2], shape.half[2], shape.facets or 16
     # The middle of a flat facet lies nearer to the axis than its corners.
     radius = (shape.half[0] - shape.wall / 2) * (np.cos(np.pi / count) if shape.facets else 1.0)
     for angle in np.arange(count) * 2 * np.pi / count:
         out = np.cos(angle) * rot[:, 0] + np.sin(angle) * rot[:, 1]
         rim = pos + half * axis + radius * out
-        for extra in (0.0, 0.2, -0.2, 0.4):
+        for extra in options.leans:
             lean = shape.lean + extra
             down = -np.cos(lean) * axis - np.sin(lean) * out
             closing = np.cos(lean) * out - np.sin(lean) * axis
             wall = rim + np.linspace(0.0, 0.03, 16)[:, None] * down
-            at = rim[None] + 0.002 * down
+            # The more the hand leans, the sooner the tip outside meets the wall below the rim.
+            at = rim[None] + (0.002 - 0.02 * max(extra - 0.4, 0.0)) * down
             yield _Hold(closing, down[None], wall, shape.wall, at, bonus=-abs(extra), measure=0.03)
 
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 from mjhab.core.boxes import Boxes
 from mjhab.core.rotations import mat_from_quat
+from mjhab.envs.held import shape_of
 from mjhab.envs.kinematics import wrap
 from mjhab.envs.privileged import WorldView
 from mjhab.experts import ik, motion
@@ -25,10 +28,15 @@ IN_SPEED = 0.35
 """Of the base while it comes straight in [m/s]."""
 OUT_SPEED = 0.5
 """Of the base while it comes straight out [m/s]."""
+HASTY_SPEED, HASTY_END = 0.7, (0.04, 0.025)
+"""Of the base where time is short: speed [m/s], and how far off [m] and how fast [m per control step] it may be in the
+end; what follows makes up for it."""
 STUCK_STEPS = 6
 """Control steps without motion after which it is stuck; fingers that touch something show no force."""
 ROOM_IN = 0.012
 """Clearance [m] with which the arm may stay as it was planned."""
+CORNER = 0.012
+"""Radius [m] of the spheres in the corners of a held box."""
 MOST_SHIFT = 0.5
 """Largest change of a joint [rad] that makes up for errors of the drive."""
 
@@ -49,13 +57,16 @@ def inside_depth(view: WorldView, point: Array) -> float:
     return 0.0
 
 
-def drive_in(view: WorldView, goal: Array, pos: Array, rot: Array, boxes: Boxes, *, gripper: float) -> Motion:
+def drive_in(
+    view: WorldView, goal: Array, pos: Array, rot: Array, boxes: Boxes, *, gripper: float, hasty: bool = False
+) -> Motion:  # fmt: skip
     """Drive straight on about to the base pose of the configuration ``goal`` (15,), the arm stretched out so that the
     hand comes to ``pos`` (3,), ``rot`` (3, 3). Returns whether it got there; not when it is stuck.
 
     Small errors of the base sideways stay, steering would sweep the arm: where the arm would come too near to
     ``boxes``, it makes up for them before.
     """
+    near, slow = HASTY_END if hasty else (0.02, 0.006)
     goal = _lined_up(view, goal, pos, rot, boxes)
     yield from motion.move_joints(view, goal, gripper=gripper, tolerance=0.05, max_steps=12)
     heading, pressed, still, last = float(goal[2]), 0, 0, view.q
@@ -63,20 +74,21 @@ def drive_in(view: WorldView, goal: Array, pos: Array, rot: Array, boxes: Boxes,
         q = view.q
         ahead = np.array([np.cos(heading), np.sin(heading)])
         left, moved = float((goal[:2] - q[:2]) @ ahead), float((q[:2] - last[:2]) @ ahead)
-        if left < 0.02 and abs(moved) < 0.006:
+        if left < near and abs(moved) < slow:
             return True
         pressed = pressed + 1 if view.link_forces.sum() > BLOCKED_FORCE else 0
         still = still + 1 if step > STUCK_STEPS and moved < 0.002 else 0
         if pressed >= BLOCKED_STEPS or still >= STUCK_STEPS:
             return False
-        pace = max(min(IN_SPEED, 3.0 * (left - 2.0 * moved)), 0.04 if left > 0.02 else 0.0)
+        wish = min(HASTY_SPEED, 5.0 * (left - 1.5 * moved)) if hasty else min(IN_SPEED, 3.0 * (left - 2.0 * moved))
+        pace = max(wish, 0.04 if left > 0.02 else 0.0)
         turn = float(np.clip(3.0 * wrap(heading - q[2]), -0.5, 0.5))
         last = q
         yield motion.action(view, goal, gripper=gripper, drive=(pace, turn))
     return False
 
 
-def drive_out(view: WorldView, way: float, *, gripper: float) -> Motion:
+def drive_out(view: WorldView, way: float, *, gripper: float, speed: float = OUT_SPEED) -> Motion:
     """Drive straight back over ``way`` [m], the arm held as it is. Returns whether it got there."""
     goal, start, heading, pressed = view.q, view.q[:2], float(view.q[2]), 0
     for step in range(40):
@@ -87,7 +99,7 @@ def drive_out(view: WorldView, way: float, *, gripper: float) -> Motion:
         if pressed >= BLOCKED_STEPS:
             return False
         turn = float(np.clip(3.0 * wrap(heading - view.q[2]), -0.5, 0.5))
-        pace = min(OUT_SPEED, 0.15 + 0.1 * step, 0.1 + 3.0 * left)
+        pace = min(speed, 0.15 + 0.1 * step, 0.1 + 3.0 * left)
         yield motion.action(view, goal, gripper=gripper, drive=(-pace, turn))
     return False
 
@@ -125,8 +137,13 @@ def held_spheres(view: WorldView, obj: str) -> tuple[Array, Array]:
         room = max(size - radius, 0.0)
         axes.append(np.linspace(-room, room, 1 + int(np.ceil(2 * room / (1.3 * radius)))))
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    size = np.full(len(grid), radius)
+    if shape_of(view.object_type(obj)).kind == "box":
+        # Larger spheres leave corners bare, and those are what knocks an object out of the hand.
+        corners = np.array(list(itertools.product((-1.0, 1.0), repeat=3))) * (half - CORNER)
+        grid, size = np.concatenate([grid, corners]), np.append(size, np.full(len(corners), CORNER))
     world = pose[:3] + grid @ mat_from_quat(pose[3:]).T
-    return (world - pos) @ rot, np.full(len(grid), radius)
+    return (world - pos) @ rot, size
 
 
 def go_home(view: WorldView, obj: str, *, holding: bool = True) -> Motion:
@@ -155,7 +172,7 @@ def plan_home(view: WorldView, obj: str, robot: RobotSpheres, *, holding: bool) 
         end = now[:3] - back * np.array([np.cos(now[2]), np.sin(now[2]), 0.0])
         if back and cells.line_clearance(now[:2], end[None, :2])[0] < 0.26:
             break
-        route = plan_route(view, end, goal, robot, boxes, margin=0.01, direction=-1, straight=True)
+        route = plan_route(view, end, goal, robot, boxes, margin=0.01, direction=-1, straight=True, gentle=holding)
         if route is None:
             continue
         if route.room >= 0.0:

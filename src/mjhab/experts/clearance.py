@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from mjhab.core.boxes import Boxes, sphere_box_distance
+from mjhab.core.boxes import Boxes
 from mjhab.core.rotations import mat_from_quat
 from mjhab.envs.kinematics import Chain, Frames
-from mjhab.experts.sphere_gaps import least_gaps
+from mjhab.experts.sphere_gaps import least_gaps, own_gaps
 
 Array = np.ndarray
 FAR = 1e3
@@ -127,14 +127,15 @@ class RobotSpheres:
 
     def self_clearance(self, q: Array) -> Array:
         """Least distance (N,) [m] of the distal links to the trunk's boxes; negative: they overlap."""
-        frames = self.chain.forward(q)
-        points = self.centers(frames)[:, self.distal]
-        least = np.full(len(points), FAR)
-        for box, link in enumerate(self.trunk_link):
-            local = np.einsum("nmi,nij->nmj", points - frames.pos[:, None, link], frames.rot[:, link])
-            gap = sphere_box_distance(local.reshape(-1, 3), self.trunk.take(np.array([box])))[:, 0]
-            least = np.minimum(least, (gap.reshape(points.shape[:2]) - self.radius[self.distal]).min(axis=1))
-        return least
+        frames, distal = self.chain.forward(q), self.distal
+        if not distal.any() or not len(self.trunk_link):
+            return np.full(len(q), FAR)
+        sides = [
+            np.ascontiguousarray(side, dtype=np.float64)
+            for side in (self.trunk.center, self.trunk.half, self.trunk.rot)
+        ]
+        rows = self.link[distal], self.pos[distal], self.radius[distal]
+        return own_gaps(frames.pos, frames.rot, *rows, self.trunk_link, *sides)
 
     def path_clearance(self, start: Array, ends: Array, boxes: Boxes, pieces: int = 8) -> Array:
         """Least clearance (N,) to boxes and to the own trunk on the straight joint paths from ``start`` (Q,) or (N, Q)

@@ -73,7 +73,11 @@ def planner(home: HomeShapes) -> Planner:
     """Path planner of a home, made once."""
     found = _PLANNERS.get(home.name)
     if found is None or found[0] is not home:
-        found = (home, Planner(home.map_origin, home.map_cell, home.map_clearance, radius=0.29, narrow=0.27))
+        # There is little time: a base that knows its way needs no wide berth.
+        cells = Planner(
+            home.map_origin, home.map_cell, home.map_clearance, radius=0.29, comfort=0.12, caution=2.0, narrow=0.27
+        )
+        found = (home, cells)
         _PLANNERS[home.name] = found
     return found[1]
 
@@ -259,6 +263,12 @@ def rest_goal(view: WorldView) -> Array:
     goal = REST_QPOS.copy()
     goal[:3] = q[:3]
     return ik.unwind(chain(), goal, q)
+
+
+def steps_home(q: Array) -> Array:
+    """Control steps (...,) that the arm needs from configurations (..., 15) to rest."""
+    rest = ik.unwind(chain(), REST_QPOS, q)
+    return ik.travel_steps(chain(), q, rest, ik.columns(chain()))
 
 
 def stay_at_rest(view: WorldView, *, gripper: float) -> Motion:

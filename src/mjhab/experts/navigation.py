@@ -44,6 +44,7 @@ class Planner:
     ) -> None:  # fmt: skip
         self.origin = np.asarray(origin, dtype=np.float64)
         self.cell, self.radius, self.comfort = float(cell), float(radius), float(comfort)
+        self.caution = caution
         self.clearance = np.asarray(clearance, dtype=np.float64)
         self.free = self.clearance >= radius
         if not self.free.any():

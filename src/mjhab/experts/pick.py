@@ -7,15 +7,18 @@ from dataclasses import replace
 
 import numpy as np
 
+from mjhab.core.boxes import Boxes
 from mjhab.core.rotations import mat_from_quat
 from mjhab.envs.grasps import Grasps, Gripper, ObjectShape, Options, grasp_candidates
 from mjhab.envs.held import shape_of
 from mjhab.envs.privileged import WorldView
 from mjhab.experts import motion
-from mjhab.experts.carry import drive_in, drive_out, go_home, grip, inside_depth
+from mjhab.experts.carry import HASTY_SPEED, OUT_SPEED, SHELF_DEPTH, drive_in, drive_out, go_home, grip, inside_depth
 from mjhab.experts.motion import Motion
-from mjhab.experts.reach import ROOMS, HandGoals, Scene, Stance, hand_room, settle_reach, stances, surroundings
+from mjhab.experts.nudge import in_steps, nudge, plan_nudge
+from mjhab.experts.reach import ROOMS, Blocked, HandGoals, Scene, Stance, hand_room, settle_reach, stances, surroundings
 from mjhab.experts.route import BLOCKED_FORCE, follow, holds
+from mjhab.experts.sampled import roomier
 from mjhab.experts.style import of_kind, style_of
 from mjhab.tasks.style import ANY
 
@@ -30,9 +33,17 @@ EVEN, LEVER = 0.015, 15.0
 """How far [m] beside the pads the centre of an object may be at no price, and the price in points per metre beyond: its
 weight turns such an object between the pads, and with less than a push on top it slips out."""
 OPTIONS = Options(palm_gap=0.012, floor_gap=0.008)
-# Little room: closer steps around the object, a short way in, and boxes nearly as wide as the hand opens.
+# Little room: closer steps around the object, a short way in, and boxes nearly as wide as the hand opens. Below a low
+# shelf, where there is no way from above, bowls are taken by the rim from the front.
 SHELF_OPTIONS = replace(OPTIONS, fan=36, shallower=(0.0, 0.02), retreat=0.06)
+LOW_SHELF_OPTIONS = replace(SHELF_OPTIONS, leans=(0.4, 0.6, 0.8))
 SHELF_GRIPPER = Gripper(usable=0.0945)
+NUDGES, NUDGE_STEPS, NUDGE_BACK = 2, 115, 0.12
+"""How often an object is turned, control steps that must be left for it, and how far [m] to draw back from it."""
+INSIDE_WAYS = (0.0, 0.1, 0.2, SHELF_DEPTH)
+"""How far [m] the base may come straight in where it just turned the object."""
+_HOME = 0.8
+"""What a control step on the way back to rest counts then: there is hardly time left."""
 _CLEAR = ((0.010, -0.008, 0.0), (0.0, -0.02, 0.010), (-0.004, -0.03, 0.014))
 """Room [m] asked between gripper and neighbours, on a shelf also with its wrist (the spheres that stand for it are up
 to 8 mm too large), and how much nearer than the arm the hand may come; less each time no good way is found."""
@@ -50,27 +61,30 @@ def fetch(view: WorldView, obj: str, *, keep: bool = True) -> Motion:
 
     ``keep``: hold it there, and start again when it is lost; else end as soon as it is lifted.
     """
-    failed, attempt, short = np.zeros((0, 3)), 0, False
+    failed, attempt, short, nudges, inside = np.zeros((0, 3)), 0, False, 0, False
     while True:
-        wish = style_of(view).grasp
-        found = plan_pick(view, obj, failed, attempt, wish)
-        if found is None and wish != ANY:
-            found = plan_pick(view, obj, failed, attempt)
+        found = _planned(view, obj, failed, attempt, inside)
         attempt += 1
+        if found is None and nudges < NUDGES and view.steps_left > NUDGE_STEPS:
+            nudges += 1
+            if (yield from _nudge(view, obj)):
+                inside = True
+                continue
         if found is None:
             yield from motion.hold(view, WAITS[min(attempt, len(WAITS)) - 1], gripper=motion.OPEN)
             failed = failed[:0]
             continue
         stance, goals, depth = found
-        taken = yield from _take(view, obj, stance, goals, depth)
+        taken = yield from _take(view, obj, stance, goals, depth, hasty=inside)
         short = taken is None and not depth and not short
         if short:
             # The base stopped a little too far off: from where it is another grasp is the quickest. Once: the plan
             # may be to stay, and would be the same for ever.
             continue
         if taken:
-            if depth:
-                yield from drive_out(view, depth, gripper=motion.CLOSED)
+            if depth or inside:
+                speed = HASTY_SPEED if inside else OUT_SPEED
+                yield from drive_out(view, SHELF_DEPTH, gripper=motion.CLOSED, speed=speed)
             if not keep and holds(view, obj):
                 return True
             yield from go_home(view, obj)
@@ -81,6 +95,23 @@ def fetch(view: WorldView, obj: str, *, keep: bool = True) -> Motion:
             # From inside the next way in can hardly be found.
             yield from drive_out(view, depth, gripper=motion.OPEN)
             yield from go_home(view, obj, holding=False)
+
+
+def _planned(
+    view: WorldView, obj: str, failed: Array, attempt: int, inside: bool
+) -> tuple[Stance, HandGoals, float] | None:  # fmt: skip
+    """`plan_pick` with the wished kind of grasp, else with any; ``inside``: from where the object was just turned."""
+    if inside and (found := _plan_inside(view, obj, failed)) is not None:
+        return found
+    wish = style_of(view).grasp
+    for k in (0, 1, 2) if attempt == 0 else (attempt,):
+        found = plan_pick(view, obj, failed, k, wish)
+        if found is None and wish != ANY:
+            found = plan_pick(view, obj, failed, k)
+        # On a shelf waiting helps little, and an object that has to be turned needs the time.
+        if found is not None or attempt or not inside_depth(view, view.object_pose(obj)[:3]):
+            return found
+    return None
 
 
 def plan_pick(
@@ -96,13 +127,16 @@ def plan_pick(
     pose, shape, scene = view.object_pose(obj), shape_of(view.object_type(obj)), scene_of(view, obj)
     depth = inside_depth(view, pose[:3])
     around = scene.beside.near(pose[:3], 0.5)
-    options = replace(SHELF_OPTIONS, inward=_inward(view, pose)) if depth else OPTIONS
-    every = grasp_candidates(
-        shape, pose[:3], pose[3:], support_z=scene.support_z, neighbours=around, least_clear=_CLEAR[-1][0],
-        options=options, gripper=SHELF_GRIPPER if depth else None,
-    )  # fmt: skip
+    if depth:
+        every = _shelf_grasps(shape, pose, scene, _inward(view, pose), around, _CLEAR[-1][0])
+    else:
+        every = grasp_candidates(
+            shape, pose[:3], pose[3:], support_z=scene.support_z, neighbours=around, least_clear=_CLEAR[-1][0],
+            options=OPTIONS,
+        )  # fmt: skip
     every = balanced(of_kind(every, wish), pose[:3])
     room, best, tried = hand_room(every, around) if depth else None, None, 0
+    blocked: list[Blocked] = []
     for asked, hand, nearer in _CLEAR[min(attempt, 1) :]:
         keep = every.clear >= asked
         grasps = every.take(np.flatnonzero(keep if room is None else keep & (room > hand)))
@@ -111,13 +145,79 @@ def plan_pick(
         tried, goals = len(grasps), _diverse(grasps)
         for back in _ways_in(depth, attempt):
             found = stances(
-                view, pose[:3], goals, scene, drive_in=back, avoid=failed, room=ROOMS[min(attempt, 2)], nearer=nearer
-            )
+                view, pose[:3], goals, scene, drive_in=back, avoid=failed, room=ROOMS[min(attempt, 2)], nearer=nearer,
+                blocked=blocked,
+            )  # fmt: skip
             if found and (best is None or found[0].route.room > best[0].route.room):
                 best = found[0], goals, back
             if best is not None and (not depth or best[0].route.room >= 0.0):
-                return best
+                return roomier(view, best, blocked)
+    return roomier(view, best, blocked)
+
+
+def _shelf_grasps(
+    shape: ObjectShape, pose: Array, scene: Scene, inward: tuple[float, float], around: Boxes, clear: float
+) -> Grasps:
+    """Grasps of an object on a shelf at ``pose`` (7,), best first, with some room to the boxes ``around``."""
+    for options in (SHELF_OPTIONS, LOW_SHELF_OPTIONS):
+        found = grasp_candidates(
+            shape, pose[:3], pose[3:], support_z=scene.support_z, neighbours=around, least_clear=clear,
+            options=replace(options, inward=inward), gripper=SHELF_GRIPPER,
+        )  # fmt: skip
+        if len(found) or shape.kind != "bowl":
+            break
+    return found
+
+
+def _plan_inside(view: WorldView, obj: str, failed: Array) -> tuple[Stance, HandGoals, float] | None:
+    """Like `plan_pick`, for an object on a shelf that was just turned: the quickest grasp counted to the way home."""
+    pose, scene = view.object_pose(obj), scene_of(view, obj)
+    around, shape = scene.beside.near(pose[:3], 0.5), shape_of(view.object_type(obj))
+    every = balanced(_shelf_grasps(shape, pose, scene, _inward(view, pose), around, _CLEAR[-1][0]), pose[:3])
+    room, best, least = hand_room(every, around), None, np.inf
+    for (asked, hand, nearer), arm in zip(_CLEAR, ROOMS, strict=True):
+        rows = np.flatnonzero((every.clear >= asked) & (room > hand))
+        if not len(rows):
+            continue
+        goals = _diverse(every.take(rows))
+        for back in INSIDE_WAYS:
+            for stance in stances(
+                view, pose[:3], goals, scene, drive_in=back, avoid=failed, room=arm, nearer=nearer, home=_HOME
+            ):
+                cost = stance.route.steps + in_steps(back) + _HOME * float(motion.steps_home(stance.at))
+                cost += 1e4 * max(-stance.route.room, 0.0)
+                if cost < least:
+                    best, least = (stance, goals, back), cost
+        if best is not None and best[0].route.room >= 0.0:
+            break
     return best
+
+
+def _nudge(view: WorldView, obj: str) -> Motion:
+    """Turn an object on a shelf such that it can be grasped, and draw back a little. Returns whether it turned."""
+    pose, scene = view.object_pose(obj), scene_of(view, obj)
+    if not inside_depth(view, pose[:3]):
+        return False
+    way = _inward(view, pose)
+    place = min(
+        (p for p in view.home.receptacles if p.kind == "shelf"), key=lambda p: float(np.linalg.norm(pose[:3] - p.pos))
+    )
+    turns = np.round((np.arctan2(way[1], way[0]) - place.yaw) / (np.pi / 2))
+    angle = place.yaw + turns * np.pi / 2
+    inward = np.array([np.cos(angle), np.sin(angle)])
+    shape, around = shape_of(view.object_type(obj)), scene.beside.near(pose[:3], 0.5)
+
+    def graspable(after: Array, more: float) -> int:
+        straight = float(inward[0]), float(inward[1])
+        every = _shelf_grasps(shape, after, scene, straight, around, _CLEAR[0][0] + more)
+        return int((hand_room(every, around) > _CLEAR[0][1] + 1.5 * more).sum())
+
+    plan = plan_nudge(view, obj, scene, inward, graspable)
+    if plan is None:
+        return False
+    done = yield from nudge(view, obj, plan, scene.all, graspable)
+    yield from drive_out(view, NUDGE_BACK, gripper=motion.OPEN)
+    return done
 
 
 def balanced(grasps: Grasps, centre: Array) -> Grasps:
@@ -173,7 +273,7 @@ def _diverse(grasps: Grasps) -> HandGoals:
 
 
 def _take(
-    view: WorldView, obj: str, stance: Stance, goals: HandGoals, depth: float
+    view: WorldView, obj: str, stance: Stance, goals: HandGoals, depth: float, hasty: bool = False
 ) -> Generator[Array, None, bool | None]:
     """Drive there, reach, close, lift. Returns whether the object is in the hand; None where it is out of reach."""
     start = view.object_pose(obj)[:3]
@@ -185,7 +285,7 @@ def _take(
         return False
     if depth:
         boxes = scene_of(view, obj).all
-        if not (yield from drive_in(view, stance.pre, pre, rot, boxes, gripper=opening)):
+        if not (yield from drive_in(view, stance.pre, pre, rot, boxes, gripper=opening, hasty=hasty)):
             return False
     if np.linalg.norm(view.object_pose(obj)[:3] - start) > 0.02:
         return False

@@ -13,8 +13,9 @@ from mjhab.experts import ik, motion
 from mjhab.experts.carry import drive_in, go_home, grip, held_spheres, inside_depth
 from mjhab.experts.motion import Motion
 from mjhab.experts.pick import fetch, height_below
-from mjhab.experts.reach import ROOMS, HandGoals, Scene, Stance, hand_room, settle_reach, stances, surroundings
+from mjhab.experts.reach import ROOMS, Blocked, HandGoals, Scene, Stance, hand_room, settle_reach, stances, surroundings
 from mjhab.experts.route import follow, holds
+from mjhab.experts.sampled import roomier
 from mjhab.experts.style import style_of
 from mjhab.tasks.style import DROP as DROP_IT
 
@@ -25,8 +26,10 @@ ABOVE, ABOVE_SHELF = 0.10, 0.035
 """Where the straight way down begins [m]."""
 YAWS, SHELF_YAWS = 16, 8
 OFFSETS = ((0.0, 0.0), (0.05, 0.0), (0.10, 0.0))
+LAST_OFFSETS = (*OFFSETS, (0.125, 0.0))
 SHELF_OFFSETS = (*OFFSETS, (0.05, 0.05), (0.05, -0.05), (0.0, 0.06), (0.0, -0.06), (0.08, 0.06), (0.08, -0.06))
-"""How far [m] nearer to the robot, and to its side, than the goal an object may be put; success asks for 0.15."""
+"""How far [m] nearer to the robot, and to its side, than the goal an object may be put; success asks for 0.15. The last
+ones are for later attempts."""
 TILTS, BALL_TILTS, SHELF_TILTS = (0.0, 0.3), (0.0, 0.35, 0.7, 1.0), (0.0, 0.35, 0.6, 0.85, 1.1)
 """Leans of the hand [rad]: they reach further, and under a shelf a hand that comes from above has no room."""
 HAND_ROOM = -0.008
@@ -34,6 +37,10 @@ HAND_ROOM = -0.008
 HAND_NEARER = 0.014
 """How much nearer than the arm the hand may come to what is around it before it goes down [m]."""
 _WIDER = 0.03
+KNOCKS = -0.02
+"""Ways with less room [m] may knock the object out of the hand: other ways to put it down are looked at first."""
+WAITS = (5, 10, 20)
+"""Control steps to wait, one after the other, once every way to put an object was looked at without success."""
 
 
 def place(view: WorldView) -> Motion:
@@ -55,6 +62,7 @@ def place(view: WorldView) -> Motion:
 def _bring(view: WorldView, obj: str, goal: Array) -> Motion:
     """Put the held object to ``goal`` (3,). Returns whether the hand has let go of it."""
     style, failed = style_of(view), np.zeros((0, 3))
+    best: tuple[Stance, HandGoals, float] | None = None
     for attempt in range(20):
         if not holds(view, obj):
             return True
@@ -62,11 +70,15 @@ def _bring(view: WorldView, obj: str, goal: Array) -> Motion:
         found = plan_place(view, obj, goal, failed, attempt, drop)
         if found is None and drop:
             found = plan_place(view, obj, goal, failed, attempt)
-        if found is None:
-            yield from motion.hold(view, 5 + 10 * attempt, gripper=motion.CLOSED)
-            failed = failed[:0]
+        if found is not None and (best is None or found[0].route.room > best[0].route.room):
+            best = found
+        if attempt < 2 and (best is None or best[0].route.room < KNOCKS):
             continue
-        stance, goals, depth = found
+        if best is None:
+            failed = failed[:0]
+            yield from motion.hold(view, WAITS[min(attempt - 2, len(WAITS) - 1)], gripper=motion.CLOSED)
+            continue
+        (stance, goals, depth), best = best, None
         if (yield from _put(view, obj, stance, goals, depth)):
             return True
         failed = np.concatenate([failed, stance.at[None, :3]])
@@ -96,8 +108,11 @@ def plan_place(
     goals = hand_goals(view, obj, goal, shelf=depth > 0.0, any_side=attempt > 1, drop=0.0 if depth else drop)
     goals = goals.take(np.flatnonzero(hand_room(goals, near.near(goal, 0.8)) > HAND_ROOM))
     room = ROOMS[min(attempt, 2)]
-    found = stances(view, goal, goals, scene, drive_in=depth, avoid=failed, room=room, nearer=HAND_NEARER)
-    return (found[0], goals, depth) if found else None
+    blocked: list[Blocked] = []
+    found = stances(
+        view, goal, goals, scene, drive_in=depth, avoid=failed, room=room, nearer=HAND_NEARER, blocked=blocked
+    )
+    return roomier(view, (found[0], goals, depth) if found else None, blocked)
 
 
 def hand_goals(view: WorldView, obj: str, goal: Array, *, shelf: bool, any_side: bool, drop: float = 0.0) -> HandGoals:
@@ -120,7 +135,8 @@ def hand_goals(view: WorldView, obj: str, goal: Array, *, shelf: bool, any_side:
     back = view.q[:2] - goal[:2]
     back = back / max(float(np.linalg.norm(back)), 1e-6)
     aside = np.array([-back[1], back[0]])
-    spots = [goal[:2] + near * back + left * aside for near, left in (SHELF_OFFSETS if shelf else OFFSETS)]
+    offsets = SHELF_OFFSETS if shelf else LAST_OFFSETS if any_side else OFFSETS
+    spots = [goal[:2] + near * back + left * aside for near, left in offsets]
     spots = [spot for i, spot in enumerate(spots) if not i or _on_surface(view, goal, spot)]
     yaws = np.arange(SHELF_YAWS if shelf else YAWS) * 2 * np.pi / (SHELF_YAWS if shelf else YAWS)
     tilts = SHELF_TILTS if shelf else BALL_TILTS if ball else TILTS

@@ -17,7 +17,7 @@ from mjhab.envs.kinematics import wrap
 from mjhab.envs.privileged import FETCH_JOINTS, REST_QPOS, WorldView
 from mjhab.experts import ik, motion
 from mjhab.experts.clearance import RobotSpheres
-from mjhab.experts.route import Route, plan_route, planner
+from mjhab.experts.route import Route, drive_steps, plan_route, planner
 
 Array = np.ndarray
 HAND_LINKS = ("gripper_link", "r_gripper_finger_link", "l_gripper_finger_link")
@@ -26,10 +26,14 @@ NEARBY = 2.6
 BASE_RADIUS, BASE_TOP = 0.285, 0.40
 ROOMS = (0.012, 0.006, 0.0)
 """Least clearance [m] of the arm at the work and of the whole robot just before it, at one attempt after the other."""
-TIGHTEST = -0.075
-"""Ways with less room [m] than this touch something: `plan_route` asks for 0.065 more than none."""
+TIGHTEST = -0.055
+"""Ways with less room [m] than this touch something: `plan_route` asks for 0.045 more than none."""
 OUT_ROOM = 0.03
 """Least room [m] of an object on its straight way out of a shelf."""
+FAR_OFF = 0.96
+"""Bases farther [m] from the work are only taken where there is no other: a stretched arm has no room for errors."""
+ARM_END = 0.05
+"""How far [m] the wrist may be beyond the comfortable distance, see `_overreach`."""
 _STRETCHED = 60.0
 """Price in steps per radian that the elbow is nearly straight."""
 _ELBOW = FETCH_JOINTS.index("elbow_flex_joint")
@@ -91,6 +95,19 @@ class Stance:
     route: Route
 
 
+@dataclass(frozen=True, eq=False)
+class Blocked:
+    """What could be reached, if there were a straight way: configurations ``pre`` and ``at`` (N, 15) for hand poses
+    ``goal`` (N,) of ``goals``, most wanted first, the base coming straight in over ``drive_in`` at the end."""
+
+    goals: HandGoals
+    goal: Array
+    pre: Array
+    at: Array
+    scene: Scene
+    drive_in: float
+
+
 def surroundings(view: WorldView, obj: str, point: Array) -> tuple[Boxes, Boxes]:
     """Everything solid near ``point`` (3,) but the object, and the object's bounding box."""
     parts = (view.home.boxes, view.link_boxes(), view.object_boxes((obj,)))
@@ -102,7 +119,8 @@ def surroundings(view: WorldView, obj: str, point: Array) -> tuple[Boxes, Boxes]
 
 def stances(
     view: WorldView, point: Array, goals: HandGoals, scene: Scene, *, drive_in: float = 0.0, avoid: Array | None = None,
-    count: int = 3, room: float = ROOMS[0], nearer: float = 0.0,
+    count: int = 3, room: float = ROOMS[0], nearer: float = 0.0, blocked: list[Blocked] | None = None,
+    home: float = 0.0,
 ) -> list[Stance]:  # fmt: skip
     """Ways to bring the hand to one of ``goals`` around ``point`` (3,), quickest first; empty when there is none.
 
@@ -113,10 +131,12 @@ def stances(
         count: give at most so many.
         room: least clearance at the work, see `ROOMS`.
         nearer: how much nearer [m] than that the hand may come just before its work.
+        blocked: what lacks nothing but a clear way is added here, for `sampled.roomier`.
+        home: weight of the control steps from the work back to rest.
     """
     now = view.q
-    bases, drive = base_poses(view, point, scene, drive_in, avoid)
-    if not len(bases) or not len(goals):
+    bases, drive = base_poses(view, point, scene, goals, drive_in, avoid)
+    if not len(bases):
         return []
     if drive_in and len(scene.target):
         out = way_out(bases, scene, drive_in)
@@ -125,11 +145,15 @@ def stances(
     base, goal, score = _pairs(bases, point, goals)
     if not len(base):
         return []
-    q, goal = _configurations(now, bases[base], goal, goals, drive[base] - 10.0 * score)
+    q, goal = _configurations(now, bases[base], goal, goals, drive[base] - 10.0 * score, home)
     rows = _clear_ones(q, scene, room)
     q, goal = q[rows], goal[rows]
     pre, fine = _before(q, goals, goal, scene, drive_in, room, nearer)
-    return _routed(view, q[fine], pre[fine], goal[fine], scene, drive_in, count)
+    q, pre, goal = q[fine], pre[fine], goal[fine]
+    found = _routed(view, q, pre, goal, scene, drive_in, count, home)
+    if blocked is not None and len(q) and not (found and found[0].route.room >= 0.0):
+        blocked.append(Blocked(goals, goal, pre, q, scene, drive_in))
+    return found
 
 
 def way_out(bases: Array, scene: Scene, drive_in: float) -> Array:
@@ -173,17 +197,18 @@ def hand_room(goals: HandGoals | Grasps, boxes: Boxes) -> Array:
 
 
 def base_poses(
-    view: WorldView, point: Array, scene: Scene, drive_in: float, avoid: Array | None = None
+    view: WorldView, point: Array, scene: Scene, goals: HandGoals, drive_in: float, avoid: Array | None = None
 ) -> tuple[Array, Array]:
-    """Base poses (B, 3) from which ``point`` may be reached, and the control steps (B,) to drive there."""
+    """Base poses (B, 3) from which a goal at ``point`` may be reached, and the control steps (B,) to drive there."""
     r, angle, off = np.meshgrid(
-        np.arange(0.5, 0.96, 0.075), np.arange(32) * np.pi / 16, (-0.35, 0.0, 0.35), indexing="ij"
+        np.arange(0.5, 1.11, 0.075), np.arange(32) * np.pi / 16, (-0.35, 0.0, 0.35), indexing="ij"
     )
     x, y = point[0] - r * np.cos(angle), point[1] - r * np.sin(angle)
     poses = np.stack([x, y, wrap(angle + off)], axis=-1).reshape(-1, 3)
     here = view.q[:3] - drive_in * np.array([np.cos(view.q[2]), np.sin(view.q[2]), 0.0])
     bearing = np.arctan2(point[1] - here[1], point[0] - here[0])
     poses = np.concatenate([poses, [view.q[:3], *([here[0], here[1], bearing + k] for k in (-0.35, 0.0, 0.35))]])
+    far_off = np.append(r.ravel() > FAR_OFF, np.zeros(4, bool))
     cells = planner(view)
     back = poses[:, :2] - drive_in * np.stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])], axis=1)
     good = (cells.clearance_at(back) >= cells.radius) & (cells.clearance_at(poses[:, :2]) >= 0.27)
@@ -192,10 +217,12 @@ def base_poses(
         gap = np.linalg.norm((poses[:, None] - avoid) * [1.0, 1.0, 0.3], axis=2).min(axis=1)
         good &= gap > 0.10
     good[good] = in_sight(poses[good], point, scene.near)
-    poses, back = poses[good], back[good]
+    poses, back, far_off = poses[good], back[good], far_off[good]
     far = cells.costs(view.q[:2])[cells.cells(back)]
-    steps = _drive_steps(view.q[:3], np.concatenate([back, poses[:, 2:]], axis=1), far) + 6.0 * drive_in / 0.3
-    reachable = np.isfinite(steps)
+    steps = drive_steps(view.q[:3], np.concatenate([back, poses[:, 2:]], axis=1), far) + 6.0 * drive_in / 0.3
+    # The nearest bases may all stand on the side from which nothing can be reached.
+    reachable = np.isfinite(steps) & (_overreach(poses, goals) < ARM_END).any(axis=1)
+    reachable &= ~far_off | ~(reachable & ~far_off).any()
     return _spread(poses[reachable], steps[reachable])
 
 
@@ -221,18 +248,6 @@ def floor_room(poses: Array, boxes: Boxes) -> Array:
     return gap.min(axis=1) - BASE_RADIUS
 
 
-def _drive_steps(now: Array, poses: Array, length: Array) -> Array:
-    """Rough number (B,) of control steps to drive from ``now`` (3,) to poses (B, 3) over a ``length`` (B,)."""
-    way = poses[:, :2] - now[:2]
-    far = np.linalg.norm(way, axis=1)
-    bearing = np.arctan2(way[:, 1], way[:, 0])
-    first, last = np.abs(wrap(bearing - now[2])), np.abs(wrap(poses[:, 2] - bearing))
-    turn = np.where(far < 0.9, np.minimum(first + last, 2 * np.pi - first - last), first + last)
-    turn = np.where(far < 0.03, np.abs(wrap(poses[:, 2] - now[2])), turn)
-    length = np.where(np.isfinite(length), np.maximum(length, far), np.inf)
-    return 20.0 * (length / 0.6 + turn / 2.0) + np.where(far < 0.03, 0.0, 8.0)
-
-
 def _spread(poses: Array, steps: Array) -> tuple[Array, Array]:
     """The quickest poses that are not all alike."""
     kept: list[int] = []
@@ -251,7 +266,7 @@ def _pairs(bases: Array, point: Array, goals: HandGoals) -> tuple[Array, Array, 
     toward = toward / np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-6)
     score = goals.score + 0.8 * toward @ goals.rot[:, :2, 0].T
     over = _overreach(bases, goals)
-    score = np.where(over < 0.05, score - 20.0 * np.maximum(over, 0.0), -np.inf)
+    score = np.where(over < ARM_END, score - 20.0 * np.maximum(over, 0.0), -np.inf)
     # Among equals every base tries others.
     score = score + 0.05 * np.random.default_rng(1).random(score.shape)
     best = np.argsort(-score, axis=1, kind="stable")[:, :_PER_BASE]
@@ -281,7 +296,9 @@ def _seeds() -> Array:
     return ik.random_seeds(motion.chain(), REST_QPOS, dofs, _SEEDS, np.random.default_rng(3), 0.6)
 
 
-def _configurations(now: Array, bases: Array, goal: Array, goals: HandGoals, price: Array) -> tuple[Array, Array]:
+def _configurations(
+    now: Array, bases: Array, goal: Array, goals: HandGoals, price: Array, home: float
+) -> tuple[Array, Array]:
     """Configurations (N, 15) that reach the goals of the pairs, and their goal (N,), quickest first."""
     robot = motion.chain()
     dofs = ik.columns(robot)
@@ -293,6 +310,8 @@ def _configurations(now: Array, bases: Array, goal: Array, goals: HandGoals, pri
     q = ik.unwind(robot, found.q, now)
     q[..., :3] = bases[:, None]
     cost = price[:, None] + 0.6 * ik.travel_steps(robot, now, q, dofs)
+    if home:
+        cost = cost + home * motion.steps_home(q)
     # A stretched arm cannot make up for a base that stands a little wrong.
     cost = cost + _STRETCHED * np.maximum(0.0, 0.9 - np.abs(q[..., _ELBOW]))
     cost = np.where(found.ok, cost, np.inf).ravel()
@@ -335,8 +354,9 @@ def _before(
 
 
 def _routed(
-    view: WorldView, q: Array, pre: Array, goal: Array, scene: Scene, drive_in: float, count: int
-) -> list[Stance]:
+    view: WorldView, q: Array, pre: Array, goal: Array, scene: Scene, drive_in: float, count: int,
+    home: float,
+) -> list[Stance]:  # fmt: skip
     """Stances with routes that are clear; ``q`` (N, 15) come cheapest first."""
     robot, boxes = scene.robot(), scene.all
     clear: list[Stance] = []
@@ -347,14 +367,14 @@ def _routed(
             continue
         seen.append(q[i, :3])
         back = drive_in * np.array([np.cos(pre[i, 2]), np.sin(pre[i, 2]), 0.0])
-        route = plan_route(view, pre[i, :3] - back, pre[i], robot, boxes)
+        route = plan_route(view, pre[i, :3] - back, pre[i], robot, boxes, gentle=scene.held is not None)
         if route is None:
             continue
         (clear if route.room >= 0.0 else tight).append(Stance(int(goal[i]), pre[i], q[i], route))
         if len(clear) >= count or len(clear) + len(tight) >= 3 * count:
             break
     tight = sorted((s for s in tight if s.route.room > TIGHTEST), key=lambda s: -s.route.room)
-    return sorted(clear, key=lambda s: s.route.steps) or tight[:1]
+    return sorted(clear, key=lambda s: s.route.steps + home * float(motion.steps_home(s.at))) or tight[:1]
 
 
 def settle_reach(view: WorldView, stance: Stance, pos: Array, rot: Array) -> Array | None:

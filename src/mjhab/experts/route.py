@@ -10,10 +10,11 @@ from functools import lru_cache
 
 import numpy as np
 
+from mjhab.core.boxes import sphere_box_distance
 from mjhab.envs.kinematics import wrap
-from mjhab.envs.privileged import HomeShapes, WorldView
+from mjhab.envs.privileged import FETCH_JOINTS, HomeShapes, WorldView
 from mjhab.experts import ik, motion
-from mjhab.experts.clearance import Boxes, RobotSpheres, sphere_box_distance
+from mjhab.experts.clearance import Boxes, RobotSpheres
 from mjhab.experts.motion import Motion
 from mjhab.experts.navigation import CONTROL_DT, Planner
 
@@ -21,7 +22,7 @@ Array = np.ndarray
 MARGIN = 0.015
 """Room [m] wanted around the robot on its way."""
 OWN_ROOM = 0.015
-DRIVE_ERROR = 0.05
+DRIVE_ERROR = 0.03
 """More room [m] wanted while the base drives."""
 BASE_ROOM = 0.27
 """Clearance [m] of the map's cells that the base may pass."""
@@ -29,16 +30,23 @@ LOWEST = 0.3
 """Lower things [m] concern the base alone, and the map keeps it clear of them."""
 BODY_SLIMMER = 0.05
 """Doors and drawers hang above the base; the body there is so much [m] slimmer."""
-BASE_LAG = 0.15
-"""Time constant [s] of the base's speed."""
+BASE_LAG, TURN_LAG = 0.15, 0.02
+"""Time constants [s] of the base's speed and of its yaw rate."""
 BLOCKED_FORCE = 60.0
 BLOCKED_STEPS, LOST_STEPS = 4, 3
 LOOKAHEADS = (0.30, 0.20, 0.10)
 """How far ahead [m] the base steers; short ones keep to the way at corners, long ones are quicker."""
-_SHARES = (0.35, 0.6, 0.8)
+_SHARES = (0.35, 0.6, 0.8, 0.9)
 MAX_SPEED = 1.0
+_TORSO = FETCH_JOINTS.index(ik.TORSO)
 _TURN_RATE, _PREVIEW = 2.6, 0.1
 _NEAR, _TURNED = 0.02, 0.05
+SETTLED = 0.01
+"""How near [rad, m] to its goal the arm and the torso count as there."""
+TORSO_SPEED, TORSO_GAIN = 0.04, 0.18
+"""Most [m] that the torso moves in a control step, and the part of a change of that which one step makes; measured."""
+PASSED = 0.08
+"""How near [rad] the arm comes to a posture on its way before it goes on to the next."""
 GENTLE_RISE, GENTLE_CHANGE, GENTLE_SPIN = 0.12, 0.25, 1.8
 """With an object in the hand: change of speed [m/s] and of yaw rate [rad/s] per control step, and most of the latter.
 The hand is almost a metre before the base: a sudden turn pulls objects out of it."""
@@ -129,7 +137,7 @@ def _planner_with(home: HomeShapes, ajar: tuple[tuple[str, float], ...]) -> Plan
     flat = Boxes(boxes.center * [1.0, 1.0, 0.0], boxes.half, boxes.rot)
     gap = sphere_box_distance(cells, flat).min(axis=1).reshape(nx, ny) + BODY_SLIMMER
     clearance = np.minimum(plain.clearance, np.maximum(gap, 0.0))
-    return Planner(plain.origin, plain.cell, clearance, radius=plain.radius, narrow=plain.narrow)
+    return Planner(plain.origin, plain.cell, clearance, plain.radius, plain.comfort, plain.caution, plain.narrow)
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,6 +145,8 @@ class Route:
     """A drive along ``path`` (P, 2) to ``yaw`` (see `Pilot`), the arm going to ``arm`` (15,) from step ``delay`` on.
 
     ``steps``: how long it should take; ``room``: least clearance on the way beyond what was asked for [m].
+    ``via``: (V, 15) postures that the arm passes one after the other, see `sampled`; it keeps the one with the index
+    ``carried`` until the step ``delay``. The base starts at the step ``lead``.
     """
 
     path: Array
@@ -148,11 +158,14 @@ class Route:
     steps: int
     room: float
     speed: float = MAX_SPEED
+    via: Array | None = None
+    carried: int = 0
+    lead: int = 0
 
 
 def plan_route(
     view: WorldView, goal: Array, arm: Array, robot: RobotSpheres, boxes: Boxes, *, margin: float = MARGIN,
-    direction: int = 0, straight: bool = False,
+    direction: int = 0, straight: bool = False, gentle: bool = False,
 ) -> Route | None:  # fmt: skip
     """The quickest way to the base pose ``goal`` (3,) with the arm at ``arm`` (15,) that keeps clear of ``boxes``.
 
@@ -164,14 +177,13 @@ def plan_route(
         margin: room [m] wanted.
         direction: 1 forwards, -1 backwards, 0 whatever is quicker.
         straight: do not plan around furniture.
+        gentle: drive as `follow` does with an object in the hand.
     """
-    start = view.q
-    boxes = _within_reach(boxes, np.stack([start[:2], goal[:2]]))
-    path = np.stack([start[:2], goal[:2]]) if straight else _way(view, goal[:2])
-    if path is None:
+    start, found = view.q, drive_of(view, goal, direction, straight, gentle)
+    if found is None:
         return None
-    direction = direction or _direction(start[:3], path, float(goal[2]))
-    lookahead, poses = _smoothest(view, start[:3], path, float(goal[2]), direction)
+    path, direction, lookahead, poses = found
+    boxes = within_reach(boxes, np.stack([start[:2], goal[:2]]))
     before, own = float(robot.clearance(start[None], boxes)[0]), _own_room(start, arm, robot)
 
     def at(share: float) -> Route:
@@ -192,6 +204,30 @@ def plan_route(
     return next((route for route in map(at, _SHARES) if route.room >= 0.0), late)
 
 
+def drive_of(
+    view: WorldView, goal: Array, direction: int = 0, straight: bool = False, gentle: bool = False
+) -> tuple[Array, int, float, Array] | None:  # fmt: skip
+    """How to drive to the base pose ``goal`` (3,), see `plan_route`: way points (P, 2), direction, look-ahead, and the
+    base poses (T, 3) that this should give, one per control step. None when furniture cuts the goal off."""
+    path = np.stack([view.q[:2], goal[:2]]) if straight else _way(view, goal[:2])
+    if path is None:
+        return None
+    direction = direction or _direction(view.q[:3], path, float(goal[2]))
+    return path, direction, *_smoothest(view, view.q[:3], path, float(goal[2]), direction, gentle)
+
+
+def drive_steps(now: Array, poses: Array, length: Array) -> Array:
+    """Rough number (B,) of control steps to drive from ``now`` (3,) to poses (B, 3) over a ``length`` (B,)."""
+    way = poses[:, :2] - now[:2]
+    far = np.linalg.norm(way, axis=1)
+    bearing = np.arctan2(way[:, 1], way[:, 0])
+    first, last = np.abs(wrap(bearing - now[2])), np.abs(wrap(poses[:, 2] - bearing))
+    turn = np.where(far < 0.9, np.minimum(first + last, 2 * np.pi - first - last), first + last)
+    turn = np.where(far < 0.03, np.abs(wrap(poses[:, 2] - now[2])), turn)
+    length = np.where(np.isfinite(length), np.maximum(length, far), np.inf)
+    return 20.0 * (length / 0.6 + turn / 2.0) + np.where(far < 0.03, 0.0, 8.0)
+
+
 def _way(view: WorldView, goal: Array) -> Array | None:
     """Way points (P, 2) to ``goal`` (2,) around furniture and what stands open."""
     path = planner(view).plan(view.q[:2], goal)
@@ -208,24 +244,43 @@ def follow(
     ``held``: the object in the hand. It must not slip: the drive is gentle, and ends when it is lost all the same.
     """
     pilot = Pilot(route.path, route.yaw, route.direction, route.lookahead, route.speed)
-    start, pressed, lost, arrived = view.q, 0, 0, False
+    arm, pressed, lost, arrived = _ArmWay(view.q, route), 0, 0, False
     moving, before = motion.drives(view, route.path[-1], route.yaw), (0.0, 0.0)
     for step in range(route.steps + 40):
-        forward, turn, done = pilot.step(view.q[:3]) if moving and not arrived else (0.0, 0.0, True)
+        forward, turn, done = 0.0, 0.0, step >= route.lead
+        if done and moving and not arrived:
+            forward, turn, done = pilot.step(view.q[:3])
         arrived = arrived or done
-        on_time = step >= route.delay or arrived
-        off = motion.joint_gap(view, route.arm)
+        goal, off = arm.goal(view, step, arrived), motion.joint_gap(view, route.arm)
         if arrived and off <= tolerance:
             return True
         speed = (0.0, 0.0) if arrived else (forward, turn)
         before = speed = _eased(speed, before) if held else speed
-        ramp = min(1.0, 0.25 * (1 + step - min(step, route.delay)))
-        yield motion.action(view, route.arm if on_time else start, gripper=gripper, drive=speed, speed=ramp)
+        ramp = min(1.0, 0.25 * (1 + step - min(step, 0 if route.via is not None else route.delay)))
+        yield motion.action(view, goal, gripper=gripper, drive=speed, speed=ramp)
         pressed = pressed + 1 if view.link_forces.sum() > BLOCKED_FORCE else 0
         lost = 0 if not held or holds(view, held) else lost + 1
         if pressed >= BLOCKED_STEPS or lost >= LOST_STEPS:
             return False
     return False
+
+
+class _ArmWay:
+    """Where the arm goes while a route is driven, from configuration ``start`` (15,)."""
+
+    def __init__(self, start: Array, route: Route) -> None:
+        self._start, self._route, self._at = start, route, 0
+
+    def goal(self, view: WorldView, step: int, arrived: bool) -> Array:
+        """The configuration (15,) to go to in a control step."""
+        via, on_time = self._route.via, step >= self._route.delay or arrived
+        if via is None:
+            return self._route.arm if on_time else self._start
+        while self._at < len(via) and (on_time or self._at != self._route.carried):
+            if motion.joint_gap(view, via[self._at]) >= PASSED:
+                return via[self._at]
+            self._at += 1
+        return via[self._at] if self._at < len(via) else self._route.arm
 
 
 def holds(view: WorldView, obj: str) -> bool:
@@ -250,12 +305,14 @@ def _direction(pose: Array, path: Array, yaw: float) -> int:
     return -1 if length < 1.0 and turn > np.pi + 0.3 else 1
 
 
-def _smoothest(view: WorldView, pose: Array, path: Array, yaw: float, direction: int) -> tuple[float, Array]:
+def _smoothest(
+    view: WorldView, pose: Array, path: Array, yaw: float, direction: int, gentle: bool = False
+) -> tuple[float, Array]:  # fmt: skip
     """The quickest steering that keeps the base clear of furniture: look-ahead and base poses (T, 3)."""
     cells = planner(view)
     best: tuple[float, float, Array] | None = None
     for lookahead in LOOKAHEADS:
-        poses = _simulate(pose, path, yaw, direction, lookahead)
+        poses = _simulate(pose, path, yaw, direction, lookahead, gentle)
         room = float(cells.clearance_at(poses[:, :2]).min())
         if best is None or room > best[0]:
             best = (room, lookahead, poses)
@@ -265,18 +322,22 @@ def _smoothest(view: WorldView, pose: Array, path: Array, yaw: float, direction:
     return best[1], best[2]
 
 
-def _simulate(pose: Array, path: Array, yaw: float, direction: int, lookahead: float) -> Array:
+def _simulate(
+    pose: Array, path: Array, yaw: float, direction: int, lookahead: float, gentle: bool = False
+) -> Array:  # fmt: skip
     """Base poses (T, 3) that driving a way should give."""
     pilot = Pilot(path, yaw, direction, lookahead)
-    pose, speed, turn = pose.copy(), 0.0, 0.0
-    share = 1.0 - np.exp(-CONTROL_DT / BASE_LAG)
+    pose, speed, turn, asked = pose.copy(), 0.0, 0.0, (0.0, 0.0)
+    share, quick = 1.0 - np.exp(-CONTROL_DT / np.array([BASE_LAG, TURN_LAG]))
     poses = [pose.copy()]
     for _ in range(200):
         forward, rate, done = pilot.step(pose)
         if done:
             break
+        if gentle:
+            forward, rate = asked = _eased((forward, rate), asked)
         speed += share * (forward - speed)
-        turn += share * (rate - turn)
+        turn += quick * (rate - turn)
         pose = pose + CONTROL_DT * np.array([speed * np.cos(pose[2]), speed * np.sin(pose[2]), turn])
         poses.append(pose.copy())
     return np.array(poses)
@@ -286,18 +347,39 @@ def _swept(start: Array, poses: Array, arm: Array, delay: int) -> Array:
     """Configurations (T, Q), one per control step, until base and arm have arrived."""
     way = arm - start
     way[:3] = 0.0
-    limits = ik.step_limits(motion.chain())
-    share = limits / np.maximum(np.abs(way), 1e-9)
     columns = list(motion.ARM_JOINTS)
-    share[columns] = share[columns].min()
-    needed = int(np.ceil(1.0 / max(float(share[3:13].min()), 1e-3)))
-    steps = np.arange(max(len(poses), delay + needed) + 1)
-    out = start + np.clip((steps - delay)[:, None] * share, 0.0, 1.0) * way
+    arm_share, torso_share = arm_gone(float(np.abs(way[columns]).max())), torso_gone(abs(float(way[_TORSO])))
+    steps = np.arange(max(len(poses), delay + max(len(arm_share), len(torso_share))) + 1)
+    gone = np.ones((len(steps), len(way)))
+    gone[:, columns] = arm_share[np.clip(steps - delay, 0, len(arm_share) - 1), None]
+    gone[:, _TORSO] = torso_share[np.clip(steps - delay, 0, len(torso_share) - 1)]
+    out = start + gone * way
     out[:, :3] = poses[np.minimum(steps, len(poses) - 1)]
     return out
 
 
-def _within_reach(boxes: Boxes, way: Array) -> Boxes:
+def arm_gone(far: float) -> Array:
+    """Share (T,) of its way that the arm has gone after so many control steps, ``far`` [rad] the longest of a joint.
+
+    It starts as `follow` lets it, and slows down before its end: with the base on the move, a tenth of a radian that it
+    lags behind is a decimetre at the hand.
+    """
+    gone, delta = [0.0], motion.LIMITS.joint_delta
+    while far - gone[-1] > SETTLED:
+        gone.append(gone[-1] + ik.ARM_STEP * min(1.0, 0.25 * len(gone), (far - gone[-1]) / delta))
+    return np.array([*gone, far]) / far if far > 0.0 else np.ones(1)
+
+
+def torso_gone(far: float) -> Array:
+    """The same for the torso, ``far`` [m]. It carries the arm and gathers speed slowly."""
+    gone, speed, delta = [0.0], 0.0, motion.LIMITS.joint_delta
+    while far - gone[-1] > SETTLED:
+        speed += TORSO_GAIN * (TORSO_SPEED * min(1.0, (far - gone[-1]) / delta) - speed)
+        gone.append(min(gone[-1] + speed, far))
+    return np.array([*gone, far]) / far if far > 0.0 else np.ones(1)
+
+
+def within_reach(boxes: Boxes, way: Array) -> Boxes:
     """The boxes that the robot can touch somewhere near a straight way (2, 2)."""
     middle, far = way.mean(axis=0), float(np.linalg.norm(way[1] - way[0])) / 2
     near = boxes.near(np.array([*middle, 0.9]), far + 1.35)

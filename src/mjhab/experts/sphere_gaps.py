@@ -31,6 +31,15 @@ def _place(pos: Array, rot: Array, local: Array) -> tuple[float, float, float]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _turned(rot: Array, local: Array) -> tuple[float, float, float]:
+    """A direction of a link in the world."""
+    x = rot[0, 0] * local[0] + rot[0, 1] * local[1] + rot[0, 2] * local[2]
+    y = rot[1, 0] * local[0] + rot[1, 1] * local[1] + rot[1, 2] * local[2]
+    z = rot[2, 0] * local[0] + rot[2, 1] * local[1] + rot[2, 2] * local[2]
+    return x, y, z
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def least_gaps(
     pos: Array, rot: Array, links: Array, middle: Array, around: Array, first: Array, points: Array, radius: Array,
     center: Array, half: Array, turn: Array,
@@ -63,5 +72,38 @@ def least_gaps(
                 for m in range(first[i], first[i + 1]):
                     x, y, z = _place(pos[n, link], rot[n, link], points[m])
                     best = min(best, _gap(x, y, z, center[k], half[k], turn[k]) - radius[m])
+        found[n] = best
+    return found
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def own_gaps(
+    pos: Array, rot: Array, link: Array, points: Array, radius: Array, trunk: Array, center: Array, half: Array,
+    turn: Array,
+) -> Array:  # fmt: skip
+    """Least distance (N,) [m] of spheres on links to boxes on other links of the same robot; negative: they overlap.
+
+    Args:
+        pos, rot: (N, Q, 3), (N, Q, 3, 3) frames of the chain's links in N configurations.
+        link, points, radius: (M,), (M, 3), (M,) spheres in their links' frames.
+        trunk, center, half, turn: (K,), (K, 3), (K, 3), (K, 3, 3) links of the boxes, and the boxes in their frames.
+    """
+    found = np.empty(len(pos))
+    spheres = np.empty((len(link), 3))
+    middle, sides = np.empty(3), np.empty((3, 3))
+    for n in range(len(pos)):
+        for m in range(len(link)):
+            x, y, z = _place(pos[n, link[m]], rot[n, link[m]], points[m])
+            spheres[m, 0], spheres[m, 1], spheres[m, 2] = x, y, z
+        best = np.inf
+        for k in range(len(trunk)):
+            x, y, z = _place(pos[n, trunk[k]], rot[n, trunk[k]], center[k])
+            middle[0], middle[1], middle[2] = x, y, z
+            for axis in range(3):
+                x, y, z = _turned(rot[n, trunk[k]], turn[k, :, axis])
+                sides[0, axis], sides[1, axis], sides[2, axis] = x, y, z
+            for m in range(len(link)):
+                gap = _gap(spheres[m, 0], spheres[m, 1], spheres[m, 2], middle, half[k], sides)
+                best = min(best, gap - radius[m])
         found[n] = best
     return found

@@ -1,0 +1,121 @@
+"""Carrying an object to its place: what a drive is expected to be is what it is, and every side is thought of."""
+
+from __future__ import annotations
+
+import importlib
+from dataclasses import replace
+from itertools import islice
+
+import numpy as np
+import pytest
+
+import mjhab.envs as envs
+from mjhab.core.boxes import Boxes
+from mjhab.core.rotations import mat_from_quat
+from mjhab.envs.grasps import ObjectShape, grasp_candidates
+from mjhab.envs.held import shape_of
+from mjhab.envs.privileged import FETCH_JOINTS, REST_QPOS, WorldView
+from mjhab.envs.sequential import SequentialTaskEnv
+from mjhab.experts import motion
+from mjhab.experts.carry import CORNER, held_spheres
+from mjhab.experts.pick import LOW_SHELF_OPTIONS, SHELF_OPTIONS
+from mjhab.experts.place import hand_goals, place
+from mjhab.experts.reach import ARM_END, Scene, _overreach, base_poses, surroundings
+from mjhab.experts.route import Route, _swept, arm_gone, drive_of, follow, holds, torso_gone
+
+place_module = importlib.import_module("mjhab.experts.place")
+
+
+def place_env(episode: int, target: str = "") -> SequentialTaskEnv:
+    env = envs.make(
+        task="tidy_house", subtask="place", target=target, num_envs=1, split="train", autoreset="disabled", threads=1
+    )
+    env.reset(seed=0, options={"episode": [episode]})
+    return env
+
+
+def goal_of(view: WorldView) -> tuple[str, np.ndarray]:
+    assert view.subtask is not None
+    return view.subtask.obj, np.array(view.subtask.goal_pos)
+
+
+@pytest.mark.parametrize("gone", [arm_gone, torso_gone])
+@pytest.mark.parametrize("far", [0.05, 0.3, 1.5])
+def test_arm_and_torso_start_slowly_and_arrive(gone, far: float):
+    share = gone(far)
+    steps = np.diff(share)
+    assert share[0] == 0.0 and share[-1] == 1.0 and (steps >= 0.0).all()
+    if far > 0.2:
+        assert steps[0] < 0.5 * steps[4]
+    np.testing.assert_array_equal(gone(0.0), [1.0])
+
+
+def test_a_drive_with_an_object_goes_as_expected():
+    env = place_env(1)
+    view = env.view(0)
+    obj, _ = goal_of(view)
+    arm = REST_QPOS.copy()
+    arm[[FETCH_JOINTS.index("torso_lift_joint"), FETCH_JOINTS.index("elbow_flex_joint")]] -= [0.2, 0.5]
+    arm[13:] = view.q[13:]
+    goal = view.q[:3] - [0.2 * np.cos(view.q[2]), 0.2 * np.sin(view.q[2]), -0.4]
+    found = drive_of(view, goal, direction=-1, straight=True, gentle=True)
+    assert found is not None
+    path, direction, lookahead, poses = found
+    expected = _swept(view.q, poses, arm, 0)
+    route = Route(path, float(goal[2]), direction, lookahead, arm, 0, len(expected), 0.0)
+    real = [view.q]
+    for action in islice(follow(view, route, gripper=motion.CLOSED, held=obj), len(expected) - 1):
+        env.step(action[None])
+        real.append(view.q)
+    assert holds(view, obj) and len(real) > 20
+    off = np.abs(np.array(real) - expected[: len(real)])
+    assert off[:, :2].max() < 0.02 and off[:, 2].max() < 0.08
+    # The torso swings a little beyond its goal.
+    assert off[:10, 3].max() < 0.02 and off[:, 3].max() < 0.08 and off[:, motion.ARM_JOINTS].max() < 0.05
+
+
+def test_spheres_reach_into_the_corners_of_a_held_box():
+    view = place_env(0, "003_cracker_box").view(0)
+    obj, _ = goal_of(view)
+    half = np.array(view.object_type(obj).half)
+    assert shape_of(view.object_type(obj)).kind == "box"
+    pose, (tcp, rot) = view.object_pose(obj), motion.tcp(view)
+    corners = pose[:3] + (half * [[1, 1, 1], [-1, 1, -1], [1, -1, -1]]) @ mat_from_quat(pose[3:]).T
+    local, radius = held_spheres(view, obj)
+    gap = np.linalg.norm(corners[:, None] - (tcp + local @ rot.T), axis=2) - radius
+    assert gap.min(axis=1).max() < CORNER
+
+
+def test_bases_are_only_where_something_can_be_reached():
+    view = place_env(1).view(0)
+    obj, goal = goal_of(view)
+    near, _ = surroundings(view, obj, goal)
+    scene = Scene(near, near.take(np.zeros(0, np.int64)), float(goal[2]), held_spheres(view, obj))
+    goals = hand_goals(view, obj, goal, shelf=False, any_side=False)
+    # Only what is put down half a metre further away counts.
+    away = goals.pos + 0.5 * np.array([np.cos(view.q[2]), np.sin(view.q[2]), 0.0])
+    shifted = type(goals)(away, goals.rot, goals.pre, goals.opening, goals.score)
+    for wanted in (goals, shifted):
+        bases, steps = base_poses(view, goal, scene, wanted, 0.0)
+        assert len(bases) and np.isfinite(steps).all()
+        assert (_overreach(bases, wanted).min(axis=1) < ARM_END).all()
+
+
+def test_place_looks_at_every_way_before_it_waits(monkeypatch: pytest.MonkeyPatch):
+    view, asked = place_env(1).view(0), []
+    monkeypatch.setattr(place_module, "plan_place", lambda *args: asked.append(args[4]))
+    next(place(view))
+    assert asked == [0, 1, 2]
+
+
+def test_a_bowl_under_a_shelf_is_taken_from_the_front():
+    bowl = ObjectShape("bowl", (0.081, 0.081, 0.028))
+    low = Boxes.of([[0.0, 0.0, 0.362]], [[0.4, 0.4, 0.01]], [np.eye(3)])
+    pos, quat = np.array([0.0, 0.0, 0.028]), np.array([1.0, 0.0, 0.0, 0.0])
+    found = [
+        grasp_candidates(bowl, pos, quat, support_z=0.0, neighbours=low, options=replace(options, inward=(1.0, 0.0)))
+        for options in (SHELF_OPTIONS, LOW_SHELF_OPTIONS)
+    ]
+    assert not len(found[0]) and len(found[1])
+    # The hand leans towards where it comes from.
+    assert found[1].rot[:, 0, 0].max() > 0.5

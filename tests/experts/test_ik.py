@@ -127,7 +127,7 @@ def test_grasps_respect_support_opening_and_geometry(shape, yaw, lying):
     found = grasp_candidates(shape, center, quat, support_z=0.7)
     assert len(found) >= 6
     assert (np.diff(found.score) <= 1e-12).all()
-    assert (found.width <= Gripper().usable).all() and (found.opening > found.width).all()
+    assert (found.width < Gripper().opening).all() and (found.opening > found.width).all()
     tips = found.pos + 0.03 * found.rot[:, :, 0]
     assert (np.minimum(tips, found.pos)[:, 2] >= 0.7).all()
     palm = (center - (found.pos - 0.032 * found.rot[:, :, 0])) @ mat_from_quat(quat)

@@ -152,11 +152,12 @@ def test_opening_between_the_pads_is_twice_the_joint(model: mujoco.MjModel, q: f
     hand = data.body(fetch.TCP_LINK)
     faces = []
     for link in fetch.FINGER_LINKS:
-        geom = model.geom(f"{link}/0")
         opening = np.array(fetch.FINGER_OPEN_DIR[link])
-        centre = hand.xmat.reshape(3, 3).T @ (data.geom(f"{link}/0").xpos - hand.xpos)
-        faces.append(float(opening @ centre) - geom.size[1])
-        assert np.abs(centre[[0, 2]] - (0.001, 0.0)).max() < 1e-9
+        (pad, *_), (edge, *_) = (model.geom(f"{link}/{i}").size for i in (0, 1))
+        at_pad, at_edge = (hand.xmat.reshape(3, 3).T @ (data.geom(f"{link}/{i}").xpos - hand.xpos) for i in (0, 1))
+        faces += [float(opening @ at_pad) - model.geom(f"{link}/0").size[1], float(opening @ at_edge) - edge]
+        assert at_pad[0] - pad == pytest.approx(-0.029) and at_edge[0] + edge == pytest.approx(0.031)
+        assert np.abs([at_pad[2], at_edge[2]]).max() < 1e-9
     np.testing.assert_allclose(faces, q - 0.0004, atol=1e-9)
 
 

@@ -27,7 +27,8 @@ class Gripper:
 
     Fingers reach ``finger`` (x, z) to both sides of the origin and are ``thickness`` thick; the hand's body lies
     between ``palm_x``; ``palm_half`` are its half-extents (y, z). ``usable``: widest object taken between the pads,
-    somewhat less than their widest opening ``opening``.
+    somewhat less than their widest opening ``opening``; ``play``: room left on both sides by fingertips that come to
+    meet something wider.
     """
 
     finger: tuple[float, float] = (0.030, 0.0132)
@@ -36,6 +37,7 @@ class Gripper:
     palm_half: tuple[float, float] = (0.063, 0.040)
     opening: float = 0.0985
     usable: float = 0.092
+    play: float = 0.0007
 
 
 @dataclass(frozen=True)
@@ -234,6 +236,7 @@ def _cylinder_holds(shape: ObjectShape, pos: Array, rot: Array, gripper: Gripper
             yield _Hold(closing, _fan(closing, axis, options.fan), line, 2 * radius, measure=2 * half)
         else:
             yield from _chord_holds(radius, half, pos, axis, closing, line, gripper)
+            yield from _tip_holds(radius, half, pos, axis, closing, line, gripper)
     if 2 * half <= gripper.usable:
         u, v = np.meshgrid(np.linspace(-1, 1, 15) * radius, np.linspace(-1, 1, 15) * radius)
         disk = np.stack([u.ravel(), v.ravel()], axis=1)
@@ -249,7 +252,6 @@ def _chord_holds(
 
     The normals lean from the closing line by asin(offset / radius), 28 degrees for the widest can of the benchmark;
     the pads' friction (coefficient above tan of that) holds it, and the contact forces stay on the closing line.
-    Coming from the side with the finger tips on a chord was tried too: the can slips out ahead of them.
     """
     width = gripper.usable - 0.002
     if width / 2 >= radius or radius - width / 2 > 0.012:
@@ -262,6 +264,23 @@ def _chord_holds(
             deep = min(half, gripper.finger[0] + 0.027)
             at = pos - down * (half - deep + gripper.finger[0]) + side * (offset + gripper.finger[1]) * across
             yield _Hold(closing, down[None], chord, width, at[None], bonus=-0.4, measure=2 * half)
+
+
+def _tip_holds(
+    radius: float, half: float, pos: Array, axis: Array, closing: Array, line: Array, gripper: Gripper
+) -> Iterator[_Hold]:
+    """A can a little too wide to go around: coming from the side, the round edges of the fingertips hold it on a chord
+    before the axis, as far back as the open hand gets. The more the tips miss the axis, the sooner it is lost."""
+    width = gripper.opening - 2 * gripper.play
+    if not 0.0 < radius - width / 2 < 0.004:
+        return
+    offset, tip = float(np.sqrt(radius**2 - (width / 2) ** 2)), gripper.finger[0]
+    heights = np.linspace(-1.0, 1.0, 7)[:, None] * max(half - gripper.finger[1], 0.0) * axis
+    for side in (-1.0, 1.0):
+        approach = side * np.cross(axis, closing)
+        at = pos + heights - (offset + tip) * approach
+        chord = line - (offset + 1e-4) * approach
+        yield _Hold(closing, np.tile(approach, (len(at), 1)), chord, width, at, bonus=-0.6, measure=2 * half)
 
 
 def _sphere_holds(shape: ObjectShape, pos: Array, rot: Array, gripper: Gripper, options: Options) -> Iterator[_Hold]:

@@ -86,8 +86,22 @@ _PAD_FACE = 0.0004
 _FINGER_Y = FINGER_HALF[1] - _PAD_FACE - 0.015425
 
 
+TIP_RADIUS = 0.004
+"""Rounding of the pad's edge at the fingertip [m]. A sharp edge against something wider than the hand opens has no
+normal of its own: the contact flips to the end of the finger and shoots the object out of the hand."""
+
+
+def finger_box(sign: float) -> Geom:
+    """All that a finger fills; ``sign``: 1 for the right one, at +y of the gripper, -1 for the left one."""
+    return Geom("box", FINGER_HALF, (0.001, sign * _FINGER_Y, 0.0), visual=False)
+
+
 def _finger(sign: float) -> tuple[Geom, ...]:
-    return (Geom("box", FINGER_HALF, (0.001, sign * _FINGER_Y, 0.0), visual=False),)
+    """`finger_box` with a round edge at the end of the pad."""
+    (x, y, z), end = FINGER_HALF, 0.001 + FINGER_HALF[0]
+    box = _box((end - 2 * x, end - TIP_RADIUS - 0.001), (sign * _FINGER_Y - y, sign * _FINGER_Y + y), (-z, z))
+    edge = (end - TIP_RADIUS, sign * (_FINGER_Y - y + TIP_RADIUS), 0.0)
+    return box, Geom("capsule", (TIP_RADIUS, z - TIP_RADIUS, 0.0), edge, visual=False)
 
 
 COLLISION: dict[str, tuple[Geom, ...]] = {

@@ -15,7 +15,7 @@ import trimesh
 
 from mjhab.core.errors import MjhabError
 from mjhab.scenes.fetch import KINEMATIC_TREE, LINKS
-from mjhab.scenes.fetch_geometry import COLLISION
+from mjhab.scenes.fetch_geometry import finger_box
 from mjhab.scenes.materials import Material
 from mjhab.scenes.meshes import Mesh
 
@@ -118,7 +118,7 @@ def _fingers() -> list[tuple[str, Mesh, str]]:
     out: list[tuple[str, Mesh, str]] = []
     pad = 0.0015
     for link, inward in (("r_gripper_finger_link", -1.0), ("l_gripper_finger_link", 1.0)):
-        (geom,) = COLLISION[link]
+        geom = finger_box(-inward)
         (hx, hy, hz), (x, y, z) = geom.size, geom.pos
         out.append((link, _box((hx, hy - pad, hz), (x, y - inward * pad, z)), "fetch_grey"))
         out.append((link, _box((hx - 0.002, pad, hz - 0.001), (x, y + inward * (hy - pad), z)), "fetch_dark"))

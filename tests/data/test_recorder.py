@@ -21,6 +21,9 @@ from mjhab.data.shard import ShardWriter
 from mjhab.rollout.loop import rollout
 from mjhab.rollout.policy import RandomPolicy
 from mjhab.rollout.sinks import Sink, StepView
+from mjhab.scenes.compile import compile_home
+from mjhab.scenes.layout import Layout
+from mjhab.scenes.packs import open_pack
 from tests.data.fake_world import NQ, FakeEnv
 from tests.data.make import POLICY, record
 
@@ -209,3 +212,11 @@ def test_images() -> None:
         ImageFormat("jpg")
     with pytest.raises(UsageError, match="1 to 95"):
         ImageFormat(quality=100)
+
+
+def test_a_model_is_the_same_from_a_cold_and_from_a_warm_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MJHAB_CACHE", str(tmp_path))
+    pack = open_pack("builtin")
+    layout = Layout(pack, ())
+    cold, warm = (model_hash(compile_home(layout, pack.homes[0])) for _ in range(2))
+    assert cold == warm

@@ -119,7 +119,9 @@ def compare(ours: dict[str, torch.Tensor], theirs: dict[str, np.ndarray]) -> Non
     assert ours.keys() == theirs.keys()
     for key, value in theirs.items():
         assert ours[key].numpy().dtype == value.dtype
-        np.testing.assert_allclose(ours[key].numpy(), value, atol=0.02, err_msg=key)
+        # Of an object just let go, the CPU engine's own pose moves by 0.03 for actions that differ by 1e-5.
+        atol = 0.05 if key == "extra/obj_pose_wrt_base" else 0.02
+        np.testing.assert_allclose(ours[key].numpy(), value, atol=atol, err_msg=key)
 
 
 def test_training_draws_the_same_starts() -> None:

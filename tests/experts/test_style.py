@@ -63,7 +63,8 @@ def test_slower_takes_longer_and_holding_still_delays():
     both = [(p, s) for p, s in zip(plain, slow, strict=True) if p.success_once and s.success_once]
     assert len(both) >= 2 and all(success_step(s) > 1.2 * success_step(p) for p, s in both)
     begun = [(p.events[0][0], h.events[0][0]) for p, h in zip(plain, late, strict=True) if p.events and h.events]
-    assert len(begun) >= 3 and sum(held > first + 5 for first, held in begun) >= len(begun) - 1
+    # Most of them: the arm settles while it waits, and another plan, quicker or slower, may come out.
+    assert len(begun) >= 3 and np.median([held - first for first, held in begun]) > 15
 
 
 def test_noise_changes_what_happens_and_is_corrected():

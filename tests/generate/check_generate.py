@@ -27,7 +27,6 @@ MJHAB = [sys.executable, "-m", "mjhab.cli.main"]
 MAKE = ["generate", "--task", "set_table", "--subtask", "pick", "--workers", "2", "--seed", "0", "--json"]
 EARLY, LATE = (0.1, 0.4), (0.5, 0.9)
 """Shares of the episodes that are written when the two kills come."""
-_COUNT = "count"
 _LONGEST_WAIT = 3.0
 """A kill comes up to so many seconds after its share is reached: anywhere in an episode."""
 
@@ -39,16 +38,7 @@ def start(out: Path, episodes: int, *more: str) -> subprocess.Popen[str]:
 
 
 def written(out: Path) -> int:
-    """Episodes in the shards at this moment, or 0.
-
-    Another process looks: HDF5 may bring down one that reads a file while it is changed.
-    """
-    done = subprocess.run([sys.executable, __file__, str(out), _COUNT], capture_output=True, text=True, check=False)
-    return int(done.stdout or 0) if done.returncode == 0 else 0
-
-
-def count_episodes(out: Path) -> int:
-    """Episodes in the shards that can be read."""
+    """Episodes in the shards at this moment."""
     count = 0
     for path in out.glob("shard_*.h5"):
         try:
@@ -122,7 +112,5 @@ def main(out: Path, episodes: int, seed: int | None = None) -> None:
     print(json.dumps({"episodes": episodes, "exact": replayed["exact"], "kills_seed": seed, **rate, **said["labels"]}))
 
 
-if __name__ == "__main__" and sys.argv[2] == _COUNT:
-    print(count_episodes(Path(sys.argv[1])))
-elif __name__ == "__main__":
+if __name__ == "__main__":
     main(Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]) if len(sys.argv) > 3 else None)

@@ -12,7 +12,7 @@ from pathlib import Path
 from mjhab.core.cache import write_atomic
 from mjhab.core.errors import UsageError
 from mjhab.data.journal import committed_length, journal_path, recover
-from mjhab.data.locking import WriteLock
+from mjhab.data.locking import WriteLock, is_written
 from mjhab.data.reading import Shard, open_shard, shard_paths
 from mjhab.data.schema import DamagedError
 from mjhab.data.shard import ShardWriter, StorageError, is_full
@@ -59,7 +59,7 @@ def check(places: Path | Sequence[Path], on_shard: Callable[[], object] | None =
     report = CheckReport()
     seen: Counter[str] = Counter()
     for path in shard_paths(places):
-        if journal_path(path).exists():
+        if journal_path(path).exists() and not is_written(path):
             report.unfinished.append(path)
         try:
             with open_shard(path) as shard:

@@ -115,8 +115,8 @@ def check_format(file: h5py.File, path: Path) -> None:
         raise DamagedError(f"{path} has lost its group {missing[0]!r}. Try: mjhab data repair {path}")
 
 
-def group(parent: h5py.Group, path: str) -> h5py.Group:
-    """The group at a path.
+def group(parent: h5py.Group, path: str | h5py.Reference) -> h5py.Group:
+    """The group at a path or reference.
 
     Raises:
         KeyError: there is none.

@@ -8,6 +8,9 @@ HDF5 writes into an `Overlay` in memory. What it wrote reaches the disk in `comm
 3. the same pages, into the file;
 4. the journal is deleted.
 
+Nobody opens the file during steps 2 to 4 (`locking.quiet`). Who opened it before reads on: what is in use of it does
+not change, but for the index of episodes and the superblock.
+
 Killed in step 1 or 2, the file is what it was: the journal is absent or its hash is wrong. Killed in step 3 or 4, the
 journal is whole and `recover` repeats step 3. Each step is on the disk (fsync) before the next one begins.
 """
@@ -21,6 +24,7 @@ import struct
 from dataclasses import dataclass
 from pathlib import Path
 
+from mjhab.data.locking import quiet
 from mjhab.data.schema import DamagedError
 
 PAGE = 4096
@@ -163,22 +167,31 @@ def commit(path: Path, overlay: Overlay) -> None:
     Raises:
         OSError: the disk is full or broken. Before the journal is whole, the file is put back to what it was.
     """
-    journal = journal_path(path)
     fd = os.open(path, os.O_RDWR)
     try:
         try:
             _write(fd, overlay.base, overlay.tail)
             os.fsync(fd)
-            _write_journal(journal, _pack(fd, overlay))
         except OSError:
-            journal.unlink(missing_ok=True)
             os.ftruncate(fd, overlay.base)
             raise
-        _apply(fd, {n: bytes(data) for n, data in overlay.pages.items()})
+        with quiet(path, change=True):
+            _put_in_place(path, fd, overlay)
     finally:
         os.close(fd)
-    journal.unlink()
     sync_folder(path)
+
+
+def _put_in_place(path: Path, fd: int, overlay: Overlay) -> None:
+    journal = journal_path(path)
+    try:
+        _write_journal(journal, _pack(fd, overlay))
+    except OSError:
+        journal.unlink(missing_ok=True)
+        os.ftruncate(fd, overlay.base)
+        raise
+    _apply(fd, {n: bytes(data) for n, data in overlay.pages.items()})
+    journal.unlink()
 
 
 def recover(path: Path) -> bool:
@@ -188,17 +201,18 @@ def recover(path: Path) -> bool:
         DamagedError: the journal belongs to another file.
         OSError: the disk is full or broken.
     """
-    journal = read_journal(path)
-    if journal is not None:
-        fd = os.open(path, os.O_RDWR)
-        try:
-            _apply(fd, journal.pages)
-        finally:
-            os.close(fd)
-    journal_path(path).unlink(missing_ok=True)
-    length = committed_length(path)
-    if path.stat().st_size > length:
-        os.truncate(path, length)
+    with quiet(path, change=True):
+        journal = read_journal(path)
+        if journal is not None:
+            fd = os.open(path, os.O_RDWR)
+            try:
+                _apply(fd, journal.pages)
+            finally:
+                os.close(fd)
+        journal_path(path).unlink(missing_ok=True)
+        length = committed_length(path)
+        if path.stat().st_size > length:
+            os.truncate(path, length)
     return journal is not None
 
 

@@ -5,22 +5,26 @@ from __future__ import annotations
 import functools
 import os
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
+from h5py import h5r
 
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.data.episode_data import RunInfo, episode_digest, from_bytes, run_id
 from mjhab.data.hdf5 import check_format, dataset, dataset_paths, group, read_arrays, read_attributes
 from mjhab.data.images import decode
 from mjhab.data.journal import Overlay, committed_length, read_journal
-from mjhab.data.locking import is_written
+from mjhab.data.locking import is_written, quiet
 from mjhab.data.schema import CHECKS, COLUMNS, EPISODES, RUNS, TERMINAL, DamagedError, problems
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.tasks.labels import History
+
+_BROKEN = (OSError, RuntimeError, ValueError, KeyError)
+"""What h5py raises over a damaged file."""
 
 
 def shard_paths(places: Path | Sequence[Path]) -> list[Path]:
@@ -49,7 +53,7 @@ class Episode:
     def __init__(self, shard: Shard, name: str) -> None:
         self.shard, self.name = shard, name
         with self._reading():
-            self._group = group(shard.file, f"{EPISODES}/{name}")
+            self._group = shard.open_group(name)
 
     @contextmanager
     def _reading(self) -> Iterator[None]:
@@ -98,6 +102,10 @@ class Episode:
     def initial(self) -> dict[str, Any]:
         """The state after the reset, for ``env.set_state``."""
         return from_bytes(self.array("states/initial"))
+
+    def copy_to(self, parent: h5py.Group) -> None:
+        """Copy it as it is into a group of another file."""
+        parent.copy(self._group, parent, self.name)
 
     @property
     def paths(self) -> list[str]:
@@ -225,16 +233,24 @@ class Shard:
         self.path = path
         self._fd = -1
         try:
-            self.file = self._open()
-            check_format(self.file, path)
-            self.names = sorted(map(str, group(self.file, EPISODES)))
-            self._known = frozenset(self.names)
-        except (OSError, RuntimeError, ValueError, KeyError) as error:
+            with quiet(path):
+                self.file = self._open()
+                check_format(self.file, path)
+                self._read_index()
+        except _BROKEN as error:
             self.close()
             raise _unreadable(path, error) from error
         except BaseException:
             self.close()
             raise
+
+    def _read_index(self) -> None:
+        """Read all that a writer changes, so that nothing leads there later: where episodes lie, and the runs."""
+        index = group(self.file, EPISODES)
+        self._places = {str(name): h5r.create(index.id, str(name).encode(), h5r.OBJECT) for name in index}
+        self.names = sorted(self._places)
+        with suppress(*_BROKEN):
+            _ = self.told  # of a damaged one, whoever asks hears of it
 
     def _open(self) -> h5py.File:
         committed_length(self.path)
@@ -268,9 +284,13 @@ class Shard:
         Raises:
             UsageError: there is none of that name.
         """
-        if name not in self._known:
+        if name not in self._places:
             raise unknown_name(f"episode in {self.path}", name, self.names[:20])
         return Episode(self, name)
+
+    def open_group(self, name: str) -> h5py.Group:
+        """The group of an episode of ``names``, found without the index."""
+        return group(self.file, self._places[name])
 
     def problems(self, name: str) -> list[str]:
         """What is wrong with an episode, in words; it may be damaged beyond opening."""

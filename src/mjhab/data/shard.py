@@ -138,9 +138,9 @@ class ShardWriter:
 
         def fill(file: h5py.File) -> None:
             for name in names:
-                shard.file.copy(f"{EPISODES}/{name}", group(file, EPISODES), name)
-            for run in runs - self._runs:
-                shard.file.copy(f"{RUNS}/{run}", group(file, RUNS), run)
+                shard.episode(name).copy_to(group(file, EPISODES))
+            for run in sorted(runs - self._runs):
+                _put(group(file, RUNS), run, to_bytes(shard.told[run]))
 
         grown = self._change(fill)
         self._names.update(names)

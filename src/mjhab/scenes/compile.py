@@ -44,12 +44,12 @@ def compile_home(layout: Layout, home: Home) -> mujoco.MjModel:
         ValueError: when MuJoCo refuses the home; the message names it.
     """
     path = model_path(layout, home)
-    if path.exists():
-        return mujoco.MjModel.from_binary_path(str(path))
-    try:
-        model = build_spec(layout, home).compile()
-    except ValueError as error:
-        reason = ", ".join(str(error).splitlines())
-        raise ValueError(f"home {home.name!r} does not compile: {reason}") from error
-    write_atomic(path, lambda temporary: mujoco.mj_saveModel(model, str(temporary), None))
-    return model
+    if not path.exists():
+        try:
+            model = build_spec(layout, home).compile()
+        except ValueError as error:
+            reason = ", ".join(str(error).splitlines())
+            raise ValueError(f"home {home.name!r} does not compile: {reason}") from error
+        write_atomic(path, lambda temporary: mujoco.mj_saveModel(model, str(temporary), None))
+    # A compiled model carries a signature that the saved one lacks; all are taken from the file, to be equal.
+    return mujoco.MjModel.from_binary_path(str(path))

@@ -6,72 +6,17 @@ close, z across them. Lengths [m], world frame. Letters: G grasps, K neighbour b
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
-from typing import Literal
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mjhab.core.boxes import Boxes, sphere_box_distance
-from mjhab.core.errors import unknown_name
 from mjhab.core.rotations import frame_from_axes, mat_from_quat, quat_from_mat
+from mjhab.envs.holds import Gripper, Hold, ObjectShape, Options, holds_of
 
 Array = np.ndarray
 KINDS = ("top", "tilted", "side")
 """Approach from above (within 20 degrees), level (within 20 degrees) or between."""
-
-
-@dataclass(frozen=True)
-class Gripper:
-    """Sizes of Fetch's gripper (mani_skill/assets/robots/fetch, bounds of its meshes).
-
-    Fingers reach ``finger`` (x, z) to both sides of the origin and are ``thickness`` thick; the hand's body lies
-    between ``palm_x``; ``palm_half`` are its half-extents (y, z). ``usable``: widest object taken between the pads,
-    somewhat less than their widest opening ``opening``; ``play``: room left on both sides by fingertips that come to
-    meet something wider.
-    """
-
-    finger: tuple[float, float] = (0.030, 0.0132)
-    thickness: float = 0.0144
-    palm_x: tuple[float, float] = (-0.154, -0.032)
-    palm_half: tuple[float, float] = (0.063, 0.040)
-    opening: float = 0.0985
-    usable: float = 0.092
-    play: float = 0.0007
-
-
-@dataclass(frozen=True)
-class ObjectShape:
-    """What is to be grasped. ``half``: half-extents of its bounding box, cylinders and bowls stand along z.
-
-    Bowls: ``wall`` thickness and ``lean``, the angle [rad] between the wall at the rim and the axis; ``facets``: flat
-    pieces the collision wall is made of, the first centred on +x (0: round); pads fit them best in their middles.
-    """
-
-    kind: Literal["box", "cylinder", "sphere", "bowl"]
-    half: tuple[float, float, float]
-    wall: float = 0.0045
-    lean: float = 0.197
-    facets: int = 16
-
-
-@dataclass(frozen=True)
-class Options:
-    """``floor_gap``: room kept between gripper and support, ``palm_gap`` between palm and object; ``retreat``: how far
-    back the pre-grasp lies; ``spread``: room added to the opening while approaching; ``fan``: directions tried around
-    each closing line; ``shallower``: how much less deep than possible [m] the hand may come; ``leans``: of
-    the hand outwards over a bowl's rim, from along its wall [rad]; ``inward``: (2,) level
-    direction into a shelf, the hand does not come against it; ``preference``: points for a `KINDS` of approach."""
-
-    floor_gap: float = 0.006
-    palm_gap: float = 0.005
-    retreat: float = 0.10
-    spread: float = 0.036
-    fan: int = 24
-    shallower: tuple[float, ...] = (0.0,)
-    leans: tuple[float, ...] = (0.0, 0.2, -0.2, 0.4)
-    inward: tuple[float, float] | None = None
-    preference: dict[str, float] = field(default_factory=lambda: {"top": 1.0, "tilted": 0.8, "side": 0.5})
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,30 +51,6 @@ class Grasps:
         return Grasps(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
 
-@dataclass(frozen=True, eq=False)
-class _Hold:
-    """A way of closing: pads meet the object on ``locus`` (P, 3) when closing along ``closing`` (3,), coming along one
-    of ``approach`` (A, 3). ``at`` (A, 3): the tool centre; None: as deep as palm and floor allow."""
-
-    closing: Array
-    approach: Array
-    locus: Array
-    width: float
-    at: Array | None = None
-    bonus: float = 0.0
-    least: float = 0.010
-    """Wanted length of the locus (or root of its area) within the pads."""
-    measure: float = 0.0
-    """Length (or root of the area) of the whole locus; 0 for a point."""
-    planar: bool = False
-    """The locus samples an area, not a line."""
-
-    @property
-    def point(self) -> bool:
-        """The pads meet the object in one point each."""
-        return len(self.locus) == 1
-
-
 def grasp_candidates(
     shape: ObjectShape,
     pos: Array,
@@ -158,10 +79,7 @@ def grasp_candidates(
     """
     gripper, options = gripper or Gripper(), options or Options()
     pos, rot = np.asarray(pos, dtype=np.float64), mat_from_quat(np.asarray(quat, dtype=np.float64))
-    makers = {"box": _box_holds, "cylinder": _cylinder_holds, "sphere": _sphere_holds, "bowl": _bowl_holds}
-    if shape.kind not in makers:
-        raise unknown_name("object shape", shape.kind, makers)
-    holds = makers[shape.kind](shape, pos, rot, gripper, options)
+    holds = holds_of(shape, pos, rot, gripper, options)
     parts = [_place(hold, shape, pos, rot, support_z, gripper, options) for hold in holds]
     if not any(len(part[0]) for part in parts):
         return _empty()
@@ -214,111 +132,6 @@ def approach_clearance(
     return least
 
 
-def _box_holds(shape: ObjectShape, pos: Array, rot: Array, gripper: Gripper, options: Options) -> Iterator[_Hold]:
-    for i in range(3):
-        width = 2 * shape.half[i]
-        if width > gripper.usable:
-            continue
-        j, k = (i + 1) % 3, (i + 2) % 3
-        u, v = np.meshgrid(np.linspace(-1, 1, 15) * shape.half[j], np.linspace(-1, 1, 15) * shape.half[k])
-        face = pos + u.reshape(-1, 1) * rot[:, j] + v.reshape(-1, 1) * rot[:, k]
-        size = 2 * np.sqrt(shape.half[j] * shape.half[k])
-        fan = _fan(rot[:, i], rot[:, j], options.fan)
-        yield _Hold(rot[:, i], fan, face, width, least=0.014, measure=size, planar=True)
-
-
-def _cylinder_holds(shape: ObjectShape, pos: Array, rot: Array, gripper: Gripper, options: Options) -> Iterator[_Hold]:
-    radius, half, axis = shape.half[0], shape.half[2], rot[:, 2]
-    line = pos + np.linspace(-half, half, 81)[:, None] * axis
-    for angle in np.arange(12) * np.pi / 12:
-        closing = np.cos(angle) * rot[:, 0] + np.sin(angle) * rot[:, 1]
-        if 2 * radius <= gripper.usable:
-            yield _Hold(closing, _fan(closing, axis, options.fan), line, 2 * radius, measure=2 * half)
-        else:
-            yield from _chord_holds(radius, half, pos, axis, closing, line, gripper)
-            yield from _tip_holds(radius, half, pos, axis, closing, line, gripper)
-    if 2 * half <= gripper.usable:
-        u, v = np.meshgrid(np.linspace(-1, 1, 15) * radius, np.linspace(-1, 1, 15) * radius)
-        disk = np.stack([u.ravel(), v.ravel()], axis=1)
-        disk = disk[np.linalg.norm(disk, axis=1) <= radius] @ rot[:, :2].T + pos
-        size = np.sqrt(np.pi) * radius
-        yield _Hold(axis, _fan(axis, rot[:, 0], options.fan), disk, 2 * half, least=0.014, measure=size, planar=True)
-
-
-def _chord_holds(
-    radius: float, half: float, pos: Array, axis: Array, closing: Array, line: Array, gripper: Gripper
-) -> Iterator[_Hold]:
-    """A can too wide to go around: coming along its axis, the pads' edges meet it on a chord beside the axis.
-
-    The normals lean from the closing line by asin(offset / radius), 28 degrees for the widest can of the benchmark;
-    the pads' friction (coefficient above tan of that) holds it, and the contact forces stay on the closing line.
-    """
-    width = gripper.usable - 0.002
-    if width / 2 >= radius or radius - width / 2 > 0.012:
-        return
-    offset = float(np.sqrt(radius**2 - (width / 2) ** 2))
-    across = np.cross(axis, closing)
-    for side in (-1.0, 1.0):
-        chord = line + side * offset * across
-        for down in (-axis, axis):
-            deep = min(half, gripper.finger[0] + 0.027)
-            at = pos - down * (half - deep + gripper.finger[0]) + side * (offset + gripper.finger[1]) * across
-            yield _Hold(closing, down[None], chord, width, at[None], bonus=-0.4, measure=2 * half)
-
-
-def _tip_holds(
-    radius: float, half: float, pos: Array, axis: Array, closing: Array, line: Array, gripper: Gripper
-) -> Iterator[_Hold]:
-    """A can a little too wide to go around: coming from the side, the round edges of the fingertips hold it on a chord
-    before the axis, as far back as the open hand gets. The more the tips miss the axis, the sooner it is lost."""
-    width = gripper.opening - 2 * gripper.play
-    if not 0.0 < radius - width / 2 < 0.004:
-        return
-    offset, tip = float(np.sqrt(radius**2 - (width / 2) ** 2)), gripper.finger[0]
-    heights = np.linspace(-1.0, 1.0, 7)[:, None] * max(half - gripper.finger[1], 0.0) * axis
-    for side in (-1.0, 1.0):
-        approach = side * np.cross(axis, closing)
-        at = pos + heights - (offset + tip) * approach
-        chord = line - (offset + 1e-4) * approach
-        yield _Hold(closing, np.tile(approach, (len(at), 1)), chord, width, at, bonus=-0.6, measure=2 * half)
-
-
-def _sphere_holds(shape: ObjectShape, pos: Array, rot: Array, gripper: Gripper, options: Options) -> Iterator[_Hold]:
-    width = 2 * max(shape.half)
-    if width > gripper.usable:
-        return
-    for angle in np.arange(8) * np.pi / 8:
-        closing = np.array([np.cos(angle), np.sin(angle), 0.0])
-        yield _Hold(closing, _fan(closing, np.array([0.0, 0.0, 1.0]), options.fan), pos[None], width)
-
-
-def _bowl_holds(shape: ObjectShape, pos: Array, rot: Array, gripper: Gripper, options: Options) -> Iterator[_Hold]:
-    """One finger inside, one outside the wall, both about parallel to it; several leans of the hand at every place."""
-    axis, half, count = rot[:, 2], shape.half[2], shape.facets or 16
-    # The middle of a flat facet lies nearer to the axis than its corners.
-    radius = (shape.half[0] - shape.wall / 2) * (np.cos(np.pi / count) if shape.facets else 1.0)
-    for angle in np.arange(count) * 2 * np.pi / count:
-        out = np.cos(angle) * rot[:, 0] + np.sin(angle) * rot[:, 1]
-        rim = pos + half * axis + radius * out
-        for extra in options.leans:
-            lean = shape.lean + extra
-            down = -np.cos(lean) * axis - np.sin(lean) * out
-            closing = np.cos(lean) * out - np.sin(lean) * axis
-            wall = rim + np.linspace(0.0, 0.03, 16)[:, None] * down
-            # The more the hand leans, the sooner the tip outside meets the wall below the rim.
-            at = rim[None] + (0.002 - 0.02 * max(extra - 0.4, 0.0)) * down
-            yield _Hold(closing, down[None], wall, shape.wall, at, bonus=-abs(extra), measure=0.03)
-
-
-def _fan(closing: Array, start: Array, count: int) -> Array:
-    """Approach directions (A, 3) around a closing axis, without those that come from below."""
-    u = start - closing * (start @ closing)
-    u = u / np.linalg.norm(u)
-    angle = np.arange(count) * 2 * np.pi / count
-    fan = np.cos(angle)[:, None] * u + np.sin(angle)[:, None] * np.cross(closing, u)
-    return fan[fan[:, 2] <= 0.05]
-
-
 def _extent(shape: ObjectShape, rot: Array, direction: Array) -> Array:
     """Half-extent (...,) of the object along unit directions (..., 3)."""
     part = np.abs(direction @ rot)
@@ -330,7 +143,7 @@ def _extent(shape: ObjectShape, rot: Array, direction: Array) -> Array:
 
 
 def _place(
-    hold: _Hold, shape: ObjectShape, pos: Array, rot: Array, support_z: float, gripper: Gripper, options: Options
+    hold: Hold, shape: ObjectShape, pos: Array, rot: Array, support_z: float, gripper: Gripper, options: Options
 ) -> tuple[Array, Array, Array, Array]:
     """Tool centres for one way of closing: positions, rotations, widths and qualities of those that are possible."""
     approach = hold.approach
@@ -359,15 +172,18 @@ def _place(
     keep = (at[:, 2] >= room - 1e-6) & (held >= hold.least)
     # Narrow things forgive errors of the approach: at the widest the pads pass with 3 mm to spare on each side.
     quality = hold.bonus + 6.0 * np.minimum(held, 0.03) - 4.0 * off - 0.3 * (hold.width / gripper.usable) ** 4
+    if hold.planar:
+        quality = quality - options.scant * np.maximum(0.02 - held, 0.0)
     return at[keep], turn[keep], np.full(int(keep.sum()), hold.width), quality[keep]
 
 
-def _overlap(hold: _Hold, center: Array, at: Array, turn: Array, gripper: Gripper) -> tuple[Array, Array]:
+def _overlap(hold: Hold, center: Array, at: Array, turn: Array, gripper: Gripper) -> tuple[Array, Array]:
     """How much of the contact locus the pads cover (length or root of area) and how far its middle is from the
     object's centre, for tool centres ``at`` (A, 3)."""
     local = np.einsum("apj,ajk->apk", hold.locus - at[:, None], turn)
     edge = np.array(gripper.finger) - (0.007 if hold.point else -1e-6)
-    inside = (np.abs(local[:, :, 0]) <= edge[0]) & (np.abs(local[:, :, 2]) <= edge[1])
+    blunt = gripper.blunt if hold.planar else 0.0
+    inside = (local[:, :, 0] >= -edge[0]) & (local[:, :, 0] <= edge[0] - blunt) & (np.abs(local[:, :, 2]) <= edge[1])
     count = inside.sum(axis=1)
     middle = np.einsum("ap,pj->aj", inside / np.maximum(count, 1)[:, None], hold.locus)
     share = count / len(hold.locus)

@@ -16,10 +16,13 @@ from mjhab.experts.clearance import RobotSpheres
 from mjhab.experts.motion import Motion
 from mjhab.experts.reach import surroundings
 from mjhab.experts.route import BLOCKED_FORCE, BLOCKED_STEPS, Route, follow, holds, plan_route
+from mjhab.experts.sampled import TOUCHES, plan_around
 
 Array = np.ndarray
 BACK = (0.0, 0.2, 0.4, 0.6, 0.8)
 """How far [m] to drive back while the arm returns."""
+BACK_AROUND = (0.0, 0.3)
+"""The same where the arm has to pass other postures on its way."""
 SHELF_DEPTH = 0.42
 """How far [m] the base comes straight in with the arm stretched out, to reach into the fridge."""
 
@@ -179,4 +182,10 @@ def plan_home(view: WorldView, obj: str, robot: RobotSpheres, *, holding: bool) 
             return route
         if best is None or route.room > best.room:
             best = route
+    if holding and best is not None and best.room < TOUCHES:
+        for back in BACK_AROUND:
+            end = now[:3] - back * np.array([np.cos(now[2]), np.sin(now[2]), 0.0])
+            around = plan_around(view, end, goal, robot, boxes, gentle=True)
+            if around is not None and around.steps <= view.steps_left:
+                return around
     return best

@@ -23,9 +23,15 @@ from mjhab.experts.style import of_kind, style_of
 from mjhab.tasks.style import ANY
 
 Array = np.ndarray
+INSIDE = 0.06
+"""How far in [m] the base has to be before it is driven out again."""
 LIFT = 0.10
 """How far [m] an object is lifted off an open surface before it is carried."""
 SHELF_LIFT = 0.025
+LATE_IN, LATE_OUT = 130, 60
+"""With fewer control steps left the base hurries into a shelf, or out of it."""
+SHORT = 0.025
+"""How far [m] short of its grasp a hand that met something need not close."""
 WAITS = (5, 10, 20, 50)
 """Control steps to wait after one attempt after the other without a way: things may come to rest meanwhile."""
 MAX_GOALS = 60
@@ -35,9 +41,9 @@ weight turns such an object between the pads, and with less than a push on top i
 OPTIONS = Options(palm_gap=0.012, floor_gap=0.008)
 # Little room: closer steps around the object, a short way in, and boxes nearly as wide as the hand opens. Below a low
 # shelf, where there is no way from above, bowls are taken by the rim from the front.
-SHELF_OPTIONS = replace(OPTIONS, fan=36, shallower=(0.0, 0.02), retreat=0.06)
+SHELF_OPTIONS = replace(OPTIONS, fan=36, shallower=(0.0, 0.02), retreat=0.06, cells=31, scant=150.0, corners=True)
 LOW_SHELF_OPTIONS = replace(SHELF_OPTIONS, leans=(0.4, 0.6, 0.8))
-SHELF_GRIPPER = Gripper(usable=0.0945)
+SHELF_GRIPPER = Gripper(usable=0.0945, blunt=0.004)
 NUDGES, NUDGE_STEPS, NUDGE_BACK = 2, 115, 0.12
 """How often an object is turned, control steps that must be left for it, and how far [m] to draw back from it."""
 INSIDE_WAYS = (0.0, 0.1, 0.2, SHELF_DEPTH)
@@ -83,18 +89,26 @@ def fetch(view: WorldView, obj: str, *, keep: bool = True) -> Motion:
             continue
         if taken:
             if depth or inside:
-                speed = HASTY_SPEED if inside else OUT_SPEED
+                speed = HASTY_SPEED if inside or view.steps_left < LATE_OUT else OUT_SPEED
                 yield from drive_out(view, SHELF_DEPTH, gripper=motion.CLOSED, speed=speed)
             if not keep and holds(view, obj):
                 return True
             yield from go_home(view, obj)
             yield from _keep(view, obj)
         failed = np.concatenate([failed, stance.at[None, :3]])
+        yield from _draw_back(view, obj, stance, depth)
+
+
+def _draw_back(view: WorldView, obj: str, stance: Stance, depth: float) -> Motion:
+    """Get out of where a grasp was tried in vain, the base having come in over ``depth``, if it got so far."""
+    # A hand that presses against something inside is not drawn back before the base is.
+    if not (depth and view.link_forces.sum() > BLOCKED_FORCE):
         yield from _let_go(view)
-        if depth:
-            # From inside the next way in can hardly be found.
-            yield from drive_out(view, depth, gripper=motion.OPEN)
-            yield from go_home(view, obj, holding=False)
+    if not depth or (come_in := depth - float(np.linalg.norm(view.q[:2] - stance.at[:2]))) < INSIDE:
+        return True
+    # From inside the next way in can hardly be found.
+    yield from drive_out(view, come_in, gripper=motion.OPEN)
+    return (yield from go_home(view, obj, holding=False))
 
 
 def _planned(
@@ -284,7 +298,7 @@ def _take(
         yield from go_home(view, obj, holding=False)
         return False
     if depth:
-        boxes = scene_of(view, obj).all
+        boxes, hasty = scene_of(view, obj).all, hasty or view.steps_left < LATE_IN
         if not (yield from drive_in(view, stance.pre, pre, rot, boxes, gripper=opening, hasty=hasty)):
             return False
     if np.linalg.norm(view.object_pose(obj)[:3] - start) > 0.02:
@@ -304,12 +318,23 @@ def _take(
         view, pos, rot, gripper=opening, rest=joints[1], speed=0.2, tolerance=0.006, max_steps=25, stop_on_force=80.0,
         torso=False,
     )  # fmt: skip
+    if np.linalg.norm(motion.tcp(view)[0] - pos) > SHORT:
+        return False
     # Fingers that close while the hand still moves twist the object and press sideways for seconds.
     yield from motion.still_tcp(view, pos, rot, gripper=opening, steps=4)
+    up = pos + np.array([0.0, 0.0, SHELF_LIFT if depth else LIFT])
+    return (yield from _lift(view, obj, up, rot, joints[1]))
+
+
+def _lift(view: WorldView, obj: str, up: Array, rot: Array, rest: Array) -> Motion:
+    """Close the hand and lift to ``up`` (3,), ``rot`` (3, 3) kept; ``rest`` (15,): preferred posture."""
     if not (yield from motion.close_fingers(view, obj)):
         return False
-    up = pos + np.array([0.0, 0.0, SHELF_LIFT if depth else LIFT])
-    yield from motion.raise_tcp(view, up, rot, rest=joints[1])
+    if not (yield from motion.raise_tcp(view, up, rot, rest=rest)):
+        # The arm is at its limit; the torso is slower.
+        yield from motion.move_tcp(
+            view, up, rot, gripper=motion.CLOSED, rest=rest, speed=0.15, tolerance=0.01, max_steps=15
+        )
     return bool((view.finger_forces(obj) > 0.3).all())
 
 

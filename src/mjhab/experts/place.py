@@ -6,6 +6,7 @@ import itertools
 
 import numpy as np
 
+from mjhab.core.boxes import Boxes
 from mjhab.core.rotations import mat_from_quat
 from mjhab.envs.held import shape_of
 from mjhab.envs.privileged import WorldView
@@ -13,7 +14,18 @@ from mjhab.experts import ik, motion
 from mjhab.experts.carry import drive_in, go_home, grip, held_spheres, inside_depth
 from mjhab.experts.motion import Motion
 from mjhab.experts.pick import fetch, height_below
-from mjhab.experts.reach import ROOMS, Blocked, HandGoals, Scene, Stance, hand_room, settle_reach, stances, surroundings
+from mjhab.experts.reach import (
+    HAND_LINKS,
+    ROOMS,
+    Blocked,
+    HandGoals,
+    Scene,
+    Stance,
+    hand_room,
+    settle_reach,
+    stances,
+    surroundings,
+)
 from mjhab.experts.route import follow, holds
 from mjhab.experts.sampled import roomier
 from mjhab.experts.style import style_of
@@ -36,6 +48,11 @@ HAND_ROOM = -0.008
 """Least clearance [m] of the hand; the spheres that stand for it are up to so much too large."""
 HAND_NEARER = 0.014
 """How much nearer than the arm the hand may come to what is around it before it goes down [m]."""
+LEAN, LAID = 2.5, 2.6
+"""Price in points of a radian that an object leans when it is let go under a shelf, and of another side down: round
+things roll then, and only let go of still more aslant they surely fall over."""
+BACKS, BACK_ROOM = (0.04, 0.07, 0.10), 0.01
+"""How far [m] the hand draws back, and the room [m] that the arm keeps then."""
 _WIDER = 0.03
 KNOCKS = -0.02
 """Ways with less room [m] may knock the object out of the hand: other ways to put it down are looked at first."""
@@ -105,14 +122,25 @@ def plan_place(
     support = float(goal[2]) - view.object_type(obj).half[2]
     scene = Scene(near, near.take(np.zeros(0, np.int64)), support, held_spheres(view, obj))
     depth = inside_depth(view, goal)
-    goals = hand_goals(view, obj, goal, shelf=depth > 0.0, any_side=attempt > 1, drop=0.0 if depth else drop)
-    goals = goals.take(np.flatnonzero(hand_room(goals, near.near(goal, 0.8)) > HAND_ROOM))
-    room = ROOMS[min(attempt, 2)]
+    goals = _roomy(view, obj, goal, near, shelf=depth > 0.0, attempt=attempt, drop=0.0 if depth else drop)
+    if not len(goals) and not depth:
+        # A board above leaves no room to come from above, though nothing calls the place a shelf.
+        goals = _roomy(view, obj, goal, near, shelf=True, attempt=attempt)
     blocked: list[Blocked] = []
     found = stances(
-        view, goal, goals, scene, drive_in=depth, avoid=failed, room=room, nearer=HAND_NEARER, blocked=blocked
-    )
+        view, goal, goals, scene, drive_in=depth, avoid=failed, room=ROOMS[min(attempt, 2)], nearer=HAND_NEARER,
+        blocked=blocked,
+    )  # fmt: skip
     return roomier(view, (found[0], goals, depth) if found else None, blocked)
+
+
+def _roomy(
+    view: WorldView, obj: str, goal: Array, near: Boxes, *, shelf: bool, attempt: int, drop: float = 0.0
+) -> HandGoals:  # fmt: skip
+    """`hand_goals` with room for the hand among the boxes ``near``."""
+    # Under a shelf the choice is often between one of its other sides and letting go of it at an angle.
+    goals = hand_goals(view, obj, goal, shelf=shelf, any_side=shelf or attempt > 1, drop=drop)
+    return goals.take(np.flatnonzero(hand_room(goals, near.near(goal, 0.8)) > HAND_ROOM))
 
 
 def hand_goals(view: WorldView, obj: str, goal: Array, *, shelf: bool, any_side: bool, drop: float = 0.0) -> HandGoals:
@@ -131,7 +159,7 @@ def hand_goals(view: WorldView, obj: str, goal: Array, *, shelf: bool, any_side:
     floor = float(goal[2]) - shape.half[2]
     # Tall things fall over when they are let go at an angle.
     ball = shape.kind == "sphere"
-    upset = 0.2 if ball else 1.0 if shelf else 2.0 + 2.0 * shape.half[2] / min(shape.half)
+    upset = 0.2 if ball else LEAN if shelf else 2.0 + 2.0 * shape.half[2] / min(shape.half)
     back = view.q[:2] - goal[:2]
     back = back / max(float(np.linalg.norm(back)), 1e-6)
     aside = np.array([-back[1], back[0]])
@@ -161,7 +189,7 @@ def _sides(every: bool) -> list[tuple[Array, float]]:
     if every:
         half = np.pi / 2
         for axis in ((half, 0, 0), (-half, 0, 0), (0, half, 0), (0, -half, 0), (2 * half, 0, 0)):
-            sides.append((ik.rotate(np.array([axis], float))[0], 1.5))
+            sides.append((ik.rotate(np.array([axis], float))[0], LAID))
     return sides
 
 
@@ -197,8 +225,25 @@ def _put(view: WorldView, obj: str, stance: Stance, goals: HandGoals, depth: flo
     yield from motion.still_tcp(view, pos, rot, gripper=closed, steps=2)
     opening = grip(2.0 * float(view.q[13:15].mean()) + _WIDER)
     yield from motion.still_tcp(view, pos, rot, gripper=opening, steps=5)
-    back = pos - 0.10 * rot[:, 0]
-    yield from motion.move_tcp(
-        view, back, rot, gripper=opening, rest=joints[0], speed=0.3, tolerance=0.03, max_steps=14, torso=False
-    )
-    return bool((view.finger_forces(obj) < 0.1).all())
+    for back in (_drawn_back(view, obj, pos, rot, joints[0]), pre):
+        yield from motion.move_tcp(
+            view, back, rot, gripper=opening, rest=joints[0], speed=0.3, tolerance=0.02, max_steps=14, torso=False
+        )
+        if not holds(view, obj):
+            return True
+    # Wide things touch the open fingers a little longer; to take them again would be to carry them off.
+    return bool(view.signal("at_goal"))
+
+
+def _drawn_back(view: WorldView, obj: str, pos: Array, rot: Array, rest: Array) -> Array:
+    """Where (3,) the hand may draw back to along itself: as far as the arm keeps clear of trunk and furniture."""
+    robot, whole = motion.chain(), motion.spheres()
+    arm = whole.only([name for name in whole.chain.links if name not in HAND_LINKS])
+    spots = pos - np.array(BACKS)[:, None] * rot[:, 0]
+    turns = np.repeat(rot[None], len(spots), axis=0)
+    found = ik.solve(robot, spots, turns, view.q[None], ik.columns(robot, torso=False), rest=rest)
+    q = np.concatenate([view.q[None], found.q[:, 0]])
+    room = np.minimum(whole.self_clearance(q), arm.clearance(q, surroundings(view, obj, pos)[0]))
+    fine = found.ok[:, 0] & (room[1:] > min(BACK_ROOM, room[0] - 0.004))
+    count = int(np.cumprod(fine).sum())
+    return spots[max(count - 1, 0)]

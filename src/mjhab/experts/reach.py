@@ -31,7 +31,7 @@ TIGHTEST = -0.055
 OUT_ROOM = 0.03
 """Least room [m] of an object on its straight way out of a shelf."""
 FAR_OFF = 0.96
-"""Bases farther [m] from the work are only taken where there is no other: a stretched arm has no room for errors."""
+"""Bases farther [m] from the work, or in narrow places, are only taken where there is no other."""
 ARM_END = 0.05
 """How far [m] the wrist may be beyond the comfortable distance, see `_overreach`."""
 _STRETCHED = 60.0
@@ -201,7 +201,7 @@ def base_poses(
 ) -> tuple[Array, Array]:
     """Base poses (B, 3) from which a goal at ``point`` may be reached, and the control steps (B,) to drive there."""
     r, angle, off = np.meshgrid(
-        np.arange(0.5, 1.11, 0.075), np.arange(32) * np.pi / 16, (-0.35, 0.0, 0.35), indexing="ij"
+        np.arange(0.5, 1.26, 0.075), np.arange(32) * np.pi / 16, (-0.35, 0.0, 0.35), indexing="ij"
     )
     x, y = point[0] - r * np.cos(angle), point[1] - r * np.sin(angle)
     poses = np.stack([x, y, wrap(angle + off)], axis=-1).reshape(-1, 3)
@@ -211,7 +211,8 @@ def base_poses(
     far_off = np.append(r.ravel() > FAR_OFF, np.zeros(4, bool))
     cells = planner(view)
     back = poses[:, :2] - drive_in * np.stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])], axis=1)
-    good = (cells.clearance_at(back) >= cells.radius) & (cells.clearance_at(poses[:, :2]) >= 0.27)
+    far_off |= cells.clearance_at(back) < cells.radius
+    good = np.minimum(cells.clearance_at(back), cells.clearance_at(poses[:, :2])) >= cells.narrow
     good &= floor_room(poses, scene.near) > 0.0
     if avoid is not None and len(avoid):
         gap = np.linalg.norm((poses[:, None] - avoid) * [1.0, 1.0, 0.3], axis=2).min(axis=1)

@@ -15,6 +15,7 @@ from mjhab.envs.kinematics import wrap
 from mjhab.envs.privileged import FETCH_JOINTS, HomeShapes, WorldView
 from mjhab.experts import ik, motion
 from mjhab.experts.clearance import Boxes, RobotSpheres
+from mjhab.experts.gentle import Care, care_for, eased
 from mjhab.experts.motion import Motion
 from mjhab.experts.navigation import CONTROL_DT, Planner
 
@@ -34,6 +35,8 @@ BASE_LAG, TURN_LAG = 0.15, 0.02
 """Time constants [s] of the base's speed and of its yaw rate."""
 BLOCKED_FORCE = 60.0
 BLOCKED_STEPS, LOST_STEPS = 4, 3
+STALLED_STEPS, STALLED = 10, 0.02
+"""Control steps, while the base stands, in which the arm comes nearer to its goal by so much [rad] or is stuck."""
 LOOKAHEADS = (0.30, 0.20, 0.10)
 """How far ahead [m] the base steers; short ones keep to the way at corners, long ones are quicker."""
 _SHARES = (0.35, 0.6, 0.8, 0.9)
@@ -47,9 +50,6 @@ TORSO_SPEED, TORSO_GAIN = 0.04, 0.18
 """Most [m] that the torso moves in a control step, and the part of a change of that which one step makes; measured."""
 PASSED = 0.08
 """How near [rad] the arm comes to a posture on its way before it goes on to the next."""
-GENTLE_RISE, GENTLE_CHANGE, GENTLE_SPIN = 0.12, 0.25, 1.8
-"""With an object in the hand: change of speed [m/s] and of yaw rate [rad/s] per control step, and most of the latter.
-The hand is almost a metre before the base: a sudden turn pulls objects out of it."""
 
 
 class Pilot:
@@ -245,6 +245,7 @@ def follow(
     """
     pilot = Pilot(route.path, route.yaw, route.direction, route.lookahead, route.speed)
     arm, pressed, lost, arrived = _ArmWay(view.q, route), 0, 0, False
+    least, since, care = np.inf, 0, care_for(view) if held else None
     moving, before = motion.drives(view, route.path[-1], route.yaw), (0.0, 0.0)
     for step in range(route.steps + 40):
         forward, turn, done = 0.0, 0.0, step >= route.lead
@@ -254,8 +255,11 @@ def follow(
         goal, off = arm.goal(view, step, arrived), motion.joint_gap(view, route.arm)
         if arrived and off <= tolerance:
             return True
+        least, since = (off, step) if off < least - STALLED or not arrived or goal is not route.arm else (least, since)
+        if step - since >= STALLED_STEPS:
+            return False
         speed = (0.0, 0.0) if arrived else (forward, turn)
-        before = speed = _eased(speed, before) if held else speed
+        before = speed = eased(speed, before, care) if care else speed
         ramp = min(1.0, 0.25 * (1 + step - min(step, 0 if route.via is not None else route.delay)))
         yield motion.action(view, goal, gripper=gripper, drive=speed, speed=ramp)
         pressed = pressed + 1 if view.link_forces.sum() > BLOCKED_FORCE else 0
@@ -288,12 +292,6 @@ def holds(view: WorldView, obj: str) -> bool:
     return bool((view.finger_forces(obj) > 0.1).any())
 
 
-def _eased(wish: tuple[float, float], before: tuple[float, float]) -> tuple[float, float]:
-    """Forward speed and yaw rate that are not far from those of the control step before."""
-    forward = before[0] + _bounded(wish[0] - before[0], GENTLE_RISE)
-    return forward, before[1] + _bounded(_bounded(wish[1], GENTLE_SPIN) - before[1], GENTLE_CHANGE)
-
-
 def _direction(pose: Array, path: Array, yaw: float) -> int:
     """Backwards only on short ways and when that takes less turning."""
     way, last = path[1] - path[0], path[-1] - path[-2]
@@ -309,10 +307,10 @@ def _smoothest(
     view: WorldView, pose: Array, path: Array, yaw: float, direction: int, gentle: bool = False
 ) -> tuple[float, Array]:  # fmt: skip
     """The quickest steering that keeps the base clear of furniture: look-ahead and base poses (T, 3)."""
-    cells = planner(view)
+    cells, care = planner(view), care_for(view) if gentle else None
     best: tuple[float, float, Array] | None = None
     for lookahead in LOOKAHEADS:
-        poses = _simulate(pose, path, yaw, direction, lookahead, gentle)
+        poses = _simulate(pose, path, yaw, direction, lookahead, care)
         room = float(cells.clearance_at(poses[:, :2]).min())
         if best is None or room > best[0]:
             best = (room, lookahead, poses)
@@ -323,7 +321,7 @@ def _smoothest(
 
 
 def _simulate(
-    pose: Array, path: Array, yaw: float, direction: int, lookahead: float, gentle: bool = False
+    pose: Array, path: Array, yaw: float, direction: int, lookahead: float, care: Care | None = None
 ) -> Array:  # fmt: skip
     """Base poses (T, 3) that driving a way should give."""
     pilot = Pilot(path, yaw, direction, lookahead)
@@ -334,8 +332,8 @@ def _simulate(
         forward, rate, done = pilot.step(pose)
         if done:
             break
-        if gentle:
-            forward, rate = asked = _eased((forward, rate), asked)
+        if care:
+            forward, rate = asked = eased((forward, rate), asked, care)
         speed += share * (forward - speed)
         turn += quick * (rate - turn)
         pose = pose + CONTROL_DT * np.array([speed * np.cos(pose[2]), speed * np.sin(pose[2]), turn])

@@ -86,12 +86,11 @@ def test_the_rule_can_be_broken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
             test_file_imports_only_what_its_package_may(path)
 
 
-def test_import_mjhab_is_quick_and_light() -> None:
+def test_import_mjhab_is_light() -> None:
     code = (
-        "import time; start = time.process_time(); import mjhab; took = time.process_time() - start\n"
-        "import sys; bad = {'torch', 'warp', 'mujoco', 'numba'} & set(sys.modules)\n"
+        "import sys, mjhab\n"
+        "bad = {'torch', 'warp', 'mujoco', 'numba', 'scipy', 'trimesh', 'h5py'} & set(sys.modules)\n"
         "assert not bad, f'import mjhab loaded {bad}'\n"
-        "assert took < 0.5, f'import mjhab took {took:.2f} s of processor time'\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 0, done.stderr

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from mjhab.data.episode_data import EpisodeData, RunInfo
 from mjhab.data.images import ImageFormat
+from mjhab.data.reading import open_shard
 from mjhab.data.recorder import Recorder
 from mjhab.data.shard import ShardWriter
 from mjhab.rollout.loop import rollout
@@ -27,6 +30,21 @@ def record(
         recorder = Recorder(writer, env, POLICY, **options)
         records = rollout(env, RandomPolicy(0), list(episodes), seed, [recorder], max_steps)
     return records, recorder
+
+
+def one_episode(folder: Path) -> EpisodeData:
+    """An episode for tests to number anew (`numbered`) and append."""
+    path = folder / "a.h5"
+    record(path, range(1))
+    with open_shard(path) as shard:
+        episode = next(iter(shard))
+        arrays = {name: episode.array(name) for name in episode.paths if name != "record"}
+        return EpisodeData(episode.record, RunInfo({"a": 1}), "m", "success", arrays)
+
+
+def numbered(data: EpisodeData, index: int) -> EpisodeData:
+    """The same episode under another index."""
+    return replace(data, record=replace(data.record, index=index))
 
 
 def chains_and_picks(folder: Path) -> Path:

@@ -10,7 +10,6 @@ import random
 import signal
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -21,29 +20,20 @@ import pytest
 from mjhab.core.errors import UsageError
 from mjhab.data import journal as jn
 from mjhab.data.checking import check, repair
-from mjhab.data.episode_data import EpisodeData, RunInfo
+from mjhab.data.episode_data import EpisodeData
 from mjhab.data.hdf5 import dataset, group
 from mjhab.data.journal import Overlay, journal_path
 from mjhab.data.locking import is_written, lock_path
 from mjhab.data.reading import open_shard
 from mjhab.data.schema import DamagedError
 from mjhab.data.shard import ShardWriter, StorageError
-from tests.data.make import record
+from tests.data.make import numbered, one_episode, record
 
 
 @pytest.fixture(scope="module")
 def template(tmp_path_factory: pytest.TempPathFactory) -> EpisodeData:
     """An episode that tests number anew."""
-    path = tmp_path_factory.mktemp("template") / "a.h5"
-    record(path, range(1))
-    with open_shard(path) as shard:
-        episode = next(iter(shard))
-        arrays = {name: episode.array(name) for name in episode.paths if name != "record"}
-        return EpisodeData(episode.record, RunInfo({"a": 1}), "m", "success", arrays)
-
-
-def numbered(data: EpisodeData, index: int) -> EpisodeData:
-    return replace(data, record=replace(data.record, index=index))
+    return one_episode(tmp_path_factory.mktemp("template"))
 
 
 class Killed(BaseException):

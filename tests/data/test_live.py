@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -12,11 +11,11 @@ import numpy as np
 import pytest
 
 from mjhab.data.checking import check
-from mjhab.data.episode_data import EpisodeData, RunInfo
+from mjhab.data.episode_data import EpisodeData
 from mjhab.data.locking import quiet
 from mjhab.data.reading import open_shard
 from mjhab.data.shard import ShardWriter
-from tests.data.make import record
+from tests.data.make import numbered, one_episode
 
 READER = """
 import sys
@@ -37,28 +36,19 @@ print(opened)
 @pytest.fixture(scope="module")
 def template(tmp_path_factory: pytest.TempPathFactory) -> EpisodeData:
     """An episode that tests number anew."""
-    path = tmp_path_factory.mktemp("template") / "a.h5"
-    record(path, range(1))
-    with open_shard(path) as shard:
-        episode = next(iter(shard))
-        arrays = {name: episode.array(name) for name in episode.paths if name != "record"}
-        return EpisodeData(episode.record, RunInfo({"a": 1}), "m", "success", arrays)
-
-
-def append(writer: ShardWriter, template: EpisodeData, index: int) -> None:
-    writer.append(replace(template, record=replace(template.record, index=index)))
+    return one_episode(tmp_path_factory.mktemp("template"))
 
 
 def test_who_reads_meets_whole_episodes_only(tmp_path: Path, template: EpisodeData) -> None:
     path, count = tmp_path / "a.h5", 120
     with ShardWriter(path) as writer:
-        append(writer, template, 0)
+        writer.append(numbered(template, 0))
         readers = [
             subprocess.Popen([sys.executable, "-c", READER, str(path), str(count)], stdout=subprocess.PIPE, text=True)
             for _ in range(2)
         ]
         for index in range(1, count):
-            append(writer, template, index)
+            writer.append(numbered(template, index))
     opened = [int(reader.communicate(timeout=60)[0]) for reader in readers]
     assert [reader.returncode for reader in readers] == [0, 0] and min(opened) > 3
     assert check(path).ok == count
@@ -68,12 +58,12 @@ def test_who_opened_it_before_reads_on(tmp_path: Path, template: EpisodeData) ->
     path = tmp_path / "a.h5"
     with ShardWriter(path) as writer:
         for index in range(3):
-            append(writer, template, index)
+            writer.append(numbered(template, index))
         with open_shard(path) as shard, open_shard(path) as other:
             first = shard.episode(shard.names[0])
             actions = first.array("actions")
             for index in range(3, 200):
-                append(writer, template, index)
+                writer.append(numbered(template, index))
             assert len(shard) == 3 and not any(shard.problems(name) for name in shard.names)
             np.testing.assert_array_equal(first.array("actions"), actions)
             assert first.run.config == {"a": 1}
@@ -86,9 +76,9 @@ def test_who_opened_it_before_reads_on(tmp_path: Path, template: EpisodeData) ->
 def test_a_shard_held_open_by_h5py_is_appended_to(tmp_path: Path, template: EpisodeData) -> None:
     path = tmp_path / "a.h5"
     with ShardWriter(path) as writer:
-        append(writer, template, 0)
+        writer.append(numbered(template, 0))
         with h5py.File(path, "r"):
-            append(writer, template, 1)
+            writer.append(numbered(template, 1))
     assert check(path).ok == 2
 
 

@@ -56,11 +56,12 @@ def test_export_maniskill(shard: Path, tmp_path: Path, capsys: pytest.CaptureFix
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_stopped_export_goes_on(
     shard: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, format: str,
-    number: signal.Signals,
+    number: signal.Signals, request: pytest.FixtureRequest,
 ) -> None:  # fmt: skip
     real, left = Episode.array, [10]
     # A shell's background job, as tests may be, ignores Ctrl-C from its start.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    request.addfinalizer(lambda: signal.signal(signal.SIGINT, before))
 
     def array(self: Episode, path: str) -> Any:
         left[0] -= 1
@@ -74,7 +75,6 @@ def test_a_stopped_export_goes_on(
     assert not (tmp_path / "set").exists() and signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
     assert main(command) == USAGE and "begun and stopped" in capsys.readouterr().err
     assert main([*command, "--resume"]) == OK and "3 episodes" in capsys.readouterr().out
-    signal.signal(signal.SIGINT, before)
 
 
 def test_data_report(shard: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

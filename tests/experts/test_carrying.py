@@ -18,8 +18,9 @@ from mjhab.envs.privileged import FETCH_JOINTS, REST_QPOS, WorldView
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.experts import motion
 from mjhab.experts.carry import CORNER, held_spheres
+from mjhab.experts.gentle import FIRM
 from mjhab.experts.pick import LOW_SHELF_OPTIONS, SHELF_OPTIONS
-from mjhab.experts.place import hand_goals, place
+from mjhab.experts.place import DROPS, hand_goals, place
 from mjhab.experts.reach import ARM_END, Scene, _overreach, base_poses, surroundings
 from mjhab.experts.route import Route, _swept, arm_gone, drive_of, follow, holds, torso_gone
 
@@ -58,11 +59,11 @@ def test_a_drive_with_an_object_goes_as_expected():
     arm[[FETCH_JOINTS.index("torso_lift_joint"), FETCH_JOINTS.index("elbow_flex_joint")]] -= [0.2, 0.5]
     arm[13:] = view.q[13:]
     goal = view.q[:3] - [0.2 * np.cos(view.q[2]), 0.2 * np.sin(view.q[2]), -0.4]
-    found = drive_of(view, goal, direction=-1, straight=True, gentle=True)
+    found = drive_of(view, goal, direction=-1, straight=True, care=FIRM)
     assert found is not None
     path, direction, lookahead, poses = found
     expected = _swept(view.q, poses, arm, 0)
-    route = Route(path, float(goal[2]), direction, lookahead, arm, 0, len(expected), 0.0)
+    route = Route(path, float(goal[2]), direction, lookahead, arm, 0, len(expected), 0.0, care=FIRM)
     real = [view.q]
     for action in islice(follow(view, route, gripper=motion.CLOSED, held=obj), len(expected) - 1):
         env.step(action[None])
@@ -96,16 +97,17 @@ def test_bases_are_only_where_something_can_be_reached():
     away = goals.pos + 0.5 * np.array([np.cos(view.q[2]), np.sin(view.q[2]), 0.0])
     shifted = type(goals)(away, goals.rot, goals.pre, goals.opening, goals.score)
     for wanted in (goals, shifted):
-        bases, steps = base_poses(view, goal, scene, wanted, 0.0)
+        bases, steps = base_poses(view, goal, scene, wanted, 0.0, None, False)
         assert len(bases) and np.isfinite(steps).all()
         assert (_overreach(bases, wanted).min(axis=1) < ARM_END).all()
 
 
 def test_place_looks_at_every_way_before_it_waits(monkeypatch: pytest.MonkeyPatch):
     view, asked = place_env(1).view(0), []
-    monkeypatch.setattr(place_module, "plan_place", lambda *args: asked.append(args[4]))
+    monkeypatch.setattr(place_module, "plan_place", lambda *args: asked.append(args[4:]))
     next(place(view))
-    assert asked == [0, 1, 2]
+    # In its place, then in a hurry and on any side, then from above.
+    assert asked == [(0, 0.0, False), (1, 0.0, True), (2, 0.0, True), (3, DROPS[1], True), (4, DROPS[2], True)]
 
 
 def test_a_bowl_under_a_shelf_is_taken_from_the_front():

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import pytest
 from mjhab.experts.gentle import FIRM, WEAK, Care, care_for, eased
 
 
-def view_with(**objects: tuple[float, float]):
+def view_with(**objects: tuple[float, float]) -> Any:
     """A view with objects of a mass [kg] so far [m] from the hand."""
     pose = {name: np.array([1.0, 2.0, 1.0 - far, 1, 0, 0, 0]) for name, (_, far) in objects.items()}
     return SimpleNamespace(

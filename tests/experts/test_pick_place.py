@@ -177,7 +177,10 @@ def test_hand_goals_put_the_object_upright_at_the_goal():
     tcp, rot = motion.tcp(view)
     offset = rot.T @ (view.object_pose(obj)[:3] - tcp)
     centres = goals.pos + goals.rot @ offset
-    assert np.linalg.norm(centres[:, :2] - goal[:2], axis=1).max() <= 0.10 + 1e-9
+    # What leans is let go beside the place where it comes to rest.
+    leans = np.linalg.norm(centres[:, :2] - goal[:2], axis=1) > 0.10 + 1e-9
+    assert goals.score[leans].max(initial=-np.inf) < goals.score[~leans].max() - 0.2
+    assert np.linalg.norm(centres[goals.score > -1e-9, :2] - goal[:2], axis=1).max() < 1e-9
     assert (centres[:, 2] > goal[2]).all() and np.abs(centres[goals.score > -1e-9, 2] - goal[2]).max() < 0.02
 
 

@@ -13,6 +13,7 @@ from mjhab.envs.kinematics import wrap
 from mjhab.envs.privileged import WorldView
 from mjhab.experts import ik, motion
 from mjhab.experts.clearance import RobotSpheres
+from mjhab.experts.gentle import care_for
 from mjhab.experts.motion import Motion
 from mjhab.experts.reach import surroundings
 from mjhab.experts.route import BLOCKED_FORCE, BLOCKED_STEPS, Route, follow, holds, plan_route
@@ -168,14 +169,14 @@ def plan_home(view: WorldView, obj: str, robot: RobotSpheres, *, holding: bool) 
     """The quickest way to rest that keeps clear, straight back if need be; else the one with the most room."""
     others, target = surroundings(view, obj, view.tcp_pose[:3])
     boxes = others if holding else type(others).join([others, target])
-    now, goal = view.q, motion.rest_goal(view)
+    now, goal, care = view.q, motion.rest_goal(view), care_for(view) if holding else None
     cells = motion.planner(view.home)
     best: Route | None = None
     for back in BACK:
         end = now[:3] - back * np.array([np.cos(now[2]), np.sin(now[2]), 0.0])
         if back and cells.line_clearance(now[:2], end[None, :2])[0] < 0.26:
             break
-        route = plan_route(view, end, goal, robot, boxes, margin=0.01, direction=-1, straight=True, gentle=holding)
+        route = plan_route(view, end, goal, robot, boxes, margin=0.01, direction=-1, straight=True, care=care)
         if route is None:
             continue
         if route.room >= 0.0:
@@ -185,7 +186,7 @@ def plan_home(view: WorldView, obj: str, robot: RobotSpheres, *, holding: bool) 
     if holding and best is not None and best.room < TOUCHES:
         for back in BACK_AROUND:
             end = now[:3] - back * np.array([np.cos(now[2]), np.sin(now[2]), 0.0])
-            around = plan_around(view, end, goal, robot, boxes, gentle=True)
+            around = plan_around(view, end, goal, robot, boxes, care=care)
             if around is not None and around.steps <= view.steps_left:
                 return around
     return best

@@ -23,20 +23,23 @@ class Care(NamedTuple):
     spin: float
 
 
-FIRM, WEAK = Care(0.12, 0.25, 0.25, 1.8), Care(0.12, 0.08, 0.16, 1.6)
+FIRM, WEAK, BRISK = Care(0.12, 0.25, 0.25, 1.8), Care(0.12, 0.08, 0.16, 1.6), Care(0.12, 0.14, 0.2, 1.8)
 WEIGHT = 0.02
 """Mass times distance from the pads [kg m] from which on the grip is weak: a sugar box of half a kilogram, held by
-a corner 51 mm off its centre, was lost in the first steps of a turn with `FIRM` and kept with `WEAK`."""
+a corner 51 mm off its centre, was lost in the first steps of a turn with `FIRM` and kept with `WEAK`. `BRISK` is
+between the two, where time is short."""
 
 
-def care_for(view: WorldView) -> Care:
-    """What the object nearest to the hand asks for."""
+def care_for(view: WorldView, hurry: bool = False) -> Care:
+    """What the object nearest to the hand asks for, less where there is reason to ``hurry``."""
     tcp = view.tcp_pose[:3]
     far = {name: float(np.linalg.norm(view.object_pose(name)[:3] - tcp)) for name in view.object_names}
     if not far:
         return FIRM
     held = min(far, key=lambda name: far[name])
-    return WEAK if view.object_type(held).mass * far[held] > WEIGHT else FIRM
+    if view.object_type(held).mass * far[held] <= WEIGHT:
+        return FIRM
+    return BRISK if hurry else WEAK
 
 
 def eased(wish: tuple[float, float], before: tuple[float, float], care: Care) -> tuple[float, float]:

@@ -66,6 +66,14 @@ def spheres() -> RobotSpheres:
     return RobotSpheres.from_geoms(full, ROBOT_GEOMS, skip=("base_link",), trunk=TRUNK_LINKS, distal=DISTAL_LINKS)
 
 
+@lru_cache(maxsize=1)
+def arm_spheres() -> RobotSpheres:
+    """`spheres` without the trunk, which never reaches beyond the base: the map keeps both clear, and knows the shapes
+    of furniture better than boxes around it do."""
+    whole = spheres()
+    return whole.only([name for name in whole.chain.links if name not in TRUNK_LINKS])
+
+
 _PLANNERS: dict[str, tuple[HomeShapes, Planner]] = {}
 
 

@@ -12,10 +12,10 @@ from mjhab.envs.held import shape_of
 from mjhab.envs.privileged import WorldView
 from mjhab.experts import ik, motion
 from mjhab.experts.carry import drive_in, go_home, grip, held_spheres, inside_depth
+from mjhab.experts.gentle import care_for
 from mjhab.experts.motion import Motion
 from mjhab.experts.pick import fetch, height_below
 from mjhab.experts.reach import (
-    HAND_LINKS,
     ROOMS,
     Blocked,
     HandGoals,
@@ -26,9 +26,11 @@ from mjhab.experts.reach import (
     stances,
     surroundings,
 )
+from mjhab.experts.release import TIGHT, away_speed, drawn_back, let_go_width, play, tipped
 from mjhab.experts.route import follow, holds
-from mjhab.experts.sampled import roomier
+from mjhab.experts.sampled import Found, roomier
 from mjhab.experts.style import style_of
+from mjhab.tasks.plan import TaskConfig
 from mjhab.tasks.style import DROP as DROP_IT
 
 Array = np.ndarray
@@ -51,13 +53,25 @@ HAND_NEARER = 0.014
 LEAN, LAID = 2.5, 2.6
 """Price in points of a radian that an object leans when it is let go under a shelf, and of another side down: round
 things roll then, and only let go of still more aslant they surely fall over."""
-BACKS, BACK_ROOM = (0.04, 0.07, 0.10), 0.01
-"""How far [m] the hand draws back, and the room [m] that the arm keeps then."""
-_WIDER = 0.03
-KNOCKS = -0.02
+STUCK = 3.0
+"""How much dearer a lean is where the fingers cannot open much farther: the object stays stuck between them at that
+angle, and falls when the hand draws back."""
+BESIDE = 0.09
+"""How far [m] beside its place an object may be put where the base ended such that the arm does not reach it."""
+ENOUGH = 0.87
+"""Part of the tolerance at the goal within which an object is put, where it comes to rest after it tipped over."""
+KNOCKS = -0.01
 """Ways with less room [m] may knock the object out of the hand: other ways to put it down are looked at first."""
-WAITS = (5, 10, 20)
-"""Control steps to wait, one after the other, once every way to put an object was looked at without success."""
+AFTER, AFTER_INSIDE = 35, 70
+"""Control steps to put an object down and draw back; the second where the base has to come straight in before."""
+HOME = 0.6
+"""Weight of the way back to rest, as that of the arm's way to the goal."""
+DROPS = (0.0, 0.05, 0.12)
+"""Heights [m] from which it is let fall in the open, one after the other, where there is no way to put it down."""
+SOFT = (0.25, 0.5, 0.75)
+"""Parts of its speed with which the arm starts: what hangs at the fingers' tips would fall out otherwise."""
+WAIT = 60
+"""Control steps to wait once every way to put an object was looked at without success."""
 
 
 def place(view: WorldView) -> Motion:
@@ -78,28 +92,37 @@ def place(view: WorldView) -> Motion:
 
 def _bring(view: WorldView, obj: str, goal: Array) -> Motion:
     """Put the held object to ``goal`` (3,). Returns whether the hand has let go of it."""
-    style, failed = style_of(view), np.zeros((0, 3))
-    best: tuple[Stance, HandGoals, float] | None = None
+    style, failed, hurry, nothing = style_of(view), np.zeros((0, 3)), False, 0
+    best: Found | None = None
     for attempt in range(20):
         if not holds(view, obj):
             return True
-        drop = style.drop_height if style.release == DROP_IT else 0.0
-        found = plan_place(view, obj, goal, failed, attempt, drop)
-        if found is None and drop:
-            found = plan_place(view, obj, goal, failed, attempt)
-        if found is not None and (best is None or found[0].route.room > best[0].route.room):
+        drop = style.drop_height if style.release == DROP_IT else DROPS[nothing % len(DROPS)]
+        found = plan_place(view, obj, goal, failed, attempt, drop, hurry)
+        if found is None and style.release == DROP_IT:
+            found = plan_place(view, obj, goal, failed, attempt, hurry=hurry)
+        if found is not None and (best is None or _worth(view, found) > _worth(view, best)):
             best = found
-        if attempt < 2 and (best is None or best[0].route.room < KNOCKS):
+        if attempt < 2 and (best is None or _worth(view, best) < (True, KNOCKS)):
+            hurry = True
             continue
         if best is None:
-            failed = failed[:0]
-            yield from motion.hold(view, WAITS[min(attempt - 2, len(WAITS) - 1)], gripper=motion.CLOSED)
+            failed, nothing = failed[:0], nothing + 1
+            if nothing >= len(DROPS):
+                yield from motion.hold(view, WAIT, gripper=motion.CLOSED)
             continue
-        (stance, goals, depth), best = best, None
+        (stance, goals, depth), best, hurry = best, None, False
         if (yield from _put(view, obj, stance, goals, depth)):
             return True
         failed = np.concatenate([failed, stance.at[None, :3]])
     return False
+
+
+def _worth(view: WorldView, found: Found) -> tuple[bool, float]:
+    """Whether a way to put an object leaves the time to come back to rest, and the room on its route [m]."""
+    stance, _, depth = found
+    after = (AFTER_INSIDE if depth else AFTER) + float(motion.steps_home(stance.at))
+    return stance.route.steps + after <= view.steps_left, stance.route.room
 
 
 def _rest(view: WorldView) -> Motion:
@@ -112,15 +135,16 @@ def _rest(view: WorldView) -> Motion:
 
 
 def plan_place(
-    view: WorldView, obj: str, goal: Array, failed: Array, attempt: int = 0, drop: float = 0.0
-) -> tuple[Stance, HandGoals, float] | None:
+    view: WorldView, obj: str, goal: Array, failed: Array, attempt: int = 0, drop: float = 0.0, hurry: bool = False
+) -> Found | None:  # fmt: skip
     """The best way to put an object near ``goal`` (3,): stance, hand poses it refers to, depth as in `plan_pick`.
 
-    ``drop``: how high above its place in the open it is let go [m].
+    ``drop``: how high above its place in the open it is let go [m]. ``hurry``: drive faster and no farther than needed,
+    where the time or the room on the way would not do.
     """
     near, _ = surroundings(view, obj, goal)
     support = float(goal[2]) - view.object_type(obj).half[2]
-    scene = Scene(near, near.take(np.zeros(0, np.int64)), support, held_spheres(view, obj))
+    scene = Scene(near, near.take(np.zeros(0, np.int64)), support, held_spheres(view, obj), care_for(view, hurry))
     depth = inside_depth(view, goal)
     goals = _roomy(view, obj, goal, near, shelf=depth > 0.0, attempt=attempt, drop=0.0 if depth else drop)
     if not len(goals) and not depth:
@@ -129,7 +153,7 @@ def plan_place(
     blocked: list[Blocked] = []
     found = stances(
         view, goal, goals, scene, drive_in=depth, avoid=failed, room=ROOMS[min(attempt, 2)], nearer=HAND_NEARER,
-        blocked=blocked,
+        blocked=blocked, far=hurry, home=HOME,
     )  # fmt: skip
     return roomier(view, (found[0], goals, depth) if found else None, blocked)
 
@@ -160,22 +184,28 @@ def hand_goals(view: WorldView, obj: str, goal: Array, *, shelf: bool, any_side:
     # Tall things fall over when they are let go at an angle.
     ball = shape.kind == "sphere"
     upset = 0.2 if ball else LEAN if shelf else 2.0 + 2.0 * shape.half[2] / min(shape.half)
+    upset *= STUCK if not ball and play(view) < TIGHT else 1.0
     back = view.q[:2] - goal[:2]
     back = back / max(float(np.linalg.norm(back)), 1e-6)
     aside = np.array([-back[1], back[0]])
     offsets = SHELF_OFFSETS if shelf else LAST_OFFSETS if any_side else OFFSETS
     spots = [goal[:2] + near * back + left * aside for near, left in offsets]
     spots = [spot for i, spot in enumerate(spots) if not i or _on_surface(view, goal, spot)]
+    most = ENOUGH * TaskConfig.goal_tol
     yaws = np.arange(SHELF_YAWS if shelf else YAWS) * 2 * np.pi / (SHELF_YAWS if shelf else YAWS)
     tilts = SHELF_TILTS if shelf else BALL_TILTS if ball else TILTS
     pos, rot, score = [], [], []
     for (side, price), yaw, tilt in itertools.product(_sides(any_side), yaws, tilts):
         upright = ik.rotate(np.array([[0.0, 0.0, yaw]]))[0] @ side
         stand = ik.rotate(tilt * np.array([[*aside, 0.0]]))[0] @ upright
-        height = floor + height_below(shape, stand) + max(DROP, drop)
+        low = height_below(shape, stand)
+        tips = tipped(shape, stand)
         for spot in spots:
+            # Where it is let go, such that it comes to rest at the spot.
+            if np.linalg.norm(np.array([*spot, floor + low + tips[2]]) - goal) > most:
+                continue
             rot.append(stand @ turn.T)
-            pos.append(np.array([*spot, height]) - rot[-1] @ offset)
+            pos.append(np.array([*(spot - tips[:2]), floor + low + max(DROP, drop)]) - rot[-1] @ offset)
             score.append(-price - upset * tilt - 6.0 * float(np.linalg.norm(spot - goal[:2])))
     at = np.array(pos)
     pre = at + np.array([0.0, 0.0, ABOVE_SHELF if shelf else ABOVE])
@@ -214,7 +244,12 @@ def _put(view: WorldView, obj: str, stance: Stance, goals: HandGoals, depth: flo
         yield from drive_in(view, stance.pre, pre, rot, boxes, gripper=closed)
     joints = settle_reach(view, stance, np.stack([pre, pos]), rot)
     if joints is None:
-        return False
+        # Out of reach from here: as planned then, beside its place by as much as the base is.
+        joints, (pos, pre), rot = _beside(view, stance, goals)
+        if np.linalg.norm(pos - goals.pos[stance.goal]) > BESIDE:
+            return False
+    for speed in SOFT:
+        yield from motion.move_joints(view, joints[0], gripper=closed, tolerance=0.04, max_steps=1, speed=speed)
     yield from motion.move_joints(view, joints[0], gripper=closed, tolerance=0.04, max_steps=20)
     yield from motion.move_tcp(
         view, pre, rot, gripper=closed, rest=joints[1], tolerance=0.015, max_steps=20, torso=False
@@ -223,11 +258,11 @@ def _put(view: WorldView, obj: str, stance: Stance, goals: HandGoals, depth: flo
         view, pos, rot, gripper=closed, rest=joints[1], speed=0.2, tolerance=0.005, max_steps=25, torso=False
     )
     yield from motion.still_tcp(view, pos, rot, gripper=closed, steps=2)
-    opening = grip(2.0 * float(view.q[13:15].mean()) + _WIDER)
+    opening, speed = grip(let_go_width(view, obj, pos, rot)), away_speed(view)
     yield from motion.still_tcp(view, pos, rot, gripper=opening, steps=5)
-    for back in (_drawn_back(view, obj, pos, rot, joints[0]), pre):
+    for back in (drawn_back(view, obj, pos, rot, joints[0]), pre):
         yield from motion.move_tcp(
-            view, back, rot, gripper=opening, rest=joints[0], speed=0.3, tolerance=0.02, max_steps=14, torso=False
+            view, back, rot, gripper=opening, rest=joints[0], speed=speed, tolerance=0.02, max_steps=14, torso=False
         )
         if not holds(view, obj):
             return True
@@ -235,15 +270,11 @@ def _put(view: WorldView, obj: str, stance: Stance, goals: HandGoals, depth: flo
     return bool(view.signal("at_goal"))
 
 
-def _drawn_back(view: WorldView, obj: str, pos: Array, rot: Array, rest: Array) -> Array:
-    """Where (3,) the hand may draw back to along itself: as far as the arm keeps clear of trunk and furniture."""
-    robot, whole = motion.chain(), motion.spheres()
-    arm = whole.only([name for name in whole.chain.links if name not in HAND_LINKS])
-    spots = pos - np.array(BACKS)[:, None] * rot[:, 0]
-    turns = np.repeat(rot[None], len(spots), axis=0)
-    found = ik.solve(robot, spots, turns, view.q[None], ik.columns(robot, torso=False), rest=rest)
-    q = np.concatenate([view.q[None], found.q[:, 0]])
-    room = np.minimum(whole.self_clearance(q), arm.clearance(q, surroundings(view, obj, pos)[0]))
-    fine = found.ok[:, 0] & (room[1:] > min(BACK_ROOM, room[0] - 0.004))
-    count = int(np.cumprod(fine).sum())
-    return spots[max(count - 1, 0)]
+def _beside(view: WorldView, stance: Stance, goals: HandGoals) -> tuple[Array, Array, Array]:
+    """The planned postures of the arm (2, 15) from where the base really stands, before and at the end of the way down,
+    and where they bring the hand: at and before (2, 3), rotation (3, 3)."""
+    q = np.stack([stance.pre, stance.at])
+    q[:, :3] = view.q[:3]
+    frames = motion.chain().forward(q)
+    tip = motion.chain().tip_index
+    return q, frames.pos[::-1, tip], frames.rot[1, tip]

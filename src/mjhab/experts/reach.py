@@ -17,6 +17,7 @@ from mjhab.envs.kinematics import wrap
 from mjhab.envs.privileged import FETCH_JOINTS, REST_QPOS, WorldView
 from mjhab.experts import ik, motion
 from mjhab.experts.clearance import RobotSpheres
+from mjhab.experts.gentle import Care
 from mjhab.experts.route import Route, drive_steps, plan_route, planner
 
 Array = np.ndarray
@@ -61,13 +62,14 @@ class HandGoals:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """What is around: ``near`` everything but the object, ``target`` the object while it is not held, ``support_z``
-    the height of the surface that it lies on or goes to, ``held`` spheres fixed to the hand (centres, radii)."""
+    """What is around: ``near`` all but the object, ``target`` that while it is not held, ``support_z`` the height of
+    what it lies on or goes to, ``held`` spheres fixed to the hand (centres, radii), ``care`` for them in the drive."""
 
     near: Boxes
     target: Boxes
     support_z: float
     held: tuple[Array, Array] | None = None
+    care: Care | None = None
 
     @property
     def all(self) -> Boxes:
@@ -81,8 +83,8 @@ class Scene:
         return self.near.take(top > self.support_z + 0.004)
 
     def robot(self) -> RobotSpheres:
-        """The robot with what it holds."""
-        return motion.spheres() if self.held is None else motion.spheres().with_held(*self.held)
+        """The arm with what it holds."""
+        return motion.arm_spheres() if self.held is None else motion.arm_spheres().with_held(*self.held)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,14 +115,14 @@ def surroundings(view: WorldView, obj: str, point: Array) -> tuple[Boxes, Boxes]
     parts = (view.home.boxes, view.link_boxes(), view.object_boxes((obj,)))
     others = Boxes.join([motion.as_boxes(part) for part in parts])
     everything = motion.as_boxes(view.object_boxes())
-    mine = [view.object_names.index(obj)]
-    return others.near(np.array([*point[:2], 0.9]), NEARBY), everything.take(np.array(mine))
+    mine = np.array([view.object_names.index(obj)])
+    return others.near(np.array([*point[:2], 0.9]), NEARBY), everything.take(mine)
 
 
 def stances(
     view: WorldView, point: Array, goals: HandGoals, scene: Scene, *, drive_in: float = 0.0, avoid: Array | None = None,
     count: int = 3, room: float = ROOMS[0], nearer: float = 0.0, blocked: list[Blocked] | None = None,
-    home: float = 0.0,
+    home: float = 0.0, far: bool = False,
 ) -> list[Stance]:  # fmt: skip
     """Ways to bring the hand to one of ``goals`` around ``point`` (3,), quickest first; empty when there is none.
 
@@ -133,9 +135,10 @@ def stances(
         nearer: how much nearer [m] than that the hand may come just before its work.
         blocked: what lacks nothing but a clear way is added here, for `sampled.roomier`.
         home: weight of the control steps from the work back to rest.
+        far: stand far off even where one may stand nearer: that can save a long way.
     """
     now = view.q
-    bases, drive = base_poses(view, point, scene, goals, drive_in, avoid)
+    bases, drive = base_poses(view, point, scene, goals, drive_in, avoid, far)
     if not len(bases):
         return []
     if drive_in and len(scene.target):
@@ -197,8 +200,8 @@ def hand_room(goals: HandGoals | Grasps, boxes: Boxes) -> Array:
 
 
 def base_poses(
-    view: WorldView, point: Array, scene: Scene, goals: HandGoals, drive_in: float, avoid: Array | None = None
-) -> tuple[Array, Array]:
+    view: WorldView, point: Array, scene: Scene, goals: HandGoals, drive_in: float, avoid: Array | None, far: bool
+) -> tuple[Array, Array]:  # fmt: skip
     """Base poses (B, 3) from which a goal at ``point`` may be reached, and the control steps (B,) to drive there."""
     r, angle, off = np.meshgrid(
         np.arange(0.5, 1.26, 0.075), np.arange(32) * np.pi / 16, (-0.35, 0.0, 0.35), indexing="ij"
@@ -219,11 +222,11 @@ def base_poses(
         good &= gap > 0.10
     good[good] = in_sight(poses[good], point, scene.near)
     poses, back, far_off = poses[good], back[good], far_off[good]
-    far = cells.costs(view.q[:2])[cells.cells(back)]
-    steps = drive_steps(view.q[:3], np.concatenate([back, poses[:, 2:]], axis=1), far) + 6.0 * drive_in / 0.3
+    way = cells.costs(view.q[:2])[cells.cells(back)]
+    steps = drive_steps(view.q[:3], np.concatenate([back, poses[:, 2:]], axis=1), way) + 6.0 * drive_in / 0.3
     # The nearest bases may all stand on the side from which nothing can be reached.
     reachable = np.isfinite(steps) & (_overreach(poses, goals) < ARM_END).any(axis=1)
-    reachable &= ~far_off | ~(reachable & ~far_off).any()
+    reachable &= ~far_off | far | ~(reachable & ~far_off).any()
     return _spread(poses[reachable], steps[reachable])
 
 
@@ -264,7 +267,7 @@ def _spread(poses: Array, steps: Array) -> tuple[Array, Array]:
 def _pairs(bases: Array, point: Array, goals: HandGoals) -> tuple[Array, Array, Array]:
     """For every base the hand poses that suit it best: base index (N,), goal index (N,), score (N,)."""
     toward = point[:2] - bases[:, :2]
-    toward = toward / np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-6)
+    toward /= np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-6)
     score = goals.score + 0.8 * toward @ goals.rot[:, :2, 0].T
     over = _overreach(bases, goals)
     score = np.where(over < ARM_END, score - 20.0 * np.maximum(over, 0.0), -np.inf)
@@ -333,8 +336,7 @@ def _before(
     """
     if not len(q):
         return q, np.zeros(0, bool)
-    robot = motion.chain()
-    dofs = ik.columns(robot, torso=False)
+    robot, dofs = motion.chain(), ik.columns(motion.chain(), torso=False)
     options = ik.Options(iterations=12, pos_tolerance=2e-3, rot_tolerance=2e-2, rest_gain=0.0)
     found = ik.solve(robot, goals.pre[goal], goals.rot[goal], q[:, None], dofs, rest=REST_QPOS, options=options)
     pre = found.q[:, 0]
@@ -355,8 +357,7 @@ def _before(
 
 
 def _routed(
-    view: WorldView, q: Array, pre: Array, goal: Array, scene: Scene, drive_in: float, count: int,
-    home: float,
+    view: WorldView, q: Array, pre: Array, goal: Array, scene: Scene, drive_in: float, count: int, home: float
 ) -> list[Stance]:  # fmt: skip
     """Stances with routes that are clear; ``q`` (N, 15) come cheapest first."""
     robot, boxes = scene.robot(), scene.all
@@ -368,7 +369,7 @@ def _routed(
             continue
         seen.append(q[i, :3])
         back = drive_in * np.array([np.cos(pre[i, 2]), np.sin(pre[i, 2]), 0.0])
-        route = plan_route(view, pre[i, :3] - back, pre[i], robot, boxes, gentle=scene.held is not None)
+        route = plan_route(view, pre[i, :3] - back, pre[i], robot, boxes, care=scene.care)
         if route is None:
             continue
         (clear if route.room >= 0.0 else tight).append(Stance(int(goal[i]), pre[i], q[i], route))
@@ -384,8 +385,7 @@ def settle_reach(view: WorldView, stance: Stance, pos: Array, rot: Array) -> Arr
 
     None when one of them is out of reach from here.
     """
-    robot = motion.chain()
-    arm = ik.columns(robot, torso=False)
+    robot, arm = motion.chain(), ik.columns(motion.chain(), torso=False)
     for free in (arm, ik.columns(robot)):
         seed = np.stack([stance.pre, stance.at])
         seed[:, :3] = view.q[:3]

@@ -15,7 +15,7 @@ from mjhab.envs.kinematics import wrap
 from mjhab.envs.privileged import FETCH_JOINTS, HomeShapes, WorldView
 from mjhab.experts import ik, motion
 from mjhab.experts.clearance import Boxes, RobotSpheres
-from mjhab.experts.gentle import Care, care_for, eased
+from mjhab.experts.gentle import Care, eased
 from mjhab.experts.motion import Motion
 from mjhab.experts.navigation import CONTROL_DT, Planner
 
@@ -146,7 +146,7 @@ class Route:
 
     ``steps``: how long it should take; ``room``: least clearance on the way beyond what was asked for [m].
     ``via``: (V, 15) postures that the arm passes one after the other, see `sampled`; it keeps the one with the index
-    ``carried`` until the step ``delay``. The base starts at the step ``lead``.
+    ``carried`` until the step ``delay``. The base starts at the step ``lead``. ``care``: how gently it drives.
     """
 
     path: Array
@@ -161,11 +161,12 @@ class Route:
     via: Array | None = None
     carried: int = 0
     lead: int = 0
+    care: Care | None = None
 
 
 def plan_route(
     view: WorldView, goal: Array, arm: Array, robot: RobotSpheres, boxes: Boxes, *, margin: float = MARGIN,
-    direction: int = 0, straight: bool = False, gentle: bool = False,
+    direction: int = 0, straight: bool = False, care: Care | None = None,
 ) -> Route | None:  # fmt: skip
     """The quickest way to the base pose ``goal`` (3,) with the arm at ``arm`` (15,) that keeps clear of ``boxes``.
 
@@ -177,14 +178,17 @@ def plan_route(
         margin: room [m] wanted.
         direction: 1 forwards, -1 backwards, 0 whatever is quicker.
         straight: do not plan around furniture.
-        gentle: drive as `follow` does with an object in the hand.
+        care: how gently the base drives. Something is in the hand then, and a base that bumps into things loses it.
     """
-    start, found = view.q, drive_of(view, goal, direction, straight, gentle)
+    start, found = view.q, drive_of(view, goal, direction, straight, care)
     if found is None:
         return None
     path, direction, lookahead, poses = found
     boxes = within_reach(boxes, np.stack([start[:2], goal[:2]]))
     before, own = float(robot.clearance(start[None], boxes)[0]), _own_room(start, arm, robot)
+    if care and not straight:
+        cells = planner(view).clearance_at(poses[:, :2])
+        own = min(own, float(cells.min() - min(BASE_ROOM, cells[0], cells[-1])))
 
     def at(share: float) -> Route:
         delay = round(share * len(poses))
@@ -193,7 +197,7 @@ def plan_route(
         # While the base drives, the robot is only about where it is expected to be.
         asked = np.minimum(np.where(some < len(poses) - 1, margin + DRIVE_ERROR, margin), before - 0.004)
         room = min(own, float((robot.clearance(swept[some], boxes) - asked).min()))
-        return Route(path, float(goal[2]), direction, lookahead, arm, delay, len(swept), room)
+        return Route(path, float(goal[2]), direction, lookahead, arm, delay, len(swept), room, care=care)
 
     early = at(0.0)
     if early.room >= 0.0 or len(poses) == 1:
@@ -205,7 +209,7 @@ def plan_route(
 
 
 def drive_of(
-    view: WorldView, goal: Array, direction: int = 0, straight: bool = False, gentle: bool = False
+    view: WorldView, goal: Array, direction: int = 0, straight: bool = False, care: Care | None = None
 ) -> tuple[Array, int, float, Array] | None:  # fmt: skip
     """How to drive to the base pose ``goal`` (3,), see `plan_route`: way points (P, 2), direction, look-ahead, and the
     base poses (T, 3) that this should give, one per control step. None when furniture cuts the goal off."""
@@ -213,7 +217,8 @@ def drive_of(
     if path is None:
         return None
     direction = direction or _direction(view.q[:3], path, float(goal[2]))
-    return path, direction, *_smoothest(view, view.q[:3], path, float(goal[2]), direction, gentle)
+    few = LOOKAHEADS[:1] if len(path) == 2 and (straight or not care) else LOOKAHEADS
+    return path, direction, *_smoothest(view, path, float(goal[2]), direction, care, few)
 
 
 def drive_steps(now: Array, poses: Array, length: Array) -> Array:
@@ -241,12 +246,13 @@ def follow(
 ) -> Motion:  # fmt: skip
     """Drive a route. Returns whether base and arm arrived; not when something is in the way.
 
-    ``held``: the object in the hand. It must not slip: the drive is gentle, and ends when it is lost all the same.
+    ``held``: the object in the hand. The drive ends when it is lost.
     """
     pilot = Pilot(route.path, route.yaw, route.direction, route.lookahead, route.speed)
     arm, pressed, lost, arrived = _ArmWay(view.q, route), 0, 0, False
-    least, since, care = np.inf, 0, care_for(view) if held else None
+    least, since, care = np.inf, 0, route.care
     moving, before = motion.drives(view, route.path[-1], route.yaw), (0.0, 0.0)
+    began, last = 0, view.q
     for step in range(route.steps + 40):
         forward, turn, done = 0.0, 0.0, step >= route.lead
         if done and moving and not arrived:
@@ -260,7 +266,9 @@ def follow(
             return False
         speed = (0.0, 0.0) if arrived else (forward, turn)
         before = speed = eased(speed, before, care) if care else speed
-        ramp = min(1.0, 0.25 * (1 + step - min(step, 0 if route.via is not None else route.delay)))
+        # The arm starts gently, from every posture on its way anew: what hangs at the fingers' tips would fall out.
+        began, last = (began, last) if np.array_equal(goal, last) else (step, goal)
+        ramp = min(1.0, 0.25 * (1 + step - min(step, route.delay if route.via is None else began)))
         yield motion.action(view, goal, gripper=gripper, drive=speed, speed=ramp)
         pressed = pressed + 1 if view.link_forces.sum() > BLOCKED_FORCE else 0
         lost = 0 if not held or holds(view, held) else lost + 1
@@ -304,17 +312,17 @@ def _direction(pose: Array, path: Array, yaw: float) -> int:
 
 
 def _smoothest(
-    view: WorldView, pose: Array, path: Array, yaw: float, direction: int, gentle: bool = False
+    view: WorldView, path: Array, yaw: float, direction: int, care: Care | None, lookaheads: tuple[float, ...]
 ) -> tuple[float, Array]:  # fmt: skip
     """The quickest steering that keeps the base clear of furniture: look-ahead and base poses (T, 3)."""
-    cells, care = planner(view), care_for(view) if gentle else None
+    cells = planner(view)
     best: tuple[float, float, Array] | None = None
-    for lookahead in LOOKAHEADS:
-        poses = _simulate(pose, path, yaw, direction, lookahead, care)
+    for lookahead in lookaheads:
+        poses = _simulate(view.q[:3], path, yaw, direction, lookahead, care)
         room = float(cells.clearance_at(poses[:, :2]).min())
         if best is None or room > best[0]:
             best = (room, lookahead, poses)
-        if room >= BASE_ROOM or len(path) == 2:
+        if room >= BASE_ROOM:
             break
     assert best is not None
     return best[1], best[2]
@@ -325,7 +333,7 @@ def _simulate(
 ) -> Array:  # fmt: skip
     """Base poses (T, 3) that driving a way should give."""
     pilot = Pilot(path, yaw, direction, lookahead)
-    pose, speed, turn, asked = pose.copy(), 0.0, 0.0, (0.0, 0.0)
+    pose, speed, turn, asked = pose.copy(), np.zeros(2), 0.0, (0.0, 0.0)
     share, quick = 1.0 - np.exp(-CONTROL_DT / np.array([BASE_LAG, TURN_LAG]))
     poses = [pose.copy()]
     for _ in range(200):
@@ -334,9 +342,10 @@ def _simulate(
             break
         if care:
             forward, rate = asked = eased((forward, rate), asked, care)
-        speed += share * (forward - speed)
+        # The base moves along two axes of the world: in a bend it slides on the way that it was heading before.
+        speed += share * (forward * np.array([np.cos(pose[2]), np.sin(pose[2])]) - speed)
         turn += quick * (rate - turn)
-        pose = pose + CONTROL_DT * np.array([speed * np.cos(pose[2]), speed * np.sin(pose[2]), turn])
+        pose = pose + CONTROL_DT * np.array([*speed, turn])
         poses.append(pose.copy())
     return np.array(poses)
 

@@ -20,6 +20,7 @@ import numpy as np
 from mjhab.envs.privileged import REST_QPOS, WorldView
 from mjhab.experts import ik, motion
 from mjhab.experts.clearance import Boxes, RobotSpheres
+from mjhab.experts.gentle import Care
 from mjhab.experts.reach import Blocked, HandGoals, Stance
 from mjhab.experts.route import DRIVE_ERROR, MARGIN, OWN_ROOM, Route, arm_gone, drive_of, torso_gone, within_reach
 
@@ -62,7 +63,7 @@ def _way_around(view: WorldView, blocked: list[Blocked]) -> Found | None:
                 continue
             tried.append(pre[:3])
             back = reach.drive_in * np.array([np.cos(pre[2]), np.sin(pre[2]), 0.0])
-            route = plan_around(view, pre[:3] - back, pre, robot, boxes, gentle=reach.scene.held is not None)
+            route = plan_around(view, pre[:3] - back, pre, robot, boxes, care=reach.scene.care)
             if route is not None and (best is None or route.steps < best.route.steps):
                 best = Stance(int(goal), pre, at, route)
         if best is not None and best.route.steps + REST <= view.steps_left:
@@ -71,14 +72,14 @@ def _way_around(view: WorldView, blocked: list[Blocked]) -> Found | None:
 
 
 def plan_around(
-    view: WorldView, goal: Array, arm: Array, robot: RobotSpheres, boxes: Boxes, *, gentle: bool = False
+    view: WorldView, goal: Array, arm: Array, robot: RobotSpheres, boxes: Boxes, *, care: Care | None = None
 ) -> Route | None:  # fmt: skip
     """A way to the base pose ``goal`` (3,) with the arm at ``arm`` (15,) that passes other postures before and after.
 
-    ``robot`` is what moves, the held object included; ``gentle`` as in `plan_route`. None when nothing is found: all of
+    ``robot`` is what moves, the held object included; ``care`` as in `plan_route`. None when nothing is found: all of
     the way that is given keeps as clear as `plan_route` asks for or, at its ends, nearly as clear as they are.
     """
-    found = drive_of(view, goal, gentle=gentle)
+    found = drive_of(view, goal, care=care)
     if found is None:
         return None
     path, direction, lookahead, poses = found
@@ -96,7 +97,18 @@ def plan_around(
         return None
     steps, lead, delay, via, carried = best
     return Route(
-        path, float(goal[2]), direction, lookahead, arm, delay, steps, 0.0, via=via, carried=carried, lead=lead
+        path,
+        float(goal[2]),
+        direction,
+        lookahead,
+        arm,
+        delay,
+        steps,
+        0.0,
+        via=via,
+        carried=carried,
+        lead=lead,
+        care=care,
     )
 
 

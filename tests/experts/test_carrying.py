@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import importlib
+import itertools
 from dataclasses import replace
 from itertools import islice
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,16 +16,29 @@ from mjhab.core.boxes import Boxes
 from mjhab.core.rotations import mat_from_quat
 from mjhab.envs.grasps import ObjectShape, grasp_candidates
 from mjhab.envs.held import shape_of
-from mjhab.envs.privileged import FETCH_JOINTS, REST_QPOS, WorldView
+from mjhab.envs.kinematics import Chain, wrap
+from mjhab.envs.privileged import FETCH_JOINTS, KINEMATIC_TREE, REST_QPOS, ROBOT_GEOMS, TRUNK_LINKS, WorldView
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.experts import motion
 from mjhab.experts.carry import CORNER, held_spheres
-from mjhab.experts.gentle import FIRM
+from mjhab.experts.gentle import FIRM, Care
 from mjhab.experts.pick import LOW_SHELF_OPTIONS, SHELF_OPTIONS
 from mjhab.experts.place import DROPS, hand_goals, place
-from mjhab.experts.reach import ARM_END, Scene, _overreach, base_poses, surroundings
-from mjhab.experts.route import Route, _swept, arm_gone, drive_of, follow, holds, torso_gone
+from mjhab.experts.reach import ARM_END, FAR_OFF, Scene, _overreach, base_poses, surroundings
+from mjhab.experts.route import (
+    BASE_ROOM,
+    Route,
+    _simulate,
+    _swept,
+    arm_gone,
+    drive_of,
+    follow,
+    holds,
+    plan_route,
+    torso_gone,
+)
 
+route_module = importlib.import_module("mjhab.experts.route")
 place_module = importlib.import_module("mjhab.experts.place")
 
 
@@ -75,6 +90,65 @@ def test_a_drive_with_an_object_goes_as_expected():
     assert off[:10, 3].max() < 0.02 and off[:, 3].max() < 0.08 and off[:, motion.ARM_JOINTS].max() < 0.05
 
 
+def test_a_bend_is_driven_as_expected():
+    env = place_env(1)
+    view = env.view(0)
+    obj, _ = goal_of(view)
+    ahead, left = np.array([np.cos(view.q[2]), np.sin(view.q[2])]), np.array([-np.sin(view.q[2]), np.cos(view.q[2])])
+    here = view.q[:2]
+    path = np.stack([here, here - 0.3 * ahead, here - 0.6 * ahead - 0.4 * left])
+    yaw = float(np.arctan2(*(-0.3 * ahead - 0.4 * left)[::-1]))
+    poses = _simulate(view.q[:3], path, yaw, 1, 0.3, FIRM)
+    route = Route(path, yaw, 1, 0.3, view.q, 0, len(poses), 0.0, care=FIRM)
+    real = [view.q[:3]]
+    for action in islice(follow(view, route, gripper=motion.CLOSED, held=obj), len(poses) - 1):
+        env.step(action[None])
+        real.append(view.q[:3])
+    off = np.array(real) - poses[: len(real)]
+    # It turns by more than half a turn, and slides on in the bends.
+    assert np.ptp(poses[:, 2]) > 2.0 and len(real) > 30
+    assert np.linalg.norm(off[:, :2], axis=1).max() < 0.02 and np.abs(wrap(off[:, 2])).max() < 0.1
+
+
+def test_a_drive_with_something_in_the_hand_that_grazes_furniture_is_tight(monkeypatch: pytest.MonkeyPatch):
+    view = place_env(1).view(0)
+    boxes = Boxes.of(np.zeros((0, 3)), np.zeros((0, 3)))
+    ahead = view.q[:3] + 0.5 * np.array([np.cos(view.q[2]), np.sin(view.q[2]), 0.0])
+
+    def room(middle: float, care: Care | None) -> float:
+        def clearance(at: np.ndarray) -> np.ndarray:
+            ends = (np.linalg.norm(at - view.q[:2], axis=1) < 0.1) | (np.linalg.norm(at - ahead[:2], axis=1) < 0.1)
+            return np.where(ends, 0.4, middle)
+
+        cells = SimpleNamespace(clearance_at=clearance, plan=lambda *_: np.stack([view.q[:2], ahead[:2]]))
+        monkeypatch.setattr(route_module, "planner", lambda _: cells)
+        found = plan_route(view, ahead, view.q, motion.arm_spheres(), boxes, care=care)
+        assert found is not None and found.care is care
+        return found.room
+
+    assert room(0.4, FIRM) >= 0.0 and room(0.2, None) >= 0.0
+    assert room(0.2, FIRM) == pytest.approx(0.2 - BASE_ROOM)
+
+
+def test_nothing_of_the_trunk_counts_on_the_way_of_an_arm():
+    arm, whole = motion.arm_spheres(), motion.spheres()
+    links = {arm.chain.links[i] for i in arm.link}
+    assert not links & set(TRUNK_LINKS) and links < {whole.chain.links[i] for i in whole.link}
+    # It stays above the base, which the map of the floor keeps clear.
+    chain = Chain.from_tree(KINEMATIC_TREE, FETCH_JOINTS, extra=TRUNK_LINKS)
+    frames, reach = chain.forward(REST_QPOS[None]), dict.fromkeys(TRUNK_LINKS, 0.0)
+    for link in TRUNK_LINKS:
+        at = chain.links.index(link)
+        for geom in ROBOT_GEOMS[link]:
+            half = geom.size if geom.shape == "box" else (geom.size[0] / np.sqrt(2.0),) * 2 + (geom.size[1],)
+            corners = np.array(list(itertools.product((-1.0, 1.0), repeat=3))) * half
+            turn = frames.rot[0, at] @ mat_from_quat(np.array(geom.quat, float))
+            spots = frames.pos[0, at] + frames.rot[0, at] @ np.array(geom.pos, float) + corners @ turn.T
+            reach[link] = max(reach[link], float(np.linalg.norm(spots[:, :2] - REST_QPOS[:2], axis=1).max()))
+    assert max(reach.values()) < reach["base_link"] + 0.02
+    np.testing.assert_array_equal(arm.self_clearance(REST_QPOS[None]), whole.self_clearance(REST_QPOS[None]))
+
+
 def test_spheres_reach_into_the_corners_of_a_held_box():
     view = place_env(0, "003_cracker_box").view(0)
     obj, _ = goal_of(view)
@@ -96,10 +170,16 @@ def test_bases_are_only_where_something_can_be_reached():
     # Only what is put down half a metre further away counts.
     away = goals.pos + 0.5 * np.array([np.cos(view.q[2]), np.sin(view.q[2]), 0.0])
     shifted = type(goals)(away, goals.rot, goals.pre, goals.opening, goals.score)
-    for wanted in (goals, shifted):
-        bases, steps = base_poses(view, goal, scene, wanted, 0.0, None, False)
+    for wanted, far in itertools.product((goals, shifted), (False, True)):
+        bases, steps = base_poses(view, goal, scene, wanted, 0.0, None, far)
         assert len(bases) and np.isfinite(steps).all()
         assert (_overreach(bases, wanted).min(axis=1) < ARM_END).all()
+    # Far off only where there is no other way, or to save one.
+    near_by = base_poses(view, goal, scene, goals, 0.0, None, False)
+    anywhere = base_poses(view, goal, scene, goals, 0.0, None, True)
+    off = np.linalg.norm(near_by[0][:, :2] - goal[:2], axis=1)
+    assert (off[np.linalg.norm(near_by[0] - view.q[:3], axis=1) > 1e-9] < FAR_OFF + 0.4).all()
+    assert anywhere[1].min() <= near_by[1].min()
 
 
 def test_place_looks_at_every_way_before_it_waits(monkeypatch: pytest.MonkeyPatch):

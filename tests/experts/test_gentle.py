@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mjhab.experts.gentle import FIRM, WEAK, Care, care_for, eased
+from mjhab.experts.gentle import BRISK, FIRM, WEAK, Care, care_for, eased
 
 
 def view_with(**objects: tuple[float, float]) -> Any:
@@ -24,6 +24,12 @@ def view_with(**objects: tuple[float, float]) -> Any:
 )
 def test_a_heavy_object_held_far_from_its_centre_is_driven_with_more_care(objects, care):
     assert care_for(view_with(**objects)) == care
+
+
+def test_a_hurry_asks_for_less_care_of_what_is_heavy():
+    heavy, light = view_with(box=(0.5, 0.05)), view_with(bowl=(0.15, 0.08))
+    assert care_for(heavy, hurry=True) == BRISK and care_for(light, hurry=True) == FIRM
+    assert WEAK.change < BRISK.change < FIRM.change and WEAK.spin <= BRISK.spin
 
 
 def test_only_the_object_in_the_hand_counts():

@@ -159,3 +159,7 @@ def test_arm_passes_the_postures_of_a_route_one_after_the_other():
     gaps = np.abs(np.array(view.passed)[:, None] - np.stack([*via, RIGHT])).max(axis=2)
     first = [int(np.argmax(gap < route.PASSED)) for gap in gaps.T]
     assert 0 < first[0] < first[1] < first[2] and (gaps[first[0] : 20, 0] < route.PASSED).all()
+    # It starts gently, when the base has arrived as well.
+    speed = np.abs(np.diff(np.array(view.passed), axis=0)).max(axis=1)
+    for start in (0, way.lead):
+        np.testing.assert_allclose(speed[start : start + 4] / speed.max(), [0.25, 0.5, 0.75, 1.0], atol=0.01)

@@ -68,8 +68,8 @@ def spheres() -> RobotSpheres:
 
 @lru_cache(maxsize=1)
 def arm_spheres() -> RobotSpheres:
-    """`spheres` without the trunk, which never reaches beyond the base: the map keeps both clear, and knows the shapes
-    of furniture better than boxes around it do."""
+    """`spheres` without the trunk, which reaches no farther than the base but for 16 mm at its back: the map keeps both
+    clear, and knows the shapes of furniture better than boxes around it do."""
     whole = spheres()
     return whole.only([name for name in whole.chain.links if name not in TRUNK_LINKS])
 

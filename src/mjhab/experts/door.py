@@ -20,6 +20,11 @@ Motion = motion.Motion
 AROUND, LOOSE = 0.045, 0.03
 """Room [m] beside the bar in a hand that goes around it or frees it; opened wide, the inner finger would push the door.
 """
+ENOUGH, SPARE = 0.753, 0.008
+"""Shares of the range: from which on a door is left alone, 0.75 counts as open, and how much farther than to `OPEN_TO`
+it is pulled where the arm can: it swings back a little when the hand lets go."""
+STILL_STEPS = 3
+"""Control steps for which the hand holds the bar at the end: it would hit it on its way if the door went on."""
 SHUT, AJAR = 0.006, 0.009
 """Shares of the range: to which a door is pressed, and from which on it is pressed anew; 0.01 counts as closed."""
 IN_LINE, ENTERED = 0.025, 0.04
@@ -57,7 +62,7 @@ JAMMED = 300.0
 
 def open_door(view: WorldView, link: JointedLink) -> Motion:
     """Grasp the bar, follow its arc, let go and return to rest; anew after a slip."""
-    enough = 0.76 * link.range[1]
+    enough = ENOUGH * link.range[1]
     while view.steps_left > 40 and view.link_q(link.id) < enough:
         found = stances.cached(link, "pull", door_stances.pull_stances)
         path = _reachable(view, link, found, door_stances.pull_angles(link))
@@ -67,9 +72,10 @@ def open_door(view: WorldView, link: JointedLink) -> Motion:
         yield from approach.go(view, path.route, around)
         rot = path.hand_at(path.angles[1])[1]
         if (yield from approach.take(view, link, rot, path.q[1], height=path.height, gripper=around)):
-            yield from _follow_arc(view, link, path, OPEN_TO * link.range[1], motion.CLOSED)
+            yield from _follow_arc(view, link, path, (OPEN_TO + SPARE) * link.range[1], motion.CLOSED)
+        yield from motion.hold(view, STILL_STEPS, gripper=motion.CLOSED)
         yield from approach.let_go(view, 0.12, gripper=loose)
-    return (yield from approach.fold(view))
+    return (yield from approach.fold(view, gripper=motion.CLOSED))
 
 
 def close_door(view: WorldView, link: JointedLink) -> Motion:

@@ -37,8 +37,8 @@ BEHIND = 0.25
 """Way the hand goes straight in behind an open door [m]."""
 STANCES_TRIED = 16
 """Stances whose surroundings are looked at."""
-JOINT_RATE = 0.037
-"""Joint motion per control step at which the hand leads the door [rad]."""
+JOINT_RATE, PULL_RATE = 0.037, 0.046
+"""Joint motion per control step at which the hand leads the door [rad]: pushed, it should not leave the hand."""
 SWING = 0.045
 """Most the hand's aim moves along the door's arc per control step [rad]."""
 GENTLE = 0.02, 0.045
@@ -216,7 +216,7 @@ def _pace(path: ArcPath, angle: float, way: float) -> float:
     """Door motion per control step that the arm's joints can follow [rad]."""
     here, there = path.at(angle), path.at(angle + way * 0.1)
     most = float(np.abs(there - here)[list(motion.ARM_JOINTS)].max())
-    return min(SWING, 0.1 * JOINT_RATE / max(most, 1e-6))
+    return min(SWING, 0.1 * (PULL_RATE if way > 0 else JOINT_RATE) / max(most, 1e-6))
 
 
 def _arc_action(view: WorldView, path: ArcPath, aim: float, step: float, gripper: float) -> Array:

@@ -28,13 +28,13 @@ from mjhab.experts.reach import ARM_END, FAR_OFF, Scene, _overreach, base_poses,
 from mjhab.experts.route import (
     BASE_ROOM,
     Route,
-    _simulate,
     _swept,
     arm_gone,
     drive_of,
     follow,
     holds,
     plan_route,
+    simulate,
     torso_gone,
 )
 
@@ -98,7 +98,7 @@ def test_a_bend_is_driven_as_expected():
     here = view.q[:2]
     path = np.stack([here, here - 0.3 * ahead, here - 0.6 * ahead - 0.4 * left])
     yaw = float(np.arctan2(*(-0.3 * ahead - 0.4 * left)[::-1]))
-    poses = _simulate(view.q[:3], path, yaw, 1, 0.3, FIRM)
+    poses = simulate(view.q[:3], path, yaw, 1, 0.3, FIRM)
     route = Route(path, yaw, 1, 0.3, view.q, 0, len(poses), 0.0, care=FIRM)
     real = [view.q[:3]]
     for action in islice(follow(view, route, gripper=motion.CLOSED, held=obj), len(poses) - 1):

@@ -9,7 +9,7 @@ from mjhab.envs.kinematics import wrap
 from mjhab.envs.privileged import JointedLink, WorldView
 from mjhab.experts import ik, motion
 from mjhab.experts.navigation import CONTROL_DT
-from mjhab.experts.route import BASE_LAG, Pilot, Route, follow, plan_route
+from mjhab.experts.route import Route, follow, plan_route, simulate
 
 Array = np.ndarray
 Motion = motion.Motion
@@ -101,14 +101,7 @@ def _turn_at_end(route: Route) -> float:
 
 def _passed(view: WorldView, route: Route) -> Array:
     """Configurations (T, 15) expected on a route, two for every control step."""
-    pilot = Pilot(route.path, route.yaw, route.direction, route.lookahead, route.speed)
-    pose, speed, rate, share = view.q[:3], 0.0, 0.0, 1.0 - np.exp(-CONTROL_DT / BASE_LAG)
-    poses = [pose]
-    for _ in range(route.steps):
-        forward, turn, _done = pilot.step(pose)
-        speed, rate = speed + share * (forward - speed), rate + share * (turn - rate)
-        pose = pose + CONTROL_DT * np.array([speed * np.cos(pose[2]), speed * np.sin(pose[2]), rate])
-        poses.append(pose)
+    poses = simulate(view.q[:3], route.path, route.yaw, route.direction, route.lookahead, route.care)
     needed = float(ik.travel_steps(motion.chain(), view.q, route.arm, ik.columns(motion.chain())))
     steps = np.arange(0.0, route.steps + 0.25, 0.5)
     part = np.clip((steps - route.delay) / max(needed, 1.0), 0.0, 1.0)[:, None]

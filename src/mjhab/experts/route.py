@@ -318,7 +318,7 @@ def _smoothest(
     cells = planner(view)
     best: tuple[float, float, Array] | None = None
     for lookahead in lookaheads:
-        poses = _simulate(view.q[:3], path, yaw, direction, lookahead, care)
+        poses = simulate(view.q[:3], path, yaw, direction, lookahead, care)
         room = float(cells.clearance_at(poses[:, :2]).min())
         if best is None or room > best[0]:
             best = (room, lookahead, poses)
@@ -328,7 +328,7 @@ def _smoothest(
     return best[1], best[2]
 
 
-def _simulate(
+def simulate(
     pose: Array, path: Array, yaw: float, direction: int, lookahead: float, care: Care | None = None
 ) -> Array:  # fmt: skip
     """Base poses (T, 3) that driving a way should give."""

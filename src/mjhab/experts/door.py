@@ -22,7 +22,7 @@ AROUND, LOOSE = 0.045, 0.03
 """
 ENOUGH, SPARE = 0.753, 0.008
 """Shares of the range: from which on a door is left alone, 0.75 counts as open, and how much farther than to `OPEN_TO`
-it is pulled where the arm can: it swings back a little when the hand lets go."""
+it is pulled: what brushes against it later must not close it that far."""
 STILL_STEPS = 3
 """Control steps for which the hand holds the bar at the end: it would hit it on its way if the door went on."""
 SHUT, AJAR = 0.006, 0.009

@@ -42,6 +42,13 @@ def test_expert_succeeds(subtask: str, target: str, episode: int) -> None:
     assert ended["cumulative_force"] < 5000.0
 
 
+@pytest.mark.parametrize("episode", [3, 13])
+def test_a_door_stays_where_it_is_let_go_of(episode: int) -> None:
+    angles: list[float] = []
+    ended = play("open", DOOR, episode, look=lambda view: angles.append(view.link_q(DOOR)))
+    assert ended["success_once"] and max(angles) - angles[-1] < 0.02 < max(angles) - angles[0]
+
+
 def test_a_door_is_pushed_all_the_way_or_thrown_as_asked() -> None:
     """Pushed, the hand is at the door until it is shut; thrown, it is well behind before."""
 

@@ -30,7 +30,6 @@ from mjhab.experts.release import TIGHT, away_speed, drawn_back, let_go_width, p
 from mjhab.experts.route import follow, holds
 from mjhab.experts.sampled import Found, roomier
 from mjhab.experts.style import style_of
-from mjhab.tasks.plan import TaskConfig
 from mjhab.tasks.style import DROP as DROP_IT
 
 Array = np.ndarray
@@ -108,7 +107,8 @@ def _bring(view: WorldView, obj: str, goal: Array) -> Motion:
             continue
         if best is None:
             failed, nothing = failed[:0], nothing + 1
-            if nothing >= len(DROPS):
+            # In the open things can fall; inside there is only what has failed to be looked at once more.
+            if nothing >= (2 if inside_depth(view, goal) else len(DROPS)):
                 yield from motion.hold(view, WAIT, gripper=motion.CLOSED)
             continue
         (stance, goals, depth), best, hurry = best, None, False
@@ -191,7 +191,7 @@ def hand_goals(view: WorldView, obj: str, goal: Array, *, shelf: bool, any_side:
     offsets = SHELF_OFFSETS if shelf else LAST_OFFSETS if any_side else OFFSETS
     spots = [goal[:2] + near * back + left * aside for near, left in offsets]
     spots = [spot for i, spot in enumerate(spots) if not i or _on_surface(view, goal, spot)]
-    most = ENOUGH * TaskConfig.goal_tol
+    most = ENOUGH * view.config.goal_tol
     yaws = np.arange(SHELF_YAWS if shelf else YAWS) * 2 * np.pi / (SHELF_YAWS if shelf else YAWS)
     tilts = SHELF_TILTS if shelf else BALL_TILTS if ball else TILTS
     pos, rot, score = [], [], []

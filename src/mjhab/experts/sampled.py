@@ -97,19 +97,9 @@ def plan_around(
         return None
     steps, lead, delay, via, carried = best
     return Route(
-        path,
-        float(goal[2]),
-        direction,
-        lookahead,
-        arm,
-        delay,
-        steps,
-        0.0,
-        via=via,
-        carried=carried,
-        lead=lead,
+        path, float(goal[2]), direction, lookahead, arm, delay, steps, 0.0, via=via, carried=carried, lead=lead,
         care=care,
-    )
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)

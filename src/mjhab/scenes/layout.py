@@ -26,8 +26,8 @@ _GEOM_TYPE = {
     "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,
     "mesh": mujoco.mjtGeom.mjGEOM_MESH,
 }
-OBJECT_FRICTION = (1.0, 0.01, 0.003)
-"""Sliding, torsional, rolling. Rolling friction lets round objects come to rest and sleep."""
+OBJECT_FRICTION = (fetch.SLIDING_FRICTION, 0.01, 0.003)
+"""Sliding, torsional [m], rolling [m]. Rolling friction lets round objects come to rest and sleep."""
 SLIDE_DAMPING, SLIDE_FRICTION = 5.0, 1.0
 HINGE_DAMPING, HINGE_FRICTION = 1.0, 0.5
 JOINT_ARMATURE = 0.1
@@ -145,6 +145,7 @@ def build_spec(layout: Layout, home: Home) -> mujoco.MjSpec:
     spec.modelname = home.name
     spec.memory = 64 << 20
     fetch.physics_options(spec)
+    spec.default.geom.friction[0] = fetch.SLIDING_FRICTION
     world = spec.worldbody
     plane = mujoco.mjtGeom.mjGEOM_PLANE
     world.add_geom(name="floor", type=plane, size=[0, 0, 1], contype=contact_bits.STATIC, conaffinity=0)

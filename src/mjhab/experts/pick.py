@@ -321,10 +321,19 @@ def _take(
     fine = bool(goals.opening[stance.goal] > FINE_OPENING_M)
     if fine:
         yield from motion.still_tcp(view, pre, rot, gripper=opening, steps=4)
+    speed = 0.15 if fine else 0.2
     yield from motion.move_tcp(
-        view, pos, rot, gripper=opening, rest=joints[1], speed=0.15 if fine else 0.2, tolerance=0.006, max_steps=25, stop_on_force=80.0,
+        view,
+        pos,
+        rot,
+        gripper=opening,
+        rest=joints[1],
+        speed=speed,
+        tolerance=0.006,
+        max_steps=25,
+        stop_on_force=80.0,
         torso=False,
-    )  # fmt: skip
+    )
     if np.linalg.norm(motion.tcp(view)[0] - pos) > SHORT:
         return False
     # Fingers that close while the hand still moves twist the object and press sideways for seconds.

@@ -188,8 +188,8 @@ SLIDING_FRICTION = 0.3
 """Sliding friction of everything but the finger pads, as in the original (ManiSkill's default material). A pair of
 geoms takes the larger of two equal values: 0.3 too."""
 PAD_FRICTION = (1.15, 0.02, 0.001)
-"""Sliding, torsional [m], rolling [m] of every contact of a finger pad. The original's pads have 2.0 and what they touch
-0.3; its engine averages the two. Here the pads' value wins by their priority, so it is the average itself."""
+"""Sliding, torsional [m], rolling [m] of every contact of a finger pad. The original's pads have 2.0, what they touch
+has 0.3, and its engine averages the two. Here the pads' value wins by their priority: it is the average."""
 PAD_SOLIMP = (0.95, 0.99, 0.001, 0.5, 2.0)
 PAD_SOLREF = (-2500.0, -160.0)
 """Stiffness [1/s^2] and damping [1/s] of pad contacts (negative: MuJoCo's direct form). The stiffness is that of

@@ -11,8 +11,8 @@ from pathlib import Path
 
 from mjhab.core.cache import write_atomic
 from mjhab.core.errors import UsageError
+from mjhab.core.locking import WriteLock, is_written
 from mjhab.data.journal import committed_length, journal_path, recover
-from mjhab.data.locking import WriteLock, is_written
 from mjhab.data.reading import Shard, open_shard, shard_paths
 from mjhab.data.schema import DamagedError
 from mjhab.data.shard import ShardWriter, StorageError, is_full

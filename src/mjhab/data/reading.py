@@ -14,11 +14,12 @@ import numpy as np
 from h5py import h5r
 
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.locking import is_written
 from mjhab.data.episode_data import RunInfo, episode_digest, from_bytes, run_id
 from mjhab.data.hdf5 import check_format, dataset, dataset_paths, group, read_arrays, read_attributes
 from mjhab.data.images import decode
 from mjhab.data.journal import Overlay, committed_length, read_journal
-from mjhab.data.locking import is_written, quiet
+from mjhab.data.locking import quiet
 from mjhab.data.schema import CHECKS, COLUMNS, EPISODES, RUNS, TERMINAL, DamagedError, problems
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.tasks.labels import History

@@ -15,10 +15,10 @@ import numpy as np
 import mjhab
 from mjhab.core.cache import write_atomic
 from mjhab.core.errors import MjhabError, UsageError
+from mjhab.core.locking import WriteLock
 from mjhab.data.episode_data import EpisodeData, RunInfo, episode_digest, record_bytes, to_bytes
 from mjhab.data.hdf5 import change_file, check_format, group, make_file, put_attributes, read_arrays
 from mjhab.data.journal import recover, sync_folder
-from mjhab.data.locking import WriteLock
 from mjhab.data.schema import COLUMNS, EPISODES, FORMAT, RUNS, VERSION
 from mjhab.rollout.records import EpisodeRecord
 

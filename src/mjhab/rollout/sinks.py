@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,7 +30,13 @@ class StepView:
 
 
 class Sink:
-    """Base of all sinks: every method does nothing. The loop calls them in this order for each episode."""
+    """Base of all sinks: every method does nothing.
+
+    ``on_begin`` comes once; then the loop calls the others in this order for each episode.
+    """
+
+    def on_begin(self, env: Any, episodes: Sequence[int]) -> None:
+        """The rollout begins; these episodes will be run. Called once, before all others."""
 
     def on_reset(self, env: Any, info: Mapping[str, Any], mask: np.ndarray) -> None:
         """New episodes began in the worlds of ``mask`` (W,) bool."""

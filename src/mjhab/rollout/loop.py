@@ -13,8 +13,9 @@ from typing import Any
 
 import numpy as np
 
+from mjhab.core.action_notes import ActionNotes
 from mjhab.core.errors import UsageError
-from mjhab.rollout.policy import Policy, Styled
+from mjhab.rollout.policy import Annotated, Policy, Styled
 from mjhab.rollout.records import EpisodeRecord, Event, PlanEntry, SubtaskRecord
 from mjhab.rollout.sinks import Sink, StepView
 
@@ -89,19 +90,30 @@ class _Run:
     def step(self) -> None:
         """Take one control step in all worlds, then give finished worlds their next episode."""
         actions = np.asarray(self.policy.act(self.obs, self.info), np.float32)
+        notes = self._notes(actions)
         actions = np.where(self.active[:, None], actions, np.float32(0.0))
         self.obs, reward, terminated, truncated, self.info = self.env.step(actions)
         self.steps[self.active] += 1
         done = self.active & (np.asarray(terminated) | np.asarray(truncated) | (self.steps >= self.max_steps))
         for w in np.flatnonzero(self.active):
             self._trace(int(w)).add(int(w), int(self.steps[w]), self.info)
-        view = StepView(self.active.copy(), self.steps.copy(), done, actions, self.obs, reward, self.info)
+        view = StepView(self.active.copy(), self.steps.copy(), done, actions, self.obs, reward, self.info, notes)
         for sink in self.sinks:
             sink.on_step(self.env, view)
         for w in np.flatnonzero(done):
             self._finish(int(w))
         if done.any():
             self._fill()
+
+    def _notes(self, actions: np.ndarray) -> ActionNotes:
+        if not isinstance(self.policy, Annotated):
+            return ActionNotes.plain(actions, self.policy.name)
+        notes = self.policy.notes()
+        if notes.intended.shape != actions.shape:
+            raise ValueError(
+                f"policy {self.policy.name!r} gives actions {actions.shape} and intended ones {notes.intended.shape}"
+            )
+        return notes
 
     def _trace(self, world: int) -> _Trace:
         trace = self.traces[world]

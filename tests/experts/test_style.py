@@ -169,4 +169,4 @@ def test_the_expert_tells_what_it_intends_without_its_noise(words: tuple[str, ..
     moved = executed - intended
     assert (moved[:4, :7] != 0).all() and (moved[4:, :7] != 0).any()
     assert not moved[:, 7:].any() and np.abs(moved).max() < 0.6
-    assert (np.abs(intended) <= 1.0).all() and len(np.unique(intended[:4], axis=0)) == 1
+    assert (np.abs(intended) <= 1.0).all()

@@ -20,7 +20,7 @@ from mjhab.data.hdf5 import check_format, dataset, dataset_paths, group, read_ar
 from mjhab.data.images import decode
 from mjhab.data.journal import Overlay, committed_length, read_journal
 from mjhab.data.locking import is_written, quiet
-from mjhab.data.older import STAND_INS, stand_in
+from mjhab.data.older import POSES, STAND_INS, canonical_poses, stand_in
 from mjhab.data.schema import CHECKS, COLUMNS, EPISODES, FIELDS, RUNS, TERMINAL, DamagedError, problems
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.tasks.labels import History
@@ -103,7 +103,7 @@ class Episode:
 
     @property
     def lacks(self) -> tuple[str, ...]:
-        """Datasets that its older schema does not have: ``array`` gives what stands in their place.
+        """Datasets that its older schema does not have: ``array`` gives what stands in for them.
 
         Without ``actions_intended`` the executed actions are taken for intended; without ``actor`` the policy of the
         run has acted all the time.
@@ -143,7 +143,7 @@ class Episode:
         """
         with self._reading():
             if path in self._group:
-                return dataset(self._group, path)[()]
+                return self._as_of_now(path, dataset(self._group, path)[()])
         if path in self.lacks:
             return stand_in(path, self.array(STAND_INS[path]))
         if path.startswith("states/"):
@@ -152,6 +152,15 @@ class Episode:
                 "from it. Record it again with states: `mjhab generate` without --no-states, same seed and index."
             )
         raise unknown_name("dataset", path, self.paths)
+
+    def _as_of_now(self, path: str, array: np.ndarray) -> np.ndarray:
+        """A dataset as the present schema has it."""
+        if self.schema >= 2:
+            return array
+        if path == "obs/state":
+            return canonical_poses(array, self.columns(path))
+        key = path.removeprefix("obs/")
+        return canonical_poses(array, {key: array.shape[1]}) if key in POSES else array
 
     def columns(self, path: str) -> dict[str, int]:
         """Names of the columns of a two-dimensional dataset, and how many columns each name stands for."""

@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
+from mjhab.core.action_notes import ActionNotes
 from mjhab.core.errors import UsageError
-from mjhab.rollout.policy import Policy, RolloutEnv, Styled
+from mjhab.rollout.policy import Annotated, Policy, RolloutEnv, Styled
 from mjhab.rollout.records import EpisodeRecord, Event, PlanEntry, SubtaskRecord
 from mjhab.rollout.sinks import Sink, StepView
 
@@ -114,19 +115,30 @@ class _Run:
                 f"act of policy {self.policy.name!r} must give one row of numbers per world, "
                 f"({self.env.num_envs}, A); got {actions.shape}."
             )
+        notes = self._notes(actions)
         actions = np.where(self.active[:, None], actions, np.float32(0.0))
         self.obs, reward, terminated, truncated, self.info = self.env.step(actions)
         self.steps[self.active] += 1
         done = self.active & (np.asarray(terminated) | np.asarray(truncated) | (self.steps >= self.max_steps))
         for w in np.flatnonzero(self.active):
             self._trace(int(w)).add(int(w), int(self.steps[w]), self.info)
-        view = StepView(self.active.copy(), self.steps.copy(), done, actions, self.obs, reward, self.info)
+        view = StepView(self.active.copy(), self.steps.copy(), done, actions, self.obs, reward, self.info, notes)
         for sink in self.sinks:
             sink.on_step(self.env, view)
         for w in np.flatnonzero(done):
             self._finish(int(w))
         if done.any():
             self._fill()
+
+    def _notes(self, actions: np.ndarray) -> ActionNotes:
+        if not isinstance(self.policy, Annotated):
+            return ActionNotes.plain(actions, self.policy.name)
+        notes = self.policy.notes()
+        if notes.intended.shape != actions.shape:
+            raise ValueError(
+                f"policy {self.policy.name!r} gives actions {actions.shape} and intended ones {notes.intended.shape}"
+            )
+        return notes
 
     def _trace(self, world: int) -> _Trace:
         trace = self.traces[world]

@@ -7,6 +7,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from mjhab.core.action_notes import ActionNotes
 from mjhab.core.seeding import stream
 
 ACTION_SIZE = 13
@@ -64,6 +65,15 @@ class Policy(Protocol):
 
     def act(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:
         """Return actions (W, 13) float32 in [-1, 1] for the observations and info of the last reset or step."""
+        ...
+
+
+@runtime_checkable
+class Annotated(Protocol):
+    """A policy that tells what it intended and who acted. Of any other, the actions are the intended ones, its own."""
+
+    def notes(self) -> ActionNotes:
+        """Notes about the actions that the last ``act`` returned."""
         ...
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from mjhab.core.action_notes import ActionNotes
 from mjhab.rollout.records import EpisodeRecord
 
 
@@ -17,7 +18,8 @@ class StepView:
 
     ``active`` (W,) bool: worlds in which an episode runs; the rest idles and must be ignored. ``steps`` (W,) int: step
     number within the episode, the first is 1. ``done`` (W,) bool: active worlds whose episode ended in this step.
-    ``actions`` (W, 13) were applied; ``obs``, ``reward`` (W,) and ``info`` came back.
+    ``actions`` (W, 13) were applied; ``obs``, ``reward`` (W,) and ``info`` came back. ``notes``: which actions were
+    intended, and by whom.
     """
 
     active: np.ndarray
@@ -27,6 +29,7 @@ class StepView:
     obs: Any
     reward: np.ndarray
     info: Mapping[str, Any]
+    notes: ActionNotes
 
 
 class Sink:

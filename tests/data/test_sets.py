@@ -143,7 +143,8 @@ def test_commands(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert run(capsys, "merge", folder, "--out", tmp_path / "m.h5", "--where", "success")[1]["repeated"] == 0
     sizes = run(capsys, "split", folder, "--out", tmp_path / "s", "--parts", "train=0.5", "val=0.25")[1]
     assert sizes == {"parts": {"train": 10, "val": 5}}
-    assert run(capsys, "repair", folder)[1] == {"kept": 20, "lost": 0, "finished": 0, "damaged_files": []}
+    repaired = {"kept": 20, "lost": 0, "finished": 0, "damaged_files": [], "indexed": True}
+    assert run(capsys, "repair", folder)[1] == repaired
     assert "max_force" in dict((row[0], row) for row in run(capsys, "fields")[1]["fields"])
 
 

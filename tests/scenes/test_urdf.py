@@ -59,3 +59,19 @@ def test_what_it_does_not_know_is_named(old: str, new: str, message: str, tmp_pa
     with pytest.raises(UsageError, match=message) as error:
         read(tmp_path, TEXT.replace(old, new, 1))
     assert "thing.urdf" in str(error.value) and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('<link name="lid"/>', '<link name="../../lid"/>', "is no name"),
+        ('xyz="1, 2 3"', 'xyz="1 1e300 3"', "origin xyz: expected 3 numbers"),
+        ("0.4, 0.6", "0.4, 1e9", "box size: expected 3 numbers"),
+    ],
+)
+def test_names_and_numbers_no_furniture_has(old: str, new: str, message: str, tmp_path: Path) -> None:
+    assert old in TEXT
+    path = tmp_path / "thing.urdf"
+    path.write_text(TEXT.replace(old, new))
+    with pytest.raises(UsageError, match=message):
+        read_urdf(path)

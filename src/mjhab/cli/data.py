@@ -203,7 +203,9 @@ def _repair(options: DataRepairOptions) -> int:
     kept, lost = sum(r.kept for r in done), sum(len(r.lost) for r in done)
     if options.json:
         aside = [str(r.kept_as) for r in done if r.kept_as]
-        print_json({"kept": kept, "lost": lost, "finished": sum(r.finished for r in done), "damaged_files": aside})
+        finished = sum(r.finished for r in done)
+        indexed = all(r.indexed for r in done)
+        print_json({"kept": kept, "lost": lost, "finished": finished, "damaged_files": aside, "indexed": indexed})
         return 0
     for each in done:
         print(_repaired(each))
@@ -213,7 +215,8 @@ def _repair(options: DataRepairOptions) -> int:
 
 def _repaired(done: Repair) -> str:
     if done.kept_as is not None:
-        return f"{done.path}: {done.kept} episodes saved, {len(done.lost)} lost; the damaged file is {done.kept_as}"
+        lost = f"{len(done.lost)} lost" if done.indexed else f"at least {len(done.lost)} lost (its index is damaged)"
+        return f"{done.path}: {done.kept} episodes saved, {lost}; the damaged file is {done.kept_as}"
     what = "the last episode's writing was cleared up" if done.finished else "nothing to do"
     return f"{done.path}: {done.kept} episodes, {what}"
 

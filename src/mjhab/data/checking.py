@@ -13,9 +13,10 @@ from mjhab.core.cache import write_atomic
 from mjhab.core.errors import UsageError
 from mjhab.core.locking import WriteLock, is_written
 from mjhab.data.journal import committed_length, journal_path, recover
-from mjhab.data.reading import Shard, open_shard, shard_paths
+from mjhab.data.reading import open_shard, shard_paths
 from mjhab.data.schema import DamagedError
 from mjhab.data.shard import ShardWriter, StorageError, is_full
+from mjhab.data.wreck import Wreck
 
 
 @dataclass
@@ -43,13 +44,18 @@ class CheckReport:
 
 @dataclass(frozen=True)
 class Repair:
-    """What became of one shard: episodes kept and lost; ``kept_as``: where the damaged file was put, if it was."""
+    """What became of one shard: episodes kept and lost; ``kept_as``: where the damaged file was put, if it was.
+
+    ``indexed``: whether the index of episodes could be read. Without it, ``lost`` names only the episodes of which some
+    part is still there.
+    """
 
     path: Path
     finished: bool
     kept: int
     lost: dict[str, list[str]]
     kept_as: Path | None
+    indexed: bool = True
 
 
 def check(places: Path | Sequence[Path], on_shard: Callable[[], object] | None = None) -> CheckReport:
@@ -85,6 +91,7 @@ def check(places: Path | Sequence[Path], on_shard: Callable[[], object] | None =
 def repair(path: Path) -> Repair:
     """Put one shard in order: finish what a killed writer left, and drop episodes that are damaged.
 
+    Every episode whose bytes are all there is kept, also when the file is cut or its index is damaged (see `wreck`).
     If episodes are dropped, the damaged file is kept beside the new one, with ".damaged" behind its name.
 
     Raises:
@@ -101,15 +108,24 @@ def repair(path: Path) -> Repair:
         cut = _is_cut(path)
         if not cut:
             recover(path)
-            with open_shard(path) as shard:
-                if not any(shard.problems(name) for name in shard.names):
-                    return Repair(path, pending, len(shard), {}, None)
+            whole = _count_if_whole(path)
+            if whole is not None:
+                return Repair(path, pending, whole, {}, None)
         return _salvage(path, cut)
     except OSError as error:
         what = "the disk is full" if is_full(error) else error.strerror or str(error)
         raise StorageError(f"cannot repair {path}: {what}. The file was left as it is.") from error
     finally:
         lock.release()
+
+
+def _count_if_whole(path: Path) -> int | None:
+    """Number of episodes of a shard with which nothing is wrong; None if something is."""
+    try:
+        with open_shard(path) as shard:
+            return None if any(shard.problems(name) for name in shard.names) else len(shard)
+    except DamagedError:
+        return None
 
 
 def _is_cut(path: Path) -> bool:
@@ -127,8 +143,10 @@ def _salvage(path: Path, cut: bool) -> Repair:
     nothing = DamagedError(f"no episode in {path} can be read; the file was left as it is.")
     try:
         try:
-            shard = Shard(source)
+            shard = Wreck(source)
         except DamagedError as error:
+            if not cut:
+                raise
             raise nothing from error
         with shard:
             found = {name: shard.problems(name) for name in shard.names}
@@ -148,7 +166,7 @@ def _salvage(path: Path, cut: bool) -> Repair:
             source.unlink(missing_ok=True)
     journal_path(path).unlink(missing_ok=True)
     lost = {name: wrong for name, wrong in found.items() if wrong}
-    return Repair(path, False, len(names), lost, aside)
+    return Repair(path, False, len(names), lost, aside, shard.indexed)
 
 
 def _free_name(path: Path) -> Path:

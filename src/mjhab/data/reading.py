@@ -26,7 +26,7 @@ from mjhab.data.schema import CHECKS, COLUMNS, EPISODES, FIELDS, RUNS, TERMINAL,
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.tasks.labels import History
 
-_BROKEN = (OSError, RuntimeError, ValueError, KeyError)
+BROKEN = (OSError, RuntimeError, ValueError, KeyError)
 """What h5py raises over a damaged file."""
 
 
@@ -256,6 +256,8 @@ class Episode:
             name = str(self.attributes["run"])
             if not wrong and run_id(self.shard.told[name]) != name:
                 wrong.append("what made it (its run) is not what was written")
+            if not wrong and self.run.episode_name(self.record.seed, self.record.index) != self.name:
+                wrong.append(f"its record is that of episode {self.record.index} of seed {self.record.seed}")
         return wrong
 
 
@@ -273,7 +275,7 @@ class Shard:
                 self.file = self._open()
                 check_format(self.file, path)
                 self._read_index()
-        except _BROKEN as error:
+        except BROKEN as error:
             self.close()
             raise _unreadable(path, error) from error
         except BaseException:
@@ -285,7 +287,7 @@ class Shard:
         index = group(self.file, EPISODES)
         self._places = {str(name): h5r.create(index.id, str(name).encode(), h5r.OBJECT) for name in index}
         self.names = sorted(self._places)
-        with suppress(*_BROKEN):
+        with suppress(*BROKEN):
             _ = self.told  # of a damaged one, whoever asks hears of it
 
     def _open(self) -> h5py.File:

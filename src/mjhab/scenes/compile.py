@@ -9,6 +9,7 @@ from pathlib import Path
 import mujoco
 
 from mjhab.core.cache import cache_dir, write_atomic
+from mjhab.core.paths import below
 from mjhab.scenes.layout import Layout, build_spec
 from mjhab.scenes.spec import Home
 
@@ -34,7 +35,7 @@ def home_hash(layout: Layout, home: Home) -> str:
 
 def model_path(layout: Layout, home: Home) -> Path:
     """File in the cache that holds, or will hold, the model of a home."""
-    return cache_dir() / "models" / f"{home.name}-{home_hash(layout, home)}.mjb"
+    return below(cache_dir() / "models", f"{home.name}-{home_hash(layout, home)}.mjb")
 
 
 def compile_home(layout: Layout, home: Home) -> mujoco.MjModel:

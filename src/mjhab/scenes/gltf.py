@@ -18,6 +18,7 @@ import numpy as np
 from mjhab.core.errors import UsageError
 from mjhab.core.rotations import mat_from_quat
 from mjhab.scenes.meshes import MAX_TEXTURE
+from mjhab.scenes.pack_check import MAX_FILE_NUMBER
 
 _COMPONENT = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
 _WIDTH = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
@@ -54,9 +55,15 @@ def read_glb(path: Path, *, textures: bool = True) -> list[Primitive]:
     document, blob = _chunks(path)
     reader = _Reader(path, document, blob)
     try:
-        return reader.primitives(textures)
+        parts = reader.primitives(textures)
     except (KeyError, IndexError, TypeError, ValueError, struct.error, OSError) as error:
         raise UsageError(f"{path}: broken glTF ({type(error).__name__}: {error}); fetch the file again.") from error
+    for part in parts:
+        if not (np.abs(part.vertices) <= MAX_FILE_NUMBER).all():
+            raise UsageError(
+                f"{path}: mesh {part.mesh!r} has vertices that are not finite or beyond {MAX_FILE_NUMBER:g}."
+            )
+    return parts
 
 
 def read_hulls(path: Path) -> list[np.ndarray]:

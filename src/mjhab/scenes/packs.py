@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import os
 import types
 import typing
@@ -22,6 +23,7 @@ from mjhab.scenes.furniture import builtin_articulations, builtin_props, furnitu
 from mjhab.scenes.homes import builtin_homes
 from mjhab.scenes.meshes import Mesh, mesh_arrays, mesh_from_arrays
 from mjhab.scenes.objects import builtin_objects, object_meshes
+from mjhab.scenes.pack_check import check_pack
 from mjhab.scenes.replica_cad_files import SCENE_SUFFIX, is_replica_cad
 from mjhab.scenes.spec import Articulation, Home, ObjectType, Pack, Prop
 
@@ -155,7 +157,8 @@ def load_pack(folder: Path) -> Pack:
     """Read a pack folder.
 
     Raises:
-        UsageError: a file is missing, broken or of another format; names the file and the field.
+        UsageError: a file is missing, broken or of another format, or holds names or numbers that no home can be made
+            of (`check_pack`); names the file and the field.
     """
     for needed in (_JSON, _MESHES):
         if not (folder / needed).is_file():
@@ -190,7 +193,7 @@ def load_pack(folder: Path) -> Pack:
     except ValueError as error:
         raise UsageError(f"{path}: {error}") from error
     _check_names(pack, path)
-    return pack
+    return check_pack(pack, path)
 
 
 def _read_meshes(path: Path, names: tuple[str, ...]) -> dict[str, object]:
@@ -253,10 +256,20 @@ def _read(kind: Any, value: Any, where: str) -> Any:
     if kind is float:
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise ValueError(f"{where}: expected a number, got {value!r}.")
-        return float(value)
+        number = _float(value)
+        if not math.isfinite(number):
+            raise ValueError(f"{where}: expected a finite number, got {number}.")
+        return number
     if not isinstance(value, kind) or (kind is int and isinstance(value, bool)):
         raise ValueError(f"{where}: expected {kind.__name__}, got {value!r}.")
     return value
+
+
+def _float(value: int | float) -> float:
+    try:
+        return float(value)
+    except OverflowError:  # an integer of hundreds of digits
+        return math.inf
 
 
 def _read_record(kind: Any, value: Any, where: str) -> Any:

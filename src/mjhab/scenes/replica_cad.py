@@ -20,15 +20,18 @@ from typing import Any, Literal
 import numpy as np
 
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.names import check_name
 from mjhab.core.rotations import mat_from_quat
 from mjhab.scenes.footprints import outline
 from mjhab.scenes.navmesh import read_navmesh
 from mjhab.scenes.objects import builtin_objects, object_meshes
+from mjhab.scenes.pack_check import check_pack
 from mjhab.scenes.replica_cad_files import (
     FETCH,
     SCENE_SUFFIX,
     check_folder,
     load_json,
+    number,
     numbers,
     placement,
     short_name,
@@ -77,10 +80,15 @@ def open_replica_cad(
     _warn(folder, reader.missing, "homes have a floor but no walls (--stage-mesh FILE gives another stage)")
     _warn(folder, furniture.missing, "their collision shapes are drawn instead")
     objects, meshes = _objects(folder)
-    return Pack(
-        "replica_cad", furniture.props, furniture.articulations, homes, objects,
+    pack = Pack(
+        "replica_cad",
+        furniture.props,
+        furniture.articulations,
+        homes,
+        objects,
         {**furniture.meshes, **furniture.looks.meshes(), **meshes},
-    )  # fmt: skip
+    )
+    return check_pack(pack, folder)
 
 
 def _warn(folder: Path, missing: list[Path], meaning: str) -> None:
@@ -135,18 +143,18 @@ class _Scenes:
         props, jointed = [], []
         for k, record in enumerate(_list(path, body, "object_instances")):
             where = f"object_instances[{k}]"
-            template = self.furniture.rigid(_text(path, record, "template_name", where))
+            template = self.furniture.rigid(_template(path, record, where))
             props.append(placement(path, record, template, where))
         if any(record.get("motion_type") == "DYNAMIC" for record in _list(path, body, "object_instances")):
             self.loose.append(name)
         for k, record in enumerate(_list(path, body, "articulated_object_instances")):
             where = f"articulated_object_instances[{k}]"
-            given = _text(path, record, "template_name", where)
+            given = _template(path, record, where)
             # Doors between rooms stay out, as in ManiSkill's scene builder: they would close off half the apartment.
             if "door" in short_name(given):
                 continue
             at = placement(path, record, short_name(given), where)
-            at = self.furniture.jointed(given, float(record.get("uniform_scale", 1.0)), at)
+            at = self.furniture.jointed(given, _scale(path, record, where), at)
             (jointed if at.template in self.furniture.articulations else props).append(at)
         for place in jointed:
             if sum(other.template == place.template for other in jointed) > 1:
@@ -164,7 +172,7 @@ class _Scenes:
     def _stage(self, path: Path, body: dict[str, Any]) -> tuple[tuple[Geom, ...], Extent] | None:
         """Walls and floor extent of a scene's stage; None, with one warning, when its mesh is not there."""
         record = entry(path, body, "stage_instance")
-        given = _text(path, record, "template_name", "stage_instance")
+        given = _template(path, record, "stage_instance")
         if self.stage_mesh is not None:
             file = self.stage_mesh
         else:
@@ -199,6 +207,10 @@ class _Scenes:
         return (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
 
 
+def _scale(path: Path, record: dict[str, Any], where: str) -> float:
+    return number(path, {"uniform_scale": 1.0, **record}, "uniform_scale", where, positive=True)
+
+
 def _list(path: Path, body: dict[str, Any], key: str) -> list[Any]:
     value = body.get(key, [])
     if not isinstance(value, list):
@@ -207,7 +219,17 @@ def _list(path: Path, body: dict[str, Any], key: str) -> list[Any]:
 
 
 def _text(path: Path, record: Any, key: str, where: str) -> str:
+    """A name that a field holds: of a template, or of a file relative to the config."""
     value = entry(path, record, key, where)
     if not isinstance(value, str):
         raise UsageError(f"{path}: field {where}.{key}: expected a name, got {value!r}.")
     return value
+
+
+def _template(path: Path, record: Any, where: str) -> str:
+    """The name of a template, perhaps with its folder."""
+    given = _text(path, record, "template_name", where)
+    try:
+        return check_name(f"field {where}.template_name", given)
+    except ValueError as error:
+        raise UsageError(f"{path}: {error}") from error

@@ -14,6 +14,7 @@ import numpy as np
 
 from mjhab.core.errors import UsageError
 from mjhab.core.rotations import mat_from_quat, quat_from_mat
+from mjhab.scenes.pack_check import MAX_FILE_NUMBER
 from mjhab.scenes.spec import Placement, Quat, Vec3
 
 SCENE_SUFFIX = ".scene_instance.json"
@@ -66,15 +67,24 @@ def field(path: Path, record: Any, key: str, where: str = "") -> Any:
 
 
 def numbers(path: Path, record: Any, key: str, count: int, where: str = "") -> np.ndarray:
-    """A list of ``count`` finite numbers of a record, or a UsageError that names the file and the field."""
+    """A list of ``count`` numbers of a record, none beyond `MAX_FILE_NUMBER`, or a UsageError that names the field."""
     value = field(path, record, key, where)
     try:
         array = np.asarray(value, float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         array = np.zeros(0)
-    if array.shape != (count,) or not np.isfinite(array).all():
-        raise UsageError(f"{path}: field {where}.{key}: expected {count} numbers, got {value!r}.")
+    if array.shape != (count,) or not (np.abs(array) <= MAX_FILE_NUMBER).all():
+        expected = f"expected {count} numbers, got {value!r} (up to {MAX_FILE_NUMBER:g})"
+        raise UsageError(f"{path}: field {where}.{key}: {expected}.")
     return array
+
+
+def number(path: Path, record: Any, key: str, where: str = "", *, positive: bool = False) -> float:
+    """A number of a record, not beyond `MAX_FILE_NUMBER`, or a UsageError that names the file and the field."""
+    found = float(numbers(path, {key: [field(path, record, key, where)]}, key, 1, where)[0])
+    if positive and not found > 0.0:
+        raise UsageError(f"{path}: field {where}.{key}: expected a number above 0, got {found:g}.")
+    return found
 
 
 def short_name(template: str) -> str:

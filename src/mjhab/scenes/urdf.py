@@ -12,6 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from mjhab.core.errors import UsageError
+from mjhab.core.names import check_name
+from mjhab.scenes.pack_check import MAX_FILE_NUMBER
 
 JOINT_TYPES = ("fixed", "prismatic", "revolute")
 
@@ -93,7 +95,7 @@ def read_urdf(path: Path) -> Urdf:
         raise UsageError(f"{path}: cannot be read ({error.strerror or error}).") from error
     except ElementTree.ParseError as error:
         raise UsageError(f"{path}: not valid XML ({error}); fetch the file again.") from error
-    links = {_need(path, e, "name"): _link(path, e) for e in top.iter("link")}
+    links = {_name(path, e, "name"): _link(path, e) for e in top.iter("link")}
     joints = {}
     for element in top.iter("joint"):
         joint = _joint(path, element)
@@ -129,7 +131,8 @@ def _link(path: Path, element: ElementTree.Element) -> UrdfLink:
 
 
 def _joint(path: Path, element: ElementTree.Element) -> UrdfJoint:
-    name, kind = _need(path, element, "name"), _need(path, element, "type")
+    name = _name(path, element, "name")
+    kind = _need(path, element, "type")
     if kind not in JOINT_TYPES:
         raise UsageError(f"{path}: joint {name!r}: unknown type {kind!r}; known are {', '.join(JOINT_TYPES)}.")
     ends = []
@@ -178,12 +181,19 @@ def _need(path: Path, element: ElementTree.Element, attribute: str) -> str:
     return value
 
 
+def _name(path: Path, element: ElementTree.Element, attribute: str) -> str:
+    try:
+        return check_name(f"<{element.tag}>, attribute {attribute!r}", _need(path, element, attribute))
+    except ValueError as error:
+        raise UsageError(f"{path}: {error}") from error
+
+
 def _numbers(path: Path, where: str, text: str | None, count: int) -> np.ndarray:
     words = (text or "").replace(",", " ").split()
     try:
         numbers = np.array([float(word) for word in words])
     except ValueError:
         numbers = np.zeros(0)
-    if len(numbers) != count or not np.isfinite(numbers).all():
-        raise UsageError(f"{path}: {where}: expected {count} numbers, got {text!r}.")
+    if len(numbers) != count or not (np.abs(numbers) <= MAX_FILE_NUMBER).all():
+        raise UsageError(f"{path}: {where}: expected {count} numbers, got {text!r} (up to {MAX_FILE_NUMBER:g}).")
     return numbers

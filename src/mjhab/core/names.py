@@ -1,0 +1,37 @@
+"""What a name in a file may look like. Names become parts of paths, of messages and of other files."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+MAX_NAME_CHARACTERS = 128
+_MOST_SHOWN = 60
+_NAME = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9_./:-]*")
+
+
+def check_name(what: str, name: Any, *, empty: bool = False) -> str:
+    """Return a name that was read from a file, if it is one.
+
+    Args:
+        what: which name, for the message, such as ``"field 'home'"``.
+        name: what the file holds.
+        empty: "" is accepted, too.
+
+    Raises:
+        ValueError: no text; longer than `MAX_NAME_CHARACTERS`; other characters than ASCII letters, digits and
+            ``_ - . / :``; a part that is empty or begins with a dot (so no ``..``); or an absolute path.
+    """
+    if isinstance(name, str) and len(name) <= MAX_NAME_CHARACTERS:
+        if not name and empty:
+            return name
+        parts = name.split("/")
+        if _NAME.fullmatch(name) and ".." not in name and not any(part.startswith(".") or not part for part in parts):
+            return name
+    shown = repr(name)
+    if len(shown) > _MOST_SHOWN:
+        shown = f"{shown[:_MOST_SHOWN]}..."
+    raise ValueError(
+        f"{what}: {shown} is no name. Expected letters, digits and _ - . / : (at most {MAX_NAME_CHARACTERS}), "
+        "without '..' and not an absolute path."
+    )

@@ -1,0 +1,197 @@
+"""Are the names and numbers of a pack such as a home can be made of? Asked once, of every pack that is read.
+
+The engine and the maps of free floor take numbers as they are: a length of 1e300 ends in a crash, a mass of 0 or a
+quaternion of length 3 in physics that mean nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mjhab.core.errors import UsageError
+from mjhab.core.names import check_name
+from mjhab.scenes.spec import Geom, Handle, Home, Light, Link, ObjectType, Pack, Placement, Receptacle
+
+MAX_FILE_NUMBER = 1000.0
+"""Largest number that the files a pack is made from may hold: position [m], angle [rad], mass [kg], scale, vertex."""
+MAX_POSITION_M = 100.0
+"""Farthest from the origin of a home or template that anything may lie [m]; parked pieces lie at 50 m."""
+MIN_SIZE_M = 1e-5
+"""Least extent of a shape [m]."""
+MAX_SIZE_M = 100.0
+"""Largest half-extent, radius or half-length of a shape [m]."""
+MIN_MESH_SCALE = 1e-4
+"""Least factor from the vertices of a mesh to metres: files may count in millimetres."""
+MAX_MESH_SCALE = 1000.0
+MIN_MASS_KG = 1e-4
+MAX_MASS_KG = 1000.0
+MAX_ANGLE_RAD = 4 * math.pi
+MAX_JOINT_POSITION = 10.0
+"""Largest joint position [m or rad]."""
+MAX_LIGHT = 1000.0
+"""Largest intensity or colour component of a light [1]."""
+MAX_LAYOUT = 9999
+"""Largest number of a macro or micro layout."""
+UNIT_TOLERANCE = 0.05
+"""How far the length of a direction or quaternion may be from 1: files give few digits."""
+
+_LENGTH = (-MAX_POSITION_M, MAX_POSITION_M, "m")
+_SIZE = (MIN_SIZE_M, MAX_SIZE_M, "m")
+_MASS = (MIN_MASS_KG, MAX_MASS_KG, "kg")
+_ANGLE = (-MAX_ANGLE_RAD, MAX_ANGLE_RAD, "rad")
+_JOINT = (-MAX_JOINT_POSITION, MAX_JOINT_POSITION, "m or rad")
+_LIGHT = (0.0, MAX_LIGHT, "1")
+
+RANGES: dict[tuple[type, str], tuple[float, float, str]] = {
+    (Geom, "pos"): _LENGTH,
+    (Receptacle, "pos"): _LENGTH,
+    (Receptacle, "half"): _SIZE,
+    (Receptacle, "height"): (0.0, MAX_SIZE_M, "m"),
+    (Handle, "pos"): _LENGTH,
+    (Handle, "half_length"): _SIZE,
+    (Handle, "thickness"): _SIZE,
+    (Link, "pos"): _LENGTH,
+    (Link, "mass"): _MASS,
+    (Link, "range"): _JOINT,
+    (Placement, "pos"): _LENGTH,
+    (Placement, "yaw"): _ANGLE,
+    (Light, "pos"): _LENGTH,
+    (Light, "color"): _LIGHT,
+    (Light, "intensity"): _LIGHT,
+    (Home, "floor"): _LENGTH,
+    (Home, "macro"): (0, MAX_LAYOUT, "1"),
+    (Home, "micro"): (0, MAX_LAYOUT, "1"),
+    (ObjectType, "mass"): _MASS,
+    (ObjectType, "half"): _SIZE,
+    (ObjectType, "scan_yaw"): _ANGLE,
+}
+"""Least value, largest value and unit of every number of a field."""
+UNIT_VECTORS = frozenset({(Geom, "quat"), (Placement, "quat"), (Handle, "bar"), (Handle, "out"), (Link, "axis")})
+"""Fields that are directions or quaternions of length 1."""
+NAMES = frozenset({"name", "template", "mesh", "link", "material", "pack"})
+"""Fields that are names, of whatever they are a field."""
+MAY_BE_EMPTY = frozenset({"mesh", "link"})
+NUMBERS_OF_SIZE = {"box": 3, "cylinder": 2, "capsule": 2, "sphere": 1}
+"""How many numbers of `Geom.size` a shape uses."""
+
+
+def check_pack(pack: Pack, source: Path) -> Pack:
+    """Return a pack whose names and numbers are in order.
+
+    Args:
+        pack: what was read.
+        source: from where, for the message.
+
+    Raises:
+        UsageError: a name that is none, or a number that is not finite or out of its range (`RANGES`, `UNIT_VECTORS`);
+            the message tells the field.
+    """
+    try:
+        check_name("name of the pack", pack.name)
+        extents = {name: _mesh_extent(name, mesh) for name, mesh in pack.meshes.items()}
+        _check_each("props", pack.props.values(), extents)
+        _check_each("articulations", pack.articulations.values(), extents)
+        _check_each("objects", pack.objects.values(), extents)
+        _check_each("homes", pack.homes, extents)
+    except ValueError as error:
+        raise UsageError(f"{source}: {error}") from error
+    return pack
+
+
+def _check_each(where: str, things: Iterable[Any], extents: Mapping[str, float]) -> None:
+    for k, thing in enumerate(things):
+        _check(f"{where}[{k}]", thing, extents)
+
+
+def _check(where: str, thing: Any, extents: Mapping[str, float]) -> None:
+    """Check a dataclass and those in its fields. ``extents``: of the meshes by name, in their own unit."""
+    kind = type(thing)
+    for field in fields(thing):
+        value = getattr(thing, field.name)
+        place = f"{where}.{field.name}"
+        if field.name in NAMES:
+            check_name(place, value, empty=field.name in MAY_BE_EMPTY)
+        if (kind, field.name) in RANGES:
+            check_range(place, value, *RANGES[kind, field.name])
+        if (kind, field.name) in UNIT_VECTORS and value is not None:
+            _check_unit(place, value)
+        if is_dataclass(value):
+            _check(place, value, extents)
+        if isinstance(value, tuple):
+            for k, entry in enumerate(value):
+                if is_dataclass(entry):
+                    _check(f"{place}[{k}]", entry, extents)
+    if isinstance(thing, Geom):
+        _check_size(f"{where}.size", thing, extents.get(thing.mesh, 0.0))
+    if isinstance(thing, Link):
+        _check_link(where, thing)
+    if isinstance(thing, Home):
+        _check_home(where, thing)
+
+
+def check_range(where: str, value: Any, low: float, high: float, unit: str) -> None:
+    """Refuse a number, or a tuple or array of them, outside of [low, high] or not finite.
+
+    Raises:
+        ValueError: says where, which number, and the range.
+    """
+    for number in np.ravel(np.asarray(value, np.float64)).tolist():
+        if not low <= number <= high:
+            raise ValueError(f"{where}: {number:g} is out of the range {low:g} to {high:g} [{unit}].")
+
+
+def _check_unit(where: str, value: tuple[float, ...]) -> None:
+    length = math.hypot(*value)
+    if not abs(length - 1.0) <= UNIT_TOLERANCE:
+        raise ValueError(f"{where}: {list(value)} has length {length:g}, not 1.")
+
+
+def _check_size(where: str, geom: Geom, extent: float) -> None:
+    """``extent``: largest coordinate of the vertices of its mesh."""
+    if geom.shape == "mesh":
+        scale = np.abs(geom.size)
+        check_range(where, scale, MIN_MESH_SCALE, MAX_MESH_SCALE, "1")
+        check_range(f"{where} times the vertices of {geom.mesh!r}", scale * extent, 0.0, MAX_SIZE_M, "m")
+        return
+    used = NUMBERS_OF_SIZE[geom.shape]
+    check_range(where, geom.size[:used], *_SIZE)
+    check_range(where, geom.size[used:], 0.0, MAX_SIZE_M, "m")
+
+
+def _check_link(where: str, link: Link) -> None:
+    low, high = link.range
+    if not low < high:
+        raise ValueError(f"{where}.range: {low:g} to {high:g} is empty.")
+
+
+def _check_home(where: str, home: Home) -> None:
+    x_min, y_min, x_max, y_max = home.floor
+    if not (x_min < x_max and y_min < y_max):
+        raise ValueError(f"{where}.floor: {list(home.floor)} is no area: x_min, y_min, x_max, y_max [m].")
+    check_name(f"{where}.floor_material", home.floor_material)
+    for link, limit in home.open_limits:
+        check_name(f"{where}.open_limits", link)
+        check_range(f"{where}.open_limits[{link!r}]", limit, *_JOINT)
+
+
+def _mesh_extent(name: str, mesh: Any) -> float:
+    """Largest coordinate of a mesh's vertices (V, 3), which its faces (F, 3) must name."""
+    where = f"mesh {check_name('name of a mesh', name)!r}"
+    vertices = np.asarray(mesh.vertices)
+    faces = np.asarray(mesh.faces)
+    if vertices.ndim != 2 or vertices.shape[1] != 3 or vertices.dtype.kind != "f" or not len(vertices):
+        raise ValueError(f"{where}: vertices must be numbers (V, 3), got {vertices.dtype} {vertices.shape}.")
+    if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
+        raise ValueError(f"{where}: faces must be whole numbers (F, 3), got {faces.dtype} {faces.shape}.")
+    if faces.size and not (faces.min() >= 0 and faces.max() < len(vertices)):
+        raise ValueError(f"{where}: faces name vertices that are not there ({len(vertices)} vertices).")
+    extent = float(np.abs(vertices).max())
+    if not math.isfinite(extent):
+        raise ValueError(f"{where}: vertices are not finite.")
+    return extent

@@ -18,9 +18,9 @@ import mjhab
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.envs.config import NAVIGATE_MODES, SPLITS, EnvConfig
 from mjhab.rollout.films import Film, FilmSink
-from mjhab.rollout.loop import rollout
+from mjhab.rollout.loop import plain, rollout
 from mjhab.rollout.metrics import AloneRates, alone_rates, rows_by_kind, rows_by_position, summarize
-from mjhab.rollout.own_policy import check_policy, construct_policy, env_options_of
+from mjhab.rollout.own_policy import check_methods, check_policy, construct_policy, env_options_of
 from mjhab.rollout.policy import Policy, RolloutEnv
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.report import render_report
@@ -212,13 +212,17 @@ def describe_policy(policy: PolicyLike) -> PolicyFacts:
     """What is known of a policy before its environment is built.
 
     Raises:
-        UsageError: there is no such policy.
+        UsageError: there is no such policy, or it lacks a method.
     """
     if isinstance(policy, str):
         return inspect_policy(policy)
+    called = getattr(policy, "__name__", type(policy).__name__)
     name = getattr(policy, "name", None)
     if not isinstance(name, str):
-        name = getattr(policy, "__name__", type(policy).__name__)
+        # On a class it may be a property, and a function that makes a policy has none.
+        name = called
+    if isinstance(policy, type) or not callable(policy):
+        check_methods(policy, called)
     return PolicyFacts(name, env_options=env_options_of(policy))
 
 
@@ -231,8 +235,8 @@ def make_policy(spec: EvalSpec, env: RolloutEnv) -> Policy:
     policy = spec.policy
     if isinstance(policy, str):
         return resolve_policy(policy, env, PolicyOptions(spec.seed, spec.style))
-    if callable(policy) and (isinstance(policy, type) or not hasattr(policy, "act")):
-        return construct_policy(policy, env)
+    if isinstance(policy, type) or not hasattr(policy, "act"):
+        return construct_policy(cast(Callable[..., Policy], policy), env)
     check_policy(policy, type(policy).__name__)
     return cast(Policy, policy)
 
@@ -279,7 +283,7 @@ def resolved_config(spec: EvalSpec, facts: PolicyFacts) -> dict[str, Any]:
         chosen["style"] = Styles.parse(spec.style).words
     options = env_options(spec, facts)
     if options:
-        chosen["env"] = options
+        chosen["env"] = plain(options)
     if spec.spawns:
         from mjhab.envs.spawn_sets import SpawnSet
 

@@ -219,6 +219,7 @@ def test_full_folder_is_refused_and_overwritten_on_demand(
     ("arguments", "words"),
     [
         (("--task", "set_tabel"), ("unknown task 'set_tabel'", "Did you mean 'set_table'", "tidy_house")),
+        (("--task", ""), ("unknown task ''", "set_table")),
         (("--subtask", "pik"), ("unknown subtask 'pik'", "'pick'", "open")),
         (("--navigate", "fly"), ("unknown navigate mode 'fly'", "teleport", "drive")),
         (("--policy", "export"), ("unknown policy", "'expert'", "zero")),

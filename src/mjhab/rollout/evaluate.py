@@ -85,11 +85,11 @@ class EvalSpec:
     def __post_init__(self) -> None:
         for kind, given, valid in (
             ("task", self.task, TASKS),
-            ("subtask", self.subtask, KIND_NAMES),
+            ("subtask", self.subtask or None, KIND_NAMES),
             ("split", self.split, SPLITS),
             ("navigate mode", self.navigate, NAVIGATE_MODES),
         ):
-            if given and given not in valid:
+            if given is not None and given not in valid:
                 raise unknown_name(kind, given, valid)
         if self.style and self.policy != "expert":
             raise UsageError("a style is for the policy expert; other policies have none.")
@@ -100,7 +100,7 @@ class EvalSpec:
             value = getattr(self, name)
             if value < least:
                 raise UsageError(f"{name} must be at least {least}, got {value}.")
-        _check_env_options(self.env)
+        check_env_options(self.env)
 
 
 @dataclass(frozen=True)
@@ -247,7 +247,7 @@ def env_options(spec: EvalSpec, facts: PolicyFacts) -> dict[str, Any]:
     Raises:
         UsageError: the policy asks for an option that does not exist.
     """
-    _check_env_options(facts.env_options)
+    check_env_options(facts.env_options)
     return {**facts.env_options, **spec.env}
 
 
@@ -324,19 +324,24 @@ def finish(folder: RunFolder, seconds: float, film_problem: str | None, alone: A
     return Run(folder.path, folder.config, tuple(records), summary, film_problem)
 
 
-def _anything_left(path: Path, spec: EvalSpec) -> bool:
-    if not spec.resume:
-        return True
-    done = {record.index for record in read_records(path)}
-    return any(index not in done for index in range(spec.episodes))
+def check_env_options(options: Mapping[str, Any]) -> None:
+    """Refuse options of the environment that do not exist, or that `EvalSpec` has under their own name.
 
-
-def _check_env_options(options: Mapping[str, Any]) -> None:
+    Raises:
+        UsageError: there is one.
+    """
     spec_fields = {f.name for f in dataclasses.fields(EvalSpec)}
     valid = {f.name for f in dataclasses.fields(EnvConfig)} - FIXED_ENV_OPTIONS - spec_fields
     for name in options:
         if name not in valid:
             raise unknown_name("option of an evaluation", name, valid | spec_fields - {"env"})
+
+
+def _anything_left(path: Path, spec: EvalSpec) -> bool:
+    if not spec.resume:
+        return True
+    done = {record.index for record in read_records(path)}
+    return any(index not in done for index in range(spec.episodes))
 
 
 def _open_film(path: Path, fps: int) -> Film:

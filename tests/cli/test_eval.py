@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -13,7 +15,7 @@ from mjhab.cli.main import main
 from mjhab.rollout import evaluate
 from mjhab.rollout.evaluate import EvalSpec
 from mjhab.rollout.resolve import PolicyFacts
-from mjhab.rollout.store import read_records
+from mjhab.rollout.store import RunFolder, read_records
 from tests.rollout.fake_env import FakeEnv
 
 KEYS = ["episodes", "success_once", "success_at_end", "progressive", "upper_bound", "labels", "tainted", "seconds"]
@@ -24,7 +26,9 @@ class Stage:
 
     def __init__(self) -> None:
         self.built: list[FakeEnv] = []
+        self.options: list[dict[str, Any]] = []
         self.interrupt_at: int | None = None
+        self.terminate_at: int | None = None
         self.broken_camera = False
 
     def make_env(self, spec: EvalSpec, options: Mapping[str, Any]) -> FakeEnv:
@@ -33,7 +37,11 @@ class Stage:
             plan = {"plan": ((spec.subtask, "024_bowl_:0000"),), "subtask": spec.subtask}
         env = FakeEnv(min(spec.worlds, spec.episodes), broken_camera=self.broken_camera, **plan)
         env.interrupt_at, self.interrupt_at = self.interrupt_at, None
+        if self.terminate_at is not None:
+            env.interrupt_at, self.terminate_at = self.terminate_at, None
+            env.interrupt = lambda: os.kill(os.getpid(), signal.SIGTERM)
         self.built.append(env)
+        self.options.append(dict(options))
         return env
 
 
@@ -115,6 +123,72 @@ def test_interrupt_keeps_episodes_and_resume_finishes(
     assert "Partial" not in (tmp_path / "run" / "report.html").read_text()
 
 
+def test_sigterm_writes_the_report_as_ctrl_c_does(
+    run: Callable[..., int], stage: Stage, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = signal.getsignal(signal.SIGTERM)
+    stage.terminate_at = 250
+    assert run("--json") == 130
+    captured = capsys.readouterr()
+    kept = last_line(captured.out)["episodes"]
+    assert 0 < kept < 12 and "--resume" in captured.err
+    assert f"Partial: {kept} of 12" in (tmp_path / "run" / "report.html").read_text()
+    assert signal.getsignal(signal.SIGTERM) is before
+    assert run("--json", "--resume") == 0
+    assert last_line(capsys.readouterr().out)["episodes"] == 12
+
+
+def test_two_runs_into_one_folder_never_mix(
+    run: Callable[..., int], stage: Stage, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run() == 0
+    config = json.loads((tmp_path / "run" / "config.json").read_text())
+    with RunFolder.open(tmp_path / "run", config, resume=True):
+        for extra in (("--overwrite", "--seed", "1"), ("--resume",), ("--resume", "--policy", "random")):
+            capsys.readouterr()
+            assert run(*extra) == 2
+            assert "is being written by process" in capsys.readouterr().err
+    assert len(stage.built) == 1, "refused before anything is built"
+    assert run("--resume", "--policy", "random") == 2
+    assert "policy = 'zero', now it is 'random'" in capsys.readouterr().err
+
+
+OWN = """
+import numpy as np
+
+class Still:
+    name = "still"
+    env_options = {"obs_mode": "depth", "camera_size": 16}
+    def reset(self, mask):
+        self.worlds = len(mask)
+    def act(self, obs, info):
+        return np.zeros((self.worlds, 13))
+"""
+
+
+def test_a_policy_of_ones_own(
+    run: Callable[..., int], stage: Stage, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text(OWN)
+    spec = f"{file}:Still"
+    assert run(policy=spec) == 0
+    assert run(out="zero") == 0
+    assert read_records(tmp_path / "run") == read_records(tmp_path / "zero")
+    assert stage.options[0] == {"obs_mode": "depth", "camera_size": 16} and stage.options[1] == {}
+    config = json.loads((tmp_path / "run" / "config.json").read_text())
+    assert config["policy"] == "mine.py:Still" and config["env"] == stage.options[0]
+    assert "by mine.py:Still" in (tmp_path / "run" / "report.html").read_text()
+    assert run("--obs", "rgb", "--camera-size", "64", "--control", "pd_ee_delta_pose", policy=spec, out="rgb") == 0
+    assert stage.options[-1] == {"obs_mode": "rgb", "camera_size": 64, "control_mode": "pd_ee_delta_pose"}
+    file.write_text(OWN + "# another version")
+    capsys.readouterr()
+    assert run("--resume", policy=spec) == 2
+    assert "was started with policy_sha256" in capsys.readouterr().err
+    assert run(policy=f"{file}:Stil", out="new") == 2
+    assert "Did you mean 'Still'" in capsys.readouterr().err and not (tmp_path / "new").exists()
+
+
 def test_resume_of_a_finished_run_builds_nothing(run: Callable[..., int], stage: Stage, tmp_path: Path) -> None:
     assert run() == 0
     (tmp_path / "run" / "report.html").unlink()
@@ -145,6 +219,7 @@ def test_full_folder_is_refused_and_overwritten_on_demand(
     ("arguments", "words"),
     [
         (("--task", "set_tabel"), ("unknown task 'set_tabel'", "Did you mean 'set_table'", "tidy_house")),
+        (("--task", ""), ("unknown task ''", "set_table")),
         (("--subtask", "pik"), ("unknown subtask 'pik'", "'pick'", "open")),
         (("--navigate", "fly"), ("unknown navigate mode 'fly'", "teleport", "drive")),
         (("--policy", "export"), ("unknown policy", "'expert'", "zero")),

@@ -173,3 +173,46 @@ def test_a_job_without_a_style_says_nothing_of_it(tmp_path: Path) -> None:
     assert "style" not in make_job(GenerateOptions(out=tmp_path, episodes=1)).config
     asked = make_job(GenerateOptions(out=tmp_path, episodes=1, style=("hold=2", "speed=0.5..1"))).config
     assert asked["style"] == ["speed=0.5..1.0", "hold=2"]
+
+
+OWN = """
+import numpy as np
+
+class Still:
+    name = "still"
+    env_options = {"obs_mode": "depth", "camera_size": 16, "horizon": 3}
+    def reset(self, mask):
+        self.worlds = len(mask)
+    def act(self, obs, info):
+        assert obs["sensor_data/fetch_hand/depth"].shape == (self.worlds, 16, 16, 1)
+        return np.zeros((self.worlds, 13))
+"""
+
+
+def test_a_policy_of_ones_own(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mjhab.cli.generate.make_crew", lambda options: InlineCrew())
+    file = tmp_path / "mine.py"
+    file.write_text(OWN)
+    command = (*COMMAND, "--policy", f"{file}:Still")
+    seen = tmp_path / "seen"
+    assert machine(capsys, *command, "--out", str(seen))["kept"] == 2
+    with open_shard(seen / "shard_000.h5") as shard:
+        policy = next(iter(shard)).run.config["policy"]
+        assert [episode.steps for episode in shard] == [3, 3]
+    assert policy["name"] == "mine.py:Still" and policy["env_options"]["obs_mode"] == "depth"
+    assert len(policy["policy_sha256"]) == 64
+    assert "camera_size = 16" in refused(capsys, *command, "--images", "rgb", "--out", str(tmp_path / "other"))
+    stored = tmp_path / "stored"
+    machine(capsys, *command, "--images", "rgb", "--camera-size", "16", "--out", str(stored))
+    with open_shard(stored / "shard_000.h5") as shard:
+        episode = next(iter(shard))
+        assert episode.frame("fetch_hand", "rgb", 0).shape == (16, 16, 3)
+        assert episode.frame("fetch_hand", "depth", 0).shape == (16, 16, 1)
+    file.write_text(OWN + "# another version")
+    assert "policy_sha256" in refused(capsys, *command, "--resume", "--out", str(seen))
+    assert "Did you mean 'Still'" in refused(
+        capsys, *COMMAND, "--policy", f"{file}:Stil", "--out", str(tmp_path / "new")
+    )
+    assert not (tmp_path / "new").exists()

@@ -6,6 +6,7 @@ by success, by force or by their horizon; forces rise with the size of the actio
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -65,6 +66,7 @@ class FakeEnv:
         self.steps_taken = 0
         self.resets: list[list[int]] = []
         self.interrupt_at: int | None = None
+        self.interrupt: Callable[[], object] = _ctrl_c
         self.closed = False
 
     def reset(self, seed: int, options: dict[str, Any]) -> tuple[np.ndarray, dict[str, Any]]:
@@ -79,7 +81,7 @@ class FakeEnv:
         assert actions.shape == (self.num_envs, 13) and actions.dtype == np.float32
         self.steps_taken += 1
         if self.interrupt_at == self.steps_taken:
-            raise KeyboardInterrupt
+            self.interrupt()
         for w, world in enumerate(self.worlds):
             if world is None or world.over:
                 assert not actions[w].any(), "an idle world must get zero actions"
@@ -126,6 +128,10 @@ class FakeEnv:
             "ended": [world.ended for world in worlds],
             "episode_spec": [None if world is None else world.episode for world in self.worlds],
         }
+
+
+def _ctrl_c() -> None:
+    raise KeyboardInterrupt
 
 
 class _World:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from gymnasium.vector import AutoresetMode
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -21,10 +23,15 @@ from tests.rollout.fake_env import FakeEnv
 
 class Log(Sink):
     def __init__(self) -> None:
+        self.announced: list[list[int]] = []
         self.begun: list[int] = []
         self.ended: list[int] = []
         self.steps: dict[int, int] = {}
         self.closed = 0
+
+    def on_begin(self, env: Any, episodes: Sequence[int]) -> None:
+        assert not self.begun
+        self.announced.append(list(episodes))
 
     def on_reset(self, env: Any, info: Mapping[str, Any], mask: np.ndarray) -> None:
         self.begun += [info["episode_spec"][w]["index"] for w in np.flatnonzero(mask)]
@@ -70,7 +77,7 @@ def test_sinks_hear_every_step_of_every_episode_once() -> None:
     assert env.resets[0] == [7, 2, 5], "worlds are filled in the order given"
     assert log.begun == [7, 2, 5, 0, 9] and sorted(log.ended) == [0, 2, 5, 7, 9]
     assert log.steps == {record.index: record.steps for record in records}
-    assert log.closed == 1
+    assert log.closed == 1 and log.announced == [[7, 2, 5, 0, 9]]
 
 
 def test_record_holds_what_happened() -> None:
@@ -120,6 +127,35 @@ def test_sinks_are_closed_when_interrupted() -> None:
 def test_bad_indices_are_refused(episodes: list[int], message: str) -> None:
     with pytest.raises(UsageError, match=message):
         rollout(FakeEnv(1), ZeroPolicy(), episodes, seed=0)
+
+
+@pytest.mark.parametrize("mode", [AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP])
+def test_an_env_that_resets_by_itself_is_refused(mode: AutoresetMode) -> None:
+    env, log = FakeEnv(1), Log()
+    env.metadata = {"autoreset_mode": mode}
+    with pytest.raises(UsageError, match=f"autoreset='{mode.name.lower()}'.*autoreset=\"disabled\".*mjhab.evaluate"):
+        rollout(env, ZeroPolicy(), [0], seed=0, sinks=[log])
+    assert env.resets == [] and log.begun == []
+
+
+def test_an_env_of_tensors_or_of_one_world_is_refused() -> None:
+    env = FakeEnv(1)
+    env.metadata["tensors"] = True
+    with pytest.raises(UsageError, match="backend='cpu'"):
+        rollout(env, ZeroPolicy(), [0], seed=0)
+    single: Any = SimpleNamespace(metadata={})
+    with pytest.raises(UsageError, match="needs a vector environment"):
+        rollout(single, ZeroPolicy(), [0], seed=0)
+
+
+@pytest.mark.parametrize("shape", [(13,), (1, 13), (13, 2), (2, 1, 13)])
+def test_actions_must_have_a_row_per_world(shape: tuple[int, ...]) -> None:
+    class Wrong(ZeroPolicy):
+        def act(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:
+            return np.zeros(shape, np.float32)
+
+    with pytest.raises(UsageError, match=r"act of policy 'zero' must give one row of numbers per world, \(2, A\)"):
+        rollout(FakeEnv(2), Wrong(), range(2), seed=0)
 
 
 def test_env_that_resets_to_another_episode_is_caught() -> None:

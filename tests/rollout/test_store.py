@@ -12,7 +12,7 @@ from mjhab.core.errors import UsageError
 from mjhab.rollout.loop import rollout
 from mjhab.rollout.policy import ZeroPolicy
 from mjhab.rollout.records import EpisodeRecord
-from mjhab.rollout.store import RunFolder, StoreSink, write_text
+from mjhab.rollout.store import RunFolder, StoreSink, config_hash, read_records, write_text
 from tests.rollout.fake_env import FakeEnv
 
 CONFIG = {"task": "set_table", "policy": "zero", "seed": 0, "episodes": 6, "worlds": 2}
@@ -129,3 +129,59 @@ def test_atomic_write_replaces_and_leaves_no_rest(tmp_path: Path) -> None:
     write_text(tmp_path / "a.txt", "old")
     write_text(tmp_path / "a.txt", "new")
     assert [(entry.name, entry.read_text()) for entry in tmp_path.iterdir()] == [("a.txt", "new")]
+
+
+def test_a_folder_has_one_writer(tmp_path: Path) -> None:
+    folder = RunFolder.open(tmp_path, CONFIG)
+    for switch in ({"resume": True}, {"overwrite": True}, {}):
+        with pytest.raises(UsageError, match=r"is being written by process \d+"):
+            RunFolder.open(tmp_path, CONFIG, **switch)
+    run(folder)
+    folder.close()
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["config.json", "episodes.jsonl"]
+    with RunFolder.open(tmp_path, CONFIG, resume=True) as again:
+        assert again.missing(6) == []
+
+
+def test_a_folder_that_could_not_be_opened_is_free(tmp_path: Path) -> None:
+    run(RunFolder.open(tmp_path, CONFIG))
+    (tmp_path / "episodes.jsonl").write_text("{}\n{}\n")
+    for _ in range(2):
+        with pytest.raises(UsageError, match="line 1"):
+            RunFolder.open(tmp_path, CONFIG, resume=True)
+
+
+def test_a_killed_writer_leaves_nothing_in_the_way(tmp_path: Path) -> None:
+    (tmp_path / "config.json.lock").write_text("process 1 on another machine\n")
+    with RunFolder.open(tmp_path, CONFIG) as folder:
+        assert folder.missing(1) == [0]
+
+
+def test_records_name_their_config_and_foreign_ones_are_refused(tmp_path: Path) -> None:
+    other = {**CONFIG, "policy": "random"}
+    run(RunFolder.open(tmp_path / "a", CONFIG))
+    run(RunFolder.open(tmp_path / "b", other), 8)
+    assert {entry["config_hash"] for entry in lines(tmp_path / "a")} == {config_hash(CONFIG)}
+    assert config_hash(CONFIG) != config_hash(other)
+    with open(tmp_path / "a" / "episodes.jsonl", "a") as file:
+        file.write((tmp_path / "b" / "episodes.jsonl").read_text())
+    for read in (read_records, lambda path: RunFolder.open(path, CONFIG, resume=True)):
+        with pytest.raises(UsageError, match=f"line 7 of .*another run.*{config_hash(other)}.*{config_hash(CONFIG)}"):
+            read(tmp_path / "a")
+    with RunFolder.open(tmp_path / "a", CONFIG, overwrite=True) as folder:
+        assert folder.records == []
+
+
+def test_keys_that_change_nothing_in_an_episode_are_not_in_the_hash() -> None:
+    assert config_hash({**CONFIG, "worlds": 9, "films": 3, "threads": 2, "home": None}) == config_hash(CONFIG)
+    assert config_hash({**CONFIG, "seed": 1}) != config_hash(CONFIG)
+
+
+def test_runs_of_older_versions_stay_readable(tmp_path: Path) -> None:
+    records = run(RunFolder.open(tmp_path, CONFIG))
+    file = tmp_path / "episodes.jsonl"
+    old = [{key: value for key, value in entry.items() if key != "config_hash"} for entry in lines(tmp_path)]
+    file.write_text("".join(json.dumps(entry) + "\n" for entry in old))
+    assert sorted(read_records(tmp_path), key=lambda record: record.index) == records
+    with RunFolder.open(tmp_path, CONFIG, resume=True) as folder:
+        assert folder.records == records

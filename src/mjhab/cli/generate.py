@@ -23,7 +23,7 @@ from mjhab.core.errors import UsageError
 from mjhab.data.crew import ALL, Crew, ProcessCrew, Stage, WorkerSpec
 from mjhab.data.generation import Job, Standing, generate
 from mjhab.data.images import ImageFormat
-from mjhab.rollout.evaluate import EvalSpec
+from mjhab.rollout.evaluate import EvalSpec, check_env_options
 from mjhab.rollout.resolve import PolicyFacts, PolicyOptions, inspect_policy, resolve_policy
 from mjhab.tasks.style import Styles
 
@@ -151,8 +151,9 @@ def env_options(options: GenerateOptions, facts: PolicyFacts) -> dict[str, Any]:
     """Options of the environment that the images to store, or the policy, ask for.
 
     Raises:
-        UsageError: the images to store are not those that the policy sees.
+        UsageError: the policy asks for an option that does not exist, or sees other images than those to store.
     """
+    check_env_options(facts.env_options)
     needed = dict(facts.env_options)
     if options.images == NO_IMAGES:
         return needed

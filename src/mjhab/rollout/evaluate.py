@@ -18,9 +18,9 @@ import mjhab
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.envs.config import NAVIGATE_MODES, SPLITS, EnvConfig
 from mjhab.rollout.films import Film, FilmSink
-from mjhab.rollout.loop import rollout
+from mjhab.rollout.loop import plain, rollout
 from mjhab.rollout.metrics import AloneRates, alone_rates, rows_by_kind, rows_by_position, summarize
-from mjhab.rollout.own_policy import check_policy, construct_policy, env_options_of
+from mjhab.rollout.own_policy import check_methods, check_policy, construct_policy, env_options_of
 from mjhab.rollout.policy import Policy, RolloutEnv
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.report import render_report
@@ -85,11 +85,11 @@ class EvalSpec:
     def __post_init__(self) -> None:
         for kind, given, valid in (
             ("task", self.task, TASKS),
-            ("subtask", self.subtask, KIND_NAMES),
+            ("subtask", self.subtask or None, KIND_NAMES),
             ("split", self.split, SPLITS),
             ("navigate mode", self.navigate, NAVIGATE_MODES),
         ):
-            if given and given not in valid:
+            if given is not None and given not in valid:
                 raise unknown_name(kind, given, valid)
         if self.style and self.policy != "expert":
             raise UsageError("a style is for the policy expert; other policies have none.")
@@ -100,7 +100,7 @@ class EvalSpec:
             value = getattr(self, name)
             if value < least:
                 raise UsageError(f"{name} must be at least {least}, got {value}.")
-        _check_env_options(self.env)
+        check_env_options(self.env)
 
 
 @dataclass(frozen=True)
@@ -212,13 +212,17 @@ def describe_policy(policy: PolicyLike) -> PolicyFacts:
     """What is known of a policy before its environment is built.
 
     Raises:
-        UsageError: there is no such policy.
+        UsageError: there is no such policy, or it lacks a method.
     """
     if isinstance(policy, str):
         return inspect_policy(policy)
+    called = getattr(policy, "__name__", type(policy).__name__)
     name = getattr(policy, "name", None)
     if not isinstance(name, str):
-        name = getattr(policy, "__name__", type(policy).__name__)
+        # On a class it may be a property, and a function that makes a policy has none.
+        name = called
+    if isinstance(policy, type) or not callable(policy):
+        check_methods(policy, called)
     return PolicyFacts(name, env_options=env_options_of(policy))
 
 
@@ -231,8 +235,8 @@ def make_policy(spec: EvalSpec, env: RolloutEnv) -> Policy:
     policy = spec.policy
     if isinstance(policy, str):
         return resolve_policy(policy, env, PolicyOptions(spec.seed, spec.style))
-    if callable(policy) and (isinstance(policy, type) or not hasattr(policy, "act")):
-        return construct_policy(policy, env)
+    if isinstance(policy, type) or not hasattr(policy, "act"):
+        return construct_policy(cast(Callable[..., Policy], policy), env)
     check_policy(policy, type(policy).__name__)
     return cast(Policy, policy)
 
@@ -243,7 +247,7 @@ def env_options(spec: EvalSpec, facts: PolicyFacts) -> dict[str, Any]:
     Raises:
         UsageError: the policy asks for an option that does not exist.
     """
-    _check_env_options(facts.env_options)
+    check_env_options(facts.env_options)
     return {**facts.env_options, **spec.env}
 
 
@@ -279,7 +283,7 @@ def resolved_config(spec: EvalSpec, facts: PolicyFacts) -> dict[str, Any]:
         chosen["style"] = Styles.parse(spec.style).words
     options = env_options(spec, facts)
     if options:
-        chosen["env"] = options
+        chosen["env"] = plain(options)
     if spec.spawns:
         from mjhab.envs.spawn_sets import SpawnSet
 
@@ -320,19 +324,24 @@ def finish(folder: RunFolder, seconds: float, film_problem: str | None, alone: A
     return Run(folder.path, folder.config, tuple(records), summary, film_problem)
 
 
-def _anything_left(path: Path, spec: EvalSpec) -> bool:
-    if not spec.resume:
-        return True
-    done = {record.index for record in read_records(path)}
-    return any(index not in done for index in range(spec.episodes))
+def check_env_options(options: Mapping[str, Any]) -> None:
+    """Refuse options of the environment that do not exist, or that `EvalSpec` has under their own name.
 
-
-def _check_env_options(options: Mapping[str, Any]) -> None:
+    Raises:
+        UsageError: there is one.
+    """
     spec_fields = {f.name for f in dataclasses.fields(EvalSpec)}
     valid = {f.name for f in dataclasses.fields(EnvConfig)} - FIXED_ENV_OPTIONS - spec_fields
     for name in options:
         if name not in valid:
             raise unknown_name("option of an evaluation", name, valid | spec_fields - {"env"})
+
+
+def _anything_left(path: Path, spec: EvalSpec) -> bool:
+    if not spec.resume:
+        return True
+    done = {record.index for record in read_records(path)}
+    return any(index not in done for index in range(spec.episodes))
 
 
 def _open_film(path: Path, fps: int) -> Film:

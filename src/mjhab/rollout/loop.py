@@ -42,7 +42,9 @@ def rollout(
         max_steps: cut episodes after this many control steps; None leaves the end to the env.
 
     Raises:
-        UsageError: an index is negative or named twice, or ``max_steps`` < 1.
+        UsageError: an index is negative or named twice, or ``max_steps`` < 1; or the policy returns what are no actions:
+            another shape than (W, A), no numbers, or numbers that are not finite in a world with an episode. What was
+            finished before was told to the sinks.
     """
     _check(episodes, max_steps)
     with ExitStack() as stack:
@@ -88,7 +90,7 @@ class _Run:
 
     def step(self) -> None:
         """Take one control step in all worlds, then give finished worlds their next episode."""
-        actions = np.asarray(self.policy.act(self.obs, self.info), np.float32)
+        actions = self._checked(self.policy.act(self.obs, self.info))
         actions = np.where(self.active[:, None], actions, np.float32(0.0))
         self.obs, reward, terminated, truncated, self.info = self.env.step(actions)
         self.steps[self.active] += 1
@@ -102,6 +104,27 @@ class _Run:
             self._finish(int(w))
         if done.any():
             self._fill()
+
+    def _checked(self, given: Any) -> np.ndarray:
+        """Actions of a policy as (W, A) float32; the env checks A and says what it is."""
+        worlds = len(self.active)
+        try:
+            actions = np.asarray(given, np.float32)
+        except (TypeError, ValueError) as error:
+            raise UsageError(f"policy {self.policy.name!r} must return numbers (W, A), got {type(given)}.") from error
+        if actions.ndim != 2 or len(actions) != worlds:
+            raise UsageError(
+                f"policy {self.policy.name!r} must return actions (W, A) for W = {worlds} worlds, got {actions.shape}."
+            )
+        bad = self.active[:, None] & ~np.isfinite(actions)
+        if bad.any():
+            world, column = (int(k) for k in np.argwhere(bad)[0])
+            index = self._trace(world).index
+            raise UsageError(
+                f"policy {self.policy.name!r} returned {actions[world, column]} in column {column} of its actions, in "
+                f"episode {index} after control step {self.steps[world]} (world {world}). Actions must be finite."
+            )
+        return actions
 
     def _trace(self, world: int) -> _Trace:
         trace = self.traces[world]

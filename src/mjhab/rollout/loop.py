@@ -42,9 +42,9 @@ def rollout(
         max_steps: cut episodes after this many control steps; None leaves the end to the env.
 
     Raises:
-        UsageError: an index is negative or named twice, or ``max_steps`` < 1; or the policy returns what are no actions:
-            another shape than (W, A), no numbers, or numbers that are not finite in a world with an episode. What was
-            finished before was told to the sinks.
+        UsageError: an index is negative or named twice, or ``max_steps`` < 1; or the policy returns what are no
+            actions: another shape than (W, A), no numbers, or numbers that are not finite in a world with an episode.
+            What was finished before was told to the sinks.
     """
     _check(episodes, max_steps)
     with ExitStack() as stack:

@@ -108,7 +108,7 @@ def narrow(array: np.ndarray) -> np.ndarray:
     return array[:, :7]
 
 
-CHANGES: dict[str, tuple[str, Callable[[np.ndarray], np.ndarray], str]] = {
+CHANGES: dict[str, tuple[str, Callable[[np.ndarray], Any], str]] = {
     "actions nan": ("actions", spoilt(np.nan), r"actions has 13 numbers that are not finite, .*nan\) at \[1, 0\]"),
     "actions inf": ("actions", spoilt(np.inf), r"actions has 13 numbers that are not finite"),
     "actions of 7": ("actions", narrow, "actions has 7 columns, not 13"),
@@ -149,9 +149,8 @@ def test_numbers_no_episode_has(tmp_path: Path, picks: bytes, change: str) -> No
         put_attributes(episode, {"digest": episode_digest(read_arrays(episode))})
     report = check(path)
     assert list(report.damaged) == [(path, name)] and report.ok == 2
-    with open_shard(path) as shard:
-        with pytest.raises(DamagedError, match=message):
-            shard.episode(name).refuse_damage()
+    with open_shard(path) as shard, pytest.raises(DamagedError, match=message):
+        shard.episode(name).refuse_damage()
     before = everything(tmp_path)
     with pytest.raises(DamagedError, match=rf"episode {name} of .*is damaged: .*mjhab data repair"):
         export_maniskill(path, tmp_path / "set")

@@ -132,6 +132,7 @@ def test_commands(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert run(capsys, "check", folder)[1] == {
         "episodes": 20, "ok": 20, "damaged": 0, "unreadable": [], "unfinished": [], "doubled": 0,
         "schemas": {"2": 20},
+        "problems": [],
     }  # fmt: skip
     code, found = run(capsys, "query", folder, "--where", "subtask == 'pick'", "--list", "2")
     assert code == 0 and (found["matched"], found["of"], found["tainted_left_out"]) == (7, 20, 1)
@@ -167,6 +168,8 @@ def test_damage_fails_the_check_and_is_repaired(folder: Path, capsys: pytest.Cap
     (folder / "foreign.h5").write_text("hello")
     code, report = run(capsys, "check", folder)
     assert code == 1 and (report["ok"], report["damaged"], len(report["unreadable"])) == (19, 1, 1)
+    wrong = "its bytes are not those that were written (digest)"
+    assert report["problems"] == [{"shard": str(folder / "pick.h5"), "episode": name, "wrong": wrong}]
     assert main(["data", "check", str(folder)]) == 1 and "digest" in capsys.readouterr().out
     (folder / "foreign.h5").unlink()
     assert main(["data", "repair", str(folder)]) == 0

@@ -146,6 +146,14 @@ def changed(task: str, **changes: Any) -> HabEpisode:
     return replace(hab(task), **changes)
 
 
+def at(value: float, axis: int) -> HabEpisode:
+    """An episode whose first object starts at a coordinate of the file (+y up) [m]."""
+    (name, matrix), *others = hab("tidy_house").rigid_objs
+    matrix = matrix.copy()
+    matrix[axis, 3] = value
+    return changed("tidy_house", rigid_objs=((name, matrix), *others))
+
+
 def test_what_does_not_fit_the_layout_is_named() -> None:
     bad = {
         r"episodes\[0\]\.scene_id: unknown scene 'builtin_m0_0'\. Did you mean": changed(
@@ -164,6 +172,10 @@ def test_what_does_not_fit_the_layout_is_named() -> None:
         r"episodes\[0\]\.ao_states: these numbers are not links": changed(
             "tidy_house", ao_states={"fridge_:0000": {"9": 1.0}}
         ),
+        r"episodes\[0\]\.rigid_objs\[0\]: \(50\.00, .* m is not in 'builtin_m0_00', which extends from \(-2": at(
+            50.0, 0
+        ),
+        r"episodes\[0\]\.rigid_objs\[0\]: \(.*, -30\.00\) m is not in": at(-30.0, 1),
     }
     for message, episode in bad.items():
         with pytest.raises(UsageError, match=r"some\.json\.gz: " + message):

@@ -114,6 +114,11 @@ def test_a_file_that_was_cut_off_is_named(tmp_path: Path, share: float) -> None:
         read_hab(plain)
 
 
+def moved(x: float) -> list[list[float]]:
+    """A pose at x [m]."""
+    return [[1, 0, 0, x], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
+
+
 BAD = {
     r"field 'episodes' must be a list": {"homes": []},
     r"field 'episodes' is empty": {"episodes": []},
@@ -129,6 +134,24 @@ BAD = {
     },
     r"episodes\[0\]\.markers\[0\]: expected name": {"episodes": [row(markers=[{"name": "x"}])]},
     r"episodes\[0\]\.goal_receptacles\[0\]: expected \[handle": {"episodes": [row(goal_receptacles=[["a", "b"]])]},
+    r"episodes\[0\]\.scene_id: '\.\.' is no name": {"episodes": [row(scene_id="data/..")]},
+    r"episodes\[0\]\.rigid_objs\[0\]: '' is no name": {"episodes": [row(rigid_objs=[["a/", EYE]])]},
+    r"episodes\[0\]\.rigid_objs\[0\]: 'a b' is no name": {"episodes": [row(rigid_objs=[["a b", EYE]])]},
+    r"episodes\[0\]\.targets: '\.\./x' is no name": {"episodes": [row(targets={"../x": EYE})]},
+    r"episodes\[0\]\.ao_states: '/etc' is no name": {"episodes": [row(ao_states={"/etc": {}})]},
+    r"episodes\[0\]\.ao_states\['a'\]: '\.\.' is no name": {"episodes": [row(ao_states={"a": {"..": 0}})]},
+    r"episodes\[0\]\.name_to_receptacle\['a'\]: '\.\.' is": {"episodes": [row(name_to_receptacle={"a": "b|.."})]},
+    r"episodes\[0\]\.target_receptacles\[0\]: '\.\.' is": {"episodes": [row(target_receptacles=[["..", 1]])]},
+    r"episodes\[0\]\.rigid_objs\[0\]\[1\]: position: 1e\+300 is out of": {
+        "episodes": [row(rigid_objs=[["a", moved(1e300)]])]
+    },
+    r"episodes\[0\]\.targets\['a'\]: position: -5000 is out of": {"episodes": [row(targets={"a": moved(-5000.0)})]},
+    r"episodes\[0\]\.rigid_objs\[0\]\[1\]: expected a 4x4 matrix of finite": {
+        "episodes": [row(rigid_objs=[["a", moved(10**400)]])]
+    },
+    r"episodes\[0\]\.ao_states\['fridge'\]\['1'\]: expected a number": {
+        "episodes": [row(ao_states={"fridge": {"1": 10**400}})]
+    },
     r"episodes\[0\]\.info\.object_labels: expected an object": {"episodes": [row(info={"object_labels": []})]},
 }
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from mjhab.cli.main import main
 from mjhab.core.errors import UsageError
 from mjhab.envs.config import EnvConfig, task_config
 from mjhab.envs.spawn_factory import CHUNK, SpawnFactory, make_set, partial_folder
-from mjhab.envs.spawn_sets import SpawnRecipe, SpawnRow, SpawnSet, layout_digest
+from mjhab.envs.spawn_sets import SpawnRecipe, SpawnRow, SpawnSet, layout_digest, write
 from mjhab.envs.starts import StartMaker
 from mjhab.scenes.fetch import REST_QPOS
 from mjhab.scenes.layout import Layout
@@ -111,6 +112,51 @@ def test_damaged_files_are_refused(made: SpawnSet, tmp_path: Path):
         SpawnSet.read(broken)
     with pytest.raises(UsageError, match="there is no file"):
         SpawnSet.read(tmp_path / "nothing.npz")
+
+
+def forged(value: Any) -> Callable[[np.ndarray], np.ndarray]:
+    def change(column: np.ndarray) -> np.ndarray:
+        if isinstance(value, str):
+            return np.full(column.shape, value)
+        column = column.copy()
+        column[0] = value
+        return column
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "message"),
+    [
+        ("home", forged("../../x"), r"column 'home': '\.\./\.\./x' is no name"),
+        ("home", forged("/etc/x"), r"column 'home': '/etc/x' is no name"),
+        ("targets", forged("a b"), r"column 'targets': 'a b' is no name"),
+        ("qpos", forged(np.nan), r"column 'qpos' has numbers that are not finite"),
+        ("object_pose", forged(1e300), r"column 'object_pose': 1e\+300 is out of the range"),
+        ("points", forged(-5000.0), r"column 'points': -5000 is out of the range"),
+        ("link_q", lambda column: column[:-1], r"column 'link_q' has shape .* does not fit"),
+        ("qpos", lambda column: column[:, 0], r"column 'qpos' has shape"),
+        ("position", lambda column: column.astype(float), r"column 'position' is float64"),
+    ],
+)
+def test_made_up_starts_are_refused(
+    made: SpawnSet, tmp_path: Path, name: str, change: Callable[[np.ndarray], np.ndarray], message: str
+):
+    header = {key: value for key, value in made.header.items() if key != "digest"}
+    path = tmp_path / "forged.npz"
+    write(path, header, {**made.columns, name: change(made.columns[name])})
+    with pytest.raises(UsageError, match=rf"forged\.npz: {message}"):
+        SpawnSet.read(path)
+
+
+@pytest.mark.parametrize("field", ["task", "split", "subtask", "target"])
+def test_a_recipe_with_a_name_that_is_none_is_refused(made: SpawnSet, tmp_path: Path, field: str):
+    header = {key: value for key, value in made.header.items() if key != "digest"}
+    header["recipe"] = {**header["recipe"], field: "../x"}
+    path = tmp_path / "forged.npz"
+    write(path, header, made.columns)
+    with pytest.raises(UsageError, match=rf"forged\.npz: recipe, {field}: '\.\./x' is no name"):
+        SpawnSet.read(path)
 
 
 def test_threads_and_interruptions_change_nothing(made: SpawnSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

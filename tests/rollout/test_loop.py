@@ -179,3 +179,53 @@ def test_the_style_of_a_policy_is_recorded() -> None:
     assert record.style == {"speed": 0.5} and EpisodeRecord.from_dict(record.to_dict()) == record
     (plain,) = rollout(FakeEnv(1), ZeroPolicy(), [3], seed=0)
     assert plain.style == {} and "style" not in plain.to_dict() and EpisodeRecord.from_dict(plain.to_dict()) == plain
+
+
+class Broken:
+    """Stands still for some steps and returns something else then."""
+
+    name = "broken"
+
+    def __init__(self, worlds: int, given: Any, after: int = 3) -> None:
+        self.good = np.zeros((worlds, 13), np.float32)
+        self.given = given
+        self.after = after
+
+    def reset(self, mask: np.ndarray) -> None:
+        pass
+
+    def act(self, obs: Any, info: Mapping[str, Any]) -> Any:
+        self.after -= 1
+        return self.good if self.after >= 0 else self.given
+
+
+def spoilt(value: float, world: int = 1) -> np.ndarray:
+    actions = np.zeros((2, 13), np.float32)
+    actions[world, 5] = value
+    return actions
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (spoilt(np.nan), r"returned nan in column 5 of its actions, in episode 1 after control step 3 \(world 1\)"),
+        (spoilt(-np.inf, 0), r"returned -inf in column 5 of its actions, in episode 0"),
+        (np.zeros(13), r"actions \(W, A\) for W = 2 worlds, got \(13,\)"),
+        (np.zeros((1, 13)), r"got \(1, 13\)"),
+        (np.zeros((2, 1, 13)), r"got \(2, 1, 13\)"),
+        (0.0, r"got \(\)"),
+        ("left", r"must return numbers \(W, A\), got <class 'str'>"),
+        (None, r"got"),
+        ([[1.0], [1.0, 2.0]], r"must return numbers"),
+    ],
+    ids=repr,
+)
+def test_what_are_no_actions_is_told(given: Any, message: str) -> None:
+    log = Log()
+    with pytest.raises(UsageError, match=rf"policy 'broken' .*{message}"):
+        rollout(FakeEnv(2), Broken(2, given), range(4), 0, [log])
+    assert log.closed == 1
+
+
+def test_idle_worlds_may_be_given_anything() -> None:
+    rollout(FakeEnv(2), Broken(2, spoilt(np.nan)), [0], 0, max_steps=6)

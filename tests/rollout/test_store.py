@@ -185,3 +185,18 @@ def test_runs_of_older_versions_stay_readable(tmp_path: Path) -> None:
     assert sorted(read_records(tmp_path), key=lambda record: record.index) == records
     with RunFolder.open(tmp_path, CONFIG, resume=True) as folder:
         assert folder.records == records
+
+
+@pytest.mark.parametrize("line", [0, -1])
+@pytest.mark.parametrize("field", ["home", "task", "split", "subtask"])
+def test_names_that_are_none_are_an_error_wherever_they_stand(tmp_path: Path, field: str, line: int) -> None:
+    """A finished line is never taken for one that a crash tore: it would be run again without a word."""
+    run(RunFolder.open(tmp_path, CONFIG))
+    file = tmp_path / "episodes.jsonl"
+    rows = [json.loads(text) for text in file.read_text().splitlines()]
+    rows[line][field] = "../../x"
+    file.write_text("".join(json.dumps(row) + "\n" for row in rows))
+    before = file.read_bytes()
+    with pytest.raises(UsageError, match=rf"line \d of .*field '{field}' of the record: '\.\./\.\./x' is no name"):
+        RunFolder.open(tmp_path, CONFIG, resume=True)
+    assert file.read_bytes() == before

@@ -146,3 +146,12 @@ def test_texture_transform_moves_the_picture(tmp_path: Path) -> None:
     assert uv is not None
     np.testing.assert_allclose([uv[..., 0].min(), uv[..., 0].max()], [0.55, 0.95], atol=1e-6)
     np.testing.assert_allclose([uv[..., 1].min(), uv[..., 1].max()], [0.0, 0.4], atol=1e-6)
+
+
+@pytest.mark.parametrize("value", [np.nan, 1e30])
+def test_vertices_that_are_nowhere(value: float, tmp_path: Path) -> None:
+    vertices = QUAD.copy()
+    vertices[1, 2] = value
+    path = write_glb(tmp_path / "a.glb", [(vertices, QUAD_FACES)])
+    with pytest.raises(UsageError, match=r"a\.glb: mesh .* has vertices that are not finite"):
+        read_glb(path)

@@ -182,6 +182,7 @@ def _check(options: DataCheckOptions) -> int:
                 "episodes": report.episodes, "ok": report.ok, "damaged": len(damaged),
                 "unreadable": [path for path, _, _ in unreadable], "unfinished": [str(p) for p in report.unfinished],
                 "doubled": len(report.doubled), "schemas": {str(k): report.schemas[k] for k in sorted(report.schemas)},
+                "problems": [{"shard": path, "episode": name, "wrong": wrong} for path, name, wrong in damaged],
             }
         )  # fmt: skip
         return 0 if report.clean else 1

@@ -115,9 +115,13 @@ class WindowDataset(Dataset[dict[str, Any]]):
         self.actors = tuple(dict.fromkeys((*self.actors, *episode.actors)))
         places = np.array([self.actors.index(name) for name in episode.actors], np.uint8)
         self._actor.append(places[episode.array("actor")])
+        where = f"episode {episode.name} of {episode.shard.path}"
+        if not all(np.isfinite(each[-1]).all() for each in (self._states, self._actions)):
+            raise DamagedError(
+                f"{where} holds numbers that are not finite; see `mjhab data check {episode.shard.path}`."
+            )
         sizes = [each[-1].shape[1] for each in (self._states, self._actions)]
         if sizes != [each[0].shape[1] for each in (self._states, self._actions)]:
-            where = f"episode {episode.name} of {episode.shard.path}"
             raise UsageError(f"{where} has other sizes of state and action than the ones before.")
         for image, frames in self._frames.items():
             frames.append(_Frames.of(episode, image))

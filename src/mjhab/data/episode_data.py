@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from mjhab.data.schema import VERSION, problems
+from mjhab.data.schema import VERSION, column_widths, problems
 from mjhab.rollout.records import EpisodeRecord
 
 _ARRAY = "__array__"
@@ -69,7 +69,8 @@ class EpisodeData:
     the policy of the run alone if not given. ``schema``: version that the datasets are of.
 
     Raises:
-        ValueError: the datasets do not fit the schema, for instance not N+1 states for N actions.
+        ValueError: the datasets do not fit the schema or the layout of the run: not N+1 states for N actions, actions
+            of another width, numbers that are not finite.
     """
 
     record: EpisodeRecord
@@ -85,7 +86,10 @@ class EpisodeData:
         if not self.actors:
             object.__setattr__(self, "actors", (self.run.policy,))
         arrays = {**self.arrays, "record": np.zeros(1, np.uint8)}
-        wrong = problems(arrays, self.record.steps, schema=self.schema) or unnamed_actors(arrays, self.actors)
+        widths = column_widths(self.run.layout, self.columns)
+        wrong = problems(arrays, self.record.steps, schema=self.schema, widths=widths)
+        wrong = wrong or unnamed_actors(arrays, self.actors)
+        wrong += record_problems(self.record)
         if wrong:
             raise ValueError(f"episode {self.record.index} does not fit the schema: {'; '.join(wrong)}")
 
@@ -101,6 +105,23 @@ def unnamed_actors(arrays: Mapping[str, np.ndarray], actors: Sequence[str]) -> l
     if not actor.size or int(actor.max()) < len(actors):
         return []
     return [f"actor has the number {int(actor.max())}, and there are {len(actors)} names of actors"]
+
+
+def record_problems(record: EpisodeRecord) -> list[str]:
+    """What is wrong with the numbers of a record, in words; empty if nothing is."""
+    found = []
+    if len(record.force) != record.steps:
+        found.append(f"its record has {len(record.force)} forces, not {record.steps}, one per control step")
+    forces = [*record.force, record.peak_force, record.cumulative_force]
+    forces += [force for entry in record.subtasks for force in (entry.peak_force, entry.cumulative_force)]
+    if not np.isfinite(forces).all():
+        found.append("its record has forces that are not finite")
+    for entry in record.subtasks:
+        if not 0 <= entry.index < len(record.plan):
+            found.append(f"its record has subtask {entry.index} of a plan of {len(record.plan)}")
+        if not 0 <= entry.start_step <= entry.end_step <= record.steps:
+            found.append(f"its record has a subtask from step {entry.start_step} to {entry.end_step} of {record.steps}")
+    return found
 
 
 def episode_digest(arrays: Mapping[str, np.ndarray]) -> str:

@@ -82,6 +82,7 @@ def export_lerobot(
 
     Raises:
         UsageError, StorageError: no episode passes, episodes differ in what they hold; see ``whole_folder``.
+        DamagedError: an episode is damaged, or holds numbers that are not finite.
     """
     if version not in VERSIONS:
         raise unknown_name("LeRobot version", version, VERSIONS)
@@ -129,6 +130,7 @@ class _Export:
         if made is None or not self._features:
             with open_shard(path) as shard:
                 episode = shard.episode(name)
+                episode.refuse_damage()
                 features = describe(episode, self._choice)
                 self._features = self._features or features
                 if features != self._features:

@@ -18,6 +18,7 @@ from typing import Any
 import h5py
 import numpy as np
 
+from mjhab.core.paths import below
 from mjhab.data.facts import target_of
 from mjhab.data.folders import Target, whole_folder
 from mjhab.data.hdf5 import change_file, make_file
@@ -68,6 +69,7 @@ def export_maniskill(
 
     Raises:
         UsageError, StorageError: no episode passes; see ``whole_folder``.
+        DamagedError: an episode is damaged, or holds numbers that are not finite.
     """
     found = select(places, where)
     if not found.matched:
@@ -79,9 +81,10 @@ def export_maniskill(
         for (path, name), record in zip(found.matched, found.records, strict=True):
             place = place_of(record)
             if place not in files:
-                files[place] = _File(filling.root / place, filling.work)
+                files[place] = _File(below(filling.root, place), filling.work)
             with open_shard(path) as shard:
                 episode = shard.episode(name)
+                episode.refuse_damage()
                 files[place].add(episode)
                 without += not any(output == "depth" for _, output in episode.images)
             if after is not None:

@@ -13,6 +13,7 @@ from typing import Any, Protocol
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from mjhab.core.paths import below
 from mjhab.data.lerobot_pieces import Made, Pieces
 from mjhab.data.lerobot_stats import QUANTILES, Stats, aggregate
 
@@ -66,7 +67,7 @@ class Files30:
         first = 0
         for file, numbers in enumerate(_packed([each.size for each in made], DATA_MB * _MB)):
             place = _place(file)
-            pieces.join_tables(numbers, self.root / self.paths["data_path"].format(**place))
+            pieces.join_tables(numbers, below(self.root, self.paths["data_path"].format(**place)))
             for number in numbers:
                 last = first + made[number].steps
                 made[number].row.update({f"data/{name}": value for name, value in place.items()})
@@ -78,7 +79,7 @@ class Files30:
     def _arrange_films(self, pieces: Pieces, made: Sequence[Made], key: str) -> None:
         for file, numbers in enumerate(_packed([each.films[key] for each in made], VIDEO_MB * _MB)):
             place, first = _place(file), 0
-            pieces.join_films(numbers, key, self.root / self.paths["video_path"].format(video_key=key, **place))
+            pieces.join_films(numbers, key, below(self.root, self.paths["video_path"].format(video_key=key, **place)))
             for number in numbers:
                 last = first + made[number].steps
                 times = {"from_timestamp": first / self._fps, "to_timestamp": last / self._fps}
@@ -123,9 +124,9 @@ class Files21:
         self.paths["total_videos"] = sum(len(each.films) for each in made)
         for number, each in enumerate(made):
             place = {"episode_chunk": number // CHUNK, "episode_index": number}
-            pieces.join_tables([number], self.root / self.paths["data_path"].format(**place))
+            pieces.join_tables([number], below(self.root, self.paths["data_path"].format(**place)))
             for key in each.films:
-                path = self.root / self.paths["video_path"].format(video_key=key, **place)
+                path = below(self.root, self.paths["video_path"].format(video_key=key, **place))
                 pieces.join_films([number], key, path)
 
     def describe(self, episodes: Sequence[dict[str, Any]], stats: Sequence[dict[str, Stats]]) -> None:

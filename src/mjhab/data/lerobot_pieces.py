@@ -21,6 +21,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from mjhab.core.cache import write_atomic
+from mjhab.core.paths import below
 from mjhab.data.lerobot_stats import Stats
 from mjhab.rollout.films import Film
 
@@ -123,7 +124,7 @@ class Pieces:
             out.parent.mkdir(parents=True, exist_ok=True)
             whole = paths[0]
             if len(paths) > 1:
-                whole = self._folder / f"joined.{kind}"
+                whole = below(self._folder, f"joined.{kind}")
                 join(paths, whole)
                 _sync(whole)
             os.replace(whole, out)
@@ -131,7 +132,7 @@ class Pieces:
             path.unlink(missing_ok=True)
 
     def _path(self, number: int, kind: str) -> Path:
-        return self._folder / f"{number:06d}.{kind}"
+        return below(self._folder, f"{number:06d}.{kind}")
 
 
 def _sync(path: Path) -> None:

@@ -16,13 +16,14 @@ from h5py import h5r
 
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.locking import is_written
-from mjhab.data.episode_data import RunInfo, episode_digest, from_bytes, run_id, unnamed_actors
+from mjhab.core.names import check_name
+from mjhab.data.episode_data import RunInfo, episode_digest, from_bytes, record_problems, run_id, unnamed_actors
 from mjhab.data.hdf5 import check_format, dataset, dataset_paths, group, read_arrays, read_attributes
 from mjhab.data.images import decode
 from mjhab.data.journal import Overlay, committed_length, read_journal
 from mjhab.data.locking import quiet
 from mjhab.data.older import POSES, STAND_INS, canonical_poses, stand_in
-from mjhab.data.schema import CHECKS, COLUMNS, EPISODES, FIELDS, RUNS, TERMINAL, DamagedError, problems
+from mjhab.data.schema import CHECKS, COLUMNS, EPISODES, FIELDS, RUNS, TERMINAL, DamagedError, column_widths, problems
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.tasks.labels import History
 
@@ -165,10 +166,12 @@ class Episode:
 
     def columns(self, path: str) -> dict[str, int]:
         """Names of the columns of a two-dimensional dataset, and how many columns each name stands for."""
-        told = read_attributes(dataset(self._group, path))
-        names = [name for name in str(told.get(COLUMNS, "")).split(",") if name]
-        split = [name.rpartition(":") for name in names]
+        split = [name.rpartition(":") for name in self._column_names(path)]
         return {head or tail: int(tail) if head else 0 for head, _, tail in split}
+
+    def _column_names(self, path: str) -> list[str]:
+        told = read_attributes(dataset(self._group, path))
+        return [name for name in str(told.get(COLUMNS, "")).split(",") if name]
 
     def table(self, path: str) -> dict[str, np.ndarray]:
         """A two-dimensional dataset as its columns, e.g. "signals/checks": (N+1,) each, or (N+1, n) for n columns."""
@@ -198,7 +201,12 @@ class Episode:
     def images(self) -> list[tuple[str, str]]:
         """(camera, output) of the images stored with it."""
         parts = [path.split("/") for path in self.paths]
-        return [(part[1], part[2]) for part in parts if part[0] == "images" and part[-1] == "ends"]
+        found = [(part[1], part[2]) for part in parts if part[0] == "images" and part[-1] == "ends"]
+        with self._reading():
+            for camera, output in found:
+                check_name("camera", camera)
+                check_name("output of a camera", output)
+        return found
 
     def frame(self, camera: str, output: str, t: int) -> np.ndarray:
         """The image of state t, 0 to N: rgb (H, W, 3) uint8, depth (H, W, 1) int16 mm, seg (H, W, 1) int32.
@@ -247,18 +255,36 @@ class Episode:
         """What is wrong with it, in words: parts that are missing or do not fit, or bytes that have changed."""
         with self._reading():
             arrays = read_arrays(self._group)
-            wrong = problems(arrays, self.steps, others=True, schema=self.schema)
+            widths = column_widths(self.run.layout, {path: self._column_names(path) for path in arrays})
+            wrong = problems(arrays, self.steps, others=True, schema=self.schema, widths=widths)
             wrong = wrong or unnamed_actors(arrays, self.actors)
             if not wrong and episode_digest(arrays) != self.attributes["digest"]:
                 wrong.append("its bytes are not those that were written (digest)")
-            if not wrong and self.record.steps != self.steps:
-                wrong.append(f"its record has {self.record.steps} steps, its group {self.steps}")
-            name = str(self.attributes["run"])
-            if not wrong and run_id(self.shard.told[name]) != name:
-                wrong.append("what made it (its run) is not what was written")
-            if not wrong and self.run.episode_name(self.record.seed, self.record.index) != self.name:
-                wrong.append(f"its record is that of episode {self.record.index} of seed {self.record.seed}")
+            return wrong or self._record_problems()
+
+    def _record_problems(self) -> list[str]:
+        wrong = record_problems(self.record)
+        if self.record.steps != self.steps:
+            wrong.append(f"its record has {self.record.steps} steps, its group {self.steps}")
+        name = str(self.attributes["run"])
+        if run_id(self.shard.told[name]) != name:
+            wrong.append("what made it (its run) is not what was written")
+        if self.run.episode_name(self.record.seed, self.record.index) != self.name:
+            wrong.append(f"its record is that of episode {self.record.index} of seed {self.record.seed}")
         return wrong
+
+    def refuse_damage(self) -> None:
+        """Read all of it and go on only if nothing is wrong with it: for what makes other files of it.
+
+        Raises:
+            DamagedError: says what is wrong.
+        """
+        wrong = self.problems()
+        if wrong:
+            raise DamagedError(
+                f"episode {self.name} of {self.shard.path} is damaged: {'; '.join(wrong)}. Nothing is made of it; "
+                f"`mjhab data repair {self.shard.path}` leaves it out."
+            )
 
 
 class Shard:

@@ -8,6 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from mjhab.core.errors import MjhabError
 from mjhab.data.episode_data import EpisodeData, RunInfo, to_bytes
 from mjhab.data.images import ImageFormat, encode
 from mjhab.data.provenance import describe_run, model_hash
@@ -87,7 +88,11 @@ class Recorder(Sink):
                 buffer.enter(int(step.steps[w]), now, begun[w])
 
     def on_episode_end(self, env: Any, world: int, record: EpisodeRecord) -> None:
-        """Write the episode, if it is to be kept."""
+        """Write the episode, if it is to be kept.
+
+        Raises:
+            MjhabError: it does not fit the schema: numbers that are not finite, sizes that are not those of the env.
+        """
         buffer = self._open.pop(world)
         self.seen += 1
         self.labels[last_label(record)] += 1
@@ -97,7 +102,11 @@ class Recorder(Sink):
             self._models[record.home] = model_hash(env.sim.model(record.home))
         columns = {"signals/checks": CHECKS, "signals/forces": FORCES, **buffer.columns()}
         model = self._models[record.home]
-        data = EpisodeData(record, self.run, model, _ending(env, world), buffer.arrays(), columns, buffer.actors)
+        arrays = buffer.arrays()
+        try:
+            data = EpisodeData(record, self.run, model, _ending(env, world), arrays, columns, buffer.actors)
+        except ValueError as error:
+            raise MjhabError(f"{error}. It was not recorded; those before it are safe.") from error
         self.bytes += self._writer.append(data)
         self.kept += 1
 

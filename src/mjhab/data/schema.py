@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -114,15 +115,45 @@ def field_of(path: str) -> Field | None:
     return None
 
 
-def problems(arrays: Mapping[str, np.ndarray], steps: int, others: bool = False, schema: int = VERSION) -> list[str]:
+def column_widths(layout: Mapping[str, Any], columns: Mapping[str, Sequence[str]]) -> dict[str, int]:
+    """Number of columns that datasets must have, by path.
+
+    Args:
+        layout: of the run, see `RunInfo`; what it does not tell is not asked for.
+        columns: names of the columns by path; "name:n" stands for n of them.
+    """
+    widths = {path: sum(_width(name) for name in names) for path, names in columns.items() if names}
+    if "actions" in layout:
+        widths["actions"] = len(layout["actions"])
+        widths["actions_intended"] = len(layout["actions"])
+    for name, size in layout.get("sizes", {}).items():
+        widths[f"states/{name}"] = int(size)
+    return widths
+
+
+def _width(name: str) -> int:
+    _, colon, count = name.rpartition(":")
+    return int(count) if colon else 1
+
+
+def problems(
+    arrays: Mapping[str, np.ndarray],
+    steps: int,
+    others: bool = False,
+    schema: int = VERSION,
+    widths: Mapping[str, int] | None = None,
+) -> list[str]:
     """What is wrong with the datasets of an episode of ``steps`` actions, in words; empty if nothing is.
 
-    Every field that is not optional must be there, with its type; N actions go with N+1 states. ``others``: datasets
-    that are not of this schema may be there, too: a later version may have added them. ``schema``: that of the episode.
+    Every field that is not optional must be there, with its type and shape; N actions go with N+1 states, and every
+    number is finite. ``others``: datasets that are not of this schema may be there, too: a later version may have added
+    them. ``schema``: version of the episode; ``widths``: number of columns by path, from `column_widths`.
     """
     needed = [field.path for field in FIELDS if not field.optional and field.since <= schema]
     found = [f"{path} is missing" for path in needed if path not in arrays]
-    count = len(arrays["subtasks/step"]) if "subtasks/step" in arrays else 0
+    if steps < 1:
+        found.append(f"an episode has at least one action, not {steps}")
+    count = len(arrays["subtasks/step"]) if np.ndim(arrays.get("subtasks/step", 0)) else 0
     rows = {"N": steps, "N+1": steps + 1, "K": count}
     for path, array in arrays.items():
         field = field_of(path)
@@ -131,13 +162,31 @@ def problems(arrays: Mapping[str, np.ndarray], steps: int, others: bool = False,
             continue
         if field.dtype != "any" and array.dtype != np.dtype(field.dtype):
             found.append(f"{path} is {array.dtype}, not {field.dtype}")
-        if field.rows and len(array) != rows[field.rows]:
+        elif not _has_dimensions(field, array):
+            found.append(f"{path} has shape {array.shape}, not {field.shape}")
+        elif field.rows and len(array) != rows[field.rows]:
             wanted = f"{rows[field.rows]} ({field.rows} with N = {steps} actions)"
             found.append(f"{path} has {len(array)} rows, not {wanted}")
-    return found or _bad_values(arrays)
+        elif widths and array.ndim == 2 and array.shape[1] != widths.get(path, array.shape[1]):
+            found.append(f"{path} has {array.shape[1]} columns, not {widths[path]}")
+        elif array.dtype.kind == "f" and not np.isfinite(array).all():
+            found.append(_not_finite(path, array))
+    return found or _bad_values(arrays, steps)
 
 
-def _bad_values(arrays: Mapping[str, np.ndarray]) -> list[str]:
+def _has_dimensions(field: Field, array: np.ndarray) -> bool:
+    """Whether an array has as many dimensions as the shape of its field tells: "(N, A)", "(N+1, ...)" or "bytes"."""
+    sizes = [size for size in field.shape.strip("()").split(",") if size.strip()]
+    return array.ndim >= 1 if "..." in field.shape else array.ndim == len(sizes)
+
+
+def _not_finite(path: str, array: np.ndarray) -> str:
+    bad = ~np.isfinite(array)
+    first = [int(k) for k in np.argwhere(bad)[0]]
+    return f"{path} has {int(bad.sum())} numbers that are not finite, the first one ({array[bad][0]}) at {first}"
+
+
+def _bad_values(arrays: Mapping[str, np.ndarray], steps: int) -> list[str]:
     found = []
     for path, columns in (("signals/checks", CHECKS), ("signals/forces", FORCES), ("subtasks/checks", CHECKS)):
         if arrays[path].shape[1:] != (len(columns),):
@@ -145,8 +194,8 @@ def _bad_values(arrays: Mapping[str, np.ndarray]) -> list[str]:
     if "actions_intended" in arrays and arrays["actions_intended"].shape != arrays["actions"].shape:
         found.append(f"actions_intended is {arrays['actions_intended'].shape}, actions are {arrays['actions'].shape}")
     starts = arrays["subtasks/step"]
-    if not len(starts) or starts[0] != 0 or (np.diff(starts) <= 0).any():
-        found.append("subtasks/step must begin with 0 and grow")
+    if not len(starts) or starts[0] != 0 or (np.diff(starts) <= 0).any() or starts[-1] > steps:
+        found.append(f"subtasks/step must begin with 0, grow, and not exceed N = {steps}")
     for path, ends in arrays.items():
         if path.endswith("/ends") and path.startswith("images/"):
             data = arrays.get(path.removesuffix("ends") + "bytes")

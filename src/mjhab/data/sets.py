@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 
 from mjhab.core.errors import UsageError
+from mjhab.core.names import check_name
+from mjhab.core.paths import below
 from mjhab.data.facts import target_of
 from mjhab.data.folders import broken
 from mjhab.data.journal import journal_path
@@ -170,11 +172,15 @@ def split(
     part has its share. Groups are never divided, so shares of few groups are rough.
 
     Raises:
-        UsageError: shares that are not positive or exceed 1 in sum; a part that exists; doubled episodes.
+        UsageError: shares that are not positive or exceed 1 in sum; a part whose name is none, or that exists; doubled
+            episodes.
     """
     if not parts or min(parts.values()) <= 0 or sum(parts.values()) > 1 + 1e-9:
         raise UsageError(f"shares must be positive and not exceed 1 in sum; got {dict(parts)}.")
-    targets = {name: out / f"{name}.h5" for name in parts}
+    try:
+        targets = {name: below(out, f"{check_name('name of a part', name)}.h5") for name in parts}
+    except ValueError as error:
+        raise UsageError(str(error)) from error
     for path in targets.values():
         if path.exists():
             raise UsageError(f"{path} exists already; give an empty folder as --out.")

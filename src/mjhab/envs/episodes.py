@@ -17,6 +17,7 @@ import numpy as np
 
 from mjhab.core.cache import cache_dir, write_atomic
 from mjhab.core.errors import MjhabError, UsageError, unknown_name
+from mjhab.core.paths import below
 from mjhab.core.seeding import stream
 from mjhab.scenes.compile import home_hash
 from mjhab.scenes.layout import Layout, yaw_quat
@@ -318,7 +319,7 @@ class EpisodeMaker:
 
     def _path(self, seed: int, index: int) -> Path:
         name = f"{self.task}{self.target}-{self.split}-{seed}-{index}.npz"
-        return cache_dir() / "episodes" / self.digest / name
+        return below(cache_dir() / "episodes" / self.digest, name)
 
     def _save(self, path: Path, episode: Episode) -> None:
         rows = np.array([(t.obj, t.start_link, t.goal_link) for t in episode.targets])

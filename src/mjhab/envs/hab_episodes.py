@@ -33,6 +33,12 @@ MOVED, TIPPED = 0.02, np.radians(10.0)
 """An object is not at rest if it moves further [m] or leans further [rad] than this while it settles."""
 MARGIN = 0.05
 """How far beyond a receptacle's rectangle the middle of an object may lie and still be taken to stand on it [m]."""
+OUTSIDE_M = 2.0
+"""How far beyond the floor of a home an object may lie [m]: the extent of homes without stage is an estimate."""
+LOWEST_M = -1.0
+"""Lowest place of an object [m]."""
+HIGHEST_M = 5.0
+"""Highest place of an object [m]."""
 PREFIX = "frl_apartment_"
 """Start of the template names of ReplicaCAD's furniture, left out in our names."""
 FIXED_LINKS = ("root", "body")
@@ -142,6 +148,7 @@ class FileEpisodes:
                 raise UsageError(f"{where}.rigid_objs: the layout has no slot for {name!r}.")
         try:
             home, pose, _, root = self._read(row)
+            _check_inside(self.layout, home, episode, pose)
         except ValueError as error:
             raise UsageError(f"{where}.{error}") from error
         if self.task == "set_table":
@@ -174,6 +181,29 @@ class FileEpisodes:
         rest = Rest(hab.instances, moved, np.arccos(np.clip(upright, -1.0, 1.0)))
         targets = file_targets(self.layout, home, hab, rested, root)
         return Episode(self.task, home.split, 0, row, home.name, rested, after[a.link_q], targets), rest
+
+
+def _check_inside(layout: Layout, home: Home, episode: HabEpisode, pose: np.ndarray) -> None:
+    """Refuse an object that starts, or is to go, where there is no home.
+
+    Raises:
+        ValueError: names the field.
+    """
+    goals = [(f"targets[{name!r}]", pose_from_hab(matrix)[:3]) for name, matrix in episode.targets.items()]
+    starts = [
+        (f"rigid_objs[{k}]", pose[layout.object_names.index(name), :3]) for k, name in enumerate(episode.instances)
+    ]
+    x_min, y_min, x_max, y_max = home.floor
+    low = np.array([x_min - OUTSIDE_M, y_min - OUTSIDE_M, LOWEST_M])
+    high = np.array([x_max + OUTSIDE_M, y_max + OUTSIDE_M, HIGHEST_M])
+    for field, point in [*starts, *goals]:
+        if ((point < low) | (point > high)).any():
+            extent = f"{_shown(low)} to {_shown(high)} m (+z up)"
+            raise ValueError(f"{field}: {_shown(point)} m is not in {home.name!r}, which extends from {extent}.")
+
+
+def _shown(point: np.ndarray) -> str:
+    return f"({', '.join(f'{value:.2f}' for value in point)})"
 
 
 # -- from the file -----------------------------------------------------------------------------------------------------

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import gzip
 import json
-import math
 import zlib
 from collections import Counter
 from collections.abc import Iterable, Mapping
@@ -22,7 +21,9 @@ import numpy as np
 
 from mjhab.core.cache import write_atomic
 from mjhab.core.errors import UsageError
+from mjhab.core.names import check_name
 from mjhab.core.rotations import mat_from_quat, pose_mul, quat_from_mat, quat_from_yaw
+from mjhab.scenes.pack_check import MAX_JOINT_POSITION, MAX_POSITION_M, check_range
 
 OBJECT_SUFFIX = ".object_config.json"
 SCENE_SUFFIX = ".scene_instance.json"
@@ -115,7 +116,8 @@ def read_hab(path: Path) -> HabFile:
     """Read ``*.json`` or ``*.json.gz``.
 
     Raises:
-        UsageError: no such file, cut off, not JSON, or a field that is missing or does not fit; names file and field.
+        UsageError: no such file, cut off, not JSON, a field that is missing or does not fit, a name that is none, or an
+            object farther than `MAX_POSITION_M` from the origin; names file and field.
     """
     body = _load(path)
     if not isinstance(body, dict) or not isinstance(body.get("episodes"), list):
@@ -228,7 +230,7 @@ def _episode(row: Any, where: str) -> HabEpisode:
     info = fitting("info", dict, {})
     if not isinstance(info.get("object_labels", {}), dict):
         raise ValueError(f"{where}.info.object_labels: expected an object.")
-    return HabEpisode(
+    episode = HabEpisode(
         episode_id=str(row.get("episode_id", "")),
         scene_id=fitting("scene_id", str, None),
         rigid_objs=tuple(_rigid(entry, f"{where}.rigid_objs[{i}]") for i, entry in enumerate(objects)),
@@ -241,16 +243,42 @@ def _episode(row: Any, where: str) -> HabEpisode:
         info=info,
         rest={key: value for key, value in row.items() if key not in _FIELDS},
     )
+    _check_names(episode, where)
+    return episode
+
+
+def _check_names(episode: HabEpisode, where: str) -> None:
+    check_name(f"{where}.scene_id", episode.scene)
+    for i, kind in enumerate(episode.types):
+        check_name(f"{where}.rigid_objs[{i}]", kind)
+    for field_name in ("targets", "ao_states", "name_to_receptacle"):
+        for name in getattr(episode, field_name):
+            check_name(f"{where}.{field_name}", name)
+    for handle, joints in episode.ao_states.items():
+        for link in joints:
+            check_name(f"{where}.ao_states[{handle!r}]", link)
+    for field_name in ("target_receptacles", "goal_receptacles"):
+        for i, (handle, _) in enumerate(getattr(episode, field_name)):
+            check_name(f"{where}.{field_name}[{i}]", handle, empty=True)
+    for marker in episode.markers:
+        for name in (marker.name, marker.object, marker.link):
+            check_name(f"{where}.markers", name)
+    for name, receptacle in episode.name_to_receptacle.items():
+        # "<handle>|<receptacle>"
+        for part in str(receptacle).split("|"):
+            check_name(f"{where}.name_to_receptacle[{name!r}]", part, empty=True)
 
 
 def _matrix(value: Any, where: str) -> np.ndarray:
     try:
         matrix = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         matrix = np.zeros(0)
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
         raise ValueError(f"{where}: expected a 4x4 matrix of finite numbers.")
+    check_range(f"{where}: position", matrix[:3, 3], -MAX_POSITION_M, MAX_POSITION_M, "m")
     rotation = matrix[:3, :3]
+    check_range(f"{where}: rotation", rotation, -2.0, 2.0, "1")
     if np.abs(rotation @ rotation.T - np.eye(3)).max() > ROUND_TRIP or np.linalg.det(rotation) < 0:
         raise ValueError(f"{where}: the upper left 3x3 part is not a rotation.")
     return matrix
@@ -268,7 +296,11 @@ def _states(value: dict[str, Any], where: str) -> dict[str, dict[str, float]]:
         if not isinstance(joints, dict):
             raise ValueError(f"{where}[{handle!r}]: expected an object of link number and joint position.")
         for number, position in joints.items():
-            if isinstance(position, bool) or not isinstance(position, int | float) or not math.isfinite(position):
+            if (
+                isinstance(position, bool)
+                or not isinstance(position, int | float)
+                or not abs(position) <= MAX_JOINT_POSITION
+            ):
                 raise ValueError(f"{where}[{handle!r}][{number!r}]: expected a number, got {position!r}.")
         out[handle] = dict(joints)
     return out

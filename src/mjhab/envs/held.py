@@ -18,6 +18,7 @@ import numpy as np
 
 from mjhab.core.cache import cache_dir, write_atomic
 from mjhab.core.errors import MjhabError, UsageError, unknown_name
+from mjhab.core.paths import below
 from mjhab.core.rotations import pose_inv
 from mjhab.envs.grasps import Grasps, ObjectShape, grasp_candidates
 from mjhab.scenes.compile import home_hash
@@ -124,7 +125,7 @@ class HeldStarts:
         if grasp is None:
             return None
         name = hashlib.sha256(grasp.pose.tobytes() + np.float64(grasp.fingers).tobytes()).hexdigest()[:16]
-        _save(self._folder / f"{kind}-added" / f"{name}.npz", [grasp])
+        _save(below(self._folder, f"{kind}-added", f"{name}.npz"), [grasp])
         with self._lock:
             if self.harvested:
                 self._found.pop(kind, None)
@@ -158,7 +159,7 @@ class HeldStarts:
             raise unknown_name("object", kind, set(self.layout.roster))
 
     def _library(self, kind: str) -> list[HeldGrasp]:
-        path = self._folder / f"{kind}.npz"
+        path = below(self._folder, f"{kind}.npz")
         if path.exists():
             return _load(path)
         found = self._search(kind)

@@ -24,17 +24,32 @@ import numpy as np
 from mjhab import __version__
 from mjhab.core.cache import write_atomic
 from mjhab.core.errors import UsageError
+from mjhab.core.names import check_name
 from mjhab.core.seeding import stream
 from mjhab.envs.config import EnvConfig
 from mjhab.envs.episodes import Episode
 from mjhab.scenes.compile import home_hash
 from mjhab.scenes.layout import Layout
+from mjhab.scenes.pack_check import MAX_POSITION_M, check_range
 from mjhab.scenes.spec import Vec3
 from mjhab.tasks.plan import Target
 
 FORMAT = "mjhab-spawns-1"
 SUFFIX = ".npz"
 _COLUMNS = ("home", "qpos", "object_pose", "link_q", "position", "fallback", "tries", "targets", "points")
+
+_DIMENSIONS = {"qpos": 2, "object_pose": 3, "link_q": 2, "targets": 3, "points": 4}
+"""Dimensions of the columns; the others have one."""
+_KINDS = {
+    "home": "U",
+    "qpos": "f",
+    "object_pose": "f",
+    "link_q": "f",
+    "fallback": "b",
+    "targets": "U",
+    "points": "f",
+}
+"""Kinds of the columns as numpy names them; the others hold whole numbers."""
 
 
 @dataclass(frozen=True)
@@ -121,6 +136,34 @@ def _content(header: dict[str, Any], columns: dict[str, np.ndarray]) -> str:
     return digest.hexdigest()[:16]
 
 
+def _check_content(header: dict[str, Any], columns: dict[str, np.ndarray]) -> None:
+    """Refuse names that are none and columns that do not fit each other: whoever wrote the digest may be anyone.
+
+    Raises:
+        ValueError, KeyError, TypeError: says which.
+    """
+    recipe = header["recipe"]
+    for name in ("task", "split"):
+        check_name(f"recipe, {name}", recipe[name])
+    for name in ("subtask", "target"):
+        check_name(f"recipe, {name}", recipe[name], empty=True)
+    count = len(columns["home"])
+    for name in _COLUMNS:
+        column = columns[name]
+        if column.ndim != _DIMENSIONS.get(name, 1) or len(column) != count or not count:
+            raise ValueError(f"column {name!r} has shape {column.shape}, which does not fit {count} starts.")
+        if column.dtype.kind not in _KINDS.get(name, "iu"):
+            raise ValueError(f"column {name!r} is {column.dtype}.")
+        if column.dtype.kind == "f" and not np.isfinite(column).all():
+            raise ValueError(f"column {name!r} has numbers that are not finite.")
+    for name in set(columns["home"].tolist()):
+        check_name("column 'home'", name)
+    for name in set(columns["targets"].ravel().tolist()):
+        check_name("column 'targets'", name, empty=True)
+    for name in ("object_pose", "points"):
+        check_range(f"column {name!r}", columns[name][..., :3], -MAX_POSITION_M, MAX_POSITION_M, "m")
+
+
 class SpawnSet:
     """Starts from a file. ``header``: what `header_of` says, and ``digest``; ``columns``: the rows, see above."""
 
@@ -149,6 +192,10 @@ class SpawnSet:
             raise UsageError(f"{path} is no spawn set, or is damaged ({error}); make it again.") from error
         if not sound:
             raise UsageError(f"{path} is damaged: its content is not what its header says; make it again.")
+        try:
+            _check_content(header, columns)
+        except (ValueError, KeyError, TypeError) as error:
+            raise UsageError(f"{path}: {error} Make it again.") from error
         return cls(path, {**header, "digest": stated}, columns)
 
     @classmethod

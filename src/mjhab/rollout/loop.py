@@ -44,8 +44,10 @@ def rollout(
         max_steps: cut episodes after this many control steps; None leaves the end to the env.
 
     Raises:
-        UsageError: an index is negative or named twice, ``max_steps`` < 1, the environment resets its worlds by
-            itself or is not a vector environment on the CPU, or the policy gives something else than actions (W, A).
+        UsageError: an index is negative or named twice, ``max_steps`` < 1, or the environment resets its worlds by
+            itself or is not a vector environment on the CPU; or the policy returns what are no actions: another shape
+            than (W, A), no numbers, or numbers that are not finite in a world with an episode. What was finished before
+            was told to the sinks.
     """
     _check(episodes, max_steps)
     _check_env(env)
@@ -109,12 +111,7 @@ class _Run:
 
     def step(self) -> None:
         """Take one control step in all worlds, then give finished worlds their next episode."""
-        actions = np.asarray(self.policy.act(self.obs, self.info), np.float32)
-        if actions.ndim != 2 or len(actions) != self.env.num_envs:
-            raise UsageError(
-                f"act of policy {self.policy.name!r} must give one row of numbers per world, "
-                f"({self.env.num_envs}, A); got {actions.shape}."
-            )
+        actions = self._checked(self.policy.act(self.obs, self.info))
         notes = self._notes(actions)
         actions = np.where(self.active[:, None], actions, np.float32(0.0))
         self.obs, reward, terminated, truncated, self.info = self.env.step(actions)
@@ -139,6 +136,27 @@ class _Run:
                 f"policy {self.policy.name!r} gives actions {actions.shape} and intended ones {notes.intended.shape}"
             )
         return notes
+
+    def _checked(self, given: Any) -> np.ndarray:
+        """Actions of a policy as (W, A) float32; the env checks A and says what it is."""
+        worlds = len(self.active)
+        try:
+            actions = np.asarray(given, np.float32)
+        except (TypeError, ValueError) as error:
+            raise UsageError(f"policy {self.policy.name!r} must return numbers (W, A), got {type(given)}.") from error
+        if actions.ndim != 2 or len(actions) != worlds:
+            raise UsageError(
+                f"policy {self.policy.name!r} must return actions (W, A) for W = {worlds} worlds, got {actions.shape}."
+            )
+        bad = self.active[:, None] & ~np.isfinite(actions)
+        if bad.any():
+            world, column = (int(k) for k in np.argwhere(bad)[0])
+            index = self._trace(world).index
+            raise UsageError(
+                f"policy {self.policy.name!r} returned {actions[world, column]} in column {column} of its actions, in "
+                f"episode {index} after control step {self.steps[world]} (world {world}). Actions must be finite."
+            )
+        return actions
 
     def _trace(self, world: int) -> _Trace:
         trace = self.traces[world]

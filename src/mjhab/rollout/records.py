@@ -6,6 +6,9 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
+from mjhab.core.names import check_name
+from mjhab.tasks.plan import GOAL_OF
+
 OPTIONAL = ("style", "config_hash")
 """Fields of `EpisodeRecord` that are left out of a file where they are empty; older files lack them."""
 Event = tuple[int, str]
@@ -112,6 +115,7 @@ class EpisodeRecord:
 
         Raises:
             KeyError: a field is missing.
+            ValueError: a name in it is none (`core.names.check_name`): names become parts of paths.
         """
         values = {f.name: data[f.name] for f in fields(cls) if f.name not in OPTIONAL}
         values["style"] = dict(data.get("style", {}))
@@ -121,4 +125,25 @@ class EpisodeRecord:
         values["events"] = tuple((int(step), str(name)) for step, name in data["events"])
         values["force"] = tuple(float(value) for value in data["force"])
         values["taint"] = tuple(data["taint"])
-        return cls(**values)
+        record = cls(**values)
+        _check_names(record)
+        return record
+
+
+def _check_names(record: EpisodeRecord) -> None:
+    for name in ("home", "task", "split"):
+        check_name(f"field {name!r} of the record", getattr(record, name))
+    check_name("field 'subtask' of the record", record.subtask or "", empty=True)
+    for entry in (*record.plan, *record.subtasks):
+        check_name("kind of a subtask", entry.kind)
+        target = entry.target
+        if isinstance(target, str):
+            target = target.removeprefix(GOAL_OF)
+        check_name("target of a subtask", target, empty=True)
+    for entry in record.subtasks:
+        check_name("label of a subtask", entry.label or "", empty=True)
+        check_name("legacy label of a subtask", entry.legacy_label or "", empty=True)
+    for _, event in record.events:
+        check_name("name of an event", event)
+    for fault in record.taint:
+        check_name("name of a fault", fault)

@@ -248,7 +248,7 @@ def _read_file(path: Path, wanted: str) -> tuple[list[EpisodeRecord], int]:
                 raise ValueError("the line is not finished")
             record = EpisodeRecord.from_dict(json.loads(line))
         except (ValueError, KeyError, TypeError) as error:
-            if end + len(line) < len(whole):
+            if line.endswith(b"\n"):
                 raise UsageError(
                     f"line {number} of {path} is damaged ({type(error).__name__}: {error}). Start the run again with "
                     "--overwrite."

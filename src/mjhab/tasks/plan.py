@@ -126,6 +126,10 @@ class Target:
     handle_pos: Vec3 = (0.0, 0.0, 0.0)
 
 
+GOAL_OF = "goal of "
+"""Before the name of an object: the name of a navigation that leads to where the object goes."""
+
+
 @dataclass(frozen=True)
 class Subtask:
     """One step of a plan.
@@ -177,7 +181,12 @@ def _fetch_and_place(target: Target) -> list[Subtask]:
         Subtask(kind.NAVIGATE, link=target.start_link, goal_pos=target.start_pos, toward=target.obj),
         Subtask(kind.PICK, obj=target.obj, link=target.start_link),
         Subtask(
-            kind.NAVIGATE, target.obj, target.goal_link, target.goal_pos, must_hold=True, toward=f"goal of {target.obj}"
+            kind.NAVIGATE,
+            target.obj,
+            target.goal_link,
+            target.goal_pos,
+            must_hold=True,
+            toward=f"{GOAL_OF}{target.obj}",
         ),
         Subtask(kind.PLACE, obj=target.obj, link=target.goal_link, goal_pos=target.goal_pos),
     ]

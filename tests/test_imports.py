@@ -96,6 +96,14 @@ def test_import_mjhab_is_light() -> None:
     assert done.returncode == 0, done.stderr
 
 
+def test_every_package_is_an_attribute() -> None:
+    """In a process of its own: here the packages have been imported already, which makes them attributes."""
+    packages = sorted(path.parent.name for path in SOURCE.glob("*/__init__.py"))
+    code = f"import mjhab\nfor name in {packages}:\n    assert name in dir(mjhab)\n    getattr(mjhab, name)\n"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr
+
+
 def test_lazy_names_resolve() -> None:
     import mjhab
 

@@ -29,6 +29,7 @@ class FakeConfig:
     assets: str = "builtin"
     obs_mode: str = "state"
     runs_to_horizon: bool = False
+    handle_points: str = "ours"
 
 
 class _Sim:

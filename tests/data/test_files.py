@@ -15,6 +15,7 @@ from mjhab.core.errors import UsageError
 from mjhab.data.checking import check, repair
 from mjhab.data.episode_data import episode_digest, from_bytes, run_id, to_bytes
 from mjhab.data.hdf5 import dataset, group, read_arrays
+from mjhab.data.images import ImageFormat
 from mjhab.data.reading import Episode, episodes, open_shard, shard_paths
 from mjhab.data.schema import ATTRIBUTES, CHECKS, FIELDS, FORCES, VERSION, DamagedError, field_of
 from mjhab.data.shard import ShardWriter
@@ -181,6 +182,23 @@ def test_text_lies_where_checksums_are(tmp_path: Path) -> None:
     assert b"GCOL" not in (tmp_path / "a.h5").read_bytes()
 
 
+def test_episodes_may_be_kept_longer_than_their_shard_is_open(tmp_path: Path) -> None:
+    for part in range(2):
+        record(tmp_path / f"{part}.h5", range(2 * part, 2 * part + 2), FakeEnv(1, images=True), images=ImageFormat())
+    kept = list(episodes(tmp_path))
+    for episode, now in zip(kept, episodes(tmp_path), strict=True):
+        assert (episode.record, episode.attributes, episode.run) == (now.record, now.attributes, now.run)
+        assert episode.paths == now.paths and episode.columns("obs/state") == now.columns("obs/state")
+        assert episode.nbytes == now.nbytes and episode.images == now.images and not episode.problems()
+        for key in ("state", "agent/qpos", "sensor_data/fetch_head/depth"):
+            np.testing.assert_array_equal(episode.observation(key), now.observation(key))
+        assert episode.frame_places("fetch_head", "rgb")[0] == now.frame_places("fetch_head", "rgb")[0]  # type: ignore[index]
+        np.testing.assert_array_equal(episode.history(0)[1].success, now.history(0)[1].success)
+    kept[0].shard.path.unlink()
+    with pytest.raises(UsageError, match="does not exist"):
+        kept[0].array("actions")
+
+
 def test_doubled_episodes_are_found(tmp_path: Path) -> None:
     record(tmp_path / "a.h5", range(3))
     record(tmp_path / "b.h5", range(2, 5))
@@ -197,8 +215,6 @@ def test_the_schema_names_what_labels_need() -> None:
 
 
 def test_files_hold_what_the_schema_says(tmp_path: Path) -> None:
-    from mjhab.data.images import ImageFormat
-
     record(tmp_path / "a.h5", range(1), FakeEnv(1, images=True), images=ImageFormat())
     with open_shard(tmp_path / "a.h5") as shard:
         episode: Episode = next(iter(shard))

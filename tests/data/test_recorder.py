@@ -185,7 +185,9 @@ def test_provenance() -> None:
     run = describe_run(FakeEnv(3, "pick"), POLICY)
     assert re.fullmatch(r"([0-9a-f]{40}(\+changes)?)?", run.commit)
     assert run.versions["mujoco"] and run.versions["mjhab"] and run.machine and "Apache-2.0" in run.licence
-    assert "num_envs" not in run.config["env"] and "obs_mode" in run.options
+    assert "num_envs" not in run.config["env"]
+    for view in ("obs_mode", "handle_points"):
+        assert view in run.options and view not in run.config["env"]
     assert run.layout["actions"][:2] == ["a0", "a1"] and run.layout["columns"]["robot_q"] == [0, 1]
     again = describe_run(FakeEnv(1, "pick", images=True), POLICY)
     assert again == run and again.id == run.id

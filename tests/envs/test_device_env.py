@@ -124,6 +124,21 @@ def compare(ours: dict[str, torch.Tensor], theirs: dict[str, np.ndarray]) -> Non
         np.testing.assert_allclose(ours[key].numpy(), value, atol=atol, err_msg=key)
 
 
+def test_a_full_turn_and_the_other_quaternion_are_the_same_state(env: Any) -> None:
+    obs, _ = env.reset(seed=0)
+    flip = torch.tensor([1.0, 1, 1, -1, -1, -1, -1], dtype=env.state.object_pose.dtype)
+    turn = torch.zeros_like(env.state.robot_q)
+    turn[:, 2] = 2 * np.pi
+    state = dataclasses.replace(
+        env.state, robot_q=env.state.robot_q + turn, object_pose=env.state.object_pose * flip,
+        body_quat=-env.state.body_quat,
+    )  # fmt: skip
+    seen = env.observer.observe(state, env.focus, env.signals)
+    torch.testing.assert_close(seen["state"], obs["state"], rtol=0.0, atol=1e-4)
+    for key in ("extra/tcp_pose_wrt_base", "extra/obj_pose_wrt_base"):
+        assert bool((seen[key][:, 3] >= 0).all()) and bool((obs[key][:, 3] >= 0).all())
+
+
 def test_training_draws_the_same_starts() -> None:
     options = {"task": "set_table", "subtask": "close", "num_envs": 1, "episode_pool": 3, "seed": 5}
     cpu, dev = make_train(**options, threads=1), make_train(**options, **(DEVICE | {"starts": 2}))

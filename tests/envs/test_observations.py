@@ -126,6 +126,71 @@ def test_the_state_is_the_same_bits_in_every_mode(env):
     np.testing.assert_array_equal(plain["agent/qpos"], env.state.robot_q[:, 3:].astype(np.float32))
 
 
+def turned(env: SequentialTaskEnv) -> SimState:
+    """The present state once more: the base a full turn on, and the quaternions of the objects negated."""
+    qpos, starts = env.sim.batch.qpos.copy(), env.sim.addresses
+    qpos[:, starts.robot_q[2]] += 2 * np.pi
+    for start in starts.object_q:
+        qpos[:, start + 3 : start + 7] *= -1.0
+    env.sim.reset(range(WORLDS), env.homes, qpos)
+    return env.sim.state()
+
+
+def test_a_full_turn_and_the_other_quaternion_are_the_same_state(env):
+    observer, qpos = Observer(env.sim, env.sensing), env.sim.batch.qpos.copy()
+    before, objects = look(env, observer), env.state.object_pose.copy()
+    other = turned(env)
+    np.testing.assert_allclose(other.object_pose[..., 3:], -objects[..., 3:], atol=1e-12)
+    after = look(env, observer, other)
+    np.testing.assert_allclose(after["state"], before["state"], atol=1e-5)
+    for key in ("extra/tcp_pose_wrt_base", "extra/obj_pose_wrt_base"):
+        assert (before[key][:, 3] >= 0).all() and (before[key] != 0).any()
+    env.sim.reset(range(WORLDS), env.homes, qpos)
+
+
+def test_quaternions_of_either_sign_are_seen_as_one(env):
+    """Both signs come in at w = 0 too, where a half turn about any axis lies."""
+    observer = Observer(env.sim, env.sensing)
+    objects, bodies = env.state.object_pose.copy(), env.state.body_quat.copy()
+    robot = env.state.robot_q.copy()
+    robot[:, 2] = 0.0
+    for half_turn in ([0.0, 1.0, 0.0, 0.0], [0.0, -0.6, 0.8, 0.0], [0.0, 0.0, 0.0, -1.0]):
+        objects[..., 3:] = bodies[:] = half_turn
+        seen = []
+        for sign in (1.0, -1.0):
+            signed = objects.copy()
+            signed[..., 3:] *= sign
+            state = dataclasses.replace(env.state, robot_q=robot, object_pose=signed, body_quat=sign * bodies)
+            seen.append(look(env, observer, state)["state"])
+        np.testing.assert_array_equal(*seen)
+
+
+def test_physics_keeps_the_sign_of_its_quaternions(env):
+    """What replay stores is the state as it is."""
+    qpos = env.sim.batch.qpos.copy()
+    turned(env)
+    start = env.sim.addresses.object_q[0] + 3
+    np.testing.assert_array_equal(env.sim.batch.qpos[:, start : start + 4], -qpos[:, start : start + 4])
+    env.sim.reset(range(WORLDS), env.homes, qpos)
+
+
+def test_a_finished_plan_shows_no_object_no_goal_and_no_grasp():
+    env = envs.make(task="set_table", num_envs=WORLDS, autoreset="disabled", threads=1)
+    env.reset(seed=0)
+    assert env.signals is not None
+    length = env.tables.arrays.length
+    signals = dataclasses.replace(env.signals, is_grasped=np.ones(WORLDS, bool))
+    seen = []
+    for pointer in (length - 2, length):
+        focus = env.tables.focus(pointer)
+        seen.append(env.observer.observe(env.state, focus, signals, env.homes))
+    holding, finished = seen
+    for key in ("extra/obj_pose_wrt_base", "extra/goal_pos_wrt_base", "extra/is_grasped"):
+        assert not finished[key].any()
+    assert holding["extra/is_grasped"].all() and holding["extra/goal_pos_wrt_base"].any()
+    np.testing.assert_array_equal(finished["extra/tcp_pose_wrt_base"], holding["extra/tcp_pose_wrt_base"])
+
+
 def test_parts_of_modes_add_up():
     assert mode_outputs("state") == ()
     assert mode_outputs("rgbd") == ("depth", "rgb")

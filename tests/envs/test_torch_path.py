@@ -133,6 +133,31 @@ class Follower:
         }  # fmt: skip
 
 
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_the_signs_of_quaternions_do_not_matter(
+    history: tuple[SequentialTaskEnv, list[SimState]], dtype: torch.dtype
+) -> None:
+    """The base a full turn on, objects with the other quaternion: the same observation, as on numpy."""
+    env, states = history
+    state = states[-1]
+    turn = np.zeros(state.robot_q.shape[1])
+    turn[2] = 2 * np.pi
+    flip = np.array([1.0, 1, 1, -1, -1, -1, -1])
+    other = dataclasses.replace(state, robot_q=state.robot_q + turn, object_pose=state.object_pose * flip)
+    like = torch.zeros(0, dtype=dtype)
+    sensing = Sensing(env.layout, env.sim.addresses, WORLDS, like)
+    seen = [
+        state_observation(
+            sensing.context(as_torch(each, dtype), as_torch(env.focus, dtype), as_torch(env.signals, dtype))
+        )["state"]
+        for each in (state, other)
+    ]
+    np.testing.assert_allclose(to_numpy(seen[0]), to_numpy(seen[1]), atol=2e-5)
+    assert env.signals is not None
+    on_numpy = state_observation(env.sensing.context(state, env.focus, env.signals))["state"]
+    np.testing.assert_allclose(to_numpy(seen[0]), on_numpy, atol=2e-5)
+
+
 def follow_both(
     history: tuple[SequentialTaskEnv, list[SimState]], kind: SubtaskKind | None, mode: str, dtype: torch.dtype
 ) -> None:

@@ -227,6 +227,23 @@ def test_flat_pixels_of_a_stack_in_the_final_observation_too():
     assert info["final_obs"]["state"][0].tolist() == [2, 2, 2, 2]
 
 
+@pytest.mark.parametrize("cameras", [("fetch_head", "fetch_hand"), ("fetch_hand", "fetch_head")])
+def test_cameras_keep_the_order_asked_for(cameras: tuple[str, ...]):
+    """Learners join images in the order in which they find them, in spaces as in observations."""
+    env = envs.make(
+        task="tidy_house", subtask="pick", num_envs=1, obs_mode="depth", cameras=cameras, camera_size=8, threads=1
+    )
+    flat = FlattenStatePixels(NormalizeImages(FrameStack(env, 2)))
+    obs, _ = flat.reset(seed=0)
+    wanted = [f"{camera}_depth" for camera in cameras]
+    for space in (flat.single_observation_space, flat.observation_space, NormalizeImages(flat).observation_space):
+        assert isinstance(space, spaces.Dict)
+        pixels = space["pixels"]
+        assert isinstance(pixels, spaces.Dict) and list(pixels) == wanted
+    assert list(obs["pixels"]) == wanted and flat.observation_space.contains(obs)
+    env.close()
+
+
 def test_depth_is_normalised_as_the_original_networks_do_and_comes_back():
     every = np.arange(32768).astype(np.int16)
     small = normalize_depth(every)

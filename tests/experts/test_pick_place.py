@@ -71,7 +71,7 @@ def test_expert_succeeds_in_most_episodes(task: str, subtask: str, target: str):
         once |= reward > 0.5
         if once.all():
             break
-    assert once.sum() >= 2, f"{once} of {[e['plan'] for e in info['episode']]}"
+    assert once.sum() >= 2, f"{once} of {[e['plan'] for e in info['episode_spec']]}"
 
 
 def drive(pilot: Pilot, pose: np.ndarray, steps: int = 300) -> tuple[np.ndarray, int]:

@@ -5,15 +5,18 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
 
+import mjhab.envs as envs
 from mjhab.core.rotations import mat_from_quat
 from mjhab.envs.privileged import home_shapes
 from mjhab.scenes.check import layout_hash
 from mjhab.scenes.compile import compile_home
+from mjhab.scenes.fetch import BASE_HEIGHT
 from mjhab.scenes.footprints import all_geoms, outline
 from mjhab.scenes.freespace import free_map, reach
 from mjhab.scenes.gltf import read_glb, read_hulls
@@ -179,6 +182,56 @@ def test_handles_stand_free_and_are_narrower_than_the_gripper(link_id: str, pack
                 assert not inside(pos - depth * out + side * (link.handle.thickness / 2 + off) * across)
     ends = [deep + s * 0.9 * link.handle.half_length * bar for s in (-1.0, 1.0)]
     assert all(inside(e) for e in ends)
+
+
+@pytest.mark.parametrize(
+    ("target", "point", "off"),
+    [("kitchen_counter/drawer3", (0.26, 0.0, 0.0), 0.04), ("fridge/top_door", (0.09, -0.66, 0.2), 0.03)],
+)
+def test_published_handle_points_are_those_of_the_frames_of_the_urdf(
+    target: str, point: tuple[float, float, float], off: float, folder: Path, pack: Pack, layout: Layout
+) -> None:
+    """The point lies on the link of the URDF, whose frame has +y up: unscaled, near our own point."""
+    handle = next(ref.link.handle for ref in layout.links if ref.id == target)
+    assert handle.published is not None
+    own, published = np.array(handle.pos), np.array(handle.published)
+    assert np.linalg.norm(published) == pytest.approx(np.linalg.norm(point))
+    assert np.linalg.norm(published - own) == pytest.approx(off, abs=0.005)
+    assert handle.point("published") == handle.published and handle.point("ours") == handle.pos
+
+
+def test_parts_without_a_published_handle_point_keep_ours(layout: Layout) -> None:
+    having = {ref.id for ref in layout.links if ref.link.handle.published}
+    assert having == {ref.id for ref in layout.links} - {"fridge/bottom_door"}
+    lower = next(ref.link.handle for ref in layout.links if ref.id == "fridge/bottom_door")
+    assert lower.point("published") == lower.pos
+
+
+@pytest.mark.parametrize(("subtask", "target"), [("open", "kitchen_counter/drawer3"), ("close", "fridge/top_door")])
+def test_observation_and_reward_take_the_handle_points_asked_for(subtask: str, target: str, folder: Path) -> None:
+    """The point is carried along by the link; what the expert grasps does not change."""
+    options: dict[str, Any] = {
+        "task": "set_table", "subtask": subtask, "target": target, "assets": str(folder), "home": "v3_sc1_staging_01",
+        "reward_mode": "dense", "autoreset": "disabled", "threads": 1,
+    }  # fmt: skip
+    seen = {}
+    for points in ("ours", "published"):
+        env = envs.make(**options, handle_points=points)
+        env.reset(seed=0)
+        obs, _, _, _, info = env.step(np.zeros((1, 13), np.float32))
+        goal = obs["extra/goal_pos_wrt_base"][0].astype(float)
+        x, y, yaw = env.state.robot_q[0, :3]
+        c, s = np.cos(yaw), np.sin(yaw)
+        at = np.array([x + c * goal[0] - s * goal[1], y + s * goal[0] + c * goal[1], goal[2] + BASE_HEIGHT])
+        index = env.layout.link_ids.index(target)
+        body = env.sim.addresses.link_body[index]
+        handle = env.layout.links[index].link.handle
+        wanted = env.state.body_pos[0, body] + env.state.body_mat[0, body] @ np.array(handle.point(points))
+        np.testing.assert_allclose(at, wanted, atol=1e-5)
+        seen[points] = (info["reward_terms"]["reach"][0], env.view(0).home.links[target].handle_pose(0.0)[0])
+        env.close()
+    assert abs(seen["ours"][0] - seen["published"][0]) > 1e-3
+    np.testing.assert_array_equal(seen["ours"][1], seen["published"][1])
 
 
 def test_the_front_of_a_drawer_agrees_with_its_render_mesh(folder: Path, pack: Pack) -> None:

@@ -14,7 +14,7 @@ from scipy.spatial import ConvexHull
 from mjhab.core.errors import UsageError
 from mjhab.core.rotations import mat_from_quat
 from mjhab.scenes.meshes import MAX_TEXTURE, Mesh
-from mjhab.scenes.objects import MASSES, SIZES
+from mjhab.scenes.objects import MASSES, SIZES, builtin_objects
 from mjhab.scenes.simplify import simplify
 from mjhab.scenes.spec import Geom, ObjectType
 from mjhab.scenes.ycb import SCAN, Scan, hull_of, object_from_scan, read_scan, read_ycb
@@ -62,6 +62,10 @@ def test_boxes_look_along_the_axes_and_know_their_scan() -> None:
         turned = np.stack([c * points[:, 0] - s * points[:, 1], s * points[:, 0] + c * points[:, 1]], axis=1)
         assert np.abs(np.abs(turned).max(axis=0) - kind.half[:2]).max() < 0.0035, name
     assert abs(types["008_pudding_box"].scan_yaw) > 0.4
+    text = (Path(__file__).parents[2] / "docs" / "assets.md").read_text(encoding="utf-8")
+    for name, kind in types.items():
+        own, builtin = (round(float(np.degrees(k.scan_yaw)), 1) + 0.0 for k in (kind, builtin_objects()[name]))
+        assert (f"| `{name}` | {own}° | {builtin}° |" in text) == (own != 0.0 or builtin != 0.0)
     assert all(types[name].scan_yaw == 0.0 for name in (*CANS, APPLE, BOWL))
 
 

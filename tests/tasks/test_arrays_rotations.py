@@ -39,6 +39,24 @@ def test_matrix_to_quaternion_in_all_four_branches() -> None:
     np.testing.assert_allclose(np.abs(np.sum(back * q, axis=1)), 1.0, atol=1e-12)
 
 
+@pytest.mark.parametrize("library", [np.asarray, torch.from_numpy])
+def test_canonical_quaternions(library: Any) -> None:
+    """One of q and -q, the same for both: the first component that is not 0 is positive."""
+    edges = [[0, -1, 0, 0], [0, 0, -0.6, 0.8], [-0.0, 0.6, -0.8, 0], [0, 0, 0, -1], [-0.5, 0.5, 0.5, 0.5], [0, 0, 0, 0],
+             [-1e-300, 1, 0, 0]]  # fmt: skip
+    q = np.concatenate([random_quats(100), np.array(edges, float)]).reshape(1, -1, 4)
+    for dtype in (np.float64, np.float32):
+        one = to_numpy(rot.quat_canonical(library(q.astype(dtype))))
+        assert one.dtype == dtype and one.shape == q.shape
+        np.testing.assert_array_equal(one, to_numpy(rot.quat_canonical(library(-q.astype(dtype)))))
+        np.testing.assert_array_equal(one, to_numpy(rot.quat_canonical(library(one))))
+        np.testing.assert_array_equal(np.abs(one), np.abs(q.astype(dtype)))
+        first = [next((x for x in row if x != 0), 0.0) for row in one[0]]
+        assert min(first) == 0.0 and first.count(0.0) == 1
+        agree = (one * q.astype(dtype)).sum(axis=-1)
+        np.testing.assert_allclose(np.abs(agree[agree != 0]), 1.0, atol=1e-6)
+
+
 def test_yaw_and_axis_angle() -> None:
     yaw = np.array([-3.0, -0.5, 0.0, 1.0, 3.0])
     np.testing.assert_allclose(rot.yaw_from_quat(rot.quat_from_yaw(yaw)), yaw, atol=1e-12)

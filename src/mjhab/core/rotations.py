@@ -14,11 +14,13 @@ _SIGN_WEIGHTS = (8.0, 4.0, 2.0, 1.0)
 def quat_canonical(q: Array) -> Array:
     """The one of ``q`` and ``-q`` (..., 4), which are the same rotation, whose first component that is not 0 is > 0.
 
-    So w >= 0. Zeros stay zeros. It costs four operations on any library, without a question to the device.
+    So w >= 0. Zeros and what is not a number stay as they are.
     """
     xp = namespace(q)
-    sign = xp.sign(xp.sign(q) @ constant(_SIGN_WEIGHTS, q))
-    return q * sign[..., None]
+    # Not xp.sign: array_api_compat's for torch makes the host wait for the device.
+    signs = xp.astype(q > 0, q.dtype) - xp.astype(q < 0, q.dtype)
+    negative = signs @ constant(_SIGN_WEIGHTS, q) < 0
+    return xp.where(negative[..., None], -q, q)
 
 
 def quat_mul(a: Array, b: Array) -> Array:

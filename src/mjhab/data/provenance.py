@@ -21,7 +21,7 @@ _LIBRARIES = ("mujoco", "mujoco-warp", "numpy", "h5py")
 _FREE = frozenset({"num_envs", "threads", "seed", "autoreset", "render_mode", "backend", "device", "starts", "buffers"})
 """Options of an environment that change nothing in an episode; its seed is kept with each episode. What is recorded
 comes from the CPU: the options of the other backend are not in force."""
-_VIEW = frozenset({"obs_mode", "cameras", "camera_size", "reward_mode", "reward_scales"})
+_VIEW = frozenset({"obs_mode", "cameras", "camera_size", "reward_mode", "reward_scales", "handle_points"})
 """Options that change what is seen and said of an episode, not what happens in it."""
 TRAIN_MAKER = "make_train"
 """``config["maker"]`` of runs in SubtaskTrain environments; the others have none: `mjhab.envs.make` builds them."""

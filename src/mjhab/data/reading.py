@@ -6,7 +6,7 @@ import functools
 import json
 import os
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -52,16 +52,28 @@ def shard_paths(places: Path | Sequence[Path]) -> list[Path]:
 
 
 class Episode:
-    """One recorded episode; arrays are read when they are asked for. Valid while its shard is open."""
+    """One recorded episode; arrays are read when they are asked for.
+
+    Once its shard is closed, the file is opened again for each reading.
+    """
 
     def __init__(self, shard: Shard, name: str) -> None:
         self.shard, self.name = shard, name
-        with self._reading():
+        with self._telling():
             self._group = shard.open_group(name)
 
     @contextmanager
     def _reading(self) -> Iterator[None]:
-        """Turn what h5py says about damage into what the user can do about it."""
+        """Have the group open, and turn what h5py says about damage into what the user can do about it."""
+        with ExitStack() as stack:
+            if not self._group:
+                self.shard = stack.enter_context(open_shard(self.shard.path))
+                self._group = self.shard.episode(self.name)._group
+            with self._telling():
+                yield
+
+    @contextmanager
+    def _telling(self) -> Iterator[None]:
         try:
             yield
         except (OSError, RuntimeError, ValueError, KeyError, TypeError) as error:
@@ -122,7 +134,8 @@ class Episode:
     @property
     def nbytes(self) -> int:
         """Bytes that its data takes in the file, without HDF5's own bookkeeping."""
-        return sum(dataset(self._group, path).id.get_storage_size() for path in self.paths)
+        with self._reading():
+            return sum(dataset(self._group, path).id.get_storage_size() for path in self.paths)
 
     def initial(self) -> dict[str, Any]:
         """The state after the reset, for ``env.set_state``."""
@@ -130,12 +143,14 @@ class Episode:
 
     def copy_to(self, parent: h5py.Group) -> None:
         """Copy it as it is into a group of another file."""
-        parent.copy(self._group, parent, self.name)
+        with self._reading():
+            parent.copy(self._group, parent, self.name)
 
     @property
     def paths(self) -> list[str]:
         """Paths of its datasets."""
-        return dataset_paths(self._group)
+        with self._reading():
+            return dataset_paths(self._group)
 
     def array(self, path: str) -> np.ndarray:
         """One dataset by its path in the schema, e.g. "actions" (N, A) or "states/qpos" (N+1, nq).
@@ -170,7 +185,8 @@ class Episode:
         return {head or tail: int(tail) if head else 0 for head, _, tail in split}
 
     def _column_names(self, path: str) -> list[str]:
-        told = read_attributes(dataset(self._group, path))
+        with self._reading():
+            told = read_attributes(dataset(self._group, path))
         return [name for name in str(told.get(COLUMNS, "")).split(",") if name]
 
     def table(self, path: str) -> dict[str, np.ndarray]:
@@ -187,14 +203,15 @@ class Episode:
         Raises:
             UsageError: it was not recorded.
         """
-        if f"obs/{key}" in self._group:
-            return self.array(f"obs/{key}")
-        parts = self.table("obs/state")
-        if key in parts:
-            return parts[key]
-        camera, output = _camera_output(key)
-        if camera:
-            return np.stack([self.frame(camera, output, t) for t in range(self.steps + 1)])
+        with self._reading():
+            if f"obs/{key}" in self._group:
+                return self.array(f"obs/{key}")
+            parts = self.table("obs/state")
+            if key in parts:
+                return parts[key]
+            camera, output = _camera_output(key)
+            if camera:
+                return np.stack([self.frame(camera, output, t) for t in range(self.steps + 1)])
         raise unknown_name("observation", key, [*parts, *(p[4:] for p in self.paths if p.startswith("obs/"))])
 
     @property
@@ -215,16 +232,19 @@ class Episode:
             UsageError: no such image was recorded.
         """
         place = f"images/{camera}/{output}"
-        if place not in self._group:
-            had = ", ".join(f"{c} {o}" for c, o in self.images) or "none"
-            how = "`mjhab replay --render` draws them from its states."
-            if "states/qpos" not in self._group:
-                how = "It was recorded without states to draw them from; record it again: `mjhab generate --images`."
-            raise UsageError(f"episode {self.name} has no {output} images of {camera} (it has: {had}). {how}")
         with self._reading():
+            if place not in self._group:
+                raise self._no_images(camera, output)
             ends = dataset(self._group, f"{place}/ends")
             start = int(ends[t - 1]) if t else 0
             return decode(dataset(self._group, f"{place}/bytes")[start : int(ends[t])].tobytes(), output)
+
+    def _no_images(self, camera: str, output: str) -> UsageError:
+        had = ", ".join(f"{c} {o}" for c, o in self.images) or "none"
+        how = "`mjhab replay --render` draws them from its states."
+        if "states/qpos" not in self.paths:
+            how = "It was recorded without states to draw them from; record it again: `mjhab generate --images`."
+        return UsageError(f"episode {self.name} has no {output} images of {camera} (it has: {had}). {how}")
 
     def frame_places(self, camera: str, output: str) -> tuple[int, np.ndarray] | None:
         """Offset of the first frame in the file and ends (N+1,) of all frames from there on [bytes].
@@ -235,8 +255,8 @@ class Episode:
         Raises:
             UsageError: no such image was recorded.
         """
-        self.frame(camera, output, 0)
         with self._reading():
+            self.frame(camera, output, 0)
             place = f"images/{camera}/{output}"
             offset = dataset(self._group, f"{place}/bytes").id.get_offset()
             if offset is None or self.shard.journalled:
@@ -371,7 +391,7 @@ class Shard:
         return len(self.names)
 
     def close(self) -> None:
-        """Close the file; episodes of it can no longer be read."""
+        """Close the file. Its episodes open it again whenever they are read."""
         if hasattr(self, "file"):
             self.file.close()
         if self._fd >= 0:
@@ -399,7 +419,8 @@ def open_shard(path: Path | str) -> Shard:
 
 
 def episodes(places: Path | Sequence[Path]) -> Iterator[Episode]:
-    """Every episode of shards and folders; each is valid until the next shard is reached."""
+    """Every episode of shards and folders. They may be kept: once the next shard is reached, each reading of an episode
+    of the one before opens that file again."""
     for path in shard_paths(places):
         with open_shard(path) as shard:
             yield from shard

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -25,6 +25,7 @@ class RunInfo:
     engine, libraries. commit: of the source, "" if unknown, with "+changes" if it had any. machine: processor and
     system; bit-exact replay may need the same. layout: names and sizes that give the columns of states their meaning.
     assets, licence: the pack and the terms of what is in it.
+    lacks: paths of datasets that its episodes do not have since their source had none (imported data).
     """
 
     config: dict[str, Any]
@@ -35,6 +36,7 @@ class RunInfo:
     layout: dict[str, Any] = field(default_factory=dict)
     assets: str = "builtin"
     licence: str = ""
+    lacks: Sequence[str] = ()
 
     @property
     def config_id(self) -> str:
@@ -74,7 +76,8 @@ class EpisodeData:
     columns: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        wrong = problems({**self.arrays, "record": np.zeros(1, np.uint8)}, self.record.steps)
+        arrays = {**self.arrays, "record": np.zeros(1, np.uint8)}
+        wrong = problems(arrays, self.record.steps, lacks=self.run.lacks)
         if wrong:
             raise ValueError(f"episode {self.record.index} does not fit the schema: {'; '.join(wrong)}")
 

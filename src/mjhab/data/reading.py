@@ -19,7 +19,7 @@ from mjhab.data.hdf5 import check_format, dataset, dataset_paths, group, read_ar
 from mjhab.data.images import decode
 from mjhab.data.journal import Overlay, committed_length, read_journal
 from mjhab.data.locking import is_written, quiet
-from mjhab.data.schema import CHECKS, COLUMNS, EPISODES, RUNS, TERMINAL, DamagedError, problems
+from mjhab.data.schema import COLUMNS, EPISODES, RUNS, TERMINAL, DamagedError, checks_by_name, problems
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.tasks.labels import History
 
@@ -121,6 +121,11 @@ class Episode:
         with self._reading():
             if path in self._group:
                 return dataset(self._group, path)[()]
+        if path in self.run.lacks:
+            raise UsageError(
+                f"episode {self.name} was imported from data without it: {path} is not there. Its run lacks "
+                f"{', '.join(self.run.lacks)}, so it can neither be simulated again nor rendered nor labelled anew."
+            )
         if path.startswith("states/"):
             raise UsageError(
                 f"episode {self.name} was recorded without states: {path} is not there, and nothing can be rendered "
@@ -175,7 +180,9 @@ class Episode:
         if place not in self._group:
             had = ", ".join(f"{c} {o}" for c, o in self.images) or "none"
             how = "`mjhab replay --render` draws them from its states."
-            if "states/qpos" not in self._group:
+            if "states/qpos" in self.run.lacks:
+                how = "It was imported from data without states to draw them from."
+            elif "states/qpos" not in self._group:
                 how = "It was recorded without states to draw them from; record it again: `mjhab generate --images`."
             raise UsageError(f"episode {self.name} has no {output} images of {camera} (it has: {had}). {how}")
         with self._reading():
@@ -204,15 +211,15 @@ class Episode:
         """Index in the plan of the k-th subtask that was reached, and its signals (T+1, 1) bool for `tasks.labels`."""
         starts = [*self.array("subtasks/step").tolist(), self.steps]
         first = self.array("subtasks/checks")[k : k + 1]
-        checks = np.concatenate([first, self.array("signals/checks")[starts[k] + 1 : starts[k + 1] + 1]]).astype(bool)
-        fields = {name: checks[:, column : column + 1] for column, name in enumerate(CHECKS)}
+        checks = np.concatenate([first, self.array("signals/checks")[starts[k] + 1 : starts[k + 1] + 1]])
+        fields = checks_by_name(checks)
         return int(self.array("subtasks/index")[k]), History(**{n: fields[n] for n in History.__dataclass_fields__})
 
     def problems(self) -> list[str]:
         """What is wrong with it, in words: parts that are missing or do not fit, or bytes that have changed."""
         with self._reading():
             arrays = read_arrays(self._group)
-            wrong = problems(arrays, self.steps, others=True)
+            wrong = problems(arrays, self.steps, others=True, lacks=self.run.lacks)
             if not wrong and episode_digest(arrays) != self.attributes["digest"]:
                 wrong.append("its bytes are not those that were written (digest)")
             if not wrong and self.record.steps != self.steps:

@@ -132,7 +132,7 @@ def mark_ee_contacts(
     update: wp.array[bool],
     ee_contact: wp.array2d[bool],
 ):
-    """Mark the targets that fingers or gripper_link touch; ``is_end_effector`` and ``target_of`` (-1: none) of bodies."""
+    """Mark the targets that fingers or gripper_link touch. ``target_of``: target of a body, -1 for none."""
     contact = wp.tid()
     if contact >= nacon[0] or (kind[contact] & CONSTRAINT_CONTACT) == 0:
         return

@@ -279,8 +279,8 @@ def measure(
     rows = (
         is_grasped, _rest(state, cos, sin, config), *_stillness(state, active.rest_tol, config),
         cumulative <= active.force_limit, contact, state.target_contact | contact, state.ee_contact | contact,
-        pick_column(there, active.index), *_joint(state, active, config), *_arrival(state, active, cos, sin, config), ~is_grasped,
-        is_grasped | ~active.must_hold,
+        pick_column(there, active.index), *_joint(state, active, config), *_arrival(state, active, cos, sin, config),
+        ~is_grasped, is_grasped | ~active.must_hold,
     )  # fmt: skip
     checks = pile(rows) & active.applies
     return Signals(

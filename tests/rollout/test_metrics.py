@@ -25,8 +25,8 @@ from mjhab.rollout.policy import ZeroPolicy
 from mjhab.rollout.records import EpisodeRecord
 from tests.rollout.fake_env import SET_TABLE, FakeEnv
 
-KEYS = ["episodes", "success_once", "success_at_end", "progressive", "upper_bound", "labels", "legacy_labels", "tainted",
-        "seconds"]  # fmt: skip
+KEYS = ["episodes", "success_once", "success_at_end", "progressive", "upper_bound", "labels", "legacy_labels"]
+KEYS += ["tainted", "seconds"]
 
 
 @pytest.fixture(scope="module")

@@ -25,7 +25,7 @@ class RunInfo:
     engine, libraries. commit: of the source, "" if unknown, with "+changes" if it had any. machine: processor and
     system; bit-exact replay may need the same. layout: names and sizes that give the columns of states their meaning.
     assets, licence: the pack and the terms of what is in it.
-    lacks: paths of datasets that its episodes do not have since their source had none (imported data).
+    absent: paths of datasets that its episodes do not have since their source had none (imported data).
     """
 
     config: dict[str, Any]
@@ -36,7 +36,7 @@ class RunInfo:
     layout: dict[str, Any] = field(default_factory=dict)
     assets: str = "builtin"
     licence: str = ""
-    lacks: Sequence[str] = ()
+    absent: Sequence[str] = ()
 
     @property
     def config_id(self) -> str:
@@ -77,7 +77,7 @@ class EpisodeData:
 
     def __post_init__(self) -> None:
         arrays = {**self.arrays, "record": np.zeros(1, np.uint8)}
-        wrong = problems(arrays, self.record.steps, lacks=self.run.lacks)
+        wrong = problems(arrays, self.record.steps, absent=self.run.absent)
         if wrong:
             raise ValueError(f"episode {self.record.index} does not fit the schema: {'; '.join(wrong)}")
 

@@ -121,10 +121,10 @@ class Episode:
         with self._reading():
             if path in self._group:
                 return dataset(self._group, path)[()]
-        if path in self.run.lacks:
+        if path in self.run.absent:
             raise UsageError(
-                f"episode {self.name} was imported from data without it: {path} is not there. Its run lacks "
-                f"{', '.join(self.run.lacks)}, so it can neither be simulated again nor rendered nor labelled anew."
+                f"episode {self.name} was imported from data without it: {path} is not there. Its source lacks "
+                f"{', '.join(self.run.absent)}, so it can neither be simulated again nor rendered nor labelled anew."
             )
         if path.startswith("states/"):
             raise UsageError(
@@ -180,7 +180,7 @@ class Episode:
         if place not in self._group:
             had = ", ".join(f"{c} {o}" for c, o in self.images) or "none"
             how = "`mjhab replay --render` draws them from its states."
-            if "states/qpos" in self.run.lacks:
+            if "states/qpos" in self.run.absent:
                 how = "It was imported from data without states to draw them from."
             elif "states/qpos" not in self._group:
                 how = "It was recorded without states to draw them from; record it again: `mjhab generate --images`."
@@ -219,7 +219,7 @@ class Episode:
         """What is wrong with it, in words: parts that are missing or do not fit, or bytes that have changed."""
         with self._reading():
             arrays = read_arrays(self._group)
-            wrong = problems(arrays, self.steps, others=True, lacks=self.run.lacks)
+            wrong = problems(arrays, self.steps, others=True, absent=self.run.absent)
             if not wrong and episode_digest(arrays) != self.attributes["digest"]:
                 wrong.append("its bytes are not those that were written (digest)")
             if not wrong and self.record.steps != self.steps:

@@ -114,7 +114,7 @@ def checks_by_name(rows: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def problems(
-    arrays: Mapping[str, np.ndarray], steps: int, others: bool = False, lacks: Collection[str] = ()
+    arrays: Mapping[str, np.ndarray], steps: int, others: bool = False, absent: Collection[str] = ()
 ) -> list[str]:
     """What is wrong with the datasets of an episode of ``steps`` actions, in words; empty if nothing is.
 
@@ -124,9 +124,9 @@ def problems(
         arrays: every dataset by its path.
         steps: N.
         others: datasets that are not of this schema may be there, too: a later version may have added them.
-        lacks: paths of fields that the source of the episode did not have (`RunInfo.lacks`).
+        absent: paths of fields that the source of the episode did not have (`RunInfo.absent`).
     """
-    found = [f"{f.path} is missing" for f in FIELDS if not (f.optional or f.path in arrays or f.path in lacks)]
+    found = [f"{f.path} is missing" for f in FIELDS if not (f.optional or f.path in arrays or f.path in absent)]
     count = len(arrays["subtasks/step"]) if "subtasks/step" in arrays else 0
     rows = {"N": steps, "N+1": steps + 1, "K": count}
     for path, array in arrays.items():

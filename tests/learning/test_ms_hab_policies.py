@@ -15,13 +15,15 @@ import torch
 
 from mjhab.core.errors import UsageError
 from mjhab.core.seeding import stream
+from mjhab.envs import make
 from mjhab.learning.ms_hab.checkpoint import LAYOUTS, load_network
 from mjhab.learning.ms_hab.policy import ENV_OPTIONS, MsHabPolicy, ms_hab_policy
+from mjhab.rollout.loop import rollout
 from tests.learning import ms_hab_checkpoints as original
 
 WORLDS = 2
 SEED = 7
-ENV = SimpleNamespace(config=SimpleNamespace(**ENV_OPTIONS))
+ENV: Any = SimpleNamespace(config=SimpleNamespace(**ENV_OPTIONS))
 
 
 @dataclass(frozen=True)
@@ -216,10 +218,12 @@ def test_environments_and_observations_that_do_not_fit(tmp_path: Path) -> None:
     path = original.save(tmp_path / "a.pt", original.random_weights(CASES["ppo"].shapes))
     changes = {"obs_mode": "rgb", "cameras": ("fetch_head",), "camera_size": 64, "control_mode": "pd_joint_pos"}
     for option, value in changes.items():
-        env = SimpleNamespace(config=SimpleNamespace(**{**ENV_OPTIONS, option: value}))
+        env: Any = SimpleNamespace(config=SimpleNamespace(**{**ENV_OPTIONS, option: value}))
         with pytest.raises(UsageError, match=rf"{option} (is|are) .*Make it with obs_mode='depth'"):
             ms_hab_policy(path, env)
-    wide = SimpleNamespace(config=SimpleNamespace(**{**ENV_OPTIONS, "obs_mode": "rgbd+seg", "camera_size": (128, 128)}))
+    wide: Any = SimpleNamespace(
+        config=SimpleNamespace(**{**ENV_OPTIONS, "obs_mode": "rgbd+seg", "camera_size": (128, 128)})
+    )
     policy = ms_hab_policy(path, wide)
     policy.reset(np.ones(WORLDS, bool))
     obs = observation(np.random.default_rng(0))
@@ -229,3 +233,25 @@ def test_environments_and_observations_that_do_not_fit(tmp_path: Path) -> None:
     small = {**obs, "sensor_data/fetch_head/depth": np.zeros((WORLDS, 64, 64, 1), np.int16)}
     with pytest.raises(UsageError, match=r"fetch_head/depth has shape \(2, 64, 64, 1\); .* need \(2, 128, 128, 1\)"):
         policy.act(small, info(0, 1))
+
+
+def test_a_policy_acts_in_an_environment(tmp_path: Path) -> None:
+    weights = original.random_weights(CASES["sac"].shapes)
+    path = original.save(tmp_path / "policy.pt", weights)
+    env = make(task="set_table", subtask="pick", num_envs=2, autoreset="disabled", threads=1, **ENV_OPTIONS)
+    policy = ms_hab_policy(path, env)
+    seen: list[tuple[dict, dict]] = []
+    inner = policy.act
+
+    def act(obs: dict[str, Any], info: dict[str, Any]) -> np.ndarray:
+        actions = inner(obs, info)
+        seen.append((obs, {"actions": actions}))
+        return actions
+
+    policy.act = act  # type: ignore[method-assign]
+    records = rollout(env, policy, range(2), SEED, max_steps=3)
+    assert [entry.steps for entry in records] == [3, 3] and len(seen) == 3
+    for w in range(2):
+        plain = Plain(CASES["sac"], weights, w, w)
+        for obs, given in seen:
+            np.testing.assert_allclose(given["actions"][w], plain.act(obs), atol=2e-4)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,8 @@ import pytest
 from mjhab.data.export_maniskill import export_maniskill
 from mjhab.data.images import ImageFormat
 from mjhab.data.reading import Episode, episodes
+from mjhab.tasks.events import LABEL_EVENTS
+from mjhab.tasks.plan import SubtaskKind
 from tests.data.fake_world import SIZE, FakeEnv
 from tests.data.make import record
 
@@ -63,7 +66,16 @@ def check(group: Any, episode: Episode, number: int, info: dict[str, Any]) -> No
     assert (info["episode_id"], info["elapsed_steps"], info["label"]) == (
         number, count, record_.subtasks[-1].label,
     )  # fmt: skip
-    assert info["success_once"] == record_.success_once and info["events"] == [e for _, e in record_.events]
+    assert info["success_once"] == record_.success_once
+    assert info["legacy_label"] == record_.subtasks[-1].legacy_label
+    theirs = {"excessive_collisions": "exceeded_cumulative_force_limit"}
+    counted = [theirs.get(e, e) for _, e in record_.events if e in LABEL_EVENTS[SubtaskKind.PICK]]
+    assert info["events"] == [e for e, _ in itertools.groupby(counted)]
+    verbose = [[step - 1, theirs.get(e, e), None] for step, e in record_.events]
+    assert [each for each in info["events_verbose"] if each[1] != "collision"] == verbose
+    collisions = [each for each in info["events_verbose"] if each[1] == "collision"]
+    met = {step: force for steps, _, forces in collisions for step, force in zip(steps, forces, strict=True)}
+    assert met == {step: force for step, force in enumerate(record_.force) if force > 0}
 
 
 def test_groups_keep_the_order_of_the_state(source: Path, tmp_path: Path) -> None:

@@ -171,11 +171,18 @@ def test_presets() -> None:
     for name in PRESETS:
         assert Filter.preset(name).text == PRESETS[name][0]
     assert Filter.preset("pick_paper")(GOOD, RUN) and not Filter.preset("place_paper")(GOOD, RUN)
-    close = dataclasses.replace(SUB, kind="close", target="fridge/top_door", label="success_then_excessive_collisions")
+    close = dataclasses.replace(SUB, kind="close", target="fridge/top_door", label="success_then_excessive_collisions",
+                                legacy_label="success_then_excessive_collisions")  # fmt: skip
     fridge = dataclasses.replace(GOOD, subtask="close", subtasks=(close,))
     drawer = dataclasses.replace(fridge, subtasks=(dataclasses.replace(close, target="kitchen_counter/drawer3"),))
     assert Filter.preset("close_published")(fridge, RUN) and not Filter.preset("close_paper")(fridge, RUN)
     assert not Filter.preset("close_published")(drawer, RUN)
+    # A second grasp at the goal: five events for the published rules, placed all the same by ours.
+    again = dataclasses.replace(SUB, kind="place", label="placed_in_goal_success", legacy_label="winding_success")
+    place = dataclasses.replace(GOOD, subtask="place", subtasks=(again,))
+    assert Filter.preset("place_paper")(place, RUN) and not Filter.preset("place_published")(place, RUN)
+    straight = dataclasses.replace(place, subtasks=(dataclasses.replace(again, legacy_label=again.label),))
+    assert Filter.preset("place_published")(straight, RUN)
     with pytest.raises(UsageError, match="Did you mean 'pick_paper'"):
         Filter.preset("pickpaper")
 

@@ -154,7 +154,7 @@ def test_states_and_actions_that_do_not_fit_are_refused(tmp_path: Path) -> None:
         ("states/qpos", arrays["states/qpos"][1:], r"states/qpos has \d+ rows, not \d+ \(N\+1 with N = \d+ actions\)"),
         ("actions", arrays["actions"][1:], r"actions has \d+ rows"),
         ("actions", arrays["actions"].astype(float), "actions is float64, not float32"),
-        ("signals/checks", arrays["signals/checks"][:, 1:], f"not {len(CHECKS)} columns"),
+        ("signals/checks", arrays["signals/checks"][:, 2:], f"not {len(CHECKS)} columns"),
         ("subtasks/step", arrays["subtasks/step"] + 1, "must begin with 0"),
         ("obs/state", None, "obs/state is missing"),
         ("states/forces", arrays["actions"], "not part of the schema"),

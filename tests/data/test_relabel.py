@@ -13,8 +13,11 @@ import pytest
 from mjhab.cli.main import main
 from mjhab.data import relabel as module
 from mjhab.data.checking import check
+from mjhab.data.episode_data import EpisodeData
 from mjhab.data.reading import episodes
 from mjhab.data.relabel import relabel
+from mjhab.data.schema import CHECKS
+from mjhab.data.shard import ShardWriter
 from mjhab.tasks.labels import LABELS
 from mjhab.tasks.plan import SubtaskKind
 from tests.data.fake_world import CHAIN, FakeEnv
@@ -86,3 +89,25 @@ def test_a_record_that_does_not_fit_its_signals_is_refused(tmp_path: Path) -> No
                 relabel(episode)
             return
     raise AssertionError("no episode got beyond its first subtask")
+
+
+def test_a_shard_without_ee_contact_is_read_with_touch_in_its_place(tmp_path: Path) -> None:
+    record(tmp_path / "new.h5", range(6))
+    old = len(CHECKS) - 1
+    assert CHECKS[old] == "ee_contact"
+    with ShardWriter(tmp_path / "old.h5") as writer:
+        for episode in episodes(tmp_path / "new.h5"):
+            arrays = {path: episode.array(path) for path in episode.paths if path != "record"}
+            cut = {path: arrays[path][:, :old] for path in ("signals/checks", "subtasks/checks")}
+            columns = {"signals/checks": CHECKS[:old]}
+            writer.append(EpisodeData(episode.record, episode.run, "m", "cut", arrays | cut, columns))
+    assert check(tmp_path / "old.h5").clean
+    for episode in episodes(tmp_path / "old.h5"):
+        for k in range(len(episode.array("subtasks/step"))):
+            _, history = episode.history(k)
+            np.testing.assert_array_equal(history.ee_contact, history.touch)
+    differ = 0
+    for episode in episodes(tmp_path / "new.h5"):
+        _, history = episode.history(0)
+        differ += int((history.ee_contact != history.touch).sum())
+    assert differ

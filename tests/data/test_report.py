@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from mjhab.core.errors import UsageError
-from mjhab.data import report_labels
 from mjhab.data.images import ImageFormat
 from mjhab.data.mosaics import EVERY, TILE, mosaic
 from mjhab.data.paper import ORDER, POLICIES, paper_row
@@ -21,7 +20,7 @@ from mjhab.data.query import Filter
 from mjhab.data.reading import episodes
 from mjhab.data.report import render_data_report
 from mjhab.data.report_forces import force_plots
-from mjhab.data.report_labels import ALL, grouped, label_table
+from mjhab.data.report_labels import ALL, grouped, label_order, label_table
 from mjhab.sim.film import FilmWriter
 from mjhab.tasks.labels import LABELS
 from mjhab.tasks.plan import KIND_NAMES, SubtaskKind
@@ -68,10 +67,13 @@ def test_shares_of_labels_stand_in_the_table(tmp_path: Path) -> None:
     records, _ = record(tmp_path / "a.h5", range(8), FakeEnv(subtask="pick"))
     groups = grouped(records)
     table = label_table("pick", groups)
-    labels = Counter(r.subtasks[-1].label for r in records)
     assert sum(map(len, groups.values())) == 8 and not any(group.target == ALL for group in groups)
-    for label, count in labels.items():
-        assert f'title="{label}: {count} of 8">{100 * count / 8:.1f}</td>' in table
+    for rules, which in (("published rules", "legacy_label"), ("own rules", "label")):
+        for label, count in Counter(getattr(r.subtasks[-1], which) for r in records).items():
+            assert f'title="mjhab, {rules}, {label}: {count} of 8">{100 * count / 8:.1f}</td>' in table
+    assert any(r.subtasks[-1].label != r.subtasks[-1].legacy_label for r in records)
+    columns = re.findall(r'<th class="n"[^>]*>([^<]*)</th>', table)
+    assert columns == ["mjhab, published rules", "mjhab, own rules", *(f"paper {policy}" for policy in POLICIES)]
     for policy in POLICIES:
         row = paper_row("set_table", "pick", "val", "024_bowl", policy)
         assert row is not None and f"paper {policy}" in table and f">{row.success_once:.1f}</td>" in table
@@ -134,8 +136,8 @@ def test_the_page_is_whole(tmp_path: Path) -> None:
         render_data_report(tmp_path, FilmWriter, Filter("steps > 1000"))
 
 
-def test_columns_of_every_kind_have_names_of_their_own() -> None:
+def test_every_label_of_a_kind_has_a_row() -> None:
     for kind in KIND_NAMES:
-        names = [report_labels._short(label) for label in report_labels.label_order(kind)]
-        assert len(set(names)) == len(names) == len(set(report_labels.label_order(kind)))
-    assert report_labels.label_order("navigate")[0] == "navigation_success"
+        names = label_order(kind)
+        assert sorted(names) == sorted(LABELS[SubtaskKind(KIND_NAMES.index(kind))])
+    assert label_order("navigate")[0] == "navigation_success"

@@ -23,6 +23,7 @@ from mjhab.envs.spawn_factory import make_set
 from mjhab.envs.spawn_sets import SpawnRecipe
 from mjhab.envs.wrappers import FlattenStatePixels, FrameStack
 from mjhab.sim.protocol import TAINTS
+from mjhab.tasks.labels import WATCHED
 
 NAN_BIT = 1 << TAINTS.index("nan")
 
@@ -193,6 +194,20 @@ def test_state_round_trip_in_another_environment():
         assert r1[1] == r2[2] and i1["cumulative_force"][1] == i2["cumulative_force"][2]
     assert physics(env, 1) == physics(other, 2)
     assert flat(env.get_state(1)["tracker"]) == flat(other.get_state(2)["tracker"])
+
+
+def test_a_state_of_a_version_without_ee_contact_is_taken():
+    env = build(num_envs=1)
+    env.reset(seed=0)
+    state = env.get_state(0)
+    lacking = WATCHED.index("ee_contact")
+    old = {**state, "signals": {k: v for k, v in state["signals"].items() if k != "ee_contact"}}
+    labels = {**state["tracker"]["labels"]}
+    labels |= {name: np.delete(labels[name], lacking) for name in ("now", "seen")}
+    old["tracker"] = {**state["tracker"], "labels": labels}
+    env.set_state(0, old)
+    # Nothing touches anything at the start.
+    assert flat(env.get_state(0)) == flat(state)
 
 
 def test_state_before_reset_and_of_another_layout_are_refused():

@@ -25,7 +25,8 @@ from mjhab.rollout.policy import ZeroPolicy
 from mjhab.rollout.records import EpisodeRecord
 from tests.rollout.fake_env import SET_TABLE, FakeEnv
 
-KEYS = ["episodes", "success_once", "success_at_end", "progressive", "upper_bound", "labels", "tainted", "seconds"]
+KEYS = ["episodes", "success_once", "success_at_end", "progressive", "upper_bound", "labels", "legacy_labels"]
+KEYS += ["tainted", "seconds"]
 
 
 @pytest.fixture(scope="module")
@@ -40,13 +41,19 @@ def test_summary_has_exactly_the_keys_for_machines(records: list[EpisodeRecord])
     assert 0 < summary["success_once"] == summary["success_at_end"] < 1
     assert summary["tainted"] == sum(1 for record in records if record.taint) > 0
     assert sum(summary["labels"].values()) == sum(len(record.subtasks) for record in records)
+    legacy = [subtask.legacy_label for record in records for subtask in record.subtasks]
+    assert summary["legacy_labels"] == {name: legacy.count(name) for name in set(legacy) - {None}}
     json.dumps(summary, allow_nan=False)
 
 
 def test_summary_of_nothing() -> None:
     summary = summarize([], 0.0)
     assert list(summary) == KEYS
-    assert summary["success_once"] == 0.0 and summary["progressive"] == [] and summary["labels"] == {}
+    assert (
+        summary["success_once"] == 0.0
+        and summary["progressive"] == []
+        and summary["labels"] == summary["legacy_labels"] == {}
+    )
 
 
 def test_progressive_counts_episodes_that_got_so_far(records: list[EpisodeRecord]) -> None:

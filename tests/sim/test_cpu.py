@@ -100,6 +100,30 @@ def test_contact_sensors_match_the_contact_forces_of_the_engine(layout: Layout):
         assert np.linalg.norm(want) > 5.0
 
 
+@pytest.mark.parametrize(
+    ("link", "offset", "by_hand"),
+    [("gripper_link", (-0.12, 0.0, 0.0), True), ("gripper_link", (0.0, 0.0, 0.0), True),
+     ("forearm_roll_link", (0.05, 0.0, 0.0), False), ("base_link", (0.3, 0.0, 0.15), False)],
+)  # fmt: skip
+def test_the_end_effector_is_gripper_link_and_fingers(layout: Layout, link: str, offset: tuple, by_hand: bool):
+    home = layout.pack.homes[0].name
+    sim = CpuSimulator(layout, 1, 1)
+    model, a = sim.model(home), sim.addresses
+    data = mujoco.MjData(model)
+    qpos = model.qpos0.copy()
+    qpos[a.robot_q] = parked_robot_qpos()
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    place = data.body(link).xpos + data.body(link).xmat.reshape(3, 3) @ offset
+    qpos[a.object_q[0] : a.object_q[0] + 3] = place
+    sim.reset([0], [home], qpos[None])
+    state = sim.state()
+    assert state.touch[0].tolist() == [True] + [False] * (state.touch.shape[1] - 1)
+    assert state.ee_contact[0].tolist() == [by_hand] + [False] * (state.touch.shape[1] - 1)
+    # The palm alone counts, too.
+    assert bool(np.any(state.finger_force[0, :, 0])) == (offset == (0.0, 0.0, 0.0))
+
+
 def test_reset_of_one_world_keeps_the_bytes_of_the_others(layout: Layout):
     homes = [h.name for h in layout.pack.homes[:2]]
     sim = CpuSimulator(layout, 2, 2)

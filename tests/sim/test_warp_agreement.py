@@ -67,6 +67,7 @@ def test_forces_of_a_grasp_agree_with_the_cpu_simulator(shared, cpu: CpuSimulato
         np.testing.assert_allclose(got.finger_force, want.finger_force, atol=limit * pinch.max())
         np.testing.assert_allclose(got.link_force, want.link_force, atol=limit * pinch.max())
         np.testing.assert_array_equal(got.touch, want.touch)
+        np.testing.assert_array_equal(got.ee_contact, want.ee_contact)
         assert got.touch[0, CAN] and not got.touch[0, BOX]
 
 
@@ -86,6 +87,7 @@ def test_forces_agree_where_the_robot_is_in_the_thick_of_things(shared, cpu: Cpu
     assert (want.link_force > 1.0).sum() >= WORLDS
     np.testing.assert_allclose(got.link_force, want.link_force, rtol=0.05, atol=0.02 * want.link_force.max())
     np.testing.assert_array_equal(got.touch, want.touch)
+    np.testing.assert_array_equal(got.ee_contact, want.ee_contact)
 
 
 def test_trap_static_poses_each_world_rests_on_its_own_furniture(shared, cpu: CpuSimulator, layout: Layout) -> None:

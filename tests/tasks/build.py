@@ -36,6 +36,7 @@ def resting(subtasks: int = 1, worlds: int = 1, rest: tuple[float, ...] = REST, 
         "finger_dir": np.tile([[0.0, -1.0, 0.0], [0.0, 1.0, 0.0]], (worlds, 1, 1)),
         "robot_force": zeros(worlds),
         "target_contact": zeros(worlds, dtype=bool),
+        "ee_contact": zeros(worlds, dtype=bool),
         "plan_obj_pos": zeros((worlds, subtasks, 3)),
         "joint_q": np.full(worlds, 0.25),
         "joint_min": zeros(worlds),
@@ -83,6 +84,7 @@ def random_history(rng: np.random.Generator, kind: int, steps: int, worlds: int)
 
     grasped = flips(0.4)
     contact = grasped | flips(0.3)
+    ee_contact = contact | flips(0.3)
     at_goal, near = flips(0.3), flips(0.5)
     opened, closed = flips(0.3), flips(0.3)
     closed = closed & ~opened
@@ -98,7 +100,8 @@ def random_history(rng: np.random.Generator, kind: int, steps: int, worlds: int)
         slightly_closed=closed | (flips(0.3) & ~opened),
         near=near,
         contact=contact,
-        touch=contact | flips(0.3),
+        touch=ee_contact | flips(0.3),
+        ee_contact=ee_contact,
         force_ok=force_ok,
         success=goal & force_ok & (rng.random((steps, worlds)) < rng.random(worlds) * 0.7),
         must_hold=np.broadcast_to(rng.random(worlds) < 0.5, (steps, worlds)).copy(),

@@ -212,3 +212,59 @@ def test_tracker_restarts_only_the_worlds_asked_for() -> None:
             tracker.restart(np.array([True, False]), record.row(3))
     assert tracker.events(1) == whole.events(1) and tracker.labels(kinds)[1] == whole.labels(kinds)[1]
     assert all(step > 3 for step, _ in tracker.events(0))
+
+
+DIFFERENT: dict[str, tuple[int, dict[str, str | bool], str, str]] = {
+    "grasped again at the goal": (
+        PLACE, {"is_grasped": "1110100", "at_goal": "0111111", "success": "0000001"},
+        "winding_success", "placed_in_goal_success",
+    ),
+    "let go twice outside": (
+        PLACE, {"is_grasped": "1101000", "at_goal": "0000011", "success": "0000001"},
+        "winding_success", "dropped_to_goal_success",
+    ),
+    "pushed through the goal": (PLACE, {"at_goal": "0010"}, "drop_to_goal_failure", "didnt_grasp_failure"),
+    "grasped again after success": (
+        PICK, {"is_grasped": "0011011", "contact": "0111011", "ee_contact": "0111011", "success": "0001000"},
+        "success_then_drop", "winding_success",
+    ),
+    "touched by the palm": (PICK, {"ee_contact": "0110"}, "mobility_failure", "cant_grasp_failure"),
+    "handle touched by the palm, open": (
+        OPEN, {"ee_contact": "0110"}, "cant_reach_articulation_failure", "cant_open_failure",
+    ),
+    "handle touched by the palm, close": (
+        CLOSE, {"ee_contact": "0110"}, "cant_reach_articulation_failure", "cant_close_failure",
+    ),
+    "open, then half": (
+        OPEN, {"contact": "01111", "ee_contact": "01111", "slightly_opened": "00111", "opened": "00110",
+               "success": "00010"},
+        "open_success", "dubious_success",
+    ),
+    "closed, then half": (
+        CLOSE, {"contact": "01111", "ee_contact": "01111", "slightly_closed": "00111", "closed": "00110",
+                "success": "00010"},
+        "closed_success", "dubious_success",
+    ),
+    "open for a moment": (
+        OPEN, {"contact": "01111", "ee_contact": "01111", "slightly_opened": "00111", "opened": "00110"},
+        "slightly_open_failure", "closed_after_open_failure",
+    ),
+    "moved and back": (
+        CLOSE, {"contact": "0111", "ee_contact": "0111", "slightly_closed": "0110"},
+        "open_after_closing_failure", "slightly_closed_failure",
+    ),
+    "lost on the way": (
+        NAVIGATE, {"is_grasped": "1101111", "near": "0000111", "success": "0000011", "must_hold": True},
+        "success_then_dropped", "navigation_success",
+    ),
+}  # fmt: skip
+"""Histories that the two sets of rules label differently: the table of docs/data.md."""
+
+
+@pytest.mark.parametrize("name", DIFFERENT)
+def test_where_published_and_own_labels_differ(name: str) -> None:
+    kind, rows, legacy, own = DIFFERENT[name]
+    record = history(**rows)
+    kinds = np.array([int(kind)])
+    assert legacy_history(kind, record) == [legacy]
+    assert label_names(kinds, label_history(kinds, record)) == [own]

@@ -12,12 +12,15 @@ from hypothesis.extra.numpy import arrays
 
 from mjhab.tasks.labels import (
     LABELS,
+    WATCHED,
     History,
     fold,
+    get_row,
     label,
     label_history,
     label_names,
     restart,
+    set_row,
     start,
     update,
 )
@@ -50,7 +53,7 @@ def real_history(draw: st.DrawFn, kind: int) -> History:
 def expected_label(kind: int, h: History) -> str:
     """The decision lists once more, read off naively, for one world."""
     g, a, s = (getattr(h, n)[:, 0].tolist() for n in ("is_grasped", "at_goal", "success"))
-    excess, touched = not h.force_ok.all(), h.touch.any()
+    excess, touched = not h.force_ok.all(), h.ee_contact.any()
     releases = [t for t in range(1, len(g)) if g[t - 1] and not g[t]]
     exits = [t for t in range(1, len(a)) if a[t - 1] and not a[t]]
     if any(s) and excess:
@@ -91,7 +94,7 @@ def expected_joint_label(kind: int, h: History) -> str:
     there = (h.opened if opening else h.closed)[:, 0].tolist()
     if h.success.any():
         return "dubious_success" if not there[-1] else "open_success" if opening else "closed_success"
-    if not h.touch.any():
+    if not h.ee_contact.any():
         return "cant_reach_articulation_failure"
     if any(there):
         back = "closed_after_open_failure" if opening else "open_after_closing_failure"
@@ -122,10 +125,10 @@ EXAMPLES: dict[tuple[int, str], History] = {
     (0, "success_then_excessive_collisions"): history(is_grasped="0111", success="0010", force_ok="1110"),
     (0, "success_then_drop"): history(is_grasped="0110", success="0010"),
     (0, "winding_success"): history(is_grasped="01011", success="00001"),
-    (0, "straightforward_success"): history(is_grasped="0011", touch="0111", success="0001"),
+    (0, "straightforward_success"): history(is_grasped="0011", ee_contact="0111", success="0001"),
     (0, "excessive_collision_failure"): history(is_grasped="0111", force_ok="1110"),
     (0, "mobility_failure"): history(steps=4),
-    (0, "cant_grasp_failure"): history(touch="0100"),
+    (0, "cant_grasp_failure"): history(ee_contact="0100"),
     (0, "drop_failure"): history(is_grasped="0110"),
     (0, "too_slow_failure"): history(is_grasped="0101"),
     (1, "success_then_excessive_collisions"): history(at_goal="0111", success="0010", force_ok="1110"),
@@ -151,19 +154,19 @@ EXAMPLES: dict[tuple[int, str], History] = {
     (3, "open_success"): history(opened="0111", success="0001"),
     (3, "excessive_collision_failure"): history(opened="0111", force_ok="1110"),
     (3, "cant_reach_articulation_failure"): history(steps=4),
-    (3, "closed_after_open_failure"): history(touch="0111", opened="0110"),
-    (3, "too_slow_failure"): history(touch="0111", opened="0101"),
-    (3, "slightly_open_failure"): history(touch="0111", slightly_opened="0010"),
-    (3, "cant_open_failure"): history(touch="0111"),
+    (3, "closed_after_open_failure"): history(ee_contact="0111", opened="0110"),
+    (3, "too_slow_failure"): history(ee_contact="0111", opened="0101"),
+    (3, "slightly_open_failure"): history(ee_contact="0111", slightly_opened="0010"),
+    (3, "cant_open_failure"): history(ee_contact="0111"),
     (4, "success_then_excessive_collisions"): history(closed="0111", success="0010", force_ok="1110"),
     (4, "dubious_success"): history(closed="0110", success="0010"),
     (4, "closed_success"): history(closed="0111", success="0001"),
     (4, "excessive_collision_failure"): history(closed="0111", force_ok="1110"),
     (4, "cant_reach_articulation_failure"): history(steps=4),
-    (4, "open_after_closing_failure"): history(touch="0111", closed="0110"),
-    (4, "too_slow_failure"): history(touch="0111", closed="0101"),
-    (4, "slightly_closed_failure"): history(touch="0111", slightly_closed="0010"),
-    (4, "cant_close_failure"): history(touch="0111"),
+    (4, "open_after_closing_failure"): history(ee_contact="0111", closed="0110"),
+    (4, "too_slow_failure"): history(ee_contact="0111", closed="0101"),
+    (4, "slightly_closed_failure"): history(ee_contact="0111", slightly_closed="0010"),
+    (4, "cant_close_failure"): history(ee_contact="0111"),
 }
 
 
@@ -177,11 +180,11 @@ def test_example(kind: int, name: str) -> None:
 
 
 RELEVANT: dict[int, set[str]] = {
-    0: {"is_grasped", "touch"},
+    0: {"is_grasped", "ee_contact"},
     1: {"is_grasped", "at_goal"},
     2: {"is_grasped", "must_hold"},
-    3: {"opened", "slightly_opened", "touch"},
-    4: {"closed", "slightly_closed", "touch"},
+    3: {"opened", "slightly_opened", "ee_contact"},
+    4: {"closed", "slightly_closed", "ee_contact"},
 }
 
 
@@ -203,13 +206,32 @@ def test_a_label_depends_on_its_signals_only(kind: SubtaskKind, data: st.DataObj
 @given(data=st.data())
 def test_contact_flicker_never_changes_a_pick_label(data: st.DataObject) -> None:
     record = data.draw(real_history(SubtaskKind.PICK))
-    flicker = np.random.default_rng(data.draw(st.integers(0, 1000))).random(record.touch.shape) < 0.5
-    # Contact comes and goes after the first touch, as while the fingers slide along the object.
-    touched = np.maximum.accumulate(np.asarray(record.touch | record.is_grasped), axis=0)
+    flicker = np.random.default_rng(data.draw(st.integers(0, 1000))).random(record.contact.shape) < 0.5
+    # Contact comes and goes after the first one, as while the fingers slide along the object.
+    touched = np.maximum.accumulate(np.asarray(record.ee_contact | record.is_grasped), axis=0)
     first = touched & ~np.roll(touched, 1, axis=0)
     first[0] = touched[0]
-    other = replace(record, touch=touched & (first | flicker), contact=flicker)
+    other = replace(record, ee_contact=touched & (first | flicker), touch=flicker, contact=flicker)
     assert labels_of(0, record) == labels_of(0, other)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_touch_by_another_link_than_the_end_effector_reaches_nothing(kind: SubtaskKind) -> None:
+    elbow = history(touch="0111")
+    nothing = history(steps=4)
+    assert labels_of(kind, elbow) == labels_of(kind, nothing)
+
+
+def test_a_row_of_a_version_without_ee_contact_takes_it_from_touch() -> None:
+    record = random_history(np.random.default_rng(3), SubtaskKind.PICK, 6, 40)
+    state = fold(replace(record, ee_contact=record.touch))
+    row = WATCHED.index("ee_contact")
+    for w in range(40):
+        whole = get_row(state, w)
+        old = {**whole, "now": np.delete(whole["now"], row), "seen": np.delete(whole["seen"], row)}
+        again = get_row(set_row(state, 0, old), 0)
+        for name, values in whole.items():
+            np.testing.assert_array_equal(again[name], values, err_msg=name)
 
 
 @settings(max_examples=100, deadline=None)

@@ -76,7 +76,7 @@ def test_grasp_needs_force_and_direction_on_both_fingers() -> None:
     one = squeeze()
     one[0, 1] = 0
     weak = look(PICK, finger_force=one)
-    assert not weak.is_grasped[0] and weak.contact[0] and weak.touch[0]
+    assert not weak.is_grasped[0] and weak.contact[0] and weak.touch[0] and weak.ee_contact[0]
     assert not look(PICK, finger_force=-squeeze()).is_grasped[0], "pushed shut"
     for degrees, grasped in ((29.99, True), (30.01, False)):
         tilt = squeeze()
@@ -85,11 +85,13 @@ def test_grasp_needs_force_and_direction_on_both_fingers() -> None:
     assert look(PICK, finger_force=squeeze(5.0)).target_force[0] == 10.0
 
 
-def test_contact_is_by_fingers_touch_by_any_link() -> None:
+def test_contact_is_by_fingers_ee_contact_by_the_hand_touch_by_any_link() -> None:
     elbow = look(OPEN, target_contact=True)
-    assert elbow.touch[0] and not elbow.contact[0]
+    assert elbow.touch[0] and not elbow.ee_contact[0] and not elbow.contact[0]
+    palm = look(OPEN, target_contact=True, ee_contact=True)
+    assert palm.touch[0] and palm.ee_contact[0] and not palm.contact[0]
     nothing = look(OPEN)
-    assert not nothing.touch[0] and not nothing.contact[0]
+    assert not nothing.touch[0] and not nothing.ee_contact[0] and not nothing.contact[0]
 
 
 def test_place_goal_types() -> None:

@@ -9,6 +9,7 @@ from typing import Any
 from mjhab.cli.data_options import (
     DataCheckOptions,
     DataFieldsOptions,
+    DataImportOptions,
     DataMergeOptions,
     DataQueryOptions,
     DataRepairOptions,
@@ -23,6 +24,7 @@ from mjhab.core.errors import UsageError, unknown_name
 from mjhab.data.checking import Repair, check, repair
 from mjhab.data.facts import FACTS, FUNCTIONS, target_of
 from mjhab.data.folders import broken
+from mjhab.data.import_ms_hab import ABSENT, Origin, import_ms_hab
 from mjhab.data.query import PRESETS, Filter
 from mjhab.data.reading import open_shard, shard_paths
 from mjhab.data.relabel import relabel
@@ -32,6 +34,8 @@ from mjhab.data.shard import ShardWriter
 from mjhab.rollout.records import EpisodeRecord
 
 _MOST_ROWS = 20
+IMPORTS = ("ms_hab",)
+"""What `mjhab data import` can read."""
 
 
 def run_data(options: Any) -> int:
@@ -39,7 +43,7 @@ def run_data(options: Any) -> int:
     runners = {
         DataQueryOptions: _query, DataStatsOptions: _stats, DataMergeOptions: _merge, DataSplitOptions: _split,
         DataCheckOptions: _check, DataRepairOptions: _repair, DataFieldsOptions: _fields,
-        DataReportOptions: _report, LabelOptions: _label,
+        DataReportOptions: _report, DataImportOptions: _import, LabelOptions: _label,
     }  # fmt: skip
     return runners[type(options)](options)  # type: ignore[operator]
 
@@ -171,6 +175,25 @@ def _parts(words: tuple[str, ...]) -> dict[str, float]:
     return parts
 
 
+def _import(options: DataImportOptions) -> int:
+    if options.format not in IMPORTS:
+        raise unknown_name("format", options.format, IMPORTS)
+    origin = Origin(options.task, options.split)
+    done = []
+    for path in options.files:
+        with late_bar(path.name) as begin:
+            done.append(import_ms_hab(path, options.out, origin, begin))
+    episodes = sum(each.episodes for each in done)
+    frames = sum(each.frames for each in done)
+    present = sum(each.present for each in done)
+    if options.json:
+        print_json({"episodes": episodes, "frames": frames, "present": present, "lacks": list(ABSENT)})
+        return 0
+    print(f"{episodes} episodes, {frames:,} frames in {options.out}; {present} were there already")
+    print(f"The data lack {', '.join(ABSENT)}: they cannot be replayed, rendered or labelled anew.")
+    return 0
+
+
 def _check(options: DataCheckOptions) -> int:
     with progress_bar("checking", len(shard_paths(options.places))) as advance:
         report = check(options.places, advance)
@@ -235,12 +258,15 @@ def _fields(options: DataFieldsOptions) -> int:
 
 
 def _label(options: LabelOptions) -> int:
-    episodes = subtasks = 0
+    episodes = subtasks = skipped = 0
     changes: list[tuple[str, ...]] = []
     for path in shard_paths(options.places):
         new: dict[str, EpisodeRecord] = {}
         with open_shard(path) as shard:
             for episode in shard:
+                if "signals/checks" in episode.run.absent:
+                    skipped += 1
+                    continue
                 record, changed = relabel(episode)
                 episodes, subtasks = episodes + 1, subtasks + len(record.subtasks)
                 changes += [(episode.name, str(c.subtask), c.what, str(c.old), str(c.new)) for c in changed]
@@ -250,7 +276,8 @@ def _label(options: LabelOptions) -> int:
             _write_records(path, new)
     labels = sum(what == "label" for _, _, what, _, _ in changes)
     if options.json:
-        print_json({"episodes": episodes, "subtasks": subtasks, "changed": labels, "changes": len(changes)})
+        counts = {"episodes": episodes, "subtasks": subtasks, "changed": labels, "changes": len(changes)}
+        print_json({**counts, "without_signals": skipped} if skipped else counts)
         return 0
     if changes:
         columns = ("episode", "subtask", "what", "recorded", "now")
@@ -258,6 +285,8 @@ def _label(options: LabelOptions) -> int:
     written = " (written)" if options.write and changes else ""
     others = len(changes) - labels
     print(f"{episodes} episodes, {subtasks} subtasks: {labels} labels and {others} other things changed{written}")
+    if skipped:
+        print(f"{skipped} episodes were imported without signals; their labels stay those of their source")
     return 0
 
 

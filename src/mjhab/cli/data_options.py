@@ -137,8 +137,33 @@ class DataReportOptions:
 
 
 @dataclass(frozen=True)
+class DataImportOptions:
+    """Write data of another system as shards, so that filters, statistics, reports and training work on it.
+
+    `mjhab data import ms_hab rearrange-dataset/set_table/pick/024_bowl.h5 --out runs/imported`
+
+    ms_hab: files of MS-HAB's data set or generator, one per task, subtask and target, each with its .json beside it.
+    They hold no states, so the episodes can neither be replayed nor rendered nor labelled anew. Given again, the same
+    command goes on where it stopped.
+    """
+
+    format: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ms_hab")]
+    """What the data are."""
+    files: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="FILE.h5 ...")]
+    """The files to read."""
+    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
+    """The folder of shards; <task>/<subtask>/<name>.h5 in it are made, or added to."""
+    task: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
+    """Task of the files; the folder above that of the subtask if absent."""
+    split: Annotated[str, tyro.conf.arg(metavar="train|val|test")] = "train"
+    """Split of the homes, where the files do not say it; the published data are of train."""
+    json: bool = False
+    """Print one line of JSON at the end."""
+
+
+@dataclass(frozen=True)
 class DataCommand:
-    """Query, count, report, merge, split, check or repair recorded episodes."""
+    """Query, count, report, merge, split, import, check or repair recorded episodes."""
 
     command: (
         Annotated[DataQueryOptions, Sub("query")]
@@ -146,6 +171,7 @@ class DataCommand:
         | Annotated[DataReportOptions, Sub("report")]
         | Annotated[DataMergeOptions, Sub("merge")]
         | Annotated[DataSplitOptions, Sub("split")]
+        | Annotated[DataImportOptions, Sub("import")]
         | Annotated[DataCheckOptions, Sub("check")]
         | Annotated[DataRepairOptions, Sub("repair")]
         | Annotated[DataFieldsOptions, Sub("fields")]

@@ -25,6 +25,7 @@ class RunInfo:
     engine, libraries. commit: of the source, "" if unknown, with "+changes" if it had any. machine: processor and
     system; bit-exact replay may need the same. layout: names and sizes that give the columns of states their meaning.
     assets, licence: the pack and the terms of what is in it.
+    absent: paths of datasets that its episodes do not have since their source had none (imported data).
     """
 
     config: dict[str, Any]
@@ -35,6 +36,7 @@ class RunInfo:
     layout: dict[str, Any] = field(default_factory=dict)
     assets: str = "builtin"
     licence: str = ""
+    absent: Sequence[str] = ()
 
     @property
     def config_id(self) -> str:
@@ -87,7 +89,7 @@ class EpisodeData:
             object.__setattr__(self, "actors", (self.run.policy,))
         arrays = {**self.arrays, "record": np.zeros(1, np.uint8)}
         widths = column_widths(self.run.layout, self.columns)
-        wrong = problems(arrays, self.record.steps, schema=self.schema, widths=widths)
+        wrong = problems(arrays, self.record.steps, schema=self.schema, widths=widths, absent=self.run.absent)
         wrong = wrong or unnamed_actors(arrays, self.actors)
         wrong += record_problems(self.record)
         if wrong:

@@ -24,6 +24,7 @@ from mjhab.data.folders import Target, whole_folder
 from mjhab.data.hdf5 import change_file, make_file
 from mjhab.data.hdf5 import group as subgroup
 from mjhab.data.journal import recover
+from mjhab.data.ms_hab_layout import SOURCE_TYPE, TRAJECTORY, TRUTHS, to_events, to_verbose
 from mjhab.data.query import Filter
 from mjhab.data.reading import Episode, open_shard
 from mjhab.data.sets import nothing_passes, select
@@ -34,8 +35,6 @@ CHAIN = "sequential_task"
 """Name of the folder of whole chains."""
 _GZIP = 5
 """As in the original; for images only."""
-_TRUTHS = frozenset({"is_grasped"})
-"""Observations that are yes or no there, without an axis of their own."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +122,9 @@ class _File:
         """Add an episode as the next trajectory, unless it is there."""
         number = len(self._episodes)
         if number >= self._present:
-            change_file(self._path, lambda file: _put(file.create_group(f"traj_{number}", track_order=True), episode))
+            change_file(
+                self._path, lambda file: _put(file.create_group(f"{TRAJECTORY}{number}", track_order=True), episode)
+            )
         self._episodes.append(_episode_info(number, episode))
         self._runs.setdefault(episode.run.id, vars(episode.run))
 
@@ -138,7 +139,7 @@ class _File:
                 "max_episode_steps": max(each["elapsed_steps"] for each in self._episodes),
             },
             "commit_info": {"mjhab": [run["commit"] for run in self._runs.values()]},
-            "source_type": "mjhab",
+            "source_type": SOURCE_TYPE,
             "source_desc": "recorded by mjhab (MuJoCo), not by ManiSkill",
             "runs": self._runs,
             "episodes": self._episodes,
@@ -173,7 +174,7 @@ def _put(group: h5py.Group, episode: Episode) -> None:
 def _observations(episode: Episode) -> Iterator[tuple[str, np.ndarray]]:
     """Keys of the environment and arrays (N+1, ...): the parts of the state in their order, then cameras."""
     for key, values in episode.table("obs/state").items():
-        yield key, values.astype(bool).reshape(-1) if key.rpartition("/")[2] in _TRUTHS else values
+        yield key, values.astype(bool).reshape(-1) if key.rpartition("/")[2] in TRUTHS else values
     for path in episode.paths:
         if path.startswith("obs/sensor_param/"):
             yield path.removeprefix("obs/"), episode.array(path)
@@ -197,8 +198,12 @@ def _episode_info(number: int, episode: Episode) -> dict[str, Any]:
         "actors": list(episode.actors),
         "lacks": list(episode.lacks),
         "label": last_label(record),
-        "events": [name for _, name in record.events],
-        "events_verbose": [[step, name, None] for step, name in record.events],
+        "legacy_label": record.subtasks[-1].legacy_label if record.subtasks else None,
+        "target": record.subtasks[-1].target if record.subtasks else record.plan[0].target,
+        "split": record.split,
+        "ending": str(episode.attributes["ending"]),
+        "events": to_events(record.subtask, record.events) if record.subtask else [name for _, name in record.events],
+        "events_verbose": to_verbose(record.events, record.force),
         "articulation_type": link or None,
         "reset_kwargs": {},
         "success_once": record.success_once,

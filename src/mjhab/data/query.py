@@ -41,19 +41,32 @@ PRESETS: dict[str, tuple[str, str]] = {
     "place_paper": ("subtask == 'place' and label == 'placed_in_goal_success'", "Place as in the paper's data"),
     "open_paper": ("subtask == 'open' and label == 'open_success'", "Open as in the paper's data"),
     "close_paper": ("subtask == 'close' and label == 'closed_success'", "Close as in the paper's data"),
+    "pick_published": (
+        "subtask == 'pick' and legacy_label == 'straightforward_success'",
+        "Pick as mshab/utils/gen/gen_data.py keeps it, by the published rules of labels",
+    ),
+    "place_published": (
+        "subtask == 'place' and legacy_label == 'placed_in_goal_success'",
+        "Place as mshab/utils/gen/gen_data.py keeps it, by the published rules of labels",
+    ),
+    "open_published": (
+        "subtask == 'open' and legacy_label == 'open_success'",
+        "Open as mshab/utils/gen/gen_data.py keeps it, by the published rules of labels",
+    ),
     "close_published": (
-        "subtask == 'close' and (label == 'closed_success' or "
-        "label == 'success_then_excessive_collisions' and furniture == 'fridge')",
+        "subtask == 'close' and (legacy_label == 'closed_success' or "
+        "legacy_label == 'success_then_excessive_collisions' and furniture == 'fridge')",
         "Close as mshab/utils/gen/gen_data.py keeps it: for the fridge also with too much force after success",
     ),
     "navigate_published": (
-        "subtask == 'navigate' and label == 'navigation_success'",
-        "Navigate as mshab/utils/gen/gen_data.py keeps it",
+        "subtask == 'navigate' and legacy_label == 'navigation_success'",
+        "Navigate as mshab/utils/gen/gen_data.py keeps it, by the published rules of labels",
     ),
     "gentle": ("success and max_force < 1400", "reached the goal, never more than 1,400 N"),
     "chain": ("subtask == '' and success", "whole chains that were completed"),
 }
-"""Named filters: the demonstrations of MS-HAB paper App. A.6.1, those of its published code, and two of ours."""
+"""Named filters: the demonstrations of MS-HAB paper App. A.6.1 by our rules of labels, those of its published code by
+the rules of that code, and two of ours."""
 
 
 class FilterError(UsageError):

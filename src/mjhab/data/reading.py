@@ -23,7 +23,17 @@ from mjhab.data.images import decode
 from mjhab.data.journal import Overlay, committed_length, read_journal
 from mjhab.data.locking import quiet
 from mjhab.data.older import POSES, STAND_INS, canonical_poses, stand_in
-from mjhab.data.schema import CHECKS, COLUMNS, EPISODES, FIELDS, RUNS, TERMINAL, DamagedError, column_widths, problems
+from mjhab.data.schema import (
+    COLUMNS,
+    EPISODES,
+    FIELDS,
+    RUNS,
+    TERMINAL,
+    DamagedError,
+    checks_by_name,
+    column_widths,
+    problems,
+)
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.tasks.labels import History
 
@@ -163,6 +173,11 @@ class Episode:
                 return self._as_of_now(path, dataset(self._group, path)[()])
         if path in self.lacks:
             return stand_in(path, self.array(STAND_INS[path]))
+        if path in self.run.absent:
+            raise UsageError(
+                f"episode {self.name} was imported from data without it: {path} is not there. Its source lacks "
+                f"{', '.join(self.run.absent)}, so it can neither be simulated again nor rendered nor labelled anew."
+            )
         if path.startswith("states/"):
             raise UsageError(
                 f"episode {self.name} was recorded without states: {path} is not there, and nothing can be rendered "
@@ -242,7 +257,9 @@ class Episode:
     def _no_images(self, camera: str, output: str) -> UsageError:
         had = ", ".join(f"{c} {o}" for c, o in self.images) or "none"
         how = "`mjhab replay --render` draws them from its states."
-        if "states/qpos" not in self.paths:
+        if "states/qpos" in self.run.absent:
+            how = "It was imported from data without states to draw them from."
+        elif "states/qpos" not in self.paths:
             how = "It was recorded without states to draw them from; record it again: `mjhab generate --images`."
         return UsageError(f"episode {self.name} has no {output} images of {camera} (it has: {had}). {how}")
 
@@ -267,8 +284,8 @@ class Episode:
         """Index in the plan of the k-th subtask that was reached, and its signals (T+1, 1) bool for `tasks.labels`."""
         starts = [*self.array("subtasks/step").tolist(), self.steps]
         first = self.array("subtasks/checks")[k : k + 1]
-        checks = np.concatenate([first, self.array("signals/checks")[starts[k] + 1 : starts[k + 1] + 1]]).astype(bool)
-        fields = {name: checks[:, column : column + 1] for column, name in enumerate(CHECKS)}
+        checks = np.concatenate([first, self.array("signals/checks")[starts[k] + 1 : starts[k + 1] + 1]])
+        fields = checks_by_name(checks)
         return int(self.array("subtasks/index")[k]), History(**{n: fields[n] for n in History.__dataclass_fields__})
 
     def problems(self) -> list[str]:
@@ -276,7 +293,7 @@ class Episode:
         with self._reading():
             arrays = read_arrays(self._group)
             widths = column_widths(self.run.layout, {path: self._column_names(path) for path in arrays})
-            wrong = problems(arrays, self.steps, others=True, schema=self.schema, widths=widths)
+            wrong = problems(arrays, self.steps, others=True, schema=self.schema, widths=widths, absent=self.run.absent)
             wrong = wrong or unnamed_actors(arrays, self.actors)
             if not wrong and episode_digest(arrays) != self.attributes["digest"]:
                 wrong.append("its bytes are not those that were written (digest)")

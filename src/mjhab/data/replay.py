@@ -97,11 +97,27 @@ def _batches(
                 if where is None or where(episode.record, episode.run):
                     groups[episode.run.config_id].append(episode)
             for name, members in groups.items():
+                require_states(members)
                 if name not in envs:
                     envs[name] = make_env(members[0].run)
                 worlds = envs[name].num_envs
                 for start in range(0, len(members), worlds):
                     yield envs[name], members[start : start + worlds]
+
+
+def require_states(members: Sequence[Episode]) -> None:
+    """Refuse imported episodes, which no simulator of ours has made.
+
+    Raises:
+        UsageError: the source of one of them had no states.
+    """
+    for episode in members:
+        if "states/initial" in episode.run.absent:
+            raise UsageError(
+                f"episode {episode.name} of {episode.shard.path} was imported from data without states, so it can "
+                'neither be simulated again nor rendered; leave it out with a filter such as --where "policy == '
+                "'expert'\"."
+            )
 
 
 class _Comparison:

@@ -25,10 +25,11 @@ from mjhab.rollout.report_plots import tone
 from mjhab.tasks.plan import KIND_NAMES
 
 _LABEL_HINT = (
-    "Percent of subtasks. Bold: this data set, of which only some labels may have been kept. Below it: what the MS-HAB "
-    "paper published for its policies on the same task, split and target (Tables 6 to 13, 1,008 episodes each): RL-Per "
-    "has one policy per object, RL-All one for all, IL imitates RL-Per. Our homes, objects and physics are others than "
-    "theirs, so this is a comparison of data sets, not of policies."
+    "Percent of subtasks of this data set, of which only some labels may have been kept. Published rules: the labels "
+    "of the original's code, which made the paper's columns beside it (Tables 6 to 13, 1,008 episodes each: RL-Per has "
+    "one policy per object, RL-All one for all, IL imitates RL-Per). Own rules: the labels of mjhab, which filters "
+    "call label. Our homes, objects and physics are others than theirs, so this is a comparison of data sets, not of "
+    "policies."
 )
 _FILM_HINT = (
     "Episodes by the label of their last subtask, side by side, four times as fast as life, as the camera that is "

@@ -15,18 +15,10 @@ from mjhab.rollout.report_plots import tone
 from mjhab.tasks.labels import LABELS
 from mjhab.tasks.plan import KIND_NAMES, SubtaskKind
 
-_SHORT = {
-    "success_then_excessive_collisions": "then collisions",
-    "success_then_drop": "then dropped",
-    "success_then_dropped": "then dropped",
-    "excessive_collision": "collisions",
-    "cant_reach_articulation": "cant reach",
-    "navigation_success": "navigated",
-    "navigation_failure": "not navigated",
-}
-"""Long labels in a head; the cells have them in full."""
 ALL = "all"
 CHAINS = "in chains"
+PAPER_EPISODES = 1008
+"""Episodes per policy, task, split and target (MS-HAB paper App. A.6)."""
 
 
 @dataclass(frozen=True)
@@ -69,59 +61,82 @@ def label_order(kind: str) -> tuple[str, ...]:
 
 
 def label_table(kind: str, groups: Mapping[Group, Sequence[SubtaskRecord]]) -> str:
-    """The table of a kind as HTML: ours in bold, the paper's rows for the same task, split and target below."""
-    labels = label_order(kind)
-    heads = "".join(f'<th class="n">{escape(name)}</th>' for name in ("n", "once", "at end"))
-    # Turned by writing-mode, so that twelve columns fit on a page.
-    turned = "writing-mode:vertical-rl;transform:rotate(180deg);padding:10px 4px 4px;text-align:left;white-space:nowrap"
-    heads += "".join(f'<th style="{turned}">{escape(_short(name))}</th>' for name in labels)
-    body = []
-    for group, members in groups.items():
-        body.append(_our_row(group, members, labels))
-        if not group.way:
-            body += _paper_rows(group, labels)
-    head = f'<tr style="vertical-align:bottom"><th>task, split</th><th>target</th><th>policy</th>{heads}</tr>'
-    return f'<div class="scroll"><table><thead>{head}</thead><tbody>{"".join(body)}</tbody></table></div>'
+    """The labels of a kind as HTML: one table per group, a row per label.
+
+    Columns: ours by the published rules (``legacy_label``), ours by our own rules, then the paper's policies on the
+    same task, split and target, whose labels the published rules made.
+    """
+    tables = (_group_table(group, _columns(group, members), label_order(kind)) for group, members in groups.items())
+    columns = "display:grid;grid-template-columns:repeat(auto-fill,minmax(min(100%,560px),1fr));gap:18px 28px"
+    return f'<div style="{columns}">{"".join(tables)}</div>'
 
 
-def _short(label: str) -> str:
-    short = label.removesuffix("_failure").removesuffix("_success")
-    return (_SHORT.get(label) or _SHORT.get(short, short)).replace("_", " ")
+@dataclass(frozen=True)
+class _Column:
+    """One column of a table of labels. Shares are in percent; ``told`` says where the share of a label comes from."""
+
+    name: str
+    episodes: int
+    success_once: float
+    success_at_end: float
+    shares: Mapping[str, float]
+    told: Mapping[str, str]
 
 
-def _our_row(group: Group, members: Sequence[SubtaskRecord], labels: Sequence[str]) -> str:
-    count = len(members)
-    counts = Counter(member.label for member in members)
-    once, end = (sum(getattr(m, name) for m in members) for name in ("success_once", "success_at_end"))
-    low, high = wilson(once, count)
-    way = f" {group.way}" if group.way else ""
-    cells = f"<td>{escape(_task(group))}{way}</td><td>{escape(group.target)}</td><td>mjhab</td>"
-    cells += f'<td class="n">{count}</td>'
-    cells += f'<td class="n" title="95 %: {100 * low:.0f} to {100 * high:.0f}">{100 * once / count:.1f}</td>'
-    cells += f'<td class="n">{100 * end / count:.1f}</td>'
-    cells += "".join(_share(name, 100 * counts[name] / count, f"{counts[name]} of {count}") for name in labels)
-    return f'<tr style="font-weight:600">{cells}</tr>'
-
-
-def _paper_rows(group: Group, labels: Sequence[str]) -> list[str]:
-    rows = []
-    for policy in POLICIES:
+def _columns(group: Group, members: Sequence[SubtaskRecord]) -> list[_Column]:
+    columns = [_ours("mjhab, published rules", members, "legacy_label"), _ours("mjhab, own rules", members, "label")]
+    for policy in POLICIES if not group.way else ():
         row = paper_row(group.task, group.kind, group.split, group.target, policy)
-        if row is None:
-            continue
-        cells = f'<td></td><td></td><td style="color:var(--soft)">paper {escape(policy)}</td><td></td>'
-        cells += f'<td class="n">{row.success_once:.1f}</td><td class="n">{row.success_at_end:.1f}</td>'
-        cells += "".join(_share(name, row.labels[name], f"Table {row.table}") for name in labels)
-        rows.append(f"<tr>{cells}</tr>")
-    return rows
+        if row is not None:
+            told = dict.fromkeys(row.labels, f"Table {row.table}")
+            column = _Column(
+                f"paper {policy}", PAPER_EPISODES, row.success_once, row.success_at_end, row.labels, told
+            )  # fmt: skip
+            columns.append(column)
+    return columns
 
 
-def _share(label: str, percent: float, title: str) -> str:
+def _ours(name: str, members: Sequence[SubtaskRecord], which: str) -> _Column:
+    count = len(members)
+    counts = Counter(getattr(member, which) for member in members)
+    return _Column(
+        name,
+        count,
+        100 * sum(member.success_once for member in members) / count,
+        100 * sum(member.success_at_end for member in members) / count,
+        {label: 100 * number / count for label, number in counts.items()},
+        {label: f"{number} of {count}" for label, number in counts.items()},
+    )
+
+
+def _group_table(group: Group, columns: Sequence[_Column], labels: Sequence[str]) -> str:
+    way = f" {group.way}" if group.way else ""
+    title = f"{group.task.replace('_', ' ')}, {group.split}{way}: <b>{escape(group.target)}</b>"
+    heads = "".join(f'<th class="n" style="white-space:normal">{escape(column.name)}</th>' for column in columns)
+    rows = [
+        _row("episodes", [f'<td class="n">{column.episodes:,}</td>' for column in columns]),
+        _row("success once", [_once(column) for column in columns]),
+        _row("success at end", [f'<td class="n">{column.success_at_end:.1f}</td>' for column in columns]),
+    ]
+    rows += [_row(label.replace("_", " "), [_share(label, column) for column in columns]) for label in labels]
+    head = f'<tr style="vertical-align:bottom"><th>{title}</th>{heads}</tr>'
+    return f'<div class="scroll"><table><thead>{head}</thead><tbody>{"".join(rows)}</tbody></table></div>'
+
+
+def _row(name: str, cells: Sequence[str]) -> str:
+    return f"<tr><td>{escape(name)}</td>{''.join(cells)}</tr>"
+
+
+def _once(column: _Column) -> str:
+    low, high = wilson(round(column.success_once / 100 * column.episodes), column.episodes)
+    title = f"95 %: {100 * low:.0f} to {100 * high:.0f}"
+    return f'<td class="n" title="{title}">{column.success_once:.1f}</td>'
+
+
+def _share(label: str, column: _Column) -> str:
     """A cell in the colour of its label, the deeper the larger the share."""
+    percent = column.shares.get(label, 0.0)
     shade = f"background:color-mix(in srgb,var(--{tone(label)}) {min(70.0, 0.7 * percent):.0f}%,transparent)"
     text = f"{percent:.1f}" if percent else "·"
-    return f'<td class="n" style="{shade};padding:7px 6px" title="{escape(label)}: {escape(title)}">{text}</td>'
-
-
-def _task(group: Group) -> str:
-    return f"{group.task.replace('_', ' ')}, {group.split}"
+    title = f"{column.name}, {label}: {column.told.get(label, 'none')}"
+    return f'<td class="n" style="{shade}" title="{escape(title)}">{text}</td>'

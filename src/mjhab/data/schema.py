@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,9 +26,10 @@ STEP_SECONDS = 0.05
 
 CHECKS: tuple[str, ...] = (
     "is_grasped", "at_goal", "ee_rest", "robot_rest", "is_static", "force_ok", "opened", "closed", "slightly_opened",
-    "slightly_closed", "near", "oriented", "contact", "touch", "success", "placed_ok", "must_hold",
+    "slightly_closed", "near", "oriented", "contact", "touch", "success", "placed_ok", "must_hold", "ee_contact",
 )  # fmt: skip
-"""Columns of ``signals/checks``: the boolean fields of `tasks.measure.Signals`; labels need nothing else."""
+"""Columns of ``signals/checks``: the boolean fields of `tasks.measure.Signals`; labels need nothing else.
+Shards of versions without ``ee_contact`` have all columns but this last one, see ``checks_by_name``."""
 FORCES: tuple[str, ...] = ("robot_force", "target_force", "cumulative_force")
 """Columns of ``signals/forces``: the float fields of `tasks.measure.Signals`."""
 COLUMNS = "columns"
@@ -62,13 +63,13 @@ FIELDS: tuple[Field, ...] = (
     Field("states/initial", "", "bytes", "uint8", "JSON", "`env.get_state` after the reset: the full first state"),
     Field("states/qpos", "N+1", "(N+1, nq)", "float64", "m, rad, wxyz", "generalized positions", optional=True),
     Field("states/qvel", "N+1", "(N+1, nv)", "float64", "m/s, rad/s", "generalized velocities", optional=True),
-    Field("signals/checks", "N+1", "(N+1, 17)", "uint8", "0 or 1", "CHECKS of the subtask that was active in the step"),
+    Field("signals/checks", "N+1", "(N+1, 18)", "uint8", "0 or 1", "CHECKS of the subtask that was active in the step"),
     Field("signals/forces", "N+1", "(N+1, 3)", "float64", "N, N, N x steps", "FORCES, likewise"),
     Field("signals/taint", "N+1", "(N+1,)", "uint8", "bit mask", "faults of the simulation since the reset"),
     Field("subtasks/active", "N+1", "(N+1,)", "int16", "index in the plan", "subtask active after the step"),
     Field("subtasks/step", "K", "(K,)", "int32", "control steps", "when each subtask that was reached began"),
     Field("subtasks/index", "K", "(K,)", "int16", "index in the plan", "which subtask it was"),
-    Field("subtasks/checks", "K", "(K, 17)", "uint8", "0 or 1", "CHECKS at its start: row 0 of its history"),
+    Field("subtasks/checks", "K", "(K, 18)", "uint8", "0 or 1", "CHECKS at its start: row 0 of its history"),
     Field("reward/total", "N", "(N,)", "float64", "-", "what the environment returned"),
     Field("reward/terms", "N", "(N, R)", "float64", "-", "terms of the dense reward, as named", optional=True),
     Field("reward/success", "N", "(N,)", "uint8", "0 or 1", "`info['success']` of every step"),
@@ -136,21 +137,40 @@ def _width(name: str) -> int:
     return int(count) if colon else 1
 
 
+def checks_by_name(rows: np.ndarray) -> dict[str, np.ndarray]:
+    """Columns of ``signals/checks`` or ``subtasks/checks``, (n, C) to (n, 1) bool by the names of CHECKS.
+
+    Where ``ee_contact`` was not recorded it is ``touch``: contact of any link, as the labels of that version read it.
+    """
+    table = {name: rows[:, column : column + 1].astype(bool) for column, name in enumerate(CHECKS)}
+    if rows.shape[1] < len(CHECKS):
+        table["ee_contact"] = table["touch"]
+    return table
+
+
 def problems(
     arrays: Mapping[str, np.ndarray],
     steps: int,
     others: bool = False,
     schema: int = VERSION,
     widths: Mapping[str, int] | None = None,
+    absent: Collection[str] = (),
 ) -> list[str]:
     """What is wrong with the datasets of an episode of ``steps`` actions, in words; empty if nothing is.
 
     Every field that is not optional must be there, with its type and shape; N actions go with N+1 states, and every
-    number is finite. ``others``: datasets that are not of this schema may be there, too: a later version may have added
-    them. ``schema``: version of the episode; ``widths``: number of columns by path, from `column_widths`.
+    number is finite.
+
+    Args:
+        arrays: every dataset by its path.
+        steps: N.
+        others: datasets that are not of this schema may be there, too: a later version may have added them.
+        schema: version of the episode.
+        widths: number of columns by path, from `column_widths`.
+        absent: paths of fields that the source of the episode did not have (`RunInfo.absent`).
     """
     needed = [field.path for field in FIELDS if not field.optional and field.since <= schema]
-    found = [f"{path} is missing" for path in needed if path not in arrays]
+    found = [f"{path} is missing" for path in needed if path not in arrays and path not in absent]
     if steps < 1:
         found.append(f"an episode has at least one action, not {steps}")
     count = len(arrays["subtasks/step"]) if np.ndim(arrays.get("subtasks/step", 0)) else 0
@@ -189,7 +209,8 @@ def _not_finite(path: str, array: np.ndarray) -> str:
 def _bad_values(arrays: Mapping[str, np.ndarray], steps: int) -> list[str]:
     found = []
     for path, columns in (("signals/checks", CHECKS), ("signals/forces", FORCES), ("subtasks/checks", CHECKS)):
-        if arrays[path].shape[1:] != (len(columns),):
+        widths = (len(columns), len(columns) - 1) if columns is CHECKS else (len(columns),)
+        if path in arrays and (arrays[path].ndim != 2 or arrays[path].shape[1] not in widths):
             found.append(f"{path} has shape {arrays[path].shape}, not {len(columns)} columns")
     if "actions_intended" in arrays and arrays["actions_intended"].shape != arrays["actions"].shape:
         found.append(f"actions_intended is {arrays['actions_intended'].shape}, actions are {arrays['actions'].shape}")

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 CHECKERS = (
     "is_grasped", "at_goal", "ee_rest", "robot_rest", "is_static", "force_ok", "opened", "closed", "near", "oriented",
-    "contact", "touch",
+    "contact", "touch", "ee_contact",
 )  # fmt: skip
 """Signals of the active subtask that info carries under their own names, (W,) bool."""
 

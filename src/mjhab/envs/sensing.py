@@ -60,6 +60,7 @@ class Sensing:
             finger_dir=namespace(force).einsum("wfij,fj->wfi", state.body_mat[:, self._fingers], self._opening),
             robot_force=state.link_force.sum(axis=1),
             target_contact=state.touch[rows, column[:, 0]] & focus.has_columns[:, 0],
+            ee_contact=state.ee_contact[rows, column[:, 0]] & focus.has_columns[:, 0],
             plan_obj_pos=obj_pos,
             joint_q=self.joint_now(state, focus),
             joint_min=joint_range[:, 0],

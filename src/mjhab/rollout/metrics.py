@@ -101,21 +101,28 @@ def summarize(records: Sequence[EpisodeRecord], seconds: float, alone: AloneRate
     Returns:
         ``episodes``; ``success_once`` and ``success_at_end`` of whole episodes; ``progressive``: fraction of episodes
         that completed at least k+1 subtasks; ``upper_bound``: the same if every subtask started well; ``labels``: count
-        of every trajectory label; ``tainted``: number of episodes whose simulation raised a flag (they are counted in
-        all rates); ``seconds``.
+        of every trajectory label; ``legacy_labels``: likewise by the rules of the published code; ``tainted``: number
+        of episodes whose simulation raised a flag (they are counted in all rates); ``seconds``.
     """
     curve, bound = progress_curves(records, alone)
-    labels = Counter(subtask.label for record in records for subtask in record.subtasks if subtask.label is not None)
+    subtasks = [subtask for record in records for subtask in record.subtasks]
     return {
         "episodes": len(records),
         "success_once": mean(record.success_once for record in records),
         "success_at_end": mean(record.success_at_end for record in records),
         "progressive": curve,
         "upper_bound": bound,
-        "labels": dict(sorted(labels.items(), key=lambda item: (-item[1], item[0]))),
+        "labels": label_counts(subtask.label for subtask in subtasks),
+        "legacy_labels": label_counts(subtask.legacy_label for subtask in subtasks),
         "tainted": sum(bool(record.taint) for record in records),
         "seconds": round(seconds, 2),
     }
+
+
+def label_counts(labels: Iterable[str | None]) -> dict[str, int]:
+    """Count every label but None, the most frequent first."""
+    counts = Counter(label for label in labels if label is not None)
+    return dict(sorted(counts.items(), key=lambda item: (-item[1], item[0])))
 
 
 def mean(values: Iterable[float]) -> float:

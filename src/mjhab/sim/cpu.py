@@ -74,6 +74,7 @@ class CpuSimulator:
         # The layout puts objects, link forces and target sensors in unbroken rows: the state is made of views.
         self._object_q, self._object_v = _rows(a.object_q, 7), _rows(a.object_v, 6)
         self._touch_cols = _rows(a.touch, 1)
+        self._ee_cols = _rows(a.ee_contact, 1)
         # Force sensors: those of the links, then of the left and the right finger with every target.
         self._force_starts = np.concatenate([a.link_force, a.finger_force.ravel()])
         self._force_block = np.arange(FORCE_SENSOR_WIDTH)
@@ -187,6 +188,7 @@ class CpuSimulator:
             link_force=np.sqrt(squared[..., 0] + squared[..., 1] + squared[..., 2]),
             finger_force=force[:, links:].reshape(worlds, 2, -1, 3),
             touch=self._sensors[:, self._touch_cols] > 0,
+            ee_contact=self._sensors[:, self._ee_cols] > 0,
             body_pos=self._xpos,
             body_mat=self._xmat,
             body_quat=self._xquat,

@@ -241,6 +241,7 @@ class WarpSimulator:
             robot_q=None, robot_qd=None, link_q=None, link_qd=None, object_pose=pose, object_vel=velocity,
             tcp_vel=wp.to_torch(engine.tcp_vel), link_force=wp.to_torch(engine.link_force),
             finger_force=wp.to_torch(engine.finger_force), touch=wp.to_torch(engine.touch),
+            ee_contact=wp.to_torch(engine.ee_contact),
             body_pos=wp.to_torch(engine.data.xpos), body_mat=wp.to_torch(engine.data.xmat),
             body_quat=wp.to_torch(engine.data.xquat),
         )  # fmt: skip

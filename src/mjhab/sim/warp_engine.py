@@ -97,6 +97,7 @@ class Engine:
         self.link_force = wp.zeros((worlds, len(FORCE_LINKS)), dtype=wp.float32)
         self.finger_force = wp.zeros((worlds, 2, targets), dtype=wp.vec3)
         self.touch = wp.zeros((worlds, targets), dtype=wp.bool)
+        self.ee_contact = wp.zeros((worlds, targets), dtype=wp.bool)
         self.depth = wp.zeros(worlds, dtype=wp.float32)
         self.tcp_vel = wp.zeros(worlds, dtype=wp.vec3)
         self.taint = wp.zeros(worlds, dtype=wp.uint8)
@@ -129,6 +130,8 @@ class Engine:
         self._link_of = numbered([a.robot_body[name] for name in FORCE_LINKS])
         self._finger_of = numbered([a.robot_body[name] for name in FINGER_LINKS])
         self._target_of = numbered([*a.object_body.tolist(), *a.link_body.tolist()])
+        end_effector = [a.robot_body[name] for name in (TCP_LINK, *FINGER_LINKS)]
+        self._is_end_effector = wp.array(np.isin(np.arange(model.nbody), end_effector), dtype=wp.bool)
         self._is_robot = wp.array(model.body_rootid == self._tcp_root, dtype=wp.bool)
 
     def _map_trees(self, model: mujoco.MjModel, a: Addresses) -> None:
@@ -312,6 +315,15 @@ class Engine:
                     contact.worldid, contact.type, data.efc.force, data.njmax, self.model.geom_bodyid, self._link_of,
                     self._finger_of, self._target_of, self._is_robot, update],
             outputs=forces,
+        )  # fmt: skip
+        wp.launch(
+            kernels.clear_ee_contacts, dim=self.ee_contact.shape, inputs=[update], outputs=[self.ee_contact],
+        )  # fmt: skip
+        wp.launch(
+            kernels.mark_ee_contacts, dim=data.naconmax,
+            inputs=[data.nacon, contact.geom, contact.worldid, contact.type, self.model.geom_bodyid,
+                    self._is_end_effector, self._target_of, update],
+            outputs=[self.ee_contact],
         )  # fmt: skip
         wp.launch(
             kernels.finish_state, dim=self.num_worlds,

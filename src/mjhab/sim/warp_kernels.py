@@ -112,6 +112,41 @@ def add_contacts(
 
 
 @wp.kernel
+def clear_ee_contacts(update: wp.array[bool], ee_contact: wp.array2d[bool]):
+    """Forget the contacts of the end effector in the worlds to update."""
+    world, target = wp.tid()
+    if update[world]:
+        ee_contact[world, target] = False
+
+
+@wp.kernel
+def mark_ee_contacts(
+    nacon: wp.array[int],
+    geom: wp.array[wp.vec2i],
+    worldid: wp.array[int],
+    kind: wp.array[int],
+    geom_bodyid: wp.array[int],
+    is_end_effector: wp.array[bool],
+    target_of: wp.array[int],
+    update: wp.array[bool],
+    ee_contact: wp.array2d[bool],
+):
+    """Mark the targets that fingers or gripper_link touch. ``target_of``: target of a body, -1 for none."""
+    contact = wp.tid()
+    if contact >= nacon[0] or (kind[contact] & CONSTRAINT_CONTACT) == 0:
+        return
+    world = worldid[contact]
+    if not update[world]:
+        return
+    first = geom_bodyid[geom[contact][0]]
+    second = geom_bodyid[geom[contact][1]]
+    if is_end_effector[first] and target_of[second] >= 0:
+        ee_contact[world, target_of[second]] = True
+    if is_end_effector[second] and target_of[first] >= 0:
+        ee_contact[world, target_of[first]] = True
+
+
+@wp.kernel
 def finish_state(
     update: wp.array[bool],
     link_net: wp.array2d[wp.vec3],

@@ -4,6 +4,9 @@ The published labels (MS-HAB paper App. A.6) are counts over event lists, which 
 has a decision list over signals of the steps t = 0 (the state at the start) to T: the first rule that holds gives
 the label, and the last rule of each branch always holds, so every history has exactly one label.
 
+"Reached" and "touched" in a label speak of the end effector, fingers and gripper_link, as ``F_ee,a`` of the paper does:
+an elbow that pushes a door has not reached its handle.
+
 The signals are folded step by step into a small ``LabelState``; a recorded history goes through the same fold.
 """
 
@@ -13,6 +16,8 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
+
+import numpy as np
 
 from mjhab.core.arrays import Array, as_like, map_record, namespace, pile, to_numpy
 from mjhab.tasks.plan import SubtaskKind
@@ -99,6 +104,8 @@ class Watched(Protocol):
     @property
     def touch(self) -> Array: ...
     @property
+    def ee_contact(self) -> Array: ...
+    @property
     def force_ok(self) -> Array: ...
     @property
     def success(self) -> Array: ...
@@ -119,6 +126,7 @@ class History:
     near: Array
     contact: Array
     touch: Array
+    ee_contact: Array
     force_ok: Array
     success: Array
     must_hold: Array
@@ -145,6 +153,7 @@ WATCHED: tuple[str, ...] = (
     "near",
     "contact",
     "touch",
+    "ee_contact",
     "success",
     "excess",
 )
@@ -161,7 +170,7 @@ def watch(signals: Watched) -> Array:
     return pile(
         (
             s.is_grasped, s.at_goal, s.opened, s.closed, s.slightly_opened, s.slightly_closed, s.near,
-            s.contact, s.touch, s.success, ~s.force_ok,
+            s.contact, s.touch, s.ee_contact, s.success, ~s.force_ok,
         )
     )  # fmt: skip
 
@@ -242,7 +251,7 @@ def _pick_rules(s: LabelState) -> list[Array]:
         s.ever("success") & s.ever("released"),
         s.ever("success"),
         s.ever("excess"),
-        ~s.ever("is_grasped") & ~s.ever("touch"),
+        ~s.ever("is_grasped") & ~s.ever("ee_contact"),
         ~s.ever("is_grasped"),
         ~s.holds("is_grasped"),
     ]
@@ -275,7 +284,7 @@ def _joint_rules(s: LabelState, there: str, slightly: str) -> list[Array]:
         s.ever("success") & ~s.holds(there),
         s.ever("success"),
         s.ever("excess"),
-        ~s.ever("touch"),
+        ~s.ever("ee_contact"),
         s.ever(there) & ~s.holds(there),
         s.ever(there),
         s.ever(slightly),
@@ -347,12 +356,22 @@ def get_row(state: LabelState, w: int) -> dict[str, Any]:
     return {f.name: to_numpy(getattr(state, f.name)[..., w]).copy() for f in dataclasses.fields(state)}
 
 
+def _with_ee_contact(rows: Any) -> np.ndarray:
+    """Rows ``WATCHED`` (and ``_FALLS``) of one world, (K,) or (K + 2,); ``touch`` stands in for a lacking row."""
+    values = np.asarray(rows)
+    lacking = len(values) in (len(WATCHED) - 1, len(WATCHED) - 1 + len(_FALLS))
+    return np.insert(values, _NOW["ee_contact"], values[_NOW["touch"]]) if lacking else values
+
+
 def set_row(state: LabelState, w: int, row: Mapping[str, Any]) -> LabelState:
-    """A copy of a label state in which world ``w`` is as ``get_row`` gave it."""
+    """A copy of a label state in which world ``w`` is as ``get_row`` gave it.
+
+    In rows of versions that had no ``ee_contact`` it is what ``touch`` is.
+    """
 
     def put(name: str) -> Array:
         array = namespace(state.now).asarray(getattr(state, name), copy=True)
-        array[..., w] = as_like(row[name], array)
+        array[..., w] = as_like(_with_ee_contact(row[name]) if name in ("now", "seen") else row[name], array)
         return array
 
     return LabelState(*(put(f.name) for f in dataclasses.fields(state)))

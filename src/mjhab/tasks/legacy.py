@@ -1,9 +1,11 @@
 """The labels of the published code, for comparison with its tables: counts and orders over an event list.
 
-Rules of mshab/utils/label_dataset.py, kept with their overlaps and gaps (for instance, a Pick that begins with the
-object in the hand succeeds with two events and is labelled ``success_then_excessive_collisions``). They read only the
-steps after the first action, and events count as if nothing had held before. One difference remains: thresholds
-include equality, as everywhere here.
+Rules of mshab/utils/label_dataset.py, kept with their overlaps and gaps (for instance, a Place that grasps once more at
+its goal has more than four events and is labelled ``winding_success``, wherever the object was). They read only the
+steps after the first action, and events count as if nothing had held before. The baseline of a Close is the joint at
+its start, q(0): the joint is ``slightly_closed`` from q(0) - 5 % of its range on, and ``opened`` when it is back above
+that. Two differences remain: thresholds include equality, as everywhere here, and q(0) is that of the start state
+(``WorldState.joint_start``), where the published code takes the one after the first action.
 """
 
 from __future__ import annotations

@@ -41,6 +41,8 @@ class WorldState:
     """(W,) contact force [N] summed over robot links without the fingers."""
     target_contact: Array
     """(W,) bool: any robot link touches the active target."""
+    ee_contact: Array
+    """(W,) bool: the end effector (fingers or gripper_link) touches the active target."""
     plan_obj_pos: Array
     """(W, S, 3) position of the object of every subtask of the plan, zeros if it has none."""
     joint_q: Array
@@ -79,6 +81,8 @@ class Signals:
     """A finger presses the target."""
     touch: Array
     """Any robot link touches the target."""
+    ee_contact: Array
+    """The end effector (fingers or gripper_link) touches the target: ``F_ee,a`` of MS-HAB paper App. A.6."""
     robot_force: Array
     """(W,) [N]."""
     target_force: Array
@@ -274,8 +278,8 @@ def measure(
     # In the order of CHECKS.
     rows = (
         is_grasped, _rest(state, cos, sin, config), *_stillness(state, active.rest_tol, config),
-        cumulative <= active.force_limit, contact, state.target_contact | contact, pick_column(there, active.index),
-        *_joint(state, active, config), *_arrival(state, active, cos, sin, config),
+        cumulative <= active.force_limit, contact, state.target_contact | contact, state.ee_contact | contact,
+        pick_column(there, active.index), *_joint(state, active, config), *_arrival(state, active, cos, sin, config),
         ~is_grasped, is_grasped | ~active.must_hold,
     )  # fmt: skip
     checks = pile(rows) & active.applies

@@ -17,6 +17,7 @@ CHECKS: tuple[str, ...] = (
     "force_ok",
     "contact",
     "touch",
+    "ee_contact",
     "at_goal",
     "opened",
     "closed",

@@ -1,0 +1,64 @@
+"""Names in MS-HAB's own data files (mshab/envs/wrappers/record.py, mshab/utils/label_dataset.py), and their events."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from mjhab.rollout.records import Event
+from mjhab.tasks.legacy import extend
+from mjhab.tasks.plan import KIND_NAMES
+
+TRAJECTORY = "traj_"
+"""Groups of a file are named by this and the "episode_id" of the file's JSON."""
+TRUTHS = frozenset({"is_grasped"})
+"""Observations that are yes or no there, without an axis of their own."""
+SOURCE_TYPE = "mjhab"
+"""What files of ours call their "source_type"."""
+COLLISION = "collision"
+_THEIRS = {
+    "at_goal": "obj_at_goal",
+    "left_goal": "obj_left_goal",
+    "excessive_collisions": "exceeded_cumulative_force_limit",
+}
+_OURS = {theirs: ours for ours, theirs in _THEIRS.items()}
+
+
+def to_events(kind: str, events: Iterable[Event]) -> list[str]:
+    """The "events" of an episode of one subtask: those that its label counts, without immediate repeats."""
+    counted: list[str] = []
+    extend(counted, KIND_NAMES.index(kind), (name for _, name in events))
+    return [_THEIRS.get(name, name) for name in counted]
+
+
+def to_verbose(events: Iterable[Event], force: Sequence[float]) -> list[list[Any]]:
+    """The "events_verbose" of an episode: [step, name, null], and [steps, "collision", forces [N]] of steps in which
+    the robot met a force, merged while nothing else happens. Steps count from 0, the one of the first action."""
+    by_step: dict[int, list[str]] = {}
+    for step, name in events:
+        by_step.setdefault(step, []).append(_THEIRS.get(name, name))
+    told: list[list[Any]] = []
+    for step in range(1, max((len(force), *by_step)) + 1):
+        told += [[step - 1, name, None] for name in by_step.get(step, ())]
+        value = force[step - 1] if step <= len(force) else 0.0
+        if value <= 0:
+            continue
+        if told and told[-1][1] == COLLISION:
+            told[-1][0].append(step - 1)
+            told[-1][2].append(value)
+        else:
+            told.append([[step - 1], COLLISION, [value]])
+    return told
+
+
+def from_verbose(told: Iterable[Sequence[Any]], steps: int) -> tuple[tuple[Event, ...], tuple[float, ...]]:
+    """Events (steps from 1) and force [N] of every control step, from an "events_verbose"."""
+    events: list[Event] = []
+    force = [0.0] * steps
+    for step, name, values in told:
+        if name != COLLISION:
+            events.append((int(step) + 1, _OURS.get(str(name), str(name))))
+            continue
+        for at, value in zip(step, values, strict=True):
+            force[int(at)] = float(value)
+    return tuple(events), tuple(force)

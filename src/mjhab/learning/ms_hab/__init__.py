@@ -1,0 +1,1 @@
+"""Policies that were trained in the original MS-HAB, run here as they were run there."""

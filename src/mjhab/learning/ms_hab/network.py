@@ -1,0 +1,87 @@
+"""What the four kinds of networks have in common: their interface, and sizes read off the shapes of parameters."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+
+import torch
+from torch import Tensor, nn
+
+Shapes = Mapping[str, tuple[int, ...]]
+"""Name of a parameter to its shape, in the order of the checkpoint."""
+CAMERAS = ("fetch_head_depth", "fetch_hand_depth")
+"""Names of the depth images in the original (mshab/envs/wrappers/observation.py)."""
+IMAGE_SIDE_PX = 128
+STATE_SIZE = 42
+ACTION_SIZE = 13
+DEPTH_SCALE_MM = 1000.0
+
+
+class Network(nn.Module):
+    """A policy network of the original: its modules have the names of the original's, so that its checkpoints load.
+
+    Attributes:
+        cameras: depth images it looks at, in its order; a subset of CAMERAS.
+        frames: F, how many of the last observations it is given.
+        noise_shape: shape of the standard normal numbers that one plan needs; () for none.
+    """
+
+    cameras: tuple[str, ...]
+    frames: int
+    noise_shape: tuple[int, ...] = ()
+
+    def plan(self, depth: Mapping[str, Tensor], state: Tensor, noise: Tensor) -> Tensor:
+        """Deterministic actions for the next K control steps.
+
+        Args:
+            depth: by camera (B, F, 128, 128) float32 [mm], oldest first.
+            state: (B, F, 42) float32.
+            noise: (B, *noise_shape) float32.
+
+        Returns:
+            (B, K, 13), not clipped.
+        """
+        raise NotImplementedError
+
+
+def squash_depth(depth: Tensor) -> Tensor:
+    """Depth [mm] as PPO, BC and the diffusion policy of the original are given it: 1 - tanh(mm / 1000)."""
+    return 1 - torch.tanh(depth / DEPTH_SCALE_MM)
+
+
+def size(shapes: Shapes, key: str, axis: int, default: int) -> int:
+    """Length of an axis of a parameter; the published one where there is no such parameter."""
+    shape = shapes.get(key, ())
+    return shape[axis] if axis < len(shape) else default
+
+
+def names_below(shapes: Shapes, prefix: str, known: Sequence[str]) -> tuple[str, ...]:
+    """Which ``known`` modules the ModuleDict ``prefix`` has, in the order of the checkpoint; all if it has none."""
+    found = dict.fromkeys(key.removeprefix(prefix).split(".")[0] for key in shapes if key.startswith(prefix))
+    return tuple(name for name in found if name in known) or tuple(known)
+
+
+def output_sizes(shapes: Shapes, prefix: str, stride: int, default: Sequence[int]) -> list[int]:
+    """Output sizes of the layers with weights in an nn.Sequential ``prefix``, whose indices are ``stride`` apart."""
+    indices = [key.removeprefix(prefix).split(".")[0] for key in shapes if key.startswith(prefix)]
+    last = max((int(index) for index in indices if index.isdigit()), default=stride * (len(default) - 1))
+    published = [*default, *itertools.repeat(default[-1], last // stride)]
+    return [size(shapes, f"{prefix}{stride * i}.weight", 0, published[i]) for i in range(last // stride + 1)]
+
+
+def mlp(sizes: Sequence[int]) -> nn.Sequential:
+    """Linear layers with ReLU between them."""
+    layers: list[nn.Module] = []
+    for width, following in itertools.pairwise(sizes):
+        layers += [nn.Linear(width, following), nn.ReLU()]
+    return nn.Sequential(*layers[:-1])
+
+
+def flat_size(cnn: nn.Module, channels: int) -> int:
+    """Numbers that a CNN makes of one 128 x 128 image; 0 where the image is too small for it."""
+    try:
+        with torch.no_grad():
+            return cnn(torch.zeros(1, channels, IMAGE_SIDE_PX, IMAGE_SIDE_PX)).flatten(1).shape[1]
+    except RuntimeError:
+        return 0

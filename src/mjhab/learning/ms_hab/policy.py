@@ -1,0 +1,195 @@
+"""A policy of the original in our environments: observations as its wrappers give them, actions as it takes them."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from mjhab.core.arrays import to_numpy
+from mjhab.core.errors import UsageError
+from mjhab.core.seeding import stream
+from mjhab.learning.ms_hab.checkpoint import load_network
+from mjhab.learning.ms_hab.network import IMAGE_SIDE_PX, STATE_SIZE, Network
+
+ENV_OPTIONS: dict[str, Any] = {
+    "obs_mode": "depth",
+    "cameras": ("fetch_head", "fetch_hand"),
+    "camera_size": IMAGE_SIDE_PX,
+    "control_mode": "pd_joint_delta_pos",
+}
+"""Options of an environment that these policies can act in."""
+HEAD_ACTIONS = slice(8, 10)
+"""Head pan and tilt among the 13 actions: the original holds them at zero in training and evaluation
+(``stationary_head``, mshab/envs/make.py)."""
+_STATE = "state"
+_WORLDS_AT_ONCE_ON_CPU = 1
+"""On a CPU one world at a time: larger batches are no faster there, and round differently, so that what happens in an
+episode would depend on the number of worlds."""
+
+
+class Config(Protocol):
+    """What is read of an environment's configuration."""
+
+    @property
+    def obs_mode(self) -> str: ...
+    @property
+    def cameras(self) -> Sequence[str]: ...
+    @property
+    def camera_size(self) -> int | tuple[int, int]: ...
+    @property
+    def control_mode(self) -> str: ...
+
+
+class Environment(Protocol):
+    """What is read of an environment."""
+
+    @property
+    def config(self) -> Config: ...
+
+
+def ms_hab_policy(path: Path | str, env: Environment) -> MsHabPolicy:
+    """The policy in a checkpoint of the original (``ms_hab:CHECKPOINT.pt``), for an environment.
+
+    Raises:
+        UsageError: the checkpoint cannot be taken (see ``load_network``), or the environment shows something else than
+            the policy looks at.
+    """
+    check_environment(env.config)
+    name, network = load_network(Path(path))
+    return MsHabPolicy(name, network, "cuda" if torch.cuda.is_available() else "cpu")
+
+
+def check_environment(config: Config) -> None:
+    """Refuse an environment that does not give what the policies of the original look at.
+
+    Raises:
+        UsageError: the message names every option that differs.
+    """
+    size = (config.camera_size,) * 2 if isinstance(config.camera_size, int) else tuple(config.camera_size)
+    wrong = []
+    if not {"depth", "rgbd"} & set(config.obs_mode.split("+")):
+        wrong.append(f"obs_mode is {config.obs_mode!r}, not one with depth (such as 'depth')")
+    if not set(ENV_OPTIONS["cameras"]) <= set(config.cameras):
+        wrong.append(f"cameras are {tuple(config.cameras)}, not {ENV_OPTIONS['cameras']}")
+    if size != (IMAGE_SIDE_PX, IMAGE_SIDE_PX):
+        wrong.append(f"camera_size is {size}, not {IMAGE_SIDE_PX}")
+    if config.control_mode != ENV_OPTIONS["control_mode"]:
+        wrong.append(f"control_mode is {config.control_mode!r}, not {ENV_OPTIONS['control_mode']!r}")
+    if wrong:
+        raise UsageError(
+            f"policies of MS-HAB see depth of two cameras and give joint deltas, but of this environment "
+            f"{'; '.join(wrong)}. Make it with {', '.join(f'{key}={value!r}' for key, value in ENV_OPTIONS.items())}."
+        )
+
+
+class MsHabPolicy:
+    """Acts as the original's evaluation does (mshab/evaluate.py): deterministic actions, frames stacked oldest first.
+
+    The first observation of an episode fills all frames. The diffusion policy takes 8 of 16 planned actions before it
+    plans anew; its noise is a function of the episode alone. Head actions are zero.
+
+    Args:
+        layout: name of the network's layout.
+        network: as ``load_network`` gives it.
+        device: of torch.
+    """
+
+    def __init__(self, layout: str, network: Network, device: str = "cpu") -> None:
+        self.name = f"ms_hab:{layout}"
+        self._device = torch.device(device)
+        self._network = network.to(self._device)
+        self._frames: dict[str, np.ndarray] = {}
+        self._fresh = np.zeros(0, bool)
+        self._planned: list[deque[np.ndarray]] = []
+        self._noise: list[np.random.Generator | None] = []
+
+    def reset(self, mask: np.ndarray) -> None:
+        """Forget the worlds in ``mask`` (W,) bool."""
+        if len(self._fresh) != len(mask):
+            self._fresh = np.ones(len(mask), bool)
+            self._planned = [deque() for _ in mask]
+            self._noise = [None] * len(mask)
+            self._frames = {}
+        self._fresh[mask] = True
+        for w in np.flatnonzero(mask).tolist():
+            self._planned[w].clear()
+            self._noise[w] = None
+
+    def act(self, obs: Mapping[str, Any], info: Mapping[str, Any]) -> np.ndarray:
+        """Actions (W, 13) float32 in [-1, 1].
+
+        Raises:
+            UsageError: the observations lack the state or a depth image, or have other shapes.
+        """
+        self._see(obs)
+        due = [w for w, planned in enumerate(self._planned) if not planned]
+        at_once = _WORLDS_AT_ONCE_ON_CPU if self._device.type == "cpu" else max(1, len(due))
+        for start in range(0, len(due), at_once):
+            self._plan(due[start : start + at_once], info)
+        actions = np.stack([planned.popleft() for planned in self._planned])
+        actions[:, HEAD_ACTIONS] = 0.0
+        return actions
+
+    def _see(self, obs: Mapping[str, Any]) -> None:
+        """Put observations behind those of the last steps; those of fresh worlds into all frames."""
+        for name, seen in _looked_at(obs, self._network.cameras, len(self._fresh)).items():
+            if name not in self._frames:
+                self._frames[name] = np.repeat(seen[:, None], self._network.frames, axis=1)
+            frames = self._frames[name]
+            frames[:, :-1] = frames[:, 1:].copy()
+            frames[:, -1] = seen
+            frames[self._fresh] = seen[self._fresh, None]
+        self._fresh[:] = False
+
+    def _plan(self, worlds: list[int], info: Mapping[str, Any]) -> None:
+        depth = {camera: self._tensor(self._frames[camera][worlds]) for camera in self._network.cameras}
+        state = self._tensor(self._frames[_STATE][worlds])
+        noise = self._tensor(np.stack([self._draw(w, info) for w in worlds]))
+        with torch.inference_mode():
+            plans = self._network.plan(depth, state, noise).clamp(-1.0, 1.0).cpu().numpy()
+        for w, plan in zip(worlds, plans, strict=True):
+            self._planned[w].extend(plan.astype(np.float32))
+
+    def _draw(self, world: int, info: Mapping[str, Any]) -> np.ndarray:
+        """Noise for one plan of a world, from the stream of its episode."""
+        if not self._network.noise_shape:
+            return np.zeros((), np.float32)
+        generator = self._noise[world]
+        if generator is None:
+            # A world without an episode waits for its first one; what it is given is not carried out.
+            episode = info["episode_spec"][world] or {"seed": 0, "index": 0}
+            generator = stream(int(episode["seed"]), "policy", "ms_hab", int(episode["index"]))
+            self._noise[world] = generator
+        return generator.standard_normal(self._network.noise_shape, dtype=np.float32)
+
+    def _tensor(self, values: np.ndarray) -> Tensor:
+        return torch.from_numpy(np.asarray(values, np.float32)).to(self._device)
+
+
+def _looked_at(obs: Mapping[str, Any], cameras: Sequence[str], worlds: int) -> dict[str, np.ndarray]:
+    """State (W, 42) and depth (W, 128, 128) [mm] by the original's names.
+
+    Raises:
+        UsageError: something is missing or has another shape.
+    """
+    keys = {name: f"sensor_data/{name.removesuffix('_depth')}/depth" for name in cameras} | {_STATE: _STATE}
+    shapes = dict.fromkeys(cameras, (worlds, IMAGE_SIDE_PX, IMAGE_SIDE_PX, 1)) | {_STATE: (worlds, STATE_SIZE)}
+    missing = [key for key in keys.values() if key not in obs]
+    if missing:
+        raise UsageError(
+            f"policies of MS-HAB look at {', '.join(keys.values())}; the observations lack {', '.join(missing)}. They "
+            f"have: {', '.join(obs)}. Make the environment with obs_mode={ENV_OPTIONS['obs_mode']!r}, without wrappers."
+        )
+    seen = {}
+    for name, key in keys.items():
+        values = to_numpy(obs[key])
+        if values.shape != shapes[name]:
+            raise UsageError(f"observation {key} has shape {values.shape}; policies of MS-HAB need {shapes[name]}.")
+        seen[name] = values if name == _STATE else values[..., 0]
+    return seen

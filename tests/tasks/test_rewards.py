@@ -195,7 +195,7 @@ def test_a_finished_plan_earns_nothing() -> None:
     view = view_of([PICK, PICK])
     view = replace(view, signals=replace(view.signals, kind=np.array([-1, 0])))
     scored = FULL.score(view)
-    assert scored.total[0] == 0 and not scored.terms[:, 0].any() and scored.attainable.tolist() == [1.0, 29.0]
+    assert scored.total[0] == 0 and not scored.terms[:, 0].any() and scored.normaliser.tolist() == [1.0, 29.0]
     done = replace(view, signals=replace(view.signals, kind=np.array([-1, -1])))
     assert not FULL.score(done).total.any()
 
@@ -228,7 +228,7 @@ def test_other_scales_change_the_term_and_the_normaliser() -> None:
     changed = DenseReward(CONFIG, {"pick": {"reach": 4.0, "success": 0.5}})
     view = view_of([PICK], object_pos=[0.5, 0.3, 0.87])
     assert terms_of(view, changed) == pytest.approx(terms_of(view) | {"reach": 4 * (1 - tanh(1.5))}, abs=1e-12)
-    assert changed.score(view).attainable[0] == 29 - 1 - 2.5
+    assert changed.score(view).normaliser[0] == 29 - 1 - 2.5
     # Terms of stages that exclude each other do not add up: the grasp replaces the reach.
     assert reward_table("close").scaled({"reach": 100.0}).attainable == 100 + 5 + 5 + 1
     assert reward_table("pick").scaled({"above": -1.0}).attainable == 29

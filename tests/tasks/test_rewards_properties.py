@@ -24,7 +24,7 @@ from tests.tasks.reward_states import BEST, CLOSE, FULL, NAVIGATE, OPEN, PICK, P
 def test_the_best_state_reaches_the_normaliser(kind: SubtaskKind) -> None:
     scored = FULL.score(view_of([kind], **BEST[kind]))
     assert scored.total[0] == pytest.approx({PICK: 29, PLACE: 44, NAVIGATE: 28, OPEN: 27, CLOSE: 36}[kind], abs=1e-12)
-    assert scored.attainable[0] == REWARD_TABLES[kind].attainable == pytest.approx(scored.total[0], abs=1e-12)
+    assert scored.normaliser[0] == REWARD_TABLES[kind].attainable == pytest.approx(scored.total[0], abs=1e-12)
 
 
 def test_published_normalisers_differ_where_the_original_is_off() -> None:
@@ -36,7 +36,7 @@ def test_published_normalisers_differ_where_the_original_is_off() -> None:
 @given(st.integers(0, 2**32), st.floats(0.0, 1.0))
 def test_no_state_earns_more_than_the_normaliser(seed: int, chance: float) -> None:
     scored = FULL.score(random_view(seed, 20, chance=chance))
-    assert (scored.total <= scored.attainable * (1 + 1e-12)).all()
+    assert (scored.total <= scored.normaliser * (1 + 1e-12)).all()
     assert (scored.terms >= 0).all()
     np.testing.assert_allclose(scored.terms.sum(0), scored.total, rtol=1e-12)
 
@@ -46,7 +46,7 @@ def test_no_state_earns_more_than_the_normaliser(seed: int, chance: float) -> No
 def test_no_state_earns_more_than_the_normaliser_of_other_scales(seed: int, drawn: list[float]) -> None:
     scales = {name: {REWARD_TABLES[SubtaskKind(k)].terms[k + 2].name: drawn[k]} for k, name in enumerate(KIND_NAMES)}
     scored = DenseReward(CONFIG, scales).score(random_view(seed, 20))
-    assert (scored.total <= scored.attainable * (1 + 1e-12)).all()
+    assert (scored.total <= scored.normaliser * (1 + 1e-12)).all()
     np.testing.assert_allclose(scored.terms.sum(0), scored.total, rtol=1e-12, atol=1e-12)
 
 

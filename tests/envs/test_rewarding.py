@@ -16,6 +16,7 @@ from mjhab.scenes.fetch import FETCH_JOINTS, JOINT_LIMITS, REST_QPOS
 from mjhab.tasks.measure import active_entries, measure
 from mjhab.tasks.plan import Subtask, SubtaskKind, TaskConfig, TaskPlan, stack_plans
 from mjhab.tasks.progress import start
+from mjhab.tasks.rewards import RewardOptions
 from tests.tasks.build import resting, squeeze
 
 PICK, PLACE, NAVIGATE, OPEN, CLOSE = range(5)
@@ -52,7 +53,7 @@ def inputs_of(kinds: list[int], link: int = 1, **over: Any) -> RewardInputs:
 
 
 def rewarder(worlds: int, mode: str = "dense", **more: Any) -> Rewarder:
-    return Rewarder(worlds, CONFIG, mode, more.pop("scales", None), LAYOUT, SENSING, **more)
+    return Rewarder(worlds, CONFIG, mode, more.pop("options", None), LAYOUT, SENSING, **more)
 
 
 def step(kind: int, way: GoalDistance = straight_distance, **over: Any) -> dict[str, float]:
@@ -122,7 +123,7 @@ def test_modes() -> None:
     with pytest.raises(UsageError, match="normalized_dense"):
         rewarder(1, "normalised_dense")
     with pytest.raises(UsageError, match="reward term of pick"):
-        rewarder(1, scales={"pick": {"reech": 1.0}})
+        rewarder(1, options=RewardOptions({"pick": {"reech": 1.0}}))
 
 
 def test_the_real_torso_reaches_the_normaliser_almost() -> None:

@@ -12,7 +12,7 @@ import pytest
 
 from mjhab.core.errors import UsageError
 from mjhab.tasks.plan import SubtaskConfig, SubtaskKind
-from mjhab.tasks.rewards import REWARD_TABLES, DenseReward, RewardView, closed_near, reward_table
+from mjhab.tasks.rewards import REWARD_TABLES, DenseReward, RewardOptions, RewardView, closed_near, reward_table
 from tests.tasks.build import CONFIG, REST, squeeze
 from tests.tasks.reward_states import AT_REST, CLOSE, FULL, GOAL, NAVIGATE, OPEN, PICK, PLACE, off, speeds, view_of
 
@@ -225,7 +225,7 @@ def test_closed_near_is_earned_at_the_handle_kept_while_closed_and_lost_by_openi
 
 
 def test_other_scales_change_the_term_and_the_normaliser() -> None:
-    changed = DenseReward(CONFIG, {"pick": {"reach": 4.0, "success": 0.5}})
+    changed = DenseReward(CONFIG, RewardOptions({"pick": {"reach": 4.0, "success": 0.5}}))
     view = view_of([PICK], object_pos=[0.5, 0.3, 0.87])
     assert terms_of(view, changed) == pytest.approx(terms_of(view) | {"reach": 4 * (1 - tanh(1.5))}, abs=1e-12)
     assert changed.score(view).normaliser[0] == 29 - 1 - 2.5
@@ -247,7 +247,7 @@ def test_other_scales_change_the_term_and_the_normaliser() -> None:
 )
 def test_scales_that_do_not_exist_are_refused(scales: Any, said: str) -> None:
     with pytest.raises(UsageError, match=said):
-        DenseReward(CONFIG, scales)
+        DenseReward(CONFIG, RewardOptions(scales))
 
 
 def test_a_kind_that_was_not_announced_is_refused() -> None:

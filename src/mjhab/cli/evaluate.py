@@ -16,6 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 import mjhab
 from mjhab.cli.options import EvalOptions
 from mjhab.cli.output import at_least, print_json, print_table
+from mjhab.cli.profiles import profile_options, resolved_profile
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.rollout.films import FilmSink
 from mjhab.rollout.loop import rollout
@@ -76,6 +77,7 @@ def check_options(options: EvalOptions) -> None:
     ):
         if given is not None and given not in valid:
             raise unknown_name(kind, given, valid)
+    resolved_profile(options, options.task, options.subtask or "")
     if options.style and options.policy != "expert":
         raise UsageError(f"--style is for --policy expert: {options.policy} has no style.")
     Styles.parse(options.style)
@@ -91,7 +93,9 @@ def check_options(options: EvalOptions) -> None:
 def resolved_config(options: EvalOptions) -> dict[str, Any]:
     """Everything that decides what happens in the episodes, with the versions that simulate them."""
     chosen = {key: value for key, value in asdict(options).items() if key not in NOT_IN_CONFIG}
-    chosen.pop("style")
+    for name in ("style", "starts"):
+        chosen.pop(name)
+    chosen |= resolved_profile(options, options.task, options.subtask or "")
     if options.style:
         chosen["style"] = Styles.parse(options.style).words
     if options.spawns:
@@ -142,6 +146,7 @@ def make_env(options: EvalOptions) -> Any:
         seed=options.seed,
         threads=options.threads,
         autoreset="disabled",
+        **profile_options(options),
     )
 
 
@@ -159,7 +164,7 @@ def make_policy(options: EvalOptions, env: Any) -> Policy:
 def finish(folder: RunFolder, seconds: float, film_problem: str | None, alone: AloneRates | None) -> dict[str, Any]:
     """Write summary.json and report.html from the records in the folder; returns the summary for machines."""
     records = folder.records
-    summary = summarize(records, seconds, alone)
+    summary = {"profile": folder.config.get("profile"), **summarize(records, seconds, alone)}
     rows = {"along_the_plan": rows_by_position(records), "by_kind": rows_by_kind(records)}
     folder.write_summary({**summary, **{name: [asdict(row) for row in table] for name, table in rows.items()}})
     folder.write_report(render_report(records, folder.config, seconds, folder.film_path, film_problem, alone))

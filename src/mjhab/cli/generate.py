@@ -21,6 +21,7 @@ from mjhab.cli.evaluate import check_options, make_policy
 from mjhab.cli.generate_options import GenerateOptions
 from mjhab.cli.options import EvalOptions
 from mjhab.cli.output import at_least, print_json, print_table
+from mjhab.cli.profiles import profile_options, resolved_profile
 from mjhab.core.errors import UsageError
 from mjhab.data.crew import ALL, Crew, ProcessCrew, Stage, WorkerSpec
 from mjhab.data.generation import Job, Standing, generate
@@ -33,7 +34,7 @@ MOST_TARGETS = 10
 """No task has more kinds of objects."""
 NO_IMAGES = "none"
 _NOT_IN_CONFIG = frozenset(
-    {"out", "per_target", "per_label", "episodes", "workers", "worlds", "threads", "ray", "resume", "json"}
+    {"out", "per_target", "per_label", "episodes", "workers", "worlds", "threads", "ray", "resume", "json", "starts"}
 )
 
 
@@ -79,6 +80,7 @@ def make_job(options: GenerateOptions) -> Job:
     images = None if options.images == NO_IMAGES else ImageFormat(options.rgb)
     _check_images(options)
     config = {key: value for key, value in vars(options).items() if key not in _NOT_IN_CONFIG}
+    config |= resolved_profile(options, options.task, options.subtask or "")
     # Without a style nothing is said of it: what was made before there were styles can be gone on with.
     config |= {"style": Styles.parse(options.style).words} if config.pop("style") else {}
     config = {key: str(value) if isinstance(value, Path) else value for key, value in config.items()}
@@ -115,7 +117,7 @@ def build_stage(options: GenerateOptions) -> Stage:
         split=options.split, assets=options.assets, home=options.home or "", navigate=options.navigate,
         seed=options.seed, threads=options.threads, reward_mode=options.reward, autoreset="disabled",
         obs_mode="state" if options.images == NO_IMAGES else options.images, cameras=options.cameras,
-        camera_size=options.camera_size,
+        camera_size=options.camera_size, **profile_options(options),
     )  # fmt: skip
     targets = (ALL,)
     if options.subtask and options.subtask != "navigate":
@@ -217,4 +219,5 @@ def _eval_options(options: GenerateOptions) -> EvalOptions:
         task=options.task, subtask=options.subtask, target=options.target, policy=options.policy, style=options.style,
         seed=options.seed, split=options.split, navigate=options.navigate, worlds=options.worlds,
         threads=options.threads, episodes=1 if options.episodes is None else options.episodes,
+        profile=options.profile, starts=options.starts, stillness=options.stillness,
     )  # fmt: skip

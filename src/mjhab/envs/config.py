@@ -43,7 +43,7 @@ class EnvConfig:
     split, home: homes to draw from, or one home by name (or a pattern such as ``v3_sc1_*``). assets: "builtin" or a
     folder. seed: of the episodes. threads: 0 takes every core.
     obs_mode: "state", or images too, see `observing.OBS_MODES`. cameras: of which of the robot's cameras; camera_size:
-    pixels, one number or (height, width). frame_stack: how many frames `wrappers.FrameStack` stacks; 1: what it is told.
+    pixels, one number or (height, width). frame_stack: frames that `wrappers.FrameStack` stacks; 1: what it is told.
     control_mode, base, stationary: see `controllers.make_controller`.
     reward_mode: one of REWARD_MODES; "" is the pointer for a chain, sparse for one subtask. reward_scales: changes of
     the scales of single dense reward terms, as {"pick": {"reach": 4.0}}. reward_formula, reward_normaliser: see
@@ -216,7 +216,7 @@ class TrainConfig(EnvConfig):
 
 
 def task_config(config: EnvConfig, rest_qpos: tuple[float, ...]) -> TaskConfig:
-    """The thresholds in force: those of the paper, changed by ``overrides``, ``horizon``, ``force_limits``, ``stillness``.
+    """The thresholds in force: those of the paper, changed by the options of ``config``.
 
     Raises:
         UsageError: an override names no threshold, or its value has the wrong type.

@@ -16,7 +16,6 @@ import numpy as np
 
 from mjhab.core.cache import write_atomic
 from mjhab.core.errors import MjhabError
-from mjhab.core.rotations import pose_inv
 from mjhab.core.seeding import stream
 from mjhab.envs.controllers.table import ARM_JOINTS
 from mjhab.envs.held import HOLD_SECONDS, HeldGrasp, HeldStarts
@@ -25,9 +24,9 @@ from mjhab.scenes.fetch import FETCH_JOINTS, KINEMATIC_TREE, REST_QPOS
 from mjhab.sim.settle import parked_robot_qpos
 from mjhab.tasks.plan import TaskConfig
 
-MAX_ARMS = 64
+MAX_ARMS = 32
 """Arms of an object type."""
-MAX_TRIES = 512
+MAX_TRIES = 256
 """Postures tried for them."""
 SOLVER_STEPS = 20
 REST_SHARE = 0.9
@@ -115,7 +114,7 @@ def rest_postures(rng: np.random.Generator, config: TaskConfig, count: int) -> n
     allowed = REST_SHARE * config.ee_rest_tol
     offset = rng.normal(size=(count, 3))
     offset *= allowed * rng.uniform(size=(count, 1)) ** (1 / 3) / np.linalg.norm(offset, axis=1, keepdims=True)
-    center = np.array(config.ee_rest_pos) + (0.0, 0.0, config.base_height)
+    center = np.add(config.ee_rest_pos, (0.0, 0.0, config.base_height))
     nothing = np.zeros((count, len(rest)))
     for _ in range(SOLVER_STEPS):
         error = center + offset - chain.tip_pose(q)[0]

@@ -26,8 +26,8 @@ def make_expert(env: SequentialTaskEnv, styles: Styles | None = None) -> ExpertP
 
     config = env.config
     # Experts leave the head where it is.
-    moves = not set(config.stationary) - {"head"}
-    if (config.control_mode, config.base) != (DEFAULT_MODE, "forward") or not moves:
+    free = set(config.stationary) <= {"head"}
+    if (config.control_mode, config.base) != (DEFAULT_MODE, "forward") or not free:
         raise UsageError(
             f"experts act by control_mode {DEFAULT_MODE!r} with base 'forward' and nothing stationary but the head; "
             f"this environment has {config.control_mode!r}, base {config.base!r}, stationary {config.stationary!r}."

@@ -1,6 +1,7 @@
 """Measure the active subtask of every world: plain physical quantities in, boolean and float signals out.
 
-Distances are Euclidean, speeds absolute (unless ``stillness`` is "published"), every threshold counts as reached at equality (MS-HAB paper App. A.2).
+Distances are Euclidean, speeds absolute (unless ``stillness`` is "published"), every threshold counts as reached at
+equality (MS-HAB paper App. A.2).
 Nothing is mutated; the same lines run on numpy and torch, and keep the dtype of the state.
 """
 

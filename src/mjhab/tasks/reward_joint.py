@@ -42,9 +42,7 @@ OPEN_TERMS = (
 _OPEN_SHARPNESS = {"reach": 1.0, "posture": 1.0, "rest": 1.0, "still": 1.0}
 
 
-def _open(
-    view: RewardView, config: TaskConfig, published: bool = False
-) -> tuple[dict[str, Array], dict[str, Array]]:
+def _open(view: RewardView, config: TaskConfig, published: bool = False) -> tuple[dict[str, Array], dict[str, Array]]:
     world, signals = view.world, view.signals
     distances = {
         "reach": view.handle_distance,
@@ -102,9 +100,7 @@ CLOSE_TERMS = (
 _CLOSE_SHARPNESS = {"reach": 1.0, "posture": 1.0, "posture_far": 0.2, "rest": 1.0, "rest_near": 3.0, "still": 1.0}
 
 
-def _close(
-    view: RewardView, config: TaskConfig, published: bool = False
-) -> tuple[dict[str, Array], dict[str, Array]]:
+def _close(view: RewardView, config: TaskConfig, published: bool = False) -> tuple[dict[str, Array], dict[str, Array]]:
     world, signals = view.world, view.signals
     posture, rest = posture_error(world, config), rest_distance(world, config)
     distances = {

@@ -137,6 +137,18 @@ def test_the_real_torso_reaches_the_normaliser_almost() -> None:
     assert rewarder(1).step(inputs_of([PLACE], obj=GOAL, robot_q=above))[1]["torso_up"][0] == 2.0
 
 
+def test_the_torso_is_not_clipped_where_published() -> None:
+    top = JOINT_LIMITS[FETCH_JOINTS.index("torso_lift_joint")][1]
+    above = np.array(REST_QPOS)
+    above[3] = top + 0.01
+    made = rewarder(1, options=RewardOptions(formula="published"))
+    assert made.step(inputs_of([PLACE], obj=GOAL, robot_q=above))[1]["torso_up"][0] == pytest.approx(
+        2 * (1 + 0.01 / top)
+    )
+    above[3] = -0.01
+    assert made.step(inputs_of([PLACE], obj=GOAL, robot_q=above))[1]["torso_up"][0] == pytest.approx(-0.02 / top)
+
+
 def test_closing_at_the_handle_is_remembered_until_the_world_begins_anew() -> None:
     at_handle, away = (inputs_of([CLOSE] * 3, joint_q=0.0, handle=at) for at in ((0.5, 0.2, 1.27), HANDLE))
     made = rewarder(3)

@@ -84,7 +84,12 @@ def test_another_layout_is_refused_with_both_hashes(made: SpawnSet):
 
 @pytest.mark.parametrize(
     ("change", "words"),
-    [({"subtask": "open", "target": ""}, "subtask 'pick'"), ({"target": ""}, "target"), ({"split": "val"}, "split")],
+    [
+        ({"subtask": "open", "target": ""}, "subtask 'pick'"),
+        ({"target": ""}, "target"),
+        ({"split": "val"}, "split"),
+        ({"spawn_rule": "published"}, "spawn_rule"),
+    ],
 )
 def test_another_purpose_is_refused(made: SpawnSet, change: dict[str, Any], words: str):
     options: dict[str, Any] = {"task": "set_table", "subtask": "pick", "target": "024_bowl"}

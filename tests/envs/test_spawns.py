@@ -415,6 +415,7 @@ def test_published_teleports_bind_the_front_area_only_where_navigate_is_judged_b
             qpos = maker.foresee(episode, plan, position)
             found, _ = maker.sampler.search(home.name, qpos, goal, (stream(0, k) for k in range(MAX_TRIES)))
             assert found is not None
+            assert goal.face is not None
             base = found[groceries.sim.addresses.robot_q[:3]]
             assert heading_error(base, goal.face) <= goal.turn
             assert np.hypot(*(base[:2] - goal.face)) <= DISC

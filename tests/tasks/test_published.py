@@ -196,7 +196,7 @@ def test_normalisers_are_those_of_the_original() -> None:
 
 
 @pytest.mark.parametrize("bad", [{"formula": "publisht"}, {"normaliser": "largest"}])
-def test_unknown_options_are_refused(bad: dict[str, str]) -> None:
+def test_unknown_options_are_refused(bad: dict[str, Any]) -> None:
     with pytest.raises(UsageError, match="published"):
         RewardOptions(**bad)
     with pytest.raises(UsageError, match="Did you mean 'absolute'"):

@@ -249,6 +249,8 @@ def _override(base: TaskConfig, changes: dict[str, Any], name: str, value: Any) 
     apart = (*KIND_NAMES, "rest_qpos", "continuous", "stillness")
     plain = [f.name for f in dataclasses.fields(base) if f.name not in apart]
     nested = [f"{kind}.{f.name}" for kind in KIND_NAMES for f in dataclasses.fields(SubtaskConfig)]
+    if name == "stillness":
+        raise UsageError(f"stillness is an option of its own, not one of the overrides: give stillness={value!r}.")
     if name not in (*plain, *nested):
         raise unknown_name("task-config override", name, (*plain, *nested))
     present = getattr(owner, part or name)

@@ -87,8 +87,11 @@ def test_the_profile_is_recorded_and_reaches_the_environment(tmp_path: Path) -> 
     assert "starts" not in config
     stage = build_stage(options)
     assert stage.env.config.profile == "ms_hab" and stage.env.config.stationary == ("head",)
-    with pytest.raises(UsageError, match="'ms_hab' has stillness"):
-        make_job(replace(options, stillness="absolute"))
+    for change, name in (({"stillness": "absolute"}, "stillness"), ({"cameras": ("fetch_hand",)}, "cameras")):
+        with pytest.raises(UsageError, match=f"'ms_hab' has {name}"):
+            make_job(replace(options, **change))
+    one_camera = make_job(replace(options, profile="mjhab", cameras=("fetch_hand",)))
+    assert one_camera.config["cameras"] == ("fetch_hand",)
 
 
 def test_what_cannot_work_is_refused_before_anything_is_built(

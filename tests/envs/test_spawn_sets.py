@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,10 @@ import pytest
 from mjhab.cli.main import main
 from mjhab.core.errors import UsageError
 from mjhab.envs.config import EnvConfig, task_config
+from mjhab.envs.controllers.table import ARM_JOINTS
 from mjhab.envs.spawn_factory import CHUNK, SpawnFactory, make_set, partial_folder
 from mjhab.envs.spawn_sets import SpawnRecipe, SpawnRow, SpawnSet, layout_digest
+from mjhab.envs.spawns import ARM_NOISE
 from mjhab.envs.starts import StartMaker
 from mjhab.scenes.fetch import REST_QPOS
 from mjhab.scenes.layout import Layout
@@ -96,6 +99,17 @@ def test_another_purpose_is_refused(made: SpawnSet, change: dict[str, Any], word
     config = EnvConfig(**options | change)
     with pytest.raises(UsageError, match=words):
         made.check(config)
+
+
+def test_a_published_set_names_the_arms_it_was_drawn_from():
+    recipe = SpawnRecipe("set_table", "place", "013_apple", "train", 0, 2, pool=1, spawn_rule="published")
+    factory = SpawnFactory(recipe)
+    apples = factory.starts.arms
+    assert factory.header()["grasps"]["013_apple"] == apples.digest("013_apple")
+    robot = factory.row(1).qpos[factory.sim.addresses.robot_q]
+    away = [np.abs(robot[list(ARM_JOINTS)] - one.arm).max() for one in apples.arms("013_apple")]
+    assert min(away) <= ARM_NOISE[1] + 1e-9
+    assert SpawnFactory(replace(recipe, spawn_rule="front_box")).header()["grasps"] != factory.header()["grasps"]
 
 
 def test_damaged_files_are_refused(made: SpawnSet, tmp_path: Path):

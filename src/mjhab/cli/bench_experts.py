@@ -30,7 +30,6 @@ from mjhab.data.provenance import source_commit, versions
 from mjhab.data.reading import episodes as recorded_episodes
 from mjhab.data.shard import StorageError
 from mjhab.rollout.store import write_text
-from mjhab.tasks.plan import TASKS
 
 CONFIG, RESULTS, TABLE, REPORT, EPISODES = "config.json", "results.json", "table.csv", "report.html", "episodes.jsonl"
 CHAIN_WEIGHT = 8.0
@@ -120,7 +119,7 @@ def write_results(options: BenchExpertsOptions, measured: Measured, errors: Mapp
 
 def _config(options: BenchExpertsOptions) -> dict[str, Any]:
     """What rows of one folder have in common."""
-    resolved = resolved_profile(options, TASKS[0])
+    resolved = resolved_profile(options)
     shown = {name: resolved[name] for name in ("profile", "stillness", "spawn_rule")}
     return {"split": options.split, "seed": options.seed, "policy": "expert", **shown}
 

@@ -77,7 +77,7 @@ def check_options(options: EvalOptions) -> None:
     ):
         if given is not None and given not in valid:
             raise unknown_name(kind, given, valid)
-    resolved_profile(options, options.task, options.subtask or "")
+    resolved_profile(options, task=options.task, subtask=options.subtask or "")
     if options.style and options.policy != "expert":
         raise UsageError(f"--style is for --policy expert: {options.policy} has no style.")
     Styles.parse(options.style)
@@ -95,7 +95,7 @@ def resolved_config(options: EvalOptions) -> dict[str, Any]:
     chosen = {key: value for key, value in asdict(options).items() if key not in NOT_IN_CONFIG}
     for name in ("style", "starts"):
         chosen.pop(name)
-    chosen |= resolved_profile(options, options.task, options.subtask or "")
+    chosen |= resolved_profile(options, task=options.task, subtask=options.subtask or "")
     if options.style:
         chosen["style"] = Styles.parse(options.style).words
     if options.spawns:

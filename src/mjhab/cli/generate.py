@@ -80,7 +80,7 @@ def make_job(options: GenerateOptions) -> Job:
     images = None if options.images == NO_IMAGES else ImageFormat(options.rgb)
     _check_images(options)
     config = {key: value for key, value in vars(options).items() if key not in _NOT_IN_CONFIG}
-    config |= resolved_profile(options, options.task, options.subtask or "")
+    config |= resolved_profile(options, task=options.task, subtask=options.subtask or "", cameras=options.cameras)
     # Without a style nothing is said of it: what was made before there were styles can be gone on with.
     config |= {"style": Styles.parse(options.style).words} if config.pop("style") else {}
     config = {key: str(value) if isinstance(value, Path) else value for key, value in config.items()}

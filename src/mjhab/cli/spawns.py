@@ -28,7 +28,7 @@ def make(options: SpawnsMakeOptions) -> int:
     from mjhab.envs.spawn_factory import make_set
     from mjhab.envs.spawn_sets import SpawnRecipe
 
-    resolved = resolved_profile(options, options.task, options.subtask or "")
+    resolved = resolved_profile(options, task=options.task, subtask=options.subtask or "")
     recipe = SpawnRecipe(
         options.task, options.subtask or "", options.target or "", options.split, options.seed, options.count,
         options.assets, options.home or "", options.pool, options.harvested, resolved["spawn_rule"],
@@ -73,7 +73,20 @@ def listing(options: SpawnsListOptions) -> int:
     if options.json:
         print_json({"sets": found, "unreadable": damaged})
         return 0
-    columns = ("file", "task", "subtask", "target", "split", "seed", "count", "homes", "fallbacks", "pack", "layout")
+    columns = (
+        "file",
+        "task",
+        "subtask",
+        "target",
+        "split",
+        "spawn_rule",
+        "seed",
+        "count",
+        "homes",
+        "fallbacks",
+        "pack",
+        "layout",
+    )
     rows = [
         [Path(one["file"]).name if name == "file" else one[name] or ("all" if name == "target" else one[name])
          for name in columns]
@@ -116,9 +129,10 @@ def measure_spawns(options: BenchSpawnOptions) -> dict[str, Any]:
     from mjhab.envs.spawn_factory import SpawnFactory
     from mjhab.envs.spawn_sets import SpawnRecipe
 
+    resolved = resolved_profile(options, task=options.task, subtask=options.subtask)
     recipe = SpawnRecipe(
         options.task, options.subtask, options.target or "", "train", options.seed, options.count, options.assets,
-        pool=options.pool, spawn_rule=resolved_profile(options, options.task, options.subtask)["spawn_rule"],
+        pool=options.pool, spawn_rule=resolved["spawn_rule"],
     )  # fmt: skip
     factory, threads = SpawnFactory(recipe), options.threads or cores()
     # Index count + i is another start in the same arrangement: homes, maps and grasps are known when the clock runs.

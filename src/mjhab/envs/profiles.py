@@ -32,6 +32,8 @@ class Profile:
     reward_formula, reward_normaliser: see `tasks.rewards.RewardOptions`.
     cameras: whose images are observed, in this order.
     frame_stack: frames that `wrappers.FrameStack` stacks.
+    handle_points: "ours" or "published": which points observations and rewards take for handles. `EnvConfig` has no
+        option of this name yet.
     horizon, train_horizon: control steps of a subtask that is evaluated, and that is trained; Navigate has those of
         the paper in both.
     """
@@ -46,6 +48,7 @@ class Profile:
     reward_normaliser: str
     cameras: tuple[str, ...]
     frame_stack: int
+    handle_points: str
     horizon: int
     train_horizon: int
 
@@ -56,7 +59,7 @@ class Profile:
             subtask: the one done alone, "" for a whole chain.
             trains: for an environment of `make_train`.
         """
-        apart = ("name", "binding", "horizon", "train_horizon")
+        apart = ("name", "binding", "handle_points", "horizon", "train_horizon")
         values = {field.name: getattr(self, field.name) for field in fields(self) if field.name not in apart}
         # One number for all kinds would be Navigate's, too, which has more time.
         alone = subtask not in ("", "navigate")
@@ -75,6 +78,7 @@ MJHAB = Profile(
     reward_normaliser="attainable",
     cameras=("fetch_head", "fetch_hand"),
     frame_stack=1,
+    handle_points="ours",
     horizon=OF_PAPER,
     train_horizon=OF_PAPER,
 )
@@ -89,6 +93,7 @@ MS_HAB = Profile(
     reward_normaliser="published",
     cameras=("fetch_head", "fetch_hand"),
     frame_stack=3,
+    handle_points="published",
     horizon=200,
     train_horizon=100,
 )

@@ -39,9 +39,8 @@ class SpawnGoal:
     face: (2,) the point the robot faces; None: its heading is drawn from ``yaw`` (low, high).
     area: stand in this box (x_min, x_max, y_min, y_max); else within ``reach`` of ``near`` (2,), which is ``face`` if
     None; without any of them, anywhere. turn: how far it may be turned away from ``face`` at most. yaw_noise: standard
-    deviation and clip of the heading.
-    published: the noise moves the base after it was turned to ``face``, also out of ``area`` or ``reach``, and a wall
-    may stand in between.
+    deviation and clip of the heading. slack: how far the noise may move the base out of ``area`` or ``reach``.
+    published: the noise moves the base after it was turned to ``face``, and a wall may stand in between.
     """
 
     face: np.ndarray | None
@@ -51,6 +50,7 @@ class SpawnGoal:
     yaw: tuple[float, float] = (-np.pi, np.pi)
     turn: float = np.pi
     yaw_noise: tuple[float, float] = YAW_NOISE
+    slack: float = 0.0
     published: bool = False
 
     @property
@@ -190,7 +190,7 @@ class SpawnSampler:
             return None
         cell = candidates[int(rng.integers(len(candidates)))]
         xy = cell + noise
-        if self.map(home).clearance_at(xy) < BASE_RADIUS - 0.02 or not (goal.published or goal.allows(xy)):
+        if self.map(home).clearance_at(xy) < BASE_RADIUS - 0.02 or not goal.allows(xy, goal.slack):
             return None
         if goal.face is None:
             return np.array([*xy, rng.uniform(*goal.yaw)])

@@ -133,7 +133,8 @@ class StartMaker:
         rng = stream(episode.seed, "start", episode.task, episode.index)
         held = self._prepare(rng, episode, plan, position, qpos)
         goal = self._goal(episode, plan, position, boxes, qpos)
-        goal = dataclasses.replace(goal, published=self.published)
+        if self.published:
+            goal = dataclasses.replace(goal, slack=np.inf, published=True)
         qpos, fallback, tries = self._spawn(episode, qpos, goal, held)
         return Start(plan.only(position), home.name, qpos, boxes, fallback, position, tries)
 
@@ -187,12 +188,14 @@ class StartMaker:
         goal = SpawnGoal(np.array(point[:2]), area, turn=turn)
         if not (self.published and navigated):
             return goal
-        # Published is the front area only where the Navigate is judged by it.
+        # The front area binds only where the Navigate is judged by it. A teleport must end where that is achieved.
+        judged = None if subtask.must_hold else area
         return dataclasses.replace(
             goal,
-            area=None if subtask.must_hold else area,
+            area=judged,
             reach=TELEPORT_DISTANCE,
             yaw_noise=TELEPORT_YAW_NOISE,
+            slack=self.task_config.nav_distance - TELEPORT_DISTANCE if judged is None else 0.0,
             published=True,
         )
 

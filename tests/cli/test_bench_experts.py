@@ -63,7 +63,11 @@ def test_two_rows_end_to_end(made: Path, capsys: pytest.CaptureFixture[str]) -> 
     text = (made / "results.json").read_text(encoding="utf-8")
     assert str(made.parent) not in text
     document = json.loads(text)
-    assert document["config"] == {"split": "val", "seed": 0, "policy": "expert", "assets": {"builtin": "builtin"}}
+    assert document["config"] == {
+        "split": "val", "seed": 0, "policy": "expert", "profile": "mjhab", "stillness": "absolute",
+        "spawn_rule": "front_box", "assets": {"builtin": "builtin"},
+    }  # fmt: skip
+    assert {row["profile"] for row in rows.values()} == {"mjhab"}
     assert [row["successes"] for row in document["rows"]] == [
         sum(line["success_once"] for line in lines[first : first + 2]) for first in (0, 2)
     ]

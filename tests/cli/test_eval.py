@@ -18,7 +18,17 @@ from mjhab.rollout.resolve import PolicyFacts
 from mjhab.rollout.store import RunFolder, read_records
 from tests.rollout.fake_env import FakeEnv
 
-KEYS = ["episodes", "success_once", "success_at_end", "progressive", "upper_bound", "labels", "tainted", "seconds"]
+KEYS = [
+    "profile",
+    "episodes",
+    "success_once",
+    "success_at_end",
+    "progressive",
+    "upper_bound",
+    "labels",
+    "tainted",
+    "seconds",
+]
 
 
 class Stage:
@@ -85,6 +95,40 @@ def test_run_writes_all_files_and_prints_json_last(
     assert [row["kind"] for row in stored["along_the_plan"]][:2] == ["navigate", "open"]
     config = json.loads((folder / "config.json").read_text())
     assert config["task"] == "set_table" and config["mujoco"] == "3.17.0"
+
+
+def test_the_profile_and_its_values_are_recorded_and_told(
+    run: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("--json") == 0
+    assert last_line(capsys.readouterr().out)["profile"] == "mjhab"
+    assert run("--profile", "ms_hab", "--json", out="paper") == 0
+    assert last_line(capsys.readouterr().out)["profile"] == "ms_hab"
+    config = json.loads((tmp_path / "paper" / "config.json").read_text())
+    wanted = {"profile": "ms_hab", "stillness": "published", "spawn_rule": "published", "frame_stack": 3}
+    assert wanted.items() <= config.items() and config["stationary"] == ["head"]
+    assert json.loads((tmp_path / "paper" / "summary.json").read_text())["profile"] == "ms_hab"
+    # A run goes on under its own profile only.
+    assert run("--resume", out="paper") == 2
+    assert run("--stillness", "published", out="mixed") == 0
+    config = json.loads((tmp_path / "mixed" / "config.json").read_text())
+    assert (config["profile"], config["stillness"], config["spawn_rule"]) == ("mjhab", "published", "front_box")
+
+
+@pytest.mark.parametrize(
+    ("extra", "words"),
+    [
+        (("--profile", "mshab"), "Did you mean 'ms_hab'"),
+        (("--profile", "ms_hab", "--stillness", "absolute"), "profile 'ms_hab' has stillness 'published'"),
+        (("--profile", "ms_hab", "--starts", "front_box"), "profile 'ms_hab' has spawn_rule 'published'"),
+        (("--starts", "anywhere"), "front_box, published"),
+    ],
+)
+def test_profiles_that_cannot_be_are_refused(
+    run: Callable[..., int], stage: Stage, capsys: pytest.CaptureFixture[str], extra: tuple[str, ...], words: str
+) -> None:
+    assert run(*extra) == 2
+    assert words in capsys.readouterr().err and not stage.built
 
 
 def test_output_for_people(run: Callable[..., int], capsys: pytest.CaptureFixture[str]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -75,6 +76,22 @@ def test_replay_renders(made: Path, tmp_path: Path, capsys: pytest.CaptureFixtur
     assert (found["episodes"], found["frames"]) == (1, 201) and found["bytes"] > 0
     with open_shard(out) as shard:
         assert next(iter(shard)).frame("fetch_hand", "depth", 200).shape == (12, 16, 1)
+
+
+def test_the_profile_is_recorded_and_reaches_the_environment(tmp_path: Path) -> None:
+    options = GenerateOptions(
+        tmp_path, task="tidy_house", subtask="pick", policy="expert", episodes=1, worlds=1, profile="ms_hab"
+    )
+    config = make_job(options).config
+    assert (config["profile"], config["stillness"], config["spawn_rule"]) == ("ms_hab", "published", "published")
+    assert "starts" not in config
+    stage = build_stage(options)
+    assert stage.env.config.profile == "ms_hab" and stage.env.config.stationary == ("head",)
+    for change, name in (({"stillness": "absolute"}, "stillness"), ({"cameras": ("fetch_hand",)}, "cameras")):
+        with pytest.raises(UsageError, match=f"'ms_hab' has {name}"):
+            make_job(replace(options, **change))
+    one_camera = make_job(replace(options, profile="mjhab", cameras=("fetch_hand",)))
+    assert one_camera.config["cameras"] == ("fetch_hand",)
 
 
 def test_what_cannot_work_is_refused_before_anything_is_built(

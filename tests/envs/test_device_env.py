@@ -139,6 +139,26 @@ def test_a_full_turn_and_the_other_quaternion_are_the_same_state(env: Any) -> No
         assert bool((seen[key][:, 3] >= 0).all()) and bool((obs[key][:, 3] >= 0).all())
 
 
+def test_profiles_are_the_same_on_the_device() -> None:
+    options = {"task": "tidy_house", "subtask": "place", "num_envs": 1, "profile": "ms_hab"}
+    cpu, dev = make_train(**options, threads=1), make_train(**options, **(DEVICE | {"starts": 2}))
+    cpu.reset(options={"episode": [0]})
+    dev.reset(options={"episode": [0]})
+    np.testing.assert_array_equal(dev.sim.qpos.numpy(), cpu.sim.qpos.astype(np.float32))
+    assert dev.config.profile == "ms_hab" and dev.task_config == cpu.task_config
+    assert dev.task_config.stillness == "published" and dev.task_config.place.horizon == 100
+    for step in range(3):
+        actions = actions_of(step, len(cpu.action_table), cpu.controller.gripper)[:1]
+        _, reward, *_ = cpu.step(actions)
+        _, ours, *_ = dev.step(torch.as_tensor(actions))
+        np.testing.assert_allclose(ours.numpy(), reward, atol=2e-2)
+    assert dev.signals.is_grasped.all()
+    with pytest.raises(UsageError, match="'ms_hab' has stillness"):
+        make(**options, **DEVICE, stillness="absolute")
+    with pytest.raises(UsageError, match="works on numpy arrays"):
+        FrameStack(dev)
+
+
 def test_training_draws_the_same_starts() -> None:
     options = {"task": "set_table", "subtask": "close", "num_envs": 1, "episode_pool": 3, "seed": 5}
     cpu, dev = make_train(**options, threads=1), make_train(**options, **(DEVICE | {"starts": 2}))

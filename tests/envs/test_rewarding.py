@@ -16,6 +16,7 @@ from mjhab.scenes.fetch import FETCH_JOINTS, JOINT_LIMITS, REST_QPOS
 from mjhab.tasks.measure import active_entries, measure
 from mjhab.tasks.plan import Subtask, SubtaskKind, TaskConfig, TaskPlan, stack_plans
 from mjhab.tasks.progress import start
+from mjhab.tasks.rewards import RewardOptions
 from tests.tasks.build import resting, squeeze
 
 PICK, PLACE, NAVIGATE, OPEN, CLOSE = range(5)
@@ -52,7 +53,7 @@ def inputs_of(kinds: list[int], link: int = 1, **over: Any) -> RewardInputs:
 
 
 def rewarder(worlds: int, mode: str = "dense", **more: Any) -> Rewarder:
-    return Rewarder(worlds, CONFIG, mode, more.pop("scales", None), LAYOUT, SENSING, **more)
+    return Rewarder(worlds, CONFIG, mode, more.pop("options", None), LAYOUT, SENSING, **more)
 
 
 def step(kind: int, way: GoalDistance = straight_distance, **over: Any) -> dict[str, float]:
@@ -122,7 +123,7 @@ def test_modes() -> None:
     with pytest.raises(UsageError, match="normalized_dense"):
         rewarder(1, "normalised_dense")
     with pytest.raises(UsageError, match="reward term of pick"):
-        rewarder(1, scales={"pick": {"reech": 1.0}})
+        rewarder(1, options=RewardOptions({"pick": {"reech": 1.0}}))
 
 
 def test_the_real_torso_reaches_the_normaliser_almost() -> None:
@@ -134,6 +135,18 @@ def test_the_real_torso_reaches_the_normaliser_almost() -> None:
     above = np.array(REST_QPOS)
     above[3] = top + 0.01
     assert rewarder(1).step(inputs_of([PLACE], obj=GOAL, robot_q=above))[1]["torso_up"][0] == 2.0
+
+
+def test_the_torso_is_not_clipped_where_published() -> None:
+    top = JOINT_LIMITS[FETCH_JOINTS.index("torso_lift_joint")][1]
+    above = np.array(REST_QPOS)
+    above[3] = top + 0.01
+    made = rewarder(1, options=RewardOptions(formula="published"))
+    assert made.step(inputs_of([PLACE], obj=GOAL, robot_q=above))[1]["torso_up"][0] == pytest.approx(
+        2 * (1 + 0.01 / top)
+    )
+    above[3] = -0.01
+    assert made.step(inputs_of([PLACE], obj=GOAL, robot_q=above))[1]["torso_up"][0] == pytest.approx(-0.02 / top)
 
 
 def test_closing_at_the_handle_is_remembered_until_the_world_begins_anew() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,10 @@ import pytest
 from mjhab.cli.main import main
 from mjhab.core.errors import UsageError
 from mjhab.envs.config import EnvConfig, task_config
+from mjhab.envs.controllers.table import ARM_JOINTS
 from mjhab.envs.spawn_factory import CHUNK, SpawnFactory, make_set, partial_folder
 from mjhab.envs.spawn_sets import SpawnRecipe, SpawnRow, SpawnSet, layout_digest, write
+from mjhab.envs.spawns import ARM_NOISE
 from mjhab.envs.starts import StartMaker
 from mjhab.scenes.fetch import REST_QPOS
 from mjhab.scenes.layout import Layout
@@ -85,13 +88,29 @@ def test_another_layout_is_refused_with_both_hashes(made: SpawnSet):
 
 @pytest.mark.parametrize(
     ("change", "words"),
-    [({"subtask": "open", "target": ""}, "subtask 'pick'"), ({"target": ""}, "target"), ({"split": "val"}, "split")],
+    [
+        ({"subtask": "open", "target": ""}, "subtask 'pick'"),
+        ({"target": ""}, "target"),
+        ({"split": "val"}, "split"),
+        ({"spawn_rule": "published"}, "spawn_rule"),
+    ],
 )
 def test_another_purpose_is_refused(made: SpawnSet, change: dict[str, Any], words: str):
     options: dict[str, Any] = {"task": "set_table", "subtask": "pick", "target": "024_bowl"}
     config = EnvConfig(**options | change)
     with pytest.raises(UsageError, match=words):
         made.check(config)
+
+
+def test_a_published_set_names_the_arms_it_was_drawn_from():
+    recipe = SpawnRecipe("set_table", "place", "013_apple", "train", 0, 2, pool=1, spawn_rule="published")
+    factory = SpawnFactory(recipe)
+    apples = factory.starts.arms
+    assert factory.header()["grasps"]["013_apple"] == apples.digest("013_apple")
+    robot = factory.row(1).qpos[factory.sim.addresses.robot_q]
+    away = [np.abs(robot[list(ARM_JOINTS)] - one.arm).max() for one in apples.arms("013_apple")]
+    assert min(away) <= ARM_NOISE[1] + 1e-9
+    assert SpawnFactory(replace(recipe, spawn_rule="front_box")).header()["grasps"] != factory.header()["grasps"]
 
 
 def test_damaged_files_are_refused(made: SpawnSet, tmp_path: Path):

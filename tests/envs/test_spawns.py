@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -11,17 +12,28 @@ import pytest
 from mjhab.core.rotations import pose_inv, pose_mul, quat_from_yaw
 from mjhab.core.seeding import stream
 from mjhab.envs.config import EnvConfig, task_config
+from mjhab.envs.controllers.table import ARM_JOINTS
 from mjhab.envs.episodes import BOWL_DRAWER, FRIDGE_DOOR, Episode, EpisodeMaker
-from mjhab.envs.spawns import ARM_NOISE, MAX_DISTANCE, MAX_TRIES, Held, SpawnGoal, SpawnSampler
+from mjhab.envs.spawns import (
+    ARM_NOISE,
+    MAX_DISTANCE,
+    MAX_TRIES,
+    XY_NOISE,
+    YAW_NOISE,
+    Held,
+    SpawnGoal,
+    SpawnSampler,
+)
 from mjhab.envs.starts import DOORSTEP_REACH, Start, StartMaker
 from mjhab.scenes.contact_sensors import FORCE_SENSOR_WIDTH
 from mjhab.scenes.fetch import REST_QPOS
+from mjhab.scenes.freespace import BASE_RADIUS
 from mjhab.scenes.layout import Layout
 from mjhab.scenes.objects import roster
 from mjhab.scenes.packs import open_pack
 from mjhab.sim.cpu import CpuSimulator
 from mjhab.sim.settle import hold_robot, parked_robot_qpos
-from mjhab.tasks.plan import front_box
+from mjhab.tasks.plan import SubtaskKind, chain, front_box
 
 
 @pytest.fixture(scope="module")
@@ -118,8 +130,8 @@ class Bench:
         self.episodes = EpisodeMaker(self.sim, task, "train")
         self.task = task
 
-    def maker(self, subtask: str, target: str = "") -> StartMaker:
-        config = EnvConfig(task=self.task, subtask=subtask, target=target)
+    def maker(self, subtask: str, target: str = "", **more: Any) -> StartMaker:
+        config = EnvConfig(task=self.task, subtask=subtask, target=target, **more)
         return StartMaker(self.sim, config, task_config(config, REST_QPOS))
 
     def named(self, count: int, first: int = 0) -> list[Episode]:
@@ -325,3 +337,96 @@ def test_a_start_that_does_not_hold_its_object_does_not_count(tidy_house: Bench)
     assert maker.sampler.at(start.home, start.qpos, xy, goal, Held(slot, pose)) is not None
     away = pose + np.array([0.0, 0.0, 0.5, 0.0, 0.0, 0.0, 0.0])
     assert maker.sampler.at(start.home, start.qpos, xy, goal, Held(slot, away, grip)) is None
+
+
+# -- the published spawn rule ----------------------------------------------------------------------------------------
+
+DISC = MAX_DISTANCE + XY_NOISE[1] * np.sqrt(2)
+"""Farthest base [m] from its goal: a place within the disc, moved by the noise along both axes."""
+
+
+def published(bench: Bench, subtask: str, target: str = "") -> StartMaker:
+    return bench.maker(subtask, target, spawn_rule="published")
+
+
+def test_published_picks_at_a_link_start_all_around_the_object(set_table: Bench):
+    maker, a = published(set_table, "pick"), set_table.sim.addresses
+    outside, far = 0, 0.0
+    starts = maker.starts(set_table.named(40))
+    for start in starts:
+        subtask, base = start.plan.subtasks[0], base_of(set_table, start)
+        slot = set_table.sim.layout.object_names.index(subtask.obj)
+        away = base[:2] - start.qpos[a.object_q[slot] : a.object_q[slot] + 2]
+        far = max(far, float(np.hypot(*away)))
+        assert maker.sampler.map(start.home).clearance_at(base[:2]) >= BASE_RADIUS - 0.02
+        assert maker.sampler.scratch.collision_free(start.home, start.qpos)
+        x_min, x_max, y_min, y_max = start.boxes[subtask.link]
+        outside += not (x_min <= base[0] <= x_max and y_min <= base[1] <= y_max)
+    assert 1.5 < far <= DISC
+    assert outside > len(starts) / 2, "the front box is a fifth to a third of the disc"
+    for start in set_table.maker("pick").starts(set_table.named(40)):
+        x_min, x_max, y_min, y_max = start.boxes[start.plan.subtasks[0].link]
+        x, y, _ = base_of(set_table, start)
+        assert x_min <= x <= x_max and y_min <= y <= y_max
+
+
+def test_published_places_at_a_link_start_around_the_goal_with_the_arm_of_a_pick(groceries: Bench):
+    maker, a = published(groceries, "place"), groceries.sim.addresses
+    arms = {}
+    inside = 0
+    for start in maker.starts(groceries.named(24)):
+        subtask, base = start.plan.subtasks[0], base_of(groceries, start)
+        assert np.hypot(*(base[:2] - subtask.goal_pos[:2])) <= DISC
+        kind = subtask.obj.split("_:")[0]
+        arms.setdefault(kind, np.array([one.arm for one in maker.arms.arms(kind)]))
+        mine = start.qpos[a.robot_q][list(ARM_JOINTS)]
+        assert np.abs(arms[kind] - mine).max(axis=1).min() <= ARM_NOISE[1] + 1e-9, "a stored arm and noise"
+        if subtask.link:
+            x_min, x_max, y_min, y_max = start.boxes[subtask.link]
+            inside += x_min <= base[0] <= x_max and y_min <= base[1] <= y_max
+    linked = [s for s in maker.starts(groceries.named(24)) if s.plan.subtasks[0].link]
+    assert linked and inside < len(linked)
+
+
+def test_published_headings_are_drawn_before_the_noise_of_the_base(tidy_house: Bench):
+    """The original turns the robot at the place that it drew, and moves it then: up to 0.28 m beside."""
+    worst = []
+    for start in published(tidy_house, "pick").starts(tidy_house.named(60)):
+        subtask, base = start.plan.subtasks[0], base_of(tidy_house, start)
+        slot = tidy_house.sim.layout.object_names.index(subtask.obj)
+        column = tidy_house.sim.addresses.object_q[slot]
+        error = heading_error(base, start.qpos[column : column + 2])
+        away = float(np.hypot(*(base[:2] - start.qpos[column : column + 2])))
+        # Within the noise's reach of the object the place may have been on its other side.
+        assert error <= YAW_NOISE[1] + np.arcsin(min(1.0, XY_NOISE[1] * np.sqrt(2) / max(away, 0.3))) + 1e-9
+        worst.append(error)
+    assert max(worst) > YAW_NOISE[1]
+
+
+def test_published_teleports_bind_the_front_area_only_where_navigate_is_judged_by_it(groceries: Bench):
+    maker = published(groceries, "")
+    for episode in groceries.named(3):
+        home = maker.home(episode.home)
+        boxes = maker.boxes(home)
+        plan = chain(episode.task, episode.targets, home.name)
+        for position in plan.indices(SubtaskKind.NAVIGATE):
+            subtask, goal = plan.subtasks[position], maker.spawn_goal(plan, position, boxes)
+            assert (goal.area is not None) == (bool(subtask.link) and not subtask.must_hold)
+            assert goal.reach == 1.8 and goal.yaw_noise == (0.1, 0.5) and goal.turn < 0.5
+            qpos = maker.foresee(episode, plan, position)
+            found, _ = maker.sampler.search(home.name, qpos, goal, (stream(0, k) for k in range(MAX_TRIES)))
+            assert found is not None
+            assert goal.face is not None
+            base = found[groceries.sim.addresses.robot_q[:3]]
+            assert heading_error(base, goal.face) <= goal.turn
+            if goal.area is None:
+                assert np.hypot(*(base[:2] - goal.face)) <= maker.task_config.nav_distance
+            else:
+                assert goal.allows(base[:2])
+
+
+def test_a_published_search_ends_after_its_tries(sampler: SpawnSampler):
+    home = sampler.sim.layout.pack.homes[0].name
+    nowhere = SpawnGoal(np.array([50.0, 50.0]), published=True)
+    found, tries = sampler.search(home, empty_home(sampler, home), nowhere, (stream(0, k) for k in range(7)))
+    assert found is None and tries == 7

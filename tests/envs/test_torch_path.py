@@ -26,6 +26,7 @@ from mjhab.tasks import events, labels
 from mjhab.tasks import progress as progress_rules
 from mjhab.tasks.measure import measure
 from mjhab.tasks.plan import SubtaskKind
+from mjhab.tasks.rewards import RewardOptions
 from tests.no_sync import NoSync
 
 WORLDS, STEPS = 8, 4
@@ -104,12 +105,14 @@ def pointers(env: SequentialTaskEnv, rng: np.random.Generator, kind: SubtaskKind
 class Follower:
     """What a step computes after physics, in one library."""
 
-    def __init__(self, env: SequentialTaskEnv, like: Any, kinds: list[SubtaskKind], mode: str) -> None:
+    def __init__(self, env: SequentialTaskEnv, like: Any, kinds: list[SubtaskKind], mode: str, published: bool) -> None:
         layout, addresses = env.layout, env.sim.addresses
+        stillness = "published" if published else "absolute"
         # A subtask alone is judged continuously, as in training.
-        self.config = dataclasses.replace(env.task_config, continuous=len(kinds) == 1)
+        self.config = dataclasses.replace(env.task_config, continuous=len(kinds) == 1, stillness=stillness)
+        options = RewardOptions(formula="published", normaliser="published") if published else RewardOptions()
         self.sensing = Sensing(layout, addresses, WORLDS, like)
-        self.rewarder = Rewarder(WORLDS, self.config, mode, None, layout, self.sensing, kinds=kinds, like=like)
+        self.rewarder = Rewarder(WORLDS, self.config, mode, options, layout, self.sensing, kinds=kinds, like=like)
         self.notes: labels.LabelState | None = None
 
     def step(self, state: SimState, tables: Rows, progress: Any, joint_start: Any) -> dict[str, Any]:
@@ -159,15 +162,19 @@ def test_the_signs_of_quaternions_do_not_matter(
 
 
 def follow_both(
-    history: tuple[SequentialTaskEnv, list[SimState]], kind: SubtaskKind | None, mode: str, dtype: torch.dtype
+    history: tuple[SequentialTaskEnv, list[SimState]],
+    kind: SubtaskKind | None,
+    mode: str,
+    dtype: torch.dtype,
+    published: bool = False,
 ) -> None:
     """Fold the states in numpy and in torch, at random places of the plans, and compare everything in every step."""
     env, states = history
     kinds = list(SubtaskKind) if kind is None else [kind]
     rows = Rows(env.tables.arrays, env.tables.obj, env.tables.link, env.tables.target, env.tables.held)
     tensors = as_torch(rows, dtype)
-    host = Follower(env, np.zeros(0), kinds, mode)
-    device = Follower(env, torch.zeros(0, dtype=dtype), kinds, mode)
+    host = Follower(env, np.zeros(0), kinds, mode, published)
+    device = Follower(env, torch.zeros(0, dtype=dtype), kinds, mode, published)
     rng = np.random.default_rng(2)
     begun = progress_rules.start(rows.arrays, env.task_config)
     for number, state in enumerate(states):
@@ -191,6 +198,11 @@ def follow_both(
 @pytest.mark.parametrize("mode", ["dense", "normalized_dense", "sparse", "pointer", "none"])
 def test_all_that_follows_physics_is_the_same(history: Any, mode: str, dtype: torch.dtype) -> None:
     follow_both(history, None, mode, dtype)
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_what_is_judged_and_earned_as_published_is_the_same(history: Any, dtype: torch.dtype) -> None:
+    follow_both(history, None, "normalized_dense", dtype, published=True)
 
 
 @pytest.mark.parametrize("dtype", DTYPES)

@@ -12,7 +12,7 @@ import pytest
 
 from mjhab.core.errors import UsageError
 from mjhab.tasks.plan import SubtaskConfig, SubtaskKind
-from mjhab.tasks.rewards import REWARD_TABLES, DenseReward, RewardView, closed_near, reward_table
+from mjhab.tasks.rewards import REWARD_TABLES, DenseReward, RewardOptions, RewardView, closed_near, reward_table
 from tests.tasks.build import CONFIG, REST, squeeze
 from tests.tasks.reward_states import AT_REST, CLOSE, FULL, GOAL, NAVIGATE, OPEN, PICK, PLACE, off, speeds, view_of
 
@@ -195,7 +195,7 @@ def test_a_finished_plan_earns_nothing() -> None:
     view = view_of([PICK, PICK])
     view = replace(view, signals=replace(view.signals, kind=np.array([-1, 0])))
     scored = FULL.score(view)
-    assert scored.total[0] == 0 and not scored.terms[:, 0].any() and scored.attainable.tolist() == [1.0, 29.0]
+    assert scored.total[0] == 0 and not scored.terms[:, 0].any() and scored.normaliser.tolist() == [1.0, 29.0]
     done = replace(view, signals=replace(view.signals, kind=np.array([-1, -1])))
     assert not FULL.score(done).total.any()
 
@@ -225,10 +225,10 @@ def test_closed_near_is_earned_at_the_handle_kept_while_closed_and_lost_by_openi
 
 
 def test_other_scales_change_the_term_and_the_normaliser() -> None:
-    changed = DenseReward(CONFIG, {"pick": {"reach": 4.0, "success": 0.5}})
+    changed = DenseReward(CONFIG, RewardOptions({"pick": {"reach": 4.0, "success": 0.5}}))
     view = view_of([PICK], object_pos=[0.5, 0.3, 0.87])
     assert terms_of(view, changed) == pytest.approx(terms_of(view) | {"reach": 4 * (1 - tanh(1.5))}, abs=1e-12)
-    assert changed.score(view).attainable[0] == 29 - 1 - 2.5
+    assert changed.score(view).normaliser[0] == 29 - 1 - 2.5
     # Terms of stages that exclude each other do not add up: the grasp replaces the reach.
     assert reward_table("close").scaled({"reach": 100.0}).attainable == 100 + 5 + 5 + 1
     assert reward_table("pick").scaled({"above": -1.0}).attainable == 29
@@ -247,7 +247,7 @@ def test_other_scales_change_the_term_and_the_normaliser() -> None:
 )
 def test_scales_that_do_not_exist_are_refused(scales: Any, said: str) -> None:
     with pytest.raises(UsageError, match=said):
-        DenseReward(CONFIG, scales)
+        DenseReward(CONFIG, RewardOptions(scales))
 
 
 def test_a_kind_that_was_not_announced_is_refused() -> None:

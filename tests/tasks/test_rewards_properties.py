@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from mjhab.core.arrays import map_record
 from mjhab.tasks.plan import KIND_NAMES, SubtaskKind
-from mjhab.tasks.rewards import REWARD_TABLES, DenseReward, RewardView
+from mjhab.tasks.rewards import REWARD_TABLES, DenseReward, RewardOptions, RewardView
 from tests.tasks.build import CONFIG, assert_same
 from tests.tasks.reward_states import BEST, CLOSE, FULL, NAVIGATE, OPEN, PICK, PLACE, random_view, rows, view_of
 
@@ -24,7 +24,7 @@ from tests.tasks.reward_states import BEST, CLOSE, FULL, NAVIGATE, OPEN, PICK, P
 def test_the_best_state_reaches_the_normaliser(kind: SubtaskKind) -> None:
     scored = FULL.score(view_of([kind], **BEST[kind]))
     assert scored.total[0] == pytest.approx({PICK: 29, PLACE: 44, NAVIGATE: 28, OPEN: 27, CLOSE: 36}[kind], abs=1e-12)
-    assert scored.attainable[0] == REWARD_TABLES[kind].attainable == pytest.approx(scored.total[0], abs=1e-12)
+    assert scored.normaliser[0] == REWARD_TABLES[kind].attainable == pytest.approx(scored.total[0], abs=1e-12)
 
 
 def test_published_normalisers_differ_where_the_original_is_off() -> None:
@@ -36,7 +36,7 @@ def test_published_normalisers_differ_where_the_original_is_off() -> None:
 @given(st.integers(0, 2**32), st.floats(0.0, 1.0))
 def test_no_state_earns_more_than_the_normaliser(seed: int, chance: float) -> None:
     scored = FULL.score(random_view(seed, 20, chance=chance))
-    assert (scored.total <= scored.attainable * (1 + 1e-12)).all()
+    assert (scored.total <= scored.normaliser * (1 + 1e-12)).all()
     assert (scored.terms >= 0).all()
     np.testing.assert_allclose(scored.terms.sum(0), scored.total, rtol=1e-12)
 
@@ -45,8 +45,8 @@ def test_no_state_earns_more_than_the_normaliser(seed: int, chance: float) -> No
 @given(st.integers(0, 2**32), st.lists(st.floats(-20, 20), min_size=5, max_size=5))
 def test_no_state_earns_more_than_the_normaliser_of_other_scales(seed: int, drawn: list[float]) -> None:
     scales = {name: {REWARD_TABLES[SubtaskKind(k)].terms[k + 2].name: drawn[k]} for k, name in enumerate(KIND_NAMES)}
-    scored = DenseReward(CONFIG, scales).score(random_view(seed, 20))
-    assert (scored.total <= scored.attainable * (1 + 1e-12)).all()
+    scored = DenseReward(CONFIG, RewardOptions(scales)).score(random_view(seed, 20))
+    assert (scored.total <= scored.normaliser * (1 + 1e-12)).all()
     np.testing.assert_allclose(scored.terms.sum(0), scored.total, rtol=1e-12, atol=1e-12)
 
 
@@ -93,7 +93,7 @@ def test_numpy_and_torch_agree(seed: int, dtype: str) -> None:
 
     view = random_view(seed, 12)
     ours, theirs = FULL.score(cast(view, np.asarray)), FULL.score(cast(view, lambda x: torch.from_numpy(x.copy())))
-    for name in ("terms", "total", "attainable"):
+    for name in ("terms", "total", "normaliser"):
         assert getattr(ours, name).dtype == dtype
         assert_same(getattr(ours, name), getattr(theirs, name), name, 1e-12 if dtype == "float64" else 1e-5)
 

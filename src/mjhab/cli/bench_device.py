@@ -11,6 +11,7 @@ from mjhab.cli.bench import sway
 from mjhab.cli.bench_env import Stopwatch, resident_mb, stage_seconds, watch_env
 from mjhab.cli.env_options import BenchEnvOptions
 from mjhab.cli.memory_sampler import MemorySampler
+from mjhab.cli.profiles import profile_options
 
 WARM_STEPS = 3
 """Untimed steps: kernels load, graphs are captured."""
@@ -67,7 +68,7 @@ def _make(options: BenchEnvOptions, worlds: int) -> tuple[Any, Callable[[], None
     env = make_by_id(
         options.env, backend="warp", device=options.device, num_envs=worlds, obs_mode=options.obs,
         camera_size=options.camera_size, assets=options.assets, seed=options.seed,
-        **{k: v for k, v in extra.items() if v is not None},
+        **{k: v for k, v in extra.items() if v is not None}, **profile_options(options),
     )  # fmt: skip
     return env, lambda: synchronize(env.sim.device)
 

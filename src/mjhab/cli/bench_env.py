@@ -12,6 +12,7 @@ import numpy as np
 from mjhab.cli.bench import measure_sps, sway
 from mjhab.cli.env_options import BenchEnvOptions
 from mjhab.cli.output import at_least, print_json, print_table
+from mjhab.cli.profiles import profile_options
 from mjhab.sim.backends import resolve
 
 STAGES = ("physics", "measure", "reward", "labels", "render", "observe", "reset", "other")
@@ -48,7 +49,8 @@ def measure(options: BenchEnvOptions) -> dict[str, Any]:
     for worlds in options.worlds:
         points.append(work(options, worlds))
         gc.collect()  # the worlds of this point make room for the next
-    return max(points, key=lambda point: point["env_sps"]) | {"backend": backend, "points": points}
+    best = max(points, key=lambda point: point["env_sps"])
+    return best | {"backend": backend, "profile": options.profile, "points": points}
 
 
 def _print(options: BenchEnvOptions, backend: str, point: dict[str, Any]) -> None:
@@ -81,7 +83,7 @@ def measure_env(options: BenchEnvOptions, worlds: int) -> dict[str, Any]:
     env = make_by_id(
         options.env, num_envs=worlds, obs_mode=options.obs, camera_size=options.camera_size,
         assets=options.assets, seed=options.seed, threads=options.threads, autoreset="disabled",
-        **{k: v for k, v in extra.items() if v is not None},
+        **{k: v for k, v in extra.items() if v is not None}, **profile_options(options),
     )  # fmt: skip
     env.reset(seed=options.seed)
     actions = sway(worlds, options.steps, options.seed, len(env.action_table))

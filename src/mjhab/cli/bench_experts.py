@@ -23,6 +23,7 @@ from mjhab.cli.expert_rows import CHAIN, Episode, Result, Row, make_rows, result
 from mjhab.cli.generate import make_crew, make_job, stop_signals
 from mjhab.cli.generate_options import GenerateOptions
 from mjhab.cli.output import print_json, print_table
+from mjhab.cli.profiles import resolved_profile
 from mjhab.core.errors import MjhabError, UsageError
 from mjhab.data.generation import Standing, generate
 from mjhab.data.provenance import source_commit, versions
@@ -77,6 +78,7 @@ def measure_row(
         target=row.target or None, policy="expert", episodes=row.episodes, no_states=True, split=options.split,
         assets=row.assets, navigate=row.navigate or "teleport", seed=options.seed, worlds=options.worlds,
         workers=max(1, min(options.workers, row.episodes // options.worlds)), resume=True,
+        profile=options.profile, starts=options.starts, stillness=options.stillness,
     )  # fmt: skip
     return generate(make_job(wanted), make_crew(wanted), tell, stopped, resume=True)
 
@@ -110,14 +112,16 @@ def write_results(options: BenchExpertsOptions, measured: Measured, errors: Mapp
     ]
     write_text(options.out / EPISODES, "".join(f"{line}\n" for line in lines))
     write_text(options.out / RESULTS, json.dumps(document, indent=1) + "\n")
-    write_text(options.out / TABLE, _csv([*results, *groups]))
+    write_text(options.out / TABLE, _csv([*results, *groups], options.profile))
     write_text(options.out / REPORT, render_experts(results, groups, config))
     return results
 
 
 def _config(options: BenchExpertsOptions) -> dict[str, Any]:
     """What rows of one folder have in common."""
-    return {"split": options.split, "seed": options.seed, "policy": "expert"}
+    resolved = resolved_profile(options)
+    shown = {name: resolved[name] for name in ("profile", "stillness", "spawn_rule")}
+    return {"split": options.split, "seed": options.seed, "policy": "expert", **shown}
 
 
 def _short(assets: str) -> str:
@@ -148,27 +152,28 @@ def _open_folder(options: BenchExpertsOptions) -> None:
         for key, value in config.items():
             if before.get(key) != value:
                 raise UsageError(
-                    f"{out} was made with --{key} {before.get(key)}, now it is {value}. Give the same, or choose "
+                    f"{out} was made with {key} {before.get(key)}, now it is {value}. Give the same, or choose "
                     "another --out."
                 )
     write_text(out / CONFIG, json.dumps(config, indent=1) + "\n")
 
 
-def _csv(results: Sequence[Result]) -> str:
+def _csv(results: Sequence[Result], profile: str) -> str:
     """The table for spreadsheets: rates in percent, one line per row, groups of targets last."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow((
-        "pack", "split", "task", "subtask", "target", "navigate", "episodes", "success_once", "low_95", "high_95",
-        "success_at_end", "under_1400_sum", "under_1400_peak", "tainted", "asked", "paper_rl_per", "paper_table",
-        "ours_minus_paper", "failures", "progressive", "error",
+        "pack", "split", "profile", "task", "subtask", "target", "navigate", "episodes", "success_once", "low_95",
+        "high_95", "success_at_end", "under_1400_sum", "under_1400_peak", "tainted", "asked", "paper_rl_per",
+        "paper_table", "ours_minus_paper", "failures", "progressive", "error",
     ))  # fmt: skip
     for r in results:
         low, high = r.interval if r.episodes else (None, None)
         rates = (_percent(value) for value in (r.success_once, low, high, r.success_at_end, r.gentle, r.gentle_peak))
         writer.writerow((
-            r.pack, r.split, r.task, r.subtask, r.target, r.navigate, r.episodes, *rates, r.tainted, _percent(r.asked),
-            _percent(r.paper), r.paper_table, r.over_paper, "; ".join(f"{n} {name}" for name, n in r.failures.items()),
+            r.pack, r.split, profile, r.task, r.subtask, r.target, r.navigate, r.episodes, *rates, r.tainted,
+            _percent(r.asked), _percent(r.paper), r.paper_table, r.over_paper,
+            "; ".join(f"{n} {name}" for name, n in r.failures.items()),
             " ".join(f"{100 * share:.1f}" for share in r.progressive), r.error,
         ))  # fmt: skip
     return text.getvalue()
@@ -219,7 +224,7 @@ def _tell(
     chains = [result for result in results if result.subtask == CHAIN]
     if options.json:
         print_json({
-            "rows": len(results), "episodes": sum(result.episodes for result in results),
+            "profile": options.profile, "rows": len(results), "episodes": sum(result.episodes for result in results),
             "success_once": {name_of(result): result.success_once for result in results},
             "below_asked": [name_of(result) for result in results if result.met is False],
             "tainted": sum(result.tainted for result in results), "failed_rows": [row.name for row in errors],
@@ -229,10 +234,16 @@ def _tell(
     for pack, task in dict.fromkeys((result.pack, result.task) for result in singles):
         rows = [_cells(result) for result in singles if (result.pack, result.task) == (pack, task)]
         columns = ("subtask", "target", "n", "once", "95 %", "< 1,400 N", "asked", "paper")
-        print_table(f"{task}, {pack} homes, {options.split}: success once [%]", columns, rows)
+        print_table(
+            f"{task}, {pack} homes, {options.split}, profile {options.profile}: success once [%]", columns, rows
+        )
     if chains:
         columns = ("chain", "n", "complete", "95 %", "asked", "completed 1, 2, ... subtasks")
-        print_table(f"Progressive completion, {options.split} [%]", columns, map(_chain_cells, chains))
+        print_table(
+            f"Progressive completion, {options.split}, profile {options.profile} [%]",
+            columns,
+            map(_chain_cells, chains),
+        )
     print(f"report: {options.out / REPORT}")
 
 

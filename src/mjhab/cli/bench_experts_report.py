@@ -68,7 +68,7 @@ _GENTLE = "< 1,400 N: success once while the forces on the robot summed up to le
 
 def _header(results: Sequence[Result], config: Mapping[str, Any]) -> str:
     shown = [("homes", f"{', '.join(dict.fromkeys(r.pack for r in results))}, {config['split']}"),
-             ("seed", config["seed"])]  # fmt: skip
+             ("seed", config["seed"]), ("profile", config["profile"])]  # fmt: skip
     chips = "".join(f'<span class="chip">{escape(k)} <b>{escape(str(v))}</b></span>' for k, v in shown)
     left = sum(result.wanted - result.episodes for result in results)
     banner = ""

@@ -9,6 +9,7 @@ from scipy.stats import rankdata
 
 from mjhab.cli.env_options import BenchRewardOptions
 from mjhab.cli.output import at_least, print_json, print_table, progress_bar
+from mjhab.cli.profiles import profile_options
 from mjhab.core.cache import write_atomic
 from mjhab.core.errors import unknown_name
 from mjhab.rollout.loop import rollout
@@ -54,18 +55,18 @@ def bench_reward(options: BenchRewardOptions) -> int:
     curves = {kind: measure_reward(kind, options) for kind in kinds}
     found = {kind: summary(curve) for kind, curve in curves.items()}
     figures = {f"reward-{kind}": figure(curve) for kind, curve in curves.items()}
-    body = "<h1>Dense reward of the expert</h1>" + "".join(
+    body = f"<h1>Dense reward of the expert</h1><p>Profile {options.profile}.</p>" + "".join(
         section(kind, _sentence(found[kind]), f'<div id="reward-{kind}"></div>') for kind in kinds
     )
     page = render_page("Dense reward of the expert", body, {"plots": figures, "force": []})
     options.out.mkdir(parents=True, exist_ok=True)
     write_atomic(options.out / "report.html", lambda temporary: temporary.write_text(page, encoding="utf-8"))
     if options.json:
-        print_json({"subtasks": found, "report": str(options.out / "report.html")})
+        print_json({"profile": options.profile, "subtasks": found, "report": str(options.out / "report.html")})
     else:
         columns = list(next(iter(found.values())))
         rows = [[kind, *(found[kind][c] for c in columns)] for kind in kinds]
-        print_table("normalised dense reward", ("subtask", *columns), rows)
+        print_table(f"normalised dense reward, profile {options.profile}", ("subtask", *columns), rows)
         print(f"Curves: {options.out / 'report.html'}")
     return 0
 
@@ -78,7 +79,7 @@ def measure_reward(kind: str, options: BenchRewardOptions) -> list[tuple[bool, n
     task = "set_table" if kind in ("open", "close") else "tidy_house"
     env = make_train(
         task=task, subtask=kind, num_envs=min(options.worlds, options.episodes), threads=options.threads,
-        seed=options.seed, autoreset="disabled", open_start=0.0,
+        seed=options.seed, autoreset="disabled", open_start=0.0, **profile_options(options),
     )  # fmt: skip
     with progress_bar(f"expert: {kind}", options.episodes) as advance:
         sink = RewardSink(env.num_envs, advance)

@@ -10,6 +10,7 @@ import numpy as np
 from mjhab.cli.bench_env import resident_mb
 from mjhab.cli.env_options import BenchSoakOptions
 from mjhab.cli.output import at_least, print_json, print_table, progress_bar
+from mjhab.cli.profiles import profile_options
 
 QUARTERS = 4
 """Memory is read after every quarter. In the first half homes are met for the first time and the pool of arrangements
@@ -46,7 +47,12 @@ def soak(options: BenchSoakOptions) -> dict[str, Any]:
 
     envs = [
         make_train(
-            task=options.task, subtask=kind, num_envs=options.worlds, threads=options.threads, seed=options.seed + i
+            task=options.task,
+            subtask=kind,
+            num_envs=options.worlds,
+            threads=options.threads,
+            seed=options.seed + i,
+            **profile_options(options),
         )
         for i, kind in enumerate(SUBTASKS_OF_TASK[options.task])
     ]
@@ -74,7 +80,7 @@ def soak(options: BenchSoakOptions) -> dict[str, Any]:
             advance()
     half, end = memory[len(memory) // 2 - 1] if len(memory) > 1 else memory[-1], memory[-1]
     return {
-        "steps": rounds * options.worlds * len(envs), "episodes": episodes,
+        "profile": options.profile, "steps": rounds * options.worlds * len(envs), "episodes": episodes,
         "seconds": round(time.perf_counter() - begun, 1), "tainted": tainted,
         "nan_resets": int(sum(env.nan_resets.sum() for env in envs)), "spawn_fallbacks": fallbacks, "rss_mb": memory,
         "rss_growth": round(end / half - 1.0, 4) if half else 0.0,

@@ -8,7 +8,19 @@ from typing import Annotated
 
 import tyro
 
-from mjhab.cli.options import Assets, Backend, Device, Joints, MaybeName, Name, Number, Numbers, StageMesh, Sub
+from mjhab.cli.options import (
+    Assets,
+    Backend,
+    Device,
+    Joints,
+    MaybeName,
+    Name,
+    Number,
+    Numbers,
+    ProfileOptions,
+    StageMesh,
+    Sub,
+)
 
 EnvId = Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ID")]
 
@@ -22,7 +34,7 @@ class EnvsListOptions:
 
 
 @dataclass(frozen=True)
-class EnvsDescribeOptions:
+class EnvsDescribeOptions(ProfileOptions):
     """Show the observations, the action table and the reward terms of an environment.
 
     For instance: `mjhab envs describe mjhab/PickSubtaskTrain-v1 --obs rgbd`
@@ -46,7 +58,7 @@ class EnvsCommand:
 
 
 @dataclass(frozen=True)
-class BenchSoakOptions:
+class BenchSoakOptions(ProfileOptions):
     """Step all training environments with random actions for a long time: does anything break or grow?"""
 
     steps: Number = 1_000_000
@@ -64,7 +76,7 @@ class BenchSoakOptions:
 
 
 @dataclass(frozen=True)
-class BenchRewardOptions:
+class BenchRewardOptions(ProfileOptions):
     """Does the dense reward mean success? Run the expert, compare the returns of its successes and failures.
 
     Writes a page with the reward over time of every subtask. The AUC is the chance that a successful episode has a
@@ -88,7 +100,7 @@ class BenchRewardOptions:
 
 
 @dataclass(frozen=True)
-class BenchEnvOptions:
+class BenchEnvOptions(ProfileOptions):
     """Measure an environment: steps per second beside the bare engine, where the time goes, memory, cold start."""
 
     env: Name = "mjhab/PickSubtaskTrain-v1"

@@ -6,6 +6,7 @@ from typing import Any
 
 from mjhab.cli.env_options import EnvsDescribeOptions, EnvsListOptions
 from mjhab.cli.output import print_json, print_table
+from mjhab.cli.profiles import profile_options
 
 
 def run_envs(options: EnvsListOptions | EnvsDescribeOptions) -> int:
@@ -28,7 +29,7 @@ def list_envs(options: EnvsListOptions) -> int:
 
 def describe_env(options: EnvsDescribeOptions) -> int:
     """Print observations, actions and rewards of one environment."""
-    found = description(options.env, options.obs, options.control)
+    found = description(options)
     if options.json:
         print_json(found)
         return 0
@@ -42,7 +43,7 @@ def describe_env(options: EnvsDescribeOptions) -> int:
     return 0
 
 
-def description(env_id: str, obs_mode: str, control_mode: str) -> dict[str, Any]:
+def description(options: EnvsDescribeOptions) -> dict[str, Any]:
     """What an environment takes and gives, as plain values."""
     import dataclasses
 
@@ -50,11 +51,14 @@ def description(env_id: str, obs_mode: str, control_mode: str) -> dict[str, Any]
     from mjhab.tasks.plan import KIND_NAMES
     from mjhab.tasks.rewards import reward_table
 
-    env = make_by_id(env_id, num_envs=1, obs_mode=obs_mode, control_mode=control_mode)
+    env = make_by_id(
+        options.env, num_envs=1, obs_mode=options.obs, control_mode=options.control, **profile_options(options)
+    )
     kinds = [env.config.subtask] if env.config.subtask else list(KIND_NAMES)
     horizons = dict(zip(KIND_NAMES, env.task_config.horizons, strict=True))
     found = {
-        "id": env_id,
+        "id": options.env,
+        "profile": env.config.profile,
         "observations": [{k: _plain(v) for k, v in row.items()} for row in env.observer.describe()],
         "actions": [{k: _plain(v) for k, v in dataclasses.asdict(row).items()} for row in env.action_table],
         "reward_mode": env.config.reward,

@@ -14,6 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from mjhab.cli.options import EvalOptions
 from mjhab.cli.output import print_json, print_table
+from mjhab.cli.profiles import profile_options
 from mjhab.rollout.evaluate import EvalSpec, EvaluationInterrupted, Run, run_evaluation
 from mjhab.rollout.metrics import SubtaskRow, rows_by_kind, rows_by_position
 from mjhab.rollout.records import EpisodeRecord
@@ -41,6 +42,7 @@ def eval_spec(options: EvalOptions) -> EvalSpec:
         UsageError: an unknown name, or a number out of range.
     """
     asked = {"obs_mode": options.obs, "control_mode": options.control, "camera_size": options.camera_size}
+    given = {name: value for name, value in asked.items() if value is not None}
     return EvalSpec(
         policy=options.policy,
         task=options.task,
@@ -58,7 +60,7 @@ def eval_spec(options: EvalOptions) -> EvalSpec:
         threads=options.threads,
         films=options.films,
         style=options.style,
-        env={name: value for name, value in asked.items() if value is not None},
+        env={**given, **profile_options(options)},
         out=options.out,
         resume=options.resume,
         overwrite=options.overwrite,

@@ -8,13 +8,13 @@ from typing import Annotated
 
 import tyro
 
-from mjhab.cli.options import Name, Number
+from mjhab.cli.options import Name, Number, ProfileOptions
 
 Names = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")]
 
 
 @dataclass(frozen=True)
-class BenchExpertsOptions:
+class BenchExpertsOptions(ProfileOptions):
     """Measure how often the scripted experts succeed: every task, subtask and target, next to the paper's policies.
 
     All of it: `mjhab bench experts --assets builtin FOLDER --workers 2 --out runs/experts`

@@ -19,6 +19,7 @@ from mjhab.cli.data import read_filter
 from mjhab.cli.doctor import cores
 from mjhab.cli.generate_options import GenerateOptions
 from mjhab.cli.output import at_least, print_json, print_table
+from mjhab.cli.profiles import profile_options, resolved_profile
 from mjhab.core.errors import UsageError
 from mjhab.data.crew import ALL, Crew, ProcessCrew, Stage, WorkerSpec
 from mjhab.data.generation import Job, Standing, generate
@@ -33,7 +34,7 @@ MOST_TARGETS = 10
 """No task has more kinds of objects."""
 NO_IMAGES = "none"
 _NOT_IN_CONFIG = frozenset(
-    {"out", "per_target", "per_label", "episodes", "workers", "worlds", "threads", "ray", "resume", "json"}
+    {"out", "per_target", "per_label", "episodes", "workers", "worlds", "threads", "ray", "resume", "json", "starts"}
 )
 
 
@@ -80,6 +81,7 @@ def make_job(options: GenerateOptions) -> Job:
     _check_images(options)
     env_options(options, facts)
     config = {key: value for key, value in vars(options).items() if key not in _NOT_IN_CONFIG}
+    config |= resolved_profile(options, task=options.task, subtask=options.subtask or "", cameras=options.cameras)
     # Without a style nothing is said of it: what was made before there were styles can be gone on with.
     config |= {"style": Styles.parse(options.style).words} if config.pop("style") else {}
     config = {key: str(value) if isinstance(value, Path) else value for key, value in config.items()}
@@ -154,7 +156,7 @@ def env_options(options: GenerateOptions, facts: PolicyFacts) -> dict[str, Any]:
         UsageError: the policy asks for an option that does not exist, or sees other images than those to store.
     """
     check_env_options(facts.env_options)
-    needed = dict(facts.env_options)
+    needed = {**facts.env_options, **profile_options(options)}
     if options.images == NO_IMAGES:
         return needed
     sees = needed.pop("obs_mode", "")
@@ -267,4 +269,5 @@ def _check_episodes(options: GenerateOptions) -> None:
         split=options.split,
         navigate=options.navigate,
         episodes=1 if options.episodes is None else options.episodes,
+        env=profile_options(options),
     )

@@ -9,11 +9,11 @@ from typing import Annotated
 import tyro
 
 from mjhab.cli.data_options import Places, Preset, Where
-from mjhab.cli.options import Assets, Joints, MaybeName, Name, Number, PolicyName, StageMesh
+from mjhab.cli.options import Assets, Joints, MaybeName, Name, Number, PolicyName, ProfileOptions, StageMesh
 
 
 @dataclass(frozen=True)
-class GenerateOptions:
+class GenerateOptions(ProfileOptions):
     """Make recorded episodes with several workers until every target has its quota; failures are kept by default.
 
     `mjhab generate --subtask pick --per-target 1000 --keep "label == 'straightforward_success'" --workers 2 --out

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from mjhab.cli.options import Assets, Backend, Device, Joints, Name, Number, Numbers, StageMesh
+from mjhab.cli.options import Assets, Backend, Device, Joints, Name, Number, Numbers, ProfileOptions, StageMesh
 
 Folder = Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
 
@@ -84,8 +84,10 @@ class BenchParityOptions:
 
 
 @dataclass(frozen=True)
-class WarmupOptions:
+class WarmupOptions(ProfileOptions):
     """Compile what is compiled at first use, and keep it: kernels of the rasterizer, and those of MuJoCo Warp.
+
+    With `--profile ms_hab` the arms that hold objects are made, too, in which Place then begins.
 
     Minutes the first time, seconds later. Compiled kernels of Warp lie in $WARP_CACHE_PATH, else ~/.cache/warp.
     """

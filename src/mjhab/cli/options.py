@@ -21,8 +21,20 @@ StageMesh = Annotated[Path | None, tyro.conf.arg(metavar="FILE.glb")]
 Joints = Annotated[str | None, tyro.conf.arg(metavar="NAME,NAME")]
 
 
+@dataclass(frozen=True, kw_only=True)
+class ProfileOptions:
+    """Options that all commands share which build environments for policies."""
+
+    profile: Annotated[str, tyro.conf.arg(metavar="mjhab|ms_hab")] = "mjhab"
+    """Values of many options at once: ms_hab is the environment of the MS-HAB paper (see docs/environments.md)."""
+    starts: Annotated[str | None, tyro.conf.arg(metavar="front_box|published")] = None
+    """Where Pick and Place at a drawer or fridge begin, and with which arm Place begins; the profile's if absent."""
+    stillness: Annotated[str | None, tyro.conf.arg(metavar="absolute|published")] = None
+    """Whether a joint that moves backwards counts as moving (absolute) or as still; the profile's if absent."""
+
+
 @dataclass(frozen=True)
-class EvalOptions:
+class EvalOptions(ProfileOptions):
     """Run a policy in furnished homes; write records, numbers, films and a report.
 
     A whole task: `mjhab eval --task set_table --policy expert --episodes 20 --out runs/table`

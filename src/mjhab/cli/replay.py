@@ -98,6 +98,8 @@ def _maker(options: ReplayOptions) -> Callable[[RunInfo], Any]:
 
         # Shards tell lists, configurations hold tuples.
         config = {key: tuple(v) if isinstance(v, list) else v for key, v in run.config["env"].items()}
+        # The options that a profile gives values are recorded; its name would forbid other cameras.
+        config.pop("profile", None)
         for name in ("episodes_file", "spawns"):
             missing = Path(str(config.get(name) or "."))
             if not missing.exists():

@@ -8,11 +8,11 @@ from typing import Annotated
 
 import tyro
 
-from mjhab.cli.options import Assets, Joints, MaybeName, Name, Number, StageMesh, Sub
+from mjhab.cli.options import Assets, Joints, MaybeName, Name, Number, ProfileOptions, StageMesh, Sub
 
 
 @dataclass(frozen=True)
-class SpawnsMakeOptions:
+class SpawnsMakeOptions(ProfileOptions):
     """Make starts of a subtask once, for many runs: nothing is settled or searched when they are used.
 
     `mjhab spawns make --task set_table --subtask pick --count 1000 --out spawns/pick.npz`
@@ -75,7 +75,7 @@ class SpawnsCommand:
 
 
 @dataclass(frozen=True)
-class BenchSpawnOptions:
+class BenchSpawnOptions(ProfileOptions):
     """Measure how many starts are found per second, and how long settling a new arrangement of objects takes."""
 
     task: Name = "tidy_house"

@@ -8,6 +8,7 @@ from typing import Any
 
 from mjhab.cli.doctor import cores
 from mjhab.cli.output import at_least, print_json, print_table, progress_bar
+from mjhab.cli.profiles import resolved_profile
 from mjhab.cli.spawn_options import BenchSpawnOptions, SpawnsListOptions, SpawnsMakeOptions
 from mjhab.core.errors import UsageError
 
@@ -27,9 +28,10 @@ def make(options: SpawnsMakeOptions) -> int:
     from mjhab.envs.spawn_factory import make_set
     from mjhab.envs.spawn_sets import SpawnRecipe
 
+    resolved = resolved_profile(options, task=options.task, subtask=options.subtask or "")
     recipe = SpawnRecipe(
         options.task, options.subtask or "", options.target or "", options.split, options.seed, options.count,
-        options.assets, options.home or "", options.pool, options.harvested,
+        options.assets, options.home or "", options.pool, options.harvested, resolved["spawn_rule"],
     )  # fmt: skip
     begun, shown = time.perf_counter(), 0
     with progress_bar(f"{options.task} {options.subtask or 'chain'}", options.count) as advance:
@@ -71,7 +73,20 @@ def listing(options: SpawnsListOptions) -> int:
     if options.json:
         print_json({"sets": found, "unreadable": damaged})
         return 0
-    columns = ("file", "task", "subtask", "target", "split", "seed", "count", "homes", "fallbacks", "pack", "layout")
+    columns = (
+        "file",
+        "task",
+        "subtask",
+        "target",
+        "split",
+        "spawn_rule",
+        "seed",
+        "count",
+        "homes",
+        "fallbacks",
+        "pack",
+        "layout",
+    )
     rows = [
         [Path(one["file"]).name if name == "file" else one[name] or ("all" if name == "target" else one[name])
          for name in columns]
@@ -114,9 +129,10 @@ def measure_spawns(options: BenchSpawnOptions) -> dict[str, Any]:
     from mjhab.envs.spawn_factory import SpawnFactory
     from mjhab.envs.spawn_sets import SpawnRecipe
 
+    resolved = resolved_profile(options, task=options.task, subtask=options.subtask)
     recipe = SpawnRecipe(
         options.task, options.subtask, options.target or "", "train", options.seed, options.count, options.assets,
-        pool=options.pool,
+        pool=options.pool, spawn_rule=resolved["spawn_rule"],
     )  # fmt: skip
     factory, threads = SpawnFactory(recipe), options.threads or cores()
     # Index count + i is another start in the same arrangement: homes, maps and grasps are known when the clock runs.

@@ -9,6 +9,7 @@ from typing import Any
 
 from mjhab.cli.gpu_options import WarmupOptions
 from mjhab.cli.output import print_json, print_table
+from mjhab.cli.profiles import profile_options
 from mjhab.core.errors import unknown_name
 from mjhab.sim.backends import resolve
 from mjhab.tasks.plan import TASKS
@@ -31,11 +32,15 @@ def run_warmup(options: WarmupOptions) -> int:
 
 def warmup(options: WarmupOptions, backend: str) -> dict[str, float]:
     """Compile homes and kernels for a task; seconds that each part took. A line on stderr says what is under way."""
+    from mjhab.envs.config import EnvConfig, task_config
+    from mjhab.envs.starts import StartMaker
+    from mjhab.scenes.fetch import REST_QPOS
     from mjhab.scenes.layout import Layout
     from mjhab.scenes.objects import roster
     from mjhab.scenes.packs import open_pack
     from mjhab.sim.cpu import CpuSimulator
 
+    config = EnvConfig(task=options.task, assets=options.assets, **profile_options(options))
     layout = Layout(open_pack(options.assets), roster(options.task))
     homes = [home.name for home in layout.pack.homes]
     simulators: list[Any] = []
@@ -58,12 +63,19 @@ def warmup(options: WarmupOptions, backend: str) -> dict[str, float]:
 
         env = make_train(
             task=options.task, subtask="pick", backend="warp", device=options.device, num_envs=WORLDS, starts=WORLDS,
-            assets=options.assets, obs_mode="rgbd+seg", camera_size=16,
+            assets=options.assets, obs_mode="rgbd+seg", camera_size=16, **profile_options(options),
         )  # fmt: skip
         env.reset()
         env.step(env.sim.qpos.new_zeros(env.action_space.shape))
 
+    def arms() -> None:
+        starts = StartMaker(simulators[0], config, task_config(config, REST_QPOS))
+        for kind in sorted(set(layout.roster)):
+            starts.arms.arms(kind)
+
     parts: dict[str, Callable[[], None]] = {f"{len(homes)} homes": compile_homes, "rasterizer": rasterizer}
+    if config.spawn_rule == "published":
+        parts["arms that hold objects"] = arms
     if backend == "warp":
         parts["MuJoCo Warp (minutes the first time)"] = warp
     return {name.split(" (")[0]: _timed(name, work) for name, work in parts.items()}

@@ -59,6 +59,8 @@ _BASE: tuple[Fact, ...] = (
     Fact("split", TEXT, "split of the home", lambda r, _: r.split, ("train", "val", "test")),
     Fact("home", TEXT, "home", lambda r, _: r.home),
     Fact("policy", TEXT, "name of what acted", lambda _, run: str(run.config.get("policy", {}).get("name", ""))),
+    Fact("profile", TEXT, "profile of the environment, '' where none is recorded",
+         lambda _, run: str(run.config.get("env", {}).get("profile", ""))),
     Fact("seed", NUMBER, "seed", lambda r, _: r.seed),
     Fact("index", NUMBER, "index", lambda r, _: r.index),
     Fact("target", TEXT, "object type or link of the last subtask that ended", lambda r, _: target_of(r)),

@@ -21,7 +21,19 @@ _LIBRARIES = ("mujoco", "mujoco-warp", "numpy", "h5py")
 _FREE = frozenset({"num_envs", "threads", "seed", "autoreset", "render_mode", "backend", "device", "starts", "buffers"})
 """Options of an environment that change nothing in an episode; its seed is kept with each episode. What is recorded
 comes from the CPU: the options of the other backend are not in force."""
-_VIEW = frozenset({"obs_mode", "cameras", "camera_size", "reward_mode", "reward_scales", "handle_points"})
+_VIEW = frozenset(
+    {
+        "obs_mode",
+        "cameras",
+        "camera_size",
+        "frame_stack",
+        "handle_points",
+        "reward_mode",
+        "reward_scales",
+        "reward_formula",
+        "reward_normaliser",
+    }
+)
 """Options that change what is seen and said of an episode, not what happens in it."""
 TRAIN_MAKER = "make_train"
 """``config["maker"]`` of runs in SubtaskTrain environments; the others have none: `mjhab.envs.make` builds them."""
@@ -41,7 +53,7 @@ def describe_run(env: Any, policy: Mapping[str, Any], licence: str = "") -> RunI
         "env": {k: v for k, v in options.items() if k not in _FREE | _VIEW},
         "policy": dict(policy),
     }
-    if getattr(env, "trains", False):
+    if getattr(env.config, "trains", False):
         # Its arrangements come from a pool that is drawn with the seed of the environment.
         config["env"]["seed"] = options["seed"]
         config["maker"] = TRAIN_MAKER

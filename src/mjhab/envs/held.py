@@ -24,7 +24,8 @@ from mjhab.envs.grasps import Grasps, ObjectShape, grasp_candidates
 from mjhab.scenes.compile import home_hash
 from mjhab.scenes.spec import ObjectType
 from mjhab.sim.cpu import CpuSimulator
-from mjhab.sim.scratch import FINGER_MAX, Scratch
+from mjhab.sim.scratch import FINGER_JOINTS, FINGER_MAX, Scratch
+from mjhab.sim.settle import parked_robot_qpos
 from mjhab.tasks.plan import TaskConfig
 
 HOLD_SECONDS = 0.5
@@ -85,7 +86,7 @@ class HeldStarts:
     def __init__(self, sim: CpuSimulator, config: TaskConfig, scratch: Scratch, harvested: bool = False) -> None:
         self.layout, self.config, self.scratch, self.harvested = sim.layout, config, scratch, harvested
         self._found: dict[str, list[HeldGrasp]] = {}
-        self._lock = RLock()
+        self.lock = RLock()
 
     def grasps(self, kind: str) -> list[HeldGrasp]:
         """Stable grasps of an object type, the most sensible one first, then as different ones as possible.
@@ -94,10 +95,9 @@ class HeldStarts:
             UsageError: the layout has no object of this type.
             MjhabError: no candidate holds.
         """
-        with self._lock:
+        with self.lock:
             if kind not in self._found:
-                self._check(kind)
-                self._found[kind] = self._library(kind) + (self.added(kind) if self.harvested else [])
+                self._found[kind] = self.found(kind) + (self.added(kind) if self.harvested else [])
             return self._found[kind]
 
     def add(self, kind: str, pose: np.ndarray, fingers: float) -> HeldGrasp | None:
@@ -125,15 +125,15 @@ class HeldStarts:
         if grasp is None:
             return None
         name = hashlib.sha256(grasp.pose.tobytes() + np.float64(grasp.fingers).tobytes()).hexdigest()[:16]
-        _save(below(self._folder, f"{kind}-added", f"{name}.npz"), [grasp])
-        with self._lock:
+        _save(below(self.folder, f"{kind}-added", f"{name}.npz"), [grasp])
+        with self.lock:
             if self.harvested:
                 self._found.pop(kind, None)
         return grasp
 
     def added(self, kind: str) -> list[HeldGrasp]:
         """The grasps that were added for an object type, in the order of their hashes."""
-        return [g for file in sorted((self._folder / f"{kind}-added").glob("[!.]*.npz")) for g in _load(file)]
+        return [g for file in sorted((self.folder / f"{kind}-added").glob("[!.]*.npz")) for g in _load(file)]
 
     def digest(self, kind: str) -> str:
         """Hash of the grasps of an object type: equal when the same draws give the same starts."""
@@ -141,7 +141,8 @@ class HeldStarts:
         return hashlib.sha256(np.array(rows).tobytes()).hexdigest()[:16]
 
     @cached_property
-    def _folder(self) -> Path:
+    def folder(self) -> Path:
+        """Where the cache keeps the grasps of this layout."""
         test = (
             self.config.grasp_force,
             self.config.grasp_angle,
@@ -158,8 +159,10 @@ class HeldStarts:
         if kind not in self.layout.roster:
             raise unknown_name("object", kind, set(self.layout.roster))
 
-    def _library(self, kind: str) -> list[HeldGrasp]:
-        path = below(self._folder, f"{kind}.npz")
+    def found(self, kind: str) -> list[HeldGrasp]:
+        """As `grasps`, without those that were added."""
+        self._check(kind)
+        path = below(self.folder, f"{kind}.npz")
         if path.exists():
             return _load(path)
         found = self._search(kind)
@@ -184,12 +187,38 @@ class HeldStarts:
             raise MjhabError(f"no grasp of {kind} holds for {HOLD_SECONDS} s")
         return found
 
-    def _try(self, kind: str, tcp: np.ndarray, width: float) -> HeldGrasp | None:
-        """Try a grasp: pose ``tcp`` (7,) of the tool centre in the object's frame, distance of the pads [m]."""
+    def hold_in(self, kind: str, grasp: HeldGrasp, robot: np.ndarray) -> HeldGrasp | None:
+        """A stable grasp as it settles in another posture; None if it does not hold there or the robot touches itself.
+
+        Args:
+            robot: (15,) joint positions, those of the fingers aside; the base away from every home.
+        """
+        held = self._try(kind, pose_inv(grasp.pose), 2 * grasp.fingers, robot)
+        if held is None:
+            return None
+        slot = self.layout.roster.index(kind)
+        state = self.scratch.holding(slot, _with_fingers(robot, held.fingers), pose_inv(held.pose))
+        grip = (self.config.grasp_force, self.config.grasp_angle)
+        return held if self.scratch.collision_free(self.layout.pack.homes[0].name, state, slot, grip) else None
+
+    def _try(self, kind: str, tcp: np.ndarray, width: float, robot: np.ndarray | None = None) -> HeldGrasp | None:
+        """Try a grasp: pose ``tcp`` (7,) of the tool centre in the object's frame, distance of the pads [m].
+
+        ``robot``: (15,) joint positions, those of the fingers aside; at rest if None.
+        """
         slot = self.layout.roster.index(kind)
         force, angle = self.config.grasp_force, self.config.grasp_angle
-        held = self.scratch.try_grasp(slot, tcp, width, HOLD_SECONDS, force, angle)
+        robot = parked_robot_qpos() if robot is None else robot
+        open_hand = _with_fingers(robot, min(0.5 * width + 0.001, FINGER_MAX))
+        held = self.scratch.try_grasp(slot, tcp, open_hand, HOLD_SECONDS, force, angle)
         return HeldGrasp(*held) if held is not None and np.linalg.norm(held[0][:3]) <= MAX_OFFSET else None
+
+
+def _with_fingers(robot: np.ndarray, fingers: float) -> np.ndarray:
+    """Joint positions (15,) with both fingers at a position [m]."""
+    out = robot.copy()
+    out[FINGER_JOINTS] = fingers
+    return out
 
 
 def _save(path: Path, grasps: list[HeldGrasp]) -> None:

@@ -18,7 +18,7 @@ from mjhab.sim.protocol import SimState
 from mjhab.tasks.measure import Signals, WorldState
 from mjhab.tasks.plan import SubtaskKind, TaskConfig
 from mjhab.tasks.progress import Progress
-from mjhab.tasks.rewards import IDEAL_SPEED, DenseReward, RewardView, closed_near, kinds_at_hand
+from mjhab.tasks.rewards import IDEAL_SPEED, DenseReward, RewardOptions, RewardView, closed_near, kinds_at_hand
 
 _JOINTED = (SubtaskKind.OPEN, SubtaskKind.CLOSE)
 _TORSO = FETCH_JOINTS.index("torso_lift_joint")
@@ -53,9 +53,9 @@ class Rewarder:
         num_worlds: W.
         config: the thresholds.
         mode: "dense": sum of the terms of the active subtask's table (`tasks.rewards`); "normalized_dense": divided by
-            the largest sum they can reach; "sparse": 1 while the active subtask succeeds; "pointer": the number of
+            the normaliser of ``options``; "sparse": 1 while the active subtask succeeds; "pointer": the number of
             subtasks done, from ``inputs.progress``; "none": 0.
-        scales: other scales for single terms, by kind, as ``{"pick": {"reach": 4.0}}``.
+        options: scales, formula and normaliser of the dense modes.
         layout, sensing: where the links' joints and handles are.
         nav_distance: way to the navigation goal. The default is the straight line; the original goes around
             obstacles (mshab/envs/navigate.py: shortest path over the navigation mesh, the straight line an option).
@@ -72,7 +72,7 @@ class Rewarder:
         num_worlds: int,
         config: TaskConfig,
         mode: str,
-        scales: Mapping[str, Mapping[str, float]] | None,
+        options: RewardOptions | None,
         layout: Layout,
         sensing: Sensing,
         nav_distance: GoalDistance = straight_distance,
@@ -82,7 +82,8 @@ class Rewarder:
         if mode not in REWARD_MODES:
             raise unknown_name("reward mode", mode, REWARD_MODES)
         self.mode = mode
-        self.dense = DenseReward(config, scales, kinds)
+        self.dense = DenseReward(config, options, kinds)
+        self._bounded = options is None or options.formula == "bounded"
         self.nav_distance = nav_distance
         self._sensing = sensing
         like = np.zeros(0) if like is None else like
@@ -110,7 +111,7 @@ class Rewarder:
             counted = inputs.signals.success if self.mode == "sparse" else inputs.progress.pointer
             return namespace(counted).astype(counted, self._zero.dtype), {}
         scored = self.dense.score(self._view(inputs))
-        reward = scored.total / scored.attainable if self.mode == "normalized_dense" else scored.total
+        reward = scored.total / scored.normaliser if self.mode == "normalized_dense" else scored.total
         return reward, dict(zip(self.dense.names, scored.terms, strict=True))
 
     def _view(self, inputs: RewardInputs) -> RewardView:
@@ -124,6 +125,8 @@ class Rewarder:
             distance = norm3(world.tcp_pos - handle)
             self._closed_near = closed_near(self._closed_near, inputs.signals.closed, distance)
         torso = world.robot_q[:, _TORSO] / _TORSO_TOP
+        if self._bounded:
+            torso = xp.minimum(xp.maximum(torso, self._low), self._high)
         return RewardView(
             world=world,
             signals=inputs.signals,
@@ -131,7 +134,7 @@ class Rewarder:
             object_pos=state.object_pose[rows, focus.obj, :3],
             object_vel=state.object_vel[rows, focus.obj] if SubtaskKind.PLACE in kinds else self._zero6,
             goal_pos=focus.active.goal_pos,
-            torso_up=xp.minimum(xp.maximum(torso, self._low), self._high),
+            torso_up=torso,
             handle_distance=distance,
             joint_qd=state.link_qd[rows, focus.link] if jointed else zero,
             joint_ideal=self._ideal[focus.link] if jointed else zero,

@@ -84,7 +84,7 @@ class SequentialTaskEnv(VectorEnv):
         self.tracker = Tracker(self.num_envs)
         self.nav = NavDistance(self.layout, self.num_envs, self.starts.sampler.map)
         self.rewarder = Rewarder(
-            self.num_envs, self.task_config, config.reward, config.reward_scales, self.layout, self.sensing,
+            self.num_envs, self.task_config, config.reward, config.reward_options, self.layout, self.sensing,
             lambda inputs: self.nav.at(inputs.world.base_pose[:, :2]),
             [SubtaskKind[config.subtask.upper()]] if config.subtask else list(SubtaskKind),
         )  # fmt: skip

@@ -38,7 +38,7 @@ class SpawnFactory:
         self.recipe = recipe
         config = EnvConfig(
             task=recipe.task, subtask=recipe.subtask, target=recipe.target, split=recipe.split, home=recipe.home,
-            assets=recipe.assets, seed=recipe.seed,
+            assets=recipe.assets, seed=recipe.seed, spawn_rule=recipe.spawn_rule,
         )  # fmt: skip
         self.layout = Layout(open_pack(recipe.assets), roster(recipe.task))
         check_target(config, self.layout)
@@ -66,7 +66,8 @@ class SpawnFactory:
     def header(self) -> dict[str, Any]:
         """What the file will say about itself."""
         kinds = sorted(set(self.layout.roster)) if self.recipe.subtask in ("place", "navigate") else []
-        return header_of(self.recipe, self.layout, {kind: self.starts.held.digest(kind) for kind in kinds})
+        library = self.starts.arms if self.starts.published else self.starts.held
+        return header_of(self.recipe, self.layout, {kind: library.digest(kind) for kind in kinds})
 
 
 def partial_folder(out: Path) -> Path:

@@ -57,7 +57,8 @@ class SpawnRecipe:
     """What a set holds: start i is that of episode (seed, i) of a subtask ("" for whole chains) and target.
 
     ``pool``: 0 gives every start an arrangement of objects of its own; n lets start i have arrangement i modulo n.
-    ``harvested``: placing begins with the grasps, too, that were added on this machine.
+    ``harvested``: placing begins with the grasps, too, that were added on this machine. ``spawn_rule``: see
+    `profiles.Profile`.
     """
 
     task: str
@@ -70,6 +71,7 @@ class SpawnRecipe:
     home: str = ""
     pool: int = 0
     harvested: bool = False
+    spawn_rule: str = "front_box"
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,7 +257,7 @@ class SpawnSet:
         Raises:
             UsageError: names what differs.
         """
-        for name in ("task", "subtask", "target", "split", "home"):
+        for name in ("task", "subtask", "target", "split", "home", "spawn_rule"):
             made, wanted = getattr(self.recipe, name), getattr(config, name)
             if made != wanted:
                 raise UsageError(

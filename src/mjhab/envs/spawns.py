@@ -2,7 +2,8 @@
 
 Numbers are those of mshab/utils/gen/gen_spawn_positions.py: base noise N(0, 0.1) clipped at 0.2 m, yaw noise
 N(0, 0.25) clipped at 0.5 rad, arm noise N(0, 0.1) clipped at 0.2 rad, within 2 m of objects and goals, and for
-articulations within an area in front of them.
+articulations within an area in front of them. Ours keeps the robot within these after the noise, and in sight of its
+goal past the walls; the published rule does not (`SpawnGoal.published`).
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 from mjhab.core.boxes import Boxes, sphere_box_distance
 from mjhab.core.rotations import mat_from_quat, pose_mul
 from mjhab.envs.actions import ARM_JOINTS
+from mjhab.envs.kinematics import wrap
 from mjhab.scenes.fetch import REST_QPOS
 from mjhab.scenes.freespace import BASE_RADIUS, FreeMap, free_map
 from mjhab.sim.cpu import CpuSimulator
@@ -23,6 +25,8 @@ from mjhab.sim.scratch import Scratch
 XY_NOISE, YAW_NOISE, ARM_NOISE = (0.1, 0.2), (0.25, 0.5), (0.1, 0.2)
 """(standard deviation, clip) in m, rad, rad."""
 MAX_DISTANCE = 2.0
+TELEPORT_DISTANCE, TELEPORT_YAW_NOISE = 1.8, (0.1, 0.5)
+"""Distance [m] and (standard deviation, clip) [rad] of the published teleports (mshab/evaluate.py)."""
 EYE_HEIGHT = 1.0
 """Height [m] at which a wall between robot and goal counts; doorways are open there."""
 MAX_TRIES = 100
@@ -34,7 +38,9 @@ class SpawnGoal:
 
     face: (2,) the point the robot faces; None: its heading is drawn from ``yaw`` (low, high).
     area: stand in this box (x_min, x_max, y_min, y_max); else within ``reach`` of ``near`` (2,), which is ``face`` if
-    None; without any of them, anywhere. turn: how far it may be turned away from ``face`` at most.
+    None; without any of them, anywhere. turn: how far it may be turned away from ``face`` at most. yaw_noise: standard
+    deviation and clip of the heading. slack: how far the noise may move the base out of ``area`` or ``reach``.
+    published: the noise moves the base after it was turned to ``face``, and a wall may stand in between.
     """
 
     face: np.ndarray | None
@@ -43,6 +49,9 @@ class SpawnGoal:
     reach: float = MAX_DISTANCE
     yaw: tuple[float, float] = (-np.pi, np.pi)
     turn: float = np.pi
+    yaw_noise: tuple[float, float] = YAW_NOISE
+    slack: float = 0.0
+    published: bool = False
 
     @property
     def center(self) -> np.ndarray | None:
@@ -176,14 +185,18 @@ class SpawnSampler:
         self, home: str, goal: SpawnGoal, candidates: np.ndarray, rng: np.random.Generator
     ) -> np.ndarray | None:
         noise = np.clip(rng.normal(0, XY_NOISE[0], 2), -XY_NOISE[1], XY_NOISE[1])
-        turn = float(np.clip(rng.normal(0, YAW_NOISE[0]), -YAW_NOISE[1], YAW_NOISE[1]))
+        turn = float(np.clip(rng.normal(0, goal.yaw_noise[0]), -goal.yaw_noise[1], goal.yaw_noise[1]))
         if not len(candidates):
             return None
-        xy = candidates[int(rng.integers(len(candidates)))] + noise
-        if self.map(home).clearance_at(xy) < BASE_RADIUS - 0.02 or not goal.allows(xy):
+        cell = candidates[int(rng.integers(len(candidates)))]
+        xy = cell + noise
+        if self.map(home).clearance_at(xy) < BASE_RADIUS - 0.02 or not goal.allows(xy, goal.slack):
             return None
         if goal.face is None:
             return np.array([*xy, rng.uniform(*goal.yaw)])
+        if goal.published:
+            yaw = self._heading(cell, goal) + turn
+            return np.array([*xy, yaw]) if abs(wrap(self._heading(xy, goal) - yaw)) <= goal.turn else None
         if abs(turn) > goal.turn or self._behind_wall(home, xy, goal.face):
             return None
         return np.array([*xy, self._heading(xy, goal) + turn])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -12,10 +13,12 @@ import numpy as np
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.seeding import stream
 from mjhab.envs.config import EnvConfig
+from mjhab.envs.controllers.table import ARM_JOINTS
 from mjhab.envs.episodes import BOWL_DRAWER, FRIDGE_DOOR, Episode
 from mjhab.envs.held import HeldStarts
+from mjhab.envs.held_arms import HeldArms
 from mjhab.envs.spawn_sets import SpawnSet
-from mjhab.envs.spawns import MAX_TRIES, Held, SpawnGoal, SpawnSampler
+from mjhab.envs.spawns import MAX_TRIES, TELEPORT_DISTANCE, TELEPORT_YAW_NOISE, Held, SpawnGoal, SpawnSampler
 from mjhab.scenes.fetch import REST_QPOS
 from mjhab.scenes.layout import Layout
 from mjhab.scenes.spec import Home
@@ -89,7 +92,10 @@ class StartMaker:
 
     Args:
         sim: whose homes are used. config, task_config: what is to be done.
-        harvested: place with the grasps, too, that were added to `held`.
+        harvested: place with the grasps, too, that were added to `held`; not under the published spawn rule.
+
+    Raises:
+        UsageError: ``harvested`` under the published spawn rule; a file of starts that does not fit.
     """
 
     def __init__(self, sim: CpuSimulator, config: EnvConfig, task_config: TaskConfig, harvested: bool = False) -> None:
@@ -97,6 +103,10 @@ class StartMaker:
         self.layout = sim.layout
         self.sampler = SpawnSampler(sim)
         self.held = HeldStarts(sim, task_config, self.sampler.scratch, harvested)
+        self.published = config.spawn_rule == "published"
+        if self.published and harvested:
+            raise UsageError("the published spawn rule has arms of its own; leave out harvested.")
+        self.arms = HeldArms(self.held)
         self.spawn_set = SpawnSet.load(Path(config.spawns), self.layout) if config.spawns else None
         if self.spawn_set is not None:
             self.spawn_set.check(config)
@@ -122,7 +132,9 @@ class StartMaker:
         position = self._pick_position(plan, episode)
         rng = stream(episode.seed, "start", episode.task, episode.index)
         held = self._prepare(rng, episode, plan, position, qpos)
-        goal = self._goal(episode, plan, position, boxes)
+        goal = self._goal(episode, plan, position, boxes, qpos)
+        if self.published:
+            goal = dataclasses.replace(goal, slack=np.inf, published=True)
         qpos, fallback, tries = self._spawn(episode, qpos, goal, held)
         return Start(plan.only(position), home.name, qpos, boxes, fallback, position, tries)
 
@@ -173,7 +185,19 @@ class StartMaker:
         area = np.array(boxes[subtask.link]) if subtask.link else None
         navigated = subtask.kind == SubtaskKind.NAVIGATE
         turn = self.task_config.nav_bearing - TURN_SPARE if navigated else np.pi
-        return SpawnGoal(np.array(point[:2]), area, turn=turn)
+        goal = SpawnGoal(np.array(point[:2]), area, turn=turn)
+        if not (self.published and navigated):
+            return goal
+        # The front area binds only where the Navigate is judged by it. A teleport must end where that is achieved.
+        judged = None if subtask.must_hold else area
+        return dataclasses.replace(
+            goal,
+            area=judged,
+            reach=TELEPORT_DISTANCE,
+            yaw_noise=TELEPORT_YAW_NOISE,
+            slack=self.task_config.nav_distance - TELEPORT_DISTANCE if judged is None else 0.0,
+            published=True,
+        )
 
     def foresee(self, episode: Episode, plan: TaskPlan, position: int) -> np.ndarray:
         """State (nq,) in which a chain comes to the Navigate at ``position`` if all before went well, the robot parked.
@@ -210,14 +234,21 @@ class StartMaker:
         qpos[a.link_q] = episode.link_q
         return qpos
 
-    def _goal(self, episode: Episode, plan: TaskPlan, position: int, boxes: dict[str, Box]) -> SpawnGoal:
-        """Where the robot stands to start the subtask at ``position`` alone.
+    def _goal(
+        self, episode: Episode, plan: TaskPlan, position: int, boxes: dict[str, Box], qpos: np.ndarray
+    ) -> SpawnGoal:
+        """Where the robot stands to start the subtask at ``position`` alone, in a home in the state ``qpos`` (nq,).
 
         Open is faced by the object inside, Close by the furniture, as in mshab/utils/gen/gen_spawn_positions.py.
         """
         subtask = plan.subtasks[position]
         if subtask.kind == SubtaskKind.NAVIGATE:
             return self._departure(episode, plan, position)
+        if self.published and subtask.kind == SubtaskKind.PICK:
+            start = self.sim.addresses.object_q[self.layout.object_names.index(subtask.obj)]
+            return SpawnGoal(qpos[start : start + 2])
+        if self.published and subtask.kind == SubtaskKind.PLACE:
+            return SpawnGoal(np.array(subtask.goal_pos[:2]))
         goal = self.spawn_goal(plan, position, boxes)
         if subtask.kind == SubtaskKind.OPEN:
             inside = next(t.start_pos for t in episode.targets if t.obj == subtask.obj)
@@ -320,9 +351,16 @@ class StartMaker:
 
     def _hold(self, rng: np.random.Generator, subtask: Subtask, qpos: np.ndarray) -> Held:
         slot = self.layout.object_names.index(subtask.obj)
-        grasps = self.held.grasps(self.layout.roster[slot])
-        grasp = grasps[int(rng.integers(len(grasps)))]
+        kind = self.layout.roster[slot]
         robot = np.array(REST_QPOS, dtype=np.float64)
+        if self.published:
+            arms = self.arms.arms(kind)
+            chosen = arms[int(rng.integers(len(arms)))]
+            robot[list(ARM_JOINTS)] = chosen.arm
+            grasp = chosen.grasp
+        else:
+            grasps = self.held.grasps(kind)
+            grasp = grasps[int(rng.integers(len(grasps)))]
         robot[13:15] = grasp.fingers
         qpos[self.sim.addresses.robot_q] = robot
         return Held(slot, grasp.pose, (self.task_config.grasp_force, self.task_config.grasp_angle))

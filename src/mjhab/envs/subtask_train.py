@@ -19,8 +19,6 @@ class SubtaskTrainEnv(SequentialTaskEnv):
     """
 
     config: TrainConfig
-    trains = True
-    """What tells recorders that `make_train` has built it."""
 
     def __init__(self, config: TrainConfig) -> None:
         super().__init__(config)

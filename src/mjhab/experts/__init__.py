@@ -25,9 +25,11 @@ def make_expert(env: SequentialTaskEnv, styles: Styles | None = None) -> ExpertP
     from mjhab.experts.policy import ExpertPolicy
 
     config = env.config
-    if (config.control_mode, config.base, tuple(config.stationary)) != (DEFAULT_MODE, "forward", ()):
+    # Experts leave the head where it is.
+    free = set(config.stationary) <= {"head"}
+    if (config.control_mode, config.base) != (DEFAULT_MODE, "forward") or not free:
         raise UsageError(
-            f"experts act by control_mode {DEFAULT_MODE!r} with base 'forward' and nothing stationary; "
+            f"experts act by control_mode {DEFAULT_MODE!r} with base 'forward' and nothing stationary but the head; "
             f"this environment has {config.control_mode!r}, base {config.base!r}, stationary {config.stationary!r}."
         )
 

@@ -282,8 +282,11 @@ def resolved_config(spec: EvalSpec, facts: PolicyFacts) -> dict[str, Any]:
     if spec.style:
         chosen["style"] = Styles.parse(spec.style).words
     options = env_options(spec, facts)
-    if options:
-        chosen["env"] = plain(options)
+    config = EnvConfig(task=spec.task, subtask=spec.subtask or "", **options)
+    chosen |= plain(config.of_profile())
+    further = {name: value for name, value in options.items() if name not in chosen}
+    if further:
+        chosen["env"] = plain(further)
     if spec.spawns:
         from mjhab.envs.spawn_sets import SpawnSet
 
@@ -317,7 +320,7 @@ def read_alone(folders: Sequence[Path]) -> dict[tuple[str, str], float]:
 def finish(folder: RunFolder, seconds: float, film_problem: str | None, alone: AloneRates | None) -> Run:
     """Write summary.json and report.html from the records in the folder."""
     records = folder.records
-    summary = summarize(records, seconds, alone)
+    summary = {"profile": folder.config.get("profile"), **summarize(records, seconds, alone)}
     rows = {"along_the_plan": rows_by_position(records), "by_kind": rows_by_kind(records)}
     folder.write_summary({**summary, **{name: [asdict(row) for row in table] for name, table in rows.items()}})
     folder.write_report(render_report(records, folder.config, seconds, folder.film_path, film_problem, alone))

@@ -17,7 +17,7 @@ from mjhab.scenes import contact_bits
 from mjhab.scenes.contact_sensors import FORCE_SENSOR_WIDTH, normal_force
 from mjhab.scenes.fetch import FINGER_LINKS, FINGER_OPEN_DIR, TCP_LINK, Drives, apply_drives
 from mjhab.sim.cpu import SUBSTEPS, CpuSimulator
-from mjhab.sim.settle import CLOSED_FINGER, hold_robot, parked_robot_qpos
+from mjhab.sim.settle import CLOSED_FINGER, hold_robot
 
 CLOSING_STEPS = 30
 TURN_RATE, TURN_STEPS, TURN_SLIP = 1.6, 20, 0.02
@@ -144,15 +144,36 @@ class Scratch:
         # A contact counts when one side is robot or load and the other is neither, or when the robot hits itself.
         return bool((ours.any(axis=1) & ~ours.all(axis=1)).any() or robot.all(axis=1).any())
 
+    def holding(self, slot: int, robot: np.ndarray, tcp_in_object: np.ndarray) -> np.ndarray:
+        """The state (nq,) of the layout's first home with a robot that has an object between its fingers.
+
+        Args:
+            slot: the object.
+            robot: (15,) joint positions.
+            tcp_in_object: (7,) pose of the tool centre in the frame of the object.
+        """
+        home, a = self.sim.layout.pack.homes[0].name, self.sim.addresses
+        qpos = self.sim.model(home).qpos0.copy()
+        qpos[a.robot_q] = robot
+        start = a.object_q[slot]
+        qpos[start : start + 7] = pose_mul(self.tcp_pose(home, qpos), pose_inv(tcp_in_object))
+        return qpos
+
     def try_grasp(
-        self, slot: int, tcp_in_object: np.ndarray, width: float, seconds: float, min_force: float, max_angle: float
+        self,
+        slot: int,
+        tcp_in_object: np.ndarray,
+        robot: np.ndarray,
+        seconds: float,
+        min_force: float,
+        max_angle: float,
     ) -> tuple[np.ndarray, float] | None:
         """Close the gripper on an object in an empty corner, hold it still, then turn with it.
 
         Args:
             slot: the object.
             tcp_in_object: (7,) grasp pose in the frame of the object.
-            width: distance between the pads at contact [m].
+            robot: (15,) joint positions, fingers just open, the base away from everything.
             seconds: how long the grasp test must hold, at every control step, after closing.
             min_force, max_angle: the test: force of each finger [N], its angle to the opening direction [rad].
 
@@ -160,12 +181,8 @@ class Scratch:
             Object pose (7,) in the frame of the tool centre and finger position [m] at the end; None if it fails.
         """
         home, a = self.sim.layout.pack.homes[0].name, self.sim.addresses
-        qpos = self.sim.model(home).qpos0.copy()
-        robot = parked_robot_qpos()
-        robot[FINGER_JOINTS] = min(0.5 * width + 0.001, FINGER_MAX)
-        qpos[a.robot_q] = robot
+        qpos = self.holding(slot, robot, tcp_in_object)
         start = a.object_q[slot]
-        qpos[start : start + 7] = pose_mul(self.tcp_pose(home, qpos), pose_inv(tcp_in_object))
         with self._world() as world:
             model, data = world.arrange(home, qpos, slot, plain=True), world.data
             hold_robot(model, data)

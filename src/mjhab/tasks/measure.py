@@ -1,6 +1,7 @@
 """Measure the active subtask of every world: plain physical quantities in, boolean and float signals out.
 
-Distances are Euclidean, speeds absolute, every threshold counts as reached at equality (MS-HAB paper App. A.2).
+Distances are Euclidean, speeds absolute (unless ``stillness`` is "published"), every threshold counts as reached at
+equality (MS-HAB paper App. A.2).
 Nothing is mutated; the same lines run on numpy and torch, and keep the dtype of the state.
 """
 
@@ -224,7 +225,10 @@ def _stillness(state: WorldState, tolerance: Array, config: TaskConfig) -> tuple
     xp = namespace(tolerance)
     near_rest = xp.abs(state.robot_q[:, 3:13] - constant(config.rest_qpos[3:13], state.robot_q)) <= tolerance
     limits = constant((config.static_base_speed,) * 3 + (config.static_speed,) * 10, state.robot_qd)
-    slow = xp.abs(state.robot_qd[:, :13]) <= limits
+    speed = state.robot_qd[:, :13]
+    if config.stillness == "absolute":
+        speed = xp.abs(speed)
+    slow = speed <= limits
     return near_rest.all(-1), slow.all(-1)
 
 

@@ -35,6 +35,8 @@ class SubtaskKind(IntEnum):
 PADDING = -1
 KIND_NAMES: tuple[str, ...] = tuple(kind.name.lower() for kind in SubtaskKind)
 TASKS: tuple[str, ...] = ("tidy_house", "prepare_groceries", "set_table")
+STILLNESS: tuple[str, ...] = ("absolute", "published")
+"""Whether speeds count by their size, or with their sign; see `TaskConfig.stillness`."""
 TARGETS_PER_TASK: dict[str, int] = {"tidy_house": 5, "prepare_groceries": 3, "set_table": 2}
 
 
@@ -70,6 +72,9 @@ class TaskConfig:
     torso_tol: float = 0.01
     static_speed: float = 0.2
     static_base_speed: float = 0.05
+    stillness: str = "absolute"
+    """"absolute": no joint is faster than these, either way; "published": joints that move the other way count as
+    still, however fast (the paper's App. A.2 and mani_skill/agents/robots/fetch/fetch.py take no absolute value)."""
     grasp_force: float = 0.5
     grasp_angle: float = math.radians(30.0)
 
@@ -90,6 +95,8 @@ class TaskConfig:
             raise UsageError(f"rest_qpos needs the 15 joint values of the robot, got {len(self.rest_qpos)}.")
         if self.goal_type not in ("sphere", "cylinder", "zone"):
             raise unknown_name("goal_type", self.goal_type, ("sphere", "cylinder", "zone"))
+        if self.stillness not in STILLNESS:
+            raise unknown_name("stillness", self.stillness, STILLNESS)
 
     def of(self, kind: int) -> SubtaskConfig:
         """Return the limits of one kind of subtask."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from mjhab.core.arrays import Array, namespace
 from mjhab.tasks.plan import SubtaskKind, TaskConfig
 from mjhab.tasks.reward_table import (
@@ -40,7 +42,7 @@ OPEN_TERMS = (
 _OPEN_SHARPNESS = {"reach": 1.0, "posture": 1.0, "rest": 1.0, "still": 1.0}
 
 
-def _open(view: RewardView, config: TaskConfig) -> tuple[dict[str, Array], dict[str, Array]]:
+def _open(view: RewardView, config: TaskConfig, published: bool = False) -> tuple[dict[str, Array], dict[str, Array]]:
     world, signals = view.world, view.signals
     distances = {
         "reach": view.handle_distance,
@@ -51,15 +53,17 @@ def _open(view: RewardView, config: TaskConfig) -> tuple[dict[str, Array], dict[
     raw = near(_OPEN_SHARPNESS, distances)
     way = view.open_frac * (world.joint_max - world.joint_min)
     opening = world.joint_q - world.joint_min
-    raw["progress"] = 1 - share_left(way - opening, way)
+    raw["progress"] = 1 - share_left(way - opening, way, bounded=not published)
     raw["torso_up"] = view.torso_up
     opened, grasped = signals.opened, signals.is_grasped
+    # The original compares the velocity itself: a door that falls shut counts as gentle.
+    speed = view.joint_qd if published else namespace(opening).abs(view.joint_qd)
     when = {
         "reaching": ~(opened | grasped),
         "gripping": grasped & ~opened,
         "opened": opened,
         "started": opening > STARTED,
-        "gentle": namespace(opening).abs(view.joint_qd) <= view.joint_ideal,
+        "gentle": speed <= view.joint_ideal,
         "resting": opened & signals.ee_rest & signals.robot_rest,
         "success": signals.success,
     }
@@ -76,6 +80,7 @@ OPEN = RewardTable(
     ),
     published=27.0,
     raw=_open,
+    raw_published=partial(_open, published=True),
 )
 
 CLOSE_TERMS = (
@@ -95,7 +100,7 @@ CLOSE_TERMS = (
 _CLOSE_SHARPNESS = {"reach": 1.0, "posture": 1.0, "posture_far": 0.2, "rest": 1.0, "rest_near": 3.0, "still": 1.0}
 
 
-def _close(view: RewardView, config: TaskConfig) -> tuple[dict[str, Array], dict[str, Array]]:
+def _close(view: RewardView, config: TaskConfig, published: bool = False) -> tuple[dict[str, Array], dict[str, Array]]:
     world, signals = view.world, view.signals
     posture, rest = posture_error(world, config), rest_distance(world, config)
     distances = {
@@ -111,7 +116,7 @@ def _close(view: RewardView, config: TaskConfig) -> tuple[dict[str, Array], dict
     raw["rest"] = (raw["rest"] + raw["rest_near"]) / 2
     span = world.joint_max - world.joint_min
     way = (1 - config.close_fraction) * span
-    raw["progress"] = 1 - share_left(way - (world.joint_max - world.joint_q), way)
+    raw["progress"] = 1 - share_left(way - (world.joint_max - world.joint_q), way, bounded=not published)
     raw["torso_up"] = view.torso_up
     closed, grasped = view.closed_near, signals.is_grasped
     when = {
@@ -143,4 +148,5 @@ CLOSE = RewardTable(
     cases=(("gentle", "away", "reaching"), ("gentle", "away", "gripping"), ("gentle", "closed", "resting", "success")),
     published=37.0,
     raw=_close,
+    raw_published=partial(_close, published=True),
 )

@@ -80,11 +80,19 @@ class RewardTable:
     published: float
     """The normaliser of the original."""
     raw: RawFunction
+    raw_published: RawFunction | None = None
+    """The original's own conditions and raw values, None where they do not differ."""
 
     @property
     def attainable(self) -> float:
         """The largest sum the terms can reach: in the best of the cases, every raw value 1 (0 if its scale < 0)."""
         return max(sum(max(t.scale, 0.0) for t in self.terms if t.when in (ALWAYS, *case)) for case in self.cases)
+
+    def in_formula(self, formula: str) -> RewardTable:
+        """The table with the raw values of "bounded" or of "published", see `rewards.RewardOptions`."""
+        if formula == "bounded" or self.raw_published is None:
+            return self
+        return dataclasses.replace(self, raw=self.raw_published)
 
     def scaled(self, scales: Mapping[str, float]) -> RewardTable:
         """The table with other scales for some terms.
@@ -166,8 +174,12 @@ def rest_distance(world: WorldState, config: TaskConfig) -> Array:
     return xp.sqrt(dx * dx + dy * dy + dz * dz)
 
 
-def share_left(gap: Array, whole: Array) -> Array:
-    """(W,) ``gap / whole`` between 0 and 1: how much of a way is left; 0 where there is no way to go."""
+def share_left(gap: Array, whole: Array, *, bounded: bool = True) -> Array:
+    """(W,) ``gap / whole``, at least 0: how much of a way is left; 0 where there is no way to go.
+
+    Args:
+        bounded: at most 1; else more where a joint is beyond its limit, as in the original.
+    """
     xp = namespace(gap)
     left = above_zero(gap) / xp.where(whole > 0, whole, 1.0)
-    return xp.where(left < 1, left, 1.0)
+    return xp.where(left < 1, left, 1.0) if bounded else left

@@ -3,13 +3,13 @@
 The tables are in ``reward_object`` (Pick, Place), ``reward_joint`` (Open, Close) and ``reward_navigate``. A dense
 reward is normalised by the largest sum its terms can reach, which follows from the table (``RewardTable.attainable``):
 29 for Pick and 36 for Close, whose published normalisers are 28 and 37 (kept as ``RewardTable.published``), and
-44, 27 and 28 for Place, Open and Navigate, as published.
+44, 27 and 28 for Place, Open and Navigate, as published. `RewardOptions` chooses between them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -23,8 +23,11 @@ from mjhab.tasks.reward_table import ALWAYS, RewardTable, RewardView, Term
 
 __all__ = [
     "IDEAL_SPEED",
+    "REWARD_FORMULAS",
+    "REWARD_NORMALISERS",
     "REWARD_TABLES",
     "DenseReward",
+    "RewardOptions",
     "RewardTable",
     "RewardView",
     "Scored",
@@ -48,6 +51,36 @@ def reward_table(kind: str) -> RewardTable:
     return REWARD_TABLES[SubtaskKind(KIND_NAMES.index(kind))]
 
 
+REWARD_FORMULAS: tuple[str, ...] = ("bounded", "published")
+REWARD_NORMALISERS: tuple[str, ...] = ("attainable", "published")
+
+
+@dataclass(frozen=True)
+class RewardOptions:
+    """How dense rewards are computed from their tables.
+
+    scales: other scales for some terms, by kind, as ``{"pick": {"reach": 4.0}}``.
+    formula: "bounded": every raw value is between 0 and 1, and Open's ``gentle`` looks at the speed of the joint;
+        "published": as in mshab/envs/open.py and close.py, ``gentle`` looks at its velocity with the sign, ``progress``
+        falls below 0 where a joint is beyond its limit, and the torso's share of its travel is not clipped.
+    normaliser: what "normalized_dense" divides by: "attainable", the largest sum that the terms can reach with these
+        scales; "published", the constant of the original: 28, 44, 28, 27, 37 (Pick, Place, Navigate, Open, Close).
+
+    Raises:
+        UsageError: no such formula or normaliser.
+    """
+
+    scales: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    formula: str = "bounded"
+    normaliser: str = "attainable"
+
+    def __post_init__(self) -> None:
+        if self.formula not in REWARD_FORMULAS:
+            raise unknown_name("reward formula", self.formula, REWARD_FORMULAS)
+        if self.normaliser not in REWARD_NORMALISERS:
+            raise unknown_name("reward normaliser", self.normaliser, REWARD_NORMALISERS)
+
+
 @dataclass(frozen=True)
 class Scored:
     """Dense rewards of W worlds, of the dtype of the state."""
@@ -56,8 +89,8 @@ class Scored:
     """(N, W) raw x scale of every term in ``DenseReward.names``; 0 where the world's kind does not have it."""
     total: Array
     """(W,) their sum; 0 where the plan is finished."""
-    attainable: Array
-    """(W,) largest total of the world's kind; 1 where the plan is finished."""
+    normaliser: Array
+    """(W,) what the total of the world's kind is divided by; 1 where the plan is finished."""
 
 
 class DenseReward:
@@ -65,7 +98,7 @@ class DenseReward:
 
     Args:
         config: the thresholds.
-        scales: other scales for some terms, by kind, as ``{"pick": {"reach": 4.0}}``.
+        options: scales, formula and normaliser.
         kinds: the kinds of subtasks there are; terms of others are left out of ``names``.
 
     Raises:
@@ -75,20 +108,23 @@ class DenseReward:
     def __init__(
         self,
         config: TaskConfig,
-        scales: Mapping[str, Mapping[str, float]] | None = None,
+        options: RewardOptions | None = None,
         kinds: Sequence[SubtaskKind] = tuple(SubtaskKind),
     ) -> None:
         self.config = config
-        every = dict(REWARD_TABLES)
-        for kind, changes in (scales or {}).items():
-            table = reward_table(kind)
-            every[table.kind] = table.scaled(changes)
+        options = options or RewardOptions()
+        every = {kind: table.in_formula(options.formula) for kind, table in REWARD_TABLES.items()}
+        for name, changes in options.scales.items():
+            kind = reward_table(name).kind
+            every[kind] = every[kind].scaled(changes)
         self.tables: dict[int, RewardTable] = {int(kind): every[kind] for kind in kinds}
         self.names: tuple[str, ...] = tuple(dict.fromkeys(t.name for tb in self.tables.values() for t in tb.terms))
         self._scales = {k: Table(tuple(t.scale for t in table.terms)) for k, table in self.tables.items()}
         self._rows = {k: Table(tuple(self.names.index(t.name) for t in tb.terms)) for k, tb in self.tables.items()}
+        published = options.normaliser == "published"
+        divisors = [every[kind].published if published else every[kind].attainable for kind in SubtaskKind]
         # A table whose scales are all zero or negative has nothing to be measured against. Kind -1 reads the end.
-        self._attainable = Table((*(every[kind].attainable or 1.0 for kind in SubtaskKind), 1.0))
+        self._normaliser = Table((*(divisor or 1.0 for divisor in divisors), 1.0))
 
     def score(self, view: RewardView) -> Scored:
         """Score every world by the table of its active subtask (``view.signals.kind``).
@@ -98,11 +134,11 @@ class DenseReward:
         """
         kind, like = view.signals.kind, view.tcp_vel
         present = kinds_at_hand(kind, self.tables.keys())
-        attainable = constant(self._attainable, like)[kind]
+        normaliser = constant(self._normaliser, like)[kind]
         xp = namespace(like)
         if len(present) == len(self.tables) == 1:
             terms, total = self._score_kind(kind, present.pop(), view)
-            return Scored(terms, total, attainable)
+            return Scored(terms, total, normaliser)
         terms = zeros((len(self.names), kind.shape[0]), like)
         total = xp.zeros_like(terms[0])
         for number in sorted(present):
@@ -110,7 +146,7 @@ class DenseReward:
             values, sums = self._score_kind(kind, number, view)
             terms[indices(self._rows[number], kind), :] += values
             total = total + sums
-        return Scored(terms, total, attainable)
+        return Scored(terms, total, normaliser)
 
     def _score_kind(self, kinds: Array, kind: int, view: RewardView) -> tuple[Array, Array]:
         """Raw x scale (K, W) in the order of the kind's table, and their sums (W,); 0 in worlds of other kinds."""

@@ -92,7 +92,7 @@ class DeviceEnv(VectorEnv):
         self.sensing = Sensing(self.layout, self.sim.addresses, count, like, config.handle_points)
         self.observer = DeviceObserver(self.sim, self.sensing, self._host.observer)
         self.rewarder = Rewarder(
-            count, self.task_config, config.reward, config.reward_scales, self.layout, self.sensing,
+            count, self.task_config, config.reward, config.reward_options, self.layout, self.sensing,
             self._nav_distance, [SubtaskKind(kind) for kind in self._host.rewarder.dense.tables], like=like,
         )  # fmt: skip
         self.notes = DeviceNotes(count, max(self.task_config.horizons), self.device)

@@ -28,15 +28,17 @@ class FrameStack(VectorWrapper):
 
     Args:
         env: vector environment with dict observations and ``metadata["autoreset_mode"]``.
-        num_stack: number of frames.
+        num_stack: number of frames; None: ``frame_stack`` of the environment's configuration, which profiles set.
         keys: what to stack; default: all images. Other keys pass unchanged.
 
     Raises:
-        UsageError: num_stack below 1, unknown keys, no images and no keys, no autoreset mode.
+        UsageError: num_stack below 1, or another number than the environment's ``frame_stack`` where that is not 1;
+            unknown keys, no images and no keys, no autoreset mode.
     """
 
-    def __init__(self, env: VectorEnv, num_stack: int, keys: Sequence[str] | None = None) -> None:
+    def __init__(self, env: VectorEnv, num_stack: int | None = None, keys: Sequence[str] | None = None) -> None:
         super().__init__(env)
+        num_stack = _frames_of(env, num_stack)
         if num_stack < 1:
             raise UsageError(f"FrameStack: num_stack must be at least 1, got {num_stack}")
         mode = env.metadata.get("autoreset_mode")
@@ -112,6 +114,23 @@ class FrameStack(VectorWrapper):
     def _observation(self, obs: dict[str, Any]) -> dict[str, Any]:
         # Copies: whoever gets them may keep or change them.
         return {**obs, **{key: frames.copy() for key, frames in self._frames.items()}}
+
+
+def _frames_of(env: VectorEnv, wanted: int | None) -> int:
+    """How many frames to stack: what is wanted, or what the configuration of the environment says.
+
+    Raises:
+        UsageError: the two contradict each other.
+    """
+    config = getattr(env.unwrapped, "config", None)
+    configured = getattr(config, "frame_stack", 1)
+    if wanted is None or configured in (1, wanted):
+        return configured if wanted is None else wanted
+    profile = getattr(config, "profile", "")
+    raise UsageError(
+        f"FrameStack: the environment (profile {profile!r}) has frame_stack {configured}, which num_stack={wanted} "
+        "contradicts. Leave out num_stack, or make the environment with another profile."
+    )
 
 
 def _stacked(space: spaces.Space, num: int) -> spaces.Box:

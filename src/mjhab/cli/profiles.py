@@ -1,0 +1,27 @@
+"""What ``--profile``, ``--starts`` and ``--stillness`` make of the environments that a command builds."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mjhab.cli.options import ProfileOptions
+
+
+def profile_options(options: ProfileOptions) -> dict[str, Any]:
+    """What `mjhab.envs.make` and `make_train` are told of the profile, and of what is given beside it."""
+    given = {"spawn_rule": options.starts, "stillness": options.stillness}
+    return {"profile": options.profile} | {name: value for name, value in given.items() if value is not None}
+
+
+def resolved_profile(options: ProfileOptions, **more: Any) -> dict[str, Any]:
+    """The profile's name and the values in force of the options that depend on it, for the record of a run.
+
+    Args:
+        more: the other options of the environment that decide about them: ``task``, ``subtask``, ``cameras``.
+
+    Raises:
+        UsageError: unknown profile or value, or one that contradicts the profile.
+    """
+    from mjhab.envs.config import EnvConfig
+
+    return EnvConfig(**more, **profile_options(options)).of_profile()

@@ -46,7 +46,7 @@ class NetworkConfig:
     """Sizes of the networks. ``encoder``: "small" (strided convolutions with layer norm), "paper" or "paper_dp"."""
 
     encoder: str = "small"
-    channels: tuple[int, ...] = (16, 32, 64)
+    channels: tuple[int, ...] = (32, 64)
     image_features: int = 128
     hidden: int = 384
     layers: int = 3
@@ -202,7 +202,7 @@ PRESETS: dict[str, dict[str, TrainConfig]] = {
     DIFFUSION: {"paper_dp": TrainConfig(PAPER_DP)},
     DAGGER: {
         "small": TrainConfig(SMALL, DaggerConfig(rounds=10, episodes=200, updates=4000)),
-        "quick": TrainConfig(dataclasses.replace(QUICK, updates=1500), DaggerConfig(updates=700)),
+        "quick": TrainConfig(dataclasses.replace(QUICK, updates=2000), DaggerConfig(updates=800)),
         "flow": TrainConfig(FLOW_SMALL, DaggerConfig(rounds=10, episodes=200, updates=4000)),
         "act": TrainConfig(ACT_SMALL, DaggerConfig(rounds=10, episodes=200, updates=4000)),
     },

@@ -6,6 +6,7 @@ evaluation; the published run keeps it and does not use it.
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import torch
@@ -128,7 +129,7 @@ class UNet(nn.Module):
         widths = (actions, *UNET_WIDTHS)
         self.down = nn.ModuleList()
         self.up = nn.ModuleList()
-        for level, (before, after) in enumerate(zip(widths, widths[1:], strict=False)):
+        for level, (before, after) in enumerate(itertools.pairwise(widths)):
             last = level == len(UNET_WIDTHS) - 1
             shrink = nn.Identity() if last else nn.Conv1d(after, after, 3, 2, 1)
             blocks = [ResidualBlock(before, after, condition), ResidualBlock(after, after, condition), shrink]

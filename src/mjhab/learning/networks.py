@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -47,7 +48,7 @@ class Normalizer(nn.Module):
 def mlp(widths: Sequence[int], norm: bool, last: bool = True) -> nn.Sequential:
     """Linear layers with ReLU, and layer norm before it; ``last``: also after the last one."""
     layers: list[nn.Module] = []
-    for number, (before, after) in enumerate(zip(widths, widths[1:], strict=False)):
+    for number, (before, after) in enumerate(itertools.pairwise(widths)):
         layers.append(nn.Linear(before, after))
         if last or number + 2 < len(widths):
             if norm:
@@ -57,16 +58,20 @@ def mlp(widths: Sequence[int], norm: bool, last: bool = True) -> nn.Sequential:
 
 
 class CameraEncoder(nn.Module):
-    """One image (B, C, H, W) to (B, features): convolutions of stride 2, then a linear layer, layer norm and tanh."""
+    """One image (B, C, H, W) to (B, features): convolutions, then a linear layer, layer norm and tanh.
+
+    The first one (k6) has stride 4, the others (k3) stride 2: on a CPU this takes half the time of stride 2 throughout.
+    """
 
     def __init__(self, frames: int, size: int, channels: Sequence[int], features: int) -> None:
         super().__init__()
         layers: list[nn.Module] = []
         before = frames
-        for after in channels:
-            layers += [nn.Conv2d(before, after, 3, stride=2, padding=1), nn.ReLU()]
+        for number, after in enumerate(channels):
+            kernel, stride = (3, 2) if number else (6, 4)
+            layers += [nn.Conv2d(before, after, kernel, stride, padding=1), nn.ReLU()]
             before = after
-            size = (size + 1) // 2
+            size = (size + 2 - kernel) // stride + 1
         self.convolutions = nn.Sequential(*layers, nn.Flatten())
         self.head = nn.Sequential(nn.Linear(before * size * size, features), nn.LayerNorm(features), nn.Tanh())
 

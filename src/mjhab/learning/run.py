@@ -13,6 +13,7 @@ summary.json, report.html   at the end, also after Ctrl-C
 from __future__ import annotations
 
 import json
+import os
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -112,6 +113,7 @@ class Logbook:
         self._file = (folder.path / METRICS).open("a", encoding="utf-8")
         self._board = SummaryWriter(str(folder.path / TENSORBOARD), purge_step=step or None)
         self._began = time.perf_counter() - earlier_seconds
+        self._earlier_cpu_seconds = max((row["cpu_seconds"] for row in self.rows), default=0.0)
         self._shown: dict[str, str] = {}
         self._title = f"mjhab train, {folder.path}"
         self._live = Live(console=Console(stderr=True), auto_refresh=False, transient=False)
@@ -122,9 +124,15 @@ class Logbook:
         """Wall time of the run [s], earlier starts included."""
         return time.perf_counter() - self._began
 
+    @property
+    def cpu_seconds(self) -> float:
+        """CPU time of this process and of workers that have ended, earlier starts included [s]."""
+        return sum(os.times()[:4]) + self._earlier_cpu_seconds
+
     def report(self, step: int, samples: int, numbers: Mapping[str, float]) -> None:
         """Note numbers after ``step`` updates, of ``samples`` samples."""
-        row = {"step": step, "samples": samples, "seconds": round(self.seconds, 2), **numbers}
+        row = {"step": step, "samples": samples, "seconds": round(self.seconds, 2)}
+        row |= {"cpu_seconds": round(self.cpu_seconds, 2), **numbers}
         self.rows.append(row)
         self._file.write(json.dumps(row) + "\n")
         self._file.flush()

@@ -64,6 +64,7 @@ def summarize(session: Session) -> dict[str, Any]:
         "steps": session.trainer.step,
         "samples": session.progress.samples,
         "seconds": round(session.log.seconds, 1),
+        "cpu_seconds": round(session.log.cpu_seconds, 1),
         "checkpoint": str(session.folder.student),
         "success_once": mean(record.success_once for record in records) if records else None,
         "interval": [low, high],

@@ -20,7 +20,7 @@ ALLOWED: dict[str, frozenset[str]] = {
     "sim": frozenset({"core", "scenes"}),
     "envs": frozenset({"core", "scenes", "tasks", "sim"}),
     "experts": frozenset({"core", "tasks", "envs"}),
-    "rollout": frozenset({"core", "tasks"}),
+    "rollout": frozenset({"core", "tasks", "sim", "envs", "experts"}),
     "data": frozenset({"core", "tasks", "rollout"}),
     "learning": frozenset({"core", "rollout", "data"}),
     "viewer": frozenset({"core", "scenes", "tasks", "sim", "envs", "experts", "rollout", "data"}),

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from mjhab.cli import evaluate
 from mjhab.cli.main import main
-from mjhab.cli.options import EvalOptions
+from mjhab.rollout import evaluate
+from mjhab.rollout.evaluate import EvalSpec
+from mjhab.rollout.resolve import PolicyFacts
 from mjhab.rollout.store import read_records
 from tests.rollout.fake_env import FakeEnv
 
@@ -26,11 +27,11 @@ class Stage:
         self.interrupt_at: int | None = None
         self.broken_camera = False
 
-    def make_env(self, options: EvalOptions) -> FakeEnv:
+    def make_env(self, spec: EvalSpec, options: Mapping[str, Any]) -> FakeEnv:
         plan: dict[str, Any] = {}
-        if options.subtask:
-            plan = {"plan": ((options.subtask, "024_bowl_:0000"),), "subtask": options.subtask}
-        env = FakeEnv(min(options.worlds, options.episodes), broken_camera=self.broken_camera, **plan)
+        if spec.subtask:
+            plan = {"plan": ((spec.subtask, "024_bowl_:0000"),), "subtask": spec.subtask}
+        env = FakeEnv(min(spec.worlds, spec.episodes), broken_camera=self.broken_camera, **plan)
         env.interrupt_at, self.interrupt_at = self.interrupt_at, None
         self.built.append(env)
         return env
@@ -148,11 +149,11 @@ def test_full_folder_is_refused_and_overwritten_on_demand(
         (("--navigate", "fly"), ("unknown navigate mode 'fly'", "teleport", "drive")),
         (("--policy", "export"), ("unknown policy", "'expert'", "zero")),
         (("--split", "vla"), ("unknown split", "'val'", "train")),
-        (("--target", "024_bowl"), ("--target needs --subtask",)),
-        (("--worlds", "0"), ("--worlds must be at least 1, got 0",)),
-        (("--episodes", "-3"), ("--episodes must be at least 1, got -3",)),
-        (("--seed", "-1"), ("--seed must be at least 0",)),
-        (("--films", "-1"), ("--films must be at least 0",)),
+        (("--target", "024_bowl"), ("target needs a subtask",)),
+        (("--worlds", "0"), ("worlds must be at least 1, got 0",)),
+        (("--episodes", "-3"), ("episodes must be at least 1, got -3",)),
+        (("--seed", "-1"), ("seed must be at least 0",)),
+        (("--films", "-1"), ("films must be at least 0",)),
         (("--resume", "--overwrite"), ("exclude each other",)),
         (("--alone", "nowhere"), ("nowhere", "no run with --subtask")),
     ],
@@ -209,18 +210,19 @@ def test_alone_runs_give_the_bound(run: Callable[..., int], tmp_path: Path, caps
 
 
 def test_default_folder_names_the_run() -> None:
-    options = EvalOptions(subtask="open", target="fridge/top_door", seed=3)
-    assert evaluate.default_out(options) == Path("runs/set_table_open_fridge-top_door_expert_seed3")
+    spec = EvalSpec(subtask="open", target="fridge/top_door", seed=3)
+    assert evaluate.default_out(spec, "expert") == Path("runs/set_table_open_fridge-top_door_expert_seed3")
 
 
 def test_a_style_needs_the_expert_and_valid_names(run: Callable[..., int], capsys: pytest.CaptureFixture[str]) -> None:
     assert run("--style", "speed=0.5") == 2
-    assert "--style is for --policy expert" in capsys.readouterr().err
+    assert "style is for the policy expert" in capsys.readouterr().err
     assert run("--style", "sped=0.5", policy="expert") == 2
     assert "Did you mean 'speed'?" in capsys.readouterr().err
 
 
 def test_a_style_belongs_to_the_config_of_a_run() -> None:
-    assert "style" not in evaluate.resolved_config(EvalOptions())
-    asked = evaluate.resolved_config(EvalOptions(style=("release=drop", "speed=0.5..1")))
+    facts = PolicyFacts("expert")
+    assert "style" not in evaluate.resolved_config(EvalSpec(), facts)
+    asked = evaluate.resolved_config(EvalSpec(style=("release=drop", "speed=0.5..1")), facts)
     assert asked["style"] == ["speed=0.5..1.0", "release=drop"]

@@ -7,7 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from mjhab.data.episode_data import EpisodeData, RunInfo
+import h5py
+
+from mjhab.data.episode_data import EpisodeData, RunInfo, episode_digest
+from mjhab.data.hdf5 import group, read_arrays
 from mjhab.data.images import ImageFormat
 from mjhab.data.reading import open_shard
 from mjhab.data.recorder import Recorder
@@ -45,6 +48,16 @@ def one_episode(folder: Path) -> EpisodeData:
 def numbered(data: EpisodeData, index: int) -> EpisodeData:
     """The same episode under another index."""
     return replace(data, record=replace(data.record, index=index))
+
+
+def make_older(path: Path) -> None:
+    """Turn a shard into one of schema 1, without what came later."""
+    with h5py.File(path, "r+") as file:
+        file.attrs["schema"] = 1
+        for name in group(file, "episodes"):
+            episode = group(file, f"episodes/{name}")
+            del episode["actions_intended"], episode["actor"], episode.attrs["schema"], episode.attrs["actors"]
+            episode.attrs["digest"] = episode_digest(read_arrays(episode))
 
 
 def chains_and_picks(folder: Path) -> Path:

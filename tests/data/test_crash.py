@@ -18,12 +18,12 @@ import numpy as np
 import pytest
 
 from mjhab.core.errors import UsageError
+from mjhab.core.locking import is_written, lock_path
 from mjhab.data import journal as jn
 from mjhab.data.checking import check, repair
 from mjhab.data.episode_data import EpisodeData
 from mjhab.data.hdf5 import dataset, group
 from mjhab.data.journal import Overlay, journal_path
-from mjhab.data.locking import is_written, lock_path
 from mjhab.data.reading import open_shard
 from mjhab.data.schema import DamagedError
 from mjhab.data.shard import ShardWriter, StorageError

@@ -130,7 +130,8 @@ def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, Any]:
 
 def test_commands(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(capsys, "check", folder)[1] == {
-        "episodes": 20, "ok": 20, "damaged": 0, "unreadable": [], "unfinished": [], "doubled": 0
+        "episodes": 20, "ok": 20, "damaged": 0, "unreadable": [], "unfinished": [], "doubled": 0,
+        "schemas": {"2": 20},
     }  # fmt: skip
     code, found = run(capsys, "query", folder, "--where", "subtask == 'pick'", "--list", "2")
     assert code == 0 and (found["matched"], found["of"], found["tainted_left_out"]) == (7, 20, 1)

@@ -14,6 +14,7 @@ from mjhab.envs.config import EnvConfig, task_config
 from mjhab.envs.episodes import BOWL_DRAWER, FRIDGE_DOOR, Episode, EpisodeMaker
 from mjhab.envs.spawns import ARM_NOISE, MAX_DISTANCE, MAX_TRIES, Held, SpawnGoal, SpawnSampler
 from mjhab.envs.starts import DOORSTEP_REACH, Start, StartMaker
+from mjhab.scenes.contact_sensors import FORCE_SENSOR_WIDTH
 from mjhab.scenes.fetch import REST_QPOS
 from mjhab.scenes.layout import Layout
 from mjhab.scenes.objects import roster
@@ -159,7 +160,7 @@ def check_free(bench: Bench, start: Start) -> None:
         hold_robot(model, data)
         mujoco.mj_step(model, data, steps)
         mujoco.mj_forward(model, data)
-        force = data.sensordata[a.link_force[:, None] + np.arange(3)]
+        force = data.sensordata[a.link_force[:, None] + np.arange(FORCE_SENSOR_WIDTH)]
         assert not force.any()
         assert not any(data.sensordata[adr] for adr in a.touch)
 

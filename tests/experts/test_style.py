@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from mjhab.experts.pick import plan_pick
 from mjhab.experts.style import Manner, StyledView
 from mjhab.rollout.loop import rollout
 from mjhab.rollout.records import EpisodeRecord
+from mjhab.rollout.sinks import Sink, StepView
 from mjhab.tasks.style import PLAIN, Style, Styles
 
 
@@ -94,11 +96,15 @@ def test_the_hand_comes_from_where_it_was_asked_to(wish: str, low: float, high: 
     assert low <= goals.rot[stance.goal, 2, 0] <= high
 
 
+def executed(manner: Manner, action: np.ndarray) -> np.ndarray:
+    return manner.disturb(manner.slow(action))
+
+
 def test_a_manner_slows_by_stretching_time():
     manner = Manner(Style(speed=0.5), np.random.default_rng(0))
     assert [manner.due() for _ in range(6)] == [False, True] * 3
     action = np.linspace(-1.0, 1.0, 13).astype(np.float32)
-    out = manner.shape(action)
+    out = executed(manner, action)
     assert out[7] == action[7]
     np.testing.assert_array_equal(np.delete(out, 7), np.delete(action, 7) * np.float32(0.5))
 
@@ -106,25 +112,25 @@ def test_a_manner_slows_by_stretching_time():
 def test_a_plain_manner_gives_the_very_action():
     manner, action = Manner(PLAIN, np.random.default_rng(0)), np.linspace(-1.0, 1.0, 13).astype(np.float32)
     assert manner.due() and manner.due()
-    np.testing.assert_array_equal(manner.shape(action), action)
+    np.testing.assert_array_equal(executed(manner, action), action)
 
 
 def test_noise_fades_where_the_robot_hardly_moves_and_spares_what_it_should():
     manner = Manner(Style(noise=0.1, base_noise=0.1, noise_kind="step"), np.random.default_rng(0))
     action = np.zeros(13, np.float32)
     action[0], action[7] = 0.5, -1.0
-    moved = np.array([manner.shape(action) for _ in range(2000)]) - action
+    moved = np.array([executed(manner, action) for _ in range(2000)]) - action
     np.testing.assert_allclose(moved[:, :7].std(axis=0), 0.1, rtol=0.15)
     assert not moved[:, 7:].any()
     action[0] = 0.025
-    np.testing.assert_allclose(np.array([manner.shape(action)[1] for _ in range(2000)]).std(), 0.01, rtol=0.15)
+    np.testing.assert_allclose(np.array([executed(manner, action)[1] for _ in range(2000)]).std(), 0.01, rtol=0.15)
 
 
 def test_smooth_noise_drifts():
     manner = Manner(Style(noise=0.1), np.random.default_rng(0))
     action = np.zeros(13, np.float32)
     action[0] = 0.5
-    x = np.array([manner.shape(action)[1] for _ in range(4000)])
+    x = np.array([executed(manner, action)[1] for _ in range(4000)])
     assert x.std() == pytest.approx(0.1, rel=0.2)
     assert np.corrcoef(x[:-1], x[1:])[0, 1] == pytest.approx(0.86, abs=0.05)
 
@@ -134,3 +140,33 @@ def test_slower_scripts_read_speeds_of_their_own_time():
     slow = StyledView(view._env, 0)
     slow.style = Style(speed=0.5)
     np.testing.assert_allclose(slow.qd, 2.0 * view.qd)
+
+
+class Notes(Sink):
+    """Executed and intended actions of the first world."""
+
+    def __init__(self) -> None:
+        self.executed: list[np.ndarray] = []
+        self.intended: list[np.ndarray] = []
+        self.actors: set[str] = set()
+
+    def on_step(self, env: Any, step: StepView) -> None:
+        self.executed.append(step.actions[0].copy())
+        self.intended.append(step.notes.intended[0].copy())
+        self.actors.add(step.notes.actors[step.notes.actor[0]])
+
+
+@pytest.mark.parametrize("words", [("speed=0.8",), ("noise=0.1", "hold=4", "dither=0.05")])
+def test_the_expert_tells_what_it_intends_without_its_noise(words: tuple[str, ...]):
+    env = envs.make(task="tidy_house", subtask="pick", num_envs=1, split="train", autoreset="disabled", threads=1)
+    notes = Notes()
+    rollout(env, make_expert(env, Styles.parse(words)), [0], seed=0, sinks=[notes], max_steps=60)
+    executed, intended = np.array(notes.executed), np.array(notes.intended)
+    assert notes.actors == {"expert"}
+    if words == ("speed=0.8",):
+        np.testing.assert_array_equal(executed, intended)
+        return
+    moved = executed - intended
+    assert (moved[:4, :7] != 0).all() and (moved[4:, :7] != 0).any()
+    assert not moved[:, 7:].any() and np.abs(moved).max() < 0.6
+    assert (np.abs(intended) <= 1.0).all()

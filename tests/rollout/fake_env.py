@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from gymnasium.vector import AutoresetMode
 
 from mjhab.core.seeding import stream
 
@@ -57,6 +58,7 @@ class FakeEnv:
         taint_chance: float = 0.1,
         broken_camera: bool = False,
     ) -> None:
+        self.metadata: dict[str, Any] = {"autoreset_mode": AutoresetMode.DISABLED}
         self.num_envs, self.plan, self.subtask, self.quality = num_envs, plan, subtask, quality
         self.taint_chance, self.broken_camera = taint_chance, broken_camera
         self.worlds: list[_World | None] = [None] * num_envs

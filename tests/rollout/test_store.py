@@ -19,7 +19,8 @@ CONFIG = {"task": "set_table", "policy": "zero", "seed": 0, "episodes": 6, "worl
 
 
 def run(folder: RunFolder, episodes: int = 6, env: FakeEnv | None = None) -> list[EpisodeRecord]:
-    return rollout(env or FakeEnv(2), ZeroPolicy(), folder.missing(episodes), seed=0, sinks=[StoreSink(folder)])
+    with folder:
+        return rollout(env or FakeEnv(2), ZeroPolicy(), folder.missing(episodes), seed=0, sinks=[StoreSink(folder)])
 
 
 def lines(path: Path) -> list[dict[str, Any]]:
@@ -90,8 +91,8 @@ def test_overwrite_deletes_only_own_files(tmp_path: Path) -> None:
     (tmp_path / "films" / "episode_00000.mp4").write_bytes(b"x")
     for name in ("notes.txt", "films/mine.mp4"):
         (tmp_path / name).write_text("mine")
-    folder = RunFolder.open(tmp_path, CONFIG, overwrite=True)
-    assert folder.records == []
+    with RunFolder.open(tmp_path, CONFIG, overwrite=True) as folder:
+        assert folder.records == []
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["config.json", "films", "notes.txt"]
     assert [entry.name for entry in (tmp_path / "films").iterdir()] == ["mine.mp4"]
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from mjhab.core.errors import UsageError
+from mjhab.scenes.contact_sensors import FORCE_SENSOR_WIDTH, normal_force
 from mjhab.scenes.fetch import FINGER_LINKS, REST_QPOS
 from mjhab.scenes.layout import Layout
 from mjhab.scenes.packs import open_pack
@@ -90,10 +91,12 @@ def test_contact_sensors_match_the_contact_forces_of_the_engine(layout: Layout):
             if set(bodies) == {a.robot_body[finger], a.object_body[0]}:
                 local = np.zeros(6)
                 mujoco.mj_contactForce(model, data, c, local)
-                force = data.contact.frame[c].reshape(3, 3).T @ local[:3]
+                # Normals alone: friction is no part of a contact force, as in the original's engine.
+                force = data.contact.frame[c][:3] * local[0]
                 want += force if bodies[1] == a.robot_body[finger] else -force
         adr = a.finger_force[side, 0]
-        np.testing.assert_allclose(-data.sensordata[adr : adr + 3], want, atol=1e-6)
+        got = -normal_force(data.sensordata[adr : adr + FORCE_SENSOR_WIDTH])
+        np.testing.assert_allclose(got, want, atol=1e-6)
         assert np.linalg.norm(want) > 5.0
 
 

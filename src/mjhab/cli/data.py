@@ -26,6 +26,7 @@ from mjhab.data.folders import broken
 from mjhab.data.query import PRESETS, Filter
 from mjhab.data.reading import open_shard, shard_paths
 from mjhab.data.relabel import relabel
+from mjhab.data.schema import VERSION
 from mjhab.data.sets import GROUPINGS, merge, select, split, stats
 from mjhab.data.shard import ShardWriter
 from mjhab.rollout.records import EpisodeRecord
@@ -180,7 +181,7 @@ def _check(options: DataCheckOptions) -> int:
             {
                 "episodes": report.episodes, "ok": report.ok, "damaged": len(damaged),
                 "unreadable": [path for path, _, _ in unreadable], "unfinished": [str(p) for p in report.unfinished],
-                "doubled": len(report.doubled),
+                "doubled": len(report.doubled), "schemas": {str(k): report.schemas[k] for k in sorted(report.schemas)},
             }
         )  # fmt: skip
         return 0 if report.clean else 1
@@ -190,6 +191,9 @@ def _check(options: DataCheckOptions) -> int:
         print(f"{path}: a writer was stopped in the middle of an episode; the next one, or repair, clears that up")
     for name in report.doubled[:_MOST_ROWS]:
         print(f"episode {name} is there more than once")
+    older = sum(count for schema, count in report.schemas.items() if schema < VERSION)
+    if older:
+        print(f"{older} episodes are of an older schema; they are read as those of schema {VERSION}, see docs/data.md")
     print(f"{report.episodes} episodes, {report.ok} ok, {len(damaged)} damaged, {len(unreadable)} shards unreadable")
     return 0 if report.clean else 1
 

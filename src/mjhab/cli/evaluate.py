@@ -1,196 +1,86 @@
-"""``mjhab eval``: episodes, records, films, numbers, report."""
+"""``mjhab eval``: parse, evaluate, print."""
 
 from __future__ import annotations
 
+import signal
 import sys
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict
-from importlib.metadata import version
-from pathlib import Path
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-import mjhab
 from mjhab.cli.options import EvalOptions
-from mjhab.cli.output import at_least, print_json, print_table
-from mjhab.core.errors import UsageError, unknown_name
-from mjhab.rollout.films import FilmSink
-from mjhab.rollout.loop import rollout
-from mjhab.rollout.metrics import AloneRates, SubtaskRow, alone_rates, rows_by_kind, rows_by_position, summarize
-from mjhab.rollout.policy import Policy, RandomPolicy, ZeroPolicy
+from mjhab.cli.output import print_json, print_table
+from mjhab.rollout.evaluate import EvalSpec, EvaluationInterrupted, Run, run_evaluation
+from mjhab.rollout.metrics import SubtaskRow, rows_by_kind, rows_by_position
 from mjhab.rollout.records import EpisodeRecord
-from mjhab.rollout.report import render_report
 from mjhab.rollout.sinks import Sink, StepView
-from mjhab.rollout.store import RunFolder, StoreSink, check_folder, read_records
-from mjhab.tasks.plan import KIND_NAMES, TASKS
-from mjhab.tasks.style import Styles
-
-POLICIES = ("expert", "random", "zero")
-NAVIGATE_MODES = ("teleport", "drive")
-SPLITS = ("train", "val", "test")
-FILM_QUALITY = 27
-"""x264 rate factor: a film of a whole chain stays at a few MB, since the report carries it."""
-NOT_IN_CONFIG = frozenset({"out", "resume", "overwrite", "json", "alone"})
 
 
 def run_eval(options: EvalOptions) -> int:
-    """Run the command; returns 0, or 130 after Ctrl-C (finished episodes are kept and reported)."""
-    check_options(options)
-    config = resolved_config(options)
-    path = options.out or default_out(options)
-    check_folder(path, config, resume=options.resume, overwrite=options.overwrite)
-    alone = read_alone(options.alone)
-    env = None
-    if options.overwrite or _anything_left(path, options):
-        env = make_env(options)
-    folder = RunFolder.open(path, config, resume=options.resume, overwrite=options.overwrite)
-    started, earlier = time.perf_counter(), folder.earlier_seconds()
-    films = FilmSink(range(options.films), folder.film_path, _open_film)
+    """Run the command; returns 0, or 130 after Ctrl-C or SIGTERM (finished episodes are kept and reported)."""
+    spec = eval_spec(options)
     interrupted = False
-    try:
-        if env is not None:
-            _run(env, options, folder, films)
-    except KeyboardInterrupt:
-        interrupted = True
-    seconds = earlier + time.perf_counter() - started
-    summary = finish(folder, seconds, films.problem, alone)
-    _tell(options, folder, summary, films.problem, interrupted)
+    with sigterm_interrupts():
+        try:
+            run = run_evaluation(spec, [ProgressSink(spec)])
+        except EvaluationInterrupted as stop:
+            run = stop.run
+            interrupted = True
+    _tell(options, run, interrupted)
     return 130 if interrupted else 0
 
 
-def check_options(options: EvalOptions) -> None:
-    """Refuse what cannot work before anything is built.
+def eval_spec(options: EvalOptions) -> EvalSpec:
+    """What the options ask for.
 
     Raises:
         UsageError: an unknown name, or a number out of range.
     """
-    for kind, given, valid in (
-        ("task", options.task, TASKS),
-        ("subtask", options.subtask, KIND_NAMES),
-        ("policy", options.policy, POLICIES),
-        ("split", options.split, SPLITS),
-        ("navigate mode", options.navigate, NAVIGATE_MODES),
-    ):
-        if given is not None and given not in valid:
-            raise unknown_name(kind, given, valid)
-    if options.style and options.policy != "expert":
-        raise UsageError(f"--style is for --policy expert: {options.policy} has no style.")
-    Styles.parse(options.style)
-    if options.target is not None and options.subtask is None:
-        raise UsageError("--target needs --subtask: a whole task has its targets in its plan.")
-    at_least("episodes", options.episodes, 1)
-    at_least("worlds", options.worlds, 1)
-    at_least("seed", options.seed, 0)
-    at_least("threads", options.threads, 0)
-    at_least("films", options.films, 0)
-
-
-def resolved_config(options: EvalOptions) -> dict[str, Any]:
-    """Everything that decides what happens in the episodes, with the versions that simulate them."""
-    chosen = {key: value for key, value in asdict(options).items() if key not in NOT_IN_CONFIG}
-    chosen.pop("style")
-    if options.style:
-        chosen["style"] = Styles.parse(options.style).words
-    if options.spawns:
-        from mjhab.envs.spawn_sets import SpawnSet
-
-        # A path says little: what the set holds and its hash are what fixes the episodes.
-        chosen["spawns"] = SpawnSet.read(Path(options.spawns)).describe()
-    return {**chosen, "mjhab": mjhab.__version__, "mujoco": version("mujoco")}
-
-
-def default_out(options: EvalOptions) -> Path:
-    """The folder used when none is given."""
-    driven = "drive" if options.navigate == "drive" and not options.subtask else None
-    words = (options.task, options.subtask, (options.target or "").replace("/", "-"), driven, options.policy)
-    return Path("runs") / "_".join([*filter(None, words), f"seed{options.seed}"])
-
-
-def read_alone(folders: Sequence[Path]) -> dict[tuple[str, str], float]:
-    """Read the success rates of single-subtask runs.
-
-    Raises:
-        UsageError: a folder holds no run, or none of a single subtask.
-    """
-    records: list[EpisodeRecord] = []
-    for folder in folders:
-        found = read_records(folder)
-        if not any(record.subtask for record in found):
-            raise UsageError(f"--alone {folder}: this folder holds no run with --subtask.")
-        records += found
-    return alone_rates(records)
-
-
-def make_env(options: EvalOptions) -> Any:
-    """Build the environment the options ask for; no more worlds than episodes."""
-    from mjhab.envs import make
-
-    return make(
+    asked = {"obs_mode": options.obs, "control_mode": options.control, "camera_size": options.camera_size}
+    return EvalSpec(
+        policy=options.policy,
         task=options.task,
-        subtask=options.subtask or "",
-        target=options.target or "",
-        num_envs=min(options.worlds, options.episodes),
+        subtask=options.subtask,
+        target=options.target,
+        episodes=options.episodes,
+        worlds=options.worlds,
+        seed=options.seed,
         split=options.split,
         assets=options.assets,
-        home=options.home or "",
-        episodes_file=options.episodes_file or "",
-        spawns=options.spawns or "",
+        episodes_file=options.episodes_file,
         navigate=options.navigate,
-        seed=options.seed,
+        spawns=options.spawns,
+        home=options.home,
         threads=options.threads,
-        autoreset="disabled",
+        films=options.films,
+        style=options.style,
+        env={name: value for name, value in asked.items() if value is not None},
+        out=options.out,
+        resume=options.resume,
+        overwrite=options.overwrite,
+        alone=options.alone,
     )
 
 
-def make_policy(options: EvalOptions, env: Any) -> Policy:
-    """Build the policy the options name."""
-    if options.policy == "zero":
-        return ZeroPolicy()
-    if options.policy == "random":
-        return RandomPolicy(options.seed)
-    from mjhab.experts import make_expert
+@contextmanager
+def sigterm_interrupts() -> Iterator[None]:
+    """While it is open, the first SIGTERM does what Ctrl-C does; later ones do not disturb what is being written."""
+    seen: list[int] = []
 
-    return make_expert(env, Styles.parse(options.style)) if options.style else make_expert(env)
+    def interrupt(number: int, frame: Any) -> None:
+        seen.append(number)
+        if len(seen) == 1:
+            raise KeyboardInterrupt
 
-
-def finish(folder: RunFolder, seconds: float, film_problem: str | None, alone: AloneRates | None) -> dict[str, Any]:
-    """Write summary.json and report.html from the records in the folder; returns the summary for machines."""
-    records = folder.records
-    summary = summarize(records, seconds, alone)
-    rows = {"along_the_plan": rows_by_position(records), "by_kind": rows_by_kind(records)}
-    folder.write_summary({**summary, **{name: [asdict(row) for row in table] for name, table in rows.items()}})
-    folder.write_report(render_report(records, folder.config, seconds, folder.film_path, film_problem, alone))
-    return summary
-
-
-def _anything_left(path: Path, options: EvalOptions) -> bool:
-    if not options.resume:
-        return True
-    done = {record.index for record in read_records(path)}
-    return any(index not in done for index in range(options.episodes))
-
-
-def _open_film(path: Path, fps: int) -> Any:
-    from mjhab.sim.film import FilmWriter
-
-    return FilmWriter(path, fps, FILM_QUALITY)
-
-
-def _run(env: Any, options: EvalOptions, folder: RunFolder, films: FilmSink) -> None:
-    missing = folder.missing(options.episodes)
-    with Progress(
-        TextColumn("[bold]{task.description}"),
-        BarColumn(bar_width=20),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[rate]}{task.fields[success]}"),
-        TimeRemainingColumn(elapsed_when_finished=True),
-        console=Console(stderr=True),
-    ) as bar:
-        sinks: list[Sink] = [films, StoreSink(folder), ProgressSink(bar, options, len(missing))]
-        rollout(env, make_policy(options, env), missing, options.seed, sinks)
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 class ProgressSink(Sink):
@@ -199,13 +89,34 @@ class ProgressSink(Sink):
     REFRESH = 0.25
     """Seconds between updates."""
 
-    def __init__(self, bar: Progress, options: EvalOptions, total: int) -> None:
-        self._bar = bar
-        name = f"{options.task} {options.subtask or ''}".strip()
-        already = options.episodes - total
-        self._task = bar.add_task(name, total=options.episodes, completed=already, rate="", success="")
-        self._started = self._shown = time.perf_counter()
-        self._steps = self._done = self._won = 0
+    def __init__(self, spec: EvalSpec) -> None:
+        self._bar = Progress(
+            TextColumn("[bold]{task.description}"),
+            BarColumn(bar_width=20),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[rate]}{task.fields[success]}"),
+            TimeRemainingColumn(elapsed_when_finished=True),
+            console=Console(stderr=True),
+        )
+        self._total = spec.episodes
+        name = f"{spec.task} {spec.subtask or ''}".strip()
+        self._task = self._bar.add_task(name, total=spec.episodes, start=False, rate="", success="")
+        self._started = 0.0
+        self._shown = 0.0
+        self._steps = 0
+        self._done = 0
+        self._won = 0
+
+    def on_begin(self, env: Any, episodes: Sequence[int]) -> None:
+        """Show the bar, which starts behind the episodes of earlier starts."""
+        self._started = time.perf_counter()
+        self._bar.start()
+        self._bar.start_task(self._task)
+        self._bar.update(self._task, completed=self._total - len(episodes))
+
+    def close(self) -> None:
+        """Leave the bar as it is."""
+        self._bar.stop()
 
     def on_step(self, env: Any, step: StepView) -> None:
         """Count control steps and show the rate now and then."""
@@ -222,14 +133,13 @@ class ProgressSink(Sink):
         self._bar.update(self._task, advance=1, success=f", {100 * self._won / self._done:.0f} % success")
 
 
-def _tell(
-    options: EvalOptions, folder: RunFolder, summary: Mapping[str, Any], problem: str | None, interrupted: bool
-) -> None:
-    if problem:
-        print(f"mjhab: films stopped, the evaluation went on: {problem}", file=sys.stderr)
+def _tell(options: EvalOptions, run: Run, interrupted: bool) -> None:
+    summary = run.summary
+    if run.film_problem:
+        print(f"mjhab: films stopped, the evaluation went on: {run.film_problem}", file=sys.stderr)
     if interrupted:
         print(
-            f"mjhab: interrupted; {summary['episodes']} of {options.episodes} episodes are kept in {folder.path}. "
+            f"mjhab: interrupted; {summary['episodes']} of {options.episodes} episodes are kept in {run.path}. "
             "The same command with --resume (and without --overwrite) continues.",
             file=sys.stderr,
         )
@@ -237,14 +147,14 @@ def _tell(
         print_json(summary)
         return
     if options.subtask:
-        _print_rows("Success per target", rows_by_kind(folder.records))
+        _print_rows("Success per target", rows_by_kind(run.records))
     else:
-        _print_rows("Success along the plan", rows_by_position(folder.records))
+        _print_rows("Success along the plan", rows_by_position(run.records))
     print(
         f"{summary['episodes']} episodes: success once {100 * summary['success_once']:.1f} %, at end "
         f"{100 * summary['success_at_end']:.1f} %, tainted {summary['tainted']}, {summary['seconds']:.0f} s"
     )
-    print(f"report: {folder.path / 'report.html'}")
+    print(f"report: {run.report}")
 
 
 def _print_rows(title: str, rows: Sequence[SubtaskRow]) -> None:

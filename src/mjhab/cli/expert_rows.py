@@ -8,14 +8,13 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from mjhab.cli.evaluate import NAVIGATE_MODES, SPLITS
 from mjhab.cli.expert_options import BenchExpertsOptions
 from mjhab.cli.output import at_least
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.data.paper import paper_row
 from mjhab.data.report_forces import GENTLE
 from mjhab.data.shard import last_label
-from mjhab.envs.config import SUBTASKS_OF_TASK, EnvConfig
+from mjhab.envs.config import NAVIGATE_MODES, SPLITS, SUBTASKS_OF_TASK, EnvConfig
 from mjhab.envs.starts import valid_targets
 from mjhab.rollout.metrics import wilson
 from mjhab.rollout.records import EpisodeRecord

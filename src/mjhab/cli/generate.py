@@ -17,14 +17,14 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from mjhab.cli.data import read_filter
 from mjhab.cli.doctor import cores
-from mjhab.cli.evaluate import check_options, make_policy
 from mjhab.cli.generate_options import GenerateOptions
-from mjhab.cli.options import EvalOptions
 from mjhab.cli.output import at_least, print_json, print_table
 from mjhab.core.errors import UsageError
 from mjhab.data.crew import ALL, Crew, ProcessCrew, Stage, WorkerSpec
 from mjhab.data.generation import Job, Standing, generate
 from mjhab.data.images import ImageFormat
+from mjhab.rollout.evaluate import EvalSpec
+from mjhab.rollout.resolve import PolicyFacts, PolicyOptions, inspect_policy, resolve_policy
 from mjhab.tasks.style import Styles
 
 TRIES_PER_EPISODE = 20
@@ -67,8 +67,8 @@ def make_job(options: GenerateOptions) -> Job:
     Raises:
         UsageError: an unknown name, a number out of range, a filter that cannot be understood.
     """
-    eval_options = _eval_options(options)
-    check_options(eval_options)
+    _check_episodes(options)
+    facts = inspect_policy(options.policy)
     for name in ("per_target", "per_label", "threads"):
         at_least(name.replace("_", "-"), getattr(options, name), 0)
     for name in ("workers", "worlds"):
@@ -78,10 +78,12 @@ def make_job(options: GenerateOptions) -> Job:
     keep = read_filter(options.keep, options.preset)
     images = None if options.images == NO_IMAGES else ImageFormat(options.rgb)
     _check_images(options)
+    env_options(options, facts)
     config = {key: value for key, value in vars(options).items() if key not in _NOT_IN_CONFIG}
     # Without a style nothing is said of it: what was made before there were styles can be gone on with.
     config |= {"style": Styles.parse(options.style).words} if config.pop("style") else {}
     config = {key: str(value) if isinstance(value, Path) else value for key, value in config.items()}
+    config |= {"policy": facts.name, **facts.identity}
     spec = WorkerSpec(
         functools.partial(build_stage, replace(options, threads=options.threads or max(1, cores() // options.workers))),
         options.seed, keep.text if keep else "", not options.no_states, images,
@@ -110,23 +112,63 @@ def build_stage(options: GenerateOptions) -> Stage:
     from mjhab.envs import make
     from mjhab.envs.starts import valid_targets
 
+    facts = inspect_policy(options.policy)
     env = make(
-        task=options.task, subtask=options.subtask or "", target=options.target or "", num_envs=options.worlds,
-        split=options.split, assets=options.assets, home=options.home or "", navigate=options.navigate,
-        seed=options.seed, threads=options.threads, reward_mode=options.reward, autoreset="disabled",
-        obs_mode="state" if options.images == NO_IMAGES else options.images, cameras=options.cameras,
-        camera_size=options.camera_size,
-    )  # fmt: skip
+        **env_options(options, facts),
+        task=options.task,
+        subtask=options.subtask or "",
+        target=options.target or "",
+        num_envs=options.worlds,
+        split=options.split,
+        assets=options.assets,
+        home=options.home or "",
+        navigate=options.navigate,
+        seed=options.seed,
+        threads=options.threads,
+        reward_mode=options.reward,
+        autoreset="disabled",
+    )
     targets = (ALL,)
     if options.subtask and options.subtask != "navigate":
         targets = (options.target,) if options.target else tuple(valid_targets(env.config, env.layout))
-    about: dict[str, Any] = {"name": options.policy}
+    policy = resolve_policy(options.policy, env, PolicyOptions(options.seed, options.style))
+    return Stage(env, policy, about_policy(options, facts), targets, licence_of(options.assets))
+
+
+def about_policy(options: GenerateOptions, facts: PolicyFacts) -> dict[str, Any]:
+    """What is recorded of the policy: all that decides how it acts, as plain JSON data."""
+    about: dict[str, Any] = {"name": facts.name, **facts.identity}
+    if facts.env_options:
+        about["env_options"] = dict(facts.env_options)
     if options.style:
         about["style"] = Styles.parse(options.style).words
     if options.policy == "random":
         about["seed"] = options.seed
-    policy = make_policy(_eval_options(options), env)
-    return Stage(env, policy, about, targets, licence_of(options.assets))
+    return about
+
+
+def env_options(options: GenerateOptions, facts: PolicyFacts) -> dict[str, Any]:
+    """Options of the environment that the images to store, or the policy, ask for.
+
+    Raises:
+        UsageError: the images to store are not those that the policy sees.
+    """
+    needed = dict(facts.env_options)
+    if options.images == NO_IMAGES:
+        return needed
+    sees = needed.pop("obs_mode", "")
+    stored = {
+        "obs_mode": "+".join(dict.fromkeys([*options.images.split("+"), *filter(None, sees.split("+"))])),
+        "cameras": options.cameras,
+        "camera_size": options.camera_size,
+    }
+    for name in ("cameras", "camera_size"):
+        if sees and name in needed and needed[name] != stored[name]:
+            raise UsageError(
+                f"the policy {facts.name} sees images with {name} = {needed[name]!r}, but {stored[name]!r} is asked "
+                f"for. Store those that it sees, or leave out --images: `mjhab replay --render` draws any others later."
+            )
+    return {**needed, **stored}
 
 
 def licence_of(assets: str) -> str:
@@ -212,9 +254,16 @@ def _check_images(options: GenerateOptions) -> None:
         image_size(options.camera_size)
 
 
-def _eval_options(options: GenerateOptions) -> EvalOptions:
-    return EvalOptions(
-        task=options.task, subtask=options.subtask, target=options.target, policy=options.policy, style=options.style,
-        seed=options.seed, split=options.split, navigate=options.navigate, worlds=options.worlds,
-        threads=options.threads, episodes=1 if options.episodes is None else options.episodes,
-    )  # fmt: skip
+def _check_episodes(options: GenerateOptions) -> None:
+    """Refuse episodes that an evaluation would refuse, with its words."""
+    EvalSpec(
+        policy=options.policy,
+        task=options.task,
+        subtask=options.subtask,
+        target=options.target,
+        style=options.style,
+        seed=options.seed,
+        split=options.split,
+        navigate=options.navigate,
+        episodes=1 if options.episodes is None else options.episodes,
+    )

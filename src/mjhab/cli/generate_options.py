@@ -9,7 +9,7 @@ from typing import Annotated
 import tyro
 
 from mjhab.cli.data_options import Places, Preset, Where
-from mjhab.cli.options import Assets, Joints, MaybeName, Name, Number, StageMesh
+from mjhab.cli.options import Assets, Joints, MaybeName, Name, Number, PolicyName, StageMesh
 
 
 @dataclass(frozen=True)
@@ -31,8 +31,9 @@ class GenerateOptions:
     """One subtask from spawned starts instead of the whole chain: pick, place, navigate, open or close."""
     target: MaybeName = None
     """With --subtask: the object or link to act on, e.g. 024_bowl or kitchen_counter/drawer3. All of them if absent."""
-    policy: Name = "expert"
-    """What acts: expert (scripted, knows the state), random or zero (stands still)."""
+    policy: PolicyName = "expert"
+    """What acts: expert (scripted, knows the state), random, zero (stands still), or your own: FILE.py:CLASS (see
+    docs/evaluation.md)."""
     style: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = ()
     """How the expert acts, e.g. speed=0.5..1.0 grasp=side release=drop noise=0.05; of a range or a list (a,b) every
     episode draws its own. Names: speed, grasp, release, drop_height, close, noise, base_noise, noise_kind,

@@ -12,6 +12,7 @@ Sub = tyro.conf.subcommand
 Number = Annotated[int, tyro.conf.arg(metavar="N")]
 Name = Annotated[str, tyro.conf.arg(metavar="NAME")]
 MaybeName = Annotated[str | None, tyro.conf.arg(metavar="NAME")]
+PolicyName = Annotated[str, tyro.conf.arg(metavar="NAME|FILE.py:CLASS")]
 Numbers = Annotated[tuple[int, ...], tyro.conf.arg(metavar="N ...")]
 Backend = Annotated[str, tyro.conf.arg(metavar="auto|cpu|warp")]
 Device = Annotated[str, tyro.conf.arg(metavar="DEVICE")]
@@ -28,7 +29,9 @@ class EvalOptions:
 
     One subtask: `mjhab eval --subtask pick --target 024_bowl --episodes 50 --out runs/pick_bowl`
 
-    Ctrl-C keeps the finished episodes; the same command with `--resume` continues.
+    A policy of your own: `mjhab eval --policy my_policy.py:MyPolicy --subtask pick --out runs/mine`
+
+    Ctrl-C and SIGTERM keep the finished episodes; the same command with `--resume` continues.
     """
 
     task: Name = "set_table"
@@ -37,8 +40,9 @@ class EvalOptions:
     """Evaluate one subtask from spawned starts instead of the whole chain: pick, place, navigate, open or close."""
     target: MaybeName = None
     """With --subtask: the object or link to act on, e.g. 024_bowl or kitchen_counter/drawer3. All of them if absent."""
-    policy: Name = "expert"
-    """What acts: expert (scripted, knows the state), random or zero (stands still)."""
+    policy: PolicyName = "expert"
+    """What acts: expert (scripted, knows the state), random, zero (stands still), or your own: FILE.py:CLASS (see
+    docs/evaluation.md)."""
     style: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = ()
     """How the expert acts, e.g. speed=0.5..1.0 grasp=side release=drop noise=0.05; of a range or a list (a,b) every
     episode draws its own. Names: speed, grasp, release, drop_height, close, noise, base_noise, noise_kind,
@@ -65,6 +69,13 @@ class EvalOptions:
     """With --subtask: begin where this set of starts says (see: mjhab spawns make)."""
     home: MaybeName = None
     """Use only this home, or the homes that fit a pattern such as 'v3_sc0_*', in turn (see: mjhab homes list)."""
+    obs: MaybeName = None
+    """What the policy sees: state, depth, rgb, rgbd, seg, pointcloud, several joined by +. What it asks for, or state,
+    if absent."""
+    control: MaybeName = None
+    """Control mode of its actions, e.g. pd_ee_delta_pose. What it asks for, or pd_joint_delta_pos, if absent."""
+    camera_size: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """With images: their side [px]. What the policy asks for, or 128, if absent."""
     threads: Number = 0
     """Threads of the physics; 0 takes all cores. Changes the speed, never the results."""
     films: Number = 4

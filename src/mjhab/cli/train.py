@@ -19,6 +19,7 @@ from mjhab.cli.train_options import (
 from mjhab.core.errors import unknown_name
 from mjhab.learning.require import require_learn
 from mjhab.tasks.plan import KIND_NAMES, TASKS
+from mjhab.tasks.style import Styles
 
 if TYPE_CHECKING:
     from mjhab.learning.configs import TrainConfig
@@ -89,7 +90,8 @@ def resolved(options: TrainOptions) -> TrainConfig:
     from mjhab.learning.configs import preset_of
 
     config = preset_of(ALGORITHMS[type(options)], options.preset)
-    student = _changed(config.student, demos=options.demos, updates=options.updates)
+    words = tuple(Styles.parse(options.style).words) or None
+    student = _changed(config.student, demos=options.demos, updates=options.updates, style=words)
     dagger = config.dagger
     if isinstance(options, TrainDaggerOptions) and dagger is not None:
         changes = {"rounds": options.rounds, "updates": options.round_updates, "episodes": options.takeovers}
@@ -97,7 +99,7 @@ def resolved(options: TrainOptions) -> TrainConfig:
     return dataclasses.replace(config, student=student, dagger=dagger)
 
 
-def _changed(config: Any, **values: int | None) -> Any:
+def _changed(config: Any, **values: Any) -> Any:
     return dataclasses.replace(config, **{name: value for name, value in values.items() if value is not None})
 
 
@@ -111,7 +113,8 @@ def _tell(options: TrainOptions, result: TrainingResult) -> None:
     summary = result.summary
     if result.interrupted:
         print(
-            f"mjhab: interrupted; the last checkpoint is kept in {options.out}. The same command with --resume goes on.",
+            f"mjhab: interrupted; the last checkpoint is kept in {options.out}. The same command with --resume goes "
+            "on.",
             file=sys.stderr,
         )
     if options.json:
@@ -120,9 +123,10 @@ def _tell(options: TrainOptions, result: TrainingResult) -> None:
     success = summary["success_once"]
     if success is not None:
         low, high = summary["interval"]
+        interval = f"95 % interval {100 * low:.0f} to {100 * high:.0f} %"
+        minutes = summary["seconds"] / SECONDS_PER_MINUTE
         print(
-            f"success once {100 * success:.1f} % of {summary['episodes']} episodes "
-            f"(95 % interval {100 * low:.0f} to {100 * high:.0f} %), {summary['seconds'] / SECONDS_PER_MINUTE:.1f} minutes"
+            f"success once {100 * success:.1f} % of {summary['episodes']} episodes ({interval}), {minutes:.1f} minutes"
         )
     print(f"student: {summary['checkpoint']}")
     print(f"report: {result.report}")

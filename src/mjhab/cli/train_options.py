@@ -37,6 +37,9 @@ class TrainOptions:
     """With --data: which episodes, as in `mjhab data query`; those that succeed if absent."""
     demos: MaybeNumber = None
     """Without --data: episodes that the expert tries; as the preset says if absent."""
+    style: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = ()
+    """How the expert acts that is learned from, as in `mjhab generate`; with noise=0..0.2 it acts with noise, and what
+    it intended is learned."""
     updates: MaybeNumber = None
     """Updates of the network (of dagger: in the first round); as the preset says if absent."""
     budget_minutes: Minutes = 0.0

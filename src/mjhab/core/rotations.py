@@ -5,7 +5,20 @@ Every function takes numpy or torch arrays, batches over the leading axes (which
 
 from __future__ import annotations
 
-from mjhab.core.arrays import Array, namespace
+from mjhab.core.arrays import Array, constant, namespace
+
+_SIGN_WEIGHTS = (8.0, 4.0, 2.0, 1.0)
+"""Each is more than the sum of those behind it: the weighted sum of signs has the sign of the first that is not 0."""
+
+
+def quat_canonical(q: Array) -> Array:
+    """The one of ``q`` and ``-q`` (..., 4), which are the same rotation, whose first component that is not 0 is > 0.
+
+    So w >= 0. Zeros stay zeros. It costs four operations on any library, without a question to the device.
+    """
+    xp = namespace(q)
+    sign = xp.sign(xp.sign(q) @ constant(_SIGN_WEIGHTS, q))
+    return q * sign[..., None]
 
 
 def quat_mul(a: Array, b: Array) -> Array:
@@ -59,7 +72,7 @@ def mat_from_quat(q: Array) -> Array:
 
 
 def quat_from_mat(m: Array) -> Array:
-    """Unit quaternions (..., 4) with w >= 0 of rotation matrices (..., 3, 3).
+    """Canonical unit quaternions (..., 4) of rotation matrices (..., 3, 3).
 
     Shepperd's method: of four equivalent forms the one with the largest pivot is taken, so no case is ill-conditioned.
     """
@@ -80,7 +93,7 @@ def quat_from_mat(m: Array) -> Array:
         best = xp.where(better, pivot, best)
         quat = xp.where(better[..., None], xp.stack(form, axis=-1), quat)
     quat = quat / xp.sqrt(xp.sum(quat * quat, axis=-1, keepdims=True))
-    return xp.where(quat[..., :1] < 0, -quat, quat)
+    return quat_canonical(quat)
 
 
 def quat_from_yaw(yaw: Array) -> Array:

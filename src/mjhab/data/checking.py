@@ -11,8 +11,8 @@ from pathlib import Path
 
 from mjhab.core.cache import write_atomic
 from mjhab.core.errors import UsageError
+from mjhab.core.locking import WriteLock, is_written
 from mjhab.data.journal import committed_length, journal_path, recover
-from mjhab.data.locking import WriteLock, is_written
 from mjhab.data.reading import Shard, open_shard, shard_paths
 from mjhab.data.schema import DamagedError
 from mjhab.data.shard import ShardWriter, StorageError, is_full
@@ -22,6 +22,7 @@ from mjhab.data.shard import ShardWriter, StorageError, is_full
 class CheckReport:
     """What was found. ``damaged``: what is wrong, by shard and episode; ``unreadable``: by shard.
 
+    ``schemas``: number of whole episodes by the version of the schema that they were recorded in.
     ``unfinished``: shards whose writer was killed in the middle of an episode; they are whole, and the next writer or
     ``repair`` puts them in order. ``doubled``: episodes that are in more than one place.
     """
@@ -32,6 +33,7 @@ class CheckReport:
     unreadable: dict[Path, str] = field(default_factory=dict)
     unfinished: list[Path] = field(default_factory=list)
     doubled: list[str] = field(default_factory=list)
+    schemas: Counter[int] = field(default_factory=Counter)
 
     @property
     def clean(self) -> bool:
@@ -69,6 +71,8 @@ def check(places: Path | Sequence[Path], on_shard: Callable[[], object] | None =
                     wrong = shard.problems(name)
                     if wrong:
                         report.damaged[path, name] = wrong
+                    else:
+                        report.schemas[shard.episode(name).schema] += 1
         except DamagedError as error:
             report.unreadable[path] = str(error)
         if on_shard is not None:

@@ -18,16 +18,19 @@ import numpy as np
 import torch
 from torch.utils.data import Dataset, Sampler
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.seeding import stream
 from mjhab.data.images import decode
 from mjhab.data.query import Filter
 from mjhab.data.reading import Episode, open_shard
-from mjhab.data.schema import DamagedError
+from mjhab.data.schema import VERSION, DamagedError
 from mjhab.data.sets import nothing_passes, select
 from mjhab.data.statistics import Statistics, fingerprint
 
 STATE, ACTION = "state", "action"
+EXECUTED, INTENDED = "executed", "intended"
+LABELS: dict[str, str] = {EXECUTED: "actions", INTENDED: "actions_intended"}
+"""Actions that a policy can be trained on, and the datasets that they lie in."""
 _OPEN = 64
 """Shards that a process keeps open."""
 
@@ -39,7 +42,9 @@ class WindowDataset(Dataset[dict[str, Any]]):
     ``state`` (history, D) float32 and ``<camera>/<output>`` (history, C, H, W) of states t-history+1 to t, the first
     state repeated where there is none before it; rgb is uint8, depth int16 [mm];
     ``action`` (chunk, A) float32 of steps t to t+chunk-1, the last one repeated after the end;
-    ``action_is_pad`` (chunk,) bool; ``episode`` and ``step``.
+    ``action_is_pad`` (chunk,) bool;
+    ``actor`` (chunk,) uint8, who acted in these steps as a place in ``actors``, the last one repeated after the end;
+    ``episode`` and ``step``.
 
     States and actions are held in memory; images are read from the files when they are asked for. HDF5 is done with
     when this is made: what workers do needs no open HDF5 file, so they may be forked or spawned.
@@ -48,6 +53,7 @@ class WindowDataset(Dataset[dict[str, Any]]):
         places: shards or folders of them.
         history: observations in a window.
         chunk: actions in a window.
+        labels: "executed" takes the actions that moved the robot, "intended" those that were meant, without noise.
         images: camera images, such as "fetch_head/depth".
         where: which episodes; all of them if None.
         normalize: "spread" gives states and actions with mean 0 and spread 1, "range" from -1 to 1, "" as they are.
@@ -55,7 +61,7 @@ class WindowDataset(Dataset[dict[str, Any]]):
         cache: file to keep the statistics in; read if it is of this data, else written.
 
     Raises:
-        UsageError: no episode passes, episodes differ in their sizes or lack an image.
+        UsageError: no episode passes, episodes differ in their sizes or lack an image; no such labels.
     """
 
     def __init__(
@@ -64,6 +70,7 @@ class WindowDataset(Dataset[dict[str, Any]]):
         *,
         history: int = 1,
         chunk: int = 1,
+        labels: str = EXECUTED,
         images: Sequence[str] = (),
         where: Filter | None = None,
         normalize: str = "",
@@ -72,7 +79,11 @@ class WindowDataset(Dataset[dict[str, Any]]):
     ) -> None:
         if history < 1 or chunk < 1:
             raise UsageError(f"history and chunk must be at least 1, got {history} and {chunk}.")
+        if labels not in LABELS:
+            raise unknown_name("labels", labels, LABELS)
         self.history, self.chunk, self.images = history, chunk, tuple(images)
+        self.labels = labels
+        self.actors: tuple[str, ...] = ()
         self._members = select(places, where).matched
         if not self._members:
             raise nothing_passes()
@@ -80,6 +91,7 @@ class WindowDataset(Dataset[dict[str, Any]]):
         self._frames: dict[str, list[_Frames]] = {image: [] for image in self.images}
         self._states: list[np.ndarray] = []
         self._actions: list[np.ndarray] = []
+        self._actor: list[np.ndarray] = []
         mark = self._read()
         self._starts: list[int] = np.cumsum([0, *map(len, self._actions)]).tolist()
         self.statistics = statistics or self._statistics(mark, cache)
@@ -88,7 +100,7 @@ class WindowDataset(Dataset[dict[str, Any]]):
             self._actions = [self.statistics.normalize(ACTION, values, normalize) for values in self._actions]
 
     def _read(self) -> str:
-        digests = []
+        digests = [("labels", self.labels), ("schema", str(VERSION))]
         for path, names in itertools.groupby(self._members, lambda member: member[0]):
             with open_shard(path) as shard:
                 for _, name in names:
@@ -99,7 +111,10 @@ class WindowDataset(Dataset[dict[str, Any]]):
 
     def _add(self, episode: Episode) -> None:
         self._states.append(episode.array("obs/state"))
-        self._actions.append(episode.array("actions"))
+        self._actions.append(episode.array(LABELS[self.labels]))
+        self.actors = tuple(dict.fromkeys((*self.actors, *episode.actors)))
+        places = np.array([self.actors.index(name) for name in episode.actors], np.uint8)
+        self._actor.append(places[episode.array("actor")])
         sizes = [each[-1].shape[1] for each in (self._states, self._actions)]
         if sizes != [each[0].shape[1] for each in (self._states, self._actions)]:
             where = f"episode {episode.name} of {episode.shard.path}"
@@ -132,10 +147,12 @@ class WindowDataset(Dataset[dict[str, Any]]):
         states, actions = self._states[episode], self._actions[episode]
         seen = np.maximum(np.arange(t - self.history + 1, t + 1), 0)
         ahead = np.arange(t, t + self.chunk)
+        done = np.minimum(ahead, len(actions) - 1)
         item: dict[str, Any] = {
             STATE: torch.from_numpy(states[seen]),
-            ACTION: torch.from_numpy(actions[np.minimum(ahead, len(actions) - 1)]),
+            ACTION: torch.from_numpy(actions[done]),
             "action_is_pad": torch.from_numpy(ahead >= len(actions)),
+            "actor": torch.from_numpy(self._actor[episode][done]),
             "episode": episode,
             "step": t,
         }

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from mjhab.data.schema import problems
+from mjhab.data.schema import VERSION, problems
 from mjhab.rollout.records import EpisodeRecord
 
 _ARRAY = "__array__"
@@ -46,6 +46,11 @@ class RunInfo:
         """Name of the run in a shard: hash of everything in it."""
         return run_id(vars(self))
 
+    @property
+    def policy(self) -> str:
+        """Name of the policy that acted."""
+        return str(self.config.get("policy", {}).get("name", "unknown"))
+
     def episode_name(self, seed: int, index: int) -> str:
         """Name of the group of an episode."""
         return f"{self.config_id}-{seed}-{index:07d}"
@@ -60,7 +65,8 @@ def run_id(values: Mapping[str, Any]) -> str:
 class EpisodeData:
     """What a shard takes: the record, every dataset by its path (without ``record``), names of their columns.
 
-    A column name "name:n" stands for n columns.
+    A column name "name:n" stands for n columns. ``actors``: names that the numbers of the dataset ``actor`` stand for;
+    the policy of the run alone if not given. ``schema``: version that the datasets are of.
 
     Raises:
         ValueError: the datasets do not fit the schema, for instance not N+1 states for N actions.
@@ -72,9 +78,14 @@ class EpisodeData:
     ending: str
     arrays: Mapping[str, np.ndarray]
     columns: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    actors: tuple[str, ...] = ()
+    schema: int = VERSION
 
     def __post_init__(self) -> None:
-        wrong = problems({**self.arrays, "record": np.zeros(1, np.uint8)}, self.record.steps)
+        if not self.actors:
+            object.__setattr__(self, "actors", (self.run.policy,))
+        arrays = {**self.arrays, "record": np.zeros(1, np.uint8)}
+        wrong = problems(arrays, self.record.steps, schema=self.schema) or unnamed_actors(arrays, self.actors)
         if wrong:
             raise ValueError(f"episode {self.record.index} does not fit the schema: {'; '.join(wrong)}")
 
@@ -82,6 +93,14 @@ class EpisodeData:
     def name(self) -> str:
         """Name of its group."""
         return self.run.episode_name(self.record.seed, self.record.index)
+
+
+def unnamed_actors(arrays: Mapping[str, np.ndarray], actors: Sequence[str]) -> list[str]:
+    """What is wrong with the dataset ``actor`` of an episode, in words: a number that none of the names belongs to."""
+    actor = arrays.get("actor", np.zeros(0, np.uint8))
+    if not actor.size or int(actor.max()) < len(actors):
+        return []
+    return [f"actor has the number {int(actor.max())}, and there are {len(actors)} names of actors"]
 
 
 def episode_digest(arrays: Mapping[str, np.ndarray]) -> str:

@@ -30,6 +30,8 @@ from mjhab.data.shard import last_label
 FPS = round(1 / STEP_SECONDS)
 ROBOT = "fetch"
 STATE, ACTION = "observation.state", "action"
+INTENDED = "intended_action"
+"""Not "action.intended": LeRobot takes every feature whose name begins with "action" for what a policy must give."""
 Features = dict[str, dict[str, Any]]
 """What info.json says of every column and film: dtype, shape, names."""
 
@@ -99,6 +101,15 @@ def export_lerobot(
         return export.finish()
 
 
+@dataclass(frozen=True)
+class _Numbers:
+    """Numbers that the names in one episode have in the data set: its task, the subtasks of its plan, its actors."""
+
+    task: int
+    subtasks: list[int]
+    actors: list[int]
+
+
 class _Export:
     """An export that is under way."""
 
@@ -107,6 +118,7 @@ class _Export:
         self._features: Features = {}
         self._tasks: dict[str, int] = {}
         self._subtasks: dict[str, int] = {}
+        self._actors: dict[str, int] = {}
         self._made: list[Made] = []
         self._frames = 0
 
@@ -126,18 +138,22 @@ class _Export:
         self._made.append(made)
         self._frames += made.steps
 
-    def _count(self, made: Made) -> tuple[int, list[int]]:
-        """Numbers of an episode's task and of the subtasks of its plan, in the order in which they first came."""
-        task = self._tasks.setdefault(made.row["tasks"][0], len(self._tasks))
-        return task, [self._subtasks.setdefault(text, len(self._subtasks)) for text in made.subtasks]
+    def _count(self, made: Made) -> _Numbers:
+        """Numbers of the names in an episode, in the order in which they first came."""
+        return _Numbers(
+            self._tasks.setdefault(made.row["tasks"][0], len(self._tasks)),
+            [self._subtasks.setdefault(text, len(self._subtasks)) for text in made.subtasks],
+            [self._actors.setdefault(name, len(self._actors)) for name in made.actors],
+        )
 
     def _make(self, number: int, episode: Episode) -> Made:
         record = episode.record
         row: dict[str, Any] = {"episode_index": number, "tasks": [task_words(record)], "length": episode.steps}
         row |= {"source": episode.name, "home": record.home, "label": last_label(record)}
+        row["lacks"] = ",".join(episode.lacks)
         plan = [subtask_words(entry.kind, entry.target) for entry in record.plan]
-        made = Made(row, {}, 0, {}, plan, episode.run.licence)
-        columns = self._columns(episode, number, *self._count(made))
+        made = Made(row, {}, 0, {}, plan, list(episode.actors), episode.run.licence)
+        columns = self._columns(episode, number, self._count(made))
         table = to_table(columns)
         self._pieces.add_table(number, table)
         made.stats.update({key: _column_stats(values, self._features[key]) for key, values in columns.items()})
@@ -151,23 +167,25 @@ class _Export:
         self._pieces.finish(number, made)
         return made
 
-    def _columns(self, episode: Episode, number: int, task: int, subtasks: list[int]) -> dict[str, np.ndarray]:
+    def _columns(self, episode: Episode, number: int, numbers: _Numbers) -> dict[str, np.ndarray]:
         count = episode.steps
         done = np.zeros(count, bool)
         done[-1] = True
-        active = np.minimum(episode.array("subtasks/active")[:count], len(subtasks) - 1)
+        active = np.minimum(episode.array("subtasks/active")[:count], len(numbers.subtasks) - 1)
         columns = {
             STATE: episode.array("obs/state")[:count],
             ACTION: episode.array("actions"),
+            INTENDED: episode.array("actions_intended"),
             "next.reward": episode.array("reward/total").astype(np.float32),
             "next.success": episode.array("reward/success").astype(bool),
             "next.done": done,
-            "subtask_index": np.array(subtasks, np.int64)[active],
+            "subtask_index": np.array(numbers.subtasks, np.int64)[active],
+            "actor_index": np.array(numbers.actors, np.int64)[episode.array("actor")],
             "timestamp": (np.arange(count) / FPS).astype(np.float32),
             "frame_index": np.arange(count),
             "episode_index": np.full(count, number),
             "index": np.arange(self._frames, self._frames + count),
-            "task_index": np.full(count, task),
+            "task_index": np.full(count, numbers.task),
         }
         for key, feature in self._features.items():
             if key.startswith("observation.depth."):
@@ -181,6 +199,7 @@ class _Export:
         self._files.describe([made.row for made in self._made], [made.stats for made in self._made])
         self._files.write_names("task", list(self._tasks))
         self._files.write_names("subtask", list(self._subtasks))
+        self._files.write_names("actor", list(self._actors))
         films = _films(self._features)
         info = {
             "codebase_version": self._files.version,
@@ -207,13 +226,16 @@ def describe(episode: Episode, choice: Choice) -> Features:
     names = state_names(episode.columns("obs/state"))
     actions = [str(name) for name in episode.run.layout.get("actions", [])]
     state_size, action_size = episode.array("obs/state").shape[1], episode.array("actions").shape[1]
+    action = _feature("float32", (action_size,), actions if len(actions) == action_size else None)
     features: Features = {
         STATE: _feature("float32", (state_size,), names if len(names) == state_size else None),
-        ACTION: _feature("float32", (action_size,), actions if len(actions) == action_size else None),
+        ACTION: action,
+        INTENDED: dict(action),
         "next.reward": _feature("float32"),
         "next.success": _feature("bool"),
         "next.done": _feature("bool"),
         "subtask_index": _feature("int64"),
+        "actor_index": _feature("int64"),
         "timestamp": _feature("float32"),
         **{key: _feature("int64") for key in ("frame_index", "episode_index", "index", "task_index")},
     }

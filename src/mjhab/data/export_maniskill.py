@@ -2,7 +2,8 @@
 
 ``<out>/<task>/<subtask>/<target>.h5`` with a ``.json`` beside each, as mshab/envs/wrappers/record.py writes them. Its
 scripts join ``obs/agent`` and then ``obs/extra`` to the state in the order in which groups list their members: groups
-keep the order of our ``obs/state``.
+keep the order of our ``obs/state``. They train on ``actions``, those that were executed; ``actions_intended`` and
+``actor`` (a place in "actors" of the ``.json``) stand beside them.
 """
 
 from __future__ import annotations
@@ -157,6 +158,8 @@ def _put(group: h5py.Group, episode: Episode) -> None:
     ends = np.zeros(episode.steps, bool)
     ends[-1] = True
     group["actions"] = episode.array("actions").astype(np.float32)
+    group["actions_intended"] = episode.array("actions_intended").astype(np.float32)
+    group["actor"] = episode.array("actor")
     group["terminated"] = ends & episode.terminated
     group["truncated"] = ends & (not episode.terminated)
     group["success"] = episode.array("reward/success").astype(bool)
@@ -188,6 +191,8 @@ def _episode_info(number: int, episode: Episode) -> dict[str, Any]:
         "episode_index": record.index,
         "control_mode": episode.run.config.get("env", {}).get("control_mode", "pd_joint_delta_pos"),
         "elapsed_steps": record.steps,
+        "actors": list(episode.actors),
+        "lacks": list(episode.lacks),
         "label": last_label(record),
         "events": [name for _, name in record.events],
         "events_verbose": [[step, name, None] for step, name in record.events],

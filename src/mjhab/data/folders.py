@@ -14,7 +14,7 @@ from typing import Any
 import mjhab
 from mjhab.core.cache import write_atomic
 from mjhab.core.errors import MjhabError, UsageError
-from mjhab.data.locking import WriteLock
+from mjhab.core.locking import WriteLock
 from mjhab.data.shard import StorageError, is_full
 
 JOB, WHOLE, WORK = "job.json", "whole", "work"

@@ -20,9 +20,9 @@ from typing import Any
 
 from mjhab.core.cache import write_atomic
 from mjhab.core.errors import MjhabError, UsageError
+from mjhab.core.locking import WriteLock, is_written
 from mjhab.data.crew import Crew, Done, Failed, Gone, Message, Ready, Report, Request, Stored, WorkerSpec, outcome_of
 from mjhab.data.folders import differences
-from mjhab.data.locking import WriteLock, is_written
 from mjhab.data.quotas import Outcome, Quotas
 from mjhab.data.reading import open_shard
 from mjhab.data.shard import StorageError

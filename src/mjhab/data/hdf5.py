@@ -18,7 +18,7 @@ import numpy as np
 import mjhab
 from mjhab.core.errors import UsageError
 from mjhab.data.journal import Overlay, commit, committed_length
-from mjhab.data.schema import EPISODES, FORMAT, RUNS, VERSION, DamagedError
+from mjhab.data.schema import EPISODES, FORMAT, OLDEST, RUNS, VERSION, DamagedError
 
 LIBVER = ("v110", "v110")
 """File format of HDF5 1.10 (2016): small files, and every reader knows it."""
@@ -82,8 +82,8 @@ def _plain(value: Any) -> Any:
     return value.decode() if isinstance(value, bytes) else value
 
 
-def check_format(file: h5py.File, path: Path) -> None:
-    """Refuse files that this version of mjhab cannot read.
+def check_format(file: h5py.File, path: Path) -> int:
+    """Refuse files that this version of mjhab cannot read; returns the version of the schema.
 
     Raises:
         DamagedError: some other HDF5 file, or one that lost its parts.
@@ -97,7 +97,7 @@ def check_format(file: h5py.File, path: Path) -> None:
             "ManiSkill or LeRobot are read with their own tools; mjhab writes them from shards."
         )
     version = int(told.get("schema", 0))
-    if version != VERSION:
+    if not OLDEST <= version <= VERSION:
         maker = str(told.get("mjhab", "?"))
         if version > VERSION:
             how = f"Update mjhab to {maker} or later: pip install --upgrade 'mjhab>={maker}'."
@@ -108,11 +108,12 @@ def check_format(file: h5py.File, path: Path) -> None:
             )
         raise UsageError(
             f"{path} has schema {version} and was written by mjhab {maker}; this is mjhab {mjhab.__version__}, which "
-            f"reads schema {VERSION}. {how}"
+            f"reads schema {OLDEST} to {VERSION}. {how}"
         )
     missing = [name for name in (EPISODES, RUNS) if name not in file]
     if missing:
         raise DamagedError(f"{path} has lost its group {missing[0]!r}. Try: mjhab data repair {path}")
+    return version
 
 
 def group(parent: h5py.Group, path: str | h5py.Reference) -> h5py.Group:

@@ -42,7 +42,7 @@ class Files(Protocol):
         ...
 
     def write_names(self, what: str, names: Sequence[str]) -> None:
-        """Write the list of tasks or subtasks; ``what`` is "task" or "subtask"."""
+        """Write the list of tasks, subtasks or actors; ``what`` is "task", "subtask" or "actor"."""
         ...
 
 

@@ -41,7 +41,7 @@ class Made:
     """What a data set says of an episode: plain data but for ``stats``.
 
     row: of the table of episodes. size: of its rows in memory [bytes]; films: of the images of each film [bytes].
-    subtasks: words for those of its plan.
+    subtasks: words for those of its plan. actors: names of those who can act in it.
     """
 
     row: dict[str, Any]
@@ -49,6 +49,7 @@ class Made:
     size: int
     films: dict[str, int]
     subtasks: list[str]
+    actors: list[str]
     licence: str
 
     @property

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import json
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -14,12 +15,14 @@ import numpy as np
 from h5py import h5r
 
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.data.episode_data import RunInfo, episode_digest, from_bytes, run_id
+from mjhab.core.locking import is_written
+from mjhab.data.episode_data import RunInfo, episode_digest, from_bytes, run_id, unnamed_actors
 from mjhab.data.hdf5 import check_format, dataset, dataset_paths, group, read_arrays, read_attributes
 from mjhab.data.images import decode
 from mjhab.data.journal import Overlay, committed_length, read_journal
-from mjhab.data.locking import is_written, quiet
-from mjhab.data.schema import CHECKS, COLUMNS, EPISODES, RUNS, TERMINAL, DamagedError, problems
+from mjhab.data.locking import quiet
+from mjhab.data.older import POSES, STAND_INS, canonical_poses, stand_in
+from mjhab.data.schema import CHECKS, COLUMNS, EPISODES, FIELDS, RUNS, TERMINAL, DamagedError, problems
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.tasks.labels import History
 
@@ -95,6 +98,27 @@ class Episode:
         return str(self.attributes["ending"]) in TERMINAL
 
     @property
+    def schema(self) -> int:
+        """Version of the schema that it was recorded in."""
+        return int(self.attributes.get("schema", 1))
+
+    @property
+    def lacks(self) -> tuple[str, ...]:
+        """Datasets that its older schema does not have: ``array`` gives what stands in for them.
+
+        Without ``actions_intended`` the executed actions are taken for intended; without ``actor`` the policy of the
+        run has acted all the time.
+        """
+        with self._reading():
+            return tuple(f.path for f in FIELDS if f.since > self.schema and f.path not in self._group)
+
+    @property
+    def actors(self) -> tuple[str, ...]:
+        """Names that the numbers of ``array("actor")`` stand for."""
+        names = self.attributes.get("actors")
+        return (self.run.policy,) if names is None else tuple(json.loads(names))
+
+    @property
     def nbytes(self) -> int:
         """Bytes that its data takes in the file, without HDF5's own bookkeeping."""
         return sum(dataset(self._group, path).id.get_storage_size() for path in self.paths)
@@ -120,13 +144,24 @@ class Episode:
         """
         with self._reading():
             if path in self._group:
-                return dataset(self._group, path)[()]
+                return self._as_of_now(path, dataset(self._group, path)[()])
+        if path in self.lacks:
+            return stand_in(path, self.array(STAND_INS[path]))
         if path.startswith("states/"):
             raise UsageError(
                 f"episode {self.name} was recorded without states: {path} is not there, and nothing can be rendered "
                 "from it. Record it again with states: `mjhab generate` without --no-states, same seed and index."
             )
         raise unknown_name("dataset", path, self.paths)
+
+    def _as_of_now(self, path: str, array: np.ndarray) -> np.ndarray:
+        """A dataset as the present schema has it."""
+        if self.schema >= 2:
+            return array
+        if path == "obs/state":
+            return canonical_poses(array, self.columns(path))
+        key = path.removeprefix("obs/")
+        return canonical_poses(array, {key: array.shape[1]}) if key in POSES else array
 
     def columns(self, path: str) -> dict[str, int]:
         """Names of the columns of a two-dimensional dataset, and how many columns each name stands for."""
@@ -212,7 +247,8 @@ class Episode:
         """What is wrong with it, in words: parts that are missing or do not fit, or bytes that have changed."""
         with self._reading():
             arrays = read_arrays(self._group)
-            wrong = problems(arrays, self.steps, others=True)
+            wrong = problems(arrays, self.steps, others=True, schema=self.schema)
+            wrong = wrong or unnamed_actors(arrays, self.actors)
             if not wrong and episode_digest(arrays) != self.attributes["digest"]:
                 wrong.append("its bytes are not those that were written (digest)")
             if not wrong and self.record.steps != self.steps:

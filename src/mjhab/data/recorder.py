@@ -97,7 +97,7 @@ class Recorder(Sink):
             self._models[record.home] = model_hash(env.sim.model(record.home))
         columns = {"signals/checks": CHECKS, "signals/forces": FORCES, **buffer.columns()}
         model = self._models[record.home]
-        data = EpisodeData(record, self.run, model, _ending(env, world), buffer.arrays(), columns)
+        data = EpisodeData(record, self.run, model, _ending(env, world), buffer.arrays(), columns, buffer.actors)
         self.bytes += self._writer.append(data)
         self.kept += 1
 
@@ -118,6 +118,7 @@ class _Buffer:
     def __init__(self, initial: dict[str, Any], length: int) -> None:
         self.initial, self.length = initial, length
         self.active: list[int] = []
+        self.actors: tuple[str, ...] = ()
         self._rows: dict[str, list[Any]] = {}
         self._terms: list[dict[str, float]] = []
         self._files: dict[str, list[bytes]] = {}
@@ -166,6 +167,9 @@ class _Buffer:
     def add_action(self, step: StepView, world: int, terms: dict[str, float]) -> None:
         """Add an action and what it brought."""
         self._put("actions", np.array(step.actions[world], np.float32))
+        self._put("actions_intended", np.array(step.notes.intended[world], np.float32))
+        self._put("actor", np.uint8(step.notes.actor[world]))
+        self.actors = step.notes.actors
         self._put("reward/total", np.float64(step.reward[world]))
         self._put("reward/success", np.uint8(step.info["success"][world]))
         self._put("reward/fail", np.uint8(step.info["fail"][world]))

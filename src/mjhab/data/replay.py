@@ -265,7 +265,7 @@ def _with_images(episode: Episode, drawn: dict[str, np.ndarray], env: Any, camer
     try:
         return EpisodeData(
             episode.record, run, str(attributes["model"]), str(attributes["ending"]), arrays,
-            {path: names for path, names in columns.items() if names},
+            {path: names for path, names in columns.items() if names}, episode.actors, episode.schema,
         )  # fmt: skip
     except ValueError as error:
         raise DamagedError(f"{episode.shard.path}: {error}") from error

@@ -11,9 +11,14 @@ from mjhab.core.errors import MjhabError
 
 FORMAT = "mjhab-episodes"
 """Root attribute ``format``: what tells a shard from any other HDF5 file."""
-VERSION = 1
-"""Root attribute ``schema``. It grows with every change that a reader of the old one could not read. Optional datasets,
-attributes and keys of the JSON can be added without: readers pass over names that they do not know."""
+VERSION = 2
+"""Root attribute ``schema`` of a file and attribute of each episode. It grows with every change that a reader of the
+old one could not read, or would read as something else. Optional datasets, attributes and keys of the JSON can be added
+without: readers pass over names that they do not know.
+
+1: the first. 2: intended actions and who acted are stored; quaternions among the observations are canonical."""
+OLDEST = 1
+"""Oldest schema that is read; `Episode` gives the contents of an older one as those of VERSION."""
 EPISODES, RUNS = "episodes", "runs"
 STEP_SECONDS = 0.05
 """One control step [s]: control at 20 Hz (MS-HAB paper Sec. 4.1)."""
@@ -33,7 +38,10 @@ TERMINAL = frozenset({"success", "force_exceeded", "place_broken"})
 
 @dataclass(frozen=True)
 class Field:
-    """One dataset of an episode. ``rows``: "N" control steps, "N+1" states, "K" subtasks entered, "" anything."""
+    """One dataset of an episode. ``rows``: "N" control steps, "N+1" states, "K" subtasks entered, "" anything.
+
+    ``since``: first schema that has it.
+    """
 
     path: str
     rows: str
@@ -42,11 +50,14 @@ class Field:
     unit: str
     meaning: str
     optional: bool = False
+    since: int = 1
 
 
 FIELDS: tuple[Field, ...] = (
     Field("record", "", "bytes", "uint8", "JSON", "the `EpisodeRecord`: identity, plan, labels, events, forces, taint"),
-    Field("actions", "N", "(N, A)", "float32", "action table", "as given to the environment, before clipping"),
+    Field("actions", "N", "(N, A)", "float32", "action table", "as executed, before clipping"),
+    Field("actions_intended", "N", "(N, A)", "float32", "action table", "what was intended: without noise", since=2),
+    Field("actor", "N", "(N,)", "uint8", "index in `actors`", "who acted", since=2),
     Field("states/initial", "", "bytes", "uint8", "JSON", "`env.get_state` after the reset: the full first state"),
     Field("states/qpos", "N+1", "(N+1, nq)", "float64", "m, rad, wxyz", "generalized positions", optional=True),
     Field("states/qvel", "N+1", "(N+1, nv)", "float64", "m/s, rad/s", "generalized velocities", optional=True),
@@ -79,6 +90,8 @@ ATTRIBUTES: dict[str, str] = {
     "steps": "number N of control steps",
     "ending": "how it ended: success, force_exceeded, place_broken, timeout, or cut (by the caller)",
     "style": "JSON: how the expert was asked to act in this episode; empty if nothing was asked",
+    "actors": "JSON: the names that the numbers of `actor` stand for",
+    "schema": "version of the schema that the episode was recorded in; 1 where it is missing",
     "digest": "SHA-256 over the record and every dataset",
 }
 """Attributes of an episode group."""
@@ -101,13 +114,14 @@ def field_of(path: str) -> Field | None:
     return None
 
 
-def problems(arrays: Mapping[str, np.ndarray], steps: int, others: bool = False) -> list[str]:
+def problems(arrays: Mapping[str, np.ndarray], steps: int, others: bool = False, schema: int = VERSION) -> list[str]:
     """What is wrong with the datasets of an episode of ``steps`` actions, in words; empty if nothing is.
 
     Every field that is not optional must be there, with its type; N actions go with N+1 states. ``others``: datasets
-    that are not of this schema may be there, too: a later version may have added them.
+    that are not of this schema may be there, too: a later version may have added them. ``schema``: that of the episode.
     """
-    found = [f"{f.path} is missing" for f in FIELDS if not f.optional and f.path not in arrays]
+    needed = [field.path for field in FIELDS if not field.optional and field.since <= schema]
+    found = [f"{path} is missing" for path in needed if path not in arrays]
     count = len(arrays["subtasks/step"]) if "subtasks/step" in arrays else 0
     rows = {"N": steps, "N+1": steps + 1, "K": count}
     for path, array in arrays.items():
@@ -128,6 +142,8 @@ def _bad_values(arrays: Mapping[str, np.ndarray]) -> list[str]:
     for path, columns in (("signals/checks", CHECKS), ("signals/forces", FORCES), ("subtasks/checks", CHECKS)):
         if arrays[path].shape[1:] != (len(columns),):
             found.append(f"{path} has shape {arrays[path].shape}, not {len(columns)} columns")
+    if "actions_intended" in arrays and arrays["actions_intended"].shape != arrays["actions"].shape:
+        found.append(f"actions_intended is {arrays['actions_intended'].shape}, actions are {arrays['actions'].shape}")
     starts = arrays["subtasks/step"]
     if not len(starts) or starts[0] != 0 or (np.diff(starts) <= 0).any():
         found.append("subtasks/step must begin with 0 and grow")

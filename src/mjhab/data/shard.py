@@ -15,10 +15,10 @@ import numpy as np
 import mjhab
 from mjhab.core.cache import write_atomic
 from mjhab.core.errors import MjhabError, UsageError
+from mjhab.core.locking import WriteLock
 from mjhab.data.episode_data import EpisodeData, RunInfo, episode_digest, record_bytes, to_bytes
 from mjhab.data.hdf5 import change_file, check_format, group, make_file, put_attributes, read_arrays
 from mjhab.data.journal import recover, sync_folder
-from mjhab.data.locking import WriteLock
 from mjhab.data.schema import COLUMNS, EPISODES, FORMAT, RUNS, VERSION
 from mjhab.rollout.records import EpisodeRecord
 
@@ -73,7 +73,7 @@ class ShardWriter:
         self._names: set[str] = set()
         self._runs: set[str] = set()
         with h5py.File(self.path, "r", locking=False) as file:
-            check_format(file, self.path)
+            self._schema = check_format(file, self.path)
             self._names.update(group(file, EPISODES))
             self._runs.update(group(file, RUNS))
 
@@ -102,6 +102,7 @@ class ShardWriter:
             if data.run.id not in self._runs:
                 _put(group(file, RUNS), data.run.id, to_bytes(vars(data.run)))
             _put_episode(group(file, EPISODES).create_group(data.name), data)
+            self._raise_schema(file)
 
         grown = self._change(fill)
         self._names.add(data.name)
@@ -141,11 +142,18 @@ class ShardWriter:
                 shard.episode(name).copy_to(group(file, EPISODES))
             for run in sorted(runs - self._runs):
                 _put(group(file, RUNS), run, to_bytes(shard.told[run]))
+            self._raise_schema(file)
 
         grown = self._change(fill)
         self._names.update(names)
         self._runs.update(runs)
         return grown
+
+    def _raise_schema(self, file: h5py.File) -> None:
+        """Give a file of an older schema the present one: what is added is of it, what is there says that it is not."""
+        if self._schema < VERSION:
+            put_attributes(file, {"schema": VERSION, "mjhab": mjhab.__version__})
+            self._schema = VERSION
 
     def _change(self, fill: Callable[[h5py.File], None]) -> int:
         if self._lock is None:
@@ -201,6 +209,7 @@ def _put_episode(parent: h5py.Group, data: EpisodeData) -> None:
         "seed": record.seed, "index": record.index, "run": data.run.id, "home": record.home, "model": data.model,
         "label": last_label(record), "success": record.success_once, "steps": record.steps, "ending": data.ending,
         "digest": episode_digest(arrays), "style": json.dumps(record.style) if record.style else "",
+        "actors": json.dumps(data.actors), "schema": data.schema,
     }  # fmt: skip
     put_attributes(parent, values)
 

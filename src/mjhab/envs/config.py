@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.scenes.spec import HANDLE_POINTS, OWN_POINTS
 from mjhab.sim.backends import BACKENDS
 from mjhab.tasks.plan import KIND_NAMES, TASKS, SubtaskConfig, TaskConfig
 
@@ -48,6 +49,9 @@ class EnvConfig:
     in the cache (where the robot starts is drawn anew each time all the same).
     open_start: share of the resets of Open that find a drawer already 20 % of the way to open.
     spawns: file of precomputed starts (`mjhab spawns make`). autoreset: what happens after an episode's end.
+    handle_points: what observations and rewards of Open and Close take for the handle: "ours", the point at which our
+    collision geometry is gripped, or "published", the point that the original's plans name (3 to 4 cm off). Built-in
+    furniture and the fridge's lower door have no published points and keep ours.
     episodes_file: a file in the HAB format whose i-th episode is episode i, in the home it names; "" to generate.
     navigate: of a chain: "teleport" puts the robot near every goal, as the paper does; "drive" leaves the way to the
     policy, and arm and grasp count. Navigate alone is always driven.
@@ -81,6 +85,7 @@ class EnvConfig:
     episode_pool: int = 0
     open_start: float = 0.0
     spawns: str = ""
+    handle_points: str = OWN_POINTS
     autoreset: str = "same_step"
     episodes_file: str = ""
     navigate: str = "teleport"
@@ -97,6 +102,7 @@ class EnvConfig:
         _known("split", self.split, SPLITS)
         _known("autoreset mode", self.autoreset, AUTORESET_MODES)
         _known("reward mode", self.reward_mode, ("", *REWARD_MODES))
+        _known("handle points", self.handle_points, HANDLE_POINTS)
         _known("navigate mode", self.navigate, NAVIGATE_MODES)
         _known("render mode", self.render_mode or "", RENDER_MODES)
         _known("backend", self.backend, BACKENDS)

@@ -21,6 +21,8 @@ lean from the line on which the pads close by 45 degrees and the former: less th
 CORNER_PLAY, CORNER_LEAST, CORNER_HEIGHT, CORNER_GAP = 0.003, 0.036, 0.018, 0.003
 """Room left on both sides by fingers around a corner, how deep they get and how much of its edge they cover at least
 (else it slips out when the hand moves), and room between it and the palm."""
+CHORD_PLAY = 0.0015
+"""Room [m] left on both sides by pads that come down around a chord of a can too wide to go around."""
 UPRIGHT = 0.97
 """Least cosine between an edge and the vertical."""
 
@@ -201,10 +203,11 @@ def _chord_holds(
 ) -> Iterator[Hold]:
     """A can too wide to go around: coming along its axis, the pads' edges meet it on a chord beside the axis.
 
-    The normals lean from the closing line by asin(offset / radius), 28 degrees for the widest can of the benchmark;
-    the pads' friction (coefficient above tan of that) holds it, and the contact forces stay on the closing line.
+    The normals lean from the closing line by asin(offset / radius), 21 degrees for the widest can of the benchmark;
+    the pads' friction (coefficient above tan of that) holds it. The grasp test allows 30 degrees, and as the can slips
+    along the pads its normals lean more: the chord is as wide as the hand opens but for CHORD_PLAY.
     """
-    width = gripper.usable - 0.002
+    width = gripper.opening - 2 * CHORD_PLAY
     if width / 2 >= radius or radius - width / 2 > 0.012:
         return
     offset = float(np.sqrt(radius**2 - (width / 2) ** 2))

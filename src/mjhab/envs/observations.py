@@ -16,6 +16,8 @@ from gymnasium import spaces
 
 from mjhab.core.arrays import Array, constant, count, device_of, empty, namespace, zeros
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.rotations import quat_canonical
+from mjhab.envs.spaces import ordered_dict
 from mjhab.scenes.fetch import BASE_HEIGHT, CAMERAS
 
 
@@ -52,7 +54,10 @@ class Views:
 
 
 def pose_in_base(base: Array, pose: Array) -> Array:
-    """World poses (..., W, 7) in the frame of base_link. ``base`` (W, 3): x, y, yaw."""
+    """World poses (..., W, 7) in the frame of base_link, with canonical quaternions. ``base`` (W, 3): x, y, yaw.
+
+    The sign that a quaternion of the simulator has depends on how often the base or the object has turned round.
+    """
     # The base turns about z only: half of the quaternion product is zero and left out.
     xp, yaw = namespace(base), base[:, 2]
     c, s = xp.cos(yaw), xp.sin(yaw)
@@ -67,6 +72,7 @@ def pose_in_base(base: Array, pose: Array) -> Array:
     out[..., 4] = ch * qx + sh * qy
     out[..., 5] = ch * qy - sh * qx
     out[..., 6] = ch * qz - sh * qw
+    out[..., 3:] = quat_canonical(out[..., 3:])
     return out
 
 
@@ -101,19 +107,20 @@ STATE_TABLE = (
     ),
     ObsEntry(
         "extra/tcp_pose_wrt_base", (7,), "m, wxyz", "base_link", lambda c: c.tcp_pose,
-        "gripper_link: position, quaternion",
+        "gripper_link: position, quaternion with w >= 0",
     ),
     ObsEntry(
         "extra/obj_pose_wrt_base", (7,), "m, wxyz", "base_link", lambda c: c.obj_pose,
-        "object of the active subtask (Open: the one inside); zero in Close and in Navigate with empty hands",
+        "object of the active subtask (Open: the one inside), w >= 0; zero in Close, in Navigate with empty hands and "
+        "once the plan is finished",
     ),
     ObsEntry(
         "extra/goal_pos_wrt_base", (3,), "m", "base_link", lambda c: c.goal_pos,
-        "Place: goal; Open, Close: handle; Navigate: next target; zero in Pick",
+        "Place: goal; Open, Close: handle; Navigate: next target; zero in Pick and once the plan is finished",
     ),
     ObsEntry(
         "extra/is_grasped", (1,), "0 or 1", "-", lambda c: c.is_grasped[:, None],
-        "the object (Open, Close: the handle) is grasped",
+        "the object (Open, Close: the handle) is grasped; zero once the plan is finished",
     ),
 )  # fmt: skip
 STATE_DIM = sum(entry.shape[0] for entry in STATE_TABLE)
@@ -204,10 +211,10 @@ def observation_table(outputs: Sequence[str], cameras: Sequence[str], size: tupl
 
 
 def table_space(table: Sequence[ObsEntry]) -> spaces.Dict:
-    """Observation space of one world: the rows of a table and ``state``."""
+    """Observation space of one world: the rows of a table and ``state``, in this order."""
     box: dict[str, spaces.Space] = {entry.key: entry.space for entry in table}
     box[STATE_KEY] = spaces.Box(-np.inf, np.inf, (STATE_DIM,), np.float32)
-    return spaces.Dict(box)
+    return ordered_dict(box)
 
 
 def describe(table: Sequence[ObsEntry]) -> list[dict[str, Any]]:

@@ -20,7 +20,8 @@ class Focus:
     ``kind`` (W,) int64, never -1 for a plan that has subtasks; ``obj``, ``link`` (W,) slot and index, -1 for none;
     ``columns`` (W, 2): of the target and of what Navigate carries among objects then links, -1 for none;
     ``has_columns`` (W, 2) and ``has_link`` (W,) bool; ``shown`` (3, W, 1) bool: the observation has a tool, an object,
-    a goal pose; ``has_obj`` (W, S, 1) bool: the subtasks of the plan that have an object; ``active``: for `measure`.
+    a goal pose, the last two only while the plan is not finished; ``has_obj`` (W, S, 1) bool: the subtasks of the plan
+    that have an object; ``active``: for `measure`.
     """
 
     kind: Array
@@ -67,7 +68,9 @@ def look_up(tables: Tables, pointer: Array, config: TaskConfig) -> Focus:
     columns = (tables.arrays.kind, tables.obj, tables.link, tables.target, tables.held)
     kind, obj, link, target, held = (pick_column(table, active.index) for table in columns)
     columns = xp.stack([target, held], axis=1)
-    shown = [kind == kind, (obj >= 0) & (kind != int(SubtaskKind.CLOSE)), kind != int(SubtaskKind.PICK)]
+    running = active.kind >= 0
+    has_object = running & (obj >= 0) & (kind != int(SubtaskKind.CLOSE))
+    shown = [kind == kind, has_object, running & (kind != int(SubtaskKind.PICK))]
     has_obj = (tables.obj >= 0)[..., None]
     return Focus(kind, obj, link, columns, columns >= 0, link >= 0, xp.stack(shown)[..., None], has_obj, active)
 

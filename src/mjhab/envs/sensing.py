@@ -9,6 +9,7 @@ from mjhab.envs.observations import ObsContext, pose_in_base
 from mjhab.envs.plan_tables import Focus, Tables
 from mjhab.scenes.fetch import FINGER_LINKS, FINGER_OPEN_DIR, TCP_LINK
 from mjhab.scenes.layout import Addresses, Layout
+from mjhab.scenes.spec import OWN_POINTS
 from mjhab.sim.protocol import SimState
 from mjhab.tasks.measure import Signals, WorldState
 from mjhab.tasks.plan import SubtaskKind
@@ -21,9 +22,17 @@ class Sensing:
         layout, addresses: of the simulator.
         num_worlds: W.
         like: an array of the library, device and dtype of the simulator's; numpy float64 if not given.
+        handle_points: which points observations and rewards take for the handles, one of HANDLE_POINTS.
     """
 
-    def __init__(self, layout: Layout, addresses: Addresses, num_worlds: int, like: Array | None = None) -> None:
+    def __init__(
+        self,
+        layout: Layout,
+        addresses: Addresses,
+        num_worlds: int,
+        like: Array | None = None,
+        handle_points: str = OWN_POINTS,
+    ) -> None:
         like = np.zeros(0) if like is None else like
         whole = namespace(like).int64
         self._rows = count(num_worlds, like)
@@ -32,7 +41,7 @@ class Sensing:
         self._opening = as_like([FINGER_OPEN_DIR[f] for f in FINGER_LINKS], like)
         self._tcp = addresses.robot_body[TCP_LINK]
         self._link_body = as_like(addresses.link_body, like, whole)
-        self._handles = as_like([ref.link.handle.pos for ref in layout.links], like)
+        self._handles = as_like([ref.link.handle.point(handle_points) for ref in layout.links], like)
         # The last row is for "no link", index -1.
         self._range = as_like([*(ref.link.range for ref in layout.links), (0.0, 0.0)], like)
 
@@ -64,7 +73,7 @@ class Sensing:
         return state.link_q[self._rows, focus.link] * focus.has_link
 
     def handle_pos(self, state: SimState, world: Array, link: Array) -> Array:
-        """World positions (n, 3) of the handles of links (n,) in worlds (n,)."""
+        """World positions (n, 3) of the handle points of links (n,) in worlds (n,)."""
         body = self._link_body[link]
         rot = state.body_mat[world, body]
         return state.body_pos[world, body] + namespace(rot).einsum("nij,nj->ni", rot, self._handles[link])
@@ -88,4 +97,5 @@ class Sensing:
         poses[1] = state.object_pose[rows, focus.obj]
         poses[2, :, :3] = goal
         local = pose_in_base(state.robot_q[:, :3], poses) * focus.shown
-        return ObsContext(state.robot_q, state.robot_qd, local[0], local[1], local[2, :, :3], signals.is_grasped)
+        grasped = signals.is_grasped & (focus.active.kind >= 0)
+        return ObsContext(state.robot_q, state.robot_qd, local[0], local[1], local[2, :, :3], grasped)

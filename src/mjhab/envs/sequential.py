@@ -34,6 +34,7 @@ from mjhab.envs.reporting import Reporter
 from mjhab.envs.rewarding import Rewarder, RewardInputs
 from mjhab.envs.sensing import Sensing
 from mjhab.envs.snapshots import restore, snapshot
+from mjhab.envs.spaces import batched
 from mjhab.envs.starts import Start, StartMaker, check_target
 from mjhab.envs.teleport import Teleports
 from mjhab.envs.tracking import Tracker
@@ -73,7 +74,8 @@ class SequentialTaskEnv(VectorEnv):
         )
         self._open_world(config)
         self.starts = StartMaker(self.sim, config, self.task_config)
-        self.sensing = Sensing(self.layout, self.sim.addresses, self.num_envs)
+        points = config.handle_points
+        self.sensing = Sensing(self.layout, self.sim.addresses, self.num_envs, handle_points=points)
         self.observer = Observer(
             self.sim, self.sensing, config.obs_mode, config.cameras, config.camera_size, config.threads
         )
@@ -107,7 +109,7 @@ class SequentialTaskEnv(VectorEnv):
         self.metadata = {"autoreset_mode": autoreset, "render_fps": 20, "render_modes": ["rgb_array"]}
         self.render_mode = self.config.render_mode or None
         self.single_observation_space = self.observer.single_space
-        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.observation_space = batched(self.single_observation_space, self.num_envs)
         low, high = (np.asarray(b, np.float32) for b in (self.controller.low, self.controller.high))
         self.single_action_space = spaces.Box(low, high, dtype=np.float32)
         self.action_space = batch_space(self.single_action_space, self.num_envs)

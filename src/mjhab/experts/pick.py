@@ -30,6 +30,10 @@ LIFT = 0.10
 SHELF_LIFT = 0.025
 LATE_IN, LATE_OUT = 130, 60
 """With fewer control steps left the base hurries into a shelf, or out of it."""
+FINE_OPENING_M = 0.094
+"""Around an object for which the hand opens wider than this there are less than 3 mm of room on either side."""
+FINE_CLOSING_M = 0.004
+"""How far fingers that hold a can beside its axis close per control step: an impact would shoot it out of the hand."""
 SHORT = 0.025
 """How far [m] short of its grasp a hand that met something need not close."""
 WAITS = (5, 10, 20, 50)
@@ -314,22 +318,40 @@ def _take(
     )  # fmt: skip
     if not near:
         return False
+    fine = bool(goals.opening[stance.goal] > FINE_OPENING_M)
+    if fine:
+        yield from motion.still_tcp(view, pre, rot, gripper=opening, steps=4)
+    speed = 0.15 if fine else 0.2
     yield from motion.move_tcp(
-        view, pos, rot, gripper=opening, rest=joints[1], speed=0.2, tolerance=0.006, max_steps=25, stop_on_force=80.0,
+        view,
+        pos,
+        rot,
+        gripper=opening,
+        rest=joints[1],
+        speed=speed,
+        tolerance=0.006,
+        max_steps=25,
+        stop_on_force=80.0,
         torso=False,
-    )  # fmt: skip
+    )
     if np.linalg.norm(motion.tcp(view)[0] - pos) > SHORT:
         return False
     # Fingers that close while the hand still moves twist the object and press sideways for seconds.
-    yield from motion.still_tcp(view, pos, rot, gripper=opening, steps=4)
+    if fine:
+        # A finger that brushed along shoved the object: the pads must meet both of its sides at once all the same.
+        pos = pos + view.object_pose(obj)[:3] - start
+    yield from motion.still_tcp(view, pos, rot, gripper=opening, steps=6 if fine else 4)
     up = pos + np.array([0.0, 0.0, SHELF_LIFT if depth else LIFT])
+    closed = yield from (
+        motion.close_fingers(view, obj, steps=25, rate=FINE_CLOSING_M) if fine else motion.close_fingers(view, obj)
+    )
+    if not closed:
+        return False
     return (yield from _lift(view, obj, up, rot, joints[1]))
 
 
 def _lift(view: WorldView, obj: str, up: Array, rot: Array, rest: Array) -> Motion:
-    """Close the hand and lift to ``up`` (3,), ``rot`` (3, 3) kept; ``rest`` (15,): preferred posture."""
-    if not (yield from motion.close_fingers(view, obj)):
-        return False
+    """Lift what the hand holds to ``up`` (3,), ``rot`` (3, 3) kept; ``rest`` (15,): preferred posture."""
     if not (yield from motion.raise_tcp(view, up, rot, rest=rest)):
         # The arm is at its limit; the torso is slower.
         yield from motion.move_tcp(

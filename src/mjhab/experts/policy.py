@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mjhab.core.action_notes import ActionNotes
 from mjhab.core.seeding import stream
 from mjhab.envs.actions import ACTION_DIM
 from mjhab.envs.privileged import WorldView
@@ -56,6 +57,7 @@ class ExpertPolicy:
         self._tokens: list[tuple[int, int, int] | None] = [None] * env.num_envs
         self._last = np.zeros((env.num_envs, ACTION_DIM), np.float32)
         self._wished = self._last.copy()
+        self._intended = self._last.copy()
 
     def reset(self, mask: np.ndarray) -> None:
         """Forget the scripts of the worlds in ``mask`` (W,)."""
@@ -70,23 +72,31 @@ class ExpertPolicy:
         """Actions (W, 13) for the present state of the environment; those of worlds outside ``mask`` (W,) are old."""
         for w, view in enumerate(self._views):
             if mask is None or mask[w]:
-                self._last[w] = self._next(w, view)
+                self._intended[w], self._last[w] = self._next(w, view)
         return self._last.copy()
 
-    def _next(self, w: int, view: StyledView) -> np.ndarray:
+    def notes(self) -> ActionNotes:
+        """The actions of the last ``act`` without the noise of the style."""
+        return ActionNotes.plain(self._intended.copy(), self.name)
+
+    def _next(self, w: int, view: StyledView) -> tuple[np.ndarray, np.ndarray]:
+        """The intended and the executed action (13,) of a world."""
         subtask = view.subtask
         if subtask is None or view.done:
-            return np.zeros(ACTION_DIM, np.float32)
+            still = np.zeros(ACTION_DIM, np.float32)
+            return still, still
         manner, token = self._manner(w, view), view.token
         if manner.holds:
             gripper = motion.CLOSED if subtask.must_hold or subtask.kind is SubtaskKind.PLACE else motion.OPEN
-            return manner.wait(motion.action(view, motion.rest_goal(view), gripper=gripper))
+            still = motion.action(view, motion.rest_goal(view), gripper=gripper)
+            return still, manner.wait(still)
         begins = self._tokens[w] != token
         if begins:
             self._tokens[w], self._scripts[w] = token, self._start[subtask.kind](view)
         if manner.due() or begins:
             self._wished[w] = self._from_script(w, view)
-        return manner.shape(self._wished[w])
+        intended = manner.slow(self._wished[w])
+        return intended, manner.disturb(intended)
 
     def _manner(self, w: int, view: StyledView) -> Manner:
         """The manner of the running episode, which begins with drawing its style."""

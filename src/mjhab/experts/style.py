@@ -1,4 +1,7 @@
-"""What makes an expert act in a style: scripts read it from their view, and `Manner` shapes the actions they give."""
+"""What makes an expert act in a style: scripts read it from their view, and `Manner` slows and disturbs their actions.
+
+What a script intends and what is executed are kept apart: only the second one has noise.
+"""
 
 from __future__ import annotations
 
@@ -70,7 +73,7 @@ class Manner:
         return True
 
     def wait(self, still: Array) -> Array:
-        """The action (13,) of a control step before the beginning, from the one that holds ``still`` (13,)."""
+        """The executed action (13,) of a control step before the beginning, where ``still`` (13,) is intended."""
         self.holds -= 1
         if not self.style.dither:
             return still
@@ -78,17 +81,21 @@ class Manner:
         scale[ARM] = self.style.dither
         return self._disturbed(still, scale)
 
-    def shape(self, action: Array) -> Array:
-        """The action (13,) float32 to take for one of the script; the gripper stays as it is."""
-        style = self.style
-        out = action * np.float32(style.speed)
+    def slow(self, action: Array) -> Array:
+        """The intended action (13,) float32 for one of the script; the gripper stays as it is."""
+        out = action * np.float32(self.style.speed)
         out[GRIPPER] = action[GRIPPER]
+        return out
+
+    def disturb(self, intended: Array) -> Array:
+        """The executed action (13,) float32 for an intended one; the gripper stays as it is."""
+        style = self.style
         if not (style.noise or style.base_noise):
-            return out
+            return intended
         scale = np.zeros(ACTION_DIM)
-        scale[ARM] = style.noise * min(1.0, float(np.abs(out[ARM]).max()) / FULL_NOISE)
-        scale[BASE] = style.base_noise * min(1.0, float(np.abs(out[BASE]).max()) / FULL_NOISE)
-        return self._disturbed(out, scale)
+        scale[ARM] = style.noise * min(1.0, float(np.abs(intended[ARM]).max()) / FULL_NOISE)
+        scale[BASE] = style.base_noise * min(1.0, float(np.abs(intended[BASE]).max()) / FULL_NOISE)
+        return self._disturbed(intended, scale)
 
     def _disturbed(self, action: Array, scale: Array) -> Array:
         fresh = self._random.standard_normal(ACTION_DIM)

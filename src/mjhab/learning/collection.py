@@ -16,6 +16,7 @@ from mjhab.data.crew import ALL, Crew, InlineCrew, ProcessCrew, Stage, WorkerSpe
 from mjhab.data.generation import Job, Standing, generate
 from mjhab.data.images import ImageFormat
 from mjhab.learning.take_over import TakeOver
+from mjhab.tasks.style import Styles
 
 SUCCESSES = "success"
 """Filter: what is kept of a round."""
@@ -42,6 +43,7 @@ class Round:
     """One round of collection.
 
     number: 0 for the expert alone. student: checkpoint of who begins, None in round 0. longest: see `TakeOver`.
+    horizon: control steps of an episode, 0 for those of the task. style: of the expert, see `Styles.parse`.
     """
 
     number: int
@@ -49,6 +51,7 @@ class Round:
     longest: int = 0
     student: Path | None = None
     horizon: int = 0
+    style: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -104,13 +107,14 @@ class Collector:
             True,
             images,
         )
-        config = {"scene": asdict(self._scene), "seed": self._seed, "round": wanted.number, "longest": wanted.longest}
+        told = {**asdict(wanted), "student": wanted.student.name if wanted.student else ""}
+        config = {"scene": asdict(self._scene), "seed": self._seed, "round": told}
         job = Job(spec, config, out, wanted.episodes, self._means.workers, self._means.worlds)
         standing = generate(job, self._crew(alone), tell, resume=True)
         if not standing.kept:
             raise UsageError(
-                f"not one of the {standing.tried} episodes of round {wanted.number} succeeded; is the task too hard for "
-                "the expert here? See: mjhab eval --policy expert"
+                f"not one of the {standing.tried} episodes of round {wanted.number} succeeded; is the task too hard "
+                "for the expert here? See: mjhab eval --policy expert"
             )
         return standing
 
@@ -142,11 +146,16 @@ def stage_in(env: Any, collected: Round) -> Stage:
     student = None
     about: dict[str, Any] = {"name": TakeOver.name, "longest_prefix": collected.longest}
     if collected.student is not None:
-        from mjhab.learning.policy import checkpoint_hash, checkpoint_policy
+        from mjhab.learning.checkpoint import load_student
+        from mjhab.learning.policy import StudentPolicy
+        from mjhab.learning.policy_kind import inspect_policy
 
-        student = checkpoint_policy(str(collected.student), env)
-        about["student"] = checkpoint_hash(str(collected.student))
-    return Stage(env, TakeOver(student, make_expert(env), collected.longest), about, (ALL,))
+        student = StudentPolicy(load_student(collected.student), env)
+        about |= inspect_policy(str(collected.student)).identity
+    styles = Styles.parse(collected.style)
+    if collected.style:
+        about["style"] = styles.words
+    return Stage(env, TakeOver(student, make_expert(env, styles), collected.longest), about, (ALL,))
 
 
 class StageKeeper:

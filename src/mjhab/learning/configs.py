@@ -90,6 +90,9 @@ class StudentConfig:
     updates: int = 20_000
     demos: int = 500
     """Demonstrations that are collected when no data are given."""
+    style: tuple[str, ...] = ()
+    """How the expert that is learned from acts, e.g. ("noise=0..0.2",): it acts with noise, and what it intended is
+    learned (DART)."""
 
     def __post_init__(self) -> None:
         if self.algorithm not in HEADS:
@@ -106,8 +109,7 @@ class DaggerConfig:
     comes from the newest round. first_prefix, prefix_growth: in round r (from 1) the student acts for a number of
     control steps drawn from 0 to first_prefix + (r - 1) * prefix_growth, at most max_prefix: late take-overs from a
     student that knows little cannot be saved. horizon: control steps of an episode of collection; more than in
-    evaluation, so that the expert has the time to finish after a late take-over. noise: standard deviation of the
-    noise on the expert's actions (DART), whose labels stay the intended ones.
+    evaluation, so that the expert has the time to finish after a late take-over.
     """
 
     rounds: int = 8
@@ -118,7 +120,6 @@ class DaggerConfig:
     prefix_growth: int = 20
     max_prefix: int = 180
     horizon: int = 320
-    noise: float = 0.0
 
     def longest_prefix(self, round_number: int) -> int:
         """Largest number of control steps that the student acts for in a round; 0 in round 0."""
@@ -243,7 +244,7 @@ def student_from_plain(values: Mapping[str, Any]) -> StudentConfig:
             "network": NetworkConfig(**_tuples(values["network"])),
             "optimizer": OptimizerConfig(**_tuples(values["optimizer"])),
         }
-        return StudentConfig(**{**values, **parts})
+        return StudentConfig(**{**_tuples(values), **parts})
     except (KeyError, TypeError) as error:
         raise UsageError(f"the config of a student is not one of this version of mjhab: {error}.") from error
 

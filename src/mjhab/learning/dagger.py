@@ -50,4 +50,6 @@ def collect_round(session: Session, config: DaggerConfig, number: int) -> None:
     session.check_time()
     student = session.folder.round_student(number) if number else None
     episodes = config.episodes if number else session.config.demos
-    session.collect(Round(number, episodes, config.longest_prefix(number), student, config.horizon))
+    session.collect(
+        Round(number, episodes, config.longest_prefix(number), student, config.horizon, session.config.style)
+    )

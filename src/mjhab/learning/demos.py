@@ -140,14 +140,13 @@ def read_episode(episode: Episode, layout: Layout, hold_steps: int) -> Demonstra
     _check_layout(episode, layout)
     executed = episode.array("actions")
     steps = kept_steps(episode.array("reward/success"), hold_steps)
-    labels = episode.array("actions_intended") if "actions_intended" in episode.paths else executed
     vector = _vectors(episode, layout, executed)[:steps]
     images = _images(episode, layout, steps)
     usable = np.flatnonzero(expert_steps(episode)[:steps])
     return Demonstrations(
         vector,
         images,
-        labels[:steps],
+        episode.array("actions_intended")[:steps],
         np.zeros(steps, np.int64),
         np.full(steps, steps - 1),
         usable,
@@ -180,7 +179,7 @@ def take_chunks(data: Demonstrations, rows: np.ndarray, chunk: int, history: int
 
 
 class BatchSampler:
-    """Draws batches: a share of each from the newest data, the rest from all before. Batch k is a function of (seed, k).
+    """Draws batches: a share of each from the newest data, the rest from all before. Batch k depends on (seed, k).
 
     Args:
         sources: data sets, the newest last.
@@ -299,7 +298,7 @@ def _images(episode: Episode, layout: Layout, steps: int) -> np.ndarray:
 def _no_images(episode: Episode, layout: Layout, found: str) -> UsageError:
     size, cameras = layout.inputs.image_size, " ".join(layout.inputs.cameras)
     return UsageError(
-        f"episode {episode.name} of {episode.shard.path} {found}; the preset needs {size}x{size} px. Draw them from the "
-        f"recorded states: mjhab replay {episode.shard.path} --render depth --camera-size {size} --cameras {cameras} "
+        f"episode {episode.name} of {episode.shard.path} {found}; the preset needs {size}x{size} px. Draw them from "
+        f"the recorded states: mjhab replay {episode.shard.path} --render depth --camera-size {size} --cameras {cameras} "
         "--out FILE.h5"
     )

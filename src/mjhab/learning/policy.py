@@ -1,17 +1,14 @@
-"""A student as a policy for the rollout loop; and `mjhab eval --policy CHECKPOINT`."""
+"""A student as a policy for the rollout loop."""
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from mjhab.core.seeding import stream
 from mjhab.data.facts import type_name
-from mjhab.learning.checkpoint import SUFFIX, load_checkpoint, load_student
 from mjhab.learning.demos import base_velocity, nearness
 from mjhab.learning.student import Student
 
@@ -24,7 +21,7 @@ class StudentPolicy:
     """Acts by a student: remembers the last action, and executes the first actions of every chunk.
 
     Args:
-        student: what acts, see `checkpoint.load_student`.
+        student: what acts, for instance of `checkpoint.load_student`.
         env: the environment that it will act in; its layout must be that of the student.
         seed: of the noise that samples of a flow or of a diffusion begin with.
 
@@ -118,30 +115,3 @@ class StudentPolicy:
                 noise[row] = random.standard_normal(shape, np.float32)
         return noise
 
-
-def is_checkpoint(spec: str) -> bool:
-    """Whether a ``--policy`` is a checkpoint of `mjhab train`."""
-    return spec.endswith(SUFFIX)
-
-
-def checkpoint_env_options(spec: str) -> dict[str, Any]:
-    """Options of the environment that a checkpoint needs.
-
-    Raises:
-        UsageError: the file cannot be read.
-    """
-    return load_checkpoint(Path(spec)).layout.env_options()
-
-
-def checkpoint_hash(spec: str) -> str:
-    """Hash of the bytes of a checkpoint."""
-    return hashlib.sha256(Path(spec).read_bytes()).hexdigest()
-
-
-def checkpoint_policy(spec: str, env: Any, seed: int = 0) -> StudentPolicy:
-    """The policy of a checkpoint in an environment.
-
-    Raises:
-        UsageError: the file cannot be read, or does not fit the environment.
-    """
-    return StudentPolicy(load_student(Path(spec)), env, seed)

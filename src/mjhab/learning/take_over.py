@@ -7,14 +7,14 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from mjhab.core.action_notes import ActionNotes
 from mjhab.core.seeding import stream
 from mjhab.data.reading import Episode
 from mjhab.rollout.policy import ACTION_SIZE, Policy
 
 STUDENT, EXPERT = "student", "expert"
 ACTORS = (STUDENT, EXPERT)
-TAKE_OVER_STEP = "take_over_step"
-"""Key in the style of a record: the control step from which on the expert acts."""
+"""Names of who acts, as recorded with every control step."""
 
 
 class Replanning(Protocol):
@@ -31,6 +31,10 @@ class Replanning(Protocol):
 
     def act(self, obs: Any, info: Mapping[str, Any], mask: np.ndarray | None = None) -> np.ndarray:
         """Actions (W, A); only the worlds in ``mask`` are thought about."""
+        ...
+
+    def notes(self) -> ActionNotes:
+        """What the last actions were meant to be, without noise."""
         ...
 
     def style(self, world: int) -> Mapping[str, Any]:
@@ -58,8 +62,8 @@ class TakeOver:
         self._prefix = np.zeros(0, np.int64)
         self._step = np.zeros(0, np.int64)
         self._fresh = np.zeros(0, bool)
-        self.actor = np.zeros(0, np.uint8)
-        """(W,) who gave the last actions, as a place in ACTORS."""
+        self._intended = np.zeros((0, ACTION_SIZE), np.float32)
+        self._actor = np.zeros(0, np.uint8)
 
     def reset(self, mask: np.ndarray) -> None:
         """Begin new episodes in the worlds of ``mask`` (W,)."""
@@ -67,7 +71,6 @@ class TakeOver:
             self._prefix = np.zeros(len(mask), np.int64)
             self._step = np.zeros(len(mask), np.int64)
             self._fresh = np.zeros(len(mask), bool)
-            self.actor = np.zeros(len(mask), np.uint8)
         self._step[mask] = 0
         self._fresh |= mask
         if self._student is not None:
@@ -83,15 +86,21 @@ class TakeOver:
         actions = np.zeros((len(taken), ACTION_SIZE), np.float32)
         if self._student is not None and not taken.all():
             actions[~taken] = self._student.act(obs, info)[~taken]
+        self._intended = actions.copy()
         if taken.any():
             actions[taken] = self._expert.act(obs, info, taken)[taken]
+            self._intended[taken] = self._expert.notes().intended[taken]
         self._step += 1
-        self.actor = taken.astype(np.uint8)
+        self._actor = taken.astype(np.uint8)
         return actions
 
+    def notes(self) -> ActionNotes:
+        """Who gave the last actions, and what the expert intended without its noise."""
+        return ActionNotes(self._intended.copy(), self._actor.copy(), ACTORS)
+
     def style(self, world: int) -> Mapping[str, Any]:
-        """The style of the expert, and the control step from which on it acts."""
-        return {**self._expert.style(world), TAKE_OVER_STEP: int(self._prefix[world])}
+        """How the expert acts in the running episode."""
+        return self._expert.style(world)
 
     def _draw(self, info: Mapping[str, Any]) -> None:
         for w in np.flatnonzero(self._fresh).tolist():
@@ -109,7 +118,9 @@ def prefix_length(seed: int, index: int, longest: int) -> int:
 def expert_steps(episode: Episode) -> np.ndarray:
     """(N,) bool: control steps of a recorded episode in which somebody acted who is to be learned from.
 
-    Without a word on who acted, it was the policy of the run all the time.
+    Where a student and somebody else acted, those of the student are not; a student that acted alone, for instance in
+    data of `mjhab generate --policy CHECKPOINT`, is somebody to learn from.
     """
-    steps = np.arange(episode.steps)
-    return steps >= int(episode.record.style.get(TAKE_OVER_STEP, 0))
+    if STUDENT not in episode.actors or len(episode.actors) == 1:
+        return np.ones(episode.steps, bool)
+    return episode.array("actor") != episode.actors.index(STUDENT)

@@ -12,15 +12,17 @@ from contextlib import ExitStack
 from typing import Any
 
 import numpy as np
+from gymnasium.vector import AutoresetMode
 
+from mjhab.core.action_notes import ActionNotes
 from mjhab.core.errors import UsageError
-from mjhab.rollout.policy import Policy, Styled
+from mjhab.rollout.policy import Annotated, Policy, RolloutEnv, Styled
 from mjhab.rollout.records import EpisodeRecord, Event, PlanEntry, SubtaskRecord
 from mjhab.rollout.sinks import Sink, StepView
 
 
 def rollout(
-    env: Any,
+    env: RolloutEnv,
     policy: Policy,
     episodes: Sequence[int],
     seed: int,
@@ -42,12 +44,16 @@ def rollout(
         max_steps: cut episodes after this many control steps; None leaves the end to the env.
 
     Raises:
-        UsageError: an index is negative or named twice, or ``max_steps`` < 1.
+        UsageError: an index is negative or named twice, ``max_steps`` < 1, the environment resets its worlds by
+            itself or is not a vector environment on the CPU, or the policy gives something else than actions (W, A).
     """
     _check(episodes, max_steps)
+    _check_env(env)
     with ExitStack() as stack:
         for sink in reversed(sinks):
             stack.callback(sink.close)
+        for sink in sinks:
+            sink.on_begin(env, episodes)
         run = _Run(env, policy, episodes, seed, sinks, max_steps)
         while run.active.any():
             run.step()
@@ -63,12 +69,27 @@ def _check(episodes: Sequence[int], max_steps: int | None) -> None:
         raise UsageError(f"max_steps must be >= 1, got {max_steps}.")
 
 
+def _check_env(env: RolloutEnv) -> None:
+    metadata = getattr(env, "metadata", {})
+    mode = metadata.get("autoreset_mode", AutoresetMode.DISABLED)
+    if mode is not AutoresetMode.DISABLED:
+        raise UsageError(
+            f"rollout needs an environment that leaves finished episodes alone, but this one has autoreset="
+            f"{mode.name.lower()!r}: the outcome of an episode would be lost. Make it with "
+            'mjhab.make(..., autoreset="disabled"), or call mjhab.evaluate(policy, task=...), which makes its own.'
+        )
+    if not hasattr(env, "num_envs"):
+        raise UsageError("rollout needs a vector environment: mjhab.make(..., num_envs=1, autoreset='disabled').")
+    if metadata.get("tensors"):
+        raise UsageError("rollout runs on the CPU: make the environment with backend='cpu'.")
+
+
 class _Run:
     """State of one call of ``rollout``."""
 
     def __init__(
         self,
-        env: Any,
+        env: RolloutEnv,
         policy: Policy,
         episodes: Sequence[int],
         seed: int,
@@ -89,19 +110,35 @@ class _Run:
     def step(self) -> None:
         """Take one control step in all worlds, then give finished worlds their next episode."""
         actions = np.asarray(self.policy.act(self.obs, self.info), np.float32)
+        if actions.ndim != 2 or len(actions) != self.env.num_envs:
+            raise UsageError(
+                f"act of policy {self.policy.name!r} must give one row of numbers per world, "
+                f"({self.env.num_envs}, A); got {actions.shape}."
+            )
+        notes = self._notes(actions)
         actions = np.where(self.active[:, None], actions, np.float32(0.0))
         self.obs, reward, terminated, truncated, self.info = self.env.step(actions)
         self.steps[self.active] += 1
         done = self.active & (np.asarray(terminated) | np.asarray(truncated) | (self.steps >= self.max_steps))
         for w in np.flatnonzero(self.active):
             self._trace(int(w)).add(int(w), int(self.steps[w]), self.info)
-        view = StepView(self.active.copy(), self.steps.copy(), done, actions, self.obs, reward, self.info)
+        view = StepView(self.active.copy(), self.steps.copy(), done, actions, self.obs, reward, self.info, notes)
         for sink in self.sinks:
             sink.on_step(self.env, view)
         for w in np.flatnonzero(done):
             self._finish(int(w))
         if done.any():
             self._fill()
+
+    def _notes(self, actions: np.ndarray) -> ActionNotes:
+        if not isinstance(self.policy, Annotated):
+            return ActionNotes.plain(actions, self.policy.name)
+        notes = self.policy.notes()
+        if notes.intended.shape != actions.shape:
+            raise ValueError(
+                f"policy {self.policy.name!r} gives actions {actions.shape} and intended ones {notes.intended.shape}"
+            )
+        return notes
 
     def _trace(self, world: int) -> _Trace:
         trace = self.traces[world]
@@ -157,7 +194,7 @@ class _Trace:
             self.subtasks.append(SubtaskRecord.from_dict(info["ended"][world]))
 
     def record(
-        self, steps: int, world: int, info: Mapping[str, Any], env: Any, style: Mapping[str, Any]
+        self, steps: int, world: int, info: Mapping[str, Any], env: RolloutEnv, style: Mapping[str, Any]
     ) -> EpisodeRecord:  # fmt: skip
         """Close the episode after ``steps`` control steps; ``info`` is that of its last step."""
         episode = self.episode

@@ -2,15 +2,49 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from mjhab.core.action_notes import ActionNotes
 from mjhab.core.seeding import stream
 
 ACTION_SIZE = 13
 """Arm 7, gripper 1, body (head 2, torso 1) 3, base 2."""
+
+
+class RolloutEnv(Protocol):
+    """What the rollout loop needs of a vector environment of W worlds; those of `mjhab.make` have it."""
+
+    num_envs: int
+    metadata: dict[str, Any]
+    """``metadata["autoreset_mode"]`` is Gymnasium's, and must be DISABLED."""
+
+    @property
+    def taint_names(self) -> Sequence[str]:
+        """Names of the bits of ``info["taint"]``."""
+        ...
+
+    def reset(self, *, seed: int, options: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
+        """Begin episodes. options: "episode" (n,) indices for the n worlds of "reset_mask" (W,) bool."""
+        ...
+
+    def step(self, actions: np.ndarray, /) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Take one control step with actions (W, A)."""
+        ...
+
+    def render_world(self, world: int, /, width: int = 480, height: int = 360) -> np.ndarray:
+        """Human view (H, W, 3) uint8 of one world."""
+        ...
+
+    def state_digest(self, world: int, /) -> str:
+        """Hash of the state of one world."""
+        ...
+
+    def close(self) -> None:
+        """Free what is held."""
+        ...
 
 
 class Policy(Protocol):
@@ -31,6 +65,15 @@ class Policy(Protocol):
 
     def act(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:
         """Return actions (W, 13) float32 in [-1, 1] for the observations and info of the last reset or step."""
+        ...
+
+
+@runtime_checkable
+class Annotated(Protocol):
+    """A policy that tells what it intended and who acted. Of any other, the actions are the intended ones, its own."""
+
+    def notes(self) -> ActionNotes:
+        """Notes about the actions that the last ``act`` returned."""
         ...
 
 

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
+OPTIONAL = ("style", "config_hash")
+"""Fields of `EpisodeRecord` that are left out of a file where they are empty; older files lack them."""
 Event = tuple[int, str]
 """Control step (the first step of an episode is 1) and the name of what happened in it."""
 
@@ -67,7 +69,9 @@ class EpisodeRecord:
     simulation flagged (then the episode's physics cannot be trusted). ``spawn_fallback``: no random start was valid and
     the nearest valid one was taken. ``final_state`` is a hash of the last state, bit by bit. ``seconds`` is wall time
     and takes no part in comparisons: everything else is a function of (seed, index). ``style``: how the policy was
-    asked to act in this episode (fields of `tasks.style.Style`), empty where nothing was asked.
+    asked to act in this episode (fields of `tasks.style.Style`), empty where nothing was asked. ``config_hash`` names
+    the configuration of the run folder that the record belongs to (`store.config_hash`); it is empty outside of a run
+    folder and in those of older versions, and takes no part in comparisons.
     """
 
     seed: int
@@ -92,12 +96,14 @@ class EpisodeRecord:
     final_state: str
     seconds: float = field(default=0.0, compare=False)
     style: Mapping[str, Any] = field(default_factory=dict)
+    config_hash: str = field(default="", compare=False)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain data for ``json.dumps``; keys are the field names, without ``style`` where there is none."""
+        """Return plain data for ``json.dumps``; keys are the field names, without the OPTIONAL ones that are empty."""
         values = asdict(self)
-        if not self.style:
-            del values["style"]
+        for name in OPTIONAL:
+            if not values[name]:
+                del values[name]
         return values
 
     @classmethod
@@ -107,8 +113,9 @@ class EpisodeRecord:
         Raises:
             KeyError: a field is missing.
         """
-        values = {f.name: data[f.name] for f in fields(cls) if f.name != "style"}
+        values = {f.name: data[f.name] for f in fields(cls) if f.name not in OPTIONAL}
         values["style"] = dict(data.get("style", {}))
+        values["config_hash"] = str(data.get("config_hash", ""))
         values["plan"] = tuple(PlanEntry(**entry) for entry in data["plan"])
         values["subtasks"] = tuple(SubtaskRecord.from_dict(entry) for entry in data["subtasks"])
         values["events"] = tuple((int(step), str(name)) for step, name in data["events"])

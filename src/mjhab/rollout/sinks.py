@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from mjhab.core.action_notes import ActionNotes
 from mjhab.rollout.records import EpisodeRecord
 
 
@@ -17,7 +18,8 @@ class StepView:
 
     ``active`` (W,) bool: worlds in which an episode runs; the rest idles and must be ignored. ``steps`` (W,) int: step
     number within the episode, the first is 1. ``done`` (W,) bool: active worlds whose episode ended in this step.
-    ``actions`` (W, 13) were applied; ``obs``, ``reward`` (W,) and ``info`` came back.
+    ``actions`` (W, 13) were applied; ``obs``, ``reward`` (W,) and ``info`` came back. ``notes``: which actions were
+    intended, and by whom.
     """
 
     active: np.ndarray
@@ -27,10 +29,17 @@ class StepView:
     obs: Any
     reward: np.ndarray
     info: Mapping[str, Any]
+    notes: ActionNotes
 
 
 class Sink:
-    """Base of all sinks: every method does nothing. The loop calls them in this order for each episode."""
+    """Base of all sinks: every method does nothing.
+
+    ``on_begin`` comes once; then the loop calls the others in this order for each episode.
+    """
+
+    def on_begin(self, env: Any, episodes: Sequence[int]) -> None:
+        """The rollout begins; these episodes will be run. Called once, before all others."""
 
     def on_reset(self, env: Any, info: Mapping[str, Any], mask: np.ndarray) -> None:
         """New episodes began in the worlds of ``mask`` (W,) bool."""

@@ -9,6 +9,8 @@ report.html      likewise
 
 from __future__ import annotations
 
+import dataclasses
+import hashlib
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -16,6 +18,7 @@ from typing import Any
 
 from mjhab.core.cache import write_atomic
 from mjhab.core.errors import UsageError
+from mjhab.core.locking import WriteLock, lock_path, refuse_if_written
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink
 
@@ -26,11 +29,29 @@ FREE_KEYS = frozenset({"episodes", "films", "worlds", "threads"})
 
 
 class RunFolder:
-    """An opened run folder. Make one with ``RunFolder.open``."""
+    """A run folder that is open for writing: nobody else can open it. Make one with ``RunFolder.open``.
 
-    def __init__(self, path: Path, config: Mapping[str, Any], records: list[EpisodeRecord]) -> None:
-        self.path, self.config = path, dict(config)
+    Use as a context manager, or ``close`` it.
+    """
+
+    def __init__(self, path: Path, config: Mapping[str, Any], records: list[EpisodeRecord], lock: WriteLock) -> None:
+        self.path = path
+        self.config = dict(config)
+        self._hash = config_hash(config)
         self._records = {record.index: record for record in records}
+        self._lock: WriteLock | None = lock
+
+    def __enter__(self) -> RunFolder:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let others write into the folder; closing twice is fine."""
+        if self._lock is not None:
+            self._lock.release()
+            self._lock = None
 
     @classmethod
     def open(cls, path: Path, config: Mapping[str, Any], *, resume: bool = False, overwrite: bool = False) -> RunFolder:
@@ -43,18 +64,25 @@ class RunFolder:
             overwrite: delete what an earlier run left in the folder; files of others stay.
 
         Raises:
-            UsageError: see ``check_folder``; or a record in the middle of the file is damaged.
+            UsageError: see ``check_folder``; or a record in the middle of the file is damaged or of another run.
         """
         config = json.loads(json.dumps(config))
         check_folder(path, config, resume=resume, overwrite=overwrite)
-        records: list[EpisodeRecord] = []
-        if overwrite and path.exists():
-            _delete_own(path)
-        elif resume:
-            records = _take_records(path / EPISODES)
         path.mkdir(parents=True, exist_ok=True)
-        write_text(path / CONFIG, json.dumps(config, indent=2) + "\n")
-        return cls(path, config, records)
+        lock = WriteLock(path / CONFIG, path)
+        try:
+            # Another process may have been here between the check and the lock.
+            _check_content(path, config, resume=resume, overwrite=overwrite)
+            records: list[EpisodeRecord] = []
+            if overwrite:
+                _delete_own(path)
+            elif resume:
+                records = _take_records(path / EPISODES, config_hash(config))
+            write_text(path / CONFIG, json.dumps(config, indent=2) + "\n")
+        except BaseException:
+            lock.release()
+            raise
+        return cls(path, config, records, lock)
 
     @property
     def records(self) -> list[EpisodeRecord]:
@@ -66,7 +94,8 @@ class RunFolder:
         return [index for index in range(episodes) if index not in self._records]
 
     def add(self, record: EpisodeRecord) -> None:
-        """Append a record to episodes.jsonl and flush it to the system."""
+        """Append a record to episodes.jsonl, with the hash of the config, and flush it to the system."""
+        record = dataclasses.replace(record, config_hash=self._hash)
         with open(self.path / EPISODES, "a", encoding="utf-8") as file:
             file.write(json.dumps(record.to_dict(), separators=(",", ":")) + "\n")
         self._records[record.index] = record
@@ -108,13 +137,19 @@ def check_folder(path: Path, config: Mapping[str, Any], *, resume: bool = False,
 
     Raises:
         UsageError: both switches; the folder holds something and neither switch is given; the folder to resume
-            holds no run, or one with another config; ``path`` is a file.
+            holds no run, or one with another config; another process is writing into it; ``path`` is a file.
     """
     if resume and overwrite:
         raise UsageError("--resume and --overwrite exclude each other; give one of them.")
     if path.exists() and not path.is_dir():
         raise UsageError(f"the output path {path} is a file; give a folder.")
-    found = sorted(entry.name for entry in path.iterdir()) if path.exists() else []
+    refuse_if_written(path / CONFIG, path)
+    _check_content(path, config, resume=resume, overwrite=overwrite)
+
+
+def _check_content(path: Path, config: Mapping[str, Any], *, resume: bool, overwrite: bool) -> None:
+    own_lock = lock_path(path / CONFIG).name
+    found = sorted(entry.name for entry in path.iterdir() if entry.name != own_lock) if path.exists() else []
     if found and not (resume or overwrite):
         raise UsageError(
             f"the output folder {path} is not empty (it holds {_some(found)}). Give --resume to continue that run, "
@@ -128,9 +163,16 @@ def read_records(folder: Path) -> list[EpisodeRecord]:
     """Return the finished episodes of a run folder, which may still be running; changes nothing.
 
     Raises:
-        UsageError: a record that is not the last one is damaged.
+        UsageError: a record that is not the last one is damaged, or belongs to another config than the folder's.
     """
-    return _read_file(folder / EPISODES)[0]
+    return _read_file(folder / EPISODES, _stored_hash(folder / CONFIG))[0]
+
+
+def config_hash(config: Mapping[str, Any]) -> str:
+    """Name of a config: equal for configs that a resumed run may have, which differ in ``FREE_KEYS`` at most."""
+    fixed = {key: value for key, value in config.items() if key not in FREE_KEYS and value is not None}
+    text = json.dumps(fixed, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def write_text(path: Path, text: str) -> None:
@@ -174,15 +216,37 @@ def _check_same(path: Path, config: Mapping[str, Any]) -> None:
             )
 
 
-def _read_file(path: Path) -> tuple[list[EpisodeRecord], int]:
-    """Return the records of a file and the number of bytes they take: a line torn at the very end is left out."""
+def _stored_hash(path: Path) -> str:
+    """The hash of the config in a file; empty where there is no config to compare with."""
+    try:
+        config = json.loads(path.read_text(encoding="utf-8"))
+    except (FileNotFoundError, ValueError):
+        return ""
+    return config_hash(config) if isinstance(config, dict) else ""
+
+
+def _check_same_run(record: EpisodeRecord, wanted: str, path: Path, line: int) -> None:
+    """Refuse a record of another config; records of older versions name none."""
+    if wanted and record.config_hash not in ("", wanted):
+        raise UsageError(
+            f"line {line} of {path} (episode {record.index}) comes from another run: its config has the hash "
+            f"{record.config_hash}, {CONFIG} beside it {wanted}. Two runs were written into one folder, or {CONFIG} "
+            "was changed; run it again with --overwrite, or into another folder."
+        )
+
+
+def _read_file(path: Path, wanted: str) -> tuple[list[EpisodeRecord], int]:
+    """Return the records of a file and the number of bytes they take: a line torn at the very end is left out.
+
+    ``wanted``: hash of the config that the records must come from; "" for any.
+    """
     whole = path.read_bytes() if path.is_file() else b""
     kept, end = [], 0
     for number, line in enumerate(whole.splitlines(keepends=True), 1):
         try:
             if not line.endswith(b"\n"):
                 raise ValueError("the line is not finished")
-            kept.append(EpisodeRecord.from_dict(json.loads(line)))
+            record = EpisodeRecord.from_dict(json.loads(line))
         except (ValueError, KeyError, TypeError) as error:
             if end + len(line) < len(whole):
                 raise UsageError(
@@ -190,13 +254,15 @@ def _read_file(path: Path) -> tuple[list[EpisodeRecord], int]:
                     "--overwrite."
                 ) from error
             break
+        _check_same_run(record, wanted, path, number)
+        kept.append(record)
         end += len(line)
     return kept, end
 
 
-def _take_records(path: Path) -> list[EpisodeRecord]:
+def _take_records(path: Path, wanted: str) -> list[EpisodeRecord]:
     """Read a file that will be continued: cut off what a crash left at its end."""
-    kept, end = _read_file(path)
+    kept, end = _read_file(path, wanted)
     if path.is_file() and end < path.stat().st_size:
         with open(path, "r+b") as file:
             file.truncate(end)

@@ -184,9 +184,12 @@ CAMERAS: tuple[CameraMount, ...] = (
 )
 """The head camera sits at head_camera_link, a fixed mount on head_tilt_link."""
 
-PAD_FRICTION = (1.5, 0.02, 0.001)
-"""Sliding, torsional [m], rolling [m]. The original has 2.0 with a 0.1 m torsional patch; 1.5 is plain rubber and
-holds every object of ``sim.grasp_bench``; 2.0 changes its slip by less than 0.2 mm."""
+SLIDING_FRICTION = 0.3
+"""Sliding friction of everything but the finger pads, as in the original (ManiSkill's default material). A pair of
+geoms takes the larger of two equal values: 0.3 too."""
+PAD_FRICTION = (1.15, 0.02, 0.001)
+"""Sliding, torsional [m], rolling [m] of every contact of a finger pad. The original's pads have 2.0, what they touch
+has 0.3, and its engine averages the two. Here the pads' value wins by their priority: it is the average."""
 PAD_SOLIMP = (0.95, 0.99, 0.001, 0.5, 2.0)
 PAD_SOLREF = (-2500.0, -160.0)
 """Stiffness [1/s^2] and damping [1/s] of pad contacts (negative: MuJoCo's direct form). The stiffness is that of

@@ -16,6 +16,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from mjhab.scenes import contact_bits, fetch
+from mjhab.scenes.contact_sensors import add_depth_sensor, add_force_sensor, add_touch_sensor
 from mjhab.scenes.spec import IDENTITY, PARKED, Articulation, Geom, Home, Link, ObjectType, Pack, Placement, Quat, Vec3
 
 _GEOM_TYPE = {
@@ -25,8 +26,8 @@ _GEOM_TYPE = {
     "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,
     "mesh": mujoco.mjtGeom.mjGEOM_MESH,
 }
-OBJECT_FRICTION = (1.0, 0.01, 0.003)
-"""Sliding, torsional, rolling. Rolling friction lets round objects come to rest and sleep."""
+OBJECT_FRICTION = (fetch.SLIDING_FRICTION, 0.01, 0.003)
+"""Sliding, torsional [m], rolling [m]. Rolling friction lets round objects come to rest and sleep."""
 SLIDE_DAMPING, SLIDE_FRICTION = 5.0, 1.0
 HINGE_DAMPING, HINGE_FRICTION = 1.0, 0.5
 JOINT_ARMATURE = 0.1
@@ -144,6 +145,7 @@ def build_spec(layout: Layout, home: Home) -> mujoco.MjSpec:
     spec.modelname = home.name
     spec.memory = 64 << 20
     fetch.physics_options(spec)
+    spec.default.geom.friction[0] = fetch.SLIDING_FRICTION
     world = spec.worldbody
     plane = mujoco.mjtGeom.mjGEOM_PLANE
     world.add_geom(name="floor", type=plane, size=[0, 0, 1], contype=contact_bits.STATIC, conaffinity=0)
@@ -243,33 +245,16 @@ def volume(geom: Geom, spec: mujoco.MjSpec | None) -> float:
     return float(ConvexHull(np.asarray(spec.mesh(geom.mesh).uservert).reshape(-1, 3)).volume)
 
 
-_FIELD = mujoco.mjtConDataField
-_FOUND, _FORCE, _DIST = int(_FIELD.mjCONDATA_FOUND), int(_FIELD.mjCONDATA_FORCE), int(_FIELD.mjCONDATA_DIST)
-_MINDIST, _NETFORCE = 1, 3
-
-
-def _contact_sensor(
-    spec: mujoco.MjSpec, name: str, body1: str, body2: str, fields: tuple[int, ...], *,
-    subtree: bool = False, reduce: int = _NETFORCE,
-) -> None:  # fmt: skip
-    # A reference of type XBODY on the first side stands for the whole subtree below that body.
-    sensor = spec.add_sensor(
-        name=name, type=mujoco.mjtSensor.mjSENS_CONTACT, objname=body1,
-        objtype=mujoco.mjtObj.mjOBJ_XBODY if subtree else mujoco.mjtObj.mjOBJ_BODY,
-    )  # fmt: skip
-    if body2:
-        sensor.reftype, sensor.refname = mujoco.mjtObj.mjOBJ_BODY, body2
-    sensor.intprm = [sum(1 << f for f in fields), reduce, 1]
-
-
 def _add_sensors(spec: mujoco.MjSpec, layout: Layout) -> None:
+    targets = (*layout.object_names, *layout.link_ids)
     for link in fetch.FORCE_LINKS:
-        _contact_sensor(spec, f"force/{link}", link, "", (_FORCE,))
-    _contact_sensor(spec, "robot_depth", "base_link", "", (_DIST,), subtree=True, reduce=_MINDIST)
-    for target in (*layout.object_names, *layout.link_ids):
-        for finger in fetch.FINGER_LINKS:
-            _contact_sensor(spec, f"{finger}>{target}", finger, target, (_FORCE,))
-        _contact_sensor(spec, f"touch>{target}", "base_link", target, (_FOUND,), subtree=True)
+        add_force_sensor(spec, f"force/{link}", link)
+    for finger in fetch.FINGER_LINKS:
+        for target in targets:
+            add_force_sensor(spec, f"{finger}>{target}", finger, target)
+    for target in targets:
+        add_touch_sensor(spec, f"touch>{target}", "base_link", target)
+    add_depth_sensor(spec, "robot_depth", "base_link")
     # Type XBODY is the origin of the link frame, not its centre of mass.
     linvel, xbody = mujoco.mjtSensor.mjSENS_FRAMELINVEL, mujoco.mjtObj.mjOBJ_XBODY
     spec.add_sensor(name="tcp_velocity", type=linvel, objtype=xbody, objname=fetch.TCP_LINK)
@@ -281,8 +266,8 @@ class Addresses:
 
     ``robot_q``, ``robot_v`` (J,): in FETCH_JOINTS order; ``object_q``, ``object_v`` (N,): first of 7 / 6;
     ``object_body`` (N,); ``link_q``, ``link_v``, ``link_body`` (L,); ``robot_body``: link name to body id;
-    sensor starts: ``link_force`` (K,), ``finger_force`` (2, N + L) for [l, r] finger, ``touch`` (N + L,),
-    ``tcp_velocity``.
+    sensor starts: ``link_force`` (K,) and ``finger_force`` (2, N + L) for [l, r] finger, each FORCE_SENSOR_WIDTH wide;
+    ``touch`` (N + L,), ``tcp_velocity``.
     """
 
     robot_q: np.ndarray

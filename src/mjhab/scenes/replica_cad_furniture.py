@@ -180,9 +180,11 @@ class Furniture:
         geoms = _boxes(shapes, local, scale)
         geoms.append(self._look(name, f"{name}/{link.name}/look", _placed(link, local, scale)))
         turn = frame[:3, :3]
+        published = handles.PUBLISHED.get(link.name) if name in ARTICULATED else None
         handle = Handle(
             point(turn @ grip.pos * scale), point(turn @ grip.bar), point(turn @ grip.out),
             grip.half_length * scale, grip.thickness * scale,
+            point(turn @ np.array(published)) if published else None,
         )  # fmt: skip
         slide = joint.kind == "prismatic"
         low, high = (limit * scale if slide else limit for limit in joint.limits)

@@ -82,6 +82,14 @@ _LIDDED: dict[str, tuple[tuple[Range, Range, Range], ...]] = {
 """Compartments with a lid, taken as solid."""
 
 
+PUBLISHED: dict[str, tuple[float, float, float]] = {
+    **dict.fromkeys(FRONTS, (0.26, 0.0, 0.0)),
+    "top_door": (0.09, -0.66, 0.2),
+}
+"""Handle points in the plans of MS-HAB (articulation_relative_handle_pos), in the frame of the link of the URDF. The
+scale of the furniture does not apply to them: MS-HAB adds them to the pose of the link, which has none."""
+
+
 @dataclass(frozen=True, eq=False)
 class Grip:
     """Where a gripper takes a handle, in the frame of the URDF link: ``pos`` (3,), unit ``bar`` and ``out`` (3,),

@@ -16,6 +16,10 @@ IDENTITY: Quat = (1.0, 0.0, 0.0, 0.0)
 PARKED: Vec3 = (0.0, 0.0, -50.0)
 """Where pieces stand that a home does not use: far below the floor, no contact possible."""
 
+OWN_POINTS, PUBLISHED_POINTS = "ours", "published"
+HANDLE_POINTS = (OWN_POINTS, PUBLISHED_POINTS)
+"""Points to show for handles: where our geometry is gripped, or those that the plans of MS-HAB name."""
+
 Shape = Literal["box", "cylinder", "sphere", "capsule", "mesh"]
 
 
@@ -69,7 +73,8 @@ class Handle:
     """A graspable bar on a moving link, in the frame of the link.
 
     ``pos``: grasp point at the middle of the bar; ``bar``: unit direction of the bar; ``out``: unit
-    direction pointing away from the front the bar is mounted on (from where the gripper comes).
+    direction pointing away from the front the bar is mounted on (from where the gripper comes). ``published``: the
+    point that plans of MS-HAB name for the handle, None where there are none.
     """
 
     pos: Vec3
@@ -77,6 +82,11 @@ class Handle:
     out: Vec3
     half_length: float
     thickness: float
+    published: Vec3 | None = None
+
+    def point(self, points: str) -> Vec3:
+        """The point to show for the handle, ``points`` being one of HANDLE_POINTS."""
+        return self.published if points == PUBLISHED_POINTS and self.published else self.pos
 
 
 @dataclass(frozen=True)

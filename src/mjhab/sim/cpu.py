@@ -12,6 +12,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from mjhab.core.errors import UsageError
+from mjhab.scenes.contact_sensors import FORCE_SENSOR_WIDTH, normal_force
 from mjhab.scenes.fetch import Drives
 from mjhab.scenes.layout import Layout, addresses
 from mjhab.sim.home_models import HomeModels
@@ -72,10 +73,10 @@ class CpuSimulator:
         a = self.addresses
         # The layout puts objects, link forces and target sensors in unbroken rows: the state is made of views.
         self._object_q, self._object_v = _rows(a.object_q, 7), _rows(a.object_v, 6)
-        self._force_cols = _rows(a.link_force, 3)
-        left, right = a.finger_force
-        self._target_cols = _rows(left, 7)
-        assert (right == left + 3).all() and (a.touch == left + 6).all()
+        self._touch_cols = _rows(a.touch, 1)
+        # Force sensors: those of the links, then of the left and the right finger with every target.
+        self._force_starts = np.concatenate([a.link_force, a.finger_force.ravel()])
+        self._force_block = np.arange(FORCE_SENSOR_WIDTH)
         self._depth_col = int(first.sensor("robot_depth").adr[0])
         self._taint, self._broken = np.zeros(num_worlds, np.uint8), np.zeros(num_worlds, bool)
         self._warned = np.zeros((num_worlds, self.batch.warning.shape[1]), np.int64)
@@ -172,11 +173,9 @@ class CpuSimulator:
     def state(self) -> SimState:
         """The current state of all worlds; body arrays are views that the next step overwrites."""
         a, qpos, worlds = self.addresses, self._qpos, self.num_worlds
-        force = self._sensors[:, self._force_cols].reshape(worlds, -1, 3)
-        force = force * force
-        # Per target: force on the left finger (3), on the right finger (3), touch (1). The sensor gives the force of
-        # the finger on the target; what is wanted is the opposite.
-        targets = -self._sensors[:, self._target_cols].reshape(worlds, -1, 7)
+        force = self._normal_forces()
+        links = len(a.link_force)
+        squared = force[:, :links] * force[:, :links]
         return SimState(
             robot_q=qpos[:, a.robot_q],
             robot_qd=self._qvel[:, a.robot_v],
@@ -185,13 +184,23 @@ class CpuSimulator:
             tcp_vel=self._sensors[:, a.tcp_velocity : a.tcp_velocity + 3],
             link_q=qpos[:, a.link_q],
             link_qd=self._qvel[:, a.link_v],
-            link_force=np.sqrt(force[..., 0] + force[..., 2] + force[..., 1]),
-            finger_force=targets[..., :6].reshape(worlds, -1, 2, 3).swapaxes(1, 2),
-            touch=targets[..., 6] < 0,
+            link_force=np.sqrt(squared[..., 0] + squared[..., 1] + squared[..., 2]),
+            finger_force=force[:, links:].reshape(worlds, 2, -1, 3),
+            touch=self._sensors[:, self._touch_cols] > 0,
             body_pos=self._xpos,
             body_mat=self._xmat,
             body_quat=self._xquat,
         )
+
+    def _normal_forces(self) -> np.ndarray:
+        """(W, sensors, 3) force [N] on the body of every force sensor, world frame."""
+        force = np.zeros((self.num_worlds, len(self._force_starts), 3))
+        # Few sensors have a contact: only these are read. A sensor's first number is how many contacts it has.
+        world, sensor = self._sensors[:, self._force_starts].nonzero()
+        columns = self._force_starts[sensor, None] + self._force_block
+        # The sensor gives the force of its body on others; what is wanted is the opposite.
+        force[world, sensor] = -normal_force(self._sensors[world[:, None], columns])
+        return force
 
     def add_taint(self, world: int, mask: int) -> None:
         """Mark a world with the bits of ``mask``."""

@@ -15,6 +15,7 @@ import numpy as np
 from mjhab.core.errors import unknown_name
 from mjhab.core.seeding import stream
 from mjhab.scenes import fetch
+from mjhab.scenes.contact_sensors import normal_force
 from mjhab.scenes.layout import Layout, build_spec
 from mjhab.scenes.objects import builtin_objects, object_meshes
 from mjhab.scenes.spec import Home, ObjectType, Pack
@@ -135,7 +136,7 @@ class GraspBench:
         norms, along = np.zeros(2), np.zeros(2)
         for i, finger in enumerate(fetch.FINGER_LINKS):
             # The sensor gives the force of the finger on the object.
-            force = -self.data.sensor(f"{finger}>{self.object}").data
+            force = -normal_force(self.data.sensor(f"{finger}>{self.object}").data)
             opening = self.data.body(finger).xmat.reshape(3, 3) @ fetch.FINGER_OPEN_DIR[finger]
             norms[i], along[i] = np.linalg.norm(force), force @ opening
         return norms, bool((norms >= MIN_FORCE).all() and (along >= norms * np.cos(MAX_ANGLE)).all())

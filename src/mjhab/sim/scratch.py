@@ -14,6 +14,7 @@ import numpy as np
 
 from mjhab.core.rotations import pose_inv, pose_mul
 from mjhab.scenes import contact_bits
+from mjhab.scenes.contact_sensors import FORCE_SENSOR_WIDTH, normal_force
 from mjhab.scenes.fetch import FINGER_LINKS, FINGER_OPEN_DIR, TCP_LINK, Drives, apply_drives
 from mjhab.sim.cpu import SUBSTEPS, CpuSimulator
 from mjhab.sim.settle import CLOSED_FINGER, hold_robot, parked_robot_qpos
@@ -192,7 +193,7 @@ class Scratch:
         a = self.sim.addresses
         for side, finger in enumerate(FINGER_LINKS):
             adr = a.finger_force[side, slot]
-            force = -data.sensordata[adr : adr + 3]
+            force = -normal_force(data.sensordata[adr : adr + FORCE_SENSOR_WIDTH])
             size = np.linalg.norm(force)
             opening = data.xmat[a.robot_body[finger]].reshape(3, 3) @ np.array(FINGER_OPEN_DIR[finger])
             if size < min_force or force @ opening < np.cos(max_angle) * size:

@@ -308,7 +308,7 @@ class Engine:
         wp.launch(kernels.clear_forces, dim=self.num_worlds, inputs=[update], outputs=forces)
         wp.launch(
             kernels.add_contacts, dim=data.naconmax,
-            inputs=[data.nacon, contact.dist, contact.frame, contact.dim, contact.geom, contact.efc_address,
+            inputs=[data.nacon, contact.dist, contact.frame, contact.geom, contact.efc_address,
                     contact.worldid, contact.type, data.efc.force, data.njmax, self.model.geom_bodyid, self._link_of,
                     self._finger_of, self._target_of, self._is_robot, update],
             outputs=forces,

@@ -44,22 +44,22 @@ def clear_forces(
 
 
 @wp.func
-def contact_force(
+def normal_force(
     contact: int,
     world: int,
     njmax: int,
     frame: wp.array[wp.mat33],
-    dim: wp.array[int],
     efc_address: wp.array2d[int],
     efc_force: wp.array2d[float],
 ) -> wp.vec3:
-    """Force [N] of the first geom on the second, world frame; elliptic cones."""
-    local = wp.vec3(0.0)
-    for i in range(wp.min(dim[contact], 3)):
-        row = efc_address[contact, i]
-        if row >= 0 and row < njmax:
-            local[i] = efc_force[world, row]
-    return wp.transpose(frame[contact]) * local
+    """Normal force [N] of the first geom on the second, world frame, without friction; elliptic cones.
+
+    The first row of a contact in the solver is its normal, the first row of its frame is the normal's direction.
+    """
+    row = efc_address[contact, 0]
+    if row < 0 or row >= njmax:
+        return wp.vec3(0.0)
+    return frame[contact][0] * efc_force[world, row]
 
 
 @wp.kernel
@@ -67,7 +67,6 @@ def add_contacts(
     nacon: wp.array[int],
     dist: wp.array[float],
     frame: wp.array[wp.mat33],
-    dim: wp.array[int],
     geom: wp.array[wp.vec2i],
     efc_address: wp.array2d[int],
     worldid: wp.array[int],
@@ -97,7 +96,7 @@ def add_contacts(
     if not (is_robot[first] or is_robot[second]):
         return
     wp.atomic_min(depth, world, dist[contact])
-    force = contact_force(contact, world, njmax, frame, dim, efc_address, efc_force)
+    force = normal_force(contact, world, njmax, frame, efc_address, efc_force)
     if is_robot[first] and target_of[second] >= 0:
         touch[world, target_of[second]] = True
     if is_robot[second] and target_of[first] >= 0:

@@ -30,6 +30,7 @@ from mjhab.envs.reporting import CHECKERS, describe_episode
 from mjhab.envs.rewarding import Rewarder, RewardInputs
 from mjhab.envs.sensing import Sensing
 from mjhab.envs.sequential import SequentialTaskEnv
+from mjhab.envs.spaces import batched
 from mjhab.envs.subtask_train import SubtaskTrainEnv
 from mjhab.sim.protocol import TAINTS, SimState
 from mjhab.sim.warp import WarpSimulator
@@ -88,7 +89,7 @@ class DeviceEnv(VectorEnv):
         self.controller = make_controller(
             config.control_mode, count, base=config.base, stationary=config.stationary, like=like
         )
-        self.sensing = Sensing(self.layout, self.sim.addresses, count, like=like)
+        self.sensing = Sensing(self.layout, self.sim.addresses, count, like, config.handle_points)
         self.observer = DeviceObserver(self.sim, self.sensing, self._host.observer)
         self.rewarder = Rewarder(
             count, self.task_config, config.reward, config.reward_scales, self.layout, self.sensing,
@@ -103,7 +104,7 @@ class DeviceEnv(VectorEnv):
         self.render_mode = None
         self.single_observation_space: spaces.Space = self._host.single_observation_space
         self.single_action_space: spaces.Space = self._host.single_action_space
-        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.observation_space = batched(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.action_table, self.taint_names = self.controller.table, TAINTS
 

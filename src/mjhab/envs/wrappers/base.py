@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 from gymnasium.vector import VectorEnv, VectorWrapper
-from gymnasium.vector.utils import batch_space
 
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.envs.spaces import batched
 
 IMAGE_PREFIX = "sensor_data/"
 PIXELS = "pixels"
@@ -82,7 +82,7 @@ class ObservationMap(VectorWrapper, ABC):
     def __init__(self, env: VectorEnv, single_space: spaces.Dict) -> None:
         super().__init__(env)
         self.single_observation_space = single_space
-        self.observation_space = batch_space(single_space, env.num_envs)
+        self.observation_space = batched(single_space, env.num_envs)
 
     @abstractmethod
     def observation(self, obs: dict[str, Any]) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from gymnasium import spaces
 from gymnasium.vector import VectorEnv
 
 from mjhab.envs.observations import STATE_KEY
+from mjhab.envs.spaces import ordered_dict
 from mjhab.envs.wrappers.base import PIXELS, ObservationMap, check_key, dict_space, require_images
 
 
@@ -16,7 +17,8 @@ class FlattenStatePixels(ObservationMap):
     """Keeps ``{"state": (W, 42), "pixels": {"<camera>_<output>": images}}``, images with channels first.
 
     An image (W, H, W, C) becomes (W, C, H, W), a stack of them (W, S, H, W, C) becomes (W, S, C, H, W); both are views
-    of the arrays they come from. Everything else (camera parameters, point clouds, parts of the state) is left out.
+    of the arrays they come from. Cameras are in the order asked for. Everything else
+    (camera parameters, point clouds, parts of the state) is left out.
 
     Raises:
         UsageError: the observations have no images or no state, or are flat already.
@@ -28,7 +30,7 @@ class FlattenStatePixels(ObservationMap):
         check_key(STATE_KEY, space)
         self._names = {leaf.path[-1]: "_".join(leaf.path[-1].split("/")[1:]) for leaf in leaves}
         pixels: dict[str, spaces.Space] = {name: _channels_first(space[key]) for key, name in self._names.items()}
-        super().__init__(env, spaces.Dict({STATE_KEY: space[STATE_KEY], PIXELS: spaces.Dict(pixels)}))
+        super().__init__(env, ordered_dict({STATE_KEY: space[STATE_KEY], PIXELS: ordered_dict(pixels)}))
 
     def observation(self, obs: dict[str, Any]) -> dict[str, Any]:
         """State and pixels of an observation."""

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
-from gymnasium.vector.utils import batch_space
 
 from mjhab.core.errors import UsageError
+from mjhab.envs.spaces import batched, ordered_dict
 from mjhab.envs.wrappers.base import check_key, dict_space, map_final, require_images
 
 
@@ -49,8 +49,8 @@ class FrameStack(VectorWrapper):
             check_key(key, space)
         self.num_stack, self.keys, self._mode = num_stack, tuple(keys), mode
         stacked = {key: _stacked(space[key], num_stack) for key in self.keys}
-        self.single_observation_space = spaces.Dict({**space.spaces, **stacked})
-        self.observation_space = batch_space(self.single_observation_space, env.num_envs)
+        self.single_observation_space = ordered_dict({**space.spaces, **stacked})
+        self.observation_space = batched(self.single_observation_space, env.num_envs)
         self._frames: dict[str, np.ndarray] = {}
         self._ended = np.zeros(env.num_envs, bool)
 

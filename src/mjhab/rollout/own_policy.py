@@ -1,0 +1,69 @@
+"""Policies that users write: a class, a function that makes one, or an object."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from mjhab.core.errors import UsageError
+from mjhab.rollout.policy import Policy, RolloutEnv
+
+METHODS = ("reset", "act")
+"""Methods of the `Policy` protocol."""
+
+
+def construct_policy(factory: Callable[..., Policy], env: RolloutEnv) -> Policy:
+    """Call a class, or another function that gives a policy, with the environment if it has a parameter for it.
+
+    Raises:
+        UsageError: it needs more than an environment, or what it gives lacks a part of the Policy protocol.
+    """
+    name = getattr(factory, "__name__", repr(factory))
+    parameters = [
+        parameter
+        for parameter in inspect.signature(factory).parameters.values()
+        if parameter.kind in (parameter.POSITIONAL_ONLY, parameter.POSITIONAL_OR_KEYWORD)
+    ]
+    required = [parameter for parameter in parameters if parameter.default is parameter.empty]
+    if len(required) > 1:
+        raise UsageError(
+            f"{name} needs {len(required)} arguments ({', '.join(p.name for p in required)}); a policy is made with "
+            "the environment alone, or with nothing. Give the others default values."
+        )
+    takes_env = bool(required) or (bool(parameters) and parameters[0].name == "env")
+    policy = factory(env) if takes_env else factory()
+    check_policy(policy, name)
+    return policy
+
+
+def check_policy(policy: Any, called: str) -> None:
+    """Refuse what does not speak the Policy protocol.
+
+    Raises:
+        UsageError: a method or the name is missing.
+    """
+    check_methods(policy, called)
+    if not isinstance(getattr(policy, "name", None), str):
+        raise UsageError(f"the policy {called} has no name; give it one, as in: name = {called!r}.")
+
+
+def env_options_of(policy: Any) -> Mapping[str, Any]:
+    """Options of the environment that a policy, or its class, says it needs.
+
+    Raises:
+        UsageError: ``env_options`` is not a mapping.
+    """
+    options = getattr(policy, "env_options", {})
+    if not isinstance(options, Mapping):
+        raise UsageError(f"env_options of a policy must be a dict like {{'obs_mode': 'depth'}}, got {options!r}.")
+    return dict(options)
+
+
+def check_methods(policy: Any, called: str) -> None:
+    lacking = [method for method in METHODS if not callable(getattr(policy, method, None))]
+    if lacking:
+        raise UsageError(
+            f"the policy {called} has no {' and no '.join(lacking)}; it needs reset(mask) and act(obs, info), see "
+            "mjhab.rollout.policy.Policy."
+        )

@@ -29,6 +29,9 @@ class FakeConfig:
     assets: str = "builtin"
     obs_mode: str = "state"
     runs_to_horizon: bool = False
+    control_mode: str = "pd_joint_delta_pos"
+    base: str = "forward"
+    stationary: tuple[str, ...] = ()
 
 
 class _Sim:

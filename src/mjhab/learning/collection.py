@@ -15,11 +15,9 @@ from mjhab.core.errors import UsageError
 from mjhab.data.crew import ALL, Crew, InlineCrew, ProcessCrew, Stage, WorkerSpec
 from mjhab.data.generation import Job, Standing, generate
 from mjhab.data.images import ImageFormat
+from mjhab.learning.demos import SUCCESSES
 from mjhab.learning.take_over import TakeOver
 from mjhab.tasks.style import Styles
-
-SUCCESSES = "success"
-"""Filter: what is kept of a round."""
 
 
 @dataclass(frozen=True)

@@ -43,13 +43,17 @@ class InputConfig:
 
 @dataclass(frozen=True)
 class NetworkConfig:
-    """Sizes of the networks. ``encoder``: "small" (strided convolutions with layer norm), "paper" or "paper_dp"."""
+    """Sizes of the networks. ``encoder``: "small" (strided convolutions with layer norm), "paper" or "paper_dp".
+
+    unet: channels of the levels of a diffusion's UNet.
+    """
 
     encoder: str = "small"
     channels: tuple[int, ...] = (32, 64)
     image_features: int = 128
     hidden: int = 384
     layers: int = 3
+    unet: tuple[int, ...] = (64, 128, 256)
 
 
 @dataclass(frozen=True)

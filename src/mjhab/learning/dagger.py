@@ -50,6 +50,7 @@ def collect_round(session: Session, config: DaggerConfig, number: int) -> None:
     session.check_time()
     student = session.folder.round_student(number) if number else None
     episodes = config.episodes if number else session.config.demos
-    session.collect(
-        Round(number, episodes, config.longest_prefix(number), student, config.horizon, session.config.style)
-    )
+    # The expert alone needs no more time than the task gives it.
+    horizon = config.horizon if number else 0
+    style = session.config.style
+    session.collect(Round(number, episodes, config.longest_prefix(number), student, horizon, style))

@@ -16,9 +16,12 @@ from mjhab.data.images import decode
 from mjhab.data.query import Filter
 from mjhab.data.reading import Episode, open_shard
 from mjhab.data.sets import select
-from mjhab.learning.layout import Layout, compare_entries
+from mjhab.learning.configs import InputConfig
+from mjhab.learning.layout import Entry, Layout, compare_layouts
 from mjhab.learning.take_over import expert_steps
 
+SUCCESSES = "success"
+"""Filter: which episodes are learned from if nothing is said."""
 MILLIMETRES_PER_METRE = 1000.0
 BYTE = 255
 
@@ -61,10 +64,7 @@ class Demonstrations:
             UsageError: there is nothing to learn from.
         """
         if not parts or not sum(len(part.usable) for part in parts):
-            raise UsageError(
-                "no demonstration is left to learn from: no episode passes the filter, or none of them succeeds. See "
-                "what is there with: mjhab data stats"
-            )
+            raise nothing_to_learn()
         offsets = np.cumsum([0, *(len(part.vector) for part in parts)])[:-1].tolist()
         return cls(
             np.concatenate([part.vector for part in parts]),
@@ -115,7 +115,7 @@ def load_demonstrations(
     Raises:
         UsageError: no episode passes; they lack images, or have another state or other actions.
     """
-    found = select(places, where or Filter("success"))
+    found = select(places, where or Filter(SUCCESSES))
     parts = []
     for path, members in itertools.groupby(found.matched, lambda place: place[0]):
         with open_shard(path) as shard:
@@ -125,10 +125,36 @@ def load_demonstrations(
     return Demonstrations.join(parts)
 
 
-def targets_of(places: Path | Sequence[Path], where: Filter | None = None) -> tuple[str, ...]:
-    """Types of objects and links that the episodes of a data set are about, sorted."""
-    records = select(places, where or Filter("success")).records
-    return tuple(sorted({type_name(entry.target) for record in records for entry in record.plan}))
+def layout_of_data(places: Path | Sequence[Path], inputs: InputConfig, where: Filter | None = None) -> Layout:
+    """The layout of a student that learns from a data set; its targets are those of the episodes that pass.
+
+    Raises:
+        UsageError: no episode passes.
+    """
+    found = select(places, where or Filter(SUCCESSES))
+    if not found.matched:
+        raise nothing_to_learn()
+    path, name = found.matched[0]
+    targets = tuple(sorted({type_name(entry.target) for record in found.records for entry in record.plan}))
+    with open_shard(path) as shard:
+        state, actions, control = entries_of(shard.episode(name))
+    return Layout(inputs, state, actions, targets, control)
+
+
+def entries_of(episode: Episode) -> tuple[tuple[Entry, ...], tuple[str, ...], tuple[str, ...]]:
+    """State, actions and control of a recorded episode, as in `Layout`."""
+    env = episode.run.config["env"]
+    control = (env["control_mode"], env["base"], *env["stationary"])
+    actions = tuple(str(name) for name in episode.run.layout["actions"])
+    return tuple(episode.columns("obs/state").items()), actions, control
+
+
+def nothing_to_learn() -> UsageError:
+    """The error for an empty selection."""
+    return UsageError(
+        "no demonstration is left to learn from: no episode passes the filter, or none of them succeeds. See what is "
+        "there with: mjhab data stats"
+    )
 
 
 def read_episode(episode: Episode, layout: Layout, hold_steps: int) -> Demonstrations:
@@ -234,16 +260,12 @@ def shift_images(images: np.ndarray, most: int, random: np.random.Generator) -> 
 
 
 def _check_layout(episode: Episode, layout: Layout) -> None:
-    where = f"episode {episode.name} of {episode.shard.path}"
-    wrong = compare_entries("state", layout.state, tuple(episode.columns("obs/state").items()))
-    actions = [(str(name), 1) for name in episode.run.layout["actions"]]
-    wrong += compare_entries("action", [(name, 1) for name in layout.actions], actions)
-    env = episode.run.config["env"]
-    control = (env["control_mode"], env["base"], *env["stationary"])
-    if control != layout.control:
-        wrong.append(f"control {', '.join(control)} instead of {', '.join(layout.control)}")
+    state, actions, control = entries_of(episode)
+    wrong = compare_layouts(layout, state, actions, control)
     if wrong:
-        raise UsageError(f"{where} does not fit the student: {'; '.join(wrong)}.")
+        raise UsageError(
+            f"episode {episode.name} of {episode.shard.path} does not fit the student: {'; '.join(wrong)}."
+        )
 
 
 def _vectors(episode: Episode, layout: Layout, executed: np.ndarray) -> np.ndarray:
@@ -299,6 +321,6 @@ def _no_images(episode: Episode, layout: Layout, found: str) -> UsageError:
     size, cameras = layout.inputs.image_size, " ".join(layout.inputs.cameras)
     return UsageError(
         f"episode {episode.name} of {episode.shard.path} {found}; the preset needs {size}x{size} px. Draw them from "
-        f"the recorded states: mjhab replay {episode.shard.path} --render depth --camera-size {size} --cameras {cameras} "
-        "--out FILE.h5"
+        f"the recorded states: mjhab replay {episode.shard.path} --render depth --camera-size {size} "
+        f"--cameras {cameras} --out FILE.h5"
     )

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor, nn
@@ -17,7 +18,6 @@ from mjhab.learning.layout import Layout
 from mjhab.learning.networks import Normalizer, PoolingEncoder
 from mjhab.learning.student import Batch, Student
 
-UNET_WIDTHS = (64, 128, 256)
 STEP_FEATURES = 64
 GROUPS = 8
 KERNEL = 5
@@ -37,7 +37,7 @@ class DiffusionPolicy(Student):
         self.vector_normalizer = Normalizer(layout.width)
         self.images = PoolingEncoder(len(layout.image_keys), config.network.channels, config.network.image_features)
         seen = inputs.history * (config.network.image_features + layout.width)
-        self.unet = UNet(len(layout.actions), seen)
+        self.unet = UNet(len(layout.actions), seen, config.network.unet)
         self.register_buffer("kept", squared_cosine(config.sampling_steps), persistent=False)
 
     @property
@@ -118,7 +118,7 @@ class UNet(nn.Module):
 
     frequencies: Tensor
 
-    def __init__(self, actions: int, seen: int) -> None:
+    def __init__(self, actions: int, seen: int, levels: Sequence[int]) -> None:
         super().__init__()
         half = STEP_FEATURES // 2
         self.register_buffer("frequencies", torch.exp(-math.log(10_000.0) * torch.arange(half) / (half - 1)))
@@ -126,11 +126,11 @@ class UNet(nn.Module):
             nn.Linear(STEP_FEATURES, 4 * STEP_FEATURES), nn.Mish(), nn.Linear(4 * STEP_FEATURES, STEP_FEATURES)
         )
         condition = STEP_FEATURES + seen
-        widths = (actions, *UNET_WIDTHS)
+        widths = (actions, *levels)
         self.down = nn.ModuleList()
         self.up = nn.ModuleList()
         for level, (before, after) in enumerate(itertools.pairwise(widths)):
-            last = level == len(UNET_WIDTHS) - 1
+            last = level == len(levels) - 1
             shrink = nn.Identity() if last else nn.Conv1d(after, after, 3, 2, 1)
             blocks = [ResidualBlock(before, after, condition), ResidualBlock(after, after, condition), shrink]
             self.down.append(nn.ModuleList(blocks))
@@ -139,7 +139,7 @@ class UNet(nn.Module):
             grow = nn.ConvTranspose1d(after, after, 4, 2, 1)
             blocks = [ResidualBlock(2 * before, after, condition), ResidualBlock(after, after, condition), grow]
             self.up.append(nn.ModuleList(blocks))
-        self.out = nn.Sequential(ConvBlock(UNET_WIDTHS[0], UNET_WIDTHS[0]), nn.Conv1d(UNET_WIDTHS[0], actions, 1))
+        self.out = nn.Sequential(ConvBlock(levels[0], levels[0]), nn.Conv1d(levels[0], actions, 1))
 
     def forward(self, chunk: Tensor, step: Tensor, seen: Tensor) -> Tensor:
         angles = step[:, None] * self.frequencies

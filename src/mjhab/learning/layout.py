@@ -105,10 +105,7 @@ class Layout:
         Raises:
             UsageError: the entries that differ, and how to get an environment that fits.
         """
-        wrong = compare_entries("state", self.state, state_of(env))
-        wrong += compare_entries("action", [(n, 1) for n in self.actions], [(e.name, 1) for e in env.action_table])
-        if self.control != control_of(env):
-            wrong.append(f"control {', '.join(control_of(env))} instead of {', '.join(self.control)}")
+        wrong = compare_layouts(self, state_of(env), actions_of(env), control_of(env))
         size = (self.inputs.image_size, self.inputs.image_size, 1)
         shapes = {entry.key: tuple(entry.shape) for entry in env.observer.table}
         for key in self.image_keys:
@@ -137,19 +134,40 @@ class Layout:
 
 def layout_of(env: Any, inputs: InputConfig, targets: Sequence[str]) -> Layout:
     """The layout of a student that is trained in an environment."""
-    return Layout(inputs, state_of(env), tuple(e.name for e in env.action_table), tuple(targets), control_of(env))
+    return Layout(inputs, state_of(env), actions_of(env), tuple(targets), control_of(env))
 
 
 def state_of(env: Any) -> tuple[Entry, ...]:
     """Entries of the state of an environment, in order."""
-    from mjhab.envs.observations import STATE_TABLE
+    entries: list[Entry] = []
+    left = env.single_observation_space["state"].shape[0]
+    for row in env.observer.table:
+        if left <= 0:
+            break
+        entries.append((row.key, row.shape[0]))
+        left -= row.shape[0]
+    return tuple(entries)
 
-    return tuple((entry.key, entry.shape[0]) for entry in env.observer.table[: len(STATE_TABLE)])
+
+def actions_of(env: Any) -> tuple[str, ...]:
+    """Names of the numbers of an action of an environment."""
+    return tuple(entry.name for entry in env.action_table)
 
 
 def control_of(env: Any) -> tuple[str, ...]:
     """What the actions of an environment mean: control mode, kind of base, and what is held still."""
     return (env.config.control_mode, env.config.base, *env.config.stationary)
+
+
+def compare_layouts(
+    layout: Layout, state: Sequence[Entry], actions: Sequence[str], control: tuple[str, ...]
+) -> list[str]:
+    """What differs from the state, the actions and the control of a layout, in words."""
+    wrong = compare_entries("state", layout.state, state)
+    wrong += compare_entries("action", [(name, 1) for name in layout.actions], [(name, 1) for name in actions])
+    if layout.control != control:
+        wrong.append(f"control {', '.join(control)} instead of {', '.join(layout.control)}")
+    return wrong
 
 
 def compare_entries(what: str, wanted: Sequence[Entry], found: Sequence[Entry]) -> list[str]:

@@ -114,4 +114,3 @@ class StudentPolicy:
                 random = stream(self._seed, "student", index, int(self._step[world]))
                 noise[row] = random.standard_normal(shape, np.float32)
         return noise
-

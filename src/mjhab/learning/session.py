@@ -12,13 +12,12 @@ from typing import Any
 import torch
 
 import mjhab
-from mjhab.core.errors import UsageError
 from mjhab.data.generation import Standing
 from mjhab.data.query import Filter
 from mjhab.learning.checkpoint import load_checkpoint, save_student, save_training
-from mjhab.learning.collection import Collector, Means, Round, Scene
+from mjhab.learning.collection import Collector, Means, Round, Scene, make_env
 from mjhab.learning.configs import TrainConfig
-from mjhab.learning.demos import BatchSampler, Demonstrations, load_demonstrations, targets_of
+from mjhab.learning.demos import BatchSampler, Demonstrations, layout_of_data, load_demonstrations
 from mjhab.learning.evaluation import Evaluator
 from mjhab.learning.layout import Layout, layout_of
 from mjhab.learning.run import Logbook, TrainingFolder
@@ -108,21 +107,15 @@ class Session:
         """Seconds per episode of the last evaluation."""
 
     def _new_layout(self) -> Layout:
-        from mjhab.envs.starts import valid_targets
-        from mjhab.learning.collection import make_env
-
-        inputs = self.config.inputs
-        env = make_env(self.request.scene, {}, Means(worlds=1, threads=1))
+        """The layout of the given data, or of the environment that demonstrations are collected in."""
         if self.request.data:
-            targets = targets_of(self.request.data, self.filter)
-            if not targets:
-                raise UsageError(
-                    "no episode passes, so there is nothing to learn from; see what is there with: mjhab data stats"
-                )
-        else:
-            scene = self.request.scene
-            targets = (scene.target,) if scene.target else tuple(valid_targets(env.config, env.layout))
-        return layout_of(env, inputs, targets)
+            return layout_of_data(self.request.data, self.config.inputs, self.filter)
+        from mjhab.envs.starts import valid_targets
+
+        scene = self.request.scene
+        env = make_env(scene, {}, Means(worlds=1, threads=1))
+        targets = (scene.target,) if scene.target else tuple(valid_targets(env.config, env.layout))
+        return layout_of(env, self.config.inputs, targets)
 
     @property
     def filter(self) -> Filter | None:

@@ -49,10 +49,11 @@ def config(algorithm: str = BC, inputs: InputConfig = INPUTS, **changes: Any) ->
         preset="tiny",
         inputs=inputs,
         network=networks[algorithm],
-        optimizer=OptimizerConfig(batch=8, learning_rate=3e-3, warmup=2),
+        optimizer=OptimizerConfig(batch=8, learning_rate=1e-2, warmup=2),
         chunk=4,
         execute=2,
         hold_steps=3,
+        huber=0.0 if steps else 0.5,
         sampling_steps=steps,
         updates=4,
     )

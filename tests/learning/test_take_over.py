@@ -54,7 +54,7 @@ def make(worlds: int, longest: int) -> tuple[TakeOver, Steady, Steady]:
 
 def roll(path: Path, worlds: int, longest: int, count: int = 5) -> tuple[Steady, Steady]:
     policy, student, expert = make(worlds, longest)
-    env = FakeEnv(worlds, subtask="pick", horizon=20)
+    env: Any = FakeEnv(worlds, subtask="pick", horizon=20)
     with ShardWriter(path) as writer:
         rollout(env, policy, list(range(count)), 3, [Recorder(writer, env, {"name": policy.name})])
     return student, expert
@@ -98,7 +98,7 @@ def test_what_the_expert_intended_is_learned_from_the_take_over_on(tmp_path: Pat
 
 
 def test_a_student_alone_is_learned_from(tmp_path: Path) -> None:
-    env = FakeEnv(1, subtask="pick")
+    env: Any = FakeEnv(1, subtask="pick")
     with ShardWriter(tmp_path / "a.h5") as writer:
         rollout(env, Steady("student", 0.1, 1), [0], 0, [Recorder(writer, env, {"name": "student"})])
     assert all(expert_steps(episode).all() for episode in episodes(tmp_path / "a.h5"))

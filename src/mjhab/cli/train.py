@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from mjhab.cli.doctor import cores
 from mjhab.cli.output import at_least, print_json
 from mjhab.cli.train_options import (
     TrainActOptions,
@@ -72,7 +73,7 @@ def make_request(options: TrainOptions) -> Request:
     return Request(
         config=resolved(options),
         scene=scene,
-        means=Means(options.worlds, options.workers, options.threads),
+        means=Means(options.worlds, options.workers, options.threads or max(1, cores() // options.workers)),
         seed=options.seed,
         data=options.data,
         where=options.where or "",

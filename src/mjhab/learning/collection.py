@@ -54,7 +54,10 @@ class Round:
 
 @dataclass(frozen=True)
 class Means:
-    """What collection runs on. Changes the speed, never the results."""
+    """What collection and evaluation run on: worlds of a process, processes, threads of each (0 takes all cores).
+
+    Changes the speed, never the results.
+    """
 
     worlds: int = 16
     workers: int = 1
@@ -88,8 +91,14 @@ class Collector:
         self._scene, self._view, self._means, self._seed, self._ray = scene, view, means, seed, ray
         self._keeper = StageKeeper()
 
-    def collect(self, wanted: Round, out: Path, tell: Callable[[Standing], object] = bool) -> Standing:
-        """Make the data set of a round in a folder, or go on with it; only successes are kept.
+    def collect(
+        self,
+        wanted: Round,
+        out: Path,
+        tell: Callable[[Standing], object] = bool,
+        stopped: Callable[[], bool] = bool,
+    ) -> Standing:
+        """Make the data set of a round in a folder, or go on with it; only successes are kept. See `generate`.
 
         Raises:
             UsageError: the folder holds something else, or no episode succeeded.
@@ -108,8 +117,8 @@ class Collector:
         told = {**asdict(wanted), "student": wanted.student.name if wanted.student else ""}
         config = {"scene": asdict(self._scene), "seed": self._seed, "round": told}
         job = Job(spec, config, out, wanted.episodes, self._means.workers, self._means.worlds)
-        standing = generate(job, self._crew(alone), tell, resume=True)
-        if not standing.kept:
+        standing = generate(job, self._crew(alone), tell, stopped, resume=True)
+        if standing.complete and not standing.kept:
             raise UsageError(
                 f"not one of the {standing.tried} episodes of round {wanted.number} succeeded; is the task too hard "
                 "for the expert here? See: mjhab eval --policy expert"
@@ -133,6 +142,9 @@ def round_seed(seed: int, number: int) -> int:
 
 def build_stage(scene: Scene, view: dict[str, Any], means: Means, collected: Round) -> Stage:
     """What a worker acts in; called in the worker's process."""
+    import torch
+
+    torch.set_num_threads(max(1, means.threads))
     env = make_env(scene, view, means, collected.horizon)
     return stage_in(env, collected)
 

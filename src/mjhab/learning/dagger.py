@@ -47,7 +47,6 @@ def collect_round(session: Session, config: DaggerConfig, number: int) -> None:
     if number == 0 and session.request.data:
         session.load(session.request.data, session.filter)
         return
-    session.check_time()
     student = session.folder.round_student(number) if number else None
     episodes = config.episodes if number else session.config.demos
     # The expert alone needs no more time than the task gives it.

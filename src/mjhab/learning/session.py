@@ -104,7 +104,6 @@ class Session:
         self.log = Logbook(folder, self.progress.seconds, self.trainer.step)
         self._saved_at = time.perf_counter()
         self._eval_seconds = 0.0
-        """Seconds per episode of the last evaluation."""
 
     def _new_layout(self) -> Layout:
         """The layout of the given data, or of the environment that demonstrations are collected in."""
@@ -135,7 +134,11 @@ class Session:
             self.fitted = True
 
     def collect(self, wanted: Round) -> None:
-        """Collect the demonstrations of a round, or what is missing of them, and add them."""
+        """Collect the demonstrations of a round, or what is missing of them, and add them.
+
+        Raises:
+            OutOfTime: the budget was spent before they were complete.
+        """
         out = self.folder.data(wanted.number)
         began = time.perf_counter()
 
@@ -143,7 +146,9 @@ class Session:
             self.log.show({"phase": f"collecting round {wanted.number}: {now.tried}/{wanted.episodes}"})
 
         self.log.show({"phase": f"collecting round {wanted.number}"})
-        standing = self.collector.collect(wanted, out, tell)
+        standing = self.collector.collect(wanted, out, tell, self._out_of_time)
+        if not standing.complete:
+            raise OutOfTime
         self.load(out)
         numbers = {
             "round": wanted.number,
@@ -169,7 +174,8 @@ class Session:
         losses: list[float] = []
         began, loading = time.perf_counter(), 0.0
         while self.progress.round_step < updates:
-            self.check_time()
+            if self._out_of_time():
+                raise OutOfTime
             before = time.perf_counter()
             batch = self._batch(sampler)
             loading += time.perf_counter() - before
@@ -195,12 +201,11 @@ class Session:
         chunks = sampler.batch(self.trainer.step, config.chunk, config.inputs.history, config.inputs.shift)
         return Batch.of(chunks)
 
-    def check_time(self) -> None:
-        """Raise OutOfTime when no more is left of the budget than the last evaluation takes."""
+    def _out_of_time(self) -> bool:
+        """Whether no more is left of the budget than the last evaluation takes."""
         budget = self.request.budget_seconds
         reserve = self._eval_seconds * self.request.eval_episodes
-        if budget and self.log.seconds + reserve > budget:
-            raise OutOfTime
+        return bool(budget) and self.log.seconds + reserve > budget
 
     def next_round(self) -> None:
         """Begin the next round."""
@@ -230,7 +235,7 @@ class Session:
     # -- evaluation --------------------------------------------------------------------------------------------------
 
     def evaluate(self, episodes: int, last: bool = False) -> float:
-        """Success once of the student that acts, over the episodes 0 to ``episodes`` - 1."""
+        """Success once of the student that acts, over the episodes 0 to ``episodes`` - 1; ``last`` is filmed."""
         self.log.show({"phase": f"evaluating {episodes} episodes"})
         began = time.perf_counter()
         name = LAST if last else FIRST

@@ -17,7 +17,8 @@ from tests.data.fake_world import FakeEnv
 from tests.data.make import record
 from tests.learning.small import train_config
 
-DAGGER = ["train", "dagger", "--task", "set_table", "--subtask", "close", "--target", "kitchen_counter/drawer3", "--preset", "quick", "--budget-minutes", "20", "--seed", "3", "--json", "--out"]
+COMMAND = "train dagger --task set_table --subtask close --target kitchen_counter/drawer3 --preset quick"
+DAGGER = [*COMMAND.split(), *["--budget-minutes", "20", "--seed", "3", "--json", "--out"]]
 
 
 def test_options_become_a_request(tmp_path: Path) -> None:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mjhab.cli.doctor import cores
+from mjhab.cli.evaluate import sigterm_interrupts
 from mjhab.cli.output import at_least, print_json
 from mjhab.cli.train_options import (
     TrainActOptions,
@@ -34,18 +34,17 @@ ALGORITHMS: dict[type[TrainOptions], str] = {
     TrainDiffusionOptions: "diffusion",
     TrainDaggerOptions: "dagger",
 }
-FILM_QUALITY = 27
-"""x264 rate factor, as in `mjhab eval`."""
 SECONDS_PER_MINUTE = 60.0
 
 
 def run_train(options: TrainOptions) -> int:
-    """Run the command; returns 0, or 130 after Ctrl-C (the last checkpoint is kept)."""
+    """Run the command; returns 0, or 130 after Ctrl-C or SIGTERM (the last checkpoint is kept)."""
     require_learn()
     request = make_request(options)
     from mjhab.learning.train import train
 
-    result = train(request, options.out, options.resume, _open_film)
+    with sigterm_interrupts():
+        result = train(request, options.out, options.resume)
     _tell(options, result)
     return 130 if result.interrupted else 0
 
@@ -102,12 +101,6 @@ def resolved(options: TrainOptions) -> TrainConfig:
 
 def _changed(config: Any, **values: Any) -> Any:
     return dataclasses.replace(config, **{name: value for name, value in values.items() if value is not None})
-
-
-def _open_film(path: Path, fps: int) -> Any:
-    from mjhab.sim.film import FilmWriter
-
-    return FilmWriter(path, fps, FILM_QUALITY)
 
 
 def _tell(options: TrainOptions, result: TrainingResult) -> None:

@@ -8,12 +8,13 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from mjhab.learning.run import FILMS, TrainingFolder
+from mjhab.learning.run import EVALUATIONS, TrainingFolder
 from mjhab.rollout import report_parts as parts
 from mjhab.rollout.metrics import labels_by_kind, rows_by_kind
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.report import render_page
 from mjhab.rollout.report_plots import labels_figure
+from mjhab.rollout.store import FILMS
 
 Figure = dict[str, Any]
 LINE, POINTS = "#14b8a6", "#f59e0b"
@@ -126,10 +127,13 @@ def _rounds(rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _films(folder: TrainingFolder) -> str:
-    paths = sorted((folder.path / FILMS).glob("*.mp4"))
+    paths = sorted((folder.path / EVALUATIONS).glob(f"*/{FILMS}/*.mp4"))
     if not paths:
         return ""
-    films = "".join(f"<figure>{_video(path)}<figcaption>{escape(path.stem)}</figcaption></figure>" for path in paths)
+    films = "".join(
+        f"<figure>{_video(path)}<figcaption>{escape(f'{path.parents[1].name}, {path.stem}')}</figcaption></figure>"
+        for path in paths
+    )
     hint = "Of the first and the last evaluation, at twice the speed of life."
     return parts.section("Films", hint, f'<div class="films">{films}</div>')
 

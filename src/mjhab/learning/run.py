@@ -6,7 +6,7 @@ tensorboard/       the same for TensorBoard
 data/round_000/    demonstrations that were collected, ordinary shards
 training.safetensors   everything that the next update depends on
 student.safetensors    the student that acts: what `mjhab eval --policy` takes
-films/             films of the first and the last evaluation
+evaluations/       run folders of the first and the latest evaluation, as of `mjhab eval`
 summary.json, report.html   at the end, also after Ctrl-C
 """
 
@@ -28,7 +28,7 @@ from mjhab.rollout.store import check_folder, write_text
 
 CONFIG, METRICS, TENSORBOARD, DATA = "config.json", "metrics.jsonl", "tensorboard", "data"
 TRAINING, STUDENT, ROUNDS = "training.safetensors", "student.safetensors", "rounds"
-FILMS, SUMMARY, REPORT = "films", "summary.json", "report.html"
+EVALUATIONS, SUMMARY, REPORT = "evaluations", "summary.json", "report.html"
 REFRESH_SECONDS = 0.5
 
 
@@ -68,9 +68,9 @@ class TrainingFolder:
         """The student that begins the episodes of a round."""
         return self.path / ROUNDS / f"round_{number:03d}.safetensors"
 
-    def film(self, name: str, index: int) -> Path:
-        """Where the film of an episode of an evaluation belongs."""
-        return self.path / FILMS / f"{name}_{index:05d}.mp4"
+    def evaluation(self, name: str) -> Path:
+        """Run folder of an evaluation."""
+        return self.path / EVALUATIONS / name
 
     def read_metrics(self, step: int | None = None) -> list[dict[str, Any]]:
         """What was reported, up to ``step`` updates if given; a line torn by a kill is left out."""

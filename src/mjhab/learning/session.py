@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -18,21 +18,19 @@ from mjhab.learning.checkpoint import load_checkpoint, save_student, save_traini
 from mjhab.learning.collection import Collector, Means, Round, Scene, make_env
 from mjhab.learning.configs import TrainConfig
 from mjhab.learning.demos import BatchSampler, Demonstrations, layout_of_data, load_demonstrations
-from mjhab.learning.evaluation import Evaluator
+from mjhab.learning.evaluation import Evaluations
 from mjhab.learning.layout import Layout, layout_of
 from mjhab.learning.run import Logbook, TrainingFolder
 from mjhab.learning.student import Batch, make_student
 from mjhab.learning.training import Trainer
-from mjhab.rollout.films import Film, FilmSink
 from mjhab.rollout.records import EpisodeRecord
 
 REPORT_EVERY = 50
 """Updates between reports of the loss."""
 CHECKPOINT_SECONDS = 60.0
 """Between checkpoints."""
-FIRST, LAST = "first", "last"
-"""Names of the evaluations that are filmed."""
-OpenFilm = Callable[[Path, int], Film]
+FIRST, LATEST = "first", "latest"
+"""Names of the evaluations that are kept."""
 LOAD_SHARE = "loading_share"
 
 
@@ -79,12 +77,10 @@ class OutOfTime(Exception):
 class Session:
     """State of a run. Make one with `open_session`."""
 
-    def __init__(
-        self, request: Request, folder: TrainingFolder, resume: bool, open_film: OpenFilm | None = None
-    ) -> None:
+    def __init__(self, request: Request, folder: TrainingFolder, resume: bool) -> None:
         if request.torch_threads:
             torch.set_num_threads(request.torch_threads)
-        self.request, self.folder, self._open_film = request, folder, open_film
+        self.request, self.folder = request, folder
         self.config = request.config.student
         self.sources: list[Demonstrations] = []
         self.progress = Progress()
@@ -100,7 +96,6 @@ class Session:
         self.fitted = saved is not None
         view = self.layout.env_options()
         self.collector = Collector(request.scene, view, request.means, request.seed, request.ray)
-        self.evaluator = Evaluator(request.scene, view, request.means, request.seed)
         self.log = Logbook(folder, self.progress.seconds, self.trainer.step)
         self._saved_at = time.perf_counter()
         self._eval_seconds = 0.0
@@ -235,12 +230,22 @@ class Session:
     # -- evaluation --------------------------------------------------------------------------------------------------
 
     def evaluate(self, episodes: int, last: bool = False) -> float:
-        """Success once of the student that acts, over the episodes 0 to ``episodes`` - 1; ``last`` is filmed."""
-        self.log.show({"phase": f"evaluating {episodes} episodes"})
+        """Success once of the student that acts, over the episodes 0 to ``episodes`` - 1.
+
+        The first evaluation and the ``last`` one are filmed, and keep their folders.
+        """
+        self.save()
+        first = not self.progress.evaluated
+        films = self.request.films if first or last else 0
         began = time.perf_counter()
-        name = LAST if last else FIRST
-        sinks = [self._film_sink(name)] if last or not self.progress.evaluated else []
-        self.records = self.evaluator.evaluate(self.trainer.average, range(episodes), sinks)
+
+        def tell(done: int) -> None:
+            self.log.show({"phase": f"evaluating: {done}/{episodes}"})
+
+        tell(0)
+        evaluations = Evaluations(self.request.scene, self.request.means, self.request.seed, tell)
+        out = self.folder.evaluation(FIRST if first and not last else LATEST)
+        self.records = list(evaluations.run(self.folder.student, episodes, films, out).records)
         self._eval_seconds = (time.perf_counter() - began) / episodes
         success = sum(record.success_once for record in self.records) / episodes
         self.progress.success = success
@@ -249,21 +254,11 @@ class Session:
         self.log.report(self.trainer.step, self.progress.samples, numbers)
         return success
 
-    def _film_sink(self, name: str) -> FilmSink:
-        films = range(self.request.films if self._open_film is not None else 0)
-        return FilmSink(films, lambda index: self.folder.film(name, index), self._open_film or _no_film)
-
-
-def _no_film(path: Path, fps: int) -> Film:
-    raise RuntimeError("nothing opens films")
-
 
 @contextmanager
-def open_session(
-    request: Request, folder: TrainingFolder, resume: bool, open_film: OpenFilm | None = None
-) -> Iterator[Session]:
+def open_session(request: Request, folder: TrainingFolder, resume: bool) -> Iterator[Session]:
     """A session whose logs are closed in the end."""
-    session = Session(request, folder, resume, open_film)
+    session = Session(request, folder, resume)
     with session.log:
         yield session
 

@@ -9,7 +9,7 @@ from typing import Any
 from mjhab.learning.dagger import train_dagger
 from mjhab.learning.report import render_training_report
 from mjhab.learning.run import TrainingFolder
-from mjhab.learning.session import OpenFilm, OutOfTime, Request, Session, open_session, resolved_config
+from mjhab.learning.session import OutOfTime, Request, Session, open_session, resolved_config
 from mjhab.learning.supervised import train_supervised
 from mjhab.rollout.metrics import mean, wilson
 
@@ -23,14 +23,13 @@ class TrainingResult:
     interrupted: bool
 
 
-def train(request: Request, out: Path, resume: bool = False, open_film: OpenFilm | None = None) -> TrainingResult:
+def train(request: Request, out: Path, resume: bool = False) -> TrainingResult:
     """Train a student, evaluate it, and write everything into a folder. Ctrl-C keeps the last checkpoint.
 
     Args:
         request: what to train.
         out: the folder.
         resume: go on with the run in ``out``, exactly.
-        open_film: opens a film file, for ``request.films``.
 
     Raises:
         UsageError: data, folder or scene do not fit.
@@ -38,7 +37,7 @@ def train(request: Request, out: Path, resume: bool = False, open_film: OpenFilm
     """
     folder = TrainingFolder.open(out, resolved_config(request), resume=resume)
     interrupted = False
-    with open_session(request, folder, resume, open_film) as session:
+    with open_session(request, folder, resume) as session:
         try:
             _learn(session)
             session.save()

@@ -22,7 +22,7 @@ ALLOWED: dict[str, frozenset[str]] = {
     "experts": frozenset({"core", "tasks", "envs"}),
     "rollout": frozenset({"core", "tasks", "sim", "envs", "experts"}),
     "data": frozenset({"core", "tasks", "rollout"}),
-    "learning": frozenset({"core", "rollout", "data"}),
+    "learning": frozenset({"core", "tasks", "envs", "experts", "rollout", "data"}),
     "viewer": frozenset({"core", "scenes", "tasks", "sim", "envs", "experts", "rollout", "data"}),
     "cli": frozenset(
         {"core", "assets", "scenes", "tasks", "sim", "envs", "experts", "rollout", "data", "learning", "viewer"}
@@ -35,6 +35,7 @@ HEAVY: dict[str, frozenset[str]] = {
     "warp": frozenset({"sim"}),
     "mujoco_warp": frozenset({"sim"}),
     "torch": frozenset({"sim", "envs", "data", "learning"}),
+    "safetensors": frozenset({"learning"}),
     "h5py": frozenset({"data"}),
     "viser": frozenset({"viewer"}),
     "trimesh": frozenset({"scenes"}),

@@ -30,6 +30,9 @@ class FakeConfig:
     obs_mode: str = "state"
     runs_to_horizon: bool = False
     handle_points: str = "ours"
+    control_mode: str = "pd_joint_delta_pos"
+    base: str = "forward"
+    stationary: tuple[str, ...] = ()
 
 
 class _Sim:

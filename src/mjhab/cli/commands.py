@@ -13,6 +13,7 @@ from mjhab.cli import generate_options as gen
 from mjhab.cli import gpu_options as gpu
 from mjhab.cli import options as opt
 from mjhab.cli import spawn_options as spawn
+from mjhab.cli import train_options as learn
 from mjhab.cli.options import Sub
 
 
@@ -43,6 +44,7 @@ Command = (
     | Annotated[BenchCommand, Sub("bench")]
     | Annotated[gen.GenerateOptions, Sub("generate")]
     | Annotated[gen.ReplayOptions, Sub("replay")]
+    | Annotated[learn.TrainCommand, Sub("train")]
     | Annotated[data.DataCommand, Sub("data")]
     | Annotated[data.LabelOptions, Sub("label")]
     | Annotated[export.ExportCommand, Sub("export")]
@@ -68,6 +70,7 @@ RUNNERS: dict[type, tuple[str, str]] = {
     gpu.BenchParityOptions: ("bench_parity", "bench_parity"),
     gen.GenerateOptions: ("generate", "run_generate"),
     gen.ReplayOptions: ("replay", "run_replay"),
+    learn.TrainCommand: ("train", "run_train"),
     data.DataCommand: ("data", "run_data"),
     data.LabelOptions: ("data", "run_data"),
     export.ExportCommand: ("export", "run_export"),

@@ -281,6 +281,38 @@ class ProcessCrew:
             self._leave(number)
 
 
+class InlineCrew:
+    """One worker in this process: nothing has to be started, and its stage may be kept from one job to the next."""
+
+    def __init__(self) -> None:
+        self._workers: dict[int, Worker] = {}
+        self._said: list[tuple[int, Message]] = []
+
+    def start(self, number: int, spec: WorkerSpec, shard: Path) -> None:
+        """See `Crew`."""
+        worker = Worker(spec, shard)
+        self._workers[number] = worker
+        self._said.append((number, worker.ready))
+
+    def send(self, number: int, request: Request) -> None:
+        """See `Crew`; the work is done when this returns."""
+        try:
+            self._workers[number].run(request, lambda message: self._said.append((number, message)), bool)
+        except Exception as error:
+            self._said.append((number, failure(error)))
+
+    def messages(self, seconds: float) -> list[tuple[int, Message]]:
+        """See `Crew`; nothing more comes by waiting."""
+        said, self._said = self._said, []
+        return said
+
+    def stop(self) -> None:
+        """See `Crew`."""
+        for worker in self._workers.values():
+            worker.close()
+        self._workers.clear()
+
+
 def _serve(pipe: Connection, spec: WorkerSpec, shard: Path) -> None:
     """A worker process: carries out what comes through the pipe until that is closed."""
     # Ctrl-C reaches the whole group of processes: the one that leads decides what becomes of it.

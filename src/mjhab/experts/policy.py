@@ -68,10 +68,11 @@ class ExpertPolicy:
         """The style of the running episode as plain data; empty when no styles were asked for."""
         return {} if self._styles.plain else recorded(self._views[world].style)
 
-    def act(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:
-        """Actions (W, 13) for the present state of the environment."""
+    def act(self, obs: Any, info: Mapping[str, Any], mask: np.ndarray | None = None) -> np.ndarray:
+        """Actions (W, 13) for the present state of the environment; those of worlds outside ``mask`` (W,) are old."""
         for w, view in enumerate(self._views):
-            self._intended[w], self._last[w] = self._next(w, view)
+            if mask is None or mask[w]:
+                self._intended[w], self._last[w] = self._next(w, view)
         return self._last.copy()
 
     def notes(self) -> ActionNotes:

@@ -1,1 +1,1 @@
-"""Learned policies."""
+"""Policies that learn: imitation of demonstrations, and take-over DAgger. Needs the extra ``[learn]`` (torch)."""

@@ -1,0 +1,126 @@
+"""``mjhab train``: options to a request, and what is told at the end."""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from typing import TYPE_CHECKING, Any
+
+from mjhab.cli.doctor import cores
+from mjhab.cli.evaluate import sigterm_interrupts
+from mjhab.cli.output import at_least, print_json
+from mjhab.cli.train_options import (
+    TrainActOptions,
+    TrainBcOptions,
+    TrainDaggerOptions,
+    TrainDiffusionOptions,
+    TrainFlowOptions,
+    TrainOptions,
+)
+from mjhab.core.errors import unknown_name
+from mjhab.learning.require import require_learn
+from mjhab.tasks.plan import KIND_NAMES, TASKS
+from mjhab.tasks.style import Styles
+
+if TYPE_CHECKING:
+    from mjhab.learning.configs import TrainConfig
+    from mjhab.learning.session import Request
+    from mjhab.learning.train import TrainingResult
+
+ALGORITHMS: dict[type[TrainOptions], str] = {
+    TrainBcOptions: "bc",
+    TrainFlowOptions: "flow",
+    TrainActOptions: "act",
+    TrainDiffusionOptions: "diffusion",
+    TrainDaggerOptions: "dagger",
+}
+SECONDS_PER_MINUTE = 60.0
+
+
+def run_train(options: TrainOptions) -> int:
+    """Run the command; returns 0, or 130 after Ctrl-C or SIGTERM (the last checkpoint is kept)."""
+    require_learn()
+    request = make_request(options)
+    from mjhab.learning.train import train
+
+    with sigterm_interrupts():
+        result = train(request, options.out, options.resume)
+    _tell(options, result)
+    return 130 if result.interrupted else 0
+
+
+def make_request(options: TrainOptions) -> Request:
+    """Check the options and turn them into a request.
+
+    Raises:
+        UsageError: an unknown name, or a number out of range.
+    """
+    from mjhab.learning.collection import Means, Scene
+    from mjhab.learning.session import Request
+
+    for kind, given, valid in (("task", options.task, TASKS), ("subtask", options.subtask, KIND_NAMES)):
+        if given not in valid:
+            raise unknown_name(kind, given, valid)
+    for name in ("eval_episodes", "round_episodes", "films", "seed", "threads", "budget_minutes"):
+        at_least(name.replace("_", "-"), getattr(options, name), 0)
+    for name in ("worlds", "workers", "demos", "updates"):
+        if getattr(options, name) is not None:
+            at_least(name, getattr(options, name), 1)
+    scene = Scene(
+        options.task, options.subtask, options.target or "", options.split, options.assets, options.home or ""
+    )
+    return Request(
+        config=resolved(options),
+        scene=scene,
+        means=Means(options.worlds, options.workers, options.threads or max(1, cores() // options.workers)),
+        seed=options.seed,
+        data=options.data,
+        where=options.where or "",
+        budget_seconds=SECONDS_PER_MINUTE * options.budget_minutes,
+        eval_episodes=options.eval_episodes,
+        round_episodes=options.round_episodes,
+        torch_threads=options.threads,
+        films=options.films,
+        ray=options.ray or "",
+    )
+
+
+def resolved(options: TrainOptions) -> TrainConfig:
+    """The preset with what the options change in it."""
+    from mjhab.learning.configs import preset_of
+
+    config = preset_of(ALGORITHMS[type(options)], options.preset)
+    words = tuple(Styles.parse(options.style).words) or None
+    student = _changed(config.student, demos=options.demos, updates=options.updates, style=words)
+    dagger = config.dagger
+    if isinstance(options, TrainDaggerOptions) and dagger is not None:
+        changes = {"rounds": options.rounds, "updates": options.round_updates, "episodes": options.takeovers}
+        dagger = _changed(dagger, **changes)
+    return dataclasses.replace(config, student=student, dagger=dagger)
+
+
+def _changed(config: Any, **values: Any) -> Any:
+    return dataclasses.replace(config, **{name: value for name, value in values.items() if value is not None})
+
+
+def _tell(options: TrainOptions, result: TrainingResult) -> None:
+    summary = result.summary
+    if result.interrupted:
+        print(
+            f"mjhab: interrupted; the last checkpoint is kept in {options.out}. The same command with --resume goes "
+            "on.",
+            file=sys.stderr,
+        )
+    if options.json:
+        print_json(summary)
+        return
+    success = summary["success_once"]
+    if success is not None:
+        low, high = summary["interval"]
+        interval = f"95 % interval {100 * low:.0f} to {100 * high:.0f} %"
+        minutes = summary["seconds"] / SECONDS_PER_MINUTE
+        print(
+            f"success once {100 * success:.1f} % of {summary['episodes']} episodes ({interval}), {minutes:.1f} minutes"
+        )
+    print(f"student: {summary['checkpoint']}")
+    print(f"report: {result.report}")

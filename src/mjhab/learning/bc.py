@@ -1,0 +1,59 @@
+"""Behaviour cloning: predict the demonstrated chunk of actions. Preset ``paper`` is the original's, one action."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from mjhab.learning.configs import StudentConfig
+from mjhab.learning.layout import Layout
+from mjhab.learning.networks import Encoder, Normalizer, Trunk, mlp
+from mjhab.learning.student import Batch, Student
+
+PAPER_HIDDEN = (2048, 1024, 512)
+"""Hidden layers of the published student (mshab/agents/bc/agent.py)."""
+
+
+class PaperTrunk(nn.Module):
+    """The published layers: images and state to 1,024 features each, then PAPER_HIDDEN."""
+
+    def __init__(self, config: StudentConfig, layout: Layout) -> None:
+        super().__init__()
+        self.encoder = Encoder(config, layout)
+        width = config.network.image_features
+        self.state = nn.Sequential(nn.Linear(self.encoder.vector_width, width), nn.ReLU())
+        self.layers = mlp([(self.encoder.cameras + 1) * width, *PAPER_HIDDEN], norm=False)
+        self.width = PAPER_HIDDEN[-1]
+
+    @property
+    def normalizer(self) -> Normalizer:
+        """That of the vector."""
+        return self.encoder.normalizer
+
+    def forward(self, vector: Tensor, images: Tensor) -> Tensor:
+        features, seen = self.encoder(vector, images)
+        return self.layers(torch.cat([*features, self.state(seen)], dim=1))
+
+
+class BehaviourCloning(Student):
+    """Trunk and one linear layer for all actions of the chunk."""
+
+    def __init__(self, config: StudentConfig, layout: Layout) -> None:
+        super().__init__(config, layout)
+        build = PaperTrunk if config.network.encoder == "paper" else Trunk
+        self.trunk = build(config, layout)
+        self.head = nn.Linear(self.trunk.width, config.chunk * len(layout.actions))
+
+    @property
+    def normalizer(self) -> Normalizer:
+        return self.trunk.normalizer
+
+    def predict(self, vector: Tensor, images: Tensor) -> Tensor:
+        """Normalized actions (B, chunk, A)."""
+        return self.head(self.trunk(vector, images)).unflatten(1, (self.config.chunk, -1))
+
+    def loss(self, batch: Batch, random: torch.Generator) -> Tensor:
+        return self.error(self.predict(batch.vector, batch.images), batch, self.targets(batch))
+
+    def chunk(self, vector: Tensor, images: Tensor, noise: Tensor) -> Tensor:
+        return self.action_normalizer.restore(self.predict(vector, images))

@@ -1,0 +1,95 @@
+"""Checkpoints: weights as safetensors, with the resolved config as JSON in the head of the file. Never a pickle.
+
+A student file holds the weights that act. A training file holds besides them all that training needs to go on.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor
+
+import mjhab
+from mjhab.core.cache import write_atomic
+from mjhab.core.errors import UsageError
+from mjhab.learning.configs import StudentConfig, student_from_plain, to_plain
+from mjhab.learning.layout import Layout
+from mjhab.learning.student import Student, make_student
+from mjhab.learning.training import Trainer
+
+FORMAT = "mjhab-student-1"
+SUFFIX = ".safetensors"
+_HEAD = "mjhab"
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """What a file holds. about: plain JSON data that the writer added, e.g. how far training is."""
+
+    config: StudentConfig
+    layout: Layout
+    about: Mapping[str, Any]
+    tensors: Mapping[str, Tensor]
+
+
+def save_student(path: Path, student: Student, about: Mapping[str, Any]) -> None:
+    """Write the weights of a student, whole or not at all."""
+    _save(path, student, student.state_dict(), about)
+
+
+def save_training(path: Path, trainer: Trainer, about: Mapping[str, Any]) -> None:
+    """Write all that training needs to go on, whole or not at all."""
+    _save(path, trainer.student, trainer.tensors(), {**about, "step": trainer.step})
+
+
+def load_checkpoint(path: Path) -> Checkpoint:
+    """Read a file of either kind.
+
+    Raises:
+        UsageError: there is no such file, or it is not one of these.
+    """
+    if not path.is_file():
+        raise UsageError(f"{path} does not exist; give a checkpoint (*{SUFFIX}) of `mjhab train`.")
+    try:
+        with safe_open(path, "pt") as file:
+            head = json.loads((file.metadata() or {}).get(_HEAD, "{}"))
+            if head.get("format") != FORMAT:
+                raise UsageError(f"{path} is not a checkpoint of `mjhab train` (format {head.get('format')!r}).")
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
+    except (SafetensorError, json.JSONDecodeError, OSError) as error:
+        raise UsageError(f"{path} cannot be read as a checkpoint: {error}.") from error
+    config = student_from_plain(head["student"])
+    return Checkpoint(config, Layout.from_plain(config.inputs, head["layout"]), head["about"], tensors)
+
+
+def load_student(path: Path) -> Student:
+    """The student of a student file, ready to act.
+
+    Raises:
+        UsageError: see `load_checkpoint`; or the weights are those of a training file or of another network.
+    """
+    saved = load_checkpoint(path)
+    student = make_student(saved.config, saved.layout)
+    try:
+        student.load_state_dict(dict(saved.tensors))
+    except RuntimeError as error:
+        raise UsageError(f"{path} does not hold the weights of a student alone: {error}") from error
+    return student.eval().requires_grad_(False)
+
+
+def _save(path: Path, student: Student, tensors: Mapping[str, Tensor], about: Mapping[str, Any]) -> None:
+    head = {
+        "format": FORMAT,
+        "version": mjhab.__version__,
+        "student": to_plain(student.config),
+        "layout": student.layout.to_plain(),
+        "about": dict(about),
+    }
+    kept = {name: tensor.detach().contiguous().clone() for name, tensor in tensors.items()}
+    write_atomic(path, lambda temporary: save_file(kept, temporary, {_HEAD: json.dumps(head)}))

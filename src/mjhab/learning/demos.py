@@ -1,0 +1,326 @@
+"""Demonstrations in memory: what a student sees in every control step, and what it should do from there on."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mjhab.core.errors import UsageError
+from mjhab.core.seeding import stream
+from mjhab.data.facts import type_name
+from mjhab.data.images import decode
+from mjhab.data.query import Filter
+from mjhab.data.reading import Episode, open_shard
+from mjhab.data.sets import select
+from mjhab.learning.configs import InputConfig
+from mjhab.learning.layout import Entry, Layout, compare_layouts
+from mjhab.learning.take_over import expert_steps
+
+SUCCESSES = "success"
+"""Filter: which episodes are learned from if nothing is said."""
+MILLIMETRES_PER_METRE = 1000.0
+BYTE = 255
+
+
+def _nearness_table() -> np.ndarray:
+    metres = np.arange(np.iinfo(np.int16).max + 1) / MILLIMETRES_PER_METRE
+    return np.rint(BYTE * (1.0 - np.tanh(metres))).astype(np.uint8)
+
+
+_NEARNESS = _nearness_table()
+
+
+def nearness(depth: np.ndarray) -> np.ndarray:
+    """Depth images [mm, int16] as uint8 of 1 - tanh(m), 255 at the lens (mshab/agents/bc/agent.py)."""
+    return _NEARNESS[depth]
+
+
+@dataclass(frozen=True, eq=False)
+class Demonstrations:
+    """N control steps of some episodes, one after another.
+
+    vector (N, D) float32: what the student sees without images, see `Layout.entries`. images (N, C, H, W) uint8
+    nearness. actions (N, A) float32: labels. first, last (N,): first row of the step's episode, and the last one whose
+    label may be in a chunk that begins in the step. usable: rows whose label is to be learned. episodes: how many.
+    """
+
+    vector: np.ndarray
+    images: np.ndarray
+    actions: np.ndarray
+    first: np.ndarray
+    last: np.ndarray
+    usable: np.ndarray
+    episodes: int
+
+    @classmethod
+    def join(cls, parts: Sequence[Demonstrations]) -> Demonstrations:
+        """One set after another.
+
+        Raises:
+            UsageError: there is nothing to learn from.
+        """
+        if not parts or not sum(len(part.usable) for part in parts):
+            raise nothing_to_learn()
+        offsets = np.cumsum([0, *(len(part.vector) for part in parts)])[:-1].tolist()
+        return cls(
+            np.concatenate([part.vector for part in parts]),
+            np.concatenate([part.images for part in parts]),
+            np.concatenate([part.actions for part in parts]),
+            np.concatenate([part.first + at for part, at in zip(parts, offsets, strict=True)]),
+            np.concatenate([part.last + at for part, at in zip(parts, offsets, strict=True)]),
+            np.concatenate([part.usable + at for part, at in zip(parts, offsets, strict=True)]),
+            sum(part.episodes for part in parts),
+        )
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes in memory."""
+        return self.vector.nbytes + self.images.nbytes + self.actions.nbytes
+
+
+@dataclass(frozen=True, eq=False)
+class Chunks:
+    """B samples of Demonstrations, ready for a network.
+
+    vector (B, history * D), images (B, history * C, H, W) uint8, actions (B, chunk, A), valid (B, chunk) bool: False
+    where the demonstration had ended or somebody else acted.
+    """
+
+    vector: np.ndarray
+    images: np.ndarray
+    actions: np.ndarray
+    valid: np.ndarray
+
+
+def load_demonstrations(
+    places: Path | Sequence[Path],
+    layout: Layout,
+    hold_steps: int,
+    where: Filter | None = None,
+    advance: Callable[[], object] = bool,
+) -> Demonstrations:
+    """Read shards into memory, each episode until ``hold_steps`` control steps after its first success.
+
+    Args:
+        places: shards or folders of them.
+        layout: of the student.
+        hold_steps: -1 keeps whole episodes.
+        where: which episodes; those that succeed if None.
+        advance: called after every episode.
+
+    Raises:
+        UsageError: no episode passes; they lack images, or have another state or other actions.
+    """
+    found = select(places, where or Filter(SUCCESSES))
+    parts = []
+    for path, members in itertools.groupby(found.matched, lambda place: place[0]):
+        with open_shard(path) as shard:
+            for _, name in members:
+                parts.append(read_episode(shard.episode(name), layout, hold_steps))
+                advance()
+    return Demonstrations.join(parts)
+
+
+def layout_of_data(places: Path | Sequence[Path], inputs: InputConfig, where: Filter | None = None) -> Layout:
+    """The layout of a student that learns from a data set; its targets are those of the episodes that pass.
+
+    Raises:
+        UsageError: no episode passes.
+    """
+    found = select(places, where or Filter(SUCCESSES))
+    if not found.matched:
+        raise nothing_to_learn()
+    path, name = found.matched[0]
+    targets = tuple(sorted({type_name(entry.target) for record in found.records for entry in record.plan}))
+    with open_shard(path) as shard:
+        state, actions, control = entries_of(shard.episode(name))
+    return Layout(inputs, state, actions, targets, control)
+
+
+def entries_of(episode: Episode) -> tuple[tuple[Entry, ...], tuple[str, ...], tuple[str, ...]]:
+    """State, actions and control of a recorded episode, as in `Layout`."""
+    env = episode.run.config["env"]
+    control = (env["control_mode"], env["base"], *env["stationary"])
+    actions = tuple(str(name) for name in episode.run.layout["actions"])
+    return tuple(episode.columns("obs/state").items()), actions, control
+
+
+def nothing_to_learn() -> UsageError:
+    """The error for an empty selection."""
+    return UsageError(
+        "no demonstration is left to learn from: no episode passes the filter, or none of them succeeds. See what is "
+        "there with: mjhab data stats"
+    )
+
+
+def read_episode(episode: Episode, layout: Layout, hold_steps: int) -> Demonstrations:
+    """One episode as Demonstrations.
+
+    Raises:
+        UsageError: it lacks images, or has another state or other actions than ``layout``.
+    """
+    _check_layout(episode, layout)
+    executed = episode.array("actions")
+    steps = kept_steps(episode.array("reward/success"), hold_steps)
+    vector = _vectors(episode, layout, executed)[:steps]
+    images = _images(episode, layout, steps)
+    usable = np.flatnonzero(expert_steps(episode)[:steps])
+    return Demonstrations(
+        vector,
+        images,
+        episode.array("actions_intended")[:steps],
+        np.zeros(steps, np.int64),
+        np.full(steps, steps - 1),
+        usable,
+        1,
+    )
+
+
+def kept_steps(success: np.ndarray, hold_steps: int) -> int:
+    """Control steps to keep of an episode: up to ``hold_steps`` after the first of ``success`` (N,), or all N."""
+    reached = np.flatnonzero(success)
+    if hold_steps < 0 or not len(reached):
+        return len(success)
+    return min(len(success), int(reached[0]) + 1 + hold_steps)
+
+
+def take_chunks(data: Demonstrations, rows: np.ndarray, chunk: int, history: int = 1) -> Chunks:
+    """The samples that begin in the given rows (B,)."""
+    seen = rows[:, None] + np.arange(1 - history, 1)
+    seen = np.maximum(seen, data.first[rows, None])
+    ahead = rows[:, None] + np.arange(chunk)
+    valid = ahead <= data.last[rows, None]
+    ahead = np.minimum(ahead, data.last[rows, None])
+    images = data.images[seen]
+    return Chunks(
+        data.vector[seen].reshape(len(rows), -1),
+        images.reshape(len(rows), -1, *images.shape[3:]),
+        data.actions[ahead],
+        valid,
+    )
+
+
+class BatchSampler:
+    """Draws batches: a share of each from the newest data, the rest from all before. Batch k depends on (seed, k).
+
+    Args:
+        sources: data sets, the newest last.
+        new_share: of every batch that comes from the newest, where there are several.
+    """
+
+    def __init__(self, sources: Sequence[Demonstrations], batch: int, new_share: float, seed: int) -> None:
+        self._sources, self._batch, self._seed = list(sources), batch, seed
+        self._new = round(new_share * batch) if len(self._sources) > 1 else batch
+
+    def rows(self, step: int) -> list[tuple[Demonstrations, np.ndarray]]:
+        """Rows of batch ``step``, by source."""
+        random = stream(self._seed, "batch", step)
+        newest = self._sources[-1]
+        drawn = [(newest, random.choice(newest.usable, self._new))]
+        old = self._sources[:-1]
+        if old:
+            ends = np.cumsum([len(source.usable) for source in old])
+            places = random.integers(0, ends[-1], self._batch - self._new)
+            which = np.searchsorted(ends, places, side="right")
+            for number, source in enumerate(old):
+                mine = places[which == number] - (ends[number] - len(source.usable))
+                drawn.append((source, source.usable[mine]))
+        return [(source, rows) for source, rows in drawn if len(rows)]
+
+    def batch(self, step: int, chunk: int, history: int, shift: int) -> Chunks:
+        """Batch ``step``, its images moved by up to ``shift`` pixels."""
+        parts = [take_chunks(source, rows, chunk, history) for source, rows in self.rows(step)]
+        images = np.concatenate([part.images for part in parts])
+        if shift and images.size:
+            images = shift_images(images, shift, stream(self._seed, "shift", step))
+        return Chunks(
+            np.concatenate([part.vector for part in parts]),
+            images,
+            np.concatenate([part.actions for part in parts]),
+            np.concatenate([part.valid for part in parts]),
+        )
+
+
+def shift_images(images: np.ndarray, most: int, random: np.random.Generator) -> np.ndarray:
+    """Images (B, C, H, W), each moved by a random offset of up to ``most`` pixels; the edge is repeated."""
+    count, channels, height, width = images.shape
+    offsets = random.integers(-most, most + 1, (2, count, 1))
+    rows = np.clip(np.arange(height) + offsets[0], 0, height - 1)
+    columns = np.clip(np.arange(width) + offsets[1], 0, width - 1)
+    return images[
+        np.arange(count)[:, None, None, None],
+        np.arange(channels)[None, :, None, None],
+        rows[:, None, :, None],
+        columns[:, None, None, :],
+    ]
+
+
+def _check_layout(episode: Episode, layout: Layout) -> None:
+    state, actions, control = entries_of(episode)
+    wrong = compare_layouts(layout, state, actions, control)
+    if wrong:
+        raise UsageError(
+            f"episode {episode.name} of {episode.shard.path} does not fit the student: {'; '.join(wrong)}."
+        )
+
+
+def _vectors(episode: Episode, layout: Layout, executed: np.ndarray) -> np.ndarray:
+    """What the student sees without images in every step (N, D) float32."""
+    steps = len(executed)
+    parts = [episode.array("obs/state")[:steps]]
+    if layout.inputs.base_velocity:
+        parts.append(base_velocity_of(episode)[:steps])
+    if layout.inputs.previous_action:
+        parts.append(np.concatenate([np.zeros_like(executed[:1]), executed[:-1]]))
+    if layout.inputs.condition:
+        plan = episode.record.plan
+        pointers = np.minimum(episode.array("subtasks/active")[:steps], len(plan) - 1)
+        codes = np.stack([layout.condition(entry.kind, type_name(entry.target)) for entry in plan])
+        parts.append(codes[pointers])
+    return np.concatenate(parts, axis=1, dtype=np.float32)
+
+
+def base_velocity_of(episode: Episode) -> np.ndarray:
+    """Forward speed [m/s] and turning rate [rad/s] of the base (N+1, 2) float32, from the recorded states."""
+    columns = episode.run.layout["columns"]
+    q = episode.array("states/qpos")[:, columns["robot_q"][:3]]
+    qd = episode.array("states/qvel")[:, columns["robot_v"][:3]]
+    return base_velocity(q, qd)
+
+
+def base_velocity(q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+    """(N, 2) float32 forward speed and turning rate of q (N, 3+): x, y [m], yaw [rad], and its velocities ``qd``."""
+    forward = np.cos(q[:, 2]) * qd[:, 0] + np.sin(q[:, 2]) * qd[:, 1]
+    return np.stack([forward, qd[:, 2]], axis=1).astype(np.float32)
+
+
+def _images(episode: Episode, layout: Layout, steps: int) -> np.ndarray:
+    """Images (N, C, H, W) uint8 of the first ``steps`` states."""
+    size = layout.inputs.image_size
+    if not layout.image_keys:
+        return np.zeros((steps, 0, 0, 0), np.uint8)
+    cameras = []
+    for camera in layout.inputs.cameras:
+        if (camera, "depth") not in episode.images:
+            raise _no_images(episode, layout, f"has no depth images of {camera}")
+        files = episode.array(f"images/{camera}/depth/bytes").tobytes()
+        ends = episode.array(f"images/{camera}/depth/ends").tolist()
+        starts = [0, *ends]
+        frames = [decode(files[starts[t] : ends[t]], "depth")[..., 0] for t in range(steps)]
+        if frames[0].shape != (size, size):
+            raise _no_images(episode, layout, f"has depth images of {frames[0].shape[1]}x{frames[0].shape[0]} px")
+        cameras.append(nearness(np.stack(frames)))
+    return np.stack(cameras, axis=1)
+
+
+def _no_images(episode: Episode, layout: Layout, found: str) -> UsageError:
+    size, cameras = layout.inputs.image_size, " ".join(layout.inputs.cameras)
+    return UsageError(
+        f"episode {episode.name} of {episode.shard.path} {found}; the preset needs {size}x{size} px. Draw them from "
+        f"the recorded states: mjhab replay {episode.shard.path} --render depth --camera-size {size} "
+        f"--cameras {cameras} --out FILE.h5"
+    )

@@ -1,0 +1,158 @@
+"""The published diffusion policy: a 1-D UNet over chunks, DDPM with 100 steps (mshab/agents/dp/agent.py).
+
+Two things differ on purpose: demonstrations end soon after success, and the moving average of the weights acts in
+evaluation; the published run keeps it and does not use it.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+
+from mjhab.learning.configs import StudentConfig
+from mjhab.learning.layout import Layout
+from mjhab.learning.networks import Normalizer, PoolingEncoder
+from mjhab.learning.student import Batch, Student
+
+STEP_FEATURES = 64
+GROUPS = 8
+KERNEL = 5
+MOST_BETA = 0.999
+COSINE_OFFSET = 0.008
+"""Of the squared-cosine schedule (Nichol and Dhariwal 2021, arXiv 2102.09672, Eq. 17)."""
+
+
+class DiffusionPolicy(Student):
+    """Predicts the noise in a noisy chunk of actions; sampled by going back step by step."""
+
+    kept: Tensor
+
+    def __init__(self, config: StudentConfig, layout: Layout) -> None:
+        super().__init__(config, layout)
+        inputs = config.inputs
+        self.vector_normalizer = Normalizer(layout.width)
+        self.images = PoolingEncoder(len(layout.image_keys), config.network.channels, config.network.image_features)
+        seen = inputs.history * (config.network.image_features + layout.width)
+        self.unet = UNet(len(layout.actions), seen, config.network.unet)
+        self.register_buffer("kept", squared_cosine(config.sampling_steps), persistent=False)
+
+    @property
+    def normalizer(self) -> Normalizer:
+        return self.vector_normalizer
+
+    @property
+    def draws(self) -> int:
+        return self.config.sampling_steps
+
+    def see(self, vector: Tensor, images: Tensor) -> Tensor:
+        """Features (B, F) of what is seen."""
+        history = self.config.inputs.history
+        frames = images.float().div_(255.0).unflatten(1, (history, -1))
+        features = self.images(frames.flatten(0, 1)).unflatten(0, (-1, history))
+        normalized = self.vector_normalizer(vector.unflatten(1, (history, -1)))
+        return torch.cat([features, normalized], dim=2).flatten(1)
+
+    def loss(self, batch: Batch, random: torch.Generator) -> Tensor:
+        target = self.targets(batch)
+        noise = torch.randn(target.shape, generator=random)
+        step = torch.randint(0, len(self.kept), (len(target),), generator=random)
+        kept = self.kept[step][:, None, None]
+        noisy = kept.sqrt() * target + (1.0 - kept).sqrt() * noise
+        return self.error(self.unet(noisy, step, self.see(batch.vector, batch.images)), batch, noise)
+
+    def chunk(self, vector: Tensor, images: Tensor, noise: Tensor) -> Tensor:
+        seen = self.see(vector, images)
+        point = noise[:, 0]
+        for step in reversed(range(len(self.kept))):
+            predicted = self.unet(point, torch.full((len(noise),), step), seen)
+            kept = self.kept[step]
+            before = self.kept[step - 1] if step else torch.tensor(1.0)
+            clean = ((point - (1.0 - kept).sqrt() * predicted) / kept.sqrt()).clamp(-1.0, 1.0)
+            fade = kept / before
+            mean = before.sqrt() * (1.0 - fade) / (1.0 - kept) * clean
+            mean = mean + fade.sqrt() * (1.0 - before) / (1.0 - kept) * point
+            if step:
+                variance = (1.0 - before) / (1.0 - kept) * (1.0 - fade)
+                mean = mean + variance.sqrt() * noise[:, step]
+            point = mean
+        return self.action_normalizer.restore(point)
+
+
+def squared_cosine(steps: int) -> Tensor:
+    """(steps,) share of the signal that is left after each step of the squared-cosine schedule."""
+
+    def level(t: float) -> float:
+        return math.cos((t + COSINE_OFFSET) / (1.0 + COSINE_OFFSET) * math.pi / 2.0) ** 2
+
+    betas = [min(1.0 - level((k + 1) / steps) / level(k / steps), MOST_BETA) for k in range(steps)]
+    return torch.cumprod(1.0 - torch.tensor(betas), dim=0)
+
+
+class ConvBlock(nn.Sequential):
+    """Convolution over time, group norm, Mish."""
+
+    def __init__(self, before: int, after: int) -> None:
+        super().__init__(nn.Conv1d(before, after, KERNEL, padding=KERNEL // 2), nn.GroupNorm(GROUPS, after), nn.Mish())
+
+
+class ResidualBlock(nn.Module):
+    """Two blocks, scaled and shifted in between by the condition (B, F)."""
+
+    def __init__(self, before: int, after: int, condition: int) -> None:
+        super().__init__()
+        self.first, self.second = ConvBlock(before, after), ConvBlock(after, after)
+        self.film = nn.Sequential(nn.Mish(), nn.Linear(condition, 2 * after))
+        self.past = nn.Conv1d(before, after, 1) if before != after else nn.Identity()
+
+    def forward(self, values: Tensor, condition: Tensor) -> Tensor:
+        scale, shift = self.film(condition)[..., None].chunk(2, dim=1)
+        return self.second(scale * self.first(values) + shift) + self.past(values)
+
+
+class UNet(nn.Module):
+    """Noise in a chunk (B, chunk, A), at a step (B,) of the diffusion, given what is seen (B, F)."""
+
+    frequencies: Tensor
+
+    def __init__(self, actions: int, seen: int, levels: Sequence[int]) -> None:
+        super().__init__()
+        half = STEP_FEATURES // 2
+        self.register_buffer("frequencies", torch.exp(-math.log(10_000.0) * torch.arange(half) / (half - 1)))
+        self.clock = nn.Sequential(
+            nn.Linear(STEP_FEATURES, 4 * STEP_FEATURES), nn.Mish(), nn.Linear(4 * STEP_FEATURES, STEP_FEATURES)
+        )
+        condition = STEP_FEATURES + seen
+        widths = (actions, *levels)
+        self.down = nn.ModuleList()
+        self.up = nn.ModuleList()
+        for level, (before, after) in enumerate(itertools.pairwise(widths)):
+            last = level == len(levels) - 1
+            shrink = nn.Identity() if last else nn.Conv1d(after, after, 3, 2, 1)
+            blocks = [ResidualBlock(before, after, condition), ResidualBlock(after, after, condition), shrink]
+            self.down.append(nn.ModuleList(blocks))
+        self.middle = nn.ModuleList(ResidualBlock(widths[-1], widths[-1], condition) for _ in range(2))
+        for after, before in zip(widths[1:-1][::-1], widths[2:][::-1], strict=True):
+            grow = nn.ConvTranspose1d(after, after, 4, 2, 1)
+            blocks = [ResidualBlock(2 * before, after, condition), ResidualBlock(after, after, condition), grow]
+            self.up.append(nn.ModuleList(blocks))
+        self.out = nn.Sequential(ConvBlock(levels[0], levels[0]), nn.Conv1d(levels[0], actions, 1))
+
+    def forward(self, chunk: Tensor, step: Tensor, seen: Tensor) -> Tensor:
+        angles = step[:, None] * self.frequencies
+        condition = torch.cat([self.clock(torch.cat([angles.sin(), angles.cos()], dim=1)), seen], dim=1)
+        values = chunk.transpose(1, 2)
+        passed = []
+        for first, second, shrink in self.down:  # type: ignore[misc]
+            values = second(first(values, condition), condition)
+            passed.append(values)
+            values = shrink(values)
+        for block in self.middle:
+            values = block(values, condition)
+        for first, second, grow in self.up:  # type: ignore[misc]
+            values = torch.cat([values, passed.pop()], dim=1)
+            values = grow(second(first(values, condition), condition))
+        return self.out(values).transpose(1, 2)

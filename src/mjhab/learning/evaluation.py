@@ -1,0 +1,65 @@
+"""Evaluating a checkpoint while it is trained: `mjhab eval`, in episodes that are never collected."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mjhab.learning.collection import Means, Scene
+from mjhab.rollout.evaluate import EvalSpec, Run, run_evaluation
+from mjhab.rollout.records import EpisodeRecord
+from mjhab.rollout.sinks import Sink
+
+EVALUATION_SEED = 7_000_000
+"""Seeds of evaluations begin here: no episode of collection is one of them."""
+
+
+@dataclass(frozen=True)
+class Evaluations:
+    """Where and on what the students of a run are evaluated; all evaluations of a run have the same episodes.
+
+    seed: of the run. tell: called with the number of finished episodes.
+    """
+
+    scene: Scene
+    means: Means
+    seed: int
+    tell: Callable[[int], object] = bool
+
+    def run(self, student: Path, episodes: int, films: int, out: Path) -> Run:
+        """Run the episodes 0 to ``episodes`` - 1, of which the first ``films`` are filmed, by a checkpoint.
+
+        What an earlier evaluation left in the run folder ``out`` is replaced.
+        """
+        scene = self.scene
+        spec = EvalSpec(
+            policy=str(student),
+            task=scene.task,
+            subtask=scene.subtask,
+            target=scene.target or None,
+            split=scene.split,
+            assets=scene.assets,
+            home=scene.home or None,
+            episodes=episodes,
+            worlds=self.means.worlds,
+            threads=self.means.threads,
+            seed=EVALUATION_SEED + self.seed,
+            films=films,
+            out=out,
+            overwrite=True,
+        )
+        return run_evaluation(spec, [_Counter(self.tell)])
+
+
+class _Counter(Sink):
+    """Counts finished episodes."""
+
+    def __init__(self, tell: Callable[[int], object]) -> None:
+        self._tell, self._done = tell, 0
+
+    def on_episode_end(self, env: Any, world: int, record: EpisodeRecord) -> None:
+        """Tell of one more."""
+        self._done += 1
+        self._tell(self._done)

@@ -1,0 +1,190 @@
+"""The layout of what a student sees and does: named entries, compared when a checkpoint meets an environment."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from mjhab.core.errors import UsageError, unknown_name
+from mjhab.learning.configs import InputConfig
+from mjhab.tasks.plan import KIND_NAMES
+
+STATE_IMAGE_PREFIX = "sensor_data/"
+BASE_VELOCITY = (("base/forward_speed", 1), ("base/turning_rate", 1))
+Entry = tuple[str, int]
+"""Name and width of a part of a vector."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What goes into a student and comes out of it.
+
+    state: entries of the state, in order. actions: names of the numbers of an action. targets: types of objects and
+    links it is told apart by. control: of the environment, see `control_of`.
+    """
+
+    inputs: InputConfig
+    state: tuple[Entry, ...]
+    actions: tuple[str, ...]
+    targets: tuple[str, ...]
+    control: tuple[str, ...]
+
+    @property
+    def entries(self) -> tuple[Entry, ...]:
+        """All entries of the vector of one observation."""
+        entries = list(self.state)
+        if self.inputs.base_velocity:
+            entries += BASE_VELOCITY
+        if self.inputs.previous_action:
+            entries += [(f"previous_action/{name}", 1) for name in self.actions]
+        if self.inputs.condition:
+            entries += [(f"subtask/{name}", 1) for name in KIND_NAMES]
+            entries += [(f"target/{name}", 1) for name in self.targets]
+        return tuple(entries)
+
+    @property
+    def width(self) -> int:
+        """Numbers in the vector of one observation."""
+        return sum(width for _, width in self.entries)
+
+    @property
+    def state_width(self) -> int:
+        """Numbers in the state."""
+        return sum(width for _, width in self.state)
+
+    @property
+    def measured_width(self) -> int:
+        """Numbers at the front of the vector that are measured, and so normalized; one-hots follow."""
+        return self.width - (len(KIND_NAMES) + len(self.targets) if self.inputs.condition else 0)
+
+    @property
+    def image_keys(self) -> tuple[str, ...]:
+        """Keys of the images in the observation."""
+        if not self.inputs.image_size:
+            return ()
+        return tuple(f"{STATE_IMAGE_PREFIX}{camera}/depth" for camera in self.inputs.cameras)
+
+    def to_plain(self) -> dict[str, Any]:
+        """Plain JSON data without the inputs, which the config of the student holds."""
+        values = asdict(self)
+        del values["inputs"]
+        return values
+
+    @classmethod
+    def from_plain(cls, inputs: InputConfig, values: Mapping[str, Any]) -> Layout:
+        """Read what ``to_plain`` made, also after JSON."""
+        return cls(
+            inputs,
+            tuple((str(name), int(width)) for name, width in values["state"]),
+            tuple(values["actions"]),
+            tuple(values["targets"]),
+            tuple(values["control"]),
+        )
+
+    def condition(self, subtask: str, target: str) -> np.ndarray:
+        """One-hot of a subtask and of the type of its target, (n,) float32; empty if the student has none.
+
+        Raises:
+            UsageError: the student was not trained on this target.
+        """
+        if not self.inputs.condition:
+            return np.zeros(0, np.float32)
+        if target not in self.targets:
+            raise unknown_name("target of this student", target, self.targets)
+        one_hot = np.zeros(len(KIND_NAMES) + len(self.targets), np.float32)
+        one_hot[KIND_NAMES.index(subtask)] = 1.0
+        one_hot[len(KIND_NAMES) + self.targets.index(target)] = 1.0
+        return one_hot
+
+    def check_env(self, env: Any) -> None:
+        """Refuse an environment that shows or takes something else than what the student was trained with.
+
+        Raises:
+            UsageError: the entries that differ, and how to get an environment that fits.
+        """
+        wrong = compare_layouts(self, state_of(env), actions_of(env), control_of(env))
+        size = (self.inputs.image_size, self.inputs.image_size, 1)
+        shapes = {entry.key: tuple(entry.shape) for entry in env.observer.table}
+        for key in self.image_keys:
+            if key not in shapes:
+                wrong.append(f"{key} is missing")
+            elif shapes[key] != size:
+                wrong.append(f"{key} is {shapes[key][1]}x{shapes[key][0]} px instead of {size[1]}x{size[0]}")
+        if wrong:
+            raise UsageError(
+                f"the checkpoint does not fit this environment: {'; '.join(wrong)}. It was trained with "
+                f"{describe_options(self.env_options())}."
+            )
+
+    def env_options(self) -> dict[str, Any]:
+        """Options of the environment that show the student what it was trained on."""
+        mode, base = self.control[:2]
+        options: dict[str, Any] = {"control_mode": mode, "base": base, "stationary": tuple(self.control[2:])}
+        if self.image_keys:
+            options |= {
+                "obs_mode": "depth",
+                "cameras": self.inputs.cameras,
+                "camera_size": self.inputs.image_size,
+            }
+        return options
+
+
+def layout_of(env: Any, inputs: InputConfig, targets: Sequence[str]) -> Layout:
+    """The layout of a student that is trained in an environment."""
+    return Layout(inputs, state_of(env), actions_of(env), tuple(targets), control_of(env))
+
+
+def state_of(env: Any) -> tuple[Entry, ...]:
+    """Entries of the state of an environment, in order."""
+    entries: list[Entry] = []
+    left = env.single_observation_space["state"].shape[0]
+    for row in env.observer.table:
+        if left <= 0:
+            break
+        entries.append((row.key, row.shape[0]))
+        left -= row.shape[0]
+    return tuple(entries)
+
+
+def actions_of(env: Any) -> tuple[str, ...]:
+    """Names of the numbers of an action of an environment."""
+    return tuple(entry.name for entry in env.action_table)
+
+
+def control_of(env: Any) -> tuple[str, ...]:
+    """What the actions of an environment mean: control mode, kind of base, and what is held still."""
+    return (env.config.control_mode, env.config.base, *env.config.stationary)
+
+
+def compare_layouts(
+    layout: Layout, state: Sequence[Entry], actions: Sequence[str], control: tuple[str, ...]
+) -> list[str]:
+    """What differs from the state, the actions and the control of a layout, in words."""
+    wrong = compare_entries("state", layout.state, state)
+    wrong += compare_entries("action", [(name, 1) for name in layout.actions], [(name, 1) for name in actions])
+    if layout.control != control:
+        wrong.append(f"control {', '.join(control)} instead of {', '.join(layout.control)}")
+    return wrong
+
+
+def compare_entries(what: str, wanted: Sequence[Entry], found: Sequence[Entry]) -> list[str]:
+    """What differs between two lists of entries, in words; empty if nothing does."""
+    if tuple(wanted) == tuple(found):
+        return []
+    before, now = dict(wanted), dict(found)
+    wrong = [f"{what} has no {name}" for name in before if name not in now]
+    wrong += [f"{what} has {name}, which the student does not know" for name in now if name not in before]
+    wrong += [
+        f"{what} {name} has {now[name]} numbers instead of {width}"
+        for name, width in before.items()
+        if name in now and now[name] != width
+    ]
+    return wrong or [f"the entries of {what} stand in another order: {', '.join(now)}"]
+
+
+def describe_options(options: Mapping[str, Any]) -> str:
+    """Options in words."""
+    return ", ".join(f"{name}={value!r}" for name, value in options.items())

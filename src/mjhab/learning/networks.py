@@ -1,0 +1,165 @@
+"""Networks that the algorithms share: encoders of images and states, and the normalization in front of them."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from mjhab.learning.configs import StudentConfig
+from mjhab.learning.layout import Layout
+
+LEAST_SPREAD = 0.02
+"""Inputs and actions that hardly change in the data are not blown up: the least spread that is divided by."""
+MOST_SPREADS = 8.0
+"""Inputs farther from their mean than so many spreads are taken for this far: nothing like them was ever seen."""
+
+
+class Normalizer(nn.Module):
+    """Gives numbers mean 0 and spread 1; what it has learned is part of the weights."""
+
+    mean: Tensor
+    scale: Tensor
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.register_buffer("mean", torch.zeros(width))
+        self.register_buffer("scale", torch.ones(width))
+
+    def fit(self, values: np.ndarray, measured: int) -> None:
+        """Take over the statistics of the first ``measured`` columns of values (N, width); the others stay."""
+        mean = values[:, :measured].mean(axis=0, dtype=np.float64)
+        spread = values[:, :measured].std(axis=0, dtype=np.float64)
+        self.mean[:measured] = torch.from_numpy(mean.astype(np.float32))
+        self.scale[:measured] = torch.from_numpy(np.maximum(spread, LEAST_SPREAD).astype(np.float32))
+
+    def forward(self, values: Tensor) -> Tensor:
+        """Normalized values (..., width), limited to MOST_SPREADS."""
+        return ((values - self.mean) / self.scale).clamp(-MOST_SPREADS, MOST_SPREADS)
+
+    def restore(self, values: Tensor) -> Tensor:
+        """What was normalized (..., width)."""
+        return values * self.scale + self.mean
+
+
+def mlp(widths: Sequence[int], norm: bool, last: bool = True) -> nn.Sequential:
+    """Linear layers with ReLU, and layer norm before it; ``last``: also after the last one."""
+    layers: list[nn.Module] = []
+    for number, (before, after) in enumerate(itertools.pairwise(widths)):
+        layers.append(nn.Linear(before, after))
+        if last or number + 2 < len(widths):
+            if norm:
+                layers.append(nn.LayerNorm(after))
+            layers.append(nn.ReLU())
+    return nn.Sequential(*layers)
+
+
+class CameraEncoder(nn.Module):
+    """One image (B, C, H, W) to (B, features): convolutions, then a linear layer, layer norm and tanh.
+
+    The first one (k6) has stride 4, the others (k3) stride 2: on a CPU this takes half the time of stride 2 throughout.
+    """
+
+    def __init__(self, frames: int, size: int, channels: Sequence[int], features: int) -> None:
+        super().__init__()
+        layers: list[nn.Module] = []
+        before = frames
+        for number, after in enumerate(channels):
+            kernel, stride = (3, 2) if number else (6, 4)
+            layers += [nn.Conv2d(before, after, kernel, stride, padding=1), nn.ReLU()]
+            before = after
+            size = (size + 2 - kernel) // stride + 1
+        self.convolutions = nn.Sequential(*layers, nn.Flatten())
+        self.head = nn.Sequential(nn.Linear(before * size * size, features), nn.LayerNorm(features), nn.Tanh())
+
+    def forward(self, image: Tensor) -> Tensor:
+        return self.head(self.convolutions(image))
+
+
+class PaperCamera(nn.Module):
+    """The published image encoder: k5 s2 three times, k3 s1 twice, a linear layer (mshab/agents/bc/agent.py)."""
+
+    def __init__(self, frames: int, size: int, channels: Sequence[int], features: int) -> None:
+        super().__init__()
+        layers: list[nn.Module] = []
+        before = frames
+        for number, after in enumerate(channels):
+            kernel, stride = (5, 2) if number < 3 else (3, 1)
+            layers += [nn.Conv2d(before, after, kernel, stride), nn.ReLU()]
+            before = after
+            size = (size - kernel) // stride + 1
+        self.convolutions = nn.Sequential(*layers, nn.Flatten())
+        self.head = nn.Sequential(nn.Linear(before * size * size, features), nn.ReLU())
+
+    def forward(self, image: Tensor) -> Tensor:
+        return self.head(self.convolutions(image))
+
+
+class PoolingEncoder(nn.Module):
+    """The published encoder of the diffusion policy: all images at once, k3 with pooling (mshab/agents/dp/agent.py)."""
+
+    def __init__(self, frames: int, channels: Sequence[int], features: int) -> None:
+        super().__init__()
+        layers: list[nn.Module] = []
+        before = frames
+        for after in channels:
+            layers += [nn.Conv2d(before, after, 3, padding=1), nn.ReLU(), nn.MaxPool2d(2)]
+            before = after
+        layers += [nn.Conv2d(before, before, 1), nn.ReLU(), nn.AdaptiveMaxPool2d(1), nn.Flatten()]
+        self.layers = nn.Sequential(*layers, nn.Linear(before, features), nn.ReLU())
+
+    def forward(self, images: Tensor) -> Tensor:
+        return self.layers(images)
+
+
+class Encoder(nn.Module):
+    """What a student sees, as features: one vector per camera, and the normalized vector.
+
+    ``forward`` takes vector (B, history * D) and images (B, history * C, H, W) uint8; it returns a list of one tensor
+    (B, image_features) per camera, and the vector (B, history * D).
+    """
+
+    def __init__(self, config: StudentConfig, layout: Layout) -> None:
+        super().__init__()
+        inputs, network = config.inputs, config.network
+        self.history, self.cameras = inputs.history, len(layout.image_keys)
+        self.normalizer = Normalizer(layout.width)
+        build = PaperCamera if network.encoder == "paper" else CameraEncoder
+        self.encoders = nn.ModuleList(
+            build(inputs.history, inputs.image_size, network.channels, network.image_features)
+            for _ in range(self.cameras)
+        )
+        self.vector_width = inputs.history * layout.width
+
+    def forward(self, vector: Tensor, images: Tensor) -> tuple[list[Tensor], Tensor]:
+        split = vector.unflatten(1, (self.history, -1))
+        normalized = self.normalizer(split).flatten(1)
+        if not self.cameras:
+            return [], normalized
+        seen = images.float().div_(255.0).unflatten(1, (self.history, self.cameras))
+        features = [encoder(seen[:, :, camera]) for camera, encoder in enumerate(self.encoders)]
+        return features, normalized
+
+
+class Trunk(nn.Module):
+    """Encoder and fully connected layers: (B, width) features of what a student sees."""
+
+    def __init__(self, config: StudentConfig, layout: Layout) -> None:
+        super().__init__()
+        network = config.network
+        self.encoder = Encoder(config, layout)
+        joined = self.encoder.cameras * network.image_features + self.encoder.vector_width
+        self.layers = mlp([joined, *[network.hidden] * network.layers], norm=True)
+        self.width = network.hidden
+
+    @property
+    def normalizer(self) -> Normalizer:
+        """That of the vector."""
+        return self.encoder.normalizer
+
+    def forward(self, vector: Tensor, images: Tensor) -> Tensor:
+        features, normalized = self.encoder(vector, images)
+        return self.layers(torch.cat([*features, normalized], dim=1))

@@ -1,0 +1,116 @@
+"""A student as a policy for the rollout loop."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from mjhab.core.seeding import stream
+from mjhab.data.facts import type_name
+from mjhab.learning.demos import base_velocity, nearness
+from mjhab.learning.student import Student
+
+INFERENCE_ROWS = 16
+"""Networks are asked in batches of so many worlds, always: how sums are split up depends on the size of a batch, and
+with it the last bits of the actions."""
+
+
+class StudentPolicy:
+    """Acts by a student: remembers the last action, and executes the first actions of every chunk.
+
+    Args:
+        student: what acts, for instance of `checkpoint.load_student`.
+        env: the environment that it will act in; its layout must be that of the student.
+        seed: of the noise that samples of a flow or of a diffusion begin with.
+
+    Raises:
+        UsageError: the environment shows or takes something else than the student knows.
+    """
+
+    name = "student"
+
+    def __init__(self, student: Student, env: Any, seed: int = 0) -> None:
+        student.layout.check_env(env)
+        self.student, self._env, self._seed = student, env, seed
+        config, layout = student.config, student.layout
+        worlds, width = env.num_envs, len(layout.actions)
+        self._last = np.zeros((worlds, width), np.float32)
+        self._chunks = np.zeros((worlds, config.chunk, width), np.float32)
+        self._step = np.zeros(worlds, np.int64)
+        self._vectors = np.zeros((worlds, config.inputs.history, layout.width), np.float32)
+        size = config.inputs.image_size
+        shape = (len(layout.image_keys), size, size) if layout.image_keys else (0, 0, 0)
+        self._images = np.zeros((worlds, config.inputs.history, *shape), np.uint8)
+
+    def reset(self, mask: np.ndarray) -> None:
+        """Forget the worlds in ``mask`` (W,)."""
+        self._last[mask] = 0.0
+        self._step[mask] = 0
+
+    def act(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:
+        """Actions (W, A) float32 in [-1, 1]."""
+        self._remember(obs, info)
+        place = self._step % self.student.config.execute
+        self._plan(np.flatnonzero(place == 0), info)
+        actions = self._chunks[np.arange(len(place)), place]
+        self._step += 1
+        self._last = actions.copy()
+        return actions
+
+    def _remember(self, obs: Any, info: Mapping[str, Any]) -> None:
+        """Put what is seen now behind what was seen before; at the beginning of an episode it fills the history."""
+        vector, images = self._see(obs, info)
+        begin = self._step == 0
+        self._vectors[begin] = vector[begin, None]
+        self._images[begin] = images[begin, None]
+        self._vectors = np.concatenate([self._vectors[:, 1:], vector[:, None]], axis=1)
+        self._images = np.concatenate([self._images[:, 1:], images[:, None]], axis=1)
+
+    def _see(self, obs: Any, info: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
+        layout = self.student.layout
+        parts = [np.asarray(obs["state"], np.float32)]
+        if layout.inputs.base_velocity:
+            state = self._env.state
+            parts.append(base_velocity(state.robot_q, state.robot_qd))
+        if layout.inputs.previous_action:
+            parts.append(self._last)
+        if layout.inputs.condition:
+            parts.append(self._conditions(info))
+        images = [nearness(np.asarray(obs[key])[..., 0]) for key in layout.image_keys]
+        seen = np.stack(images, axis=1) if images else np.zeros((len(parts[0]), 0, 0, 0), np.uint8)
+        return np.concatenate(parts, axis=1), seen
+
+    def _conditions(self, info: Mapping[str, Any]) -> np.ndarray:
+        layout = self.student.layout
+        codes = np.zeros((len(self._step), layout.width - layout.measured_width), np.float32)
+        for w, episode in enumerate(info["episode_spec"]):
+            if episode is not None:
+                plan = episode["plan"]
+                entry = plan[min(int(info["pointer"][w]), len(plan) - 1)]
+                codes[w] = layout.condition(entry["kind"], type_name(entry["target"]))
+        return codes
+
+    def _plan(self, worlds: np.ndarray, info: Mapping[str, Any]) -> None:
+        """Ask the student for new chunks in some worlds, INFERENCE_ROWS at a time."""
+        for start in range(0, len(worlds), INFERENCE_ROWS):
+            some = worlds[start : start + INFERENCE_ROWS]
+            rows = np.resize(some, INFERENCE_ROWS)
+            vector = self._vectors[rows].reshape(INFERENCE_ROWS, -1)
+            images = self._images[rows]
+            images = images.reshape(INFERENCE_ROWS, -1, *images.shape[3:])
+            chunks = self.student.act(vector, images, self._noise(rows, info))
+            self._chunks[some] = chunks[: len(some)]
+
+    def _noise(self, worlds: np.ndarray, info: Mapping[str, Any]) -> np.ndarray:
+        """Standard normal noise (n, draws, chunk, A): a function of the episode and the control step."""
+        config = self.student.config
+        shape = (self.student.draws, config.chunk, self._last.shape[1])
+        noise = np.zeros((len(worlds), *shape), np.float32)
+        if self.student.draws:
+            for row, world in enumerate(worlds.tolist()):
+                index = int((info["episode_spec"][world] or {}).get("index", 0))
+                random = stream(self._seed, "student", index, int(self._step[world]))
+                noise[row] = random.standard_normal(shape, np.float32)
+        return noise

@@ -1,0 +1,143 @@
+"""The report of a training run: one HTML file that opens without network."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping, Sequence
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from mjhab.learning.run import EVALUATIONS, TrainingFolder
+from mjhab.rollout import report_parts as parts
+from mjhab.rollout.metrics import labels_by_kind, rows_by_kind
+from mjhab.rollout.records import EpisodeRecord
+from mjhab.rollout.report import render_page
+from mjhab.rollout.report_plots import labels_figure
+from mjhab.rollout.store import FILMS
+
+Figure = dict[str, Any]
+LINE, POINTS = "#14b8a6", "#f59e0b"
+
+
+def render_training_report(
+    folder: TrainingFolder,
+    rows: Sequence[Mapping[str, Any]],
+    records: Sequence[EpisodeRecord],
+    summary: Mapping[str, Any],
+) -> str:
+    """The report as one self-contained page.
+
+    Args:
+        folder: of the run. rows: of metrics.jsonl. records: of the last evaluation. summary: see `train.summarize`.
+    """
+    body = [_header(folder, summary), _cards(summary)]
+    plots = {
+        "loss-plot": curve(rows, "samples", "loss", "samples", "loss", lines=True),
+        "samples-plot": curve(rows, "samples", "success_once", "samples", "success once"),
+        "time-plot": curve([_minutes(row) for row in rows], "minutes", "success_once", "minutes", "success once"),
+    }
+    body.append(parts.section("Loss", "Mean over the updates between two reports.", '<div id="loss-plot"></div>'))
+    hint = "Share of the evaluated episodes that succeed at least once."
+    body.append(parts.section("Success over samples", hint, '<div id="samples-plot"></div>'))
+    body.append(parts.section("Success over time", "Wall time, collection included.", '<div id="time-plot"></div>'))
+    if records:
+        body.append(parts.section("Last evaluation", "By target.", parts.success_table(rows_by_kind(records))))
+        counts = labels_by_kind(records)
+        if counts:
+            plots["labels-plot"] = labels_figure(counts)
+            body.append(parts.section("Labels", "Of its episodes.", '<div id="labels-plot"></div>'))
+    body.append(_rounds(rows))
+    body.append(_films(folder))
+    body.append(parts.section("Run", "The config this run resolved to.", parts.config_list(flat(folder.config))))
+    return render_page(_title(folder), "\n".join(filter(None, body)), {"plots": plots})
+
+
+def curve(rows: Sequence[Mapping[str, Any]], x: str, y: str, x_title: str, y_title: str, lines: bool = False) -> Figure:
+    """One number over another one, of the rows that have both."""
+    points = [(row[x], row[y]) for row in rows if x in row and y in row]
+    trace = {
+        "x": [point[0] for point in points],
+        "y": [point[1] for point in points],
+        "type": "scatter",
+        "mode": "lines" if lines else "lines+markers",
+        "line": {"color": LINE if lines else POINTS, "width": 2},
+    }
+    y_axis = {"title": {"text": y_title}} if lines else {"title": {"text": y_title}, "range": [0, 1]}
+    return {"data": [trace], "layout": {"height": 320, "xaxis": {"title": {"text": x_title}}, "yaxis": y_axis}}
+
+
+def flat(values: Mapping[str, Any], before: str = "") -> dict[str, Any]:
+    """Nested mappings as one, with names joined by points."""
+    found: dict[str, Any] = {}
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            found |= flat(value, f"{before}{name}.")
+        else:
+            found[f"{before}{name}"] = value
+    return found
+
+
+def _minutes(row: Mapping[str, Any]) -> dict[str, Any]:
+    return {**row, "minutes": round(row["seconds"] / 60.0, 2)}
+
+
+def _title(folder: TrainingFolder) -> str:
+    config = folder.config
+    scene = config["scene"]
+    what = " ".join(filter(None, (scene["subtask"], scene["target"] or "all targets")))
+    return f"{config['algorithm']}: {what}, {scene['task'].replace('_', ' ')}"
+
+
+def _header(folder: TrainingFolder, summary: Mapping[str, Any]) -> str:
+    shown = [("preset", summary["preset"]), ("seed", folder.config["seed"]), ("split", folder.config["scene"]["split"])]
+    chips = "".join(f'<span class="chip">{escape(k)} <b>{escape(str(v))}</b></span>' for k, v in shown)
+    return f'<header><h1>{escape(_title(folder))}</h1><div class="chips">{chips}</div></header>'
+
+
+def _cards(summary: Mapping[str, Any]) -> str:
+    low, high = summary["interval"]
+    success = "-" if summary["success_once"] is None else parts.percent(summary["success_once"])
+    values = [
+        ("success once", success, f"{100 * low:.0f} to {100 * high:.0f} % (95 % CI), {summary['episodes']} episodes"),
+        ("time", f"{summary['seconds'] / 60:.1f} min", "collection and evaluation included"),
+        ("updates", f"{summary['steps']:,}", f"{summary['samples']:,} samples"),
+        ("demonstrations", f"{summary['demonstrations']:,}", f"{summary['rounds']} rounds after the first"),
+    ]
+    tiles = "".join(
+        f'<div class="card"><div class="name">{escape(name)}</div><div class="value">{escape(value)}</div>'
+        f'<div class="more">{escape(more)}</div></div>'
+        for name, value, more in values
+    )
+    return f'<div class="cards">{tiles}</div>'
+
+
+def _rounds(rows: Sequence[Mapping[str, Any]]) -> str:
+    """A table of what was collected in every round."""
+    collected = [row for row in rows if "collection_success" in row]
+    if not collected:
+        return ""
+    lines = "".join(
+        f"<tr><td>{row['round']}</td><td>{row['episodes']}</td><td>{parts.percent(row['collection_success'])}</td>"
+        f"<td>{row['collection_seconds']:.0f} s</td></tr>"
+        for row in collected
+    )
+    head = "<tr><th>round</th><th>demonstrations so far</th><th>episodes that succeeded</th><th>time</th></tr>"
+    return parts.section("Collection", "What the expert added.", f"<table>{head}{lines}</table>")
+
+
+def _films(folder: TrainingFolder) -> str:
+    paths = sorted((folder.path / EVALUATIONS).glob(f"*/{FILMS}/*.mp4"))
+    if not paths:
+        return ""
+    films = "".join(
+        f"<figure>{_video(path)}<figcaption>{escape(f'{path.parents[1].name}, {path.stem}')}</figcaption></figure>"
+        for path in paths
+    )
+    hint = "Of the first and the last evaluation, at twice the speed of life."
+    return parts.section("Films", hint, f'<div class="films">{films}</div>')
+
+
+def _video(path: Path) -> str:
+    data = base64.b64encode(path.read_bytes()).decode("ascii")
+    return f'<video controls muted playsinline src="data:video/mp4;base64,{data}"></video>'

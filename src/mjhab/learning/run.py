@@ -1,0 +1,168 @@
+"""The folder of a training run, and what is told while it runs.
+
+config.json        the resolved config; a resumed run must match it
+metrics.jsonl      one line per report: step, samples, seconds and numbers
+tensorboard/       the same for TensorBoard
+data/round_000/    demonstrations that were collected, ordinary shards
+training.safetensors   everything that the next update depends on
+student.safetensors    the student that acts: what `mjhab eval --policy` takes
+evaluations/       run folders of the first and the latest evaluation, as of `mjhab eval`
+summary.json, report.html   at the end, also after Ctrl-C
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+
+from mjhab.rollout.store import check_folder, write_text
+
+CONFIG, METRICS, TENSORBOARD, DATA = "config.json", "metrics.jsonl", "tensorboard", "data"
+TRAINING, STUDENT, ROUNDS = "training.safetensors", "student.safetensors", "rounds"
+EVALUATIONS, SUMMARY, REPORT = "evaluations", "summary.json", "report.html"
+REFRESH_SECONDS = 0.5
+
+
+class TrainingFolder:
+    """An opened folder of a run. Make one with ``TrainingFolder.open``."""
+
+    def __init__(self, path: Path, config: Mapping[str, Any]) -> None:
+        self.path, self.config = path, dict(config)
+
+    @classmethod
+    def open(cls, path: Path, config: Mapping[str, Any], *, resume: bool = False) -> TrainingFolder:
+        """Prepare ``path`` for a run of ``config`` (plain JSON data).
+
+        Raises:
+            UsageError: the folder holds something and ``resume`` is not given, or a run of another config.
+        """
+        check_folder(path, config, resume=resume)
+        path.mkdir(parents=True, exist_ok=True)
+        write_text(path / CONFIG, json.dumps(config, indent=2) + "\n")
+        return cls(path, config)
+
+    @property
+    def training(self) -> Path:
+        """Everything that the next update depends on."""
+        return self.path / TRAINING
+
+    @property
+    def student(self) -> Path:
+        """The student that acts."""
+        return self.path / STUDENT
+
+    def data(self, number: int) -> Path:
+        """Folder of the demonstrations of a round."""
+        return self.path / DATA / f"round_{number:03d}"
+
+    def round_student(self, number: int) -> Path:
+        """The student that begins the episodes of a round."""
+        return self.path / ROUNDS / f"round_{number:03d}.safetensors"
+
+    def evaluation(self, name: str) -> Path:
+        """Run folder of an evaluation."""
+        return self.path / EVALUATIONS / name
+
+    def read_metrics(self, step: int | None = None) -> list[dict[str, Any]]:
+        """What was reported, up to ``step`` updates if given; a line torn by a kill is left out."""
+        path = self.path / METRICS
+        found = []
+        for line in path.read_text(encoding="utf-8").splitlines() if path.is_file() else []:
+            try:
+                found.append(json.loads(line))
+            except json.JSONDecodeError:
+                continue
+        return [row for row in found if step is None or row["step"] <= step]
+
+    def write_metrics(self, rows: list[dict[str, Any]]) -> None:
+        """Replace what was reported."""
+        write_text(self.path / METRICS, "".join(json.dumps(row) + "\n" for row in rows))
+
+    def write_summary(self, summary: Mapping[str, Any]) -> None:
+        """Write summary.json in one piece."""
+        write_text(self.path / SUMMARY, json.dumps(summary, indent=2) + "\n")
+
+    def write_report(self, html: str) -> Path:
+        """Write report.html in one piece and return its path."""
+        write_text(self.path / REPORT, html)
+        return self.path / REPORT
+
+
+class Logbook:
+    """Reports of a run: lines in metrics.jsonl, curves for TensorBoard, a table in the terminal. A context manager.
+
+    Args:
+        folder: of the run. earlier_seconds: of the starts before this one. step: updates made before; reports of later
+            ones come from a start that was killed and are dropped.
+    """
+
+    def __init__(self, folder: TrainingFolder, earlier_seconds: float = 0.0, step: int = 0) -> None:
+        from torch.utils.tensorboard.writer import SummaryWriter
+
+        self.rows = folder.read_metrics(step)
+        folder.write_metrics(self.rows)
+        self._file = (folder.path / METRICS).open("a", encoding="utf-8")
+        self._board = SummaryWriter(str(folder.path / TENSORBOARD), purge_step=step or None)
+        self._began = time.perf_counter() - earlier_seconds
+        self._earlier_cpu_seconds = max((row["cpu_seconds"] for row in self.rows), default=0.0)
+        self._shown: dict[str, str] = {}
+        self._title = f"mjhab train, {folder.path}"
+        self._live = Live(console=Console(stderr=True), auto_refresh=False, transient=False)
+        self._drawn = 0.0
+
+    @property
+    def seconds(self) -> float:
+        """Wall time of the run [s], earlier starts included."""
+        return time.perf_counter() - self._began
+
+    @property
+    def cpu_seconds(self) -> float:
+        """CPU time of this process and of workers that have ended, earlier starts included [s]."""
+        return sum(os.times()[:4]) + self._earlier_cpu_seconds
+
+    def report(self, step: int, samples: int, numbers: Mapping[str, float]) -> None:
+        """Note numbers after ``step`` updates, of ``samples`` samples."""
+        row = {"step": step, "samples": samples, "seconds": round(self.seconds, 2)}
+        row |= {"cpu_seconds": round(self.cpu_seconds, 2), **numbers}
+        self.rows.append(row)
+        self._file.write(json.dumps(row) + "\n")
+        self._file.flush()
+        for name, value in numbers.items():
+            self._board.add_scalar(name, value, step)
+        self.show({"updates": f"{step:,}", "samples": f"{samples:,}"} | {k: f"{v:.4g}" for k, v in numbers.items()})
+
+    def show(self, words: Mapping[str, str]) -> None:
+        """Change lines of the table in the terminal."""
+        self._shown |= words
+        now = time.perf_counter()
+        if now - self._drawn > REFRESH_SECONDS:
+            self._drawn = now
+            self._live.update(self._table(), refresh=True)
+
+    def _table(self) -> Table:
+        table = Table(title=self._title, title_justify="left", show_header=False)
+        minutes, seconds = divmod(int(self.seconds), 60)
+        for name, value in {**self._shown, "time": f"{minutes}:{seconds:02d}"}.items():
+            table.add_row(name, value)
+        return table
+
+    def __enter__(self) -> Logbook:
+        self._live.__enter__()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._live.update(self._table(), refresh=True)
+        self._live.__exit__(kind, error, trace)
+        self._board.close()
+        self._file.close()

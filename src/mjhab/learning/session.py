@@ -1,0 +1,276 @@
+"""A run of training: its data, its student, its reports and checkpoints. What the algorithms are written with."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+
+import mjhab
+from mjhab.data.generation import Standing
+from mjhab.data.query import Filter
+from mjhab.learning.checkpoint import load_checkpoint, save_student, save_training
+from mjhab.learning.collection import Collector, Means, Round, Scene, make_env
+from mjhab.learning.configs import TrainConfig
+from mjhab.learning.demos import BatchSampler, Demonstrations, layout_of_data, load_demonstrations
+from mjhab.learning.evaluation import Evaluations
+from mjhab.learning.layout import Layout, layout_of
+from mjhab.learning.run import Logbook, TrainingFolder
+from mjhab.learning.student import Batch, make_student
+from mjhab.learning.training import Trainer
+from mjhab.rollout.records import EpisodeRecord
+
+REPORT_EVERY = 50
+"""Updates between reports of the loss."""
+CHECKPOINT_SECONDS = 60.0
+"""Between checkpoints."""
+FIRST, LATEST = "first", "latest"
+"""Names of the evaluations that are kept."""
+LOAD_SHARE = "loading_share"
+
+
+@dataclass(frozen=True)
+class Request:
+    """What to train, where, and on what.
+
+    data: shards or folders of them; demonstrations are collected if there are none. where: which episodes of them.
+    budget_seconds: of wall time for everything, 0 for no limit. eval_episodes: of the last evaluation; round_episodes:
+    of those on the way, 0 for none. torch_threads: of the network. films: episodes to film in the first and the last
+    evaluation. ray: see `Collector`.
+    """
+
+    config: TrainConfig
+    scene: Scene
+    means: Means
+    seed: int = 0
+    data: tuple[Path, ...] = ()
+    where: str = ""
+    budget_seconds: float = 0.0
+    eval_episodes: int = 100
+    round_episodes: int = 32
+    torch_threads: int = 0
+    films: int = 0
+    ray: str = ""
+
+
+@dataclass
+class Progress:
+    """How far a run is. round: of DAgger; round_step: updates made in it; success: of the last evaluation."""
+
+    round: int = 0
+    round_step: int = 0
+    seconds: float = 0.0
+    samples: int = 0
+    success: float | None = None
+    evaluated: list[int] = field(default_factory=list)
+
+
+class OutOfTime(Exception):
+    """The budget is spent."""
+
+
+class Session:
+    """State of a run. Make one with `open_session`."""
+
+    def __init__(self, request: Request, folder: TrainingFolder, resume: bool) -> None:
+        if request.torch_threads:
+            torch.set_num_threads(request.torch_threads)
+        self.request, self.folder = request, folder
+        self.config = request.config.student
+        self.sources: list[Demonstrations] = []
+        self.progress = Progress()
+        self.records: list[EpisodeRecord] = []
+        saved = load_checkpoint(folder.training) if resume and folder.training.is_file() else None
+        if saved is not None:
+            known = {name: saved.about[name] for name in Progress.__dataclass_fields__}
+            self.progress = Progress(**known)
+        self.layout = saved.layout if saved is not None else self._new_layout()
+        self.trainer = Trainer(make_student(self.config, self.layout, request.seed), request.seed, self.config.updates)
+        if saved is not None:
+            self.trainer.restore(dict(saved.tensors), int(saved.about["step"]))
+        self.fitted = saved is not None
+        view = self.layout.env_options()
+        self.collector = Collector(request.scene, view, request.means, request.seed, request.ray)
+        self.log = Logbook(folder, self.progress.seconds, self.trainer.step)
+        self._saved_at = time.perf_counter()
+        self._eval_seconds = 0.0
+
+    def _new_layout(self) -> Layout:
+        """The layout of the given data, or of the environment that demonstrations are collected in."""
+        if self.request.data:
+            return layout_of_data(self.request.data, self.config.inputs, self.filter)
+        from mjhab.envs.starts import valid_targets
+
+        scene = self.request.scene
+        env = make_env(scene, {}, Means(worlds=1, threads=1))
+        targets = (scene.target,) if scene.target else tuple(valid_targets(env.config, env.layout))
+        return layout_of(env, self.config.inputs, targets)
+
+    @property
+    def filter(self) -> Filter | None:
+        """Which episodes of the given data are learned from."""
+        return Filter(self.request.where) if self.request.where else None
+
+    # -- data --------------------------------------------------------------------------------------------------------
+
+    def load(self, places: Path | Sequence[Path], where: Filter | None = None) -> None:
+        """Add demonstrations to what is learned from; the first ones decide about the normalization."""
+        self.log.show({"phase": "reading demonstrations"})
+        data = load_demonstrations(places, self.layout, self.config.hold_steps, where)
+        self.sources.append(data)
+        if not self.fitted:
+            self.trainer.student.fit_normalizers(data)
+            self.trainer.restart_average()
+            self.fitted = True
+
+    def collect(self, wanted: Round) -> None:
+        """Collect the demonstrations of a round, or what is missing of them, and add them.
+
+        Raises:
+            OutOfTime: the budget was spent before they were complete.
+        """
+        out = self.folder.data(wanted.number)
+        began = time.perf_counter()
+
+        def tell(now: Standing) -> None:
+            self.log.show({"phase": f"collecting round {wanted.number}: {now.tried}/{wanted.episodes}"})
+
+        self.log.show({"phase": f"collecting round {wanted.number}"})
+        standing = self.collector.collect(wanted, out, tell, self._out_of_time)
+        if not standing.complete:
+            raise OutOfTime
+        self.load(out)
+        numbers = {
+            "round": wanted.number,
+            "episodes": sum(source.episodes for source in self.sources),
+            "collection_success": standing.kept / max(standing.tried, 1),
+            "collection_seconds": round(time.perf_counter() - began, 2),
+        }
+        self.log.report(self.trainer.step, self.progress.samples, numbers)
+
+    def sampler(self, new_share: float) -> BatchSampler:
+        """Batches of all that was loaded."""
+        return BatchSampler(self.sources, self.config.optimizer.batch, new_share, self.request.seed)
+
+    # -- training ----------------------------------------------------------------------------------------------------
+
+    def train(self, updates: int, new_share: float = 1.0) -> None:
+        """Make ``updates`` updates in this round, less those that were made before.
+
+        Raises:
+            OutOfTime: the budget is spent, but for the last evaluation.
+        """
+        sampler = self.sampler(new_share)
+        losses: list[float] = []
+        began, loading = time.perf_counter(), 0.0
+        while self.progress.round_step < updates:
+            if self._out_of_time():
+                raise OutOfTime
+            before = time.perf_counter()
+            batch = self._batch(sampler)
+            loading += time.perf_counter() - before
+            losses.append(self.trainer.update(batch).loss)
+            self.progress.round_step += 1
+            self.progress.samples += len(batch.actions)
+            if self.trainer.step % REPORT_EVERY == 0 or self.progress.round_step == updates:
+                seconds = time.perf_counter() - began
+                numbers = {
+                    "loss": sum(losses) / len(losses),
+                    "samples_per_second": len(losses) * len(batch.actions) / seconds,
+                    LOAD_SHARE: loading / seconds,
+                }
+                self.log.show({"phase": f"training, round {self.progress.round}"})
+                self.log.report(self.trainer.step, self.progress.samples, numbers)
+                losses, began, loading = [], time.perf_counter(), 0.0
+            if time.perf_counter() - self._saved_at > CHECKPOINT_SECONDS:
+                self.save()
+        self.save()
+
+    def _batch(self, sampler: BatchSampler) -> Batch:
+        config = self.config
+        chunks = sampler.batch(self.trainer.step, config.chunk, config.inputs.history, config.inputs.shift)
+        return Batch.of(chunks)
+
+    def _out_of_time(self) -> bool:
+        """Whether no more is left of the budget than the last evaluation takes."""
+        budget = self.request.budget_seconds
+        reserve = self._eval_seconds * self.request.eval_episodes
+        return bool(budget) and self.log.seconds + reserve > budget
+
+    def next_round(self) -> None:
+        """Begin the next round."""
+        self.progress.round += 1
+        self.progress.round_step = 0
+        self.save()
+
+    def save(self) -> None:
+        """Write both checkpoints."""
+        self.progress.seconds = self.log.seconds
+        about = {**vars(self.progress), "algorithm": self.request.config.algorithm, "preset": self.config.preset}
+        save_training(self.folder.training, self.trainer, about)
+        self.save_student(self.folder.student)
+        self._saved_at = time.perf_counter()
+
+    def save_student(self, path: Path) -> None:
+        """Write the student that acts."""
+        about = {
+            "algorithm": self.request.config.algorithm,
+            "step": self.trainer.step,
+            "samples": self.progress.samples,
+            "scene": vars(self.request.scene),
+            "seed": self.request.seed,
+        }
+        save_student(path, self.trainer.average, about)
+
+    # -- evaluation --------------------------------------------------------------------------------------------------
+
+    def evaluate(self, episodes: int, last: bool = False) -> float:
+        """Success once of the student that acts, over the episodes 0 to ``episodes`` - 1.
+
+        The first evaluation and the ``last`` one are filmed, and keep their folders.
+        """
+        self.save()
+        first = not self.progress.evaluated
+        films = self.request.films if first or last else 0
+        began = time.perf_counter()
+
+        def tell(done: int) -> None:
+            self.log.show({"phase": f"evaluating: {done}/{episodes}"})
+
+        tell(0)
+        evaluations = Evaluations(self.request.scene, self.request.means, self.request.seed, tell)
+        out = self.folder.evaluation(FIRST if first and not last else LATEST)
+        self.records = list(evaluations.run(self.folder.student, episodes, films, out).records)
+        self._eval_seconds = (time.perf_counter() - began) / episodes
+        success = sum(record.success_once for record in self.records) / episodes
+        self.progress.success = success
+        self.progress.evaluated.append(self.trainer.step)
+        numbers = {"success_once": success, "evaluated_episodes": episodes, "round": self.progress.round}
+        self.log.report(self.trainer.step, self.progress.samples, numbers)
+        return success
+
+
+@contextmanager
+def open_session(request: Request, folder: TrainingFolder, resume: bool) -> Iterator[Session]:
+    """A session whose logs are closed in the end."""
+    session = Session(request, folder, resume)
+    with session.log:
+        yield session
+
+
+def resolved_config(request: Request) -> dict[str, Any]:
+    """Everything that decides what a run learns, as plain JSON data."""
+    return {
+        "algorithm": request.config.algorithm,
+        "config": asdict(request.config),
+        "scene": asdict(request.scene),
+        "seed": request.seed,
+        "data": [str(place) for place in request.data],
+        "where": request.where,
+        "mjhab": mjhab.__version__,
+    }

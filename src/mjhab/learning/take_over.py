@@ -1,0 +1,126 @@
+"""Take-over: a student begins an episode, and after a drawn number of control steps the expert finishes it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+import numpy as np
+
+from mjhab.core.action_notes import ActionNotes
+from mjhab.core.seeding import stream
+from mjhab.data.reading import Episode
+from mjhab.rollout.policy import ACTION_SIZE, Policy
+
+STUDENT, EXPERT = "student", "expert"
+ACTORS = (STUDENT, EXPERT)
+"""Names of who acts, as recorded with every control step."""
+
+
+class Replanning(Protocol):
+    """An expert that can begin in any state, in some of the worlds."""
+
+    @property
+    def name(self) -> str:
+        """Short name."""
+        ...
+
+    def reset(self, mask: np.ndarray) -> None:
+        """Plan anew from the present states of the worlds in ``mask`` (W,)."""
+        ...
+
+    def act(self, obs: Any, info: Mapping[str, Any], mask: np.ndarray | None = None) -> np.ndarray:
+        """Actions (W, A); only the worlds in ``mask`` are thought about."""
+        ...
+
+    def notes(self) -> ActionNotes:
+        """What the last actions were meant to be, without noise."""
+        ...
+
+    def style(self, world: int) -> Mapping[str, Any]:
+        """How it acts in the running episode."""
+        ...
+
+
+class TakeOver:
+    """A policy that is the student for a prefix of every episode, and the expert from there on.
+
+    The length of the prefix of an episode is a function of its seed and index.
+
+    Args:
+        student: acts first; None where ``longest`` is 0.
+        expert: is reset in the control step in which it takes over, so that it plans from the state it finds.
+        longest: largest length of a prefix [control steps]; lengths are drawn from 0 to it, both included.
+    """
+
+    name = "take_over"
+
+    def __init__(self, student: Policy | None, expert: Replanning, longest: int) -> None:
+        if longest and student is None:
+            raise ValueError("a prefix needs a student")
+        self._student, self._expert, self._longest = student, expert, longest
+        self._prefix = np.zeros(0, np.int64)
+        self._step = np.zeros(0, np.int64)
+        self._fresh = np.zeros(0, bool)
+        self._intended = np.zeros((0, ACTION_SIZE), np.float32)
+        self._actor = np.zeros(0, np.uint8)
+
+    def reset(self, mask: np.ndarray) -> None:
+        """Begin new episodes in the worlds of ``mask`` (W,)."""
+        if len(self._prefix) != len(mask):
+            self._prefix = np.zeros(len(mask), np.int64)
+            self._step = np.zeros(len(mask), np.int64)
+            self._fresh = np.zeros(len(mask), bool)
+        self._step[mask] = 0
+        self._fresh |= mask
+        if self._student is not None:
+            self._student.reset(mask)
+
+    def act(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:
+        """Actions (W, 13) float32."""
+        self._draw(info)
+        taken = self._step >= self._prefix
+        beginning = self._step == self._prefix
+        if beginning.any():
+            self._expert.reset(beginning)
+        actions = np.zeros((len(taken), ACTION_SIZE), np.float32)
+        if self._student is not None and not taken.all():
+            actions[~taken] = self._student.act(obs, info)[~taken]
+        self._intended = actions.copy()
+        if taken.any():
+            actions[taken] = self._expert.act(obs, info, taken)[taken]
+            self._intended[taken] = self._expert.notes().intended[taken]
+        self._step += 1
+        self._actor = taken.astype(np.uint8)
+        return actions
+
+    def notes(self) -> ActionNotes:
+        """Who gave the last actions, and what the expert intended without its noise."""
+        return ActionNotes(self._intended.copy(), self._actor.copy(), ACTORS)
+
+    def style(self, world: int) -> Mapping[str, Any]:
+        """How the expert acts in the running episode."""
+        return self._expert.style(world)
+
+    def _draw(self, info: Mapping[str, Any]) -> None:
+        for w in np.flatnonzero(self._fresh).tolist():
+            episode = info["episode_spec"][w]
+            if episode is not None:
+                self._prefix[w] = prefix_length(int(episode["seed"]), int(episode["index"]), self._longest)
+        self._fresh[:] = False
+
+
+def prefix_length(seed: int, index: int, longest: int) -> int:
+    """Control steps for which the student acts in an episode, from 0 to ``longest``."""
+    return int(stream(seed, "take_over", index).integers(0, longest + 1))
+
+
+def expert_steps(episode: Episode) -> np.ndarray:
+    """(N,) bool: control steps of a recorded episode in which somebody acted who is to be learned from.
+
+    Where a student and somebody else acted, those of the student are not; a student that acted alone, for instance in
+    data of `mjhab generate --policy CHECKPOINT`, is somebody to learn from.
+    """
+    if STUDENT not in episode.actors or len(episode.actors) == 1:
+        return np.ones(episode.steps, bool)
+    return episode.array("actor") != episode.actors.index(STUDENT)

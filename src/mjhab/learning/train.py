@@ -1,0 +1,85 @@
+"""One call that trains a student: opens the folder, runs the algorithm, evaluates, writes summary and report."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mjhab.learning.dagger import train_dagger
+from mjhab.learning.report import render_training_report
+from mjhab.learning.run import TrainingFolder
+from mjhab.learning.session import OutOfTime, Request, Session, open_session, resolved_config
+from mjhab.learning.supervised import train_supervised
+from mjhab.rollout.metrics import mean, wilson
+
+
+@dataclass(frozen=True)
+class TrainingResult:
+    """What a run came to. ``summary``: plain data for machines; ``interrupted``: Ctrl-C ended it."""
+
+    summary: dict[str, Any]
+    report: Path
+    interrupted: bool
+
+
+def train(request: Request, out: Path, resume: bool = False) -> TrainingResult:
+    """Train a student, evaluate it, and write everything into a folder. Ctrl-C keeps the last checkpoint.
+
+    Args:
+        request: what to train.
+        out: the folder.
+        resume: go on with the run in ``out``, exactly.
+
+    Raises:
+        UsageError: data, folder or scene do not fit.
+        BrokenLossError: the loss became NaN; the last good checkpoint is kept.
+    """
+    folder = TrainingFolder.open(out, resolved_config(request), resume=resume)
+    interrupted = False
+    with open_session(request, folder, resume) as session:
+        try:
+            _learn(session)
+            session.save()
+            if request.eval_episodes:
+                session.evaluate(request.eval_episodes, last=True)
+                session.save()
+        except KeyboardInterrupt:
+            interrupted = True
+        finally:
+            summary = summarize(session)
+            folder.write_summary(summary)
+            report = folder.write_report(render_training_report(folder, session.log.rows, session.records, summary))
+    return TrainingResult(summary, report, interrupted)
+
+
+def summarize(session: Session) -> dict[str, Any]:
+    """What a run came to, for machines. ``episodes``: of the evaluation that ``success_once`` comes from."""
+    records = session.records
+    low, high = wilson(sum(record.success_once for record in records), len(records))
+    return {
+        "algorithm": session.request.config.algorithm,
+        "preset": session.config.preset,
+        "steps": session.trainer.step,
+        "samples": session.progress.samples,
+        "seconds": round(session.log.seconds, 1),
+        "cpu_seconds": round(session.log.cpu_seconds, 1),
+        "checkpoint": str(session.folder.student),
+        "success_once": mean(record.success_once for record in records) if records else None,
+        "interval": [low, high],
+        "episodes": len(records),
+        "rounds": session.progress.round,
+        "demonstrations": sum(source.episodes for source in session.sources),
+    }
+
+
+def _learn(session: Session) -> None:
+    """Run the algorithm until it is through or the budget is spent."""
+    dagger = session.request.config.dagger
+    try:
+        if dagger is not None:
+            train_dagger(session, dagger)
+        else:
+            train_supervised(session)
+    except OutOfTime:
+        session.log.show({"phase": "the budget is spent"})

@@ -1,0 +1,105 @@
+"""Tiny students and demonstrations for the tests."""
+
+from __future__ import annotations
+
+import dataclasses
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from mjhab.learning.configs import (
+    ACT,
+    BC,
+    DIFFUSION,
+    FLOW,
+    InputConfig,
+    NetworkConfig,
+    OptimizerConfig,
+    StudentConfig,
+    TrainConfig,
+)
+from mjhab.learning.demos import Demonstrations
+from mjhab.learning.layout import Layout
+from mjhab.tasks.plan import KIND_NAMES
+
+SIZE = 16
+STATE = (("agent/qpos", 4), ("extra/is_grasped", 1))
+ACTIONS = tuple(f"a{i}" for i in range(13))
+CONTROL = ("pd_joint_delta_pos", "forward")
+INPUTS = InputConfig(cameras=("fetch_head",), image_size=SIZE)
+TARGETS = ("024_bowl", "kitchen_counter/drawer3")
+
+
+def layout(inputs: InputConfig = INPUTS) -> Layout:
+    return Layout(inputs, STATE, ACTIONS, TARGETS, CONTROL)
+
+
+def config(algorithm: str = BC, inputs: InputConfig = INPUTS, **changes: Any) -> StudentConfig:
+    """A student that takes milliseconds."""
+    networks = {
+        BC: NetworkConfig(channels=(4, 8), image_features=8, hidden=16, layers=2),
+        FLOW: NetworkConfig(channels=(4, 8), image_features=8, hidden=16, layers=2),
+        ACT: NetworkConfig(channels=(4, 8), image_features=8, hidden=16, layers=1),
+        DIFFUSION: NetworkConfig("paper_dp", channels=(4, 8), image_features=8, unet=(8, 16)),
+    }
+    steps = {FLOW: 3, DIFFUSION: 4}.get(algorithm, 0)
+    student = StudentConfig(
+        algorithm=algorithm,
+        preset="tiny",
+        inputs=inputs,
+        network=networks[algorithm],
+        optimizer=OptimizerConfig(batch=8, learning_rate=1e-2, warmup=2),
+        chunk=4,
+        execute=2,
+        hold_steps=3,
+        huber=0.0 if steps else 0.5,
+        sampling_steps=steps,
+        updates=4,
+    )
+    return dataclasses.replace(student, **changes)
+
+
+def train_config(**changes: Any) -> TrainConfig:
+    return TrainConfig(config(**changes))
+
+
+def demonstrations(seed: int = 0, lengths: tuple[int, ...] = (7, 11, 5), told: Layout | None = None) -> Demonstrations:
+    """Episodes whose first action is a line through the state, and the others 0.5."""
+    told = told or layout()
+    random = np.random.default_rng(seed)
+    parts = []
+    for length in lengths:
+        vector = np.zeros((length, told.width), np.float32)
+        vector[:, : told.measured_width] = random.normal(size=(length, told.measured_width))
+        vector[:, told.measured_width :] = told.condition(KIND_NAMES[0], TARGETS[0])
+        actions = np.full((length, len(ACTIONS)), 0.5, np.float32)
+        actions[:, 0] = np.tanh(vector[:, 0])
+        images = random.integers(0, 256, (length, len(told.image_keys), SIZE, SIZE), np.uint8)
+        parts.append(
+            Demonstrations(
+                vector,
+                images,
+                actions,
+                np.zeros(length, np.int64),
+                np.full(length, length - 1),
+                np.arange(length),
+                1,
+            )
+        )
+    return Demonstrations.join(parts)
+
+
+def fake_env(worlds: int = 3, told: Layout | None = None) -> Any:
+    """What a student asks of an environment."""
+    told = told or layout()
+    rows = [SimpleNamespace(key=key, shape=(width,)) for key, width in STATE]
+
+    rows += [SimpleNamespace(key=key, shape=(SIZE, SIZE, 1)) for key in told.image_keys]
+    return SimpleNamespace(
+        num_envs=worlds,
+        observer=SimpleNamespace(table=rows),
+        action_table=[SimpleNamespace(name=name) for name in ACTIONS],
+        single_observation_space={"state": SimpleNamespace(shape=(sum(width for _, width in STATE),))},
+        config=SimpleNamespace(control_mode=CONTROL[0], base=CONTROL[1], stationary=()),
+    )

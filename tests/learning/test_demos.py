@@ -1,0 +1,145 @@
+"""Demonstrations: truncation, chunks, batches, images, and what is read from shards."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mjhab.core.errors import UsageError
+from mjhab.data.images import ImageFormat
+from mjhab.data.query import Filter
+from mjhab.data.reading import episodes
+from mjhab.learning.configs import InputConfig
+from mjhab.learning.demos import (
+    BatchSampler,
+    base_velocity,
+    kept_steps,
+    layout_of_data,
+    load_demonstrations,
+    nearness,
+    shift_images,
+    take_chunks,
+)
+from tests.data.fake_world import SIZE, FakeEnv
+from tests.data.make import record
+from tests.learning.small import INPUTS, demonstrations
+
+
+@given(st.lists(st.booleans(), min_size=1, max_size=30), st.integers(-1, 20))
+def test_a_demonstration_ends_some_steps_after_its_first_success(success: list[bool], hold: int) -> None:
+    kept = kept_steps(np.array(success, np.uint8), hold)
+    if hold < 0 or not any(success):
+        assert kept == len(success)
+    else:
+        assert kept == min(len(success), success.index(True) + 1 + hold)
+
+
+@given(st.integers(1, 9), st.integers(1, 4), st.integers(0, 100))
+def test_chunks_stay_in_their_episode(chunk: int, history: int, seed: int) -> None:
+    lengths = (7, 11, 5)
+    data = demonstrations(seed, lengths)
+    taken = take_chunks(data, data.usable, chunk, history)
+    starts = np.cumsum([0, *lengths])
+    for row in data.usable.tolist():
+        episode = int(np.searchsorted(starts, row, side="right")) - 1
+        left = starts[episode + 1] - row
+        assert taken.valid[row].tolist() == [k < left for k in range(chunk)]
+        np.testing.assert_array_equal(taken.actions[row][: min(chunk, left)], data.actions[row : row + chunk][:left])
+        seen = taken.vector[row].reshape(history, -1)
+        np.testing.assert_array_equal(seen[-1], data.vector[row])
+        np.testing.assert_array_equal(seen[0], data.vector[max(row - history + 1, starts[episode])])
+    assert taken.images.shape[1] == history
+
+
+def test_batches_mix_old_and_new_and_depend_on_seed_and_number_alone() -> None:
+    sources = [demonstrations(seed) for seed in range(3)]
+    sampler, again = (BatchSampler(sources, 40, 0.5, seed=3) for _ in range(2))
+    batch = sampler.batch(7, 4, 1, 1)
+    np.testing.assert_array_equal(batch.images, again.batch(7, 4, 1, 1).images)
+    assert (batch.vector != sampler.batch(8, 4, 1, 1).vector).any()
+    rows = sampler.rows(7)
+    assert rows[0][0] is sources[-1] and len(rows[0][1]) == 20
+    assert sum(len(part) for _, part in rows) == 40
+    old = np.concatenate([np.concatenate([part for s, part in sampler.rows(k) if s is sources[0]]) for k in range(40)])
+    assert set(old.tolist()) == set(sources[0].usable.tolist())
+    assert len(BatchSampler(sources[:1], 40, 0.5, 0).rows(0)[0][1]) == 40
+
+
+def test_only_usable_steps_are_drawn() -> None:
+    data = demonstrations()
+    data.usable[:] = 3
+    assert set(BatchSampler([data], 16, 1.0, 0).rows(0)[0][1].tolist()) == {3}
+
+
+@given(st.integers(1, 3), st.integers(0, 50))
+def test_shifted_images_are_crops_with_the_edge_repeated(most: int, seed: int) -> None:
+    random = np.random.default_rng(seed)
+    images = random.integers(0, 256, (3, 2, 6, 6), np.uint8)
+    moved = shift_images(images, most, random)
+    padded = np.pad(images, ((0, 0), (0, 0), (most, most), (most, most)), mode="edge")
+    for image, out in zip(padded, moved, strict=True):
+        crops = [
+            image[:, y : y + 6, x : x + 6] for y in range(2 * most + 1) for x in range(2 * most + 1)
+        ]  # fmt: skip
+        assert any((crop == out).all() for crop in crops)
+
+
+def test_near_things_are_bright() -> None:
+    assert nearness(np.array([0, 500, 1000, 32767], np.int16)).tolist() == [255, 137, 61, 0]
+
+
+def test_base_velocity_is_along_the_base() -> None:
+    q = np.array([[0.0, 0.0, np.pi / 2], [0.0, 0.0, np.pi]])
+    qd = np.array([[0.0, 2.0, 0.5], [1.0, 0.0, -1.0]])
+    np.testing.assert_allclose(base_velocity(q, qd), [[2.0, 0.5], [-1.0, -1.0]], atol=1e-7)
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("demos")
+    record(folder / "picks.h5", range(4), FakeEnv(subtask="pick", images=True), images=ImageFormat())
+    return folder
+
+
+EVERY = Filter("success or not success")
+
+
+def test_what_is_read_is_what_was_recorded(source: Path) -> None:
+    told = layout_of_data(source, INPUTS, EVERY)
+    assert told.targets == ("024_bowl",) and told.state == (("agent/qpos", 4), ("extra/is_grasped", 1))
+    data = load_demonstrations(source, told, -1, EVERY)
+    at = 0
+    for episode in episodes(source):
+        n = episode.steps
+        rows = slice(at, at + n)
+        actions = episode.array("actions")
+        state, last = data.vector[rows, :5], data.vector[rows, 5:18]
+        np.testing.assert_array_equal(state, episode.array("obs/state")[:n])
+        np.testing.assert_array_equal(last[1:], actions[:-1])
+        assert not last[0].any()
+        assert (data.vector[rows, 18:] == told.condition("pick", "024_bowl")).all()
+        np.testing.assert_array_equal(data.actions[rows], actions)
+        frame = episode.frame("fetch_head", "depth", 2)[..., 0]
+        np.testing.assert_array_equal(data.images[at + 2, 0], nearness(frame))
+        at += n
+    assert at == len(data.vector) and data.episodes == 4
+    assert data.vector.shape[1] == told.width
+
+
+def test_data_that_do_not_fit_are_refused_with_what_to_do(source: Path, tmp_path: Path) -> None:
+    larger = InputConfig(cameras=("fetch_head",), image_size=2 * SIZE)
+    with pytest.raises(UsageError, match=f"16x16 px; the preset needs 32x32 px.*replay.*--camera-size {2 * SIZE}"):
+        load_demonstrations(source, layout_of_data(source, larger, EVERY), 3, EVERY)
+    hand = InputConfig(cameras=("fetch_hand",), image_size=SIZE)
+    with pytest.raises(UsageError, match=r"no depth images of fetch_hand.*mjhab replay"):
+        load_demonstrations(source, layout_of_data(source, hand, EVERY), 3, EVERY)
+    with pytest.raises(UsageError, match="no episode passes"):
+        layout_of_data(source, INPUTS, Filter("steps > 1000"))
+    told = layout_of_data(source, INPUTS, EVERY)
+    record(tmp_path / "other.h5", range(1), FakeEnv(subtask="close", images=True), images=ImageFormat())
+    with pytest.raises(UsageError, match="unknown target of this student 'kitchen_counter/drawer3'"):
+        load_demonstrations(tmp_path, told, 3, EVERY)

@@ -1,0 +1,134 @@
+"""A student in the rollout loop: what it sees, when it thinks, what it refuses."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mjhab.core.errors import UsageError
+from mjhab.learning.checkpoint import save_student
+from mjhab.learning.demos import nearness
+from mjhab.learning.policy import StudentPolicy
+from mjhab.learning.student import make_student
+from mjhab.rollout.resolve import inspect_policy, resolve_policy
+from tests.learning.small import INPUTS, SIZE, TARGETS, config, fake_env, layout
+
+
+def scene(worlds: int, step: int) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Observations and info of a step; world w is in episode w."""
+    randoms = [np.random.default_rng([step, w]) for w in range(worlds)]
+    obs = {
+        "state": np.stack([random.normal(size=5) for random in randoms]).astype(np.float32),
+        "sensor_data/fetch_head/depth": np.stack([r.integers(0, 3000, (SIZE, SIZE, 1), np.int16) for r in randoms]),
+    }
+    plan = ({"kind": "pick", "target": f"{TARGETS[0]}_:0000", "goal": None},)
+    specs = [{"index": w, "seed": 0, "plan": plan} for w in range(worlds)]
+    return obs, {"episode_spec": specs, "pointer": np.zeros(worlds, np.int64)}
+
+
+def actions_of(worlds: int, steps: int, algorithm: str = "bc", **changes: Any) -> np.ndarray:
+    policy = StudentPolicy(make_student(config(algorithm, **changes), layout()), fake_env(worlds))
+    policy.reset(np.ones(worlds, bool))
+    return np.stack([policy.act(*scene(worlds, step)) for step in range(steps)])
+
+
+@pytest.mark.parametrize("algorithm", ["bc", "flow", "diffusion"])
+def test_what_it_does_in_an_episode_does_not_depend_on_the_other_worlds(algorithm: str) -> None:
+    few, many = actions_of(3, 5, algorithm), actions_of(21, 5, algorithm)
+    np.testing.assert_array_equal(few, many[:, :3])
+
+
+def test_the_first_actions_of_every_chunk_are_executed(monkeypatch: pytest.MonkeyPatch) -> None:
+    student = make_student(config(chunk=4, execute=3), layout())
+    asked: list[np.ndarray] = []
+
+    def count(vector: np.ndarray, images: np.ndarray, noise: np.ndarray) -> np.ndarray:
+        asked.append(vector.copy())
+        return np.broadcast_to(np.arange(4.0, dtype=np.float32)[None, :, None] / 10, (len(vector), 4, 13)).copy()
+
+    monkeypatch.setattr(student, "act", count)
+    policy = StudentPolicy(student, fake_env(1))
+    policy.reset(np.ones(1, bool))
+    taken = [float(policy.act(*scene(1, step))[0, 0]) for step in range(5)]
+    np.testing.assert_allclose(taken, [0.0, 0.1, 0.2, 0.0, 0.1])
+    assert len(asked) == 2
+    previous = slice(5, 18)
+    assert not asked[0][0, previous].any()
+    np.testing.assert_allclose(asked[1][0, previous], 0.2)
+
+
+def test_it_sees_what_the_demonstrations_hold() -> None:
+    inputs = dataclasses.replace(INPUTS, history=2)
+    policy = StudentPolicy(make_student(config(inputs=inputs), layout(inputs)), fake_env(2, layout(inputs)))
+    policy.reset(np.ones(2, bool))
+    (first, info), (second, _) = scene(2, 0), scene(2, 1)
+    before = policy.act(first, info)
+    policy.act(second, info)
+    np.testing.assert_array_equal(policy._vectors[:, 0, :5], first["state"])
+    np.testing.assert_array_equal(policy._vectors[:, 1, :5], second["state"])
+    np.testing.assert_array_equal(policy._vectors[:, 1, 5:18], before)
+    assert (policy._vectors[:, 1, 18:] == layout().condition("pick", TARGETS[0])).all()
+    depth = second["sensor_data/fetch_head/depth"][..., 0]
+    np.testing.assert_array_equal(policy._images[:, 1, 0], nearness(depth))
+
+
+def test_a_reset_forgets_one_world_alone() -> None:
+    policy = StudentPolicy(make_student(config(), layout()), fake_env(2))
+    policy.reset(np.ones(2, bool))
+    policy.act(*scene(2, 0))
+    policy.reset(np.array([True, False]))
+    assert not policy._last[0].any() and policy._last[1].any()
+    assert policy._step.tolist() == [0, 1]
+
+
+def test_an_environment_that_shows_something_else_is_refused_by_name() -> None:
+    student = make_student(config(), layout())
+    env = fake_env()
+    env.observer.table[0].shape = (7,)
+    env.observer.table[1].key = "extra/new"
+    env.single_observation_space["state"].shape = (8,)
+    env.action_table.pop()
+    env.config.base = "holonomic"
+    env.observer.table[-1].shape = (64, 64, 1)
+    with pytest.raises(UsageError) as error:
+        StudentPolicy(student, env)
+    for words in (
+        "agent/qpos has 7 numbers instead of 4",
+        "state has no extra/is_grasped",
+        "extra/new, which the student does not know",
+        "action has no a12",
+        "holonomic",
+        "fetch_head/depth is 64x64 px instead of 16x16",
+        "camera_size=16",
+    ):
+        assert words in str(error.value)
+
+
+def test_an_unknown_target_is_refused_by_name() -> None:
+    policy = StudentPolicy(make_student(config(), layout()), fake_env(1))
+    policy.reset(np.ones(1, bool))
+    obs, info = scene(1, 0)
+    info["episode_spec"][0]["plan"] = ({"kind": "pick", "target": "013_apple_:0000", "goal": None},)
+    with pytest.raises(UsageError, match="unknown target of this student '013_apple'"):
+        policy.act(obs, info)
+
+
+def test_a_checkpoint_is_a_policy_by_its_path(tmp_path: Path) -> None:
+    path = tmp_path / "mine.safetensors"
+    save_student(path, make_student(config(), layout()), {})
+    facts = inspect_policy(str(path))
+    assert facts.name == "mine" and len(facts.identity["policy_sha256"]) == 64
+    assert facts.env_options["obs_mode"] == "depth" and facts.env_options["camera_size"] == SIZE
+    policy = resolve_policy(str(path), fake_env(2))
+    policy.reset(np.ones(2, bool))
+    assert policy.act(*scene(2, 0)).shape == (2, 13)
+
+
+def test_without_torch_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == "torch" else object())
+    with pytest.raises(UsageError, match=r"learning needs torch, which is not installed.*pip install 'mjhab\[learn\]'"):
+        inspect_policy("any.safetensors")

@@ -1,0 +1,274 @@
+"""Students, their updates, checkpoints: losses fall, files come back, training goes on bit by bit."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import save_file
+
+from mjhab.core.errors import UsageError
+from mjhab.data.images import ImageFormat
+from mjhab.learning.checkpoint import load_checkpoint, load_student, save_student, save_training
+from mjhab.learning.collection import Means, Scene
+from mjhab.learning.configs import HEADS, PRESETS, preset_of, student_from_plain, to_plain
+from mjhab.learning.demos import BatchSampler, take_chunks
+from mjhab.learning.run import TrainingFolder
+from mjhab.learning.session import Request, Session, open_session, resolved_config
+from mjhab.learning.student import Batch, make_student
+from mjhab.learning.train import train
+from mjhab.learning.training import BrokenLossError, Trainer
+from tests.data.fake_world import FakeEnv
+from tests.data.make import record
+from tests.learning.small import INPUTS, config, demonstrations, layout, train_config
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> None:
+    torch.set_num_threads(1)
+
+
+def trainer_of(algorithm: str = "bc", **changes: Any) -> Trainer:
+    trainer = Trainer(make_student(config(algorithm, **changes), layout(), seed=1), seed=2, updates=100)
+    trainer.student.fit_normalizers(demonstrations())
+    trainer.restart_average()
+    return trainer
+
+
+def batch(step: int = 0) -> Batch:
+    return Batch.of(BatchSampler([demonstrations()], 8, 1.0, 0).batch(step, 4, 1, 1))
+
+
+def loss_of(trainer: Trainer, one: Batch) -> float:
+    """With the same noise every time."""
+    with torch.no_grad():
+        return float(trainer.student.loss(one, torch.Generator().manual_seed(0)))
+
+
+@pytest.mark.parametrize("algorithm", HEADS)
+def test_every_student_learns_and_gives_chunks(algorithm: str) -> None:
+    trainer = trainer_of(algorithm)
+    data = demonstrations()
+    every = Batch.of(take_chunks(data, data.usable, 4))
+    before = loss_of(trainer, every)
+    for _ in range(60):
+        trainer.update(every)
+    assert loss_of(trainer, every) < 0.9 * before
+    student = trainer.average
+    noise = np.zeros((3, student.draws, 4, 13), np.float32)
+    chunk = student.act(every.vector[:3].numpy(), every.images[:3].numpy(), noise)
+    assert chunk.shape == (3, 4, 13) and np.abs(chunk).max() <= 1.0
+    assert (student.draws == 0) == (algorithm in ("bc", "act"))
+
+
+def test_what_lies_behind_the_end_is_not_learned() -> None:
+    student = trainer_of().student
+    one = batch()
+    hidden = ~one.valid
+    assert hidden.any()
+    other = dataclasses.replace(one, actions=torch.where(hidden[..., None], torch.tensor(9.0), one.actions))
+    random = torch.Generator()
+    assert torch.equal(student.loss(one, random), student.loss(other, random))
+
+
+def test_normalized_numbers_have_mean_zero_and_spread_one() -> None:
+    data = demonstrations(lengths=(200, 300))
+    student = make_student(config(), layout())
+    student.fit_normalizers(data)
+    measured = layout().measured_width
+    seen = student.normalizer(torch.from_numpy(data.vector)).numpy()
+    np.testing.assert_allclose(seen[:, :measured].mean(axis=0), 0.0, atol=1e-3)
+    np.testing.assert_allclose(seen[:, :measured].std(axis=0), 1.0, atol=1e-2)
+    np.testing.assert_array_equal(seen[:, measured:], data.vector[:, measured:])
+    actions = torch.from_numpy(data.actions)
+    normal = student.action_normalizer
+    torch.testing.assert_close(normal.restore(normal(actions)), actions)
+    plain = make_student(config(inputs=dataclasses.replace(INPUTS, normalize=False)), layout())
+    plain.fit_normalizers(data)
+    assert not plain.normalizer.mean.any() and (plain.normalizer.scale == 1).all()
+
+
+def test_the_average_follows_the_weights() -> None:
+    trainer = trainer_of()
+    before = [value.clone() for value in trainer.average.parameters()]
+    trainer.update(batch())
+    changed = 0
+    for old, kept, new in zip(before, trainer.average.parameters(), trainer.student.parameters(), strict=True):
+        low, high = torch.minimum(old, new) - 1e-6, torch.maximum(old, new) + 1e-6
+        assert ((kept >= low) & (kept <= high)).all()
+        changed += int((kept != old).any())
+    assert changed
+    optimizer = dataclasses.replace(config().optimizer, ema=0.0)
+    raw = trainer_of(optimizer=optimizer)
+    raw.update(batch())
+    for kept, new in zip(raw.average.parameters(), raw.student.parameters(), strict=True):
+        torch.testing.assert_close(kept, new)
+
+
+@pytest.mark.parametrize("algorithm", HEADS)
+def test_training_goes_on_bit_by_bit(algorithm: str, tmp_path: Path) -> None:
+    whole, part = trainer_of(algorithm), trainer_of(algorithm)
+    for step in range(4):
+        whole.update(batch(step))
+    for step in range(2):
+        part.update(batch(step))
+    save_training(tmp_path / "t.safetensors", part, {})
+    saved = load_checkpoint(tmp_path / "t.safetensors")
+    again = Trainer(make_student(saved.config, saved.layout, seed=77), seed=2, updates=100)
+    again.restore(dict(saved.tensors), saved.about["step"])
+    for step in range(2, 4):
+        again.update(batch(step))
+    other = again.tensors()
+    for name, value in whole.tensors().items():
+        assert torch.equal(value, other[name]), name
+    assert again.step == 4
+
+
+def test_a_student_comes_back_from_its_file(tmp_path: Path) -> None:
+    trainer = trainer_of()
+    trainer.update(batch())
+    path = tmp_path / "s.safetensors"
+    save_student(path, trainer.average, {"scene": "here"})
+    saved = load_checkpoint(path)
+    assert saved.about == {"scene": "here"} and saved.layout == layout() and saved.config == config()
+    one = batch()
+    noise = np.zeros((8, 0, 4, 13), np.float32)
+    before = trainer.average.act(one.vector.numpy(), one.images.numpy(), noise)
+    np.testing.assert_array_equal(before, load_student(path).act(one.vector.numpy(), one.images.numpy(), noise))
+    assert [entry.name for entry in tmp_path.iterdir()] == ["s.safetensors"]
+
+
+def test_files_that_are_no_students_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "x.safetensors"
+    with pytest.raises(UsageError, match="does not exist"):
+        load_student(path)
+    path.write_bytes(b"\x80\x04nonsense")
+    with pytest.raises(UsageError, match="cannot be read as a checkpoint"):
+        load_student(path)
+    save_file({"a": torch.zeros(1)}, path)
+    with pytest.raises(UsageError, match="not a checkpoint of `mjhab train`"):
+        load_student(path)
+    save_training(path, trainer_of(), {})
+    with pytest.raises(UsageError, match="does not hold the weights of a student alone"):
+        load_student(path)
+
+
+def test_a_broken_loss_changes_nothing_and_names_the_batch() -> None:
+    trainer = trainer_of()
+    trainer.update(batch())
+    before = {name: value.clone() for name, value in trainer.tensors().items()}
+    bad = dataclasses.replace(batch(), actions=torch.full((8, 4, 13), torch.nan))
+    with pytest.raises(BrokenLossError, match="nan in batch 2"):
+        trainer.update(bad)
+    assert all(torch.equal(value, before[name]) for name, value in trainer.tensors().items())
+
+
+def test_presets_are_plain_data_and_come_back() -> None:
+    for algorithm, presets in PRESETS.items():
+        for name, preset in presets.items():
+            assert preset.algorithm == algorithm and preset_of(algorithm, name) is preset
+            told = json.loads(json.dumps(to_plain(preset.student)))
+            assert student_from_plain(told) == preset.student
+            make_student(
+                dataclasses.replace(preset.student, inputs=preset.student.inputs), layout(preset.student.inputs)
+            )
+    with pytest.raises(UsageError, match=r"unknown preset of bc 'smal'\. Did you mean 'small'"):
+        preset_of("bc", "smal")
+
+
+# -- whole runs on recorded episodes of a fake environment ---------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("source")
+    record(folder / "picks.h5", range(4), FakeEnv(subtask="pick", images=True), images=ImageFormat())
+    return folder
+
+
+def request(source: Path, **changes: Any) -> Request:
+    base = Request(
+        train_config(),
+        Scene("set_table", "pick", "024_bowl"),
+        Means(worlds=1, threads=1),
+        data=(source,),
+        where="success or not success",
+        eval_episodes=0,
+        round_episodes=0,
+        torch_threads=1,
+    )
+    return dataclasses.replace(base, **changes)
+
+
+def weights(path: Path) -> dict[str, torch.Tensor]:
+    return dict(load_checkpoint(path).tensors)
+
+
+def test_a_run_leaves_its_folder_and_resumes_exactly(
+    source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = train(request(source), tmp_path / "whole")
+    assert whole.summary["steps"] == 4 and whole.summary["samples"] == 32 and not whole.interrupted
+    found = {entry.name for entry in (tmp_path / "whole").iterdir()}
+    assert found >= {
+        "config.json",
+        "metrics.jsonl",
+        "tensorboard",
+        "student.safetensors",
+        "summary.json",
+        "report.html",
+    }
+    make_updates = Trainer.update
+
+    def stop_after_two(trainer: Trainer, one: Batch) -> object:
+        if trainer.step == 2:
+            raise KeyboardInterrupt
+        return make_updates(trainer, one)
+
+    monkeypatch.setattr("mjhab.learning.session.CHECKPOINT_SECONDS", -1.0)
+    monkeypatch.setattr(Trainer, "update", stop_after_two)
+    stopped = train(request(source), tmp_path / "part")
+    assert stopped.interrupted and stopped.summary["steps"] == 2
+    monkeypatch.setattr(Trainer, "update", make_updates)
+    done = train(request(source), tmp_path / "part", resume=True)
+    assert done.summary["steps"] == 4 and done.summary["samples"] == 32
+    one, other = (weights(tmp_path / name / "training.safetensors") for name in ("whole", "part"))
+    assert one.keys() == other.keys() and all(torch.equal(one[name], other[name]) for name in one)
+    with pytest.raises(UsageError, match="it was started with seed = 0, now it is 1"):
+        train(request(source, seed=1), tmp_path / "part", resume=True)
+    with pytest.raises(UsageError, match="not empty"):
+        train(request(source), tmp_path / "part")
+
+
+def test_nan_keeps_the_last_good_checkpoint(source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    plain = Session._batch
+
+    def broken(session: Session, sampler: BatchSampler) -> Batch:
+        one = plain(session, sampler)
+        return dataclasses.replace(one, actions=one.actions * torch.nan) if session.trainer.step == 3 else one
+
+    monkeypatch.setattr(Session, "_batch", broken)
+    monkeypatch.setattr("mjhab.learning.session.CHECKPOINT_SECONDS", -1.0)
+    with pytest.raises(BrokenLossError, match="batch 4"):
+        train(request(source), tmp_path / "run")
+    kept = load_checkpoint(tmp_path / "run" / "training.safetensors")
+    assert kept.about["step"] == 3
+    assert all(torch.isfinite(value).all() for value in kept.tensors.values())
+
+
+def test_a_spent_budget_ends_training(source: Path, tmp_path: Path) -> None:
+    done = train(request(source, budget_seconds=1e-6), tmp_path / "run")
+    assert done.summary["steps"] == 0
+    assert load_student(tmp_path / "run" / "student.safetensors")
+
+
+def test_the_layout_of_a_run_is_that_of_its_data(source: Path, tmp_path: Path) -> None:
+    one = request(source)
+    folder = TrainingFolder.open(tmp_path / "run", resolved_config(one))
+    with open_session(one, folder, False) as session:
+        assert session.layout.targets == ("024_bowl",)

@@ -79,6 +79,7 @@ class PolicyKind:
 
 POLICY_KINDS: list[PolicyKind] = [
     PolicyKind(", ".join(NAMED_POLICIES), lambda spec: spec in NAMED_POLICIES, "mjhab.rollout.named_policies"),
+    PolicyKind("ms_hab:CHECKPOINT.pt", lambda spec: spec.startswith("ms_hab:"), "mjhab.learning.ms_hab.policy_kind"),
     PolicyKind("CHECKPOINT.safetensors", lambda spec: spec.endswith(".safetensors"), "mjhab.learning.policy_kind"),
     PolicyKind("FILE.py:CLASS", lambda spec: spec.endswith(".py") or ".py:" in spec, "mjhab.rollout.policy_file"),
 ]

@@ -1,0 +1,48 @@
+"""Checkpoints of the original as policies: ``--policy ms_hab:CHECKPOINT.pt``. See `rollout.resolve.PolicyModule`."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+from mjhab.core.errors import UsageError
+from mjhab.learning.require import require_learn
+from mjhab.rollout.policy import Policy, RolloutEnv
+from mjhab.rollout.resolve import PolicyFacts, PolicyOptions
+
+PREFIX = "ms_hab:"
+
+
+def inspect_policy(spec: str) -> PolicyFacts:
+    """Describe a checkpoint: its name, the hash of its bytes, and the options of the environment that it needs.
+
+    Raises:
+        UsageError: torch is not installed, or the file cannot be read as a policy of the original.
+    """
+    require_learn()
+    from mjhab.learning.ms_hab.checkpoint import load_network
+    from mjhab.learning.ms_hab.policy import ENV_OPTIONS
+
+    path = _path_of(spec)
+    load_network(path)
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    return PolicyFacts(f"ms_hab-{path.stem}", {"policy_sha256": digest}, ENV_OPTIONS)
+
+
+def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions) -> Policy:
+    """Build the policy of a checkpoint.
+
+    Raises:
+        UsageError: as `inspect_policy`; the environment shows or takes something else than the policy knows; or a style
+            was asked for.
+    """
+    if options.style:
+        raise UsageError(f"a style is for the policy expert; {spec} has none.")
+    require_learn()
+    from mjhab.learning.ms_hab.policy import ms_hab_policy
+
+    return ms_hab_policy(_path_of(spec), env)
+
+
+def _path_of(spec: str) -> Path:
+    return Path(spec.removeprefix(PREFIX))

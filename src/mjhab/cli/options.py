@@ -28,7 +28,8 @@ class ProfileOptions:
     profile: Annotated[str, tyro.conf.arg(metavar="mjhab|ms_hab")] = "mjhab"
     """Values of many options at once: ms_hab is the environment of the MS-HAB paper (see docs/environments.md)."""
     starts: Annotated[str | None, tyro.conf.arg(metavar="front_box|published")] = None
-    """Where Pick and Place at a drawer or fridge begin, and with which arm Place begins; the profile's if absent."""
+    """Where Pick and Place at a drawer or fridge begin, and with which arm Place begins (spawn_rule of an environment);
+    the profile's if absent."""
     stillness: Annotated[str | None, tyro.conf.arg(metavar="absolute|published")] = None
     """Whether a joint that moves backwards counts as moving (absolute) or as still; the profile's if absent."""
 

@@ -25,11 +25,12 @@ PUBLISHED = {
     "stillness": "published", "spawn_rule": "published", "stationary": ("head",), "force_limits": True,
     "reward_formula": "published", "reward_normaliser": "published", "cameras": ("fetch_head", "fetch_hand"),
     "frame_stack": 3,
+    "handle_points": "published",
 }  # fmt: skip
 USUAL = {
     "stillness": "absolute", "spawn_rule": "front_box", "stationary": (), "force_limits": True,
     "reward_formula": "bounded", "reward_normaliser": "attainable", "cameras": ("fetch_head", "fetch_hand"),
-    "frame_stack": 1, "horizon": 0,
+    "frame_stack": 1, "handle_points": "ours", "horizon": 0,
 }  # fmt: skip
 
 

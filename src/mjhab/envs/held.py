@@ -38,7 +38,7 @@ MAX_SLANT = np.radians(50.0)
 """Largest angle [rad] between the approach and straight down, where the object has grasps within. The hand points down
 at rest: what it took from the side would lie on its side in it, as few picks leave it."""
 _UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
-_VERSION = 3
+_VERSION = 4
 _POSITION_SCALE, _CLOSING_WEIGHT = 0.05, 0.5
 """What counts as far apart: 5 cm as much as a radian of approach or two of roll."""
 

@@ -274,8 +274,8 @@ def _add_sensors(spec: mujoco.MjSpec, layout: Layout) -> None:
     linvel, xbody = mujoco.mjtSensor.mjSENS_FRAMELINVEL, mujoco.mjtObj.mjOBJ_XBODY
     spec.add_sensor(name="tcp_velocity", type=linvel, objtype=xbody, objname=fetch.TCP_LINK)
     for target in (*layout.object_names, *layout.link_ids):
-        # The subtree of gripper_link holds the fingers.
-        _contact_sensor(spec, f"ee_contact>{target}", fetch.TCP_LINK, target, (_FOUND,), subtree=True)
+        # Of gripper_link alone: contacts of the fingers are known, and looking through a subtree costs more.
+        _contact_sensor(spec, f"palm>{target}", fetch.TCP_LINK, target, (_FOUND,))
 
 
 @dataclass(frozen=True, eq=False)
@@ -285,7 +285,7 @@ class Addresses:
     ``robot_q``, ``robot_v`` (J,): in FETCH_JOINTS order; ``object_q``, ``object_v`` (N,): first of 7 / 6;
     ``object_body`` (N,); ``link_q``, ``link_v``, ``link_body`` (L,); ``robot_body``: link name to body id;
     sensor starts: ``link_force`` (K,), ``finger_force`` (2, N + L) for [l, r] finger, ``touch`` (N + L,),
-    ``tcp_velocity``, ``ee_contact`` (N + L,).
+    ``tcp_velocity``, ``palm`` (N + L,) contacts of gripper_link.
     """
 
     robot_q: np.ndarray
@@ -301,7 +301,7 @@ class Addresses:
     finger_force: np.ndarray
     touch: np.ndarray
     tcp_velocity: int
-    ee_contact: np.ndarray
+    palm: np.ndarray
 
 
 def addresses(layout: Layout, model: mujoco.MjModel) -> Addresses:
@@ -327,5 +327,5 @@ def addresses(layout: Layout, model: mujoco.MjModel) -> Addresses:
         finger_force=np.array([sensors([f"{f}>{t}" for t in targets]) for f in fetch.FINGER_LINKS]),
         touch=sensors([f"touch>{t}" for t in targets]),
         tcp_velocity=int(model.sensor("tcp_velocity").adr[0]),
-        ee_contact=sensors([f"ee_contact>{t}" for t in targets]),
+        palm=sensors([f"palm>{t}" for t in targets]),
     )  # fmt: skip

@@ -76,7 +76,7 @@ class CpuSimulator:
         left, right = a.finger_force
         self._target_cols = _rows(left, 7)
         assert (right == left + 3).all() and (a.touch == left + 6).all()
-        self._ee_cols = _rows(a.ee_contact, 1)
+        self._palm_cols = _rows(a.palm, 1)
         self._depth_col = int(first.sensor("robot_depth").adr[0])
         self._taint, self._broken = np.zeros(num_worlds, np.uint8), np.zeros(num_worlds, bool)
         self._warned = np.zeros((num_worlds, self.batch.warning.shape[1]), np.int64)
@@ -189,7 +189,7 @@ class CpuSimulator:
             link_force=np.sqrt(force[..., 0] + force[..., 2] + force[..., 1]),
             finger_force=targets[..., :6].reshape(worlds, -1, 2, 3).swapaxes(1, 2),
             touch=targets[..., 6] < 0,
-            ee_contact=self._sensors[:, self._ee_cols] > 0,
+            ee_contact=(self._sensors[:, self._palm_cols] > 0) | (targets[..., :6] != 0).any(axis=-1),
             body_pos=self._xpos,
             body_mat=self._xmat,
             body_quat=self._xquat,

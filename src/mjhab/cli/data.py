@@ -178,6 +178,8 @@ def _parts(words: tuple[str, ...]) -> dict[str, float]:
 def _import(options: DataImportOptions) -> int:
     if options.format not in IMPORTS:
         raise unknown_name("format", options.format, IMPORTS)
+    if not options.files:
+        raise UsageError("name the files to import, as in: mjhab data import ms_hab 024_bowl.h5 --out runs/imported")
     origin = Origin(options.task, options.split)
     done = []
     for path in options.files:

@@ -19,11 +19,12 @@ import h5py
 import numpy as np
 
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.rotations import quat_canonical
 from mjhab.data.episode_data import EpisodeData, RunInfo
 from mjhab.data.hdf5 import dataset, dataset_paths, group
 from mjhab.data.images import ImageFormat, encode
 from mjhab.data.ms_hab_layout import SOURCE_TYPE, TRAJECTORY, from_verbose
-from mjhab.data.schema import FORMAT, field_of
+from mjhab.data.schema import FORMAT
 from mjhab.data.shard import ShardWriter
 from mjhab.rollout.records import EpisodeRecord, PlanEntry, SubtaskRecord
 from mjhab.tasks.plan import KIND_NAMES, TASKS
@@ -204,7 +205,8 @@ class _Source:
             )
         record = self._record(told, index, arrays)
         ending = str(told.get("ending") or _ending(trajectory))
-        return EpisodeData(record, run, "", ending, arrays, columns)
+        actors = tuple(str(actor) for actor in told.get("actors", ()))
+        return EpisodeData(record, run, "", ending, arrays, columns, actors)
 
     def _record(self, told: Mapping[str, Any], index: int, arrays: Mapping[str, np.ndarray]) -> EpisodeRecord:
         success, steps = arrays["reward/success"].astype(bool), len(arrays["actions"])
@@ -299,7 +301,7 @@ def _arrays(trajectory: h5py.Group) -> tuple[dict[str, np.ndarray], dict[str, tu
     # The policy's own actions are executed in the original: no noise is added to them.
     told = {name: dataset(trajectory, name)[()] for name in ("actions_intended", "actor") if name in trajectory}
     by_policy = {"actions_intended": actions, "actor": np.zeros(steps, np.uint8)} | told
-    arrays |= {name: values for name, values in by_policy.items() if field_of(name)}
+    arrays |= by_policy
     arrays |= _camera_arrays(trajectory)
     return arrays, {"obs/state": tuple(f"{key}:{part.shape[1]}" for key, part in parts.items())}
 
@@ -316,7 +318,7 @@ def _state_parts(trajectory: h5py.Group) -> dict[str, np.ndarray]:
             values = dataset(members, str(name))[()].astype(np.float32)
             values = values.reshape(len(values), -1)
             if POSE.search(str(name)) and values.shape[1] == 7:
-                values[values[:, 3] < 0, 3:] *= -1
+                values[:, 3:] = quat_canonical(values[:, 3:])
             parts[f"{folder}/{name}"] = values
     return parts
 

@@ -32,9 +32,9 @@ def add_force_sensor(spec: mujoco.MjSpec, name: str, body1: str, body2: str = ""
     _add_sensor(spec, name, body1, body2, (_FOUND, _FORCE, _NORMAL), _MAXFORCE, CONTACT_SLOTS)
 
 
-def add_touch_sensor(spec: mujoco.MjSpec, name: str, subtree: str, body2: str) -> None:
-    """Add a sensor of one number: how many contacts ``body2`` has with the bodies from ``subtree`` down."""
-    _add_sensor(spec, name, subtree, body2, (_FOUND,), _NETFORCE, 1, whole_subtree=True)
+def add_touch_sensor(spec: mujoco.MjSpec, name: str, body1: str, body2: str, *, whole_subtree: bool) -> None:
+    """Add a sensor of one number: how many contacts ``body2`` has with ``body1``, or with all bodies from it down."""
+    _add_sensor(spec, name, body1, body2, (_FOUND,), _NETFORCE, 1, whole_subtree)
 
 
 def add_depth_sensor(spec: mujoco.MjSpec, name: str, subtree: str) -> None:

@@ -253,14 +253,14 @@ def _add_sensors(spec: mujoco.MjSpec, layout: Layout) -> None:
         for target in targets:
             add_force_sensor(spec, f"{finger}>{target}", finger, target)
     for target in targets:
-        add_touch_sensor(spec, f"touch>{target}", "base_link", target)
+        add_touch_sensor(spec, f"touch>{target}", "base_link", target, whole_subtree=True)
     add_depth_sensor(spec, "robot_depth", "base_link")
     # Type XBODY is the origin of the link frame, not its centre of mass.
     linvel, xbody = mujoco.mjtSensor.mjSENS_FRAMELINVEL, mujoco.mjtObj.mjOBJ_XBODY
     spec.add_sensor(name="tcp_velocity", type=linvel, objtype=xbody, objname=fetch.TCP_LINK)
     for target in (*layout.object_names, *layout.link_ids):
-        # The subtree of gripper_link holds the fingers.
-        add_touch_sensor(spec, f"ee_contact>{target}", fetch.TCP_LINK, target)
+        # Of gripper_link alone: the contacts of the fingers are known, and looking through a subtree costs more.
+        add_touch_sensor(spec, f"palm>{target}", fetch.TCP_LINK, target, whole_subtree=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,7 +270,7 @@ class Addresses:
     ``robot_q``, ``robot_v`` (J,): in FETCH_JOINTS order; ``object_q``, ``object_v`` (N,): first of 7 / 6;
     ``object_body`` (N,); ``link_q``, ``link_v``, ``link_body`` (L,); ``robot_body``: link name to body id;
     sensor starts: ``link_force`` (K,) and ``finger_force`` (2, N + L) for [l, r] finger, each FORCE_SENSOR_WIDTH wide;
-    ``touch`` (N + L,), ``tcp_velocity``, ``ee_contact`` (N + L,).
+    ``touch`` (N + L,), ``tcp_velocity``, ``palm`` (N + L,) contacts of gripper_link.
     """
 
     robot_q: np.ndarray
@@ -286,7 +286,7 @@ class Addresses:
     finger_force: np.ndarray
     touch: np.ndarray
     tcp_velocity: int
-    ee_contact: np.ndarray
+    palm: np.ndarray
 
 
 def addresses(layout: Layout, model: mujoco.MjModel) -> Addresses:
@@ -312,5 +312,5 @@ def addresses(layout: Layout, model: mujoco.MjModel) -> Addresses:
         finger_force=np.array([sensors([f"{f}>{t}" for t in targets]) for f in fetch.FINGER_LINKS]),
         touch=sensors([f"touch>{t}" for t in targets]),
         tcp_velocity=int(model.sensor("tcp_velocity").adr[0]),
-        ee_contact=sensors([f"ee_contact>{t}" for t in targets]),
+        palm=sensors([f"palm>{t}" for t in targets]),
     )  # fmt: skip

@@ -74,8 +74,9 @@ class CpuSimulator:
         # The layout puts objects, link forces and target sensors in unbroken rows: the state is made of views.
         self._object_q, self._object_v = _rows(a.object_q, 7), _rows(a.object_v, 6)
         self._touch_cols = _rows(a.touch, 1)
-        self._ee_cols = _rows(a.ee_contact, 1)
-        # Force sensors: those of the links, then of the left and the right finger with every target.
+        self._palm_cols = _rows(a.palm, 1)
+        # Force sensors: those of the links, then of the left and the right finger with every target. The first number
+        # of each is how many contacts it has.
         self._force_starts = np.concatenate([a.link_force, a.finger_force.ravel()])
         self._force_block = np.arange(FORCE_SENSOR_WIDTH)
         self._depth_col = int(first.sensor("robot_depth").adr[0])
@@ -174,7 +175,8 @@ class CpuSimulator:
     def state(self) -> SimState:
         """The current state of all worlds; body arrays are views that the next step overwrites."""
         a, qpos, worlds = self.addresses, self._qpos, self.num_worlds
-        force = self._normal_forces()
+        touched = self._sensors[:, self._force_starts] > 0
+        force = self._normal_forces(touched)
         links = len(a.link_force)
         squared = force[:, :links] * force[:, :links]
         return SimState(
@@ -188,17 +190,21 @@ class CpuSimulator:
             link_force=np.sqrt(squared[..., 0] + squared[..., 1] + squared[..., 2]),
             finger_force=force[:, links:].reshape(worlds, 2, -1, 3),
             touch=self._sensors[:, self._touch_cols] > 0,
-            ee_contact=self._sensors[:, self._ee_cols] > 0,
+            ee_contact=(self._sensors[:, self._palm_cols] > 0) | touched[:, links:].reshape(worlds, 2, -1).any(axis=1),
             body_pos=self._xpos,
             body_mat=self._xmat,
             body_quat=self._xquat,
         )
 
-    def _normal_forces(self) -> np.ndarray:
-        """(W, sensors, 3) force [N] on the body of every force sensor, world frame."""
+    def _normal_forces(self, touched: np.ndarray) -> np.ndarray:
+        """(W, sensors, 3) force [N] on the body of every force sensor, world frame.
+
+        Args:
+            touched: (W, sensors) bool: the sensor has a contact.
+        """
         force = np.zeros((self.num_worlds, len(self._force_starts), 3))
-        # Few sensors have a contact: only these are read. A sensor's first number is how many contacts it has.
-        world, sensor = self._sensors[:, self._force_starts].nonzero()
+        # Few sensors have a contact: only these are read.
+        world, sensor = touched.nonzero()
         columns = self._force_starts[sensor, None] + self._force_block
         # The sensor gives the force of its body on others; what is wanted is the opposite.
         force[world, sensor] = -normal_force(self._sensors[world[:, None], columns])

@@ -133,10 +133,10 @@ def test_what_is_read_is_what_was_recorded(source: Path) -> None:
 def test_data_that_do_not_fit_are_refused_with_what_to_do(source: Path, tmp_path: Path) -> None:
     larger = InputConfig(cameras=("fetch_head",), image_size=2 * SIZE)
     with pytest.raises(UsageError, match=f"16x16 px; the preset needs 32x32 px.*replay.*--camera-size {2 * SIZE}"):
-        load_demonstrations(source, layout_of_data(source, larger, EVERY), 3, EVERY)
+        layout_of_data(source, larger, EVERY)
     hand = InputConfig(cameras=("fetch_hand",), image_size=SIZE)
     with pytest.raises(UsageError, match=r"no depth images of fetch_hand.*mjhab replay"):
-        load_demonstrations(source, layout_of_data(source, hand, EVERY), 3, EVERY)
+        layout_of_data(source, hand, EVERY)
     with pytest.raises(UsageError, match="no episode passes"):
         layout_of_data(source, INPUTS, Filter("steps > 1000"))
     told = layout_of_data(source, INPUTS, EVERY)

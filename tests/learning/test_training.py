@@ -18,8 +18,7 @@ from mjhab.learning.checkpoint import load_checkpoint, load_student, save_studen
 from mjhab.learning.collection import Means, Scene
 from mjhab.learning.configs import HEADS, PRESETS, preset_of, student_from_plain, to_plain
 from mjhab.learning.demos import BatchSampler, take_chunks
-from mjhab.learning.run import TrainingFolder
-from mjhab.learning.session import Request, Session, open_session, resolved_config
+from mjhab.learning.session import Request, Session, open_session
 from mjhab.learning.student import Batch, make_student
 from mjhab.learning.train import train
 from mjhab.learning.training import BrokenLossError, Trainer
@@ -268,7 +267,11 @@ def test_a_spent_budget_ends_training(source: Path, tmp_path: Path) -> None:
 
 
 def test_the_layout_of_a_run_is_that_of_its_data(source: Path, tmp_path: Path) -> None:
-    one = request(source)
-    folder = TrainingFolder.open(tmp_path / "run", resolved_config(one))
-    with open_session(one, folder, False) as session:
+    with open_session(request(source), tmp_path / "run") as session:
         assert session.layout.targets == ("024_bowl",)
+
+
+def test_data_that_do_not_fit_leave_no_folder(source: Path, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="no episode passes"):
+        train(request(source, where="steps > 1000"), tmp_path / "run")
+    assert not (tmp_path / "run").exists()

@@ -37,7 +37,7 @@ def restore_rounds(session: Session, config: DaggerConfig) -> None:
     """Read the data of the rounds that are over."""
     for number in range(session.progress.round):
         if number == 0 and session.request.data:
-            session.load(session.request.data, session.filter)
+            session.load(session.request.data, session.request.filter)
         else:
             session.load(session.folder.data(number))
 
@@ -45,7 +45,7 @@ def restore_rounds(session: Session, config: DaggerConfig) -> None:
 def collect_round(session: Session, config: DaggerConfig, number: int) -> None:
     """Get the data of a round: those that were given for round 0, or new ones."""
     if number == 0 and session.request.data:
-        session.load(session.request.data, session.filter)
+        session.load(session.request.data, session.request.filter)
         return
     student = session.folder.round_student(number) if number else None
     episodes = config.episodes if number else session.config.demos

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -101,7 +101,6 @@ def load_demonstrations(
     layout: Layout,
     hold_steps: int,
     where: Filter | None = None,
-    advance: Callable[[], object] = bool,
 ) -> Demonstrations:
     """Read shards into memory, each episode until ``hold_steps`` control steps after its first success.
 
@@ -110,26 +109,25 @@ def load_demonstrations(
         layout: of the student.
         hold_steps: -1 keeps whole episodes.
         where: which episodes; those that succeed if None.
-        advance: called after every episode.
 
     Raises:
         UsageError: no episode passes; they lack images, or have another state or other actions.
     """
     found = select(places, where or Filter(SUCCESSES))
-    parts = []
+    parts: dict[str, Demonstrations] = {}
     for path, members in itertools.groupby(found.matched, lambda place: place[0]):
         with open_shard(path) as shard:
             for _, name in members:
-                parts.append(read_episode(shard.episode(name), layout, hold_steps))
-                advance()
-    return Demonstrations.join(parts)
+                parts[name] = read_episode(shard.episode(name), layout, hold_steps)
+    # In which shard an episode lies depends on which worker was quicker.
+    return Demonstrations.join([parts[name] for name in sorted(parts)])
 
 
 def layout_of_data(places: Path | Sequence[Path], inputs: InputConfig, where: Filter | None = None) -> Layout:
     """The layout of a student that learns from a data set; its targets are those of the episodes that pass.
 
     Raises:
-        UsageError: no episode passes.
+        UsageError: no episode passes, or the first one lacks the images.
     """
     found = select(places, where or Filter(SUCCESSES))
     if not found.matched:
@@ -137,8 +135,11 @@ def layout_of_data(places: Path | Sequence[Path], inputs: InputConfig, where: Fi
     path, name = found.matched[0]
     targets = tuple(sorted({type_name(entry.target) for record in found.records for entry in record.plan}))
     with open_shard(path) as shard:
-        state, actions, control = entries_of(shard.episode(name))
-    return Layout(inputs, state, actions, targets, control)
+        episode = shard.episode(name)
+        state, actions, control = entries_of(episode)
+        layout = Layout(inputs, state, actions, targets, control)
+        _images(episode, layout, 1)
+    return layout
 
 
 def entries_of(episode: Episode) -> tuple[tuple[Entry, ...], tuple[str, ...], tuple[str, ...]]:

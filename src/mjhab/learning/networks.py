@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -19,13 +20,19 @@ MOST_SPREADS = 8.0
 
 
 class Normalizer(nn.Module):
-    """Gives numbers mean 0 and spread 1; what it has learned is part of the weights."""
+    """Gives numbers mean 0 and spread 1; what it has learned is part of the weights.
+
+    Args:
+        width: how many numbers.
+        most: they are limited to so many spreads.
+    """
 
     mean: Tensor
     scale: Tensor
 
-    def __init__(self, width: int) -> None:
+    def __init__(self, width: int, most: float = math.inf) -> None:
         super().__init__()
+        self.most = most
         self.register_buffer("mean", torch.zeros(width))
         self.register_buffer("scale", torch.ones(width))
 
@@ -37,8 +44,8 @@ class Normalizer(nn.Module):
         self.scale[:measured] = torch.from_numpy(np.maximum(spread, LEAST_SPREAD).astype(np.float32))
 
     def forward(self, values: Tensor) -> Tensor:
-        """Normalized values (..., width), limited to MOST_SPREADS."""
-        return ((values - self.mean) / self.scale).clamp(-MOST_SPREADS, MOST_SPREADS)
+        """Normalized values (..., width)."""
+        return ((values - self.mean) / self.scale).clamp(-self.most, self.most)
 
     def restore(self, values: Tensor) -> Tensor:
         """What was normalized (..., width)."""
@@ -126,7 +133,7 @@ class Encoder(nn.Module):
         super().__init__()
         inputs, network = config.inputs, config.network
         self.history, self.cameras = inputs.history, len(layout.image_keys)
-        self.normalizer = Normalizer(layout.width)
+        self.normalizer = Normalizer(layout.width, MOST_SPREADS if inputs.normalize else math.inf)
         build = PaperCamera if network.encoder == "paper" else CameraEncoder
         self.encoders = nn.ModuleList(
             build(inputs.history, inputs.image_size, network.channels, network.image_features)

@@ -24,6 +24,7 @@ from mjhab.learning.run import Logbook, TrainingFolder
 from mjhab.learning.student import Batch, make_student
 from mjhab.learning.training import Trainer
 from mjhab.rollout.records import EpisodeRecord
+from mjhab.rollout.store import check_folder
 
 REPORT_EVERY = 50
 """Updates between reports of the loss."""
@@ -57,16 +58,36 @@ class Request:
     films: int = 0
     ray: str = ""
 
+    @property
+    def filter(self) -> Filter | None:
+        """Which episodes of the given data are learned from."""
+        return Filter(self.where) if self.where else None
+
+
+def layout_for(request: Request) -> Layout:
+    """The layout of the given data, or of the environment that demonstrations are collected in.
+
+    Raises:
+        UsageError: data or scene do not fit; nothing was written.
+    """
+    inputs, scene = request.config.student.inputs, request.scene
+    if request.data:
+        return layout_of_data(request.data, inputs, request.filter)
+    from mjhab.envs.starts import valid_targets
+
+    env = make_env(scene, {}, Means(worlds=1, threads=1))
+    targets = (scene.target,) if scene.target else tuple(valid_targets(env.config, env.layout))
+    return layout_of(env, inputs, targets)
+
 
 @dataclass
 class Progress:
-    """How far a run is. round: of DAgger; round_step: updates made in it; success: of the last evaluation."""
+    """How far a run is. round: of DAgger; round_step: updates made in it; evaluated: updates made at evaluations."""
 
     round: int = 0
     round_step: int = 0
     seconds: float = 0.0
     samples: int = 0
-    success: float | None = None
     evaluated: list[int] = field(default_factory=list)
 
 
@@ -77,10 +98,10 @@ class OutOfTime(Exception):
 class Session:
     """State of a run. Make one with `open_session`."""
 
-    def __init__(self, request: Request, folder: TrainingFolder, resume: bool) -> None:
+    def __init__(self, request: Request, layout: Layout, folder: TrainingFolder, resume: bool) -> None:
         if request.torch_threads:
             torch.set_num_threads(request.torch_threads)
-        self.request, self.folder = request, folder
+        self.request, self.layout, self.folder = request, layout, folder
         self.config = request.config.student
         self.sources: list[Demonstrations] = []
         self.progress = Progress()
@@ -89,32 +110,14 @@ class Session:
         if saved is not None:
             known = {name: saved.about[name] for name in Progress.__dataclass_fields__}
             self.progress = Progress(**known)
-        self.layout = saved.layout if saved is not None else self._new_layout()
-        self.trainer = Trainer(make_student(self.config, self.layout, request.seed), request.seed, self.config.updates)
+        self.trainer = Trainer(make_student(self.config, layout, request.seed), request.seed, self.config.updates)
         if saved is not None:
             self.trainer.restore(dict(saved.tensors), int(saved.about["step"]))
         self.fitted = saved is not None
-        view = self.layout.env_options()
-        self.collector = Collector(request.scene, view, request.means, request.seed, request.ray)
+        self.collector = Collector(request.scene, layout.env_options(), request.means, request.seed, request.ray)
         self.log = Logbook(folder, self.progress.seconds, self.trainer.step)
         self._saved_at = time.perf_counter()
         self._eval_seconds = 0.0
-
-    def _new_layout(self) -> Layout:
-        """The layout of the given data, or of the environment that demonstrations are collected in."""
-        if self.request.data:
-            return layout_of_data(self.request.data, self.config.inputs, self.filter)
-        from mjhab.envs.starts import valid_targets
-
-        scene = self.request.scene
-        env = make_env(scene, {}, Means(worlds=1, threads=1))
-        targets = (scene.target,) if scene.target else tuple(valid_targets(env.config, env.layout))
-        return layout_of(env, self.config.inputs, targets)
-
-    @property
-    def filter(self) -> Filter | None:
-        """Which episodes of the given data are learned from."""
-        return Filter(self.request.where) if self.request.where else None
 
     # -- data --------------------------------------------------------------------------------------------------------
 
@@ -248,7 +251,6 @@ class Session:
         self.records = list(evaluations.run(self.folder.student, episodes, films, out).records)
         self._eval_seconds = (time.perf_counter() - began) / episodes
         success = sum(record.success_once for record in self.records) / episodes
-        self.progress.success = success
         self.progress.evaluated.append(self.trainer.step)
         numbers = {"success_once": success, "evaluated_episodes": episodes, "round": self.progress.round}
         self.log.report(self.trainer.step, self.progress.samples, numbers)
@@ -256,9 +258,16 @@ class Session:
 
 
 @contextmanager
-def open_session(request: Request, folder: TrainingFolder, resume: bool) -> Iterator[Session]:
-    """A session whose logs are closed in the end."""
-    session = Session(request, folder, resume)
+def open_session(request: Request, out: Path, resume: bool = False) -> Iterator[Session]:
+    """A session in the folder ``out``, whose logs are closed in the end.
+
+    Raises:
+        UsageError: data, folder or scene do not fit; nothing was written.
+    """
+    config = resolved_config(request)
+    check_folder(out, config, resume=resume)
+    layout = layout_for(request)
+    session = Session(request, layout, TrainingFolder.open(out, config, resume=resume), resume)
     with session.log:
         yield session
 

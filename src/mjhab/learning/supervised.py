@@ -17,7 +17,7 @@ def train_supervised(session: Session) -> None:
     """
     request, config = session.request, session.config
     if request.data:
-        session.load(request.data, session.filter)
+        session.load(request.data, request.filter)
     else:
         session.collect(Round(0, config.demos, style=config.style))
     for part in range(1, EVALUATIONS + 1):

@@ -8,8 +8,7 @@ from typing import Any
 
 from mjhab.learning.dagger import train_dagger
 from mjhab.learning.report import render_training_report
-from mjhab.learning.run import TrainingFolder
-from mjhab.learning.session import OutOfTime, Request, Session, open_session, resolved_config
+from mjhab.learning.session import OutOfTime, Request, Session, open_session
 from mjhab.learning.supervised import train_supervised
 from mjhab.rollout.metrics import mean, wilson
 
@@ -35,9 +34,8 @@ def train(request: Request, out: Path, resume: bool = False) -> TrainingResult:
         UsageError: data, folder or scene do not fit.
         BrokenLossError: the loss became NaN; the last good checkpoint is kept.
     """
-    folder = TrainingFolder.open(out, resolved_config(request), resume=resume)
     interrupted = False
-    with open_session(request, folder, resume) as session:
+    with open_session(request, out, resume) as session:
         try:
             _learn(session)
             session.save()
@@ -48,6 +46,7 @@ def train(request: Request, out: Path, resume: bool = False) -> TrainingResult:
             interrupted = True
         finally:
             summary = summarize(session)
+            folder = session.folder
             folder.write_summary(summary)
             report = folder.write_report(render_training_report(folder, session.log.rows, session.records, summary))
     return TrainingResult(summary, report, interrupted)

@@ -26,7 +26,9 @@ _LAZY = {
     "make_expert": "mjhab.experts",
     "open_pack": "mjhab.scenes.packs",
 }
-_PACKAGES = frozenset({"assets", "cli", "core", "data", "envs", "experts", "rollout", "scenes", "sim", "tasks"})
+_PACKAGES = frozenset(
+    {"assets", "cli", "core", "data", "envs", "experts", "learning", "rollout", "scenes", "sim", "tasks"}
+)
 
 
 def __getattr__(name: str) -> Any:

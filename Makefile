@@ -74,7 +74,7 @@ $(RAY)/.ready: $(SETUP_FILES) | $(BIN)/python
 	@touch $@
 
 test-ray: $(RAY)/.ready  ## generation on a local Ray cluster, with workers killed in the middle
-	PYTHONPATH=src:. $(RAY)/bin/python -m pytest tests/data/ray_cluster.py $(PYTEST_ARGS)
+	PYTHONPATH=src:. $(RAY)/bin/python -m pytest tests/data/record/ray_cluster.py $(PYTEST_ARGS)
 
 check: $(VENV)/.dev  ## lint, format, types and the import rule
 	$(BIN)/ruff check .
@@ -90,7 +90,7 @@ bench: $(VENV)/.core  ## control steps per second of the engine and of the envir
 	$(BIN)/mjhab bench sim --worlds 16
 
 gpu-report: $(VENV)/.dev  ## measure the warp backend, on a GPU if there is one; writes docs/results/gpu-*.json
-	$(BIN)/python -m mjhab.cli.gpu_report docs/results
+	$(BIN)/python -m mjhab.bench.gpu_report docs/results
 
 clean:  ## remove caches and build products (runs and .venv stay)
 	rm -rf build dist .pytest_cache .ruff_cache .hypothesis

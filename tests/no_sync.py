@@ -20,7 +20,7 @@ _READING = {
     "unique_consecutive": "the shape of the result depends on values",
     "repeat_interleave": "the shape of the result depends on values",
     "bincount": "the shape of the result depends on values",
-    "linalg_solve": "the solver asks whether it succeeded; use `envs.kinematics`' elimination",
+    "linalg_solve": "the solver asks whether it succeeded; use `robots.kinematics`' elimination",
     "_linalg_check_errors": "the result of a solver is read",
     "_to_copy": "a copy between devices",
     "lift_fresh": "a tensor is made of host values (torch.tensor, torch.asarray, an index that is a list)",

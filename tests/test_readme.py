@@ -16,9 +16,9 @@ import mjhab
 from mjhab.cli.evaluate import eval_spec
 from mjhab.cli.main import parse
 from mjhab.core.errors import UsageError
+from mjhab.evaluation.resolve import inspect_policy
 from mjhab.rollout.loop import rollout
 from mjhab.rollout.policy import ZeroPolicy
-from mjhab.rollout.resolve import inspect_policy
 
 ROOT = Path(__file__).parents[1]
 SMALL = {"episodes": 2, "worlds": 2, "films": 1, "horizon": 4}

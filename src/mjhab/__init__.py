@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from mjhab.envs import make, make_train
+    from mjhab.evaluation.evaluate import evaluate
     from mjhab.experts import make_expert
-    from mjhab.rollout.evaluate import evaluate
     from mjhab.scenes.packs import open_pack
 
 __version__ = "0.1.0"
@@ -20,7 +20,7 @@ __version__ = "0.1.0"
 __all__ = ["__version__", "evaluate", "make", "make_expert", "make_train", "open_pack"]
 
 _LAZY = {
-    "evaluate": "mjhab.rollout.evaluate",
+    "evaluate": "mjhab.evaluation.evaluate",
     "make": "mjhab.envs",
     "make_train": "mjhab.envs",
     "make_expert": "mjhab.experts",

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mjhab.cli.bench_env import STAGES
-from mjhab.cli.bench_reward import auc, figure, summary
+from mjhab.bench.env import STAGES
+from mjhab.bench.reward import auc, figure, summary
 from mjhab.cli.main import main
 from mjhab.envs.catalog import ENV_IDS
 

@@ -17,9 +17,9 @@ from typing import Any
 
 import pytest
 
-from mjhab.cli import bench_experts
+from mjhab.bench.experts import run as bench_experts
+from mjhab.bench.experts.rows import ALL, Episode, Row, make_rows, result_of, together
 from mjhab.cli.expert_options import BenchExpertsOptions
-from mjhab.cli.expert_rows import ALL, Episode, Row, make_rows, result_of, together
 from mjhab.cli.main import main
 from mjhab.core.errors import MjhabError
 from mjhab.rollout.records import EpisodeRecord, PlanEntry

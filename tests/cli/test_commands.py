@@ -12,9 +12,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mjhab.cli import bench, doctor
+from mjhab.bench import engine as bench
+from mjhab.bench import grasp as grasp_bench
+from mjhab.cli import doctor
 from mjhab.cli.main import main
-from mjhab.sim import gl_probe, grasp_bench, views
+from mjhab.render import gl_probe, views
 from tests.rollout.fake_env import FakeEnv
 
 

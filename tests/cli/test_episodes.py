@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from mjhab.cli.main import main
-from mjhab.envs.generate import manifest_path
-from mjhab.envs.hab_format import read_hab, write_hab
+from mjhab.episodes.files import manifest_path
+from mjhab.episodes.hab.format import read_hab, write_hab
 from tests.real_data import real_data
 
 

@@ -12,9 +12,9 @@ from typing import Any
 import pytest
 
 from mjhab.cli.main import main
-from mjhab.rollout import evaluate
-from mjhab.rollout.evaluate import EvalSpec
-from mjhab.rollout.resolve import PolicyFacts
+from mjhab.evaluation import evaluate
+from mjhab.evaluation.evaluate import EvalSpec
+from mjhab.evaluation.resolve import PolicyFacts
 from mjhab.rollout.store import RunFolder, read_records
 from tests.rollout.fake_env import FakeEnv
 

@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from mjhab.cli.main import INTERRUPTED, OK, USAGE, main
-from mjhab.data.images import ImageFormat
-from mjhab.data.reading import Episode
+from mjhab.data.store.images import ImageFormat
+from mjhab.data.store.reading import Episode
 from tests.data.fake_world import FakeEnv
 from tests.data.make import record
 
@@ -37,9 +37,11 @@ def test_export_lerobot(shard: Path, tmp_path: Path, capsys: pytest.CaptureFixtu
 def test_without_pyarrow_the_extra_is_named(
     shard: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name in [name for name in sys.modules if name.startswith(("mjhab.data.export_lerobot", "mjhab.data.lerobot_"))]:
+    for name in [
+        name for name in sys.modules if name.startswith(("mjhab.data.export.lerobot.export", "mjhab.data.lerobot_"))
+    ]:
         monkeypatch.delitem(sys.modules, name)
-    monkeypatch.delattr("mjhab.data.export_lerobot", raising=False)
+    monkeypatch.delattr("mjhab.data.export.lerobot.export", raising=False)
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     assert main(["export", "lerobot", str(shard), "--out", str(tmp_path / "set")]) == USAGE
     assert "pip install 'mjhab[data]'" in capsys.readouterr().err

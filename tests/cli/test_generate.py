@@ -15,11 +15,11 @@ from mjhab.cli.generate import build_stage, licence_of, make_job, stop_signals
 from mjhab.cli.generate_options import GenerateOptions
 from mjhab.cli.main import main
 from mjhab.core.errors import UsageError
-from mjhab.data.crew import ALL
-from mjhab.data.reading import open_shard
+from mjhab.data.record.crew import ALL
+from mjhab.data.store.reading import open_shard
 from mjhab.tasks.style import Styles
-from tests.data.crews import InlineCrew
-from tests.data.test_replay import changed
+from tests.data.record.crews import InlineCrew
+from tests.data.record.test_replay import changed
 
 
 def machine(capsys: pytest.CaptureFixture[str], *args: str, code: int = 0) -> dict[str, Any]:
@@ -160,7 +160,7 @@ def test_signals_are_noted_and_given_back() -> None:
 def test_ray_that_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
     import sys
 
-    from mjhab.data.ray_crew import RayCrew
+    from mjhab.data.record.ray_crew import RayCrew
 
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(UsageError, match=r"pip install 'mjhab\[scale\]'"):

@@ -12,16 +12,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mjhab.cli import bench_parity, estimate, gpu_report, warmup
+from mjhab.bench import gpu_report
+from mjhab.bench.parity import run as bench_parity
+from mjhab.bench.parity.episodes import KINDS, Leg, Log, difference
+from mjhab.cli import estimate, warmup
 from mjhab.cli.main import main
 from mjhab.cli.options import DoctorOptions
-from mjhab.cli.parity_episodes import KINDS, Leg, Log, difference
 from mjhab.core.errors import UsageError
 from mjhab.envs import memory
-from mjhab.scenes.layout import Layout
+from mjhab.layout.layout import Layout
 from mjhab.scenes.packs import open_pack
 from mjhab.sim import backends
-from mjhab.sim.cpu import CpuSimulator
+from mjhab.sim.mujoco.cpu import CpuSimulator
 
 
 @pytest.fixture
@@ -107,9 +109,9 @@ def test_estimate_command(capsys: pytest.CaptureFixture[str], monkeypatch: pytes
 def test_worlds_that_do_not_fit_the_device_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """The number that the message names fits."""
     device: Any = type("Device", (), {"is_cuda": True, "__str__": lambda self: "cuda:0"})()
-    probe: Any = type(sys)("mjhab.sim.warp_device")
+    probe: Any = type(sys)("mjhab.sim.warp.device")
     probe.open_device, probe.free_mb = lambda name: device, lambda opened: 6_000.0
-    monkeypatch.setitem(sys.modules, "mjhab.sim.warp_device", probe)
+    monkeypatch.setitem(sys.modules, "mjhab.sim.warp.device", probe)
     with pytest.raises(UsageError, match=r"4096 worlds need about [\d,]+ MB, but 6,000 MB are free on cuda:0") as told:
         memory.check_device_memory(4096, "rgbd", 128)
     most = int(str(told.value).rpartition("num_envs=")[2].rstrip("."))

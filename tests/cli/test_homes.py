@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mjhab.cli.contact_sheet import Tile, _cells, save_html, save_png
 from mjhab.cli.main import main
+from mjhab.reports.contact_sheet import Tile, _cells, save_html, save_png
 from mjhab.scenes import packs
-from mjhab.scenes.homes import make_home
+from mjhab.scenes.builtin.homes import make_home
 from mjhab.scenes.packs import builtin_pack
 from mjhab.scenes.spec import Geom, Pack
 
@@ -94,7 +94,7 @@ def painted(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
         asked.append((list(homes), view, width, height))
         return (np.full((height, width, 3), 40 * k, np.uint8) for k, _ in enumerate(homes))
 
-    monkeypatch.setattr("mjhab.sim.views.render_homes", draw)
+    monkeypatch.setattr("mjhab.render.views.render_homes", draw)
     return asked
 
 

@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mjhab.cli import bench_interact as bench
-from mjhab.cli import interact_recipe
-from mjhab.cli.interact_plot import interact_figure
-from mjhab.cli.interact_scene import CONTROL_MODE, OBJECTS, STEPS, InteractScene, interact_actions, interact_scene
+from mjhab.bench.interact import recipe as interact_recipe
+from mjhab.bench.interact import run as bench
+from mjhab.bench.interact.plot import interact_figure
+from mjhab.bench.interact.scene import CONTROL_MODE, OBJECTS, STEPS, InteractScene, interact_actions, interact_scene
+from mjhab.bench.memory_sampler import MemorySampler
 from mjhab.cli.main import main
-from mjhab.cli.memory_sampler import MemorySampler
 from mjhab.core.errors import UsageError
-from mjhab.envs.controllers import make_controller
+from mjhab.robots.controllers import make_controller
 from mjhab.scenes.packs import open_pack
 
 
@@ -69,7 +69,7 @@ def test_commands_are_those_of_the_controller(scene: InteractScene) -> None:
 
 
 def test_a_surface_that_is_missing_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    from mjhab.cli import interact_scene as module
+    from mjhab.bench.interact import scene as module
 
     pack = open_pack("builtin")
     monkeypatch.setattr(module, "open_pack", lambda _: dataclasses.replace(pack, homes=pack.homes[:2]))
@@ -138,9 +138,9 @@ def test_worlds_that_do_not_fit_are_refused_before_they_are_made(
 ) -> None:
     """On a GPU with 24 GB, as far as a machine without one can tell."""
     device: Any = type("Device", (), {"is_cuda": True, "__str__": lambda self: "cuda:0"})()
-    probe: Any = type(sys)("mjhab.sim.warp_device")
+    probe: Any = type(sys)("mjhab.sim.warp.device")
     probe.open_device, probe.free_mb = (lambda name: device), (lambda _: 24_000.0)
-    monkeypatch.setitem(sys.modules, "mjhab.sim.warp_device", probe)
+    monkeypatch.setitem(sys.modules, "mjhab.sim.warp.device", probe)
     opened: list[int] = []
 
     def opens(backend: str, layout: Any, worlds: int, **_: Any) -> Any:

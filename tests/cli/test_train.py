@@ -10,7 +10,7 @@ import pytest
 
 from mjhab.cli.main import main, parse
 from mjhab.cli.train import make_request
-from mjhab.data.images import ImageFormat
+from mjhab.data.store.images import ImageFormat
 from mjhab.learning import configs
 from mjhab.learning.checkpoint import load_student
 from tests.data.fake_world import FakeEnv

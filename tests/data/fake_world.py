@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from mjhab.core.seeding import stream
-from mjhab.data.schema import CHECKS
+from mjhab.data.store.schema import CHECKS
 from mjhab.tasks.measure import Signals
 from mjhab.tasks.plan import KIND_NAMES
 from mjhab.tasks.tracker import SubtaskTracker

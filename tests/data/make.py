@@ -9,12 +9,12 @@ from typing import Any
 
 import h5py
 
-from mjhab.data.episode_data import EpisodeData, RunInfo, episode_digest
-from mjhab.data.hdf5 import group, read_arrays
-from mjhab.data.images import ImageFormat
-from mjhab.data.reading import open_shard
-from mjhab.data.recorder import Recorder
-from mjhab.data.shard import ShardWriter
+from mjhab.data.record.recorder import Recorder
+from mjhab.data.store.episode_data import EpisodeData, RunInfo, episode_digest
+from mjhab.data.store.hdf5 import group, read_arrays
+from mjhab.data.store.images import ImageFormat
+from mjhab.data.store.reading import open_shard
+from mjhab.data.store.shard import ShardWriter
 from mjhab.rollout.loop import rollout
 from mjhab.rollout.policy import RandomPolicy
 from mjhab.rollout.records import EpisodeRecord

@@ -15,13 +15,13 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
 import mjhab.envs as envs
+from mjhab.config.env import AUTORESET_MODES
 from mjhab.core.errors import UsageError
 from mjhab.envs.catalog import ENV_IDS, TRAIN_IDS
-from mjhab.envs.config import AUTORESET_MODES
 from mjhab.envs.sequential import INDEX_STRIDE, SequentialTaskEnv
-from mjhab.envs.spawn_factory import make_set
-from mjhab.envs.spawn_sets import SpawnRecipe
 from mjhab.envs.wrappers import FlattenStatePixels, FrameStack
+from mjhab.episodes.spawn_factory import make_set
+from mjhab.episodes.spawn_sets import SpawnRecipe
 from mjhab.sim.protocol import TAINTS
 from mjhab.tasks.labels import WATCHED
 

@@ -7,8 +7,8 @@ import pytest
 
 from mjhab.core.errors import UsageError
 from mjhab.envs.nav_distance import NavDistance
+from mjhab.layout.layout import Layout
 from mjhab.scenes.freespace import free_map
-from mjhab.scenes.layout import Layout
 from mjhab.scenes.packs import open_pack
 
 

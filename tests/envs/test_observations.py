@@ -26,7 +26,7 @@ from mjhab.envs.observations import (
 )
 from mjhab.envs.observing import Observer
 from mjhab.envs.sequential import SequentialTaskEnv
-from mjhab.scenes.fetch import BASE_HEIGHT
+from mjhab.robots.fetch.model import BASE_HEIGHT
 from mjhab.sim.protocol import SimState
 
 WORLDS = 2

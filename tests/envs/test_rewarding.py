@@ -12,7 +12,7 @@ import pytest
 
 from mjhab.core.errors import UsageError
 from mjhab.envs.rewarding import GoalDistance, Rewarder, RewardInputs, straight_distance
-from mjhab.scenes.fetch import FETCH_JOINTS, JOINT_LIMITS, REST_QPOS
+from mjhab.robots.fetch.model import FETCH_JOINTS, JOINT_LIMITS, REST_QPOS
 from mjhab.tasks.measure import active_entries, measure
 from mjhab.tasks.plan import Subtask, SubtaskKind, TaskConfig, TaskPlan, stack_plans
 from mjhab.tasks.progress import start

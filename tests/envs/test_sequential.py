@@ -7,9 +7,9 @@ import pytest
 
 import mjhab.envs as envs
 from mjhab.core.errors import UsageError
-from mjhab.envs.actions import ACTION_DIM, action_table
 from mjhab.envs.observations import STATE_DIM, STATE_TABLE
 from mjhab.envs.sequential import SequentialTaskEnv
+from mjhab.robots.controllers.actions import ACTION_DIM, action_table
 from mjhab.tasks.plan import SubtaskKind
 
 

@@ -12,7 +12,6 @@ import torch
 import mjhab.envs as envs
 from mjhab.core.arrays import map_record, to_numpy
 from mjhab.core.errors import UsageError
-from mjhab.envs.controllers import BASES, CONTROL_MODES, make_controller
 from mjhab.envs.device.fields import GoalFields
 from mjhab.envs.nav_distance import NavDistance
 from mjhab.envs.observations import Views, state_observation
@@ -20,7 +19,8 @@ from mjhab.envs.plan_tables import Rows, look_up
 from mjhab.envs.rewarding import Rewarder, RewardInputs
 from mjhab.envs.sensing import Sensing
 from mjhab.envs.sequential import SequentialTaskEnv
-from mjhab.scenes.fetch import REST_QPOS
+from mjhab.robots.controllers import BASES, CONTROL_MODES, make_controller
+from mjhab.robots.fetch.model import REST_QPOS
 from mjhab.sim.protocol import SimState
 from mjhab.tasks import events, labels
 from mjhab.tasks import progress as progress_rules

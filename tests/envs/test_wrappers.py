@@ -13,8 +13,8 @@ from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
 import mjhab.envs as envs
 from mjhab.core.errors import UsageError
-from mjhab.envs.actions import ACTION_DIM
 from mjhab.envs.wrappers import FlattenStatePixels, FrameStack, NormalizeImages, denormalize_depth, normalize_depth
+from mjhab.robots.controllers.actions import ACTION_DIM
 
 DEPTH, RGB, SEG = (f"sensor_data/cam/{output}" for output in ("depth", "rgb", "seg"))
 SAME, NEXT, DISABLED = AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED

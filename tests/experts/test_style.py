@@ -11,7 +11,7 @@ import pytest
 import mjhab.envs as envs
 from mjhab.envs.privileged import WorldView
 from mjhab.experts import make_expert
-from mjhab.experts.pick import plan_pick
+from mjhab.experts.skills.pick import plan_pick
 from mjhab.experts.style import Manner, StyledView
 from mjhab.rollout.loop import rollout
 from mjhab.rollout.records import EpisodeRecord

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from mjhab.core.errors import MjhabError
-from mjhab.data.reading import open_shard
+from mjhab.data.store.reading import open_shard
 
 MJHAB = [sys.executable, "-m", "mjhab.cli.main"]
 MAKE = ["generate", "--task", "set_table", "--subtask", "pick", "--workers", "2", "--seed", "0", "--json"]

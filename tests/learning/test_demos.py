@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mjhab.core.errors import UsageError
-from mjhab.data.images import ImageFormat
-from mjhab.data.query import Filter
-from mjhab.data.reading import episodes
+from mjhab.data.select.query import Filter
+from mjhab.data.store.images import ImageFormat
+from mjhab.data.store.reading import episodes
 from mjhab.learning.configs import InputConfig
 from mjhab.learning.demos import (
     BatchSampler,

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from mjhab.data.reading import episodes
+from mjhab.data.store.reading import episodes
 from mjhab.learning.checkpoint import load_checkpoint, load_student
 from mjhab.learning.collection import Means, Scene
 from mjhab.learning.configs import DaggerConfig, InputConfig, TrainConfig

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from mjhab.core.action_notes import ActionNotes
-from mjhab.data.crew import InlineCrew, Stage, WorkerSpec
-from mjhab.data.generation import Job, generate
-from mjhab.data.reading import episodes
-from mjhab.data.recorder import Recorder
-from mjhab.data.shard import ShardWriter
+from mjhab.data.record.crew import InlineCrew, Stage, WorkerSpec
+from mjhab.data.record.generation import Job, generate
+from mjhab.data.record.recorder import Recorder
+from mjhab.data.store.reading import episodes
+from mjhab.data.store.shard import ShardWriter
 from mjhab.learning.configs import DaggerConfig, InputConfig
 from mjhab.learning.demos import layout_of_data, load_demonstrations
 from mjhab.learning.take_over import TakeOver, expert_steps, prefix_length

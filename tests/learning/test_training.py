@@ -13,7 +13,7 @@ import torch
 from safetensors.torch import save_file
 
 from mjhab.core.errors import UsageError
-from mjhab.data.images import ImageFormat
+from mjhab.data.store.images import ImageFormat
 from mjhab.learning.checkpoint import load_checkpoint, load_student, save_student, save_training
 from mjhab.learning.collection import Means, Scene
 from mjhab.learning.configs import HEADS, PRESETS, preset_of, student_from_plain, to_plain

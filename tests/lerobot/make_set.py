@@ -8,9 +8,9 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from mjhab.data.images import ImageFormat
-from mjhab.data.recorder import Recorder
-from mjhab.data.shard import ShardWriter
+from mjhab.data.record.recorder import Recorder
+from mjhab.data.store.images import ImageFormat
+from mjhab.data.store.shard import ShardWriter
 from mjhab.envs import make
 from mjhab.rollout.loop import rollout
 from mjhab.rollout.policy import RandomPolicy

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from mjhab.core.errors import UsageError
 from mjhab.scenes.freespace import MAX_FIELDS, blocking_polygons, free_map, reach
-from mjhab.scenes.shapes import box, rod, span
+from mjhab.scenes.shapes.shapes import box, rod, span
 from mjhab.scenes.spec import Geom, Home, Pack, Placement, Prop, Receptacle
 
 

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from mjhab.core.errors import UsageError
-from mjhab.scenes.compile import model_path
-from mjhab.scenes.layout import Layout
+from mjhab.layout.compile import model_path
+from mjhab.layout.layout import Layout
 from mjhab.scenes.pack_check import check_pack
 from mjhab.scenes.packs import builtin_pack, load_pack, save_pack
 

@@ -21,16 +21,16 @@ from mjhab.cli.data_options import (
 from mjhab.cli.output import at_least, late_bar, print_json, print_table, progress_bar
 from mjhab.core.cache import write_atomic
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.data.checking import Repair, check, repair
-from mjhab.data.facts import FACTS, FUNCTIONS, target_of
-from mjhab.data.folders import broken
-from mjhab.data.import_ms_hab import ABSENT, Origin, import_ms_hab
-from mjhab.data.query import PRESETS, Filter
-from mjhab.data.reading import open_shard, shard_paths
-from mjhab.data.relabel import relabel
-from mjhab.data.schema import VERSION
-from mjhab.data.sets import GROUPINGS, merge, select, split, stats
-from mjhab.data.shard import ShardWriter
+from mjhab.data.export.folders import broken
+from mjhab.data.imports.ms_hab import ABSENT, Origin, import_ms_hab
+from mjhab.data.select.facts import FACTS, FUNCTIONS, target_of
+from mjhab.data.select.query import PRESETS, Filter
+from mjhab.data.select.relabel import relabel
+from mjhab.data.select.sets import GROUPINGS, merge, select, split, stats
+from mjhab.data.store.checking import Repair, check, repair
+from mjhab.data.store.reading import open_shard, shard_paths
+from mjhab.data.store.schema import VERSION
+from mjhab.data.store.shard import ShardWriter
 from mjhab.rollout.records import EpisodeRecord
 
 _MOST_ROWS = 20
@@ -117,8 +117,8 @@ def _stats_row(row: Mapping[str, Any]) -> tuple[object, ...]:
 
 
 def _report(options: DataReportOptions) -> int:
-    from mjhab.data.report import render_data_report
-    from mjhab.sim.film import FilmWriter
+    from mjhab.render.film import FilmWriter
+    from mjhab.reports.dataset import render_data_report
 
     if options.out.is_dir():
         raise UsageError(f"--out {options.out} is a folder; give a file such as {options.out / 'report.html'}.")

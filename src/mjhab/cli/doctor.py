@@ -40,7 +40,7 @@ def run_doctor(options: DoctorOptions) -> int:
 
 def diagnose() -> dict[str, Any]:
     """Return python and mujoco version, renderers (name: works), gpu (name or None), cores, cache folder."""
-    from mjhab.sim.gl_probe import renderer_probe
+    from mjhab.render.gl_probe import renderer_probe
 
     return {
         "python": platform.python_version(),

@@ -18,8 +18,8 @@ from mjhab.core.errors import MjhabError, UsageError, unknown_name
 from mjhab.tasks.plan import TASKS
 
 if TYPE_CHECKING:
-    from mjhab.envs.hab_episodes import FileEpisodes
-    from mjhab.envs.hab_format import HabFile
+    from mjhab.episodes.hab.format import HabFile
+    from mjhab.episodes.hab.reader import FileEpisodes
 
 SPLITS = ("train", "val", "test")
 SUFFIXES = (".json", ".json.gz")
@@ -44,7 +44,7 @@ def make(options: EpisodesMakeOptions) -> int:
         at_least("count", options.count, 1)
     if not options.out.name.endswith(SUFFIXES):
         raise UsageError(f"--out must end with .json or .json.gz, got {options.out}.")
-    from mjhab.envs.generate import COUNTS, Recipe, make_file, manifest_path
+    from mjhab.episodes.files import COUNTS, Recipe, make_file, manifest_path
 
     count = COUNTS[options.split] if options.count is None else options.count
     recipe = Recipe(options.task, options.split, options.seed, options.assets, options.first, count)
@@ -70,7 +70,7 @@ def check(options: EpisodesCheckOptions) -> int:
     at_least("threads", options.threads, 0)
     if options.task is not None and options.task not in TASKS:
         raise unknown_name("task", options.task, TASKS)
-    from mjhab.envs.hab_format import read_hab
+    from mjhab.episodes.hab.format import read_hab
 
     file = read_hab(options.file)
     check_manifest(file)
@@ -109,7 +109,7 @@ def check_manifest(file: HabFile) -> None:
     Raises:
         MjhabError: an episode is not the one that the manifest lists.
     """
-    from mjhab.envs.generate import manifest_path, state_hash
+    from mjhab.episodes.files import manifest_path, state_hash
 
     beside = manifest_path(file.path)
     if not beside.is_file():
@@ -127,10 +127,10 @@ def check_manifest(file: HabFile) -> None:
 
 
 def _load(options: EpisodesCheckOptions, file: HabFile) -> FileEpisodes:
-    from mjhab.envs.hab_episodes import FileEpisodes, file_roster
-    from mjhab.scenes.layout import Layout
+    from mjhab.episodes.hab.reader import FileEpisodes, file_roster
+    from mjhab.layout.layout import Layout
     from mjhab.scenes.packs import open_pack
-    from mjhab.sim.cpu import CpuSimulator
+    from mjhab.sim.mujoco.cpu import CpuSimulator
 
     pack = open_pack(options.assets)
     layout = Layout(pack, file_roster(file, pack))

@@ -15,8 +15,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from mjhab.cli.options import EvalOptions
 from mjhab.cli.output import print_json, print_table
 from mjhab.cli.profiles import profile_options
-from mjhab.rollout.evaluate import EvalSpec, EvaluationInterrupted, Run, run_evaluation
-from mjhab.rollout.metrics import SubtaskRow, rows_by_kind, rows_by_position
+from mjhab.evaluation.evaluate import EvalSpec, EvaluationInterrupted, Run, run_evaluation
+from mjhab.reports.metrics import SubtaskRow, rows_by_kind, rows_by_position
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink, StepView
 

@@ -12,8 +12,8 @@ from mjhab.cli.data import read_filter
 from mjhab.cli.export_options import ExportLerobotOptions, ExportManiskillOptions
 from mjhab.cli.output import late_bar, print_json
 from mjhab.core.errors import UsageError
-from mjhab.data.export_maniskill import export_maniskill
-from mjhab.sim.film import FilmWriter, join_films
+from mjhab.data.export.maniskill import export_maniskill
+from mjhab.render.film import FilmWriter, join_films
 
 _KEYFRAMES = 2
 """As LeRobot's own films have them: every frame is quick to reach."""
@@ -46,8 +46,8 @@ def _lerobot(options: ExportLerobotOptions) -> int:
     if not 0 <= options.quality <= 51:
         raise UsageError(f"--quality must be 0 to 51, got {options.quality}.")
     try:
-        from mjhab.data import export_lerobot as lerobot
-        from mjhab.data.lerobot_pieces import FilmTools
+        from mjhab.data.export.lerobot import export as lerobot
+        from mjhab.data.export.lerobot.pieces import FilmTools
     except ModuleNotFoundError as error:
         if error.name is None or error.name.partition(".")[0] != "pyarrow":
             raise

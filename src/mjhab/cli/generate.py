@@ -21,11 +21,11 @@ from mjhab.cli.generate_options import GenerateOptions
 from mjhab.cli.output import at_least, print_json, print_table
 from mjhab.cli.profiles import profile_options, resolved_profile
 from mjhab.core.errors import UsageError
-from mjhab.data.crew import ALL, Crew, ProcessCrew, Stage, WorkerSpec
-from mjhab.data.generation import Job, Standing, generate
-from mjhab.data.images import ImageFormat
-from mjhab.rollout.evaluate import EvalSpec, check_env_options
-from mjhab.rollout.resolve import PolicyFacts, PolicyOptions, inspect_policy, resolve_policy
+from mjhab.data.record.crew import ALL, Crew, ProcessCrew, Stage, WorkerSpec
+from mjhab.data.record.generation import Job, Standing, generate
+from mjhab.data.store.images import ImageFormat
+from mjhab.evaluation.evaluate import EvalSpec, check_env_options
+from mjhab.evaluation.resolve import PolicyFacts, PolicyOptions, inspect_policy, resolve_policy
 from mjhab.tasks.style import Styles
 
 TRIES_PER_EPISODE = 20
@@ -104,7 +104,7 @@ def make_crew(options: GenerateOptions) -> Crew:
     """
     if options.ray is None:
         return ProcessCrew()
-    from mjhab.data.ray_crew import RayCrew
+    from mjhab.data.record.ray_crew import RayCrew
 
     return RayCrew(options.ray)
 
@@ -112,7 +112,7 @@ def make_crew(options: GenerateOptions) -> Crew:
 def build_stage(options: GenerateOptions) -> Stage:
     """What a worker acts in; called in the worker's process."""
     from mjhab.envs import make
-    from mjhab.envs.starts import valid_targets
+    from mjhab.episodes.starts import valid_targets
 
     facts = inspect_policy(options.policy)
     env = make(

@@ -11,8 +11,8 @@ from mjhab.cli.output import print_json, print_table, progress_bar
 
 def check(options: HomesCheckOptions) -> int:
     """Print what was found; fails if a home cannot be used."""
-    from mjhab.scenes.check import check_homes
-    from mjhab.scenes.layout import Layout
+    from mjhab.layout.check import check_homes
+    from mjhab.layout.layout import Layout
     from mjhab.scenes.packs import open_pack
 
     pack = open_pack(options.assets)
@@ -28,7 +28,7 @@ def check(options: HomesCheckOptions) -> int:
 
 def roster_of(pack: Any) -> tuple[str, ...]:
     """Objects to compile with the homes: those of TidyHouse where the pack has them, else one of each it has."""
-    from mjhab.scenes.objects import roster
+    from mjhab.scenes.builtin.objects import roster
 
     usual = roster("tidy_house")
     return usual if set(usual) <= set(pack.objects) else tuple(sorted(pack.objects))

@@ -49,8 +49,8 @@ def render_one(options: HomesRenderOptions, width: int, height: int) -> int:
     home = find_home(options.assets, options.name)
     from PIL import Image
 
+    from mjhab.render.views import render_home
     from mjhab.scenes.packs import open_pack
-    from mjhab.sim.views import render_home
 
     image = render_home(open_pack(options.assets), home.name, options.view, width, height)
     options.out.parent.mkdir(parents=True, exist_ok=True)
@@ -65,9 +65,9 @@ def render_one(options: HomesRenderOptions, width: int, height: int) -> int:
 
 def render_sheet(options: HomesRenderOptions, width: int, height: int) -> int:
     """Draw all homes of a pack into one PNG or HTML page."""
-    from mjhab.cli.contact_sheet import Tile, save_html, save_png
+    from mjhab.render.views import render_homes
+    from mjhab.reports.contact_sheet import Tile, save_html, save_png
     from mjhab.scenes.packs import open_pack
-    from mjhab.sim.views import render_homes
 
     pack: Any = open_pack(options.assets)
     homes = homes_of_split(pack, options.split)

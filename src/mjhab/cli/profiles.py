@@ -22,6 +22,6 @@ def resolved_profile(options: ProfileOptions, **more: Any) -> dict[str, Any]:
     Raises:
         UsageError: unknown profile or value, or one that contradicts the profile.
     """
-    from mjhab.envs.config import EnvConfig
+    from mjhab.config.env import EnvConfig
 
     return EnvConfig(**more, **profile_options(options)).of_profile()

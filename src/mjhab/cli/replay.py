@@ -11,11 +11,11 @@ from mjhab.cli.data import read_filter
 from mjhab.cli.generate_options import ReplayOptions
 from mjhab.cli.output import at_least, print_json, print_table, progress_bar
 from mjhab.core.errors import UsageError
-from mjhab.data.episode_data import RunInfo
-from mjhab.data.images import ImageFormat
-from mjhab.data.provenance import TRAIN_MAKER
-from mjhab.data.reading import open_shard, shard_paths
-from mjhab.data.replay import FOLLOW, render, verify
+from mjhab.data.record.provenance import TRAIN_MAKER
+from mjhab.data.record.replay import FOLLOW, render, verify
+from mjhab.data.store.episode_data import RunInfo
+from mjhab.data.store.images import ImageFormat
+from mjhab.data.store.reading import open_shard, shard_paths
 
 _MOST_ROWS = 20
 

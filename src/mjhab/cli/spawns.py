@@ -25,8 +25,8 @@ def make(options: SpawnsMakeOptions) -> int:
     at_least("count", options.count, 1)
     for name in ("pool", "seed", "threads"):
         at_least(name, getattr(options, name), 0)
-    from mjhab.envs.spawn_factory import make_set
-    from mjhab.envs.spawn_sets import SpawnRecipe
+    from mjhab.episodes.spawn_factory import make_set
+    from mjhab.episodes.spawn_sets import SpawnRecipe
 
     resolved = resolved_profile(options, task=options.task, subtask=options.subtask or "")
     recipe = SpawnRecipe(
@@ -56,7 +56,7 @@ def make(options: SpawnsMakeOptions) -> int:
 
 def listing(options: SpawnsListOptions) -> int:
     """Print what the sets at a path are."""
-    from mjhab.envs.spawn_sets import SUFFIX, SpawnSet
+    from mjhab.episodes.spawn_sets import SUFFIX, SpawnSet
 
     path = options.path
     if not path.exists():
@@ -126,8 +126,8 @@ def measure_spawns(options: BenchSpawnOptions) -> dict[str, Any]:
         ``spawns_per_s``, ``tries_mean``, ``fallbacks``, ``count``, ``threads``; ``episode_s``: seconds on one core for
         one arrangement of objects that is in no cache.
     """
-    from mjhab.envs.spawn_factory import SpawnFactory
-    from mjhab.envs.spawn_sets import SpawnRecipe
+    from mjhab.episodes.spawn_factory import SpawnFactory
+    from mjhab.episodes.spawn_sets import SpawnRecipe
 
     resolved = resolved_profile(options, task=options.task, subtask=options.subtask)
     recipe = SpawnRecipe(

@@ -32,13 +32,13 @@ def run_warmup(options: WarmupOptions) -> int:
 
 def warmup(options: WarmupOptions, backend: str) -> dict[str, float]:
     """Compile homes and kernels for a task; seconds that each part took. A line on stderr says what is under way."""
-    from mjhab.envs.config import EnvConfig, task_config
-    from mjhab.envs.starts import StartMaker
-    from mjhab.scenes.fetch import REST_QPOS
-    from mjhab.scenes.layout import Layout
-    from mjhab.scenes.objects import roster
+    from mjhab.config.env import EnvConfig, task_config
+    from mjhab.episodes.starts import StartMaker
+    from mjhab.layout.layout import Layout
+    from mjhab.robots.fetch.model import REST_QPOS
+    from mjhab.scenes.builtin.objects import roster
     from mjhab.scenes.packs import open_pack
-    from mjhab.sim.cpu import CpuSimulator
+    from mjhab.sim.mujoco.cpu import CpuSimulator
 
     config = EnvConfig(task=options.task, assets=options.assets, **profile_options(options))
     layout = Layout(open_pack(options.assets), roster(options.task))
@@ -53,7 +53,7 @@ def warmup(options: WarmupOptions, backend: str) -> dict[str, float]:
 
     def rasterizer() -> None:
         from mjhab.envs.observations import CAMERA_OUTPUTS
-        from mjhab.sim.home_scene import HomeRenderer
+        from mjhab.render.home_scene import HomeRenderer
 
         sim = simulators[0]
         HomeRenderer(sim, 1).robot_views(sim.state(), homes[:1], 16, CAMERA_OUTPUTS)

@@ -1,7 +1,7 @@
 """Environments: configurations, episodes, spawns, actions, observations, SequentialTask, SubtaskTrain, env ids."""
 
+from mjhab.config.env import EnvConfig, TrainConfig
 from mjhab.envs.catalog import ENV_IDS, make, make_by_id, make_train, register_envs
-from mjhab.envs.config import EnvConfig, TrainConfig
 
 register_envs()
 

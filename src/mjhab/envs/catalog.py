@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium
 
+from mjhab.config.env import EnvConfig, TrainConfig
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.envs.config import EnvConfig, TrainConfig
 from mjhab.sim.backends import resolve
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from mjhab.core.errors import UsageError
 from mjhab.envs.observations import mode_outputs
-from mjhab.scenes.fetch import CAMERAS
+from mjhab.robots.fetch.model import CAMERAS
 
 BASE_MB = 500
 """An environment of one layout before its worlds: libraries and compiled homes (`mjhab bench env` measures it)."""
@@ -34,7 +34,7 @@ WARP_SCENE_MB = 25 + 184
 WARP_MOVERS = 256
 """Pieces that move in a world with 30 objects; the robot has most of them."""
 WARP_DRAWN_AT_ONCE = 256
-"""Worlds for which the renderer has scratch memory (`sim.warp_cameras.WORLDS_AT_ONCE`)."""
+"""Worlds for which the renderer has scratch memory (`render.warp.cameras.WORLDS_AT_ONCE`)."""
 _CGROUP = (
     ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current"),
     ("/sys/fs/cgroup/memory/memory.limit_in_bytes", "/sys/fs/cgroup/memory/memory.usage_in_bytes"),
@@ -139,7 +139,7 @@ def check_device_memory(
     Raises:
         UsageError: says what is needed, what is free, and the largest number that fits; or there is no such device.
     """
-    from mjhab.sim.warp_device import free_mb, open_device
+    from mjhab.sim.warp.device import free_mb, open_device
 
     opened = open_device(device)
     free = free_mb(opened) if opened.is_cuda else available_mb()

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 from mjhab.core.errors import unknown_name
+from mjhab.layout.layout import Layout
 from mjhab.scenes.freespace import FreeMap, free_map, look_up
-from mjhab.scenes.layout import Layout
 
 
 class NavDistance:

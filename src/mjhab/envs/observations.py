@@ -18,7 +18,7 @@ from mjhab.core.arrays import Array, constant, count, device_of, empty, namespac
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.rotations import quat_canonical
 from mjhab.envs.spaces import ordered_dict
-from mjhab.scenes.fetch import BASE_HEIGHT, CAMERAS
+from mjhab.robots.fetch.model import BASE_HEIGHT, CAMERAS
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,8 +25,8 @@ from mjhab.envs.observations import (
 )
 from mjhab.envs.plan_tables import Focus
 from mjhab.envs.sensing import Sensing
-from mjhab.sim.cpu import CpuSimulator
-from mjhab.sim.home_scene import HomeRenderer
+from mjhab.render.home_scene import HomeRenderer
+from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.protocol import SimState
 from mjhab.tasks.measure import Signals
 

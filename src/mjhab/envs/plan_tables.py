@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from mjhab.core.arrays import Array, namespace, pick_column
-from mjhab.scenes.layout import Layout
+from mjhab.layout.layout import Layout
 from mjhab.tasks.measure import Active, active_entries
 from mjhab.tasks.plan import Box, PlanArrays, SubtaskKind, TaskConfig, TaskPlan, stack_plans
 

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mjhab.core.rotations import mat_from_quat, quat_from_axis_angle
-from mjhab.scenes import fetch
-from mjhab.scenes.fetch_geometry import COLLISION
+from mjhab.layout.layout import Layout, compose
+from mjhab.layout.receptacles import PlacedReceptacle, placed_receptacles
+from mjhab.robots.fetch import model as fetch
+from mjhab.robots.fetch.geometry import COLLISION
 from mjhab.scenes.freespace import free_map
-from mjhab.scenes.hulls import boxed_hull
-from mjhab.scenes.layout import Layout, compose
-from mjhab.scenes.receptacles import PlacedReceptacle, placed_receptacles
+from mjhab.scenes.shapes.hulls import boxed_hull
 from mjhab.scenes.spec import Geom, Handle, Home, Link, ObjectType, Pack, Placement
 from mjhab.tasks.plan import Subtask, TaskConfig
 

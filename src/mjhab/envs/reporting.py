@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from mjhab.envs.episodes import Episode
+from mjhab.episodes.generator import Episode
 from mjhab.tasks.plan import KIND_NAMES, TaskPlan
 
 if TYPE_CHECKING:

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mjhab.config.env import REWARD_MODES
 from mjhab.core.arrays import Array, as_like, count, namespace, norm3, zeros
 from mjhab.core.errors import unknown_name
-from mjhab.envs.config import REWARD_MODES
 from mjhab.envs.plan_tables import Focus
 from mjhab.envs.sensing import Sensing
-from mjhab.scenes.fetch import FETCH_JOINTS, JOINT_LIMITS
-from mjhab.scenes.layout import Layout
+from mjhab.layout.layout import Layout
+from mjhab.robots.fetch.model import FETCH_JOINTS, JOINT_LIMITS
 from mjhab.sim.protocol import SimState
 from mjhab.tasks.measure import Signals, WorldState
 from mjhab.tasks.plan import SubtaskKind, TaskConfig

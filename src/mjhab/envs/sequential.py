@@ -18,13 +18,9 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from mjhab.config.env import EnvConfig, task_config
 from mjhab.core.arrays import where_rows
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.envs.config import EnvConfig, task_config
-from mjhab.envs.controllers import check_actions, make_controller
-from mjhab.envs.episodes import Episode, EpisodeMaker
-from mjhab.envs.hab_episodes import FileEpisodes, file_roster
-from mjhab.envs.hab_format import read_hab
 from mjhab.envs.memory import check_memory
 from mjhab.envs.nav_distance import NavDistance
 from mjhab.envs.observing import Observer
@@ -35,15 +31,19 @@ from mjhab.envs.rewarding import Rewarder, RewardInputs
 from mjhab.envs.sensing import Sensing
 from mjhab.envs.snapshots import restore, snapshot
 from mjhab.envs.spaces import batched
-from mjhab.envs.starts import Start, StartMaker, check_target
 from mjhab.envs.teleport import Teleports
 from mjhab.envs.tracking import Tracker
-from mjhab.envs.zones import with_zones
-from mjhab.scenes.fetch import REST_QPOS
-from mjhab.scenes.layout import Layout
-from mjhab.scenes.objects import roster
+from mjhab.episodes.generator import Episode, EpisodeMaker
+from mjhab.episodes.hab.format import read_hab
+from mjhab.episodes.hab.reader import FileEpisodes, file_roster
+from mjhab.episodes.starts import Start, StartMaker, check_target
+from mjhab.episodes.zones import with_zones
+from mjhab.layout.layout import Layout
+from mjhab.robots.controllers import check_actions, make_controller
+from mjhab.robots.fetch.model import REST_QPOS
+from mjhab.scenes.builtin.objects import roster
 from mjhab.scenes.packs import open_pack
-from mjhab.sim.cpu import CpuSimulator
+from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.protocol import TAINTS, SimState
 from mjhab.tasks import progress as progress_rules
 from mjhab.tasks.measure import Signals, WorldState, measure

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 
+from mjhab.config.env import TrainConfig
 from mjhab.core.seeding import stream
-from mjhab.envs.config import TrainConfig
-from mjhab.envs.episodes import Episode
 from mjhab.envs.sequential import SequentialTaskEnv
+from mjhab.episodes.generator import Episode
 
 
 class SubtaskTrainEnv(SequentialTaskEnv):

@@ -21,8 +21,8 @@ def make_expert(env: SequentialTaskEnv, styles: Styles | None = None) -> ExpertP
     Raises:
         UsageError: the environment takes other actions than those experts give.
     """
-    from mjhab.envs.controllers import DEFAULT_MODE
     from mjhab.experts.policy import ExpertPolicy
+    from mjhab.robots.controllers import DEFAULT_MODE
 
     config = env.config
     # Experts leave the head where it is.

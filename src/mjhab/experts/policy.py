@@ -9,14 +9,14 @@ import numpy as np
 
 from mjhab.core.action_notes import ActionNotes
 from mjhab.core.seeding import stream
-from mjhab.envs.actions import ACTION_DIM
 from mjhab.envs.privileged import WorldView
-from mjhab.experts import motion
-from mjhab.experts.articulated import close_link, open_link
-from mjhab.experts.navigate import navigate
-from mjhab.experts.pick import pick
-from mjhab.experts.place import place
+from mjhab.experts.arm import motion
+from mjhab.experts.skills.articulated import close_link, open_link
+from mjhab.experts.skills.navigate import navigate
+from mjhab.experts.skills.pick import pick
+from mjhab.experts.skills.place import place
 from mjhab.experts.style import Manner, StyledView
+from mjhab.robots.controllers.actions import ACTION_DIM
 from mjhab.tasks.plan import SubtaskKind
 from mjhab.tasks.style import Styles, recorded
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mjhab.envs.actions import ACTION_DIM, ARM_JOINTS, BASE_FORWARD, BASE_YAW, GRIPPER
-from mjhab.envs.grasps import KINDS, Grasps
 from mjhab.envs.privileged import WorldView
+from mjhab.episodes.grasps.candidates import KINDS, Grasps
+from mjhab.robots.controllers.actions import ACTION_DIM, ARM_JOINTS, BASE_FORWARD, BASE_YAW, GRIPPER
 from mjhab.tasks.style import ANY, PLAIN, SMOOTH, Style
 
 if TYPE_CHECKING:

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from mjhab.core.errors import UsageError
-from mjhab.data.crew import ALL, Crew, InlineCrew, ProcessCrew, Stage, WorkerSpec
-from mjhab.data.generation import Job, Standing, generate
-from mjhab.data.images import ImageFormat
+from mjhab.data.record.crew import ALL, Crew, InlineCrew, ProcessCrew, Stage, WorkerSpec
+from mjhab.data.record.generation import Job, Standing, generate
+from mjhab.data.store.images import ImageFormat
 from mjhab.learning.demos import SUCCESSES
 from mjhab.learning.take_over import TakeOver
 from mjhab.tasks.style import Styles
@@ -130,7 +130,7 @@ class Collector:
             return InlineCrew()
         if not self._ray:
             return ProcessCrew()
-        from mjhab.data.ray_crew import RayCrew
+        from mjhab.data.record.ray_crew import RayCrew
 
         return RayCrew(self._ray)
 

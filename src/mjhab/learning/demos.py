@@ -11,11 +11,11 @@ import numpy as np
 
 from mjhab.core.errors import UsageError
 from mjhab.core.seeding import stream
-from mjhab.data.facts import type_name
-from mjhab.data.images import decode
-from mjhab.data.query import Filter
-from mjhab.data.reading import Episode, open_shard
-from mjhab.data.sets import select
+from mjhab.data.select.facts import type_name
+from mjhab.data.select.query import Filter
+from mjhab.data.select.sets import select
+from mjhab.data.store.images import decode
+from mjhab.data.store.reading import Episode, open_shard
 from mjhab.learning.configs import InputConfig
 from mjhab.learning.layout import Entry, Layout, compare_layouts
 from mjhab.learning.take_over import expert_steps

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from mjhab.evaluation.evaluate import EvalSpec, Run, run_evaluation
 from mjhab.learning.collection import Means, Scene
-from mjhab.rollout.evaluate import EvalSpec, Run, run_evaluation
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from mjhab.core.seeding import stream
-from mjhab.data.facts import type_name
+from mjhab.data.select.facts import type_name
 from mjhab.learning.demos import base_velocity, nearness
 from mjhab.learning.student import Student
 

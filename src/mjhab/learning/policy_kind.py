@@ -1,4 +1,4 @@
-"""Checkpoints as policies: ``--policy CHECKPOINT.safetensors`` of every command. See `rollout.resolve.PolicyModule`."""
+"""Checkpoints as policies: ``--policy CHECKPOINT.safetensors`` of every command. See `evaluation.resolve.PolicyModule`."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import hashlib
 from pathlib import Path
 
 from mjhab.core.errors import UsageError
+from mjhab.evaluation.resolve import PolicyFacts, PolicyOptions
 from mjhab.learning.require import require_learn
 from mjhab.rollout.policy import Policy, RolloutEnv
-from mjhab.rollout.resolve import PolicyFacts, PolicyOptions
 
 
 def inspect_policy(spec: str) -> PolicyFacts:

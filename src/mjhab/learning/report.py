@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from mjhab.learning.run import EVALUATIONS, TrainingFolder
-from mjhab.rollout import report_parts as parts
-from mjhab.rollout.metrics import labels_by_kind, rows_by_kind
+from mjhab.reports import parts
+from mjhab.reports.metrics import labels_by_kind, rows_by_kind
+from mjhab.reports.plots import labels_figure
+from mjhab.reports.run import render_page
 from mjhab.rollout.records import EpisodeRecord
-from mjhab.rollout.report import render_page
-from mjhab.rollout.report_plots import labels_figure
 from mjhab.rollout.store import FILMS
 
 Figure = dict[str, Any]

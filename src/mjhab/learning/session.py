@@ -12,8 +12,8 @@ from typing import Any
 import torch
 
 import mjhab
-from mjhab.data.generation import Standing
-from mjhab.data.query import Filter
+from mjhab.data.record.generation import Standing
+from mjhab.data.select.query import Filter
 from mjhab.learning.checkpoint import load_checkpoint, save_student, save_training
 from mjhab.learning.collection import Collector, Means, Round, Scene, make_env
 from mjhab.learning.configs import TrainConfig
@@ -73,7 +73,7 @@ def layout_for(request: Request) -> Layout:
     inputs, scene = request.config.student.inputs, request.scene
     if request.data:
         return layout_of_data(request.data, inputs, request.filter)
-    from mjhab.envs.starts import valid_targets
+    from mjhab.episodes.starts import valid_targets
 
     env = make_env(scene, {}, Means(worlds=1, threads=1))
     targets = (scene.target,) if scene.target else tuple(valid_targets(env.config, env.layout))

@@ -9,7 +9,7 @@ import numpy as np
 
 from mjhab.core.action_notes import ActionNotes
 from mjhab.core.seeding import stream
-from mjhab.data.reading import Episode
+from mjhab.data.store.reading import Episode
 from mjhab.rollout.policy import ACTION_SIZE, Policy
 
 STUDENT, EXPERT = "student", "expert"

@@ -10,7 +10,7 @@ from mjhab.learning.dagger import train_dagger
 from mjhab.learning.report import render_training_report
 from mjhab.learning.session import OutOfTime, Request, Session, open_session
 from mjhab.learning.supervised import train_supervised
-from mjhab.rollout.metrics import mean, wilson
+from mjhab.reports.metrics import mean, wilson
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,7 @@ class FilmSink(Sink):
     Args:
         indices: episodes to film.
         path_of: where the film of an episode goes.
-        open_film: opens a film file (from ``sim.film``, which this package may not import), given path and frames/s.
+        open_film: opens a film file (from ``render.film``, which this package may not import), given path and frames/s.
         every: control steps between frames.
         width, height: of the frames [pixels].
     """

@@ -18,7 +18,7 @@ from scipy.spatial import ConvexHull, KDTree
 from mjhab.core.errors import UsageError
 from mjhab.core.grids import SIXTEEN, grid_graph
 from mjhab.core.rotations import mat_from_quat
-from mjhab.scenes.footprints import all_geoms, outline, rectangle
+from mjhab.scenes.shapes.footprints import all_geoms, outline, rectangle
 from mjhab.scenes.spec import IDENTITY, Articulation, Geom, Home, Pack, Placement, Prop
 
 BASE_RADIUS = 0.3

@@ -19,12 +19,12 @@ from typing import Any
 import numpy as np
 
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.scenes.furniture import builtin_articulations, builtin_props, furniture_meshes
-from mjhab.scenes.homes import builtin_homes
-from mjhab.scenes.meshes import Mesh, mesh_arrays, mesh_from_arrays
-from mjhab.scenes.objects import builtin_objects, object_meshes
+from mjhab.scenes.builtin.furniture import builtin_articulations, builtin_props, furniture_meshes
+from mjhab.scenes.builtin.homes import builtin_homes
+from mjhab.scenes.builtin.objects import builtin_objects, object_meshes
 from mjhab.scenes.pack_check import check_pack
-from mjhab.scenes.replica_cad_files import SCENE_SUFFIX, is_replica_cad
+from mjhab.scenes.replica_cad.files import SCENE_SUFFIX, is_replica_cad
+from mjhab.scenes.shapes.meshes import Mesh, mesh_arrays, mesh_from_arrays
 from mjhab.scenes.spec import Articulation, Home, ObjectType, Pack, Prop
 
 PACK_FORMAT = "mjhab-pack-1"
@@ -99,7 +99,7 @@ def with_joints(assets: str, furniture: str | None) -> str:
     """
     if not furniture:
         return assets
-    from mjhab.scenes.replica_cad_furniture import OPTIONAL
+    from mjhab.scenes.replica_cad.furniture import OPTIONAL
 
     names = furniture.split(",")
     for name in names:
@@ -110,7 +110,7 @@ def with_joints(assets: str, furniture: str | None) -> str:
 
 @lru_cache(maxsize=4)
 def _replica_cad(folder: Path, scene: str, stage_mesh: Path | None, articulate: tuple[str, ...]) -> Pack:
-    from mjhab.scenes.replica_cad import open_replica_cad
+    from mjhab.scenes.replica_cad.reader import open_replica_cad
 
     return open_replica_cad(folder, scene, stage_mesh, articulate)
 

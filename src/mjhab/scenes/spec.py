@@ -28,7 +28,7 @@ class Geom:
     """One piece of a rigid thing, for collision, for the eye, or for both.
 
     ``size``: box half-extents (x, y, z); cylinder and capsule (radius, half-length along z, 0);
-    sphere (radius, 0, 0); mesh: scale (x, y, z), with ``mesh`` naming an entry of ``scenes.meshes``.
+    sphere (radius, 0, 0); mesh: scale (x, y, z), with ``mesh`` naming an entry of ``scenes.shapes.meshes``.
     A colliding mesh is taken as its convex hull.
     """
 
@@ -196,4 +196,4 @@ class Pack:
     homes: tuple[Home, ...]
     objects: dict[str, ObjectType]
     meshes: dict[str, object] = field(default_factory=dict)
-    """Name to ``scenes.meshes.Mesh`` for every mesh the geoms name."""
+    """Name to ``scenes.shapes.meshes.Mesh`` for every mesh the geoms name."""

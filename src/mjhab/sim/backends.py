@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 from mjhab.core.errors import UsageError, unknown_name
 
 if TYPE_CHECKING:
-    from mjhab.scenes.fetch import Drives
-    from mjhab.scenes.layout import Layout
-    from mjhab.sim.cpu import CpuSimulator
-    from mjhab.sim.warp import WarpSimulator
+    from mjhab.layout.layout import Layout
+    from mjhab.robots.fetch.model import Drives
+    from mjhab.sim.mujoco.cpu import CpuSimulator
+    from mjhab.sim.warp.simulator import WarpSimulator
 
 BACKENDS = ("auto", "cpu", "warp")
 GPU_MODULES = ("warp", "mujoco_warp", "torch")
@@ -38,7 +38,7 @@ def resolve(name: str) -> str:
 
 def cuda_devices() -> list[str]:
     """Names of the CUDA devices that Warp can use, e.g. ["cuda:0"]; it must be installed."""
-    from mjhab.sim import warp_probe
+    from mjhab.sim.warp import probe as warp_probe
 
     return warp_probe.cuda_devices()
 
@@ -59,10 +59,10 @@ def open_simulator(
     """
     extra: dict[str, Any] = {"drives": drives}
     if resolve(name) == "warp":
-        from mjhab.sim.warp import WarpSimulator
+        from mjhab.sim.warp.simulator import WarpSimulator
 
         return WarpSimulator(layout, num_worlds, device, **extra)
-    from mjhab.sim.cpu import CpuSimulator
+    from mjhab.sim.mujoco.cpu import CpuSimulator
 
     return CpuSimulator(layout, num_worlds, threads, **extra)
 

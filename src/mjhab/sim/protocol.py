@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from mjhab.scenes.layout import Addresses, Layout
+from mjhab.layout.layout import Addresses, Layout
 
 TAINTS = ("contact_overflow", "constraint_overflow", "nan", "engine_warning", "penetration")
 """Names of the bits of a world's taint mask, lowest first."""

@@ -16,10 +16,9 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from mjhab.config.env import EnvConfig, TrainConfig
 from mjhab.core.arrays import to_numpy, where_rows
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.envs.config import EnvConfig, TrainConfig
-from mjhab.envs.controllers import make_controller
 from mjhab.envs.device.landings import Teleporter
 from mjhab.envs.device.notes import DeviceNotes
 from mjhab.envs.device.observing import DeviceObserver
@@ -32,9 +31,10 @@ from mjhab.envs.sensing import Sensing
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.envs.spaces import batched
 from mjhab.envs.subtask_train import SubtaskTrainEnv
+from mjhab.robots.controllers import make_controller
 from mjhab.sim.protocol import TAINTS, SimState
-from mjhab.sim.warp import WarpSimulator
-from mjhab.sim.warp_device import room_for
+from mjhab.sim.warp.device import room_for
+from mjhab.sim.warp.simulator import WarpSimulator
 from mjhab.tasks import progress as progress_rules
 from mjhab.tasks.events import EVENT_NAMES
 from mjhab.tasks.measure import Signals, WorldState, measure

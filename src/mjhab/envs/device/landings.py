@@ -13,10 +13,10 @@ import torch
 
 from mjhab.core.rotations import quat_mul
 from mjhab.core.seeding import stream
-from mjhab.envs.episodes import Episode
-from mjhab.envs.spawns import MAX_TRIES
-from mjhab.envs.starts import Start, StartMaker
-from mjhab.scenes.layout import Addresses
+from mjhab.episodes.generator import Episode
+from mjhab.episodes.spawns import MAX_TRIES
+from mjhab.episodes.starts import Start, StartMaker
+from mjhab.layout.layout import Addresses
 from mjhab.sim.protocol import SimState
 from mjhab.tasks.plan import SubtaskKind
 

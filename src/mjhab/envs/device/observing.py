@@ -9,7 +9,7 @@ from mjhab.envs.observing import Observer
 from mjhab.envs.plan_tables import Focus
 from mjhab.envs.sensing import Sensing
 from mjhab.sim.protocol import SimState
-from mjhab.sim.warp import WarpSimulator
+from mjhab.sim.warp.simulator import WarpSimulator
 from mjhab.tasks.measure import Signals
 
 
@@ -29,7 +29,7 @@ class DeviceObserver:
         self._rows = host.table[len(STATE_TABLE) :]
         self.cameras = None
         if host.outputs:
-            from mjhab.sim.warp_cameras import WarpCameras
+            from mjhab.render.warp.cameras import WarpCameras
 
             drawn = CAMERA_OUTPUTS if POINTCLOUD in host.outputs else host.outputs
             self.cameras = WarpCameras(sim, host.cameras, host.size, drawn)

@@ -13,15 +13,15 @@ import torch
 from rich.console import Console
 from rich.progress import track
 
+from mjhab.config.env import EnvConfig
 from mjhab.core.arrays import map_record
-from mjhab.envs.config import EnvConfig
 from mjhab.envs.device.fields import GoalFields
 from mjhab.envs.device.landings import ROBOT_JOINTS, find_landings
-from mjhab.envs.episodes import Episode
 from mjhab.envs.plan_tables import PlanTables, Rows
 from mjhab.envs.sequential import SequentialTaskEnv
-from mjhab.envs.starts import Start
-from mjhab.sim.warp import WarpSimulator
+from mjhab.episodes.generator import Episode
+from mjhab.episodes.starts import Start
+from mjhab.sim.warp.simulator import WarpSimulator
 from mjhab.tasks.plan import SubtaskKind, TaskPlan
 
 LEAST, MOST, PER_WORLD = 256, 8192, 4

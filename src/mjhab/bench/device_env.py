@@ -1,0 +1,109 @@
+"""``mjhab bench env --backend warp``: how fast an environment on a device is, and where its time goes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from statistics import median
+from typing import Any
+
+from mjhab.bench.engine import sway
+from mjhab.bench.env import Stopwatch, resident_mb, stage_seconds, watch_env
+from mjhab.bench.memory_sampler import MemorySampler
+from mjhab.cli.env_options import BenchEnvOptions
+from mjhab.cli.profiles import profile_options
+
+WARM_STEPS = 3
+"""Untimed steps: kernels load, graphs are captured."""
+
+
+def measure_device_env(options: BenchEnvOptions, worlds: int) -> dict[str, Any]:
+    """The like of `bench_env.measure_env` for a `DeviceEnv`, whose finished worlds begin anew within the step.
+
+    Returns:
+        ``env_sps``: control steps/s over all worlds, median of the rounds, with actions that are on the device;
+        ``engine_sps``: of physics alone under the last commands; ``ratio``; ``stages``: seconds per stage over
+        ``profiled_steps`` steps, each waited for, so that on a GPU they add up to more than the steps take;
+        ``reset_ms`` per world; ``device_mb`` (None without a GPU) and ``rss_mb``: largest during the rounds;
+        ``cold_start_s``: to the first observation of a step; ``tainted``: worlds.
+    """
+    begun = time.perf_counter()
+    env, wait = _make(options, worlds)
+    env.reset(seed=options.seed)
+    given = sway(worlds, options.steps, options.seed, len(env.action_table))
+    actions = [env.sim.qpos.new_tensor(row) for row in given]
+    env.step(actions[0])
+    wait()
+    cold = time.perf_counter() - begun
+    for _ in range(WARM_STEPS):
+        env.step(actions[0])
+
+    def block() -> None:
+        for action in actions:
+            env.step(action)
+
+    def engine() -> None:
+        for _ in actions:
+            env.sim.step(commands)
+
+    with MemorySampler(resident_mb, lambda: used_mb(env)) as memory:
+        whole = _rate(block, options, worlds, wait)
+    stages, reset_ms = profile(env, actions, wait)
+    commands = env.sim.engine.ctrl_t.clone()
+    bare = _rate(engine, options, worlds, wait)
+    return {
+        "env_sps": whole, "engine_sps": bare, "ratio": round(whole / bare, 4), "worlds": worlds,
+        "stages": stages, "profiled_steps": len(actions), "reset_ms": reset_ms, "rss_mb": memory.peak_rss_mb,
+        "device_mb": memory.peak_device_mb, "cold_start_s": round(cold, 2), "device": str(env.sim.device),
+        "tainted": int((env.sim.taint() != 0).sum()),
+    }  # fmt: skip
+
+
+def _make(options: BenchEnvOptions, worlds: int) -> tuple[Any, Callable[[], None]]:
+    """The environment, and what waits for its device."""
+    from mjhab.envs import make_by_id
+    from mjhab.sim.warp.probe import synchronize
+
+    extra = {"reward_mode": options.reward, "task": options.task}
+    env = make_by_id(
+        options.env, backend="warp", device=options.device, num_envs=worlds, obs_mode=options.obs,
+        camera_size=options.camera_size, assets=options.assets, seed=options.seed,
+        **{k: v for k, v in extra.items() if v is not None}, **profile_options(options),
+    )  # fmt: skip
+    return env, lambda: synchronize(env.sim.device)
+
+
+def used_mb(env: Any) -> float | None:
+    """Memory of the GPU that is in use, by anybody [MB]; None without a GPU."""
+    device = env.sim.device
+    return (device.total_memory - device.free_memory) / 2**20 if device.is_cuda else None
+
+
+def _rate(work: Callable[[], None], options: BenchEnvOptions, worlds: int, wait: Callable[[], None]) -> float:
+    """Control steps/s over all worlds: the median of the rounds."""
+    times = []
+    for _ in range(options.rounds):
+        wait()
+        begun = time.perf_counter()
+        work()
+        wait()
+        times.append(time.perf_counter() - begun)
+    return round(worlds * options.steps / median(times), 1)
+
+
+def profile(env: Any, actions: list[Any], wait: Callable[[], None]) -> tuple[dict[str, float], float]:
+    """Seconds per stage over the steps under ``actions``, and one reset of every world, and a world's reset [ms]."""
+    watch = Stopwatch(wait)
+    watch_env(watch, env)
+    watch.time(env.notes, "update", "labels")
+    watch.time(env.notes, "end", "labels")
+    if env.observer.cameras is not None:
+        watch.time(env.observer.cameras, "draw", "render")
+    watch.time(env, "_renew", "reset")
+    wait()
+    begun = time.perf_counter()
+    env.reset()
+    for action in actions:
+        env.step(action)
+    wait()
+    return stage_seconds(watch, time.perf_counter() - begun, env.num_envs)

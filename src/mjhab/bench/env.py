@@ -1,0 +1,191 @@
+"""``mjhab bench env``: how fast an environment is, and where its time goes."""
+
+from __future__ import annotations
+
+import gc
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from mjhab.bench.engine import measure_sps, sway
+from mjhab.cli.env_options import BenchEnvOptions
+from mjhab.cli.output import at_least, print_json, print_table
+from mjhab.cli.profiles import profile_options
+from mjhab.sim.backends import resolve
+
+STAGES = ("physics", "measure", "reward", "labels", "render", "observe", "reset", "other")
+
+
+def bench_env(options: BenchEnvOptions) -> int:
+    """Print what `measure` finds."""
+    for name in ("steps", "rounds", "camera-size"):
+        at_least(name, getattr(options, name.replace("-", "_")), 1)
+    at_least("worlds", min(options.worlds, default=0), 1)
+    at_least("threads", options.threads, 0)
+    at_least("seed", options.seed, 0)
+    found = measure(options)
+    if options.json:
+        print_json(found)
+        return 0
+    for point in found["points"]:
+        _print(options, found["backend"], point)
+    return 0
+
+
+def measure(options: BenchEnvOptions) -> dict[str, Any]:
+    """Measure every number of worlds, see `measure_env` and, for backend warp, `bench_device.measure_device_env`.
+
+    Returns:
+        The fastest point, "backend", and all "points".
+    """
+    backend = resolve(options.backend)
+    if backend == "warp":
+        from mjhab.bench.device_env import measure_device_env as work
+    else:
+        work = measure_env
+    points = []
+    for worlds in options.worlds:
+        points.append(work(options, worlds))
+        gc.collect()  # the worlds of this point make room for the next
+    best = max(points, key=lambda point: point["env_sps"])
+    return best | {"backend": backend, "profile": options.profile, "points": points}
+
+
+def _print(options: BenchEnvOptions, backend: str, point: dict[str, Any]) -> None:
+    names = {
+        "env_sps": "environment [control steps/s]", "engine_sps": "bare engine [control steps/s]",
+        "ratio": "environment / engine", "reset_ms": "one reset [ms]", "rss_mb": "memory [MB]",
+        "world_mb": "memory per world [MB]", "device_mb": "memory of the GPU [MB]", "cold_start_s": "cold start [s]",
+        "tainted": "tainted worlds",
+    }  # fmt: skip
+    rows = [(told, point[name]) for name, told in names.items() if point.get(name) is not None]
+    print_table(f"{options.env}, {options.obs}, {point['worlds']} worlds, {backend}", ("what", "value"), rows)
+    steps = point["profiled_steps"]
+    stages = [(stage, round(1000 * point["stages"][stage] / steps, 3)) for stage in STAGES]
+    print_table("where the time of a step of all worlds goes", ("stage", "ms"), stages)
+
+
+def measure_env(options: BenchEnvOptions, worlds: int) -> dict[str, Any]:
+    """Build an environment, time it against its engine, and split the time of its steps into stages.
+
+    Returns:
+        ``env_sps``, ``engine_sps`` [control steps/s over all worlds, no resets in between], ``ratio``; ``stages``:
+        seconds per stage over ``profiled_steps`` steps, with one reset of every world in ``reset``; ``reset_ms`` per
+        world; ``rss_mb`` of the process at the end, ``world_mb`` what a world added; ``cold_start_s``: from nothing
+        imported to the first observation of a step, compiled homes and kernels in the cache.
+    """
+    begun = time.perf_counter()
+    from mjhab.envs import make_by_id
+
+    extra = {"reward_mode": options.reward, "task": options.task}
+    env = make_by_id(
+        options.env, num_envs=worlds, obs_mode=options.obs, camera_size=options.camera_size,
+        assets=options.assets, seed=options.seed, threads=options.threads, autoreset="disabled",
+        **{k: v for k, v in extra.items() if v is not None}, **profile_options(options),
+    )  # fmt: skip
+    env.reset(seed=options.seed)
+    actions = sway(worlds, options.steps, options.seed, len(env.action_table))
+    env.step(actions[0])
+    cold = time.perf_counter() - begun
+    sps = measure_sps(env, options.steps, options.rounds, options.seed)
+    stages, reset_ms = profile(env, actions)
+    full = resident_mb()
+    return {
+        "env_sps": sps["env_sps"], "engine_sps": sps["engine_sps"], "ratio": sps["ratio"], "worlds": worlds,
+        "stages": stages, "profiled_steps": len(actions), "reset_ms": reset_ms, "rss_mb": full,
+        "world_mb": world_mb(env), "cold_start_s": round(cold, 2),
+    }  # fmt: skip
+
+
+def profile(env: Any, actions: np.ndarray) -> tuple[dict[str, float], float]:
+    """Seconds per stage over the steps under ``actions`` (T, W, A) and one reset, and a world's reset [ms]."""
+    watch = Stopwatch()
+    watch_env(watch, env)
+    watch.time(env.tracker, "update", "labels")
+    watch.time(env.tracker, "ended", "labels")
+    watch.time(env.observer, "draw", "render")
+    watch.time(env, "_begin", "reset")
+    begun = time.perf_counter()
+    env.reset()
+    for action in actions:
+        env.step(action)
+    return stage_seconds(watch, time.perf_counter() - begun, env.num_envs)
+
+
+def watch_env(watch: Stopwatch, env: Any) -> None:
+    """Count the stages that are the same on every backend."""
+    watch.time(env.sim, "step", "physics")
+    watch.time(env, "_sense", "measure")
+    watch.time(env, "_measure", "measure")
+    watch.time(env.rewarder, "step", "reward")
+    watch.time(env.observer, "observe", "observe")
+
+
+def stage_seconds(watch: Stopwatch, total: float, num_envs: int) -> tuple[dict[str, float], float]:
+    """Stop a watch: seconds of each of STAGES, of ``total`` [s], and the time of a world's one reset [ms]."""
+    seconds = watch.stop()
+    seconds["other"] = total - sum(seconds.values())
+    reset_ms = 1000 * seconds.get("reset", 0.0) / num_envs
+    return {stage: round(seconds.get(stage, 0.0), 5) for stage in STAGES}, round(reset_ms, 3)
+
+
+class Stopwatch:
+    """Counts the time spent in methods of given objects; time inside another counted method belongs to that one.
+
+    Args:
+        wait: called at the end of each, for a device that works on while the caller goes on.
+    """
+
+    def __init__(self, wait: Callable[[], None] = lambda: None) -> None:
+        self._wait = wait
+        self._seconds: dict[str, float] = {}
+        self._inner: list[float] = []
+        self._wrapped: list[tuple[Any, str]] = []
+
+    def time(self, owner: Any, method: str, stage: str) -> None:
+        """Count ``owner.method`` under ``stage`` from now on."""
+        original: Callable[..., Any] = getattr(owner, method)
+
+        def counted(*args: Any, **kwargs: Any) -> Any:
+            self._inner.append(0.0)
+            begun = time.perf_counter()
+            try:
+                return original(*args, **kwargs)
+            finally:
+                self._wait()
+                spent = time.perf_counter() - begun
+                own = spent - self._inner.pop()
+                self._seconds[stage] = self._seconds.get(stage, 0.0) + own
+                if self._inner:
+                    self._inner[-1] += spent
+
+        setattr(owner, method, counted)
+        self._wrapped.append((owner, method))
+
+    def stop(self) -> dict[str, float]:
+        """Give the methods back; returns seconds per stage."""
+        for owner, method in self._wrapped:
+            delattr(owner, method)
+        return dict(self._seconds)
+
+
+def resident_mb() -> float:
+    """Memory of this process that is in RAM [MB]; 0 where the system does not tell."""
+    try:
+        with open("/proc/self/status") as status:
+            return round(next(int(line.split()[1]) for line in status if line.startswith("VmRSS")) / 1024, 1)
+    except (OSError, StopIteration):
+        return 0.0
+
+
+def world_mb(env: Any) -> float:
+    """What one more world takes [MB], from a second simulator of 64 worlds of the same layout."""
+    from mjhab.sim.mujoco.cpu import CpuSimulator
+
+    before = resident_mb()
+    more = CpuSimulator(env.layout, 64, env.sim.num_threads)
+    more.reset(range(64), [env.homes[0]] * 64, np.repeat(env.sim.qpos[:1], 64, axis=0))
+    more.step(np.zeros((64, env.ctrl.shape[1])))
+    return round((resident_mb() - before) / 64, 2)

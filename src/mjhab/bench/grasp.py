@@ -1,0 +1,179 @@
+"""Do grasps hold? Objects in the gripper of a moving robot, with the physics of the homes.
+
+Each object is gripped at the rest pose from above, held still for half a second, and then shaken: the base drives
+back and forth at 1 m/s and turns, the arm and wrist swing at up to 0.6 rad/s. All motion goes through the servos as
+the controller ``pd_joint_delta_pos`` uses them: a new target every 0.05 s, at most 0.1 rad from the measured joint.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from mjhab.core.errors import unknown_name
+from mjhab.core.seeding import stream
+from mjhab.layout.contact_sensors import normal_force
+from mjhab.layout.layout import Layout, build_spec
+from mjhab.robots.fetch import model as fetch
+from mjhab.scenes.builtin.objects import builtin_objects, object_meshes
+from mjhab.scenes.spec import Home, ObjectType, Pack
+
+SUBSTEPS = 5
+CONTROL_DT = 0.05
+GRIP_TARGET = -0.01
+"""Finger target [m] of the gripper action -1: below zero, so that the servos squeeze."""
+SETTLE_STEPS = 10
+DROP_DISTANCE = 0.08
+"""An object that moved this far in the gripper's frame [m] is lost."""
+MIN_FORCE, MAX_ANGLE = 0.5, np.deg2rad(30.0)
+"""Grasp test (mani_skill/agents/robots/fetch/fetch.py, called with 30 degrees by mshab)."""
+
+
+@dataclass(frozen=True)
+class Grasp:
+    """How an object sits in the hand: its height axis points along -x of gripper_link (up, at the rest pose).
+
+    ``width`` [m] of what is between the fingers; ``depth`` [m]: object centre beyond the tool centre along +x;
+    ``side`` [m]: object centre along +y; ``turn`` [rad]: about the height axis.
+    """
+
+    width: float
+    depth: float
+    side: float = 0.0
+    turn: float = 0.0
+
+
+GRASPS: dict[str, Grasp] = {
+    "005_tomato_soup_can": Grasp(width=0.0678, depth=0.024),
+    "004_sugar_box": Grasp(width=0.0479, depth=0.060),
+    "010_potted_meat_can": Grasp(width=0.0573, depth=0.016),
+    "013_apple": Grasp(width=0.0754, depth=0.008),
+    "024_bowl": Grasp(width=0.0075, depth=0.034, side=-0.0757),
+}
+"""Objects of the bench. The bowl hangs by its rim."""
+BENCH_OBJECTS: tuple[str, ...] = tuple(GRASPS)
+
+
+def grasp_table(
+    seconds: float = 10.0, seed: int = 0, objects: tuple[str, ...] = BENCH_OBJECTS
+) -> list[dict[str, object]]:
+    """Shake every object and tell what became of it.
+
+    Args:
+        seconds: time of motion.
+        seed: chooses the phases of the motion.
+        objects: names from ``BENCH_OBJECTS``.
+
+    Returns:
+        One row per object: ``object``; ``slip_mm`` and ``rotation_deg``, the largest displacement in the gripper's
+        frame of the object's point at the tool centre, and the largest turn, since the motion began; ``dropped``;
+        ``grasped_fraction`` of control steps in which the grasp test held; ``force_n``, mean force on a finger.
+
+    Raises:
+        UsageError: an object has no entry in ``GRASPS``.
+    """
+    for name in objects:
+        if name not in GRASPS:
+            raise unknown_name("bench object", name, GRASPS)
+    return [_shake(name, seconds, seed) for name in objects]
+
+
+def bench_model(name: str) -> mujoco.MjModel:
+    """Robot and one object on an empty floor, with the options and sensors of every home."""
+    kind: ObjectType = builtin_objects()[name]
+    home = Home("grasp_bench", "bench", "train", 0, 0, (), (-5.0, -5.0, 5.0, 5.0), "", (), ())
+    pack = Pack("bench", {}, {}, (home,), {name: kind}, dict(object_meshes()))
+    return build_spec(Layout(pack, (name,)), home).compile()
+
+
+class GraspBench:
+    """One robot with one object in its hand."""
+
+    def __init__(self, name: str) -> None:
+        self.model = bench_model(name)
+        self.data = mujoco.MjData(self.model)
+        self.qpos = np.array([self.model.joint(n).qposadr[0] for n in fetch.FETCH_JOINTS])
+        self.object = f"{name}_:0000"
+        self.rest = np.array(fetch.REST_QPOS)
+        self._grip(GRASPS[name])
+
+    def _grip(self, grasp: Grasp) -> None:
+        """Rest pose, fingers at the object, object between them."""
+        self.data.qpos[self.qpos] = self.rest
+        self.data.qpos[self.qpos[13:]] = 0.5 * grasp.width
+        mujoco.mj_kinematics(self.model, self.data)
+        c, s = np.cos(grasp.turn), np.sin(grasp.turn)
+        # Columns: the object's axes in gripper_link. Height along -x; the object's x across the fingers.
+        axes = np.array([[0.0, 0.0, -1.0], [c, -s, 0.0], [-s, -c, 0.0]])
+        hand = self.data.body(fetch.TCP_LINK)
+        turn = hand.xmat.reshape(3, 3)
+        quat = np.zeros(4)
+        mujoco.mju_mat2Quat(quat, (turn @ axes).ravel())
+        start = self.model.joint(self.object).qposadr[0]
+        self.data.qpos[start : start + 3] = hand.xpos + turn @ (grasp.depth, grasp.side, 0.0)
+        self.data.qpos[start + 3 : start + 7] = quat
+        mujoco.mj_forward(self.model, self.data)
+
+    def pose_in_hand(self) -> tuple[np.ndarray, np.ndarray]:
+        """Position (3,) and rotation (3, 3) of the object in gripper_link."""
+        hand, thing = self.data.body(fetch.TCP_LINK), self.data.body(self.object)
+        turn = hand.xmat.reshape(3, 3)
+        return turn.T @ (thing.xpos - hand.xpos), turn.T @ thing.xmat.reshape(3, 3)
+
+    def step(self, goal: np.ndarray, forward: float, yaw_rate: float) -> None:
+        """One control step towards joint positions ``goal`` (15,), at most 0.1 per joint, gripper closed."""
+        measured = self.data.qpos[self.qpos]
+        ctrl = measured + np.clip(goal - measured, -0.1, 0.1)
+        ctrl[:3] = forward * np.cos(measured[2]), forward * np.sin(measured[2]), yaw_rate
+        ctrl[13:] = GRIP_TARGET
+        self.data.ctrl[:] = ctrl
+        mujoco.mj_step(self.model, self.data, SUBSTEPS)
+
+    def finger_forces(self) -> tuple[np.ndarray, bool]:
+        """Norms (2,) of the object's force on the [l, r] finger [N], and the grasp test."""
+        norms, along = np.zeros(2), np.zeros(2)
+        for i, finger in enumerate(fetch.FINGER_LINKS):
+            # The sensor gives the force of the finger on the object.
+            force = -normal_force(self.data.sensor(f"{finger}>{self.object}").data)
+            opening = self.data.body(finger).xmat.reshape(3, 3) @ fetch.FINGER_OPEN_DIR[finger]
+            norms[i], along[i] = np.linalg.norm(force), force @ opening
+        return norms, bool((norms >= MIN_FORCE).all() and (along >= norms * np.cos(MAX_ANGLE)).all())
+
+
+def shake_motion(time: float, rest: np.ndarray, phase: np.ndarray) -> tuple[np.ndarray, float, float]:
+    """Joint goal (15,), base speed [m/s] and yaw rate [rad/s] at a time."""
+    goal = rest.copy()
+    goal[3] -= 0.1
+    goal[11] -= 0.4  # off its upper limit
+    arm = np.array([5, 7, 8, 9, 10, 11, 12])
+    rate = 2 * np.pi * np.array([0.35, 0.25, 0.4, 0.3, 0.45, 0.5, 0.55])
+    goal[arm] += 0.6 / rate * np.sin(rate * time + phase)
+    forward = 1.0 if int(time) % 2 == 0 else -1.0
+    return goal, forward, float(np.sin(2 * np.pi * 0.3 * time) * 1.5)
+
+
+def _shake(name: str, seconds: float, seed: int) -> dict[str, object]:
+    bench = GraspBench(name)
+    phase = stream(seed, "grasp_bench").uniform(0.0, 2 * np.pi, 7)
+    for _ in range(SETTLE_STEPS):
+        bench.step(bench.rest, 0.0, 0.0)
+    pos0, turn0 = bench.pose_in_hand()
+    held_point = turn0.T @ -pos0
+    slip = angle = force = 0.0
+    held, dropped, steps = 0, False, round(seconds / CONTROL_DT)
+    for k in range(steps):
+        bench.step(*shake_motion(k * CONTROL_DT, bench.rest, phase))
+        pos, turn = bench.pose_in_hand()
+        slip = max(slip, float(np.linalg.norm(pos + turn @ held_point)))
+        cosine = 0.5 * (np.trace(turn0.T @ turn) - 1.0)
+        angle = max(angle, float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))))
+        norms, grasped = bench.finger_forces()
+        held += grasped
+        force += float(norms.mean()) / steps
+        dropped = dropped or bool(np.linalg.norm(pos - pos0) > DROP_DISTANCE)
+    return {
+        "object": name, "slip_mm": round(1e3 * slip, 2), "rotation_deg": round(angle, 2), "dropped": dropped,
+        "grasped_fraction": round(held / steps, 4), "force_n": round(force, 2),
+    }  # fmt: skip

@@ -1,0 +1,113 @@
+"""The plot of the Interact benchmark: speed over memory, with the points that the paper reports."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Mapping
+from html import escape
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from mjhab.reports.parts import section
+from mjhab.reports.plots import Figure
+from mjhab.reports.run import render_page
+
+PAPER = (
+    ("MS-HAB (ManiSkill 3), 4,096 environments", 15.35, 4299.18, 26.36, "#ea580c"),
+    ("Habitat 2.0", 22.60, 1397.65, 11.02, "#64748b"),
+)
+"""Name, memory of the GPU [GB], control steps/s, 95 % confidence (MS-HAB paper Sec. 4: RTX 4090, i9-12900KS)."""
+
+
+def interact_figure(found: dict[str, Any]) -> Figure:
+    """Speed over memory of every point: of the GPU, or of the process where there is none."""
+    points = sorted(found["points"], key=lambda point: point["worlds"])
+    memory = [(p["rss_mb"] if p["device_mb"] is None else p["device_mb"]) / 1024 for p in points]
+    ours = {
+        "x": memory, "y": [p["sps_mean"] for p in points], "text": [f"W = {p['worlds']:,}" for p in points],
+        "error_y": {"type": "data", "array": [p["sps_ci95"] or 0.0 for p in points]}, "type": "scatter",
+        "mode": "lines+markers+text", "textposition": "middle right", "line": {"color": "#2563eb"},
+        "name": f"mjhab, {found['backend']} on {found['device']}",
+    }  # fmt: skip
+    paper = [
+        {
+            "x": [memory], "y": [sps], "error_y": {"type": "data", "array": [ci]}, "name": name, "type": "scatter",
+            "mode": "markers", "marker": {"size": 11, "color": color, "symbol": "diamond"},
+        }
+        for name, memory, sps, ci, color in PAPER
+    ]  # fmt: skip
+    layout = {
+        "xaxis": {"title": {"text": "memory [GB]"}, "rangemode": "tozero"},
+        "yaxis": {"title": {"text": "control steps per second, all worlds"}, "type": "log", "dtick": 1},
+        "height": 460,
+    }
+    return {"data": [ours, *paper], "layout": layout}
+
+
+def interact_page(found: dict[str, Any], pictures: Mapping[str, np.ndarray]) -> str:
+    """The report: the plot, the numbers, what the cameras saw, and what these do not say by themselves.
+
+    Args:
+        found: see ``measure_interact``.
+        pictures: "rgb" (C, h, w, 3) uint8 and "depth" (C, h, w) float32 [m] of one world, or none.
+    """
+    cameras = "two 128 x 128 RGB-D pictures in every step" if found["render"] else "no pictures"
+    memory = "of the process" if found["points"][0]["device_mb"] is None else "of the GPU, all processes"
+    hint = (
+        f"{found['steps']} control steps in {found['home']}, {found['seeds']} runs of each point, {cameras}; whiskers: "
+        f"95 % confidence. Memory {memory}, the largest during the runs. The diamonds are what the MS-HAB paper "
+        "reports: other scene, other actions, RTX 4090, with pictures."
+    )
+    if not found["render"]:
+        hint += " Without pictures the two do not compare."
+    parts = ["<h1>Interact benchmark</h1>", section("Speed over memory", hint, '<div id="interact"></div>')]
+    parts.append(section("Numbers", _STAGES_HINT, _table(found)))
+    if pictures:
+        parts.append(section("What the cameras see", _VIEWS_HINT, _strip(pictures)))
+    return render_page(
+        "Interact benchmark", "".join(parts), {"plots": {"interact": interact_figure(found)}, "force": []}
+    )
+
+
+_COLUMNS = {
+    "worlds": "worlds", "sps_mean": "control steps/s", "sps_ci95": "± 95 %", "reset_and_step_sps": "with the reset",
+    "physics_ms": "physics [ms]", "render_ms": "pictures [ms]", "device_mb": "GPU [MB]", "rss_mb": "process [MB]",
+    "tainted_worlds": "tainted worlds",
+}  # fmt: skip
+_STAGES_HINT = (
+    "Physics and pictures: time of one control step of all worlds, measured apart after the runs, each waited for."
+)
+_VIEWS_HINT = (
+    "World 0 at the end of those steps: head and hand, colour and depth (black: 0 m, or nothing; white: 3 m and more)."
+)
+_DEPTH_WHITE = 3.0
+_SCALE = 2
+
+
+def _table(found: dict[str, Any]) -> str:
+    def cell(value: Any) -> str:
+        return "-" if value is None else f"{value:,}"
+
+    head = "".join(f'<th class="n">{escape(name)}</th>' for name in _COLUMNS.values())
+    rows = [
+        "".join(f'<td class="n">{cell(point[key])}</td>' for key in _COLUMNS)
+        for point in sorted(found["points"], key=lambda point: point["worlds"])
+    ]
+    body = "".join(f"<tr>{row}</tr>" for row in rows)
+    return f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
+
+
+def _strip(pictures: Mapping[str, np.ndarray]) -> str:
+    """All pictures side by side, twice as large."""
+    tiles = []
+    for rgb, depth in zip(pictures["rgb"], pictures["depth"], strict=True):
+        grey = np.round(255.0 * np.clip(depth / _DEPTH_WHITE, 0.0, 1.0)).astype(np.uint8)
+        tiles += [rgb, np.repeat(grey[..., None], 3, axis=2)]
+    strip = Image.fromarray(np.concatenate(tiles, axis=1))
+    buffer = io.BytesIO()
+    strip.resize((_SCALE * strip.width, _SCALE * strip.height), Image.Resampling.NEAREST).save(buffer, "PNG")
+    data = base64.b64encode(buffer.getvalue()).decode("ascii")
+    return f'<img style="max-width:100%" alt="head and hand, colour and depth" src="data:image/png;base64,{data}">'

@@ -1,0 +1,107 @@
+"""How the actions of ``mjhab bench interact`` were made: ``python -m mjhab.bench.interact.recipe FILE.csv``.
+
+The hand goes along way-points at fixed heights above the surface, on arcs about the shoulder: it turns to the right
+above the objects, sinks beside them, sweeps to the left through all five, back through what is left at a longer
+reach, and rises. Inverse kinematics gives the joints there, straight lines in joint space the motion between.
+In each control step the action is the one that reaches for the joints ``AHEAD`` steps on, from where the simulated
+arm is; what is recorded is then replayed without looking.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from mjhab.bench.interact.scene import (
+    CONTROL_MODE,
+    SHOULDER_X,
+    START_QPOS,
+    STEPS,
+    SURFACE_HEIGHT,
+    TORSO,
+    InteractScene,
+    interact_scene,
+    with_body,
+)
+from mjhab.core.cache import write_atomic
+from mjhab.experts.arm.ik import columns, random_seeds, solve
+from mjhab.robots.controllers import make_controller
+from mjhab.robots.controllers.table import ARM_JOINTS
+from mjhab.robots.fetch.model import FETCH_JOINTS, KINEMATIC_TREE
+from mjhab.robots.kinematics import Chain
+from mjhab.sim.mujoco.cpu import CpuSimulator
+
+WAY = (
+    # steps, angle about the shoulder [rad], reach from it [m], height of the tool centre above the surface [m]
+    (30, -0.75, 0.66, 0.30),
+    (20, -0.75, 0.70, 0.06),
+    (60, 0.75, 0.72, 0.06),
+    (15, 0.75, 0.80, 0.06),
+    (55, -0.75, 0.80, 0.06),
+    (20, -0.60, 0.66, 0.30),
+)
+PITCH = 0.9
+"""The hand points away from the shoulder and this far down [rad]: near the start, and wrist and forearm stay high."""
+AHEAD = 2.0
+"""Control steps [50 ms] that the servo lags behind."""
+DIGITS = 3
+
+
+def way_points(start: np.ndarray) -> np.ndarray:
+    """(len(WAY), 15) configurations of the robot from ``start`` (15,), hand pitched by PITCH.
+
+    Reach and height are solved straight ahead; turning there is the business of the shoulder's first joint alone, so
+    the hand stays at its height during a sweep.
+    """
+    chain = Chain.from_tree(KINEMATIC_TREE, FETCH_JOINTS)
+    dofs, pan = columns(chain, torso=False), FETCH_JOINTS.index("shoulder_pan_joint")
+    now = start.copy()
+    now[:3] = 0.0
+    now[pan] = 0.0
+    surface = SURFACE_HEIGHT + start[TORSO] - START_QPOS[TORSO]
+    c, s = np.cos(PITCH), np.sin(PITCH)
+    down = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+    out = []
+    for _, angle, reach, above in WAY:
+        goal = np.array([[SHOULDER_X + reach, 0.0, surface + above]])
+        seeds = random_seeds(chain, now, dofs, 64, np.random.default_rng(0), spread=0.3)
+        found = solve(chain, goal, down[None], seeds, dofs, rest=now, mode="pose")
+        best, price = found.best(np.abs(found.q - now).max(axis=-1))
+        if not np.isfinite(price[0]):
+            raise ValueError(f"the arm does not reach {goal[0]}")
+        now = best[0]
+        turned = now.copy()
+        turned[pan] += angle
+        out.append(turned)
+    return np.array(out)
+
+
+def record(scene: InteractScene) -> np.ndarray:
+    """(200, 7) arm actions, rounded, as a closed loop on the CPU simulator finds them."""
+    controller = make_controller(CONTROL_MODE, 1)
+    sim = CpuSimulator(scene.layout, 1, 1, controller.drives)
+    sim.reset([0], [scene.home], scene.qpos[None])
+    arm = list(ARM_JOINTS)
+    knots = np.concatenate([scene.robot[None], way_points(scene.robot)])[:, arm]
+    times = np.concatenate([[0.0], np.cumsum([row[0] for row in WAY])])
+    done = np.zeros((STEPS, len(arm)), np.float32)
+    for step in range(STEPS):
+        state, at = sim.state(), min(step + 1 + AHEAD, STEPS)
+        goal = np.array([np.interp(at, times, knots[:, j]) for j in range(len(arm))])
+        wanted = (goal - state.robot_q[0, arm]) / controller.limits.joint_delta
+        done[step] = np.round(np.clip(wanted, -1.0, 1.0), DIGITS)
+        sim.step(controller.ctrl(with_body(scene, done[step : step + 1]), state))
+    return done
+
+
+def main(path: Path) -> None:
+    """Record the actions and write them as CSV, a row per control step."""
+    actions = record(interact_scene())
+    head = "arm actions of pd_joint_delta_pos, 20 Hz; made by python -m mjhab.bench.interact.recipe"
+    write_atomic(path, lambda temporary: np.savetxt(temporary, actions, fmt=f"%.{DIGITS}f", delimiter=",", header=head))
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

@@ -1,0 +1,293 @@
+"""``mjhab bench interact``: the paper's Interact benchmark on either backend."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import t as student
+
+from mjhab.bench.env import resident_mb
+from mjhab.bench.interact.plot import interact_page
+from mjhab.bench.interact.scene import CONTROL_MODE, OBJECTS, STEPS, InteractScene, interact_actions, interact_scene
+from mjhab.bench.memory_sampler import MemorySampler
+from mjhab.cli.gpu_options import BenchInteractOptions
+from mjhab.cli.output import at_least, print_json, print_table, progress_bar
+from mjhab.core.arrays import to_numpy
+from mjhab.core.cache import write_atomic
+from mjhab.core.errors import UsageError
+from mjhab.envs.memory import check_device_memory
+from mjhab.robots.controllers import make_controller
+from mjhab.robots.fetch.model import CAMERAS
+from mjhab.sim.backends import open_simulator, resolve
+
+CAMERA_SIZE, OUTPUTS = 128, ("rgb", "depth")
+CAMERA_NAMES = tuple(camera.name for camera in CAMERAS)
+WORLD_MB = 0.34
+"""A world on a device without pictures: 0.14 MB of arrays, 0.17 MB that a substep takes on its way (sums for 3 and for
+32 worlds on Warp's CPU device, difference over 29), and a tenth on top."""
+WARM_STEPS = 3
+"""Untimed steps: kernels load, graphs are captured."""
+STAGE_STEPS = 80
+"""Steps timed stage by stage after the runs: to where the hand is among the objects, which the report shows."""
+MOVED = 0.01
+"""An object farther than this from its start at the end [m] counts as moved."""
+COLUMNS: tuple[str, ...] = (
+    "backend",
+    "device",
+    "render",
+    "worlds",
+    "seed",
+    "sps",
+    "reset_and_step_sps",
+    "device_mb",
+    "rss_mb",
+)
+_HEADS = {
+    "worlds": "worlds", "sps_mean": "SPS", "sps_ci95": "± 95 %", "physics_ms": "phys", "render_ms": "render",
+    "device_mb": "GPU MB", "rss_mb": "RSS MB", "moved": "moved", "tainted_worlds": "taint",
+}  # fmt: skip
+Pictures = dict[str, np.ndarray]
+
+
+class InteractBench:
+    """The worlds of one measurement, all alike.
+
+    Args:
+        scene: what they hold.
+        backend: "cpu" or "warp".
+        worlds: W.
+        render: draw 2 x 128 x 128 RGB and depth after each step.
+        device, threads: see `open_simulator`.
+
+    Raises:
+        UsageError: what `open_simulator` refuses; more worlds than the device has room for.
+    """
+
+    def __init__(
+        self, scene: InteractScene, backend: str, worlds: int, *, render: bool, device: str = "", threads: int = 0
+    ) -> None:
+        self.scene, self.worlds = scene, worlds
+        if backend == "warp":
+            # Pictures are looked at, not kept as observations.
+            mode = "rgbd" if render else "state"
+            check_device_memory(worlds, mode, CAMERA_SIZE, device, copies=0, world_mb=WORLD_MB)
+        controller = make_controller(CONTROL_MODE, 1)
+        self.sim: Any = open_simulator(
+            backend, scene.layout, worlds, threads=threads, device=device, drives=controller.drives
+        )
+        self._start = np.tile(scene.qpos, (worlds, 1))
+        self._homes = [scene.home] * worlds
+        self._draw = self._drawer(backend, threads) if render else None
+        self.reset()
+        self._offset: Any
+        self._moves: Any
+        self._offset, self._moves = affine_commands(interact_actions(scene))
+        if backend == "warp":
+            tensor = self.sim.state().robot_q.new_tensor  # on the device: no copy to the host in a step
+            self._offset, self._moves = tensor(self._offset), tensor(self._moves)
+
+    def _drawer(self, backend: str, threads: int) -> Callable[[], Mapping[str, Any]]:
+        if backend == "warp":
+            from mjhab.render.warp.cameras import WarpCameras
+
+            return WarpCameras(self.sim, CAMERA_NAMES, (CAMERA_SIZE, CAMERA_SIZE), OUTPUTS).draw
+        from mjhab.render.home_scene import HomeRenderer
+
+        renderer = HomeRenderer(self.sim, threads)
+        return lambda: renderer.robot_views(self.sim.state(), self._homes, CAMERA_SIZE, OUTPUTS)
+
+    def reset(self) -> None:
+        """Put all worlds at the start."""
+        self.sim.reset(range(self.worlds), self._homes, self._start)
+
+    def step(self, number: int) -> None:
+        """Control step ``number`` of the recorded ones, with its pictures."""
+        self.move(number)
+        self.draw()
+
+    def move(self, number: int) -> None:
+        """Physics of control step ``number``."""
+        self.sim.step(self._offset[number] + self._moves * self.sim.state().robot_q)
+
+    def draw(self) -> Mapping[str, Any]:
+        """Pictures of the present state, if any are wanted: "rgb" and "depth", see `HomeRenderer.robot_views`."""
+        return self._draw() if self._draw else {}
+
+    def sync(self) -> None:
+        """Wait until the device has done all work."""
+        device = getattr(self.sim, "device", None)
+        if device is not None and device.is_cuda:
+            from mjhab.sim.warp.probe import synchronize
+
+            synchronize(device)
+
+    def moved(self) -> list[str]:
+        """Objects of world 0 that are not where they started."""
+        start = self._start[0, self.sim.addresses.object_q[:, None] + np.arange(3)]
+        way = np.linalg.norm(to_numpy(self.sim.state().object_pose)[0, :, :3] - start, axis=1)
+        return [name for name, far in zip(OBJECTS, way > MOVED, strict=True) if far]
+
+    def tainted(self) -> int:
+        """Worlds whose physics is doubtful."""
+        return int((to_numpy(self.sim.taint()) != 0).sum())
+
+    def device_used_mb(self) -> float | None:
+        """Memory of the GPU that is in use, by anybody [MB]; None without a GPU."""
+        device = getattr(self.sim, "device", None)
+        if device is None or not device.is_cuda:
+            return None
+        return (device.total_memory - device.free_memory) / 2**20
+
+
+def affine_commands(actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Commands for actions (T, 13) of CONTROL_MODE with the base at rest: ``offset[t] + moves * robot_q``.
+
+    The arm moves from where it is measured, head and torso are told where to be: offset (T, 15), moves (15,).
+    """
+    controller = make_controller(CONTROL_MODE, 1)
+
+    def command(action: np.ndarray, robot_q: np.ndarray) -> np.ndarray:
+        return controller.command(action[None], robot_q)[0]
+
+    zero = np.zeros((1, 15))
+    offset = np.stack([command(action, zero) for action in actions])
+    return offset, command(actions[0], zero + 1.0) - offset[0]
+
+
+def bench_interact(options: BenchInteractOptions) -> int:
+    """Print and write what `measure_interact` finds."""
+    for name in ("seeds", "steps"):
+        at_least(name, getattr(options, name), 1)
+    at_least("worlds", min(options.worlds, default=0), 1)
+    at_least("threads", options.threads, 0)
+    if options.steps > STEPS:
+        raise UsageError(f"--steps must be at most {STEPS}, as many as are recorded; got {options.steps}.")
+    found, runs, pictures = measure_interact(options)
+    write_results(options.out, found, runs, pictures)
+    if options.json:
+        print_json(found)
+        return 0
+    kind = "no cameras" if options.no_render else f"2 x {CAMERA_SIZE} x {CAMERA_SIZE} RGB-D"
+    rows = [[len(p[k]) if k == "moved" else p[k] for k in _HEADS] for p in found["points"]]
+    print_table(
+        f"Interact, {found['backend']} on {found['device']}, {kind}; stages in ms", tuple(_HEADS.values()), rows
+    )
+    print(f"Plot of speed over memory: {options.out / 'report.html'}")
+    return 0
+
+
+def measure_interact(options: BenchInteractOptions) -> tuple[dict[str, Any], list[dict[str, Any]], Pictures]:
+    """Measure every number of worlds, ``seeds`` times.
+
+    Returns:
+        The best point, and all ``points`` (mean and 95 % confidence interval of the control steps/s over all worlds;
+        largest memory during the runs; ``moved`` objects; ``tainted_worlds``; time of each stage, see `stage_times`);
+        the single runs; and pictures of a world in the midst of it.
+    """
+    backend, render = resolve(options.backend), not options.no_render
+    scene = interact_scene(options.assets)
+    points, runs, pictures = [], [], {}
+    with progress_bar("interact", len(options.worlds) * options.seeds) as advance:
+        for worlds in options.worlds:
+            bench = InteractBench(scene, backend, worlds, render=render, device=options.device, threads=options.threads)
+            warm(bench)
+            mine = []
+            for seed in range(1, options.seeds + 1):
+                mine.append({"worlds": worlds, "seed": seed} | measure_run(bench, options.steps))
+                advance()
+            points.append(summarize(mine) | {"moved": bench.moved(), "tainted_worlds": bench.tainted()})
+            stages, pictures = stage_times(bench, min(options.steps, STAGE_STEPS))
+            points[-1] |= stages
+            device = str(getattr(bench.sim, "device", "cpu"))
+            runs += [{"backend": backend, "device": device, "render": render, **run} for run in mine]
+            del bench
+    common = {"backend": backend, "device": runs[0]["device"], "render": render, "steps": options.steps}
+    best = max(points, key=lambda point: point["sps_mean"])
+    return best | common | {"seeds": options.seeds, "home": scene.home, "points": points}, runs, pictures
+
+
+def warm(bench: InteractBench) -> None:
+    """Untimed steps."""
+    for number in range(WARM_STEPS):
+        bench.step(number)
+    bench.sync()
+
+
+def measure_run(bench: InteractBench, steps: int) -> dict[str, Any]:
+    """One run from the start; the clock stops when the device has finished."""
+    with MemorySampler(resident_mb, bench.device_used_mb) as memory:
+        before = time.perf_counter()
+        bench.reset()
+        bench.sync()
+        begun = time.perf_counter()
+        for number in range(steps):
+            bench.step(number)
+        bench.sync()
+        ended = time.perf_counter()
+    total = bench.worlds * steps
+    return {
+        "sps": round(total / (ended - begun), 2),
+        "reset_and_step_sps": round(total / (ended - before), 2),
+        "device_mb": memory.peak_device_mb,
+        "rss_mb": memory.peak_rss_mb,
+    }
+
+
+def stage_times(bench: InteractBench, steps: int) -> tuple[dict[str, float | None], Pictures]:
+    """Mean time of a control step of all worlds by stage, "physics_ms" and "render_ms" (None without pictures), each
+    waited for, so that on a GPU they add up to more than a step takes; and what world 0 sees at the end."""
+    spent = {"physics": 0.0, "render": 0.0}
+    bench.reset()
+    bench.sync()
+    images: Mapping[str, Any] = {}
+    for number in range(steps):
+        begun = time.perf_counter()
+        bench.move(number)
+        bench.sync()
+        moved = time.perf_counter()
+        images = bench.draw()
+        bench.sync()
+        spent["physics"] += moved - begun
+        spent["render"] += time.perf_counter() - moved
+    views = {name: to_numpy(image[0]).copy() for name, image in images.items()}
+    times: dict[str, float | None] = {f"{stage}_ms": round(1e3 * total / steps, 2) for stage, total in spent.items()}
+    return times if views else times | {"render_ms": None}, views
+
+
+def summarize(runs: list[dict[str, Any]]) -> dict[str, Any]:
+    """Mean and interval of runs with one number of worlds. One run has no interval."""
+    sps = np.array([run["sps"] for run in runs])
+    count = len(sps)
+    ci = float(student.ppf(0.975, count - 1) * sps.std(ddof=1) / math.sqrt(count)) if count > 1 else None
+    device = [run["device_mb"] for run in runs if run["device_mb"] is not None]
+    return {
+        "worlds": runs[0]["worlds"],
+        "sps_mean": round(float(sps.mean()), 2),
+        "sps_ci95": None if ci is None else round(ci, 2),
+        "reset_and_step_sps": round(float(np.mean([run["reset_and_step_sps"] for run in runs])), 2),
+        "device_mb": max(device) if device else None,
+        "rss_mb": max(run["rss_mb"] for run in runs),
+    }
+
+
+def write_results(out: Path, found: dict[str, Any], runs: list[dict[str, Any]], pictures: Pictures) -> None:
+    """Write interact.json, interact.csv (a row per run) and report.html into a folder."""
+
+    def table(path: Path) -> None:
+        with path.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.DictWriter(file, list(COLUMNS))
+            writer.writeheader()
+            writer.writerows(runs)
+
+    text = json.dumps(found, indent=1) + "\n"
+    page = interact_page(found, pictures)
+    write_atomic(out / "interact.json", lambda path: path.write_text(text, encoding="utf-8"))
+    write_atomic(out / "interact.csv", table)
+    write_atomic(out / "report.html", lambda path: path.write_text(page, encoding="utf-8"))

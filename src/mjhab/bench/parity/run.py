@@ -1,0 +1,203 @@
+"""``mjhab bench parity``: how far the two simulators drift apart, and whether they agree on what matters."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from mjhab.bench.parity.episodes import KINDS, MARKS, REWARD_TOLERANCE, Leg, Log, Row, run_equal, run_own
+from mjhab.cli.gpu_options import BenchParityOptions
+from mjhab.cli.output import at_least, print_json, print_table, progress_bar
+from mjhab.config.env import SUBTASKS_OF_TASK
+from mjhab.core.errors import UsageError, unknown_name
+from mjhab.sim.backends import cuda_devices, resolve
+from mjhab.tasks.plan import KIND_NAMES
+
+NOT_COMPARED = (
+    "pictures (tests/render/warp/test_cameras.py compares them, mjhab bench interact times them), which objects sleep, "
+    "the order of contacts, spawns and teleports"
+)
+
+
+def bench_parity(options: BenchParityOptions) -> int:
+    """Print what `measure_parity` finds."""
+    for name in ("worlds", "steps"):
+        at_least(name, getattr(options, name), 1)
+    for name in ("episodes", "threads", "seed"):
+        at_least(name, getattr(options, name), 0)
+    at_least("grasp-seconds", options.grasp_seconds, 0.0)
+    found = measure_parity(options)
+    if options.json:
+        print_json(found)
+        return 0
+    marks = [f"step {mark}" for mark in found["steps"]]
+    for name, title in (("max", "largest difference in any world"), ("median", "median over the worlds")):
+        rows = [[f"{kind} [{KINDS[kind]}]", *(f"{x:.2g}" for x in found[f"qpos_{name}"][kind])] for kind in KINDS]
+        print_table(title, ("what", *marks), rows)
+    for acting, title in (("equal", "the same actions"), ("own", "the expert on each by itself")):
+        legs = found[f"episodes_{acting}"]
+        if legs:
+            print_table(f"share that agrees, {title}", ("what", *next(iter(legs.values()))),
+                        [[name, *shares.values()] for name, shares in legs.items()])  # fmt: skip
+    print_table("agreement", ("what", "share"), list(found["agree"].items()))
+    if found["grasps"]:
+        rows = [
+            [row["object"], *(row[b][key] for b in ("cpu", "warp") for key in ("slip_mm", "dropped"))]
+            for row in found["grasps"]
+        ]
+        columns = ("object", "cpu slip [mm]", "cpu dropped", "warp slip [mm]", "warp dropped")
+        print_table(f"{options.grasp_seconds:g} s of shaking", columns, rows)
+    print(f"Not compared: {NOT_COMPARED}.")
+    return 0
+
+
+def measure_parity(options: BenchParityOptions) -> dict[str, Any]:
+    """Compare both backends.
+
+    Returns:
+        "steps": the marks; "qpos_max", "qpos_median": {kind: [largest difference in a world, largest and median over
+        worlds, at each mark]}; "agree": shares of episodes (success), of ended subtasks (label) and of steps (reward)
+        that agree under the same actions; "episodes_equal", "episodes_own": the like for every subtask and for "all",
+        of the expert episodes (see `shares_equal`, `shares_own`), empty without; "grasps": see `grasp_parity`.
+
+    Raises:
+        UsageError: unknown task or subtask, or a log that is none.
+    """
+    resolve("warp")
+    device = options.device or ("cuda:0" if cuda_devices() else "cpu")
+    legs = [
+        Leg(task, subtask, options.seed, options.worlds, options.threads, device)
+        for task, subtask in pairs(options.task, options.subtask)
+    ]
+    log = Log(options.log)
+    drift = run_drift(legs, options.steps, log)
+    run_episodes(legs, options.episodes, log)
+    equal, own = shares(log, "equal", legs, equal_shares), shares(log, "own", legs, own_shares)
+    judged = equal["all"] if equal else equal_shares(drift)
+    grasps: list[dict[str, Any]] = []
+    if options.grasp_seconds:
+        from mjhab.bench.parity.grasp import grasp_parity
+
+        grasps = grasp_parity(options.grasp_seconds, device, options.threads, options.seed)
+    return {
+        "device": device, "worlds": len(drift), **divergence(drift),
+        "agree": {name: judged[name] for name in ("success", "label", "reward")},
+        "episodes_equal": equal, "episodes_own": own, "grasps": grasps, "not_compared": NOT_COMPARED,
+    }  # fmt: skip
+
+
+def pairs(task: str, subtask: str) -> list[tuple[str, str]]:
+    """Tasks and subtasks that the names stand for, of which "all" stands for all there are.
+
+    Raises:
+        UsageError: unknown names, or no such subtask in that task.
+    """
+    if task not in (*SUBTASKS_OF_TASK, "all"):
+        raise unknown_name("task", task, (*SUBTASKS_OF_TASK, "all"))
+    if subtask not in (*KIND_NAMES, "all"):
+        raise unknown_name("subtask", subtask, (*KIND_NAMES, "all"))
+    tasks = SUBTASKS_OF_TASK if task == "all" else (task,)
+    found = [(t, s) for t in tasks for s in SUBTASKS_OF_TASK[t] if subtask in ("all", s)]
+    if not found:
+        raise UsageError(f"task {task!r} has no subtask {subtask!r}; it has {', '.join(SUBTASKS_OF_TASK[task])}.")
+    return found
+
+
+def run_drift(legs: list[Leg], steps: int, log: Log) -> list[Row]:
+    """Rows of `run_equal` of as many episodes as there are worlds, ``steps`` long whether they succeed or not."""
+    rows = []
+    for leg in legs:
+        acting, indices = f"drift{steps}", range(leg.worlds)
+        if missing := log.missing(leg, acting, indices):
+            add = functools.partial(log.add, leg, acting)
+            run_equal(dataclasses.replace(leg, whole=True), missing, add, steps)
+        rows += log.of(leg, acting, indices)
+    return rows
+
+
+def run_episodes(legs: list[Leg], episodes: int, log: Log) -> None:
+    """Run expert episodes, spread over the legs, under the same actions on both and with the expert by itself."""
+    each = -(-episodes // len(legs))
+    plans = [(leg, acting) for acting in ("equal", "own") for leg in legs]
+    with progress_bar("expert episodes", len(plans) * each) as advance:
+        for leg, acting in plans:
+            missing = log.missing(leg, acting, range(each))
+            for _ in range(each - len(missing)):
+                advance()
+
+            def done(index: int, row: Row, leg: Leg = leg, acting: str = acting) -> None:
+                log.add(leg, acting, index, row)
+                advance()
+
+            if missing:
+                (run_equal if acting == "equal" else run_own)(leg, missing, done)
+
+
+def divergence(rows: Sequence[Row]) -> dict[str, Any]:
+    """ "steps", "qpos_max" and "qpos_median" of rows of `run_equal`: see `measure_parity`."""
+    marks = [mark for mark in MARKS if all(str(mark) in row["drift"] for row in rows)]
+    table = {
+        f"qpos_{name}": {
+            kind: [float(f"{reduce([row['drift'][str(mark)][kind] for row in rows]):.4g}") for mark in marks]
+            for kind in KINDS
+        }
+        for name, reduce in (("max", np.max), ("median", np.median))
+    }
+    return {"steps": marks, **table}
+
+
+def shares(
+    log: Log, acting: str, legs: Sequence[Leg], reduce: Callable[[Sequence[Any]], dict[str, Any]]
+) -> dict[str, dict[str, Any]]:
+    """``reduce`` of the episodes in the log, for every leg by its name and for "all" of them; empty without any."""
+    found = {f"{leg.task} {leg.subtask}": log.of(leg, acting) for leg in legs}
+    if acting == "own":
+        known = {leg: {row["index"]: row for row in log.of(leg, "equal")} for leg in legs}
+        found = {
+            name: [(known[leg][row["index"]], row) for row in rows]
+            for leg, (name, rows) in zip(legs, found.items(), strict=True)
+        }
+    found = {name: rows for name, rows in found.items() if rows}
+    every = [row for rows in found.values() for row in rows]
+    return {name: reduce(rows) for name, rows in found.items()} | ({"all": reduce(every)} if every else {})
+
+
+def equal_shares(rows: Sequence[Row]) -> dict[str, Any]:
+    """Of rows of `run_equal`: number of "episodes" and of "steps"; shares that agree of episodes ("success"), of those
+    with a label ("label") and of steps ("reward"); success rates of each; "mean_reward": of episodes in which it
+    agrees; "tainted": on either.
+    """
+    labels = [row["label"] for row in rows if any(row["label"])]
+    steps = sum(row["steps"] for row in rows)
+    return {
+        "episodes": len(rows), "steps": steps,
+        "success": share([row["success"][0] == row["success"][1] for row in rows]),
+        "label": share([a == b for a, b in labels]),
+        "reward": round(sum(row["close"] for row in rows) / max(1, steps), 4),
+        "mean_reward": share([abs(a - b) <= REWARD_TOLERANCE for a, b in (row["reward"] for row in rows)]),
+        "success_cpu": share([row["success"][0] for row in rows]),
+        "success_warp": share([row["success"][1] for row in rows]),
+        "tainted": sum(any(row["taint"]) for row in rows),
+    }  # fmt: skip
+
+
+def own_shares(pairs_of_rows: Sequence[tuple[Row, Row]]) -> dict[str, Any]:
+    """Of episodes (row of `run_equal`, row of `run_own`): the like, with the mean reward of an episode for "reward"."""
+    return {
+        "episodes": len(pairs_of_rows),
+        "success": share([a["success"][0] == b["success"] for a, b in pairs_of_rows]),
+        "label": share([a["label"][0] == b["label"] for a, b in pairs_of_rows]),
+        "reward": share([abs(a["reward"][0] - b["reward"]) <= REWARD_TOLERANCE for a, b in pairs_of_rows]),
+        "success_cpu": share([a["success"][0] for a, _ in pairs_of_rows]),
+        "success_warp": share([b["success"] for _, b in pairs_of_rows]),
+        "tainted": sum(bool(b["taint"]) for _, b in pairs_of_rows),
+    }  # fmt: skip
+
+
+def share(hits: Any) -> float | None:
+    """Mean of booleans; None without any."""
+    return round(float(np.mean(hits)), 4) if len(hits) else None

@@ -1,0 +1,162 @@
+"""``mjhab bench reward``: does the dense reward tell success from failure, and does it rise on the way?"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.stats import rankdata
+
+from mjhab.cli.env_options import BenchRewardOptions
+from mjhab.cli.output import at_least, print_json, print_table, progress_bar
+from mjhab.cli.profiles import profile_options
+from mjhab.core.cache import write_atomic
+from mjhab.core.errors import unknown_name
+from mjhab.reports.parts import section
+from mjhab.reports.plots import Figure
+from mjhab.reports.run import render_page
+from mjhab.rollout.loop import rollout
+from mjhab.rollout.records import EpisodeRecord
+from mjhab.rollout.sinks import Sink, StepView
+from mjhab.tasks.plan import KIND_NAMES
+
+EXPERT_KINDS = tuple(kind for kind in KIND_NAMES if kind != "navigate")
+COLORS = {"success": "#16a34a", "failure": "#dc2626"}
+
+
+class RewardSink(Sink):
+    """Keeps the rewards of every episode: ``curves`` of (successful, (T,) rewards)."""
+
+    def __init__(self, num_envs: int, advance: Any) -> None:
+        self.curves: list[tuple[bool, np.ndarray]] = []
+        self._running: list[list[float]] = [[] for _ in range(num_envs)]
+        self._advance = advance
+
+    def on_step(self, env: Any, step: StepView) -> None:
+        """Note the rewards of the worlds in which an episode runs."""
+        for world in np.flatnonzero(step.active):
+            self._running[world].append(float(step.reward[world]))
+
+    def on_episode_end(self, env: Any, world: int, record: EpisodeRecord) -> None:
+        """Close the curve of a world."""
+        self.curves.append((record.success_once, np.array(self._running[world])))
+        self._running[world] = []
+        self._advance()
+
+
+def bench_reward(options: BenchRewardOptions) -> int:
+    """Print and write what `measure_reward` finds."""
+    for name in ("episodes", "worlds"):
+        at_least(name, getattr(options, name), 1)
+    kinds = options.subtasks.split(",")
+    for kind in kinds:
+        if kind not in EXPERT_KINDS:
+            raise unknown_name("subtask", kind, EXPERT_KINDS)
+    curves = {kind: measure_reward(kind, options) for kind in kinds}
+    found = {kind: summary(curve) for kind, curve in curves.items()}
+    figures = {f"reward-{kind}": figure(curve) for kind, curve in curves.items()}
+    body = f"<h1>Dense reward of the expert</h1><p>Profile {options.profile}.</p>" + "".join(
+        section(kind, _sentence(found[kind]), f'<div id="reward-{kind}"></div>') for kind in kinds
+    )
+    page = render_page("Dense reward of the expert", body, {"plots": figures, "force": []})
+    options.out.mkdir(parents=True, exist_ok=True)
+    write_atomic(options.out / "report.html", lambda temporary: temporary.write_text(page, encoding="utf-8"))
+    if options.json:
+        print_json({"profile": options.profile, "subtasks": found, "report": str(options.out / "report.html")})
+    else:
+        columns = list(next(iter(found.values())))
+        rows = [[kind, *(found[kind][c] for c in columns)] for kind in kinds]
+        print_table(f"normalised dense reward, profile {options.profile}", ("subtask", *columns), rows)
+        print(f"Curves: {options.out / 'report.html'}")
+    return 0
+
+
+def measure_reward(kind: str, options: BenchRewardOptions) -> list[tuple[bool, np.ndarray]]:
+    """Run the expert; returns (successful at least once, normalised dense rewards (T,)) of every episode."""
+    from mjhab.envs import make_train
+    from mjhab.experts import make_expert
+
+    task = "set_table" if kind in ("open", "close") else "tidy_house"
+    env = make_train(
+        task=task, subtask=kind, num_envs=min(options.worlds, options.episodes), threads=options.threads,
+        seed=options.seed, autoreset="disabled", open_start=0.0, **profile_options(options),
+    )  # fmt: skip
+    with progress_bar(f"expert: {kind}", options.episodes) as advance:
+        sink = RewardSink(env.num_envs, advance)
+        rollout(env, make_expert(env), range(options.episodes), options.seed, [sink])
+    return sink.curves
+
+
+def summary(curves: list[tuple[bool, np.ndarray]]) -> dict[str, Any]:
+    """AUC of the return, mean returns, and how much the reward rises from the first to the last tenth."""
+    good = np.array([won for won, _ in curves])
+    returns = np.array([rewards.sum() for _, rewards in curves])
+    tenth = [max(1, len(rewards) // 10) for _, rewards in curves]
+    rise = [
+        float(rewards[-n:].mean() - rewards[:n].mean()) for n, (won, rewards) in zip(tenth, curves, strict=True) if won
+    ]
+    return {
+        "episodes": len(curves),
+        "successes": int(good.sum()),
+        "auc": auc(returns, good),
+        "return_success": _mean(returns[good]),
+        "return_failure": _mean(returns[~good]),
+        "rise_success": _mean(np.array(rise)),
+        "rising": _mean(np.array(rise) > 0),
+    }
+
+
+def auc(score: np.ndarray, good: np.ndarray) -> float | None:
+    """Chance that a good one (n,) bool has a higher score (n,) than a bad one, ties half; None without both."""
+    wins, losses = int(good.sum()), int((~good).sum())
+    if not wins or not losses:
+        return None
+    return round(float((rankdata(score)[good].sum() - wins * (wins + 1) / 2) / (wins * losses)), 4)
+
+
+def figure(curves: list[tuple[bool, np.ndarray]]) -> Figure:
+    """Mean reward over the steps with the middle half of the episodes, of successes and of failures."""
+    data: list[dict[str, Any]] = []
+    for name, wanted in (("success", True), ("failure", False)):
+        chosen = [rewards for won, rewards in curves if won == wanted]
+        if not chosen:
+            continue
+        length = max(len(r) for r in chosen)
+        table = np.full((len(chosen), length), np.nan)
+        for row, rewards in zip(table, chosen, strict=True):
+            row[: len(rewards)] = rewards
+        low, middle, high = (np.nanpercentile(table, p, axis=0).round(4).tolist() for p in (25, 50, 75))
+        x, color = list(range(1, length + 1)), COLORS[name]
+        band = {
+            "type": "scatter",
+            "x": x,
+            "mode": "lines",
+            "line": {"width": 0},
+            "showlegend": False,
+            "hoverinfo": "skip",
+        }
+        data += [
+            {**band, "y": low},
+            {**band, "y": high, "fill": "tonexty", "fillcolor": f"{color}33"},
+            {
+                "type": "scatter", "x": x, "y": middle, "mode": "lines", "name": f"{name} ({len(chosen)} episodes)",
+                "line": {"width": 3, "color": color}, "hovertemplate": "step %{x}<br>reward %{y:.3f}<extra></extra>",
+            },
+        ]  # fmt: skip
+    layout = {
+        "height": 320, "legend": {"orientation": "h", "y": 1.14}, "xaxis": {"title": {"text": "control step"}},
+        "yaxis": {"range": [0, 1.02], "title": {"text": "normalised dense reward"}},
+    }  # fmt: skip
+    return {"data": data, "layout": layout}
+
+
+def _mean(values: np.ndarray) -> float | None:
+    return round(float(values.mean()), 3) if len(values) else None
+
+
+def _sentence(found: dict[str, Any]) -> str:
+    told = "no failure to compare with" if found["auc"] is None else f"AUC {found['auc']:.3f}"
+    return (
+        f"{found['successes']} of {found['episodes']} episodes succeed; {told}. Lines: median of the episodes; bands: "
+        "the middle half."
+    )

@@ -1,0 +1,87 @@
+"""``mjhab bench soak``: random actions for a long time in every training environment."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+
+from mjhab.bench.env import resident_mb
+from mjhab.cli.env_options import BenchSoakOptions
+from mjhab.cli.output import at_least, print_json, print_table, progress_bar
+from mjhab.cli.profiles import profile_options
+
+QUARTERS = 4
+"""Memory is read after every quarter. In the first half homes are met for the first time and the pool of arrangements
+fills; growth counts over the second."""
+MOST_GROWTH = 0.03
+
+
+def bench_soak(options: BenchSoakOptions) -> int:
+    """Print what `soak` finds; fails if memory grew by more than 3 %."""
+    for name in ("steps", "worlds"):
+        at_least(name, getattr(options, name), 1)
+    at_least("threads", options.threads, 0)
+    at_least("seed", options.seed, 0)
+    found = soak(options)
+    if options.json:
+        print_json(found)
+    else:
+        rows = [
+            (k, ", ".join(f"{n} {c}" for n, c in v.items()) if isinstance(v, dict) else v) for k, v in found.items()
+        ]
+        print_table(f"{found['steps']:,} control steps with random actions", ("what", "value"), rows)
+    return 1 if found["rss_growth"] > MOST_GROWTH else 0
+
+
+def soak(options: BenchSoakOptions) -> dict[str, Any]:
+    """Step the environments in turn.
+
+    Returns:
+        ``steps`` and ``episodes`` done, ``seconds``, ``tainted`` episodes per kind of taint, ``nan_resets``,
+        ``spawn_fallbacks``, ``rss_mb`` after each quarter, ``rss_growth`` (relative, over the second half).
+    """
+    from mjhab.config.env import SUBTASKS_OF_TASK
+    from mjhab.envs import make_train
+
+    envs = [
+        make_train(
+            task=options.task,
+            subtask=kind,
+            num_envs=options.worlds,
+            threads=options.threads,
+            seed=options.seed + i,
+            **profile_options(options),
+        )
+        for i, kind in enumerate(SUBTASKS_OF_TASK[options.task])
+    ]
+    for env in envs:
+        env.reset()
+    rng = np.random.default_rng(options.seed)
+    rounds = -(-options.steps // (options.worlds * len(envs)))
+    episodes, fallbacks = 0, 0
+    marks = {rounds * q // QUARTERS - 1 for q in range(1, QUARTERS + 1)}
+    memory: list[float] = []
+    tainted = dict.fromkeys(envs[0].taint_names, 0)
+    begun = time.perf_counter()
+    with progress_bar("random actions", rounds) as advance:
+        for number in range(rounds):
+            for env in envs:
+                *_, info = env.step(rng.uniform(-1, 1, env.action_space.shape).astype(np.float32))
+                if "final_info" in info:
+                    done, final = info["_final_info"], info["final_info"]
+                    episodes += int(done.sum())
+                    fallbacks += int(final["spawn_fallback"][done].sum())
+                    for bit, name in enumerate(env.taint_names):
+                        tainted[name] += int((final["taint"][done] >> bit & 1).sum())
+            if number in marks:
+                memory.append(resident_mb())
+            advance()
+    half, end = memory[len(memory) // 2 - 1] if len(memory) > 1 else memory[-1], memory[-1]
+    return {
+        "profile": options.profile, "steps": rounds * options.worlds * len(envs), "episodes": episodes,
+        "seconds": round(time.perf_counter() - begun, 1), "tainted": tainted,
+        "nan_resets": int(sum(env.nan_resets.sum() for env in envs)), "spawn_fallbacks": fallbacks, "rss_mb": memory,
+        "rss_growth": round(end / half - 1.0, 4) if half else 0.0,
+    }  # fmt: skip

@@ -1,0 +1,290 @@
+"""Configuration of the environments: frozen, with defaults, checked where it is made."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+from mjhab.config.profiles import DEFAULT_PROFILE, SPAWN_RULES, Profile, profile_named
+from mjhab.core.errors import UsageError, unknown_name
+from mjhab.scenes.spec import HANDLE_POINTS
+from mjhab.sim.backends import BACKENDS
+from mjhab.tasks.plan import KIND_NAMES, STILLNESS, TASKS, SubtaskConfig, TaskConfig
+from mjhab.tasks.rewards import REWARD_FORMULAS, REWARD_NORMALISERS, RewardOptions
+
+SPLITS = ("train", "val", "test")
+AUTORESET_MODES = ("same_step", "next_step", "disabled")
+RENDER_MODES = ("", "rgb_array")
+SUBTASKS_OF_TASK = {
+    "tidy_house": ("pick", "place", "navigate"),
+    "prepare_groceries": ("pick", "place", "navigate"),
+    "set_table": ("pick", "place", "navigate", "open", "close"),
+}
+REWARD_MODES = ("pointer", "sparse", "dense", "normalized_dense", "none")
+NAVIGATE_MODES = ("teleport", "drive")
+OF_PROFILE: Any = None
+"""Default of the options that the profile gives a value, where no other is given."""
+_LIMITS = tuple(part.name for part in dataclasses.fields(SubtaskConfig))
+TRAIN_NAVIGATE_HORIZON = 1000
+"""Navigation is trained over more steps than it is judged over (mshab/envs/navigate.py)."""
+
+
+@dataclass(frozen=True)
+class EnvConfig:
+    """What world to build and what to do in it.
+
+    profile: which values the options have whose default is OF_PROFILE, and ``horizon`` 0; see `profiles.Profile`. With
+    "ms_hab" they may not be given other values. Once the configuration is made they have their values.
+    task: HAB task. subtask: "" for the whole chain, or one kind of it, done alone to its horizon.
+    target: restricts ``subtask`` (or the draw of targets) to an object type or a link; "" or "all" for any.
+    split, home: homes to draw from, or one home by name (or a pattern such as ``v3_sc1_*``). assets: "builtin" or a
+    folder. seed: of the episodes. threads: 0 takes every core.
+    obs_mode: "state", or images too, see `observing.OBS_MODES`. cameras: of which of the robot's cameras; camera_size:
+    pixels, one number or (height, width). frame_stack: frames that `wrappers.FrameStack` stacks; 1: what it is told.
+    control_mode, base, stationary: see `controllers.make_controller`.
+    reward_mode: one of REWARD_MODES; "" is the pointer for a chain, sparse for one subtask. reward_scales: changes of
+    the scales of single dense reward terms, as {"pick": {"reach": 4.0}}. reward_formula, reward_normaliser: see
+    `tasks.rewards.RewardOptions`.
+    stillness: "absolute" or "published", see `TaskConfig.stillness`.
+    horizon: control steps of every subtask, 0 for those of the profile. continuous: one subtask runs to its horizon and
+    success may come and go; False ends it at success or failure; None: True for one subtask, False for a chain.
+    overrides: other values of `tasks.plan.TaskConfig`, as {"goal_type": "cylinder", "pick.force_limit": 2000}.
+    force_limits: False lifts the limits on the cumulative force.
+    episode_pool: 0 gives every reset an arrangement of its own; n draws one of n, so that a long training finds them
+    in the cache (where the robot starts is drawn anew each time all the same).
+    open_start: share of the resets of Open that find a drawer already 20 % of the way to open.
+    spawn_rule: "front_box" or "published", see `profiles.Profile`. spawns: file of precomputed starts
+    (`mjhab spawns make`). autoreset: what happens after an episode's end.
+    handle_points: what observations and rewards of Open and Close take for the handle: "ours", the point at which our
+    collision geometry is gripped, or "published", the point that the original's plans name (3 to 4 cm off). Built-in
+    furniture and the fridge's lower door have no published points and keep ours.
+    episodes_file: a file in the HAB format whose i-th episode is episode i, in the home it names; "" to generate.
+    navigate: of a chain: "teleport" puts the robot near every goal, as the paper does; "drive" leaves the way to the
+    policy, and arm and grasp count. Navigate alone is always driven.
+    render_mode: "rgb_array" makes ``render()`` give human views.
+    backend: "cpu"; "warp" for the environments on a GPU, `device.DeviceEnv`; "auto" is warp where there is CUDA.
+    device, starts, buffers: of backend warp: the device ("" for the first GPU; "cpu" is slow, for tests); how many
+    precomputed starts worlds draw from (0: by num_envs); other sizes of the engine's buffers (`BufferSizes`).
+    """
+
+    trains: ClassVar[bool] = False
+    """Whether it is a configuration of `make_train`."""
+
+    profile: str = DEFAULT_PROFILE
+    task: str = "set_table"
+    subtask: str = ""
+    target: str = ""
+    num_envs: int = 1
+    split: str = "train"
+    home: str = ""
+    assets: str = "builtin"
+    seed: int = 0
+    threads: int = 0
+    obs_mode: str = "state"
+    cameras: tuple[str, ...] = OF_PROFILE
+    camera_size: int | tuple[int, int] = 128
+    frame_stack: int = OF_PROFILE
+    control_mode: str = "pd_joint_delta_pos"
+    base: str = "forward"
+    stationary: tuple[str, ...] = OF_PROFILE
+    reward_mode: str = ""
+    reward_scales: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    reward_formula: str = OF_PROFILE
+    reward_normaliser: str = OF_PROFILE
+    stillness: str = OF_PROFILE
+    horizon: int = 0
+    continuous: bool | None = None
+    overrides: Mapping[str, Any] = field(default_factory=dict)
+    force_limits: bool = OF_PROFILE
+    episode_pool: int = 0
+    open_start: float = 0.0
+    spawn_rule: str = OF_PROFILE
+    spawns: str = ""
+    handle_points: str = OF_PROFILE
+    autoreset: str = "same_step"
+    episodes_file: str = ""
+    navigate: str = "teleport"
+    render_mode: str | None = ""
+    backend: str = "cpu"
+    device: str = ""
+    starts: int = 0
+    buffers: Mapping[str, int] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.target == "all":
+            object.__setattr__(self, "target", "")
+        self._take_profile(profile_named(self.profile))
+        _known("task", self.task, TASKS)
+        _known("split", self.split, SPLITS)
+        _known("autoreset mode", self.autoreset, AUTORESET_MODES)
+        _known("reward mode", self.reward_mode, ("", *REWARD_MODES))
+        _known("handle points", self.handle_points, HANDLE_POINTS)
+        _known("navigate mode", self.navigate, NAVIGATE_MODES)
+        _known("render mode", self.render_mode or "", RENDER_MODES)
+        _known("backend", self.backend, BACKENDS)
+        _known("stillness", self.stillness, STILLNESS)
+        _known("spawn rule", self.spawn_rule, SPAWN_RULES)
+        _known("reward formula", self.reward_formula, REWARD_FORMULAS)
+        _known("reward normaliser", self.reward_normaliser, REWARD_NORMALISERS)
+        if self.subtask:
+            _known("subtask", self.subtask, KIND_NAMES)
+            self._check_subtask()
+        elif self.continuous:
+            raise UsageError("continuous=True needs a subtask: in a chain, success is what brings the next subtask.")
+        self._check_numbers()
+
+    def of_profile(self) -> dict[str, Any]:
+        """The profile's name and the values in force of the options that depend on it, for the record of a run."""
+        names = profile_named(self.profile).options(self.subtask, trains=self.trains)
+        return {name: getattr(self, name) for name in ("profile", *names)}
+
+    def _take_profile(self, profile: Profile) -> None:
+        """Give the options that depend on the profile their values.
+
+        Raises:
+            UsageError: one was given a value that contradicts a binding profile.
+        """
+        for name, value in profile.options(self.subtask, trains=self.trains).items():
+            given = getattr(self, name)
+            missing = given is OF_PROFILE or (name == "horizon" and given == 0)
+            if missing:
+                object.__setattr__(self, name, value)
+            elif profile.binding and (tuple(given) if isinstance(given, list) else given) != value:
+                raise _contradiction(profile, name, value, given)
+        if profile.binding:
+            for name, value in self.overrides.items():
+                if name.partition(".")[2] in _LIMITS:
+                    raise _contradiction(profile, name, "that of the paper", value)
+
+    def _check_subtask(self) -> None:
+        if self.subtask not in SUBTASKS_OF_TASK[self.task]:
+            having = [t for t in TASKS if self.subtask in SUBTASKS_OF_TASK[t]]
+            raise UsageError(
+                f"task {self.task!r} has no subtask {self.subtask!r}; it has {', '.join(SUBTASKS_OF_TASK[self.task])}. "
+                f"{self.subtask!r} belongs to: {', '.join(having)}."
+            )
+        if self.reward_mode == "pointer":
+            raise UsageError("reward_mode 'pointer' counts the subtasks of a chain; a single one takes 'sparse'.")
+
+    def _check_numbers(self) -> None:
+        if isinstance(self.starts, str):
+            raise UsageError(
+                f"starts is the number of starts that the warp backend keeps, got {self.starts!r}; where the robot "
+                f"starts is spawn_rule: {', '.join(SPAWN_RULES)}."
+            )
+        least = {"num_envs": 1, "threads": 0, "horizon": 0, "episode_pool": 0, "starts": 0, "frame_stack": 1}
+        for name, low in least.items():
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int) or value < low:
+                raise UsageError(f"{name} must be a whole number of at least {low}, got {value!r}")
+        if not 0.0 <= self.open_start <= 1.0:
+            raise UsageError(f"open_start is a share of resets between 0 and 1, got {self.open_start}")
+
+    @property
+    def reward(self) -> str:
+        """The reward mode in force."""
+        return self.reward_mode or ("sparse" if self.subtask else "pointer")
+
+    @property
+    def reward_options(self) -> RewardOptions:
+        """How dense rewards are computed."""
+        return RewardOptions(self.reward_scales, self.reward_formula, self.reward_normaliser)
+
+    @property
+    def teleports(self) -> bool:
+        """Whether the environment does the navigation of a chain."""
+        return not self.subtask and self.navigate == "teleport"
+
+    @property
+    def runs_to_horizon(self) -> bool:
+        """Whether an episode goes on after success (continuous evaluation)."""
+        return bool(self.subtask) if self.continuous is None else self.continuous
+
+
+@dataclass(frozen=True)
+class TrainConfig(EnvConfig):
+    """Configuration of the SubtaskTrain environments: EnvConfig with the defaults of training.
+
+    Episodes come from a pool of 1,000, the reward is dense and at most 1, one reset in ten of an Open finds the drawer
+    ajar (mshab/envs/open.py: without it learning does not start), and Navigate is driven and judged whole.
+    """
+
+    trains: ClassVar[bool] = True
+
+    subtask: str = "pick"
+    reward_mode: str = "normalized_dense"
+    episode_pool: int = 1000
+    open_start: float = 0.1
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.subtask:
+            raise UsageError(f"a SubtaskTrain environment needs a subtask: {', '.join(KIND_NAMES)}")
+
+
+def task_config(config: EnvConfig, rest_qpos: tuple[float, ...]) -> TaskConfig:
+    """The thresholds in force: those of the paper, changed by the options of ``config``.
+
+    Raises:
+        UsageError: an override names no threshold, or its value has the wrong type.
+    """
+    base = TaskConfig(
+        rest_qpos=rest_qpos,
+        continuous=config.runs_to_horizon,
+        ignore_arm=config.teleports,
+        stillness=config.stillness,
+    )
+    if config.trains:
+        base = dataclasses.replace(base, navigate=dataclasses.replace(base.navigate, horizon=TRAIN_NAVIGATE_HORIZON))
+    changes: dict[str, Any] = {}
+    for kind in KIND_NAMES:
+        limits: SubtaskConfig = getattr(base, kind)
+        if config.horizon:
+            limits = dataclasses.replace(limits, horizon=config.horizon)
+        if not config.force_limits:
+            limits = dataclasses.replace(limits, force_limit=math.inf)
+        changes[kind] = limits
+    for name, value in config.overrides.items():
+        _override(base, changes, name, value)
+    return dataclasses.replace(base, **changes)
+
+
+def _override(base: TaskConfig, changes: dict[str, Any], name: str, value: Any) -> None:
+    """Put one override into ``changes``, checked against the type of the present value."""
+    group, _, part = name.partition(".")
+    owner: Any = changes.get(group) if part else base
+    apart = (*KIND_NAMES, "rest_qpos", "continuous", "stillness")
+    plain = [f.name for f in dataclasses.fields(base) if f.name not in apart]
+    nested = [f"{kind}.{f.name}" for kind in KIND_NAMES for f in dataclasses.fields(SubtaskConfig)]
+    if name == "stillness":
+        raise UsageError(f"stillness is an option of its own, not one of the overrides: give stillness={value!r}.")
+    if name not in (*plain, *nested):
+        raise unknown_name("task-config override", name, (*plain, *nested))
+    present = getattr(owner, part or name)
+    new: Any = ()
+    with contextlib.suppress(TypeError, ValueError):
+        new = type(present)(value) if not isinstance(present, bool) else value
+    good = isinstance(value, bool) == isinstance(present, bool) and new == value
+    if not good or (isinstance(present, tuple) and len(present) != len(tuple(new))):
+        raise UsageError(f"override {name} must be like {present!r}, got {value!r}")
+    if part:
+        changes[group] = dataclasses.replace(owner, **{part: new})
+    else:
+        changes[name] = new
+
+
+def _contradiction(profile: Profile, name: str, value: Any, given: Any) -> UsageError:
+    """The error for an option that a profile does not leave free."""
+    return UsageError(
+        f"profile {profile.name!r} has {name} {value!r}, which {name}={given!r} contradicts. Leave out {name}, or the "
+        f"profile: {DEFAULT_PROFILE!r} leaves all options free."
+    )
+
+
+def _known(what: str, name: str, valid: tuple[str, ...]) -> None:
+    if name not in valid:
+        raise unknown_name(what, name, valid)

@@ -1,0 +1,315 @@
+"""Recorded episodes as a LeRobot data set, v3.0 or v2.1: tables in parquet, films in mp4, the rest in meta.
+
+A row is what was seen before an action, the action, and what came of it: N rows for N actions. The state after the last
+action has no row. Depth is not film (LeRobot up to 0.4 cannot keep it in one without loss): it is a column of whole
+numbers, millimetres, as in the shard.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from mjhab.core.errors import UsageError, unknown_name
+from mjhab.data.export.folders import Target, whole_folder
+from mjhab.data.export.lerobot.files import VERSIONS, Files, write_json
+from mjhab.data.export.lerobot.pieces import FilmTools, Made, Pieces
+from mjhab.data.export.lerobot.stats import Stats, image_stats, map_stats, sampled, vector_stats
+from mjhab.data.select.describing import state_names, subtask_words, task_words
+from mjhab.data.select.query import Filter
+from mjhab.data.select.sets import nothing_passes, select
+from mjhab.data.store.reading import Episode, open_shard
+from mjhab.data.store.schema import STEP_SECONDS
+from mjhab.data.store.shard import last_label
+
+FPS = round(1 / STEP_SECONDS)
+ROBOT = "fetch"
+STATE, ACTION = "observation.state", "action"
+INTENDED = "intended_action"
+"""Not "action.intended": LeRobot takes every feature whose name begins with "action" for what a policy must give."""
+Features = dict[str, dict[str, Any]]
+"""What info.json says of every column and film: dtype, shape, names."""
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What was written; ``images``: names of the films and depth columns."""
+
+    episodes: int
+    frames: int
+    images: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What of the images to export, if it is there: colour as films, depth as columns."""
+
+    rgb: bool = True
+    depth: bool = True
+
+
+def export_lerobot(
+    places: Path | Sequence[Path],
+    out: Path,
+    films: FilmTools,
+    *,
+    version: str = "3.0",
+    where: Filter | None = None,
+    choice: Choice | None = None,
+    overwrite: bool = False,
+    resume: bool = False,
+    options: Mapping[str, Any] | None = None,
+    begin: Callable[[int], Callable[[], object]] | None = None,
+) -> Exported:
+    """Write the episodes that pass the filter, in order of shard and name, as a data set that appears whole or not.
+
+    Args:
+        places: shards or folders of them.
+        out: folder of the data set.
+        films: how films are made.
+        version: "3.0" or "2.1".
+        where: which episodes; all of them if None.
+        choice: which images.
+        overwrite: take the place of a data set that is there.
+        resume: go on with an export that was stopped: episodes that are done are not read or coded again.
+        options: plain data that decides what ``films`` makes; an export goes on with the same only.
+        begin: told the number of episodes; gives what is called after each.
+
+    Raises:
+        UsageError, StorageError: no episode passes, episodes differ in what they hold; see ``whole_folder``.
+        DamagedError: an episode is damaged, or holds numbers that are not finite.
+    """
+    if version not in VERSIONS:
+        raise unknown_name("LeRobot version", version, VERSIONS)
+    found = select(places, where)
+    if not found.matched:
+        raise nothing_passes()
+    choice = choice or Choice()
+    after = begin(len(found.matched)) if begin else None
+    job = {"format": "lerobot", "version": version, **vars(choice), **(options or {}), "episodes": found.fingerprint}
+    with whole_folder(Target(out, "meta/info.json", overwrite, resume), job) as filling:
+        pieces = Pieces(filling.work, FPS, films)
+        export = _Export(filling.root, VERSIONS[version](filling.root, FPS), pieces, choice)
+        for path, name in found.matched:
+            export.add(path, name)
+            if after is not None:
+                after()
+        return export.finish()
+
+
+@dataclass(frozen=True)
+class _Numbers:
+    """Numbers that the names in one episode have in the data set: its task, the subtasks of its plan, its actors."""
+
+    task: int
+    subtasks: list[int]
+    actors: list[int]
+
+
+class _Export:
+    """An export that is under way."""
+
+    def __init__(self, root: Path, files: Files, pieces: Pieces, choice: Choice) -> None:
+        self._root, self._files, self._pieces, self._choice = root, files, pieces, choice
+        self._features: Features = {}
+        self._tasks: dict[str, int] = {}
+        self._subtasks: dict[str, int] = {}
+        self._actors: dict[str, int] = {}
+        self._made: list[Made] = []
+        self._frames = 0
+
+    def add(self, path: Path, name: str) -> None:
+        """Write one episode, unless that is done."""
+        number = len(self._made)
+        made = self._pieces.made(number)
+        if made is None or not self._features:
+            with open_shard(path) as shard:
+                episode = shard.episode(name)
+                episode.refuse_damage()
+                features = describe(episode, self._choice)
+                self._features = self._features or features
+                if features != self._features:
+                    raise _differs(episode, self._features, features)
+                made = made or self._make(number, episode)
+        self._count(made)
+        self._made.append(made)
+        self._frames += made.steps
+
+    def _count(self, made: Made) -> _Numbers:
+        """Numbers of the names in an episode, in the order in which they first came."""
+        return _Numbers(
+            self._tasks.setdefault(made.row["tasks"][0], len(self._tasks)),
+            [self._subtasks.setdefault(text, len(self._subtasks)) for text in made.subtasks],
+            [self._actors.setdefault(name, len(self._actors)) for name in made.actors],
+        )
+
+    def _make(self, number: int, episode: Episode) -> Made:
+        record = episode.record
+        row: dict[str, Any] = {"episode_index": number, "tasks": [task_words(record)], "length": episode.steps}
+        row |= {"source": episode.name, "home": record.home, "label": last_label(record)}
+        row["lacks"] = ",".join(episode.lacks)
+        plan = [subtask_words(entry.kind, entry.target) for entry in record.plan]
+        made = Made(row, {}, 0, {}, plan, list(episode.actors), episode.run.licence)
+        columns = self._columns(episode, number, self._count(made))
+        table = to_table(columns)
+        self._pieces.add_table(number, table)
+        made.stats.update({key: _column_stats(values, self._features[key]) for key, values in columns.items()})
+        for key in _films(self._features):
+            samples: list[np.ndarray] = []
+            camera = key.rpartition(".")[2]
+            self._pieces.add_film(number, key, _shown(episode, camera, samples))
+            made.films[key] = len(episode.array(f"images/{camera}/rgb/bytes"))
+            made.stats[key] = image_stats(np.stack(samples))
+        made = replace(made, size=table.nbytes)
+        self._pieces.finish(number, made)
+        return made
+
+    def _columns(self, episode: Episode, number: int, numbers: _Numbers) -> dict[str, np.ndarray]:
+        count = episode.steps
+        done = np.zeros(count, bool)
+        done[-1] = True
+        active = np.minimum(episode.array("subtasks/active")[:count], len(numbers.subtasks) - 1)
+        columns = {
+            STATE: episode.array("obs/state")[:count],
+            ACTION: episode.array("actions"),
+            INTENDED: episode.array("actions_intended"),
+            "next.reward": episode.array("reward/total").astype(np.float32),
+            "next.success": episode.array("reward/success").astype(bool),
+            "next.done": done,
+            "subtask_index": np.array(numbers.subtasks, np.int64)[active],
+            "actor_index": np.array(numbers.actors, np.int64)[episode.array("actor")],
+            "timestamp": (np.arange(count) / FPS).astype(np.float32),
+            "frame_index": np.arange(count),
+            "episode_index": np.full(count, number),
+            "index": np.arange(self._frames, self._frames + count),
+            "task_index": np.full(count, numbers.task),
+        }
+        for key, feature in self._features.items():
+            if key.startswith("observation.depth."):
+                frames = [episode.frame(key.rpartition(".")[2], "depth", t)[..., 0] for t in range(count)]
+                columns[key] = np.stack(frames).astype(feature["dtype"])
+        return columns
+
+    def finish(self) -> Exported:
+        """Write what describes the whole."""
+        self._files.arrange(self._pieces, self._made)
+        self._files.describe([made.row for made in self._made], [made.stats for made in self._made])
+        self._files.write_names("task", list(self._tasks))
+        self._files.write_names("subtask", list(self._subtasks))
+        self._files.write_names("actor", list(self._actors))
+        films = _films(self._features)
+        info = {
+            "codebase_version": self._files.version,
+            "robot_type": ROBOT,
+            "total_episodes": len(self._made),
+            "total_frames": self._frames,
+            "total_tasks": len(self._tasks),
+            "fps": FPS,
+            "splits": {"train": f"0:{len(self._made)}"},
+            **self._files.paths,
+            "features": self._features,
+        }
+        if not films:
+            info["video_path"] = None
+        write_json(self._root / "meta/info.json", info)
+        licences = dict.fromkeys(made.licence for made in self._made)
+        (self._root / "README.md").write_text(_card(len(self._made), self._frames, licences), encoding="utf-8")
+        images = [key for key in self._features if key.startswith(("observation.images.", "observation.depth."))]
+        return Exported(len(self._made), self._frames, tuple(images))
+
+
+def describe(episode: Episode, choice: Choice) -> Features:
+    """The features of an episode as LeRobot names them."""
+    names = state_names(episode.columns("obs/state"))
+    actions = [str(name) for name in episode.run.layout.get("actions", [])]
+    state_size, action_size = episode.array("obs/state").shape[1], episode.array("actions").shape[1]
+    action = _feature("float32", (action_size,), actions if len(actions) == action_size else None)
+    features: Features = {
+        STATE: _feature("float32", (state_size,), names if len(names) == state_size else None),
+        ACTION: action,
+        INTENDED: dict(action),
+        "next.reward": _feature("float32"),
+        "next.success": _feature("bool"),
+        "next.done": _feature("bool"),
+        "subtask_index": _feature("int64"),
+        "actor_index": _feature("int64"),
+        "timestamp": _feature("float32"),
+        **{key: _feature("int64") for key in ("frame_index", "episode_index", "index", "task_index")},
+    }
+    for camera, output in episode.images:
+        height, width = episode.frame(camera, output, 0).shape[:2]
+        if output == "depth" and choice.depth:
+            features[f"observation.depth.{camera}"] = _feature("int16", (height, width), ["height", "width"])
+        if output == "rgb" and choice.rgb:
+            features[f"observation.images.{camera}"] = _film_feature(height, width)
+    return features
+
+
+def _feature(dtype: str, shape: tuple[int, ...] = (1,), names: list[str] | None = None) -> dict[str, Any]:
+    return {"dtype": dtype, "shape": list(shape), "names": names}
+
+
+def _film_feature(height: int, width: int) -> dict[str, Any]:
+    # A film of 4:2:0 colour has even sides; the film writer repeats a row or a column.
+    height, width = height + height % 2, width + width % 2
+    info = {
+        "video.height": height, "video.width": width, "video.codec": "h264", "video.pix_fmt": "yuv420p",
+        "video.is_depth_map": False, "video.fps": FPS, "video.channels": 3, "has_audio": False,
+    }  # fmt: skip
+    return {**_feature("video", (height, width, 3), ["height", "width", "channels"]), "info": info}
+
+
+def _films(features: Features) -> list[str]:
+    return [key for key, feature in features.items() if feature["dtype"] == "video"]
+
+
+def _shown(episode: Episode, camera: str, samples: list[np.ndarray]) -> Iterator[np.ndarray]:
+    """The frames that have an action; some of them go into ``samples``."""
+    chosen = sampled(episode.steps)
+    for t in range(episode.steps):
+        frame = episode.frame(camera, "rgb", t)
+        if t in chosen:
+            samples.append(frame)
+        yield frame
+
+
+def _column_stats(values: np.ndarray, feature: dict[str, Any]) -> Stats:
+    return map_stats(values) if len(feature["shape"]) > 1 else vector_stats(values)
+
+
+def to_table(columns: dict[str, np.ndarray]) -> pa.Table:
+    """Columns (N,), (N, D) or (N, H, W) as a table: numbers, lists of fixed length, lists of lists."""
+    return pa.table({key: _array(values) for key, values in columns.items()})
+
+
+def _array(values: np.ndarray) -> pa.Array:
+    flat = pa.array(np.ascontiguousarray(values).reshape(-1))
+    if values.ndim == 1:
+        return flat
+    if values.ndim == 2:
+        return pa.FixedSizeListArray.from_arrays(flat, values.shape[1])
+    count, height, width = values.shape
+    rows = pa.ListArray.from_arrays(pa.array(np.arange(count * height + 1, dtype=np.int32) * width), flat)
+    return pa.ListArray.from_arrays(pa.array(np.arange(count + 1, dtype=np.int32) * height), rows)
+
+
+def _differs(episode: Episode, first: Features, other: Features) -> UsageError:
+    names = [key for key in {**first, **other} if first.get(key) != other.get(key)]
+    return UsageError(
+        f"episode {episode.name} of {episode.shard.path} differs from the ones before it in {', '.join(names)}; a data "
+        "set needs the same in all. Choose with --where, or leave images out with --no-rgb and --no-depth."
+    )
+
+
+def _card(episodes: int, frames: int, licences: dict[str, None]) -> str:
+    lines = [
+        "---", "tags: [LeRobot, mjhab]", "task_categories: [robotics]", "configs:", "- config_name: default",
+        "  data_files: data/*/*.parquet", "---", "", f"{episodes} episodes, {frames} frames at {FPS} Hz of a simulated "
+        "Fetch robot in furnished homes, recorded by mjhab.", "", "Assets: " + "; ".join(licences), "",
+    ]  # fmt: skip
+    return "\n".join(lines)

@@ -1,0 +1,213 @@
+"""The folders of a LeRobot data set: where tables, films and descriptions lie in v3.0 and in v2.1.
+
+After lerobot 0.4.4 (v3.0) and 0.3.3 (v2.1): lerobot/datasets/utils.py and lerobot_dataset.py.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from mjhab.core.paths import below
+from mjhab.data.export.lerobot.pieces import Made, Pieces
+from mjhab.data.export.lerobot.stats import QUANTILES, Stats, aggregate
+
+CHUNK = 1000
+"""Files in a folder."""
+DATA_MB, VIDEO_MB = 100, 200
+"""About the largest size of a file of tables and of films in v3.0 [MB]."""
+_MB = 1 << 20
+_COMPRESSION = "zstd"
+
+
+class Files(Protocol):
+    """Where a version puts things. ``version``: its name; ``paths``: what info.json says of it."""
+
+    version: str
+    paths: dict[str, Any]
+
+    def arrange(self, pieces: Pieces, made: Sequence[Made]) -> None:
+        """Put what was made of all episodes where it belongs; adds to their rows where that is.
+
+        It can be stopped and called again: what is in place is not touched, and a piece goes when it is.
+        """
+        ...
+
+    def describe(self, episodes: Sequence[dict[str, Any]], stats: Sequence[dict[str, Stats]]) -> None:
+        """Write the table of episodes and the statistics."""
+        ...
+
+    def write_names(self, what: str, names: Sequence[str]) -> None:
+        """Write the list of tasks, subtasks or actors; ``what`` is "task", "subtask" or "actor"."""
+        ...
+
+
+class Files30:
+    """v3.0: many episodes in a file."""
+
+    version = "v3.0"
+
+    def __init__(self, root: Path, fps: int) -> None:
+        self.root, self._fps = root, fps
+        self.paths: dict[str, Any] = {
+            "chunks_size": CHUNK,
+            "data_files_size_in_mb": DATA_MB,
+            "video_files_size_in_mb": VIDEO_MB,
+            "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
+            "video_path": "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4",
+        }
+
+    def arrange(self, pieces: Pieces, made: Sequence[Made]) -> None:
+        """See `Files`."""
+        first = 0
+        for file, numbers in enumerate(_packed([each.size for each in made], DATA_MB * _MB)):
+            place = _place(file)
+            pieces.join_tables(numbers, below(self.root, self.paths["data_path"].format(**place)))
+            for number in numbers:
+                last = first + made[number].steps
+                made[number].row.update({f"data/{name}": value for name, value in place.items()})
+                made[number].row.update(dataset_from_index=first, dataset_to_index=last)
+                first = last
+        for key in made[0].films:
+            self._arrange_films(pieces, made, key)
+
+    def _arrange_films(self, pieces: Pieces, made: Sequence[Made], key: str) -> None:
+        for file, numbers in enumerate(_packed([each.films[key] for each in made], VIDEO_MB * _MB)):
+            place, first = _place(file), 0
+            pieces.join_films(numbers, key, below(self.root, self.paths["video_path"].format(video_key=key, **place)))
+            for number in numbers:
+                last = first + made[number].steps
+                times = {"from_timestamp": first / self._fps, "to_timestamp": last / self._fps}
+                made[number].row.update({f"videos/{key}/{name}": v for name, v in {**place, **times}.items()})
+                first = last
+
+    def describe(self, episodes: Sequence[dict[str, Any]], stats: Sequence[dict[str, Stats]]) -> None:
+        """See `Files`."""
+        rows = [
+            {**row, **_flat(each), "meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0}
+            for row, each in zip(episodes, stats, strict=True)
+        ]
+        path = _folder(self.root / "meta/episodes/chunk-000/file-000.parquet")
+        pq.write_table(pa.Table.from_pylist(rows), path, compression=_COMPRESSION)
+        write_json(self.root / "meta/stats.json", stats_lists(aggregate(stats)))
+
+    def write_names(self, what: str, names: Sequence[str]) -> None:
+        """See `Files`."""
+        table = pa.table({f"{what}_index": pa.array(range(len(names)), pa.int64()), _INDEX: list(names)})
+        meta = json.dumps(_pandas(f"{what}_index"))
+        pq.write_table(table.replace_schema_metadata({"pandas": meta}), _folder(self.root / f"meta/{what}s.parquet"))
+
+
+class Files21:
+    """v2.1: one file of rows, and one film per camera, for each episode."""
+
+    version = "v2.1"
+
+    def __init__(self, root: Path, fps: int) -> None:
+        self.root = root
+        self.paths: dict[str, Any] = {
+            "total_videos": 0,
+            "total_chunks": 0,
+            "chunks_size": CHUNK,
+            "data_path": "data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet",
+            "video_path": "videos/chunk-{episode_chunk:03d}/{video_key}/episode_{episode_index:06d}.mp4",
+        }
+
+    def arrange(self, pieces: Pieces, made: Sequence[Made]) -> None:
+        """See `Files`."""
+        self.paths["total_chunks"] = -(-len(made) // CHUNK)
+        self.paths["total_videos"] = sum(len(each.films) for each in made)
+        for number, each in enumerate(made):
+            place = {"episode_chunk": number // CHUNK, "episode_index": number}
+            pieces.join_tables([number], below(self.root, self.paths["data_path"].format(**place)))
+            for key in each.films:
+                path = below(self.root, self.paths["video_path"].format(video_key=key, **place))
+                pieces.join_films([number], key, path)
+
+    def describe(self, episodes: Sequence[dict[str, Any]], stats: Sequence[dict[str, Stats]]) -> None:
+        """See `Files`."""
+        write_lines(self.root / "meta/episodes.jsonl", episodes)
+        # v2.1 knows no quantiles.
+        plain = [{k: {n: v for n, v in s.items() if n not in QUANTILES} for k, s in each.items()} for each in stats]
+        rows = [{"episode_index": number, "stats": stats_lists(each)} for number, each in enumerate(plain)]
+        write_lines(self.root / "meta/episodes_stats.jsonl", rows)
+
+    def write_names(self, what: str, names: Sequence[str]) -> None:
+        """See `Files`."""
+        write_lines(self.root / f"meta/{what}s.jsonl", [{f"{what}_index": i, what: n} for i, n in enumerate(names)])
+
+
+VERSIONS: dict[str, type[Files30] | type[Files21]] = {"3.0": Files30, "2.1": Files21}
+"""Versions of the format that can be written."""
+
+
+def _packed(sizes: Sequence[int], most: int) -> list[list[int]]:
+    """Consecutive numbers in groups, each as large as it can be; one that is too large is alone."""
+    groups: list[list[int]] = []
+    total = 0
+    for number, size in enumerate(sizes):
+        if not groups or total + size > most:
+            groups.append([])
+            total = 0
+        groups[-1].append(number)
+        total += size
+    return groups
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write JSON for people to read too."""
+    _folder(path).write_text(json.dumps(value, indent=4, ensure_ascii=False), encoding="utf-8")
+
+
+def write_lines(path: Path, rows: Iterable[Any]) -> None:
+    """Write one line of JSON per row."""
+    _folder(path).write_text("".join(json.dumps(row, ensure_ascii=False) + "\n" for row in rows), encoding="utf-8")
+
+
+_INDEX = "__index_level_0__"
+
+
+def _pandas(column: str) -> dict[str, Any]:
+    """What pandas keeps in a file to know that texts are the index of its table: LeRobot reads them as that."""
+
+    def entry(name: str | None, field: str, kind: str, numpy: str) -> dict[str, Any]:
+        return {"name": name, "field_name": field, "pandas_type": kind, "numpy_type": numpy, "metadata": None}
+
+    return {
+        "index_columns": [_INDEX],
+        "column_indexes": [
+            {
+                "name": None,
+                "field_name": None,
+                "pandas_type": "unicode",
+                "numpy_type": "object",
+                "metadata": {"encoding": "UTF-8"},
+            }
+        ],
+        "columns": [entry(column, column, "int64", "int64"), entry(None, _INDEX, "unicode", "object")],
+        "creator": {"library": "pyarrow", "version": pa.__version__},
+        "pandas_version": "2.0.0",
+    }
+
+
+def _place(number: int) -> dict[str, int]:
+    return {"chunk_index": number // CHUNK, "file_index": number % CHUNK}
+
+
+def _folder(path: Path) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return path
+
+
+def stats_lists(stats: Mapping[str, Stats]) -> dict[str, dict[str, Any]]:
+    """Statistics as plain data."""
+    return {key: {name: value.tolist() for name, value in each.items()} for key, each in stats.items()}
+
+
+def _flat(stats: Mapping[str, Stats]) -> dict[str, Any]:
+    return {f"stats/{key}/{name}": value for key, each in stats_lists(stats).items() for name, value in each.items()}

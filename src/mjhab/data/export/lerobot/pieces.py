@@ -1,0 +1,144 @@
+"""What a LeRobot export has made of each episode, kept until all are there: an export that is stopped can go on.
+
+<number>.parquet      the rows of an episode
+<number>.<key>.mp4    a film of it
+<number>.json         what else the data set says of it; written last, so that an episode with one is done
+
+Files of many episodes are joined from these at the end. Films are joined without coding them again.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from mjhab.core.cache import write_atomic
+from mjhab.core.paths import below
+from mjhab.data.export.lerobot.stats import Stats
+from mjhab.rollout.films import Film
+
+_COMPRESSION = "zstd"
+
+
+@dataclass(frozen=True)
+class FilmTools:
+    """How films are made. ``open`` is given a path and frames per second; ``join`` puts films one after another into a
+    new one, without coding them again."""
+
+    open: Callable[[Path, int], Film]
+    join: Callable[[Sequence[Path], Path], object]
+
+
+@dataclass(frozen=True)
+class Made:
+    """What a data set says of an episode: plain data but for ``stats``.
+
+    row: of the table of episodes. size: of its rows in memory [bytes]; films: of the images of each film [bytes].
+    subtasks: words for those of its plan. actors: names of those who can act in it.
+    """
+
+    row: dict[str, Any]
+    stats: dict[str, Stats]
+    size: int
+    films: dict[str, int]
+    subtasks: list[str]
+    actors: list[str]
+    licence: str
+
+    @property
+    def steps(self) -> int:
+        """Rows of the episode."""
+        return self.row["length"]
+
+
+class Pieces:
+    """The pieces in a folder, by number of the episode."""
+
+    def __init__(self, folder: Path, fps: int, films: FilmTools) -> None:
+        self._folder, self._fps, self._tools = folder, fps, films
+
+    def made(self, number: int) -> Made | None:
+        """What was made of an episode; None if it is not done."""
+        path = self._path(number, "json")
+        if not path.exists():
+            return None
+        plain = json.loads(path.read_text(encoding="utf-8"))
+        plain["stats"] = {
+            key: {name: np.array(value) for name, value in each.items()} for key, each in plain["stats"].items()
+        }
+        return Made(**plain)
+
+    def add_table(self, number: int, table: pa.Table) -> None:
+        """Write the rows of an episode."""
+        path = self._path(number, "parquet")
+        pq.write_table(table, path, compression=_COMPRESSION)
+        _sync(path)
+
+    def add_film(self, number: int, key: str, frames: Iterable[np.ndarray]) -> None:
+        """Write a film of an episode."""
+        path = self._path(number, f"{key}.mp4")
+        film = self._tools.open(path, self._fps)
+        try:
+            for frame in frames:
+                film.add(frame)
+            film.close()
+        except BaseException:
+            film.abort()
+            raise
+        _sync(path)
+
+    def finish(self, number: int, made: Made) -> None:
+        """Say that an episode is done."""
+        plain = asdict(made)
+        plain["stats"] = {key: {name: v.tolist() for name, v in each.items()} for key, each in made.stats.items()}
+        text = json.dumps(plain, ensure_ascii=False)
+        write_atomic(self._path(number, "json"), lambda path: path.write_text(text, encoding="utf-8"))
+
+    def join_tables(self, numbers: Sequence[int], out: Path) -> None:
+        """Make the rows of episodes one file, unless it is there; their pieces go."""
+
+        def join(paths: Sequence[Path], whole: Path) -> None:
+            with pq.ParquetWriter(whole, pq.read_schema(paths[0]), compression=_COMPRESSION) as writer:
+                for path in paths:
+                    writer.write_table(pq.read_table(path))
+
+        self._join(numbers, "parquet", out, join)
+
+    def join_films(self, numbers: Sequence[int], key: str, out: Path) -> None:
+        """Make films of episodes one file, unless it is there; their pieces go."""
+        self._join(numbers, f"{key}.mp4", out, self._tools.join)
+
+    def _join(
+        self, numbers: Sequence[int], kind: str, out: Path, join: Callable[[Sequence[Path], Path], object]
+    ) -> None:
+        paths = [self._path(number, kind) for number in numbers]
+        if not out.exists():
+            out.parent.mkdir(parents=True, exist_ok=True)
+            whole = paths[0]
+            if len(paths) > 1:
+                whole = below(self._folder, f"joined.{kind}")
+                join(paths, whole)
+                _sync(whole)
+            os.replace(whole, out)
+        for path in paths:
+            path.unlink(missing_ok=True)
+
+    def _path(self, number: int, kind: str) -> Path:
+        return below(self._folder, f"{number:06d}.{kind}")
+
+
+def _sync(path: Path) -> None:
+    """Bring a file to the disk: what says that an episode is done must not be there before it."""
+    fd = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(fd)
+    finally:
+        os.close(fd)

@@ -1,0 +1,212 @@
+"""Recorded episodes in the layout of MS-HAB's own data set, for its behaviour cloning and diffusion policy scripts.
+
+``<out>/<task>/<subtask>/<target>.h5`` with a ``.json`` beside each, as mshab/envs/wrappers/record.py writes them. Its
+scripts join ``obs/agent`` and then ``obs/extra`` to the state in the order in which groups list their members: groups
+keep the order of our ``obs/state``. They train on ``actions``, those that were executed; ``actions_intended`` and
+``actor`` (a place in "actors" of the ``.json``) stand beside them.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from mjhab.core.paths import below
+from mjhab.data.export.folders import Target, whole_folder
+from mjhab.data.imports.ms_hab_layout import SOURCE_TYPE, TRAJECTORY, TRUTHS, to_events, to_verbose
+from mjhab.data.select.facts import target_of
+from mjhab.data.select.query import Filter
+from mjhab.data.select.sets import nothing_passes, select
+from mjhab.data.store.hdf5 import change_file, make_file
+from mjhab.data.store.hdf5 import group as subgroup
+from mjhab.data.store.journal import recover
+from mjhab.data.store.reading import Episode, open_shard
+from mjhab.data.store.shard import last_label
+from mjhab.rollout.records import EpisodeRecord
+
+CHAIN = "sequential_task"
+"""Name of the folder of whole chains."""
+_GZIP = 5
+"""As in the original; for images only."""
+
+
+@dataclass(frozen=True)
+class ManiSkillSet:
+    """What was written. ``without_depth``: episodes without depth images, which the original's scripts cannot use."""
+
+    episodes: int
+    frames: int
+    files: tuple[Path, ...]
+    without_depth: int
+
+
+def export_maniskill(
+    places: Path | Sequence[Path],
+    out: Path,
+    *,
+    where: Filter | None = None,
+    overwrite: bool = False,
+    resume: bool = False,
+    begin: Callable[[int], Callable[[], object]] | None = None,
+) -> ManiSkillSet:
+    """Write the episodes that pass the filter as files of trajectories, in a folder that appears whole or not.
+
+    Args:
+        places: shards or folders of them.
+        out: the folder; it holds what the original calls rearrange-dataset.
+        where: which episodes; all of them if None. The original keeps one label per subtask, see the presets.
+        overwrite: take the place of an export that is there.
+        resume: go on with an export that was stopped: what it has is not written again.
+        begin: told the number of episodes; gives what is called after each.
+
+    Raises:
+        UsageError, StorageError: no episode passes; see ``whole_folder``.
+        DamagedError: an episode is damaged, or holds numbers that are not finite.
+    """
+    found = select(places, where)
+    if not found.matched:
+        raise nothing_passes()
+    after = begin(len(found.matched)) if begin else None
+    without, files = 0, dict[Path, _File]()
+    target = Target(out, "*/*/*.h5", overwrite, resume)
+    with whole_folder(target, {"format": "maniskill", "episodes": found.fingerprint}) as filling:
+        for (path, name), record in zip(found.matched, found.records, strict=True):
+            place = place_of(record)
+            if place not in files:
+                files[place] = _File(below(filling.root, place), filling.work)
+            with open_shard(path) as shard:
+                episode = shard.episode(name)
+                episode.refuse_damage()
+                files[place].add(episode)
+                without += not any(output == "depth" for _, output in episode.images)
+            if after is not None:
+                after()
+        for file in files.values():
+            file.describe()
+    frames = sum(record.steps for record in found.records)
+    return ManiSkillSet(len(found.matched), frames, tuple(out / place for place in files), without)
+
+
+def place_of(record: EpisodeRecord) -> Path:
+    """Where an episode goes: task/subtask/target.h5, with the piece of furniture as the target of a link."""
+    if not record.subtask:
+        return Path(record.task, CHAIN, "all.h5")
+    target = target_of(record)
+    return Path(record.task, record.subtask, f"{target.rpartition('/')[0] or target}.h5")
+
+
+class _File:
+    """One file of trajectories while it is written; one that a stopped process has left is gone on with."""
+
+    def __init__(self, path: Path, work: Path) -> None:
+        self._path = path
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.exists():
+            recover(path)
+        else:
+            make_file(work / path.name, {})
+            os.replace(work / path.name, path)
+        with h5py.File(path, "r", locking=False) as file:
+            self._present = len(file)
+        self._episodes: list[dict[str, Any]] = []
+        self._runs: dict[str, Any] = {}
+
+    def add(self, episode: Episode) -> None:
+        """Add an episode as the next trajectory, unless it is there."""
+        number = len(self._episodes)
+        if number >= self._present:
+            change_file(
+                self._path, lambda file: _put(file.create_group(f"{TRAJECTORY}{number}", track_order=True), episode)
+            )
+        self._episodes.append(_episode_info(number, episode))
+        self._runs.setdefault(episode.run.id, vars(episode.run))
+
+    def describe(self) -> None:
+        """Write what is said of the trajectories beside them."""
+        env = next(iter(self._runs.values()))["config"].get("env", {})
+        subtask = env.get("subtask")
+        value = {
+            "env_info": {
+                "env_id": f"{subtask.capitalize()}SubtaskTrain-v0" if subtask else "SequentialTask-v0",
+                "env_kwargs": env,
+                "max_episode_steps": max(each["elapsed_steps"] for each in self._episodes),
+            },
+            "commit_info": {"mjhab": [run["commit"] for run in self._runs.values()]},
+            "source_type": SOURCE_TYPE,
+            "source_desc": "recorded by mjhab (MuJoCo), not by ManiSkill",
+            "runs": self._runs,
+            "episodes": self._episodes,
+        }
+        self._path.with_suffix(".json").write_text(json.dumps(value, indent=2), encoding="utf-8")
+
+
+def _put(group: h5py.Group, episode: Episode) -> None:
+    """Fill the group of a trajectory."""
+    obs = group.create_group("obs", track_order=True)
+    for key, values in _observations(episode):
+        *folders, last = key.split("/")
+        parent = obs
+        for folder in folders:
+            if folder not in parent:
+                parent.create_group(folder, track_order=True)
+            parent = subgroup(parent, folder)
+        squeeze = {"compression": "gzip", "compression_opts": _GZIP} if folders[:1] == ["sensor_data"] else {}
+        parent.create_dataset(last, data=values, **squeeze)
+    ends = np.zeros(episode.steps, bool)
+    ends[-1] = True
+    group["actions"] = episode.array("actions").astype(np.float32)
+    group["actions_intended"] = episode.array("actions_intended").astype(np.float32)
+    group["actor"] = episode.array("actor")
+    group["terminated"] = ends & episode.terminated
+    group["truncated"] = ends & (not episode.terminated)
+    group["success"] = episode.array("reward/success").astype(bool)
+    group["fail"] = episode.array("reward/fail").astype(bool)
+    group["rewards"] = episode.array("reward/total").astype(np.float32)
+
+
+def _observations(episode: Episode) -> Iterator[tuple[str, np.ndarray]]:
+    """Keys of the environment and arrays (N+1, ...): the parts of the state in their order, then cameras."""
+    for key, values in episode.table("obs/state").items():
+        yield key, values.astype(bool).reshape(-1) if key.rpartition("/")[2] in TRUTHS else values
+    for path in episode.paths:
+        if path.startswith("obs/sensor_param/"):
+            yield path.removeprefix("obs/"), episode.array(path)
+    for camera, output in sorted(episode.images, key=lambda image: (image[0] != "fetch_head", image)):
+        frames = [episode.frame(camera, output, t) for t in range(episode.steps + 1)]
+        yield f"sensor_data/{camera}/{output}", np.stack(frames)
+
+
+def _episode_info(number: int, episode: Episode) -> dict[str, Any]:
+    record = episode.record
+    link = target_of(record).rpartition("/")[0]
+    return {
+        "episode_id": number,
+        "episode_seed": [record.seed],
+        # Indices into the original's asset files; home and index say here which episode it was.
+        **dict.fromkeys(("build_config_idx", "task_plan_idx", "init_config_idx", "spawn_selection_idx")),
+        "home": record.home,
+        "episode_index": record.index,
+        "control_mode": episode.run.config.get("env", {}).get("control_mode", "pd_joint_delta_pos"),
+        "elapsed_steps": record.steps,
+        "actors": list(episode.actors),
+        "lacks": list(episode.lacks),
+        "label": last_label(record),
+        "legacy_label": record.subtasks[-1].legacy_label if record.subtasks else None,
+        "target": record.subtasks[-1].target if record.subtasks else record.plan[0].target,
+        "split": record.split,
+        "ending": str(episode.attributes["ending"]),
+        "events": to_events(record.subtask, record.events) if record.subtask else [name for _, name in record.events],
+        "events_verbose": to_verbose(record.events, record.force),
+        "articulation_type": link or None,
+        "reset_kwargs": {},
+        "success_once": record.success_once,
+        "success_at_end": record.success_at_end,
+        "fail": record.fail,
+    }

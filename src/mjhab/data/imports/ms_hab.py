@@ -1,0 +1,347 @@
+"""Data files of MS-HAB as our shards: HDF5 of trajectories with a JSON beside it (mshab/envs/wrappers/record.py).
+
+What such a file does not hold is marked absent in the run of its episodes: states of the simulator above all, so they
+cannot be simulated again or rendered, and the signals that labels are computed from. Everything else works on them:
+filters, statistics, reports, exports and windows to train on.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.rotations import quat_canonical
+from mjhab.data.imports.ms_hab_layout import SOURCE_TYPE, TRAJECTORY, from_verbose
+from mjhab.data.store.episode_data import EpisodeData, RunInfo
+from mjhab.data.store.hdf5 import dataset, dataset_paths, group
+from mjhab.data.store.images import ImageFormat, encode
+from mjhab.data.store.schema import FORMAT
+from mjhab.data.store.shard import ShardWriter
+from mjhab.rollout.records import EpisodeRecord, PlanEntry, SubtaskRecord
+from mjhab.tasks.plan import KIND_NAMES, TASKS
+
+ABSENT = (
+    "states/initial",
+    "states/qpos",
+    "states/qvel",
+    "signals/checks",
+    "signals/forces",
+    "signals/taint",
+    "subtasks/checks",
+    "reward/terms",
+)
+"""Datasets of our schema that the files do not hold."""
+ARRAYS = ("actions", "terminated", "truncated", "success", "fail", "rewards")
+GROUPS = ("obs/agent", "obs/extra")
+"""What every trajectory must hold."""
+EPISODE_KEYS = ("episode_id", "elapsed_steps", "label", "events_verbose")
+"""What the JSON must say of every trajectory."""
+SPLITS = ("train", "val", "test")
+LINKS = {"fridge": "fridge/top_door", "kitchen_counter": "kitchen_counter/drawer3"}
+"""The link of a piece of furniture that the original opens and closes (mshab/utils/gen/gen_task_plans.py)."""
+POSE = re.compile(r"pose_wrt_base$")
+_CAMERAS = "sensor_data"
+_PARAMETERS = "sensor_param"
+
+
+@dataclass(frozen=True)
+class Imported:
+    """What was written. ``present``: episodes that were in the shard already; ``absent``: datasets they do not have."""
+
+    episodes: int
+    frames: int
+    present: int
+    shard: Path
+    absent: tuple[str, ...] = ABSENT
+
+
+@dataclass(frozen=True)
+class Origin:
+    """What the place of a file says that is not in it: task and split of its episodes; None: told by its folder."""
+
+    task: str | None = None
+    split: str = "train"
+
+    def __post_init__(self) -> None:
+        if self.task is not None and self.task not in TASKS:
+            raise unknown_name("task", self.task, TASKS)
+        if self.split not in SPLITS:
+            raise unknown_name("split", self.split, SPLITS)
+
+
+def import_ms_hab(
+    path: Path, out: Path, origin: Origin | None = None, begin: Callable[[int], Callable[[], object]] | None = None
+) -> Imported:
+    """Write the trajectories of a file of MS-HAB into ``out/<task>/<subtask>/<name>.h5``, as episodes of ours.
+
+    Episodes that are there already are left alone, so an import that was stopped goes on.
+
+    Args:
+        path: the HDF5 file; its JSON lies beside it, as name.json.
+        out: a folder for shards.
+        origin: what its folders do not say.
+        begin: told the number of trajectories; gives what is called after each.
+
+    Raises:
+        UsageError: not such a file, or without the keys that are needed.
+        StorageError: the disk is full or broken.
+    """
+    source = _Source.read(path, origin or Origin())
+    shard = out / source.task / source.subtask / path.name
+    if shard.resolve() == path.resolve():
+        raise UsageError(f"--out {out} would put the shard in the place of {path}; give another folder.")
+    after = begin(len(source.told)) if begin else None
+    written = frames = present = 0
+    run = source.run()
+    indices = source.indices()
+    try:
+        with h5py.File(path, "r") as file, ShardWriter(shard) as writer:
+            for told, index in zip(source.told, indices, strict=True):
+                if writer.has(run, _seed(told), index):
+                    present += 1
+                else:
+                    data = source.episode(file, told, index, run)
+                    writer.append(data)
+                    written += 1
+                    frames += data.record.steps
+                if after is not None:
+                    after()
+    except (OSError, KeyError, ValueError) as error:
+        raise UsageError(f"{path} cannot be read as data of MS-HAB: {error}") from error
+    return Imported(written, frames, present, shard)
+
+
+@dataclass(frozen=True)
+class _Source:
+    """A file and what its JSON says: ``said`` of the whole, ``told`` of each trajectory."""
+
+    path: Path
+    said: Mapping[str, Any]
+    told: Sequence[Mapping[str, Any]]
+    task: str
+    subtask: str
+    split: str
+    digest: str
+
+    @classmethod
+    def read(cls, path: Path, origin: Origin) -> _Source:
+        _check_file(path)
+        beside = path.with_suffix(".json")
+        if not beside.is_file():
+            raise UsageError(f"{path} has no {beside.name} beside it, which says what its trajectories are.")
+        text = beside.read_bytes()
+        try:
+            said = json.loads(text)
+        except ValueError as error:
+            raise UsageError(f"{beside} is no JSON: {error}") from error
+        if not isinstance(said, Mapping) or not isinstance(said.get("episodes"), list):
+            raise UsageError(f"{beside} has no list 'episodes'; give a file as MS-HAB's generator writes it.")
+        told = said["episodes"]
+        for number, each in enumerate(told):
+            missing = [key for key in EPISODE_KEYS if key not in each]
+            if missing:
+                raise UsageError(
+                    f"{beside}: episode {number} has no {', '.join(missing)}. Record with labels (label_episode=True), "
+                    "as mshab/utils/gen/gen_data.py does."
+                )
+        subtask = _subtask(path, said)
+        return cls(path, said, told, _task(path, origin), subtask, origin.split, hashlib.sha256(text).hexdigest()[:16])
+
+    @property
+    def is_ours(self) -> bool:
+        """Whether our own exporter has made it."""
+        return self.said.get("source_type") == SOURCE_TYPE
+
+    def run(self) -> RunInfo:
+        """What made the episodes, as far as the file says."""
+        control = str(next((each["control_mode"] for each in self.told if "control_mode" in each), ""))
+        made = next(iter(self.said.get("runs", {}).values()), {})
+        name = made.get("config", {}).get("policy", {}).get("name") if self.is_ours else None
+        policy = name or f"ms_hab {self.said.get('source_type', '')}".strip().lower()
+        place = f"{self.task}/{self.subtask}/{self.path.stem}"
+        return RunInfo(
+            config={
+                "env": {"task": self.task, "subtask": self.subtask, "control_mode": control},
+                "policy": {"name": policy},
+                "imported": {"from": "ms_hab", "file": place, "json": self.digest},
+            },
+            options={"source_type": self.said.get("source_type"), "source_desc": self.said.get("source_desc")},
+            versions=dict(made.get("versions", {})),
+            layout={key: made["layout"][key] for key in ("actions",) if key in made.get("layout", {})},
+            assets=str(made.get("assets", "replica_cad")),
+            licence=str(made.get("licence", "unknown: see the source of the data")),
+            absent=ABSENT,
+        )
+
+    def indices(self) -> list[int]:
+        """Indices of the episodes: those of the original episode where that is told and tells them apart."""
+        indices = [int(each.get("episode_index", each["episode_id"])) for each in self.told]
+        names = {(_seed(each), index) for each, index in zip(self.told, indices, strict=True)}
+        return indices if len(names) == len(indices) else [int(each["episode_id"]) for each in self.told]
+
+    def episode(self, file: h5py.File, told: Mapping[str, Any], index: int, run: RunInfo) -> EpisodeData:
+        """One trajectory as an episode."""
+        name = f"{TRAJECTORY}{told['episode_id']}"
+        if name not in file:
+            raise UsageError(f"{self.path} has no {name}, which {self.path.with_suffix('.json').name} speaks of.")
+        trajectory = group(file, name)
+        missing = [key for key in (*ARRAYS, *GROUPS) if key not in trajectory]
+        if missing:
+            raise UsageError(f"{self.path}: {name} has no {', '.join(missing)}; it has {', '.join(trajectory)}.")
+        arrays, columns = _arrays(trajectory)
+        steps = len(arrays["actions"])
+        if steps != int(told["elapsed_steps"]) or steps < 1:
+            raise UsageError(
+                f"{self.path}: {name} has {steps} actions, and the JSON says {told['elapsed_steps']} steps."
+            )
+        record = self._record(told, index, arrays)
+        ending = str(told.get("ending") or _ending(trajectory))
+        actors = tuple(str(actor) for actor in told.get("actors", ()))
+        return EpisodeData(record, run, "", ending, arrays, columns, actors)
+
+    def _record(self, told: Mapping[str, Any], index: int, arrays: Mapping[str, np.ndarray]) -> EpisodeRecord:
+        success, steps = arrays["reward/success"].astype(bool), len(arrays["actions"])
+        events, force = from_verbose(told["events_verbose"], steps)
+        label = told["label"] or None
+        peak, total = round(max(force), 3), round(sum(force), 3)
+        target = self._target(told)
+        # The rules that made the labels of the original are the published ones; their names are ours, too.
+        legacy = told.get("legacy_label", None if self.is_ours else label)
+        subtask = SubtaskRecord(
+            index=0, kind=self.subtask, target=target, label=label, legacy_label=legacy,
+            success_once=bool(success.any()), success_at_end=bool(success[-1]), start_step=0, end_step=steps,
+            peak_force=peak, cumulative_force=total, events=events,
+        )  # fmt: skip
+        return EpisodeRecord(
+            seed=_seed(told), index=index, home=str(told.get("home") or f"build_config_{told.get('build_config_idx')}"),
+            task=self.task, split=str(told.get("split") or self.split), subtask=self.subtask,
+            plan=(PlanEntry(self.subtask, target),), subtasks=(subtask,), success_once=subtask.success_once,
+            success_at_end=subtask.success_at_end, fail=bool(arrays["reward/fail"][-1]), steps=steps,
+            completed=int(subtask.success_once), events=events, peak_force=peak, cumulative_force=total, force=force,
+            taint=(), spawn_fallback=False, final_state="",
+        )  # fmt: skip
+
+    def _target(self, told: Mapping[str, Any]) -> str:
+        furniture = str(told.get("articulation_type") or "")
+        return str(told.get("target") or LINKS.get(furniture, furniture) or self.path.stem)
+
+
+def _check_file(path: Path) -> None:
+    if not path.is_file():
+        raise UsageError(f"{path} does not exist or is no file; give a file of MS-HAB's data set, such as 024_bowl.h5.")
+    try:
+        with h5py.File(path, "r") as file:
+            names = list(file)
+            is_shard = file.attrs.get("format") in (FORMAT, FORMAT.encode())
+    except OSError as error:
+        raise UsageError(f"{path} is no HDF5 file: {error}") from error
+    if is_shard:
+        raise UsageError(f"{path} is a shard of mjhab already; there is nothing to import.")
+    if not any(name.startswith(TRAJECTORY) for name in names):
+        raise UsageError(
+            f"{path} has no groups {TRAJECTORY}0, {TRAJECTORY}1, ... as the files of MS-HAB's data set have. It has: "
+            f"{', '.join(names[:6]) or 'nothing'}."
+        )
+
+
+def _task(path: Path, origin: Origin) -> str:
+    """The task of a file, which the original names by the folder above that of the subtask."""
+    folder = path.resolve().parent.parent.name
+    if origin.task is None and folder not in TASKS:
+        raise UsageError(
+            f"{path} does not lie in a folder <task>/<subtask>, and the file itself does not say its task; give --task "
+            f"({', '.join(TASKS)})."
+        )
+    return origin.task or folder
+
+
+def _subtask(path: Path, said: Mapping[str, Any]) -> str:
+    env = str((said.get("env_info") or {}).get("env_id", ""))
+    found = re.match(r"(\w+?)SubtaskTrain", env)
+    kind = found[1].lower() if found else path.resolve().parent.name
+    if kind not in KIND_NAMES:
+        valid = ", ".join(f"{name.capitalize()}SubtaskTrain-v0" for name in KIND_NAMES)
+        raise UsageError(
+            f"{path} is of {env or 'an environment it does not name'}. Files of one subtask can be imported ({valid}); "
+            "those of whole chains do not say which subtask was active when."
+        )
+    return kind
+
+
+def _seed(told: Mapping[str, Any]) -> int:
+    """The seed of an episode; a vectorised environment tells one per world, all alike."""
+    seed = told.get("episode_seed", 0)
+    return int(np.ravel(seed)[0]) if np.size(seed) else 0
+
+
+def _arrays(trajectory: h5py.Group) -> tuple[dict[str, np.ndarray], dict[str, tuple[str, ...]]]:
+    """Datasets of an episode by their paths in our schema, and the names of columns."""
+    actions = dataset(trajectory, "actions")[()].astype(np.float32)
+    steps = len(actions)
+    parts = _state_parts(trajectory)
+    arrays = {
+        "actions": actions,
+        "subtasks/active": np.zeros(steps + 1, np.int16),
+        "subtasks/step": np.zeros(1, np.int32),
+        "subtasks/index": np.zeros(1, np.int16),
+        "reward/total": dataset(trajectory, "rewards")[()].astype(np.float64),
+        "reward/success": dataset(trajectory, "success")[()].astype(np.uint8),
+        "reward/fail": dataset(trajectory, "fail")[()].astype(np.uint8),
+        "obs/state": np.concatenate(list(parts.values()), axis=1),
+    }
+    # The policy's own actions are executed in the original: no noise is added to them.
+    told = {name: dataset(trajectory, name)[()] for name in ("actions_intended", "actor") if name in trajectory}
+    by_policy = {"actions_intended": actions, "actor": np.zeros(steps, np.uint8)} | told
+    arrays |= by_policy
+    arrays |= _camera_arrays(trajectory)
+    return arrays, {"obs/state": tuple(f"{key}:{part.shape[1]}" for key, part in parts.items())}
+
+
+def _state_parts(trajectory: h5py.Group) -> dict[str, np.ndarray]:
+    """Parts of the state (N+1, n) float32, in the order in which the original's scripts join them: as listed.
+
+    Quaternions have w >= 0, as in our observations.
+    """
+    parts: dict[str, np.ndarray] = {}
+    for folder in ("agent", "extra"):
+        members = group(trajectory, f"obs/{folder}")
+        for name in members:
+            values = dataset(members, str(name))[()].astype(np.float32)
+            values = values.reshape(len(values), -1)
+            if POSE.search(str(name)) and values.shape[1] == 7:
+                values[:, 3:] = quat_canonical(values[:, 3:])
+            parts[f"{folder}/{name}"] = values
+    return parts
+
+
+def _camera_arrays(trajectory: h5py.Group) -> dict[str, np.ndarray]:
+    """Parameters of cameras as they are, images encoded as in our shards."""
+    arrays: dict[str, np.ndarray] = {}
+    obs = group(trajectory, "obs")
+    for path in dataset_paths(obs):
+        folder, _, rest = path.partition("/")
+        if folder == _PARAMETERS:
+            arrays[f"obs/{path}"] = dataset(obs, path)[()]
+        if folder != _CAMERAS:
+            continue
+        output = rest.rpartition("/")[2]
+        files = [encode(frame, output, ImageFormat()) for frame in dataset(obs, path)[()]]
+        arrays[f"images/{rest}/bytes"] = np.frombuffer(b"".join(files), np.uint8)
+        arrays[f"images/{rest}/ends"] = np.cumsum([len(file) for file in files], dtype=np.int64)
+    return arrays
+
+
+def _ending(trajectory: h5py.Group) -> str:
+    """How an episode of the original ended; its "fail" is too much force, or an object that left its goal."""
+    if not dataset(trajectory, "terminated")[()][-1]:
+        return "timeout"
+    return "success" if dataset(trajectory, "success")[()][-1] else "force_exceeded"

@@ -1,0 +1,131 @@
+"""Where data comes from: configuration, versions, commit, machine, models."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import platform
+import subprocess
+from collections.abc import Mapping
+from functools import lru_cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import mjhab
+from mjhab.data.store.episode_data import RunInfo
+
+_LIBRARIES = ("mujoco", "mujoco-warp", "numpy", "h5py")
+_FREE = frozenset({"num_envs", "threads", "seed", "autoreset", "render_mode", "backend", "device", "starts", "buffers"})
+"""Options of an environment that change nothing in an episode; its seed is kept with each episode. What is recorded
+comes from the CPU: the options of the other backend are not in force."""
+_VIEW = frozenset(
+    {
+        "obs_mode",
+        "cameras",
+        "camera_size",
+        "frame_stack",
+        "handle_points",
+        "reward_mode",
+        "reward_scales",
+        "reward_formula",
+        "reward_normaliser",
+    }
+)
+"""Options that change what is seen and said of an episode, not what happens in it."""
+TRAIN_MAKER = "make_train"
+"""``config["maker"]`` of runs in SubtaskTrain environments; the others have none: `mjhab.envs.make` builds them."""
+BUILTIN_LICENCE = "Apache-2.0: homes, furniture and objects made by the code of mjhab"
+
+
+def describe_run(env: Any, policy: Mapping[str, Any], licence: str = "") -> RunInfo:
+    """Describe what is about to make episodes.
+
+    Args:
+        env: a SequentialTask or SubtaskTrain environment on the CPU.
+        policy: its name and every option that changes what it does, as plain JSON data: {"name": "expert", ...}.
+        licence: terms of the assets; needed for other assets than the built-in ones.
+    """
+    options = {name: _plain(value) for name, value in dataclasses.asdict(env.config).items()}
+    config: dict[str, Any] = {
+        "env": {k: v for k, v in options.items() if k not in _FREE | _VIEW},
+        "policy": dict(policy),
+    }
+    if getattr(env.config, "trains", False):
+        # Its arrangements come from a pool that is drawn with the seed of the environment.
+        config["env"]["seed"] = options["seed"]
+        config["maker"] = TRAIN_MAKER
+    layout = env.layout
+    first = env.sim.get_world(0)
+    return RunInfo(
+        config=config,
+        options={k: v for k, v in options.items() if k in _VIEW},
+        versions=versions(),
+        commit=source_commit(),
+        machine=f"{platform.machine()} {platform.system()}",
+        layout={
+            "objects": list(layout.object_names),
+            "links": list(layout.link_ids),
+            "sizes": {"qpos": len(first["qpos"]), "qvel": len(first["qvel"]), "ctrl": len(first["ctrl"])},
+            "columns": _columns(env.sim.addresses),
+            "actions": [entry.name for entry in env.action_table],
+            "taints": list(env.taint_names),
+        },
+        assets=env.config.assets,
+        licence=licence or (BUILTIN_LICENCE if env.config.assets == "builtin" else "unknown: see the asset pack"),
+    )
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python, mjhab and the libraries that decide about a bit."""
+    found = {"python": platform.python_version(), "mjhab": mjhab.__version__}
+    for name in _LIBRARIES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+@lru_cache(maxsize=1)
+def source_commit() -> str:
+    """Commit of mjhab's own checkout, with "+changes" if files differ from it; "" when it runs from a package."""
+    folder = Path(mjhab.__file__).parent
+
+    def git(*words: str) -> str:
+        words = ("git", "-C", str(folder), *words)
+        done = subprocess.run(words, capture_output=True, text=True, timeout=10, check=True)
+        return done.stdout.strip()
+
+    try:
+        # Someone else's repository may surround a virtual environment: it must be ours that tracks this file.
+        git("ls-files", "--error-unmatch", "__init__.py")
+        return git("rev-parse", "HEAD") + ("+changes" if git("status", "--porcelain", "--", ".") else "")
+    except (OSError, subprocess.SubprocessError):
+        return ""
+
+
+def model_hash(model: Any) -> str:
+    """Hash of every array of a compiled model: sizes, poses, masses, servos, names."""
+    digest = hashlib.sha256()
+    for name in sorted(dir(model)):
+        value = None if name.startswith("_") else getattr(model, name)
+        if isinstance(value, np.ndarray):
+            digest.update(f"{name}{value.shape}".encode() + np.ascontiguousarray(value).tobytes())
+        elif isinstance(value, bytes | int | float):
+            digest.update(f"{name}{value!r}".encode())
+    return digest.hexdigest()[:16]
+
+
+def _columns(addresses: Any) -> dict[str, list[int]]:
+    """Where qpos and qvel hold what: robot joints, then the first column of each object and of each link."""
+    names = ("robot_q", "robot_v", "object_q", "object_v", "link_q")
+    return {name: np.asarray(getattr(addresses, name)).astype(int).tolist() for name in names}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _plain(entry) for key, entry in value.items()}
+    return [_plain(entry) for entry in value] if isinstance(value, list | tuple) else value

@@ -1,0 +1,133 @@
+"""A crew of Ray actors: the same workers, on a cluster. Needs the extra ``scale``."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import socket
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+from mjhab.core.errors import UsageError
+from mjhab.data.record.crew import Failed, Gone, Message, Request, Stopped, Worker, WorkerSpec, failure
+
+LOCAL = "local"
+_LONGEST_STOP, _LONGEST_CALL = 15.0, 10.0
+"""Seconds until an actor that does not stop is ended, and until an address that does not answer is given up."""
+
+
+class _Actor:
+    """A worker as a Ray actor: answers come back together when a request is carried out."""
+
+    def __init__(self) -> None:
+        self._stop = threading.Event()
+        self._worker: Worker | None = None
+
+    def begin(self, spec: WorkerSpec, shard: Path) -> list[Message]:
+        """Make the worker."""
+        try:
+            self._worker = Worker(spec, shard)
+            return [self._worker.ready]
+        except Exception as error:
+            return [failure(error)]
+
+    def run(self, request: Request) -> list[Message]:
+        """Carry out a request."""
+        assert self._worker is not None, "begin was not called, or failed"
+        said: list[Message] = []
+        try:
+            self._worker.run(request, said.append, self._stop.is_set)
+        except Stopped:
+            pass
+        except Exception as error:
+            said.append(failure(error))
+        return said
+
+    def stop(self) -> None:
+        """Leave the request in hand after the next control step; runs in a thread of its own."""
+        self._stop.set()
+
+
+class RayCrew:
+    """Workers that are actors of a Ray cluster, one CPU each. See `Crew`.
+
+    Args:
+        address: of the cluster; LOCAL starts one on this machine.
+
+    Raises:
+        UsageError: Ray is not installed, or there is no cluster at the address.
+    """
+
+    def __init__(self, address: str) -> None:
+        try:
+            ray: Any = importlib.import_module("ray")
+        except ImportError as error:
+            raise UsageError("--ray needs Ray, which is not installed: pip install 'mjhab[scale]'.") from error
+        self._ray = ray
+        _check_reachable(address)
+        try:
+            ray.init(address=None if address == LOCAL else address, log_to_driver=False, configure_logging=False)
+        except (ConnectionError, ValueError, RuntimeError) as error:
+            raise UsageError(f"no Ray cluster can be reached at {address!r}: {error}") from error
+        # Two threads: one works, one hears that it has to stop.
+        self._class = ray.remote(num_cpus=1, max_concurrency=2, max_restarts=0)(_Actor)
+        self._actors: dict[int, Any] = {}
+        self._calls: dict[Any, int] = {}
+
+    def start(self, number: int, spec: WorkerSpec, shard: Path) -> None:
+        """See `Crew`."""
+        self._actors[number] = self._class.remote()
+        # Workers may run in other folders.
+        self._calls[self._actors[number].begin.remote(spec, shard.resolve())] = number
+
+    def send(self, number: int, request: Request) -> None:
+        """See `Crew`."""
+        self._calls[self._actors[number].run.remote(request)] = number
+
+    def messages(self, seconds: float) -> list[tuple[int, Message]]:
+        """See `Crew`."""
+        ready, _ = self._ray.wait(list(self._calls), num_returns=1, timeout=seconds)
+        found: list[tuple[int, Message]] = []
+        for call in ready:
+            number = self._calls.pop(call)
+            try:
+                found += [(number, message) for message in self._ray.get(call)]
+            except self._ray.exceptions.RayActorError:
+                # Its process may linger on a node that cannot be reached.
+                with contextlib.suppress(self._ray.exceptions.RayError):
+                    self._ray.kill(self._actors[number])
+                found.append((number, Gone()))
+            except self._ray.exceptions.RayError as error:
+                found.append((number, Failed("error", str(error))))
+        return found
+
+    def stop(self) -> None:
+        """See `Crew`. Ends the connection to the cluster, too."""
+        for actor in self._actors.values():
+            with contextlib.suppress(self._ray.exceptions.RayError):
+                actor.stop.remote()
+        end = time.monotonic() + _LONGEST_STOP
+        while self._calls and time.monotonic() < end:
+            ready, _ = self._ray.wait(list(self._calls), num_returns=1, timeout=_LONGEST_STOP)
+            for call in ready:
+                del self._calls[call]
+        for actor in self._actors.values():
+            self._ray.kill(actor)
+        self._ray.shutdown()
+
+
+def _check_reachable(address: str) -> None:
+    """Ray itself would try for minutes.
+
+    Raises:
+        UsageError: nobody listens at a "host:port" or "ray://host:port".
+    """
+    host, _, port = address.rpartition("://")[2].rpartition(":")
+    if not host or not port.isdigit():
+        return
+    try:
+        socket.create_connection((host, int(port)), _LONGEST_CALL).close()
+    except OSError as error:
+        raise UsageError(f"no Ray cluster can be reached at {address!r}: {error}.") from error

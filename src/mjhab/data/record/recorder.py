@@ -1,0 +1,233 @@
+"""The recorder: a sink that puts every finished episode of a rollout into a shard."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol
+
+import numpy as np
+
+from mjhab.core.errors import MjhabError
+from mjhab.data.record.provenance import describe_run, model_hash
+from mjhab.data.store.episode_data import EpisodeData, RunInfo, to_bytes
+from mjhab.data.store.images import ImageFormat, encode
+from mjhab.data.store.schema import CHECKS, FORCES
+from mjhab.data.store.shard import last_label
+from mjhab.rollout.records import EpisodeRecord
+from mjhab.rollout.sinks import Sink, StepView
+
+STATE = "state"
+_IMAGE = "sensor_data/"
+
+
+class Appends(Protocol):
+    """What takes episodes: a `ShardWriter`, or something in front of one."""
+
+    def append(self, data: EpisodeData) -> int:
+        """Take an episode; returns the bytes that this took."""
+        ...
+
+
+class Recorder(Sink):
+    """Records the episodes of an environment with autoreset "disabled" into an open shard.
+
+    Args:
+        writer: where to; it stays open.
+        env: what is rolled out.
+        policy: name and options of what acts, see `provenance.describe_run`.
+        keep: which episodes to keep, told from their records; all of them, failures too, if not given.
+        states: keep positions and velocities of every state; without them nothing can be rendered later.
+        images: how to keep the camera images among the observations; None leaves them out.
+        licence: terms of the assets, if they are not the built-in ones.
+
+    ``seen`` and ``kept`` count episodes, ``labels`` the labels seen, ``bytes`` what the shard has grown by.
+    """
+
+    def __init__(
+        self,
+        writer: Appends,
+        env: Any,
+        policy: Mapping[str, Any],
+        *,
+        keep: Callable[[EpisodeRecord, RunInfo], bool] | None = None,
+        states: bool = True,
+        images: ImageFormat | None = None,
+        licence: str = "",
+    ) -> None:
+        self.run = describe_run(env, policy, licence)
+        self.seen = self.kept = self.bytes = 0
+        self.labels: Counter[str] = Counter()
+        self._writer, self._keep, self._states, self._images = writer, keep, states, images
+        self._open: dict[int, _Buffer] = {}
+        self._models: dict[str, str] = {}
+
+    def on_reset(self, env: Any, info: Mapping[str, Any], mask: np.ndarray) -> None:
+        """Begin buffers with the first states of the worlds in ``mask``."""
+        obs = env.observer.observe(env.state, env.focus, env.signals, env.homes)
+        checks, forces = signal_rows(env.signals)
+        for w in np.flatnonzero(mask).tolist():
+            buffer = _Buffer(env.get_state(w), len(info["episode_spec"][w]["plan"]))
+            buffer.enter(0, int(info["pointer"][w]), checks[w])
+            buffer.add_state(self._physics(env, w), checks[w], forces[w], info, w)
+            buffer.add_obs(obs, w, self._images)
+            self._open[w] = buffer
+
+    def on_step(self, env: Any, step: StepView) -> None:
+        """Add one action and one state to the buffer of every running episode."""
+        checks, forces = signal_rows(env.judged)
+        begun, _ = signal_rows(env.signals)
+        terms = dict(step.info.get("reward_terms", {}))
+        for w in np.flatnonzero(step.active).tolist():
+            buffer = self._open[w]
+            buffer.add_action(step, w, {name: float(values[w]) for name, values in terms.items()})
+            before, now = buffer.active[-1], int(step.info["pointer"][w])
+            buffer.add_state(self._physics(env, w), checks[w], forces[w], step.info, w)
+            buffer.add_obs(step.obs, w, self._images)
+            if now != before and now < buffer.length:
+                buffer.enter(int(step.steps[w]), now, begun[w])
+
+    def on_episode_end(self, env: Any, world: int, record: EpisodeRecord) -> None:
+        """Write the episode, if it is to be kept.
+
+        Raises:
+            MjhabError: it does not fit the schema: numbers that are not finite, sizes that are not those of the env.
+        """
+        buffer = self._open.pop(world)
+        self.seen += 1
+        self.labels[last_label(record)] += 1
+        if self._keep is not None and not self._keep(record, self.run):
+            return
+        if record.home not in self._models:
+            self._models[record.home] = model_hash(env.sim.model(record.home))
+        columns = {"signals/checks": CHECKS, "signals/forces": FORCES, **buffer.columns()}
+        model = self._models[record.home]
+        arrays = buffer.arrays()
+        try:
+            data = EpisodeData(record, self.run, model, _ending(env, world), arrays, columns, buffer.actors)
+        except ValueError as error:
+            raise MjhabError(f"{error}. It was not recorded; those before it are safe.") from error
+        self.bytes += self._writer.append(data)
+        self.kept += 1
+
+    def close(self) -> None:
+        """Forget the episodes that were cut short."""
+        self._open.clear()
+
+    def _physics(self, env: Any, world: int) -> tuple[np.ndarray, np.ndarray] | None:
+        if not self._states:
+            return None
+        state = env.sim.get_world(world)
+        return state["qpos"], state["qvel"]
+
+
+class _Buffer:
+    """The rows of one running episode."""
+
+    def __init__(self, initial: dict[str, Any], length: int) -> None:
+        self.initial, self.length = initial, length
+        self.active: list[int] = []
+        self.actors: tuple[str, ...] = ()
+        self._rows: dict[str, list[Any]] = {}
+        self._terms: list[dict[str, float]] = []
+        self._files: dict[str, list[bytes]] = {}
+        self._parts: dict[str, int] = {}
+
+    def _put(self, path: str, value: Any) -> None:
+        self._rows.setdefault(path, []).append(value)
+
+    def enter(self, step: int, index: int, checks: np.ndarray) -> None:
+        """A subtask begins after control step ``step``."""
+        self._put("subtasks/step", np.int32(step))
+        self._put("subtasks/index", np.int16(index))
+        self._put("subtasks/checks", checks)
+
+    def add_state(
+        self,
+        physics: tuple[np.ndarray, np.ndarray] | None,
+        checks: np.ndarray,
+        forces: np.ndarray,
+        info: Mapping[str, Any],
+        world: int,
+    ) -> None:
+        """Add what holds in a state of ``world``."""
+        if physics is not None:
+            self._put("states/qpos", physics[0])
+            self._put("states/qvel", physics[1])
+        self._put("signals/checks", checks)
+        self._put("signals/forces", forces)
+        self._put("signals/taint", np.uint8(info["taint"][world]))
+        self.active.append(int(info["pointer"][world]))
+        self._put("subtasks/active", np.int16(self.active[-1]))
+
+    def add_obs(self, obs: Mapping[str, np.ndarray], world: int, images: ImageFormat | None) -> None:
+        """Add the observation of a state of ``world``: those that ``state`` joins are kept once."""
+        if not self._parts:
+            self._parts = joined_parts(obs)
+        self._put(f"obs/{STATE}", obs[STATE][world].copy())
+        for key, values in obs.items():
+            if key.startswith(_IMAGE):
+                if images is not None:
+                    output = key.rsplit("/", 1)[1]
+                    self._files.setdefault(key.removeprefix(_IMAGE), []).append(encode(values[world], output, images))
+            elif key != STATE and key not in self._parts:
+                self._put(f"obs/{key}", values[world].copy())
+
+    def add_action(self, step: StepView, world: int, terms: dict[str, float]) -> None:
+        """Add an action and what it brought."""
+        self._put("actions", np.array(step.actions[world], np.float32))
+        self._put("actions_intended", np.array(step.notes.intended[world], np.float32))
+        self._put("actor", np.uint8(step.notes.actor[world]))
+        self.actors = step.notes.actors
+        self._put("reward/total", np.float64(step.reward[world]))
+        self._put("reward/success", np.uint8(step.info["success"][world]))
+        self._put("reward/fail", np.uint8(step.info["fail"][world]))
+        self._terms.append(terms)
+
+    def _term_names(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(name for terms in self._terms for name in terms))
+
+    def columns(self) -> dict[str, tuple[str, ...]]:
+        """Names of the columns of the observations and of the terms of the reward."""
+        parts = tuple(f"{key}:{size}" for key, size in self._parts.items())
+        return {f"obs/{STATE}": parts, "reward/terms": self._term_names()}
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """All datasets of the episode but its record."""
+        arrays = {path: np.stack(rows) for path, rows in self._rows.items()}
+        arrays["states/initial"] = to_bytes(self.initial)
+        names = self._term_names()
+        if names:
+            arrays["reward/terms"] = np.array([[terms.get(name, 0.0) for name in names] for terms in self._terms])
+        for key, files in self._files.items():
+            arrays[f"images/{key}/bytes"] = np.frombuffer(b"".join(files), np.uint8)
+            arrays[f"images/{key}/ends"] = np.cumsum([len(file) for file in files], dtype=np.int64)
+        return arrays
+
+
+def signal_rows(signals: Any) -> tuple[np.ndarray, np.ndarray]:
+    """`tasks.measure.Signals` of W worlds as (W, len(CHECKS)) uint8 and (W, len(FORCES)) float64."""
+    checks = np.stack([np.asarray(getattr(signals, name)) for name in CHECKS], axis=1).astype(np.uint8)
+    forces = np.stack([np.asarray(getattr(signals, name), np.float64) for name in FORCES], axis=1)
+    return checks, forces
+
+
+def joined_parts(obs: Mapping[str, np.ndarray]) -> dict[str, int]:
+    """Observations that stand side by side in ``state``, in that order, with their widths; empty if they do not."""
+    parts = {key: v.shape[1] for key, v in obs.items() if key != STATE and v.ndim == 2 and v.dtype == np.float32}
+    if not parts or sum(parts.values()) != obs[STATE].shape[1]:
+        return {}
+    joined = np.concatenate([obs[key] for key in parts], axis=1)
+    return parts if np.array_equal(joined, obs[STATE], equal_nan=True) else {}
+
+
+def _ending(env: Any, world: int) -> str:
+    if not env.progress.done[world]:
+        return "cut"
+    if env.config.runs_to_horizon:
+        return "timeout"
+    if env.success[world]:
+        return "success"
+    if not env.judged.placed_ok[world]:
+        return "place_broken"
+    return "timeout" if env.judged.force_ok[world] else "force_exceeded"

@@ -1,0 +1,291 @@
+"""Replay: do the recorded actions give the recorded states again, bit by bit? And images from recorded states."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import mjhab
+from mjhab.core.errors import UsageError
+from mjhab.data.record.provenance import model_hash
+from mjhab.data.select.query import Filter
+from mjhab.data.store.episode_data import EpisodeData, RunInfo
+from mjhab.data.store.images import ImageFormat, encode
+from mjhab.data.store.reading import Episode, open_shard, shard_paths
+from mjhab.data.store.schema import DamagedError
+from mjhab.data.store.shard import ShardWriter
+
+FOLLOW = "follow"
+"""The camera that looks over the robot's shoulder."""
+_IMAGE = "sensor_data/"
+MakeEnv = Callable[[RunInfo], Any]
+"""Makes an environment (autoreset "disabled") like the one that a run was recorded in."""
+
+
+@dataclass
+class Verified:
+    """``max_error``: largest difference of a position or velocity [m, rad, m/s, rad/s]; infinite if one is not a
+    number. ``wrong``: by episode, what differs. ``unlike``: episodes whose home is compiled to another model here.
+    ``moved``: episodes that begin elsewhere here; they were replayed from the recorded first state."""
+
+    episodes: int = 0
+    exact: int = 0
+    max_error: float = 0.0
+    wrong: dict[str, str] = field(default_factory=dict)
+    unlike: list[str] = field(default_factory=list)
+    moved: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Rendered:
+    """What ``render`` did; ``present``: episodes that were in the shard already."""
+
+    episodes: int
+    frames: int
+    bytes: int
+    present: int
+
+
+def verify(
+    places: Path | Sequence[Path], make_env: MakeEnv, where: Filter | None = None,
+    tell: Callable[[], object] = bool,
+) -> Verified:  # fmt: skip
+    """Simulate recorded actions again and compare positions and velocities of every state, bit by bit.
+
+    Of episodes without states only the last one can be compared, by the hash in their record.
+
+    Args:
+        places: shards or folders. where: only these episodes.
+        make_env: called once for every config.
+        tell: called after every episode.
+
+    Raises:
+        UsageError, DamagedError: see ``open_shard``.
+    """
+    found = Verified()
+    for env, batch in _batches(places, make_env, where):
+        for episode, problem, error, moved in _verify_batch(env, batch):
+            found.episodes += 1
+            found.exact += not problem
+            found.max_error = max(found.max_error, error)
+            if problem:
+                found.wrong[episode.name] = problem
+            if moved:
+                found.moved.append(episode.name)
+            if model_hash(env.sim.model(episode.record.home)) != episode.attributes["model"]:
+                found.unlike.append(episode.name)
+            tell()
+    return found
+
+
+def _batches(
+    places: Path | Sequence[Path], make_env: MakeEnv, where: Filter | None
+) -> Iterator[tuple[Any, list[Episode]]]:
+    """Episodes of one shard and one config, no more than the environment has worlds, with the environment."""
+    envs: dict[str, Any] = {}
+    for path in shard_paths(places):
+        # An episode can be read while its shard is open.
+        with open_shard(path) as shard:
+            groups: dict[str, list[Episode]] = defaultdict(list)
+            for episode in shard:
+                if where is None or where(episode.record, episode.run):
+                    groups[episode.run.config_id].append(episode)
+            for name, members in groups.items():
+                require_states(members)
+                if name not in envs:
+                    envs[name] = make_env(members[0].run)
+                worlds = envs[name].num_envs
+                for start in range(0, len(members), worlds):
+                    yield envs[name], members[start : start + worlds]
+
+
+def require_states(members: Sequence[Episode]) -> None:
+    """Refuse imported episodes, which no simulator of ours has made.
+
+    Raises:
+        UsageError: the source of one of them had no states.
+    """
+    for episode in members:
+        if "states/initial" in episode.run.absent:
+            raise UsageError(
+                f"episode {episode.name} of {episode.shard.path} was imported from data without states, so it can "
+                'neither be simulated again nor rendered; leave it out with a filter such as --where "policy == '
+                "'expert'\"."
+            )
+
+
+class _Comparison:
+    """States of one episode, compared as they come."""
+
+    def __init__(self, episode: Episode) -> None:
+        self.actions = episode.array("actions")
+        self.final = episode.record.final_state
+        self.first = episode.initial()["sim"]
+        self.states = None
+        if "states/qpos" in episode.paths and "states/qvel" in episode.paths:
+            self.states = episode.array("states/qpos"), episode.array("states/qvel")
+        self.problem, self.error = "", 0.0
+
+    @property
+    def steps(self) -> int:
+        return len(self.actions)
+
+    def begins_with(self, state: Mapping[str, np.ndarray]) -> bool:
+        """Whether a state is the first one."""
+        return all(_same_bits(state[name], self.first[name]) for name in ("qpos", "qvel"))
+
+    def compare(self, t: int, state: Mapping[str, np.ndarray], digest: str) -> None:
+        """Compare state ``t``."""
+        if t == self.steps and digest != self.final and not self.problem:
+            self.problem = "the last state is another one"
+        if self.states is None:
+            return
+        for name, rows in zip(("qpos", "qvel"), self.states, strict=True):
+            if _same_bits(state[name], rows[t]):
+                continue
+            if not self.problem or self.problem.startswith("the last"):
+                self.problem = f"{name} differs from state {t} of {self.steps} on"
+            with np.errstate(invalid="ignore"):
+                error = float(np.abs(state[name] - rows[t]).max()) if state[name].shape == rows[t].shape else np.inf
+            self.error = max(self.error, error if np.isfinite(error) else np.inf)
+
+
+def _same_bits(a: np.ndarray, b: np.ndarray) -> bool:
+    return a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes()
+
+
+def _verify_batch(env: Any, batch: list[Episode]) -> list[tuple[Episode, str, float, bool]]:
+    """Of each of at most W episodes of one config what is wrong ("" if nothing), the largest difference, and whether
+    it begins elsewhere here."""
+    compared = [_Comparison(episode) for episode in batch]
+    moved = _begin(env, batch, compared)
+    longest = max(one.steps for one in compared)
+    actions = np.zeros((env.num_envs, compared[0].actions.shape[1]), np.float32)
+    for t in range(longest + 1):
+        for world, one in enumerate(compared):
+            if t <= one.steps:
+                one.compare(t, env.sim.get_world(world), env.state_digest(world))
+        if t < longest:
+            for world, one in enumerate(compared):
+                actions[world] = one.actions[t] if t < one.steps else 0.0
+            env.step(actions)
+    return [
+        (episode, one.problem, one.error, other) for episode, one, other in zip(batch, compared, moved, strict=True)
+    ]
+
+
+def _begin(env: Any, batch: list[Episode], compared: list[_Comparison]) -> list[bool]:
+    """Reset worlds to episodes; where the start has another state here, take the recorded one, and say True."""
+    mask = np.arange(env.num_envs) < len(batch)
+    seeds = [episode.record.seed for episode in batch] + [None] * (env.num_envs - len(batch))
+    indices = np.array([episode.record.index for episode in batch])
+    env.reset(seed=seeds, options={"episode": indices, "reset_mask": mask})
+    moved = [not one.begins_with(env.sim.get_world(world)) for world, one in enumerate(compared)]
+    for world, (episode, one) in enumerate(zip(batch, compared, strict=True)):
+        if moved[world]:
+            try:
+                env.set_state(world, episode.initial())
+            except UsageError as error:
+                one.problem = f"it cannot begin here: {error}"
+    return moved
+
+
+def render(
+    places: Path | Sequence[Path],
+    out: Path,
+    make_env: MakeEnv,
+    cameras: Sequence[str],
+    images: ImageFormat,
+    where: Filter | None = None,
+    tell: Callable[[], object] = bool,
+) -> Rendered:
+    """Draw images of recorded states into a new shard; nothing is simulated. Episodes that it has are left out.
+
+    What was recorded is kept, but images of the same cameras in another size.
+
+    Args:
+        places: shards or folders. out: the shard to make, or to go on with.
+        make_env: its ``observer`` says what is drawn (obs_mode, cameras, camera_size).
+        cameras: as wanted; FOLLOW may be among them.
+        images: how colour is stored. where: only these episodes. tell: called after every episode.
+
+    Raises:
+        UsageError: an episode has no states; ``out`` is among the places.
+    """
+    written = frames = size = present = 0
+    with ShardWriter(out) as writer:
+        for env, batch in _batches(places, make_env, where):
+            for episode in batch:
+                if episode.shard.path.resolve() == out.resolve():
+                    raise UsageError(f"--out {out} is one of the shards to replay; give a new file.")
+                if episode.name in writer.names:
+                    present += 1
+                else:
+                    drawn = _draw(env, episode, FOLLOW in cameras, images)
+                    size += writer.append(_with_images(episode, drawn, env, cameras))
+                    written, frames = written + 1, frames + episode.steps + 1
+                tell()
+    return Rendered(written, frames, size, present)
+
+
+def _draw(env: Any, episode: Episode, follow: bool, images: ImageFormat) -> dict[str, np.ndarray]:
+    """Datasets of an episode's images, and what else the observer makes of them, by path."""
+    qpos, home = episode.array("states/qpos"), episode.record.home
+    files: dict[str, list[bytes]] = {}
+    rows: dict[str, list[np.ndarray]] = {}
+    side = env.observer.size
+    for start in range(0, len(qpos), env.num_envs):
+        part = qpos[start : start + env.num_envs]
+        worlds = list(range(len(part)))
+        # Positions alone decide what is seen: the worlds are put into the states, and not stepped.
+        padded = np.concatenate([part, np.repeat(part[-1:], env.num_envs - len(part), axis=0)])
+        env.sim.reset(range(env.num_envs), [home] * env.num_envs, padded)
+        state = env.sim.state()
+        drawn = env.observer.draw(state, [home] * env.num_envs) if env.observer.outputs else {}
+        for w in worlds:
+            for key, values in drawn.items():
+                if key.startswith(_IMAGE):
+                    output = key.rpartition("/")[2]
+                    files.setdefault(key.removeprefix(_IMAGE), []).append(encode(values[w], output, images))
+                else:
+                    rows.setdefault(f"obs/{key}", []).append(values[w].copy())
+            if follow:
+                picture = env.observer.renderer.follow_view(state, home, w, side[1], side[0])
+                files.setdefault(f"{FOLLOW}/rgb", []).append(encode(picture, "rgb", images))
+    arrays = {path: np.stack(values) for path, values in rows.items()}
+    for key, parts in files.items():
+        arrays[f"images/{key}/bytes"] = np.frombuffer(b"".join(parts), np.uint8)
+        arrays[f"images/{key}/ends"] = np.cumsum([len(part) for part in parts], dtype=np.int64)
+    return arrays
+
+
+def _with_images(episode: Episode, drawn: dict[str, np.ndarray], env: Any, cameras: Sequence[str]) -> EpisodeData:
+    """The episode with other images; its run tells what they are and which version has drawn them."""
+    arrays = {path: episode.array(path) for path in episode.paths if path != "record"}
+    size = tuple(env.observer.size)
+    for camera, output in episode.images:
+        if camera in cameras and episode.frame(camera, output, 0).shape[:2] != size:
+            arrays = {path: a for path, a in arrays.items() if not path.startswith(f"images/{camera}/{output}/")}
+    arrays |= drawn
+    columns = {path: _columns(episode, path) for path in arrays if path in episode.paths}
+    seen = {"obs_mode": "+".join(env.observer.outputs) or "state", "cameras": list(cameras), "camera_size": list(size)}
+    options = {**episode.run.options, "rendered": {**seen, "mjhab": mjhab.__version__}}
+    run = dataclasses.replace(episode.run, options=options)
+    attributes = episode.attributes
+    try:
+        return EpisodeData(
+            episode.record, run, str(attributes["model"]), str(attributes["ending"]), arrays,
+            {path: names for path, names in columns.items() if names}, episode.actors, episode.schema,
+        )  # fmt: skip
+    except ValueError as error:
+        raise DamagedError(f"{episode.shard.path}: {error}") from error
+
+
+def _columns(episode: Episode, path: str) -> tuple[str, ...]:
+    return tuple(f"{name}:{width}" if width else name for name, width in episode.columns(path).items())

@@ -1,0 +1,311 @@
+"""The filter language: yes-or-no questions about episodes, checked before anything is read.
+
+`label in ('straightforward_success', 'winding_success') and max_force < 1400 and not dropped`
+
+Python's parser reads the text; what it may mean is decided here, node by node. Nothing of it is ever executed.
+"""
+
+from __future__ import annotations
+
+import ast
+import difflib
+import math
+import operator
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from mjhab.core.errors import UsageError, unknown_name
+from mjhab.data.select.facts import FACTS, FUNCTIONS, NUMBER, TEXT, TEXTS, TRUTH, Fact
+from mjhab.data.store.episode_data import RunInfo
+from mjhab.rollout.records import EpisodeRecord
+from mjhab.tasks.events import EVENT_NAMES
+
+LONGEST = 4000
+"""Longest filter [characters]."""
+DEEPEST = 40
+"""Deepest nesting of a filter."""
+_NUMBERS = "a list of numbers"
+_CONSTANTS = {"true": True, "false": False}
+_ORDER: dict[type[ast.cmpop], Callable[[Any, Any], bool]] = {
+    ast.Lt: operator.lt, ast.LtE: operator.le, ast.Gt: operator.gt, ast.GtE: operator.ge,
+}  # fmt: skip
+_EQUAL: dict[type[ast.cmpop], Callable[[Any, Any], bool]] = {ast.Eq: operator.eq, ast.NotEq: operator.ne}
+_MATH: dict[type[ast.operator], Callable[[float, float], float]] = {
+    ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul,
+    ast.Div: lambda a, b: a / b if b else math.nan,
+}  # fmt: skip
+
+PRESETS: dict[str, tuple[str, str]] = {
+    "pick_paper": ("subtask == 'pick' and label == 'straightforward_success'", "Pick as in the paper's data"),
+    "place_paper": ("subtask == 'place' and label == 'placed_in_goal_success'", "Place as in the paper's data"),
+    "open_paper": ("subtask == 'open' and label == 'open_success'", "Open as in the paper's data"),
+    "close_paper": ("subtask == 'close' and label == 'closed_success'", "Close as in the paper's data"),
+    "pick_published": (
+        "subtask == 'pick' and legacy_label == 'straightforward_success'",
+        "Pick as mshab/utils/gen/gen_data.py keeps it, by the published rules of labels",
+    ),
+    "place_published": (
+        "subtask == 'place' and legacy_label == 'placed_in_goal_success'",
+        "Place as mshab/utils/gen/gen_data.py keeps it, by the published rules of labels",
+    ),
+    "open_published": (
+        "subtask == 'open' and legacy_label == 'open_success'",
+        "Open as mshab/utils/gen/gen_data.py keeps it, by the published rules of labels",
+    ),
+    "close_published": (
+        "subtask == 'close' and (legacy_label == 'closed_success' or "
+        "legacy_label == 'success_then_excessive_collisions' and furniture == 'fridge')",
+        "Close as mshab/utils/gen/gen_data.py keeps it: for the fridge also with too much force after success",
+    ),
+    "navigate_published": (
+        "subtask == 'navigate' and legacy_label == 'navigation_success'",
+        "Navigate as mshab/utils/gen/gen_data.py keeps it, by the published rules of labels",
+    ),
+    "gentle": ("success and max_force < 1400", "reached the goal, never more than 1,400 N"),
+    "chain": ("subtask == '' and success", "whole chains that were completed"),
+}
+"""Named filters: the demonstrations of MS-HAB paper App. A.6.1 by our rules of labels, those of its published code by
+the rules of that code, and two of ours."""
+
+
+class FilterError(UsageError):
+    """A filter that cannot be understood; ``column`` (from 1) is where."""
+
+    def __init__(self, text: str, column: int, problem: str) -> None:
+        self.column = column
+        super().__init__(f"filter, column {column}: {problem}\n  {text}\n  {' ' * (column - 1)}^")
+
+
+@dataclass(frozen=True)
+class _Part:
+    """A checked piece of a filter: the kind of its value, how to get it, the fact it is or the literals in it."""
+
+    kind: str
+    get: Callable[[EpisodeRecord, RunInfo], Any]
+    fact: Fact | None = None
+    literals: tuple[tuple[str, ast.AST], ...] = ()
+
+
+class Filter:
+    """A question about episodes, asked with ``filter(record, run)``.
+
+    A tainted episode is not let through unless the text itself speaks of ``tainted`` or ``taints``: its physics cannot
+    be trusted, so it enters no filtered data set by accident.
+
+    Raises:
+        FilterError: with the position and, where there is one, the nearest name.
+    """
+
+    def __init__(self, text: str) -> None:
+        self.text = text
+        compiler = _Compiler(text)
+        self._root = compiler.compile()
+        self.names = frozenset(compiler.names)
+
+    @classmethod
+    def preset(cls, name: str) -> Filter:
+        """One of PRESETS.
+
+        Raises:
+            UsageError: no preset of that name.
+        """
+        if name not in PRESETS:
+            raise unknown_name("preset", name, PRESETS)
+        return cls(PRESETS[name][0])
+
+    @property
+    def lets_taint_in(self) -> bool:
+        """Whether the text itself decides about tainted episodes."""
+        return bool(self.names & {"tainted", "taints"})
+
+    def holds(self, record: EpisodeRecord, run: RunInfo) -> bool:
+        """What the text says about an episode, tainted or not."""
+        return bool(self._root.get(record, run))
+
+    def __call__(self, record: EpisodeRecord, run: RunInfo) -> bool:
+        """Whether an episode passes."""
+        return (self.lets_taint_in or not record.taint) and self.holds(record, run)
+
+
+class _Compiler:
+    """Turns the text of one filter into parts, checking every node."""
+
+    def __init__(self, text: str) -> None:
+        self.text, self.names = text, set[str]()
+        self._lead = self._depth = 0
+
+    def compile(self) -> _Part:
+        """The part of the whole text."""
+        if not self.text.strip():
+            raise FilterError(self.text, 1, "the filter is empty; for instance: success and max_force < 1400")
+        if len(self.text) > LONGEST:
+            raise UsageError(f"the filter has {len(self.text)} characters; at most {LONGEST} are read.")
+        lead = len(self.text) - len(self.text.lstrip())
+        self.text = self.text.replace("\n", " ").replace("\t", " ")
+        try:
+            tree = ast.parse(self.text.lstrip(), mode="eval")
+        except SyntaxError as error:
+            column = max(1, min((error.offset or 1) + lead, len(self.text)))
+            raise FilterError(self.text, column, self._syntax(error)) from None
+        except (ValueError, MemoryError, RecursionError):
+            raise FilterError(self.text, 1, "too deeply nested, or not text") from None
+        self._lead = lead
+        return self._truth(tree.body, "a filter")
+
+    def _syntax(self, error: SyntaxError) -> str:
+        for wrong, right in (("&&", "and"), ("||", "or"), ("!(", "not ("), ("<>", "!=")):
+            if wrong in self.text:
+                return f"write {right!r} instead of {wrong!r}"
+        if self.text[(error.offset or 1) - 1 + len(self.text) - len(self.text.lstrip()) :].startswith("="):
+            return "write == to compare"
+        return f"cannot be read: {error.msg}"
+
+    def _error(self, node: ast.AST, problem: str) -> FilterError:
+        before = self.text.lstrip().encode()[: getattr(node, "col_offset", 0)].decode(errors="replace")
+        return FilterError(self.text, len(before) + self._lead + 1, problem)
+
+    def _truth(self, node: ast.AST, what: str) -> _Part:
+        part = self._part(node)
+        if part.kind != TRUTH:
+            raise self._error(node, f"{what} needs {TRUTH}, but this is {part.kind}; compare it, as in steps < 100")
+        return part
+
+    def _number(self, node: ast.AST, what: str) -> _Part:
+        part = self._part(node)
+        if part.kind != NUMBER:
+            raise self._error(node, f"{what} needs numbers, but this is {part.kind}")
+        return part
+
+    def _part(self, node: ast.AST) -> _Part:
+        maker = {
+            ast.BoolOp: self._bool_op, ast.UnaryOp: self._unary, ast.Compare: self._compare, ast.BinOp: self._binary,
+            ast.Name: self._name, ast.Attribute: self._name, ast.Constant: self._constant, ast.Tuple: self._list,
+            ast.List: self._list, ast.Set: self._list, ast.Call: self._call,
+        }.get(type(node))  # fmt: skip
+        if maker is None:
+            raise self._error(node, "only names, numbers, texts, lists, comparisons, + - * /, and, or, not are known")
+        self._depth += 1
+        if self._depth > DEEPEST:
+            raise self._error(node, f"nested deeper than {DEEPEST} levels")
+        part = maker(node)  # type: ignore[arg-type]
+        self._depth -= 1
+        return part
+
+    def _bool_op(self, node: ast.BoolOp) -> _Part:
+        word, gather = ("and", all) if isinstance(node.op, ast.And) else ("or", any)
+        parts = [self._truth(value, f"{word!r}") for value in node.values]
+        return _Part(TRUTH, lambda r, run: gather(part.get(r, run) for part in parts))
+
+    def _unary(self, node: ast.UnaryOp) -> _Part:
+        if isinstance(node.op, ast.Not):
+            inner = self._truth(node.operand, "'not'")
+            return _Part(TRUTH, lambda r, run: not inner.get(r, run))
+        if not isinstance(node.op, ast.USub | ast.UAdd):
+            raise self._error(node, "unknown sign; write 'not' for the opposite")
+        inner, sign = self._number(node.operand, "a sign"), -1 if isinstance(node.op, ast.USub) else 1
+        return _Part(NUMBER, lambda r, run: sign * inner.get(r, run))
+
+    def _binary(self, node: ast.BinOp) -> _Part:
+        compute = _MATH.get(type(node.op))
+        if compute is None:
+            raise self._error(node, "only + - * / are known; write 'and' and 'or' for & and |")
+        a, b = self._number(node.left, "arithmetic"), self._number(node.right, "arithmetic")
+        return _Part(NUMBER, lambda r, run: compute(a.get(r, run), b.get(r, run)))
+
+    def _compare(self, node: ast.Compare) -> _Part:
+        sides = [node.left, *node.comparators]
+        parts = [self._part(side) for side in sides]
+        tests = [
+            self._test(op, a, b, where)
+            for op, a, b, where in zip(node.ops, parts, parts[1:], sides[1:], strict=False)
+        ]  # fmt: skip
+
+        def holds(record: EpisodeRecord, run: RunInfo) -> bool:
+            values = [part.get(record, run) for part in parts]
+            return all(test(a, b) for test, a, b in zip(tests, values, values[1:], strict=False))
+
+        return _Part(TRUTH, holds)
+
+    def _test(self, op: ast.cmpop, a: _Part, b: _Part, where: ast.AST) -> Callable[[Any, Any], bool]:
+        if isinstance(op, ast.In | ast.NotIn):
+            element = {TEXTS: TEXT, _NUMBERS: NUMBER}.get(b.kind)
+            if element is None:
+                raise self._error(where, f"'in' needs a list, but this is {b.kind}; a list of one is ('a',)")
+            if a.kind != element:
+                raise self._error(where, f"{a.kind} is never in {b.kind}")
+            self._check_choices(a, b)
+            return (lambda x, y: x in y) if isinstance(op, ast.In) else (lambda x, y: x not in y)
+        if a.kind != b.kind:
+            raise self._error(where, f"{a.kind} cannot be compared with {b.kind}")
+        if type(op) in _ORDER:
+            if a.kind != NUMBER:
+                raise self._error(where, f"{a.kind} has no order; use == or !=")
+            return _ORDER[type(op)]
+        if type(op) not in _EQUAL:
+            raise self._error(where, "write == or != instead of is")
+        self._check_choices(a, b)
+        return _EQUAL[type(op)]
+
+    def _check_choices(self, a: _Part, b: _Part) -> None:
+        for fact_side, literal_side in ((a, b), (b, a)):
+            choices = fact_side.fact.choices if fact_side.fact else ()
+            for value, node in literal_side.literals if choices else ():
+                if value not in choices:
+                    assert fact_side.fact is not None
+                    raise self._unknown(node, f"{fact_side.fact.name} is never", value, choices)
+
+    def _unknown(self, node: ast.AST, what: str, given: str, valid: Iterable[str]) -> FilterError:
+        names = sorted(filter(None, valid))
+        near = difflib.get_close_matches(given, names, n=1, cutoff=0.5)
+        rest = f"Did you mean {near[0]!r}?" if near else f"Known: {', '.join(names)}."
+        return self._error(node, f"{what} {given!r}. {rest} (`mjhab data fields` explains all names)")
+
+    def _name(self, node: ast.Name | ast.Attribute) -> _Part:
+        if isinstance(node, ast.Name):
+            name = node.id
+        elif isinstance(node.value, ast.Name):
+            # Not an attribute of anything: the name of a fact with a point in it, as style.speed.
+            name = f"{node.value.id}.{node.attr}"
+        else:
+            raise self._error(node, "only names with one point are known, as in style.speed")
+        if name in _CONSTANTS:
+            return _Part(TRUTH, lambda r, run: _CONSTANTS[name])
+        fact = FACTS.get(name)
+        if fact is None:
+            raise self._unknown(node, "unknown name", name, FACTS)
+        self.names.add(name)
+        return _Part(fact.kind, fact.get, fact)
+
+    def _constant(self, node: ast.Constant) -> _Part:
+        value = node.value
+        if isinstance(value, bool):
+            return _Part(TRUTH, lambda r, run: value)
+        if isinstance(value, int | float):
+            return _Part(NUMBER, lambda r, run: value)
+        if isinstance(value, str):
+            return _Part(TEXT, lambda r, run: value, literals=((value, node),))
+        raise self._error(node, f"{value!r} is neither a number nor a text")
+
+    def _list(self, node: ast.Tuple | ast.List | ast.Set) -> _Part:
+        parts = [self._part(entry) for entry in node.elts]
+        kinds = {part.kind for part in parts}
+        if kinds not in ({TEXT}, {NUMBER}) or any(part.fact for part in parts):
+            raise self._error(node, "a list holds texts or numbers, and at least one")
+        values = [part.get for part in parts]
+        literals = tuple(entry for part in parts for entry in part.literals)
+        kind = TEXTS if kinds == {TEXT} else _NUMBERS
+        return _Part(kind, lambda r, run: [get(r, run) for get in values], literals=literals)
+
+    def _call(self, node: ast.Call) -> _Part:
+        name = node.func.id if isinstance(node.func, ast.Name) else ""
+        if name not in FUNCTIONS:
+            raise self._unknown(node, "unknown function", name or "?", FUNCTIONS)
+        argument = node.args[0] if len(node.args) == 1 and not node.keywords else None
+        event = argument.value if isinstance(argument, ast.Constant) else getattr(argument, "id", None)
+        if not isinstance(event, str):
+            raise self._error(node, f"{name}() takes one event, as in {name}('dropped')")
+        if event not in EVENT_NAMES:
+            raise self._unknown(argument or node, "unknown event", event, EVENT_NAMES)
+        compute = FUNCTIONS[name][1]
+        return _Part(NUMBER, lambda r, run: compute(r, event))

@@ -1,0 +1,81 @@
+"""Labels computed anew from stored signals: no simulator, no policy."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+
+from mjhab.data.store.reading import Episode
+from mjhab.rollout.records import EpisodeRecord, Event, SubtaskRecord
+from mjhab.tasks.events import event_names, step_events
+from mjhab.tasks.labels import History, label_history, label_names
+from mjhab.tasks.legacy import legacy_history
+from mjhab.tasks.plan import KIND_NAMES
+
+
+@dataclass(frozen=True)
+class Change:
+    """A subtask of an episode whose ``what`` ("label", "legacy_label" or "events") has become another."""
+
+    subtask: int
+    what: str
+    old: object
+    new: object
+
+
+def relabel(episode: Episode) -> tuple[EpisodeRecord, list[Change]]:
+    """The record of an episode with labels and events by the rules of today, and what that changes.
+
+    Subtasks that had not ended when the episode was cut have no label, as in the record.
+    """
+    record, changes = episode.record, []
+    subtasks, events = [], [e for e in record.events if e[0] > _last_end(record)]
+    for k, old in reversed(list(enumerate(record.subtasks))):
+        index, history = episode.history(k)
+        if index != old.index:
+            raise ValueError(f"episode {episode.name}: the signals are of subtask {index}, the record of {old.index}")
+        new = relabel_subtask(old, history)
+        subtasks.insert(0, new)
+        events[:0] = new.events
+        for what in ("label", "legacy_label", "events"):
+            before, after = getattr(old, what), getattr(new, what)
+            if before != after:
+                changes.insert(0, Change(old.index, what, before, after))
+    if not changes:
+        return record, []
+    return dataclasses.replace(record, subtasks=tuple(subtasks), events=tuple(events)), changes
+
+
+def relabel_subtask(old: SubtaskRecord, history: History) -> SubtaskRecord:
+    """The record of a subtask with label, published label and events computed from its signals (T+1, 1)."""
+    rows, steps = _changing(history)
+    kind = np.array([KIND_NAMES.index(old.kind)])
+    code = label_history(kind, rows)
+    events: list[Event] = []
+    for t in range(1, len(steps)):
+        names = event_names(kind, step_events(kind, rows.row(t - 1), rows.row(t)))[0]
+        events += [(old.start_step + int(steps[t]), name) for name in names]
+    return dataclasses.replace(
+        old,
+        label=label_names(kind, code)[0] or None,
+        legacy_label=legacy_history(int(kind[0]), rows)[0],
+        events=tuple(events),
+    )
+
+
+def _changing(history: History) -> tuple[History, np.ndarray]:
+    """The rows of a history in which something changes, and their steps: a repeated row changes no label, no event.
+
+    Rows 0 and 1 are always among them: the published labels look at the first step by itself.
+    """
+    names = [f.name for f in dataclasses.fields(History)]
+    rows = np.concatenate([getattr(history, name) for name in names], axis=1)
+    keep = np.concatenate([[True], (rows[1:] != rows[:-1]).any(axis=1)])
+    keep[1:2] = True
+    return History(**{name: getattr(history, name)[keep] for name in names}), np.flatnonzero(keep)
+
+
+def _last_end(record: EpisodeRecord) -> int:
+    return record.subtasks[-1].end_step if record.subtasks else 0

@@ -1,0 +1,242 @@
+"""Whole data sets: select, count, merge, split."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mjhab.core.errors import UsageError
+from mjhab.core.names import check_name
+from mjhab.core.paths import below
+from mjhab.data.export.folders import broken
+from mjhab.data.select.facts import target_of
+from mjhab.data.select.query import Filter
+from mjhab.data.store.journal import journal_path
+from mjhab.data.store.reading import Episode, episodes, open_shard, shard_paths
+from mjhab.data.store.shard import ShardWriter, StorageError
+from mjhab.rollout.records import EpisodeRecord
+
+GROUPINGS: dict[str, Callable[[Episode], str]] = {
+    "episode": lambda episode: episode.name,
+    "home": lambda episode: episode.record.home,
+    "target": lambda episode: target_of(episode.record),
+}
+"""What stays together when a set is split."""
+Place = tuple[Path, str]
+"""Shard and name of an episode."""
+
+
+@dataclass
+class Selection:
+    """Episodes that pass a filter. ``of``: how many there were; ``tainted``: how many were left out for that alone;
+    ``digests``: of the contents of those that pass."""
+
+    matched: list[Place] = field(default_factory=list)
+    records: list[EpisodeRecord] = field(default_factory=list)
+    digests: list[str] = field(default_factory=list)
+    of: int = 0
+    tainted: int = 0
+
+    @property
+    def fingerprint(self) -> str:
+        """A short text that is another one for other episodes, other contents or another order."""
+        lines = (f"{name} {digest}\n" for (_, name), digest in zip(self.matched, self.digests, strict=True))
+        return f"{len(self.matched)} of {hashlib.sha256(''.join(lines).encode()).hexdigest()[:16]}"
+
+
+def select(places: Path | Sequence[Path], where: Filter | None = None) -> Selection:
+    """Ask every episode; all of them pass if there is no filter.
+
+    Raises:
+        UsageError, DamagedError: see ``open_shard``.
+    """
+    found = Selection()
+    for episode in episodes(places):
+        found.of += 1
+        record, run = episode.record, episode.run
+        if where is None or where(record, run):
+            found.matched.append((episode.shard.path, episode.name))
+            found.records.append(record)
+            found.digests.append(str(episode.attributes["digest"]))
+        elif record.taint and not where.lets_taint_in and where.holds(record, run):
+            found.tainted += 1
+    return found
+
+
+def nothing_passes() -> UsageError:
+    """The error for a filter that leaves nothing to write."""
+    return UsageError("no episode passes; see what is there with: mjhab data stats")
+
+
+def stats(places: Path | Sequence[Path], where: Filter | None = None) -> dict[str, Any]:
+    """Numbers of a data set as plain data: totals, and one row per task, subtask and target.
+
+    Forces are the largest of an episode [N]: median, 95th percentile, largest.
+    """
+    paths = shard_paths(places)
+    found = select(paths, where)
+    rows: dict[tuple[str, str, str], list[EpisodeRecord]] = defaultdict(list)
+    for record in found.records:
+        target = target_of(record) if record.subtask else "all"
+        rows[record.task, record.subtask or "chain", target].append(record)
+    # Shares of the files: HDF5 does not say what an episode takes with all its bookkeeping.
+    size = sum(path.stat().st_size for path in paths)
+    return {
+        "shards": len(paths),
+        "of": found.of,
+        "bytes": size,
+        "bytes_per_episode": round(size / found.of) if found.of else 0,
+        **_numbers(found.records),
+        "rows": [
+            {"task": task, "subtask": subtask, "target": target, **_numbers(records)}
+            for (task, subtask, target), records in sorted(rows.items())
+        ],
+    }
+
+
+def _numbers(records: Sequence[EpisodeRecord]) -> dict[str, Any]:
+    labels = Counter(entry.label or "" for record in records for entry in record.subtasks)
+    forces = np.array([record.peak_force for record in records] or [0.0])
+    count = max(len(records), 1)
+    return {
+        "episodes": len(records),
+        "steps": sum(record.steps for record in records),
+        "success_once": sum(record.success_once for record in records) / count,
+        "tainted": sum(bool(record.taint) for record in records),
+        "labels": dict(labels.most_common()),
+        "max_force": {
+            "median": round(float(np.median(forces)), 1),
+            "p95": round(float(np.percentile(forces, 95)), 1),
+            "max": round(float(forces.max()), 1),
+        },
+    }
+
+
+@dataclass(frozen=True)
+class Merged:
+    """Episodes ``written``, left out by the filter, and ``repeated``: the same bytes were there already."""
+
+    written: int
+    left_out: int
+    repeated: int
+
+
+def merge(places: Sequence[Path], out: Path, where: Filter | None = None) -> Merged:
+    """Copy the episodes that pass into one shard, which is made or added to. What was written stays if it is stopped.
+
+    Raises:
+        UsageError: ``out`` is among the sources; or an episode comes with two different contents.
+    """
+    paths = shard_paths(places)
+    if any(path.resolve() == out.resolve() for path in paths):
+        raise UsageError(f"--out {out} is one of the shards to merge; give a new file.")
+    found = select(paths, where)
+    digests: dict[str, str] = {}
+    if out.exists():
+        with open_shard(out) as shard:
+            digests = {episode.name: str(episode.attributes["digest"]) for episode in shard}
+    repeated = 0
+    with ShardWriter(out) as writer:
+        for path, names in _by_shard(found.matched):
+            with open_shard(path) as shard:
+                new = []
+                for name in names:
+                    digest = str(shard.episode(name).attributes["digest"])
+                    known = digests.setdefault(name, digest)
+                    if known != digest:
+                        raise UsageError(
+                            f"episode {name} of {path} differs from one of the same config, seed and index that was "
+                            "merged before it; leave one of the two sources out."
+                        )
+                    if name in writer.names or name in new:
+                        repeated += 1
+                    else:
+                        new.append(name)
+                writer.adopt(shard, new)
+    return Merged(len(found.matched) - repeated, found.of - len(found.matched), repeated)
+
+
+def split(
+    places: Sequence[Path], out: Path, parts: Mapping[str, float], by: str = "episode", seed: int = 0
+) -> dict[str, int]:
+    """Divide a data set into shards ``out/<part>.h5``; returns the number of episodes in each.
+
+    Groups (see GROUPINGS) are put in an order that depends on their name and ``seed`` alone, and dealt out until each
+    part has its share. Groups are never divided, so shares of few groups are rough.
+
+    Raises:
+        UsageError: shares that are not positive or exceed 1 in sum; a part whose name is none, or that exists; doubled
+            episodes.
+    """
+    if not parts or min(parts.values()) <= 0 or sum(parts.values()) > 1 + 1e-9:
+        raise UsageError(f"shares must be positive and not exceed 1 in sum; got {dict(parts)}.")
+    try:
+        targets = {name: below(out, f"{check_name('name of a part', name)}.h5") for name in parts}
+    except ValueError as error:
+        raise UsageError(str(error)) from error
+    for path in targets.values():
+        if path.exists():
+            raise UsageError(f"{path} exists already; give an empty folder as --out.")
+    groups: dict[str, list[Place]] = defaultdict(list)
+    names: set[str] = set()
+    for episode in episodes(places):
+        if episode.name in names:
+            raise UsageError(f"episode {episode.name} comes twice; merge the shards into one first.")
+        names.add(episode.name)
+        groups[GROUPINGS[by](episode)].append((episode.shard.path, episode.name))
+    dealt = _deal(groups, parts, seed)
+    _write_parts({path: dealt[part] for part, path in targets.items()})
+    return {part: len(dealt[part]) for part in parts}
+
+
+def _write_parts(dealt: Mapping[Path, Sequence[Place]]) -> None:
+    """Write shards under hidden names, which no command reads, and give them their own when all are complete."""
+    hidden = {path: path.with_name(f".{path.name}") for path in dealt}
+    try:
+        for path, members in dealt.items():
+            _remove(hidden[path])
+            with ShardWriter(hidden[path]) as writer:
+                for source, names in _by_shard(members):
+                    with open_shard(source) as shard:
+                        writer.adopt(shard, names)
+        for path in dealt:
+            os.replace(hidden[path], path)
+    except StorageError as error:
+        cause = error.__cause__
+        raise broken(path, cause) if isinstance(cause, OSError) else error from cause
+    finally:
+        for path in hidden.values():
+            _remove(path)
+
+
+def _remove(path: Path) -> None:
+    path.unlink(missing_ok=True)
+    journal_path(path).unlink(missing_ok=True)
+
+
+def _deal(groups: Mapping[str, list[Place]], parts: Mapping[str, float], seed: int) -> dict[str, list[Place]]:
+    order = sorted(groups, key=lambda name: hashlib.sha256(f"{seed}/{name}".encode()).digest())
+    total = sum(map(len, groups.values()))
+    dealt: dict[str, list[Place]] = {part: [] for part in parts}
+    waiting = iter(order)
+    reached, due = 0, 0.0
+    for part, share in parts.items():
+        due += share * total
+        while reached < round(due) and (name := next(waiting, None)) is not None:
+            dealt[part] += groups[name]
+            reached += len(groups[name])
+    return dealt
+
+
+def _by_shard(members: Sequence[Place]) -> Iterator[tuple[Path, list[str]]]:
+    shards: dict[Path, list[str]] = defaultdict(list)
+    for path, name in members:
+        shards[path].append(name)
+    yield from shards.items()

@@ -1,0 +1,173 @@
+"""One finished episode in memory, on its way into a shard; and how plain data becomes bytes."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from mjhab.data.store.schema import VERSION, column_widths, problems
+from mjhab.rollout.records import EpisodeRecord
+
+_ARRAY = "__array__"
+
+
+@dataclass(frozen=True)
+class RunInfo:
+    """What made an episode, as plain JSON data. Episodes of equal ``config``, seed and index are the same episode.
+
+    config: what decides what happens in an episode besides its seed and index: options of the environment and the
+    policy, not how many worlds or threads. options: what changes only how it is seen (images, reward). versions:
+    engine, libraries. commit: of the source, "" if unknown, with "+changes" if it had any. machine: processor and
+    system; bit-exact replay may need the same. layout: names and sizes that give the columns of states their meaning.
+    assets, licence: the pack and the terms of what is in it.
+    absent: paths of datasets that its episodes do not have since their source had none (imported data).
+    """
+
+    config: dict[str, Any]
+    options: dict[str, Any] = field(default_factory=dict)
+    versions: dict[str, str] = field(default_factory=dict)
+    commit: str = ""
+    machine: str = ""
+    layout: dict[str, Any] = field(default_factory=dict)
+    assets: str = "builtin"
+    licence: str = ""
+    absent: Sequence[str] = ()
+
+    @property
+    def config_id(self) -> str:
+        """Hash of the config: 8 hexadecimal digits."""
+        return _hash(self.config)[:8]
+
+    @property
+    def id(self) -> str:
+        """Name of the run in a shard: hash of everything in it."""
+        return run_id(vars(self))
+
+    @property
+    def policy(self) -> str:
+        """Name of the policy that acted."""
+        return str(self.config.get("policy", {}).get("name", "unknown"))
+
+    def episode_name(self, seed: int, index: int) -> str:
+        """Name of the group of an episode."""
+        return f"{self.config_id}-{seed}-{index:07d}"
+
+
+def run_id(values: Mapping[str, Any]) -> str:
+    """Name of a run in a shard, of the fields of a `RunInfo` and of whatever else is told there."""
+    return f"{_hash(values['config'])[:8]}-{_hash(dict(values))[:8]}"
+
+
+@dataclass(frozen=True)
+class EpisodeData:
+    """What a shard takes: the record, every dataset by its path (without ``record``), names of their columns.
+
+    A column name "name:n" stands for n columns. ``actors``: names that the numbers of the dataset ``actor`` stand for;
+    the policy of the run alone if not given. ``schema``: version that the datasets are of.
+
+    Raises:
+        ValueError: the datasets do not fit the schema or the layout of the run: not N+1 states for N actions, actions
+            of another width, numbers that are not finite.
+    """
+
+    record: EpisodeRecord
+    run: RunInfo
+    model: str
+    ending: str
+    arrays: Mapping[str, np.ndarray]
+    columns: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    actors: tuple[str, ...] = ()
+    schema: int = VERSION
+
+    def __post_init__(self) -> None:
+        if not self.actors:
+            object.__setattr__(self, "actors", (self.run.policy,))
+        arrays = {**self.arrays, "record": np.zeros(1, np.uint8)}
+        widths = column_widths(self.run.layout, self.columns)
+        wrong = problems(arrays, self.record.steps, schema=self.schema, widths=widths, absent=self.run.absent)
+        wrong = wrong or unnamed_actors(arrays, self.actors)
+        wrong += record_problems(self.record)
+        if wrong:
+            raise ValueError(f"episode {self.record.index} does not fit the schema: {'; '.join(wrong)}")
+
+    @property
+    def name(self) -> str:
+        """Name of its group."""
+        return self.run.episode_name(self.record.seed, self.record.index)
+
+
+def unnamed_actors(arrays: Mapping[str, np.ndarray], actors: Sequence[str]) -> list[str]:
+    """What is wrong with the dataset ``actor`` of an episode, in words: a number that none of the names belongs to."""
+    actor = arrays.get("actor", np.zeros(0, np.uint8))
+    if not actor.size or int(actor.max()) < len(actors):
+        return []
+    return [f"actor has the number {int(actor.max())}, and there are {len(actors)} names of actors"]
+
+
+def record_problems(record: EpisodeRecord) -> list[str]:
+    """What is wrong with the numbers of a record, in words; empty if nothing is."""
+    found = []
+    if len(record.force) != record.steps:
+        found.append(f"its record has {len(record.force)} forces, not {record.steps}, one per control step")
+    forces = [*record.force, record.peak_force, record.cumulative_force]
+    forces += [force for entry in record.subtasks for force in (entry.peak_force, entry.cumulative_force)]
+    if not np.isfinite(forces).all():
+        found.append("its record has forces that are not finite")
+    for entry in record.subtasks:
+        if not 0 <= entry.index < len(record.plan):
+            found.append(f"its record has subtask {entry.index} of a plan of {len(record.plan)}")
+        if not 0 <= entry.start_step <= entry.end_step <= record.steps:
+            found.append(f"its record has a subtask from step {entry.start_step} to {entry.end_step} of {record.steps}")
+    return found
+
+
+def episode_digest(arrays: Mapping[str, np.ndarray]) -> str:
+    """SHA-256 over names, types, shapes and bytes of all datasets of an episode, its record among them."""
+    digest = hashlib.sha256()
+    for path in sorted(arrays):
+        array = np.ascontiguousarray(arrays[path])
+        digest.update(f"{path} {array.dtype.str} {array.shape}\n".encode())
+        digest.update(array.data)
+    return digest.hexdigest()
+
+
+def record_bytes(record: EpisodeRecord) -> np.ndarray:
+    """A record as (n,) uint8 JSON; without the wall time, so that equal episodes are equal bytes."""
+    return to_bytes({**record.to_dict(), "seconds": 0.0})
+
+
+def to_bytes(value: Any) -> np.ndarray:
+    """Nested dicts and lists of plain data and numpy arrays as (n,) uint8 JSON, without loss."""
+    return np.frombuffer(json.dumps(value, default=_plain, separators=(",", ":")).encode(), np.uint8)
+
+
+def from_bytes(data: np.ndarray) -> Any:
+    """What ``to_bytes`` was given; tuples come back as lists.
+
+    Raises:
+        ValueError: not JSON.
+    """
+    return json.loads(np.asarray(data, np.uint8).tobytes().decode(), object_hook=_restore)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return {_ARRAY: value.dtype.str, "shape": list(value.shape), "data": value.ravel().tolist()}
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(f"{type(value).__name__} cannot be kept in a file: {value!r}")
+
+
+def _restore(value: dict[str, Any]) -> Any:
+    if _ARRAY not in value:
+        return value
+    return np.array(value["data"], np.dtype(value[_ARRAY])).reshape(value["shape"])
+
+
+def _hash(value: Any) -> str:
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()

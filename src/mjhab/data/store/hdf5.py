@@ -1,0 +1,152 @@
+"""Telling our HDF5 files from others, this version of the schema from others, groups from datasets; changing files.
+
+HDF5 itself never writes to a disk here: where that is full it fails at places of its own and may take the process
+along.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+import mjhab
+from mjhab.core.errors import UsageError
+from mjhab.data.store.journal import Overlay, commit, committed_length
+from mjhab.data.store.schema import EPISODES, FORMAT, OLDEST, RUNS, VERSION, DamagedError
+
+LIBVER = ("v110", "v110")
+"""File format of HDF5 1.10 (2016): small files, and every reader knows it."""
+
+
+def make_file(path: Path, attributes: Mapping[str, Any], groups: Sequence[str] = ()) -> None:
+    """Write a new HDF5 file with attributes and empty groups to the disk.
+
+    Raises:
+        OSError: the disk is full or broken.
+    """
+    memory = io.BytesIO()
+    with h5py.File(memory, "w", libver=LIBVER) as file:
+        put_attributes(file, attributes)
+        for name in groups:
+            file.create_group(name)
+    with open(path, "wb") as out:
+        out.write(memory.getvalue())
+        out.flush()
+        os.fsync(out.fileno())
+
+
+def change_file(path: Path, fill: Callable[[h5py.File], None]) -> int:
+    """Let ``fill`` change a file of `make_file`, all of it or nothing; returns by how many bytes it has grown.
+
+    Raises:
+        OSError: the disk is full or broken; the file is as before.
+    """
+    fd = os.open(path, os.O_RDONLY)
+    try:
+        overlay = Overlay(fd, committed_length(path))
+        with h5py.File(overlay, "r+", libver=LIBVER) as file:
+            fill(file)
+        commit(path, overlay)
+    finally:
+        os.close(fd)
+    return len(overlay.tail)
+
+
+def put_attributes(item: h5py.Group | h5py.Dataset, values: Mapping[str, Any]) -> None:
+    """Set attributes of a group or dataset; text at its fixed length.
+
+    h5py's own way, text of variable length, puts it into the one part of the file that has no checksum: a bit turned
+    there changes the text unseen, or HDF5 goes round in it for ever.
+    """
+    for name, value in values.items():
+        if isinstance(value, str):
+            data = value.encode()
+            item.attrs.create(name, data, dtype=h5py.string_dtype("utf-8", max(1, len(data))))
+        else:
+            item.attrs[name] = value
+
+
+def read_attributes(item: h5py.Group | h5py.Dataset) -> dict[str, Any]:
+    """The attributes of a group or dataset as values of Python."""
+    return {str(name): _plain(value) for name, value in item.attrs.items()}
+
+
+def _plain(value: Any) -> Any:
+    value = value.item() if isinstance(value, np.generic) else value
+    return value.decode() if isinstance(value, bytes) else value
+
+
+def check_format(file: h5py.File, path: Path) -> int:
+    """Refuse files that this version of mjhab cannot read; returns the version of the schema.
+
+    Raises:
+        DamagedError: some other HDF5 file, or one that lost its parts.
+        UsageError: a shard of another schema version; the message says how to read it.
+    """
+    told = read_attributes(file)
+    if told.get("format") != FORMAT:
+        names = ", ".join(list(file)[:4]) or "nothing"
+        raise DamagedError(
+            f"{path} is an HDF5 file, but holds no episodes of mjhab (it holds {names}). Sets in the layout of "
+            "ManiSkill or LeRobot are read with their own tools; mjhab writes them from shards."
+        )
+    version = int(told.get("schema", 0))
+    if not OLDEST <= version <= VERSION:
+        maker = str(told.get("mjhab", "?"))
+        if version > VERSION:
+            how = f"Update mjhab to {maker} or later: pip install --upgrade 'mjhab>={maker}'."
+        else:
+            how = (
+                f"Read it with mjhab {maker} in an environment of its own, or record its episodes anew: the same "
+                "options of `mjhab generate` give the same seeds and indices."
+            )
+        raise UsageError(
+            f"{path} has schema {version} and was written by mjhab {maker}; this is mjhab {mjhab.__version__}, which "
+            f"reads schema {OLDEST} to {VERSION}. {how}"
+        )
+    missing = [name for name in (EPISODES, RUNS) if name not in file]
+    if missing:
+        raise DamagedError(f"{path} has lost its group {missing[0]!r}. Try: mjhab data repair {path}")
+    return version
+
+
+def group(parent: h5py.Group, path: str | h5py.Reference) -> h5py.Group:
+    """The group at a path or reference.
+
+    Raises:
+        KeyError: there is none.
+    """
+    item = parent[path]
+    if not isinstance(item, h5py.Group):
+        raise KeyError(f"{path} is no group")
+    return item
+
+
+def dataset(parent: h5py.Group, path: str) -> h5py.Dataset:
+    """The dataset at a path.
+
+    Raises:
+        KeyError: there is none.
+    """
+    item = parent[path]
+    if not isinstance(item, h5py.Dataset):
+        raise KeyError(f"{path} is no dataset")
+    return item
+
+
+def dataset_paths(parent: h5py.Group) -> list[str]:
+    """Paths of all datasets in a group and the groups in it."""
+    found: list[str] = []
+    parent.visititems(lambda path, item: found.append(path) if isinstance(item, h5py.Dataset) else None)
+    return found
+
+
+def read_arrays(parent: h5py.Group) -> dict[str, np.ndarray]:
+    """Every dataset in a group by its path."""
+    return {path: dataset(parent, path)[()] for path in dataset_paths(parent)}

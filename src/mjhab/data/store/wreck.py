@@ -1,0 +1,115 @@
+"""Episodes of a shard that is cut or whose index is damaged, found by their own headers.
+
+The index of episodes (a heap and a B-tree of HDF5) grows with the shard and comes to lie near the end of the file: a
+shard cut there has lost it, with nearly all episodes still in the bytes. What an episode consists of was appended in
+one piece, and every part of it lies behind a header that begins with the same four bytes and carries a checksum.
+"""
+
+from __future__ import annotations
+
+import functools
+import mmap
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from h5py import h5s, h5t
+
+from mjhab.data.store.episode_data import from_bytes, run_id
+from mjhab.data.store.hdf5 import read_attributes
+from mjhab.data.store.reading import BROKEN, Shard
+
+HEADER = b"OHDR"
+"""What the header of a group or dataset begins with (HDF5 format specification, data object headers of version 2)."""
+MAX_RUN_BYTES = 1 << 20
+"""A dataset that is larger does not tell of a run [bytes]."""
+_RUN_BEGINS = b'{"config":'
+
+
+class Wreck(Shard):
+    """A damaged shard: what its index still leads to, and every other episode and run that lies in its bytes.
+
+    ``indexed``: whether the index of episodes could be read; otherwise nobody knows how many episodes there were.
+    """
+
+    def _read_index(self) -> None:
+        self.indexed = True
+        self._references = _references(_header_offsets(self.path))
+        try:
+            super()._read_index()
+        except BROKEN:
+            self.indexed = False
+            self._places = {}
+        for reference in self._references:
+            name = _episode_name(self.file, reference)
+            if name:
+                self._places.setdefault(name, reference)
+        self.names = sorted(self._places)
+
+    @functools.cached_property
+    def told(self) -> dict[str, dict[str, Any]]:
+        """What the file tells of each run, by name."""
+        with suppress(*BROKEN):
+            return super().told
+        found = (_run(self.file, reference) for reference in self._references)
+        return {run_id(values): values for values in found if values is not None}
+
+
+def _header_offsets(path: Path) -> list[int]:
+    """Places in a file where headers may begin [bytes]."""
+    found: list[int] = []
+    with open(path, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        at = data.find(HEADER)
+        while at >= 0:
+            found.append(at)
+            at = data.find(HEADER, at + len(HEADER))
+    return found
+
+
+def _references(offsets: Sequence[int]) -> list[h5py.Reference]:
+    """References of HDF5 to what begins at these places of a file.
+
+    An object reference on the disk is the place of a header; h5py makes one only of an object that is open already.
+    """
+    if not offsets:
+        return []
+    with h5py.File("references", "w", driver="core", backing_store=False) as memory:
+        column = memory.create_dataset("references", (len(offsets),), dtype=h5py.ref_dtype)
+        column.id.write(h5s.ALL, h5s.ALL, np.array(offsets, "<u8"), h5t.STD_REF_OBJ)
+        return list(column[()])
+
+
+def _open(file: h5py.File, reference: h5py.Reference) -> Any:
+    """The group or dataset whose header a reference leads to; None if there is none that is whole."""
+    with suppress(*BROKEN):
+        return file[reference]
+    return None
+
+
+def _episode_name(file: h5py.File, reference: h5py.Reference) -> str:
+    """Name of the episode whose group this is, as its attributes give it; "" if it is none."""
+    found = _open(file, reference)
+    if not isinstance(found, h5py.Group):
+        return ""
+    with suppress(*BROKEN, TypeError):
+        told = read_attributes(found)
+        config, _, _ = str(told["run"]).partition("-")
+        return f"{config}-{int(told['seed'])}-{int(told['index']):07d}"
+    return ""
+
+
+def _run(file: h5py.File, reference: h5py.Reference) -> dict[str, Any] | None:
+    """What a dataset tells of a run; None if it tells something else."""
+    found = _open(file, reference)
+    if not isinstance(found, h5py.Dataset) or found.dtype != np.uint8 or found.ndim != 1:
+        return None
+    if found.nbytes > MAX_RUN_BYTES:
+        return None
+    with suppress(*BROKEN):
+        data = found[()]
+        if data.tobytes().startswith(_RUN_BEGINS):
+            return from_bytes(data)
+    return None

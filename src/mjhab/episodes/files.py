@@ -1,0 +1,196 @@
+"""Files of generated episodes in the HAB format: made in parallel, continued after an interruption, with a manifest."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import multiprocessing
+import signal
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from mjhab.core.cache import write_atomic
+from mjhab.core.errors import UsageError
+from mjhab.episodes.generator import EpisodeMaker
+from mjhab.episodes.hab.format import HabEpisode, to_json, write_rows
+from mjhab.episodes.hab.writer import to_hab
+from mjhab.layout.layout import Layout
+from mjhab.scenes.builtin.objects import roster
+from mjhab.scenes.packs import open_pack
+from mjhab.sim.mujoco.cpu import CpuSimulator
+
+FORMAT = "mjhab-episodes-1"
+COUNTS = {"train": 10_000, "val": 1_000, "test": 1_000}
+"""Episodes per task and split, as in the benchmark."""
+_STATE_FIELDS = ("scene_id", "rigid_objs", "ao_states", "targets")
+_CHUNK = 4
+"""Episodes a worker makes between reports."""
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What a file holds: episodes ``first`` to ``first + count - 1`` of (task, split, seed) in an asset pack."""
+
+    task: str
+    split: str
+    seed: int
+    assets: str
+    first: int
+    count: int
+
+
+@dataclass(frozen=True)
+class Row:
+    """One finished episode: ``rejected`` draws before it, ``digest`` of its start, the episode as ``text``."""
+
+    index: int
+    home: str
+    rejected: int
+    digest: str
+    text: str
+
+
+def state_hash(episode: HabEpisode) -> str:
+    """Hash of scene, object poses, joints and goals as a file states them, to compare starts between machines."""
+    row = to_json(episode)
+    stated = json.dumps({name: row[name] for name in _STATE_FIELDS}, sort_keys=True)
+    return hashlib.sha256(stated.encode()).hexdigest()[:16]
+
+
+def partial_path(out: Path) -> Path:
+    """Where finished episodes wait until the file is whole."""
+    return out.with_name(out.name + ".partial")
+
+
+def manifest_path(out: Path) -> Path:
+    """List of the episodes of a file, beside it."""
+    return out.with_name(out.name.removesuffix(".gz").removesuffix(".json") + ".manifest.json")
+
+
+class Factory:
+    """Makes the rows of a recipe, one world at a time."""
+
+    def __init__(self, recipe: Recipe) -> None:
+        self.recipe = recipe
+        layout = Layout(open_pack(recipe.assets), roster(recipe.task))
+        self.maker = EpisodeMaker(CpuSimulator(layout, 1, 1), recipe.task, recipe.split)
+        self._homes = {home.name: home for home in layout.pack.homes}
+
+    def row(self, index: int) -> Row:
+        """Make one episode.
+
+        Raises:
+            MjhabError: no stable arrangement was found.
+        """
+        episode, rejected = self.maker.make(self.recipe.seed, index)
+        hab = to_hab(self.maker.layout, self._homes[episode.home], episode)
+        return Row(index, episode.home, rejected, state_hash(hab), json.dumps(to_json(hab), allow_nan=False))
+
+
+def make_file(
+    recipe: Recipe, out: Path, workers: int, tell: Callable[[int, int], None], overwrite: bool = False
+) -> dict[str, int]:
+    """Make the episodes of a recipe and write them; finished ones survive an interruption.
+
+    Args:
+        recipe: what to make.
+        out: ``*.json`` or ``*.json.gz``; the manifest is written beside it.
+        workers: processes; 1 makes them here.
+        tell: called with finished episodes and rejected draws so far.
+        overwrite: replace ``out``, and drop what an interrupted run of another recipe left.
+
+    Returns:
+        ``episodes`` and ``rejected`` (draws that did not come to rest), over all of the file.
+
+    Raises:
+        UsageError: ``out`` exists, or an interrupted run of another recipe is in the way.
+    """
+    if out.exists() and not overwrite:
+        raise UsageError(f"{out} exists; add --overwrite, or choose another --out.")
+    factory = Factory(recipe)
+    header = {"format": FORMAT, **asdict(recipe), "pack": factory.maker.digest}
+    out.parent.mkdir(parents=True, exist_ok=True)
+    partial = partial_path(out)
+    rows = _resume(partial, header, overwrite)
+    done, rejected = len(rows), sum(row.rejected for row in rows)
+    tell(done, rejected)
+    missing = range(recipe.first + done, recipe.first + recipe.count)
+    with partial.open("a", encoding="utf-8") as log:
+        for row in _rows(factory, missing, workers):
+            log.write(json.dumps(asdict(row)) + "\n")
+            log.flush()
+            rows.append(row)
+            done, rejected = done + 1, rejected + row.rejected
+            tell(done, rejected)
+    write_rows(out, {"config": None}, (row.text for row in rows))
+    _write_manifest(out, header, rows)
+    partial.unlink()
+    return {"episodes": done, "rejected": rejected}
+
+
+def _write_manifest(out: Path, header: dict[str, Any], rows: list[Row]) -> None:
+    listed = [{"index": r.index, "home": r.home, "rejected": r.rejected, "hash": r.digest} for r in rows]
+    text = json.dumps({**header, "episodes": listed}, indent=1)
+    write_atomic(manifest_path(out), lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
+def _resume(partial: Path, header: dict[str, Any], overwrite: bool) -> list[Row]:
+    """The rows an interrupted run of this recipe left, in order; starts ``partial`` when there are none.
+
+    Raises:
+        UsageError: it was left by another recipe, and ``overwrite`` is not set.
+    """
+    lines = partial.read_text(encoding="utf-8").splitlines() if partial.exists() else []
+    rows: list[Row] = []
+    if lines and _parsed(lines[0]) == header:
+        for line in lines[1:]:
+            found = _parsed(line)
+            # A line that was cut off ends what can be used.
+            if found is None or found.get("index") != header["first"] + len(rows):
+                break
+            rows.append(Row(**found))
+    elif lines and not overwrite:
+        raise UsageError(
+            f"{partial} was left by a run with other options, assets or code; finish that run, delete the file, or "
+            "add --overwrite."
+        )
+    kept = [json.dumps(header), *(json.dumps(asdict(row)) for row in rows)]
+    write_atomic(partial, lambda temporary: temporary.write_text("\n".join(kept) + "\n", encoding="utf-8"))
+    return rows
+
+
+def _parsed(line: str) -> dict[str, Any] | None:
+    try:
+        return json.loads(line)
+    except json.JSONDecodeError:
+        return None
+
+
+def _rows(factory: Factory, indices: range, workers: int) -> Iterator[Row]:
+    """Rows in order of index; the same rows whatever the number of workers."""
+    if workers == 1 or len(indices) <= _CHUNK:
+        yield from map(factory.row, indices)
+        return
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(workers, context, _start_worker, (factory.recipe,))
+    try:
+        yield from pool.map(_work, indices, chunksize=_CHUNK)
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+_factories: list[Factory] = []
+"""The factory of a worker process."""
+
+
+def _start_worker(recipe: Recipe) -> None:
+    # Ctrl-C is for the parent, which keeps what is finished.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _factories.append(Factory(recipe))
+
+
+def _work(index: int) -> Row:
+    return _factories[0].row(index)

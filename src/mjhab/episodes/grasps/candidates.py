@@ -1,0 +1,221 @@
+"""Where a parallel gripper may take hold of a box, a can, a ball or a bowl, in any pose.
+
+Gripper frame: origin between the finger pads (the tool centre point), x along the fingers, y the line on which they
+close, z across them. Lengths [m], world frame. Letters: G grasps, K neighbour boxes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mjhab.core.boxes import Boxes, sphere_box_distance
+from mjhab.core.rotations import frame_from_axes, mat_from_quat, quat_from_mat
+from mjhab.episodes.grasps.holds import Gripper, Hold, ObjectShape, Options, holds_of
+
+Array = np.ndarray
+KINDS = ("top", "tilted", "side")
+"""Approach from above (within 20 degrees), level (within 20 degrees) or between."""
+
+
+@dataclass(frozen=True, eq=False)
+class Grasps:
+    """Candidates, best first.
+
+    ``pos`` (G, 3), ``rot`` (G, 3, 3): pose of the tool centre point while grasping; ``pre`` (G, 3): where to start the
+    straight approach; ``width`` (G,): distance between the pads in contact; ``opening`` (G,): distance to approach
+    with; ``clear`` (G,): room to the neighbours on the whole approach; ``kind`` (G,): index into `KINDS`; ``score``
+    (G,): higher is better.
+    """
+
+    pos: Array
+    rot: Array
+    pre: Array
+    width: Array
+    opening: Array
+    clear: Array
+    kind: Array
+    score: Array
+
+    def __len__(self) -> int:
+        return len(self.pos)
+
+    @property
+    def quat(self) -> Array:
+        """Rotations as quaternions (G, 4) wxyz."""
+        return quat_from_mat(self.rot)
+
+    def take(self, rows: Array) -> Grasps:
+        """Some of the candidates, by index, slice or mask."""
+        return Grasps(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+
+
+def grasp_candidates(
+    shape: ObjectShape,
+    pos: Array,
+    quat: Array,
+    *,
+    support_z: float,
+    neighbours: Boxes | None = None,
+    robot_xy: Array | None = None,
+    gripper: Gripper | None = None,
+    options: Options | None = None,
+    least_clear: float = 0.0,
+) -> Grasps:
+    """All sensible grasps of one object, best first; none when it cannot be grasped as it lies.
+
+    Args:
+        shape: the object.
+        pos, quat: (3,) and (4,) pose of the object; it may lie in any way.
+        support_z: height of the surface it rests on; the gripper stays above it.
+        neighbours: boxes (other objects, drawer walls, shelves above) the gripper must not touch on its way.
+        robot_xy: (2,) where the robot is: approaches away from it score higher.
+        gripper, options: sizes and weights.
+        least_clear: drop grasps that come nearer than this to a neighbour.
+
+    Raises:
+        UsageError: unknown kind of shape.
+    """
+    gripper, options = gripper or Gripper(), options or Options()
+    pos, rot = np.asarray(pos, dtype=np.float64), mat_from_quat(np.asarray(quat, dtype=np.float64))
+    holds = holds_of(shape, pos, rot, gripper, options)
+    parts = [_place(hold, shape, pos, rot, support_z, gripper, options) for hold in holds]
+    if not any(len(part[0]) for part in parts):
+        return _empty()
+    tcp, turn, width, quality = (np.concatenate([part[i] for part in parts]) for i in range(4))
+    # The gripper is the same turned by half a turn about its fingers: a second wrist angle to reach every grasp.
+    flip = turn * np.array([1.0, -1.0, -1.0])
+    tcp, turn = np.tile(tcp, (2, 1)), np.concatenate([turn, flip])
+    width, quality = np.tile(width, 2), np.tile(quality, 2)
+    opening = np.minimum(width + options.spread, gripper.opening)
+    pre = tcp - options.retreat * turn[:, :, 0]
+    clear = approach_clearance(tcp, turn, opening, pre, neighbours, gripper)
+    kind, score = _score(pos, turn, quality, clear, robot_xy, options)
+    found = Grasps(tcp, turn, pre, width, opening, clear, kind, score)
+    order = np.argsort(-score, kind="stable")
+    return found.take(order[clear[order] >= least_clear])
+
+
+def gripper_spheres(opening: Array, gripper: Gripper | None = None) -> tuple[Array, Array]:
+    """Spheres that cover fingers, hand and wrist: centres (G, 28, 3) in the gripper frame and radii (28,).
+
+    Args:
+        opening: (G,) distance between the pads.
+    """
+    gripper = gripper or Gripper()
+    along = np.linspace(-0.018, gripper.finger[0] - 0.009, 5)
+    side = opening / 2 + gripper.thickness / 2
+    fingers = np.zeros((len(opening), 10, 3))
+    fingers[:, :, 0] = np.tile(along, 2)
+    fingers[:, :5, 1], fingers[:, 5:, 1] = side[:, None], -side[:, None]
+    x, y, z = np.meshgrid([-0.062, -0.093, -0.124], [-0.036, 0.0, 0.036], [-0.012, 0.012], indexing="ij")
+    palm = np.stack([x, y, z], axis=-1).reshape(-1, 3)[:15]
+    wrist = np.array([[-0.18, 0.0, 0.0], [-0.23, 0.0, 0.0], [-0.28, 0.0, 0.0]])
+    hand = np.broadcast_to(np.concatenate([palm, wrist]), (len(opening), 18, 3))
+    return np.concatenate([fingers, hand], axis=1), np.array([0.0115] * 10 + [0.03] * 15 + [0.054] * 3)
+
+
+def approach_clearance(
+    pos: Array, rot: Array, opening: Array, pre: Array, neighbours: Boxes | None, gripper: Gripper | None = None
+) -> Array:
+    """Least room (G,) between the gripper and boxes on the straight way from ``pre`` (G, 3) to ``pos`` (G, 3)."""
+    if neighbours is None or len(neighbours) == 0:
+        return np.full(len(pos), 1.0)
+    local, radius = gripper_spheres(opening, gripper)
+    turned = np.einsum("gij,gmj->gmi", rot, local)
+    least = np.full(len(pos), np.inf)
+    for share in (0.0, 0.25, 0.5, 1.0):
+        points = (pos + share * (pre - pos))[:, None] + turned
+        gap = sphere_box_distance(points.reshape(-1, 3), neighbours).min(axis=1).reshape(points.shape[:2])
+        least = np.minimum(least, (gap - radius).min(axis=1))
+    return least
+
+
+def _extent(shape: ObjectShape, rot: Array, direction: Array) -> Array:
+    """Half-extent (...,) of the object along unit directions (..., 3)."""
+    part = np.abs(direction @ rot)
+    if shape.kind == "box":
+        return part @ np.array(shape.half)
+    if shape.kind == "sphere":
+        return np.full(part.shape[:-1], max(shape.half))
+    return shape.half[0] * np.hypot(part[..., 0], part[..., 1]) + shape.half[2] * part[..., 2]
+
+
+def _place(
+    hold: Hold, shape: ObjectShape, pos: Array, rot: Array, support_z: float, gripper: Gripper, options: Options
+) -> tuple[Array, Array, Array, Array]:
+    """Tool centres for one way of closing: positions, rotations, widths and qualities of those that are possible."""
+    approach = hold.approach
+    if options.inward is not None:
+        kept = approach[:, :2] @ np.array(options.inward) > -0.25
+        hold = replace(hold, approach=approach[kept], at=None if hold.at is None else hold.at[kept])
+        approach = hold.approach
+    turn = frame_from_axes(approach, np.broadcast_to(hold.closing, approach.shape))
+    lowest = _lowest(turn, min(hold.width + options.spread, gripper.opening), gripper)
+    room = support_z + options.floor_gap - lowest
+    if hold.at is None:
+        reach, across = _extent(shape, rot, approach), _extent(shape, rot, turn[:, :, 2])
+        shifts = np.maximum(across - 0.015, 0.0)[:, None] * np.array([0.0, -0.5, 0.5, -0.95, 0.95])
+        at = pos + shifts[..., None] * turn[:, None, :, 2]
+        deepest = -reach - gripper.palm_x[1] - options.palm_gap
+        fall = np.maximum(-approach[:, 2], 1e-9)[:, None]
+        floor = np.where(fall > 0.05, (at[..., 2] - room[:, None]) / fall, np.inf)
+        push = np.minimum(np.minimum(deepest[:, None], floor), 0.0)
+        deep = push[..., None] - np.array(options.shallower)
+        at = (at[:, :, None] + deep[..., None] * approach[:, None, None]).reshape(-1, 3)
+        count = shifts.shape[1] * len(options.shallower)
+        turn, room = np.repeat(turn, count, axis=0), np.repeat(room, count)
+    else:
+        at = hold.at
+    held, off = _overlap(hold, pos, at, turn, gripper)
+    keep = (at[:, 2] >= room - 1e-6) & (held >= hold.least)
+    # Narrow things forgive errors of the approach: at the widest the pads pass with 3 mm to spare on each side.
+    quality = hold.bonus + 6.0 * np.minimum(held, 0.03) - 4.0 * off - 0.3 * (hold.width / gripper.usable) ** 4
+    if hold.planar:
+        quality = quality - options.scant * np.maximum(0.02 - held, 0.0)
+    return at[keep], turn[keep], np.full(int(keep.sum()), hold.width), quality[keep]
+
+
+def _overlap(hold: Hold, center: Array, at: Array, turn: Array, gripper: Gripper) -> tuple[Array, Array]:
+    """How much of the contact locus the pads cover (length or root of area) and how far its middle is from the
+    object's centre, for tool centres ``at`` (A, 3)."""
+    local = np.einsum("apj,ajk->apk", hold.locus - at[:, None], turn)
+    edge = np.array(gripper.finger) - (0.007 if hold.point else -1e-6)
+    blunt = gripper.blunt if hold.planar else 0.0
+    inside = (local[:, :, 0] >= -edge[0]) & (local[:, :, 0] <= edge[0] - blunt) & (np.abs(local[:, :, 2]) <= edge[1])
+    count = inside.sum(axis=1)
+    middle = np.einsum("ap,pj->aj", inside / np.maximum(count, 1)[:, None], hold.locus)
+    share = count / len(hold.locus)
+    held = 0.015 * share if hold.point else hold.measure * (np.sqrt(share) if hold.planar else share)
+    return held, np.linalg.norm(middle - center, axis=1)
+
+
+def _lowest(turn: Array, opening: float, gripper: Gripper) -> Array:
+    """Height (A,) of the lowest corner of fingers and hand above the tool centre (negative: below)."""
+    y = opening / 2 + gripper.thickness
+    corners = []
+    for sy in (-1.0, 1.0):
+        for sz in (-1.0, 1.0):
+            corners += [(sx * gripper.finger[0], sy * y, sz * gripper.finger[1]) for sx in (-1.0, 1.0)]
+            corners += [(px, sy * gripper.palm_half[0], sz * gripper.palm_half[1]) for px in gripper.palm_x]
+    return np.min(turn[:, 2, :] @ np.array(corners).T, axis=1)
+
+
+def _score(
+    pos: Array, turn: Array, quality: Array, clear: Array, robot_xy: Array | None, options: Options
+) -> tuple[Array, Array]:
+    approach = turn[:, :, 0]
+    fall = np.degrees(np.arccos(np.clip(-approach[:, 2], -1.0, 1.0)))
+    kind = np.where(fall <= 20.0, 0, np.where(fall < 70.0, 1, 2))
+    score = quality + np.array([options.preference[name] for name in KINDS])[kind] + 8.0 * np.clip(clear, -0.03, 0.03)
+    if robot_xy is not None:
+        away = pos[:2] - np.asarray(robot_xy, dtype=np.float64)[:2]
+        away = away / max(float(np.linalg.norm(away)), 1e-6)
+        score = score + 0.8 * approach[:, :2] @ away
+    return kind, score
+
+
+def _empty() -> Grasps:
+    none, points = np.zeros(0), np.zeros((0, 3))
+    return Grasps(points, np.zeros((0, 3, 3)), points, none, none, none, none.astype(np.int64), none)

@@ -1,0 +1,151 @@
+"""Arms of successful Picks, each with what it holds: what Place begins with under the published spawn rule.
+
+MS-HAB draws them from the last states of Picks that a trained policy did (mshab/utils/gen/gen_spawn_positions.py).
+Here they are made: arm postures that pass the posture test of Pick are drawn at random, and those in which a grasp of
+`held` holds for half a second, and while the base turns, are kept. They are made once per layout and kept in the cache.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from mjhab.core.cache import write_atomic
+from mjhab.core.errors import MjhabError
+from mjhab.core.seeding import stream
+from mjhab.episodes.grasps.held import HOLD_SECONDS, HeldGrasp, HeldStarts
+from mjhab.robots.controllers.table import ARM_JOINTS
+from mjhab.robots.fetch.model import FETCH_JOINTS, KINEMATIC_TREE, REST_QPOS
+from mjhab.robots.kinematics import Chain, damped_step
+from mjhab.sim.mujoco.settle import parked_robot_qpos
+from mjhab.tasks.plan import TaskConfig
+
+MAX_ARMS = 32
+"""Arms of an object type."""
+MAX_TRIES = 256
+"""Postures tried for them."""
+SOLVER_STEPS = 20
+REST_SHARE = 0.9
+"""The tool centre is within this share of the distance to its rest point that Pick allows: postures settle a little."""
+_COLUMNS = np.array(ARM_JOINTS)
+_VERSION = 1
+
+
+@dataclass(frozen=True, eq=False)
+class HeldArm:
+    """``arm`` (7,) joint positions [rad] in the order of `controllers.table.ARM_JOINTS`, and what it holds."""
+
+    arm: np.ndarray
+    grasp: HeldGrasp
+
+
+class HeldArms:
+    """Arms of successful Picks per object type: made once per layout, kept in the cache.
+
+    Args:
+        held: the grasps that the arms hold; those that were added on this machine are left out.
+    """
+
+    def __init__(self, held: HeldStarts) -> None:
+        self._held = held
+        self._arms: dict[str, list[HeldArm]] = {}
+
+    def arms(self, kind: str) -> list[HeldArm]:
+        """Arms that hold an object of a type.
+
+        Raises:
+            UsageError: the layout has no object of this type.
+            MjhabError: no grasp holds in any posture.
+        """
+        with self._held.lock:
+            if kind not in self._arms:
+                path = self._path(kind)
+                if not path.exists():
+                    _save(path, self._make(kind))
+                self._arms[kind] = _load(path)
+            return self._arms[kind]
+
+    def digest(self, kind: str) -> str:
+        """Hash of the arms of an object type: equal when the same draws give the same starts."""
+        rows = [np.concatenate([one.arm, one.grasp.pose, [one.grasp.fingers]]) for one in self.arms(kind)]
+        return hashlib.sha256(np.array(rows).tobytes()).hexdigest()[:16]
+
+    def _path(self, kind: str) -> Path:
+        config = self._held.config
+        test = (config.ee_rest_pos, config.ee_rest_tol, config.arm_tol_grasped, MAX_ARMS, MAX_TRIES)
+        made = hashlib.sha256(repr((test, SOLVER_STEPS, REST_SHARE, _VERSION)).encode()).hexdigest()[:8]
+        return self._held.folder / f"{kind}-arms-{made}.npz"
+
+    def _make(self, kind: str) -> list[HeldArm]:
+        grasps = self._held.found(kind)
+        postures = rest_postures(stream(0, "held arms", kind), self._held.config, MAX_TRIES)
+        made: list[HeldArm] = []
+        for number, arm in enumerate(postures):
+            grasp = self._held.hold_in(kind, grasps[number % len(grasps)], _robot(arm))
+            if grasp is not None:
+                made.append(HeldArm(arm, grasp))
+            if len(made) == MAX_ARMS:
+                break
+        if not made:
+            raise MjhabError(f"no grasp of {kind} holds for {HOLD_SECONDS} s in a posture in which a Pick succeeds")
+        return made
+
+
+def rest_postures(rng: np.random.Generator, config: TaskConfig, count: int) -> np.ndarray:
+    """Arm postures that pass the posture test of Pick, torso and head at rest.
+
+    Args:
+        rng: draws ``count`` postures uniformly from the joint tolerance around rest, and points around the rest point
+            of the tool centre to which they are then brought.
+
+    Returns:
+        (N, 7) [rad], N <= ``count``: those that could be brought there.
+    """
+    chain = _chain()
+    rest = np.array(REST_QPOS)[_COLUMNS]
+    low = np.maximum(chain.lower[_COLUMNS], rest - config.arm_tol_grasped)
+    high = np.minimum(chain.upper[_COLUMNS], rest + config.arm_tol_grasped)
+    q = np.repeat(np.array([REST_QPOS]), count, axis=0)
+    q[:, _COLUMNS] = rng.uniform(low, high, (count, len(rest)))
+    allowed = REST_SHARE * config.ee_rest_tol
+    offset = rng.normal(size=(count, 3))
+    offset *= allowed * rng.uniform(size=(count, 1)) ** (1 / 3) / np.linalg.norm(offset, axis=1, keepdims=True)
+    center = np.add(config.ee_rest_pos, (0.0, 0.0, config.base_height))
+    nothing = np.zeros((count, len(rest)))
+    for _ in range(SOLVER_STEPS):
+        error = center + offset - chain.tip_pose(q)[0]
+        step = damped_step(error, chain.jacobian(q)[:, :3, _COLUMNS], nothing)
+        q[:, _COLUMNS] = np.clip(q[:, _COLUMNS] + step, low, high)
+    there = np.linalg.norm(chain.tip_pose(q)[0] - center, axis=1) <= allowed
+    return q[there][:, _COLUMNS]
+
+
+@lru_cache(maxsize=1)
+def _chain() -> Chain:
+    return Chain.from_tree(KINEMATIC_TREE, FETCH_JOINTS)
+
+
+def _robot(arm: np.ndarray) -> np.ndarray:
+    """(15,) the parked robot with an arm posture."""
+    robot = parked_robot_qpos()
+    robot[_COLUMNS] = arm
+    return robot
+
+
+def _save(path: Path, arms: list[HeldArm]) -> None:
+    arrays = {
+        "arm": np.array([one.arm for one in arms]),
+        "pose": np.array([one.grasp.pose for one in arms]),
+        "fingers": np.array([one.grasp.fingers for one in arms]),
+    }
+    write_atomic(path, lambda temporary: np.savez(temporary, allow_pickle=False, **arrays))
+
+
+def _load(path: Path) -> list[HeldArm]:
+    with np.load(path, allow_pickle=False) as data:
+        rows = zip(data["arm"], data["pose"], data["fingers"], strict=True)
+        return [HeldArm(arm, HeldGrasp(pose, float(fingers))) for arm, pose, fingers in rows]

@@ -1,0 +1,98 @@
+"""Episodes of ours as episodes of the HAB format."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mjhab.episodes.generator import FRIDGE_DOOR, Episode
+from mjhab.episodes.hab.format import OBJECT_SUFFIX, SCENE_SUFFIX, HabEpisode, Marker, pose_to_hab
+from mjhab.episodes.hab.format import Receptacle as NumberedLink
+from mjhab.episodes.hab.reader import FIXED_LINKS, PREFIX, link_names, receptacle_at
+from mjhab.layout.layout import Layout
+from mjhab.layout.receptacles import PlacedReceptacle, placed_receptacles
+from mjhab.scenes.spec import Home
+
+_REPLICA_CAD = "replica_cad"
+_MARKERS = {
+    "kitchen_counter/drawer1_top": "cab_push_point_7", "kitchen_counter/drawer2_top": "cab_push_point_6",
+    "kitchen_counter/drawer3": "cab_push_point_5", "kitchen_counter/drawer4": "cab_push_point_4",
+    FRIDGE_DOOR: "fridge_push_point",
+}  # fmt: skip
+"""Names that HAB gives to the handles."""
+
+
+def to_hab(layout: Layout, home: Home, episode: Episode) -> HabEpisode:
+    """An episode in the format, links numbered with the root as 0. Its info names task, split, seed and index."""
+    places = placed_receptacles(layout, home)
+    at = {name: receptacle_at(layout, places, name, pose) for name, pose in
+          zip(layout.object_names, episode.object_pose, strict=True)}  # fmt: skip
+    kinds = dict(zip(layout.object_names, layout.objects, strict=True))
+    goals = {t.obj: np.array([*t.goal_pos, 1.0, 0.0, 0.0, 0.0]) for t in episode.targets}
+    there = {name: receptacle_at(layout, places, name, pose) for name, pose in goals.items()}
+    names = [t.obj for t in episode.targets]
+    return HabEpisode(
+        episode_id=str(episode.index),
+        scene_id=f"data/{layout.pack.name}/configs/scenes/{home.name}{SCENE_SUFFIX}",
+        rigid_objs=tuple(
+            (f"{kind}{OBJECT_SUFFIX}", pose_to_hab(pose, layout.pack.objects[kind].scan_yaw))
+            for kind, pose in zip(layout.roster, episode.object_pose, strict=True)
+        ),
+        targets={name: pose_to_hab(pose, kinds[name].scan_yaw) for name, pose in goals.items()},
+        ao_states=_ao_states(layout, episode.link_q),
+        markers=_markers(layout),
+        target_receptacles=tuple(_numbered(layout, at[name]) for name in names),
+        goal_receptacles=tuple(_numbered(layout, there[name]) for name in names),
+        name_to_receptacle={name: f"{_handle(layout, p)}|{p.name}" for name, p in at.items() if p is not None},
+        info={
+            "object_labels": {name: f"any_targets|{k}" for k, name in enumerate(names)},
+            "task": episode.task, "split": episode.split, "seed": episode.seed, "index": episode.index,
+        },
+        rest={
+            "scene_dataset_config": f"data/{layout.pack.name}/{_dataset_config(layout)}",
+            "additional_obj_config_paths": ["data/objects/ycb/configs/"],
+            "start_position": [0, 0, 0], "start_rotation": [0, 0, 0, 1],
+        },
+    )  # fmt: skip
+
+
+def _dataset_config(layout: Layout) -> str:
+    return f"{'replicaCAD' if layout.pack.name == _REPLICA_CAD else layout.pack.name}.scene_dataset_config.json"
+
+
+def _ao_states(layout: Layout, link_q: np.ndarray) -> dict[str, dict[str, float]]:
+    """Joints that are not closed (by more than 1 mm or 1 mrad: what settling leaves)."""
+    out: dict[str, dict[str, float]] = {}
+    for ref, position in zip(layout.links, link_q.tolist(), strict=True):
+        if abs(position) > 1e-3:
+            number = link_names(layout, ref.articulation).index(ref.link.name)
+            stated = -position if ref.link.mirrored else position
+            out.setdefault(f"{ref.articulation}_:0000", {})[str(number)] = round(stated, 6)
+    return out
+
+
+def _markers(layout: Layout) -> tuple[Marker, ...]:
+    """The handles that HAB marks, with our grasp points: link frame, +y up."""
+    found = []
+    for ref in layout.links:
+        if ref.id in _MARKERS:
+            x, y, z = ref.link.handle.pos
+            found.append(Marker(_MARKERS[ref.id], f"{ref.articulation}_:0000", ref.link.name,
+                                (round(x, 6), round(z, 6), round(-y, 6))))  # fmt: skip
+    return tuple(found)
+
+
+def _handle(layout: Layout, place: PlacedReceptacle) -> str:
+    thing = place.id.split("/")[0]
+    if thing == place.template:
+        return f"{thing}_:0000"
+    prefix = PREFIX if layout.pack.name == _REPLICA_CAD else ""
+    return f"{prefix}{place.template}_:{int(thing.rsplit('_', 1)[1]):04d}"
+
+
+def _numbered(layout: Layout, place: PlacedReceptacle | None) -> NumberedLink:
+    if place is None:
+        return ("", None)
+    if place.id.split("/")[0] == place.template:
+        link = place.link.split("/")[1] if place.link else FIXED_LINKS[1]
+        return (_handle(layout, place), link_names(layout, place.template).index(link))
+    return (_handle(layout, place), None)

@@ -1,0 +1,139 @@
+"""Makes sets of starts in parallel; a run that was interrupted goes on where it stopped."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mjhab.config.env import EnvConfig, task_config
+from mjhab.core.cache import write_atomic
+from mjhab.core.errors import UsageError
+from mjhab.episodes.generator import Episode, EpisodeMaker
+from mjhab.episodes.spawn_sets import SUFFIX, SpawnRecipe, SpawnRow, SpawnSet, header_of, join, pack_rows, write
+from mjhab.episodes.starts import StartMaker, check_target
+from mjhab.layout.layout import Layout
+from mjhab.robots.fetch.model import REST_QPOS
+from mjhab.scenes.builtin.objects import roster
+from mjhab.scenes.packs import open_pack
+from mjhab.sim.mujoco.cpu import CpuSimulator
+
+CHUNK = 32
+"""Starts between saves."""
+
+
+class SpawnFactory:
+    """Makes the starts of a recipe. Threads may share it.
+
+    Raises:
+        UsageError: the recipe asks for something that the task or the pack does not have.
+    """
+
+    def __init__(self, recipe: SpawnRecipe) -> None:
+        self.recipe = recipe
+        config = EnvConfig(
+            task=recipe.task, subtask=recipe.subtask, target=recipe.target, split=recipe.split, home=recipe.home,
+            assets=recipe.assets, seed=recipe.seed, spawn_rule=recipe.spawn_rule,
+        )  # fmt: skip
+        self.layout = Layout(open_pack(recipe.assets), roster(recipe.task))
+        check_target(config, self.layout)
+        self.sim = CpuSimulator(self.layout, 1, 1)
+        wanted = recipe.target if recipe.target in self.layout.roster else ""
+        self.episodes = EpisodeMaker(self.sim, recipe.task, recipe.split, recipe.home, wanted)
+        self.starts = StartMaker(self.sim, config, task_config(config, REST_QPOS), recipe.harvested)
+
+    def episode(self, index: int) -> Episode:
+        """The episode of start ``index``."""
+        recipe = self.recipe
+        arrangement = self.episodes.episode(recipe.seed, index % recipe.pool if recipe.pool else index)
+        return dataclasses.replace(arrangement, index=index)
+
+    def row(self, index: int) -> SpawnRow:
+        """Make one start.
+
+        Raises:
+            MjhabError: no stable arrangement was found.
+        """
+        episode = self.episode(index)
+        start = self.starts.start(episode)
+        return SpawnRow(episode, start.qpos, start.position, start.fallback, start.tries)
+
+    def header(self) -> dict[str, Any]:
+        """What the file will say about itself."""
+        kinds = sorted(set(self.layout.roster)) if self.recipe.subtask in ("place", "navigate") else []
+        library = self.starts.arms if self.starts.published else self.starts.held
+        return header_of(self.recipe, self.layout, {kind: library.digest(kind) for kind in kinds})
+
+
+def partial_folder(out: Path) -> Path:
+    """Where finished starts wait until the set is whole."""
+    return out.with_name(out.name + ".partial")
+
+
+def make_set(
+    recipe: SpawnRecipe, out: Path, threads: int, tell: Callable[[int, int], None], overwrite: bool = False
+) -> SpawnSet:
+    """Make the starts of a recipe and write them; finished ones survive an interruption.
+
+    Args:
+        recipe: what to make.
+        out: ``*.npz``.
+        threads: at least 1; the set does not depend on it.
+        tell: called with finished starts and fallbacks so far.
+        overwrite: replace ``out``, and drop what an interrupted run of another recipe left.
+
+    Raises:
+        UsageError: ``out`` exists or has another ending, or an interrupted run of another recipe is in the way.
+    """
+    if out.suffix != SUFFIX:
+        raise UsageError(f"a spawn set ends with {SUFFIX}, got {out}.")
+    if out.exists() and not overwrite:
+        raise UsageError(f"{out} exists; add --overwrite, or choose another --out.")
+    factory = SpawnFactory(recipe)
+    header, folder = factory.header(), partial_folder(out)
+    _resume(folder, header, overwrite)
+    parts: list[dict[str, np.ndarray]] = []
+    done = fallbacks = 0
+    with ThreadPoolExecutor(threads) as pool:
+        for first in range(0, recipe.count, CHUNK):
+            path = folder / f"{first:08d}{SUFFIX}"
+            if not path.exists():
+                rows = list(pool.map(factory.row, range(first, min(first + CHUNK, recipe.count))))
+                write(path, header, pack_rows(rows))
+            parts.append(SpawnSet.read(path).columns)
+            done, fallbacks = done + len(parts[-1]["home"]), fallbacks + int(parts[-1]["fallback"].sum())
+            tell(done, fallbacks)
+    made = write(out, header, join(parts))
+    _clear(folder)
+    return made
+
+
+def _resume(folder: Path, header: dict[str, Any], overwrite: bool) -> None:
+    """Keep what an interrupted run of the same recipe left; else begin with nothing.
+
+    Raises:
+        UsageError: it was left by another recipe, and ``overwrite`` is not set.
+    """
+    note, text = folder / "header.json", json.dumps(header, sort_keys=True)
+    if note.exists() and note.read_text(encoding="utf-8") != text:
+        if not overwrite:
+            raise UsageError(
+                f"{folder} was left by a run with other options, assets or code; finish that run, delete the folder, "
+                "or add --overwrite."
+            )
+        _clear(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_atomic(note, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
+def _clear(folder: Path) -> None:
+    """Delete what `make_set` writes into its folder, and the folder if that is all there was."""
+    for file in (*folder.glob(f"[0-9]*{SUFFIX}"), folder / "header.json"):
+        file.unlink(missing_ok=True)
+    if not any(folder.iterdir()):
+        folder.rmdir()

@@ -1,0 +1,234 @@
+"""Robot starts near a target: navigable, facing it, collision-free by simulation.
+
+Numbers are those of mshab/utils/gen/gen_spawn_positions.py: base noise N(0, 0.1) clipped at 0.2 m, yaw noise
+N(0, 0.25) clipped at 0.5 rad, arm noise N(0, 0.1) clipped at 0.2 rad, within 2 m of objects and goals, and for
+articulations within an area in front of them. Ours keeps the robot within these after the noise, and in sight of its
+goal past the walls; the published rule does not (`SpawnGoal.published`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from mjhab.core.boxes import Boxes, sphere_box_distance
+from mjhab.core.rotations import mat_from_quat, pose_mul
+from mjhab.robots.controllers.actions import ARM_JOINTS
+from mjhab.robots.fetch.model import REST_QPOS
+from mjhab.robots.kinematics import wrap
+from mjhab.scenes.freespace import BASE_RADIUS, FreeMap, free_map
+from mjhab.sim.mujoco.cpu import CpuSimulator
+from mjhab.sim.mujoco.scratch import Scratch
+
+XY_NOISE, YAW_NOISE, ARM_NOISE = (0.1, 0.2), (0.25, 0.5), (0.1, 0.2)
+"""(standard deviation, clip) in m, rad, rad."""
+MAX_DISTANCE = 2.0
+TELEPORT_DISTANCE, TELEPORT_YAW_NOISE = 1.8, (0.1, 0.5)
+"""Distance [m] and (standard deviation, clip) [rad] of the published teleports (mshab/evaluate.py)."""
+EYE_HEIGHT = 1.0
+"""Height [m] at which a wall between robot and goal counts; doorways are open there."""
+MAX_TRIES = 100
+
+
+@dataclass(frozen=True, eq=False)
+class SpawnGoal:
+    """Where to spawn, in the world frame [m, rad].
+
+    face: (2,) the point the robot faces; None: its heading is drawn from ``yaw`` (low, high).
+    area: stand in this box (x_min, x_max, y_min, y_max); else within ``reach`` of ``near`` (2,), which is ``face`` if
+    None; without any of them, anywhere. turn: how far it may be turned away from ``face`` at most. yaw_noise: standard
+    deviation and clip of the heading. slack: how far the noise may move the base out of ``area`` or ``reach``.
+    published: the noise moves the base after it was turned to ``face``, and a wall may stand in between.
+    """
+
+    face: np.ndarray | None
+    area: np.ndarray | None = None
+    near: np.ndarray | None = None
+    reach: float = MAX_DISTANCE
+    yaw: tuple[float, float] = (-np.pi, np.pi)
+    turn: float = np.pi
+    yaw_noise: tuple[float, float] = YAW_NOISE
+    slack: float = 0.0
+    published: bool = False
+
+    @property
+    def center(self) -> np.ndarray | None:
+        """(2,) what the robot shall be near to, None if it may be anywhere."""
+        return self.face if self.near is None else self.near
+
+    def allows(self, xy: np.ndarray, slack: float = 0.0) -> np.ndarray:
+        """(...,) bool: whether bases at ``xy`` (..., 2) are where they shall be, or ``slack`` [m] beyond."""
+        if self.area is not None:
+            x_min, x_max, y_min, y_max = self.area
+            inside = (xy[..., 0] >= x_min - slack) & (xy[..., 0] <= x_max + slack)
+            return inside & (xy[..., 1] >= y_min - slack) & (xy[..., 1] <= y_max + slack)
+        if self.center is None:
+            return np.ones(xy.shape[:-1], bool)
+        return np.hypot(xy[..., 0] - self.center[0], xy[..., 1] - self.center[1]) <= self.reach + slack
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """An object in the gripper: its slot and its pose (7,) in the frame of gripper_link.
+
+    With ``grip``, a start counts only if the object passes this grasp test: see `Scratch.collision_free`.
+    """
+
+    slot: int
+    pose: np.ndarray
+    grip: tuple[float, float] | None = None
+
+
+class SpawnSampler:
+    """Draws starts; single tries too, so that a hard one never holds up the other worlds. Threads may share it."""
+
+    def __init__(self, sim: CpuSimulator) -> None:
+        self.sim = sim
+        self.scratch = Scratch(sim)
+        self._homes = {home.name: home for home in sim.layout.pack.homes}
+        self._maps: dict[str, FreeMap] = {}
+        self._standing: dict[str, np.ndarray] = {}
+        self._walls: dict[str, Boxes] = {}
+
+    def map(self, home: str) -> FreeMap:
+        """Free-space map of a home."""
+        if home not in self._maps:
+            self._maps[home] = free_map(self._homes[home], self.sim.layout.pack)
+        return self._maps[home]
+
+    def walkable(self, home: str) -> np.ndarray:
+        """(P, 2) centres [m] of the cells where the robot can stand."""
+        if home not in self._standing:
+            fmap = self.map(home)
+            self._standing[home] = fmap.to_xy(np.argwhere(fmap.navigable(BASE_RADIUS)))
+        return self._standing[home]
+
+    def roomiest(self, home: str) -> np.ndarray:
+        """(2,) the cell [m] of the floor that is farthest from everything."""
+        return self._roomiest(home, self.walkable(home))
+
+    def try_once(
+        self, home: str, qpos: np.ndarray, goal: SpawnGoal, rng: np.random.Generator, held: Held | None = None
+    ) -> np.ndarray | None:
+        """One random try: the new state (nq,) when it is valid, else None. See `search`."""
+        return self.search(home, qpos, goal, (rng,), held)[0]
+
+    def search(
+        self,
+        home: str,
+        qpos: np.ndarray,
+        goal: SpawnGoal,
+        rngs: Iterable[np.random.Generator],
+        held: Held | None = None,
+    ) -> tuple[np.ndarray | None, int]:
+        """Random tries, one from each of ``rngs``, until one is valid.
+
+        Args:
+            home: home of the world.
+            qpos: (nq,) its present state; objects and joints stay, robot and held object move.
+            goal: where to stand.
+            rngs: streams of the tries.
+            held: what the gripper carries.
+
+        Returns:
+            The new state (nq,), None if no try was valid, and the number of tries.
+        """
+        candidates, tries = self._candidates(home, goal), 0
+        for rng in rngs:
+            tries += 1
+            base = self._sample_base(home, goal, candidates, rng)
+            arm_noise = np.clip(rng.normal(0, ARM_NOISE[0], 7), -ARM_NOISE[1], ARM_NOISE[1])
+            found = None if base is None else self._apply(home, qpos, base, arm_noise, held)
+            if found is not None:
+                return found, tries
+        return None, tries
+
+    def at(
+        self, home: str, qpos: np.ndarray, xy: np.ndarray, goal: SpawnGoal, held: Held | None = None
+    ) -> np.ndarray | None:
+        """The state with the robot at ``xy`` (2,) in its rest pose, facing the goal; None when it touches something."""
+        return self._apply(home, qpos, np.array([*xy, self._heading(xy, goal)]), np.zeros(7), held)
+
+    def fallback(self, home: str, qpos: np.ndarray, goal: SpawnGoal, held: Held | None = None) -> np.ndarray:
+        """Without noise: the nearest valid start, else the roomiest place near the goal (the caller flags it)."""
+        cells = self.walkable(home)
+        close = goal.allows(cells, slack=1.0)
+        cells = cells[close] if close.any() else cells
+        center = cells.mean(axis=0) if goal.center is None else goal.center
+        order = np.argsort(np.linalg.norm(cells - center, axis=1), kind="stable")[:: max(1, len(cells) // 200)]
+        for xy in cells[order]:
+            found = self.at(home, qpos, xy, goal, held)
+            if found is not None:
+                return found
+        best = self._roomiest(home, cells)
+        return self._pose(home, qpos, np.array([*best, self._heading(best, goal)]), np.zeros(7), held)
+
+    # -- one try ---------------------------------------------------------------------------------------------------
+
+    @staticmethod
+    def _heading(xy: np.ndarray, goal: SpawnGoal) -> float:
+        """Towards what is to be faced; without it the middle of the range of headings."""
+        if goal.face is None:
+            return 0.5 * (goal.yaw[0] + goal.yaw[1])
+        return float(np.arctan2(goal.face[1] - xy[1], goal.face[0] - xy[0]))
+
+    def _roomiest(self, home: str, cells: np.ndarray) -> np.ndarray:
+        return cells[int(np.argmax(self.map(home).clearance_at(cells)))]
+
+    def _candidates(self, home: str, goal: SpawnGoal) -> np.ndarray:
+        xy = self.walkable(home)
+        return xy[goal.allows(xy)]
+
+    def _sample_base(
+        self, home: str, goal: SpawnGoal, candidates: np.ndarray, rng: np.random.Generator
+    ) -> np.ndarray | None:
+        noise = np.clip(rng.normal(0, XY_NOISE[0], 2), -XY_NOISE[1], XY_NOISE[1])
+        turn = float(np.clip(rng.normal(0, goal.yaw_noise[0]), -goal.yaw_noise[1], goal.yaw_noise[1]))
+        if not len(candidates):
+            return None
+        cell = candidates[int(rng.integers(len(candidates)))]
+        xy = cell + noise
+        if self.map(home).clearance_at(xy) < BASE_RADIUS - 0.02 or not goal.allows(xy, goal.slack):
+            return None
+        if goal.face is None:
+            return np.array([*xy, rng.uniform(*goal.yaw)])
+        if goal.published:
+            yaw = self._heading(cell, goal) + turn
+            return np.array([*xy, yaw]) if abs(wrap(self._heading(xy, goal) - yaw)) <= goal.turn else None
+        if abs(turn) > goal.turn or self._behind_wall(home, xy, goal.face):
+            return None
+        return np.array([*xy, self._heading(xy, goal) + turn])
+
+    def _behind_wall(self, home: str, xy: np.ndarray, face: np.ndarray) -> bool:
+        """Whether a wall stands between a base and its goal: two metres through a wall are a long way round."""
+        if home not in self._walls:
+            walls = [g for g in self._homes[home].walls if g.collide and g.shape == "box"]
+            rot = mat_from_quat(np.array([g.quat for g in walls]).reshape(-1, 4))
+            self._walls[home] = Boxes.of([g.pos for g in walls], [g.size for g in walls], rot)
+        share = np.linspace(0.0, 1.0, 60)[:, None]
+        line = np.full((60, 3), EYE_HEIGHT)
+        line[:, :2] = xy + share * (face - xy)
+        return bool((sphere_box_distance(line, self._walls[home]) < 0.0).any())
+
+    def _pose(
+        self, home: str, qpos: np.ndarray, base: np.ndarray, arm_noise: np.ndarray, held: Held | None
+    ) -> np.ndarray:
+        a = self.sim.addresses
+        out = qpos.copy()
+        robot = out[a.robot_q].copy() if held else np.array(REST_QPOS, dtype=np.float64)
+        robot[:3] = base
+        robot[list(ARM_JOINTS)] += arm_noise
+        out[a.robot_q] = robot
+        if held is not None:
+            start = a.object_q[held.slot]
+            out[start : start + 7] = pose_mul(self.scratch.tcp_pose(home, out), held.pose)
+        return out
+
+    def _apply(
+        self, home: str, qpos: np.ndarray, base: np.ndarray, arm_noise: np.ndarray, held: Held | None
+    ) -> np.ndarray | None:
+        out = self._pose(home, qpos, base, arm_noise, held)
+        carried, grip = (held.slot, held.grip) if held else (-1, None)
+        return out if self.scratch.collision_free(home, out, carried, grip) else None

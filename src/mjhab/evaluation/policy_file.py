@@ -1,0 +1,112 @@
+"""Policies in a file of the user: ``FILE.py:CLASS``. See `resolve.PolicyModule`.
+
+The class has ``name``, ``reset`` and ``act`` of the `Policy` protocol. A constructor with a parameter is called with
+the vector environment, one without is called with nothing. A class attribute ``env_options`` names the options of the
+environment that the policy needs, e.g. ``{"obs_mode": "depth"}``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import inspect
+import os
+import sys
+import traceback
+from pathlib import Path
+from types import ModuleType
+
+from mjhab.core.errors import UsageError, unknown_name
+from mjhab.evaluation.own_policy import check_methods, construct_policy, env_options_of
+from mjhab.evaluation.resolve import PolicyFacts, PolicyOptions
+from mjhab.rollout.policy import Policy, RolloutEnv
+
+
+def inspect_policy(spec: str) -> PolicyFacts:
+    """Load the file and describe the class; the hash of the file tells one version of it from another.
+
+    Raises:
+        UsageError: the file is missing or fails when it is imported; it has no such class; the class lacks a method.
+    """
+    path, _ = _split(spec)
+    policy_class = _load_class(spec)
+    name = f"{path.name}:{policy_class.__name__}"
+    return PolicyFacts(name, {"policy_sha256": _file_hash(path)}, env_options_of(policy_class))
+
+
+def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions) -> Policy:
+    """Make an object of the class.
+
+    Raises:
+        UsageError: as `inspect_policy`; or a style was asked for; or the constructor takes something else.
+    """
+    if options.style:
+        raise UsageError(f"a style is for the policy expert; {spec} has none.")
+    return construct_policy(_load_class(spec), env)
+
+
+def _split(spec: str) -> tuple[Path, str]:
+    """The file and the name of the class, "" if there is none."""
+    head, colon, name = spec.rpartition(":")
+    if not colon or name.endswith(".py"):
+        return Path(spec), ""
+    return Path(head), name
+
+
+def _load_class(spec: str) -> type:
+    path, name = _split(spec)
+    if not path.is_file():
+        raise UsageError(f"--policy {spec}: there is no file {path}.")
+    module = _load_module(path)
+    classes = {key: value for key, value in vars(module).items() if inspect.isclass(value)}
+    own = [key for key, value in classes.items() if value.__module__ == module.__name__ and not key.startswith("_")]
+    if not name:
+        found = ", ".join(f"{path}:{key}" for key in own) or f"{path}:MyPolicy"
+        raise UsageError(f"--policy {spec}: say which class of the file, as in {found}.")
+    if name not in classes:
+        if not own:
+            raise UsageError(f"{path} has no class {name!r}; it defines no class at all.")
+        raise UsageError(f"{path} has no class {name!r}. {unknown_name('class', name, own)}")
+    check_methods(classes[name], name)
+    return classes[name]
+
+
+def _load_module(path: Path) -> ModuleType:
+    """Import a file as ``python FILE`` would, with its folder on the path; once per content.
+
+    Raises:
+        UsageError: it cannot be read, or raises.
+    """
+    name = f"mjhab_policy_{path.stem}_{_file_hash(path)[:12]}"
+    if name in sys.modules:
+        return sys.modules[name]
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None:
+        raise UsageError(f"{path} is not a Python file.")
+    folder = str(path.resolve().parent)
+    if folder not in sys.path:
+        sys.path.insert(0, folder)
+    module = importlib.util.module_from_spec(spec)
+    # Dataclasses and pickle look their module up by its name.
+    sys.modules[name] = module
+    try:
+        spec.loader.exec_module(module)
+    except (Exception, SystemExit) as error:
+        del sys.modules[name]
+        what = f"{type(error).__name__}: {error}{_line_of(error, path)}"
+        raise UsageError(f"{path} cannot be imported: {what}.") from error
+    return module
+
+
+def _line_of(error: BaseException, path: Path) -> str:
+    """The line of the file that an exception comes from, in words."""
+    if isinstance(error, SyntaxError):
+        # Its message says the line.
+        return ""
+    frames = traceback.extract_tb(error.__traceback__)
+    lines = [frame.lineno for frame in frames if frame.filename == os.path.abspath(path)]
+    return f" (line {lines[-1]})" if lines else ""
+
+
+def _file_hash(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()

@@ -1,0 +1,202 @@
+"""How far the robot is from boxes and from itself: spheres along its links against oriented boxes, in batches.
+
+Letters: N configurations, M spheres, K boxes. Lengths [m], world frame unless said.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from mjhab.core.boxes import Boxes
+from mjhab.core.rotations import mat_from_quat
+from mjhab.experts.arm.sphere_gaps import least_gaps, own_gaps
+from mjhab.robots.kinematics import Chain, Frames
+
+Array = np.ndarray
+FAR = 1e3
+"""Distance [m] reported when there is nothing to be near to."""
+_THICK, _EDGE = 0.05, 0.03
+"""Boxes covered by larger spheres than the first get spheres of the second size along their edges [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class RobotSpheres:
+    """Spheres that cover the robot: ``link`` (M,) index among the chain's links, ``pos`` (M, 3) in the link's frame,
+    ``radius`` (M,). ``trunk``: boxes of the links the arm must not touch, each in the frame of its ``trunk_link`` (K,);
+    ``distal`` (M,) bool: spheres that are checked against them."""
+
+    chain: Chain
+    link: Array
+    pos: Array
+    radius: Array
+    trunk: Boxes
+    trunk_link: Array
+    distal: Array
+
+    @classmethod
+    def from_geoms(
+        cls,
+        chain: Chain,
+        geoms: Mapping[str, Sequence[Any]],
+        *,
+        skip: Sequence[str] = (),
+        trunk: Sequence[str] = (),
+        distal: Sequence[str] = (),
+    ) -> RobotSpheres:
+        """Cover collision shapes by spheres.
+
+        Args:
+            chain: a chain that holds every link of interest (``extra`` of `Chain.from_tree`).
+            geoms: per link its boxes and cylinders (fields ``shape``, ``size``, ``pos``, ``quat`` as in a scene's
+                description); links the chain lacks are left out.
+            skip: links to leave out, e.g. the base where a map of free floor already keeps it clear.
+            trunk: links kept as boxes for `self_clearance`.
+            distal: links whose spheres `self_clearance` looks at.
+        """
+        link, pos, radius = [], [], []
+        for i, name in enumerate(chain.links):
+            for geom in geoms.get(name, ()) if name not in skip else ():
+                for points, size in _cover(geom):
+                    link += [i] * len(points)
+                    pos.append(points)
+                    radius += [size] * len(points)
+        pairs = [(chain.links.index(name), g) for name in trunk if name in chain.links for g in geoms.get(name, ())]
+        rows = np.array(link, dtype=np.int64)
+        chosen = [i for i, name in enumerate(chain.links) if name in distal]
+        return cls(
+            chain, rows, np.concatenate(pos), np.array(radius), _bounding([g for _, g in pairs]),
+            np.array([i for i, _ in pairs], dtype=np.int64), np.isin(rows, chosen),
+        )  # fmt: skip
+
+    def with_held(self, pos: Array, radius: Array) -> RobotSpheres:
+        """The same robot with spheres ``pos`` (H, 3), ``radius`` (H,) fixed to the tip: an object in the gripper."""
+        return dataclasses.replace(
+            self,
+            link=np.append(self.link, np.full(len(pos), self.chain.tip_index)),
+            pos=np.concatenate([self.pos, pos]),
+            radius=np.append(self.radius, radius),
+            distal=np.append(self.distal, np.ones(len(pos), dtype=bool)),
+        )
+
+    def only(self, links: Sequence[str]) -> RobotSpheres:
+        """The spheres of some links, for cheaper or more specific tests."""
+        keep = np.isin(self.link, [self.chain.links.index(name) for name in links])
+        return dataclasses.replace(
+            self, link=self.link[keep], pos=self.pos[keep], radius=self.radius[keep], distal=self.distal[keep]
+        )
+
+    def centers(self, frames: Frames) -> Array:
+        """World centres (N, M, 3) at link frames from `Chain.forward`."""
+        return frames.pos[:, self.link] + np.einsum("nmij,mj->nmi", frames.rot[:, self.link], self.pos)
+
+    def clearance(self, q: Array, boxes: Boxes) -> Array:
+        """Least distance (N,) [m] of any sphere to any box at configurations ``q`` (N, Q); negative: they overlap."""
+        q = np.atleast_2d(q)
+        if len(q) == 0 or len(boxes) == 0 or len(self.radius) == 0:
+            return np.full(len(q), FAR)
+        frames = self.chain.forward(q)
+        sides = [np.ascontiguousarray(side, dtype=np.float64) for side in (boxes.center, boxes.half, boxes.rot)]
+        return least_gaps(frames.pos, frames.rot, *self._bounds, *self._by_link, *sides)
+
+    @cached_property
+    def _by_link(self) -> tuple[Array, Array, Array]:
+        """Where each link of `_bounds` begins among the spheres sorted by link (L + 1,), their ``pos``, ``radius``."""
+        order = np.argsort(self.link, kind="stable")
+        first = np.searchsorted(self.link[order], np.unique(self.link))
+        return np.append(first, len(order)), self.pos[order], self.radius[order]
+
+    @cached_property
+    def _bounds(self) -> tuple[Array, Array, Array]:
+        """Links (L,) that have spheres, centres (L, 3) in their frames and radii (L,) of spheres around them."""
+        links = np.unique(self.link)
+        middle = np.zeros((len(links), 3))
+        around = np.zeros(len(links))
+        for i, link in enumerate(links):
+            mine = self.link == link
+            low = (self.pos[mine] - self.radius[mine, None]).min(axis=0)
+            high = (self.pos[mine] + self.radius[mine, None]).max(axis=0)
+            middle[i] = (low + high) / 2
+            around[i] = (np.linalg.norm(self.pos[mine] - middle[i], axis=1) + self.radius[mine]).max()
+        return links, middle, around
+
+    def self_clearance(self, q: Array) -> Array:
+        """Least distance (N,) [m] of the distal links to the trunk's boxes; negative: they overlap."""
+        frames, distal = self.chain.forward(q), self.distal
+        if not distal.any() or not len(self.trunk_link):
+            return np.full(len(q), FAR)
+        sides = [
+            np.ascontiguousarray(side, dtype=np.float64)
+            for side in (self.trunk.center, self.trunk.half, self.trunk.rot)
+        ]
+        rows = self.link[distal], self.pos[distal], self.radius[distal]
+        return own_gaps(frames.pos, frames.rot, *rows, self.trunk_link, *sides)
+
+    def path_clearance(self, start: Array, ends: Array, boxes: Boxes, pieces: int = 8) -> Array:
+        """Least clearance (N,) to boxes and to the own trunk on the straight joint paths from ``start`` (Q,) or (N, Q)
+        to ``ends`` (N, Q), looked at in ``pieces`` places after the start."""
+        ends = np.atleast_2d(ends)
+        share = np.linspace(0, 1, pieces + 1)[1:, None, None]
+        q = (start + share * (ends - start)).reshape(-1, ends.shape[1])
+        gap = np.minimum(self.clearance(q, boxes), self.self_clearance(q))
+        return gap.reshape(pieces, len(ends)).min(axis=0)
+
+
+def _cover(geom: Any) -> list[tuple[Array, float]]:
+    """`_fill`, and small spheres along the long edges of thick boxes, where large ones leave much uncovered."""
+    points, size = _fill(geom)
+    if geom.shape != "box" or size <= _THICK:
+        return [(points, size)]
+    half = np.asarray(geom.size, dtype=np.float64)
+    room = np.maximum(half - _EDGE, 0.0)
+    axes = [np.linspace(-r, r, 2 + int(r / _EDGE)) for r in room]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    edges = grid[np.delete(np.abs(grid) >= room - 1e-9, np.argmax(half), axis=1).all(axis=1)]
+    rot = mat_from_quat(np.asarray(geom.quat, dtype=np.float64))
+    return [(points, size), (edges @ rot.T + np.asarray(geom.pos, dtype=np.float64), _EDGE)]
+
+
+def _fill(geom: Any) -> tuple[Array, float]:
+    """Sphere centres (P, 3) in the link's frame and their common radius for a box, cylinder, capsule or sphere."""
+    if geom.shape == "sphere":
+        return np.asarray(geom.pos, dtype=np.float64)[None], float(geom.size[0])
+    if geom.shape == "box":
+        half = np.asarray(geom.size, dtype=np.float64)
+        # Flat boxes get rounder, somewhat thicker covers: their number matters more than a few millimetres.
+        small = max(float(half.min()), 0.7 * float(np.sort(half)[1]))
+        local = _grid(np.maximum(half - small, 0.0), small)
+    else:
+        radius, length = float(geom.size[0]), float(geom.size[1])
+        small = min(radius, max(length, 0.7 * radius))
+        if small == radius:
+            local = _grid(np.array([0.0, 0.0, length - small]), small)
+        else:
+            ring = radius - small
+            angle = np.linspace(0, 2 * np.pi, max(4, int(np.ceil(2 * np.pi * ring / small))), endpoint=False)
+            local = np.stack([ring * np.cos(angle), ring * np.sin(angle), 0 * angle], axis=1)
+            local = np.concatenate([np.zeros((1, 3)), local])
+    rot = mat_from_quat(np.asarray(geom.quat, dtype=np.float64))
+    return local @ rot.T + np.asarray(geom.pos, dtype=np.float64), small
+
+
+def _grid(room: Array, radius: float) -> Array:
+    """Points (P, 3) within ± ``room`` at most 1.2 radii apart."""
+    count = [1 + int(np.ceil(2 * r / (1.2 * radius) - 1e-9)) for r in room]
+    axes = [np.linspace(-r, r, n) if n > 1 else np.zeros(1) for r, n in zip(room, count, strict=True)]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def _bounding(geoms: Sequence[Any]) -> Boxes:
+    """Boxes around primitive shapes, in the frames the shapes are given in."""
+    half = []
+    for geom in geoms:
+        size = np.asarray(geom.size, dtype=np.float64)
+        half.append(size if geom.shape == "box" else np.array([size[0], size[0], size[1] or size[0]]))
+    center = np.array([geom.pos for geom in geoms], dtype=np.float64).reshape(-1, 3)
+    quat = np.array([geom.quat for geom in geoms], dtype=np.float64).reshape(-1, 4)
+    return Boxes(center, np.array(half).reshape(-1, 3), mat_from_quat(quat))

@@ -1,0 +1,204 @@
+"""Driving a way of legs: at which pace, as curves or with turns on the spot, and where that should lead.
+
+Lengths [m], angles [rad], world frame. Letters: T control steps, P points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from mjhab.experts.base.floorplan import Floorplan, turn_between
+from mjhab.experts.base.lattice import Leg, length
+from mjhab.experts.base.navigation import CONTROL_DT
+from mjhab.experts.base.route import BASE_LAG, Pilot
+from mjhab.robots.kinematics import wrap
+
+Array = np.ndarray
+SPARE, TOO_CLOSE = 0.02, 5000.0
+"""Room a drive should leave, and the seconds per square metre that it costs when there is less."""
+PLENTY = 0.08
+"""Room that is enough for a short cut."""
+NEARLY = 0.5
+"""Yaw rate [rad/s] that `Pilot` asks for a tenth of a radian before the end of a turn."""
+SPLITS = 8
+"""Most attempts at turning on the spot where curves come too close."""
+JOINED_TURN = 2.0
+"""Turns up to this may be driven as curves."""
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How the base is driven: ``speed`` [m/s], ``rise`` [m/s2] that it gains at most and half of what it loses,
+    ``turn`` part of the yaw rate that `Pilot` asks for, ``spin`` [rad/s] and ``jerk`` [rad/s2] its bounds."""
+
+    speed: float = 1.0
+    rise: float = 20.0
+    turn: float = 1.0
+    spin: float = 2.6
+    jerk: float = 80.0
+
+
+BRISK, GENTLE = Pace(), Pace(0.7, 1.5, 0.5, 1.2, 3.0)
+"""With an empty hand, and with an object in it that must not slip."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trip:
+    """A drive: its legs, how far ahead to steer on each, how fast, and the base poses (T, 3) it should lead through."""
+
+    legs: Sequence[Leg]
+    lookahead: float
+    pace: Pace
+    poses: Array
+
+
+class Driver:
+    """Drives the legs of a trip, one after the other; ``leg`` is the present one, None at the end."""
+
+    def __init__(self, legs: Sequence[Leg], lookahead: float, pace: Pace, v: float = 0.0, w: float = 0.0) -> None:
+        self._legs, self._lookahead, self._pace = list(legs), lookahead, pace
+        self._v, self._w = v, w
+        self.leg: Leg | None = None
+        self._begin()
+
+    def _begin(self) -> None:
+        self.leg = leg = self._legs.pop(0) if self._legs else None
+        if leg is not None:
+            self._pilot = Pilot(leg.points, leg.yaw, leg.direction, self._lookahead, self._pace.speed)
+            self._left = 60 + int(length(leg) / (0.2 * CONTROL_DT))
+
+    def step(self, pose: Array) -> tuple[float, float]:
+        """Forward speed and yaw rate for the base at ``pose`` (3,)."""
+        v = w = 0.0
+        while self.leg is not None:
+            v, w, done = self._pilot.step(pose)
+            self._left -= 1
+            # Only the last leg has to end exactly: a turn on the spot that is nearly done leads into the next one.
+            done = done or (bool(self._legs) and v == 0.0 and abs(w) < NEARLY)
+            if not done and self._left >= 0:
+                break
+            self._begin()
+            v = w = 0.0
+        pace = self._pace
+        gain, change = pace.rise * CONTROL_DT, pace.jerk * CONTROL_DT
+        self._v = towards(v, self._v, gain)
+        w = float(np.clip(pace.turn * w, -pace.spin, pace.spin))
+        self._w = float(np.clip(w, self._w - change, self._w + change))
+        return self._v, self._w
+
+
+def towards(wish: float, now: float, gain: float) -> float:
+    """A speed nearer to the wished one, by ``gain`` where it grows and by twice as much where it falls."""
+    up, down = (gain, 2.0 * gain) if now >= 0.0 else (2.0 * gain, gain)
+    return float(np.clip(wish, now - down, now + up))
+
+
+def plan_drive(plan: Floorplan, pose: Array, legs: Sequence[Leg], pace: Pace) -> Trip:
+    """The quickest way for the base at ``pose`` (3,) to drive legs that keeps the room they have.
+
+    Curves, and turns on the spot where they come too close to something.
+    """
+    curves = _joined(legs)
+    pulled = _pulled(plan, curves)
+    asked = min(SPARE, float(plan.room(pose[None])[0]) - 0.03)
+    best: tuple[float, Trip] | None = None
+    for choice, lookahead in ((pulled, 0.3), (pulled, 0.2), (curves, 0.2), (legs, 0.1)):
+        tried: Sequence[Leg] | None = choice
+        for _ in range(SPLITS):
+            trip = Trip(tried, lookahead, pace, simulate(pose, tried, lookahead, pace))
+            room = plan.room(trip.poses)
+            lack = max(asked - float(room.min(initial=np.inf)), 0.0)
+            cost = CONTROL_DT * len(trip.poses) + TOO_CLOSE * lack**2
+            if best is None or cost < best[0]:
+                best = (cost, trip)
+            if lack == 0.0:
+                return best[1]
+            tried = _split(tried, trip.poses[int(np.argmin(room)), :2])
+            if tried is None:
+                break
+    assert best is not None
+    return best[1]
+
+
+def _split(legs: Sequence[Leg], near: Array) -> list[Leg] | None:
+    """Legs with a turn on the spot at the curve nearest to a point (2,); None when no curve is left."""
+    best: tuple[float, int, int] | None = None
+    for i, leg in enumerate(legs):
+        for k in range(1, len(leg.points) - 1):
+            gap = float(np.linalg.norm(leg.points[k] - near))
+            if best is None or gap < best[0]:
+                best = (gap, i, k)
+    if best is None:
+        return None
+    _, i, k = best
+    leg = legs[i]
+    way = leg.points[k + 1] - leg.points[k]
+    yaw = float(wrap(np.arctan2(way[1], way[0]) + (0.0 if leg.direction > 0 else np.pi)))
+    parts = [Leg(leg.points[: k + 1], leg.direction, yaw), Leg(leg.points[k:], leg.direction, leg.yaw)]
+    return [*legs[:i], *parts, *legs[i + 1 :]]
+
+
+def _joined(legs: Sequence[Leg]) -> list[Leg]:
+    """Pieces that go on in the same direction after a moderate turn as one leg with several points."""
+    out: list[Leg] = []
+    pending: list[Leg] = []
+    for leg in legs:
+        if not length(leg):
+            pending.append(leg)
+            continue
+        last = out[-1] if out else None
+        smooth = last is not None and length(last) and last.direction == leg.direction
+        if last is not None and smooth and abs(turn_between(last.yaw, leg.yaw)) < JOINED_TURN and len(pending) < 2:
+            out[-1] = Leg(np.concatenate([last.points, leg.points[1:]]), leg.direction, leg.yaw)
+        else:
+            out += [*pending, leg]
+        pending = []
+    return out + pending
+
+
+def _pulled(plan: Floorplan, legs: Sequence[Leg]) -> list[Leg]:
+    """Legs without the points that a straight line with as much room (or plenty) makes needless."""
+    out = []
+    for leg in legs:
+        kept, back = [0], 0.0 if leg.direction > 0 else np.pi
+        while kept[-1] < len(leg.points) - 1:
+            kept.append(_farthest(plan, leg.points, kept[-1], back))
+        out.append(Leg(leg.points[kept], leg.direction, leg.yaw))
+    return out
+
+
+def _farthest(plan: Floorplan, points: Array, i: int, back: float) -> int:
+    """The last of ``points`` (P, 2) that a straight line from the i-th one may lead to."""
+    for j in range(len(points) - 1, i + 1, -1):
+        if _line_room(plan, points[[i, j]], back) >= min(PLENTY, _line_room(plan, points[i : j + 1], back)):
+            return j
+    return i + 1
+
+
+def _line_room(plan: Floorplan, points: Array, back: float) -> float:
+    """Least room on straight lines along ``points`` (P, 2), headed along them (``back`` pi: the other way)."""
+    poses = []
+    for a, b in pairwise(points):
+        way = b - a
+        share = np.linspace(0.0, 1.0, 2 + int(np.linalg.norm(way) / 0.05))[:, None]
+        yaw = np.arctan2(way[1], way[0]) + back
+        poses.append(np.column_stack([a + share * way, np.full(len(share), yaw)]))
+    return float(plan.room(np.concatenate(poses)).min())
+
+
+def simulate(pose: Array, legs: Sequence[Leg], lookahead: float, pace: Pace) -> Array:
+    """Base poses (T, 3) that driving the legs should give."""
+    pose, speed, rate = pose.copy(), 0.0, 0.0
+    share = 1.0 - np.exp(-CONTROL_DT / BASE_LAG)
+    poses, driver = [], Driver(legs, lookahead, pace)
+    while driver.leg is not None:
+        forward, turn = driver.step(pose)
+        speed += share * (forward - speed)
+        rate += share * (turn - rate)
+        pose = pose + CONTROL_DT * np.array([speed * np.cos(pose[2]), speed * np.sin(pose[2]), rate])
+        poses.append(pose)
+    return np.array(poses).reshape(-1, 3)

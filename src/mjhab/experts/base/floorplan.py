@@ -1,0 +1,219 @@
+"""Where the robot fits right now, arm included: clearances of the base on the floor and of the arm at its heights.
+
+Lengths [m], angles [rad], world frame. Letters: X, Y cells, L levels of height, M arm spheres, N base poses, K boxes.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+from scipy.ndimage import distance_transform_edt
+
+from mjhab.core.boxes import Boxes
+from mjhab.envs.privileged import TRUNK_LINKS, HomeShapes, WorldView
+from mjhab.experts.arm import motion
+from mjhab.experts.base.route import planner
+from mjhab.experts.planning.carry import held_spheres
+from mjhab.robots.kinematics import wrap
+
+Array = np.ndarray
+BASE_NEED = 0.29
+"""Clearance the base needs; it is 0.285 m wide at its widest."""
+ARM_NEED = 0.02
+"""Clearance of the arm that counts as none: it swings a little, and cells are coarse."""
+LEVELS = np.arange(0.7, 1.75, 0.1)
+"""Lower ends of the slices of height in which the arm at rest may touch something; below, the map of the base holds."""
+NOTHING = 100.0
+"""Distance where a slice of height is empty."""
+AT_REST = 0.05
+"""Nearer than this [rad] the arm is where it shall be."""
+FALLEN, FALLEN_SIZE = 0.4, 0.15
+"""Objects below this height, and not larger than this, lie where the base may want to drive."""
+_STEP = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Arm:
+    """The arm at rest with what it holds, in the frame of the base: ``offset`` (M, 2), ``radius`` (M,), and ``level``
+    (M, 2): first and last slice it passes through."""
+
+    offset: Array
+    radius: Array
+    level: Array
+
+    @classmethod
+    def of(cls, view: WorldView, posture: Array, held: str = "") -> Arm:
+        """The arm in a configuration (15,) and as it is now, with an object as it sits in the hand now."""
+        whole = motion.spheres()
+        robot = whole.only([name for name in whole.chain.links if name not in TRUNK_LINKS])
+        if held:
+            robot = robot.with_held(*held_spheres(view, held))
+        q = np.stack([posture, view.q][: 1 if motion.joint_gap(view, posture) < AT_REST else 2])
+        q[:, :3] = 0.0
+        center, radius = robot.centers(robot.chain.forward(q)).reshape(-1, 3), np.tile(robot.radius, len(q))
+        low = np.floor((center[:, 2] - radius - LEVELS[0]) / _STEP).astype(np.int64)
+        high = np.floor((center[:, 2] + radius - LEVELS[0]) / _STEP).astype(np.int64)
+        out = (np.linalg.norm(center[:, :2], axis=1) + radius > BASE_NEED) & (high >= 0) & (low < len(LEVELS))
+        level = np.clip(np.stack([low, high], axis=1)[out], 0, len(LEVELS) - 1)
+        return cls(center[out, :2], radius[out] + ARM_NEED, level)
+
+
+@dataclass(frozen=True, eq=False)
+class Floorplan:
+    """Free room in a world as it is now.
+
+    ``base`` (X, Y): clearance of the base at the cells' centres beyond `BASE_NEED`; ``free`` (L, X, Y): distance to
+    what stands in each slice of height; ``sight`` (L, X, Y) bool: walls and furniture alone, which hide things.
+    """
+
+    origin: Array
+    cell: float
+    base: Array
+    free: Array
+    sight: Array
+    arm: Arm
+
+    @classmethod
+    def of(cls, view: WorldView, arm: Arm, held: str = "", blocks: Array | None = None) -> Floorplan:
+        """The floor plan of a world.
+
+        Args:
+            arm: see `Arm`.
+            held: name of the object in the hand, which is in nobody's way.
+            blocks: (B, 3) x, y, radius of places where something unknown was felt.
+        """
+        cells = planner(view)
+        sight = _solid(view.home)
+        solid = sight.copy()
+        objects = motion.as_boxes(view.object_boxes((held,)))
+        _draw(solid, Boxes.join([motion.as_boxes(view.link_boxes()), objects]), cells.origin, cells.cell)
+        base, height = cells.clearance, objects.center[:, 2]
+        # What an episode has no use for is parked below the floor.
+        low = objects.take((height > -0.1) & (height < FALLEN) & (objects.half.max(axis=1) < FALLEN_SIZE))
+        felt = np.zeros((0, 3)) if blocks is None else np.asarray(blocks, float).reshape(-1, 3)
+        if len(low) or len(felt):
+            fallen = np.column_stack([low.center[:, :2], low.half[:, :2].max(axis=1)])
+            spots = np.concatenate([fallen, felt])
+            centers = cells.origin + (np.moveaxis(np.indices(base.shape), 0, -1) + 0.5) * cells.cell
+            gap = np.linalg.norm(centers[:, :, None] - spots[:, :2], axis=-1) - spots[:, 2]
+            base = np.minimum(base, np.maximum(gap.min(axis=-1), 0.0))
+            solid |= (gap[..., len(fallen) :] < 0.0).any(axis=-1)
+        free = np.stack([_distance(level, cells.cell) for level in solid])
+        return cls(cells.origin, cells.cell, base - BASE_NEED, free, sight, arm)
+
+    def slimmer(self, base: float, arm: float) -> Floorplan:
+        """The same for a base and an arm that are so much smaller [m]: what still may go when nothing else does."""
+        less = dataclasses.replace(self.arm, radius=np.maximum(self.arm.radius - arm, 0.0))
+        return dataclasses.replace(self, base=self.base + base, arm=less)
+
+    def room(self, poses: Array) -> Array:
+        """Room (N,) that base and arm have to spare at base poses (N, 3); negative: they touch something."""
+        poses = np.atleast_2d(poses)
+        found = self._at(self.base, poses[:, :2], -BASE_NEED)
+        cos, sin = np.cos(poses[:, 2, None]), np.sin(poses[:, 2, None])
+        x = poses[:, 0, None] + cos * self.arm.offset[:, 0] - sin * self.arm.offset[:, 1]
+        y = poses[:, 1, None] + sin * self.arm.offset[:, 0] + cos * self.arm.offset[:, 1]
+        points = np.stack([x, y], axis=-1)
+        for rows, free in self._groups:
+            gap = self._at(free, points[:, rows], 0.0) - self.arm.radius[rows]
+            found = np.minimum(found, gap.min(axis=1, initial=np.inf))
+        return found
+
+    def turning(self, xy: Array, start: float, turn: float) -> float:
+        """Least room while the base turns on the spot at ``xy`` (2,) from heading ``start`` by ``turn`` (signed)."""
+        yaw = start + np.linspace(0.0, turn, 2 + int(abs(turn) / 0.1))
+        return float(self.room(np.column_stack([np.full(len(yaw), xy[0]), np.full(len(yaw), xy[1]), yaw])).min())
+
+    def rooms(self, yaws: Array) -> Array:
+        """Room (H, X, Y) at the centres of all cells for headings (H,)."""
+        pad = 1 + int(np.ceil(float(np.linalg.norm(self.arm.offset, axis=1).max(initial=0.0)) / self.cell))
+        nx, ny = self.base.shape
+        out = np.repeat(self.base[None], len(yaws), axis=0)
+        for rows, free in self._groups:
+            padded = np.pad(free, pad)
+            for layer, yaw in zip(out, yaws, strict=True):
+                cos, sin = np.cos(yaw), np.sin(yaw)
+                shift = np.rint(self.arm.offset[rows] @ np.array([[cos, sin], [-sin, cos]]) / self.cell).astype(int)
+                widest: dict[tuple[int, int], float] = {}
+                for (i, j), radius in zip(shift.tolist(), self.arm.radius[rows].tolist(), strict=True):
+                    widest[i, j] = max(widest.get((i, j), 0.0), radius)
+                for (i, j), radius in widest.items():
+                    np.minimum(layer, padded[pad + i : pad + i + nx, pad + j : pad + j + ny] - radius, out=layer)
+        return out
+
+    def hidden(self, points: Array, goal: Array, near: float) -> Array:
+        """Part (N,) of the lines from ``points`` (N, 2) to ``goal`` (3,) that leads through walls or furniture, a
+        little above the goal; the last piece of length ``near`` [m] does not count."""
+        level = self.sight[int(np.clip((goal[2] + 0.15 - LEVELS[0]) / _STEP, 0, len(LEVELS) - 1))]
+        way = goal[:2] - points
+        far = np.linalg.norm(way, axis=1)
+        share = np.linspace(0.0, 1.0, 24)[:, None] * np.clip(1.0 - near / np.maximum(far, 1e-9), 0.0, 1.0)
+        i, j = self.cells(points + share[..., None] * way)
+        return level[i, j].mean(axis=0)
+
+    def cells(self, points: Array) -> tuple[Array, Array]:
+        """Indices of the cells that hold points (..., 2), moved into the map."""
+        index = np.floor((np.asarray(points) - self.origin) / self.cell).astype(np.int64)
+        index = np.clip(index, 0, np.array(self.base.shape) - 1)
+        return index[..., 0], index[..., 1]
+
+    def _at(self, values: Array, points: Array, outside: float) -> Array:
+        """Values (...,) between those of the four cells around points (..., 2)."""
+        at = (points - self.origin) / self.cell - 0.5
+        last = np.array(values.shape) - 1
+        inside = ((at >= 0) & (at <= last)).all(axis=-1)
+        low = np.clip(np.floor(at).astype(np.int64), 0, last - 1)
+        i, j, (u, v) = low[..., 0], low[..., 1], np.moveaxis(at - low, -1, 0)
+        near = (1 - v) * values[i, j] + v * values[i, j + 1]
+        far = (1 - v) * values[i + 1, j] + v * values[i + 1, j + 1]
+        return np.where(inside, (1 - u) * near + u * far, outside)
+
+    @cached_property
+    def _groups(self) -> list[tuple[Array, Array]]:
+        """Spheres (indices) that pass through the same slices, and the distances (X, Y) there."""
+        kinds, which = np.unique(self.arm.level, axis=0, return_inverse=True)
+        return [
+            (np.flatnonzero(which.ravel() == k), self.free[low : high + 1].min(axis=0))
+            for k, (low, high) in enumerate(kinds.tolist())
+        ]
+
+
+@lru_cache(maxsize=64)
+def _solid(home: HomeShapes) -> Array:
+    """Cells (L, X, Y) bool that walls and furniture take, doors and drawers left out."""
+    solid = np.zeros((len(LEVELS), *home.map_clearance.shape), bool)
+    _draw(solid, motion.as_boxes(home.boxes), home.map_origin, home.map_cell)
+    solid.flags.writeable = False
+    return solid
+
+
+def _distance(taken: Array, cell: float) -> Array:
+    """Distance (X, Y) from cells' centres to the nearest taken cell."""
+    if not taken.any():
+        return np.full(taken.shape, NOTHING)
+    return np.maximum(np.asarray(distance_transform_edt(~taken)) * cell - cell / 2, 0.0)
+
+
+def _draw(solid: Array, boxes: Boxes, origin: Array, cell: float) -> None:
+    """Mark the cells (L, X, Y) whose centres are inside of boxes or less than half a cell beside them."""
+    reach = np.einsum("kij,kj->ki", np.abs(boxes.rot), boxes.half)
+    low = np.floor((boxes.center - reach - [*origin, LEVELS[0]]) / [cell, cell, _STEP]).astype(int)
+    high = np.floor((boxes.center + reach - [*origin, LEVELS[0]]) / [cell, cell, _STEP]).astype(int) + 1
+    top = np.array([*solid.shape[1:], len(LEVELS)])
+    low, high = np.clip(low, 0, top), np.clip(high, 0, top)
+    for k in np.flatnonzero((high > low).all(axis=1)):
+        (i, j, a), (m, n, b) = low[k], high[k]
+        at = origin + (np.moveaxis(np.mgrid[i:m, j:n], 0, -1) + 0.5) * cell
+        # Seen from above: what stands upright is turned about the vertical alone.
+        local = (at - boxes.center[k, :2]) @ boxes.rot[k, :2, :2]
+        leaning = abs(boxes.rot[k, 2, 2]) < 0.99
+        inside = (np.abs(local) <= (np.inf if leaning else boxes.half[k, :2] + cell / 2)).all(axis=-1)
+        solid[a:b, i:m, j:n] |= inside
+
+
+def turn_between(start: float, end: float) -> float:
+    """The shorter turn from one heading to another, in [-pi, pi)."""
+    return float(wrap(end - start))

@@ -1,0 +1,207 @@
+"""Ways over position and heading: straight pieces, forwards or backwards, and turns on the spot.
+
+Sixteen headings that lead from grid point to grid point exactly. What the arm sweeps is looked at, so that the robot
+turns where it has room to and backs out of where it has not. Lengths [m], angles [rad], costs in seconds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import dijkstra
+
+from mjhab.experts.base.floorplan import Floorplan, turn_between
+from mjhab.robots.kinematics import wrap
+
+Array = np.ndarray
+MOVES = np.array(
+    [(1, 0), (2, 1), (1, 1), (1, 2), (0, 1), (-1, 2), (-1, 1), (-2, 1),
+     (-1, 0), (-2, -1), (-1, -1), (-1, -2), (0, -1), (1, -2), (1, -1), (2, -1)]
+)  # fmt: skip
+"""One step along every heading, in grid points."""
+YAWS = np.arctan2(MOVES[:, 1], MOVES[:, 0])
+STRIDE = 2
+"""Cells of the map between grid points."""
+SPEED, BACKWARDS, TURN_RATE, TURN_START = 0.8, 2.0, 1.8, 0.15
+"""What a way costs: [m/s], factor for backwards, [rad/s], [s] more for every turn to the next heading."""
+COMFORT, CAUTION = 0.15, 3.0
+"""Room that is worth a detour; where there is none to spare, a metre costs 1 + `CAUTION` times as much."""
+STARTS = np.array([0.0, -0.1, -0.2, -0.3, -0.4, -0.5, -0.6, -0.7, -0.8, 0.1, 0.2, 0.3, 0.4])
+"""How far straight on a way may begin before its first turn."""
+TIGHT = 40.0
+"""[s] for every metre that is lacking where the robot first turns."""
+ENTRY = 0.12
+"""How far the grid point may be where the robot gets onto the grid."""
+
+
+@dataclass(frozen=True, eq=False)
+class Leg:
+    """A piece of a way: along ``points`` (P, 2), forwards (1) or backwards (-1), then turned to ``yaw``."""
+
+    points: Array
+    direction: int
+    yaw: float
+
+
+class Lattice:
+    """The grid of one floor plan. H headings, X, Y grid points; node (h * X + x) * Y + y.
+
+    ``points`` (X, Y, 2): where they are; ``room`` (H, X, Y): what base and arm have to spare there.
+    """
+
+    def __init__(self, plan: Floorplan) -> None:
+        self.plan = plan
+        between = YAWS + 0.5 * (np.roll(YAWS, -1) - YAWS) % np.pi
+        fine = plan.rooms(np.concatenate([YAWS, between]))
+        self._fine, self._between = fine[:16], fine[16:, ::STRIDE, ::STRIDE]
+        self.room = self._fine[:, ::STRIDE, ::STRIDE]
+        self.shape = self.room.shape
+        index = np.moveaxis(np.indices(self.shape[1:]), 0, -1)
+        self.points = plan.origin + (STRIDE * index + 0.5) * plan.cell
+        self._edges = self._make_edges()
+
+    def search(self, pose: Array, price: Array) -> tuple[float, list[Leg]] | None:
+        """The cheapest way from a base pose (3,) to a node, what it costs there included.
+
+        Args:
+            price: (H, X, Y) seconds that each node costs as an end, infinite where the way must not end.
+
+        Returns:
+            Cost [s] and legs, or None when no such node can be reached.
+        """
+        entries = self._entries(pose)
+        if not entries:
+            return None
+        size = int(np.prod(self.shape))
+        starts, ends, costs = self._edges
+        nodes = np.array(list(entries))
+        first = np.array([entry[0] for entry in entries.values()])
+        graph = csr_matrix(
+            (np.concatenate([costs, first]),
+             (np.concatenate([starts, np.full(len(nodes), size)]), np.concatenate([ends, nodes]))),
+            shape=(size + 1, size + 1),
+        )  # fmt: skip
+        cost, before = dijkstra(graph, indices=size, return_predecessors=True)
+        total = np.asarray(cost)[:size] + price.ravel()
+        best = int(np.argmin(total))
+        if not np.isfinite(total[best]):
+            return None
+        way = [best]
+        while before[way[-1]] != size:
+            way.append(int(before[way[-1]]))
+        way.reverse()
+        return float(total[best]), self._legs(pose, entries[way[0]][1:], way)
+
+    def _make_edges(self) -> tuple[Array, Array, Array]:
+        """Start, end and cost of all moves between nodes with room."""
+        number = np.arange(int(np.prod(self.shape))).reshape(self.shape)
+        fits = self.room >= 0.0
+        lack = np.clip((COMFORT - self.room) / COMFORT, 0.0, 1.0)
+        dear = 1.0 + CAUTION * lack**2
+        parts: list[tuple[Array, Array, Array]] = []
+        for h, (dx, dy) in enumerate(MOVES.tolist()):
+            a, b = _windows(self.shape[1:], dx, dy)
+            good = fits[h][a] & fits[h][b] & self._midway(h, a, dx, dy)
+            pay = 0.5 * (dear[h][a] + dear[h][b])[good] * np.hypot(dx, dy) * STRIDE * self.plan.cell / SPEED
+            start, end = number[h][a][good], number[h][b][good]
+            parts += [(start, end, pay), (end, start, BACKWARDS * pay)]
+            k = (h + 1) % 16
+            good = fits[h] & fits[k] & (self._between[h] >= 0.0)
+            angle = abs(turn_between(YAWS[h], YAWS[k]))
+            pay = (angle / TURN_RATE + TURN_START) * 0.5 * (dear[h] + dear[k])[good]
+            parts += [(number[h][good], number[k][good], pay), (number[k][good], number[h][good], pay)]
+        joined = [np.concatenate(column) for column in zip(*parts, strict=True)]
+        return joined[0], joined[1], joined[2]
+
+    def _midway(self, h: int, a: tuple[slice, slice], dx: int, dy: int) -> Array:
+        """Whether there is room halfway, for moves that start in the window ``a``."""
+        rows = np.arange(self.shape[1])[a[0]] * STRIDE + dx * STRIDE // 2
+        columns = np.arange(self.shape[2])[a[1]] * STRIDE + dy * STRIDE // 2
+        return self._fine[h][np.ix_(rows, columns)] >= 0.0
+
+    def _entries(self, pose: Array) -> dict[int, tuple[float, float, float]]:
+        """Nodes at which a way may begin: cost, how far straight on to there, and how far the robot turns there.
+
+        A robot that stands too close to something may go wherever it does not get closer.
+        """
+        asked = min(0.0, float(self.plan.room(pose[None])[0]) - 0.015)
+        ahead = np.array([np.cos(pose[2]), np.sin(pose[2])])
+        found: dict[int, tuple[float, float, float]] = {}
+        for far in STARTS.tolist():
+            share = np.linspace(0.0, 1.0, 2 + int(abs(far) / 0.05))[:, None]
+            line = np.column_stack([pose[:2] + share * far * ahead, np.full(len(share), pose[2])])
+            if self.plan.room(line).min() < asked:
+                continue
+            pay = abs(far) / SPEED * (BACKWARDS if far < 0 else 1.0) + (0.5 if far else 0.0)
+            for h in range(16):
+                node = self._near(line[-1, :2], h)
+                if node < 0:
+                    continue
+                short = turn_between(pose[2], YAWS[h])
+                for turn in (short, short - np.copysign(2 * np.pi, short)):
+                    cost = pay + abs(turn) / TURN_RATE
+                    if node in found and found[node][0] <= cost:
+                        continue
+                    least = self.plan.turning(line[-1, :2], float(pose[2]), turn)
+                    cost += TIGHT * max(0.03 - least, 0.0)
+                    if least >= asked and (node not in found or cost < found[node][0]):
+                        found[node] = (cost, far, turn)
+        return found
+
+    def _near(self, xy: Array, h: int) -> int:
+        """The node with heading ``h`` nearest to ``xy`` (2,) that has room; -1 if there is none within `ENTRY`."""
+        at = (xy - self.plan.origin) / self.plan.cell - 0.5
+        low = np.floor(at / STRIDE).astype(int)
+        x, y = np.meshgrid([low[0], low[0] + 1], [low[1], low[1] + 1], indexing="ij")
+        x, y = np.clip(x.ravel(), 0, self.shape[1] - 1), np.clip(y.ravel(), 0, self.shape[2] - 1)
+        gap = np.linalg.norm(self.points[x, y] - xy, axis=1)
+        gap = np.where(self.room[h, x, y] >= 0.0, gap, np.inf)
+        best = int(np.argmin(gap))
+        return int((h * self.shape[1] + x[best]) * self.shape[2] + y[best]) if gap[best] <= ENTRY else -1
+
+    def _legs(self, pose: Array, entry: tuple[float, float], way: Sequence[int]) -> list[Leg]:
+        """Strict legs: a turn on the spot wherever the heading changes."""
+        h, x, y = np.unravel_index(np.asarray(way), self.shape)
+        far, turn = entry
+        here, yaw = pose[:2] + far * np.array([np.cos(pose[2]), np.sin(pose[2])]), float(pose[2])
+        legs = [Leg(np.stack([pose[:2], here]), -1 if far < 0 else 1, yaw)] if far else []
+        for k in range(1, len(way)):
+            if h[k] != h[k - 1]:
+                turn += turn_between(float(YAWS[h[k - 1]]), float(YAWS[h[k]]))
+                continue
+            legs += turns(here, yaw, turn)
+            there, yaw, turn = self.points[x[k], y[k]], float(YAWS[h[k]]), 0.0
+            direction = 1 if (x[k] - x[k - 1], y[k] - y[k - 1]) == tuple(MOVES[h[k]]) else -1
+            last = legs[-1] if legs else None
+            if last is not None and length(last) and last.direction == direction and last.yaw == yaw:
+                legs[-1] = Leg(np.stack([last.points[0], there]), direction, yaw)
+            else:
+                legs.append(Leg(np.stack([here, there]), direction, yaw))
+            here = there
+        return legs + turns(here, yaw, turn)
+
+
+def turns(xy: Array, start: float, turn: float) -> list[Leg]:
+    """Legs that turn on the spot by a signed angle, each by less than half a turn, so that the side is certain."""
+    if abs(turn) < 1e-6:
+        return []
+    pieces = 1 + int(abs(turn) / 2.2)
+    yaws = [float(wrap(start + turn * (k + 1) / pieces)) for k in range(pieces)]
+    return [Leg(np.stack([xy, xy]), 1, yaw) for yaw in yaws]
+
+
+def length(leg: Leg) -> float:
+    """Length of a leg, 0 for a turn on the spot."""
+    return float(np.linalg.norm(np.diff(leg.points, axis=0), axis=1).sum())
+
+
+def _windows(shape: Sequence[int], dx: int, dy: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+    """The grid points from which a step (dx, dy) stays on the grid, and where it leads."""
+    starts, ends = [], []
+    for size, d in zip(shape, (dx, dy), strict=True):
+        starts.append(slice(max(0, -d), size - max(0, d)))
+        ends.append(slice(max(0, d), size - max(0, -d)))
+    return (starts[0], starts[1]), (ends[0], ends[1])

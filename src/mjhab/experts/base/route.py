@@ -1,0 +1,399 @@
+"""Moving base and arm at the same time: what the way will sweep is looked at before it is driven.
+
+Lengths [m], angles [rad], world frame. Letters: T control steps, P way points, Q joints.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from mjhab.core.boxes import sphere_box_distance
+from mjhab.envs.privileged import FETCH_JOINTS, HomeShapes, WorldView
+from mjhab.experts.arm import ik, motion
+from mjhab.experts.arm.clearance import Boxes, RobotSpheres
+from mjhab.experts.arm.gentle import Care, eased
+from mjhab.experts.arm.motion import Motion
+from mjhab.experts.base.navigation import CONTROL_DT, Planner
+from mjhab.robots.kinematics import wrap
+
+Array = np.ndarray
+MARGIN = 0.015
+"""Room [m] wanted around the robot on its way."""
+OWN_ROOM = 0.015
+DRIVE_ERROR = 0.03
+"""More room [m] wanted while the base drives."""
+BASE_ROOM = 0.27
+"""Clearance [m] of the map's cells that the base may pass."""
+LOWEST = 0.3
+"""Lower things [m] concern the base alone, and the map keeps it clear of them."""
+BODY_SLIMMER = 0.05
+"""Doors and drawers hang above the base; the body there is so much [m] slimmer."""
+BASE_LAG, TURN_LAG = 0.15, 0.02
+"""Time constants [s] of the base's speed and of its yaw rate."""
+BLOCKED_FORCE = 60.0
+BLOCKED_STEPS, LOST_STEPS = 4, 3
+STALLED_STEPS, STALLED = 10, 0.02
+"""Control steps, while the base stands, in which the arm comes nearer to its goal by so much [rad] or is stuck."""
+LOOKAHEADS = (0.30, 0.20, 0.10)
+"""How far ahead [m] the base steers; short ones keep to the way at corners, long ones are quicker."""
+_SHARES = (0.35, 0.6, 0.8, 0.9)
+MAX_SPEED = 1.0
+_TORSO = FETCH_JOINTS.index(ik.TORSO)
+_TURN_RATE, _PREVIEW = 2.6, 0.1
+_NEAR, _TURNED = 0.02, 0.05
+SETTLED = 0.01
+"""How near [rad, m] to its goal the arm and the torso count as there."""
+TORSO_SPEED, TORSO_GAIN = 0.04, 0.18
+"""Most [m] that the torso moves in a control step, and the part of a change of that which one step makes; measured."""
+PASSED = 0.08
+"""How near [rad] the arm comes to a posture on its way before it goes on to the next."""
+
+
+class Pilot:
+    """Steers the base quickly along a way, then turns it; ends within centimetres, the arm makes up for them.
+
+    Args:
+        path: (P, 2) way points from where the base is.
+        yaw: heading at the end.
+        direction: 1 forwards, -1 backwards.
+        lookahead: how far ahead it steers.
+        speed: bound [m/s].
+    """
+
+    def __init__(
+        self, path: Array, yaw: float, direction: int, lookahead: float, speed: float = MAX_SPEED
+    ) -> None:  # fmt: skip
+        self._speed = speed
+        legs = np.linalg.norm(np.diff(path, axis=0), axis=1)
+        self._along = np.concatenate([[0.0], np.cumsum(legs)])
+        self._path, self._yaw, self._direction, self._lookahead = path, yaw, direction, lookahead
+        ending = path[-1] - np.array([np.interp(self._along[-1] - 0.25, self._along, path[:, k]) for k in range(2)])
+        self._ending = ending / max(float(np.linalg.norm(ending)), 1e-9)
+        self._at, self._arrived = 0.0, bool(self._along[-1] < _NEAR)
+        self._last: Array | None = None
+
+    def step(self, pose: Array) -> tuple[float, float, bool]:
+        """Forward speed, yaw rate, and whether it has arrived, for the base at ``pose`` (3,)."""
+        moved = np.zeros(3) if self._last is None else pose - self._last
+        self._last = pose.copy()
+        rate = float(wrap(moved[2])) / CONTROL_DT
+        if not self._arrived:
+            self._at = self._progress(pose[:2])
+            left = float(self._along[-1]) - self._at
+            to_end = self._direction * float((self._path[-1] - pose[:2]) @ [np.cos(pose[2]), np.sin(pose[2])])
+            near = float(np.linalg.norm(self._path[-1] - pose[:2]))
+            # Turning sideways for the last centimetres takes longer than reaching a little further.
+            self._arrived = left < _NEAR or (near < 0.12 and to_end < 0.5 * near)
+        if self._arrived:
+            turn = float(wrap(self._yaw - pose[2]))
+            still = abs(turn) < _TURNED and abs(rate) < 0.4 and float(np.linalg.norm(moved[:2])) < 0.006
+            return 0.0, _bounded(4.5 * (turn - _PREVIEW * rate), _TURN_RATE), still
+        lookahead = float(np.clip(0.8 * left, 0.10, self._lookahead))
+        aim = self._point(self._at + lookahead) - pose[:2]
+        back = 0.0 if self._direction > 0 else np.pi
+        off = float(wrap(np.arctan2(aim[1], aim[0]) - pose[2] - back))
+        speed = float(np.linalg.norm(moved[:2])) / CONTROL_DT
+        pace = max(min(self._speed, 3.0 * (left - _PREVIEW * speed)), 0.04)
+        ahead = 0.0 if abs(off) > 0.9 else max(np.cos(off), 0.0) ** 3
+        return self._direction * pace * ahead, _bounded(4.5 * (off - _PREVIEW * rate), _TURN_RATE), False
+
+    def _progress(self, point: Array) -> float:
+        """Arc length of the way point nearest to ``point`` (2,), not far beyond the last one and never back."""
+        ahead = np.arange(self._at, min(self._at + 0.3, float(self._along[-1])) + 1e-9, 0.01)
+        if not len(ahead):
+            return self._at
+        x, y = (np.interp(ahead, self._along, self._path[:, k]) for k in range(2))
+        return float(ahead[np.argmin((x - point[0]) ** 2 + (y - point[1]) ** 2)])
+
+    def _point(self, at: float) -> Array:
+        """The point (2,) at an arc length; past the end straight on, so that the heading settles before it."""
+        over = max(0.0, at - float(self._along[-1]))
+        return over * self._ending + np.array([np.interp(at, self._along, self._path[:, k]) for k in range(2)])
+
+
+def _bounded(value: float, limit: float) -> float:
+    return float(np.clip(value, -limit, limit))
+
+
+def planner(view: WorldView) -> Planner:
+    """Path planner of the world's home that knows which doors and drawers stand open now."""
+    ajar = {name: round(view.link_q(name), 1) for name in view.home.links}
+    return _planner_with(view.home, tuple((name, q) for name, q in ajar.items() if q > 0.05))
+
+
+@lru_cache(maxsize=64)
+def _planner_with(home: HomeShapes, ajar: tuple[tuple[str, float], ...]) -> Planner:
+    plain = motion.planner(home)
+    if not ajar:
+        return plain
+    boxes = Boxes.join([motion.as_boxes(home.links[name].boxes(q)) for name, q in ajar])
+    nx, ny = plain.clearance.shape
+    x, y = plain.origin[0] + (np.arange(nx) + 0.5) * plain.cell, plain.origin[1] + (np.arange(ny) + 0.5) * plain.cell
+    cells = np.stack([*np.meshgrid(x, y, indexing="ij"), np.zeros((nx, ny))], axis=-1).reshape(-1, 3)
+    # Seen from above: doors and drawers stand upright, so that height plays no part.
+    flat = Boxes(boxes.center * [1.0, 1.0, 0.0], boxes.half, boxes.rot)
+    gap = sphere_box_distance(cells, flat).min(axis=1).reshape(nx, ny) + BODY_SLIMMER
+    clearance = np.minimum(plain.clearance, np.maximum(gap, 0.0))
+    return Planner(plain.origin, plain.cell, clearance, plain.radius, plain.comfort, plain.caution, plain.narrow)
+
+
+@dataclass(frozen=True, eq=False)
+class Route:
+    """A drive along ``path`` (P, 2) to ``yaw`` (see `Pilot`), the arm going to ``arm`` (15,) from step ``delay`` on.
+
+    ``steps``: how long it should take; ``room``: least clearance on the way beyond what was asked for [m].
+    ``via``: (V, 15) postures that the arm passes one after the other, see `sampled`; it keeps the one with the index
+    ``carried`` until the step ``delay``. The base starts at the step ``lead``. ``care``: how gently it drives.
+    """
+
+    path: Array
+    yaw: float
+    direction: int
+    lookahead: float
+    arm: Array
+    delay: int
+    steps: int
+    room: float
+    speed: float = MAX_SPEED
+    via: Array | None = None
+    carried: int = 0
+    lead: int = 0
+    care: Care | None = None
+
+
+def plan_route(
+    view: WorldView, goal: Array, arm: Array, robot: RobotSpheres, boxes: Boxes, *, margin: float = MARGIN,
+    direction: int = 0, straight: bool = False, care: Care | None = None,
+) -> Route | None:  # fmt: skip
+    """The quickest way to the base pose ``goal`` (3,) with the arm at ``arm`` (15,) that keeps clear of ``boxes``.
+
+    The arm starts at once if there is room, otherwise later; when even the whole way with the arm as it is comes too
+    close, the route with the most room is given: look at its ``room``. None when furniture cuts the goal off.
+
+    Args:
+        robot: what moves, the held object included.
+        margin: room [m] wanted.
+        direction: 1 forwards, -1 backwards, 0 whatever is quicker.
+        straight: do not plan around furniture.
+        care: how gently the base drives. Something is in the hand then, and a base that bumps into things loses it.
+    """
+    start, found = view.q, drive_of(view, goal, direction, straight, care)
+    if found is None:
+        return None
+    path, direction, lookahead, poses = found
+    boxes = within_reach(boxes, np.stack([start[:2], goal[:2]]))
+    before, own = float(robot.clearance(start[None], boxes)[0]), _own_room(start, arm, robot)
+    if care and not straight:
+        cells = planner(view).clearance_at(poses[:, :2])
+        own = min(own, float(cells.min() - min(BASE_ROOM, cells[0], cells[-1])))
+
+    def at(share: float) -> Route:
+        delay = round(share * len(poses))
+        swept = _swept(start, poses, arm, delay)
+        some = np.arange(0, len(swept), max(1, len(swept) // 40))
+        # While the base drives, the robot is only about where it is expected to be.
+        asked = np.minimum(np.where(some < len(poses) - 1, margin + DRIVE_ERROR, margin), before - 0.004)
+        room = min(own, float((robot.clearance(swept[some], boxes) - asked).min()))
+        return Route(path, float(goal[2]), direction, lookahead, arm, delay, len(swept), room, care=care)
+
+    early = at(0.0)
+    if early.room >= 0.0 or len(poses) == 1:
+        return early
+    late = at(1.0)
+    if late.room < 0.0:
+        return max(early, late, key=lambda route: route.room)
+    return next((route for route in map(at, _SHARES) if route.room >= 0.0), late)
+
+
+def drive_of(
+    view: WorldView, goal: Array, direction: int = 0, straight: bool = False, care: Care | None = None
+) -> tuple[Array, int, float, Array] | None:  # fmt: skip
+    """How to drive to the base pose ``goal`` (3,), see `plan_route`: way points (P, 2), direction, look-ahead, and the
+    base poses (T, 3) that this should give, one per control step. None when furniture cuts the goal off."""
+    path = np.stack([view.q[:2], goal[:2]]) if straight else _way(view, goal[:2])
+    if path is None:
+        return None
+    direction = direction or _direction(view.q[:3], path, float(goal[2]))
+    few = LOOKAHEADS[:1] if len(path) == 2 and (straight or not care) else LOOKAHEADS
+    return path, direction, *_smoothest(view, path, float(goal[2]), direction, care, few)
+
+
+def drive_steps(now: Array, poses: Array, length: Array) -> Array:
+    """Rough number (B,) of control steps to drive from ``now`` (3,) to poses (B, 3) over a ``length`` (B,)."""
+    way = poses[:, :2] - now[:2]
+    far = np.linalg.norm(way, axis=1)
+    bearing = np.arctan2(way[:, 1], way[:, 0])
+    first, last = np.abs(wrap(bearing - now[2])), np.abs(wrap(poses[:, 2] - bearing))
+    turn = np.where(far < 0.9, np.minimum(first + last, 2 * np.pi - first - last), first + last)
+    turn = np.where(far < 0.03, np.abs(wrap(poses[:, 2] - now[2])), turn)
+    length = np.where(np.isfinite(length), np.maximum(length, far), np.inf)
+    return 20.0 * (length / 0.6 + turn / 2.0) + np.where(far < 0.03, 0.0, 8.0)
+
+
+def _way(view: WorldView, goal: Array) -> Array | None:
+    """Way points (P, 2) to ``goal`` (2,) around furniture and what stands open."""
+    path = planner(view).plan(view.q[:2], goal)
+    if path is not None and np.linalg.norm(path[-1] - goal) > 1e-6:
+        path = np.concatenate([path, goal[None]])
+    return path
+
+
+def follow(
+    view: WorldView, route: Route, *, gripper: float, tolerance: float = 0.05, held: str = ""
+) -> Motion:  # fmt: skip
+    """Drive a route. Returns whether base and arm arrived; not when something is in the way.
+
+    ``held``: the object in the hand. The drive ends when it is lost.
+    """
+    pilot = Pilot(route.path, route.yaw, route.direction, route.lookahead, route.speed)
+    arm, pressed, lost, arrived = _ArmWay(view.q, route), 0, 0, False
+    least, since, care = np.inf, 0, route.care
+    moving, before = motion.drives(view, route.path[-1], route.yaw), (0.0, 0.0)
+    began, last = 0, view.q
+    for step in range(route.steps + 40):
+        forward, turn, done = 0.0, 0.0, step >= route.lead
+        if done and moving and not arrived:
+            forward, turn, done = pilot.step(view.q[:3])
+        arrived = arrived or done
+        goal, off = arm.goal(view, step, arrived), motion.joint_gap(view, route.arm)
+        if arrived and off <= tolerance:
+            return True
+        least, since = (off, step) if off < least - STALLED or not arrived or goal is not route.arm else (least, since)
+        if step - since >= STALLED_STEPS:
+            return False
+        speed = (0.0, 0.0) if arrived else (forward, turn)
+        before = speed = eased(speed, before, care) if care else speed
+        # The arm starts gently, from every posture on its way anew: what hangs at the fingers' tips would fall out.
+        began, last = (began, last) if np.array_equal(goal, last) else (step, goal)
+        ramp = min(1.0, 0.25 * (1 + step - min(step, route.delay if route.via is None else began)))
+        yield motion.action(view, goal, gripper=gripper, drive=speed, speed=ramp)
+        pressed = pressed + 1 if view.link_forces.sum() > BLOCKED_FORCE else 0
+        lost = 0 if not held or holds(view, held) else lost + 1
+        if pressed >= BLOCKED_STEPS or lost >= LOST_STEPS:
+            return False
+    return False
+
+
+class _ArmWay:
+    """Where the arm goes while a route is driven, from configuration ``start`` (15,)."""
+
+    def __init__(self, start: Array, route: Route) -> None:
+        self._start, self._route, self._at = start, route, 0
+
+    def goal(self, view: WorldView, step: int, arrived: bool) -> Array:
+        """The configuration (15,) to go to in a control step."""
+        via, on_time = self._route.via, step >= self._route.delay or arrived
+        if via is None:
+            return self._route.arm if on_time else self._start
+        while self._at < len(via) and (on_time or self._at != self._route.carried):
+            if motion.joint_gap(view, via[self._at]) >= PASSED:
+                return via[self._at]
+            self._at += 1
+        return via[self._at] if self._at < len(via) else self._route.arm
+
+
+def holds(view: WorldView, obj: str) -> bool:
+    """Whether the fingers press an object."""
+    return bool((view.finger_forces(obj) > 0.1).any())
+
+
+def _direction(pose: Array, path: Array, yaw: float) -> int:
+    """Backwards only on short ways and when that takes less turning."""
+    way, last = path[1] - path[0], path[-1] - path[-2]
+    length = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+    if length < 0.03:
+        return 1
+    first = abs(wrap(np.arctan2(way[1], way[0]) - pose[2]))
+    turn = float(first + abs(wrap(yaw - np.arctan2(last[1], last[0]))))
+    return -1 if length < 1.0 and turn > np.pi + 0.3 else 1
+
+
+def _smoothest(
+    view: WorldView, path: Array, yaw: float, direction: int, care: Care | None, lookaheads: tuple[float, ...]
+) -> tuple[float, Array]:  # fmt: skip
+    """The quickest steering that keeps the base clear of furniture: look-ahead and base poses (T, 3)."""
+    cells = planner(view)
+    best: tuple[float, float, Array] | None = None
+    for lookahead in lookaheads:
+        poses = simulate(view.q[:3], path, yaw, direction, lookahead, care)
+        room = float(cells.clearance_at(poses[:, :2]).min())
+        if best is None or room > best[0]:
+            best = (room, lookahead, poses)
+        if room >= BASE_ROOM:
+            break
+    assert best is not None
+    return best[1], best[2]
+
+
+def simulate(
+    pose: Array, path: Array, yaw: float, direction: int, lookahead: float, care: Care | None = None
+) -> Array:  # fmt: skip
+    """Base poses (T, 3) that driving a way should give."""
+    pilot = Pilot(path, yaw, direction, lookahead)
+    pose, speed, turn, asked = pose.copy(), np.zeros(2), 0.0, (0.0, 0.0)
+    share, quick = 1.0 - np.exp(-CONTROL_DT / np.array([BASE_LAG, TURN_LAG]))
+    poses = [pose.copy()]
+    for _ in range(200):
+        forward, rate, done = pilot.step(pose)
+        if done:
+            break
+        if care:
+            forward, rate = asked = eased((forward, rate), asked, care)
+        # The base moves along two axes of the world: in a bend it slides on the way that it was heading before.
+        speed += share * (forward * np.array([np.cos(pose[2]), np.sin(pose[2])]) - speed)
+        turn += quick * (rate - turn)
+        pose = pose + CONTROL_DT * np.array([*speed, turn])
+        poses.append(pose.copy())
+    return np.array(poses)
+
+
+def _swept(start: Array, poses: Array, arm: Array, delay: int) -> Array:
+    """Configurations (T, Q), one per control step, until base and arm have arrived."""
+    way = arm - start
+    way[:3] = 0.0
+    columns = list(motion.ARM_JOINTS)
+    arm_share, torso_share = arm_gone(float(np.abs(way[columns]).max())), torso_gone(abs(float(way[_TORSO])))
+    steps = np.arange(max(len(poses), delay + max(len(arm_share), len(torso_share))) + 1)
+    gone = np.ones((len(steps), len(way)))
+    gone[:, columns] = arm_share[np.clip(steps - delay, 0, len(arm_share) - 1), None]
+    gone[:, _TORSO] = torso_share[np.clip(steps - delay, 0, len(torso_share) - 1)]
+    out = start + gone * way
+    out[:, :3] = poses[np.minimum(steps, len(poses) - 1)]
+    return out
+
+
+def arm_gone(far: float) -> Array:
+    """Share (T,) of its way that the arm has gone after so many control steps, ``far`` [rad] the longest of a joint.
+
+    It starts as `follow` lets it, and slows down before its end: with the base on the move, a tenth of a radian that it
+    lags behind is a decimetre at the hand.
+    """
+    gone, delta = [0.0], motion.LIMITS.joint_delta
+    while far - gone[-1] > SETTLED:
+        gone.append(gone[-1] + ik.ARM_STEP * min(1.0, 0.25 * len(gone), (far - gone[-1]) / delta))
+    return np.array([*gone, far]) / far if far > 0.0 else np.ones(1)
+
+
+def torso_gone(far: float) -> Array:
+    """The same for the torso, ``far`` [m]. It carries the arm and gathers speed slowly."""
+    gone, speed, delta = [0.0], 0.0, motion.LIMITS.joint_delta
+    while far - gone[-1] > SETTLED:
+        speed += TORSO_GAIN * (TORSO_SPEED * min(1.0, (far - gone[-1]) / delta) - speed)
+        gone.append(min(gone[-1] + speed, far))
+    return np.array([*gone, far]) / far if far > 0.0 else np.ones(1)
+
+
+def within_reach(boxes: Boxes, way: Array) -> Boxes:
+    """The boxes that the robot can touch somewhere near a straight way (2, 2)."""
+    middle, far = way.mean(axis=0), float(np.linalg.norm(way[1] - way[0])) / 2
+    near = boxes.near(np.array([*middle, 0.9]), far + 1.35)
+    return near.take(near.center[:, 2] + near.half.max(axis=1) > LOWEST)
+
+
+def _own_room(start: Array, arm: Array, robot: RobotSpheres) -> float:
+    """Least distance of the arm to the trunk on the way from ``start`` to ``arm`` (15,), beyond the one that is due."""
+    gap = robot.self_clearance(start + np.linspace(0.0, 1.0, 10)[:, None] * (arm - start))
+    return float(gap.min() - min(OWN_ROOM, gap[0] - 0.004))

@@ -1,0 +1,192 @@
+"""Ways back to the rest pose, with or without an object in the hand."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from mjhab.core.boxes import Boxes
+from mjhab.core.rotations import mat_from_quat
+from mjhab.envs.privileged import WorldView
+from mjhab.episodes.grasps.held import shape_of
+from mjhab.experts.arm import ik, motion
+from mjhab.experts.arm.clearance import RobotSpheres
+from mjhab.experts.arm.gentle import care_for
+from mjhab.experts.arm.motion import Motion
+from mjhab.experts.base.route import BLOCKED_FORCE, BLOCKED_STEPS, Route, follow, holds, plan_route
+from mjhab.experts.planning.reach import surroundings
+from mjhab.experts.planning.sampled import TOUCHES, plan_around
+from mjhab.robots.kinematics import wrap
+
+Array = np.ndarray
+BACK = (0.0, 0.2, 0.4, 0.6, 0.8)
+"""How far [m] to drive back while the arm returns."""
+BACK_AROUND = (0.0, 0.3)
+"""The same where the arm has to pass other postures on its way."""
+SHELF_DEPTH = 0.42
+"""How far [m] the base comes straight in with the arm stretched out, to reach into the fridge."""
+
+
+IN_SPEED = 0.35
+"""Of the base while it comes straight in [m/s]."""
+OUT_SPEED = 0.5
+"""Of the base while it comes straight out [m/s]."""
+HASTY_SPEED, HASTY_END = 0.7, (0.04, 0.025)
+"""Of the base where time is short: speed [m/s], and how far off [m] and how fast [m per control step] it may be in the
+end; what follows makes up for it."""
+STUCK_STEPS = 6
+"""Control steps without motion after which it is stuck; fingers that touch something show no force."""
+ROOM_IN = 0.012
+"""Clearance [m] with which the arm may stay as it was planned."""
+CORNER = 0.012
+"""Radius [m] of the spheres in the corners of a held box."""
+MOST_SHIFT = 0.5
+"""Largest change of a joint [rad] that makes up for errors of the drive."""
+
+
+def grip(opening: float) -> float:
+    """Gripper action for a distance between the pads [m]."""
+    low, high = motion.LIMITS.gripper
+    return float(np.clip(2.0 * (opening / 2 - low) / (high - low) - 1.0, -1.0, 1.0))
+
+
+def inside_depth(view: WorldView, point: Array) -> float:
+    """`SHELF_DEPTH` for a point (3,) on a shelf with something above it, 0 in the open."""
+    for place in view.home.receptacles:
+        if place.kind == "shelf" and -0.05 < point[2] - place.pos[2] < place.height:
+            off = np.abs(place.local(point[:2]))
+            if (off < np.array(place.half) + 0.08).all():
+                return SHELF_DEPTH
+    return 0.0
+
+
+def drive_in(
+    view: WorldView, goal: Array, pos: Array, rot: Array, boxes: Boxes, *, gripper: float, hasty: bool = False
+) -> Motion:  # fmt: skip
+    """Drive straight on about to the base pose of the configuration ``goal`` (15,), the arm stretched out so that the
+    hand comes to ``pos`` (3,), ``rot`` (3, 3). Returns whether it got there; not when it is stuck.
+
+    Small errors of the base sideways stay, steering would sweep the arm: where the arm would come too near to
+    ``boxes``, it makes up for them before.
+    """
+    near, slow = HASTY_END if hasty else (0.02, 0.006)
+    goal = _lined_up(view, goal, pos, rot, boxes)
+    yield from motion.move_joints(view, goal, gripper=gripper, tolerance=0.05, max_steps=12)
+    heading, pressed, still, last = float(goal[2]), 0, 0, view.q
+    for step in range(80):
+        q = view.q
+        ahead = np.array([np.cos(heading), np.sin(heading)])
+        left, moved = float((goal[:2] - q[:2]) @ ahead), float((q[:2] - last[:2]) @ ahead)
+        if left < near and abs(moved) < slow:
+            return True
+        pressed = pressed + 1 if view.link_forces.sum() > BLOCKED_FORCE else 0
+        still = still + 1 if step > STUCK_STEPS and moved < 0.002 else 0
+        if pressed >= BLOCKED_STEPS or still >= STUCK_STEPS:
+            return False
+        wish = min(HASTY_SPEED, 5.0 * (left - 1.5 * moved)) if hasty else min(IN_SPEED, 3.0 * (left - 2.0 * moved))
+        pace = max(wish, 0.04 if left > 0.02 else 0.0)
+        turn = float(np.clip(3.0 * wrap(heading - q[2]), -0.5, 0.5))
+        last = q
+        yield motion.action(view, goal, gripper=gripper, drive=(pace, turn))
+    return False
+
+
+def drive_out(view: WorldView, way: float, *, gripper: float, speed: float = OUT_SPEED) -> Motion:
+    """Drive straight back over ``way`` [m], the arm held as it is. Returns whether it got there."""
+    goal, start, heading, pressed = view.q, view.q[:2], float(view.q[2]), 0
+    for step in range(40):
+        left = way - float(np.linalg.norm(view.q[:2] - start))
+        if left < 0.04:
+            return True
+        pressed = pressed + 1 if view.link_forces.sum() > BLOCKED_FORCE else 0
+        if pressed >= BLOCKED_STEPS:
+            return False
+        turn = float(np.clip(3.0 * wrap(heading - view.q[2]), -0.5, 0.5))
+        pace = min(speed, 0.15 + 0.1 * step, 0.1 + 3.0 * left)
+        yield motion.action(view, goal, gripper=gripper, drive=(-pace, turn))
+    return False
+
+
+def _lined_up(view: WorldView, goal: Array, pos: Array, rot: Array, boxes: Boxes) -> Array:
+    """``goal`` (15,) with the base where straight on from here leads; where the arm so comes too near to something and
+    with a small change does not, such that the hand is at ``pos``, ``rot`` there all the same."""
+    q, robot = view.q, motion.chain()
+    ahead = np.array([np.cos(goal[2]), np.sin(goal[2])])
+    way = float((goal[:2] - q[:2]) @ ahead)
+    end = goal.copy()
+    end[:2] = q[:2] + ahead * way
+    if _room_in(end, way, boxes) > ROOM_IN:
+        return end
+    found = ik.solve(robot, pos[None], rot[None], end[None, None], ik.columns(robot, torso=False), rest=goal)
+    near = found.ok[0, 0] and np.abs(found.q[0, 0] - end)[3:].max() < MOST_SHIFT
+    better = near and _room_in(found.q[0, 0], way, boxes) > _room_in(end, way, boxes)
+    return ik.unwind(robot, found.q[0, 0], q) if better else end
+
+
+def _room_in(goal: Array, way: float, boxes: Boxes) -> float:
+    """Least clearance [m] on the straight ``way`` [m] of the base to ``goal`` (15,), the arm held."""
+    q = np.repeat(goal[None], 6, axis=0)
+    q[:, :2] -= np.linspace(0.0, way, 6)[:, None] * np.array([np.cos(goal[2]), np.sin(goal[2])])
+    return float(motion.spheres().clearance(q, boxes).min())
+
+
+def held_spheres(view: WorldView, obj: str) -> tuple[Array, Array]:
+    """Spheres that fill the box of an object in the hand: centres (H, 3) in the frame of the tool, radii (H,)."""
+    pos, rot = motion.tcp(view)
+    pose, half = view.object_pose(obj), np.array(view.object_type(obj).half)
+    radius = max(float(half.min()), 0.5 * float(np.sort(half)[1]))
+    axes = []
+    for size in half:
+        room = max(size - radius, 0.0)
+        axes.append(np.linspace(-room, room, 1 + int(np.ceil(2 * room / (1.3 * radius)))))
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    size = np.full(len(grid), radius)
+    if shape_of(view.object_type(obj)).kind == "box":
+        # Larger spheres leave corners bare, and those are what knocks an object out of the hand.
+        corners = np.array(list(itertools.product((-1.0, 1.0), repeat=3))) * (half - CORNER)
+        grid, size = np.concatenate([grid, corners]), np.append(size, np.full(len(corners), CORNER))
+    world = pose[:3] + grid @ mat_from_quat(pose[3:]).T
+    return (world - pos) @ rot, size
+
+
+def go_home(view: WorldView, obj: str, *, holding: bool = True) -> Motion:
+    """Bring the arm to rest, driving back as far as the room around asks for. Returns whether it arrived."""
+    gripper = motion.CLOSED if holding else motion.OPEN
+    robot = motion.spheres()
+    if holding:
+        robot = robot.with_held(*held_spheres(view, obj))
+    for _ in range(3):
+        route = plan_home(view, obj, robot, holding=holding)
+        if route is None or (yield from follow(view, route, gripper=gripper, held=obj if holding else "")):
+            break
+        if holding and not holds(view, obj):
+            return False
+    return (yield from motion.to_rest(view, gripper=gripper, max_steps=60))
+
+
+def plan_home(view: WorldView, obj: str, robot: RobotSpheres, *, holding: bool) -> Route | None:
+    """The quickest way to rest that keeps clear, straight back if need be; else the one with the most room."""
+    others, target = surroundings(view, obj, view.tcp_pose[:3])
+    boxes = others if holding else type(others).join([others, target])
+    now, goal, care = view.q, motion.rest_goal(view), care_for(view) if holding else None
+    cells = motion.planner(view.home)
+    best: Route | None = None
+    for back in BACK:
+        end = now[:3] - back * np.array([np.cos(now[2]), np.sin(now[2]), 0.0])
+        if back and cells.line_clearance(now[:2], end[None, :2])[0] < 0.26:
+            break
+        route = plan_route(view, end, goal, robot, boxes, margin=0.01, direction=-1, straight=True, care=care)
+        if route is None:
+            continue
+        if route.room >= 0.0:
+            return route
+        if best is None or route.room > best.room:
+            best = route
+    if holding and best is not None and best.room < TOUCHES:
+        for back in BACK_AROUND:
+            end = now[:3] - back * np.array([np.cos(now[2]), np.sin(now[2]), 0.0])
+            around = plan_around(view, end, goal, robot, boxes, care=care)
+            if around is not None and around.steps <= view.steps_left:
+                return around
+    return best

@@ -1,0 +1,400 @@
+"""Where to stand and how to hold the arm so that the hand reaches one of many poses, shared by pick and place.
+
+Base poses around a point are paired with hand poses; inverse kinematics in one batch, then clearances of the whole
+body, cheap tests first. Lengths [m], angles [rad], world frame. Letters: G hand poses, B base poses, N pairs, Q joints.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from mjhab.core.boxes import Boxes, sphere_box_distance
+from mjhab.envs.privileged import FETCH_JOINTS, REST_QPOS, WorldView
+from mjhab.episodes.grasps.candidates import Grasps, approach_clearance
+from mjhab.experts.arm import ik, motion
+from mjhab.experts.arm.clearance import RobotSpheres
+from mjhab.experts.arm.gentle import Care
+from mjhab.experts.base.route import Route, drive_steps, plan_route, planner
+from mjhab.robots.kinematics import wrap
+
+Array = np.ndarray
+HAND_LINKS = ("gripper_link", "r_gripper_finger_link", "l_gripper_finger_link")
+NEARBY = 2.6
+"""Furniture within this distance [m] of the work is looked at."""
+BASE_RADIUS, BASE_TOP = 0.285, 0.40
+ROOMS = (0.012, 0.006, 0.0)
+"""Least clearance [m] of the arm at the work and of the whole robot just before it, at one attempt after the other."""
+TIGHTEST = -0.055
+"""Ways with less room [m] than this touch something: `plan_route` asks for 0.045 more than none."""
+OUT_ROOM = 0.03
+"""Least room [m] of an object on its straight way out of a shelf."""
+FAR_OFF = 0.96
+"""Bases farther [m] from the work, or in narrow places, are only taken where there is no other."""
+ARM_END = 0.05
+"""How far [m] the wrist may be beyond the comfortable distance, see `_overreach`."""
+_STRETCHED = 60.0
+"""Price in steps per radian that the elbow is nearly straight."""
+_ELBOW = FETCH_JOINTS.index("elbow_flex_joint")
+_BASES, _PER_BASE, _SEEDS, _KEPT = 24, 8, 5, 50
+
+
+@dataclass(frozen=True, eq=False)
+class HandGoals:
+    """Hand poses that all serve: ``pos`` (G, 3), ``rot`` (G, 3, 3), where to come from ``pre`` (G, 3), finger
+    ``opening`` (G,) and ``score`` (G,), higher is better, worth about half a second each point."""
+
+    pos: Array
+    rot: Array
+    pre: Array
+    opening: Array
+    score: Array
+
+    def __len__(self) -> int:
+        return len(self.pos)
+
+    def take(self, rows: Array) -> HandGoals:
+        """Some of them, by index."""
+        return HandGoals(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """What is around: ``near`` all but the object, ``target`` that while it is not held, ``support_z`` the height of
+    what it lies on or goes to, ``held`` spheres fixed to the hand (centres, radii), ``care`` for them in the drive."""
+
+    near: Boxes
+    target: Boxes
+    support_z: float
+    held: tuple[Array, Array] | None = None
+    care: Care | None = None
+
+    @property
+    def all(self) -> Boxes:
+        """Every box."""
+        return Boxes.join([self.near, self.target])
+
+    @property
+    def beside(self) -> Boxes:
+        """Without what lies below the supporting surface."""
+        top = self.near.center[:, 2] + np.einsum("kj,kj->k", np.abs(self.near.rot[:, 2]), self.near.half)
+        return self.near.take(top > self.support_z + 0.004)
+
+    def robot(self) -> RobotSpheres:
+        """The arm with what it holds."""
+        return motion.arm_spheres() if self.held is None else motion.arm_spheres().with_held(*self.held)
+
+
+@dataclass(frozen=True, eq=False)
+class Stance:
+    """A way to reach hand pose ``goal`` (index): drive ``route``, then configurations ``pre`` and ``at`` (15,)."""
+
+    goal: int
+    pre: Array
+    at: Array
+    route: Route
+
+
+@dataclass(frozen=True, eq=False)
+class Blocked:
+    """What could be reached, if there were a straight way: configurations ``pre`` and ``at`` (N, 15) for hand poses
+    ``goal`` (N,) of ``goals``, most wanted first, the base coming straight in over ``drive_in`` at the end."""
+
+    goals: HandGoals
+    goal: Array
+    pre: Array
+    at: Array
+    scene: Scene
+    drive_in: float
+
+
+def surroundings(view: WorldView, obj: str, point: Array) -> tuple[Boxes, Boxes]:
+    """Everything solid near ``point`` (3,) but the object, and the object's bounding box."""
+    parts = (view.home.boxes, view.link_boxes(), view.object_boxes((obj,)))
+    others = Boxes.join([motion.as_boxes(part) for part in parts])
+    everything = motion.as_boxes(view.object_boxes())
+    mine = np.array([view.object_names.index(obj)])
+    return others.near(np.array([*point[:2], 0.9]), NEARBY), everything.take(mine)
+
+
+def stances(
+    view: WorldView, point: Array, goals: HandGoals, scene: Scene, *, drive_in: float = 0.0, avoid: Array | None = None,
+    count: int = 3, room: float = ROOMS[0], nearer: float = 0.0, blocked: list[Blocked] | None = None,
+    home: float = 0.0, far: bool = False,
+) -> list[Stance]:  # fmt: skip
+    """Ways to bring the hand to one of ``goals`` around ``point`` (3,), quickest first; empty when there is none.
+
+    Args:
+        drive_in: let the base come straight forward over this distance with the arm already stretched out, as into a
+            fridge; the routes end that far behind.
+        avoid: (A, 3) base poses that did not work before.
+        count: give at most so many.
+        room: least clearance at the work, see `ROOMS`.
+        nearer: how much nearer [m] than that the hand may come just before its work.
+        blocked: what lacks nothing but a clear way is added here, for `sampled.roomier`.
+        home: weight of the control steps from the work back to rest.
+        far: stand far off even where one may stand nearer: that can save a long way.
+    """
+    now = view.q
+    bases, drive = base_poses(view, point, scene, goals, drive_in, avoid, far)
+    if not len(bases):
+        return []
+    if drive_in and len(scene.target):
+        out = way_out(bases, scene, drive_in)
+        rows = np.flatnonzero(out > min(OUT_ROOM, float(out.max()) - 0.005))
+        bases, drive = bases[rows], drive[rows]
+    base, goal, score = _pairs(bases, point, goals)
+    if not len(base):
+        return []
+    q, goal = _configurations(now, bases[base], goal, goals, drive[base] - 10.0 * score, home)
+    rows = _clear_ones(q, scene, room)
+    q, goal = q[rows], goal[rows]
+    pre, fine = _before(q, goals, goal, scene, drive_in, room, nearer)
+    q, pre, goal = q[fine], pre[fine], goal[fine]
+    found = _routed(view, q, pre, goal, scene, drive_in, count, home)
+    if blocked is not None and len(q) and not (found and found[0].route.room >= 0.0):
+        blocked.append(Blocked(goals, goal, pre, q, scene, drive_in))
+    return found
+
+
+def way_out(bases: Array, scene: Scene, drive_in: float) -> Array:
+    """Room (B,) of the object, a little lifted, while bases (B, 3) drive straight back with it."""
+    box, half = scene.target, scene.target.half[0]
+    size = float(half.min())
+    axes = [np.linspace(-h + size, h - size, 1 + int(np.ceil(2 * (h - size) / (1.3 * size)))) for h in half]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    points = box.center[0] + grid @ box.rot[0].T + np.array([0.0, 0.0, 0.025])
+    ahead = np.stack([np.cos(bases[:, 2]), np.sin(bases[:, 2]), np.zeros(len(bases))], axis=1)
+    share = np.linspace(0.0, drive_in, 7)
+    moved = points - share[None, :, None, None] * ahead[:, None, None]
+    gap = sphere_box_distance(moved.reshape(-1, 3), scene.beside.near(box.center[0], 0.9)).min(axis=1)
+    return gap.reshape(len(bases), -1).min(axis=1) - size
+
+
+def _clear_ones(q: Array, scene: Scene, room: float) -> Array:
+    """The first few (indices) of the configurations (N, 15) that touch nothing; the hand is looked at elsewhere."""
+    whole = motion.spheres()
+    arm = whole.only([n for n in whole.chain.links if n not in HAND_LINKS])
+    load = None if scene.held is None else whole.only([]).with_held(*scene.held)
+    found: list[Array] = []
+    for start in range(0, len(q), _KEPT):
+        rows = np.arange(start, min(start + _KEPT, len(q)))
+        rows = rows[arm.clearance(q[rows], scene.near) > room]
+        rows = rows[whole.self_clearance(q[rows]) > room] if len(rows) else rows
+        if load is not None and len(rows):
+            rows = rows[load.clearance(q[rows], scene.beside) > -0.004]
+        found.append(rows)
+        if sum(map(len, found)) >= _KEPT:
+            break
+    return np.concatenate(found)[:_KEPT] if found else np.zeros(0, np.int64)
+
+
+def hand_room(goals: HandGoals | Grasps, boxes: Boxes) -> Array:
+    """Clearance (G,) of the hand and of the wrist behind it on the straight way to the goals."""
+    hand = approach_clearance(goals.pos, goals.rot, goals.opening, goals.pre, boxes)
+    back = 0.05 * goals.rot[:, :, 0]
+    wrist = approach_clearance(goals.pos - back, goals.rot, goals.opening, goals.pre - back, boxes)
+    return np.minimum(hand, wrist)
+
+
+def base_poses(
+    view: WorldView, point: Array, scene: Scene, goals: HandGoals, drive_in: float, avoid: Array | None, far: bool
+) -> tuple[Array, Array]:  # fmt: skip
+    """Base poses (B, 3) from which a goal at ``point`` may be reached, and the control steps (B,) to drive there."""
+    r, angle, off = np.meshgrid(
+        np.arange(0.5, 1.26, 0.075), np.arange(32) * np.pi / 16, (-0.35, 0.0, 0.35), indexing="ij"
+    )
+    x, y = point[0] - r * np.cos(angle), point[1] - r * np.sin(angle)
+    poses = np.stack([x, y, wrap(angle + off)], axis=-1).reshape(-1, 3)
+    here = view.q[:3] - drive_in * np.array([np.cos(view.q[2]), np.sin(view.q[2]), 0.0])
+    bearing = np.arctan2(point[1] - here[1], point[0] - here[0])
+    poses = np.concatenate([poses, [view.q[:3], *([here[0], here[1], bearing + k] for k in (-0.35, 0.0, 0.35))]])
+    far_off = np.append(r.ravel() > FAR_OFF, np.zeros(4, bool))
+    cells = planner(view)
+    back = poses[:, :2] - drive_in * np.stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])], axis=1)
+    far_off |= cells.clearance_at(back) < cells.radius
+    good = np.minimum(cells.clearance_at(back), cells.clearance_at(poses[:, :2])) >= cells.narrow
+    good &= floor_room(poses, scene.near) > 0.0
+    if avoid is not None and len(avoid):
+        gap = np.linalg.norm((poses[:, None] - avoid) * [1.0, 1.0, 0.3], axis=2).min(axis=1)
+        good &= gap > 0.10
+    good[good] = in_sight(poses[good], point, scene.near)
+    poses, back, far_off = poses[good], back[good], far_off[good]
+    way = cells.costs(view.q[:2])[cells.cells(back)]
+    steps = drive_steps(view.q[:3], np.concatenate([back, poses[:, 2:]], axis=1), way) + 6.0 * drive_in / 0.3
+    # The nearest bases may all stand on the side from which nothing can be reached.
+    reachable = np.isfinite(steps) & (_overreach(poses, goals) < ARM_END).any(axis=1)
+    reachable &= ~far_off | far | ~(reachable & ~far_off).any()
+    return _spread(poses[reachable], steps[reachable])
+
+
+def in_sight(poses: Array, point: Array, boxes: Boxes) -> Array:
+    """Whether no wall or tall piece stands between base poses (B, 2+) and ``point`` (3,)."""
+    top = boxes.center[:, 2] + np.einsum("kj,kj->k", np.abs(boxes.rot[:, 2]), boxes.half)
+    tall = boxes.take((top > point[2] + 0.5) & (boxes.half.max(axis=1) > 0.4))
+    if not len(poses) or not len(tall):
+        return np.ones(len(poses), bool)
+    share = np.linspace(0.1, 0.9, 8)[:, None, None]
+    line = poses[:, :2] + share * (point[:2] - poses[:, :2])
+    height = np.full((*line.shape[:2], 1), point[2] + 0.15)
+    gap = sphere_box_distance(np.concatenate([line, height], axis=2).reshape(-1, 3), tall).min(axis=1)
+    return gap.reshape(len(share), len(poses)).min(axis=0) > 0.02
+
+
+def floor_room(poses: Array, boxes: Boxes) -> Array:
+    """Room (B,) between the base at poses (B, 3) and boxes on the floor that no map knows: things that fell."""
+    low = boxes.take((boxes.center[:, 2] - boxes.half.max(axis=1) < BASE_TOP) & (boxes.half.max(axis=1) < 0.12))
+    if not len(low):
+        return np.ones(len(poses))
+    gap = np.linalg.norm(poses[:, None, :2] - low.center[:, :2], axis=2) - low.half[:, :2].max(axis=1)
+    return gap.min(axis=1) - BASE_RADIUS
+
+
+def _spread(poses: Array, steps: Array) -> tuple[Array, Array]:
+    """The quickest poses that are not all alike."""
+    kept: list[int] = []
+    for i in np.argsort(steps, kind="stable"):
+        if len(kept) >= _BASES:
+            break
+        gap = (poses[kept] - poses[i]) * [1.0, 1.0, 0.3]
+        if not kept or np.linalg.norm(gap, axis=1).min() > 0.09:
+            kept.append(int(i))
+    return poses[kept], steps[kept]
+
+
+def _pairs(bases: Array, point: Array, goals: HandGoals) -> tuple[Array, Array, Array]:
+    """For every base the hand poses that suit it best: base index (N,), goal index (N,), score (N,)."""
+    toward = point[:2] - bases[:, :2]
+    toward /= np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-6)
+    score = goals.score + 0.8 * toward @ goals.rot[:, :2, 0].T
+    over = _overreach(bases, goals)
+    score = np.where(over < ARM_END, score - 20.0 * np.maximum(over, 0.0), -np.inf)
+    # Among equals every base tries others.
+    score = score + 0.05 * np.random.default_rng(1).random(score.shape)
+    best = np.argsort(-score, axis=1, kind="stable")[:, :_PER_BASE]
+    base = np.repeat(np.arange(len(bases)), best.shape[1])
+    goal = best.ravel()
+    found = np.isfinite(score[base, goal])
+    return base[found], goal[found], score[base, goal][found]
+
+
+def _overreach(bases: Array, goals: HandGoals) -> Array:
+    """How far (B, G) [m] the wrist is beyond a comfortable distance from the shoulder; 0.05 is the arm's end.
+
+    Fetch: the shoulder turns 0.033 m before the base's centre, lifts 0.117 m further out at 0.806 to 1.192 m; from
+    there to the wrist it is 0.674 m, from the wrist to the tool centre 0.305 m.
+    """
+    wrist = goals.pos - 0.305 * goals.rot[:, :, 0]
+    shoulder = bases[:, :2] + 0.033 * np.stack([np.cos(bases[:, 2]), np.sin(bases[:, 2])], axis=1)
+    level = np.linalg.norm(wrist[:, :2] - shoulder[:, None], axis=2) - 0.117
+    height = np.maximum(np.maximum(0.806 - wrist[:, 2], wrist[:, 2] - 1.192), 0.0)
+    return np.hypot(np.maximum(level, 0.0), height) - 0.624
+
+
+@lru_cache(maxsize=1)
+def _seeds() -> Array:
+    """Arm and torso configurations (S, 15) to start inverse kinematics from."""
+    dofs = ik.columns(motion.chain())
+    return ik.random_seeds(motion.chain(), REST_QPOS, dofs, _SEEDS, np.random.default_rng(3), 0.6)
+
+
+def _configurations(
+    now: Array, bases: Array, goal: Array, goals: HandGoals, price: Array, home: float
+) -> tuple[Array, Array]:
+    """Configurations (N, 15) that reach the goals of the pairs, and their goal (N,), quickest first."""
+    robot = motion.chain()
+    dofs = ik.columns(robot)
+    seeds = np.repeat(_seeds()[None], len(bases), axis=0)
+    seeds[:, :, :3] = bases[:, None]
+    seeds[:, 0, 3:] = now[3:]
+    options = ik.Options(iterations=25, pos_tolerance=2e-3, rot_tolerance=2e-2)
+    found = ik.solve(robot, goals.pos[goal], goals.rot[goal], seeds, dofs, rest=REST_QPOS, options=options)
+    q = ik.unwind(robot, found.q, now)
+    q[..., :3] = bases[:, None]
+    cost = price[:, None] + 0.6 * ik.travel_steps(robot, now, q, dofs)
+    if home:
+        cost = cost + home * motion.steps_home(q)
+    # A stretched arm cannot make up for a base that stands a little wrong.
+    cost = cost + _STRETCHED * np.maximum(0.0, 0.9 - np.abs(q[..., _ELBOW]))
+    cost = np.where(found.ok, cost, np.inf).ravel()
+    order = np.argsort(cost, kind="stable")[:300]
+    order = order[np.isfinite(cost[order])]
+    q = q.reshape(-1, q.shape[-1])[order]
+    goal = np.repeat(goal, seeds.shape[1])[order]
+    q[:, 13:15] = np.minimum(goals.opening[goal] / 2, 0.05)[:, None]
+    return q, goal
+
+
+def _before(
+    q: Array, goals: HandGoals, goal: Array, scene: Scene, drive_in: float, asked: float, nearer: float
+) -> tuple[Array, Array]:
+    """Configurations (N, 15) at the start of the straight approach, and where they and the way in are clear (N,).
+
+    The torso is at its final height already: it is too slow for fine work.
+    """
+    if not len(q):
+        return q, np.zeros(0, bool)
+    robot, dofs = motion.chain(), ik.columns(motion.chain(), torso=False)
+    options = ik.Options(iterations=12, pos_tolerance=2e-3, rot_tolerance=2e-2, rest_gain=0.0)
+    found = ik.solve(robot, goals.pre[goal], goals.rot[goal], q[:, None], dofs, rest=REST_QPOS, options=options)
+    pre = found.q[:, 0]
+    fine = found.ok[:, 0] & (np.abs(pre - q).max(axis=1) < 0.9)
+    whole = scene.robot()
+    hand, arm = whole.only(HAND_LINKS), whole.only([n for n in whole.chain.links if n not in HAND_LINKS])
+    for back in np.arange(0.0, drive_in + 0.01, 0.12):
+        shifted = pre[fine].copy()
+        shifted[:, 0] -= back * np.cos(shifted[:, 2])
+        shifted[:, 1] -= back * np.sin(shifted[:, 2])
+        if back == 0.0:
+            room = np.minimum(arm.clearance(shifted, scene.all), whole.self_clearance(shifted))
+            room = np.minimum(room, hand.clearance(shifted, scene.all) + nearer)
+        else:
+            room = whole.clearance(shifted, scene.all)
+        fine[fine] = room > asked
+    return pre, fine
+
+
+def _routed(
+    view: WorldView, q: Array, pre: Array, goal: Array, scene: Scene, drive_in: float, count: int, home: float
+) -> list[Stance]:  # fmt: skip
+    """Stances with routes that are clear; ``q`` (N, 15) come cheapest first."""
+    robot, boxes = scene.robot(), scene.all
+    clear: list[Stance] = []
+    tight: list[Stance] = []
+    seen: list[Array] = []
+    for i in range(len(q)):
+        if sum(np.array_equal(q[i, :3], base) for base in seen) >= 2:
+            continue
+        seen.append(q[i, :3])
+        back = drive_in * np.array([np.cos(pre[i, 2]), np.sin(pre[i, 2]), 0.0])
+        route = plan_route(view, pre[i, :3] - back, pre[i], robot, boxes, care=scene.care)
+        if route is None:
+            continue
+        (clear if route.room >= 0.0 else tight).append(Stance(int(goal[i]), pre[i], q[i], route))
+        if len(clear) >= count or len(clear) + len(tight) >= 3 * count:
+            break
+    tight = sorted((s for s in tight if s.route.room > TIGHTEST), key=lambda s: -s.route.room)
+    return sorted(clear, key=lambda s: s.route.steps + home * float(motion.steps_home(s.at))) or tight[:1]
+
+
+def settle_reach(view: WorldView, stance: Stance, pos: Array, rot: Array) -> Array | None:
+    """Configurations (M, 15) for hand positions (M, 3) from where the base really stands; one torso height for all,
+    the planned one if possible.
+
+    None when one of them is out of reach from here.
+    """
+    robot, arm = motion.chain(), ik.columns(motion.chain(), torso=False)
+    for free in (arm, ik.columns(robot)):
+        seed = np.stack([stance.pre, stance.at])
+        seed[:, :3] = view.q[:3]
+        first = ik.solve(robot, pos[:1], rot[None], seed, free, rest=stance.at)
+        for start in first.q[0, first.ok[0]]:
+            seeds = np.concatenate([start[None], seed])
+            seeds[:, 3] = start[3]
+            found = ik.solve(robot, pos, np.repeat(rot[None], len(pos), axis=0), seeds, arm, rest=start)
+            if found.ok.any(axis=1).all():
+                gap = np.abs(found.q - start).max(axis=-1)
+                return ik.unwind(robot, found.best(gap)[0], view.q)
+    return None

@@ -1,0 +1,331 @@
+"""Ways for base and arm where straight motions of the arm fail, found by sampling: the last resort of pick and place.
+
+`plan_route` knows one motion of the arm, straight from what it is to what it will be. Between the open door of a fridge
+and a counter there is often no room to drive so. `plan_around` draws postures, takes those with which the whole drive
+is clear, and brings the arm into one before it and out of it after: straight where that is clear, else along a way
+that RRT-Connect of OMPL finds. What it gives is a function of its arguments alone.
+
+Lengths [m], angles [rad], world frame. Letters: T control steps, V postures, P pieces, Q joints.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from mjhab.envs.privileged import REST_QPOS, WorldView
+from mjhab.experts.arm import ik, motion
+from mjhab.experts.arm.clearance import Boxes, RobotSpheres
+from mjhab.experts.arm.gentle import Care
+from mjhab.experts.base.route import DRIVE_ERROR, MARGIN, OWN_ROOM, Route, arm_gone, drive_of, torso_gone, within_reach
+from mjhab.experts.planning.reach import Blocked, HandGoals, Stance
+
+Array = np.ndarray
+POSTURES, LEGS = 1000, 80
+"""Postures of the arm that are drawn, and how many of those with which the drive is clear are tried, quickest first."""
+EDGE, REACH = 1.5, 12.0
+"""Distance between configurations looked at, and longest edge of the trees, in control steps of the slowest joint."""
+ROUNDS = 300
+"""Rounds after which RRT-Connect gives up; one takes about a millisecond."""
+TRIES, TIMED, SEARCHED = 3, 6, 1
+"""Base poses of one kind of reach for which a way is looked for, ways to each that are timed, and postures to or from
+which RRT-Connect looks for one where no straight motion of the arm leads there."""
+TOUCHES = -0.03
+"""Straight ways with less room [m], see `Route`, are worse than ways around, which take longer."""
+LEAST, REST = 30, 70
+"""Control steps that a way around and what follows it take at least."""
+_SEED, _PLACES, _PIECES = 1, 14, 10
+
+
+Found = tuple[Stance, HandGoals, float]
+"""A stance, the hand poses that it refers to, and how far the base comes straight in at the end [m]."""
+
+
+def roomier(view: WorldView, found: Found | None, blocked: list[Blocked]) -> Found | None:
+    """What was ``found``, or a way around to something ``blocked`` where that touches something on its way."""
+    if (found is not None and found[0].route.room >= TOUCHES) or view.steps_left < LEAST + REST:
+        return found
+    return _way_around(view, blocked) or found
+
+
+def _way_around(view: WorldView, blocked: list[Blocked]) -> Found | None:
+    """The quickest way to one kind of reach after the other, if it leaves enough time for the rest."""
+    for reach in blocked:
+        robot, boxes, tried, best = reach.scene.robot(), reach.scene.all, [], None
+        for goal, pre, at in zip(reach.goal, reach.pre, reach.at, strict=True):
+            if len(tried) >= TRIES:
+                break
+            if any(np.array_equal(pre[:3], base) for base in tried):
+                continue
+            tried.append(pre[:3])
+            back = reach.drive_in * np.array([np.cos(pre[2]), np.sin(pre[2]), 0.0])
+            route = plan_around(view, pre[:3] - back, pre, robot, boxes, care=reach.scene.care)
+            if route is not None and (best is None or route.steps < best.route.steps):
+                best = Stance(int(goal), pre, at, route)
+        if best is not None and best.route.steps + REST <= view.steps_left:
+            return best, reach.goals, reach.drive_in
+    return None
+
+
+def plan_around(
+    view: WorldView, goal: Array, arm: Array, robot: RobotSpheres, boxes: Boxes, *, care: Care | None = None
+) -> Route | None:  # fmt: skip
+    """A way to the base pose ``goal`` (3,) with the arm at ``arm`` (15,) that passes other postures before and after.
+
+    ``robot`` is what moves, the held object included; ``care`` as in `plan_route`. None when nothing is found: all of
+    the way that is given keeps as clear as `plan_route` asks for or, at its ends, nearly as clear as they are.
+    """
+    found = drive_of(view, goal, care=care)
+    if found is None:
+        return None
+    path, direction, lookahead, poses = found
+    start, end = view.q, np.concatenate([goal, arm[3:]])
+    boxes = within_reach(boxes, np.stack([start[:2], goal[:2]]))
+    here, there = Free.near(start, robot, boxes), Free.near(end, robot, boxes)
+    postures = _postures(start, end)
+    postures = postures[_clear_drives(postures, poses, here)]
+    best: tuple[int, int, int, Array, int] | None = None
+    for first, last in _legs(start, end, postures, here, there):
+        found = _timed(first, last, poses, here, there)
+        if best is None or found[0] < best[0]:
+            best = *found, np.concatenate([first[1:], last[1:-1]]), len(first) - 2
+    if best is None:
+        return None
+    steps, lead, delay, via, carried = best
+    return Route(
+        path, float(goal[2]), direction, lookahead, arm, delay, steps, 0.0, via=via, carried=carried, lead=lead,
+        care=care,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Free:
+    """Which configurations are clear: the ``robot`` at least ``room`` from ``boxes`` and ``own`` from itself [m];
+    ``drive`` from boxes while the base drives."""
+
+    robot: RobotSpheres
+    boxes: Boxes
+    room: float
+    own: float
+    drive: float
+
+    @classmethod
+    def near(cls, q: Array, robot: RobotSpheres, boxes: Boxes) -> Free:
+        """As clear as `plan_route` asks for or nearly as clear as the configuration ``q`` (15,)."""
+        room, own = float(robot.clearance(q, boxes)[0]) - 0.004, float(robot.self_clearance(q[None])[0]) - 0.004
+        return cls(robot, boxes, min(MARGIN, room), min(OWN_ROOM, own), min(MARGIN + DRIVE_ERROR, room))
+
+    def spare(self, q: Array) -> Array:
+        """How much clearer (N,) [m] than asked configurations (N, 15) are while the base stands."""
+        return np.minimum(self.robot.clearance(q, self.boxes) - self.room, self.robot.self_clearance(q) - self.own)
+
+    def likely(self, start: Array, ends: Array) -> Array:
+        """Whether straight motions from ``start`` (15,) to ``ends`` (V, 15) are clear in a few places: (V,) bool."""
+        share = np.linspace(0.0, 1.0, _PIECES + 1)[1:, None, None]
+        gap = self.spare((start + share * (ends - start)).reshape(-1, len(start)))
+        return gap.reshape(_PIECES, -1).min(axis=0) >= 0.0
+
+    def edge(self, start: Array, end: Array) -> bool:
+        """Whether the straight motion between two configurations (15,) is clear."""
+        pieces = 1 + int(_length(np.stack([start, end])) / EDGE)
+        share = np.linspace(0.0, 1.0, pieces + 1)[1:, None]
+        return bool((self.spare(start + share * (end - start)) >= 0.0).all())
+
+
+def _timed(first: Array, last: Array, poses: Array, here: Free, there: Free) -> tuple[int, int, int]:
+    """How soon base and arm may move at the same time, on ways of the arm (P, 15) before and after a drive over base
+    poses (T, 3): steps of it all, steps that the base waits, and the step at which the arm goes on."""
+    before, after = _along(first), _along(last)
+    out, back = len(before), len(after)
+    drive = len(poses)
+    options = [
+        (max(lead + drive, delay + back), lead, delay)
+        for lead in {0, out // 2, out}
+        for delay in {max(out, lead + drive - share * back // 2) for share in (0, 1, 2)}
+    ]
+    late = (out + drive + back, out, out + drive)
+    for steps, lead, delay in sorted(options):
+        if (steps, lead, delay) >= late:
+            break
+        t = np.unique(np.linspace(0, steps, 40).astype(int))
+        arm = np.where((t < delay)[:, None], before[np.minimum(t, out - 1)], after[np.clip(t - delay, 0, back - 1)])
+        arm[:, :3] = poses[np.clip(t - lead, 0, drive - 1)]
+        moving = (t > lead) & (t < lead + drive - 1)
+        asked = np.where(moving, here.drive, np.where(t <= lead, here.room, there.room))
+        gap = np.minimum(
+            here.robot.clearance(arm, here.boxes) - asked, here.robot.self_clearance(arm) - min(here.own, there.own)
+        )
+        if (gap >= 0.0).all():
+            return steps, lead, delay
+    return late
+
+
+def _along(way: Array) -> Array:
+    """Configurations (N, 15) after so many control steps on a way (P, 15) of the arm."""
+    torso, arm = motion.chain().columns_of((ik.TORSO,))[0], list(motion.ARM_JOINTS)
+    parts = []
+    for start, end in pairwise(way):
+        far = np.abs(end - start)
+        gone = [arm_gone(float(far[arm].max())), torso_gone(float(far[torso]))]
+        t = np.arange(max(map(len, gone)))
+        share = np.ones((len(t), len(far)))
+        share[:, arm] = gone[0][np.minimum(t, len(gone[0]) - 1), None]
+        share[:, torso] = gone[1][np.minimum(t, len(gone[1]) - 1)]
+        parts.append(start + share * (end - start))
+    return np.concatenate(parts)
+
+
+def arm_way(start: Array, end: Array, free: Free, rounds: int = ROUNDS) -> Array | None:
+    """Configurations (P, 15) from ``start`` to ``end`` (15,) with clear straight motions between them.
+
+    Only the arm and the torso of the two differ. None when ``rounds`` of RRT-Connect do not find any.
+    """
+    from ompl import base, geometric, util
+
+    # Every generator of random numbers is made after this, with numbers that follow from it: the same way every time.
+    # OMPL calls that an error, once there was another generator before.
+    util.setLogLevel(util.LogLevel.LOG_NONE)
+    util.RNG.setSeed(_SEED)
+    info: Any = _space(start, end, free)
+    problem: Any = base.ProblemDefinition(info)
+    problem.setStartAndGoalStates(_state(info, start), _state(info, end))
+    planner = geometric.RRTConnect(info)
+    planner.setRange(REACH)
+    planner.setProblemDefinition(problem)
+    planner.setup()
+    left = iter(range(rounds))
+    planner.solve(base.PlannerTerminationCondition(lambda: next(left, None) is None))
+    if not problem.hasExactSolution():
+        return None
+    path = problem.getSolutionPath()
+    between = [_joints(path.getState(i), start) for i in range(1, path.getStateCount() - 1)]
+    return _shortened(np.array([start, *between, end]), free)
+
+
+def _space(start: Array, end: Array, free: Free) -> Any:
+    """What OMPL has to know (``SpaceInformation``) of arm and torso, within half a turn of both ends (15,)."""
+    from ompl import base
+
+    class Edges(base.MotionValidator):
+        """Looks at all of an edge at once."""
+
+        def checkMotion(self, s1: Any, s2: Any, *_: Any) -> bool:
+            return free.edge(_joints(s1, start), _joints(s2, start))
+
+    dofs, robot = _dofs(), motion.chain()
+    low = np.maximum(np.minimum(start, end) - np.pi, robot.lower)[dofs] / _scale()
+    high = np.minimum(np.maximum(start, end) + np.pi, robot.upper)[dofs] / _scale()
+    space, bounds = base.RealVectorStateSpace(len(dofs)), base.RealVectorBounds(len(dofs))
+    for i in range(len(dofs)):
+        bounds.setLow(i, float(low[i]))
+        bounds.setHigh(i, float(high[i]))
+    space.setBounds(bounds)
+    info = base.SpaceInformation(space)
+    info.setStateValidityChecker(lambda state: bool(free.spare(_joints(state, start)[None])[0] >= 0.0))
+    info.setMotionValidator(Edges(info))
+    info.setup()
+    return info
+
+
+def _joints(state: Any, like: Array) -> Array:
+    """The configuration (15,) of a state of OMPL, ``like`` (15,) but for arm and torso."""
+    q, dofs = like.copy(), _dofs()
+    q[dofs] = _scale() * [state[i] for i in range(len(dofs))]
+    return q
+
+
+def _state(info: Any, q: Array) -> Any:
+    """The state of OMPL for a configuration (15,), inside its bounds."""
+    state = info.allocState()
+    for i, value in enumerate(q[_dofs()] / _scale()):
+        state[i] = float(value)
+    info.enforceBounds(state)
+    return state
+
+
+def _shortened(way: Array, free: Free) -> Array:
+    """Without the configurations that a straight motion can leave out."""
+    kept, at = [way[0]], 0
+    while at < len(way) - 1:
+        at = next((i for i in range(len(way) - 1, at + 1, -1) if free.edge(way[at], way[i])), at + 1)
+        kept.append(way[at])
+    return np.array(kept)
+
+
+def _legs(start: Array, end: Array, postures: Array, here: Free, there: Free) -> list[tuple[Array, Array]]:
+    """Ways of the arm from ``start`` (15,) to one of postures (V, 15), quickest first, and from there to ``end``."""
+    if not len(postures):
+        return []
+    before, after = postures.copy(), postures.copy()
+    before[:, :3], after[:, :3] = start[:3], end[:3]
+    out, back = here.likely(start, before), there.likely(end, after)
+    found = []
+    for i in np.flatnonzero(out & back):
+        if here.edge(start, before[i]) and there.edge(after[i], end):
+            found.append((np.stack([start, before[i]]), np.stack([after[i], end])))
+        if len(found) == TIMED:
+            break
+    # One leg by sampling, of postures for which the other is clear.
+    for i in np.flatnonzero(out ^ back)[: 0 if found else SEARCHED]:
+        first = _leg(start, before[i], here) if out[i] else arm_way(start, before[i], here)
+        last = None if first is None else _leg(after[i], end, there) if back[i] else arm_way(after[i], end, there)
+        if first is not None and last is not None:
+            return [(first, last)]
+    return found
+
+
+def _leg(start: Array, end: Array, free: Free) -> Array | None:
+    """The straight way between two configurations (15,), if it is clear."""
+    return np.stack([start, end]) if free.edge(start, end) else None
+
+
+def _postures(start: Array, end: Array) -> Array:
+    """Postures (V, 15) of the arm, those first that take the least time from ``start`` and on to ``end`` (15,)."""
+    drawn = _library().copy()
+    drawn[:, 4:] = np.where(np.isin(np.arange(4, 15), _dofs()), drawn[:, 4:], start[4:])
+    drawn = np.concatenate([ik.unwind(motion.chain(), drawn, start), start[None], end[None]])
+    drawn[:, 13:] = start[13:]
+    steps = [ik.travel_steps(motion.chain(), q, drawn, _dofs()) for q in (start, end)]
+    return drawn[np.argsort(steps[0] + steps[1], kind="stable")]
+
+
+@lru_cache(maxsize=1)
+def _library() -> Array:
+    """Postures (V, 15) around the one at rest that keep clear of the trunk."""
+    drawn = ik.random_seeds(motion.chain(), REST_QPOS, _dofs(), 4 * POSTURES, np.random.default_rng(_SEED), 1.0)
+    return drawn[motion.spheres().self_clearance(drawn) > 2 * OWN_ROOM][:POSTURES]
+
+
+def _clear_drives(postures: Array, poses: Array, free: Free) -> Array:
+    """The first `LEGS` postures (indices) with which a drive over base poses (T, 3) is clear, its errors included."""
+    found: list[Any] = []
+    for start in range(0, len(postures), 2 * LEGS):
+        rows = np.arange(start, min(start + 2 * LEGS, len(postures)))
+        for pose in poses[np.unique(np.linspace(0, len(poses) - 1, _PLACES).astype(int))]:
+            q = postures[rows]
+            q[:, :3] = pose
+            rows = rows[free.robot.clearance(q, free.boxes) >= free.drive]
+        found += list(rows)
+        if len(found) >= LEGS:
+            break
+    return np.array(found[:LEGS], np.int64)
+
+
+def _length(way: Array) -> float:
+    """Control steps that the arm needs along configurations (P, 15)."""
+    return float(np.max(np.abs(np.diff(way, axis=0))[:, _dofs()] / _scale(), axis=1).sum())
+
+
+@lru_cache(maxsize=1)
+def _dofs() -> Array:
+    return ik.columns(motion.chain())
+
+
+@lru_cache(maxsize=1)
+def _scale() -> Array:
+    """Motion (8,) of arm and torso in one control step."""
+    return ik.step_limits(motion.chain())[_dofs()]

@@ -1,0 +1,220 @@
+"""Where to stand and how to hold the arm to work on a drawer or door: stances found once per piece of furniture.
+
+Everything here lives in the furniture's own frame ("plan frame"): origin on the floor below the link's origin at joint
+0, +x outward. Furniture is the same in every home, so the searches are cached; a home only decides which of the
+stances have free floor. Letters: N stances, K way points, Q robot columns (FETCH_JOINTS order).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mjhab.envs.privileged import REST_QPOS, BoxArrays, JointedLink, WorldView
+from mjhab.experts.arm import ik, motion
+from mjhab.robots.kinematics import wrap
+
+Array = np.ndarray
+SELF_MARGIN = 0.02
+"""Least distance of the forearm and hand to the trunk [m]."""
+FLOOR_MARGIN = 0.285
+"""Clearance the base of a stance must have, `COMFORT` what it should have [m]."""
+COMFORT = 0.36
+FOLLOWED = 3
+"""Seeds followed per base path."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stances:
+    """N ways to do one job. ``q`` (N, K, Q): configurations at the K way points, base columns in the plan frame;
+    ``steps``, ``back`` (N,): control steps the arm needs from rest to the first one and from the last one to rest."""
+
+    q: Array
+    steps: Array
+    back: Array
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+    @staticmethod
+    def join(parts: Sequence[Stances]) -> Stances:
+        """All of several sets with the same number of way points."""
+        return Stances(*(np.concatenate([getattr(p, k) for p in parts]) for k in ("q", "steps", "back")))
+
+    def shifted(self, along: float) -> Stances:
+        """The same ways for something that has moved outward [m]."""
+        moved = self.q.copy()
+        moved[:, :, 0] += along
+        return Stances(moved, self.steps, self.back)
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """The plan frame of a link in the world: ``origin`` (2,) [m], ``yaw`` [rad]."""
+
+    origin: Array
+    yaw: float
+
+    @classmethod
+    def of(cls, link: JointedLink) -> Frame:
+        """The plan frame of a link of a home."""
+        return cls(link.origin[:2].copy(), float(np.arctan2(link.rot[1, 0], link.rot[0, 0])))
+
+    def point(self, xy: Array) -> Array:
+        """Plan frame points (..., 2) in the world."""
+        c, s = np.cos(self.yaw), np.sin(self.yaw)
+        return self.origin + np.stack([c * xy[..., 0] - s * xy[..., 1], s * xy[..., 0] + c * xy[..., 1]], axis=-1)
+
+    def base(self, q: Array) -> Array:
+        """Configurations (..., Q) or base poses (..., 3) with the base columns moved to the world."""
+        return np.concatenate([self.point(q[..., :2]), wrap(q[..., 2:3] + self.yaw), q[..., 3:]], axis=-1)
+
+
+_FOUND: dict[tuple[Hashable, str], Stances] = {}
+
+
+def cached(link: JointedLink, job: str, search: Callable[[JointedLink], Stances]) -> Stances:
+    """The stances of a job on a link, searched for on first use with the link in its plan frame."""
+    key = (link.spec, job)
+    if key not in _FOUND:
+        _FOUND[key] = search(JointedLink(link.id, link.spec, np.array([0.0, 0.0, link.origin[2]]), np.eye(3)))
+    return _FOUND[key]
+
+
+def hand(forward: Array, closing: Array) -> Array:
+    """Gripper rotations (..., 3, 3) that point ``forward`` (..., 3) with the fingers' line along ``closing``."""
+    x = forward / np.linalg.norm(forward, axis=-1, keepdims=True)
+    y = closing - x * np.sum(x * closing, axis=-1, keepdims=True)
+    y = y / np.linalg.norm(y, axis=-1, keepdims=True)
+    return np.stack([x, y, np.cross(x, y)], axis=-1)
+
+
+def seeds(count: int, number: int = 0) -> Array:
+    """Start configurations (count, Q) around the rest pose, the same on every call."""
+    robot = motion.chain()
+    rest = REST_QPOS.copy()
+    rest[:3] = 0.0
+    return ik.random_seeds(robot, rest, ik.columns(robot), count, np.random.default_rng(number))
+
+
+def track(
+    base: Array, pos: Array, rot: Array, boxes: Sequence[BoxArrays] | None = None, *, tries: int = 12,
+    mode: ik.Mode = "pose", margin: float = 0.02, jump: float = 0.7,
+) -> Stances:  # fmt: skip
+    """Arm motions along way points while the base moves, for many base paths at once.
+
+    Args:
+        base: (N, K, 3) base poses in the plan frame.
+        pos, rot: (N, K, 3), (N, K, 3, 3) hand poses.
+        boxes: obstacles at every way point.
+        tries: seeds for the first way point.
+        mode: what part of the orientation counts.
+        margin: least distance of arm and trunk to the boxes [m]; the hand itself is not looked at.
+        jump: largest change of a joint between way points [rad].
+
+    Returns:
+        The stances that reach every way point, for each base path the one the arm gets to soonest from rest.
+    """
+    robot = motion.chain()
+    dofs = ik.columns(robot)
+    rest = REST_QPOS.copy()
+    start = np.repeat(seeds(tries)[None], len(base), axis=0)
+    start[:, :, :3] = base[:, None, 0]
+    found = ik.solve(robot, pos[:, 0], rot[:, 0], start, dofs, rest=rest, mode=mode)
+    path = [ik.unwind(robot, found.q, rest).reshape(-1, robot.size)]
+    row = np.repeat(np.arange(len(base)), tries)
+    path[0][:, :3] = base[row, 0]
+    ok = found.ok.reshape(-1)
+    path, row = [path[0][ok]], row[ok]
+    travel = ik.travel_steps(robot, rest, path[0], dofs)
+    path, row = _drop(path, row, _quickest(row, travel, FOLLOWED))
+    path, row = _drop(path, row, _clear(path[0], boxes[0] if boxes else None, margin))
+    for k in range(1, base.shape[1]):
+        if not len(row):
+            break
+        now = path[-1].copy()
+        now[:, :3] = base[row, k]
+        step = ik.solve(
+            robot, pos[row, k], rot[row, k], now[:, None], dofs, rest=rest, mode=mode,
+            options=ik.Options(iterations=15, rest_gain=0.0),
+        )  # fmt: skip
+        near = np.abs(step.q[:, 0, 3:] - now[:, 3:]).max(axis=1, initial=0.0) < jump
+        path, row = _drop([*path, step.q[:, 0]], row, step.ok[:, 0] & near)
+        path, row = _drop(path, row, _clear(path[-1], boxes[k] if boxes else None, margin))
+    if not len(row):
+        return Stances(np.zeros((0, base.shape[1], robot.size)), np.zeros(0), np.zeros(0))
+    travel = ik.travel_steps(robot, rest, path[0], dofs)
+    back = ik.travel_steps(robot, rest, path[-1], dofs)
+    order = np.lexsort((travel + back, row))
+    _, first = np.unique(row[order], return_index=True)
+    chosen = order[first]
+    return Stances(np.stack(path, axis=1)[chosen], travel[chosen], back[chosen])
+
+
+def _quickest(row: Array, travel: Array, count: int) -> Array:
+    """Which of the seeds (R,) are among the ``count`` quickest, by ``travel`` (R,), of their base path ``row`` (R,)."""
+    order = np.lexsort((travel, row))
+    place = np.arange(len(row)) - np.searchsorted(row[order], row[order])
+    keep = np.zeros(len(row), dtype=bool)
+    keep[order] = place < count
+    return keep
+
+
+def _drop(path: list[Array], row: Array, keep: Array) -> tuple[list[Array], Array]:
+    return [p[keep] for p in path], row[keep]
+
+
+_ARM_LINKS = (
+    "shoulder_pan_link", "shoulder_lift_link", "upperarm_roll_link", "elbow_flex_link", "forearm_roll_link",
+    "wrist_flex_link", "torso_lift_link", "head_pan_link", "head_tilt_link",
+)  # fmt: skip
+
+
+def _clear(q: Array, boxes: BoxArrays | None, margin: float) -> Array:
+    """Which configurations (N, Q) keep the arm clear of the trunk, and arm and trunk of the boxes."""
+    if not len(q):
+        return np.zeros(0, dtype=bool)
+    keep = motion.spheres().self_clearance(q) > SELF_MARGIN
+    if boxes is not None:
+        keep &= motion.spheres().only(_ARM_LINKS).clearance(q, motion.as_boxes(boxes)) > margin
+    return keep
+
+
+def motion_steps(q: Array) -> Array:
+    """Control steps (N,) the arm needs along the way points of configurations (N, K, Q)."""
+    robot = motion.chain()
+    dofs = ik.columns(robot)
+    share = np.abs(np.diff(q, axis=1))[..., dofs] / ik.step_limits(robot)[dofs]
+    return share.max(axis=2).sum(axis=1)
+
+
+def rank(view: WorldView, frame: Frame, stances: Stances, also: Array | None = None) -> tuple[Array, Array]:
+    """The stances with free floor, the ones soonest reached first.
+
+    Args:
+        also: (N, P, 2) more places the base passes through, plan frame.
+
+    Returns:
+        Configurations (M, K, Q) with the base columns in the world, and the estimated steps (M,) to get there.
+    """
+    places = stances.q[:, :, :2] if also is None else np.concatenate([stances.q[:, :, :2], also], axis=1)
+    room = motion.planner(view.home).clearance_at(frame.point(places)).min(axis=1, initial=np.inf)
+    first = frame.base(stances.q[:, 0])
+    steps = np.maximum(stances.steps, drive_steps(view.q[:3], first[:, :3]))
+    cost = steps + motion_steps(stances.q) + stances.back + 300.0 * np.maximum(COMFORT - room, 0.0)
+    order = np.argsort(cost, kind="stable")
+    order = order[room[order] >= FLOOR_MARGIN]
+    return frame.base(stances.q[order]), cost[order]
+
+
+def drive_steps(start: Array, goals: Array) -> Array:
+    """Rough number of control steps (N,) to drive from ``start`` (3,) to ``goals`` (N, 3): turn, go, turn."""
+    way = goals[:, :2] - start[:2]
+    far = np.linalg.norm(way, axis=1)
+    heading = np.arctan2(way[:, 1], way[:, 0])
+    forward = np.abs(wrap(heading - start[2])) + np.abs(wrap(goals[:, 2] - heading))
+    backward = np.abs(wrap(heading + np.pi - start[2])) + np.abs(wrap(goals[:, 2] - heading - np.pi))
+    turn = np.where(far > 0.02, np.minimum(forward, backward), np.abs(wrap(goals[:, 2] - start[2])))
+    return 20.0 * (far / 0.55 + turn / 1.6) + 8.0

@@ -1,0 +1,28 @@
+"""Experts that open and close the drawer and the fridge door of SetTable."""
+
+from __future__ import annotations
+
+from mjhab.envs.privileged import WorldView
+from mjhab.experts.arm import motion
+from mjhab.experts.skills.door import close_door, open_door
+from mjhab.experts.skills.drawer import close_drawer, open_drawer
+
+Motion = motion.Motion
+
+
+def open_link(view: WorldView) -> Motion:
+    """Open the active subtask's link and return to rest."""
+    subtask = view.subtask
+    assert subtask is not None
+    link = view.home.links[subtask.link]
+    yield from open_drawer(view, link) if link.spec.joint == "slide" else open_door(view, link)
+    return (yield from motion.stay_at_rest(view, gripper=motion.OPEN))
+
+
+def close_link(view: WorldView) -> Motion:
+    """Close the active subtask's link and return to rest."""
+    subtask = view.subtask
+    assert subtask is not None
+    link = view.home.links[subtask.link]
+    yield from close_drawer(view, link) if link.spec.joint == "slide" else close_door(view, link)
+    return (yield from motion.stay_at_rest(view, gripper=motion.OPEN))

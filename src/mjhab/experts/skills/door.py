@@ -1,0 +1,284 @@
+"""Opening and closing a hinged door: the hand follows the door's arc while the base drives along."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mjhab.core.boxes import Boxes
+from mjhab.envs.privileged import JointedLink, WorldView
+from mjhab.experts.arm import ik, motion
+from mjhab.experts.base.navigation import CONTROL_DT
+from mjhab.experts.planning import approach, stances
+from mjhab.experts.planning.stances import Frame, Stances
+from mjhab.experts.skills import door_stances
+from mjhab.experts.skills.door_stances import HALF_OPEN, OPEN_TO, PRESS_AHEAD
+from mjhab.experts.style import style_of
+from mjhab.tasks.style import PUSH
+
+Array = np.ndarray
+Motion = motion.Motion
+AROUND, LOOSE = 0.045, 0.03
+"""Room [m] beside the bar in a hand that goes around it or frees it; opened wide, the inner finger would push the door.
+"""
+ENOUGH, SPARE = 0.753, 0.008
+"""Shares of the range: from which on a door is left alone, 0.75 counts as open, and how much farther than to `OPEN_TO`
+it is pulled: what brushes against it later must not close it that far."""
+STILL_STEPS = 3
+"""Control steps for which the hand holds the bar at the end: it would hit it on its way if the door went on."""
+SHUT, AJAR = 0.006, 0.009
+"""Shares of the range: to which a door is pressed, and from which on it is pressed anew; 0.01 counts as closed."""
+IN_LINE, ENTERED = 0.025, 0.04
+"""How far [m] the hand may be beside its way in behind the door, and before the end of it."""
+STRUCK = 0.15
+"""How far the arm may push a door open on its way [rad] before the hand has to go elsewhere."""
+ENTER_PACE, ENTER_STEPS = 0.04, 22
+"""Way of the hand per control step [m], and control steps, to get in behind the door."""
+BEHIND = 0.25
+"""Way the hand goes straight in behind an open door [m]."""
+STANCES_TRIED = 16
+"""Stances whose surroundings are looked at."""
+JOINT_RATE, PULL_RATE = 0.037, 0.046
+"""Joint motion per control step at which the hand leads the door [rad]: pushed, it should not leave the hand."""
+SWING = 0.045
+"""Most the hand's aim moves along the door's arc per control step [rad]."""
+GENTLE = 0.02, 0.045
+"""Way of a door that is pushed all the way, per control step [rad]: this much, and so much more for every radian it
+is open. By itself it slows down sooner, so that it does not leave the hand.
+"""
+LATE = 12
+"""Control steps the door may lag behind the end of the path before the hand gives up."""
+COAST_TIME, COAST_STOP = 1.4, 0.5
+"""A door left alone slows down by (speed + COAST_STOP) / COAST_TIME [s, rad/s]: inertia, damping and friction of the
+doors here, which tell how far a thrown door goes."""
+COAST_SPARE = 0.1
+"""How much farther than it has to a door must be going to be let go [rad]; much faster ones bounce open again."""
+AT_REST = 0.002
+"""Most a door at rest moves per control step [rad]."""
+PRESS_STEPS = 2
+"""Control steps for which a closed door has to rest."""
+JAMMED = 300.0
+"""Contact force on the arm with which a motion is given up [N]."""
+
+
+def open_door(view: WorldView, link: JointedLink) -> Motion:
+    """Grasp the bar, follow its arc, let go and return to rest; anew after a slip."""
+    enough = ENOUGH * link.range[1]
+    while view.steps_left > 40 and view.link_q(link.id) < enough:
+        found = stances.cached(link, "pull", door_stances.pull_stances)
+        path = _reachable(view, link, found, door_stances.pull_angles(link))
+        if path is None:
+            return False
+        around, loose = (motion.gripper_at(link.handle.thickness + room) for room in (AROUND, LOOSE))
+        yield from approach.go(view, path.route, around)
+        rot = path.hand_at(path.angles[1])[1]
+        if (yield from approach.take(view, link, rot, path.q[1], height=path.height, gripper=around)):
+            yield from _follow_arc(view, link, path, (OPEN_TO + SPARE) * link.range[1], motion.CLOSED)
+        yield from motion.hold(view, STILL_STEPS, gripper=motion.CLOSED)
+        yield from approach.let_go(view, 0.12, gripper=loose)
+    return (yield from approach.fold(view, gripper=motion.CLOSED))
+
+
+def close_door(view: WorldView, link: JointedLink) -> Motion:
+    """Reach behind the door and throw it shut along its arc, folding the arm while it swings, or push it all the way
+    where that is asked for; anew if it stays ajar."""
+    throws = style_of(view).close != PUSH
+    while view.steps_left > 40 and view.link_q(link.id) > AJAR * link.range[1]:
+        start = view.link_q(link.id) + PRESS_AHEAD
+        half = start < HALF_OPEN * link.range[1]
+        search = door_stances.push_half_open if half else door_stances.push_open
+        angles = door_stances.push_angles(link, half)
+        found, angles = _from_angle(stances.cached(link, search.__name__, search), angles, min(start, angles[0]))
+        path = _reachable(view, link, found, angles, BEHIND)
+        if path is None:
+            return False
+        yield from approach.go(view, path.route, motion.CLOSED)
+        if view.link_q(link.id) > start - PRESS_AHEAD + STRUCK:
+            continue
+        yield from _behind_edge(view, path)
+        while (yield from _follow_arc(view, link, path, SHUT * link.range[1], motion.CLOSED, throws)):
+            if (yield from _leave_swinging(view, link)):
+                break
+        else:
+            yield from approach.retreat(view, 0.06)
+    return (yield from approach.fold(view))
+
+
+@dataclass(frozen=True, eq=False)
+class ArcPath:
+    """Configurations ``q`` (K, 15) for door angles ``angles`` (K,) (monotonic), and the way to the first one.
+
+    The hand's pose comes from the configurations, relative to where the base should be: no frames to keep."""
+
+    q: Array
+    angles: Array
+    route: approach.Route
+
+    def at(self, angle: float) -> Array:
+        """Configuration (15,) at a door angle."""
+        order = np.argsort(self.angles)
+        x = self.angles[order]
+        return np.array([np.interp(angle, x, column) for column in self.q[order].T])
+
+    def hand_at(self, angle: float) -> tuple[Array, Array]:
+        """Hand position (3,) and rotation (3, 3) in the world at a door angle."""
+        pos, rot = motion.chain().tip_pose(self.at(angle))
+        return pos[0], rot[0]
+
+    @property
+    def height(self) -> float:
+        """Height of the hand [m]."""
+        return float(self.hand_at(self.angles[-1])[0][2])
+
+
+def _follow_arc(
+    view: WorldView, link: JointedLink, path: ArcPath, goal: float, gripper: float, throws: bool = False
+) -> Motion:  # fmt: skip
+    """Move hand and base along the path until the door is at ``goal``, or gets there by itself where the hand
+    ``throws`` it; False when the hand loses the door."""
+    way = 1.0 if goal > view.link_q(link.id) else -1.0
+    aim, end = float(path.angles[1 if way > 0 else 0]), float(path.angles[-1])
+    aim = aim if way > 0 else min(aim, view.link_q(link.id) + PRESS_AHEAD)
+    last, late, pressed, done = np.inf, 0, 0, 0
+    for _ in range(110):
+        now = view.link_q(link.id)
+        if throws and _coasts(style_of(view).speed * (last - now) / CONTROL_DT) > now + COAST_SPARE:
+            return True
+        # A door that was thrown shut may swing back.
+        there = way * (goal - now) <= 0 and (way > 0 or abs(now - last) < AT_REST)
+        done, last = done + 1 if there else 0, now
+        if done > (0 if way > 0 else PRESS_STEPS):
+            return True
+        pressed = pressed + 1 if view.link_forces.sum() > JAMMED else 0
+        pace = _pace(path, aim, way)
+        if way < 0 and not throws:
+            pace = min(pace, GENTLE[0] + GENTLE[1] * max(now, 0.0))
+        if way * (aim - now) < (0.3 if way > 0 else PRESS_AHEAD + 0.15):
+            aim += way * pace
+        aim = min(aim, end) if way > 0 else max(aim, end)
+        late = late + 1 if aim == end else 0
+        if pressed > 2 or late > LATE:
+            return False
+        if way > 0 and not view.finger_forces(link.id).any() and now < 0.9 * goal and _far(view, link, path):
+            return False
+        yield _arc_action(view, path, aim, way * pace, gripper)
+    return False
+
+
+def _leave_swinging(view: WorldView, link: JointedLink) -> Motion:
+    """Fold the arm while a door swings shut; False when it comes to rest too early."""
+    last = np.inf
+    for action in approach.fold(view, shut=link, gripper=motion.CLOSED):
+        now = view.link_q(link.id)
+        if now > AJAR * link.range[1] and abs(now - last) < AT_REST:
+            return False
+        last = now
+        yield action
+    return True
+
+
+def _coasts(speed: float) -> float:
+    """How far a door goes on by itself [rad] at a closing speed [rad/s]."""
+    if not 0.0 < speed < np.inf:
+        return 0.0
+    return COAST_TIME * (speed - COAST_STOP * float(np.log1p(speed / COAST_STOP)))
+
+
+def _behind_edge(view: WorldView, path: ArcPath) -> Motion:
+    """Bring the hand to the beginning of a path straight along its axis, and forward only as far as it is in line: with
+    the base not quite in place it would meet the door's edge."""
+    robot, wish = motion.chain(), path.q[0]
+    pos, rot = path.hand_at(float(path.angles[0]))
+    for _ in range(ENTER_STEPS):
+        here, turn = motion.tcp(view)
+        back = float((pos - here) @ rot[:, 0])
+        aside = pos - here - back * rot[:, 0]
+        off = float(np.linalg.norm(aside))
+        if back < ENTERED:
+            return True
+        ahead = min(back, ENTER_PACE) * float(np.clip(2.0 - off / IN_LINE, 0.0, 1.0))
+        goal = here + ahead * rot[:, 0] + min(1.0, ENTER_PACE / max(off, 1e-9)) * aside
+        aim_rot = ik.straight_line(here[None], pos[None], turn[None], rot[None], 1.0, 0.1)[1]
+        v, w = approach.base_towards(view, wish)
+        delta = ik.servo(
+            robot, view.q, goal[None], aim_rot, ik.columns(robot), rest=wish, mode="approach",
+            base_next=approach.next_base(view, v, w), rest_gain=0.1,
+        )[0]  # fmt: skip
+        yield motion.action(view, view.q + delta / motion.ARM_DELAY, gripper=motion.CLOSED, drive=(v, w))
+    return False
+
+
+def _far(view: WorldView, link: JointedLink, path: ArcPath) -> bool:
+    handle = link.handle_pose(view.link_q(link.id))[0]
+    return bool(np.linalg.norm(motion.tcp(view)[0][:2] - handle[:2]) > 0.06)
+
+
+def _pace(path: ArcPath, angle: float, way: float) -> float:
+    """Door motion per control step that the arm's joints can follow [rad]."""
+    here, there = path.at(angle), path.at(angle + way * 0.1)
+    most = float(np.abs(there - here)[list(motion.ARM_JOINTS)].max())
+    return min(SWING, 0.1 * (PULL_RATE if way > 0 else JOINT_RATE) / max(most, 1e-6))
+
+
+def _arc_action(view: WorldView, path: ArcPath, aim: float, step: float, gripper: float) -> Array:
+    wish = path.at(aim)
+    pos, rot = path.hand_at(aim)
+    q = view.q
+    ahead = (path.at(aim + step)[:2] - wish[:2]) @ np.array([np.cos(q[2]), np.sin(q[2])])
+    v, w = approach.base_towards(view, wish, float(ahead) / CONTROL_DT)
+    base_next = approach.next_base(view, v, w)
+    robot = motion.chain()
+    here, _ = motion.tcp(view)
+    lead = pos - here
+    pos = here + lead * min(1.0, 0.08 / max(float(np.linalg.norm(lead)), 1e-9))
+    delta = ik.servo(robot, q, pos[None], rot[None], ik.columns(robot), rest=wish, base_next=base_next, rest_gain=0.1)[
+        0
+    ]
+    return motion.action(view, q + delta / motion.ARM_DELAY, gripper=gripper, drive=(v, w))
+
+
+def _reachable(view: WorldView, link: JointedLink, found: Stances, angles: Array, back: float = 0.0) -> ArcPath | None:
+    """The soonest reached stance whose whole motion has room in this home; ``back`` [m]: how far from its beginning the
+    hand comes straight in."""
+    goals, _ = stances.rank(view, Frame.of(link), found)
+    walls = Boxes.join([motion.as_boxes(view.home.boxes), motion.as_boxes(view.link_boxes((link.id,)))])
+    goals = goals[_distinct(goals[:, 0, :3])[:STANCES_TRIED]]
+    free = np.array([g for g in goals if motion.spheres().clearance(g, walls).min() > 0.01])
+    if not len(free):
+        return None
+    before = _withdrawn(free[:, 0], back) if back > 0 else None
+    best = approach.best_route(view, free[:, 0], before, link if back > 0 else None)
+    return None if best is None else ArcPath(free[best[0]], angles, best[1])
+
+
+def _distinct(base: Array) -> Array:
+    """Indices of the first of every group of like base poses (N, 3), in order."""
+    _, first = np.unique(np.round(base / [0.1, 0.1, 0.2]), axis=0, return_index=True)
+    return np.sort(first)
+
+
+def _withdrawn(q: Array, back: float) -> Array:
+    """Configurations (M, Q) with the hand drawn back along its own axis, where the arm can do that."""
+    robot = motion.chain()
+    pos, rot = robot.tip_pose(q)
+    found = ik.solve(
+        robot, pos - back * rot[:, :, 0], rot, q[:, None], ik.columns(robot), rest=q[0],
+        options=ik.Options(iterations=25, rest_gain=0.0),
+    )  # fmt: skip
+    near = np.abs(found.q[:, 0, 3:] - q[:, 3:]).max(axis=1) < 1.2
+    good = found.ok[:, 0] & near & (motion.spheres().self_clearance(found.q[:, 0]) > stances.SELF_MARGIN)
+    return np.where(good[:, None], found.q[:, 0], q)
+
+
+def _from_angle(found: Stances, angles: Array, start: float) -> tuple[Stances, Array]:
+    """What is left of the motions when they begin at the door angle ``start``, and the angles of what is left."""
+    k = int(np.searchsorted(-angles, -start))
+    if k == 0:
+        return found, angles
+    share = (angles[k - 1] - start) / (angles[k - 1] - angles[k])
+    first = (1.0 - share) * found.q[:, k - 1] + share * found.q[:, k]
+    robot = motion.chain()
+    steps = ik.travel_steps(robot, stances.REST_QPOS, first, ik.columns(robot))
+    q = np.concatenate([first[:, None], found.q[:, k:]], axis=1)
+    return Stances(q, steps, found.back), np.append(start, angles[k:])

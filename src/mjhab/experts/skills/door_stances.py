@@ -1,0 +1,173 @@
+"""Where to stand and how to hold the arm to pull a hinged door open or to push it shut: searches in the plan frame."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from itertools import product
+
+import numpy as np
+
+from mjhab.envs.privileged import BoxArrays, JointedLink
+from mjhab.experts.arm import ik
+from mjhab.experts.planning import stances
+from mjhab.experts.planning.stances import Stances
+
+Array = np.ndarray
+PRE_GRASP = 0.11
+"""Distance from which the open hand goes straight onto the bar [m]."""
+ABOVE_MIDDLE = 0.13
+"""Height over the middle of the bar at which it is taken, nearer to where the hand rests [m]."""
+THICK = 0.035
+"""Thickness of a bar that the hand must take squarely and that hardly turns between the pads [m]."""
+PRESS_AHEAD, PRESS_PAST = 0.2, 0.02
+"""How far from an open door the hand starts, and how far beyond the closed one it aims [rad]."""
+ABOVE_BAR = 0.13
+"""Height over the end of the bar at which the door is pushed [m]: a lower hand catches the bar with its side."""
+FROM_EDGE = 0.06
+"""Least distance from the free edge of the door at which it is pushed [m]."""
+HALF_OPEN = 0.95
+"""Share of the range up to which the hand need not start as far behind the door as for a wide open one."""
+OPEN_TO = 0.775
+"""Share of the range to pull to; 0.75 counts as open."""
+TIP, FINGER_SIDE = 0.031, 0.0144
+"""Fingertip before the tool centre and half-width of the closed fingers [m]."""
+PUSH_YAWS = ((0.25, 0.4), (0.5, 0.4), (0.8, 0.4), (1.1, 0.4))
+"""Yaws [rad] of the pushing hand on the open and on the closed door, 0 straight at the fridge. Behind a door open by
+2.2 rad a hand at 0.6 lies along it; one at 0 would touch the door's edge with its side on its way in, so that the
+first pair is for doors that are not wide open.
+"""
+
+
+def pull_angles(link: JointedLink) -> Array:
+    """Door angles (10,) [rad] of the way points of `pull_stances`; the first is the hand before the bar."""
+    return np.append(-0.01, np.linspace(0.0, (OPEN_TO + 0.03) * link.range[1], 9))
+
+
+def push_angles(link: JointedLink, half: bool) -> Array:
+    """Door angles (11,) [rad] of the way points of `push_half_open` or `push_open`, from open to closed."""
+    first = (HALF_OPEN * link.range[1]) if half else link.range[1] + PRESS_AHEAD
+    return np.append(np.linspace(first, 0.0, 10), -PRESS_PAST)
+
+
+def _hand_side(link: JointedLink) -> float:
+    """1 for a door with its bar at negative y, to the left as seen from outside, for which the searches are written
+    down; -1 for its mirror image."""
+    return -float(np.sign(link.handle.pos[1]))
+
+
+def _inward(link: JointedLink) -> float:
+    """Way along y [m] from the bar to where the door is pushed: 0 unless the bar is at the door's very edge."""
+    m, (low, high) = _hand_side(link), _panel(link)
+    edge = (low if m > 0 else high)[1]
+    lack = FROM_EDGE - abs(edge - link.handle.pos[1])
+    return m * lack if lack > 0.001 else 0.0
+
+
+def _line(
+    near: Array, side: Array, headings: Iterable[float], ways: tuple[float, ...], share: Array
+) -> Array:  # fmt: skip
+    """Base paths (N, K, 3): from points of a grid backwards along a heading, ``share`` (K,) of the way."""
+    out = []
+    for x, y, heading, way in product(near, side, headings, ways):
+        back = np.array([np.cos(heading), np.sin(heading)]) * way
+        out.append(np.c_[np.array([x, y]) + share[:, None] * back, np.full(len(share), np.pi + heading)])
+    return np.array(out)
+
+
+def _in_reach(base: Array, hands: Array) -> Array:
+    """Base paths (N, K, 3) whose shoulder is at a workable distance of the hands (K, 3) all the way."""
+    yaw = base[..., 2]
+    shoulder = base[..., :2] + 0.15 * np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
+    far = np.linalg.norm(shoulder - hands[None, :, :2], axis=-1)
+    return (far.max(axis=1) < 0.95) & (far.min(axis=1) > 0.35)
+
+
+def _panel(link: JointedLink) -> tuple[Array, Array]:
+    """Least and greatest corner (3,) of the closed door without its bar and shelves."""
+    boxes = link.boxes(0.0)
+    k = int(np.argmax(boxes.half.prod(axis=1)))
+    reach = np.abs(boxes.rot[k]) @ boxes.half[k]
+    return boxes.center[k] - reach, boxes.center[k] + reach
+
+
+def _carcass(link: JointedLink) -> BoxArrays:
+    low, high = _panel(link)
+    middle = np.array([low[0] - 0.006 - 0.31, (low[1] + high[1]) / 2, 0.975])
+    return BoxArrays(middle[None], np.array([[0.31, (high[1] - low[1]) / 2, 0.975]]), np.eye(3)[None])
+
+
+def _with_door(link: JointedLink, angle: float) -> BoxArrays:
+    parts = (_carcass(link), link.boxes(max(angle, 0.0)))
+    return BoxArrays(*(np.concatenate([getattr(p, k) for p in parts]) for k in ("center", "half", "rot")))
+
+
+def _level(yaw: Array) -> Array:
+    """Hands (K, 3, 3) that point level against the directions ``yaw`` (K,), fingers side by side."""
+    forward = -np.stack([np.cos(yaw), np.sin(yaw), 0.0 * yaw], axis=-1)
+    return stances.hand(forward, np.stack([-forward[:, 1], forward[:, 0], 0.0 * yaw], axis=-1))
+
+
+def _search(
+    link: JointedLink, base: Array, pos: Array, rot: Array, angles: Array, tries: int, mode: ik.Mode = "pose"
+) -> Stances:  # fmt: skip
+    base = base[_in_reach(base, pos)]
+    n = len(base)
+    return stances.track(
+        base, np.broadcast_to(pos, (n, *pos.shape)), np.broadcast_to(rot, (n, *rot.shape)),
+        [_with_door(link, float(a)) for a in angles], tries=tries, mode=mode,
+    )  # fmt: skip
+
+
+def pull_stances(link: JointedLink) -> Stances:
+    """Hand before the bar, on it, and along its arc. The hand turns less than the door: the pads let the bar turn."""
+    angles = pull_angles(link)
+    grip = np.array([link.handle_pose(max(a, 0.0))[0] for a in angles])
+    grip[:, 2] += ABOVE_MIDDLE
+    share = np.clip(angles / angles[-1], 0.0, 1.0)
+    m = _hand_side(link)
+    thick = link.handle.thickness > THICK
+    headings = m * np.array([0.6, 0.9, 1.2, 1.5] if thick else [0.3, 0.6, 0.9])
+    ways = (0.5, 0.65, 0.8, 0.95) if thick else (0.4, 0.6)
+    base = _line(np.arange(0.8, 1.25, 0.1), m * np.arange(-0.85, 0.15, 0.15), headings, ways, share)
+    found = []
+    for first, last in ((0.0, 0.6), (0.0, 1.2), (0.15, 0.7)) if thick else ((0.4, 0.6), (0.8, 0.7)):
+        yaw = m * (first + (last - first) * share)
+        pos = grip.copy()
+        pos[0] += PRE_GRASP * np.array([np.cos(yaw[0]), np.sin(yaw[0]), 0.0])
+        found.append(_search(link, base, pos, _level(yaw), angles, tries=5))
+    return Stances.join(found)
+
+
+def push_open(link: JointedLink) -> Stances:
+    """Ways to push a door shut from wherever it stands."""
+    return _push_stances(link, half=False)
+
+
+def push_half_open(link: JointedLink) -> Stances:
+    """Ways to push a door shut that is not wide open."""
+    return _push_stances(link, half=True)
+
+
+def _push_stances(link: JointedLink, half: bool) -> Stances:
+    """The closed fingers on the outside of the door above its bar, from behind the open door to the closed one."""
+    angles = push_angles(link, half)
+    share = np.clip(1.0 - angles / angles[0], 0.0, 1.0)
+    ways = (-1.0, -0.8, -0.6, -0.4)
+    m = _hand_side(link)
+    headings = m * np.array([0.2, 0.45, 0.7, 0.95, 1.2])
+    base = _line(np.arange(0.8, 1.7, 0.1), m * np.arange(-0.1, 1.25, 0.1), headings, ways, share)
+    handle, face, inward = link.handle, _panel(link)[1][0], _inward(link)
+    found = []
+    for first, last in PUSH_YAWS if half else PUSH_YAWS[1:]:
+        yaw = first + (last - first) * share
+        lag = angles - yaw
+        gap = face + TIP * np.abs(np.cos(lag)) + FINGER_SIDE * np.abs(np.sin(lag)) - handle.pos[0]
+        pos = []
+        for angle, more in zip(angles, gap, strict=True):
+            at, bar, out = link.handle_pose(float(angle))
+            across = np.array([-out[1], out[0], 0.0])
+            pos.append(at + more * out + inward * across + (handle.half_length + ABOVE_BAR) * bar)
+        # Few stances reach behind a wide open door: a finer search there.
+        tries = 5 if half else 8
+        found.append(_search(link, base, np.array(pos), _level(m * yaw), angles, tries=tries, mode="approach"))
+    return Stances.join(found)

@@ -1,0 +1,236 @@
+"""The expert that drives to where the next thing is done: no teleport, the arm at rest, its grip kept.
+
+Lengths [m], angles [rad], world frame. Letters: N base poses, H headings, X, Y grid points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from mjhab.envs.privileged import TRUNK_LINKS, WorldView
+from mjhab.experts.arm import motion
+from mjhab.experts.arm.motion import Motion
+from mjhab.experts.base.driving import BRISK, GENTLE, Driver, Trip, plan_drive, towards
+from mjhab.experts.base.floorplan import Arm, Floorplan, turn_between
+from mjhab.experts.base.lattice import YAWS, Lattice, Leg, turns
+from mjhab.experts.base.navigation import CONTROL_DT
+from mjhab.experts.base.route import BLOCKED_FORCE, BLOCKED_STEPS, planner
+from mjhab.experts.planning.carry import inside_depth
+from mjhab.experts.planning.reach import in_sight
+from mjhab.robots.kinematics import wrap
+
+Array = np.ndarray
+DISTANCE, NEAREST = 0.95, 0.65
+"""How far from its goal the robot would like to stand, so that the hand gets there without much driving."""
+WITHIN = 0.12
+"""How far inside of the limits of success it shall end, in distance and for the edges of the area."""
+FACING = 0.3
+"""How far the last heading on the grid may be off the goal; the robot then turns to face it if it has room to."""
+BESIDE = 0.5
+"""Furniture this near to a goal may be what the goal is on: it hides nothing from the robot."""
+SLIMMER = ((0.0, 0.0), (0.015, 0.02), (0.03, 0.05))
+"""How much smaller base and arm are taken for, one after the other until there is a way."""
+DOOR_MOVED = 0.08
+"""Change of a joint [m or rad] after which a way is planned anew."""
+STUCK_STEPS, STUCK = 15, 0.02
+WORK = (0.5, 0.95)
+"""How far the base may be from what the hand shall do."""
+FAR_WAY, LONGEST_WAY, DETOUR_PACE = 1.5, 20.0, 1.5
+"""From which way [m] on it counts that the work cannot be done from where the robot ends, and its price [s/m]."""
+FELT = 0.12
+"""Radius of what is assumed where the robot met something unknown."""
+
+
+class Aim(NamedTuple):
+    """Where a Navigate leads: to face ``point`` (3,) from about ``distance``, within ``reach``, in ``area`` (4,)."""
+
+    point: Array
+    distance: float
+    reach: float
+    area: Array | None
+
+    @classmethod
+    def of(cls, view: WorldView) -> Aim:
+        """The aim of the active subtask."""
+        subtask = view.subtask
+        assert subtask is not None
+        point = np.array(subtask.goal_pos)
+        distance = DISTANCE + inside_depth(view, point)
+        area = view.front_area(subtask.link) if subtask.link else None
+        return cls(point, distance, view.config.nav_distance, None if area is None else np.array(area))
+
+    def bearing(self, xy: Array) -> Array:
+        """Heading (...,) that faces the goal from ``xy`` (..., 2)."""
+        return np.arctan2(self.point[1] - xy[..., 1], self.point[0] - xy[..., 0])
+
+    def allows(self, xy: Array, within: float) -> Array:
+        """(...,) bool: near enough and in the area, by ``within`` [m]."""
+        good = np.linalg.norm(xy - self.point[:2], axis=-1) <= self.reach - within
+        if self.area is not None:
+            low, high = self.area[::2] + within, self.area[1::2] - within
+            good = good & ((xy >= low) & (xy <= high)).all(axis=-1)
+        return good
+
+    def price(self, lattice: Lattice, detour: Array) -> Array:
+        """Seconds (H, X, Y) that ending in each node is worth, infinite where it would be no success.
+
+        ``detour`` (X, Y): see `detours`.
+        """
+        xy = lattice.points
+        good = self.allows(xy, WITHIN)
+        if not good.any():
+            good = self.allows(xy, 0.02)
+        off = np.abs(wrap(YAWS[:, None, None] - self.bearing(xy)))
+        out = np.full(lattice.shape, np.inf)
+        far = np.linalg.norm(xy[good] - self.point[:2], axis=-1)
+        pay = 4.0 * np.maximum(far - self.distance, 0.0) + 6.0 * np.maximum(NEAREST - far, 0.0)
+        pay = pay + 12.0 * (lattice.plan.hidden(xy[good], self.point, BESIDE) > 0.0)
+        pay = pay + 3.0 * (lattice.plan.hidden(xy[good], self.point, 0.1) > 0.0)
+        pay = pay + DETOUR_PACE * detour[good]
+        room = lattice.room[:, good]
+        out[:, good] = np.where(off[:, good] <= FACING, pay + 1.5 * off[:, good], np.inf)
+        out[:, good] += 10.0 * np.maximum(0.1 - room, 0.0)
+        return out
+
+
+def navigate(view: WorldView) -> Motion:
+    """Drive to the goal of the active Navigate, face it and stand still."""
+    subtask = view.subtask
+    assert subtask is not None
+    held = subtask.obj if subtask.must_hold else ""
+    gripper = motion.CLOSED if held else motion.OPEN
+    posture = motion.rest_goal(view)
+    felt = np.zeros((0, 3))
+    aim = Aim.of(view)
+    while True:
+        yield motion.action(view, posture, gripper=gripper)
+        trip = plan_trip(view, aim, posture, held, felt)
+        if trip is None:
+            yield from motion.hold(view, 10, gripper=gripper, goal=posture)
+            felt = felt[:0]
+            continue
+        met = yield from _drive(view, trip, posture, gripper)
+        if met is not None:
+            felt = np.concatenate([felt, met])
+            yield from _back_off(view, posture, gripper, trip)
+        elif _arrived(view, aim):
+            yield from _stand(view, aim, posture, gripper)
+
+
+def detours(view: WorldView, aim: Aim, points: Array) -> Array:
+    """Way (X, Y) [m, more where it is narrow] from ``points`` (X, Y, 2) to where the hand gets at the goal, if that is
+    far: a chair between table and wall may be near and yet a long way round. Zero for what stands in furniture."""
+    cells = planner(view)
+    centres = cells.origin + (np.indices(cells.clearance.shape).transpose(1, 2, 0) + 0.5) * cells.cell
+    far = np.linalg.norm(centres - aim.point[:2], axis=-1)
+    work = (cells.clearance >= cells.radius) & (far >= WORK[0]) & (far <= WORK[1])
+    if aim.area is not None or inside_depth(view, aim.point) or not work.any():
+        return np.zeros(points.shape[:2])
+    walls = motion.as_boxes(view.home.boxes).near(np.array([*aim.point[:2], 0.9]), 2.0)
+    work[work] = in_sight(centres[work], aim.point, walls)
+    if not work.any():
+        return np.zeros(points.shape[:2])
+    way = cells.costs_to(work)[cells.cells(points)]
+    return np.where(way > FAR_WAY, np.minimum(way, LONGEST_WAY), 0.0)
+
+
+def plan_trip(view: WorldView, aim: Aim, posture: Array, held: str, felt: Array) -> Trip | None:
+    """The cheapest way to where the goal is faced, None when there is none.
+
+    Args:
+        posture: (15,) of the arm on the way. held: what is in the hand. felt: (B, 3) x, y, radius of what was met.
+    """
+    arm = Arm.of(view, posture, held)
+    whole = Floorplan.of(view, arm, held, felt)
+    for base, less in SLIMMER:
+        plan = whole.slimmer(base, less)
+        lattice = Lattice(plan)
+        found = lattice.search(view.q[:3], aim.price(lattice, detours(view, aim, lattice.points)))
+        if found is not None:
+            legs = _facing(plan, aim, view.q[:3], found[1])
+            return plan_drive(plan, view.q[:3], legs, GENTLE if held else BRISK)
+    return None
+
+
+def _facing(plan: Floorplan, aim: Aim, pose: Array, legs: list[Leg]) -> list[Leg]:
+    """Legs from ``pose`` (3,) that end with facing the goal, where there is room to."""
+    end, yaw = (legs[-1].points[-1], legs[-1].yaw) if legs else (pose[:2], float(pose[2]))
+    last = turn_between(yaw, float(aim.bearing(end)))
+    return [*legs, *turns(end, yaw, last)] if not legs or plan.turning(end, yaw, last) >= 0.0 else legs
+
+
+def _drive(view: WorldView, trip: Trip, posture: Array, gripper: float) -> Generator[Array, None, Array | None]:
+    """Drive the legs; returns (1, 3) x, y, radius of what was met on the way, None if nothing was.
+
+    It ends early when a door or drawer has moved since the trip was planned.
+    """
+    pressed, track, tried, joints = 0, [view.q[:3]], 0, _joints(view)
+    driver = Driver(trip.legs, trip.lookahead, trip.pace, *_speeds(view))
+    while driver.leg is not None:
+        leg, (forward, turn) = driver.leg, driver.step(view.q[:3])
+        yield motion.action(view, posture, gripper=gripper, drive=(forward, turn))
+        track.append(view.q[:3])
+        pressed = pressed + 1 if view.link_forces.sum() > BLOCKED_FORCE else 0
+        tried = tried + 1 if abs(forward) > 0.05 or abs(turn) > 0.2 else 0
+        if pressed >= BLOCKED_STEPS or (tried > STUCK_STEPS and _still(track[-STUCK_STEPS:])):
+            return _ahead(view, leg)
+        if np.abs(_joints(view) - joints).max(initial=0.0) > DOOR_MOVED:
+            return None
+    return None
+
+
+def _speeds(view: WorldView) -> tuple[float, float]:
+    """Forward speed and yaw rate of the base."""
+    q, qd = view.q, view.qd
+    return float(np.cos(q[2]) * qd[0] + np.sin(q[2]) * qd[1]), float(qd[2])
+
+
+def _still(track: Sequence[Array]) -> bool:
+    """Hardly any motion from the first to the last of some poses."""
+    moved = track[-1] - track[0]
+    return bool(np.abs([*moved[:2], wrap(moved[2])]).max() < STUCK)
+
+
+def _ahead(view: WorldView, leg: Leg) -> Array:
+    """Where something must be that stops the base on a leg: before it, or before the hand."""
+    q = view.q
+    ahead = leg.direction * np.array([np.cos(q[2]), np.sin(q[2])])
+    arm_felt = leg.direction > 0 and view.link_forces[len(TRUNK_LINKS) :].sum() > 0.5 * view.link_forces.sum()
+    at = view.tcp_pose[:2] + 0.15 * ahead if arm_felt else q[:2] + (0.3 + FELT) * ahead
+    return np.array([[*at, FELT]])
+
+
+def _back_off(view: WorldView, posture: Array, gripper: float, trip: Trip) -> Motion:
+    """Drive a little way back to where the trip came from."""
+    q = view.q
+    gap = np.linalg.norm(trip.poses[:, :2] - q[:2], axis=1)
+    passed = trip.poses[: int(np.argmin(gap)) + 1] if len(gap) else trip.poses
+    away = passed[np.linalg.norm(passed[:, :2] - q[:2], axis=1) > 0.2]
+    origin = away[-1, :2] if len(away) else q[:2] - 0.2 * np.array([np.cos(q[2]), np.sin(q[2])])
+    ahead = float((origin - q[:2]) @ np.array([np.cos(q[2]), np.sin(q[2])]))
+    speed, _ = _speeds(view)
+    for _ in range(14):
+        speed = towards(float(np.copysign(0.3, ahead)), speed, trip.pace.rise * CONTROL_DT)
+        yield motion.action(view, posture, gripper=gripper, drive=(speed, 0.0))
+    return True
+
+
+def _joints(view: WorldView) -> Array:
+    """Joint positions of all doors and drawers."""
+    return np.array([view.link_q(name) for name in view.home.links])
+
+
+def _arrived(view: WorldView, aim: Aim) -> bool:
+    q = view.q
+    facing = abs(float(wrap(aim.bearing(q[:2]) - q[2]))) <= view.config.nav_bearing - 0.05
+    return bool(facing and aim.allows(q[:2], 0.0))
+
+
+def _stand(view: WorldView, aim: Aim, posture: Array, gripper: float) -> Motion:
+    """Hold still with the arm at rest for as long as the robot stands right."""
+    while _arrived(view, aim):
+        yield motion.action(view, posture, gripper=gripper)
+    return False

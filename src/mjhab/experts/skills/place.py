@@ -1,0 +1,280 @@
+"""The expert that places what the hand holds: onto tables and seats, or into the fridge."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from mjhab.core.boxes import Boxes
+from mjhab.core.rotations import mat_from_quat
+from mjhab.envs.privileged import WorldView
+from mjhab.episodes.grasps.held import shape_of
+from mjhab.experts.arm import ik, motion
+from mjhab.experts.arm.gentle import care_for
+from mjhab.experts.arm.motion import Motion
+from mjhab.experts.arm.release import TIGHT, away_speed, drawn_back, let_go_width, play, tipped
+from mjhab.experts.base.route import follow, holds
+from mjhab.experts.planning.carry import drive_in, go_home, grip, held_spheres, inside_depth
+from mjhab.experts.planning.reach import (
+    ROOMS,
+    Blocked,
+    HandGoals,
+    Scene,
+    Stance,
+    hand_room,
+    settle_reach,
+    stances,
+    surroundings,
+)
+from mjhab.experts.planning.sampled import Found, roomier
+from mjhab.experts.skills.pick import fetch, height_below
+from mjhab.experts.style import style_of
+from mjhab.tasks.style import DROP as DROP_IT
+
+Array = np.ndarray
+DROP = 0.006
+"""Height [m] above the surface at which an object is let go."""
+ABOVE, ABOVE_SHELF = 0.10, 0.035
+"""Where the straight way down begins [m]."""
+YAWS, SHELF_YAWS = 16, 8
+OFFSETS = ((0.0, 0.0), (0.05, 0.0), (0.10, 0.0))
+LAST_OFFSETS = (*OFFSETS, (0.125, 0.0))
+SHELF_OFFSETS = (*OFFSETS, (0.05, 0.05), (0.05, -0.05), (0.0, 0.06), (0.0, -0.06), (0.08, 0.06), (0.08, -0.06))
+"""How far [m] nearer to the robot, and to its side, than the goal an object may be put; success asks for 0.15. The last
+ones are for later attempts."""
+TILTS, BALL_TILTS, SHELF_TILTS = (0.0, 0.3), (0.0, 0.35, 0.7, 1.0), (0.0, 0.35, 0.6, 0.85, 1.1)
+"""Leans of the hand [rad]: they reach further, and under a shelf a hand that comes from above has no room."""
+HAND_ROOM = -0.008
+"""Least clearance [m] of the hand; the spheres that stand for it are up to so much too large."""
+HAND_NEARER = 0.014
+"""How much nearer than the arm the hand may come to what is around it before it goes down [m]."""
+LEAN, LAID = 2.5, 2.6
+"""Price in points of a radian that an object leans when it is let go under a shelf, and of another side down: round
+things roll then, and only let go of still more aslant they surely fall over."""
+STUCK = 3.0
+"""How much dearer a lean is where the fingers cannot open much farther: the object stays stuck between them at that
+angle, and falls when the hand draws back."""
+BESIDE = 0.09
+"""How far [m] beside its place an object may be put where the base ended such that the arm does not reach it."""
+ENOUGH = 0.87
+"""Part of the tolerance at the goal within which an object is put, where it comes to rest after it tipped over."""
+KNOCKS = -0.01
+"""Ways with less room [m] may knock the object out of the hand: other ways to put it down are looked at first."""
+AFTER, AFTER_INSIDE = 35, 70
+"""Control steps to put an object down and draw back; the second where the base has to come straight in before."""
+HOME = 0.6
+"""Weight of the way back to rest, as that of the arm's way to the goal."""
+DROPS = (0.0, 0.05, 0.12)
+"""Heights [m] from which it is let fall in the open, one after the other, where there is no way to put it down."""
+SOFT = (0.25, 0.5, 0.75)
+"""Parts of its speed with which the arm starts: what hangs at the fingers' tips would fall out otherwise."""
+WAIT = 60
+"""Control steps to wait once every way to put an object was looked at without success."""
+
+
+def place(view: WorldView) -> Motion:
+    """Put the held object to the active subtask's goal and return to rest."""
+    subtask = view.subtask
+    assert subtask is not None
+    obj, goal = subtask.obj, np.array(subtask.goal_pos)
+    while True:
+        if holds(view, obj):
+            yield from _bring(view, obj, goal)
+        elif not view.signal("at_goal"):
+            # Lost on the way: it lies somewhere, mostly not far off.
+            yield from fetch(view, obj, keep=False)
+            continue
+        yield from go_home(view, obj, holding=False)
+        yield from _rest(view)
+
+
+def _bring(view: WorldView, obj: str, goal: Array) -> Motion:
+    """Put the held object to ``goal`` (3,). Returns whether the hand has let go of it."""
+    style, failed, hurry, nothing = style_of(view), np.zeros((0, 3)), False, 0
+    best: Found | None = None
+    for attempt in range(20):
+        if not holds(view, obj):
+            return True
+        drop = style.drop_height if style.release == DROP_IT else DROPS[nothing % len(DROPS)]
+        found = plan_place(view, obj, goal, failed, attempt, drop, hurry)
+        if found is None and style.release == DROP_IT:
+            found = plan_place(view, obj, goal, failed, attempt, hurry=hurry)
+        if found is not None and (best is None or _worth(view, found) > _worth(view, best)):
+            best = found
+        if attempt < 2 and (best is None or _worth(view, best) < (True, KNOCKS)):
+            hurry = True
+            continue
+        if best is None:
+            failed, nothing = failed[:0], nothing + 1
+            # In the open things can fall; inside there is only what has failed to be looked at once more.
+            if nothing >= (2 if inside_depth(view, goal) else len(DROPS)):
+                yield from motion.hold(view, WAIT, gripper=motion.CLOSED)
+            continue
+        (stance, goals, depth), best, hurry = best, None, False
+        if (yield from _put(view, obj, stance, goals, depth)):
+            return True
+        failed = np.concatenate([failed, stance.at[None, :3]])
+    return False
+
+
+def _worth(view: WorldView, found: Found) -> tuple[bool, float]:
+    """Whether a way to put an object leaves the time to come back to rest, and the room on its route [m]."""
+    stance, _, depth = found
+    after = (AFTER_INSIDE if depth else AFTER) + float(motion.steps_home(stance.at))
+    return stance.route.steps + after <= view.steps_left, stance.route.room
+
+
+def _rest(view: WorldView) -> Motion:
+    """Stay at rest with an open hand for as long as the object is at its goal. Returns when it is not."""
+    goal, off = motion.rest_goal(view), 0
+    while off < 4:
+        yield motion.action(view, goal, gripper=motion.OPEN)
+        off = 0 if view.signal("at_goal") else off + 1
+    return False
+
+
+def plan_place(
+    view: WorldView, obj: str, goal: Array, failed: Array, attempt: int = 0, drop: float = 0.0, hurry: bool = False
+) -> Found | None:  # fmt: skip
+    """The best way to put an object near ``goal`` (3,): stance, hand poses it refers to, depth as in `plan_pick`.
+
+    ``drop``: how high above its place in the open it is let go [m]. ``hurry``: drive faster and no farther than needed,
+    where the time or the room on the way would not do.
+    """
+    near, _ = surroundings(view, obj, goal)
+    support = float(goal[2]) - view.object_type(obj).half[2]
+    scene = Scene(near, near.take(np.zeros(0, np.int64)), support, held_spheres(view, obj), care_for(view, hurry))
+    depth = inside_depth(view, goal)
+    goals = _roomy(view, obj, goal, near, shelf=depth > 0.0, attempt=attempt, drop=0.0 if depth else drop)
+    if not len(goals) and not depth:
+        # A board above leaves no room to come from above, though nothing calls the place a shelf.
+        goals = _roomy(view, obj, goal, near, shelf=True, attempt=attempt)
+    blocked: list[Blocked] = []
+    found = stances(
+        view, goal, goals, scene, drive_in=depth, avoid=failed, room=ROOMS[min(attempt, 2)], nearer=HAND_NEARER,
+        blocked=blocked, far=hurry, home=HOME,
+    )  # fmt: skip
+    return roomier(view, (found[0], goals, depth) if found else None, blocked)
+
+
+def _roomy(
+    view: WorldView, obj: str, goal: Array, near: Boxes, *, shelf: bool, attempt: int, drop: float = 0.0
+) -> HandGoals:  # fmt: skip
+    """`hand_goals` with room for the hand among the boxes ``near``."""
+    # Under a shelf the choice is often between one of its other sides and letting go of it at an angle.
+    goals = hand_goals(view, obj, goal, shelf=shelf, any_side=shelf or attempt > 1, drop=drop)
+    return goals.take(np.flatnonzero(hand_room(goals, near.near(goal, 0.8)) > HAND_ROOM))
+
+
+def hand_goals(view: WorldView, obj: str, goal: Array, *, shelf: bool, any_side: bool, drop: float = 0.0) -> HandGoals:
+    """Hand poses that put the object, as it sits in the hand, upright near ``goal`` (3,).
+
+    Args:
+        shelf: something is above: lean the hand forwards too, and begin lower.
+        any_side: let it lie on any of its sides, too.
+        drop: let it fall from so high [m].
+    """
+    shape = shape_of(view.object_type(obj))
+    tcp, hand = motion.tcp(view)
+    pose = view.object_pose(obj)
+    turn = hand.T @ mat_from_quat(pose[3:])
+    offset = hand.T @ (pose[:3] - tcp)
+    floor = float(goal[2]) - shape.half[2]
+    # Tall things fall over when they are let go at an angle.
+    ball = shape.kind == "sphere"
+    upset = 0.2 if ball else LEAN if shelf else 2.0 + 2.0 * shape.half[2] / min(shape.half)
+    upset *= STUCK if not ball and play(view) < TIGHT else 1.0
+    back = view.q[:2] - goal[:2]
+    back = back / max(float(np.linalg.norm(back)), 1e-6)
+    aside = np.array([-back[1], back[0]])
+    offsets = SHELF_OFFSETS if shelf else LAST_OFFSETS if any_side else OFFSETS
+    spots = [goal[:2] + near * back + left * aside for near, left in offsets]
+    spots = [spot for i, spot in enumerate(spots) if not i or _on_surface(view, goal, spot)]
+    most = ENOUGH * view.config.goal_tol
+    yaws = np.arange(SHELF_YAWS if shelf else YAWS) * 2 * np.pi / (SHELF_YAWS if shelf else YAWS)
+    tilts = SHELF_TILTS if shelf else BALL_TILTS if ball else TILTS
+    pos, rot, score = [], [], []
+    for (side, price), yaw, tilt in itertools.product(_sides(any_side), yaws, tilts):
+        upright = ik.rotate(np.array([[0.0, 0.0, yaw]]))[0] @ side
+        stand = ik.rotate(tilt * np.array([[*aside, 0.0]]))[0] @ upright
+        low = height_below(shape, stand)
+        tips = tipped(shape, stand)
+        for spot in spots:
+            # Where it is let go, such that it comes to rest at the spot.
+            if np.linalg.norm(np.array([*spot, floor + low + tips[2]]) - goal) > most:
+                continue
+            rot.append(stand @ turn.T)
+            pos.append(np.array([*(spot - tips[:2]), floor + low + max(DROP, drop)]) - rot[-1] @ offset)
+            score.append(-price - upset * tilt - 6.0 * float(np.linalg.norm(spot - goal[:2])))
+    at = np.array(pos)
+    pre = at + np.array([0.0, 0.0, ABOVE_SHELF if shelf else ABOVE])
+    width = np.full(len(at), 2.0 * float(view.q[13:15].mean()))
+    return HandGoals(at, np.array(rot), pre, width, np.array(score))
+
+
+def _sides(every: bool) -> list[tuple[Array, float]]:
+    """Turns of an object that bring one of its sides down, with their price: upright costs nothing."""
+    sides = [(np.eye(3), 0.0)]
+    if every:
+        half = np.pi / 2
+        for axis in ((half, 0, 0), (-half, 0, 0), (0, half, 0), (0, -half, 0), (2 * half, 0, 0)):
+            sides.append((ik.rotate(np.array([axis], float))[0], LAID))
+    return sides
+
+
+def _on_surface(view: WorldView, goal: Array, xy: Array) -> bool:
+    """Whether ``xy`` (2,) lies on the receptacle that ``goal`` (3,) is on."""
+    for place in view.home.receptacles:
+        level = -0.05 < goal[2] - place.pos[2] < 0.25
+        if level and (np.abs(place.local(goal[:2])) < np.array(place.half)).all():
+            return bool((np.abs(place.local(xy)) < np.array(place.half) - 0.02).all())
+    return False
+
+
+def _put(view: WorldView, obj: str, stance: Stance, goals: HandGoals, depth: float) -> Motion:
+    """Drive there, lower, let go, draw back. Returns whether the hand has let go."""
+    pos, rot, pre = goals.pos[stance.goal], goals.rot[stance.goal], goals.pre[stance.goal]
+    closed = motion.CLOSED
+    yield from follow(view, stance.route, gripper=closed, held=obj)
+    if not holds(view, obj):
+        return False
+    if depth:
+        boxes, _ = surroundings(view, obj, pos)
+        yield from drive_in(view, stance.pre, pre, rot, boxes, gripper=closed)
+    joints = settle_reach(view, stance, np.stack([pre, pos]), rot)
+    if joints is None:
+        # Out of reach from here: as planned then, beside its place by as much as the base is.
+        joints, (pos, pre), rot = _beside(view, stance, goals)
+        if np.linalg.norm(pos - goals.pos[stance.goal]) > BESIDE:
+            return False
+    for speed in SOFT:
+        yield from motion.move_joints(view, joints[0], gripper=closed, tolerance=0.04, max_steps=1, speed=speed)
+    yield from motion.move_joints(view, joints[0], gripper=closed, tolerance=0.04, max_steps=20)
+    yield from motion.move_tcp(
+        view, pre, rot, gripper=closed, rest=joints[1], tolerance=0.015, max_steps=20, torso=False
+    )
+    yield from motion.move_tcp(
+        view, pos, rot, gripper=closed, rest=joints[1], speed=0.2, tolerance=0.005, max_steps=25, torso=False
+    )
+    yield from motion.still_tcp(view, pos, rot, gripper=closed, steps=2)
+    opening, speed = grip(let_go_width(view, obj, pos, rot)), away_speed(view)
+    yield from motion.still_tcp(view, pos, rot, gripper=opening, steps=5)
+    for back in (drawn_back(view, obj, pos, rot, joints[0]), pre):
+        yield from motion.move_tcp(
+            view, back, rot, gripper=opening, rest=joints[0], speed=speed, tolerance=0.02, max_steps=14, torso=False
+        )
+        if not holds(view, obj):
+            return True
+    # Wide things touch the open fingers a little longer; to take them again would be to carry them off.
+    return bool(view.signal("at_goal"))
+
+
+def _beside(view: WorldView, stance: Stance, goals: HandGoals) -> tuple[Array, Array, Array]:
+    """The planned postures of the arm (2, 15) from where the base really stands, before and at the end of the way down,
+    and where they bring the hand: at and before (2, 3), rotation (3, 3)."""
+    q = np.stack([stance.pre, stance.at])
+    q[:, :3] = view.q[:3]
+    frames = motion.chain().forward(q)
+    tip = motion.chain().tip_index
+    return q, frames.pos[::-1, tip], frames.rot[1, tip]

@@ -1,0 +1,56 @@
+"""Compile homes to MjModels, and remember the result on disk under a hash of everything that went in."""
+
+from __future__ import annotations
+
+import hashlib
+from functools import lru_cache
+from pathlib import Path
+
+import mujoco
+
+from mjhab.core.cache import cache_dir, write_atomic
+from mjhab.core.paths import below
+from mjhab.layout.layout import Layout, build_spec
+from mjhab.scenes.spec import Home
+
+
+@lru_cache(maxsize=1)
+def _code_digest() -> bytes:
+    digest = hashlib.sha256(mujoco.__version__.encode())
+    for file in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(file.read_bytes())
+    return digest.digest()
+
+
+def home_hash(layout: Layout, home: Home) -> str:
+    """Hash of a home in its layout: equal when the compiled model would be equal."""
+    pack = layout.pack
+    digest = hashlib.sha256(_code_digest())
+    digest.update(repr((home, layout.roster, layout.prop_slots, layout.num_walls)).encode())
+    digest.update(repr((sorted(pack.props.items()), sorted(pack.articulations.items()), layout.objects)).encode())
+    for name in sorted(pack.meshes):
+        digest.update(name.encode() + pack.meshes[name].vertices.tobytes())  # type: ignore[attr-defined]
+    return digest.hexdigest()[:24]
+
+
+def model_path(layout: Layout, home: Home) -> Path:
+    """File in the cache that holds, or will hold, the model of a home."""
+    return below(cache_dir() / "models", f"{home.name}-{home_hash(layout, home)}.mjb")
+
+
+def compile_home(layout: Layout, home: Home) -> mujoco.MjModel:
+    """The MjModel of a home, from the cache when it was compiled before.
+
+    Raises:
+        ValueError: when MuJoCo refuses the home; the message names it.
+    """
+    path = model_path(layout, home)
+    if not path.exists():
+        try:
+            model = build_spec(layout, home).compile()
+        except ValueError as error:
+            reason = ", ".join(str(error).splitlines())
+            raise ValueError(f"home {home.name!r} does not compile: {reason}") from error
+        write_atomic(path, lambda temporary: mujoco.mj_saveModel(model, str(temporary), None))
+    # A compiled model carries a signature that the saved one lacks; all are taken from the file, to be equal.
+    return mujoco.MjModel.from_binary_path(str(path))

@@ -1,0 +1,317 @@
+"""One layout for all homes of a pack, one MjModel per home.
+
+Every home compiles to a model of identical sizes and order: the union of all furniture, walls and the object
+roster, absent pieces parked below the floor. Homes differ in static poses and wall sizes only, so any world of a
+batch can hold any home.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from functools import cached_property
+
+import mujoco
+import numpy as np
+from scipy.spatial import ConvexHull
+
+from mjhab.layout.contact_sensors import add_depth_sensor, add_force_sensor, add_touch_sensor
+from mjhab.robots.fetch import model as fetch
+from mjhab.scenes import contact_bits
+from mjhab.scenes.spec import IDENTITY, PARKED, Articulation, Geom, Home, Link, ObjectType, Pack, Placement, Quat, Vec3
+
+_GEOM_TYPE = {
+    "box": mujoco.mjtGeom.mjGEOM_BOX,
+    "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
+    "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
+    "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,
+    "mesh": mujoco.mjtGeom.mjGEOM_MESH,
+}
+OBJECT_FRICTION = (fetch.SLIDING_FRICTION, 0.01, 0.003)
+"""Sliding, torsional [m], rolling [m]. Rolling friction lets round objects come to rest and sleep."""
+SLIDE_DAMPING, SLIDE_FRICTION = 5.0, 1.0
+HINGE_DAMPING, HINGE_FRICTION = 1.0, 0.5
+JOINT_ARMATURE = 0.1
+PARK_ORIGIN = (40.0, 40.0)
+"""Objects an episode does not use lie on the floor from here on, 0.5 m apart, asleep."""
+
+
+def yaw_quat(yaw: float) -> Quat:
+    """Quaternion (wxyz) of a rotation by ``yaw`` [rad] about +z."""
+    return (float(np.cos(yaw / 2)), 0.0, 0.0, float(np.sin(yaw / 2)))
+
+
+def compose(pos: Vec3, quat: Quat, local_pos: Vec3, local_quat: Quat = IDENTITY) -> tuple[Vec3, Quat]:
+    """Pose of a child given in the frame of a parent pose, both (m, wxyz)."""
+    out_pos, out_quat = np.zeros(3), np.zeros(4)
+    mujoco.mju_rotVecQuat(out_pos, np.asarray(local_pos, float), np.asarray(quat, float))
+    mujoco.mju_mulQuat(out_quat, np.asarray(quat, float), np.asarray(local_quat, float))
+    out_pos += pos
+    x, y, z = out_pos.tolist()
+    qw, qx, qy, qz = out_quat.tolist()
+    return (x, y, z), (qw, qx, qy, qz)
+
+
+@dataclass(frozen=True)
+class PropSlot:
+    """The ``index``-th copy of a prop template; ``name`` is ``<template>_<index>``."""
+
+    name: str
+    template: str
+    index: int
+
+
+@dataclass(frozen=True)
+class LinkRef:
+    """A moving link of an articulation; ``id`` is ``<articulation>/<link>``."""
+
+    id: str
+    articulation: str
+    link: Link
+
+
+class Layout:
+    """Sizes, names and order that all homes of a pack share for one object roster.
+
+    Args:
+        pack: the asset pack.
+        roster: object type per object slot.
+    """
+
+    def __init__(self, pack: Pack, roster: tuple[str, ...]) -> None:
+        self.pack = pack
+        self.roster = roster
+        copies: Counter[str] = Counter()
+        for home in pack.homes:
+            copies |= Counter(p.template for p in home.props)
+        self.prop_slots = tuple(
+            PropSlot(f"{name}_{k}", name, k) for name in sorted(copies) for k in range(copies[name])
+        )
+        self.num_walls = max(len(home.walls) for home in pack.homes)
+        self.articulations: tuple[Articulation, ...] = tuple(pack.articulations[n] for n in sorted(pack.articulations))
+        self.links = tuple(LinkRef(f"{a.name}/{k.name}", a.name, k) for a in self.articulations for k in a.links)
+        self.link_ids = tuple(ref.id for ref in self.links)
+        seen: Counter[str] = Counter()
+        names = []
+        for kind in roster:
+            names.append(f"{kind}_:{seen[kind]:04d}")
+            seen[kind] += 1
+        self.object_names = tuple(names)
+        self.objects: tuple[ObjectType, ...] = tuple(pack.objects[kind] for kind in roster)
+
+    @property
+    def num_objects(self) -> int:
+        """Number of object slots N."""
+        return len(self.roster)
+
+    @cached_property
+    def parked_poses(self) -> np.ndarray:
+        """(N, 7) resting poses of objects an episode does not use."""
+        poses = np.zeros((self.num_objects, 7))
+        poses[:, 0] = PARK_ORIGIN[0] + 0.5 * np.arange(self.num_objects)
+        poses[:, 1] = PARK_ORIGIN[1]
+        poses[:, 2] = [kind.half[2] for kind in self.objects]
+        poses[:, 3] = 1.0
+        return poses
+
+    def slot_placements(self, home: Home) -> list[Placement | None]:
+        """Placement of every prop slot in a home, None where the home has fewer copies."""
+        left: dict[str, list[Placement]] = {}
+        for placement in home.props:
+            left.setdefault(placement.template, []).append(placement)
+        return [left[s.template][s.index] if s.index < len(left.get(s.template, ())) else None for s in self.prop_slots]
+
+    def articulation_placement(self, home: Home, name: str) -> Placement:
+        """Where an articulation stands in a home; parked below the floor when the home has none."""
+        return next((p for p in home.articulations if p.template == name), Placement(name, PARKED))
+
+    def closed_link_origin(self, home: Home, link_id: str) -> Vec3:
+        """World position [m] of the origin of a link while it is closed."""
+        ref = self.links[self.link_ids.index(link_id)]
+        at = self.articulation_placement(home, ref.articulation)
+        return compose(at.pos, at.rotation, ref.link.pos)[0]
+
+    def closed_handle(self, home: Home, link_id: str) -> Vec3:
+        """World position [m] of the grasp point of a link's handle while the link is closed."""
+        ref = self.links[self.link_ids.index(link_id)]
+        at = self.articulation_placement(home, ref.articulation)
+        x, y, z = ref.link.handle.pos
+        ox, oy, oz = ref.link.pos
+        return compose(at.pos, at.rotation, (ox + x, oy + y, oz + z))[0]
+
+
+def build_spec(layout: Layout, home: Home) -> mujoco.MjSpec:
+    """Describe one home of a layout to MuJoCo: robot, furniture, objects, contact sensors."""
+    spec = mujoco.MjSpec()
+    spec.modelname = home.name
+    spec.memory = 64 << 20
+    fetch.physics_options(spec)
+    spec.default.geom.friction[0] = fetch.SLIDING_FRICTION
+    world = spec.worldbody
+    plane = mujoco.mjtGeom.mjGEOM_PLANE
+    world.add_geom(name="floor", type=plane, size=[0, 0, 1], contype=contact_bits.STATIC, conaffinity=0)
+    _add_meshes(spec, layout)
+    fetch.add_fetch(spec)
+    for k in range(layout.num_walls):
+        wall = home.walls[k] if k < len(home.walls) else Geom("box", (0.01, 0.01, 0.01), PARKED)
+        _add_geom(world, wall, f"wall_{k}", contact_bits.STATIC)
+    for slot, placement in zip(layout.prop_slots, layout.slot_placements(home), strict=True):
+        prop = layout.pack.props[slot.template]
+        bit = contact_bits.STATIC if prop.blocks_base else contact_bits.RUG
+        _add_static(world, prop.geoms, slot.name, placement, bit)
+    for articulation in layout.articulations:
+        at = layout.articulation_placement(home, articulation.name)
+        _add_articulation(spec, articulation, at, dict(home.open_limits))
+    for name, kind, pose in zip(layout.object_names, layout.objects, layout.parked_poses, strict=True):
+        _add_object(spec, name, kind, pose)
+    _add_sensors(spec, layout)
+    return spec
+
+
+def _add_meshes(spec: mujoco.MjSpec, layout: Layout) -> None:
+    used = {g.mesh for kind in layout.pack.objects.values() for g in kind.collision if g.shape == "mesh"}
+    used |= {g.mesh for prop in layout.pack.props.values() for g in prop.geoms if g.shape == "mesh" and g.collide}
+    for name in sorted(used):
+        mesh = layout.pack.meshes[name]
+        spec.add_mesh(name=name, uservert=np.asarray(mesh.vertices, float).ravel())  # type: ignore[attr-defined]
+
+
+def _add_geom(
+    body: mujoco.MjsBody, geom: Geom, name: str, contype: int, *, conaffinity: int = 0, density: float = 1000.0
+) -> mujoco.MjsGeom:
+    added = body.add_geom(
+        name=name, type=_GEOM_TYPE[geom.shape], pos=geom.pos, quat=geom.quat, contype=contype,
+        conaffinity=conaffinity, density=density,
+    )  # fmt: skip
+    if geom.shape == "mesh":
+        added.meshname = geom.mesh
+    else:
+        added.size = geom.size
+    return added
+
+
+def _add_static(world: mujoco.MjsBody, geoms: tuple[Geom, ...], name: str, at: Placement | None, bit: int) -> None:
+    for i, geom in enumerate(g for g in geoms if g.collide):
+        pos, quat = (PARKED, IDENTITY) if at is None else compose(at.pos, at.rotation, geom.pos, geom.quat)
+        moved = Geom(geom.shape, geom.size, pos, quat, mesh=geom.mesh)
+        _add_geom(world, moved, f"{name}/{i}", bit)
+
+
+def _add_articulation(spec: mujoco.MjSpec, articulation: Articulation, at: Placement, limits: dict[str, float]) -> None:
+    _add_static(spec.worldbody, articulation.geoms, articulation.name, at, contact_bits.STATIC)
+    for link in articulation.links:
+        pos, quat = compose(at.pos, at.rotation, link.pos)
+        name = f"{articulation.name}/{link.name}"
+        body = spec.worldbody.add_body(name=name, pos=pos, quat=quat)
+        slide = link.joint == "slide"
+        # Doors do not collide with walls; in a home where one would, its joint ends there.
+        low, high = link.range
+        body.add_joint(
+            name=name,
+            type=mujoco.mjtJoint.mjJNT_SLIDE if slide else mujoco.mjtJoint.mjJNT_HINGE,
+            axis=link.axis, range=(low, min(high, limits.get(name, high))), armature=JOINT_ARMATURE,
+            damping=[SLIDE_DAMPING if slide else HINGE_DAMPING, 0, 0],
+            frictionloss=SLIDE_FRICTION if slide else HINGE_FRICTION,
+        )  # fmt: skip
+        solid = [g for g in link.geoms if g.collide]
+        density = link.mass / sum(volume(g, None) for g in solid)
+        for i, geom in enumerate(solid):
+            _add_geom(body, geom, f"{name}/{i}", contact_bits.JOINTED, density=density)
+
+
+def _add_object(spec: mujoco.MjSpec, name: str, kind: ObjectType, pose: np.ndarray) -> None:
+    body = spec.worldbody.add_body(name=name, pos=pose[:3], quat=pose[3:])
+    body.add_freejoint(name=name)
+    affinity = contact_bits.OBJECT_AFFINITY
+    density = kind.mass / sum(volume(g, spec) for g in kind.collision)
+    for i, geom in enumerate(kind.collision):
+        added = _add_geom(body, geom, f"{name}/{i}", contact_bits.OBJECT, conaffinity=affinity, density=density)
+        added.condim = 6
+        added.friction = OBJECT_FRICTION
+
+
+def volume(geom: Geom, spec: mujoco.MjSpec | None) -> float:
+    """Volume of a colliding geom [m^3]; a mesh counts as its convex hull and is looked up in ``spec``."""
+    x, y, z = geom.size
+    if geom.shape == "box":
+        return 8 * x * y * z
+    if geom.shape == "cylinder":
+        return 2 * np.pi * x * x * y
+    if geom.shape == "sphere":
+        return 4 / 3 * np.pi * x**3
+    if geom.shape == "capsule":
+        return np.pi * x * x * (2 * y + 4 / 3 * x)
+    if spec is None:
+        raise ValueError(f"links of articulations are made of primitives, got mesh {geom.mesh!r}")
+    return float(ConvexHull(np.asarray(spec.mesh(geom.mesh).uservert).reshape(-1, 3)).volume)
+
+
+def _add_sensors(spec: mujoco.MjSpec, layout: Layout) -> None:
+    targets = (*layout.object_names, *layout.link_ids)
+    for link in fetch.FORCE_LINKS:
+        add_force_sensor(spec, f"force/{link}", link)
+    for finger in fetch.FINGER_LINKS:
+        for target in targets:
+            add_force_sensor(spec, f"{finger}>{target}", finger, target)
+    for target in targets:
+        add_touch_sensor(spec, f"touch>{target}", "base_link", target, whole_subtree=True)
+    add_depth_sensor(spec, "robot_depth", "base_link")
+    # Type XBODY is the origin of the link frame, not its centre of mass.
+    linvel, xbody = mujoco.mjtSensor.mjSENS_FRAMELINVEL, mujoco.mjtObj.mjOBJ_XBODY
+    spec.add_sensor(name="tcp_velocity", type=linvel, objtype=xbody, objname=fetch.TCP_LINK)
+    for target in (*layout.object_names, *layout.link_ids):
+        # Of gripper_link alone: the contacts of the fingers are known, and looking through a subtree costs more.
+        add_touch_sensor(spec, f"palm>{target}", fetch.TCP_LINK, target, whole_subtree=False)
+
+
+@dataclass(frozen=True, eq=False)
+class Addresses:
+    """Where things are in the arrays of any model of a layout. J robot joints, N objects, L links, K force links.
+
+    ``robot_q``, ``robot_v`` (J,): in FETCH_JOINTS order; ``object_q``, ``object_v`` (N,): first of 7 / 6;
+    ``object_body`` (N,); ``link_q``, ``link_v``, ``link_body`` (L,); ``robot_body``: link name to body id;
+    sensor starts: ``link_force`` (K,) and ``finger_force`` (2, N + L) for [l, r] finger, each FORCE_SENSOR_WIDTH wide;
+    ``touch`` (N + L,), ``tcp_velocity``, ``palm`` (N + L,) contacts of gripper_link.
+    """
+
+    robot_q: np.ndarray
+    robot_v: np.ndarray
+    object_q: np.ndarray
+    object_v: np.ndarray
+    object_body: np.ndarray
+    link_q: np.ndarray
+    link_v: np.ndarray
+    link_body: np.ndarray
+    robot_body: dict[str, int]
+    link_force: np.ndarray
+    finger_force: np.ndarray
+    touch: np.ndarray
+    tcp_velocity: int
+    palm: np.ndarray
+
+
+def addresses(layout: Layout, model: mujoco.MjModel) -> Addresses:
+    """Resolve every name of a layout in a compiled model."""
+
+    def joints(names: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
+        ids = [model.joint(n).id for n in names]
+        return model.jnt_qposadr[ids].copy(), model.jnt_dofadr[ids].copy()
+
+    def sensors(names: list[str]) -> np.ndarray:
+        return np.array([model.sensor(n).adr[0] for n in names])
+
+    robot_q, robot_v = joints(fetch.FETCH_JOINTS)
+    object_q, object_v = joints(layout.object_names)
+    link_q, link_v = joints(layout.link_ids)
+    targets = (*layout.object_names, *layout.link_ids)
+    return Addresses(
+        robot_q=robot_q, robot_v=robot_v, object_q=object_q, object_v=object_v, link_q=link_q, link_v=link_v,
+        object_body=np.array([model.body(n).id for n in layout.object_names]),
+        link_body=np.array([model.body(n).id for n in layout.link_ids]),
+        robot_body={n: model.body(n).id for n in (*fetch.FORCE_LINKS, *fetch.FINGER_LINKS)},
+        link_force=sensors([f"force/{n}" for n in fetch.FORCE_LINKS]),
+        finger_force=np.array([sensors([f"{f}>{t}" for t in targets]) for f in fetch.FINGER_LINKS]),
+        touch=sensors([f"touch>{t}" for t in targets]),
+        tcp_velocity=int(model.sensor("tcp_velocity").adr[0]),
+        palm=sensors([f"palm>{t}" for t in targets]),
+    )  # fmt: skip

@@ -1,0 +1,345 @@
+"""From scene descriptions to a RenderScene: meshes of primitives, materials, textures, instances, lamps."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.rotations import mat_from_quat
+from mjhab.render.mesh_levels import Level, mesh_levels
+from mjhab.render.patterns import PERIODS
+from mjhab.render.render_scene import RenderScene
+from mjhab.render.textures import TexturePool
+from mjhab.scenes.builtin.materials import MATERIALS, Material
+from mjhab.scenes.shapes.meshes import Mesh
+from mjhab.scenes.spec import Geom, Light, Vec3
+
+SEGMENTS = 24
+"""Sides of a cylinder and meridians of a sphere."""
+UNIT: Vec3 = (1.0, 1.0, 1.0)
+PLAIN_FACE = 0
+"""Material 0: light grey, for meshes that were given none."""
+MESH_GLOSS = 0.2
+"""Gloss of meshes that bring their own colours."""
+
+
+def srgb_to_linear(color: ArrayLike) -> np.ndarray:
+    """Linear light of sRGB values 0..1 (any shape)."""
+    c = np.asarray(color, np.float64)
+    return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
+
+
+def _mesh(vertices: np.ndarray, faces: np.ndarray) -> Mesh:
+    return Mesh(np.ascontiguousarray(vertices, np.float32), np.ascontiguousarray(faces, np.int32))
+
+
+def box_mesh(half: Sequence[float]) -> Mesh:
+    """A box with half-extents (3,) [m]: 8 vertices, 12 faces."""
+    corners = np.array([[x, y, z] for z in (-1, 1) for y in (-1, 1) for x in (-1, 1)], float) * np.asarray(half)
+    quads = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
+    return _mesh(corners, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]))
+
+
+def _lathe(profile: Sequence[tuple[float, float]], segments: int = SEGMENTS) -> Mesh:
+    """Surface of revolution about z of (radius, z) points from bottom to top; both ends on the axis."""
+    angle = np.arange(segments) * (2 * np.pi / segments)
+    rings = [np.stack([r * np.cos(angle), r * np.sin(angle), np.full(segments, z)], 1) for r, z in profile[1:-1]]
+    vertices = np.concatenate([[[0, 0, profile[0][1]]], *rings, [[0, 0, profile[-1][1]]]])
+    last, k = len(vertices) - 1, np.arange(segments)
+    n = (k + 1) % segments
+    faces = [np.stack([np.zeros_like(k), 1 + n, 1 + k], 1)]
+    for ring in range(len(rings) - 1):
+        a, b = 1 + ring * segments, 1 + (ring + 1) * segments
+        faces += [np.stack([a + k, a + n, b + n], 1), np.stack([a + k, b + n, b + k], 1)]
+    top = 1 + (len(rings) - 1) * segments
+    faces.append(np.stack([top + k, top + n, np.full_like(k, last)], 1))
+    return _mesh(vertices, np.concatenate(faces))
+
+
+def cylinder_mesh(radius: float, half_length: float) -> Mesh:
+    """A closed cylinder about z [m]."""
+    return _lathe([(0.0, -half_length), (radius, -half_length), (radius, half_length), (0.0, half_length)])
+
+
+def capsule_mesh(radius: float, half_length: float) -> Mesh:
+    """A cylinder about z with half-spheres at its ends [m]; ``half_length`` 0 is a sphere."""
+    arc = [(radius * np.cos(a), radius * np.sin(a)) for a in np.linspace(-np.pi / 2, 0.0, 7)]
+    lower = [(r, z - half_length) for r, z in arc]
+    upper = [(r, half_length - z) for r, z in reversed(arc)]
+    return _lathe(lower + (upper if half_length > 0.0 else upper[1:]))
+
+
+def primitive_mesh(geom: Geom) -> Mesh:
+    """Mesh of a box, cylinder, capsule or sphere in the geom's own frame (``pos`` and ``quat`` not applied)."""
+    if geom.shape == "box":
+        return box_mesh(geom.size)
+    if geom.shape == "cylinder":
+        return cylinder_mesh(geom.size[0], geom.size[1])
+    if geom.shape == "capsule":
+        return capsule_mesh(geom.size[0], geom.size[1])
+    if geom.shape == "sphere":
+        return capsule_mesh(geom.size[0], 0.0)
+    raise UsageError(f"primitive_mesh: a geom of shape {geom.shape!r} has no primitive; look its mesh up in the pack.")
+
+
+def _pick(textures: tuple[np.ndarray, ...], number: int) -> np.ndarray | None:
+    return textures[number] if number >= 0 else None
+
+
+class SceneBuilder:
+    """Collects meshes, materials and instances of a layout; ``build`` makes the RenderScene.
+
+    Args:
+        num_homes: homes H the layout holds.
+        materials: named materials that ``material`` looks up.
+    """
+
+    def __init__(self, num_homes: int, materials: Mapping[str, Material] = MATERIALS) -> None:
+        self.num_homes = num_homes
+        self._named = dict(materials)
+        self._materials: dict[tuple[Material, int], int] = {}
+        self._textures = TexturePool()
+        self._meshes: dict[Hashable, int] = {}
+        self._levels: list[Level] = []
+        self._face_materials: list[np.ndarray] = []
+        self._coarser: list[int] = []
+        self._instances: list[tuple[int, int, int]] = []
+        self._local: list[tuple[np.ndarray, np.ndarray]] = []
+        self._home_pose: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+        self._home_material: list[np.ndarray] = []
+        self._segments: dict[str, int] = {"background": 0}
+        self._lights: list[list[Light]] = [[] for _ in range(num_homes)]
+        self.add_material(Material((0.8, 0.8, 0.8)))
+
+    def add_material(self, material: Material, texture: np.ndarray | None = None) -> int:
+        """Id of a material; equal materials share one.
+
+        Args:
+            material: its colour is multiplied with the texture.
+            texture: picture (h, w, 3) uint8 as in ``scenes.shapes.meshes.Mesh``, laid on by the mesh; or None.
+        """
+        number = -1
+        if texture is not None:
+            number = self._textures.add(texture)
+        elif material.pattern != "plain":
+            number = self._textures.add_pattern(material.pattern)
+        return self._materials.setdefault((material, number), len(self._materials))
+
+    def material(self, name: str) -> int:
+        """Id of the named material. Raises UsageError with the nearest name if there is none."""
+        if name not in self._named:
+            raise unknown_name("material", name, self._named)
+        return self.add_material(self._named[name])
+
+    def segment(self, name: str) -> int:
+        """Id of a name in segmentation images; 0 is "background"."""
+        return self._segments.setdefault(name, len(self._segments))
+
+    def add_mesh(self, key: Hashable, mesh: Mesh) -> int:
+        """Id of a mesh; a key that was added before returns the first mesh."""
+        if key in self._meshes:
+            return self._meshes[key]
+        first, material = len(self._levels), self._own_materials(mesh)
+        for level in mesh_levels(mesh):
+            self._coarser.append(len(self._levels) + 1)
+            self._levels.append(level)
+            self._face_materials.append(material[level.source])
+        self._coarser[-1] = -1
+        return self._meshes.setdefault(key, first)
+
+    def _own_materials(self, mesh: Mesh) -> np.ndarray:
+        """Material (F,) i32 of every face of a mesh: from its colours and textures, else `PLAIN_FACE`."""
+        count = len(mesh.faces)
+        if mesh.face_color is None and not mesh.textures:
+            return np.full(count, PLAIN_FACE, np.int32)
+        color = np.ones((count, 3)) if mesh.face_color is None else np.round(mesh.face_color, 2)
+        number = np.full(count, -1) if mesh.face_texture is None else mesh.face_texture
+        looks, index = np.unique(np.c_[color, number], axis=0, return_inverse=True)
+        ids = [
+            self.add_material(Material((float(r), float(g), float(b)), gloss=MESH_GLOSS), _pick(mesh.textures, int(k)))
+            for r, g, b, k in looks
+        ]
+        return np.array(ids, np.int32)[index.reshape(-1)]
+
+    def add_geom_mesh(self, geom: Geom, meshes: Mapping[str, object] | None = None) -> tuple[int, Vec3]:
+        """Mesh id and instance scale that draw a geom: unit primitives are shared by all sizes.
+
+        Args:
+            geom: any shape; for "mesh" its name must be in ``meshes``.
+        """
+        a, b, c = geom.size
+        if geom.shape == "mesh":
+            found = (meshes or {}).get(geom.mesh)
+            if not isinstance(found, Mesh):
+                raise unknown_name("mesh", geom.mesh, meshes or {})
+            return self.add_mesh(("mesh", geom.mesh), found), geom.size
+        if geom.shape == "capsule":
+            return self.add_mesh(("capsule", round(b / a, 3)), capsule_mesh(1.0, b / a)), (a, a, a)
+        unit = Geom(geom.shape, UNIT)
+        return self.add_mesh(geom.shape, primitive_mesh(unit)), {"box": (a, b, c), "cylinder": (a, a, b)}.get(
+            geom.shape, (a, a, a)
+        )
+
+    def add_body_instance(
+        self,
+        mesh: int,
+        body_id: int,
+        pos: ArrayLike = (0.0, 0.0, 0.0),
+        quat: ArrayLike = (1.0, 0.0, 0.0, 0.0),
+        material: int = -1,
+        seg: str = "background",
+        scale: ArrayLike = UNIT,
+    ) -> int:
+        """Hang a mesh on a body of the model; pose in the body's frame. Returns the instance id.
+
+        Args:
+            material: id, or -1 for the colours of the mesh.
+            seg: name in segmentation images.
+        """
+        if body_id <= 0:
+            raise UsageError(f"add_body_instance: body_id must be above 0 (the world); got {body_id}.")
+        self._local.append((np.asarray(pos, float), mat_from_quat(np.asarray(quat, float))))
+        count = self.num_homes
+        return self._add(mesh, body_id, seg, np.zeros((count, 3)), np.eye(3), scale, material)
+
+    def add_world_instance(
+        self,
+        mesh: int,
+        pos: ArrayLike,
+        quat: ArrayLike = (1.0, 0.0, 0.0, 0.0),
+        scale: ArrayLike = UNIT,
+        material: ArrayLike = -1,
+        seg: str = "background",
+    ) -> int:
+        """Stand a mesh in the world, with its own pose, size and material in every home. Returns the instance id.
+
+        Args:
+            pos, quat, scale: (H, 3) [m], (H, 4) wxyz, (H, 3), or one value for all homes; scale 0 hides it.
+            material: (H,) ids or one id; -1 for the colours of the mesh.
+            seg: name in segmentation images.
+        """
+        self._local.append((np.zeros(3), np.eye(3)))
+        return self._add(mesh, 0, seg, pos, mat_from_quat(np.asarray(quat, float)), scale, material)
+
+    def _add(
+        self, mesh: int, body: int, seg: str, pos: ArrayLike, mat: ArrayLike, scale: ArrayLike, material: ArrayLike
+    ) -> int:
+        if not 0 <= mesh < len(self._levels):
+            raise UsageError(f"mesh id {mesh} is not in 0..{len(self._levels) - 1}; use what add_mesh returned.")
+        h = self.num_homes
+        self._home_pose.append(
+            (
+                np.broadcast_to(np.asarray(pos, float), (h, 3)),
+                np.broadcast_to(np.asarray(mat, float), (h, 3, 3)),
+                np.broadcast_to(np.asarray(scale, float), (h, 3)),
+            )
+        )
+        self._home_material.append(np.broadcast_to(np.asarray(material, np.int32), (h,)))
+        self._instances.append((mesh, body, self.segment(seg)))
+        return len(self._instances) - 1
+
+    def add_body_geom(
+        self, geom: Geom, body_id: int, seg: str = "background", meshes: Mapping[str, object] | None = None
+    ) -> int:
+        """Hang a geom (with its named material) on a body. Returns the instance id."""
+        mesh, scale = self.add_geom_mesh(geom, meshes)
+        material = -1 if self._colored(mesh) else self.material(geom.material)
+        return self.add_body_instance(mesh, body_id, geom.pos, geom.quat, material, seg, scale)
+
+    def add_world_geom(
+        self,
+        geom: Geom,
+        pos: ArrayLike = (0.0, 0.0, 0.0),
+        quat: ArrayLike = (1.0, 0.0, 0.0, 0.0),
+        seg: str = "background",
+        present: ArrayLike = True,
+        meshes: Mapping[str, object] | None = None,
+    ) -> int:
+        """Stand a geom of a piece of furniture whose frame is at ``pos`` (H, 3), ``quat`` (H, 4) in the world.
+
+        ``present`` (H,) bool: homes that have the piece. Returns the instance id.
+        """
+        mesh, scale = self.add_geom_mesh(geom, meshes)
+        material = -1 if self._colored(mesh) else self.material(geom.material)
+        frame = mat_from_quat(np.asarray(quat, float))
+        where = np.asarray(pos, float) + np.einsum("...rc,c->...r", frame, np.asarray(geom.pos, float))
+        shown = np.asarray(present, float)[..., None] * np.asarray(scale, float)
+        self._local.append((np.zeros(3), np.eye(3)))
+        return self._add(mesh, 0, seg, where, frame @ mat_from_quat(np.asarray(geom.quat)), shown, material)
+
+    def _colored(self, mesh: int) -> bool:
+        """True if the mesh brings its own face colours."""
+        return bool((self._face_materials[mesh] != PLAIN_FACE).any())
+
+    def add_light(self, home: int, light: Light) -> None:
+        """Hang a point light in one home."""
+        self._lights[home].append(light)
+
+    def build(self) -> RenderScene:
+        """The arrays; at least one instance is needed."""
+        if not self._instances:
+            raise UsageError("SceneBuilder.build: nothing was added; add an instance first.")
+        mesh, body, seg = (np.array(column, np.int32) for column in zip(*self._instances, strict=True))
+        pos, mat, scale = (np.ascontiguousarray(np.stack(part, 1)) for part in zip(*self._home_pose, strict=True))
+        return RenderScene(
+            **self._mesh_arrays(),
+            instance_mesh=mesh,
+            instance_body=body,
+            instance_pos=np.stack([p for p, _ in self._local]),
+            instance_mat=np.stack([m for _, m in self._local]),
+            instance_seg=seg,
+            instance_material=np.ascontiguousarray(np.stack(self._home_material, 1)),
+            home_pos=pos,
+            home_mat=mat,
+            home_scale=scale,
+            seg_names=tuple(self._segments),
+            texels=self._textures.build(),
+            **self._look_arrays(),
+            **self._light_arrays(),
+        )
+
+    def _mesh_arrays(self) -> dict[str, np.ndarray]:
+        levels = self._levels
+        counts = np.array([len(level.vertices) for level in levels])
+        faces = np.array([len(level.faces) for level in levels], np.int32)
+        return {
+            "vertices": np.concatenate([level.vertices for level in levels]),
+            "faces": (
+                np.concatenate([level.faces for level in levels])
+                + np.repeat(np.cumsum(counts) - counts, faces)[:, None]
+            ).astype(np.int32),
+            "face_material": np.concatenate(self._face_materials),
+            "face_normal": np.concatenate([level.normal for level in levels]),
+            "face_uv": np.concatenate([level.uv for level in levels]),
+            "face_density": np.concatenate([level.density for level in levels]),
+            "mesh_face_start": (np.cumsum(faces) - faces).astype(np.int32),
+            "mesh_face_count": faces,
+            "mesh_coarser": np.array(self._coarser, np.int32),
+            "mesh_error": np.concatenate([level.error for level in levels]),
+        }
+
+    def _look_arrays(self) -> dict[str, np.ndarray]:
+        looks = [material for material, _ in self._materials]
+        second = [m.color2 or tuple(0.72 * c for c in m.color) for m in looks]
+        pattern = np.array([m.pattern != "plain" for m in looks])
+        return {
+            "mat_color": srgb_to_linear([m.color for m in looks]),
+            "mat_color2": srgb_to_linear(second),
+            "mat_texture": np.array([texture for _, texture in self._materials], np.int32),
+            "mat_pattern": pattern,
+            "mat_size": np.array([np.multiply(m.scale, PERIODS.get(m.pattern, (1.0, 1.0))) for m in looks]),
+            "mat_gloss": np.array([m.gloss for m in looks]),
+        }
+
+    def _light_arrays(self) -> dict[str, np.ndarray]:
+        """Lamps of all homes, padded with zero colour."""
+        most = max(1, *(len(lights) for lights in self._lights))
+        pos, color = np.zeros((self.num_homes, most, 3)), np.zeros((self.num_homes, most, 3))
+        for home, lights in enumerate(self._lights):
+            for k, light in enumerate(lights):
+                pos[home, k] = light.pos
+                color[home, k] = np.asarray(light.color) * light.intensity
+        return {"light_pos": pos, "light_color": color}

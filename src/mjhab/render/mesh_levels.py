@@ -1,0 +1,185 @@
+"""Levels of detail of a mesh, with what shading needs of every face; kept on disk for large meshes.
+
+What varies over a face (normal, place in the texture) is stored as an affine map of the point in mesh coordinates, so
+that a pixel needs no barycentric coordinates.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import zipfile
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from mjhab.core.cache import cache_dir, write_atomic
+from mjhab.scenes.shapes import simplify as simplify_module
+from mjhab.scenes.shapes.meshes import Mesh
+from mjhab.scenes.shapes.simplify import simplify
+
+CREASE = np.cos(np.radians(40.0))
+"""Faces that meet at less than 40 deg are shaded as one curved surface."""
+MIN_FACES = 600
+"""Meshes with fewer faces have one level only."""
+_STEP, _FEWEST = 3.5, 80
+"""Every level has so many times fewer faces than the one before, down to about so many."""
+Array = np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Level:
+    """One level of detail. V vertices, F faces.
+
+    vertices (V, 3) f32, no two alike; faces (F, 3) i32; source (F,) i32: the face of the mesh that each one stands
+    for; normal (F, 3, 4) f32: unnormalised normal at point p is ``normal @ (p, 1)``, constant on flat faces; uv
+    (F, 2, 4) f32: place in the texture; density (F,) f32: length in the texture (0..1) per length on the face [1/m];
+    error: (1,) f64, how far vertices are from the surface they stand for [m].
+    """
+
+    vertices: Array
+    faces: Array
+    source: Array
+    normal: Array
+    uv: Array
+    density: Array
+    error: Array
+
+
+def mesh_levels(mesh: Mesh) -> list[Level]:
+    """Levels of a mesh, finest (the mesh itself) first."""
+    if len(mesh.faces) < MIN_FACES:
+        return _make(mesh)
+    path = cache_dir() / "meshes" / f"{_digest(mesh)}.npz"
+    found = _load(path)
+    if found is None:
+        found = _make(mesh)
+        names = [f.name for f in fields(Level)]
+        arrays = {f"{k}/{name}": getattr(level, name) for k, level in enumerate(found) for name in names}
+        write_atomic(path, lambda temporary: np.savez(temporary, allow_pickle=False, **arrays))
+    return found
+
+
+def _digest(mesh: Mesh) -> str:
+    digest = hashlib.sha256()
+    for code in (__file__, simplify_module.__file__):
+        digest.update(Path(str(code)).read_bytes())
+    for part in (mesh.vertices, mesh.faces, mesh.uv):
+        digest.update(b"" if part is None else part.tobytes())
+    return digest.hexdigest()[:24]
+
+
+def _load(path: Path) -> list[Level] | None:
+    """Levels of a cache file, None when there is none or it cannot be read: they are then made anew."""
+    names = [f.name for f in fields(Level)]
+    try:
+        with np.load(path, allow_pickle=False) as arrays:
+            count = len(arrays.files) // len(names)
+            return [Level(*(arrays[f"{k}/{name}"] for name in names)) for k in range(count)]
+    except (KeyError, ValueError, OSError, EOFError, zipfile.BadZipFile):
+        return None
+
+
+def _make(mesh: Mesh) -> list[Level]:
+    vertices, index = np.unique(np.asarray(mesh.vertices, np.float64), axis=0, return_inverse=True)
+    faces = index.reshape(-1)[mesh.faces].reshape(-1, 3)
+    uv = np.zeros((len(faces), 3, 2)) if mesh.uv is None else np.asarray(mesh.uv, np.float64)
+    normals = corner_normals(vertices, faces).astype(np.float64)
+    levels = [_level(vertices, faces, np.arange(len(faces)), normals, uv, 0.0)]
+    target = len(faces)
+    while target >= MIN_FACES:
+        target = max(int(target / _STEP), _FEWEST)
+        few = simplify(vertices, faces, target)
+        if not 0 < len(few.faces) < 0.7 * len(levels[-1].faces):
+            break
+        old, new = vertices[faces[few.source]], few.vertices[few.faces]
+        error = float(np.quantile(_off(old, new), 0.98))
+        moved = uv[few.source] + _slip(old, new, uv[few.source])
+        levels.append(_level(few.vertices, few.faces, few.source, normals[few.source], moved, error))
+    return levels
+
+
+def _off(old: Array, new: Array) -> Array:
+    """Error (f, 3) [m] of corners that move: the way out of their face counts in full, that along it (which shows only
+    at edges) by a quarter."""
+    normal = np.cross(old[:, 1] - old[:, 0], old[:, 2] - old[:, 0])
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+    way = new - old
+    return np.abs(np.einsum("fkc,fc->fk", way, normal)) + 0.25 * np.linalg.norm(way, axis=2)
+
+
+def _slip(old: Array, new: Array, uv: Array) -> Array:
+    """Change (f, 3, 2) of texture places that keeps a picture where it was when corners move (f, 3, 3)."""
+    slope = _slopes(old, uv)
+    size = np.linalg.norm(slope, axis=(1, 2))
+    # Slivers would throw their corners across the picture.
+    slope *= np.minimum(1.0, 2.0 * np.median(size) / np.maximum(size, 1e-12))[:, None, None]
+    return np.einsum("fuc,fkc->fku", slope, new - old)
+
+
+def _slopes(corners: Array, values: Array) -> Array:
+    """In-plane gradients (F, n, 3) of values (F, 3, n) given at the corners (F, 3, 3) of faces; 0 on slivers."""
+    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    aa, ab, bb = (a * a).sum(1), (a * b).sum(1), (b * b).sum(1)
+    det = aa * bb - ab * ab
+    safe = det > 1e-8 * (aa * bb) + 1e-30
+    inv = np.where(safe, 1.0 / np.where(safe, det, 1.0), 0.0)[:, None]
+    to_a, to_b = (bb[:, None] * a - ab[:, None] * b) * inv, (aa[:, None] * b - ab[:, None] * a) * inv
+    da, db = values[:, 1] - values[:, 0], values[:, 2] - values[:, 0]
+    return da[:, :, None] * to_a[:, None, :] + db[:, :, None] * to_b[:, None, :]
+
+
+def _affine(corners: Array, values: Array) -> Array:
+    """Maps (F, n, 4) f32 that give the values (F, 3, n) at the corners."""
+    slope = _slopes(corners, values)
+    middle, mean = corners.mean(axis=1), values.mean(axis=1)
+    offset = mean - np.einsum("fnc,fc->fn", slope, middle)
+    return np.concatenate([slope, offset[:, :, None]], axis=2).astype(np.float32)
+
+
+def _level(vertices: Array, faces: Array, source: Array, normals: Array, uv: Array, error: float) -> Level:
+    corners = np.asarray(vertices, np.float64)[faces]
+    normal = _affine(corners, normals)
+    flat = (normals == normals[:, :1]).all(axis=(1, 2))
+    normal[flat] = np.concatenate([np.zeros((int(flat.sum()), 3, 3)), normals[flat, 0, :, None]], axis=2)
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    p, q = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
+    covered = np.abs(p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0])
+    density = np.sqrt(covered / np.maximum(area, 1e-14))
+    return Level(
+        vertices.astype(np.float32), faces.astype(np.int32), source.astype(np.int32), normal, _affine(corners, uv),
+        density.astype(np.float32), np.array([error]),
+    )  # fmt: skip
+
+
+def corner_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Unit normals (F, 3, 3) f32 per face corner: averaged over touching faces that meet below the crease angle,
+    each weighted by its angle at the corner.
+
+    Vertices at the same place count as one, so split seams and STL triangle soups come out smooth.
+    """
+    points = np.asarray(vertices, np.float64)[faces]
+    away, back = np.roll(points, -1, 1) - points, np.roll(points, 1, 1) - points
+    angle = np.arctan2(np.linalg.norm(np.cross(away, back), axis=2), (away * back).sum(2)).reshape(-1, 1)
+    area = np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0])
+    size = np.linalg.norm(area, axis=1, keepdims=True)
+    unit = np.where(size > 1e-14, area / np.maximum(size, 1e-14), (0.0, 0.0, 1.0))
+    grid = np.round(np.asarray(vertices, np.float64) / max(float(np.ptp(vertices, axis=0).max()), 1e-9) * 1e5)
+    weld = np.unique(grid.astype(np.int64), axis=0, return_inverse=True)[1].reshape(-1)
+    corner = weld[faces].reshape(-1)
+    order = np.argsort(corner, kind="stable")
+    starts = np.flatnonzero(np.r_[True, np.diff(corner[order]) > 0])
+    counts = np.diff(np.r_[starts, len(order)])
+    result = np.repeat(unit[:, None], 3, axis=1).reshape(-1, 3)
+    for count in np.unique(counts):
+        rows = order[starts[counts == count][:, None] + np.arange(count)]
+        own = unit[rows // 3]
+        weight = own * angle[rows]
+        for k in range(count):
+            alike = np.einsum("nkc,nc->nk", own, own[:, k]) > CREASE
+            total = np.einsum("nk,nkc->nc", alike, weight)
+            length = np.linalg.norm(total, axis=1, keepdims=True)
+            result[rows[:, k]] = np.where(length > 1e-14, total / np.maximum(length, 1e-14), own[:, k])
+    flat = np.abs(result.reshape(-1, 3, 3) - unit[:, None]).max((1, 2)) < 1e-5
+    result = np.where(flat[:, None, None], unit[:, None], result.reshape(-1, 3, 3))
+    return result.astype(np.float32)

@@ -1,0 +1,150 @@
+"""Compiled filling of projected triangles into a z-buffer.
+
+Buffers hold inverse depth, which is linear on screen: 0 is background, larger is nearer.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mjhab.render.raster.jit import inline, kernel
+
+EDGE_SLACK = 1e-7
+"""Pixels this near outside an edge [px] count as inside, so that shared edges leave no holes."""
+SMALL = 2
+"""Triangles whose box has up to this many pixels are filled by testing every pixel."""
+
+
+@inline
+def _fill_small(inverse, ids, tag, x0, y0, x1, y1, x2, y2, w0, gx, gy, left, right, top, bottom):
+    """Fill a triangle of a few pixels by testing every pixel of its box."""
+    for row in range(top, bottom + 1):
+        y = row + 0.5
+        for col in range(left, right + 1):
+            x = col + 0.5
+            if (
+                (x1 - x0) * (y - y0) - (y1 - y0) * (x - x0) >= -EDGE_SLACK
+                and (x2 - x1) * (y - y1) - (y2 - y1) * (x - x1) >= -EDGE_SLACK
+                and (x0 - x2) * (y - y2) - (y0 - y2) * (x - x2) >= -EDGE_SLACK
+            ):
+                w = np.float32(w0 + gx * (x - x0) + gy * (y - y0))
+                if w > inverse[row, col]:
+                    inverse[row, col] = w
+                    ids[row, col] = tag
+
+
+@inline
+def _bound(xa, ya, xb, yb, y):
+    """Where an edge cuts the row at height ``y``, its change of x per row, and on which side of it the triangle lies:
+    1 left, -1 right, 0 (level) neither."""
+    rise = yb - ya
+    if rise == 0.0:
+        return 0.0, 0.0, 0
+    slope = (xb - xa) / rise
+    return xa + slope * (y - ya), slope, (1 if rise > 0.0 else -1)
+
+
+@inline
+def _fill_rows(inverse, ids, tag, x0, y0, x1, y1, x2, y2, w0, gx, gy, left, right, top, bottom):
+    """Fill a triangle (corners in the order of positive area) row by row within the box."""
+    y = top + 0.5
+    a, da, side_a = _bound(x0, y0, x1, y1, y)
+    b, db, side_b = _bound(x1, y1, x2, y2, y)
+    c, dc, side_c = _bound(x2, y2, x0, y0, y)
+    # At most two edges bound a row on each side.
+    low_a, low_b, high_a, high_b = -np.inf, -np.inf, np.inf, np.inf
+    dlow_a, dlow_b, dhigh_a, dhigh_b = 0.0, 0.0, 0.0, 0.0
+    if side_a > 0:
+        high_a, dhigh_a = a, da
+    elif side_a < 0:
+        low_a, dlow_a = a, da
+    if side_b > 0:
+        high_b, dhigh_b = b, db
+    elif side_b < 0:
+        low_b, dlow_b = b, db
+    if side_c > 0:
+        if side_a > 0:
+            high_b, dhigh_b = c, dc
+        else:
+            high_a, dhigh_a = c, dc
+    elif side_c < 0:
+        if side_a < 0:
+            low_b, dlow_b = c, dc
+        else:
+            low_a, dlow_a = c, dc
+    start = w0 + gy * (y - y0) + gx * (0.5 - x0)
+    for row in range(top, bottom + 1):
+        first = int(max(low_a, low_b, left + 0.5) + (0.5 - EDGE_SLACK))
+        last = int(min(high_a, high_b, right + 0.5) + (0.5 + EDGE_SLACK)) - 1
+        _fill_span(inverse, ids, tag, row, first, last - first + 1, np.float32(start + gx * first), np.float32(gx))
+        low_a, low_b, high_a, high_b = low_a + dlow_a, low_b + dlow_b, high_a + dhigh_a, high_b + dhigh_b
+        start += gy
+
+
+@inline
+def _fill_span(inverse, ids, tag, row, first, count, start, step):
+    """Fill ``count`` pixels of a row; unsigned indices and float32 let the compiler do eight at a time."""
+    if count <= 0:
+        return
+    for k in range(np.uint64(count)):
+        w = start + step * np.float32(np.int32(k))
+        if w > inverse[row, np.uint64(first) + k]:
+            inverse[row, np.uint64(first) + k] = w
+            ids[row, np.uint64(first) + k] = tag
+
+
+@inline
+def fill(inverse, ids, tag, x0, y0, w0, x1, y1, w1, x2, y2, w2, keep):
+    """Fill one projected triangle. ``keep`` 0: both sides, 1 or -1: the side with this sign of area."""
+    area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
+    if area == 0.0 or area * keep < 0.0:
+        return
+    height, width = inverse.shape
+    # Columns and rows whose centres lie within the box of the triangle.
+    left = int(max(min(x0, x1, x2), 0.0) + (0.5 - EDGE_SLACK))
+    right = int(min(max(max(x0, x1, x2), -1.0), width) + (0.5 + EDGE_SLACK)) - 1
+    top = int(max(min(y0, y1, y2), 0.0) + (0.5 - EDGE_SLACK))
+    bottom = int(min(max(max(y0, y1, y2), -1.0), height) + (0.5 + EDGE_SLACK)) - 1
+    if left > right or top > bottom:
+        return
+    gx = ((w1 - w0) * (y2 - y0) - (w2 - w0) * (y1 - y0)) / area
+    gy = ((x1 - x0) * (w2 - w0) - (x2 - x0) * (w1 - w0)) / area
+    if area < 0.0:
+        x1, y1, x2, y2 = x2, y2, x1, y1
+    if (right - left + 1) * (bottom - top + 1) <= SMALL:
+        _fill_small(inverse, ids, tag, x0, y0, x1, y1, x2, y2, w0, gx, gy, left, right, top, bottom)
+        return
+    _fill_rows(inverse, ids, tag, x0, y0, x1, y1, x2, y2, w0, gx, gy, left, right, top, bottom)
+
+
+@kernel
+def fill_clipped(inverse, ids, tag, points, out, a, b, c, focal, near, keep):
+    """Cut a triangle that crosses the near plane and fill what is left (three or four corners).
+
+    ``points`` (6, V): view coordinates first; a, b, c: columns; ``out`` (4, 3) is scratch.
+    """
+    height, width = inverse.shape
+    count = 0
+    for k in range(3):
+        p = a if k == 0 else (b if k == 1 else c)
+        q = b if k == 0 else (c if k == 1 else a)
+        zp, zq = points[2, p], points[2, q]
+        if zp >= near:
+            for r in range(3):
+                out[count, r] = points[r, p]
+            count += 1
+        if (zp >= near) != (zq >= near):
+            t = (near - zp) / (zq - zp)
+            for r in range(3):
+                out[count, r] = points[r, p] + t * (points[r, q] - points[r, p])
+            count += 1
+    for k in range(count):
+        w = 1.0 / out[k, 2]
+        out[k, 0] = 0.5 * width + focal * out[k, 0] * w
+        out[k, 1] = 0.5 * height + focal * out[k, 1] * w
+        out[k, 2] = w
+    for k in range(2, count):
+        fill(
+            inverse, ids, tag, out[0, 0], out[0, 1], out[0, 2], out[k - 1, 0], out[k - 1, 1], out[k - 1, 2],
+            out[k, 0], out[k, 1], out[k, 2], keep,
+        )  # fmt: skip

@@ -1,0 +1,95 @@
+"""Compiled screen-space ambient occlusion: how open the surroundings of every visible point are."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mjhab.render.raster.jit import color_inline, color_kernel
+
+RADIUS = 0.3
+"""Reach [m] of the occlusion."""
+STRENGTH = 2.4
+TAPS = 12
+TURNS = 16
+"""Sample patterns of neighbouring cells, a 4 x 4 block of which the blur averages."""
+
+
+def _disk() -> np.ndarray:
+    """Sample offsets (TURNS, TAPS, 2) on the unit disk: a golden-angle spiral, turned per cell."""
+    k = np.arange(TAPS)
+    bayer = np.array([0, 8, 2, 10, 12, 4, 14, 6, 3, 11, 1, 9, 15, 7, 13, 5])
+    angle = k[None] * 2.39996 + bayer[:, None] * (2.0 * np.pi / TURNS)
+    reach = np.sqrt((k + 0.5) / TAPS)[None] * (0.7 + 0.3 * ((bayer * 7 % TURNS) / TURNS))[:, None]
+    return np.stack([reach * np.cos(angle), reach * np.sin(angle)], -1)
+
+
+DISK = _disk()
+
+
+@color_inline
+def _slope(inverse, y, x, dy, dx):
+    """Change of inverse depth per pixel along (dy, dx): the flatter side, so that edges do not count."""
+    height, width = inverse.shape
+    w = inverse[y, x]
+    ya, xa = min(y + dy, height - 1), min(x + dx, width - 1)
+    yb, xb = max(y - dy, 0), max(x - dx, 0)
+    forward, backward = inverse[ya, xa] - w, w - inverse[yb, xb]
+    if ya == y and xa == x:
+        return backward
+    if yb == y and xb == x:
+        return forward
+    return forward if abs(forward) < abs(backward) else backward
+
+
+@color_inline
+def _blocked(inverse, y, x, focal, turn):
+    """Occlusion of one pixel, in 0..1 before ``STRENGTH``."""
+    height, width = inverse.shape
+    cx, cy = 0.5 * width, 0.5 * height
+    w = inverse[y, x]
+    gx, gy = _slope(inverse, y, x, 0, 1), _slope(inverse, y, x, 1, 0)
+    u, v = x + 0.5 - cx, y + 0.5 - cy
+    nx, ny, nz = -gx * focal, -gy * focal, -(w - gx * u - gy * v)
+    inv = 1.0 / np.sqrt(nx * nx + ny * ny + nz * nz + 1e-20)
+    nx, ny, nz = nx * inv, ny * inv, nz * inv
+    z = 1.0 / w
+    px, py = u / focal * z, v / focal * z
+    reach = min(RADIUS * focal * w, 0.2 * height)
+    total = 0.0
+    for k in range(TAPS):
+        col, row = int(x + 0.5 + reach * DISK[turn, k, 0]), int(y + 0.5 + reach * DISK[turn, k, 1])
+        if col < 0 or row < 0 or col >= width or row >= height or inverse[row, col] <= 0.0:
+            continue
+        qz = 1.0 / inverse[row, col]
+        dx, dy, dz = (col + 0.5 - cx) / focal * qz - px, (row + 0.5 - cy) / focal * qz - py, qz - z
+        square = dx * dx + dy * dy + dz * dz
+        if square < RADIUS * RADIUS:
+            rise = max(dx * nx + dy * ny + dz * nz - 0.004 * z, 0.0)
+            total += rise / np.sqrt(square + 1e-4) * (1.0 - square / (RADIUS * RADIUS))
+    return total / TAPS
+
+
+@color_kernel
+def ambient_occlusion(inverse, step, focal, raw, share, depths):
+    """Fill ``share`` (a, b) f32 with openness 0..1 (1: nothing near), one cell per ``step`` pixels of ``inverse``.
+
+    ``depths`` (a, b) f32: inverse depth of each cell; ``raw`` (a, b) f32 is scratch; ``focal`` [px of inverse].
+    """
+    height, width = share.shape
+    for i in range(height):
+        for j in range(width):
+            y = min(i * step + step // 2, inverse.shape[0] - 1)
+            x = min(j * step + step // 2, inverse.shape[1] - 1)
+            depths[i, j] = inverse[y, x]
+            raw[i, j] = 0.0
+            if inverse[y, x] > 0.0:
+                raw[i, j] = _blocked(inverse, y, x, focal, (i & 3) * 4 + (j & 3))
+    for i in range(height):
+        for j in range(width):
+            total, weight = 0.0, 1e-9
+            for y in range(max(i - 2, 0), min(i + 2, height)):
+                for x in range(max(j - 2, 0), min(j + 2, width)):
+                    if abs(depths[y, x] - depths[i, j]) < 0.05 * depths[i, j]:
+                        total += raw[y, x]
+                        weight += 1.0
+            share[i, j] = max(1.0 - STRENGTH * total / weight, 0.15)

@@ -1,0 +1,335 @@
+"""Images of homes on the CPU, with no graphics library: rgb, depth and segmentation of many worlds in threads."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mjhab.core.errors import UsageError, unknown_name
+from mjhab.render.raster.batch import Room, Scenery, Views, draw_worlds
+from mjhab.render.raster.kernels import (
+    FACE_BITS,
+    PARKED_BELOW,
+    Geometry,
+    Lens,
+    Placing,
+    draw,
+    make_scratch,
+    place_instances,
+    read_depth,
+    read_segments,
+)
+from mjhab.render.raster.lighting import SHADOW_SLOPE, Lamps
+from mjhab.render.raster.occlusion import ambient_occlusion
+from mjhab.render.raster.shading import Openness, Surface, make_shade_scratch, shade, tone_curve
+from mjhab.render.render_scene import RenderScene
+
+OUTPUTS = ("rgb", "depth", "seg")
+NEAR = 0.01
+"""Near plane [m], as the cameras of MS-HAB have it."""
+SHADOW_SIZE = 512
+SHADOW_MAPS_KEPT = 64
+"""Shadow maps of still furniture kept in memory (1 MiB each)."""
+FAST_STRIDE, FAST_CELL = 8, 4
+"""Fast pictures: light is computed at every 8th pixel of a face's run, ambient occlusion on cells of 4 x 4 pixels."""
+ALL, STILL, MOVING = 0, 1, 2
+"""Which instances ``draw`` draws."""
+SIZES_KEPT = 6
+"""Sizes of pictures that a thread keeps buffers for."""
+CHUNKS_PER_THREAD = 4
+"""Worlds are handed out to threads in so many portions each, so that none waits long for the last one."""
+
+
+def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) -> np.ndarray:
+    """Rotation (3, 3) of a camera at ``eye`` that looks at ``target`` (world, [m]), in MuJoCo convention.
+
+    Columns are the camera's axes in the world: x right, y up, z backwards. Looking along ``up`` is allowed.
+    """
+    back = np.asarray(eye, float) - np.asarray(target, float)
+    if np.linalg.norm(back) < 1e-9:
+        raise UsageError("look_at: eye and target are the same point; give two different points.")
+    back /= np.linalg.norm(back)
+    right = np.cross(np.asarray(up, float), back)
+    if np.linalg.norm(right) < 1e-6:
+        right = np.cross((0.0, 1.0, 0.0) if abs(back[1]) < 0.9 else (1.0, 0.0, 0.0), back)
+    right /= np.linalg.norm(right)
+    return np.stack([right, np.cross(back, right), back], axis=1)
+
+
+class Rasterizer:
+    """Draws a RenderScene. Thread-safe; results do not depend on the number of threads.
+
+    Args:
+        scene: meshes, instances and looks, shared by all worlds.
+        num_threads: 0 means one per core.
+        cull_backfaces: do not draw faces seen from behind (closed meshes need it off only for looks inside).
+    """
+
+    def __init__(self, scene: RenderScene, num_threads: int = 0, cull_backfaces: bool = True) -> None:
+        self.scene = scene
+        self.cull_backfaces = cull_backfaces
+        self._scenery = _scenery(scene)
+        self._local = threading.local()
+        self._lock = threading.Lock()
+        self._shadows: OrderedDict[tuple[int, int], np.ndarray] = OrderedDict()
+        self.num_threads = num_threads or os.cpu_count() or 1
+        self._pool = ThreadPoolExecutor(self.num_threads, "raster") if self.num_threads > 1 else None
+
+    def close(self) -> None:
+        """Stop the threads."""
+        if self._pool is not None:
+            self._pool.shutdown()
+            self._pool = None
+
+    def render(
+        self,
+        home: np.ndarray,
+        body_pos: np.ndarray,
+        body_mat: np.ndarray,
+        cam_pos: np.ndarray,
+        cam_mat: np.ndarray,
+        fovy: ArrayLike,
+        width: int,
+        height: int,
+        outputs: Sequence[str] = OUTPUTS,
+        quality: Literal["fast", "nice"] = "fast",
+        ssaa: int = 0,
+    ) -> dict[str, np.ndarray]:
+        """Draw C cameras in each of W worlds.
+
+        Args:
+            home: (W,) home index of each world.
+            body_pos, body_mat: (W, B, 3) [m] and (W, B, 3, 3) (or (W, B, 9)) world poses of the model's bodies.
+            cam_pos, cam_mat: (W, C, 3) [m] and (W, C, 3, 3) (or (W, C, 9)); a camera looks along its -z, +y is up.
+            fovy: vertical field of view [rad], one number or one per camera.
+            width, height: image size [px].
+            outputs: any of "rgb", "depth", "seg".
+            quality: "fast" for observations: ambient occlusion on a coarse grid, lamps without shadows; "nice" for
+                people: lamp shadows, fine ambient occlusion, ssaa 2.
+            ssaa: samples per pixel side of rgb; 0 means what ``quality`` says. Depth and seg are never smoothed.
+
+        Returns:
+            "rgb" (W, C, H, W, 3) uint8 sRGB; "depth" (W, C, H, W) float32 planar distance [m], 0 where nothing is;
+            "seg" (W, C, H, W) int32 ids (names: ``scene.seg_names``), 0 where nothing is.
+
+        Raises:
+            UsageError: unknown output or quality, shapes that do not fit together.
+        """
+        _check_names(outputs, quality)
+        home = np.asarray(home, np.int64)
+        cam_pos = _array(cam_pos, (len(home), -1, 3), "cam_pos")
+        cam_mat = _array(cam_mat, (len(home), cam_pos.shape[1], 3, 3), "cam_mat")
+        body_pos = _array(body_pos, (len(home), -1, 3), "body_pos")
+        body_mat = _array(body_mat, (len(home), body_pos.shape[1], 3, 3), "body_mat")
+        self._check(home, body_pos.shape[1], width, height)
+        fovy = np.broadcast_to(np.asarray(fovy, np.float64), (cam_pos.shape[1],))
+        samples = ssaa or (2 if quality == "nice" else 1)
+        views = _views(home, (body_pos, body_mat, cam_pos, cam_mat), fovy, (height, width), outputs)
+        if quality == "nice" or samples > 1:
+            jobs = [(w, c) for w in range(len(home)) for c in range(cam_pos.shape[1])]
+            self._each(lambda job: self._draw(views, *job, height, width, quality == "nice", samples), jobs)
+        else:
+            self._each(lambda job: self._draw_fast(views, *job, height, width), self._portions(len(home)))
+        return {name: getattr(views, name) for name in outputs}
+
+    def _portions(self, worlds: int) -> list[tuple[int, int]]:
+        size = max(1, worlds // (CHUNKS_PER_THREAD * self.num_threads))
+        return [(first, min(first + size, worlds)) for first in range(0, worlds, size)]
+
+    def _each(self, work: Callable[[tuple[int, int]], None], jobs: list[tuple[int, int]]) -> None:
+        for _ in map(work, jobs) if self._pool is None or len(jobs) == 1 else self._pool.map(work, jobs):
+            pass
+
+    def _draw_fast(self, views: Views, first: int, last: int, height: int, width: int) -> None:
+        """Draw all cameras of the worlds ``first`` to ``last``."""
+        room = self._room(height, width, FAST_CELL)
+        draw_worlds(self._scenery, views, first, last, NEAR, self.cull_backfaces, FAST_CELL, FAST_STRIDE, room)
+
+    def _check(self, home: np.ndarray, bodies: int, width: int, height: int) -> None:
+        homes = len(self.scene.home_pos)
+        if len(home) and (home.min() < 0 or home.max() >= homes):
+            raise UsageError(f"home must be in 0..{homes - 1}; got {home.min()}..{home.max()}.")
+        needed = int(self.scene.instance_body.max(initial=0)) + 1
+        if bodies < needed:
+            raise UsageError(f"body_pos must have at least {needed} bodies (the scene names body {needed - 1}).")
+        if width < 1 or height < 1:
+            raise UsageError(f"width and height must be positive; got {width} x {height}.")
+
+    def _draw(self, views: Views, w: int, c: int, height: int, width: int, nice: bool, samples: int) -> None:
+        """Draw one camera of one world with shadows (``nice``), its colours from samples x samples per pixel."""
+        placing, home = self._scenery.placing, int(views.home[w])
+        lens = Lens(views.cam_pos[w, c], views.cam_mat[w, c], float(views.focal[c]), NEAR)
+        fine = views.rgb.shape[1] > 0 and samples > 1
+        room = self._room(height * samples, width * samples, 2 * samples) if fine else self._room(height, width, 2)
+        place_instances(placing, home, views.body_pos[w], views.body_mat[w], room.draw)
+        if fine:
+            lens = lens._replace(focal=lens.focal * samples)
+            self._trace(home, lens, room)
+            self._shade(home, lens, room, views.rgb[w, c], nice, samples)
+            lens = lens._replace(focal=lens.focal / samples)
+            room = self._room(height, width, 2)
+            place_instances(placing, home, views.body_pos[w], views.body_mat[w], room.draw)
+        if views.depth.shape[1] or views.seg.shape[1] or not fine:
+            self._trace(home, lens, room)
+        if views.depth.shape[1]:
+            read_depth(room.inverse, views.depth[w, c])
+        if views.seg.shape[1]:
+            read_segments(room.inverse, room.ids, self._scenery.seg, views.seg[w, c])
+        if views.rgb.shape[1] and not fine:
+            self._shade(home, lens, room, views.rgb[w, c], nice, samples)
+
+    def _room(self, height: int, width: int, cell: int) -> Room:
+        """This thread's buffers for pictures of a size."""
+        rooms = self._local.__dict__.setdefault("rooms", OrderedDict())
+        key = (height, width, cell)
+        if key not in rooms:
+            count = len(self.scene.instance_mesh)
+            cells = (-(-height // cell), -(-width // cell))
+            rooms[key] = Room(
+                make_scratch(self._scenery.geometry, count), make_shade_scratch(count, width),
+                np.empty((height, width), np.float32), np.empty((height, width), np.int32),
+                *(np.empty(cells, np.float32) for _ in range(3)),
+            )  # fmt: skip
+            if len(rooms) > SIZES_KEPT:
+                rooms.popitem(last=False)
+        return rooms[key]
+
+    def _trace(self, home: int, lens: Lens, room: Room) -> None:
+        """Inverse depth and ids of everything into the buffers."""
+        room.inverse[:] = 0.0
+        s = self._scenery
+        draw(s.geometry, s.placing, home, ALL, lens, self.cull_backfaces, room.inverse, room.ids, room.draw)
+
+    def _shade(self, home: int, lens: Lens, room: Room, rgb: np.ndarray, nice: bool, samples: int) -> None:
+        s, cell = self._scenery, 2 * samples
+        lamps, stride = s.lamps, FAST_STRIDE * samples
+        openness = Openness(room.share, room.depths, 1.0 / cell)
+        ambient_occlusion(room.inverse, cell, lens.focal, room.raw, room.share, room.depths)
+        if nice:
+            drawn = room.draw.drawn.copy()
+            lamps, stride = lamps._replace(shadow=self._lamp_maps(home, room)), 1
+            room.draw.drawn[:] = drawn
+        shade(
+            s.surface, room.draw, lamps, home, lens, room.inverse, room.ids, openness, s.tone, room.shade, stride, rgb
+        )
+
+    def _lamp_maps(self, home: int, room: Room) -> np.ndarray:
+        """Inverse depths (L, S, S) below every lamp: still furniture from the cache, moving bodies on top."""
+        scene, s = self.scene, self._scenery
+        maps = np.zeros((scene.light_pos.shape[1], SHADOW_SIZE, SHADOW_SIZE), np.float32)
+        ids = np.empty((SHADOW_SIZE, SHADOW_SIZE), np.int32)
+        focal = 0.5 * SHADOW_SIZE * SHADOW_SLOPE / np.sqrt(1.0 - SHADOW_SLOPE**2)
+        for k, color in enumerate(scene.light_color[home]):
+            if not color.any():
+                continue
+            lens = Lens(scene.light_pos[home, k], np.eye(3), float(focal), 0.05)
+            with self._lock:
+                still = self._shadows.get((home, k))
+            if still is None:
+                still = np.zeros((SHADOW_SIZE, SHADOW_SIZE), np.float32)
+                draw(s.geometry, s.placing, home, STILL, lens, False, still, ids, room.draw)
+                with self._lock:
+                    self._shadows[(home, k)] = still
+                    while len(self._shadows) > SHADOW_MAPS_KEPT:
+                        self._shadows.popitem(last=False)
+            maps[k] = still
+            draw(s.geometry, s.placing, home, MOVING, lens, False, maps[k], ids, room.draw)
+        return maps
+
+
+def _check_names(outputs: Sequence[str], quality: str) -> None:
+    for name in outputs:
+        if name not in OUTPUTS:
+            raise unknown_name("output", name, OUTPUTS)
+    if quality not in ("fast", "nice"):
+        raise unknown_name("quality", quality, ("fast", "nice"))
+
+
+def _array(value: np.ndarray, shape: tuple[int, ...], name: str) -> np.ndarray:
+    """``value`` as contiguous f64 of ``shape`` (-1: free), or a UsageError that names it."""
+    array = np.asarray(value, np.float64)
+    if array.ndim == len(shape) - 1 and shape[-2:] == (3, 3) and array.shape[-1] == 9:
+        array = array.reshape(*array.shape[:-1], 3, 3)
+    if array.ndim != len(shape) or any(want not in (-1, got) for want, got in zip(shape, array.shape, strict=True)):
+        raise UsageError(f"{name} must have shape {shape} (-1: any); got {array.shape}.")
+    return np.ascontiguousarray(array)
+
+
+def _views(
+    home: np.ndarray,
+    given: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+    fovy: np.ndarray,
+    size: tuple[int, int],
+    outputs: Sequence[str],
+) -> Views:
+    """Inputs of the kernels, with empty images for what is wanted."""
+    height, width = size
+    cameras = given[2].shape[1]
+    kinds = {"rgb": (np.uint8, (3,)), "depth": (np.float32, ()), "seg": (np.int32, ())}
+    images = {
+        name: np.empty((len(home), cameras if name in outputs else 0, height, width, *tail), kind)
+        for name, (kind, tail) in kinds.items()
+    }
+    body_pos, body_mat, cam_pos, cam_mat = given
+    return Views(home, body_pos, body_mat, cam_pos, cam_mat, 0.5 * height / np.tan(0.5 * fovy), **images)
+
+
+def _scenery(scene: RenderScene) -> Scenery:
+    """Kernel view of the scene."""
+    geometry = _geometry(scene)
+    extent = (geometry.mesh_box[:, 1] - geometry.mesh_box[:, 0])[scene.instance_mesh]
+    smooth = np.ascontiguousarray(scene.face_normal[:, :, :3].any((1, 2)))
+    surface = Surface(
+        scene.mesh_face_start, scene.face_material, scene.face_normal, scene.face_uv, scene.face_density, smooth,
+        scene.instance_material, extent, scene.mat_color, scene.mat_color2, scene.mat_texture, scene.mat_pattern,
+        scene.mat_size, scene.mat_gloss, scene.texels,
+    )  # fmt: skip
+    lamps = Lamps(scene.light_pos, scene.light_color, np.empty((0, 1, 1), np.float32))
+    return Scenery(geometry, _placing(scene), surface, lamps, scene.instance_seg, tone_curve())
+
+
+def _placing(scene: RenderScene) -> Placing:
+    there = (scene.home_scale != 0.0).all(axis=2)
+    there &= (scene.instance_body != 0) | (scene.home_pos[:, :, 2] > PARKED_BELOW)
+    start = np.concatenate([[0], np.cumsum(there.sum(axis=1))]).astype(np.int64)
+    return Placing(
+        scene.instance_mesh, scene.instance_body, scene.instance_pos, scene.instance_mat,
+        scene.home_pos, scene.home_mat, scene.home_scale, np.nonzero(there)[1].astype(np.int32), start,
+    )  # fmt: skip
+
+
+def _geometry(scene: RenderScene) -> Geometry:
+    """Kernel view of the meshes: vertex ranges, bounding boxes and balls from the faces of each mesh.
+
+    Raises:
+        UsageError: more instances or faces in a mesh than fit in the id of a pixel.
+    """
+    most = int(scene.mesh_face_count.max(initial=0)), len(scene.instance_mesh)
+    if most[0] > 1 << FACE_BITS or most[1] > 1 << (31 - FACE_BITS):
+        raise UsageError(
+            f"a mesh of {most[0]} faces or {most[1]} instances: the rasterizer draws up to {1 << FACE_BITS} faces per "
+            f"mesh and {1 << (31 - FACE_BITS)} instances."
+        )
+    spans = np.stack([scene.mesh_face_start, scene.mesh_face_count], 1).astype(np.int32)
+    verts, faces = np.zeros_like(spans), scene.faces.copy()
+    box, ball = np.zeros((len(spans), 2, 3)), np.zeros((len(spans), 4))
+    for k, (start, count) in enumerate(spans):
+        if count == 0:
+            continue
+        used = faces[start : start + count]
+        first = used.min()
+        verts[k] = first, used.max() - first + 1
+        corners = scene.vertices[np.unique(used)].astype(np.float64)
+        used -= first
+        box[k] = corners.min(0), corners.max(0)
+        ball[k, :3] = box[k].mean(0)
+        ball[k, 3] = np.linalg.norm(corners - ball[k, :3], axis=1).max() * (1.0 + 1e-9)
+    vertices = np.ascontiguousarray(scene.vertices.T)
+    return Geometry(vertices, faces, spans, verts, box, ball, scene.mesh_coarser, scene.mesh_error)

@@ -1,0 +1,141 @@
+"""Textures for the kernels: pictures with their smaller copies in one array, and how they are sampled."""
+
+from __future__ import annotations
+
+import hashlib
+from typing import NamedTuple
+
+import numpy as np
+
+from mjhab.core.errors import UsageError
+from mjhab.render.patterns import pattern_tile
+from mjhab.render.raster.jit import color_inline, kernel
+from mjhab.scenes.shapes.meshes import MAX_TEXTURE
+
+LEVELS = MAX_TEXTURE.bit_length() + 1
+"""Copies of a texture, each with half the sides of the one before, down to a pixel (patterns reach 1024)."""
+_STEPS = 4096
+
+
+class Texels(NamedTuple):
+    """T textures: pixels (P,) u32 as ``r | g << 8 | b << 16``; start (T, LEVELS) i64: where each copy begins;
+    bits (T, 2) i32: log2 of width and height of the first copy."""
+
+    pixels: np.ndarray
+    start: np.ndarray
+    bits: np.ndarray
+
+
+class TexturePool:
+    """Collects pictures; equal ones are stored once."""
+
+    def __init__(self) -> None:
+        self._numbers: dict[bytes, int] = {}
+        self._images: list[tuple[np.ndarray, bool]] = []
+
+    def add(self, image: np.ndarray) -> int:
+        """Number of a picture (h, w, 3) uint8 sRGB whose sides are powers of two up to `MAX_TEXTURE`.
+
+        Raises:
+            UsageError: other sides or type.
+        """
+        height, width = image.shape[:2]
+        odd = any(side & (side - 1) or not 0 < side <= MAX_TEXTURE for side in (height, width))
+        if odd or image.dtype != np.uint8 or image.shape[2:] != (3,):
+            raise UsageError(
+                f"texture must be (h, w, 3) uint8 with sides that are powers of two up to {MAX_TEXTURE}; "
+                f"got {image.shape} {image.dtype}."
+            )
+        return self._add(hashlib.sha256(image.tobytes() + repr(image.shape).encode()).digest(), image, False)
+
+    def add_pattern(self, kind: str) -> int:
+        """Number of the picture of a pattern."""
+        key = kind.encode()
+        return self._numbers[key] if key in self._numbers else self._add(key, pattern_tile(kind), True)
+
+    def _add(self, key: bytes, image: np.ndarray, linear: bool) -> int:
+        if key not in self._numbers:
+            self._numbers[key] = len(self._images)
+            self._images.append((image, linear))
+        return self._numbers[key]
+
+    def build(self) -> Texels:
+        """All pictures with their smaller copies."""
+        bits = np.array([(i.shape[1].bit_length() - 1, i.shape[0].bit_length() - 1) for i, _ in self._images], np.int32)
+        bits = bits.reshape(-1, 2)
+        sides = [np.maximum(bits[:, k, None] - np.arange(LEVELS), 0) for k in range(2)]
+        sizes = np.int64(1) << (sides[0] + sides[1]).astype(np.int64)
+        start = (np.cumsum(sizes) - sizes.ravel()).reshape(-1, LEVELS).astype(np.int64)
+        pixels = np.zeros(max(int(sizes.sum()), 1), np.uint32)
+        for k, (image, linear) in enumerate(self._images):
+            packed = image.astype(np.uint32)
+            first = packed[..., 0] | packed[..., 1] << 8 | packed[..., 2] << 16
+            pixels[start[k, 0] : start[k, 0] + first.size] = first.ravel()
+            decode, encode = _curves(linear)
+            for level in range(1, LEVELS):
+                _halve(
+                    pixels, start[k, level - 1], start[k, level], sides[0][k, level - 1], sides[1][k, level - 1],
+                    decode, encode,
+                )  # fmt: skip
+        return Texels(pixels, start, bits)
+
+
+def _curves(linear: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Tables between bytes (256,) and light in steps of 1 / `_STEPS`: means are of light, or of the bytes."""
+    value = np.arange(256) / 255.0
+    light = value if linear else np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+    middles = (light[1:] + light[:-1]) / 2
+    encode = np.searchsorted(middles, np.arange(_STEPS + 1) / _STEPS).astype(np.uint32)
+    return light * _STEPS, encode
+
+
+@kernel
+def _halve(pixels, source, target, width_bits, height_bits, decode, encode):
+    """Write the copy with half the sides; a side of one pixel stays."""
+    width, height = 1 << width_bits, 1 << height_bits
+    step_x, step_y = (1 if width > 1 else 0), (1 if height > 1 else 0)
+    columns, rows = width >> step_x, height >> step_y
+    for y in range(rows):
+        for x in range(columns):
+            out = np.uint32(0)
+            at = source + (y << step_y) * width + (x << step_x)
+            for shift in range(0, 24, 8):
+                total = 0.0
+                for corner in range(4):
+                    texel = pixels[at + (corner & 1) * step_x + (corner >> 1) * step_y * width]
+                    total += decode[(texel >> np.uint32(shift)) & np.uint32(255)]
+                out |= encode[int(0.25 * total + 0.5)] << np.uint32(shift)
+            pixels[target + y * columns + x] = out
+
+
+@color_inline
+def copy_for(texels_per_pixel):
+    """Level whose texels are about as large as a pixel."""
+    level = 0
+    while texels_per_pixel > 1.42 and level < LEVELS - 1:
+        texels_per_pixel *= 0.5
+        level += 1
+    return level
+
+
+@color_inline
+def sample(texels, texture, level, u, v):
+    """Red, green and blue 0..255 (of the bytes) at (u, v) of a texture, blended from four texels; it repeats."""
+    wide = max(texels.bits[texture, 0] - level, 0)
+    high = max(texels.bits[texture, 1] - level, 0)
+    start = texels.start[texture, level]
+    x, y = u * (1 << wide) - 0.5, v * (1 << high) - 0.5
+    fx, fy = np.floor(x), np.floor(y)
+    i, j = np.int64(fx), np.int64(fy)
+    a, b = np.int64((x - fx) * 16.0), np.int64((y - fy) * 16.0)
+    i0, i1 = i & ((1 << wide) - 1), (i + 1) & ((1 << wide) - 1)
+    j0, j1 = start + ((j & ((1 << high) - 1)) << wide), start + (((j + 1) & ((1 << high) - 1)) << wide)
+    pixels = texels.pixels
+    p00, p01 = np.int64(pixels[np.uint64(j0 + i0)]), np.int64(pixels[np.uint64(j0 + i1)])
+    p10, p11 = np.int64(pixels[np.uint64(j1 + i0)]), np.int64(pixels[np.uint64(j1 + i1)])
+    # Two bytes of a word are weighted at once: the weights sum to 256.
+    w00, w01, w10, w11 = (16 - a) * (16 - b), a * (16 - b), (16 - a) * b, a * b
+    m = 0xFF00FF
+    outer = (p00 & m) * w00 + (p01 & m) * w01 + (p10 & m) * w10 + (p11 & m) * w11
+    middle = (p00 & 0xFF00) * w00 + (p01 & 0xFF00) * w01 + (p10 & 0xFF00) * w10 + (p11 & 0xFF00) * w11
+    return (outer & 0xFFFF) * (1.0 / 256.0), (middle >> 8) * (1.0 / 256.0), (outer >> 16) * (1.0 / 256.0)

@@ -1,0 +1,231 @@
+"""Pictures of the robot's cameras in all worlds of a `WarpSimulator`, drawn on its device.
+
+The same render scene as the CPU renderer's, with its light and textures, by rays instead of triangles: depth and
+segments come out alike, colours nearly so (lamps without shadows, ambient occlusion in screen space, as there).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+import warp as wp
+
+from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.rotations import mat_from_quat
+from mjhab.render.home_scene import CAMERA_NAMES, build_render_scene
+from mjhab.render.raster.rasterizer import FAST_CELL, NEAR, OUTPUTS
+from mjhab.render.warp import shading as warp_shading
+from mjhab.render.warp import tracing as warp_tracing
+from mjhab.render.warp.scene import DeviceScene
+from mjhab.robots.fetch import model as fetch
+from mjhab.sim.warp.device import room_for, set_up
+from mjhab.sim.warp.graphs import Graphs
+from mjhab.sim.warp.simulator import WarpSimulator
+
+WORLDS_AT_ONCE = 256
+"""Worlds drawn together, which bounds the memory for what is not handed out; enough rays to fill any GPU."""
+
+
+class WarpCameras:
+    """Draws what robot cameras see. A world that moves to another home needs nothing done: see ``warp_tracing``.
+
+    Args:
+        sim: the worlds.
+        cameras: names of robot cameras; their order is that of the axis C.
+        size: height and width of the pictures [px].
+        outputs: any of "rgb", "depth", "seg".
+
+    ``segmentation_names``: name of every segment, index = id; the ids are those of `HomeRenderer`.
+
+    Raises:
+        UsageError: unknown camera or output, or none; a size below 1; no room for the pictures on the device.
+    """
+
+    def __init__(
+        self, sim: WarpSimulator, cameras: Sequence[str], size: tuple[int, int], outputs: Sequence[str]
+    ) -> None:
+        _check(cameras, size, outputs)
+        self._sim, self._cameras, self._size, self._outputs = sim, tuple(cameras), size, tuple(outputs)
+        homes = sim.layout.pack.homes
+        self._home_index = {home.name: i for i, home in enumerate(homes)}
+        model = sim.model(homes[0].name)
+        scene = build_render_scene(sim.layout, model)
+        self.segmentation_names = scene.seg_names
+        self._graphs = Graphs(sim.device)
+        self._rows, self._rows_known = wp.from_torch(sim.engine.homes.rows), 0
+        with room_for(sim.num_worlds, sim.device), set_up(sim.device):
+            self._scene = DeviceScene(scene)
+            self._home_of_row = wp.zeros(len(homes), dtype=wp.int32)
+            self._mount(model)
+            self._worlds = self._make_worlds()
+            self._frame = self._make_frame()
+            self._cells = self._make_cells()
+            self._images = self._make_images()
+        self._views = {name: wp.to_torch(self._images[name]) for name in self._outputs}
+        self._pos, self._mat = wp.to_torch(self._worlds.cam_pos), wp.to_torch(self._worlds.cam_mat)
+        self._wanted = wp.to_torch(self._worlds.wanted)
+
+    def draw(self, only: torch.Tensor | None = None) -> dict[str, torch.Tensor]:
+        """Pictures of the present state, by output; the next call overwrites them.
+
+        Args:
+            only: (W,) bool on the device, worlds to draw; the others keep the pixels they have. None draws all.
+
+        Returns:
+            "depth" (W, C, height, width) float32 planar distance [m], 0 where nothing is hit; "rgb" (W, C, height,
+            width, 3) uint8 sRGB; "seg" (W, C, height, width) int32 ids. A world whose physics has diverged gets zeros.
+
+        Raises:
+            UsageError: no room on the device.
+        """
+        if only is None:
+            self._wanted.fill_(True)
+        else:
+            self._wanted.copy_(only)
+        with room_for(self._sim.num_worlds, self._sim.device):
+            self._add_homes()
+            with wp.ScopedDevice(self._sim.device):
+                self._graphs.run("draw", self._draw)
+        return dict(self._views)
+
+    def poses(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """World positions (W, C, 3) [m] and orientations (W, C, 3, 3) (x right, y up, z backwards) of the cameras in
+        the present state; the next call overwrites them."""
+        with wp.ScopedDevice(self._sim.device):
+            self._graphs.run("poses", self._place_cameras)
+        return self._pos, self._mat
+
+    def device_bytes(self) -> dict[str, int]:
+        """Memory by what it is for: "pictures" handed out, "worlds" (poses), "chunk" (at most WORLDS_AT_ONCE worlds),
+        "scene" without the trees of boxes of its meshes."""
+        chunk = [self._frame, self._cells]
+        return {
+            "pictures": sum(image.size * wp.types.type_size_in_bytes(image.dtype) for image in self._images.values()),
+            "worlds": _bytes([self._worlds]),
+            "chunk": _bytes(chunk),
+            "scene": _bytes([self._scene.looks, self._scene.stills, self._scene.movers]),
+        }
+
+    def _mount(self, model: Any) -> None:
+        mounts = [fetch.CAMERAS[CAMERA_NAMES.index(name)] for name in self._cameras]
+        bodies = np.array([model.body(mount.body).id for mount in mounts], np.int32)
+        mats = mat_from_quat(np.array([mount.quat for mount in mounts]))
+        self._mount_body = wp.array(bodies, dtype=wp.int32)
+        self._mount_pos = wp.array(np.array([mount.pos for mount in mounts], np.float32), dtype=wp.vec3)
+        self._mount_mat = wp.array(mats.astype(np.float32), dtype=wp.mat33)
+        fovy = np.array([mount.fovy for mount in mounts])
+        self._focal = wp.array((0.5 * self._size[0] / np.tan(0.5 * fovy)).astype(np.float32), dtype=wp.float32)
+
+    def _make_worlds(self) -> Any:
+        worlds, count = warp_tracing.Worlds(), self._sim.num_worlds
+        movers, cameras = len(self._scene.movers.body), len(self._cameras)
+        worlds.home, worlds.sane = wp.zeros(count, dtype=wp.int32), wp.zeros(count, dtype=wp.bool)
+        worlds.wanted = wp.ones(count, dtype=wp.bool)
+        worlds.pos, worlds.mat = (wp.zeros((count, movers), dtype=kind) for kind in (wp.vec3, wp.mat33))
+        worlds.cam_pos, worlds.cam_mat = (wp.zeros((count, cameras), dtype=kind) for kind in (wp.vec3, wp.mat33))
+        return worlds
+
+    def _make_frame(self) -> Any:
+        frame, (height, width) = warp_tracing.Frame(), self._size
+        self._chunk, tile = min(WORLDS_AT_ONCE, self._sim.num_worlds), warp_tracing.TILE
+        rows, columns = -(-height // tile), -(-width // tile)
+        self._tiles = rows * columns
+        frame.focal, frame.width, frame.height, frame.columns = self._focal, width, height, columns
+        frame.near = NEAR
+        shape = (self._chunk, len(self._cameras), self._tiles)
+        frame.listed = wp.zeros(shape, dtype=wp.int32)
+        frame.movers = wp.zeros((*shape, max(1, len(self._scene.movers.body))), dtype=wp.int16)
+        colored = (self._chunk, len(self._cameras) if "rgb" in self._outputs else 0, height * width)
+        frame.inverse, frame.ids = wp.zeros(colored, dtype=wp.float32), wp.zeros(colored, dtype=wp.int32)
+        return frame
+
+    def _make_cells(self) -> Any:
+        cells, (height, width) = warp_shading.Cells(), self._size
+        cells.cell, cells.width, cells.height = FAST_CELL, -(-width // FAST_CELL), -(-height // FAST_CELL)
+        shape = (self._chunk, len(self._cameras) if "rgb" in self._outputs else 0, cells.width * cells.height)
+        cells.raw, cells.share, cells.depths = (wp.zeros(shape, dtype=wp.float32) for _ in range(3))
+        return cells
+
+    def _make_images(self) -> dict[str, wp.array]:
+        kinds = {"depth": wp.float32, "rgb": wp.vec3ub, "seg": wp.int32}
+        worlds, cameras = self._sim.num_worlds, len(self._cameras)
+        return {
+            name: wp.zeros((worlds, cameras if name in self._outputs else 0, *self._size), dtype=kind)
+            for name, kind in kinds.items()
+        }
+
+    def _add_homes(self) -> None:
+        """Build what stands in homes that the simulator has come to know since the last picture."""
+        names = self._sim.engine.homes.names
+        if len(names) == self._rows_known:
+            return
+        with set_up(self._sim.device):
+            for name in names[self._rows_known :]:
+                self._scene.add_home(self._home_index[name])
+            index = [self._home_index[name] for name in names]
+            self._home_of_row[: len(index)].assign(np.array(index, np.int32))
+        self._rows_known = len(names)
+
+    def _place_cameras(self) -> None:
+        data, worlds = self._sim.engine.data, self._worlds
+        wp.launch(
+            warp_tracing.place_cameras, dim=worlds.cam_pos.shape,
+            inputs=[self._mount_body, self._mount_pos, self._mount_mat, data.xpos, data.xmat, worlds],
+        )  # fmt: skip
+
+    def _draw(self) -> None:
+        engine, scene, worlds = self._sim.engine, self._scene, self._worlds
+        wp.launch(
+            warp_tracing.find_homes, dim=self._sim.num_worlds,
+            inputs=[self._rows, self._home_of_row, engine.data.xpos, worlds],
+        )  # fmt: skip
+        self._place_cameras()
+        wp.launch(
+            warp_tracing.place_movers, dim=worlds.pos.shape,
+            inputs=[scene.movers, engine.data.xpos, engine.data.xmat, worlds],
+        )  # fmt: skip
+        for first in range(0, self._sim.num_worlds, self._chunk):
+            self._draw_chunk(first)
+
+    def _draw_chunk(self, first: int) -> None:
+        scene, worlds, frame, cells = self._scene, self._worlds, self._frame, self._cells
+        shape = (self._chunk, len(self._cameras))
+        wp.launch(
+            warp_tracing.list_movers, dim=(*shape, self._tiles),
+            inputs=[scene.stills, scene.movers, worlds, frame, first],
+        )  # fmt: skip
+        wp.launch(
+            warp_tracing.trace, dim=(*shape, self._tiles * warp_tracing.TILE_PIXELS),
+            inputs=[scene.stills, scene.movers, worlds, frame, scene.seg, first],
+            outputs=[self._images["depth"], self._images["seg"]],
+        )  # fmt: skip
+        if "rgb" not in self._outputs:
+            return
+        spots = (*shape, cells.width * cells.height)
+        wp.launch(warp_shading.block_cells, dim=spots, inputs=[scene.looks, worlds, frame, cells, first])
+        wp.launch(warp_shading.blur_cells, dim=spots, inputs=[worlds, cells, first])
+        wp.launch(
+            warp_shading.shade, dim=(*shape, frame.width * frame.height),
+            inputs=[scene.looks, scene.stills, scene.movers, worlds, frame, cells, first],
+            outputs=[self._images["rgb"]],
+        )  # fmt: skip
+
+
+def _check(cameras: Sequence[str], size: tuple[int, int], outputs: Sequence[str]) -> None:
+    for kind, given, known in (("camera", cameras, CAMERA_NAMES), ("output", outputs, OUTPUTS)):
+        if not given:
+            raise UsageError(f"WarpCameras: no {kind} given; known are {', '.join(known)}.")
+        for name in given:
+            if name not in known:
+                raise unknown_name(kind, name, known)
+    if min(size) < 1:
+        raise UsageError(f"WarpCameras: size must be positive; got {size}.")
+
+
+def _bytes(structs: Sequence[object]) -> int:
+    """Memory of the arrays in Warp structs."""
+    arrays = [value for struct in structs for value in vars(struct).values() if isinstance(value, wp.array)]
+    return sum(array.size * wp.types.type_size_in_bytes(array.dtype) for array in arrays)

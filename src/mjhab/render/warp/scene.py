@@ -1,0 +1,174 @@
+"""The render scene of a layout on a Warp device: one mesh per home of what stands in it, and what hangs on bodies."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from mjhab.core.errors import UsageError
+from mjhab.render.raster.kernels import FACE_BITS
+from mjhab.render.raster.occlusion import DISK
+from mjhab.render.raster.shading import tone_curve
+from mjhab.render.render_scene import RenderScene
+from mjhab.render.warp.shading import Looks
+from mjhab.render.warp.tracing import Movers, Stills
+
+DETAIL = 0.002
+"""A coarser level of a mesh is taken where it is off by no more than this [m]: a third of a pixel at 0.3 m."""
+BUDGET = 100_000
+"""Faces of a home, and of what hangs on bodies; ``DETAIL`` is relaxed until there are no more."""
+_RELAX = 1.5
+_LEAF = 4
+"""Faces per leaf of a home's tree of boxes."""
+
+
+def choose_levels(scene: RenderScene, detail: float = DETAIL, budget: int = BUDGET) -> np.ndarray:
+    """Mesh (I,) that stands for every instance at any distance, within the budget of faces if its levels allow."""
+    there, moving = present(scene), scene.instance_body > 0
+    grow = np.abs(scene.home_scale).max(axis=(0, 2))
+    before = None
+    while True:
+        level = np.array([_level(scene, *pair, detail) for pair in zip(scene.instance_mesh, grow, strict=True)])
+        faces = scene.mesh_face_count[level]
+        fits = max((there[:, ~moving] * faces[~moving]).sum(axis=1).max(initial=0), faces[moving].sum()) <= budget
+        if fits or (before is not None and (scene.mesh_coarser[level] < 0).all()):
+            return level
+        before, detail = level, detail * _RELAX
+
+
+def _level(scene: RenderScene, mesh: int, grow: float, detail: float) -> int:
+    while scene.mesh_coarser[mesh] >= 0 and scene.mesh_error[scene.mesh_coarser[mesh]] * grow <= detail:
+        mesh = int(scene.mesh_coarser[mesh])
+    return mesh
+
+
+def present(scene: RenderScene) -> np.ndarray:
+    """(H, I) bool: instances that a home shows. Pieces it lacks have no size."""
+    return (scene.home_scale != 0.0).all(axis=2)
+
+
+class DeviceScene:
+    """A render scene as the kernels take it: ``looks``, ``stills``, ``movers``; ``seg`` (I,) segment of instances.
+
+    Call inside ``wp.ScopedDevice``. The meshes of homes are built when `add_home` asks for them.
+
+    Args:
+        scene: meshes, instances and looks.
+
+    Raises:
+        UsageError: more moving instances or faces in a mesh than fit into the id of a pixel.
+    """
+
+    def __init__(self, scene: RenderScene) -> None:
+        self.scene = scene
+        self._level = choose_levels(scene)
+        self._there = present(scene) & (scene.instance_body == 0)
+        self._meshes: dict[str, wp.Mesh] = {}
+        self.seg = _ints(scene.instance_seg)
+        self.looks, self.movers, self.stills = self._make_looks(), self._make_movers(), self._make_stills()
+
+    def _faces(self, instance: int) -> slice:
+        start = int(self.scene.mesh_face_start[self._level[instance]])
+        return slice(start, start + int(self.scene.mesh_face_count[self._level[instance]]))
+
+    def _make_looks(self) -> Any:
+        scene, looks = self.scene, Looks()
+        if len(scene.texels.pixels) >= 2**31:
+            raise UsageError("the pictures of this scene have more than 2^31 pixels; use smaller textures.")
+        looks.face_material, looks.face_density = _ints(scene.face_material), _floats(scene.face_density)
+        looks.face_normal, looks.face_uv = _rows(scene.face_normal, wp.vec4), _rows(scene.face_uv, wp.vec4)
+        looks.extent = _rows(self._extent(), wp.vec3)
+        looks.instance_material = _ints(scene.instance_material)
+        looks.color, looks.color2 = _rows(scene.mat_color, wp.vec3), _rows(scene.mat_color2, wp.vec3)
+        looks.texture, looks.pattern = _ints(scene.mat_texture), _ints(scene.mat_pattern)
+        looks.size, looks.gloss = _rows(scene.mat_size, wp.vec2), _floats(scene.mat_gloss)
+        looks.pixels = wp.array(scene.texels.pixels, dtype=wp.uint32)
+        looks.start, looks.bits = _ints(scene.texels.start), _ints(scene.texels.bits)
+        looks.tone, looks.disk = wp.array(tone_curve(), dtype=wp.uint8), _rows(DISK, wp.vec2)
+        looks.lamp_pos, looks.lamp_color = _rows(scene.light_pos, wp.vec3), _rows(scene.light_color, wp.vec3)
+        return looks
+
+    def _extent(self) -> np.ndarray:
+        """(I, 3) size of the finest mesh of every instance, without its scale [m]."""
+        scene, sizes = self.scene, {}
+        for mesh in set(scene.instance_mesh.tolist()):
+            first, count = scene.mesh_face_start[mesh], scene.mesh_face_count[mesh]
+            sizes[mesh] = np.ptp(scene.vertices[scene.faces[first : first + count].reshape(-1)], axis=0)
+        return np.stack([sizes[mesh] for mesh in scene.instance_mesh.tolist()])
+
+    def _make_movers(self) -> Any:
+        scene, movers = self.scene, Movers()
+        which = np.flatnonzero(scene.instance_body > 0)
+        level = self._level[which]
+        most = int(scene.mesh_face_count[level].max(initial=0))
+        if most > 1 << FACE_BITS or len(which) >= 1 << (31 - FACE_BITS):
+            raise UsageError(
+                f"a mesh of {most} faces or {len(which)} moving pieces: the device renderer draws up to "
+                f"{1 << FACE_BITS} faces per mesh and {(1 << (31 - FACE_BITS)) - 1} pieces."
+            )
+        balls = {}
+        for mesh, instance in zip(level.tolist(), which.tolist(), strict=True):
+            if mesh not in balls:
+                corners = scene.faces[self._faces(instance)]
+                used, faces = np.unique(corners, return_inverse=True)
+                points = scene.vertices[used]
+                self._meshes[f"mesh {mesh}"] = _mesh(points, faces)
+                center = (points.min(axis=0) + points.max(axis=0)) / 2.0
+                # Float32 places must not fall out of it.
+                balls[mesh] = [*center, 1.0001 * np.linalg.norm(points - center, axis=1).max() + 1e-5]
+        movers.instance, movers.body = _ints(which), _ints(scene.instance_body[which])
+        movers.pos, movers.mat = _rows(scene.instance_pos[which], wp.vec3), _rows(scene.instance_mat[which], wp.mat33)
+        ids = np.array([self._meshes[f"mesh {mesh}"].id for mesh in level.tolist()], np.uint64)
+        movers.mesh, movers.first_face = wp.array(ids, dtype=wp.uint64), _ints(scene.mesh_face_start[level])
+        movers.ball = _rows(np.array([balls[mesh] for mesh in level.tolist()]).reshape(-1, 4), wp.vec4)
+        return movers
+
+    def _make_stills(self) -> Any:
+        scene, stills = self.scene, Stills()
+        counts = (self._there * scene.mesh_face_count[self._level]).sum(axis=1)
+        self._face_start = np.concatenate([[0], np.cumsum(counts)])
+        stills.face_start = _ints(self._face_start[:-1])
+        stills.mesh = wp.zeros(len(counts), dtype=wp.uint64)
+        total = int(self._face_start[-1])
+        stills.instance, stills.face = (wp.zeros(total, dtype=wp.int32) for _ in range(2))
+        stills.pos, stills.mat = _rows(scene.home_pos, wp.vec3), _rows(scene.home_mat, wp.mat33)
+        stills.scale = _rows(scene.home_scale, wp.vec3)
+        return stills
+
+    def add_home(self, home: int) -> None:
+        """Build the mesh of a home, by its index in the scene; once built, nothing happens."""
+        key, scene = f"home {home}", self.scene
+        if key in self._meshes:
+            return
+        corners, sources, owners = [np.zeros((0, 3, 3))], [np.zeros(0, int)], [np.zeros(0, int)]
+        for i in np.flatnonzero(self._there[home]).tolist():
+            scale, faces = scene.home_scale[home, i], self._faces(i)
+            points = scene.vertices[scene.faces[faces]] * scale @ scene.home_mat[home, i].T + scene.home_pos[home, i]
+            corners.append(points if scale.prod() > 0.0 else points[:, ::-1])
+            sources.append(np.arange(faces.start, faces.stop))
+            owners.append(np.full(len(points), i))
+        points, index = np.unique(np.concatenate(corners).reshape(-1, 3), axis=0, return_inverse=True)
+        mesh = self._meshes[key] = _mesh(points, index)
+        span = slice(int(self._face_start[home]), int(self._face_start[home + 1]))
+        self.stills.instance[span].assign(np.concatenate(owners).astype(np.int32))
+        self.stills.face[span].assign(np.concatenate(sources).astype(np.int32))
+        self.stills.mesh[home : home + 1].assign(np.array([mesh.id], np.uint64))
+
+
+def _mesh(points: np.ndarray, index: np.ndarray) -> wp.Mesh:
+    return wp.Mesh(_rows(points, wp.vec3), _ints(index.reshape(-1)), bvh_constructor="sah", bvh_leaf_size=_LEAF)
+
+
+def _ints(values: np.ndarray) -> wp.array:
+    return wp.array(np.ascontiguousarray(values, np.int32), dtype=wp.int32)
+
+
+def _floats(values: np.ndarray) -> wp.array:
+    return wp.array(np.ascontiguousarray(values, np.float32), dtype=wp.float32)
+
+
+def _rows(values: np.ndarray, kind: Any) -> wp.array:
+    """Vectors or matrices; the last axes are theirs."""
+    return wp.array(np.ascontiguousarray(values, np.float32), dtype=kind)

@@ -1,0 +1,370 @@
+# type: ignore
+# ruff: noqa: RUF046, UP018
+# Kernels are Warp's language in the syntax of Python; its types are not those of Python. A number that changes is made
+# by float() or int(), else it is a constant.
+"""Kernels that colour what the rays hit: the light, textures and ambient occlusion of the CPU renderer, per pixel.
+
+Twins of ``lighting``, ``shading``, ``textures`` and ``occlusion``, whose constants they take; pictures of the two
+agree within the tolerances of ``tests/render/warp/test_cameras.py``. A ray through slopes (u, v) has depth 1 per unit.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from mjhab.render.patterns import SHADE_TOP
+from mjhab.render.raster import lighting, occlusion
+from mjhab.render.raster.shading import TONE_RANGE
+from mjhab.render.textures import LEVELS
+from mjhab.render.warp.tracing import Frame, Movers, Stills, Worlds, is_drawn, mover_of, pixel_slopes, still_of
+
+wp.set_module_options({"enable_backward": False})
+
+SKY, GROUND = wp.constant(wp.vec3(*lighting.SKY)), wp.constant(wp.vec3(*lighting.GROUND))
+LAMP_GAIN, LAMP_RANGE = wp.constant(lighting.LAMP_GAIN), wp.constant(lighting.LAMP_RANGE)
+FALLOFF = wp.constant(0.65 / lighting.LAMP_REACH**2)
+FADE = wp.constant(1.0 / lighting.LAMP_RANGE**4)
+HEAD_LIGHT, DULL = wp.constant(lighting.HEAD_LIGHT), wp.constant(lighting.DULL)
+AO_RADIUS, AO_STRENGTH, AO_TAPS = (
+    wp.constant(occlusion.RADIUS), wp.constant(occlusion.STRENGTH), wp.constant(occlusion.TAPS)
+)  # fmt: skip
+SHADE_STEP, LAST_LEVEL = wp.constant(SHADE_TOP / 255.0), wp.constant(LEVELS - 1)
+TONE_TOP = wp.constant(TONE_RANGE)
+
+
+@wp.struct
+class Looks:
+    """Faces (F), instances (I), materials (M) and lamps (L) of homes (H), as in ``RenderScene``.
+
+    extent (I,): size of each instance's mesh along its axes [m]; pixels, start, bits: see ``textures.Texels``; tone:
+    see ``shading.tone_curve``; disk (TURNS, TAPS): sample offsets of the occlusion.
+    """
+
+    face_material: wp.array[int]
+    face_normal: wp.array2d[wp.vec4]
+    face_uv: wp.array2d[wp.vec4]
+    face_density: wp.array[float]
+    extent: wp.array[wp.vec3]
+    instance_material: wp.array2d[int]
+    color: wp.array[wp.vec3]
+    color2: wp.array[wp.vec3]
+    texture: wp.array[int]
+    pattern: wp.array[int]
+    size: wp.array[wp.vec2]
+    gloss: wp.array[float]
+    pixels: wp.array[wp.uint32]
+    start: wp.array2d[int]
+    bits: wp.array2d[int]
+    tone: wp.array[wp.uint8]
+    disk: wp.array2d[wp.vec2]
+    lamp_pos: wp.array2d[wp.vec3]
+    lamp_color: wp.array2d[wp.vec3]
+
+
+@wp.struct
+class Cells:
+    """Ambient occlusion of K worlds: raw, share (openness 0..1), depths (inverse) (K, C, a * b), each of
+    ``cell`` x ``cell`` pixels."""
+
+    raw: wp.array3d[float]
+    share: wp.array3d[float]
+    depths: wp.array3d[float]
+    width: int
+    height: int
+    cell: int
+
+
+@wp.func
+def _slope(inverse: wp.array3d[float], k: int, c: int, at: int, before: int, after: int):
+    """Change of inverse depth per pixel: the flatter side, so that edges do not count."""
+    w = inverse[k, c, at]
+    forward, backward = inverse[k, c, after] - w, w - inverse[k, c, before]
+    if after == at:
+        return backward
+    if before == at:
+        return forward
+    return wp.where(wp.abs(forward) < wp.abs(backward), forward, backward)
+
+
+@wp.kernel
+def block_cells(looks: Looks, worlds: Worlds, frame: Frame, cells: Cells, first: int):
+    """Occlusion of the pixel in the middle of every cell, before `blur_cells`."""
+    k, c, at = wp.tid()
+    if not is_drawn(worlds, first + k):
+        return
+    i, j = at // cells.width, at % cells.width
+    y = wp.min(i * cells.cell + cells.cell // 2, frame.height - 1)
+    x = wp.min(j * cells.cell + cells.cell // 2, frame.width - 1)
+    pixel = y * frame.width + x
+    w = frame.inverse[k, c, pixel]
+    cells.depths[k, c, at] = w
+    cells.raw[k, c, at] = 0.0
+    if w <= 0.0:
+        return
+    focal, turn = frame.focal[c], (i & 3) * 4 + (j & 3)
+    cx, cy = 0.5 * float(frame.width), 0.5 * float(frame.height)
+    left, right = pixel - wp.min(x, 1), pixel + wp.min(frame.width - 1 - x, 1)
+    up, down = pixel - frame.width * wp.min(y, 1), pixel + frame.width * wp.min(frame.height - 1 - y, 1)
+    gx, gy = _slope(frame.inverse, k, c, pixel, left, right), _slope(frame.inverse, k, c, pixel, up, down)
+    u, v = float(x) + 0.5 - cx, float(y) + 0.5 - cy
+    n = wp.vec3(-gx * focal, -gy * focal, -(w - gx * u - gy * v))
+    n = n / wp.sqrt(wp.dot(n, n) + 1.0e-20)
+    z = 1.0 / w
+    p = wp.vec3(u / focal * z, v / focal * z, z)
+    reach = wp.min(AO_RADIUS * focal * w, 0.2 * float(frame.height))
+    total = float(0.0)
+    for tap in range(AO_TAPS):
+        offset = looks.disk[turn, tap]
+        col, row = int(float(x) + 0.5 + reach * offset[0]), int(float(y) + 0.5 + reach * offset[1])
+        if col < 0 or row < 0 or col >= frame.width or row >= frame.height:
+            continue
+        other = frame.inverse[k, c, row * frame.width + col]
+        if other <= 0.0:
+            continue
+        qz = 1.0 / other
+        d = wp.vec3((float(col) + 0.5 - cx) / focal * qz, (float(row) + 0.5 - cy) / focal * qz, qz) - p
+        square = wp.dot(d, d)
+        if square < AO_RADIUS * AO_RADIUS:
+            rise = wp.max(wp.dot(d, n) - 0.004 * z, 0.0)
+            total += rise / wp.sqrt(square + 1.0e-4) * (1.0 - square / (AO_RADIUS * AO_RADIUS))
+    cells.raw[k, c, at] = total / float(AO_TAPS)
+
+
+@wp.kernel
+def blur_cells(worlds: Worlds, cells: Cells, first: int):
+    """Openness of every cell: mean over a block of cells at like depth."""
+    k, c, at = wp.tid()
+    if not is_drawn(worlds, first + k):
+        return
+    i, j = at // cells.width, at % cells.width
+    depth = cells.depths[k, c, at]
+    total, weight = float(0.0), float(1.0e-9)
+    for y in range(wp.max(i - 2, 0), wp.min(i + 2, cells.height)):
+        for x in range(wp.max(j - 2, 0), wp.min(j + 2, cells.width)):
+            near = y * cells.width + x
+            if wp.abs(cells.depths[k, c, near] - depth) < 0.05 * depth:
+                total += cells.raw[k, c, near]
+                weight += 1.0
+    cells.share[k, c, at] = wp.max(1.0 - AO_STRENGTH * total / weight, 0.15)
+
+
+@wp.func
+def _openness(cells: Cells, k: int, c: int, row: float, col: float, depth: float):
+    """Openness at a place (row, col in cells): blend of four cells at like depth."""
+    y, x = wp.max(row - 0.5, 0.0), wp.max(col - 0.5, 0.0)
+    i, j = wp.min(int(y), cells.height - 1), wp.min(int(x), cells.width - 1)
+    fy, fx = y - float(i), x - float(j)
+    total, weight = float(0.0), float(1.0e-9)
+    for corner in range(4):
+        r, q = corner // 2, corner % 2
+        at = wp.min(i + r, cells.height - 1) * cells.width + wp.min(j + q, cells.width - 1)
+        w = wp.where(r == 1, fy, 1.0 - fy) * wp.where(q == 1, fx, 1.0 - fx) + 1.0e-3
+        w = w * (1.0e-4 + wp.max(0.0, 1.0 - 20.0 * wp.abs(cells.depths[k, c, at] * depth - 1.0)))
+        total += w * cells.share[k, c, at]
+        weight += w
+    return total / weight
+
+
+@wp.func
+def _highlight(n: wp.vec3, to_lamp: wp.vec3, to_eye: wp.vec3, gloss: float):
+    """Share of a lamp's light that a glossy surface throws towards the eye."""
+    half = to_lamp + to_eye
+    h = wp.dot(n, half) / wp.sqrt(wp.dot(half, half) + 1.0e-9)
+    h4 = h * h * h * h
+    h16 = h4 * h4 * h4 * h4
+    return gloss * ((1.0 - gloss) * h16 + gloss * 2.0 * h16 * h16 * h16 * h16)
+
+
+@wp.func
+def _light(looks: Looks, home: int, p: wp.vec3, n: wp.vec3, to_eye: wp.vec3, gloss: float, open_share: float):
+    """Light on a point: what its colour is multiplied with, and highlights."""
+    diffuse, shine = wp.vec3(0.0), wp.vec3(0.0)
+    for lamp in range(looks.lamp_pos.shape[1]):
+        color, way = looks.lamp_color[home, lamp], looks.lamp_pos[home, lamp] - p
+        square, facing = wp.dot(way, way), wp.dot(n, way)
+        if facing <= 0.0 or square > LAMP_RANGE * LAMP_RANGE or color[0] + color[1] + color[2] == 0.0:
+            continue
+        inv = 1.0 / wp.sqrt(square + 1.0e-9)
+        power = LAMP_GAIN * facing * inv * (1.0 - square * square * FADE) / (0.35 + FALLOFF * square)
+        diffuse += color * power
+        if gloss > DULL:
+            shine += color * (power * _highlight(n, way * inv, to_eye, gloss))
+    facing = wp.max(wp.dot(n, to_eye), 0.0)
+    side = open_share * (1.0 + 0.10 * n[0] + 0.05 * n[1])
+    away = 1.0 - facing
+    rim = gloss * 0.25 * away * away * away * away * open_share
+    light = GROUND * ((0.5 - 0.5 * n[2]) * side) + SKY * ((0.5 + 0.5 * n[2]) * side)
+    light += diffuse * (0.35 + 0.65 * open_share) + wp.vec3(HEAD_LIGHT * facing)
+    return light, shine * open_share + SKY * rim
+
+
+@wp.func
+def _sky(direction: wp.vec3):
+    """Background along a ray."""
+    t = wp.clamp(0.5 + 0.9 * direction[2] / wp.length(direction), 0.0, 1.0)
+    return wp.vec3(0.30 + 0.28 * t, 0.34 + 0.32 * t, 0.40 + 0.38 * t)
+
+
+@wp.func
+def _texel(looks: Looks, at: int):
+    """Red, green and blue 0..255 of a pixel of the pool."""
+    packed = looks.pixels[at]
+    low = wp.uint32(255)
+    return wp.vec3(float(packed & low), float((packed >> wp.uint32(8)) & low), float((packed >> wp.uint32(16)) & low))
+
+
+@wp.func
+def _sample(looks: Looks, texture: int, level: int, u: float, v: float):
+    """Red, green and blue 0..255 at (u, v) of a texture, blended from four texels; it repeats."""
+    wide = wp.max(looks.bits[texture, 0] - level, 0)
+    high = wp.max(looks.bits[texture, 1] - level, 0)
+    start, columns, rows = looks.start[texture, level], 1 << wide, 1 << high
+    x, y = (u - wp.floor(u)) * float(columns) - 0.5, (v - wp.floor(v)) * float(rows) - 0.5
+    i, j = int(wp.floor(x)), int(wp.floor(y))
+    a, b = x - wp.floor(x), y - wp.floor(y)
+    i0, i1 = i & (columns - 1), (i + 1) & (columns - 1)
+    j0, j1 = start + ((j & (rows - 1)) << wide), start + (((j + 1) & (rows - 1)) << wide)
+    above = _texel(looks, j0 + i0) * (1.0 - a) + _texel(looks, j0 + i1) * a
+    below = _texel(looks, j1 + i0) * (1.0 - a) + _texel(looks, j1 + i1) * a
+    return above * (1.0 - b) + below * b
+
+
+@wp.func
+def _copy_for(texels_per_pixel: float):
+    """Level whose texels are about as large as a pixel."""
+    size, level = float(texels_per_pixel), int(0)
+    while size > 1.42 and level < LAST_LEVEL:
+        size = size * 0.5
+        level += 1
+    return level
+
+
+@wp.func
+def _linear(level: wp.vec3):
+    """Linear light of sRGB values 0..255 (cubic, within 0.002)."""
+    c = level * (1.0 / 255.0)
+    c2 = wp.cw_mul(c, c)
+    return c * 0.012522878 + c2 * 0.682171111 + wp.cw_mul(c2, c) * 0.305306011
+
+
+@wp.func
+def _pattern(looks: Looks, m: int, i: int, q: wp.vec3, n: wp.vec3, scale: wp.vec3, pixel: float):
+    """Colour of a material with a pattern at the point ``q`` [m] of an instance, normal ``n``, both in its axes.
+
+    The picture lies in the plane that the face is turned to; u runs along the longer side of the piece.
+    """
+    a, e = wp.vec3(wp.abs(n[0]), wp.abs(n[1]), wp.abs(n[2])), wp.cw_mul(looks.extent[i], scale)
+    low, high = int(0), int(2)
+    if a[2] >= a[0] and a[2] >= a[1]:
+        high = 1
+    elif a[0] >= a[1]:
+        low = 1
+    longer = e[low] >= e[high]
+    first, second = wp.where(longer, low, high), wp.where(longer, high, low)
+    size, texture = looks.size[m], looks.texture[m]
+    texels = wp.vec2(float(1 << looks.bits[texture, 0]), float(1 << looks.bits[texture, 1]))
+    level = _copy_for(pixel * wp.max(texels[0] / size[0], texels[1] / size[1]))
+    # Every piece starts elsewhere in the pattern.
+    s, t = q[first] / size[0] + 0.37 * float(i), q[second] / size[1] + 0.23 * float(i)
+    found = _sample(looks, texture, level, s, t)
+    mix, shade = found[0] / 255.0, found[1] * SHADE_STEP
+    return (looks.color[m] + (looks.color2[m] - looks.color[m]) * mix) * shade
+
+
+@wp.func
+def _picture(looks: Looks, m: int, face: int, p: wp.vec4, grow: float, pixel: float):
+    """Colour of a face with a picture at the point ``p`` of its mesh; pixels are ``grow`` times larger there."""
+    texture = looks.texture[m]
+    texels = float(1 << looks.bits[texture, 0]) * float(1 << looks.bits[texture, 1])
+    level = _copy_for(pixel * looks.face_density[face] * grow * wp.sqrt(texels))
+    s, t = wp.dot(looks.face_uv[face, 0], p), wp.dot(looks.face_uv[face, 1], p)
+    return wp.cw_mul(looks.color[m], _linear(_sample(looks, texture, level, s, t)))
+
+
+@wp.func
+def _surface(
+    looks: Looks, cells: Cells, frame: Frame, home: int, i: int, face: int, pos: wp.vec3, rot: wp.mat33,
+    scale: wp.vec3, k: int, c: int, pixel: int, eye: wp.vec3, ray: wp.vec3,
+):  # fmt: skip
+    """Linear colour of what a pixel shows: ``face`` of instance ``i`` at the pose ``pos``, ``rot``."""
+    depth = 1.0 / frame.inverse[k, c, pixel]
+    point = eye + ray * depth
+    q = wp.transpose(rot) * (point - pos)
+    on_mesh = wp.cw_div(q, scale)
+    p = wp.vec4(on_mesh[0], on_mesh[1], on_mesh[2], 1.0)
+    rows = wp.mat33(0.0)
+    n = wp.vec3(0.0)
+    for r in range(3):
+        row = looks.face_normal[face, r]
+        n[r] = wp.dot(row, p) / scale[r]
+        rows[r] = wp.vec3(row[0], row[1], row[2])
+    n = n / wp.sqrt(wp.dot(n, n) + 1.0e-30)
+    normal = rot * n
+    to_eye = -wp.normalize(ray)
+    facing = wp.dot(normal, to_eye)
+    if facing < 0.0 and wp.ddot(rows, rows) == 0.0:
+        normal, facing = -normal, -facing
+    m = looks.instance_material[home, i]
+    if m < 0:
+        m = looks.face_material[face]
+    row_in_cells = (float(pixel // frame.width) + 0.5) / float(cells.cell)
+    column_in_cells = (float(pixel % frame.width) + 0.5) / float(cells.cell)
+    open_share = _openness(cells, k, c, row_in_cells, column_in_cells, depth)
+    light, shine = _light(looks, home, point, normal, to_eye, looks.gloss[m], open_share)
+    color = looks.color[m]
+    if looks.texture[m] >= 0:
+        size = depth / (frame.focal[c] * wp.sqrt(wp.max(facing, 0.05)))
+        if looks.pattern[m] != 0:
+            color = _pattern(looks, m, i, q, n, scale, size)
+        else:
+            grow = 1.0 / wp.min(wp.abs(scale))
+            color = _picture(looks, m, face, p, grow, size)
+    return wp.cw_mul(color, light) + shine
+
+
+@wp.kernel
+def shade(
+    looks: Looks,
+    stills: Stills,
+    movers: Movers,
+    worlds: Worlds,
+    frame: Frame,
+    cells: Cells,
+    first: int,
+    rgb: wp.array4d[wp.vec3ub],
+):
+    """Colour the pixels of the worlds from ``first`` on into ``rgb`` (W, C, h, w)."""
+    k, c, pixel = wp.tid()
+    world = first + k
+    y, x = pixel // frame.width, pixel % frame.width
+    if not is_drawn(worlds, world):
+        return
+    if not worlds.sane[world]:
+        rgb[world, c, y, x] = wp.vec3ub(wp.uint8(0), wp.uint8(0), wp.uint8(0))
+        return
+    slopes, home = pixel_slopes(frame, c, pixel), worlds.home[world]
+    eye, ray = worlds.cam_pos[world, c], worlds.cam_mat[world, c] * wp.vec3(slopes[0], slopes[1], -1.0)
+    light = wp.vec3(0.0)
+    tag = frame.ids[k, c, pixel]
+    if frame.inverse[k, c, pixel] <= 0.0:
+        light = _sky(ray)
+    elif tag >= 0:
+        still = still_of(stills, home, tag)
+        i, face = still[0], still[1]
+        light = _surface(
+            looks, cells, frame, home, i, face, stills.pos[home, i], stills.mat[home, i], stills.scale[home, i],
+            k, c, pixel, eye, ray,
+        )  # fmt: skip
+    else:
+        mover = mover_of(movers, tag)
+        d, part = mover[0], movers.instance[mover[0]]
+        light = _surface(
+            looks, cells, frame, home, part, mover[1], worlds.pos[world, d], worlds.mat[world, d],
+            stills.scale[home, part], k, c, pixel, eye, ray,
+        )  # fmt: skip
+    top = looks.tone.shape[0] - 1
+    out = wp.vec3ub()
+    for channel in range(3):
+        level = wp.clamp(light[channel] * (float(top) / TONE_TOP), 0.0, float(top))
+        out[channel] = looks.tone[int(level)]
+    rgb[world, c, y, x] = out

@@ -1,0 +1,86 @@
+"""Histograms of the forces in a data set."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from mjhab.reports.plots import Figure, force_limits
+from mjhab.rollout.records import SubtaskRecord
+from mjhab.tasks.plan import KIND_NAMES
+
+GENTLE = 1400.0
+"""Force that an industrial safety limit would allow, as the MS-HAB paper (Sec. 6) discusses it [N]."""
+_COLORS = {"success": "#16a34a", "failure": "#dc2626"}
+_BINS = 32
+
+
+def force_plots(subtasks: Sequence[SubtaskRecord]) -> dict[str, Figure]:
+    """Element id to figure: largest force and sum of forces of every kind of subtask that is there."""
+    limits = force_limits()
+    figures: dict[str, Figure] = {}
+    for kind in KIND_NAMES:
+        members = [subtask for subtask in subtasks if subtask.kind == kind]
+        if not members:
+            continue
+        figures[f"peak-{kind}"] = _histogram(
+            members, lambda s: s.peak_force, f"{kind}: largest force of a step [N]", {"1,400 N": GENTLE}
+        )
+        limit = limits[kind]
+        lines = {f"limit {limit:,.0f}": limit} if np.isfinite(limit) else {}
+        name = f"{kind}: sum of forces [N x steps]"
+        figures[f"sum-{kind}"] = _histogram(members, lambda s: s.cumulative_force, name, lines)
+    return figures
+
+
+def _histogram(
+    members: Sequence[SubtaskRecord],
+    value: Callable[[SubtaskRecord], float],
+    title: str,
+    lines: Mapping[str, float],
+) -> Figure:
+    """Stacked bars on a logarithmic axis, in which forces from nothing to crashes can be seen; 1 N and less in one."""
+    values = np.log10(np.maximum([value(member) for member in members], 1.0))
+    good = np.array([member.success_once for member in members])
+    top = max(float(values.max()), *(np.log10(line) for line in lines.values()), 1.0) * 1.02
+    edges = np.linspace(0.0, top, _BINS + 1)
+    data = []
+    for name, mask in (("success", good), ("failure", ~good)):
+        counts = np.histogram(values[mask], edges)[0]
+        hover = [f"{10**low:,.0f} to {10**high:,.0f}" for low, high in itertools.pairwise(edges)]
+        data.append(
+            {
+                "type": "bar", "name": name, "x": ((edges[1:] + edges[:-1]) / 2).tolist(), "y": counts.tolist(),
+                "width": float(edges[1]) * 0.94, "marker": {"color": _COLORS[name]}, "text": hover,
+                "textposition": "none", "hovertemplate": f"%{{y}} {name}<br>%{{text}}<extra></extra>",
+            }
+        )  # fmt: skip
+    return {"data": data, "layout": _layout(title, top, lines)}
+
+
+def _layout(title: str, top: float, lines: Mapping[str, float]) -> dict[str, Any]:
+    ticks = list(range(int(top) + 1))
+    marks = {name: float(np.log10(line)) for name, line in lines.items()}
+    dash = {"color": "#94a3b8", "width": 2, "dash": "dash"}
+    return {
+        "height": 250,
+        "barmode": "stack",
+        "xaxis": {
+            "title": {"text": title},
+            "range": [-0.05, top],
+            "tickvals": ticks,
+            "ticktext": ["≤ 1", *(f"{10**tick:,}" for tick in ticks[1:])],
+        },
+        "yaxis": {"title": {"text": "subtasks"}, "rangemode": "tozero"},
+        "legend": {"orientation": "h", "y": 1.16, "traceorder": "normal"},
+        "shapes": [
+            {"type": "line", "x0": x, "x1": x, "yref": "paper", "y0": 0, "y1": 1, "line": dash} for x in marks.values()
+        ],
+        "annotations": [
+            {"x": x, "y": 1, "yref": "paper", "text": name, "showarrow": False, "xanchor": "right", "xshift": -4}
+            for name, x in marks.items()
+        ],
+    }  # fmt: skip

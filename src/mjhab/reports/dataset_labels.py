@@ -1,0 +1,142 @@
+"""The table of labels: what was recorded next to what the MS-HAB paper published."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+
+from mjhab.data.select.facts import type_name
+from mjhab.reports.metrics import wilson
+from mjhab.reports.paper import ORDER, POLICIES, paper_row
+from mjhab.reports.plots import tone
+from mjhab.rollout.records import EpisodeRecord, SubtaskRecord
+from mjhab.tasks.labels import LABELS
+from mjhab.tasks.plan import KIND_NAMES, SubtaskKind
+
+ALL = "all"
+CHAINS = "in chains"
+PAPER_EPISODES = 1008
+"""Episodes per policy, task, split and target (MS-HAB paper App. A.6)."""
+
+
+@dataclass(frozen=True)
+class Group:
+    """Subtasks of one kind, task, split and target; ``way``: "" done alone, as in the paper, or CHAINS."""
+
+    kind: str
+    task: str
+    split: str
+    way: str
+    target: str
+
+
+def grouped(records: Iterable[EpisodeRecord]) -> dict[Group, list[SubtaskRecord]]:
+    """Subtasks that ended by group, with a group of ALL targets where there are several."""
+    groups: dict[Group, list[SubtaskRecord]] = defaultdict(list)
+    for record in records:
+        for subtask in record.subtasks:
+            way = "" if record.subtask else CHAINS
+            groups[Group(subtask.kind, record.task, record.split, way, type_name(subtask.target))].append(subtask)
+    together: dict[Group, list[SubtaskRecord]] = defaultdict(list)
+    several: Counter[Group] = Counter()
+    for group, members in groups.items():
+        whole = Group(group.kind, group.task, group.split, group.way, ALL)
+        together[whole] += members
+        several[whole] += 1
+    found = {**groups, **{group: members for group, members in together.items() if several[group] > 1}}
+    return {group: found[group] for group in sorted(found, key=_place)}
+
+
+def _place(group: Group) -> tuple[str | bool, ...]:
+    """Where a group stands: ALL after the targets it sums up."""
+    return group.kind, group.task, group.split, group.way, group.target == ALL, group.target
+
+
+def label_order(kind: str) -> tuple[str, ...]:
+    """Labels of a kind in the order of the paper's tables; where it has none (Navigate), successes before failures."""
+    names = LABELS[SubtaskKind(KIND_NAMES.index(kind))]
+    return ORDER.get(kind) or tuple(sorted(names, key=lambda name: (name.endswith("_failure"), "_then_" in name)))
+
+
+def label_table(kind: str, groups: Mapping[Group, Sequence[SubtaskRecord]]) -> str:
+    """The labels of a kind as HTML: one table per group, a row per label.
+
+    Columns: ours by the published rules (``legacy_label``), ours by our own rules, then the paper's policies on the
+    same task, split and target, whose labels the published rules made.
+    """
+    tables = (_group_table(group, _columns(group, members), label_order(kind)) for group, members in groups.items())
+    columns = "display:grid;grid-template-columns:repeat(auto-fill,minmax(min(100%,560px),1fr));gap:18px 28px"
+    return f'<div style="{columns}">{"".join(tables)}</div>'
+
+
+@dataclass(frozen=True)
+class _Column:
+    """One column of a table of labels. Shares are in percent; ``told`` says where the share of a label comes from."""
+
+    name: str
+    episodes: int
+    success_once: float
+    success_at_end: float
+    shares: Mapping[str, float]
+    told: Mapping[str, str]
+
+
+def _columns(group: Group, members: Sequence[SubtaskRecord]) -> list[_Column]:
+    columns = [_ours("mjhab, published rules", members, "legacy_label"), _ours("mjhab, own rules", members, "label")]
+    for policy in POLICIES if not group.way else ():
+        row = paper_row(group.task, group.kind, group.split, group.target, policy)
+        if row is not None:
+            told = dict.fromkeys(row.labels, f"Table {row.table}")
+            column = _Column(
+                f"paper {policy}", PAPER_EPISODES, row.success_once, row.success_at_end, row.labels, told
+            )  # fmt: skip
+            columns.append(column)
+    return columns
+
+
+def _ours(name: str, members: Sequence[SubtaskRecord], which: str) -> _Column:
+    count = len(members)
+    counts = Counter(getattr(member, which) for member in members)
+    return _Column(
+        name,
+        count,
+        100 * sum(member.success_once for member in members) / count,
+        100 * sum(member.success_at_end for member in members) / count,
+        {label: 100 * number / count for label, number in counts.items()},
+        {label: f"{number} of {count}" for label, number in counts.items()},
+    )
+
+
+def _group_table(group: Group, columns: Sequence[_Column], labels: Sequence[str]) -> str:
+    way = f" {group.way}" if group.way else ""
+    title = f"{group.task.replace('_', ' ')}, {group.split}{way}: <b>{escape(group.target)}</b>"
+    heads = "".join(f'<th class="n" style="white-space:normal">{escape(column.name)}</th>' for column in columns)
+    rows = [
+        _row("episodes", [f'<td class="n">{column.episodes:,}</td>' for column in columns]),
+        _row("success once", [_once(column) for column in columns]),
+        _row("success at end", [f'<td class="n">{column.success_at_end:.1f}</td>' for column in columns]),
+    ]
+    rows += [_row(label.replace("_", " "), [_share(label, column) for column in columns]) for label in labels]
+    head = f'<tr style="vertical-align:bottom"><th>{title}</th>{heads}</tr>'
+    return f'<div class="scroll"><table><thead>{head}</thead><tbody>{"".join(rows)}</tbody></table></div>'
+
+
+def _row(name: str, cells: Sequence[str]) -> str:
+    return f"<tr><td>{escape(name)}</td>{''.join(cells)}</tr>"
+
+
+def _once(column: _Column) -> str:
+    low, high = wilson(round(column.success_once / 100 * column.episodes), column.episodes)
+    title = f"95 %: {100 * low:.0f} to {100 * high:.0f}"
+    return f'<td class="n" title="{title}">{column.success_once:.1f}</td>'
+
+
+def _share(label: str, column: _Column) -> str:
+    """A cell in the colour of its label, the deeper the larger the share."""
+    percent = column.shares.get(label, 0.0)
+    shade = f"background:color-mix(in srgb,var(--{tone(label)}) {min(70.0, 0.7 * percent):.0f}%,transparent)"
+    text = f"{percent:.1f}" if percent else "·"
+    title = f"{column.name}, {label}: {column.told.get(label, 'none')}"
+    return f'<td class="n" style="{shade}" title="{escape(title)}">{text}</td>'

@@ -1,0 +1,98 @@
+"""Films of several episodes side by side, from their stored images."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from mjhab.data.store.reading import Episode, open_shard
+from mjhab.rollout.films import FILM_FPS, Film
+
+OpenFilm = Callable[[Path, int], Film]
+"""Opens a film file, given its path and frames per second."""
+MOST = 9
+"""Episodes in a mosaic."""
+EVERY = 4
+"""A frame every 4th control step of 20 Hz, played at 20 frames/s: four times the speed of life."""
+TILE = 160
+"""Side of an episode's picture [px]."""
+_CAMERAS = {"follow": 0, "fetch_head": 1}
+_GAP = 4
+_FAR = 4000.0
+"""Depth shown as black [mm]."""
+
+
+@dataclass(frozen=True)
+class Mosaic:
+    """A film as the bytes of an mp4, its width [px], and of how many episodes and which camera it is."""
+
+    film: bytes
+    width: int
+    episodes: int
+    camera: str
+
+
+def mosaic(members: Sequence[tuple[Path, str]], open_film: OpenFilm) -> Mosaic | None:
+    """A film of the first MOST of the episodes (shard, name) that have images; None if none has."""
+    with ExitStack() as stack:
+        shown: list[tuple[Episode, str, str]] = []
+        for path, name in members:
+            episode = stack.enter_context(open_shard(path)).episode(name)
+            image = _best(episode)
+            if image is not None:
+                shown.append((episode, *image))
+            if len(shown) == MOST:
+                break
+        if not shown:
+            return None
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        film = open_film(folder / "mosaic.mp4", FILM_FPS)
+        try:
+            for t in range(0, max(episode.steps for episode, _, _ in shown) + 1, EVERY):
+                film.add(_grid([_tile(episode, camera, output, t) for episode, camera, output in shown]))
+            film.close()
+        except BaseException:
+            film.abort()
+            raise
+        width = _columns(len(shown)) * (TILE + _GAP) - _GAP
+        return Mosaic((folder / "mosaic.mp4").read_bytes(), width, len(shown), f"{shown[0][1]} {shown[0][2]}")
+
+
+def _best(episode: Episode) -> tuple[str, str] | None:
+    """Camera and output to show: colour before depth; over the shoulder before the head before the hand."""
+    shown = [image for image in episode.images if image[1] in ("rgb", "depth")]
+    return min(shown, key=lambda image: (image[1] != "rgb", _CAMERAS.get(image[0], 2), image), default=None)
+
+
+def _tile(episode: Episode, camera: str, output: str, t: int) -> np.ndarray:
+    """One picture (TILE, TILE, 3); after its end an episode stands still."""
+    image = episode.frame(camera, output, min(t, episode.steps))
+    if output == "depth":
+        near = np.where(image > 0, 1.0 - np.minimum(image / _FAR, 1.0), 0.0)
+        image = np.repeat((255 * near).astype(np.uint8), 3, axis=2)
+    side = min(image.shape[:2])
+    top, left = (image.shape[0] - side) // 2, (image.shape[1] - side) // 2
+    square = Image.fromarray(np.ascontiguousarray(image[top : top + side, left : left + side]))
+    return np.asarray(square.resize((TILE, TILE), Image.Resampling.BILINEAR))
+
+
+def _grid(tiles: Sequence[np.ndarray]) -> np.ndarray:
+    columns = _columns(len(tiles))
+    rows = math.ceil(len(tiles) / columns)
+    pitch = TILE + _GAP
+    grid = np.full((rows * pitch - _GAP, columns * pitch - _GAP, 3), 24, np.uint8)
+    for number, tile in enumerate(tiles):
+        top, left = number // columns * pitch, number % columns * pitch
+        grid[top : top + TILE, left : left + TILE] = tile
+    return grid
+
+
+def _columns(tiles: int) -> int:
+    return 2 if tiles == 4 else min(tiles, math.isqrt(MOST))

@@ -1,0 +1,77 @@
+"""The trajectory labels that the MS-HAB paper published for its policies (Tables 6 to 13)."""
+
+from __future__ import annotations
+
+import csv
+import functools
+from dataclasses import dataclass
+from importlib.resources import files
+
+from mjhab.data.select.facts import type_name
+
+ORDER: dict[str, tuple[str, ...]] = {
+    "pick": (
+        "straightforward_success", "winding_success", "success_then_drop", "success_then_excessive_collisions",
+        "excessive_collision_failure", "mobility_failure", "cant_grasp_failure", "drop_failure", "too_slow_failure",
+    ),
+    "place": (
+        "placed_in_goal_success", "dropped_to_goal_success", "dubious_success", "winding_success",
+        "success_then_excessive_collisions", "excessive_collision_failure", "didnt_grasp_failure",
+        "didnt_reach_goal_failure", "place_in_goal_failure", "drop_to_goal_failure", "wont_let_go_failure",
+        "too_slow_failure",
+    ),
+    "open": (
+        "open_success", "dubious_success", "success_then_excessive_collisions", "excessive_collision_failure",
+        "cant_reach_articulation_failure", "closed_after_open_failure", "slightly_open_failure", "too_slow_failure",
+        "cant_open_failure",
+    ),
+    "close": (
+        "closed_success", "dubious_success", "success_then_excessive_collisions", "excessive_collision_failure",
+        "cant_reach_articulation_failure", "open_after_closing_failure", "slightly_closed_failure",
+        "too_slow_failure", "cant_close_failure",
+    ),
+}  # fmt: skip
+"""Labels in the order of the columns i, ii, ... of the tables (MS-HAB paper App. A.6)."""
+_COLUMNS = ("i", "ii", "iii", "iv", "v", "vi", "vii", "viii", "ix", "x", "xi", "xii")
+POLICIES = ("RL-Per", "RL-All", "IL")
+"""One policy per object, one for all of them (not for Open and Close), and imitation of the former."""
+
+
+@dataclass(frozen=True)
+class PaperRow:
+    """What the paper says of a policy, each number in percent; ``labels`` sum to 100 but for rounding."""
+
+    table: int
+    success_once: float
+    success_at_end: float
+    labels: dict[str, float]
+
+
+@functools.cache
+def _rows() -> dict[tuple[str, str, str, str, str], PaperRow]:
+    text = files("mjhab.data").joinpath("paper_labels.csv").read_text(encoding="utf-8")
+    rows = {}
+    for row in csv.DictReader(line for line in text.splitlines() if not line.startswith("#")):
+        names = ORDER[row["subtask"]]
+        labels = {name: float(row[column]) for name, column in zip(names, _COLUMNS, strict=False)}
+        key = (row["task"], row["subtask"], row["split"], row["target"], row["policy"])
+        rows[key] = PaperRow(int(row["paper_table"]), float(row["success_once"]), float(row["success_at_end"]), labels)
+    return rows
+
+
+def paper_row(task: str, subtask: str, split: str, target: str, policy: str) -> PaperRow | None:
+    """A row of the tables; None if the paper has no such row.
+
+    Args:
+        task, subtask, split: as in a record.
+        target: object type or link, with or without the number of the copy, or "all" objects of the task.
+        policy: one of POLICIES.
+    """
+    return _rows().get((task, subtask, split, _paper_target(target), policy))
+
+
+def _paper_target(target: str) -> str:
+    furniture, _, link = type_name(target).rpartition("/")
+    if furniture:
+        return "drawer" if "drawer" in link else furniture
+    return target.partition("_")[0]

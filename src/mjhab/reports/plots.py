@@ -1,0 +1,189 @@
+"""The charts of the report, as plotly figures in plain data; colours of text and grid come from the page."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from mjhab.reports.metrics import SubtaskRow
+from mjhab.rollout.records import EpisodeRecord
+from mjhab.tasks.plan import KIND_NAMES, TaskConfig
+
+Figure = dict[str, Any]
+
+KIND_COLORS = {
+    "pick": "#3b82f6",
+    "place": "#8b5cf6",
+    "navigate": "#94a3b8",
+    "open": "#f59e0b",
+    "close": "#14b8a6",
+}
+OTHER_COLOR = "#9ca3af"
+_TONES = {
+    "good": ("#16a34a", "#4ade80", "#15803d", "#86efac"),
+    "fair": ("#eab308", "#facc15", "#ca8a04", "#fde047"),
+    "bad": ("#dc2626", "#f97316", "#be185d", "#fb7185", "#7c2d12", "#c2410c", "#9f1239"),
+}
+_FAIR_STARTS = ("success_then", "dubious", "winding", "dropped_to_goal")
+
+
+def tone(label: str | None) -> str:
+    """Return ``"good"``, ``"fair"`` (succeeded, but not cleanly), ``"bad"`` or ``"none"`` for a trajectory label."""
+    if not label:
+        return "none"
+    if label.endswith("_failure"):
+        return "bad"
+    return "fair" if label.startswith(_FAIR_STARTS) else "good"
+
+
+def force_limits() -> dict[str, float]:
+    """Return the limit of cumulative force of every kind of subtask [N x control steps]."""
+    return {kind: getattr(TaskConfig, kind).force_limit for kind in KIND_NAMES}
+
+
+def progress_figure(rows: Sequence[SubtaskRow], curve: Sequence[float], bound: Sequence[float]) -> Figure:
+    """Progressive completion over the places of the plan, with its upper bound."""
+    names = [f"{(row.position or 0) + 1} {row.kind}" for row in rows]
+    hover = [f"{row.kind} {row.target}" for row in rows]
+    common = {"x": names, "type": "scatter", "text": hover}
+    return {
+        "data": [
+            {
+                **common,
+                "y": list(bound),
+                "name": "independent upper bound",
+                "mode": "lines+markers",
+                "line": {"dash": "dot", "width": 2, "color": "#94a3b8"},
+                "marker": {"size": 6, "symbol": "diamond"},
+                "hovertemplate": "%{text}<br>bound %{y:.1%}<extra></extra>",
+            },
+            {
+                **common,
+                "y": list(curve),
+                "name": "completed so far",
+                "mode": "lines+markers",
+                "fill": "tozeroy",
+                "fillcolor": "rgba(20,184,166,0.15)",
+                "line": {"width": 3, "color": "#14b8a6"},
+                "marker": {"size": 7},
+                "hovertemplate": "%{text}<br>%{y:.1%} of episodes<extra></extra>",
+            },
+        ],
+        "layout": {
+            "height": 340,
+            "yaxis": {"range": [0, 1.04], "tickformat": ".0%", "title": {"text": "episodes"}},
+            "xaxis": {"type": "category", "tickangle": -40},
+            "legend": {"orientation": "h", "y": 1.14},
+        },
+    }
+
+
+def labels_figure(counts: Mapping[str, Counter[str]], order: Sequence[str] = KIND_NAMES) -> Figure:
+    """Stacked bars: share of every trajectory label within each kind of subtask, or whatever ``order`` names."""
+    kinds = [kind for kind in order if kind in counts]
+    totals = {kind: sum(counts[kind].values()) for kind in kinds}
+    labels = sorted({label for kind in kinds for label in counts[kind]}, key=_label_order)
+    used: Counter[str] = Counter()
+    data = []
+    for label in labels:
+        shades = _TONES[tone(label)]
+        color = shades[used[tone(label)] % len(shades)]
+        used[tone(label)] += 1
+        data.append(
+            {
+                "type": "bar",
+                "orientation": "h",
+                "name": label.replace("_", " "),
+                "y": [f"{kind} ({totals[kind]})" for kind in kinds],
+                "x": [counts[kind][label] / totals[kind] for kind in kinds],
+                "customdata": [counts[kind][label] for kind in kinds],
+                "marker": {"color": color},
+                "hovertemplate": f"{label}<br>%{{customdata}} of %{{y}}: %{{x:.1%}}<extra></extra>",
+            }
+        )
+    return {
+        "data": data,
+        "layout": {
+            "barmode": "stack",
+            "height": 130 + 46 * len(kinds) + 18 * len(labels) // 3,
+            "bargap": 0.35,
+            "xaxis": {"range": [0, 1.001], "tickformat": ".0%"},
+            "yaxis": {"autorange": "reversed"},
+            "legend": {"orientation": "h", "y": -0.18, "traceorder": "normal"},
+        },
+    }
+
+
+def _label_order(label: str) -> tuple[int, str]:
+    return ("good", "fair", "bad").index(tone(label)), label
+
+
+def force_figure(record: EpisodeRecord) -> Figure:
+    """Robot force of every control step, and its sum within the subtask against the limit."""
+    limits, force = force_limits(), np.asarray(record.force, float)
+    data: list[dict[str, Any]] = []
+    drawn: set[str] = set()
+    highest = 1.0
+    for kind, target, start, end in _spans(record):
+        steps = list(range(start + 1, end + 1))
+        total = np.cumsum(force[start:end])
+        highest = max(highest, float(total[-1]))
+        name = f"{kind} {target}"
+        common = {"type": "scatter", "mode": "lines", "x": steps, "legendgroup": kind}
+        color = KIND_COLORS.get(kind, OTHER_COLOR)
+        fill = {"fill": "tozeroy", "line": {"color": color, "width": 1}}
+        top = {"y": force[start:end].tolist(), "name": kind, "showlegend": kind not in drawn, **fill}
+        top["hovertemplate"] = f"{name}<br>step %{{x}}: %{{y:.1f}} N<extra></extra>"
+        low = {
+            "y": np.round(total, 1).tolist(),
+            "showlegend": False,
+            "yaxis": "y2",
+            "line": {"color": color, "width": 2},
+        }
+        low["hovertemplate"] = f"{name}<br>sum up to step %{{x}}: %{{y:.0f}}<extra></extra>"
+        data += [{**common, **top}, {**common, **low}]
+        drawn.add(kind)
+        limit = limits.get(kind, math.inf)
+        if math.isfinite(limit):
+            data.append(_limit_line(start, end, limit, "limit" not in drawn))
+            drawn.add("limit")
+            highest = max(highest, limit)
+    return {"data": data, "layout": _force_layout(record.steps, highest)}
+
+
+def _spans(record: EpisodeRecord) -> list[tuple[str, str, int, int]]:
+    """Kind, target, start and end step of every stretch; what no subtask covers (a cut episode) comes last."""
+    spans = [(s.kind, s.target, s.start_step, min(s.end_step, record.steps)) for s in record.subtasks]
+    last = max((end for *_, end in spans), default=0)
+    if last < record.steps:
+        spans.append(("unfinished", "", last, record.steps))
+    return [span for span in spans if span[3] > span[2]]
+
+
+def _limit_line(start: int, end: int, limit: float, legend: bool) -> dict[str, Any]:
+    return {
+        "type": "scatter",
+        "mode": "lines",
+        "x": [start, end],
+        "y": [limit, limit],
+        "yaxis": "y2",
+        "name": "limit of the sum",
+        "legendgroup": "limit",
+        "showlegend": legend,
+        "line": {"color": "#dc2626", "width": 2, "dash": "dash"},
+        "hovertemplate": f"limit {limit:.0f}<extra></extra>",
+    }
+
+
+def _force_layout(steps: int, highest: float) -> dict[str, Any]:
+    return {
+        "height": 460,
+        "xaxis": {"title": {"text": "control step (20 per second)"}, "range": [0, max(steps, 1)], "anchor": "y2"},
+        "yaxis": {"title": {"text": "force [N]"}, "domain": [0.56, 1.0], "rangemode": "tozero"},
+        "yaxis2": {"title": {"text": "sum [N x steps]"}, "domain": [0.0, 0.46], "range": [0, 1.08 * highest]},
+        "legend": {"orientation": "h", "y": 1.12},
+    }

@@ -1,0 +1,96 @@
+"""Control modes of the robot: named actions, and what the actuators are told (mani_skill/agents/controllers)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+
+import numpy as np
+
+from mjhab.core.arrays import Array
+from mjhab.core.errors import UsageError, unknown_name
+from mjhab.robots.controllers.arm import (
+    Arm,
+    JointDelta,
+    JointPosition,
+    JointPositionVelocity,
+    JointTargetDelta,
+    JointVelocity,
+)
+from mjhab.robots.controllers.controller import BASES, STATIONARY, Controller
+from mjhab.robots.controllers.end_effector import EndEffector
+from mjhab.robots.controllers.table import ActionEntry, ActionLimits
+
+__all__ = [
+    "BASES", "CONTROL_MODES", "DEFAULT_MODE", "STATIONARY", "ActionEntry", "ActionLimits", "Controller",
+    "check_actions", "make_controller",
+]  # fmt: skip
+
+DEFAULT_MODE = "pd_joint_delta_pos"
+"""The mode of MS-HAB: every policy and expert speaks it."""
+_STIFF_BODY = "pd_joint_delta_pos_stiff_body"
+_ARMS: dict[str, Callable[[int, ActionLimits, Array], Arm]] = {
+    DEFAULT_MODE: JointDelta,
+    "pd_joint_target_delta_pos": JointTargetDelta,
+    "pd_joint_pos": JointPosition,
+    "pd_joint_vel": JointVelocity,
+    "pd_joint_pos_vel": partial(JointPositionVelocity, delta=False),
+    "pd_joint_delta_pos_vel": partial(JointPositionVelocity, delta=True),
+    "pd_ee_delta_pos": partial(EndEffector, start="measured", rotates=False),
+    "pd_ee_delta_pose": partial(EndEffector, start="measured"),
+    "pd_ee_delta_pose_align": partial(EndEffector, start="measured", own_axes=True),
+    "pd_ee_target_delta_pos": partial(EndEffector, start="target", rotates=False),
+    "pd_ee_target_delta_pose": partial(EndEffector, start="target"),
+    "pd_ee_pose": partial(EndEffector, start="absolute"),
+    _STIFF_BODY: JointDelta,
+}
+CONTROL_MODES: tuple[str, ...] = tuple(_ARMS)
+
+
+def make_controller(
+    mode: str = DEFAULT_MODE,
+    num_worlds: int = 1,
+    *,
+    base: str = "forward",
+    stationary: Sequence[str] = (),
+    limits: ActionLimits | None = None,
+    like: Array | None = None,
+) -> Controller:
+    """The controller of a mode.
+
+    Args:
+        mode: one of CONTROL_MODES.
+        num_worlds: W.
+        base: "forward" ([forward, yaw rate], as MS-HAB) or "holonomic" ([forward, left, yaw rate]).
+        stationary: parts whose numbers count as zero, of "head", "torso", "base" (mshab/envs/wrappers/action.py); a
+            stiff body holds them where they were at the reset.
+        limits: what ±1 means.
+        like: an array of the library, device and dtype of the simulator's joint positions; numpy float64 if not given.
+
+    Raises:
+        UsageError: a name that is not in these lists.
+    """
+    if mode not in _ARMS:
+        raise unknown_name("control mode", mode, CONTROL_MODES)
+    limits = limits or ActionLimits()
+    arm = _ARMS[mode](num_worlds, limits, np.zeros(0) if like is None else like)
+    return Controller(mode, arm, limits, stiff_body=mode == _STIFF_BODY, base=base, stationary=stationary)
+
+
+def check_actions(actions: np.ndarray, table: Sequence[ActionEntry], num_worlds: int) -> np.ndarray:
+    """Actions of any number type as float32 (W, A).
+
+    Raises:
+        UsageError: wrong shape or type, or a number that is not finite: says in which world and dimension.
+    """
+    actions = np.asarray(actions)
+    if actions.dtype.kind not in "fiu":
+        raise UsageError(f"actions must be numbers (float32), got an array of type {actions.dtype}")
+    if actions.shape != (num_worlds, len(table)):
+        raise UsageError(f"actions must have shape ({num_worlds}, {len(table)}), got {actions.shape}")
+    if not np.isfinite(actions).all():
+        world, dim = (int(i) for i in np.argwhere(~np.isfinite(actions))[0])
+        raise UsageError(
+            f"actions must be finite; world {world} has {actions[world, dim]} in dimension {dim} ({table[dim].name})"
+        )
+    return actions.astype(np.float32, copy=False)

@@ -1,0 +1,269 @@
+"""The built-in homes: five macro layouts, each with micro layouts that shift and re-deal the furniture.
+
+Macro layouts 0, 1, 2 are for training, 3 for validation, 4 for testing, as in ReplicaCAD's staging scenes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+from typing import Literal
+
+import numpy as np
+
+from mjhab.core.errors import UsageError
+from mjhab.core.seeding import stream
+from mjhab.scenes.builtin.furniture import builtin_articulations, builtin_props
+from mjhab.scenes.builtin.home_cache import cached_homes
+from mjhab.scenes.builtin.home_plans import HARD, PLANS, SMALL, Piece, Plan, Wall
+from mjhab.scenes.freespace import BASE_RADIUS, free_map, reach
+from mjhab.scenes.shapes.footprints import Footprint, footprint, rectangle
+from mjhab.scenes.shapes.shapes import span
+from mjhab.scenes.spec import Articulation, Geom, Home, Light, Pack, Placement, Prop
+
+MICROS = 21
+"""Micro layouts per macro layout."""
+WALL_HEIGHT = 2.6
+WALL_THICK = 0.12
+Key = tuple[int, int]
+VERSION_ONE: tuple[Key, ...] = ((0, 0), (0, 1), (1, 0), (2, 0), (3, 0), (4, 0))
+"""(macro, micro) of six homes, enough to try things quickly."""
+EVERY: tuple[Key, ...] = tuple((macro, micro) for macro in range(len(PLANS)) for micro in range(MICROS))
+"""(macro, micro) of all 105 homes."""
+LISTED = EVERY
+"""(macro, micro) of the homes that the pack lists."""
+
+MAX_REACH_CENTER = 0.85
+"""Farthest that the centre of a receptacle may lie from where a base can stand [m]."""
+MAX_REACH_ANY = 1.0
+"""The same for any point of a receptacle [m]."""
+ONE_PIECE = 0.94
+"""Least share of the free floor that must be connected; the rest are nooks behind furniture."""
+
+Zone = tuple[tuple[float, float], tuple[float, float]]
+KEEP_CLEAR: dict[str, Zone] = {
+    "kitchen_counter": ((0.40, 1.95), (-1.40, 1.40)),
+    "fridge": ((0.42, 1.90), (-0.80, 1.15)),
+}
+"""Floor in front of what opens, in its frame: x and y extents [m] that stay free for doors, drawers and a robot."""
+FRIDGE_HALF = 0.345
+"""Half the width of the fridge [m]."""
+
+# how far a micro layout may move a piece: across, along its own y axis [m], turn [rad]
+_SHIFTS: dict[str, tuple[float, float, float]] = {
+    "table_01": (0.10, 0.12, 0.06),
+    "chair_01": (0.06, 0.08, 0.30),
+    "table_02": (0.10, 0.12, 0.10),
+    "rug_01": (0.10, 0.15, 0.08),
+    "rug_02": (0.10, 0.15, 0.08),
+}
+_ALONG_WALL = (0.0, 0.12, 0.0)
+_SMALL_SHIFT = (0.05, 0.05, math.pi)
+_TRIES = 400
+
+
+def split_of(macro: int) -> Literal["train", "val", "test"]:
+    """The split of a macro layout."""
+    return "train" if macro < 3 else ("val" if macro == 3 else "test")
+
+
+def builtin_homes(keys: Sequence[Key] = LISTED) -> tuple[Home, ...]:
+    """The homes of the built-in pack, furnished once and then read from the cache.
+
+    Args:
+        keys: (macro, micro) of the homes.
+    """
+    return cached_homes("builtin", keys, bare_home, make_home)
+
+
+@cache
+def make_home(macro: int, micro: int) -> Home:
+    """Furnish one home. The same (macro, micro) is the same home everywhere.
+
+    Args:
+        macro: 0..4, chooses walls and the places of kitchen and large furniture.
+        micro: 0..20, shifts furniture; 0 is the plan as drawn.
+
+    Raises:
+        UsageError: out of range.
+    """
+    return _furnish(bare_home(macro, micro), plan_of(macro, micro))
+
+
+def bare_home(macro: int, micro: int) -> Home:
+    """One home with walls, kitchen and lamps but no props yet; arguments and errors as in `make_home`."""
+    plan, hard = plan_of(macro, micro), HARD.get((macro, micro))
+    width, depth = plan.size
+    kitchen = tuple(_place(p) for p in plan.kitchen)
+    rooms = tuple(span(_x(r.extent), _y(r.extent), (-0.02, 0.001), r.floor, collide=False) for r in plan.rooms)
+    note, limits = (hard.note, hard.limits) if hard else ("", ())
+    return Home(
+        f"builtin_m{macro}_{micro:02d}",
+        "builtin",
+        split_of(macro),
+        macro,
+        micro,
+        wall_geoms(plan),
+        (0.0, 0.0, width, depth),
+        plan.rooms[0].floor,
+        (),
+        kitchen,
+        _lights(plan),
+        rooms,
+        note,
+        limits,
+    )
+
+
+def plan_of(macro: int, micro: int) -> Plan:
+    """Plan of the macro layout; hard cases have their fridge elsewhere.
+
+    Raises:
+        UsageError: out of range.
+    """
+    if not (0 <= macro < len(PLANS) and 0 <= micro < MICROS):
+        raise UsageError(f"no home ({macro}, {micro}): macro is 0..{len(PLANS) - 1}, micro 0..{MICROS - 1}.")
+    plan, hard = PLANS[macro], HARD.get((macro, micro))
+    return replace(plan, kitchen=(plan.kitchen[0], hard.fridge)) if hard else plan
+
+
+def _x(extent: tuple[float, float, float, float]) -> tuple[float, float]:
+    return extent[0], extent[2]
+
+
+def _y(extent: tuple[float, float, float, float]) -> tuple[float, float]:
+    return extent[1], extent[3]
+
+
+def _lights(plan: Plan) -> tuple[Light, ...]:
+    """One lamp under the ceiling of each room."""
+    return tuple(
+        Light(((e[0] + e[2]) / 2, (e[1] + e[3]) / 2, 2.4), intensity=1.0) for e in (room.extent for room in plan.rooms)
+    )
+
+
+def _place(piece: Piece) -> Placement:
+    return Placement(piece[0], (piece[1], piece[2], 0.0), math.radians(piece[3]))
+
+
+def wall_geoms(plan: Plan) -> tuple[Geom, ...]:
+    """Wall boxes of a plan: four outer walls around the floor, then inner walls split at their doorways."""
+    (w, d), t = plan.size, WALL_THICK
+    outer = [
+        span((-t, w + t), (-t, 0.0), (0.0, WALL_HEIGHT), plan.outer_wall),
+        span((-t, w + t), (d, d + t), (0.0, WALL_HEIGHT), plan.outer_wall),
+        span((-t, 0.0), (0.0, d), (0.0, WALL_HEIGHT), plan.outer_wall),
+        span((w, w + t), (0.0, d), (0.0, WALL_HEIGHT), plan.outer_wall),
+    ]
+    return (*outer, *(geom for wall in plan.walls for geom in _inner_wall(wall, plan.inner_wall)))
+
+
+def _inner_wall(wall: Wall, material: str) -> list[Geom]:
+    stops = [wall.start, *(s for gap in wall.gaps for s in gap), wall.end]
+    across = (wall.at - WALL_THICK / 2, wall.at + WALL_THICK / 2)
+    pieces = []
+    for a, b in zip(stops[::2], stops[1::2], strict=True):
+        x, y = ((a, b), across) if wall.axis == "x" else (across, (a, b))
+        pieces.append(span(x, y, (0.0, WALL_HEIGHT), material))
+    return pieces
+
+
+def _furnish(home: Home, plan: Plan) -> Home:
+    """Place the props: nothing overlaps, the clear zones stay free, and a robot reaches every receptacle.
+
+    Raises:
+        RuntimeError: the plan leaves no room (a plan that was edited wrongly; tests build every home).
+    """
+    rng = stream(0, "home", home.macro, home.micro)
+    taken = _blocked(plan, keep_clear(home.macro, home.micro))
+    for _ in range(_TRIES):
+        placed = _try_furnish(plan, home.micro, rng, list(taken))
+        if placed is not None:
+            furnished = replace(home, props=placed)
+            if usable(furnished, _templates_pack()):
+                return furnished
+    raise RuntimeError(f"{home.name}: no usable arrangement of the furniture in {_TRIES} tries")
+
+
+def usable(home: Home, pack: Pack) -> bool:
+    """Whether the free floor is one piece (but for nooks) from which every receptacle can be reached."""
+    free = free_map(home, pack)
+    share = free.navigable().sum() / max((free.clearance >= BASE_RADIUS).sum(), 1)
+    return bool(share >= ONE_PIECE) and all(
+        r.center <= MAX_REACH_CENTER and r.farthest <= MAX_REACH_ANY for r in reach(home, pack, free)
+    )
+
+
+def _try_furnish(
+    plan: Plan, micro: int, rng: np.random.Generator, taken: list[Footprint]
+) -> tuple[Placement, ...] | None:
+    order = np.arange(len(plan.spots)) if micro == 0 else rng.permutation(len(plan.spots))
+    small = [_place((name, *plan.spots[k])) for name, k in zip(SMALL, order, strict=False)]
+    result: list[Placement] = []
+    for group, tries in (([_place(p) for p in plan.fixed], 1), ([_place(p) for p in plan.loose], 12), (small, 12)):
+        for placement in group:
+            spot = _settle(placement, taken, rng, 1 if micro == 0 else tries)
+            if spot is None:
+                return None
+            result.append(spot)
+    return tuple(result)
+
+
+def keep_clear(macro: int, micro: int) -> dict[str, Zone]:
+    """Zone in front of each articulation of one home; where a wall stands beside the fridge, it ends there."""
+    hard = HARD.get((macro, micro))
+    if hard is None:
+        return KEEP_CLEAR
+    x, (low, high) = KEEP_CLEAR["fridge"]
+    return {**KEEP_CLEAR, "fridge": (x, (low, min(high, FRIDGE_HALF + hard.side)))}
+
+
+def _blocked(plan: Plan, clear: dict[str, Zone]) -> list[Footprint]:
+    """Walls, kitchen and clear zones, as floor areas that props must not enter."""
+    taken = []
+    for wall in wall_geoms(plan):
+        (x, y, _), (hx, hy, hz) = wall.pos, wall.size
+        corners = rectangle(Placement("wall", (x, y, 0.0)), (-hx, hx), (-hy, hy))
+        taken.append(Footprint("wall", corners, (0.0, 2 * hz)))
+    for piece in plan.kitchen:
+        at = _place(piece)
+        body = footprint(at, _template(at.template))
+        assert body is not None
+        taken.append(body)
+        taken.append(Footprint("zone", rectangle(at, *clear[at.template]), (0.0, WALL_HEIGHT)))
+    return taken
+
+
+@cache
+def _templates_pack() -> Pack:
+    return Pack("builtin", builtin_props(), builtin_articulations(), (), {})
+
+
+def _template(name: str) -> Prop | Articulation:
+    pack = _templates_pack()
+    return pack.props.get(name) or pack.articulations[name]
+
+
+def _settle(placement: Placement, taken: list[Footprint], rng: np.random.Generator, tries: int) -> Placement | None:
+    """Try shifted poses until one is free, then take its floor; None if there is none."""
+    movable = tries > 1
+    for _ in range(tries):
+        pose = _shift(placement, rng) if movable else placement
+        area = footprint(pose, _template(pose.template))
+        if area is None:
+            return pose
+        if not any(area.meets(other) for other in taken):
+            taken.append(area)
+            return pose
+    return None
+
+
+def _shift(placement: Placement, rng: np.random.Generator) -> Placement:
+    small = placement.template in SMALL
+    across, along, turn = _SMALL_SHIFT if small else _SHIFTS.get(placement.template, _ALONG_WALL)
+    a, b, yaw = (rng.uniform(-1.0, 1.0, 3) * (across, along, turn)).tolist()
+    c, s = math.cos(placement.yaw), math.sin(placement.yaw)
+    x, y, z = placement.pos
+    return Placement(placement.template, (x + c * a - s * b, y + s * a + c * b, z), placement.yaw + yaw)

@@ -1,0 +1,279 @@
+"""Furniture of ReplicaCAD: rigid objects, and URDFs either with joints or welded.
+
+Template frames keep the origin of the data set, turned to +z up; the fronts of counter, fridge and cupboards look
+along +x.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mjhab.core.errors import UsageError
+from mjhab.core.rotations import mat_from_quat
+from mjhab.scenes.formats.gltf import read_glb, read_hulls
+from mjhab.scenes.formats.urdf import Urdf, UrdfBox, UrdfJoint, UrdfLink, UrdfVisual, read_urdf
+from mjhab.scenes.replica_cad import handles
+from mjhab.scenes.replica_cad.files import FETCH, TO_Z_UP, load_json, place, point, quat_of, short_name
+from mjhab.scenes.replica_cad.looks import Looks
+from mjhab.scenes.replica_cad.receptacles import fit, spaces
+from mjhab.scenes.shapes.footprints import outline
+from mjhab.scenes.shapes.hulls import hull_mesh
+from mjhab.scenes.shapes.meshes import Mesh
+from mjhab.scenes.spec import Articulation, Geom, Handle, Link, Placement, Prop, Receptacle
+
+ARTICULATED = {"kitchen_counter": handles.drawer, "fridge": handles.door}
+"""Furniture that opens; everything else that has joints in its URDF is welded shut, unless it is asked for."""
+OPTIONAL = {"kitchen_cupboards": "kitchenCupboard_01", "cabinet": "cabinet", "chest_of_drawers": "chestOfDrawers_01"}
+"""Furniture that opens when it is asked for: folder of the URDF, and name of the template."""
+_FRONT = {"cabinet": (0.0, 0.0, 1.0)}
+"""Axis of the links that points out of the front, where it is not x."""
+FLAT_WORDS = ("rug", "mat", "carpet")
+"""Names of things the base drives over (ManiSkill's ReplicaCAD scene builder uses the same words)."""
+MATERIAL = "plain_white"
+
+
+@dataclass(eq=False)
+class Furniture:
+    """What has been read so far: templates by name, their collision meshes, and the looks still to be painted."""
+
+    folder: Path
+    articulate: tuple[str, ...] = ()
+    """Keys of `OPTIONAL` that open too."""
+    props: dict[str, Prop] = field(default_factory=dict)
+    articulations: dict[str, Articulation] = field(default_factory=dict)
+    meshes: dict[str, Mesh] = field(default_factory=dict)
+    looks: Looks = field(default_factory=Looks)
+    missing: list[Path] = field(default_factory=list)
+    """Render meshes that are not there; their collision pieces are drawn instead."""
+    upright: dict[str, np.ndarray] = field(default_factory=dict)
+    """Rotation (3, 3) from the axes of the data set to the template frame, of furniture with joints."""
+    _scale: dict[str, float] = field(default_factory=dict)
+
+    def rigid(self, template: str) -> str:
+        """Read a rigid object of the data set unless it has been read; returns our name of it."""
+        name = short_name(template)
+        if name not in self.props:
+            self.props[name] = self._rigid(name, template.rsplit("/", 1)[-1])
+        return name
+
+    def jointed(self, template: str, scale: float, at: Placement) -> Placement:
+        """Read a URDF of the data set unless it has been read.
+
+        Args:
+            template: its name in the data set. scale: ``uniform_scale`` of the instance.
+            at: where the scene puts its root link.
+
+        Returns:
+            Where the scene puts our template of it: the same, unless the data set lays the root link on its side.
+
+        Raises:
+            UsageError: it was read before with another scale, or its files are missing or broken.
+        """
+        name = short_name(template)
+        if self._scale.setdefault(name, scale) != scale:
+            raise UsageError(
+                f"{self.folder}: {name!r} has uniform_scale {self._scale[name]} in one scene and {scale} in another; "
+                "scenes of one pack must agree."
+            )
+        world = mat_from_quat(np.array(at.rotation))
+        if name not in self.upright:
+            self.upright[name] = _righted(world) @ TO_Z_UP
+            urdf, path = self._urdf(name)
+            if name in ARTICULATED or name in {OPTIONAL[key] for key in self.articulate}:
+                self.articulations[name] = self._articulation(name, urdf, path, scale)
+            else:
+                self.props[name] = self._welded(name, urdf, path, scale)
+        return place(name, np.array(at.pos), world @ TO_Z_UP @ self.upright[name].T)
+
+    # -- rigid objects ---------------------------------------------------------------------------------------------
+
+    def _rigid(self, name: str, stem: str) -> Prop:
+        path = self.folder / "configs" / "objects" / f"{stem}.object_config.json"
+        body = load_json(path)
+        look = _asset(path, body, "render_asset")
+        if not body.get("use_bounding_box_for_collision") and "collision_asset" in body:
+            geoms = self._hulls(name, read_hulls(_asset(path, body, "collision_asset")), drawn=not look.is_file())
+        elif look.is_file():
+            points = np.concatenate([p.vertices for p in read_glb(look, textures=False)]) @ TO_Z_UP.T
+            low, high = points.min(0), points.max(0)
+            geoms = [Geom("box", point((high - low) / 2), point((high + low) / 2), visual=False)]
+        else:
+            raise UsageError(f"{path}: field 'render_asset' names {look}, which does not exist; {FETCH}.")
+        if look.is_file():
+            geoms.append(self._look(name, f"{name}/look", [(look, _as_pose(TO_Z_UP))]))
+        else:
+            self.missing.append(look)
+        blocks = not any(word in name.split("_") for word in FLAT_WORDS)
+        pieces = [outline(g, self.meshes) for g in geoms if g.collide]
+        places = [fit(space, pieces) for space in spaces(path, body, {"": _as_pose(TO_Z_UP)})]
+        return Prop(name, tuple(geoms), tuple(p for p in places if p), blocks)
+
+    def _hulls(self, name: str, hulls: list[np.ndarray], *, drawn: bool) -> list[Geom]:
+        geoms = []
+        for k, points in enumerate(hulls):
+            mesh = f"{name}/hull_{k}"
+            self.meshes[mesh] = hull_mesh(points @ TO_Z_UP.T)
+            geoms.append(Geom("mesh", (1.0, 1.0, 1.0), material="steel", mesh=mesh, visual=drawn))
+        return geoms
+
+    def _look(self, name: str, mesh: str, parts: list[tuple[Path, np.ndarray]]) -> Geom:
+        for file, pose in parts:
+            if not file.is_file():
+                raise UsageError(f"{name}: render mesh {file} does not exist; {FETCH}.")
+            self.looks.add(mesh, file, pose)
+        return Geom("mesh", (1.0, 1.0, 1.0), material=MATERIAL, mesh=mesh, collide=False)
+
+    # -- furniture from URDFs --------------------------------------------------------------------------------------
+
+    def _urdf(self, name: str) -> tuple[Urdf, Path]:
+        paths = sorted(self.folder.glob(f"urdf/*/{name}.urdf"))
+        if not paths:
+            raise UsageError(f"{self.folder / 'urdf'} has no {name}.urdf, which a scene names; {FETCH}.")
+        return read_urdf(paths[0]), paths[0]
+
+    def _frames(self, name: str, urdf: Urdf, scale: float) -> dict[str, np.ndarray]:
+        """Pose (4, 4) of every link in the template frame, all joints at 0."""
+        out = {}
+        for link in urdf.links:
+            pose = urdf.pose(link)
+            pose[:3, 3] *= scale
+            out[link] = _as_pose(self.upright[name]) @ pose
+        return out
+
+    def _welded(self, name: str, urdf: Urdf, path: Path, scale: float) -> Prop:
+        frames = self._frames(name, urdf, scale)
+        geoms: list[Geom] = []
+        for link in urdf.links.values():
+            geoms += _boxes(link.boxes, frames[link.name], scale)
+        seen = [v for link in urdf.links.values() for v in _placed(link, frames[link.name], scale)]
+        geoms.append(self._look(name, f"{name}/look", seen))
+        places = self._receptacles(path, frames, scale, geoms, {})
+        return Prop(name, tuple(geoms), places)
+
+    def _articulation(self, name: str, urdf: Urdf, path: Path, scale: float) -> Articulation:
+        frames = self._frames(name, urdf, scale)
+        fixed = [k for k in urdf.links if urdf.moving(k) == urdf.root]
+        body: list[Geom] = [g for k in fixed for g in _boxes(urdf.links[k].boxes, frames[k], scale)]
+        seen = [v for k in fixed for v in _placed(urdf.links[k], frames[k], scale)]
+        body.append(self._look(name, f"{name}/look", seen))
+        links = []
+        for joint in urdf.joints.values():
+            if joint.kind == "fixed":
+                continue
+            if urdf.moving(joint.parent) != urdf.root:
+                raise UsageError(f"{path}: joint {joint.name!r}: joints on moving links are not supported.")
+            links.append(self._link(name, path, urdf.links[joint.child], joint, frames[joint.child], scale))
+        moved = {link.name: np.array(link.pos) for link in links}
+        shapes = [*body, *(_shifted(g, link.pos) for link in links for g in link.geoms)]
+        places = self._receptacles(path, frames, scale, shapes, moved)
+        return Articulation(name, tuple(body), tuple(links), places)
+
+    def _link(self, name: str, path: Path, link: UrdfLink, joint: UrdfJoint, frame: np.ndarray, scale: float) -> Link:
+        shapes, grip = self._grip(name, path, link, scale)
+        origin = frame[:3, 3]
+        local = frame.copy()
+        local[:3, 3] = 0.0
+        geoms = _boxes(shapes, local, scale)
+        geoms.append(self._look(name, f"{name}/{link.name}/look", _placed(link, local, scale)))
+        turn = frame[:3, :3]
+        published = handles.PUBLISHED.get(link.name) if name in ARTICULATED else None
+        handle = Handle(
+            point(turn @ grip.pos * scale), point(turn @ grip.bar), point(turn @ grip.out),
+            grip.half_length * scale, grip.thickness * scale,
+            point(turn @ np.array(published)) if published else None,
+        )  # fmt: skip
+        slide = joint.kind == "prismatic"
+        low, high = (limit * scale if slide else limit for limit in joint.limits)
+        # Some doors of the data set open towards negative positions; ours open upwards.
+        mirrored = high <= 0.0
+        axis, (low, high) = (-joint.axis, (0.0 - high, -low)) if mirrored else (joint.axis, (low, high))
+        # Scaling a body by s scales its mass by s^3 (SAPIEN's convention, which ManiSkill uses for this data set).
+        return Link(
+            link.name, "slide" if slide else "hinge", point(turn @ axis), (low, high), point(origin),
+            link.mass * scale**3, tuple(geoms), handle, mirrored,
+        )  # fmt: skip
+
+    @staticmethod
+    def _grip(name: str, path: Path, link: UrdfLink, scale: float) -> tuple[tuple[UrdfBox, ...], handles.Grip]:
+        """Collision boxes of a link and its handle."""
+        if not link.boxes:
+            raise UsageError(f"{path}: link {link.name!r} of {name!r} has no collision boxes.")
+        if name not in ARTICULATED:
+            return link.boxes, handles.plain(link.boxes, np.array(_FRONT.get(name, (1.0, 0.0, 0.0))), scale)
+        try:
+            return ARTICULATED[name](link.name, link.boxes)
+        except KeyError as error:
+            raise UsageError(f"{path}: link {link.name!r} of {name!r} has no known handle.") from error
+
+    def _receptacles(
+        self, path: Path, frames: dict[str, np.ndarray], scale: float, geoms: list[Geom], moved: dict[str, np.ndarray]
+    ) -> tuple[Receptacle, ...]:
+        config = path.with_suffix(".ao_config.json")
+        body: dict[str, Any] = load_json(config) if config.is_file() else {}
+        pieces = [outline(g, self.meshes) for g in geoms if g.collide]
+        places = []
+        for space in spaces(config, body, frames, scale):
+            link = space.link if space.link in moved else ""
+            places.append(fit(space, pieces, link, moved.get(link)))
+        return tuple(p for p in places if p)
+
+
+def _asset(path: Path, body: dict[str, Any], key: str) -> Path:
+    """The file a config names; it need not exist."""
+    if not isinstance(body.get(key), str):
+        raise UsageError(f"{path}: field {key!r} is missing or not a file name.")
+    return (path.parent / body[key]).resolve()
+
+
+def _righted(world: np.ndarray) -> np.ndarray:
+    """The rotation (3, 3) that turns the axis of a frame which is nearest to upright in the world to +z."""
+    up = world[2]
+    axis = np.zeros(3)
+    axis[np.abs(up).argmax()] = np.sign(up[np.abs(up).argmax()])
+    if axis[2] == 1.0:
+        return np.eye(3)
+    if axis[2] == -1.0:
+        return np.diag([1.0, -1.0, -1.0])
+    side = np.cross(axis, [0.0, 0.0, 1.0])
+    return np.stack([side, np.cross([0.0, 0.0, 1.0], side), [0.0, 0.0, 1.0]]).T @ np.stack(
+        [side, np.cross(axis, side), axis]
+    )
+
+
+def _as_pose(rotation: np.ndarray) -> np.ndarray:
+    pose = np.eye(4)
+    pose[:3, :3] = rotation
+    return pose
+
+
+def _boxes(boxes: tuple[UrdfBox, ...], frame: np.ndarray, scale: float) -> list[Geom]:
+    """Collision boxes of a link whose scaled frame is ``frame`` (4, 4)."""
+    out = []
+    for box in boxes:
+        pos = frame[:3, :3] @ (scale * box.pose[:3, 3]) + frame[:3, 3]
+        turn = quat_of(frame[:3, :3] @ box.pose[:3, :3])
+        out.append(Geom("box", point(scale * box.half), point(pos), turn, material=MATERIAL, visual=False))
+    return out
+
+
+def _placed(link: UrdfLink, frame: np.ndarray, scale: float) -> list[tuple[Path, np.ndarray]]:
+    """Files of a link and the map (4, 4) of their points into the frame that ``frame`` is given in."""
+    out = []
+    for visual in link.visuals:
+        out.append((visual.file, _map(visual, frame, scale)))
+    return out
+
+
+def _map(visual: UrdfVisual, frame: np.ndarray, scale: float) -> np.ndarray:
+    pose = visual.pose.copy()
+    pose[:3, :3] *= visual.scale
+    return frame @ np.diag([scale, scale, scale, 1.0]) @ pose
+
+
+def _shifted(geom: Geom, by: tuple[float, float, float]) -> Geom:
+    x, y, z = (a + b for a, b in zip(geom.pos, by, strict=True))
+    return Geom(geom.shape, geom.size, (x, y, z), geom.quat, geom.material, geom.mesh, geom.collide, geom.visual)

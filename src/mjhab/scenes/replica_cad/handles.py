@@ -1,0 +1,200 @@
+"""Handles of the ReplicaCAD kitchen counter and fridge, whose collision shapes are only in the render meshes.
+
+The boxes of the URDFs end at flat fronts. Here a drawer front becomes a frame around its recess with the handle block
+inside, and a fridge door gets its handle and shelves. All numbers are measured on the meshes of the data set
+(``urdf/kitchen_counter/drawer*.glb``, ``urdf/fridge/*_door.glb``), in the frame of the link of the URDF [m].
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mjhab.scenes.formats.urdf import UrdfBox
+
+Range = tuple[float, float]
+FINGERTIP = 0.031
+"""How far Fetch's fingertips reach past the tool centre [m]."""
+
+
+@dataclass(frozen=True)
+class Front:
+    """A drawer front: floor ``x`` of the recess, its extent in ``y`` and ``z``, and the block that stands in it up to
+    ``block_x``. The recess reaches to the outer face of the front."""
+
+    x: float
+    y: Range
+    z: Range
+    block_x: float
+    block_y: Range
+    block_z: Range
+
+
+_LEFT = Front(0.2707, (-0.1403, 0.1415), (-0.3890, 0.3900), 0.2961, (-0.0073, 0.0171), (-0.0393, 0.0584))
+_MIDDLE = Front(0.2763, (-0.0883, 0.0774), (-0.2464, 0.2451), 0.3013, (-0.0135, 0.0109), (-0.0470, 0.0508))
+_RIGHT = Front(0.2742, (-0.0651, 0.0703), (-0.3986, 0.3819), 0.2936, (-0.0085, 0.0159), (-0.0451, 0.0526))
+_LOW_RIGHT = Front(0.2709, (-0.1462, 0.1335), (-0.3900, 0.3872), 0.2906, (-0.0206, 0.0039), (-0.0404, 0.0573))
+FRONTS = {
+    "drawer1_top": _LEFT,
+    "drawer1_bottom": _LEFT,
+    "drawer2_top": _MIDDLE,
+    "drawer2_middle": _MIDDLE,
+    "drawer2_bottom": _MIDDLE,
+    "drawer3": _RIGHT,
+    "drawer4": _LOW_RIGHT,
+}
+
+
+@dataclass(frozen=True)
+class Rib:
+    """A handle of a fridge door: a solid rib across ``y`` and along ``z``, from the door out to ``front`` (x at the
+    first and last z). ``door_x``: face of the door beside it."""
+
+    door_x: float
+    front: tuple[float, float]
+    y: Range
+    z: Range
+    straight: Range
+    """Part of the rib without its rounded ends."""
+
+
+RIBS = {
+    "top_door": Rib(0.0627, (0.1082, 0.1007), (-0.6890, -0.6391), (-0.0660, 0.5120), (-0.0348, 0.4906)),
+    "bottom_door": Rib(0.0623, (0.1066, 0.0994), (-0.6900, -0.6396), (-0.3440, 0.0040), (-0.3127, -0.0170)),
+}
+_WALL = 0.008
+"""Thickness of the walls of a door shelf [m]."""
+# Extents x, y, z of the door shelves; z points down, so the floor of a shelf is at its largest z.
+_BINS: dict[str, tuple[tuple[Range, Range, Range], ...]] = {
+    "top_door": (
+        ((-0.1302, 0.0065), (-0.6438, -0.3723), (-0.1434, -0.0603)),
+        ((-0.1290, 0.0065), (-0.3179, -0.0444), (-0.0633, 0.0198)),
+        ((-0.1301, 0.0065), (-0.6466, -0.0474), (0.3983, 0.5071)),
+    )
+}
+_LIDDED: dict[str, tuple[tuple[Range, Range, Range], ...]] = {
+    "top_door": (
+        ((-0.1558, -0.0082), (-0.6392, -0.3848), (-0.4934, -0.3580)),
+        ((-0.1545, -0.0069), (-0.3124, -0.0580), (-0.4934, -0.3580)),
+    )
+}
+"""Compartments with a lid, taken as solid."""
+
+
+PUBLISHED: dict[str, tuple[float, float, float]] = {
+    **dict.fromkeys(FRONTS, (0.26, 0.0, 0.0)),
+    "top_door": (0.09, -0.66, 0.2),
+}
+"""Handle points in the plans of MS-HAB (articulation_relative_handle_pos), in the frame of the link of the URDF. The
+scale of the furniture does not apply to them: MS-HAB adds them to the pose of the link, which has none."""
+
+
+@dataclass(frozen=True, eq=False)
+class Grip:
+    """Where a gripper takes a handle, in the frame of the URDF link: ``pos`` (3,), unit ``bar`` and ``out`` (3,),
+    ``half_length`` along the bar and ``thickness`` across it [m]."""
+
+    pos: np.ndarray
+    bar: np.ndarray
+    out: np.ndarray
+    half_length: float
+    thickness: float
+
+
+def span(x: Range, y: Range, z: Range) -> UrdfBox:
+    """A box from its extents."""
+    low, high = np.array([x, y, z], float).T
+    pose = np.eye(4)
+    pose[:3, 3] = (low + high) / 2
+    return UrdfBox((high - low) / 2, pose)
+
+
+def drawer(name: str, boxes: tuple[UrdfBox, ...]) -> tuple[tuple[UrdfBox, ...], Grip]:
+    """Collision boxes and grip of a drawer.
+
+    Args:
+        name: link of the kitchen counter.
+        boxes: those of the URDF. With others than the five of the original, the file brings its own handle.
+    """
+    cut = FRONTS[name]
+    (y0, y1), (z0, z1) = cut.block_y, cut.block_z
+    pos = np.array([cut.x + FINGERTIP, (y0 + y1) / 2, (z0 + z1) / 2])
+    # The block's long side lies along z, across the drawer.
+    grip = Grip(pos, np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]), (z1 - z0) / 2, y1 - y0)
+    if len(boxes) != 5:
+        return boxes, grip
+    front = max(boxes, key=lambda b: float(b.pose[0, 3]))
+    low, high = front.pose[:3, 3] - front.half, front.pose[:3, 3] + front.half
+    rim = (cut.x, float(high[0]))
+    y, z = (float(low[1]), float(high[1])), (float(low[2]), float(high[2]))
+    new = (
+        span((float(low[0]), cut.x), y, z),
+        span(rim, (y[0], cut.y[0]), z),
+        span(rim, (cut.y[1], y[1]), z),
+        span(rim, cut.y, (z[0], cut.z[0])),
+        span(rim, cut.y, (cut.z[1], z[1])),
+        span((cut.x, cut.block_x), cut.block_y, cut.block_z),
+    )
+    return (*(b for b in boxes if b is not front), *new), grip
+
+
+def door(name: str, boxes: tuple[UrdfBox, ...]) -> tuple[tuple[UrdfBox, ...], Grip]:
+    """Collision boxes and grip of a fridge door.
+
+    Args:
+        name: link of the fridge.
+        boxes: those of the URDF. With others than the one of the original, the file brings its own handle.
+    """
+    rib = RIBS[name]
+    (y0, y1), (z0, z1) = rib.y, rib.straight
+    pos = np.array([rib.door_x + 0.002 + FINGERTIP, (y0 + y1) / 2, (z0 + z1) / 2])
+    # Up along the bar is against the link's z axis.
+    grip = Grip(pos, np.array([0.0, 0.0, -1.0]), np.array([1.0, 0.0, 0.0]), (z1 - z0) / 2, y1 - y0)
+    if len(boxes) != 1:
+        return boxes, grip
+    more = [_rib(rib, float(boxes[0].pose[0, 3]))]
+    for x, y, z in _BINS.get(name, ()):
+        more += [
+            span(x, y, (z[1] - _WALL, z[1])),
+            span((x[0], x[0] + _WALL), y, (z[0], z[1] - _WALL)),
+            span((x[0] + _WALL, x[1]), (y[0], y[0] + _WALL), (z[0], z[1] - _WALL)),
+            span((x[0] + _WALL, x[1]), (y[1] - _WALL, y[1]), (z[0], z[1] - _WALL)),
+        ]
+    more += [span(x, y, z) for x, y, z in _LIDDED.get(name, ())]
+    return (*boxes, *more), grip
+
+
+def _rib(rib: Rib, inner: float) -> UrdfBox:
+    """The box of a rib: its front leans by about one degree, and its back lies inside the door."""
+    run = rib.straight[1] - rib.straight[0]
+    lean = float(np.arctan2(rib.front[1] - rib.front[0], run))
+    middle = sum(rib.z) / 2
+    front = rib.front[0] + np.tan(lean) * (middle - rib.straight[0])
+    c, s = np.cos(lean), np.sin(lean)
+    pose = np.eye(4)
+    pose[:3, :3] = [[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]
+    pose[:3, 3] = ((front + inner) / 2, sum(rib.y) / 2, middle)
+    return UrdfBox(np.array([(front - inner) / 2, (rib.y[1] - rib.y[0]) / 2, (rib.z[1] - rib.z[0]) / 2]), pose)
+
+
+def plain(boxes: tuple[UrdfBox, ...], out: np.ndarray, scale: float) -> Grip:
+    """Grip of a door or drawer whose file brings its handle: the box that stands out farthest.
+
+    A part of one box alone has no handle: the grip is then the middle of its face, too wide for a gripper, and the part
+    is pushed.
+
+    Args:
+        boxes: those of the URDF.
+        out: (3,) axis of the link that points out of the front.
+        scale: of the furniture; the gripper does not shrink with it.
+    """
+    reach = [float(out @ box.pose[:3, 3] + np.abs(out @ box.pose[:3, :3]) @ box.half) for box in boxes]
+    knob = boxes[int(np.argmax(reach))]
+    face = max((r for r, box in zip(reach, boxes, strict=True) if box is not knob), default=max(reach))
+    half = np.where(np.abs(out) > 0.5, 0.0, np.abs(knob.pose[:3, :3]) @ knob.half)
+    bar = np.eye(3)[int(half.argmax())]
+    across = np.abs(np.cross(bar, out))
+    pos = knob.pose[:3, 3]
+    pos = pos + out * (face + (FINGERTIP + 0.002) / scale - float(out @ pos))
+    return Grip(pos, bar, out, float(half @ bar), float(2 * half @ across))

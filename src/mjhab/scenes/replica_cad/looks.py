@@ -1,0 +1,76 @@
+"""Render meshes of ReplicaCAD templates, read and shrunk once and remembered on disk."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import zipfile
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from mjhab.core.cache import cache_dir, write_atomic
+from mjhab.scenes.formats.gltf import Primitive, read_glb
+from mjhab.scenes.shapes.meshes import Mesh, mesh_arrays, mesh_from_arrays
+from mjhab.scenes.shapes.painting import textured_mesh
+
+
+@dataclass(eq=False)
+class Looks:
+    """Collects which files a render mesh is made of; ``meshes`` reads them all."""
+
+    wanted: dict[str, list[tuple[Path, np.ndarray]]] = field(default_factory=dict)
+
+    def add(self, name: str, file: Path, pose: np.ndarray) -> None:
+        """Put a file, mapped by ``pose`` (4, 4) into the frame of the render mesh, into the mesh ``name``."""
+        self.wanted.setdefault(name, []).append((file, np.asarray(pose, float)))
+
+    def meshes(self) -> dict[str, Mesh]:
+        """Every collected mesh, from the cache when the files are unchanged.
+
+        Raises:
+            UsageError: a file is missing or broken; names it.
+        """
+        path = cache_dir() / "replica_cad" / f"looks-{self._digest()}.npz"
+        found = _load(path, list(self.wanted)) if path.exists() else None
+        if found is not None:
+            return found
+        made = {name: textured_mesh(self._parts(name)) for name in self.wanted}
+        arrays: dict[str, np.ndarray] = {}
+        for name, mesh in made.items():
+            arrays |= mesh_arrays(name, mesh)
+        # Not compressed: packed pictures would take longer to unpack than to read.
+        write_atomic(path, lambda temporary: np.savez(temporary, allow_pickle=False, **arrays))
+        return made
+
+    def _parts(self, name: str) -> list[Primitive]:
+        parts = []
+        for file, pose in self.wanted[name]:
+            for part in read_glb(file):
+                parts.append(dataclasses.replace(part, vertices=part.vertices @ pose[:3, :3].T + pose[:3, 3]))
+        return parts
+
+    def _digest(self) -> str:
+        """Hash of what goes in: files by name, size and time, poses, and the code that reads."""
+        digest = hashlib.sha256()
+        for code in ("gltf.py", "painting.py", "meshes.py"):
+            digest.update((Path(__file__).parent / code).read_bytes())
+        for name, parts in sorted(self.wanted.items()):
+            for file, pose in parts:
+                try:
+                    stat = file.stat()
+                    state = (stat.st_size, stat.st_mtime_ns)
+                except OSError:
+                    state = (0, 0)
+                digest.update(repr((name, file.name, state)).encode() + pose.round(9).tobytes())
+        return digest.hexdigest()[:24]
+
+
+def _load(path: Path, names: list[str]) -> dict[str, Mesh] | None:
+    """The meshes of a cache file, None when it cannot be read: it is then made anew."""
+    try:
+        with np.load(path, allow_pickle=False) as arrays:
+            return {name: mesh_from_arrays(name, arrays) for name in names}
+    except (KeyError, ValueError, OSError, EOFError, zipfile.BadZipFile):
+        return None

@@ -1,0 +1,235 @@
+"""Reader of the ReplicaCAD data set: real apartments as homes.
+
+A folder of the data set (``configs/``, ``objects/``, ``urdf/``, perhaps ``stages/`` and ``navmeshes/``) becomes a pack
+whose homes are the 84 staged scenes ``v3_sc<macro>_staging_<micro>``; other scenes make a pack when they are named.
+Splits follow the Home Assistant Benchmark: macro layouts 0-2 train, 3 val, 4 test; scenes that are not staged train.
+
+Objects that a scene lets move (``motion_type`` DYNAMIC, 101 to 109 in each of ``apt_0`` to ``apt_5``, none in the
+staged ones) stand fixed like furniture: what moves in a task are the objects of its episodes.
+"""
+
+from __future__ import annotations
+
+import fnmatch
+import logging
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.names import check_name
+from mjhab.core.rotations import mat_from_quat
+from mjhab.scenes.builtin.objects import builtin_objects, object_meshes
+from mjhab.scenes.pack_check import check_pack
+from mjhab.scenes.replica_cad.files import (
+    FETCH,
+    SCENE_SUFFIX,
+    check_folder,
+    load_json,
+    number,
+    numbers,
+    placement,
+    short_name,
+)
+from mjhab.scenes.replica_cad.files import field as entry
+from mjhab.scenes.replica_cad.furniture import Furniture
+from mjhab.scenes.replica_cad.navmesh import read_navmesh
+from mjhab.scenes.replica_cad.stage import Extent, stage_shape
+from mjhab.scenes.shapes.footprints import outline
+from mjhab.scenes.spec import Geom, Home, Light, ObjectType, Pack, Placement
+
+STAGED = re.compile(r"v3_sc(\d+)_staging_(\d+)")
+FLOOR_MATERIAL = "floor_oak"
+_MARGIN = 1.0
+"""Floor around the furniture where neither stage nor navigation mesh tells its extent [m]."""
+_LIGHTS = ((-1.1, 2.775, 2.3), (-0.5, -1.44, 2.3), (2.4, -1.6, 2.3), (2.5, -6.1, 2.3), (3.14, 3.24, 3.0))
+"""Positions of the lamps [m] (ManiSkill's ReplicaCAD scene builder)."""
+_log = logging.getLogger("mjhab")
+_warned: set[str] = set()
+
+
+def open_replica_cad(
+    folder: Path, scene: str = "", stage_mesh: Path | None = None, articulate: tuple[str, ...] = ()
+) -> Pack:
+    """Read the data set.
+
+    Args:
+        folder: of the data set; objects are those of a folder ``ycb`` in it or beside it, else the built-in ones.
+        scene: names of scenes to make a pack of, or patterns such as ``apt_*``, with commas between them; "" for all
+            staged ones.
+        stage_mesh: a ``.glb`` to take as the stage of every scene, instead of those its configs name.
+        articulate: furniture that opens besides kitchen counter and fridge: keys of ``OPTIONAL``.
+
+    Raises:
+        UsageError: the folder lacks something or a file is broken; the message names it.
+    """
+    check_folder(folder)
+    names = sorted(p.name.removesuffix(SCENE_SUFFIX) for p in (folder / "configs" / "scenes").glob("*" + SCENE_SUFFIX))
+    chosen = _named(scene, names) if scene else [name for name in names if STAGED.fullmatch(name)]
+    if not chosen:
+        raise UsageError(f"{folder / 'configs' / 'scenes'} has no staged scene (v3_sc*_staging_*); {FETCH}.")
+    reader = _Scenes(folder, Furniture(folder, articulate), stage_mesh)
+    homes = tuple(reader.home(name) for name in chosen)
+    furniture = reader.furniture
+    if reader.loose:
+        told = f"{len(reader.loose)} scenes ({reader.loose[0]}, ...)" if len(reader.loose) > 1 else reader.loose[0]
+        _warn_once(f"{folder}: objects that may move in {told} (motion_type DYNAMIC) stand fixed here, as furniture.")
+    _warn(folder, reader.missing, "homes have a floor but no walls (--stage-mesh FILE gives another stage)")
+    _warn(folder, furniture.missing, "their collision shapes are drawn instead")
+    objects, meshes = _objects(folder)
+    pack = Pack(
+        "replica_cad",
+        furniture.props,
+        furniture.articulations,
+        homes,
+        objects,
+        {**furniture.meshes, **furniture.looks.meshes(), **meshes},
+    )
+    return check_pack(pack, folder)
+
+
+def _warn(folder: Path, missing: list[Path], meaning: str) -> None:
+    """Log once per process that files are missing, and what it means."""
+    names = [str(file.relative_to(folder)) if file.is_relative_to(folder) else str(file) for file in missing]
+    if missing:
+        _warn_once(f"{folder}: {', '.join(names)} missing: {meaning}.")
+
+
+def _warn_once(text: str) -> None:
+    if text not in _warned:
+        _warned.add(text)
+        _log.warning(text)
+
+
+def _named(wanted: str, names: list[str]) -> list[str]:
+    """Scenes that fit names or patterns with commas between them, in the order of ``names``."""
+    found: set[str] = set()
+    for pattern in wanted.split(","):
+        fitting = fnmatch.filter(names, pattern)
+        if not fitting:
+            raise unknown_name("scene", pattern, names)
+        found.update(fitting)
+    return sorted(found)
+
+
+def _objects(folder: Path) -> tuple[dict[str, ObjectType], dict[str, Any]]:
+    for place in (folder / "ycb", folder.parent / "ycb"):
+        if place.is_dir():
+            from mjhab.scenes.replica_cad.ycb import read_ycb
+
+            return read_ycb(place)
+    return builtin_objects(), dict(object_meshes())
+
+
+@dataclass(eq=False)
+class _Scenes:
+    """Reads scene files; stages are read once."""
+
+    folder: Path
+    furniture: Furniture
+    stage_mesh: Path | None
+    missing: list[Path] = field(default_factory=list)
+    """Stage meshes that are not there."""
+    loose: list[str] = field(default_factory=list)
+    """Scenes in which objects may move."""
+    _stages: dict[tuple[Any, ...], tuple[tuple[Geom, ...], Extent] | None] = field(default_factory=dict)
+
+    def home(self, name: str) -> Home:
+        path = self.folder / "configs" / "scenes" / (name + SCENE_SUFFIX)
+        body = load_json(path)
+        props, jointed = [], []
+        for k, record in enumerate(_list(path, body, "object_instances")):
+            where = f"object_instances[{k}]"
+            template = self.furniture.rigid(_template(path, record, where))
+            props.append(placement(path, record, template, where))
+        if any(record.get("motion_type") == "DYNAMIC" for record in _list(path, body, "object_instances")):
+            self.loose.append(name)
+        for k, record in enumerate(_list(path, body, "articulated_object_instances")):
+            where = f"articulated_object_instances[{k}]"
+            given = _template(path, record, where)
+            # Doors between rooms stay out, as in ManiSkill's scene builder: they would close off half the apartment.
+            if "door" in short_name(given):
+                continue
+            at = placement(path, record, short_name(given), where)
+            at = self.furniture.jointed(given, _scale(path, record, where), at)
+            (jointed if at.template in self.furniture.articulations else props).append(at)
+        for place in jointed:
+            if sum(other.template == place.template for other in jointed) > 1:
+                raise UsageError(f"{path}: more than one {place.template!r}; a home may have one of each that opens.")
+        walls, extent = self._stage(path, body) or ((), None)
+        found = STAGED.fullmatch(name)
+        macro, micro = (int(found[1]), int(found[2])) if found else (0, 0)
+        split: Literal["train", "val", "test"] = "train" if macro < 3 else "val" if macro == 3 else "test"
+        extent = extent or self._extent(name, [*props, *jointed])
+        return Home(
+            name, "replica_cad", split, macro, micro, walls, extent, FLOOR_MATERIAL, tuple(props), tuple(jointed),
+            tuple(Light(pos) for pos in _LIGHTS),
+        )  # fmt: skip
+
+    def _stage(self, path: Path, body: dict[str, Any]) -> tuple[tuple[Geom, ...], Extent] | None:
+        """Walls and floor extent of a scene's stage; None, with one warning, when its mesh is not there."""
+        record = entry(path, body, "stage_instance")
+        given = _template(path, record, "stage_instance")
+        if self.stage_mesh is not None:
+            file = self.stage_mesh
+        else:
+            config = self.folder / "configs" / "stages" / f"{given.rsplit('/', 1)[-1]}.stage_config.json"
+            file = (config.parent / _text(config, load_json(config), "render_asset", "")).resolve()
+        shift, turn = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
+        if "translation" in record:
+            shift = numbers(path, record, "translation", 3, "stage_instance")
+        if "rotation" in record:
+            turn = numbers(path, record, "rotation", 4, "stage_instance")
+        key = (file, *shift.tolist(), *turn.tolist())
+        if key not in self._stages:
+            if self.stage_mesh is None and not file.is_file():
+                self.missing.append(file)
+                self._stages[key] = None
+            else:
+                self._stages[key] = stage_shape(file, mat_from_quat(turn / np.linalg.norm(turn)), shift)
+        return self._stages[key]
+
+    def _extent(self, name: str, placed: list[Placement]) -> Extent:
+        """Floor of a home without stage: what its navigation mesh was made for, else the furniture with a margin."""
+        mesh = self.folder / "navmeshes" / f"{name}.navmesh"
+        if mesh.is_file():
+            return read_navmesh(mesh).bounds
+        points = []
+        for at in placed:
+            template = self.furniture.props.get(at.template) or self.furniture.articulations[at.template]
+            local = np.concatenate([outline(g, self.furniture.meshes) for g in template.geoms if g.collide])
+            points.append(local @ mat_from_quat(np.array(at.rotation)).T + np.array(at.pos))
+        corners = np.concatenate(points)[:, :2] if points else np.array([[-3.0, -3.0], [3.0, 3.0]])
+        low, high = corners.min(0) - _MARGIN, corners.max(0) + _MARGIN
+        return (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
+
+
+def _scale(path: Path, record: dict[str, Any], where: str) -> float:
+    return number(path, {"uniform_scale": 1.0, **record}, "uniform_scale", where, positive=True)
+
+
+def _list(path: Path, body: dict[str, Any], key: str) -> list[Any]:
+    value = body.get(key, [])
+    if not isinstance(value, list):
+        raise UsageError(f"{path}: field {key!r}: expected a list.")
+    return value
+
+
+def _text(path: Path, record: Any, key: str, where: str) -> str:
+    """A name that a field holds: of a template, or of a file relative to the config."""
+    value = entry(path, record, key, where)
+    if not isinstance(value, str):
+        raise UsageError(f"{path}: field {where}.{key}: expected a name, got {value!r}.")
+    return value
+
+
+def _template(path: Path, record: Any, where: str) -> str:
+    """The name of a template, perhaps with its folder."""
+    given = _text(path, record, "template_name", where)
+    try:
+        return check_name(f"field {where}.template_name", given)
+    except ValueError as error:
+        raise UsageError(f"{path}: {error}") from error

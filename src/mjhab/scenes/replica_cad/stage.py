@@ -1,0 +1,160 @@
+"""Walls of ReplicaCAD stages: flat upright faces of a stage mesh become boxes behind them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mjhab.scenes.formats.gltf import read_glb
+from mjhab.scenes.replica_cad.files import TO_Z_UP
+from mjhab.scenes.spec import Geom
+
+THICKNESS = 0.05
+"""Depth of a wall box behind its face [m], less where the other side of the wall is nearer."""
+UPRIGHT = 0.05
+"""Largest vertical component of the normal of a wall face."""
+_SAME_ANGLE, _SAME_PLANE = np.cos(np.radians(2.0)), 0.015
+_GRID = 0.015
+"""Corners closer than this along a wall count as one [m]."""
+_SMALLEST = (0.03, 0.01)
+"""Faces narrower [m] or smaller [m^2] than this are left out."""
+MATERIAL = "wall_white"
+
+Array = np.ndarray
+Extent = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Face:
+    """An upright rectangle: unit ``normal`` (2,) to the side it is seen from, ``offset`` = normal . point [m], extent
+    ``u`` along the wall (the normal turned left) and ``z`` [m]."""
+
+    normal: Array
+    offset: float
+    u: tuple[float, float]
+    z: tuple[float, float]
+
+
+def stage_shape(
+    path: Path, rotation: Array | None = None, shift: Array | None = None
+) -> tuple[tuple[Geom, ...], Extent]:
+    """Walls and floor extent of a stage mesh, in our world axes.
+
+    Args:
+        path: the ``.glb`` of the stage.
+        rotation, shift: pose of the stage in the axes of the data set, (3, 3) and (3,) [m].
+
+    Returns:
+        Wall boxes, and x_min, y_min, x_max, y_max of the mesh [m].
+
+    Raises:
+        UsageError: the file is missing or broken.
+    """
+    turn = TO_Z_UP if rotation is None else TO_Z_UP @ rotation
+    move = np.zeros(3) if shift is None else TO_Z_UP @ shift
+    triangles = np.concatenate([p.vertices[p.faces] for p in read_glb(path, textures=False)]) @ turn.T + move
+    low, high = triangles.reshape(-1, 3).min(0), triangles.reshape(-1, 3).max(0)
+    faces = wall_faces(triangles)
+    walls = tuple(_box(face, _depth(face, faces)) for face in faces)
+    return walls, (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
+
+
+def wall_faces(triangles: Array) -> list[Face]:
+    """Upright rectangles that cover the upright ones of triangles (T, 3, 3)."""
+    normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    size = np.linalg.norm(normal, axis=1)
+    keep = (size > 1e-7) & (np.abs(normal[:, 2]) < UPRIGHT * size)
+    triangles, size = triangles[keep], size[keep]
+    flat = normal[keep, :2] / np.linalg.norm(normal[keep, :2], axis=1, keepdims=True)
+    offset = np.einsum("tk,tck->tc", flat, triangles[:, :, :2])
+    left = np.ones(len(triangles), bool)
+    faces: list[Face] = []
+    for first in np.argsort(-size, kind="stable"):
+        if not left[first]:
+            continue
+        n = flat[first]
+        away = np.abs(triangles[:, :, :2] @ n - offset[first].mean()).max(axis=1)
+        same = left & (flat @ n > _SAME_ANGLE) & (away < _SAME_PLANE)
+        same[first] = True
+        left &= ~same
+        faces += _rectangles(triangles[same], n, float(offset[first].mean()))
+    return faces
+
+
+def _rectangles(triangles: Array, normal: Array, offset: float) -> list[Face]:
+    """Rectangles that cover the union of triangles of one plane: cells of the grid of all corners, merged."""
+    along = np.array([-normal[1], normal[0]])
+    flat = np.stack([triangles[:, :, :2] @ along, triangles[:, :, 2]], axis=-1)
+    us, zs = _lines(flat[..., 0]), _lines(flat[..., 1])
+    if len(us) < 2 or len(zs) < 2:
+        return []
+    middle = np.stack(np.meshgrid((us[1:] + us[:-1]) / 2, (zs[1:] + zs[:-1]) / 2, indexing="ij"), axis=-1)
+    filled = np.zeros(middle.shape[:2], bool)
+    for corners in flat:
+        filled |= _inside(middle, corners)
+    out = []
+    for i0, i1, j0, j1 in merge_cells(filled):
+        u, z = (float(us[i0]), float(us[i1])), (float(zs[j0]), float(zs[j1]))
+        width, height = u[1] - u[0], z[1] - z[0]
+        if min(width, height) >= _SMALLEST[0] and width * height >= _SMALLEST[1]:
+            out.append(Face(normal, offset, u, z))
+    return out
+
+
+def _lines(values: Array) -> Array:
+    """Sorted distinct values; those within `_GRID` of each other count once."""
+    ordered = np.unique(values.round(4))
+    keep = [float(ordered[0])]
+    for value in ordered[1:]:
+        if value - keep[-1] > _GRID:
+            keep.append(float(value))
+    return np.array(keep)
+
+
+def _inside(points: Array, corners: Array) -> Array:
+    """Which points (..., 2) lie in a triangle (3, 2)."""
+    a, b = corners, np.roll(corners, -1, axis=0)
+    (dx, dy), off = (b - a).T, points[..., None, :] - a
+    side = dx * off[..., 1] - dy * off[..., 0]
+    return np.all(side >= -1e-9, axis=-1) | np.all(side <= 1e-9, axis=-1)
+
+
+def merge_cells(filled: Array) -> list[tuple[int, int, int, int]]:
+    """Rectangles i0, i1, j0, j1 (ends excluded) that cover the True cells of a mask (R, C) once each."""
+    out: list[tuple[int, int, int, int]] = []
+    going: dict[tuple[int, int], int] = {}
+    for i in range(len(filled) + 1):
+        row = filled[i] if i < len(filled) else np.zeros(filled.shape[1], bool)
+        edges = np.flatnonzero(np.diff(np.r_[0, row.astype(np.int8), 0]))
+        runs = set(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+        for run in [r for r in going if r not in runs]:
+            out.append((going.pop(run), i, *run))
+        for run in runs:
+            going.setdefault(run, i)
+    return out
+
+
+def _depth(face: Face, faces: list[Face]) -> float:
+    """How deep a box behind a face may be: to the other side of the wall."""
+    depth = THICKNESS
+    for other in faces:
+        if float(face.normal @ other.normal) > -_SAME_ANGLE:
+            continue
+        behind = face.offset + other.offset
+        # The other side runs along the wall the other way round.
+        u = (-other.u[1], -other.u[0])
+        meets = min(face.u[1], u[1]) > max(face.u[0], u[0]) and min(face.z[1], other.z[1]) > max(face.z[0], other.z[0])
+        if meets and 0.004 < behind < depth:
+            depth = behind
+    return depth
+
+
+def _box(face: Face, depth: float) -> Geom:
+    along = np.array([-face.normal[1], face.normal[0]])
+    middle = face.normal * (face.offset - depth / 2) + along * sum(face.u) / 2
+    yaw = float(np.arctan2(face.normal[1], face.normal[0]))
+    size = (depth / 2, (face.u[1] - face.u[0]) / 2, (face.z[1] - face.z[0]) / 2)
+    pos = (float(middle[0]), float(middle[1]), sum(face.z) / 2)
+    return Geom("box", size, pos, (float(np.cos(yaw / 2)), 0.0, 0.0, float(np.sin(yaw / 2))), MATERIAL)

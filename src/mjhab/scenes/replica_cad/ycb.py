@@ -1,0 +1,308 @@
+"""Reader of YCB objects: scans of the YCB Object and Model Set as movable objects.
+
+A folder ``<object>/textured.glb`` per object holds a scan (metres, +z up, origin anywhere). It becomes an object with
+its origin at the centre of the scan's bounding box. Boxes are turned about z until their faces look along the axes;
+``ObjectType.scan_yaw`` remembers by how much, for files that give poses in the axes of the scan.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import ConvexHull
+
+from mjhab.core.errors import UsageError
+from mjhab.scenes.builtin.objects import MASSES
+from mjhab.scenes.formats.gltf import Primitive, read_glb
+from mjhab.scenes.shapes.meshes import Mesh
+from mjhab.scenes.shapes.painting import textured_mesh
+from mjhab.scenes.shapes.shapes import about_z, look
+from mjhab.scenes.spec import Geom, ObjectType, Vec3
+
+SCAN = "textured.glb"
+PRIMITIVE_TOLERANCE = 0.003
+"""A box or cylinder stands for a scan when `PRIMITIVE_SHARE` of its convex hull's surface lies within this [m]."""
+PRIMITIVE_SHARE = 0.90
+"""Not all of it: printed boxes and pressed tins have round edges."""
+OPEN_SHARE = 0.6
+"""A scan that fills less than this share of its convex hull is hollow: its opening must stay open."""
+HULL_DIRECTIONS = 160
+WALL = 0.0045
+"""Thickness of the collision wall of a bowl [m]; the scanned wall is thinner, too thin for a stable grasp."""
+RIM_PIECES, BASE_PIECES = 16, 8
+_SAMPLE_EDGE = 0.006
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """A scan about the centre of its bounding box: ``vertices`` (V, 3) [m], ``faces`` (F, 3); ``uv`` (V, 2) and
+    ``texture`` (h, w, 3) uint8 as in ``gltf.Primitive``, None for a plain white thing."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    uv: np.ndarray | None = None
+    texture: np.ndarray | None = None
+
+
+def read_ycb(folder: Path) -> tuple[dict[str, ObjectType], dict[str, object]]:
+    """Read the ten objects of the benchmark.
+
+    Args:
+        folder: holds one folder per object, named as in ``MASSES``.
+
+    Returns:
+        Object types by name, and the meshes their geoms name (``scenes.shapes.meshes.Mesh``).
+
+    Raises:
+        UsageError: a scan is missing or broken; the message names the file.
+    """
+    for name in MASSES:
+        if not (folder / name / SCAN).is_file():
+            raise UsageError(
+                f"YCB folder '{folder}' has no {name}/{SCAN}; it must hold the ten objects "
+                f"{', '.join(MASSES)}. `mjhab assets fetch ycb` gets them."
+            )
+    types: dict[str, ObjectType] = {}
+    meshes: dict[str, object] = {}
+    for name in MASSES:
+        types[name], added = object_from_scan(name, read_scan(folder / name / SCAN))
+        meshes.update(added)
+    return types, meshes
+
+
+def read_scan(path: Path) -> Scan:
+    """Read a textured mesh.
+
+    Raises:
+        UsageError: the file is broken, or has no texture; the message names it.
+    """
+    (part, *others) = read_glb(path)
+    if others or part.texture is None or part.uv is None:
+        raise UsageError(f"{path}: not one mesh with a base colour texture; fetch the file again.")
+    center = (part.vertices.min(axis=0) + part.vertices.max(axis=0)) / 2
+    return Scan(part.vertices - center, part.faces.astype(np.int64), part.uv, part.texture)
+
+
+def object_from_scan(name: str, scan: Scan) -> tuple[ObjectType, dict[str, Mesh]]:
+    """Choose collision shapes for a scan and reduce what is seen of it."""
+    surface = HullSurface.of(scan.vertices)
+    yaw, half = box_fit(scan.vertices, surface)
+    meshes: dict[str, Mesh] = {}
+    if primitive_share(surface.turned(-yaw), "box", half) >= PRIMITIVE_SHARE:
+        collision = [Geom("box", half, visual=False)]
+    else:
+        # Only boxes have a heading to look along.
+        yaw, half = 0.0, can_fit(scan.vertices, surface)
+        if primitive_share(surface, "cylinder", half) >= PRIMITIVE_SHARE:
+            collision = [Geom("cylinder", (half[0], half[2], 0.0), visual=False)]
+        else:
+            x, y, z = (np.ptp(scan.vertices, axis=0) / 2).tolist()
+            half = (x, y, z)
+            collision, meshes = _bowl(name, scan) if _fill(scan) < OPEN_SHARE else _lump(name, scan)
+    meshes[f"{name}_look"] = render_mesh(scan, -yaw)
+    visuals = (look(f"{name}_look", "plain_white"),)
+    return ObjectType(name, MASSES[name], half, tuple(collision), visuals, scan_yaw=0.0 - yaw), meshes
+
+
+# -- primitives --------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class HullSurface:
+    """Spots on a convex hull: ``points`` (P, 3) [m], outward unit ``normals`` (P, 3), ``areas`` (P,) [m^2]."""
+
+    points: np.ndarray
+    normals: np.ndarray
+    areas: np.ndarray
+
+    @staticmethod
+    def of(vertices: np.ndarray) -> HullSurface:
+        """Cut the hull of ``vertices`` (V, 3) into triangles no larger than `_SAMPLE_EDGE`."""
+        hull = ConvexHull(vertices)
+        triangles, normals = vertices[hull.simplices], hull.equations[:, :3]
+        done: list[tuple[np.ndarray, np.ndarray]] = []
+        while len(triangles):
+            edge = np.linalg.norm(triangles - np.roll(triangles, -1, axis=1), axis=2)
+            large = edge.max(axis=1) > _SAMPLE_EDGE
+            done.append((triangles[~large], normals[~large]))
+            triangles, normals = _halve(triangles[large], edge[large]), np.repeat(normals[large], 2, axis=0)
+        corners = np.concatenate([part[0] for part in done])
+        a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+        areas = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+        return HullSurface(corners.mean(axis=1), np.concatenate([part[1] for part in done]), areas)
+
+    def turned(self, yaw: float) -> HullSurface:
+        """The same, turned about z by ``yaw`` [rad]."""
+        return HullSurface(_turn(self.points, yaw), _turn(self.normals, yaw), self.areas)
+
+
+def box_fit(vertices: np.ndarray, surface: HullSurface) -> tuple[float, Vec3]:
+    """Best upright box about the origin: heading [rad] in (-pi/4, pi/4] and half-extents [m].
+
+    The heading is that of the smallest rectangle around the plan; the sides lie in the middle of the hull's faces
+    that look along them (a bulge counts little), top and bottom at the extremes, on which the thing stands.
+    """
+    plan = vertices[ConvexHull(vertices[:, :2]).vertices][:, :2]
+    angles = np.linspace(-np.pi / 4, np.pi / 4, 901)[1:]
+    areas = [np.ptp(_turn(plan, -a), axis=0).prod() for a in angles]
+    yaw = float(angles[int(np.argmin(areas))])
+    turned = surface.turned(-yaw)
+    return yaw, (_face_distance(turned, 0), _face_distance(turned, 1), float(np.ptp(vertices[:, 2]) / 2))
+
+
+def _face_distance(surface: HullSurface, axis: int) -> float:
+    """Mean distance [m] of the two faces that look along an axis from the origin; each at its median by area."""
+    sides = []
+    for sign in (-1.0, 1.0):
+        facing = sign * surface.normals[:, axis] > 0.94
+        height = sign * surface.points[:, axis]
+        if not facing.any():
+            return float(np.abs(surface.points[:, axis]).max())
+        order = np.argsort(height[facing])
+        total = np.cumsum(surface.areas[facing][order])
+        sides.append(float(height[facing][order][np.searchsorted(total, total[-1] / 2)]))
+    return sum(sides) / 2
+
+
+def can_fit(vertices: np.ndarray, surface: HullSurface) -> Vec3:
+    """Best upright cylinder about the origin: (radius, radius, half-height) [m]."""
+    side = np.abs(surface.normals[:, 2]) < 0.3
+    radius = np.hypot(surface.points[side, 0], surface.points[side, 1])
+    mean = float(np.average(radius, weights=surface.areas[side])) if side.any() else float(np.ptp(vertices[:, 0]) / 2)
+    return (mean, mean, float(np.ptp(vertices[:, 2]) / 2))
+
+
+def primitive_share(surface: HullSurface, shape: str, half: Vec3) -> float:
+    """Share of the area of a hull within `PRIMITIVE_TOLERANCE` of an upright box or cylinder about the origin."""
+    points = surface.points
+    if shape == "box":
+        beyond = np.abs(points) - np.array(half)
+    else:
+        radial = np.hypot(points[:, 0], points[:, 1]) - half[0]
+        beyond = np.stack([radial, np.abs(points[:, 2]) - half[2]], axis=1)
+    gap = np.linalg.norm(np.maximum(beyond, 0.0), axis=1) + np.minimum(beyond.max(axis=1), 0.0)
+    return float(surface.areas[np.abs(gap) <= PRIMITIVE_TOLERANCE].sum() / surface.areas.sum())
+
+
+def _halve(triangles: np.ndarray, edge: np.ndarray) -> np.ndarray:
+    """Cut triangles (T, 3, 3) at the middle of their longest edge: (2 T, 3, 3)."""
+    first = edge.argmax(axis=1)
+    a, b, c = (np.take_along_axis(triangles, ((first + k) % 3)[:, None, None], axis=1)[:, 0] for k in range(3))
+    middle = (a + b) / 2
+    return np.stack([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)], axis=1).reshape(-1, 3, 3)
+
+
+# -- other shapes ------------------------------------------------------------------------------------------------------
+
+
+def _fill(scan: Scan) -> float:
+    """Volume of the solid below and inside a scan's surface, as a share of its convex hull's."""
+    a, b, c = (scan.vertices[scan.faces[:, k]] for k in range(3))
+    inside = np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6
+    return float(abs(inside) / ConvexHull(scan.vertices).volume)
+
+
+def hull_of(points: np.ndarray) -> Mesh:
+    """Convex hull of points (P, 3) with at most `HULL_DIRECTIONS` vertices: the extremes in evenly spread directions.
+
+    The extremes along the coordinate axes are among them, so the bounding box is kept.
+    """
+    corners = points[ConvexHull(points).vertices]
+    directions = np.concatenate([_sphere(HULL_DIRECTIONS - 6), np.eye(3), -np.eye(3)])
+    chosen = corners[np.unique((directions @ corners.T).argmax(axis=1))]
+    hull = ConvexHull(chosen)
+    faces = hull.simplices.copy()
+    a, b, c = (chosen[faces[:, k]] for k in range(3))
+    inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0
+    faces[inward] = faces[inward][:, ::-1]
+    return Mesh(chosen.astype(np.float32), faces.astype(np.int32))
+
+
+def _sphere(count: int) -> np.ndarray:
+    """(count, 3) unit vectors spread evenly (Fibonacci lattice)."""
+    k = np.arange(count) + 0.5
+    z, angle = 1 - 2 * k / count, np.pi * (1 + math.sqrt(5)) * k
+    r = np.sqrt(1 - z * z)
+    return np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
+
+
+def _lump(name: str, scan: Scan) -> tuple[list[Geom], dict[str, Mesh]]:
+    """One convex hull."""
+    mesh = f"{name}_hull"
+    return [Geom("mesh", (1.0, 1.0, 1.0), mesh=mesh, visual=False)], {mesh: hull_of(scan.vertices)}
+
+
+def _bowl(name: str, scan: Scan) -> tuple[list[Geom], dict[str, Mesh]]:
+    """A disk as floor and two rings of convex wedges along the outer profile; the inside stays open."""
+    foot, knee, rim = bowl_profile(scan.vertices)
+    floor = Geom("cylinder", (foot[0], WALL / 2, 0.0), (0.0, 0.0, foot[1] + WALL / 2), visual=False)
+    geoms, meshes = [floor], {}
+    for part, low, high, count in (("rim", knee, rim, RIM_PIECES), ("base", foot, knee, BASE_PIECES)):
+        mesh = f"{name}_{part}"
+        meshes[mesh] = hull_of(_wedge(low, high, count))
+        for i in range(count):
+            turn = about_z(2 * math.pi * i / count)
+            geoms.append(Geom("mesh", (1.0, 1.0, 1.0), quat=turn, mesh=mesh, visual=False))
+    return geoms, meshes
+
+
+def bowl_profile(vertices: np.ndarray) -> tuple[tuple[float, float], ...]:
+    """Outer (radius, z) [m] of a round open thing at its foot, at its knee and at its rim.
+
+    The knee is where the outline bends most: farthest from the chord between foot and rim. The rim's radius is such
+    that the straight wall from the knee leaves the outline as little as possible (a lip stands out, the wall below
+    it stands back).
+    """
+    low, high = float(vertices[:, 2].min()), float(vertices[:, 2].max())
+    levels = np.linspace(low, high, 23)
+    middles = (levels[:-1] + levels[1:]) / 2
+    index = np.clip(np.searchsorted(levels, vertices[:, 2]) - 1, 0, len(middles) - 1)
+    radius = np.hypot(vertices[:, 0], vertices[:, 1])
+    outline = np.array([np.percentile(radius[index == k], 95) for k in range(len(middles))])
+    chord = outline[0] + (outline[-1] - outline[0]) * (middles - middles[0]) / (middles[-1] - middles[0])
+    knee = int(np.argmax(outline - chord))
+    wall = slice(knee, None)
+    shares = (middles[wall] - middles[knee]) / (high - middles[knee])
+    rims = np.linspace(outline[knee], outline[-1], 81)
+    off = np.abs(outline[knee] + shares[:, None] * (rims - outline[knee]) - outline[wall][:, None]).max(axis=0)
+    return (
+        (float(outline[0]), low),
+        (float(outline[knee]), float(middles[knee])),
+        (float(rims[int(np.argmin(off))]), high),
+    )
+
+
+def _wedge(low: tuple[float, float], high: tuple[float, float], count: int) -> np.ndarray:
+    """Corners (8, 3) of one of ``count`` wedges of a conical wall about +x; it is half inside, half outside the circle.
+
+    ``low``, ``high``: outer (radius, z).
+    """
+    a = math.pi / count
+    slope = math.atan2(high[0] - low[0], high[1] - low[1])
+    inward = WALL / math.cos(slope)
+    grow = 2 / (1 + math.cos(a))
+    corners = []
+    for radius, z in (low, high):
+        for r in (grow * radius, max(grow * radius - inward, 0.0)):
+            corners += [(r * math.cos(t), r * math.sin(t), z) for t in (-a, a)]
+    return np.array(corners)
+
+
+# -- looks -------------------------------------------------------------------------------------------------------------
+
+
+def render_mesh(scan: Scan, yaw: float) -> Mesh:
+    """What is seen of a scan, turned about z by ``yaw`` [rad]: every triangle, with the texture."""
+    part = Primitive("scan", _turn(scan.vertices, yaw), scan.faces, scan.uv, scan.texture, np.ones(3))
+    return textured_mesh([part])
+
+
+def _turn(points: np.ndarray, yaw: float) -> np.ndarray:
+    """Points (P, 2 or 3) turned about z by ``yaw`` [rad]."""
+    c, s = math.cos(yaw), math.sin(yaw)
+    turned = points.copy()
+    turned[:, 0], turned[:, 1] = c * points[:, 0] - s * points[:, 1], s * points[:, 0] + c * points[:, 1]
+    return turned

@@ -1,0 +1,127 @@
+"""Rectangles that templates cover on the floor, and whether two of them meet."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cache, cached_property
+
+import numpy as np
+
+from mjhab.core.rotations import mat_from_quat
+from mjhab.scenes.shapes.meshes import Mesh
+from mjhab.scenes.spec import Articulation, Geom, Placement, Prop
+
+
+@dataclass(frozen=True, eq=False)
+class Footprint:
+    """A turned rectangle on the floor with a height interval. ``corners`` (4, 2) [m], ``z`` (low, high) [m]."""
+
+    name: str
+    corners: np.ndarray
+    z: tuple[float, float]
+
+    @cached_property
+    def box(self) -> tuple[float, float, float, float]:
+        """x_min, y_min, x_max, y_max [m]."""
+        x, y = self.corners.T.tolist()
+        return min(x), min(y), max(x), max(y)
+
+    def meets(self, other: Footprint) -> bool:
+        """Whether the two share space: boxes and heights are compared first, which rules most pairs out."""
+        a, b = self.box, other.box
+        if a[0] > b[2] or b[0] > a[2] or a[1] > b[3] or b[1] > a[3]:
+            return False
+        return self.z[0] < other.z[1] and other.z[0] < self.z[1] and meet(self.corners, other.corners)
+
+
+def outline(geom: Geom, meshes: Mapping[str, object] | None = None) -> np.ndarray:
+    """Points (P, 3) [m] in the template's frame whose convex hull holds the geom (curves from outside)."""
+    if geom.shape == "mesh":
+        mesh = (meshes or {})[geom.mesh]
+        assert isinstance(mesh, Mesh)
+        points = mesh.vertices.astype(float) * np.array(geom.size)
+    elif geom.shape == "box":
+        points = _signs() * np.array(geom.size)
+    else:
+        r = geom.size[0]
+        half = {"sphere": r, "cylinder": geom.size[1], "capsule": geom.size[1] + r}[geom.shape]
+        angle = np.linspace(0.0, 2 * math.pi, 16, endpoint=False)
+        ring = np.stack([np.cos(angle), np.sin(angle)], 1) * (r / math.cos(math.pi / 16))
+        points = np.concatenate([np.column_stack([ring, np.full(16, s * half)]) for s in (-1.0, 1.0)])
+    return points @ mat_from_quat(np.array(geom.quat)).T + np.array(geom.pos)
+
+
+def _signs() -> np.ndarray:
+    return np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
+
+
+def bounds(geoms: Iterable[Geom], meshes: Mapping[str, object] | None = None) -> np.ndarray:
+    """Bounds (2, 3) [m] of the colliding geoms, in their own frame.
+
+    Raises:
+        ValueError: none of the geoms collides.
+    """
+    points = [outline(g, meshes) for g in geoms if g.collide]
+    if not points:
+        raise ValueError("no colliding geom")
+    stacked = np.concatenate(points)
+    return np.stack([stacked.min(0), stacked.max(0)])
+
+
+def all_geoms(template: Prop | Articulation) -> tuple[Geom, ...]:
+    """Geoms of a template in its frame, links of articulations in their closed pose."""
+    if isinstance(template, Prop):
+        return template.geoms
+    moved = [
+        Geom(
+            g.shape,
+            g.size,
+            (g.pos[0] + k.pos[0], g.pos[1] + k.pos[1], g.pos[2] + k.pos[2]),
+            g.quat,
+            g.material,
+            g.mesh,
+            g.collide,
+            g.visual,
+        )
+        for k in template.links
+        for g in k.geoms
+    ]
+    return (*template.geoms, *moved)
+
+
+def rectangle(placement: Placement, x: tuple[float, float], y: tuple[float, float]) -> np.ndarray:
+    """Corners (4, 2) [m] in the world of a rectangle given in the frame of a placed template."""
+    local = np.array([[x[0], y[0]], [x[1], y[0]], [x[1], y[1]], [x[0], y[1]]])
+    c, s = math.cos(placement.yaw), math.sin(placement.yaw)
+    return local @ np.array([[c, s], [-s, c]]) + np.array(placement.pos[:2])
+
+
+@cache
+def _extent(template: Prop | Articulation) -> np.ndarray | None:
+    geoms = [g for g in all_geoms(template) if g.collide]
+    return bounds(geoms) if geoms else None
+
+
+def footprint(placement: Placement, template: Prop | Articulation) -> Footprint | None:
+    """What a placed template covers, or None if it collides with nothing."""
+    extent = _extent(template)
+    if extent is None:
+        return None
+    low, high = extent
+    corners = rectangle(placement, (low[0], high[0]), (low[1], high[1]))
+    lift = placement.pos[2]
+    return Footprint(placement.template, corners, (low[2] + lift, high[2] + lift))
+
+
+def meet(a: np.ndarray, b: np.ndarray, gap: float = 0.0) -> bool:
+    """Whether two convex polygons (N, 2), (M, 2) come closer than ``gap`` [m] along every edge normal."""
+    for polygon in (a, b):
+        edges = np.roll(polygon, -1, axis=0) - polygon
+        normals = np.stack([edges[:, 1], -edges[:, 0]], 1)
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        pa, pb = a @ normals.T, b @ normals.T
+        if np.any(np.maximum(pa.min(0) - pb.max(0), pb.min(0) - pa.max(0)) >= gap):
+            return False
+    return True

@@ -1,0 +1,94 @@
+"""Convex pieces given by their points: smallest boxes around them, and how high they reach."""
+
+from __future__ import annotations
+
+import dataclasses
+import weakref
+
+import numpy as np
+from scipy.spatial import ConvexHull
+
+from mjhab.core.rotations import quat_from_mat, quat_mul, quat_rotate
+from mjhab.scenes.shapes.meshes import Mesh
+from mjhab.scenes.spec import Geom, Pack
+
+_BOXES: weakref.WeakKeyDictionary[Mesh, tuple[np.ndarray, np.ndarray, np.ndarray]] = weakref.WeakKeyDictionary()
+
+
+def smallest_box(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The box of least volume around points (P, 3) that has a face in the plane of a face of their hull.
+
+    Returns:
+        Its centre (3,), half-extents (3,) and rotation (3, 3) with the axes as columns.
+    """
+    points = np.asarray(points, np.float64)
+    hull = ConvexHull(points)
+    corners = points[hull.vertices]
+    normals = np.unique(hull.equations[:, :3].round(6), axis=0)
+    edges = (points[hull.simplices] - points[np.roll(hull.simplices, 1, axis=1)]).reshape(-1, 3)
+    best: tuple[float, np.ndarray] | None = None
+    for normal in np.concatenate([np.eye(3), normals]):
+        z = normal / np.linalg.norm(normal)
+        x = np.cross(z, np.eye(3)[np.argmin(np.abs(z))])
+        x /= np.linalg.norm(x)
+        frame = np.stack([x, np.cross(z, x), z], axis=1)
+        local, flat = corners @ frame, edges @ frame[:, :2]
+        # A rectangle of least area lies along an edge of the outline, which is the shadow of an edge of the hull.
+        angles = np.unique(np.append(np.arctan2(flat[:, 1], flat[:, 0]) % (np.pi / 2), 0.0).round(6))
+        c, s = np.cos(angles)[:, None], np.sin(angles)[:, None]
+        area = np.ptp(local[:, 0] * c + local[:, 1] * s, axis=1) * np.ptp(local[:, 1] * c - local[:, 0] * s, axis=1)
+        k = int(area.argmin())
+        volume = float(area[k] * np.ptp(local[:, 2]))
+        if best is None or volume < best[0] * (1 - 1e-9):
+            turn = np.array([[c[k, 0], -s[k, 0], 0.0], [s[k, 0], c[k, 0], 0.0], [0.0, 0.0, 1.0]])
+            best = (volume, frame @ turn)
+    assert best is not None
+    rot = best[1]
+    local = corners @ rot
+    low, high = local.min(0), local.max(0)
+    return rot @ ((low + high) / 2), (high - low) / 2, rot
+
+
+def boxed_hull(geom: Geom, pack: Pack) -> Geom:
+    """The smallest box around a convex mesh geom, as a geom in the same frame."""
+    mesh = pack.meshes[geom.mesh]
+    assert isinstance(mesh, Mesh)
+    if mesh not in _BOXES:
+        _BOXES[mesh] = smallest_box(mesh.vertices)
+    center, half, rot = _BOXES[mesh]
+    if geom.size != (1.0, 1.0, 1.0):
+        center, half, rot = smallest_box(mesh.vertices * np.array(geom.size))
+    quat = np.array(geom.quat, float)
+    pos = (np.array(geom.pos) + quat_rotate(quat, center)).tolist()
+    turn = quat_mul(quat, quat_from_mat(rot)).tolist()
+    return dataclasses.replace(geom, shape="box", size=tuple(half.tolist()), pos=tuple(pos), quat=tuple(turn), mesh="")
+
+
+def hull_mesh(points: np.ndarray) -> Mesh:
+    """The convex hull of points (P, 3) as a closed mesh."""
+    points = np.asarray(points, np.float64)
+    hull = ConvexHull(points)
+    faces = hull.simplices.copy()
+    a, b, c = (points[faces[:, k]] for k in range(3))
+    inward = np.einsum("fk,fk->f", np.cross(b - a, c - a), hull.equations[:, :3]) < 0
+    faces[inward] = faces[inward][:, ::-1]
+    order, index = np.unique(faces, return_inverse=True)
+    return Mesh(points[order].astype(np.float32), index.reshape(-1, 3).astype(np.int32))
+
+
+def vertical_extent(points: np.ndarray, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where vertical lines through xy (N, 2) enter and leave the hull of points (P, 3).
+
+    Returns:
+        Lowest and highest z (N,) of each line inside it; (inf, -inf) for lines that miss it.
+    """
+    planes = ConvexHull(np.asarray(points, np.float64)).equations
+    a, b, c, d = planes.T
+    rest = xy[:, :1] * a + xy[:, 1:] * b + d
+    upright = np.abs(c) < 1e-9
+    with np.errstate(divide="ignore", invalid="ignore"):
+        height = -rest / c
+    low = np.where(c < -1e-9, height, -np.inf).max(axis=1)
+    high = np.where(c > 1e-9, height, np.inf).min(axis=1)
+    hit = (low <= high) & np.all(~upright | (rest <= 1e-9), axis=1)
+    return np.where(hit, low, np.inf), np.where(hit, high, -np.inf)

@@ -1,0 +1,106 @@
+"""How far doors and drawers open before they meet a wall or another piece: geometry alone, no simulator."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.spatial import ConvexHull
+
+from mjhab.core.rotations import mat_from_quat
+from mjhab.scenes.shapes.footprints import Footprint, outline
+from mjhab.scenes.spec import Geom, Home, Link, Pack, Placement
+
+_STEPS = 24
+"""Poses of a coarse sweep; a door of 0.7 m moves 7 cm from one to the next, and walls are thicker."""
+_BISECTIONS = 12
+_SKIN = 1e-3
+"""Overlap that does not count [m]: pieces may stand flush."""
+
+
+def free_travel(home: Home, pack: Pack) -> dict[str, float]:
+    """Largest joint position [m] or [rad] of every link up to which it meets nothing, with all others closed.
+
+    A link never meets its own body. Values equal the end of the range for a link that opens fully.
+    """
+    result: dict[str, float] = {}
+    for placement in home.articulations:
+        around = _solids(home, pack, placement)
+        for link in pack.articulations[placement.template].links:
+            result[f"{placement.template}/{link.name}"] = _travel(link, placement, around)
+    return result
+
+
+def stuck_links(home: Home, pack: Pack) -> list[str]:
+    """One phrase per link that cannot open to the end of its range, or to the limit the home states for it."""
+    stated = dict(home.open_limits)
+    found = []
+    for name, free in free_travel(home, pack).items():
+        thing, link_name = name.split("/")
+        full = next(k.range[1] for k in pack.articulations[thing].links if k.name == link_name)
+        wanted = stated.get(name, full)
+        if free < wanted - 1e-6:
+            found.append(f"{name} opens to {free:.2f} of {wanted:.2f}")
+    return found
+
+
+def _travel(link: Link, at: Placement, around: list[Footprint]) -> float:
+    low, high = link.range
+    pieces = [_flat(g, link, at.pos[2]) for g in link.geoms if g.collide]
+
+    def free(q: float) -> bool:
+        moved = [Footprint(link.name, _moved(corners, link, at, q), z) for corners, z in pieces]
+        return not any(piece.meets(other) for piece in moved for other in around)
+
+    good = low
+    for q in np.linspace(low, high, _STEPS + 1)[1:].tolist():
+        if not free(q):
+            return _last_free(free, good, q)
+        good = q
+    return high
+
+
+def _last_free(free: Callable[[float], bool], good: float, bad: float) -> float:
+    for _ in range(_BISECTIONS):
+        middle = (good + bad) / 2
+        good, bad = (middle, bad) if free(middle) else (good, middle)
+    return good
+
+
+def _flat(geom: Geom, link: Link, lift: float) -> tuple[np.ndarray, tuple[float, float]]:
+    """Outline (N, 2) in the frame of the link and height interval in the world [m]; the piece stands upright."""
+    points = outline(geom)
+    flat = np.unique(points[:, :2].round(9), axis=0)
+    z = points[:, 2] + link.pos[2] + lift
+    return flat[ConvexHull(flat).vertices], (float(z.min()) + _SKIN, float(z.max()) - _SKIN)
+
+
+def _moved(corners: np.ndarray, link: Link, at: Placement, q: float) -> np.ndarray:
+    """Corners (N, 2) [m] in the world of a piece of a link at joint position q."""
+    slides = link.joint == "slide"
+    local = corners + q * np.array(link.axis[:2]) if slides else corners @ _turn(q * link.axis[2])
+    return (local + np.array(link.pos[:2])) @ _turn(at.yaw) + np.array(at.pos[:2])
+
+
+def _turn(angle: float) -> np.ndarray:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, s], [-s, c]])
+
+
+def _solids(home: Home, pack: Pack, opening: Placement) -> list[Footprint]:
+    """Everything that does not move with the piece that opens, near enough to be met."""
+    here = Placement("", (0.0, 0.0, 0.0))
+    solid = [_solid(g, here, pack, "wall") for g in home.walls if g.collide]
+    near = 3.0
+    for placement in (*home.props, *home.articulations):
+        if placement == opening or np.hypot(*np.subtract(placement.pos[:2], opening.pos[:2])) > near:
+            continue
+        template = pack.props.get(placement.template) or pack.articulations[placement.template]
+        solid += [_solid(g, placement, pack, placement.template) for g in template.geoms if g.collide]
+    return solid
+
+
+def _solid(geom: Geom, at: Placement, pack: Pack, name: str) -> Footprint:
+    points = outline(geom, pack.meshes) @ mat_from_quat(np.array(at.rotation)).T + np.array(at.pos)
+    flat = np.unique(points[:, :2].round(9), axis=0)
+    return Footprint(name, flat[ConvexHull(flat).vertices], (float(points[:, 2].min()), float(points[:, 2].max())))

@@ -1,0 +1,96 @@
+"""Parts of glTF files as one textured mesh: both sides of sheets, textures no finer than a camera can see."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from mjhab.scenes.formats.gltf import Primitive
+from mjhab.scenes.shapes.meshes import Mesh
+
+Array = np.ndarray
+TEXELS_PER_M = 1500.0
+"""Textures finer than this on the surface of their mesh are halved: 0.7 mm is the print of a carton."""
+
+
+def textured_mesh(parts: Sequence[Primitive]) -> Mesh:
+    """Bring the parts of one or more files into one mesh.
+
+    Args:
+        parts: vertices in the wanted frame, textures with sides that are powers of two.
+
+    Returns:
+        The mesh; faces that can be seen from behind are there twice, once for each side.
+    """
+    columns: list[tuple[Array, ...]] = []
+    images: dict[int, int] = {}
+    textures: list[Array] = []
+    start = 0
+    for part in parts:
+        faces = part.faces.astype(np.int64)
+        uv = np.zeros((len(faces), 3, 2)) if part.uv is None else part.uv[faces]
+        number = -1
+        if part.texture is not None and part.uv is not None:
+            number = images.setdefault(id(part.texture), len(images))
+            if number == len(textures):
+                textures.append(fit_texture(part.texture, part.vertices[faces], uv))
+        back = _open_faces(part.vertices, faces)
+        both = np.concatenate([faces, faces[back][:, ::-1]])
+        color = np.broadcast_to(_srgb(part.color), (len(both), 3))
+        uv = np.concatenate([uv, uv[back][:, ::-1]])
+        columns.append((part.vertices, both + start, color, uv, np.full(len(both), number)))
+        start += len(part.vertices)
+    vertices, faces, color, uv, texture = (np.concatenate(column) for column in zip(*columns, strict=True))
+    plain = Mesh(vertices.astype(np.float32), faces.astype(np.int32), color.astype(np.float32))
+    if not textures:
+        return plain
+    return Mesh(
+        plain.vertices, plain.faces, plain.face_color, _near_zero(uv).astype(np.float32), texture.astype(np.int32),
+        tuple(textures),
+    )  # fmt: skip
+
+
+def fit_texture(image: Array, corners: Array, uv: Array) -> Array:
+    """Halve an image (h, w, 3) uint8 until it has no more than `TEXELS_PER_M` on the triangles that show it.
+
+    Args:
+        corners: (F, 3, 3) [m]. uv: (F, 3, 2).
+    """
+    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    surface = np.linalg.norm(np.cross(a, b), axis=1).sum() / 2
+    p, q = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
+    covered = np.abs(p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]).sum() / 2
+    while min(image.shape[:2]) > 8 and covered * image.shape[0] * image.shape[1] > surface * TEXELS_PER_M**2:
+        quads = image.reshape(image.shape[0] // 2, 2, image.shape[1] // 2, 2, 3)
+        image = np.round(quads.mean(axis=(1, 3))).astype(np.uint8)
+    return image
+
+
+def _near_zero(uv: Array) -> Array:
+    """Faces moved by whole repeats of the texture to where float32 is finest."""
+    return uv - np.floor(uv.min(axis=1, keepdims=True))
+
+
+def _srgb(linear: Array) -> Array:
+    linear = np.clip(np.asarray(linear, float), 0.0, 1.0)
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+
+
+def _open_faces(points: Array, faces: Array) -> Array:
+    """Faces (n,) of pieces with a rim: sheets, whose back can be seen."""
+    # Split seams share places.
+    weld = np.unique(np.round(points, 5), axis=0, return_inverse=True)[1].reshape(-1)
+    ends = np.sort(np.stack([weld[faces], weld[np.roll(faces, -1, axis=1)]], axis=-1), axis=-1)
+    keys = np.unique(ends[..., 0] * len(points) + ends[..., 1], return_inverse=True)[1].reshape(-1, 3)
+    number = np.repeat(np.arange(len(faces)), 3)
+    order = np.argsort(keys.ravel(), kind="stable")
+    key, owner = keys.ravel()[order], number[order]
+    same = key[1:] == key[:-1]
+    links = coo_matrix((np.ones(same.sum()), (owner[1:][same], owner[:-1][same])), shape=(len(faces),) * 2)
+    piece = connected_components(links, directed=False)[1]
+    rim = np.bincount(keys.ravel())[keys] == 1
+    open_pieces = np.unique(piece[rim.any(axis=1)])
+    return np.flatnonzero(np.isin(piece, open_pieces))

@@ -1,0 +1,218 @@
+"""Private worlds, for questions that must not disturb the batch: does this touch, does this grasp hold?
+
+Everything but the robot and what it carries sleeps, so that a question costs a tenth of a control step of a whole home.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import mujoco
+import numpy as np
+
+from mjhab.core.rotations import pose_inv, pose_mul
+from mjhab.layout.contact_sensors import FORCE_SENSOR_WIDTH, normal_force
+from mjhab.robots.fetch.model import FINGER_LINKS, FINGER_OPEN_DIR, TCP_LINK, Drives, apply_drives
+from mjhab.scenes import contact_bits
+from mjhab.sim.mujoco.cpu import SUBSTEPS, CpuSimulator
+from mjhab.sim.mujoco.settle import CLOSED_FINGER, hold_robot
+
+CLOSING_STEPS = 30
+TURN_RATE, TURN_STEPS, TURN_SLIP = 1.6, 20, 0.02
+"""A held object must stay within this slip [m] while the base is jerked to either side at half its top speed [rad/s]:
+some grasps near an edge hold still for minutes and lose the object at the first turn."""
+FINGER_JOINTS = slice(13, 15)
+FINGER_MAX = 0.05
+MAX_MODELS = 32
+"""Homes a world remembers; a model takes 0.4 MB."""
+_NO_CONTACT = int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+
+
+class _World:
+    """One world that can be in any home of a layout. For one user at a time."""
+
+    def __init__(self, sim: CpuSimulator) -> None:
+        self._sim = sim
+        # Models of a layout have the same sizes: one MjData serves them all.
+        self.data = mujoco.MjData(sim.model(sim.layout.pack.homes[0].name))
+        self._models: dict[tuple[str, bool], mujoco.MjModel] = {}
+
+    def arrange(self, home: str, qpos: np.ndarray, carried: int = -1, *, plain: bool = False) -> mujoco.MjModel:
+        """Go to the state ``qpos`` (nq,) at rest, all asleep but the robot, opened links and object slot ``carried``.
+
+        Args:
+            plain: with the servos that the robot was compiled with, whatever the simulator has set.
+
+        Returns:
+            The model the world is in now.
+        """
+        model, a = self._model(home, plain), self._sim.addresses
+        # Trees that the model declares asleep lie at its qpos0 after a reset; what is moved from there wakes up.
+        rows = (np.delete(a.object_q, carried) if carried >= 0 else a.object_q).astype(int)
+        columns = rows[:, None] + np.arange(7)
+        model.qpos0[columns] = qpos[columns]
+        if carried >= 0:
+            own = slice(int(a.object_q[carried]), int(a.object_q[carried]) + 7)
+            model.qpos0[own] = self._sim.model(home).qpos0[own]
+        model.opt.disableflags |= _NO_CONTACT
+        mujoco.mj_resetData(model, self.data)
+        model.opt.disableflags &= ~_NO_CONTACT
+        self.data.qpos[:] = qpos
+        return model
+
+    def _model(self, home: str, plain: bool) -> mujoco.MjModel:
+        model = self._models.pop((home, plain), None)
+        if model is None:
+            model = copy.copy(self._sim.model(home))
+            if plain:
+                apply_drives(model, Drives())
+            a = self._sim.addresses
+            trees = model.body_treeid[np.concatenate([a.object_body, a.link_body]).astype(int)]
+            model.tree_sleep_policy[trees] = int(mujoco.mjtSleepPolicy.mjSLEEP_INIT)
+            if len(self._models) >= MAX_MODELS:
+                del self._models[next(iter(self._models))]
+        self._models[home, plain] = model  # the last one used stands at the end
+        return model
+
+
+class Scratch:
+    """Questions about states of a simulator's homes. Several threads may ask at once: each gets a world of its own."""
+
+    def __init__(self, sim: CpuSimulator) -> None:
+        self.sim = sim
+        self._idle: list[_World] = []
+        model = sim.model(sim.layout.pack.homes[0].name)
+        self._is_robot = (model.geom_contype & contact_bits.ROBOT) != 0
+        self._geom_body = model.geom_bodyid.copy()
+        self._tcp = sim.addresses.robot_body[TCP_LINK]
+        joints = [model.joint(int(j)).name for j in model.actuator_trnid[:, 0]]
+        self._fingers = [i for i, n in enumerate(joints) if n.endswith("gripper_finger_joint")]
+        self._turn = joints.index("root_z_rotation_joint")
+
+    @contextmanager
+    def _world(self) -> Iterator[_World]:
+        try:
+            world = self._idle.pop()
+        except IndexError:
+            world = _World(self.sim)
+        try:
+            yield world
+        finally:
+            self._idle.append(world)
+
+    def tcp_pose(self, home: str, qpos: np.ndarray) -> np.ndarray:
+        """(7,) world pose of the tool centre in the state ``qpos`` (nq,)."""
+        with self._world() as world:
+            model = world.arrange(home, qpos)
+            mujoco.mj_kinematics(model, world.data)
+            return self._read_tcp(world.data)
+
+    def _read_tcp(self, data: mujoco.MjData) -> np.ndarray:
+        return np.concatenate([data.xpos[self._tcp], data.xquat[self._tcp]])
+
+    def collision_free(
+        self, home: str, qpos: np.ndarray, carried: int = -1, grip: tuple[float, float] | None = None
+    ) -> bool:
+        """Whether the robot touches nothing but object slot ``carried``, now and after one simulated control step.
+
+        Args:
+            grip: with it, the object must pass the grasp test after that step: least force of each finger [N], largest
+                angle to the opening direction [rad].
+        """
+        with self._world() as world:
+            model, data = world.arrange(home, qpos, carried), world.data
+            mujoco.mj_fwdPosition(model, data)
+            if self._collides(data, carried):
+                return False
+            hold_robot(model, data)
+            if carried >= 0:
+                data.ctrl[self._fingers] = CLOSED_FINGER
+            mujoco.mj_step(model, data, SUBSTEPS)
+            if self._collides(data, carried):
+                return False
+            return grip is None or self._grasped(data, carried, *grip)
+
+    def _collides(self, data: mujoco.MjData, carried: int) -> bool:
+        pairs = data.contact.geom[: data.ncon]
+        if not len(pairs):
+            return False
+        robot = self._is_robot[pairs]
+        load = self.sim.addresses.object_body[carried] if carried >= 0 else -1
+        ours = robot | (self._geom_body[pairs] == load)
+        # A contact counts when one side is robot or load and the other is neither, or when the robot hits itself.
+        return bool((ours.any(axis=1) & ~ours.all(axis=1)).any() or robot.all(axis=1).any())
+
+    def holding(self, slot: int, robot: np.ndarray, tcp_in_object: np.ndarray) -> np.ndarray:
+        """The state (nq,) of the layout's first home with a robot that has an object between its fingers.
+
+        Args:
+            slot: the object.
+            robot: (15,) joint positions.
+            tcp_in_object: (7,) pose of the tool centre in the frame of the object.
+        """
+        home, a = self.sim.layout.pack.homes[0].name, self.sim.addresses
+        qpos = self.sim.model(home).qpos0.copy()
+        qpos[a.robot_q] = robot
+        start = a.object_q[slot]
+        qpos[start : start + 7] = pose_mul(self.tcp_pose(home, qpos), pose_inv(tcp_in_object))
+        return qpos
+
+    def try_grasp(
+        self,
+        slot: int,
+        tcp_in_object: np.ndarray,
+        robot: np.ndarray,
+        seconds: float,
+        min_force: float,
+        max_angle: float,
+    ) -> tuple[np.ndarray, float] | None:
+        """Close the gripper on an object in an empty corner, hold it still, then turn with it.
+
+        Args:
+            slot: the object.
+            tcp_in_object: (7,) grasp pose in the frame of the object.
+            robot: (15,) joint positions, fingers just open, the base away from everything.
+            seconds: how long the grasp test must hold, at every control step, after closing.
+            min_force, max_angle: the test: force of each finger [N], its angle to the opening direction [rad].
+
+        Returns:
+            Object pose (7,) in the frame of the tool centre and finger position [m] at the end; None if it fails.
+        """
+        home, a = self.sim.layout.pack.homes[0].name, self.sim.addresses
+        qpos = self.holding(slot, robot, tcp_in_object)
+        start = a.object_q[slot]
+        with self._world() as world:
+            model, data = world.arrange(home, qpos, slot, plain=True), world.data
+            hold_robot(model, data)
+            data.ctrl[self._fingers] = CLOSED_FINGER
+            mujoco.mj_step(model, data, CLOSING_STEPS)
+            for _ in range(round(seconds / (SUBSTEPS * model.opt.timestep))):
+                mujoco.mj_step(model, data, SUBSTEPS)
+                if not self._grasped(data, slot, min_force, max_angle):
+                    return None
+            fingers = float(data.qpos[a.robot_q[FINGER_JOINTS.start]])
+            relative = self._load_pose(model, data, start)
+            for rate in (TURN_RATE, -TURN_RATE):
+                data.ctrl[self._turn] = rate
+                mujoco.mj_step(model, data, TURN_STEPS)
+                if np.linalg.norm(self._load_pose(model, data, start)[:3] - relative[:3]) > TURN_SLIP:
+                    return None
+            return relative, fingers
+
+    def _load_pose(self, model: mujoco.MjModel, data: mujoco.MjData, start: int) -> np.ndarray:
+        """(7,) pose in the tool centre's frame of the object whose qpos begins at ``start``."""
+        mujoco.mj_kinematics(model, data)
+        return pose_mul(pose_inv(self._read_tcp(data)), data.qpos[start : start + 7])
+
+    def _grasped(self, data: mujoco.MjData, slot: int, min_force: float, max_angle: float) -> bool:
+        a = self.sim.addresses
+        for side, finger in enumerate(FINGER_LINKS):
+            adr = a.finger_force[side, slot]
+            force = -normal_force(data.sensordata[adr : adr + FORCE_SENSOR_WIDTH])
+            size = np.linalg.norm(force)
+            opening = data.xmat[a.robot_body[finger]].reshape(3, 3) @ np.array(FINGER_OPEN_DIR[finger])
+            if size < min_force or force @ opening < np.cos(max_angle) * size:
+                return False
+        return True

@@ -1,0 +1,332 @@
+"""MuJoCo Warp's model and data for the homes of a layout, and the device work of a control step and of a reset."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import mujoco
+import mujoco_warp as mjw
+import numpy as np
+import torch
+import warp as wp
+from mujoco_warp._src import sleep, smooth
+
+from mjhab.layout.layout import Addresses
+from mjhab.robots.fetch.model import FINGER_LINKS, FORCE_LINKS, TCP_LINK
+from mjhab.sim.protocol import PENETRATION_LIMIT
+from mjhab.sim.warp import kernels
+from mjhab.sim.warp.device import set_up
+from mjhab.sim.warp.graphs import Graphs
+from mjhab.sim.warp.homes import HOME_FIELDS, HomeTables
+
+SUBSTEPS = 5
+"""Simulation at 100 Hz, control at 20 Hz (MS-HAB paper Sec. 4.1)."""
+CPU_DEVICE_ITERATIONS = 30
+"""On Warp's CPU device the solver runs this many rounds whether it converged or not (on CUDA it stops when it did)."""
+_OVERFLOW = mjw.OverflowType
+CONTACT_OVERFLOW = _OVERFLOW.BROADPHASE | _OVERFLOW.NARROWPHASE | _OVERFLOW.CCD | _OVERFLOW.HFIELD
+ROW_OVERFLOW = _OVERFLOW.NEFC | _OVERFLOW.NJMAX_NNZ | _OVERFLOW.NVMAX
+ENGINE_OVERFLOW = _OVERFLOW.EPA_HORIZON
+_BUFFER_BITS = {
+    "contacts": _OVERFLOW.BROADPHASE | _OVERFLOW.NARROWPHASE | _OVERFLOW.HFIELD,
+    "ccd": _OVERFLOW.CCD,
+    "rows": _OVERFLOW.NEFC | _OVERFLOW.NJMAX_NNZ,
+    "awake": _OVERFLOW.NVMAX,
+}
+"""Overflow bits of each of `BufferSizes`."""
+AWAKE = sleep.K_AWAKE_VAL
+"""The engine's code for a tree that was just woken."""
+
+
+@dataclass(frozen=True)
+class BufferSizes:
+    """Capacities of the engine's buffers.
+
+    contacts: contacts, and pairs of geoms that may touch, of all worlds together; ccd: pairs of one kind of geoms in
+    general convex collision at once, all worlds together; rows: constraint rows of one world; awake: degrees of freedom
+    of one world that may be awake at once, None for all.
+    """
+
+    contacts: int
+    ccd: int
+    rows: int
+    awake: int | None = None
+
+
+class Engine:
+    """Worlds on the device. Arrays named ``*_t`` are torch tensors that share memory with the engine.
+
+    Args:
+        base: compiled model of any home, with its servos set.
+        a: addresses in it.
+        num_worlds: worlds W.
+        num_homes: homes there are, at most.
+        sizes: of the buffers.
+        device: a Warp device.
+    """
+
+    def __init__(
+        self, base: mujoco.MjModel, a: Addresses, num_worlds: int, num_homes: int, sizes: BufferSizes, device: wp.Device
+    ) -> None:
+        self.device, self.num_worlds, self.sizes = device, num_worlds, sizes
+        model = copy.copy(base)
+        # Contact sensors match every sensor with every contact; our own kernel reads each contact once.
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR
+        with set_up(device):
+            self.model = mjw.put_model(model, batch_sizes=dict.fromkeys(HOME_FIELDS, num_worlds))
+            self.data = mjw.make_data(
+                model, num_worlds, naconmax=sizes.contacts, naccdmax=min(sizes.ccd, sizes.contacts), njmax=sizes.rows,
+                nvmax=sizes.awake,
+            )  # fmt: skip
+            self.model.opt.warn_overflow = 0  # printing from kernels is slow, and the bits say the same
+            # What the engine takes for large models sorts, which allocates: no graph may do that under a condition.
+            self.model.opt.broadphase = mjw.BroadphaseType.NXN
+            if not device.is_cuda:
+                self.model.opt.iterations = CPU_DEVICE_ITERATIONS
+            self.homes = HomeTables(base, self.model, self.data, num_homes)
+            self.graphs = Graphs(device)
+            self._allocate(model, a)
+        self.model.callback.contactfilter = self._record_peak
+        self._tensors()
+
+    def _allocate(self, model: mujoco.MjModel, a: Addresses) -> None:
+        worlds, targets = self.num_worlds, len(a.object_body) + len(a.link_body)
+        self.link_net = wp.zeros((worlds, len(FORCE_LINKS)), dtype=wp.vec3)
+        self.link_force = wp.zeros((worlds, len(FORCE_LINKS)), dtype=wp.float32)
+        self.finger_force = wp.zeros((worlds, 2, targets), dtype=wp.vec3)
+        self.touch = wp.zeros((worlds, targets), dtype=wp.bool)
+        self.ee_contact = wp.zeros((worlds, targets), dtype=wp.bool)
+        self.depth = wp.zeros(worlds, dtype=wp.float32)
+        self.tcp_vel = wp.zeros(worlds, dtype=wp.vec3)
+        self.taint = wp.zeros(worlds, dtype=wp.uint8)
+        self.broken = wp.zeros(worlds, dtype=wp.bool)
+        self.pairs_peak = wp.zeros(1, dtype=wp.int32)
+        self.overflow_seen = wp.zeros(1, dtype=wp.int32)
+        self.update = wp.zeros(worlds, dtype=wp.bool)
+        self.fresh, self.moved = wp.zeros(worlds, dtype=wp.bool), wp.zeros(worlds, dtype=wp.bool)
+        self._due = wp.zeros(1, dtype=wp.int32)
+        self.new_rows = wp.zeros(worlds, dtype=wp.int32)
+        self.new_ctrl = wp.zeros((worlds, model.nu), dtype=wp.float32)
+        self.new_rings = wp.zeros((worlds, model.ntree), dtype=wp.int32)
+        self._everyone = wp.ones(worlds, dtype=wp.bool)
+        self.new_qpos = wp.zeros((worlds, model.nq), dtype=wp.float32)
+        self._qpos_before = wp.zeros_like(self.data.qpos)
+        self._asleep_before, self._slept = wp.zeros_like(self.data.tree_asleep), wp.zeros_like(self.data.tree_asleep)
+        overflow = [int(CONTACT_OVERFLOW), int(ROW_OVERFLOW), int(ENGINE_OVERFLOW)]
+        self._overflow_bits = wp.array(overflow, dtype=wp.int32)
+        self._tcp = a.robot_body[TCP_LINK]
+        self._tcp_root = int(model.body_rootid[self._tcp])
+        self._map_bodies(model, a)
+        self._map_trees(model, a)
+
+    def _map_bodies(self, model: mujoco.MjModel, a: Addresses) -> None:
+        def numbered(bodies: list[int]) -> wp.array:
+            table = np.full(model.nbody, -1, np.int32)
+            table[bodies] = np.arange(len(bodies))
+            return wp.array(table, dtype=wp.int32)
+
+        self._link_of = numbered([a.robot_body[name] for name in FORCE_LINKS])
+        self._finger_of = numbered([a.robot_body[name] for name in FINGER_LINKS])
+        self._target_of = numbered([*a.object_body.tolist(), *a.link_body.tolist()])
+        end_effector = [a.robot_body[name] for name in (TCP_LINK, *FINGER_LINKS)]
+        self._is_end_effector = wp.array(np.isin(np.arange(model.nbody), end_effector), dtype=wp.bool)
+        self._is_robot = wp.array(model.body_rootid == self._tcp_root, dtype=wp.bool)
+
+    def _map_trees(self, model: mujoco.MjModel, a: Addresses) -> None:
+        spans_q, spans_v = np.zeros((model.ntree, 2), np.int32), np.zeros((model.ntree, 2), np.int32)
+        for tree in range(model.ntree):
+            first, count = int(model.tree_dofadr[tree]), int(model.tree_dofnum[tree])
+            spans_v[tree] = first, count
+            low, high = model.dof_jntid[first], model.dof_jntid[first + count - 1]
+            start = int(model.jnt_qposadr[low])
+            end = int(model.jnt_qposadr[high + 1]) if high + 1 < model.njnt else model.nq
+            spans_q[tree] = start, end - start
+        # A teleport stops the robot, and the objects that it moves.
+        stops = np.zeros(model.ntree, np.int32)
+        stops[model.body_treeid[a.object_body]] = 1
+        stops[model.body_treeid[self._tcp]] = 2
+        self._tree_q, self._tree_v = wp.array(spans_q, dtype=wp.vec2i), wp.array(spans_v, dtype=wp.vec2i)
+        self._stops = wp.array(stops, dtype=wp.int32)
+
+    def _tensors(self) -> None:
+        data = self.data
+        self.qpos_t, self.qvel_t, self.ctrl_t = wp.to_torch(data.qpos), wp.to_torch(data.qvel), wp.to_torch(data.ctrl)
+        self.warmstart_t, self.time_t = wp.to_torch(data.qacc_warmstart), wp.to_torch(data.time)
+        self.asleep_t, self.overflow_t = wp.to_torch(data.tree_asleep), wp.to_torch(data.overflow)
+        self.taint_t, self.broken_t = wp.to_torch(self.taint), wp.to_torch(self.broken)
+        self.update_t, self.new_qpos_t = wp.to_torch(self.update), wp.to_torch(self.new_qpos)
+        self.fresh_t, self.moved_t, self.new_rows_t = map(wp.to_torch, (self.fresh, self.moved, self.new_rows))
+        self.new_ctrl_t, self.new_rings_t = wp.to_torch(self.new_ctrl), wp.to_torch(self.new_rings)
+
+    def _record_peak(self, model: mjw.Model, data: mjw.Data) -> None:
+        # Called after each collision pass. With sleep on there are two a substep, and the second starts the engine's
+        # counter anew: an overflow of the first pass leaves no trace in the engine.
+        wp.launch(kernels.record_peak, dim=1, inputs=[data.ncollision], outputs=[self.pairs_peak])
+
+    def clear(self, worlds: torch.Tensor, rows: torch.Tensor, rings: torch.Tensor) -> None:
+        """Put worlds (n,) into the homes of table ``rows`` (n,), at rest; their positions are to be written.
+
+        ``rings`` (n, ntree) int32: for a tree that is to sleep the next of those that sleep with it, else negative.
+        """
+        self.homes.put(worlds, rows)
+        for zeroed in (self.qvel_t, self.ctrl_t, self.warmstart_t, self.time_t):
+            zeroed[worlds] = 0.0
+        self.asleep_t[worlds] = torch.where(rings < 0, AWAKE, rings).to(self.asleep_t.dtype)
+
+    def step(self) -> None:
+        """One control step of all worlds under the ctrl that is set."""
+        with wp.ScopedDevice(self.device):
+            self.graphs.run("step", self._step)
+
+    def _step(self) -> None:
+        data = self.data
+        self.pairs_peak.zero_()
+        self.broken.zero_()
+        wp.copy(self._qpos_before, data.qpos)
+        wp.copy(self._slept, data.tree_asleep)
+        for _ in range(SUBSTEPS):
+            mjw.step(self.model, data)
+            wp.launch(
+                kernels.put_back_broken, dim=self.num_worlds, inputs=[self._qpos_before, self._slept],
+                outputs=[data.qpos, data.qvel, data.qacc_warmstart, data.tree_asleep, data.overflow, self.broken],
+            )  # fmt: skip
+        # The engine's poses are those before the last integration.
+        smooth.kinematics(self.model, self.data)
+        smooth.com_pos(self.model, self.data)
+        smooth.camlight(self.model, self.data)
+        smooth.com_vel(self.model, self.data)
+        self._derive(self._everyone)
+        wp.launch(
+            kernels.check_worlds, dim=self.num_worlds,
+            inputs=[data.overflow, self.pairs_peak, data.naconmax, self.depth, PENETRATION_LIMIT, self._overflow_bits,
+                    self.broken],
+            outputs=[self.taint],
+        )  # fmt: skip
+        wp.launch(
+            kernels.note_overflow, dim=self.num_worlds,
+            inputs=[data.overflow, self.pairs_peak, data.naconmax, int(_OVERFLOW.BROADPHASE)],
+            outputs=[self.overflow_seen],
+        )  # fmt: skip
+
+    def renew(self) -> None:
+        """Begin the worlds of ``fresh_t`` anew and teleport those of ``moved_t``, which are others, to ``new_qpos_t``.
+
+        Homes, commands and sleep of the former are read from ``new_rows_t``, ``new_ctrl_t`` and ``new_rings_t``. Shapes
+        do not depend on the masks and nothing is asked of the device: on CUDA the launch of one captured graph, which
+        does next to nothing where both masks are empty. Other worlds keep every bit.
+        """
+        with wp.ScopedDevice(self.device):
+            self.graphs.run("renew", self._renew_due)
+
+    def mend(self) -> None:
+        """Make everything derived current in the worlds that the last step broke and put back."""
+        with wp.ScopedDevice(self.device):
+            self.graphs.run("mend", self._mend_due)
+
+    def _renew_due(self) -> None:
+        wp.launch(kernels.unite, dim=self.num_worlds, inputs=[self.fresh, self.moved], outputs=[self.update])
+        self._if_due(self._renew)
+
+    def _mend_due(self) -> None:
+        wp.copy(self.update, self.broken)
+        self._if_due(self._refresh)
+
+    def _if_due(self, work: Callable[[], None]) -> None:
+        self._due.zero_()
+        wp.launch(kernels.any_of, dim=self.num_worlds, inputs=[self.update], outputs=[self._due])
+        wp.capture_if(self._due, on_true=work)
+
+    def _renew(self) -> None:
+        data = self.data
+        self.homes.put_masked(self.fresh, self.new_rows)
+        wp.launch(
+            kernels.begin_worlds, dim=self.num_worlds,
+            inputs=[self.fresh, self.new_qpos, self.new_ctrl, self.new_rings, AWAKE],
+            outputs=[data.qpos, data.qvel, data.ctrl, data.qacc_warmstart, data.time, data.tree_asleep],
+        )  # fmt: skip
+        self._move(self.moved)
+        self._refresh()
+        flags = [data.overflow, self.taint, self.broken]
+        wp.launch(kernels.clear_flags, dim=self.num_worlds, inputs=[self.fresh], outputs=flags)
+
+    def refresh(self, worlds: torch.Tensor, *, teleport: bool = False) -> None:
+        """Make everything derived current in ``worlds`` (n,) int64; other worlds keep every bit.
+
+        Args:
+            worlds: those whose state was written.
+            teleport: also move them to ``new_qpos_t``.
+        """
+        self.update_t.zero_()
+        self.update_t[worlds] = True
+        with wp.ScopedDevice(self.device):
+            if teleport:
+                self.graphs.run("teleport", self._teleport)
+            else:
+                self.graphs.run("refresh", self._refresh)
+
+    def overflown(self) -> list[str]:
+        """Names, as in `BufferSizes`, of the buffers that have ever been too small. Waits for the device."""
+        bits = int(wp.to_torch(self.overflow_seen)[0])
+        return [name for name, mask in _BUFFER_BITS.items() if bits & int(mask)]
+
+    def clear_flags(self, worlds: torch.Tensor) -> None:
+        """Forget overflow, taint and breakage of worlds (n,)."""
+        for flag in (self.overflow_t, self.taint_t, self.broken_t):
+            flag[worlds] = 0
+
+    def _teleport(self) -> None:
+        self._move(self.update)
+        self._refresh()
+
+    def _move(self, mask: wp.array) -> None:
+        data = self.data
+        wp.launch(
+            kernels.teleport, dim=self.num_worlds,
+            inputs=[mask, self.new_qpos, self._tree_q, self._tree_v, self._stops, AWAKE],
+            outputs=[data.qpos, data.qvel, data.tree_asleep],
+        )  # fmt: skip
+
+    def _refresh(self) -> None:
+        # The engine has no mask here. In other worlds this computes again what it had, but for two things: what a
+        # touch would wake in the next substep would wake now, and the contacts would be those after, not before, the
+        # last integration. So sleep is put back, and forces are only derived for the worlds asked for.
+        data = self.data
+        self.pairs_peak.zero_()
+        wp.copy(self._asleep_before, data.tree_asleep)
+        # Else the engine would take what was just put to sleep for something just woken.
+        sleep.update_sleep(self.model, data)
+        mjw.forward(self.model, data)
+        self._derive(self.update)
+        wp.launch(
+            kernels.restore_sleep, dim=data.tree_asleep.shape, inputs=[self.update, self._asleep_before],
+            outputs=[data.tree_asleep],
+        )  # fmt: skip
+        sleep.update_sleep(self.model, data)
+
+    def _derive(self, update: wp.array) -> None:
+        data, contact = self.data, self.data.contact
+        forces = [self.link_net, self.finger_force, self.touch, self.depth]
+        wp.launch(kernels.clear_forces, dim=self.num_worlds, inputs=[update], outputs=forces)
+        wp.launch(
+            kernels.add_contacts, dim=data.naconmax,
+            inputs=[data.nacon, contact.dist, contact.frame, contact.geom, contact.efc_address,
+                    contact.worldid, contact.type, data.efc.force, data.njmax, self.model.geom_bodyid, self._link_of,
+                    self._finger_of, self._target_of, self._is_robot, update],
+            outputs=forces,
+        )  # fmt: skip
+        wp.launch(
+            kernels.clear_ee_contacts, dim=self.ee_contact.shape, inputs=[update], outputs=[self.ee_contact],
+        )  # fmt: skip
+        wp.launch(
+            kernels.mark_ee_contacts, dim=data.naconmax,
+            inputs=[data.nacon, contact.geom, contact.worldid, contact.type, self.model.geom_bodyid,
+                    self._is_end_effector, self._target_of, update],
+            outputs=[self.ee_contact],
+        )  # fmt: skip
+        wp.launch(
+            kernels.finish_state, dim=self.num_worlds,
+            inputs=[update, self.link_net, self._tcp, self._tcp_root, data.xpos, data.subtree_com, data.cvel],
+            outputs=[self.link_force, self.tcp_vel],
+        )  # fmt: skip

@@ -1,0 +1,265 @@
+"""The GPU simulator: MuJoCo Warp, one device model for all homes, worlds as rows of device arrays."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from mjhab.core.arrays import to_numpy
+from mjhab.core.errors import UsageError
+from mjhab.layout.home_models import HomeModels
+from mjhab.layout.layout import Layout, addresses
+from mjhab.robots.fetch.model import Drives
+from mjhab.sim.mujoco.settle import holding_ctrl
+from mjhab.sim.protocol import SimState
+
+try:
+    import torch
+    import warp as wp
+
+    wp.config.log_level = wp.LOG_WARNING
+    from mjhab.sim.warp.device import open_device, room_for
+    from mjhab.sim.warp.engine import BufferSizes, Engine
+    from mjhab.sim.warp.rest import RestFinder
+    from mjhab.sim.warp.sizes import buffer_sizes, changed_sizes
+except ModuleNotFoundError as error:
+    raise UsageError(f"backend 'warp' needs {error.name}, which is not installed; pip install 'mjhab[gpu]'") from error
+
+
+class WarpSimulator:
+    """Worlds on MuJoCo Warp. See `Simulator` for the methods; arrays are torch tensors on the device, float32.
+
+    Forces, flags and poses mean what they mean in `CpuSimulator`. There, everything in a reset world is awake for ten
+    substeps; here what lies still sleeps at once, since buffers and solver are sized for what is awake.
+
+    Args:
+        layout: what all homes share.
+        num_worlds: worlds stepped together, >= 1.
+        device: a Warp device: "cpu", "cuda:0"; "" takes the first CUDA device.
+        drives: servos of the robot, as the control mode needs them.
+        sizes: of the engine's buffers; None calibrates them, once per layout.
+        buffers: other values for single fields of `BufferSizes`, as {"contacts": 100_000}.
+    """
+
+    num_threads = 1
+
+    def __init__(
+        self, layout: Layout, num_worlds: int, device: str = "", drives: Drives | None = None,
+        sizes: BufferSizes | None = None, buffers: Mapping[str, int] | None = None,
+    ) -> None:  # fmt: skip
+        if num_worlds < 1:
+            raise UsageError(f"num_worlds must be at least 1, got {num_worlds}")
+        self.layout, self.num_worlds = layout, num_worlds
+        self.drives = drives or Drives()
+        self.device = open_device(device)
+        self.model = HomeModels(layout, self.drives)
+        """The compiled model of a home of the pack, on the host, by the name of the home."""
+        base = self.model(layout.pack.homes[0].name)
+        self.addresses = addresses(layout, base)
+        sizes = sizes or buffer_sizes(layout, self.model, self.addresses, num_worlds, self.device)
+        sizes = changed_sizes(sizes, buffers or {})
+        self._rest = RestFinder(base, self.addresses)
+        with room_for(num_worlds, self.device):
+            self.engine = Engine(base, self.addresses, num_worlds, len(layout.pack.homes), sizes, self.device)
+            self._begin(base)
+
+    def _begin(self, base: mujoco.MjModel) -> None:
+        a, home = self.addresses, self.layout.pack.homes[0].name
+        self._robot_q, self._robot_v, self._link_q, self._link_v = map(
+            self._indices, (a.robot_q, a.robot_v, a.link_q, a.link_v)
+        )
+        self._views = self._make_views()
+        # The first refresh takes memory, too.
+        self.reset(range(self.num_worlds), [home] * self.num_worlds, np.tile(base.qpos0, (self.num_worlds, 1)))
+
+    @property
+    def qpos(self) -> torch.Tensor:
+        """(W, nq) live generalized positions; write through `write_qpos`."""
+        return self.engine.qpos_t
+
+    def reset(self, ids: Sequence[int], homes: Sequence[str], qpos: Any) -> None:
+        """Put worlds into homes, at rest in ``qpos`` (n, nq). Other worlds keep every bit."""
+        qpos = to_numpy(qpos)
+        worlds = self._clear(ids, homes, qpos, np.zeros((len(qpos), self.engine.qvel_t.shape[1])))
+        self.engine.qpos_t[worlds] = self._upload(qpos)
+        self.engine.ctrl_t[worlds] = self._upload(holding_ctrl(self.model(homes[0]), qpos))
+        self._make_current(worlds)
+
+    def _clear(self, ids: Sequence[int], homes: Sequence[str], qpos: np.ndarray, qvel: np.ndarray) -> torch.Tensor:
+        rows = [self.engine.homes.row(home, self.model(home)) for _, home in zip(ids, homes, strict=True)]
+        states = zip(homes, qpos, qvel, strict=True)
+        rings = [self._rest.rings(home, self.model(home), q, v) for home, q, v in states]
+        worlds = self._indices(ids)
+        self.engine.clear(worlds, self._indices(rows), torch.as_tensor(np.stack(rings), device=self._torch_device))
+        return worlds
+
+    def _make_current(self, worlds: torch.Tensor) -> None:
+        self.engine.refresh(worlds)
+        self.engine.clear_flags(worlds)
+
+    def mend(self, ids: Sequence[int], homes: Sequence[str], qpos: Any) -> None:
+        """Put worlds that broke at rest in the states ``qpos`` (n, nq); they stay tainted.
+
+        A state that is not finite itself is replaced by the model's default.
+        """
+        given = to_numpy(qpos)
+        worlds = self._indices(ids)
+        taint = self.engine.taint_t[worlds].clone()
+        default = np.stack([self.model(home).qpos0 for home in homes])
+        self.reset(ids, homes, np.where(np.isfinite(given).all(axis=1, keepdims=True), given, default))
+        self.engine.taint_t[worlds] = taint
+
+    def broken(self) -> torch.Tensor:
+        """(W,) bool: worlds that the last step made NaN or infinite, and that were put back for it."""
+        return self.engine.broken_t
+
+    def write_qpos(self, world: int, qpos: Any) -> None:
+        """Move one world to ``qpos`` (nq,), its robot and what it moves at rest; its home stays."""
+        self.teleport([world], qpos[None])
+
+    def teleport(self, ids: Sequence[int], qpos: Any) -> None:
+        """`write_qpos` of several worlds at once, ``qpos`` (n, nq)."""
+        worlds = self._indices(ids)
+        self.engine.new_qpos_t[worlds] = self._upload(qpos)
+        self.engine.refresh(worlds, teleport=True)
+
+    def start_rows(self, homes: Sequence[str], qpos: np.ndarray) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """What `reset_masked` needs of starts at rest in the states ``qpos`` (n, nq) of ``homes``, on the device.
+
+        Returns:
+            rows (n,) int32 of the homes, which are uploaded; commands (n, nu) float32; sleep (n, ntree) int32.
+        """
+        rows = np.array([self.engine.homes.row(home, self.model(home)) for home in homes], np.int32)
+        still = np.zeros(self.engine.qvel_t.shape[1])
+        rings = [self._rest.rings(h, self.model(h), q, still) for h, q in zip(homes, qpos, strict=True)]
+        ctrl = holding_ctrl(self.model(homes[0]), qpos)
+        device = self._torch_device
+        return torch.as_tensor(rows, device=device), self._upload(ctrl), torch.as_tensor(np.stack(rings), device=device)
+
+    def reset_masked(
+        self, mask: torch.Tensor, rows: torch.Tensor, qpos: torch.Tensor, ctrl: torch.Tensor, rings: torch.Tensor,
+        moved: torch.Tensor | None = None,
+    ) -> None:  # fmt: skip
+        """Begin the worlds of ``mask`` (W,) bool at rest in ``qpos`` (W, nq); the others keep every bit.
+
+        Nothing is copied to or from the host. All arguments are tensors on the device with a row per world, and rows
+        outside of the masks are not read.
+
+        Args:
+            mask: worlds to reset.
+            rows, ctrl, rings: rows of `start_rows`.
+            moved: (W,) bool, worlds that are teleported to their row of ``qpos`` instead; none that is in ``mask``.
+        """
+        engine = self.engine
+        engine.fresh_t.copy_(mask)
+        engine.moved_t.copy_(torch.zeros_like(mask) if moved is None else moved)
+        given = (rows, qpos, ctrl, rings)
+        buffers = (engine.new_rows_t, engine.new_qpos_t, engine.new_ctrl_t, engine.new_rings_t)
+        for buffer, values in zip(buffers, given, strict=True):
+            buffer.copy_(values)
+        with room_for(self.num_worlds, self.device):
+            engine.renew()
+
+    def mend_broken(self) -> None:
+        """Let worlds that the last step broke lie still where they were before it, without a host copy.
+
+        They stay tainted, and under the commands of the step; `mend` would give them those of a start.
+        """
+        with room_for(self.num_worlds, self.device):
+            self.engine.mend()
+
+    def check_overflow(self) -> None:
+        """Complain if a buffer was ever too small. Waits for the device.
+
+        Raises:
+            UsageError: names the buffer, its size and a larger one.
+        """
+        names, sizes = self.engine.overflown(), dataclasses.asdict(self.engine.sizes)
+        if names:
+            now = ", ".join(f"{name}={sizes[name]}" for name in names)
+            more = ", ".join(f"{name!r}: {2 * (sizes[name] or 0)}" for name in names)
+            raise UsageError(f"buffers of the engine overflowed ({now}), episodes are tainted; set buffers={{{more}}}")
+
+    def get_world(self, world: int) -> dict[str, np.ndarray]:
+        """Copies of everything the physics of one world depends on: "time", "qpos", "qvel", "ctrl", "warmstart".
+
+        What sleeps is not in it, as in `CpuSimulator.get_world`.
+        """
+        return {name: to_numpy(rows[world]).copy() for name, rows in self._world_rows().items()}
+
+    def set_world(self, world: int, home: str, saved: Mapping[str, np.ndarray]) -> None:
+        """Put one world into a home in a state from `get_world`. Its taint is cleared.
+
+        Raises:
+            UsageError: the state is that of another layout.
+        """
+        rows = self._world_rows()
+        for name, row in rows.items():
+            got, need = np.shape(saved[name]), tuple(row[world].shape)
+            if got != need:
+                raise UsageError(f"state of another layout: {name} has shape {got}, this one needs {need}")
+        worlds = self._clear([world], [home], saved["qpos"][None], saved["qvel"][None])
+        for name, row in rows.items():
+            row[world] = self._upload(saved[name])
+        self._make_current(worlds)
+
+    def _world_rows(self) -> dict[str, torch.Tensor]:
+        engine = self.engine
+        return {
+            "time": engine.time_t, "qpos": engine.qpos_t, "qvel": engine.qvel_t, "ctrl": engine.ctrl_t,
+            "warmstart": engine.warmstart_t,
+        }  # fmt: skip
+
+    def step(self, ctrl: Any) -> None:
+        """Advance all worlds by one control step under ``ctrl`` (W, nu), best a float32 tensor on the device."""
+        self.engine.ctrl_t.copy_(torch.as_tensor(ctrl))
+        with room_for(self.num_worlds, self.device):
+            self.engine.step()
+
+    def state(self) -> SimState:
+        """The current state of all worlds; most arrays are views that the next step or reset overwrites."""
+        q, v = self.engine.qpos_t, self.engine.qvel_t
+        return dataclasses.replace(
+            self._views, robot_q=q[:, self._robot_q], robot_qd=v[:, self._robot_v], link_q=q[:, self._link_q],
+            link_qd=v[:, self._link_v],
+        )  # fmt: skip
+
+    def _make_views(self) -> SimState:
+        # Everything that lies in one block; the joints of the robot do not, `state` gathers them.
+        a, engine = self.addresses, self.engine
+        pose, velocity = (
+            rows[:, start : start + width * len(a.object_q)].unflatten(1, (len(a.object_q), width))
+            for rows, start, width in (
+                (engine.qpos_t, int(a.object_q[0]), 7), (engine.qvel_t, int(a.object_v[0]), 6),
+            )
+        )  # fmt: skip
+        return SimState(
+            robot_q=None, robot_qd=None, link_q=None, link_qd=None, object_pose=pose, object_vel=velocity,
+            tcp_vel=wp.to_torch(engine.tcp_vel), link_force=wp.to_torch(engine.link_force),
+            finger_force=wp.to_torch(engine.finger_force), touch=wp.to_torch(engine.touch),
+            ee_contact=wp.to_torch(engine.ee_contact),
+            body_pos=wp.to_torch(engine.data.xpos), body_mat=wp.to_torch(engine.data.xmat),
+            body_quat=wp.to_torch(engine.data.xquat),
+        )  # fmt: skip
+
+    def add_taint(self, world: int, mask: int) -> None:
+        """Mark a world with the bits of ``mask``."""
+        self.engine.taint_t[world] |= mask
+
+    def taint(self) -> torch.Tensor:
+        """(W,) uint8 bit mask of TAINTS that arose since each world's reset."""
+        return self.engine.taint_t.clone()
+
+    @property
+    def _torch_device(self) -> torch.device:
+        return self.engine.qpos_t.device
+
+    def _indices(self, values: Sequence[int] | np.ndarray) -> torch.Tensor:
+        return torch.as_tensor(np.asarray(values, np.int64), device=self._torch_device)
+
+    def _upload(self, values: Any) -> torch.Tensor:
+        return torch.as_tensor(values).to(device=self._torch_device, dtype=torch.float32)

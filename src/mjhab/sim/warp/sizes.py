@@ -1,0 +1,216 @@
+"""How large the engine's buffers must be: measured once per layout by driving wildly through its homes."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import mujoco_warp as mjw
+import numpy as np
+import torch
+import warp as wp
+
+from mjhab.core.cache import cache_dir, write_atomic
+from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.seeding import stream
+from mjhab.layout.compile import home_hash
+from mjhab.layout.layout import Addresses, Layout
+from mjhab.layout.receptacles import placed_receptacles
+from mjhab.robots.fetch.model import REST_QPOS, TCP_LINK
+from mjhab.scenes.spec import Home
+from mjhab.sim.mujoco.settle import settle
+from mjhab.sim.warp.engine import BufferSizes, Engine
+
+MARGIN = 1.25
+"""Over the largest demand that the stress rollouts saw."""
+STRESS_HOMES, ROUNDS, STRESS_STEPS, HOLD_STEPS = 4, 6, 600, 40
+"""Homes driven through, how often, substeps [10 ms] each time, and substeps that one random command lasts."""
+HEAPS = 6
+"""Receptacles on which all objects of a round lie: closer than in any task, so that the robot has much to push."""
+LEAST = BufferSizes(contacts=24, ccd=16, rows=256, awake=64)
+"""Per world, whatever was measured: the robot and eight objects in motion."""
+CROWD = 256
+"""Contacts on top, so that one world in trouble does not take those of the others."""
+PLACES, REACH = 30, (0.6, 1.0)
+"""Random places at that distance [m] from random objects, of which the robot starts where it touches least."""
+TOP_SPEED = 1.5
+"""Largest command [m/s or rad/s] of velocity servos, and angle [rad] of joints without limits."""
+WORST_STATES, OTHER_STATES = 1, 1
+"""Per round: states with most contacts, and random ones, whose demand is measured on the device."""
+SLEEP_STEPS = 30
+"""Substeps [10 ms] after which what lies still sleeps in C MuJoCo."""
+AWAKE_STEP = 16
+"""The engine solves dense blocks of this many degrees of freedom."""
+_CCD_TRIES = (16, 32, 64, 96, 128, 192, 256, 512, 1024)
+_GENEROUS = BufferSizes(contacts=4096, ccd=1024, rows=2048)
+_FORMAT = "mjhab-warp-sizes-1"
+
+
+@dataclass(frozen=True)
+class Demand:
+    """What one world may need: the worst that was seen, and the mean. See `BufferSizes`."""
+
+    contacts: int
+    mean_contacts: float
+    ccd: int
+    mean_ccd: float
+    rows: int
+    awake: int
+
+    def sizes(self, num_worlds: int, nv: int) -> BufferSizes:
+        """Buffers for a batch of a model with ``nv`` dofs: contacts are shared, so not all worlds need the worst."""
+
+        def shared(worst: int, mean: float) -> int:
+            spread = 2.0 * math.sqrt(worst * mean / num_worlds)
+            return math.ceil(MARGIN * (worst + (num_worlds - 1) * min(worst, mean + spread)))
+
+        contacts = CROWD + max(LEAST.contacts * num_worlds, shared(self.contacts, self.mean_contacts))
+        ccd = min(contacts, CROWD + max(LEAST.ccd * num_worlds, shared(self.ccd, self.mean_ccd)))
+        rows = max(LEAST.rows, math.ceil(MARGIN * self.rows))
+        awake = max(LEAST.awake or 0, AWAKE_STEP * math.ceil(MARGIN * self.awake / AWAKE_STEP))
+        return BufferSizes(contacts, ccd, rows, min(nv, awake))
+
+
+@dataclass(frozen=True, eq=False)
+class Stress:
+    """A rollout: ``states`` (qpos (nq,), tree_asleep (ntree,)) of interest; the most rows and awake dofs of any."""
+
+    states: list[tuple[np.ndarray, np.ndarray]]
+    rows: int
+    awake: int
+
+
+def buffer_sizes(
+    layout: Layout, model: Callable[[str], mujoco.MjModel], a: Addresses, num_worlds: int, device: wp.Device
+) -> BufferSizes:
+    """Sizes for a batch of worlds of a layout, from the cache when they were measured before."""
+    homes = layout.pack.homes
+    chosen = [homes[i] for i in sorted({round(x) for x in np.linspace(0, len(homes) - 1, STRESS_HOMES)})]
+    digest = hashlib.sha256(repr((_FORMAT, mjw.__version__)).encode() + Path(__file__).read_bytes())
+    for home in chosen:
+        digest.update(home_hash(layout, home).encode())
+    path = cache_dir() / "warp" / f"sizes-{digest.hexdigest()[:24]}.json"
+    if path.exists():
+        demand = Demand(**json.loads(path.read_text(encoding="utf-8")))
+    else:
+        demand = measure_demand(layout, model, a, chosen, device)
+        text = json.dumps(dataclasses.asdict(demand))
+        write_atomic(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    return demand.sizes(num_worlds, model(homes[0].name).nv)
+
+
+def changed_sizes(sizes: BufferSizes, changes: Mapping[str, int]) -> BufferSizes:
+    """``sizes`` with other values for some fields.
+
+    Raises:
+        UsageError: no such buffer, or no whole number of at least 1.
+    """
+    names = [field.name for field in dataclasses.fields(BufferSizes)]
+    for name, value in changes.items():
+        if name not in names:
+            raise unknown_name("buffer", name, names)
+        if isinstance(value, bool) or not isinstance(value, int) or value < 1:
+            raise UsageError(f"buffer {name!r} must be a whole number of at least 1, got {value!r}")
+    return dataclasses.replace(sizes, **changes)
+
+
+def measure_demand(
+    layout: Layout, model: Callable[[str], mujoco.MjModel], a: Addresses, homes: list[Home], device: wp.Device
+) -> Demand:
+    """Drive through some homes on C MuJoCo and measure chosen states of them on the device, one by one."""
+    engine = Engine(model(homes[0].name), a, 1, len(homes), _GENEROUS, device)
+    turns = [home for home in homes for _ in range(ROUNDS)]
+    runs = [stress(layout, home, model(home.name), a, index) for index, home in enumerate(turns)]
+    needs = np.array(
+        [
+            _measure(engine, engine.homes.row(home.name, model(home.name)), *state)
+            for home, run in zip(turns, runs, strict=True)
+            for state in run.states
+        ]
+    )
+    contacts, ccd, rows = needs.T
+    most_rows = max(int(rows.max()), *(run.rows for run in runs))
+    return Demand(
+        int(contacts.max()), float(contacts.mean()), int(ccd.max()), float(ccd.mean()), most_rows,
+        max(run.awake for run in runs),
+    )  # fmt: skip
+
+
+def stress(layout: Layout, home: Home, model: mujoco.MjModel, a: Addresses, index: int) -> Stress:
+    """Random commands at full speed among objects that lie on the receptacles of a home, from stream ``index``."""
+    rng = stream(0, "warp stress", index)
+    data = mujoco.MjData(model)
+    data.qpos[:] = settle(model, a, _strew(layout, home, model, a, rng))[0]
+    _stand_free(data, model, a, rng)
+    low, high = model.jnt_range[model.actuator_trnid[:, 0]].T
+    # A servo without stiffness is commanded a speed.
+    is_speed = (model.actuator_biasprm[:, 1] == 0.0) | (high <= low)
+    low, high = np.where(is_speed, -TOP_SPEED, low), np.where(is_speed, TOP_SPEED, high)
+    mujoco.mj_step(model, data, SLEEP_STEPS)
+    counts, states, rows, awake = [], [], 0, 0
+    for step in range(STRESS_STEPS):
+        if step % HOLD_STEPS == 0:
+            data.ctrl[:] = rng.uniform(low, high)
+        mujoco.mj_step(model, data)
+        counts.append(data.ncon)
+        states.append((data.qpos.copy(), data.tree_asleep.copy()))
+        rows, awake = max(rows, data.nefc), max(awake, data.nv_awake)
+    order = np.argsort(counts, kind="stable")[-WORST_STATES:].tolist()
+    order += rng.choice(STRESS_STEPS, OTHER_STATES, replace=False).tolist()
+    return Stress([states[i] for i in order], rows, awake)
+
+
+def _strew(layout: Layout, home: Home, model: mujoco.MjModel, a: Addresses, rng: np.random.Generator) -> np.ndarray:
+    """(nq,) state with every object just above a random place of one of a few open receptacles."""
+    qpos = model.qpos0.copy()
+    surfaces = [r for r in placed_receptacles(layout, home) if not r.link and r.kind == "open"]
+    surfaces = [surfaces[i] for i in rng.permutation(len(surfaces))[:HEAPS]]
+    for slot in range(layout.num_objects if surfaces else 0):
+        on = surfaces[rng.integers(len(surfaces))]
+        place = on.point(*rng.uniform(-1.0, 1.0, 2) * on.half)
+        start = a.object_q[slot]
+        qpos[start : start + 3] = place + np.array([0.0, 0.0, layout.objects[slot].half[2] + 0.02])
+    return qpos
+
+
+def _stand_free(data: mujoco.MjData, model: mujoco.MjModel, a: Addresses, rng: np.random.Generator) -> None:
+    """Put the robot near an object, at that of some random places where it touches least."""
+    robot_tree = model.body_treeid[a.robot_body[TCP_LINK]]
+    data.qpos[a.robot_q] = REST_QPOS
+    best, least = np.zeros(3), math.inf
+    for _ in range(PLACES):
+        yaw, distance = rng.uniform(-np.pi, np.pi), rng.uniform(*REACH)
+        thing = data.qpos[a.object_q[rng.integers(len(a.object_q))] :][:2] if len(a.object_q) else np.zeros(2)
+        place = np.array([*(thing - distance * np.array([np.cos(yaw), np.sin(yaw)])), yaw])
+        data.qpos[a.robot_q[:3]] = place
+        mujoco.mj_forward(model, data)
+        touching = (model.body_treeid[model.geom_bodyid[data.contact.geom]] == robot_tree).any(axis=1).sum()
+        if touching < least:
+            best, least = place, touching
+    data.qpos[a.robot_q[:3]] = best
+
+
+def _measure(engine: Engine, home_row: int, qpos: np.ndarray, asleep: np.ndarray) -> tuple[int, int, int]:
+    """Demand of one state: contacts or candidate pairs, pairs in convex collision, constraint rows."""
+    data, device = engine.data, engine.qpos_t.device
+    world, row = torch.zeros(1, dtype=torch.int64, device=device), torch.as_tensor([home_row], device=device)
+    contacts = rows = 0
+    # The engine counts pairs in convex collision nowhere, but says when there are more than it may take.
+    for allowed in _CCD_TRIES:
+        data.naccdmax = allowed
+        engine.graphs.forget()
+        engine.clear(world, row, torch.as_tensor(asleep[None], device=device))
+        engine.qpos_t[world] = torch.as_tensor(qpos).to(engine.qpos_t)
+        engine.clear_flags(world)
+        engine.refresh(world)
+        contacts = max(int(data.nacon.numpy()[0]), int(engine.pairs_peak.numpy()[0]))
+        rows = int(data.nefc.numpy()[0])
+        if not int(data.overflow.numpy()[0]) & int(mjw.OverflowType.CCD):
+            return contacts, allowed, rows
+    return contacts, _CCD_TRIES[-1], rows

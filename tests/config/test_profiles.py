@@ -1,0 +1,172 @@
+"""Profiles: what they set, what they leave free, what contradicts them, and where their name is recorded."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+
+import mjhab
+import mjhab.envs as envs
+from mjhab.config.env import EnvConfig, TrainConfig, task_config
+from mjhab.config.profiles import MJHAB, MS_HAB, PROFILES
+from mjhab.core.errors import UsageError
+from mjhab.data.record.provenance import describe_run
+from mjhab.envs.wrappers import FrameStack
+from mjhab.experts import make_expert
+from mjhab.robots.fetch.model import REST_QPOS
+from mjhab.tasks.plan import KIND_NAMES
+
+PICK: dict[str, Any] = {"task": "tidy_house", "subtask": "pick"}
+PUBLISHED = {
+    "stillness": "published", "spawn_rule": "published", "stationary": ("head",), "force_limits": True,
+    "reward_formula": "published", "reward_normaliser": "published", "cameras": ("fetch_head", "fetch_hand"),
+    "frame_stack": 3,
+    "handle_points": "published",
+}  # fmt: skip
+USUAL = {
+    "stillness": "absolute", "spawn_rule": "front_box", "stationary": (), "force_limits": True,
+    "reward_formula": "bounded", "reward_normaliser": "attainable", "cameras": ("fetch_head", "fetch_hand"),
+    "frame_stack": 1, "handle_points": "ours", "horizon": 0,
+}  # fmt: skip
+
+
+def values(config: EnvConfig, names: dict[str, Any]) -> dict[str, Any]:
+    return {name: getattr(config, name) for name in names}
+
+
+def test_profiles_set_their_values_at_once() -> None:
+    for build in (EnvConfig, TrainConfig):
+        assert values(build(**PICK), USUAL) == USUAL and build(**PICK).profile == "mjhab"
+        assert values(build(profile="ms_hab", **PICK), PUBLISHED) == PUBLISHED
+    assert list(PROFILES) == ["mjhab", "ms_hab"] and not MJHAB.binding and MS_HAB.binding
+
+
+@pytest.mark.parametrize(
+    ("build", "subtask", "horizons"),
+    [
+        (EnvConfig, "pick", (200, 200, 200, 200, 200)),
+        (EnvConfig, "", (200, 200, 500, 200, 200)),
+        (EnvConfig, "navigate", (200, 200, 500, 200, 200)),
+        (TrainConfig, "pick", (100, 100, 100, 100, 100)),
+        (TrainConfig, "navigate", (200, 200, 1000, 200, 200)),
+    ],
+)
+def test_horizons_are_those_of_training_and_of_evaluation(build: Any, subtask: str, horizons: tuple[int, ...]) -> None:
+    limits = task_config(build(profile="ms_hab", task="set_table", subtask=subtask), REST_QPOS)
+    judged = KIND_NAMES.index(subtask) if subtask else slice(None)
+    assert np.all(np.array(limits.horizons)[judged] == np.array(horizons)[judged])
+    assert limits.force_limits == (5000.0, 7500.0, np.inf, 10000.0, 10000.0) and limits.stillness == "published"
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("stillness", "absolute"),
+        ("spawn_rule", "front_box"),
+        ("stationary", ()),
+        ("force_limits", False),
+        ("reward_formula", "bounded"),
+        ("reward_normaliser", "attainable"),
+        ("cameras", ("fetch_hand", "fetch_head")),
+        ("frame_stack", 1),
+        ("horizon", 150),
+        ("overrides", {"pick.force_limit": 1400}),
+        ("overrides", {"place.horizon": 300}),
+    ],
+)
+def test_an_option_that_contradicts_the_profile_is_refused_with_both_names(name: str, value: Any) -> None:
+    wanted: dict[str, Any] = {name: value}
+    given, contradicted = next(iter(value.items())) if isinstance(value, dict) else (name, value)
+    for build in (EnvConfig, TrainConfig):
+        with pytest.raises(UsageError, match="'ms_hab'") as error:
+            build(profile="ms_hab", **PICK, **wanted)
+        assert f"{given}={contradicted!r}" in str(error.value)
+        build(**PICK, **wanted)
+
+
+def test_what_agrees_or_is_not_fixed_may_be_given() -> None:
+    free: dict[str, Any] = {"control_mode": "pd_joint_pos", "camera_size": 64, "overrides": {"goal_type": "cylinder"}}
+    # Recorded runs tell lists where there were tuples.
+    cameras: Any = ["fetch_head", "fetch_hand"]
+    config = EnvConfig(profile="ms_hab", **PICK, **free, stillness="published", horizon=200, cameras=cameras)
+    assert config.camera_size == 64
+    again = dataclasses.replace(config, num_envs=5)
+    assert values(again, PUBLISHED) | {"cameras": tuple(again.cameras)} == PUBLISHED
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"profile": "mshab"}, "Did you mean 'ms_hab'.*mjhab, ms_hab"),
+        ({"stillness": "absolut"}, "Did you mean 'absolute'"),
+        ({"spawn_rule": "frontbox"}, "front_box, published"),
+        ({"reward_formula": "unbounded"}, "bounded, published"),
+        ({"reward_normaliser": "28"}, "attainable, published"),
+        ({"starts": "published"}, "spawn_rule: front_box, published"),
+        ({"frame_stack": 0}, "at least 1"),
+        ({"overrides": {"stillness": "published"}}, "option of its own"),
+    ],
+)
+def test_unknown_values_list_the_valid_ones(options: dict[str, Any], words: str) -> None:
+    with pytest.raises(UsageError, match=words):
+        task_config(EnvConfig(**options), REST_QPOS)
+
+
+def test_environments_take_profiles_in_every_way_they_are_made() -> None:
+    made = mjhab.make(**PICK, profile="ms_hab", num_envs=2, threads=1)
+    trained = mjhab.make_train(**PICK, profile="ms_hab", num_envs=2, threads=1)
+    named: Any = gymnasium.make_vec("mjhab/PickSubtaskTrain-v1", num_envs=2, profile="ms_hab", threads=1)
+    single: Any = gymnasium.make("mjhab/PickSubtaskTrain-v1", profile="ms_hab", threads=1)
+    for env, horizon in ((made, 200), (trained, 100), (named.unwrapped, 100), (single.unwrapped, 100)):
+        assert env.config.profile == "ms_hab" and env.task_config.pick.horizon == horizon
+        assert env.task_config.stillness == "published"
+    for env in (made, trained, named, single):
+        env.close()
+
+
+def test_a_head_that_is_stationary_stays_and_the_expert_does_without_it() -> None:
+    env = envs.make_train(**PICK, profile="ms_hab", num_envs=1, threads=1, autoreset="disabled")
+    env.reset(seed=0)
+    before = env.state.robot_q[0, [4, 6]].copy()
+    for _ in range(5):
+        env.step(np.ones((1, 13), np.float32))
+    np.testing.assert_allclose(env.state.robot_q[0, [4, 6]], before, atol=5e-3)
+    assert make_expert(env) is not None
+    still = envs.make_train(**PICK, stationary=("torso",), num_envs=1, threads=1)
+    with pytest.raises(UsageError, match="nothing stationary but the head"):
+        make_expert(still)
+
+
+def test_the_published_reward_reaches_the_environment() -> None:
+    usual, published = (
+        envs.make_train(task="set_table", subtask="close", num_envs=1, threads=1, profile=name, autoreset="disabled")
+        for name in ("mjhab", "ms_hab")
+    )
+    for env, whole in ((usual, 36.0), (published, 37.0)):
+        env.reset(seed=1)
+        _, reward, _, _, info = env.step(np.zeros((1, 13), np.float32))
+        assert reward[0] == pytest.approx(sum(float(term[0]) for term in info["reward_terms"].values()) / whole)
+
+
+def test_frames_are_those_of_the_profile() -> None:
+    options = {**PICK, "num_envs": 1, "threads": 1, "obs_mode": "depth", "camera_size": 8}
+    env = envs.make_train(**options, profile="ms_hab")
+    assert FrameStack(env).num_stack == FrameStack(env, 3).num_stack == 3
+    with pytest.raises(UsageError, match=r"'ms_hab'.*frame_stack 3.*num_stack=2"):
+        FrameStack(env, 2)
+    free = envs.make_train(**options)
+    assert FrameStack(free, 2).num_stack == 2 and FrameStack(free).num_stack == 1
+
+
+def test_runs_tell_the_profile_and_the_values_in_force() -> None:
+    env = envs.make(**PICK, profile="ms_hab", num_envs=1, threads=1)
+    run = describe_run(env, {"name": "zero"})
+    assert run.config["env"]["profile"] == "ms_hab"
+    told = {**run.config["env"], **run.options}
+    assert {name: tuple(v) if isinstance(v := told[name], list) else v for name in PUBLISHED} == PUBLISHED
+    # What is only seen or said of an episode is not part of what happened in it.
+    assert not {"frame_stack", "cameras", "reward_formula"} & set(run.config["env"])

@@ -1,0 +1,39 @@
+"""Simulators that the tests of several files share: kernels load once. Every test resets them."""
+
+from __future__ import annotations
+
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+from mjhab.layout.layout import Layout
+from mjhab.scenes.packs import open_pack
+from mjhab.sim.mujoco.cpu import CpuSimulator
+from tests.sim.warp.start import ROSTER, WORLDS
+
+
+@pytest.fixture(scope="session")
+def warp() -> ModuleType:
+    """The module of the GPU simulator."""
+    from mjhab.sim.warp import simulator as warp
+
+    return warp
+
+
+@pytest.fixture(scope="session")
+def layout() -> Layout:
+    """Can and box in the built-in homes."""
+    return Layout(open_pack("builtin"), ROSTER)
+
+
+@pytest.fixture(scope="session")
+def cpu(layout: Layout) -> CpuSimulator:
+    """The simulator to agree with."""
+    return CpuSimulator(layout, WORLDS, 1)
+
+
+@pytest.fixture(scope="session")
+def shared(warp: ModuleType, layout: Layout) -> Any:
+    """The GPU simulator on Warp's CPU device."""
+    return warp.WarpSimulator(layout, WORLDS, "cpu")

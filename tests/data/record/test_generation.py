@@ -1,0 +1,181 @@
+"""Data sets by several workers: the same set whoever works and dies; stopped and resumed; full disks; wrong folders."""
+
+from __future__ import annotations
+
+import errno
+import functools
+import json
+import os
+import random
+import signal
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from mjhab.core.errors import MjhabError, UsageError
+from mjhab.data.record.crew import ProcessCrew
+from mjhab.data.record.generation import CONFIG, TRIED, Standing, generate
+from mjhab.data.store.checking import check
+from mjhab.data.store.shard import ShardWriter, StorageError
+from tests.data.record.crews import KEEP, InlineCrew, after, build, job, kept
+
+COUNT = 16
+"""Episodes to keep; not every one that is tried passes."""
+
+
+@pytest.fixture(scope="module")
+def reference(tmp_path_factory: pytest.TempPathFactory) -> dict[int, str]:
+    """What one worker with one world keeps."""
+    out = tmp_path_factory.mktemp("reference") / "set"
+    done = generate(job(out, KEEP, worlds=1, per_target=COUNT, chunk=1), InlineCrew())
+    assert done.complete and (done.written, done.kept, done.wanted) == (COUNT, COUNT, COUNT)
+    assert done.tried > COUNT and done.passed >= COUNT and sum(done.labels.values()) == COUNT
+    assert done.bytes == sum(path.stat().st_size for path in out.glob("*.h5"))
+    return kept(out)
+
+
+@pytest.mark.parametrize(("workers", "worlds", "chunk", "deaths"), [(2, 2, 3, 0.0), (5, 1, 2, 0.0), (3, 2, 4, 0.2)])
+def test_workers_and_deaths_do_not_change_the_set(
+    tmp_path: Path, reference: dict[int, str], workers: int, worlds: int, chunk: int, deaths: float
+) -> None:
+    crew = InlineCrew(seed=workers, deaths=deaths)
+    done = generate(job(tmp_path, KEEP, worlds, per_target=COUNT, workers=workers, chunk=chunk), crew)
+    assert done.complete and done.written == done.kept == COUNT and crew.stopped
+    assert kept(tmp_path) == reference and check(tmp_path).clean
+    assert (crew.died > 0) == (deaths > 0)
+
+
+def test_failures_are_kept_without_a_filter(tmp_path: Path) -> None:
+    done = generate(job(tmp_path, episodes=20, workers=3), InlineCrew(deaths=0.1))
+    assert done.complete and list(kept(tmp_path)) == list(range(20)) and done.tried == done.passed == 20
+    assert len(done.labels) > 3
+
+
+def test_quotas_of_labels(tmp_path: Path) -> None:
+    done = generate(job(tmp_path / "three", episodes=45, per_label=2, workers=3), InlineCrew(1))
+    assert done.complete and max(done.labels.values()) == 2 and len(done.labels) > 3
+    generate(job(tmp_path / "one", episodes=45, per_label=2), InlineCrew(2))
+    assert kept(tmp_path / "one") == kept(tmp_path / "three")
+
+
+def test_a_stopped_run_goes_on_where_it_was(tmp_path: Path, reference: dict[int, str]) -> None:
+    work = job(tmp_path, KEEP, per_target=COUNT, workers=2)
+    first = generate(work, InlineCrew(3), stopped=after(12))
+    assert not first.complete and 0 < first.kept < COUNT
+    written = first.written
+    for n in range(20):
+        now = generate(work, InlineCrew(n, deaths=0.1), stopped=after(25), resume=True)
+        written += now.written
+        if now.complete:
+            break
+    assert now.complete and written == now.kept == COUNT and kept(tmp_path) == reference
+    again = generate(work, InlineCrew(), resume=True)
+    assert again.complete and again.written == 0 and kept(tmp_path) == reference
+
+
+def test_a_raised_quota_gives_the_set_of_the_larger_one(tmp_path: Path, reference: dict[int, str]) -> None:
+    generate(job(tmp_path, KEEP, per_target=10, workers=3), InlineCrew(1))
+    assert len(kept(tmp_path)) == 10
+    told: list[Standing] = []
+    generate(job(tmp_path, KEEP, per_target=COUNT, workers=1), InlineCrew(2), told.append, resume=True)
+    assert kept(tmp_path) == reference
+    assert [s.kept for s in told] == sorted(s.kept for s in told) and told[-1].kept == COUNT == told[-1].wanted
+
+
+def test_a_quota_that_cannot_be_filled_ends_with_the_episodes(tmp_path: Path) -> None:
+    done = generate(job(tmp_path, "steps > 10000", episodes=10, per_target=3, workers=2), InlineCrew())
+    assert done.complete and (done.kept, done.tried, done.passed) == (0, 10, 0)
+    lines = (tmp_path / TRIED).read_text().splitlines()
+    assert sorted(json.loads(line)["index"] for line in lines) == list(range(10))
+    # Half a line, as a kill in the middle of writing it leaves.
+    (tmp_path / TRIED).write_text("\n".join(lines)[:-5])
+    again = generate(job(tmp_path, "steps > 10000", episodes=12, per_target=3), InlineCrew(), resume=True)
+    assert again.tried == 12 and len((tmp_path / TRIED).read_text().splitlines()) == 12
+
+
+def test_processes_killed_at_random_lose_and_double_nothing(tmp_path: Path, reference: dict[int, str]) -> None:
+    crew, dice, killed = ProcessCrew(), random.Random(5), list[int]()
+
+    def kill(now: Standing) -> None:
+        if len(killed) < 2 and now.written >= 4 * (1 + len(killed)):
+            time.sleep(0.05 * dice.random())
+            killed.append(dice.choice([pid for pid in crew.pids.values() if pid not in killed]))
+            os.kill(killed[-1], signal.SIGKILL)
+
+    done = generate(job(tmp_path, KEEP, per_target=COUNT, workers=2), crew, kill)
+    assert len(killed) == 2 and done.complete and done.written == COUNT
+    assert kept(tmp_path) == reference and check(tmp_path).clean and not crew.pids
+
+
+def test_processes_stop_in_the_middle_of_an_episode(tmp_path: Path) -> None:
+    crew, begun = ProcessCrew(), time.monotonic()
+    told: list[Standing] = []
+    done = generate(job(tmp_path, episodes=100_000, workers=1), crew, told.append, lambda: len(told) > 5)
+    assert not done.complete and done.kept >= 3 and not crew.pids and time.monotonic() - begun < 20
+    assert check(tmp_path).clean and len(kept(tmp_path)) == done.kept
+
+
+def test_a_full_disk_stops_and_can_be_resumed(
+    tmp_path: Path, reference: dict[int, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real, left = ShardWriter._change, [8]
+
+    def change(self: ShardWriter, fill: object) -> int:
+        left[0] -= 1
+        if left[0] < 0:
+            raise StorageError("the disk is full")
+        return real(self, fill)  # type: ignore[arg-type]
+
+    work = job(tmp_path, KEEP, per_target=COUNT, workers=2)
+    with monkeypatch.context() as patch:
+        patch.setattr(ShardWriter, "_change", change)
+        crew = InlineCrew()
+        with pytest.raises(StorageError, match=r"the disk is full.*goes on with --resume"):
+            generate(work, crew)
+        assert crew.stopped and len(kept(tmp_path)) == 8
+    assert generate(work, InlineCrew(), resume=True).complete and kept(tmp_path) == reference
+
+
+def test_the_disk_of_the_list_of_tries_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("mjhab.data.record.generation._Run._log", full)
+    with pytest.raises(StorageError, match=r"No space left.*--resume"):
+        generate(job(tmp_path, "steps > 10000", episodes=10), InlineCrew())
+
+
+def test_a_worker_that_always_dies_or_fails_is_given_up(tmp_path: Path) -> None:
+    with pytest.raises(MjhabError, match="died 3 times"):
+        generate(job(tmp_path / "a", "steps > 10000", episodes=10), InlineCrew(deaths=1.0))
+    with pytest.raises(UsageError, match="is being written"), ShardWriter(tmp_path / "b" / "shard_000.h5") as writer:
+        # Another process has every shard, as far as a worker can see.
+        (tmp_path / "b" / CONFIG).write_text('{"keep": ""}')
+        work = job(tmp_path / "b", episodes=5)
+        crew = InlineCrew()
+        start = crew.start
+        crew.start = lambda number, spec, shard: start(number, spec, writer.path)  # type: ignore[method-assign]
+        generate(work, crew, resume=True)
+
+
+def test_folders_that_cannot_be_used(tmp_path: Path) -> None:
+    generate(job(tmp_path / "a", episodes=3), InlineCrew())
+    with pytest.raises(UsageError, match="not empty; add --resume"):
+        generate(job(tmp_path / "a", episodes=3), InlineCrew())
+    with pytest.raises(UsageError, match="another keep"):
+        generate(job(tmp_path / "a", "success", episodes=3), InlineCrew(), resume=True)
+    (tmp_path / "a" / CONFIG).unlink()
+    with pytest.raises(UsageError, match="has not made"):
+        generate(job(tmp_path / "a", episodes=3), InlineCrew(), resume=True)
+    with pytest.raises(UsageError, match="is a file"):
+        generate(job(tmp_path / "a" / "shard_000.h5", episodes=3), InlineCrew())
+    (tmp_path / "a" / CONFIG).write_text('{"keep": ""}')
+    work = job(tmp_path / "a", episodes=5)
+    with pytest.raises(UsageError, match="is being written"):
+        generate(work, InlineCrew(), lambda _: generate(work, InlineCrew(), resume=True), resume=True)
+    other = replace(work, spec=replace(work.spec, build=functools.partial(build, 2, "pick")))
+    with pytest.raises(UsageError, match="another configuration"):
+        generate(other, InlineCrew(), resume=True)
+    assert generate(work, InlineCrew(), resume=True).kept == 5

@@ -1,0 +1,152 @@
+"""Windows for torch: contents, edges, normalization, workers, order."""
+
+from __future__ import annotations
+
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch.utils.data import DataLoader
+
+from mjhab.core.errors import UsageError
+from mjhab.data.select.dataset import SeededSampler, WindowDataset
+from mjhab.data.select.query import Filter
+from mjhab.data.select.statistics import Statistics
+from mjhab.data.store import journal
+from mjhab.data.store.images import ImageFormat
+from mjhab.data.store.reading import episodes
+from mjhab.data.store.schema import DamagedError
+from tests.data.fake_world import SIZE, FakeEnv
+from tests.data.make import record
+
+DEPTH = "fetch_head/depth"
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("source")
+    for part in range(2):
+        env = FakeEnv(subtask="pick", images=True)
+        record(folder / f"{part}.h5", range(3 * part, 3 * part + 3), env, images=ImageFormat())
+    return folder
+
+
+def test_windows_hold_what_was_before_and_what_comes(source: Path) -> None:
+    data = WindowDataset(source, history=3, chunk=4, images=[DEPTH])
+    lengths = [episode.steps for episode in episodes(source)]
+    assert len(data) == sum(lengths)
+    for k, episode in enumerate(episodes(source)):
+        state, actions = episode.array("obs/state"), episode.array("actions")
+        for t in (0, 1, 5, episode.steps - 2, episode.steps - 1):
+            item = data[sum(lengths[:k]) + t]
+            assert (item["episode"], item["step"]) == (k, t)
+            np.testing.assert_array_equal(item["state"], state[[max(t - 2, 0), max(t - 1, 0), t]])
+            ahead = np.arange(t, t + 4)
+            np.testing.assert_array_equal(item["action"], actions[np.minimum(ahead, episode.steps - 1)])
+            assert item["action_is_pad"].tolist() == (ahead >= episode.steps).tolist()
+            assert item[DEPTH].shape == (3, 1, SIZE, SIZE) and item[DEPTH].dtype == torch.int16
+            np.testing.assert_array_equal(item[DEPTH][2, 0], episode.frame("fetch_head", "depth", t)[..., 0])
+            np.testing.assert_array_equal(
+                item[DEPTH][0, 0], episode.frame("fetch_head", "depth", max(t - 2, 0))[..., 0]
+            )
+    with pytest.raises(IndexError):
+        data[len(data)]
+
+
+def test_normalized_numbers_have_mean_zero_and_come_back(source: Path, tmp_path: Path) -> None:
+    plain, data = WindowDataset(source), WindowDataset(source, normalize="spread", cache=tmp_path / "stats.npz")
+    actions = torch.cat([data[i]["action"] for i in range(len(data))]).numpy()
+    np.testing.assert_allclose(actions.mean(axis=0), 0, atol=1e-5)
+    np.testing.assert_allclose(actions.std(axis=0), 1, atol=1e-4)
+    known = Statistics.load(tmp_path / "stats.npz")
+    np.testing.assert_allclose(known.restore("action", actions[7]), plain[7]["action"][0], atol=1e-5)
+    assert known.low["state"].shape == (5,) and (known.high["state"] >= known.low["state"]).all()
+
+
+def test_normalized_to_a_range(source: Path) -> None:
+    plain, data = WindowDataset(source), WindowDataset(source, normalize="range")
+    actions = torch.cat([data[i]["action"] for i in range(len(data))]).numpy()
+    np.testing.assert_allclose(actions.min(axis=0), -1, atol=1e-5)
+    np.testing.assert_allclose(actions.max(axis=0), 1, atol=1e-5)
+    back = data.statistics.restore("action", actions[7], "range")
+    np.testing.assert_allclose(back, plain[7]["action"][0], atol=1e-5)
+    with pytest.raises(UsageError, match=r"unknown way to normalize 'rang'\. Did you mean 'range'"):
+        WindowDataset(source, normalize="rang")
+
+
+def test_images_of_a_shard_with_a_journal(source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A writer was killed while it put its last episode in place: frames come through HDF5, and are the same."""
+    path = tmp_path / "a.h5"
+    record(path, range(1), FakeEnv(subtask="pick", images=True), images=ImageFormat())
+
+    def killed(fd: int, pages: dict[int, bytes]) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(journal, "_apply", killed)
+        record(path, range(1, 2), FakeEnv(subtask="pick", images=True), images=ImageFormat())
+    assert journal.journal_path(path).exists()
+    pending, whole = WindowDataset(path, images=[DEPTH]), WindowDataset(source, images=[DEPTH])
+    assert len(pending) == 2 * len(whole) // 6
+    for t in (0, len(pending) - 1):
+        assert torch.equal(pending[t][DEPTH], whole[t][DEPTH])
+
+
+def test_a_file_that_was_replaced_is_told(source: Path, tmp_path: Path) -> None:
+    path = tmp_path / "a.h5"
+    record(path, range(1), FakeEnv(subtask="pick", images=True), images=ImageFormat())
+    data = WindowDataset(path, images=[DEPTH])
+    path.write_bytes(bytes(path.stat().st_size))
+    with pytest.raises(DamagedError, match=r"image 3 of fetch_head depth .* Has the file been replaced"):
+        data[3]
+
+
+def test_statistics_are_computed_once_for_the_same_data(
+    source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cache = tmp_path / "stats.npz"
+    first = WindowDataset(source, cache=cache).statistics
+    monkeypatch.setattr(Statistics, "of", lambda *a, **k: pytest.fail("computed again"))
+    again = WindowDataset(source, cache=cache).statistics
+    np.testing.assert_array_equal(again.mean["action"], first.mean["action"])
+    monkeypatch.undo()
+    other = WindowDataset(source, where=Filter("index < 2"), cache=cache).statistics
+    assert other.fingerprint != first.fingerprint and Statistics.load(cache).fingerprint == other.fingerprint
+    assert WindowDataset(source, statistics=first).statistics is first
+    cache.write_bytes(b"no statistics")
+    with pytest.raises(UsageError, match="Delete it"):
+        WindowDataset(source, cache=cache)
+
+
+def test_workers_read_the_same(source: Path) -> None:
+    data = WindowDataset(source, history=2, images=[DEPTH], where=Filter("index < 4"))
+    alone = [data[i] for i in range(len(data))]
+    batches = list(DataLoader(data, batch_size=16, num_workers=2, multiprocessing_context="fork"))
+    for key in ("state", "action", DEPTH):
+        together = torch.cat([batch[key] for batch in batches])
+        assert torch.equal(together, torch.stack([item[key] for item in alone]))
+    # What a spawned worker is given: no open files.
+    sent = pickle.loads(pickle.dumps(data))
+    assert torch.equal(sent[5][DEPTH], alone[5][DEPTH])
+
+
+def test_order_is_a_function_of_seed_and_epoch(source: Path) -> None:
+    data = WindowDataset(source)
+    sampler, other = SeededSampler(len(data), seed=3), SeededSampler(len(data), seed=3)
+    first, second = list(sampler), list(sampler)
+    assert sorted(first) == list(range(len(data))) == sorted(second) and first != second
+    other.set_epoch(1)
+    assert list(other) == second and list(SeededSampler(len(data), seed=4)) != first
+
+
+def test_filter_and_bad_input(source: Path) -> None:
+    chosen = WindowDataset(source, where=Filter("index in (0, 5)"))
+    assert {chosen[i]["episode"] for i in range(len(chosen))} == {0, 1}
+    with pytest.raises(UsageError, match="no episode passes"):
+        WindowDataset(source, where=Filter("index > 99"))
+    with pytest.raises(UsageError, match="replay --render"):
+        WindowDataset(source, images=["fetch_hand/rgb"])
+    with pytest.raises(UsageError, match="at least 1"):
+        WindowDataset(source, history=0)

@@ -1,0 +1,195 @@
+"""Select, count, merge and split, from Python and from the command line."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import h5py
+import pytest
+
+from mjhab.cli.main import main
+from mjhab.core.errors import UsageError
+from mjhab.data.select.query import Filter
+from mjhab.data.select.sets import merge, select, split, stats
+from mjhab.data.store.checking import check
+from mjhab.data.store.hdf5 import dataset, group
+from mjhab.data.store.reading import episodes
+from mjhab.data.store.shard import ShardWriter
+from tests.data.fake_world import FakeEnv
+from tests.data.make import record
+
+
+@pytest.fixture(scope="module")
+def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("set")
+    record(folder / "chain.h5", range(12))
+    record(folder / "pick.h5", range(8), FakeEnv(2, "pick"))
+    return folder
+
+
+@pytest.fixture
+def folder(original: Path, tmp_path: Path) -> Path:
+    return shutil.copytree(original, tmp_path / "set")
+
+
+def attributes(*places: Path) -> dict[str, Any]:
+    return {e.name: e.attributes for e in episodes(places)}
+
+
+def test_select_and_stats(folder: Path) -> None:
+    records = [e.record for e in episodes(folder)]
+    tainted = [r for r in records if r.taint]
+    assert tainted and {r.index for r in tainted} == {4}
+    found = select(folder, Filter("steps > 2"))
+    assert (len(found.matched), found.of) == (sum(r.steps > 2 and not r.taint for r in records), 20)
+    assert found.tainted == sum(r.steps > 2 for r in tainted)
+    assert len(select(folder).matched) == 20 and len(select(folder, Filter("tainted")).matched) == len(tainted)
+    numbers = stats(folder)
+    assert numbers["of"] == numbers["episodes"] == 20 and numbers["shards"] == 2
+    assert numbers["labels"] == Counter(s.label for r in records for s in r.subtasks)
+    assert [row["subtask"] for row in numbers["rows"]] == ["chain", "pick"]
+    assert sum(row["steps"] for row in numbers["rows"]) == sum(r.steps for r in records)
+    assert numbers["bytes"] == sum(p.stat().st_size for p in folder.iterdir())
+    assert stats(folder, Filter("steps < 0"))["episodes"] == 0
+
+
+def test_merge(folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "all.h5"
+    done = merge([folder], out)
+    assert (done.written, done.left_out, done.repeated) == (20, 0, 0)
+    assert attributes(out) == attributes(folder) and check(out).ok == 20
+    done = merge([folder / "pick.h5"], out)
+    assert (done.written, done.repeated) == (0, 8) and check(out).ok == 20
+    part = merge([folder], tmp_path / "part.h5", Filter("subtask == 'pick' and not tainted"))
+    assert (part.written, part.left_out) == (7, 13)
+    assert sum(e.run.config["env"]["subtask"] == "pick" for e in episodes(out)) == 8
+    with pytest.raises(UsageError, match="one of the shards to merge"):
+        merge([folder, out], out)
+
+
+def test_merge_refuses_two_contents_of_one_episode(folder: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other.h5"
+    merge([folder / "pick.h5"], other)
+    with h5py.File(other, "r+") as file:
+        name = sorted(group(file, "episodes"))[2]
+        group(file, f"episodes/{name}").attrs["digest"] = "0" * 64
+    with pytest.raises(UsageError, match="differs from one of the same config, seed and index"):
+        merge([folder, other], tmp_path / "out.h5")
+
+
+def test_adopting_what_is_there_is_refused(folder: Path, tmp_path: Path) -> None:
+    from mjhab.data.store.reading import open_shard
+
+    out = tmp_path / "out.h5"
+    with ShardWriter(out) as writer, open_shard(folder / "pick.h5") as shard:
+        assert writer.adopt(shard, shard.names[:2]) > 0
+        with pytest.raises(UsageError, match="already; nothing was written"):
+            writer.adopt(shard, shard.names)
+    assert check(out).ok == 2
+
+
+@pytest.mark.parametrize("by", ["episode", "home", "target"])
+def test_split(folder: Path, tmp_path: Path, by: str) -> None:
+    sizes = split([folder], tmp_path / "a", {"train": 0.6, "val": 0.4}, by)
+    parts = {name: attributes(tmp_path / "a" / f"{name}.h5") for name in sizes}
+    assert {**parts["train"], **parts["val"]} == attributes(folder)
+    assert not parts["train"].keys() & parts["val"].keys() and sum(sizes.values()) == 20
+    if by == "episode":
+        assert sizes == {"train": 12, "val": 8}
+    if by == "home":
+        homes = {name: {a["home"] for a in part.values()} for name, part in parts.items()}
+        assert homes["train"] and homes["val"] and not homes["train"] & homes["val"]
+    merge([folder], tmp_path / "one.h5")
+    assert split([tmp_path / "one.h5"], tmp_path / "b", {"train": 0.6, "val": 0.4}, by) == sizes
+    assert attributes(tmp_path / "b" / "val.h5") == parts["val"]
+    split([folder], tmp_path / "c", {"train": 0.6, "val": 0.4}, by, seed=1)
+    assert by != "episode" or attributes(tmp_path / "c" / "val.h5") != parts["val"]
+
+
+def test_split_refuses(folder: Path, tmp_path: Path) -> None:
+    for parts in ({}, {"a": 0.0}, {"a": 0.7, "b": 0.4}, {"a": -1.0}):
+        with pytest.raises(UsageError, match="shares must be positive"):
+            split([folder], tmp_path / "out", parts)
+    split([folder], tmp_path / "out", {"a": 0.5})
+    with pytest.raises(UsageError, match=r"a.h5 exists already"):
+        split([folder], tmp_path / "out", {"a": 0.5})
+    merge([folder / "pick.h5"], folder / "again.h5")
+    with pytest.raises(UsageError, match="comes twice"):
+        split([folder], tmp_path / "more", {"a": 0.5})
+
+
+def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, Any]:
+    code = main(["data", *map(str, words), "--json"])
+    out = capsys.readouterr().out.strip()
+    return code, json.loads(out) if out else None
+
+
+def test_commands(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(capsys, "check", folder)[1] == {
+        "episodes": 20, "ok": 20, "damaged": 0, "unreadable": [], "unfinished": [], "doubled": 0,
+        "schemas": {"2": 20},
+        "problems": [],
+    }  # fmt: skip
+    code, found = run(capsys, "query", folder, "--where", "subtask == 'pick'", "--list", "2")
+    assert code == 0 and (found["matched"], found["of"], found["tainted_left_out"]) == (7, 20, 1)
+    assert [row["index"] for row in found["episodes"]] == [0, 1] and found["episodes"][0]["target"] == "024_bowl"
+    assert (
+        run(capsys, "query", folder, "--preset", "pick_paper", "--where", "tainted or true")[1]["tainted_left_out"] == 0
+    )
+    assert run(capsys, "stats", folder)[1]["episodes"] == 20
+    assert run(capsys, "merge", folder, "--out", tmp_path / "m.h5", "--where", "success")[1]["repeated"] == 0
+    sizes = run(capsys, "split", folder, "--out", tmp_path / "s", "--parts", "train=0.5", "val=0.25")[1]
+    assert sizes == {"parts": {"train": 10, "val": 5}}
+    repaired = {"kept": 20, "lost": 0, "finished": 0, "damaged_files": [], "indexed": True}
+    assert run(capsys, "repair", folder)[1] == repaired
+    assert "max_force" in dict((row[0], row) for row in run(capsys, "fields")[1]["fields"])
+
+
+def test_tables(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for words, text in (
+        (["query", folder, "--where", "steps > 2", "--list", "3"], "of 20 episodes"),
+        (["stats", folder], "Recorded episodes"),
+        (["check", folder], "20 episodes, 20 ok, 0 damaged, 0 shards unreadable"),
+        (["repair", folder], "20 episodes kept, 0 lost"),
+        (["fields"], "pick_paper"),
+    ):
+        assert main(["data", *map(str, words)]) == 0
+        assert text in capsys.readouterr().out
+
+
+def test_damage_fails_the_check_and_is_repaired(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with h5py.File(folder / "pick.h5", "r+") as file:
+        name = sorted(group(file, "episodes"))[3]
+        dataset(file, f"episodes/{name}/actions")[0, 0] += 1.0
+    (folder / "foreign.h5").write_text("hello")
+    code, report = run(capsys, "check", folder)
+    assert code == 1 and (report["ok"], report["damaged"], len(report["unreadable"])) == (19, 1, 1)
+    wrong = "its bytes are not those that were written (digest)"
+    assert report["problems"] == [{"shard": str(folder / "pick.h5"), "episode": name, "wrong": wrong}]
+    assert main(["data", "check", str(folder)]) == 1 and "digest" in capsys.readouterr().out
+    (folder / "foreign.h5").unlink()
+    assert main(["data", "repair", str(folder)]) == 0
+    assert "7 episodes saved, 1 lost; the damaged file is" in capsys.readouterr().out
+    assert run(capsys, "check", folder)[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("query", "--where", "max_forse < 3"), "Did you mean 'max_force'"),
+        (("query", "--preset", "pick"), "Did you mean 'pick_paper'"),
+        (("query", "--list", "-1"), "--list must be at least 0"),
+        (("split", "--out", "x", "--parts", "train"), "give names, each once, with shares"),
+        (("split", "--out", "x", "--parts", "a=1", "a=1"), "give names, each once"),
+        (("split", "--out", "x", "--by", "homes"), "Did you mean 'home'"),
+    ],
+)
+def test_bad_options(folder: Path, words: tuple[str, ...], message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["data", words[0], str(folder), *words[1:]]) == 2
+    assert message in capsys.readouterr().err
+    assert main(["data", "query", str(folder / "nowhere")]) == 2
+    assert "does not exist" in capsys.readouterr().err

@@ -1,0 +1,143 @@
+"""Evaluation as a library function: what `mjhab eval` does, from Python, on an env without physics."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mjhab
+from mjhab.core.errors import UsageError
+from mjhab.evaluation import evaluate as library
+from mjhab.evaluation.evaluate import EvalSpec, EvaluationInterrupted, run_evaluation
+from mjhab.rollout.policy import RolloutEnv, ZeroPolicy
+from mjhab.rollout.sinks import Sink
+from mjhab.rollout.store import read_records
+from tests.rollout.fake_env import FakeEnv
+
+
+class Stage:
+    """Stands in for the real environment; remembers what was asked for."""
+
+    def __init__(self) -> None:
+        self.built: list[FakeEnv] = []
+        self.options: list[dict[str, Any]] = []
+        self.interrupt_at: int | None = None
+
+    def make_env(self, spec: EvalSpec, options: Mapping[str, Any]) -> FakeEnv:
+        env = FakeEnv(min(spec.worlds, spec.episodes))
+        env.interrupt_at = self.interrupt_at
+        self.built.append(env)
+        self.options.append(dict(options))
+        return env
+
+
+@pytest.fixture(autouse=True)
+def stage(monkeypatch: pytest.MonkeyPatch) -> Stage:
+    stage = Stage()
+    monkeypatch.setattr(library, "make_env", stage.make_env)
+    return stage
+
+
+class Own(ZeroPolicy):
+    """A policy of a user."""
+
+    name = "own"
+    env_options = {"obs_mode": "depth", "camera_size": 32}  # noqa: RUF012
+
+
+class Knowing(ZeroPolicy):
+    """A policy that is made from its environment."""
+
+    def __init__(self, env: RolloutEnv) -> None:
+        super().__init__()
+        self.env = env
+
+
+def test_a_run_folder_with_report_and_films(stage: Stage, tmp_path: Path) -> None:
+    run = mjhab.evaluate("zero", episodes=3, worlds=2, films=1, out=tmp_path / "run")
+    names = sorted(entry.name for entry in run.path.iterdir())
+    assert names == ["config.json", "episodes.jsonl", "films", "report.html", "summary.json"]
+    assert [entry.name for entry in (run.path / "films").iterdir()] == ["episode_00000.mp4"]
+    assert run.report.read_text().count("<video") == 1 and run.film_problem is None
+    assert [record.index for record in run.records] == [0, 1, 2] and run.summary["episodes"] == 3
+    assert list(run.records) == sorted(read_records(run.path), key=lambda record: record.index)
+    assert json.loads((run.path / "config.json").read_text()) == run.config
+    assert stage.built[0].closed
+
+
+def test_all_ways_to_give_a_policy_are_one(stage: Stage, tmp_path: Path) -> None:
+    runs = [
+        mjhab.evaluate(policy, episodes=4, films=0, out=str(tmp_path / str(number)))
+        for number, policy in enumerate(["zero", ZeroPolicy(), ZeroPolicy, Knowing, lambda env: Knowing(env)])
+    ]
+    assert all(run.records == runs[0].records for run in runs)
+    assert [run.config["policy"] for run in runs] == ["zero", "zero", "zero", "zero", "<lambda>"]
+
+
+def test_what_the_policy_needs_and_what_the_user_asks_for(stage: Stage, tmp_path: Path) -> None:
+    asked = {"episodes": 1, "films": 0}
+    run = mjhab.evaluate(Own(), **asked, camera_size=64, horizon=np.int64(5), out=tmp_path / "a")
+    assert stage.options[0] == {"obs_mode": "depth", "camera_size": 64, "horizon": 5}
+    assert run.config["env"] == stage.options[0] and run.config["policy"] == "own"
+    mjhab.evaluate(Own, **asked, env={"obs_mode": "rgb"}, out=tmp_path / "b")
+    assert stage.options[1] == {"obs_mode": "rgb", "camera_size": 32}
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"episods": 3}, "'episods'. Did you mean 'episodes'"),
+        ({"num_envs": 3}, "unknown option of an evaluation 'num_envs'"),
+        ({"autoreset": "same_step"}, "unknown option of an evaluation 'autoreset'"),
+        ({"env": {"task": "set_table"}}, "unknown option of an evaluation 'task'"),
+        ({"task": "set_tabel"}, "Did you mean 'set_table'"),
+        ({"target": "024_bowl"}, "a target needs a subtask"),
+        ({"episodes": 0}, "episodes must be at least 1, got 0"),
+        ({"policy": "zero", "style": ("speed=0.5",)}, "style is for the policy expert"),
+        ({"policy": "nobody"}, "unknown policy 'nobody'"),
+        ({"policy": object()}, "object has no reset and no act"),
+        ({"policy": FakeEnv}, "FakeEnv has no act"),
+    ],
+)
+def test_bad_input_leaves_nothing(stage: Stage, tmp_path: Path, options: dict[str, Any], words: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        mjhab.evaluate(**{"out": tmp_path / "run", "policy": "zero", **options})
+    assert words in str(caught.value)
+    assert not (tmp_path / "run").exists() and all(env.closed for env in stage.built)
+
+
+def test_ctrl_c_reports_and_goes_on_to_the_caller(stage: Stage, tmp_path: Path) -> None:
+    stage.interrupt_at = 200
+    with pytest.raises(EvaluationInterrupted) as caught:
+        mjhab.evaluate("zero", episodes=30, films=0, out=tmp_path)
+    kept = caught.value.run
+    assert isinstance(caught.value, KeyboardInterrupt) and 0 < len(kept.records) < 30
+    assert f"Partial: {len(kept.records)} of 30" in kept.report.read_text() and stage.built[0].closed
+    stage.interrupt_at = None
+    whole = mjhab.evaluate("zero", episodes=30, films=0, out=tmp_path, resume=True)
+    assert (
+        len(whole.records) == 30
+        and whole.records == mjhab.evaluate("zero", episodes=30, out=tmp_path, resume=True).records
+    )
+    assert len(stage.built) == 2, "nothing was left to run the third time"
+
+
+def test_further_sinks_hear_the_rollout(tmp_path: Path) -> None:
+    class Log(Sink):
+        ended: list[int] = []  # noqa: RUF012
+
+        def on_episode_end(self, env: Any, world: int, record: Any) -> None:
+            self.ended.append(record.index)
+
+    run_evaluation(EvalSpec("zero", episodes=3, films=0, out=tmp_path), [Log()])
+    assert sorted(Log.ended) == [0, 1, 2]
+
+
+def test_default_folders_are_valid_names() -> None:
+    spec = EvalSpec(subtask="pick")
+    assert library.default_out(spec, "ws://host:80/a b").name == "set_table_pick_ws-host-80-a-b_seed0"

@@ -1,0 +1,44 @@
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mjhab.experts.arm.gentle import BRISK, FIRM, WEAK, Care, care_for, eased
+
+
+def view_with(**objects: tuple[float, float]) -> Any:
+    """A view with objects of a mass [kg] so far [m] from the hand."""
+    pose = {name: np.array([1.0, 2.0, 1.0 - far, 1, 0, 0, 0]) for name, (_, far) in objects.items()}
+    return SimpleNamespace(
+        tcp_pose=np.array([1.0, 2.0, 1.0, 1, 0, 0, 0]), object_names=tuple(objects), object_pose=pose.__getitem__,
+        object_type=lambda name: SimpleNamespace(mass=objects[name][0]),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("objects", "care"),
+    [({}, FIRM), ({"box": (0.5, 0.05)}, WEAK), ({"box": (0.5, 0.02)}, FIRM), ({"bowl": (0.15, 0.08)}, FIRM)],
+)
+def test_a_heavy_object_held_far_from_its_centre_is_driven_with_more_care(objects, care):
+    assert care_for(view_with(**objects)) == care
+
+
+def test_a_hurry_asks_for_less_care_of_what_is_heavy():
+    heavy, light = view_with(box=(0.5, 0.05)), view_with(bowl=(0.15, 0.08))
+    assert care_for(heavy, hurry=True) == BRISK and care_for(light, hurry=True) == FIRM
+    assert WEAK.change < BRISK.change < FIRM.change and WEAK.spin <= BRISK.spin
+
+
+def test_only_the_object_in_the_hand_counts():
+    assert care_for(view_with(apple=(0.07, 0.01), box=(0.5, 1.5))) == FIRM
+
+
+@pytest.mark.parametrize("care", [FIRM, WEAK])
+def test_speeds_change_by_little_and_turns_end_sooner_than_they_begin(care: Care):
+    assert eased((1.0, 3.0), (0.0, 0.0), care) == pytest.approx((care.rise, care.change))
+    assert eased((0.0, 0.0), (1.0, 1.0), care) == pytest.approx((1.0 - care.rise, 1.0 - care.fall))
+    assert eased((0.0, -3.0), (0.0, -care.spin), care) == pytest.approx((0.0, -care.spin))
+    assert eased((0.0, 3.0), (0.0, -1.0), care)[1] == pytest.approx(-1.0 + care.fall)

@@ -1,0 +1,167 @@
+"""Ways around what straight motions of the arm touch: they are clear, always the same, and looked for within bounds."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from itertools import pairwise
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from mjhab.core.boxes import Boxes
+from mjhab.envs.privileged import REST_QPOS, WorldView
+from mjhab.experts.arm import ik, motion
+from mjhab.experts.base import route
+from mjhab.experts.base.route import Route
+from mjhab.experts.planning import sampled
+from mjhab.experts.planning.reach import Blocked, HandGoals, Scene, Stance
+from mjhab.experts.planning.sampled import Free, arm_way, plan_around, roomier
+
+PAN = 5
+"""Column of the shoulder's turn."""
+
+
+def turned(pan: float) -> np.ndarray:
+    q = REST_QPOS.copy()
+    q[PAN] = pan
+    return q
+
+
+LEFT, RIGHT = turned(0.9), turned(-0.9)
+# A wall that ends at the robot, between where the arm is and where it is to go, with and without a gap at half height.
+WALL = Boxes.of([[1.0, 0.0, 2.4], [1.0, 0.0, 0.5]], [[0.65, 0.01, 0.9], [0.65, 0.01, 0.5]])
+SOLID = Boxes.of([[0.9, 0.0, 1.5]], [[0.65, 0.01, 1.5]])
+
+
+def free(boxes: Boxes) -> Free:
+    return Free.near(LEFT, motion.spheres(), boxes)
+
+
+def view_of(q: np.ndarray) -> WorldView:
+    return SimpleNamespace(q=q, steps_left=200)  # type: ignore[return-value]
+
+
+def spare(way: np.ndarray, what: Free) -> float:
+    """Least room on a way, looked at much closer than the planner does."""
+    pieces = [a + np.linspace(0, 1, 60)[:, None] * (b - a) for a, b in pairwise(way)]
+    return float(what.spare(np.concatenate(pieces)).min())
+
+
+def test_arm_goes_around_a_wall_that_the_straight_motion_hits():
+    what = free(WALL)
+    assert spare(np.stack([LEFT, RIGHT]), what) < -0.03 and not what.edge(LEFT, RIGHT)
+    way = arm_way(LEFT, RIGHT, what)
+    assert way is not None and len(way) > 2
+    assert np.array_equal(way[0], LEFT) and np.array_equal(way[-1], RIGHT)
+    assert spare(way, what) > -0.005
+    dofs = ik.columns(motion.chain())
+    inside = (way >= motion.chain().lower - 1e-9) & (way <= motion.chain().upper + 1e-9)
+    assert inside[:, dofs].all() and (np.delete(way - LEFT, dofs, axis=1) == 0.0).all()
+
+
+def test_a_way_is_the_same_whatever_was_planned_before():
+    first = arm_way(LEFT, RIGHT, free(WALL))
+    for end in (turned(-0.7), turned(-1.2)):
+        assert arm_way(LEFT, end, free(WALL)) is not None
+    assert arm_way(LEFT, RIGHT, free(SOLID), rounds=7) is None
+    again = arm_way(LEFT, RIGHT, free(WALL))
+    assert first is not None and again is not None and first.tobytes() == again.tobytes()
+
+
+def test_gives_up_after_so_many_rounds(monkeypatch: pytest.MonkeyPatch):
+    looked = []
+    edge = Free.edge
+    monkeypatch.setattr(Free, "edge", lambda self, a, b: looked.append(1) or edge(self, a, b))
+    assert arm_way(LEFT, RIGHT, free(SOLID), rounds=20) is None
+    few = len(looked)
+    assert arm_way(LEFT, RIGHT, free(SOLID), rounds=60) is None
+    assert 0 < few < len(looked) - few < 20 * 60
+
+
+def blocked_drive(monkeypatch: pytest.MonkeyPatch) -> tuple[np.ndarray, np.ndarray, Boxes]:
+    """A straight drive between posts that the arm at rest, swung to the side, does not pass."""
+    goal = np.array([1.2, 0.0, 0.0])
+    path = np.stack([np.zeros(2), goal[:2]])
+    poses = np.linspace(np.zeros(3), goal, 30)
+    for module in (sampled, route):
+        monkeypatch.setattr(module, "drive_of", lambda *_, **__: (path, 1, 0.3, poses))
+    posts = Boxes.of([[0.9, 0.62, 0.9], [0.9, -0.62, 0.9]], [[0.04, 0.04, 0.9]] * 2)
+    return goal, np.concatenate([goal, LEFT[3:]]), posts
+
+
+def test_drives_with_another_posture_where_the_arm_does_not_pass(monkeypatch: pytest.MonkeyPatch):
+    goal, arm, posts = blocked_drive(monkeypatch)
+    view, robot = view_of(LEFT), motion.spheres()
+    straight = route.plan_route(view, goal, arm, robot, posts)
+    assert straight is not None and straight.room < sampled.TOUCHES
+    found = plan_around(view, goal, arm, robot, posts)
+    assert found is not None and found.via is not None and 0 <= found.carried < len(found.via)
+    carried = np.repeat(found.via[found.carried][None], 40, axis=0)
+    carried[:, :3] = np.linspace(np.zeros(3), goal, 40)
+    assert robot.clearance(carried, posts).min() > 0.05
+    assert found.lead + 30 <= found.steps and np.array_equal(found.arm, arm)
+    again = plan_around(view, goal, arm, robot, posts)
+    assert again is not None and again.via is not None and again.via.tobytes() == found.via.tobytes()
+
+
+def test_only_where_straight_ways_touch_and_time_is_left(monkeypatch: pytest.MonkeyPatch):
+    _, arm, posts = blocked_drive(monkeypatch)
+    one = np.zeros((1, 3))
+    goals = HandGoals(one, np.eye(3)[None], one, np.zeros(1), np.zeros(1))
+    scene = Scene(posts, posts.take(np.zeros(0, int)), 0.0)
+    blocked = [Blocked(goals, np.zeros(1, int), arm[None], arm[None], scene, 0.0)]
+    view = view_of(LEFT)
+
+    def stance(room: float) -> tuple[Stance, HandGoals, float]:
+        return Stance(0, arm, arm, Route(np.zeros((2, 2)), 0.0, 1, 0.3, arm, 0, 40, room)), goals, 0.0
+
+    good, bad = stance(0.01), stance(-0.07)
+    assert roomier(view, good, blocked) is good
+    around = roomier(view, bad, blocked)
+    assert around is not None and around is not bad and around[0].route.via is not None
+    assert roomier(view, None, blocked) is not None and roomier(view, None, []) is None
+    view.steps_left = around[0].route.steps + sampled.REST - 1  # type: ignore[misc]
+    assert roomier(view, bad, blocked) is bad
+
+
+def test_ompl_is_loaded_only_when_it_is_needed():
+    code = "import sys, mjhab, mjhab.experts.skills.pick; sys.exit('ompl' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+class Arm:
+    """A robot that stands and whose arm and torso do most of what they are told."""
+
+    def __init__(self, q: np.ndarray) -> None:
+        self.q, self.link_forces, self.passed = q.copy(), np.zeros(1), [q.copy()]
+
+    def obey(self, action: np.ndarray) -> None:
+        self.q = self.q.copy()
+        self.q[list(motion.ARM_JOINTS)] += 0.4 * motion.LIMITS.joint_delta * action[:7]
+        self.q[3] += 0.4 * motion.LIMITS.joint_delta * action[motion.TORSO]
+        self.passed.append(self.q)
+
+
+def test_arm_passes_the_postures_of_a_route_one_after_the_other():
+    view, low = Arm(LEFT), turned(0.3)
+    low[7], low[9] = -0.5, 1.3
+    via = np.stack([low, turned(-0.3)])
+    here = np.zeros((2, 2))
+    way = Route(here, 0.0, 1, 0.3, RIGHT, 30, 120, 0.0, via=via, carried=0, lead=20)
+    drive = route.follow(view, way, gripper=motion.OPEN)  # type: ignore[arg-type]
+    arrived = None
+    while arrived is None:
+        try:
+            view.obey(next(drive))
+        except StopIteration as end:
+            arrived = end.value
+    assert arrived
+    gaps = np.abs(np.array(view.passed)[:, None] - np.stack([*via, RIGHT])).max(axis=2)
+    first = [int(np.argmax(gap < route.PASSED)) for gap in gaps.T]
+    assert 0 < first[0] < first[1] < first[2] and (gaps[first[0] : 20, 0] < route.PASSED).all()
+    # It starts gently, when the base has arrived as well.
+    speed = np.abs(np.diff(np.array(view.passed), axis=0)).max(axis=1)
+    for start in (0, way.lead):
+        np.testing.assert_allclose(speed[start : start + 4] / speed.max(), [0.25, 0.5, 0.75, 1.0], atol=0.01)

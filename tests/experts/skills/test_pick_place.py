@@ -1,0 +1,274 @@
+"""Pick and place: real episodes from every kind of place, and the parts that plan them."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Iterator
+from functools import lru_cache
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import mjhab.envs as envs
+from mjhab.core.boxes import Boxes
+from mjhab.envs.privileged import WorldView
+from mjhab.envs.sequential import SequentialTaskEnv
+from mjhab.episodes.grasps.candidates import ObjectShape, Options, grasp_candidates
+from mjhab.experts import make_expert
+from mjhab.experts.arm import motion
+from mjhab.experts.arm.ik import rotate
+from mjhab.experts.base.route import LOOKAHEADS, LOST_STEPS, Pilot, follow, plan_route, planner
+from mjhab.experts.planning.carry import grip, held_spheres, inside_depth
+from mjhab.experts.planning.reach import Scene, surroundings, way_out
+from mjhab.experts.skills.pick import EVEN, balanced, height_below, plan_pick
+from mjhab.experts.skills.place import hand_goals
+from mjhab.tasks.style import ANY
+
+pick_module = importlib.import_module("mjhab.experts.skills.pick")
+
+UPRIGHT = np.eye(3)
+
+
+def build(task: str, subtask: str, target: str = "", worlds: int = 3) -> SequentialTaskEnv:
+    return envs.make(
+        task=task, subtask=subtask, target=target, num_envs=worlds, split="train", autoreset="disabled", threads=1
+    )
+
+
+@lru_cache
+def view_of(task: str, subtask: str, target: str = "", episode: int = 0) -> WorldView:
+    """A world at its start; nothing here moves it, so tests share it."""
+    env = build(task, subtask, target, worlds=1)
+    env.reset(seed=0, options={"episode": [episode]})
+    return env.view(0)
+
+
+def the_object(view: WorldView) -> str:
+    assert view.subtask is not None
+    return view.subtask.obj
+
+
+@pytest.mark.parametrize(
+    ("task", "subtask", "target"),
+    [
+        ("tidy_house", "pick", ""),
+        ("set_table", "pick", "024_bowl"),
+        ("set_table", "pick", "013_apple"),
+        ("tidy_house", "place", ""),
+        ("prepare_groceries", "place", ""),
+    ],
+)
+def test_expert_succeeds_in_most_episodes(task: str, subtask: str, target: str):
+    env = build(task, subtask, target)
+    obs, info = env.reset(seed=0, options={"episode": [0, 1, 2]})
+    expert = make_expert(env)
+    expert.reset(np.ones(3, bool))
+    once = np.zeros(3, bool)
+    for _ in range(200):
+        actions = expert.act(obs, info)
+        assert np.isfinite(actions).all() and np.abs(actions).max() <= 1.0 + 1e-6
+        obs, reward, _, _, info = env.step(actions)
+        once |= reward > 0.5
+        if once.all():
+            break
+    assert once.sum() >= 2, f"{once} of {[e['plan'] for e in info['episode_spec']]}"
+
+
+def drive(pilot: Pilot, pose: np.ndarray, steps: int = 300) -> tuple[np.ndarray, int]:
+    """An ideal unicycle under a pilot: where it ends and after how many steps."""
+    for step in range(steps):
+        forward, turn, done = pilot.step(pose)
+        if done:
+            return pose, step
+        pose = pose + 0.05 * np.array([forward * np.cos(pose[2]), forward * np.sin(pose[2]), turn])
+    return pose, steps
+
+
+@pytest.mark.parametrize("lookahead", LOOKAHEADS)
+@pytest.mark.parametrize("yaw", [0.0, 2.0, -3.0])
+def test_pilot_ends_near_the_goal_with_its_heading(lookahead: float, yaw: float):
+    path = np.array([[0.0, 0.0], [0.8, 0.0], [1.2, 0.6]])
+    pose, steps = drive(Pilot(path, yaw, 1, lookahead), np.array([0.0, 0.0, 0.4]))
+    assert np.linalg.norm(pose[:2] - path[-1]) < 0.06
+    assert abs((pose[2] - yaw + np.pi) % (2 * np.pi) - np.pi) < 0.06
+    assert steps < 160
+
+
+def test_pilot_drives_straight_back():
+    pose, steps = drive(Pilot(np.array([[0.0, 0.0], [-0.6, 0.0]]), 0.0, -1, 0.3), np.zeros(3))
+    np.testing.assert_allclose(pose, [-0.6, 0.0, 0.0], atol=0.03)
+    assert steps < 40
+
+
+@pytest.mark.parametrize(
+    ("shape", "rot", "height"),
+    [
+        (ObjectShape("box", (0.02, 0.04, 0.1)), UPRIGHT, 0.1),
+        (ObjectShape("box", (0.02, 0.04, 0.1)), rotate(np.array([[np.pi / 2, 0.0, 0.0]]))[0], 0.04),
+        (ObjectShape("cylinder", (0.03, 0.03, 0.05)), rotate(np.array([[0.0, np.pi / 4, 0.0]]))[0], 0.08 / np.sqrt(2)),
+        (ObjectShape("sphere", (0.04, 0.04, 0.04)), rotate(np.array([[0.3, 0.7, 0.1]]))[0], 0.04),
+    ],
+)
+def test_height_below_centre(shape: ObjectShape, rot: np.ndarray, height: float):
+    assert height_below(shape, rot) == pytest.approx(height)
+
+
+def test_gripper_action_for_an_opening():
+    assert grip(0.10) == pytest.approx(1.0) and grip(-0.02) == pytest.approx(-1.0)
+    assert grip(0.04) == pytest.approx(0.0)
+
+
+def test_plan_of_a_pick_is_clear_of_the_furniture():
+    view = view_of("tidy_house", "pick", episode=1)
+    obj = the_object(view)
+    found = plan_pick(view, obj, np.zeros((0, 3)))
+    assert found is not None
+    stance, goals, _ = found
+    near, target = surroundings(view, obj, view.object_pose(obj)[:3])
+    assert motion.spheres().clearance(stance.pre[None], type(near).join([near, target]))[0] > 0.0
+    pos, rot = motion.chain().tip_pose(stance.at[None])
+    np.testing.assert_allclose(pos[0], goals.pos[stance.goal], atol=0.01)
+    np.testing.assert_allclose(rot[0], goals.rot[stance.goal], atol=0.1)
+    assert motion.planner(view.home).clearance_at(stance.at[:2]) >= 0.27
+
+
+def test_failed_base_poses_are_avoided():
+    view = view_of("tidy_house", "pick", episode=1)
+    first = plan_pick(view, the_object(view), np.zeros((0, 3)))
+    assert first is not None
+    second = plan_pick(view, the_object(view), first[0].at[None, :3])
+    assert second is not None
+    assert np.linalg.norm((first[0].at[:3] - second[0].at[:3]) * [1.0, 1.0, 0.3]) > 0.1
+
+
+def test_fridge_shelf_asks_to_come_straight_in():
+    view = view_of("set_table", "pick", "013_apple")
+    point = view.object_pose(the_object(view))[:3]
+    assert inside_depth(view, point) > 0.3
+    assert inside_depth(view, view.q[:3]) == 0.0
+
+
+def test_way_out_of_a_shelf_keeps_the_object_off_the_walls():
+    half, eye = np.array([0.04, 0.04, 0.05]), np.eye(3)[None]
+    target = Boxes(np.array([[0.5, 0.0, 1.05]]), half[None], eye)
+    wall = Boxes(np.array([[0.3, 0.12, 1.1]]), np.array([[0.4, 0.01, 0.5]]), eye)
+    bases = np.array([[-0.3, 0.0, 0.0], [-0.2, 0.2, -0.35], [-0.2, -0.2, 0.35]])
+    straight, towards, away = way_out(bases, Scene(wall, target, 1.0), 0.42)
+    assert straight == pytest.approx(0.07, abs=0.005)
+    assert towards < 0.0 < away
+
+
+def test_grasps_on_a_shelf_come_from_its_open_side():
+    shape, pose = ObjectShape("box", (0.05, 0.03, 0.08)), np.array([0.0, 0.0, 1.08])
+    found = [
+        grasp_candidates(shape, pose, np.array([1.0, 0.0, 0.0, 0.0]), support_z=1.0, options=options)
+        for options in (Options(), Options(inward=(1.0, 0.0), shallower=(0.0, 0.02)))
+    ]
+    assert found[0].rot[:, 0, 0].min() < -0.25
+    assert len(found[1]) and found[1].rot[:, 0, 0].min() > -0.26
+
+
+def test_hand_goals_put_the_object_upright_at_the_goal():
+    view = view_of("tidy_house", "place", episode=1)
+    obj = the_object(view)
+    assert view.subtask is not None
+    goal = np.array(view.subtask.goal_pos)
+    goals = hand_goals(view, obj, goal, shelf=False, any_side=False)
+    tcp, rot = motion.tcp(view)
+    offset = rot.T @ (view.object_pose(obj)[:3] - tcp)
+    centres = goals.pos + goals.rot @ offset
+    # What leans is let go beside the place where it comes to rest.
+    leans = np.linalg.norm(centres[:, :2] - goal[:2], axis=1) > 0.10 + 1e-9
+    assert goals.score[leans].max(initial=-np.inf) < goals.score[~leans].max() - 0.2
+    assert np.linalg.norm(centres[goals.score > -1e-9, :2] - goal[:2], axis=1).max() < 1e-9
+    assert (centres[:, 2] > goal[2]).all() and np.abs(centres[goals.score > -1e-9, 2] - goal[2]).max() < 0.02
+
+
+def test_spheres_of_a_held_object_stay_with_it():
+    view = view_of("tidy_house", "place", episode=1)
+    obj = the_object(view)
+    local, radius = held_spheres(view, obj)
+    tcp, rot = motion.tcp(view)
+    far = np.linalg.norm(tcp + local @ rot.T - view.object_pose(obj)[:3], axis=1)
+    assert far.max() <= np.linalg.norm(view.object_type(obj).half) and (radius > 0).all()
+
+
+def test_route_keeps_room_and_ends_at_the_goal():
+    view = view_of("tidy_house", "pick", episode=1)
+    cells = np.argwhere(planner(view).clearance > 0.6)
+    free = planner(view).origin + (cells + 0.5) * planner(view).cell
+    spot = free[np.argmin(np.abs(np.linalg.norm(free - view.q[:2], axis=1) - 1.0))]
+    near, target = surroundings(view, the_object(view), np.array([*spot, 1.0]))
+    rest = motion.rest_goal(view)
+    route = plan_route(view, np.array([*spot, 0.0]), rest, motion.spheres(), type(near).join([near, target]))
+    assert route is not None
+    np.testing.assert_allclose(route.path[-1], spot)
+    assert route.steps < 200
+
+
+def test_grasps_beside_the_centre_come_last():
+    centre = np.array([0.0, 0.0, 0.1])
+    found = grasp_candidates(
+        ObjectShape("box", (0.1, 0.03, 0.1)), centre, np.array([1.0, 0.0, 0.0, 0.0]), support_z=0.0
+    )
+
+    ordered = balanced(found, centre)
+    before, after = (np.abs(np.einsum("gj,gj->g", centre - g.pos, g.rot[:, :, 2])) for g in (found, ordered))
+    assert len(ordered) == len(found) and (np.diff(ordered.score) <= 0.0).all()
+    assert after[:10].max() <= EVEN < before.max()
+    assert after[:40].mean() < before[:40].mean()
+
+
+def test_a_drive_ends_when_the_object_is_lost():
+    view = view_of("tidy_house", "pick")
+    boxes, _ = surroundings(view, the_object(view), view.tcp_pose[:3])
+    ahead = view.q[:3] + np.array([np.cos(view.q[2]), np.sin(view.q[2]), 0.0])
+    route = plan_route(view, ahead, view.q, motion.spheres(), boxes, straight=True)
+    assert route is not None and route.steps > 2 * LOST_STEPS
+    # The hand is empty.
+    drive_with = follow(view, route, gripper=motion.CLOSED, held=the_object(view))
+    assert len(list(drive_with)) == LOST_STEPS
+
+
+def test_place_picks_up_again_what_it_lost():
+    env = envs.make(
+        task="tidy_house", subtask="place", num_envs=1, split="train", autoreset="disabled", threads=1, horizon=350
+    )
+    obs, info = env.reset(seed=0, options={"episode": [1]})
+    expert = make_expert(env)
+    expert.reset(np.ones(1, bool))
+    obj, height = the_object(env.view(0)), np.inf
+    for step in range(350):
+        actions = expert.act(obs, info)
+        if 10 <= step < 16:
+            actions[:, 7] = motion.OPEN
+        obs, reward, _, _, info = env.step(actions)
+        height = min(height, float(env.view(0).object_pose(obj)[2]))
+        if reward[0] > 0.5:
+            break
+    assert height < 0.1 and reward[0] > 0.5
+
+
+def test_a_grasp_out_of_reach_from_where_the_base_stays_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    stance = SimpleNamespace(at=np.zeros(6))
+    plans: list[int] = []
+
+    def plan(view: object, obj: str, failed: np.ndarray, *rest: object) -> object:
+        plans.append(len(failed))
+        assert len(plans) < 10, "plans again and again within one control step"
+        return None if len(failed) else (stance, None, 0.0)
+
+    def at_once(*args: object, **options: object) -> Iterator[np.ndarray]:
+        yield from ()
+
+    def hold(*args: object, **options: object) -> Iterator[np.ndarray]:
+        yield np.zeros(13)
+
+    monkeypatch.setattr(pick_module, "plan_pick", plan)
+    monkeypatch.setattr(pick_module, "_take", at_once)
+    monkeypatch.setattr(pick_module, "_let_go", at_once)
+    monkeypatch.setattr(pick_module, "style_of", lambda view: SimpleNamespace(grasp=ANY))
+    monkeypatch.setattr(pick_module.motion, "hold", hold)
+    assert next(pick_module.fetch(SimpleNamespace(steps_left=0), "024_bowl_:0000")).shape == (13,)  # type: ignore[arg-type]
+    assert plans == [0, 0, 1]

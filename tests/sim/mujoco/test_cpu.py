@@ -1,0 +1,170 @@
+"""The CPU simulator: homes per world, forces by contact sensors, flags, isolation."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+from mjhab.core.errors import UsageError
+from mjhab.layout.contact_sensors import FORCE_SENSOR_WIDTH, normal_force
+from mjhab.layout.layout import Layout
+from mjhab.robots.fetch.model import FINGER_LINKS, REST_QPOS
+from mjhab.scenes.packs import open_pack
+from mjhab.sim.mujoco.cpu import CpuSimulator
+from mjhab.sim.mujoco.settle import parked_robot_qpos
+
+ROSTER = ("005_tomato_soup_can", "004_sugar_box")
+
+
+@pytest.fixture(scope="module")
+def layout() -> Layout:
+    return Layout(open_pack("builtin"), ROSTER)
+
+
+def free_place(layout: Layout, home: int, table: str = "table_01") -> np.ndarray:
+    at = next(p for p in layout.pack.homes[home].props if p.template == table)
+    top = layout.pack.props[table].receptacles[0]
+    return np.array([at.pos[0], at.pos[1], top.pos[2]])
+
+
+def start(sim: CpuSimulator, home: str) -> np.ndarray:
+    qpos = sim.model(home).qpos0.copy()
+    qpos[sim.addresses.robot_q] = parked_robot_qpos()
+    return qpos
+
+
+def test_all_homes_share_one_layout(layout: Layout):
+    sim = CpuSimulator(layout, 1, 1)
+    models = [sim.model(h.name) for h in layout.pack.homes]
+    for model in models[1:]:
+        for size in ("nq", "nv", "nu", "nbody", "ngeom", "nmesh", "nsensor", "nsensordata", "njnt"):
+            assert getattr(model, size) == getattr(models[0], size)
+        np.testing.assert_array_equal(model.geom_type, models[0].geom_type)
+        np.testing.assert_array_equal(model.geom_contype, models[0].geom_contype)
+        np.testing.assert_array_equal(model.geom_bodyid, models[0].geom_bodyid)
+    assert any((models[0].geom_pos != m.geom_pos).any() for m in models[1:])
+
+
+def test_each_world_rests_on_the_furniture_of_its_own_home(layout: Layout):
+    homes = [h.name for h in layout.pack.homes[:3]]
+    sim = CpuSimulator(layout, 3, 2)
+    rows = []
+    for i, home in enumerate(homes):
+        qpos = start(sim, home)
+        qpos[sim.addresses.object_q[0] : sim.addresses.object_q[0] + 3] = free_place(layout, i) + np.array([0, 0, 0.08])
+        rows.append(qpos)
+    sim.reset([0, 1, 2], homes, np.stack(rows))
+    ctrl = np.zeros((3, sim.batch.ctrl.shape[1]))
+    for _ in range(20):
+        sim.step(ctrl)
+    for i in range(3):
+        top = free_place(layout, i)[2]
+        half = layout.objects[0].half[2]
+        assert sim.state().object_pose[i, 0, 2] == pytest.approx(top + half, abs=0.003)
+
+
+def test_contact_sensors_match_the_contact_forces_of_the_engine(layout: Layout):
+    home = layout.pack.homes[0].name
+    sim = CpuSimulator(layout, 1, 1)
+    model, a = sim.model(home), sim.addresses
+    data = mujoco.MjData(model)
+    robot = parked_robot_qpos()
+    data.qpos[a.robot_q] = robot
+    mujoco.mj_kinematics(model, data)
+    tcp = data.xpos[a.robot_body["gripper_link"]].copy()
+    quat = data.xquat[a.robot_body["gripper_link"]].copy()
+    robot[13:15] = 0.0336
+    data.qpos[a.robot_q] = robot
+    turn = np.zeros(4)
+    mujoco.mju_mulQuat(turn, quat, np.array([np.sqrt(0.5), 0, -np.sqrt(0.5), 0]))
+    data.qpos[a.object_q[0] : a.object_q[0] + 7] = [*tcp, *turn]
+    for i in range(model.nu):
+        data.ctrl[i] = data.qpos[model.jnt_qposadr[model.actuator_trnid[i, 0]]] if i > 2 else 0.0
+    data.ctrl[-2:] = -0.01
+    mujoco.mj_step(model, data, 30)
+    mujoco.mj_forward(model, data)
+    for side, finger in enumerate(FINGER_LINKS):
+        want = np.zeros(3)
+        for c in range(data.ncon):
+            bodies = model.geom_bodyid[data.contact.geom[c]]
+            if set(bodies) == {a.robot_body[finger], a.object_body[0]}:
+                local = np.zeros(6)
+                mujoco.mj_contactForce(model, data, c, local)
+                # Normals alone: friction is no part of a contact force, as in the original's engine.
+                force = data.contact.frame[c][:3] * local[0]
+                want += force if bodies[1] == a.robot_body[finger] else -force
+        adr = a.finger_force[side, 0]
+        got = -normal_force(data.sensordata[adr : adr + FORCE_SENSOR_WIDTH])
+        np.testing.assert_allclose(got, want, atol=1e-6)
+        assert np.linalg.norm(want) > 5.0
+
+
+@pytest.mark.parametrize(
+    ("link", "offset", "by_hand"),
+    [("gripper_link", (-0.12, 0.0, 0.0), True), ("gripper_link", (0.0, 0.0, 0.0), True),
+     ("forearm_roll_link", (0.05, 0.0, 0.0), False), ("base_link", (0.3, 0.0, 0.15), False)],
+)  # fmt: skip
+def test_the_end_effector_is_gripper_link_and_fingers(layout: Layout, link: str, offset: tuple, by_hand: bool):
+    home = layout.pack.homes[0].name
+    sim = CpuSimulator(layout, 1, 1)
+    model, a = sim.model(home), sim.addresses
+    data = mujoco.MjData(model)
+    qpos = model.qpos0.copy()
+    qpos[a.robot_q] = parked_robot_qpos()
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    place = data.body(link).xpos + data.body(link).xmat.reshape(3, 3) @ offset
+    qpos[a.object_q[0] : a.object_q[0] + 3] = place
+    sim.reset([0], [home], qpos[None])
+    state = sim.state()
+    assert state.touch[0].tolist() == [True] + [False] * (state.touch.shape[1] - 1)
+    assert state.ee_contact[0].tolist() == [by_hand] + [False] * (state.touch.shape[1] - 1)
+    # The palm alone counts, too.
+    assert bool(np.any(state.finger_force[0, :, 0])) == (offset == (0.0, 0.0, 0.0))
+
+
+def test_reset_of_one_world_keeps_the_bytes_of_the_others(layout: Layout):
+    homes = [h.name for h in layout.pack.homes[:2]]
+    sim = CpuSimulator(layout, 2, 2)
+    sim.reset([0, 1], homes, np.stack([start(sim, h) for h in homes]))
+    ctrl = np.random.default_rng(0).uniform(-0.3, 0.3, sim.batch.ctrl.shape)
+    for _ in range(5):
+        sim.step(ctrl)
+    before = [sim.batch.qpos[0].tobytes(), sim.batch.qvel[0].tobytes(), sim.batch.sensordata[0].tobytes()]
+    sim.reset([1], [homes[0]], start(sim, homes[0])[None])
+    assert [sim.batch.qpos[0].tobytes(), sim.batch.qvel[0].tobytes(), sim.batch.sensordata[0].tobytes()] == before
+
+
+def test_replay_after_reset_is_bit_exact(layout: Layout):
+    home = layout.pack.homes[0].name
+    sim = CpuSimulator(layout, 1, 1)
+    qpos = start(sim, home)
+    qpos[sim.addresses.robot_q[2]] = 0.4
+    runs = []
+    for _ in range(2):
+        sim.reset([0], [home], qpos[None])
+        for k in range(15):
+            sim.step(np.random.default_rng(k).uniform(-0.4, 0.4, sim.batch.ctrl.shape))
+        runs.append(sim.batch.qpos[0].tobytes())
+    assert runs[0] == runs[1]
+
+
+def test_deep_penetration_is_flagged(layout: Layout):
+    home = layout.pack.homes[0]
+    sim = CpuSimulator(layout, 1, 1)
+    wall = home.walls[0]
+    qpos = start(sim, home.name)
+    robot = np.array(REST_QPOS)
+    robot[:2] = wall.pos[:2]
+    qpos[sim.addresses.robot_q] = robot
+    sim.reset([0], [home.name], qpos[None])
+    sim.step(np.zeros_like(sim.batch.ctrl))
+    assert sim.taint()[0] != 0
+
+
+def test_bad_arguments(layout: Layout):
+    with pytest.raises(UsageError, match="at least 1"):
+        CpuSimulator(layout, 0)
+    with pytest.raises(UsageError, match="builtin_m0_00"):
+        CpuSimulator(layout, 1, 1).model("builtin_m0_0")

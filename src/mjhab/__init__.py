@@ -9,13 +9,13 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from mjhab.core.version import __version__
+
 if TYPE_CHECKING:
     from mjhab.envs import make, make_train
     from mjhab.evaluation.evaluate import evaluate
     from mjhab.experts import make_expert
     from mjhab.scenes.packs import open_pack
-
-__version__ = "0.1.0"
 
 __all__ = ["__version__", "evaluate", "make", "make_expert", "make_train", "open_pack"]
 
@@ -27,7 +27,27 @@ _LAZY = {
     "open_pack": "mjhab.scenes.packs",
 }
 _PACKAGES = frozenset(
-    {"assets", "cli", "core", "data", "envs", "experts", "learning", "rollout", "scenes", "sim", "tasks"}
+    {
+        "assets",
+        "bench",
+        "cli",
+        "config",
+        "core",
+        "data",
+        "envs",
+        "episodes",
+        "evaluation",
+        "experts",
+        "layout",
+        "learning",
+        "render",
+        "reports",
+        "robots",
+        "rollout",
+        "scenes",
+        "sim",
+        "tasks",
+    }
 )
 
 

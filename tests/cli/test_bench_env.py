@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mjhab.bench.env import STAGES
 from mjhab.bench.reward import auc, figure, summary
+from mjhab.bench.stages import STAGES
 from mjhab.cli.main import main
 from mjhab.envs.catalog import ENV_IDS
 

@@ -37,11 +37,9 @@ def test_export_lerobot(shard: Path, tmp_path: Path, capsys: pytest.CaptureFixtu
 def test_without_pyarrow_the_extra_is_named(
     shard: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name in [
-        name for name in sys.modules if name.startswith(("mjhab.data.export.lerobot.export", "mjhab.data.lerobot_"))
-    ]:
+    for name in [name for name in sys.modules if name.startswith("mjhab.data.export.lerobot")]:
         monkeypatch.delitem(sys.modules, name)
-    monkeypatch.delattr("mjhab.data.export.lerobot.export", raising=False)
+    monkeypatch.delattr("mjhab.data.export.lerobot", raising=False)
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     assert main(["export", "lerobot", str(shard), "--out", str(tmp_path / "set")]) == USAGE
     assert "pip install 'mjhab[data]'" in capsys.readouterr().err

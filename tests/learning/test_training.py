@@ -18,8 +18,9 @@ from mjhab.learning.checkpoint import load_checkpoint, load_student, save_studen
 from mjhab.learning.collection import Means, Scene
 from mjhab.learning.configs import HEADS, PRESETS, preset_of, student_from_plain, to_plain
 from mjhab.learning.demos import BatchSampler, take_chunks
+from mjhab.learning.heads import make_student
 from mjhab.learning.session import Request, Session, open_session
-from mjhab.learning.student import Batch, make_student
+from mjhab.learning.student import Batch
 from mjhab.learning.train import train
 from mjhab.learning.training import BrokenLossError, Trainer
 from tests.data.fake_world import FakeEnv

@@ -18,8 +18,8 @@ from typing import IO
 from urllib.error import HTTPError, URLError
 from urllib.request import Request, build_opener
 
-import mjhab
 from mjhab.core.errors import MjhabError
+from mjhab.core.version import __version__
 
 TRIES = 6
 """Tries in a row that bring nothing new before a transfer is given up."""
@@ -174,7 +174,7 @@ def _wrong(part: Path, expected: Expected) -> tuple[str, str]:
 
 def _open(url: str, start: int = 0) -> http.client.HTTPResponse:
     """Ask for a file from byte ``start`` on. A fresh opener, since urllib's own keeps the proxies it saw first."""
-    headers = {"User-Agent": f"mjhab/{mjhab.__version__}", "Accept-Encoding": "identity"}
+    headers = {"User-Agent": f"mjhab/{__version__}", "Accept-Encoding": "identity"}
     if start:
         headers["Range"] = f"bytes={start}-"
     return build_opener().open(Request(url, headers=headers), timeout=TIMEOUT)

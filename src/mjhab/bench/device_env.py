@@ -8,8 +8,8 @@ from statistics import median
 from typing import Any
 
 from mjhab.bench.engine import sway
-from mjhab.bench.env import Stopwatch, resident_mb, stage_seconds, watch_env
 from mjhab.bench.memory_sampler import MemorySampler
+from mjhab.bench.stages import Stopwatch, resident_mb, stage_seconds, watch_env
 from mjhab.cli.env_options import BenchEnvOptions
 from mjhab.cli.profiles import profile_options
 
@@ -18,7 +18,7 @@ WARM_STEPS = 3
 
 
 def measure_device_env(options: BenchEnvOptions, worlds: int) -> dict[str, Any]:
-    """The like of `bench_env.measure_env` for a `DeviceEnv`, whose finished worlds begin anew within the step.
+    """The like of `env.measure_env` for a `DeviceEnv`, whose finished worlds begin anew within the step.
 
     Returns:
         ``env_sps``: control steps/s over all worlds, median of the rounds, with actions that are on the device;

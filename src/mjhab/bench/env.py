@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import gc
 import time
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from mjhab.bench.engine import measure_sps, sway
+from mjhab.bench.stages import STAGES, Stopwatch, resident_mb, stage_seconds, watch_env
 from mjhab.cli.env_options import BenchEnvOptions
 from mjhab.cli.output import at_least, print_json, print_table
 from mjhab.cli.profiles import profile_options
 from mjhab.sim.backends import resolve
-
-STAGES = ("physics", "measure", "reward", "labels", "render", "observe", "reset", "other")
 
 
 def bench_env(options: BenchEnvOptions) -> int:
@@ -35,7 +33,7 @@ def bench_env(options: BenchEnvOptions) -> int:
 
 
 def measure(options: BenchEnvOptions) -> dict[str, Any]:
-    """Measure every number of worlds, see `measure_env` and, for backend warp, `bench_device.measure_device_env`.
+    """Measure every number of worlds, see `measure_env` and, for backend warp, `device_env.measure_device_env`.
 
     Returns:
         The fastest point, "backend", and all "points".
@@ -112,72 +110,6 @@ def profile(env: Any, actions: np.ndarray) -> tuple[dict[str, float], float]:
     for action in actions:
         env.step(action)
     return stage_seconds(watch, time.perf_counter() - begun, env.num_envs)
-
-
-def watch_env(watch: Stopwatch, env: Any) -> None:
-    """Count the stages that are the same on every backend."""
-    watch.time(env.sim, "step", "physics")
-    watch.time(env, "_sense", "measure")
-    watch.time(env, "_measure", "measure")
-    watch.time(env.rewarder, "step", "reward")
-    watch.time(env.observer, "observe", "observe")
-
-
-def stage_seconds(watch: Stopwatch, total: float, num_envs: int) -> tuple[dict[str, float], float]:
-    """Stop a watch: seconds of each of STAGES, of ``total`` [s], and the time of a world's one reset [ms]."""
-    seconds = watch.stop()
-    seconds["other"] = total - sum(seconds.values())
-    reset_ms = 1000 * seconds.get("reset", 0.0) / num_envs
-    return {stage: round(seconds.get(stage, 0.0), 5) for stage in STAGES}, round(reset_ms, 3)
-
-
-class Stopwatch:
-    """Counts the time spent in methods of given objects; time inside another counted method belongs to that one.
-
-    Args:
-        wait: called at the end of each, for a device that works on while the caller goes on.
-    """
-
-    def __init__(self, wait: Callable[[], None] = lambda: None) -> None:
-        self._wait = wait
-        self._seconds: dict[str, float] = {}
-        self._inner: list[float] = []
-        self._wrapped: list[tuple[Any, str]] = []
-
-    def time(self, owner: Any, method: str, stage: str) -> None:
-        """Count ``owner.method`` under ``stage`` from now on."""
-        original: Callable[..., Any] = getattr(owner, method)
-
-        def counted(*args: Any, **kwargs: Any) -> Any:
-            self._inner.append(0.0)
-            begun = time.perf_counter()
-            try:
-                return original(*args, **kwargs)
-            finally:
-                self._wait()
-                spent = time.perf_counter() - begun
-                own = spent - self._inner.pop()
-                self._seconds[stage] = self._seconds.get(stage, 0.0) + own
-                if self._inner:
-                    self._inner[-1] += spent
-
-        setattr(owner, method, counted)
-        self._wrapped.append((owner, method))
-
-    def stop(self) -> dict[str, float]:
-        """Give the methods back; returns seconds per stage."""
-        for owner, method in self._wrapped:
-            delattr(owner, method)
-        return dict(self._seconds)
-
-
-def resident_mb() -> float:
-    """Memory of this process that is in RAM [MB]; 0 where the system does not tell."""
-    try:
-        with open("/proc/self/status") as status:
-            return round(next(int(line.split()[1]) for line in status if line.startswith("VmRSS")) / 1024, 1)
-    except (OSError, StopIteration):
-        return 0.0
 
 
 def world_mb(env: Any) -> float:

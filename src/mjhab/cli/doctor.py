@@ -11,10 +11,10 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-import mjhab
 from mjhab.cli.options import DoctorOptions
 from mjhab.cli.output import print_json, print_table
 from mjhab.core.cache import cache_dir
+from mjhab.core.version import __version__
 
 PINNED_MUJOCO = "3.17.0"
 EXTRAS = {
@@ -85,7 +85,7 @@ def _print(found: dict[str, Any]) -> None:
     mujoco = found["mujoco"] or "missing"
     if found["mujoco"] != PINNED_MUJOCO:
         mujoco += f"; mjhab needs {PINNED_MUJOCO}: pip install mujoco=={PINNED_MUJOCO}"
-    rows = [("mjhab", mjhab.__version__), ("python", found["python"]), ("mujoco", mujoco)]
+    rows = [("mjhab", __version__), ("python", found["python"]), ("mujoco", mujoco)]
     rows += [(name, installed(name) or "missing") for name in ("numpy", "numba", "gymnasium", "gymnasium-robotics")]
     print_table("installed", ("what", "version"), rows)
     extras = []

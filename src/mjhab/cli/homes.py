@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections import Counter
 from typing import Any
 
+from mjhab.cli.home_names import find_home
 from mjhab.cli.options import HomesCheckOptions, HomesListOptions, HomesRenderOptions, HomesShowOptions
 from mjhab.cli.output import print_json, print_table
-from mjhab.core.errors import unknown_name
 
 
 def run_homes(options: HomesListOptions | HomesShowOptions | HomesCheckOptions | HomesRenderOptions) -> int:
@@ -65,32 +65,6 @@ def show_home(options: HomesShowOptions) -> int:
     furniture += [(name, 1, "opens") for name in shown["articulations"]]
     print_table("furniture", ("template", "count", ""), furniture)
     return 0
-
-
-def find_home(assets: str, name: str) -> Any:
-    """The home of that name.
-
-    Raises:
-        UsageError: unknown pack or home.
-    """
-    from mjhab.scenes.packs import open_pack
-
-    homes = {home.name: home for home in open_pack(assets).homes}
-    if name not in homes:
-        raise unknown_name("home", name, homes)
-    return homes[name]
-
-
-def homes_of_split(pack: Any, split: str | None) -> list[Any]:
-    """Homes of a pack that belong to ``split``, all if it is None.
-
-    Raises:
-        UsageError: the pack has no home in that split.
-    """
-    found = [home for home in pack.homes if split in (None, home.split)]
-    if not found:
-        raise unknown_name("split", str(split), {home.split for home in pack.homes})
-    return found
 
 
 def _row(home: Any) -> dict[str, Any]:

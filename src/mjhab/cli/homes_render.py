@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from mjhab.cli.homes import find_home, homes_of_split
+from mjhab.cli.home_names import find_home, homes_of_split
 from mjhab.cli.options import HomesRenderOptions
 from mjhab.cli.output import at_least, print_json, progress_bar
 from mjhab.core.errors import UsageError

@@ -10,11 +10,11 @@ from typing import Any
 
 import tyro
 
-import mjhab
 from mjhab.cli import commands
 from mjhab.core.errors import MjhabError, UsageError
+from mjhab.core.version import __version__
 
-DESCRIPTION = f"""mjhab {mjhab.__version__}: home assistant tasks with low-level whole-body control, on MuJoCo.
+DESCRIPTION = f"""mjhab {__version__}: home assistant tasks with low-level whole-body control, on MuJoCo.
 
 A Fetch robot tidies furnished homes with real physics. Begin with `mjhab doctor` and
 `mjhab eval --task set_table --policy expert --episodes 4 --out runs/first`."""
@@ -70,7 +70,7 @@ def run(command: Any) -> int:
     # In a group such as `homes`, the command chosen in it.
     chosen = getattr(command, "command", command)
     module, function = commands.RUNNERS.get(type(chosen)) or commands.RUNNERS[type(command)]
-    return getattr(importlib.import_module(f"mjhab.cli.{module}"), function)(chosen)
+    return getattr(importlib.import_module(f"mjhab.{module}"), function)(chosen)
 
 
 if __name__ == "__main__":

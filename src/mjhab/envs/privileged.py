@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from mjhab.core.rotations import mat_from_quat, quat_from_axis_angle
+from mjhab.envs.worlds import Worlds
 from mjhab.layout.layout import Layout, compose
 from mjhab.layout.receptacles import PlacedReceptacle, placed_receptacles
 from mjhab.robots.fetch import model as fetch
@@ -17,9 +18,6 @@ from mjhab.scenes.freespace import free_map
 from mjhab.scenes.shapes.hulls import boxed_hull
 from mjhab.scenes.spec import Geom, Handle, Home, Link, ObjectType, Pack, Placement
 from mjhab.tasks.plan import Subtask, TaskConfig
-
-if TYPE_CHECKING:
-    from mjhab.envs.sequential import SequentialTaskEnv
 
 REST_QPOS = np.array(fetch.REST_QPOS)
 KINEMATIC_TREE = fetch.KINEMATIC_TREE
@@ -92,7 +90,7 @@ class HomeShapes:
 class WorldView:
     """Live privileged view of one world of an environment. Arrays are copies; read them anew every step."""
 
-    def __init__(self, env: SequentialTaskEnv, world: int) -> None:
+    def __init__(self, env: Worlds, world: int) -> None:
         self._env, self.world = env, world
 
     @property

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from mjhab.envs.worlds import Worlds
 from mjhab.episodes.generator import Episode
 from mjhab.tasks.plan import KIND_NAMES, TaskPlan
-
-if TYPE_CHECKING:
-    from mjhab.envs.sequential import SequentialTaskEnv
 
 CHECKERS = (
     "is_grasped", "at_goal", "ee_rest", "robot_rest", "is_static", "force_ok", "opened", "closed", "near", "oriented",
@@ -22,7 +20,7 @@ CHECKERS = (
 class Reporter:
     """Builds the info of an environment; descriptions of episodes are made once per episode."""
 
-    def __init__(self, env: SequentialTaskEnv) -> None:
+    def __init__(self, env: Worlds) -> None:
         self._env = env
         self._described: list[TaskPlan | None] = [None] * env.num_envs
         self._descriptions: list[Mapping[str, Any]] = [{} for _ in range(env.num_envs)]

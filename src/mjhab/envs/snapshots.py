@@ -3,18 +3,57 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
+
+import numpy as np
 
 from mjhab.core.arrays import row_of, with_row
 from mjhab.core.errors import UsageError
-
-if TYPE_CHECKING:
-    from mjhab.envs.sequential import SequentialTaskEnv
+from mjhab.envs.rewarding import Rewarder
+from mjhab.envs.teleport import Teleports
+from mjhab.envs.tracking import Tracker
+from mjhab.episodes.generator import Episode
+from mjhab.robots.controllers.controller import Controller
+from mjhab.sim.mujoco.cpu import CpuSimulator
+from mjhab.sim.protocol import SimState
+from mjhab.tasks.measure import Signals
+from mjhab.tasks.progress import Progress
 
 _FLAGS = ("fallback", "success", "fail")
 
 
-def snapshot(env: SequentialTaskEnv, world: int) -> dict[str, Any]:
+class RestorableWorlds(Protocol):
+    """What is read and written of the worlds of an environment to take out and put back the state of one."""
+
+    sim: CpuSimulator
+    state: SimState
+    signals: Signals | None
+    progress: Progress
+    episodes_now: list[Episode | None]
+    tracker: Tracker
+    controller: Controller
+    rewarder: Rewarder
+    teleports: Teleports
+    seeds: np.ndarray
+    count: np.ndarray
+    due: np.ndarray
+    joint_start: np.ndarray
+    grip: np.ndarray
+
+    def make_episode(self, seed: int, index: int) -> Episode:
+        """An episode by its name."""
+        ...
+
+    def adopt(self, world: int, episode: Episode) -> object:
+        """Let a world be in an episode."""
+        ...
+
+    def follow(self, progress: Progress) -> None:
+        """Take over the progress of all worlds, and what depends on it."""
+        ...
+
+
+def snapshot(env: RestorableWorlds, world: int) -> dict[str, Any]:
     """Everything a world is, as a nested dict of arrays, numbers, strings and lists that later steps do not change.
 
     Its episode by name, physics, progress, signals, label notes, controller targets, reward memory, faults. Physics
@@ -43,7 +82,7 @@ def snapshot(env: SequentialTaskEnv, world: int) -> dict[str, Any]:
     }
 
 
-def restore(env: SequentialTaskEnv, world: int, state: dict[str, Any]) -> None:
+def restore(env: RestorableWorlds, world: int, state: dict[str, Any]) -> None:
     """Put a world into a state from `snapshot`, taken from any world of an environment of the same configuration.
 
     Raises:

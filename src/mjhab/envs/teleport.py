@@ -6,17 +6,13 @@ world with a hard spawn waits, alone.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from mjhab.core.rotations import pose_inv, pose_mul
 from mjhab.core.seeding import stream
+from mjhab.envs.worlds import Worlds
 from mjhab.episodes.spawns import MAX_TRIES, Held
 from mjhab.tasks.plan import SubtaskKind
-
-if TYPE_CHECKING:
-    from mjhab.envs.sequential import SequentialTaskEnv
 
 TRIES_PER_STEP = 3
 """Tries of one world in one control step."""
@@ -28,7 +24,7 @@ class Teleports:
     ``pending`` (W,): tries done for the active Navigate, -1 when none is due.
     """
 
-    def __init__(self, env: SequentialTaskEnv) -> None:
+    def __init__(self, env: Worlds) -> None:
         self._env = env
         self.pending = np.full(env.num_envs, -1)
 

@@ -21,12 +21,12 @@ from typing import Any
 
 import numpy as np
 
-from mjhab import __version__
 from mjhab.config.env import EnvConfig
 from mjhab.core.cache import write_atomic
 from mjhab.core.errors import UsageError
 from mjhab.core.names import check_name
 from mjhab.core.seeding import stream
+from mjhab.core.version import __version__
 from mjhab.episodes.generator import Episode
 from mjhab.layout.compile import home_hash
 from mjhab.layout.layout import Layout

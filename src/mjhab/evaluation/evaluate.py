@@ -14,9 +14,9 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, cast
 
-import mjhab
 from mjhab.config.env import NAVIGATE_MODES, SPLITS, EnvConfig
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.version import __version__
 from mjhab.evaluation.own_policy import check_methods, check_policy, construct_policy, env_options_of
 from mjhab.evaluation.resolve import PolicyFacts, PolicyOptions, inspect_policy, resolve_policy
 from mjhab.reports.metrics import AloneRates, alone_rates, rows_by_kind, rows_by_position, summarize
@@ -292,7 +292,7 @@ def resolved_config(spec: EvalSpec, facts: PolicyFacts) -> dict[str, Any]:
 
         # A path says little: what the set holds and its hash are what fixes the episodes.
         chosen["spawns"] = SpawnSet.read(Path(spec.spawns)).describe()
-    return {**chosen, "mjhab": mjhab.__version__, "mujoco": version("mujoco")}
+    return {**chosen, "mjhab": __version__, "mujoco": version("mujoco")}
 
 
 def default_out(spec: EvalSpec, policy: str) -> Path:

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 from mjhab.core.errors import UsageError
 
 if TYPE_CHECKING:
-    from mjhab.envs.sequential import SequentialTaskEnv
+    from mjhab.envs.worlds import Worlds
     from mjhab.experts.policy import ExpertPolicy
     from mjhab.tasks.style import Styles
 
 
-def make_expert(env: SequentialTaskEnv, styles: Styles | None = None) -> ExpertPolicy:
+def make_expert(env: Worlds, styles: Styles | None = None) -> ExpertPolicy:
     """The expert policy of an environment (one script per world, restarted with every subtask).
 
     Args:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from mjhab.core.action_notes import ActionNotes
 from mjhab.core.seeding import stream
 from mjhab.envs.privileged import WorldView
+from mjhab.envs.worlds import Worlds
 from mjhab.experts.arm import motion
 from mjhab.experts.skills.articulated import close_link, open_link
 from mjhab.experts.skills.navigate import navigate
@@ -19,9 +20,6 @@ from mjhab.experts.style import Manner, StyledView
 from mjhab.robots.controllers.actions import ACTION_DIM
 from mjhab.tasks.plan import SubtaskKind
 from mjhab.tasks.style import Styles, recorded
-
-if TYPE_CHECKING:
-    from mjhab.envs.sequential import SequentialTaskEnv
 
 Script = Generator[np.ndarray, None, Any]
 
@@ -48,7 +46,7 @@ class ExpertPolicy:
 
     name = "expert"
 
-    def __init__(self, env: SequentialTaskEnv, styles: Styles | None = None) -> None:
+    def __init__(self, env: Worlds, styles: Styles | None = None) -> None:
         self._styles = styles or Styles()
         self._start = {**SCRIPTS, SubtaskKind.NAVIGATE: _wait} if env.config.teleports else SCRIPTS
         self._views = [StyledView(env, w) for w in range(env.num_envs)]

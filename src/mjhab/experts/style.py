@@ -5,17 +5,13 @@ What a script intends and what is executed are kept apart: only the second one h
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from mjhab.envs.privileged import WorldView
+from mjhab.envs.worlds import Worlds
 from mjhab.episodes.grasps.candidates import KINDS, Grasps
 from mjhab.robots.controllers.actions import ACTION_DIM, ARM_JOINTS, BASE_FORWARD, BASE_YAW, GRIPPER
 from mjhab.tasks.style import ANY, PLAIN, SMOOTH, Style
-
-if TYPE_CHECKING:
-    from mjhab.envs.sequential import SequentialTaskEnv
 
 Array = np.ndarray
 ARM, BASE = slice(0, len(ARM_JOINTS)), [BASE_FORWARD, BASE_YAW]
@@ -30,7 +26,7 @@ class StyledView(WorldView):
     """A view whose world is to be acted in with a style. A slower script lives in slower time: its control steps last
     longer, and what it reads of speeds counts per such step."""
 
-    def __init__(self, env: SequentialTaskEnv, world: int) -> None:
+    def __init__(self, env: Worlds, world: int) -> None:
         super().__init__(env, world)
         self.style = PLAIN
 

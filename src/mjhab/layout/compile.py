@@ -3,29 +3,21 @@
 from __future__ import annotations
 
 import hashlib
-from functools import lru_cache
 from pathlib import Path
 
 import mujoco
 
 from mjhab.core.cache import cache_dir, write_atomic
+from mjhab.core.code_digest import code_digest
 from mjhab.core.paths import below
 from mjhab.layout.layout import Layout, build_spec
 from mjhab.scenes.spec import Home
 
 
-@lru_cache(maxsize=1)
-def _code_digest() -> bytes:
-    digest = hashlib.sha256(mujoco.__version__.encode())
-    for file in sorted(Path(__file__).parent.glob("*.py")):
-        digest.update(file.read_bytes())
-    return digest.digest()
-
-
 def home_hash(layout: Layout, home: Home) -> str:
     """Hash of a home in its layout: equal when the compiled model would be equal."""
     pack = layout.pack
-    digest = hashlib.sha256(_code_digest())
+    digest = hashlib.sha256(mujoco.__version__.encode() + code_digest("scenes", "robots.fetch", "layout"))
     digest.update(repr((home, layout.roster, layout.prop_slots, layout.num_walls)).encode())
     digest.update(repr((sorted(pack.props.items()), sorted(pack.articulations.items()), layout.objects)).encode())
     for name in sorted(pack.meshes):

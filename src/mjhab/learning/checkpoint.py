@@ -15,12 +15,13 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
-import mjhab
 from mjhab.core.cache import write_atomic
 from mjhab.core.errors import UsageError
+from mjhab.core.version import __version__
 from mjhab.learning.configs import StudentConfig, student_from_plain, to_plain
+from mjhab.learning.heads import make_student
 from mjhab.learning.layout import Layout
-from mjhab.learning.student import Student, make_student
+from mjhab.learning.student import Student
 from mjhab.learning.training import Trainer
 
 FORMAT = "mjhab-student-1"
@@ -86,7 +87,7 @@ def load_student(path: Path) -> Student:
 def _save(path: Path, student: Student, tensors: Mapping[str, Tensor], about: Mapping[str, Any]) -> None:
     head = {
         "format": FORMAT,
-        "version": mjhab.__version__,
+        "version": __version__,
         "student": to_plain(student.config),
         "layout": student.layout.to_plain(),
         "about": dict(about),

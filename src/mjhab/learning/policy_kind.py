@@ -1,4 +1,7 @@
-"""Checkpoints as policies: ``--policy CHECKPOINT.safetensors`` of every command. See `evaluation.resolve.PolicyModule`."""
+"""Checkpoints as policies: ``--policy CHECKPOINT.safetensors`` of every command.
+
+See `evaluation.resolve.PolicyModule`.
+"""
 
 from __future__ import annotations
 

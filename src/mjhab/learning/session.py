@@ -11,7 +11,7 @@ from typing import Any
 
 import torch
 
-import mjhab
+from mjhab.core.version import __version__
 from mjhab.data.record.generation import Standing
 from mjhab.data.select.query import Filter
 from mjhab.learning.checkpoint import load_checkpoint, save_student, save_training
@@ -19,9 +19,10 @@ from mjhab.learning.collection import Collector, Means, Round, Scene, make_env
 from mjhab.learning.configs import TrainConfig
 from mjhab.learning.demos import BatchSampler, Demonstrations, layout_of_data, load_demonstrations
 from mjhab.learning.evaluation import Evaluations
+from mjhab.learning.heads import make_student
 from mjhab.learning.layout import Layout, layout_of
 from mjhab.learning.run import Logbook, TrainingFolder
-from mjhab.learning.student import Batch, make_student
+from mjhab.learning.student import Batch
 from mjhab.learning.training import Trainer
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.store import check_folder
@@ -281,5 +282,5 @@ def resolved_config(request: Request) -> dict[str, Any]:
         "seed": request.seed,
         "data": [str(place) for place in request.data],
         "where": request.where,
-        "mjhab": mjhab.__version__,
+        "mjhab": __version__,
     }

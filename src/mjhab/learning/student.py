@@ -9,8 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from mjhab.core.errors import UsageError
-from mjhab.learning.configs import ACT, BC, DIFFUSION, FLOW, StudentConfig
+from mjhab.learning.configs import StudentConfig
 from mjhab.learning.demos import Chunks, Demonstrations
 from mjhab.learning.layout import Layout
 from mjhab.learning.networks import Normalizer
@@ -86,18 +85,3 @@ class Student(nn.Module):
         """Chunks of actions (B, chunk, A) float32 in [-1, 1]."""
         chunk = self.chunk(torch.from_numpy(vector), torch.from_numpy(images), torch.from_numpy(noise))
         return chunk.clamp(-1.0, 1.0).numpy()
-
-
-def make_student(config: StudentConfig, layout: Layout, seed: int = 0) -> Student:
-    """The network of a config, its first weights drawn by ``seed``."""
-    from mjhab.learning.act import ActionTransformer
-    from mjhab.learning.bc import BehaviourCloning
-    from mjhab.learning.diffusion import DiffusionPolicy
-    from mjhab.learning.flow import FlowMatching
-
-    build = {BC: BehaviourCloning, FLOW: FlowMatching, ACT: ActionTransformer, DIFFUSION: DiffusionPolicy}
-    if not layout.width:
-        raise UsageError("a student must see something: its layout has no entries.")
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
-        return build[config.algorithm](config, layout)

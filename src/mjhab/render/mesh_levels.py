@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from mjhab.core.cache import cache_dir, write_atomic
-from mjhab.scenes.shapes import simplify as simplify_module
+from mjhab.core.code_digest import code_digest
 from mjhab.scenes.shapes.meshes import Mesh
 from mjhab.scenes.shapes.simplify import simplify
 
@@ -61,9 +61,7 @@ def mesh_levels(mesh: Mesh) -> list[Level]:
 
 
 def _digest(mesh: Mesh) -> str:
-    digest = hashlib.sha256()
-    for code in (__file__, simplify_module.__file__):
-        digest.update(Path(str(code)).read_bytes())
+    digest = hashlib.sha256(code_digest("render.mesh_levels", "scenes.shapes.simplify"))
     for part in (mesh.vertices, mesh.faces, mesh.uv):
         digest.update(b"" if part is None else part.tobytes())
     return digest.hexdigest()[:24]

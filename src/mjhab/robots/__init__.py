@@ -1,1 +1,1 @@
-"""."""
+"""What a robot is: joints, links, gains, geometry, kinematics, controllers."""

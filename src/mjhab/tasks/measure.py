@@ -9,17 +9,28 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 from mjhab.core.arrays import Array, constant, count, dot3, namespace, norm3, pick_column, pile
 from mjhab.core.errors import UsageError
 from mjhab.tasks.plan import PADDING, PlanArrays, SubtaskKind, TaskConfig
 from mjhab.tasks.success import CHECKS, masks
 
-if TYPE_CHECKING:
-    from mjhab.tasks.progress import Progress
-
 __all__ = ["Active", "PlanArrays", "Signals", "WorldState", "active_entries", "measure"]
+
+
+class Standing(Protocol):
+    """What measuring reads of a world's progress: see `progress.Progress`."""
+
+    @property
+    def pointer(self) -> Array:
+        """(W,) int64 position of the active subtask."""
+        ...
+
+    @property
+    def cumulative_force(self) -> Array:
+        """(W,) [N x control steps] over the active subtask."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -258,7 +269,7 @@ def _joint(state: WorldState, active: Active, config: TaskConfig) -> tuple[Array
 
 
 def measure(
-    state: WorldState, plan: PlanArrays, progress: Progress, config: TaskConfig, active: Active | None = None
+    state: WorldState, plan: PlanArrays, progress: Standing, config: TaskConfig, active: Active | None = None
 ) -> Signals:
     """Measure the active subtask of every world.
 

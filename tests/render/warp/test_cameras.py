@@ -1,6 +1,6 @@
 """Cameras on Warp's CPU device: the same pictures as the CPU renderer's, and each trap of drawing many homes at once.
 
-Every trap test fails when its cure in ``render/warp/cameras.py``, ``warp_scene.py`` or ``warp_tracing.py`` is taken out.
+Every trap test fails when its cure in ``cameras.py``, ``scene.py`` or ``tracing.py`` of ``render/warp`` is taken out.
 """
 
 from __future__ import annotations

@@ -16,8 +16,8 @@ need_warp()
 import torch  # noqa: E402
 import warp as wp  # noqa: E402
 
-from mjhab.sim.warp import builds as warp_builds
-from mjhab.sim.warp import device as warp_device
+from mjhab.sim.warp import builds as warp_builds  # noqa: E402
+from mjhab.sim.warp import device as warp_device  # noqa: E402
 
 
 @pytest.fixture
@@ -112,7 +112,7 @@ def test_a_log_gets_a_line_now_and_then(capsys: pytest.CaptureFixture[str]) -> N
     clock = [0.0]
     progress, compiler = watched(clock)
     assert compiler("/cache/wp_mujoco_warp._src.solver_1a2b3c4d.cu") == "/CACHE/WP_MUJOCO_WARP._SRC.SOLVER_1A2B3C4D.CU"
-    compiler("/cache/wp_mjhab.sim.warp_kernels_1a2b3c4d.cpp")
+    compiler("/cache/wp_mjhab.sim.warp.kernels_1a2b3c4d.cpp")
     clock[0] = 21.0 + warp_builds.LINE_EVERY - 20.0  # the third comes too early for a line
     compiler("/cache/wp_other_1a2b3c4d.cpp")
     lines = capsys.readouterr().err.splitlines()

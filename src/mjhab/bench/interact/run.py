@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from scipy.stats import t as student
 
-from mjhab.bench.env import resident_mb
 from mjhab.bench.interact.plot import interact_page
 from mjhab.bench.interact.scene import CONTROL_MODE, OBJECTS, STEPS, InteractScene, interact_actions, interact_scene
 from mjhab.bench.memory_sampler import MemorySampler
+from mjhab.bench.stages import resident_mb
 from mjhab.cli.gpu_options import BenchInteractOptions
 from mjhab.cli.output import at_least, print_json, print_table, progress_bar
 from mjhab.core.arrays import to_numpy

@@ -1,1 +1,1 @@
-"""."""
+"""Recorded episodes in the layouts of others."""

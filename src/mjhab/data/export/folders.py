@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import mjhab
 from mjhab.core.cache import write_atomic
 from mjhab.core.errors import MjhabError, UsageError
 from mjhab.core.locking import WriteLock
+from mjhab.core.version import __version__
 from mjhab.data.store.shard import StorageError, is_full
 
 JOB, WHOLE, WORK = "job.json", "whole", "work"
@@ -78,7 +78,7 @@ def whole_folder(target: Target, job: Mapping[str, Any]) -> Iterator[Filling]:
     try:
         if target.old.exists() and not target.out.exists():
             os.replace(target.old, target.out)
-        plain = json.loads(json.dumps({**job, "mjhab": mjhab.__version__}))
+        plain = json.loads(json.dumps({**job, "mjhab": __version__}))
         _check(target, plain)
         try:
             yield _begin(target, plain)

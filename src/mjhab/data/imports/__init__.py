@@ -1,1 +1,1 @@
-"""."""
+"""Data of others as recorded episodes."""

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-import mjhab
+from mjhab.core.version import __version__
 from mjhab.data.store.episode_data import RunInfo
 
 _LIBRARIES = ("mujoco", "mujoco-warp", "numpy", "h5py")
@@ -80,7 +80,7 @@ def describe_run(env: Any, policy: Mapping[str, Any], licence: str = "") -> RunI
 
 def versions() -> dict[str, str]:
     """Versions of Python, mjhab and the libraries that decide about a bit."""
-    found = {"python": platform.python_version(), "mjhab": mjhab.__version__}
+    found = {"python": platform.python_version(), "mjhab": __version__}
     for name in _LIBRARIES:
         try:
             found[name] = version(name)
@@ -92,7 +92,7 @@ def versions() -> dict[str, str]:
 @lru_cache(maxsize=1)
 def source_commit() -> str:
     """Commit of mjhab's own checkout, with "+changes" if files differ from it; "" when it runs from a package."""
-    folder = Path(mjhab.__file__).parent
+    folder = Path(__file__).parents[2]
 
     def git(*words: str) -> str:
         words = ("git", "-C", str(folder), *words)

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-import mjhab
 from mjhab.core.errors import UsageError
+from mjhab.core.version import __version__
 from mjhab.data.record.provenance import model_hash
 from mjhab.data.select.query import Filter
 from mjhab.data.store.episode_data import EpisodeData, RunInfo
@@ -275,7 +275,7 @@ def _with_images(episode: Episode, drawn: dict[str, np.ndarray], env: Any, camer
     arrays |= drawn
     columns = {path: _columns(episode, path) for path in arrays if path in episode.paths}
     seen = {"obs_mode": "+".join(env.observer.outputs) or "state", "cameras": list(cameras), "camera_size": list(size)}
-    options = {**episode.run.options, "rendered": {**seen, "mjhab": mjhab.__version__}}
+    options = {**episode.run.options, "rendered": {**seen, "mjhab": __version__}}
     run = dataclasses.replace(episode.run, options=options)
     attributes = episode.attributes
     try:

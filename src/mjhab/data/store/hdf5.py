@@ -15,8 +15,8 @@ from typing import Any
 import h5py
 import numpy as np
 
-import mjhab
 from mjhab.core.errors import UsageError
+from mjhab.core.version import __version__
 from mjhab.data.store.journal import Overlay, commit, committed_length
 from mjhab.data.store.schema import EPISODES, FORMAT, OLDEST, RUNS, VERSION, DamagedError
 
@@ -107,7 +107,7 @@ def check_format(file: h5py.File, path: Path) -> int:
                 "options of `mjhab generate` give the same seeds and indices."
             )
         raise UsageError(
-            f"{path} has schema {version} and was written by mjhab {maker}; this is mjhab {mjhab.__version__}, which "
+            f"{path} has schema {version} and was written by mjhab {maker}; this is mjhab {__version__}, which "
             f"reads schema {OLDEST} to {VERSION}. {how}"
         )
     missing = [name for name in (EPISODES, RUNS) if name not in file]

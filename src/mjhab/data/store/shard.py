@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 import h5py
 import numpy as np
 
-import mjhab
 from mjhab.core.cache import write_atomic
 from mjhab.core.errors import MjhabError, UsageError
 from mjhab.core.locking import WriteLock
+from mjhab.core.version import __version__
 from mjhab.data.store.episode_data import EpisodeData, RunInfo, episode_digest, record_bytes, to_bytes
 from mjhab.data.store.hdf5 import change_file, check_format, group, make_file, put_attributes, read_arrays
 from mjhab.data.store.journal import recover, sync_folder
@@ -152,7 +152,7 @@ class ShardWriter:
     def _raise_schema(self, file: h5py.File) -> None:
         """Give a file of an older schema the present one: what is added is of it, what is there says that it is not."""
         if self._schema < VERSION:
-            put_attributes(file, {"schema": VERSION, "mjhab": mjhab.__version__})
+            put_attributes(file, {"schema": VERSION, "mjhab": __version__})
             self._schema = VERSION
 
     def _change(self, fill: Callable[[h5py.File], None]) -> int:
@@ -197,7 +197,7 @@ def _batches(shard: Shard, names: Sequence[str]) -> Iterator[list[str]]:
 
 
 def _make_empty(path: Path) -> None:
-    make_file(path, {"format": FORMAT, "schema": VERSION, "mjhab": mjhab.__version__}, (EPISODES, RUNS))
+    make_file(path, {"format": FORMAT, "schema": VERSION, "mjhab": __version__}, (EPISODES, RUNS))
 
 
 def _put_episode(parent: h5py.Group, data: EpisodeData) -> None:

@@ -1,1 +1,1 @@
-"""."""
+"""Episodes in the format of Habitat's Home Assistant Benchmark."""

@@ -1,1 +1,1 @@
-"""."""
+"""Motions of the arm: inverse kinematics, clearance, release."""

@@ -1,1 +1,1 @@
-"""."""
+"""Motions of the base: maps, lattices, routes, driving."""

@@ -1,1 +1,1 @@
-"""."""
+"""Where to stand and how to reach: stances, approaches, ways around obstacles."""

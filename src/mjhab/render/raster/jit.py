@@ -2,30 +2,30 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 from numba import njit
 
-KERNEL_FILES = ("jit", "lighting", "occlusion", "patterns", "raster_batch", "raster_fill", "raster_kernels", "shading",
-                "textures")  # fmt: skip
+from mjhab.core.code_digest import code_digest
+
+KERNEL_MODULES = (
+    "render.raster.jit",
+    "render.raster.lighting",
+    "render.raster.occlusion",
+    "render.raster.batch",
+    "render.raster.fill",
+    "render.raster.kernels",
+    "render.raster.shading",
+    "render.patterns",
+    "render.textures",
+)
 """Modules whose code or constants go into kernels."""
-
-
-def _code_digest() -> str:
-    digest = hashlib.sha256()
-    for name in KERNEL_FILES:
-        digest.update((Path(__file__).parent / f"{name}.py").read_bytes())
-    return digest.hexdigest()[:8]
-
-
-_DIGEST = _code_digest()
+_DIGEST = code_digest(*KERNEL_MODULES).hex()[:8]
 
 
 def _compiler(**extra: Any) -> Callable[[Callable[..., Any]], Any]:
-    # ``_nrt`` off: the kernels make no arrays (see ``raster_kernels.Scratch``), and counting references costs time.
+    # ``_nrt`` off: the kernels make no arrays (see ``kernels.Scratch``), and counting references costs time.
     options: dict[str, Any] = {"nogil": True, "cache": True, "error_model": "numpy", "_nrt": False} | extra
 
     def decorate(function: Callable[..., Any]) -> Any:

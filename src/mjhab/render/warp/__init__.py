@@ -1,1 +1,1 @@
-"""."""
+"""Cameras on the device: ray kernels on Warp."""

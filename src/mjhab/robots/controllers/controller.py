@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 
@@ -22,10 +23,18 @@ from mjhab.robots.controllers.table import (
     gripper_row,
 )
 from mjhab.robots.fetch import model as fetch
-from mjhab.sim.protocol import SimState
 
 BASES = ("forward", "holonomic")
 STATIONARY = ("head", "torso", "base")
+
+
+class JointState(Protocol):
+    """What a controller reads of the state of a simulation."""
+
+    @property
+    def robot_q(self) -> Array:
+        """(W, 15) joint positions in FETCH_JOINTS order [m, rad]."""
+        ...
 
 
 class Controller:
@@ -84,7 +93,7 @@ class Controller:
         self._free, self._held_body = free, ~free[self._body]
         self._body_target = zeros((len(like), len(BODY_JOINTS)), like)
 
-    def ctrl(self, actions: Array, state: SimState) -> Array:
+    def ctrl(self, actions: Array, state: JointState) -> Array:
         """Actuator commands (W, nu) for actions (W, dim) in the present state; targets of the target modes move on."""
         return self.command(actions, state.robot_q)
 
@@ -117,7 +126,7 @@ class Controller:
             out[:, 1] += left * cos
         out[:, 2] = self.limits.yaw_rate * a[:, -1]
 
-    def still(self, state: SimState) -> Array:
+    def still(self, state: JointState) -> Array:
         """Actions (W, dim) float32 that keep the robot where it is; the gripper's number is 0 (fingers at 2 cm)."""
         xp, q = namespace(state.robot_q), state.robot_q
         actions = xp.zeros((len(q), self.dim), dtype=xp.float32, device=device_of(q))
@@ -126,7 +135,7 @@ class Controller:
             actions[:, self._body] = q[:, self._body_columns]
         return actions
 
-    def reset(self, mask: Array, state: SimState) -> None:
+    def reset(self, mask: Array, state: JointState) -> None:
         """Previous targets := measured positions in the worlds of ``mask`` (W,) bool, after they were put elsewhere."""
         q = state.robot_q
         self._arm.reset(mask, q[:, self._arm_columns])

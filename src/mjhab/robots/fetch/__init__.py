@@ -1,1 +1,1 @@
-"""."""
+"""The Fetch mobile manipulator."""

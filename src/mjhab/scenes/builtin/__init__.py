@@ -1,1 +1,1 @@
-"""."""
+"""The built-in asset pack: homes, furniture and objects made by code."""

@@ -10,26 +10,22 @@ import hashlib
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 import scipy
 
 from mjhab.core.cache import cache_dir, write_atomic
+from mjhab.core.code_digest import code_digest
 from mjhab.scenes.spec import Home, Placement
 
 Key = tuple[int, int]
 
 
-@lru_cache(maxsize=1)
 def _code_digest() -> bytes:
     """Hash of every module the furnishing can reach, and of the libraries whose arithmetic it uses."""
-    here = Path(__file__).parent
-    digest = hashlib.sha256(f"{np.__version__} {scipy.__version__}".encode())
-    for file in (*sorted(here.glob("*.py")), *sorted((here.parent / "core").glob("*.py"))):
-        digest.update(file.read_bytes())
-    return digest.digest()
+    libraries = f"{np.__version__} {scipy.__version__}".encode()
+    return hashlib.sha256(libraries + code_digest("scenes", "core")).digest()
 
 
 def cached_homes(

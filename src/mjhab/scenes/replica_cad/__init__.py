@@ -1,1 +1,1 @@
-"""."""
+"""ReplicaCAD apartments and YCB objects, read from their published files."""

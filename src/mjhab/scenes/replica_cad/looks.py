@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from mjhab.core.cache import cache_dir, write_atomic
+from mjhab.core.code_digest import code_digest
 from mjhab.scenes.formats.gltf import Primitive, read_glb
 from mjhab.scenes.shapes.meshes import Mesh, mesh_arrays, mesh_from_arrays
 from mjhab.scenes.shapes.painting import textured_mesh
@@ -53,9 +54,8 @@ class Looks:
 
     def _digest(self) -> str:
         """Hash of what goes in: files by name, size and time, poses, and the code that reads."""
-        digest = hashlib.sha256()
-        for code in ("gltf.py", "painting.py", "meshes.py"):
-            digest.update((Path(__file__).parent / code).read_bytes())
+        readers = code_digest("scenes.formats.gltf", "scenes.shapes.painting", "scenes.shapes.meshes")
+        digest = hashlib.sha256(readers)
         for name, parts in sorted(self.wanted.items()):
             for file, pose in parts:
                 try:

@@ -1,1 +1,1 @@
-"""."""
+"""Worlds on C MuJoCo."""

@@ -1,1 +1,1 @@
-"""."""
+"""LeRobot data sets, versions 3.0 and 2.1."""

@@ -1,0 +1,33 @@
+"""Homes by name and by split, for the commands about homes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mjhab.core.errors import unknown_name
+
+
+def find_home(assets: str, name: str) -> Any:
+    """The home of that name.
+
+    Raises:
+        UsageError: unknown pack or home.
+    """
+    from mjhab.scenes.packs import open_pack
+
+    homes = {home.name: home for home in open_pack(assets).homes}
+    if name not in homes:
+        raise unknown_name("home", name, homes)
+    return homes[name]
+
+
+def homes_of_split(pack: Any, split: str | None) -> list[Any]:
+    """Homes of a pack that belong to ``split``, all if it is None.
+
+    Raises:
+        UsageError: the pack has no home in that split.
+    """
+    found = [home for home in pack.homes if split in (None, home.split)]
+    if not found:
+        raise unknown_name("split", str(split), {home.split for home in pack.homes})
+    return found

@@ -1,0 +1,30 @@
+"""The network of every algorithm, by name."""
+
+from __future__ import annotations
+
+import torch
+
+from mjhab.core.errors import UsageError
+from mjhab.learning.act import ActionTransformer
+from mjhab.learning.bc import BehaviourCloning
+from mjhab.learning.configs import ACT, BC, DIFFUSION, FLOW, StudentConfig
+from mjhab.learning.diffusion import DiffusionPolicy
+from mjhab.learning.flow import FlowMatching
+from mjhab.learning.layout import Layout
+from mjhab.learning.student import Student
+
+HEADS_BY_ALGORITHM: dict[str, type[Student]] = {
+    BC: BehaviourCloning,
+    FLOW: FlowMatching,
+    ACT: ActionTransformer,
+    DIFFUSION: DiffusionPolicy,
+}
+
+
+def make_student(config: StudentConfig, layout: Layout, seed: int = 0) -> Student:
+    """The network of a config, its first weights drawn by ``seed``."""
+    if not layout.width:
+        raise UsageError("a student must see something: its layout has no entries.")
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        return HEADS_BY_ALGORITHM[config.algorithm](config, layout)

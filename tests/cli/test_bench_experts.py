@@ -19,8 +19,8 @@ import pytest
 
 from mjhab.bench.experts import run as bench_experts
 from mjhab.bench.experts.rows import ALL, Episode, Row, make_rows, result_of, together
-from mjhab.cli.expert_options import BenchExpertsOptions
 from mjhab.cli.main import main
+from mjhab.cli.options.expert import BenchExpertsOptions
 from mjhab.core.errors import MjhabError
 from mjhab.rollout.records import EpisodeRecord, PlanEntry
 

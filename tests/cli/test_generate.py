@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 
 from mjhab.cli.generate import build_stage, licence_of, make_job, stop_signals
-from mjhab.cli.generate_options import GenerateOptions
 from mjhab.cli.main import main
+from mjhab.cli.options.generate import GenerateOptions
 from mjhab.core.errors import UsageError
 from mjhab.data.record.crew import ALL
 from mjhab.data.store.reading import open_shard

@@ -17,9 +17,9 @@ from mjhab.bench.parity import run as bench_parity
 from mjhab.bench.parity.episodes import KINDS, Leg, Log, difference
 from mjhab.cli import estimate, warmup
 from mjhab.cli.main import main
-from mjhab.cli.options import DoctorOptions
+from mjhab.cli.options.common import DoctorOptions
 from mjhab.core.errors import UsageError
-from mjhab.envs import memory
+from mjhab.envs.parts import memory
 from mjhab.layout.layout import Layout
 from mjhab.scenes.packs import open_pack
 from mjhab.sim import backends

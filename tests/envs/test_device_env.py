@@ -17,7 +17,7 @@ from mjhab.core.arrays import map_record
 from mjhab.core.errors import UsageError
 from mjhab.core.rotations import pose_inv, pose_mul
 from mjhab.envs import make, make_train
-from mjhab.envs.reporting import CHECKERS
+from mjhab.envs.parts.reporting import CHECKERS
 from mjhab.envs.wrappers import FrameStack
 from mjhab.sim.backends import cuda_devices
 from mjhab.sim.protocol import TAINTS

@@ -10,7 +10,7 @@ import torch
 
 from mjhab.core.arrays import map_record
 from mjhab.envs.device.notes import DeviceNotes
-from mjhab.envs.tracking import Tracker
+from mjhab.envs.parts.tracking import Tracker
 from mjhab.tasks.events import event_names
 from mjhab.tasks.labels import LABELS
 from mjhab.tasks.measure import Signals

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mjhab.core.errors import UsageError
-from mjhab.envs.nav_distance import NavDistance
+from mjhab.envs.parts.nav_distance import NavDistance
 from mjhab.layout.layout import Layout
 from mjhab.scenes.freespace import free_map
 from mjhab.scenes.packs import open_pack

@@ -24,7 +24,7 @@ from mjhab.envs.observations import (
     mode_outputs,
     observation_table,
 )
-from mjhab.envs.observing import Observer
+from mjhab.envs.parts.observing import Observer
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.robots.fetch.model import BASE_HEIGHT
 from mjhab.sim.protocol import SimState

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from mjhab.core.errors import UsageError
-from mjhab.envs.rewarding import GoalDistance, Rewarder, RewardInputs, straight_distance
+from mjhab.envs.parts.rewarding import GoalDistance, Rewarder, RewardInputs, straight_distance
 from mjhab.robots.fetch.model import FETCH_JOINTS, JOINT_LIMITS, REST_QPOS
 from mjhab.tasks.measure import active_entries, measure
 from mjhab.tasks.plan import Subtask, SubtaskKind, TaskConfig, TaskPlan, stack_plans

@@ -13,11 +13,11 @@ import mjhab.envs as envs
 from mjhab.core.arrays import map_record, to_numpy
 from mjhab.core.errors import UsageError
 from mjhab.envs.device.fields import GoalFields
-from mjhab.envs.nav_distance import NavDistance
 from mjhab.envs.observations import Views, state_observation
-from mjhab.envs.plan_tables import Rows, look_up
-from mjhab.envs.rewarding import Rewarder, RewardInputs
-from mjhab.envs.sensing import Sensing
+from mjhab.envs.parts.nav_distance import NavDistance
+from mjhab.envs.parts.plan_tables import Rows, look_up
+from mjhab.envs.parts.rewarding import Rewarder, RewardInputs
+from mjhab.envs.parts.sensing import Sensing
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.robots.controllers import BASES, CONTROL_MODES, make_controller
 from mjhab.robots.fetch.model import REST_QPOS

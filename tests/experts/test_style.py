@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import mjhab.envs as envs
-from mjhab.envs.privileged import WorldView
+from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts import make_expert
 from mjhab.experts.skills.pick import plan_pick
 from mjhab.experts.style import Manner, StyledView

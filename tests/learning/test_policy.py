@@ -13,8 +13,8 @@ from mjhab.core.errors import UsageError
 from mjhab.evaluation.resolve import inspect_policy, resolve_policy
 from mjhab.learning.checkpoint import save_student
 from mjhab.learning.demos import nearness
-from mjhab.learning.heads import make_student
 from mjhab.learning.policy import StudentPolicy
+from mjhab.learning.students.heads import make_student
 from tests.learning.small import INPUTS, SIZE, TARGETS, config, fake_env, layout
 
 

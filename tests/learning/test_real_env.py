@@ -10,10 +10,10 @@ import torch
 
 from mjhab.data.store.reading import episodes
 from mjhab.learning.checkpoint import load_checkpoint, load_student
-from mjhab.learning.collection import Means, Scene
 from mjhab.learning.configs import DaggerConfig, InputConfig, TrainConfig
-from mjhab.learning.session import Request
-from mjhab.learning.train import train
+from mjhab.learning.runs.collection import Means, Scene
+from mjhab.learning.runs.session import Request
+from mjhab.learning.runs.train import train
 from tests.learning.small import config
 
 INPUTS = InputConfig(image_size=16, base_velocity=True)

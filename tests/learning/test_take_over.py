@@ -17,7 +17,7 @@ from mjhab.data.store.reading import episodes
 from mjhab.data.store.shard import ShardWriter
 from mjhab.learning.configs import DaggerConfig, InputConfig
 from mjhab.learning.demos import layout_of_data, load_demonstrations
-from mjhab.learning.take_over import TakeOver, expert_steps, prefix_length
+from mjhab.learning.runs.take_over import TakeOver, expert_steps, prefix_length
 from mjhab.rollout.loop import rollout
 from tests.data.fake_world import FakeEnv
 from tests.learning.test_demos import EVERY

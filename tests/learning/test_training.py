@@ -15,14 +15,14 @@ from safetensors.torch import save_file
 from mjhab.core.errors import UsageError
 from mjhab.data.store.images import ImageFormat
 from mjhab.learning.checkpoint import load_checkpoint, load_student, save_student, save_training
-from mjhab.learning.collection import Means, Scene
 from mjhab.learning.configs import HEADS, PRESETS, preset_of, student_from_plain, to_plain
 from mjhab.learning.demos import BatchSampler, take_chunks
-from mjhab.learning.heads import make_student
-from mjhab.learning.session import Request, Session, open_session
-from mjhab.learning.student import Batch
-from mjhab.learning.train import train
-from mjhab.learning.training import BrokenLossError, Trainer
+from mjhab.learning.runs.collection import Means, Scene
+from mjhab.learning.runs.session import Request, Session, open_session
+from mjhab.learning.runs.train import train
+from mjhab.learning.runs.training import BrokenLossError, Trainer
+from mjhab.learning.students.heads import make_student
+from mjhab.learning.students.student import Batch
 from tests.data.fake_world import FakeEnv
 from tests.data.make import record
 from tests.learning.small import INPUTS, config, demonstrations, layout, train_config
@@ -230,7 +230,7 @@ def test_a_run_leaves_its_folder_and_resumes_exactly(
             raise KeyboardInterrupt
         return make_updates(trainer, one)
 
-    monkeypatch.setattr("mjhab.learning.session.CHECKPOINT_SECONDS", -1.0)
+    monkeypatch.setattr("mjhab.learning.runs.session.CHECKPOINT_SECONDS", -1.0)
     monkeypatch.setattr(Trainer, "update", stop_after_two)
     stopped = train(request(source), tmp_path / "part")
     assert stopped.interrupted and stopped.summary["steps"] == 2
@@ -253,7 +253,7 @@ def test_nan_keeps_the_last_good_checkpoint(source: Path, tmp_path: Path, monkey
         return dataclasses.replace(one, actions=one.actions * torch.nan) if session.trainer.step == 3 else one
 
     monkeypatch.setattr(Session, "_batch", broken)
-    monkeypatch.setattr("mjhab.learning.session.CHECKPOINT_SECONDS", -1.0)
+    monkeypatch.setattr("mjhab.learning.runs.session.CHECKPOINT_SECONDS", -1.0)
     with pytest.raises(BrokenLossError, match="batch 4"):
         train(request(source), tmp_path / "run")
     kept = load_checkpoint(tmp_path / "run" / "training.safetensors")

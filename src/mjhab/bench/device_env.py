@@ -10,7 +10,7 @@ from typing import Any
 from mjhab.bench.engine import sway
 from mjhab.bench.memory_sampler import MemorySampler
 from mjhab.bench.stages import Stopwatch, resident_mb, stage_seconds, watch_env
-from mjhab.cli.env_options import BenchEnvOptions
+from mjhab.cli.options.env import BenchEnvOptions
 from mjhab.cli.profiles import profile_options
 
 WARM_STEPS = 3

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mjhab.cli.doctor import cores
-from mjhab.cli.options import BenchGraspOptions, BenchSimOptions
+from mjhab.cli.options.common import BenchGraspOptions, BenchSimOptions
 from mjhab.cli.output import at_least, print_json, print_table
 from mjhab.core.errors import unknown_name
 from mjhab.rollout.policy import ACTION_SIZE

@@ -10,7 +10,7 @@ import numpy as np
 
 from mjhab.bench.engine import measure_sps, sway
 from mjhab.bench.stages import STAGES, Stopwatch, resident_mb, stage_seconds, watch_env
-from mjhab.cli.env_options import BenchEnvOptions
+from mjhab.cli.options.env import BenchEnvOptions
 from mjhab.cli.output import at_least, print_json, print_table
 from mjhab.cli.profiles import profile_options
 from mjhab.sim.backends import resolve

@@ -21,10 +21,10 @@ from mjhab.bench.parity.episodes import Leg
 from mjhab.bench.parity.run import measure_parity
 from mjhab.bench.sleep import sleep_cost
 from mjhab.cli.doctor import cores, gpu_name, installed
-from mjhab.cli.env_options import BenchEnvOptions
 from mjhab.cli.estimate import estimate_rows
-from mjhab.cli.gpu_options import BenchInteractOptions, BenchParityOptions
-from mjhab.cli.options import DoctorOptions
+from mjhab.cli.options.common import DoctorOptions
+from mjhab.cli.options.env import BenchEnvOptions
+from mjhab.cli.options.gpu import BenchInteractOptions, BenchParityOptions
 from mjhab.core.cache import write_atomic
 from mjhab.core.errors import MjhabError, unknown_name
 from mjhab.sim.backends import cuda_devices, resolve

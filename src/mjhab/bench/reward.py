@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import rankdata
 
-from mjhab.cli.env_options import BenchRewardOptions
+from mjhab.cli.options.env import BenchRewardOptions
 from mjhab.cli.output import at_least, print_json, print_table, progress_bar
 from mjhab.cli.profiles import profile_options
 from mjhab.core.cache import write_atomic

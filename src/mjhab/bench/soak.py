@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from mjhab.bench.stages import resident_mb
-from mjhab.cli.env_options import BenchSoakOptions
+from mjhab.cli.options.env import BenchSoakOptions
 from mjhab.cli.output import at_least, print_json, print_table, progress_bar
 from mjhab.cli.profiles import profile_options
 

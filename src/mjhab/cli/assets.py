@@ -14,7 +14,7 @@ from rich.progress import Progress as Bars
 
 from mjhab.assets.install import Progress, fetch, install_bundle, read_record, verify
 from mjhab.assets.sources import SOURCES, Source, hub_endpoint, source_named
-from mjhab.cli.options import AssetsFetchOptions, AssetsListOptions, AssetsVerifyOptions, AssetsWhereOptions
+from mjhab.cli.options.common import AssetsFetchOptions, AssetsListOptions, AssetsVerifyOptions, AssetsWhereOptions
 from mjhab.cli.output import print_json, print_table
 from mjhab.core.cache import assets_dir
 from mjhab.core.errors import UsageError

@@ -5,16 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from mjhab.cli import data_options as data
-from mjhab.cli import env_options as env
-from mjhab.cli import expert_options as expert
-from mjhab.cli import export_options as export
-from mjhab.cli import generate_options as gen
-from mjhab.cli import gpu_options as gpu
-from mjhab.cli import options as opt
-from mjhab.cli import spawn_options as spawn
-from mjhab.cli import train_options as learn
-from mjhab.cli.options import Sub
+from mjhab.cli.options import common as opt
+from mjhab.cli.options import data, env, expert, export, gpu, spawn
+from mjhab.cli.options import generate as gen
+from mjhab.cli.options import train as learn
+from mjhab.cli.options.common import Sub
 
 
 @dataclass(frozen=True)

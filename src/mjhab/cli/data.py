@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from mjhab.cli.data_options import (
+from mjhab.cli.options.data import (
     DataCheckOptions,
     DataFieldsOptions,
     DataImportOptions,

@@ -11,7 +11,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from mjhab.cli.options import DoctorOptions
+from mjhab.cli.options.common import DoctorOptions
 from mjhab.cli.output import print_json, print_table
 from mjhab.core.cache import cache_dir
 from mjhab.core.version import __version__

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from mjhab.cli.env_options import EnvsDescribeOptions, EnvsListOptions
+from mjhab.cli.options.env import EnvsDescribeOptions, EnvsListOptions
 from mjhab.cli.output import print_json, print_table
 from mjhab.cli.profiles import profile_options
 

@@ -7,10 +7,10 @@ import subprocess
 from dataclasses import dataclass
 from typing import Any
 
-from mjhab.cli.options import DoctorOptions
+from mjhab.cli.options.common import DoctorOptions
 from mjhab.cli.output import at_least, print_json, print_table
 from mjhab.core.errors import UsageError
-from mjhab.envs.memory import Need, available_mb, device_need, host_need
+from mjhab.envs.parts.memory import Need, available_mb, device_need, host_need
 
 
 @dataclass(frozen=True)

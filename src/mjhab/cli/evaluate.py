@@ -12,7 +12,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from mjhab.cli.options import EvalOptions
+from mjhab.cli.options.common import EvalOptions
 from mjhab.cli.output import print_json, print_table
 from mjhab.cli.profiles import profile_options
 from mjhab.evaluation.evaluate import EvalSpec, EvaluationInterrupted, Run, run_evaluation

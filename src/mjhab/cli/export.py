@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from mjhab.cli.data import read_filter
-from mjhab.cli.export_options import ExportLerobotOptions, ExportManiskillOptions
+from mjhab.cli.options.export import ExportLerobotOptions, ExportManiskillOptions
 from mjhab.cli.output import late_bar, print_json
 from mjhab.core.errors import UsageError
 from mjhab.data.export.maniskill import export_maniskill

@@ -17,7 +17,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from mjhab.cli.data import read_filter
 from mjhab.cli.doctor import cores
-from mjhab.cli.generate_options import GenerateOptions
+from mjhab.cli.options.generate import GenerateOptions
 from mjhab.cli.output import at_least, print_json, print_table
 from mjhab.cli.profiles import profile_options, resolved_profile
 from mjhab.core.errors import UsageError

@@ -6,7 +6,7 @@ from collections import Counter
 from typing import Any
 
 from mjhab.cli.home_names import find_home
-from mjhab.cli.options import HomesCheckOptions, HomesListOptions, HomesRenderOptions, HomesShowOptions
+from mjhab.cli.options.common import HomesCheckOptions, HomesListOptions, HomesRenderOptions, HomesShowOptions
 from mjhab.cli.output import print_json, print_table
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from mjhab.cli.home_names import homes_of_split
-from mjhab.cli.options import HomesCheckOptions
+from mjhab.cli.options.common import HomesCheckOptions
 from mjhab.cli.output import print_json, print_table, progress_bar
 
 

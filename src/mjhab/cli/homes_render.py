@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from mjhab.cli.home_names import find_home, homes_of_split
-from mjhab.cli.options import HomesRenderOptions
+from mjhab.cli.options.common import HomesRenderOptions
 from mjhab.cli.output import at_least, print_json, progress_bar
 from mjhab.core.errors import UsageError
 

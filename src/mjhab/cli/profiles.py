@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from mjhab.cli.options import ProfileOptions
+from mjhab.cli.options.common import ProfileOptions
 
 
 def profile_options(options: ProfileOptions) -> dict[str, Any]:

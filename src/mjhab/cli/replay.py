@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from mjhab.cli.data import read_filter
-from mjhab.cli.generate_options import ReplayOptions
+from mjhab.cli.options.generate import ReplayOptions
 from mjhab.cli.output import at_least, print_json, print_table, progress_bar
 from mjhab.core.errors import UsageError
 from mjhab.data.record.provenance import TRAIN_MAKER

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from mjhab.cli.doctor import cores
+from mjhab.cli.options.spawn import BenchSpawnOptions, SpawnsListOptions, SpawnsMakeOptions
 from mjhab.cli.output import at_least, print_json, print_table, progress_bar
 from mjhab.cli.profiles import resolved_profile
-from mjhab.cli.spawn_options import BenchSpawnOptions, SpawnsListOptions, SpawnsMakeOptions
 from mjhab.core.errors import UsageError
 
 

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from mjhab.cli.doctor import cores
 from mjhab.cli.evaluate import sigterm_interrupts
-from mjhab.cli.output import at_least, print_json
-from mjhab.cli.train_options import (
+from mjhab.cli.options.train import (
     TrainActOptions,
     TrainBcOptions,
     TrainDaggerOptions,
@@ -17,6 +16,7 @@ from mjhab.cli.train_options import (
     TrainFlowOptions,
     TrainOptions,
 )
+from mjhab.cli.output import at_least, print_json
 from mjhab.core.errors import unknown_name
 from mjhab.learning.require import require_learn
 from mjhab.tasks.plan import KIND_NAMES, TASKS
@@ -24,8 +24,8 @@ from mjhab.tasks.style import Styles
 
 if TYPE_CHECKING:
     from mjhab.learning.configs import TrainConfig
-    from mjhab.learning.session import Request
-    from mjhab.learning.train import TrainingResult
+    from mjhab.learning.runs.session import Request
+    from mjhab.learning.runs.train import TrainingResult
 
 ALGORITHMS: dict[type[TrainOptions], str] = {
     TrainBcOptions: "bc",
@@ -41,7 +41,7 @@ def run_train(options: TrainOptions) -> int:
     """Run the command; returns 0, or 130 after Ctrl-C or SIGTERM (the last checkpoint is kept)."""
     require_learn()
     request = make_request(options)
-    from mjhab.learning.train import train
+    from mjhab.learning.runs.train import train
 
     with sigterm_interrupts():
         result = train(request, options.out, options.resume)
@@ -55,8 +55,8 @@ def make_request(options: TrainOptions) -> Request:
     Raises:
         UsageError: an unknown name, or a number out of range.
     """
-    from mjhab.learning.collection import Means, Scene
-    from mjhab.learning.session import Request
+    from mjhab.learning.runs.collection import Means, Scene
+    from mjhab.learning.runs.session import Request
 
     for kind, given, valid in (("task", options.task, TASKS), ("subtask", options.subtask, KIND_NAMES)):
         if given not in valid:

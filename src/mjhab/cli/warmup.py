@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from mjhab.cli.gpu_options import WarmupOptions
+from mjhab.cli.options.gpu import WarmupOptions
 from mjhab.cli.output import print_json, print_table
 from mjhab.cli.profiles import profile_options
 from mjhab.core.errors import unknown_name

@@ -21,18 +21,18 @@ from gymnasium.vector.utils import batch_space
 from mjhab.config.env import EnvConfig, task_config
 from mjhab.core.arrays import where_rows
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.envs.memory import check_memory
-from mjhab.envs.nav_distance import NavDistance
-from mjhab.envs.observing import Observer
-from mjhab.envs.plan_tables import PlanTables
-from mjhab.envs.privileged import WorldView
-from mjhab.envs.reporting import Reporter
-from mjhab.envs.rewarding import Rewarder, RewardInputs
-from mjhab.envs.sensing import Sensing
-from mjhab.envs.snapshots import restore, snapshot
+from mjhab.envs.parts.memory import check_memory
+from mjhab.envs.parts.nav_distance import NavDistance
+from mjhab.envs.parts.observing import Observer
+from mjhab.envs.parts.plan_tables import PlanTables
+from mjhab.envs.parts.reporting import Reporter
+from mjhab.envs.parts.rewarding import Rewarder, RewardInputs
+from mjhab.envs.parts.sensing import Sensing
+from mjhab.envs.parts.snapshots import restore, snapshot
+from mjhab.envs.parts.teleport import Teleports
+from mjhab.envs.parts.tracking import Tracker
+from mjhab.envs.parts.world_view import WorldView
 from mjhab.envs.spaces import batched
-from mjhab.envs.teleport import Teleports
-from mjhab.envs.tracking import Tracker
 from mjhab.episodes.generator import Episode, EpisodeMaker
 from mjhab.episodes.hab.format import read_hab
 from mjhab.episodes.hab.reader import FileEpisodes, file_roster

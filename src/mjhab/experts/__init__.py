@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from mjhab.core.errors import UsageError
 
 if TYPE_CHECKING:
-    from mjhab.envs.worlds import Worlds
+    from mjhab.envs.parts.worlds import Worlds
     from mjhab.experts.policy import ExpertPolicy
     from mjhab.tasks.style import Styles
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from mjhab.core.action_notes import ActionNotes
 from mjhab.core.seeding import stream
-from mjhab.envs.privileged import WorldView
-from mjhab.envs.worlds import Worlds
+from mjhab.envs.parts.world_view import WorldView
+from mjhab.envs.parts.worlds import Worlds
 from mjhab.experts.arm import motion
 from mjhab.experts.skills.articulated import close_link, open_link
 from mjhab.experts.skills.navigate import navigate

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from mjhab.envs.privileged import WorldView
-from mjhab.envs.worlds import Worlds
+from mjhab.envs.parts.world_view import WorldView
+from mjhab.envs.parts.worlds import Worlds
 from mjhab.episodes.grasps.candidates import KINDS, Grasps
 from mjhab.robots.controllers.actions import ACTION_DIM, ARM_JOINTS, BASE_FORWARD, BASE_YAW, GRIPPER
 from mjhab.tasks.style import ANY, PLAIN, SMOOTH, Style

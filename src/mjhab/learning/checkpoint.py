@@ -19,10 +19,10 @@ from mjhab.core.cache import write_atomic
 from mjhab.core.errors import UsageError
 from mjhab.core.version import __version__
 from mjhab.learning.configs import StudentConfig, student_from_plain, to_plain
-from mjhab.learning.heads import make_student
 from mjhab.learning.layout import Layout
-from mjhab.learning.student import Student
-from mjhab.learning.training import Trainer
+from mjhab.learning.runs.training import Trainer
+from mjhab.learning.students.heads import make_student
+from mjhab.learning.students.student import Student
 
 FORMAT = "mjhab-student-1"
 SUFFIX = ".safetensors"

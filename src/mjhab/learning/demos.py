@@ -18,7 +18,7 @@ from mjhab.data.store.images import decode
 from mjhab.data.store.reading import Episode, open_shard
 from mjhab.learning.configs import InputConfig
 from mjhab.learning.layout import Entry, Layout, compare_layouts
-from mjhab.learning.take_over import expert_steps
+from mjhab.learning.runs.take_over import expert_steps
 
 SUCCESSES = "success"
 """Filter: which episodes are learned from if nothing is said."""

@@ -10,7 +10,7 @@ import numpy as np
 from mjhab.core.seeding import stream
 from mjhab.data.select.facts import type_name
 from mjhab.learning.demos import base_velocity, nearness
-from mjhab.learning.student import Student
+from mjhab.learning.students.student import Student
 
 INFERENCE_ROWS = 16
 """Networks are asked in batches of so many worlds, always: how sums are split up depends on the size of a batch, and

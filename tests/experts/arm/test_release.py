@@ -12,7 +12,7 @@ import pytest
 import mjhab.envs as envs
 from mjhab.core.boxes import Boxes
 from mjhab.core.rotations import quat_from_mat
-from mjhab.envs.privileged import REST_QPOS
+from mjhab.envs.parts.world_view import REST_QPOS
 from mjhab.episodes.grasps.candidates import ObjectShape
 from mjhab.experts.arm import ik, motion, release
 from mjhab.experts.planning.reach import HAND_LINKS, surroundings

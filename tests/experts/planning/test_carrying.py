@@ -14,7 +14,7 @@ import pytest
 import mjhab.envs as envs
 from mjhab.core.boxes import Boxes
 from mjhab.core.rotations import mat_from_quat
-from mjhab.envs.privileged import FETCH_JOINTS, KINEMATIC_TREE, REST_QPOS, ROBOT_GEOMS, TRUNK_LINKS, WorldView
+from mjhab.envs.parts.world_view import FETCH_JOINTS, KINEMATIC_TREE, REST_QPOS, ROBOT_GEOMS, TRUNK_LINKS, WorldView
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.episodes.grasps.candidates import ObjectShape, grasp_candidates
 from mjhab.episodes.grasps.held import shape_of

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from mjhab.core.boxes import Boxes
-from mjhab.envs.privileged import REST_QPOS, WorldView
+from mjhab.envs.parts.world_view import REST_QPOS, WorldView
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.base import route
 from mjhab.experts.base.route import Route

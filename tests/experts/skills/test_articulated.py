@@ -10,7 +10,7 @@ import pytest
 
 from mjhab.core.boxes import sphere_box_distance
 from mjhab.envs import make
-from mjhab.envs.privileged import JointedLink, WorldView, home_shapes
+from mjhab.envs.parts.world_view import JointedLink, WorldView, home_shapes
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.experts import make_expert
 from mjhab.experts.arm import motion

@@ -12,7 +12,7 @@ import pytest
 
 import mjhab.envs as envs
 from mjhab.core.boxes import Boxes
-from mjhab.envs.privileged import WorldView
+from mjhab.envs.parts.world_view import WorldView
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.episodes.grasps.candidates import ObjectShape, Options, grasp_candidates
 from mjhab.experts import make_expert

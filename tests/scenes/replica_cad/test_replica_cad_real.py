@@ -13,7 +13,7 @@ import pytest
 
 import mjhab.envs as envs
 from mjhab.core.rotations import mat_from_quat
-from mjhab.envs.privileged import home_shapes
+from mjhab.envs.parts.world_view import home_shapes
 from mjhab.layout.check import layout_hash
 from mjhab.layout.compile import compile_home
 from mjhab.layout.layout import Layout

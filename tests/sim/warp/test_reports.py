@@ -19,8 +19,8 @@ from mjhab.bench.parity import run as bench_parity
 from mjhab.bench.parity.episodes import KINDS, Leg, Log, run_equal, run_own
 from mjhab.bench.stages import STAGES
 from mjhab.cli import warmup
-from mjhab.cli.env_options import BenchEnvOptions
-from mjhab.cli.gpu_options import BenchParityOptions, WarmupOptions
+from mjhab.cli.options.env import BenchEnvOptions
+from mjhab.cli.options.gpu import BenchParityOptions, WarmupOptions
 from mjhab.rollout.loop import rollout
 from mjhab.scenes import packs
 from mjhab.sim.warp.host_twin import HostTwin

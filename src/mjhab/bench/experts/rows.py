@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from mjhab.cli.expert_options import BenchExpertsOptions
+from mjhab.cli.options.expert import BenchExpertsOptions
 from mjhab.cli.output import at_least
 from mjhab.config.env import NAVIGATE_MODES, SPLITS, SUBTASKS_OF_TASK, EnvConfig
 from mjhab.core.errors import UsageError, unknown_name

@@ -29,9 +29,9 @@ from mjhab.bench.experts.rows import (
     together,
 )
 from mjhab.cli.doctor import cores
-from mjhab.cli.expert_options import BenchExpertsOptions
 from mjhab.cli.generate import make_crew, make_job, stop_signals
-from mjhab.cli.generate_options import GenerateOptions
+from mjhab.cli.options.expert import BenchExpertsOptions
+from mjhab.cli.options.generate import GenerateOptions
 from mjhab.cli.output import print_json, print_table
 from mjhab.cli.profiles import resolved_profile
 from mjhab.core.errors import MjhabError, UsageError

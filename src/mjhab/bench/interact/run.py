@@ -17,12 +17,12 @@ from mjhab.bench.interact.plot import interact_page
 from mjhab.bench.interact.scene import CONTROL_MODE, OBJECTS, STEPS, InteractScene, interact_actions, interact_scene
 from mjhab.bench.memory_sampler import MemorySampler
 from mjhab.bench.stages import resident_mb
-from mjhab.cli.gpu_options import BenchInteractOptions
+from mjhab.cli.options.gpu import BenchInteractOptions
 from mjhab.cli.output import at_least, print_json, print_table, progress_bar
 from mjhab.core.arrays import to_numpy
 from mjhab.core.cache import write_atomic
 from mjhab.core.errors import UsageError
-from mjhab.envs.memory import check_device_memory
+from mjhab.envs.parts.memory import check_device_memory
 from mjhab.robots.controllers import make_controller
 from mjhab.robots.fetch.model import CAMERAS
 from mjhab.sim.backends import open_simulator, resolve

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mjhab.bench.parity.episodes import KINDS, MARKS, REWARD_TOLERANCE, Leg, Log, Row, run_equal, run_own
-from mjhab.cli.gpu_options import BenchParityOptions
+from mjhab.cli.options.gpu import BenchParityOptions
 from mjhab.cli.output import at_least, print_json, print_table, progress_bar
 from mjhab.config.env import SUBTASKS_OF_TASK
 from mjhab.core.errors import UsageError, unknown_name

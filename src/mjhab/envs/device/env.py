@@ -23,11 +23,11 @@ from mjhab.envs.device.landings import Teleporter
 from mjhab.envs.device.notes import DeviceNotes
 from mjhab.envs.device.observing import DeviceObserver
 from mjhab.envs.device.pool import StartPool, pool_size
-from mjhab.envs.memory import check_device_memory
-from mjhab.envs.plan_tables import look_up
-from mjhab.envs.reporting import CHECKERS, describe_episode
-from mjhab.envs.rewarding import Rewarder, RewardInputs
-from mjhab.envs.sensing import Sensing
+from mjhab.envs.parts.memory import check_device_memory
+from mjhab.envs.parts.plan_tables import look_up
+from mjhab.envs.parts.reporting import CHECKERS, describe_episode
+from mjhab.envs.parts.rewarding import Rewarder, RewardInputs
+from mjhab.envs.parts.sensing import Sensing
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.envs.spaces import batched
 from mjhab.envs.subtask_train import SubtaskTrainEnv
@@ -346,7 +346,7 @@ class DeviceEnv(VectorEnv):
         return torch.zeros((self.num_envs, len(EVENT_NAMES)), dtype=torch.bool, device=self.device)
 
     def _info(self, events: Tensor, ended: Tensor, label: Tensor) -> dict[str, Any]:
-        """Tensors (W,) that stay as they are; see `envs.reporting.Reporter.info`."""
+        """Tensors (W,) that stay as they are; see `envs.parts.reporting.Reporter.info`."""
         s, p = self.signals, self.progress
         assert s is not None
         info: dict[str, Any] = {

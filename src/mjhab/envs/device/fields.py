@@ -1,4 +1,7 @@
-"""Ways around the furniture on the device: what `envs.nav_distance` looks up on the host, as one table of all goals."""
+"""Ways around the furniture on the device, as one table of all goals.
+
+`envs.parts.nav_distance` looks them up on the host.
+"""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from mjhab.core.arrays import Array, map_record, to_numpy
-from mjhab.envs.tracking import Tracker
+from mjhab.envs.parts.tracking import Tracker
 from mjhab.tasks import events as ev
 from mjhab.tasks import labels as lb
 from mjhab.tasks.measure import Signals
@@ -86,7 +86,7 @@ class DeviceNotes:
         return lb.label(self._labels, torch.where(outcome.ended, signals.kind, PADDING))
 
     def records(self, plans: Sequence[TaskPlan]) -> list[dict[str, Any] | None]:
-        """Records of the subtasks that ended in the last step, (W,), as `envs.tracking.Tracker.ended` writes them.
+        """Records of the subtasks that ended in the last step, (W,), as `tracking.Tracker.ended` writes them.
 
         Args:
             plans: those of that step, one per world.

@@ -5,9 +5,9 @@ from __future__ import annotations
 import torch
 
 from mjhab.envs.observations import CAMERA_OUTPUTS, POINTCLOUD, STATE_TABLE, Views, intrinsic_matrix, state_observation
-from mjhab.envs.observing import Observer
-from mjhab.envs.plan_tables import Focus
-from mjhab.envs.sensing import Sensing
+from mjhab.envs.parts.observing import Observer
+from mjhab.envs.parts.plan_tables import Focus
+from mjhab.envs.parts.sensing import Sensing
 from mjhab.sim.protocol import SimState
 from mjhab.sim.warp.simulator import WarpSimulator
 from mjhab.tasks.measure import Signals

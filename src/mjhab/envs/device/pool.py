@@ -17,7 +17,7 @@ from mjhab.config.env import EnvConfig
 from mjhab.core.arrays import map_record
 from mjhab.envs.device.fields import GoalFields
 from mjhab.envs.device.landings import ROBOT_JOINTS, find_landings
-from mjhab.envs.plan_tables import PlanTables, Rows
+from mjhab.envs.parts.plan_tables import PlanTables, Rows
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.episodes.generator import Episode
 from mjhab.episodes.starts import Start

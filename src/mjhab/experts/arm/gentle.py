@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mjhab.envs.privileged import WorldView
+from mjhab.envs.parts.world_view import WorldView
 
 
 class Care(NamedTuple):

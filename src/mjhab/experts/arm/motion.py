@@ -13,7 +13,7 @@ from functools import lru_cache
 import numpy as np
 
 from mjhab.core.rotations import mat_from_quat
-from mjhab.envs.privileged import (
+from mjhab.envs.parts.world_view import (
     DISTAL_LINKS,
     FETCH_JOINTS,
     KINEMATIC_TREE,

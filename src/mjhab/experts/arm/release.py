@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mjhab.envs.privileged import WorldView
+from mjhab.envs.parts.world_view import WorldView
 from mjhab.episodes.grasps.candidates import approach_clearance
 from mjhab.episodes.grasps.held import ObjectShape
 from mjhab.experts.arm import ik, motion

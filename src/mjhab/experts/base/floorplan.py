@@ -13,7 +13,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from mjhab.core.boxes import Boxes
-from mjhab.envs.privileged import TRUNK_LINKS, HomeShapes, WorldView
+from mjhab.envs.parts.world_view import TRUNK_LINKS, HomeShapes, WorldView
 from mjhab.experts.arm import motion
 from mjhab.experts.base.route import planner
 from mjhab.experts.planning.carry import held_spheres

@@ -11,7 +11,7 @@ from functools import lru_cache
 import numpy as np
 
 from mjhab.core.boxes import sphere_box_distance
-from mjhab.envs.privileged import FETCH_JOINTS, HomeShapes, WorldView
+from mjhab.envs.parts.world_view import FETCH_JOINTS, HomeShapes, WorldView
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.arm.clearance import Boxes, RobotSpheres
 from mjhab.experts.arm.gentle import Care, eased

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mjhab.core.boxes import Boxes, sphere_box_distance
-from mjhab.envs.privileged import JointedLink, WorldView
+from mjhab.envs.parts.world_view import JointedLink, WorldView
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.base.navigation import CONTROL_DT
 from mjhab.experts.base.route import Route, follow, plan_route, simulate

@@ -8,7 +8,7 @@ import numpy as np
 
 from mjhab.core.boxes import Boxes
 from mjhab.core.rotations import mat_from_quat
-from mjhab.envs.privileged import WorldView
+from mjhab.envs.parts.world_view import WorldView
 from mjhab.episodes.grasps.held import shape_of
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.arm.clearance import RobotSpheres

@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 
 from mjhab.core.boxes import Boxes, sphere_box_distance
-from mjhab.envs.privileged import FETCH_JOINTS, REST_QPOS, WorldView
+from mjhab.envs.parts.world_view import FETCH_JOINTS, REST_QPOS, WorldView
 from mjhab.episodes.grasps.candidates import Grasps, approach_clearance
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.arm.clearance import RobotSpheres

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from mjhab.envs.privileged import REST_QPOS, WorldView
+from mjhab.envs.parts.world_view import REST_QPOS, WorldView
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.arm.clearance import Boxes, RobotSpheres
 from mjhab.experts.arm.gentle import Care

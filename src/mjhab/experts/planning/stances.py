@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mjhab.envs.privileged import REST_QPOS, BoxArrays, JointedLink, WorldView
+from mjhab.envs.parts.world_view import REST_QPOS, BoxArrays, JointedLink, WorldView
 from mjhab.experts.arm import ik, motion
 from mjhab.robots.kinematics import wrap
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mjhab.envs.privileged import WorldView
+from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts.arm import motion
 from mjhab.experts.skills.door import close_door, open_door
 from mjhab.experts.skills.drawer import close_drawer, open_drawer

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mjhab.core.boxes import Boxes
-from mjhab.envs.privileged import JointedLink, WorldView
+from mjhab.envs.parts.world_view import JointedLink, WorldView
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.base.navigation import CONTROL_DT
 from mjhab.experts.planning import approach, stances

@@ -7,7 +7,7 @@ from itertools import product
 
 import numpy as np
 
-from mjhab.envs.privileged import BoxArrays, JointedLink
+from mjhab.envs.parts.world_view import BoxArrays, JointedLink
 from mjhab.experts.arm import ik
 from mjhab.experts.planning import stances
 from mjhab.experts.planning.stances import Stances

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mjhab.envs.privileged import JointedLink, WorldView
+from mjhab.envs.parts.world_view import JointedLink, WorldView
 from mjhab.experts.arm import motion
 from mjhab.experts.planning import approach, stances
 from mjhab.experts.planning.stances import Stances

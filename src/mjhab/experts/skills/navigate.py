@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mjhab.envs.privileged import TRUNK_LINKS, WorldView
+from mjhab.envs.parts.world_view import TRUNK_LINKS, WorldView
 from mjhab.experts.arm import motion
 from mjhab.experts.arm.motion import Motion
 from mjhab.experts.base.driving import BRISK, GENTLE, Driver, Trip, plan_drive, towards

@@ -15,7 +15,7 @@ import numpy as np
 
 from mjhab.core.boxes import Boxes, sphere_box_distance
 from mjhab.core.rotations import frame_from_axes, mat_from_quat, quat_from_axis_angle, quat_mul
-from mjhab.envs.privileged import WorldView
+from mjhab.envs.parts.world_view import WorldView
 from mjhab.episodes.grasps.candidates import Gripper, ObjectShape
 from mjhab.episodes.grasps.held import shape_of
 from mjhab.experts.arm import ik, motion

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
-from mjhab.envs.worlds import Worlds
+from mjhab.envs.parts.worlds import Worlds
 from mjhab.episodes.generator import Episode
 from mjhab.tasks.plan import KIND_NAMES, TaskPlan
 

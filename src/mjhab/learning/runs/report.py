@@ -8,7 +8,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from mjhab.learning.run import EVALUATIONS, TrainingFolder
+from mjhab.learning.runs.run import EVALUATIONS, TrainingFolder
 from mjhab.reports import parts
 from mjhab.reports.metrics import labels_by_kind, rows_by_kind
 from mjhab.reports.plots import labels_figure

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from mjhab.evaluation.evaluate import EvalSpec, Run, run_evaluation
-from mjhab.learning.collection import Means, Scene
+from mjhab.learning.runs.collection import Means, Scene
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink
 

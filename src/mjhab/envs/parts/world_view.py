@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from mjhab.core.rotations import mat_from_quat, quat_from_axis_angle
-from mjhab.envs.worlds import Worlds
+from mjhab.envs.parts.worlds import Worlds
 from mjhab.layout.layout import Layout, compose
 from mjhab.layout.receptacles import PlacedReceptacle, placed_receptacles
 from mjhab.robots.fetch import model as fetch

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mjhab.learning.dagger import train_dagger
-from mjhab.learning.report import render_training_report
-from mjhab.learning.session import OutOfTime, Request, Session, open_session
-from mjhab.learning.supervised import train_supervised
+from mjhab.learning.runs.dagger import train_dagger
+from mjhab.learning.runs.report import render_training_report
+from mjhab.learning.runs.session import OutOfTime, Request, Session, open_session
+from mjhab.learning.runs.supervised import train_supervised
 from mjhab.reports.metrics import mean, wilson
 
 

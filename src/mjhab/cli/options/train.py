@@ -8,8 +8,8 @@ from typing import Annotated
 
 import tyro
 
-from mjhab.cli.data_options import Where
-from mjhab.cli.options import Assets, Joints, MaybeName, Name, Number, StageMesh, Sub
+from mjhab.cli.options.common import Assets, Joints, MaybeName, Name, Number, StageMesh, Sub
+from mjhab.cli.options.data import Where
 
 DataPlaces = Annotated[tuple[Path, ...], tyro.conf.arg(metavar="PATH ...")]
 Minutes = Annotated[float, tyro.conf.arg(metavar="MINUTES")]

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from mjhab.cli.options import (
+from mjhab.cli.options.common import (
     Assets,
     Backend,
     Device,

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from mjhab.learning.collection import Round
-from mjhab.learning.session import Session
+from mjhab.learning.runs.collection import Round
+from mjhab.learning.runs.session import Session
 
 EVALUATIONS = 4
 """Parts that the updates are divided into; the student is evaluated after each."""

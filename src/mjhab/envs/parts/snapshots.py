@@ -9,9 +9,9 @@ import numpy as np
 
 from mjhab.core.arrays import row_of, with_row
 from mjhab.core.errors import UsageError
-from mjhab.envs.rewarding import Rewarder
-from mjhab.envs.teleport import Teleports
-from mjhab.envs.tracking import Tracker
+from mjhab.envs.parts.rewarding import Rewarder
+from mjhab.envs.parts.teleport import Teleports
+from mjhab.envs.parts.tracking import Tracker
 from mjhab.episodes.generator import Episode
 from mjhab.robots.controllers.controller import Controller
 from mjhab.sim.mujoco.cpu import CpuSimulator

@@ -6,7 +6,7 @@ import numpy as np
 
 from mjhab.core.arrays import Array, as_like, count, may_hold, namespace, zeros
 from mjhab.envs.observations import ObsContext, pose_in_base
-from mjhab.envs.plan_tables import Focus, Tables
+from mjhab.envs.parts.plan_tables import Focus, Tables
 from mjhab.layout.layout import Addresses, Layout
 from mjhab.robots.fetch.model import FINGER_LINKS, FINGER_OPEN_DIR, TCP_LINK
 from mjhab.scenes.spec import OWN_POINTS

@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from mjhab.learning.configs import StudentConfig
 from mjhab.learning.layout import Layout
 from mjhab.learning.networks import Normalizer, PoolingEncoder
-from mjhab.learning.student import Batch, Student
+from mjhab.learning.students.student import Batch, Student
 
 STEP_FEATURES = 64
 GROUPS = 8

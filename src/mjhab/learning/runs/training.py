@@ -12,7 +12,7 @@ from torch import Tensor
 from mjhab.core.errors import MjhabError
 from mjhab.core.seeding import stream
 from mjhab.learning.configs import OptimizerConfig
-from mjhab.learning.student import Batch, Student
+from mjhab.learning.students.student import Batch, Student
 
 WEIGHTS, AVERAGE, FIRST_MOMENT, SECOND_MOMENT = "weights", "average", "first_moment", "second_moment"
 

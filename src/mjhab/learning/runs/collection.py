@@ -16,7 +16,7 @@ from mjhab.data.record.crew import ALL, Crew, InlineCrew, ProcessCrew, Stage, Wo
 from mjhab.data.record.generation import Job, Standing, generate
 from mjhab.data.store.images import ImageFormat
 from mjhab.learning.demos import SUCCESSES
-from mjhab.learning.take_over import TakeOver
+from mjhab.learning.runs.take_over import TakeOver
 from mjhab.tasks.style import Styles
 
 

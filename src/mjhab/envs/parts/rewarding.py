@@ -10,8 +10,8 @@ import numpy as np
 from mjhab.config.env import REWARD_MODES
 from mjhab.core.arrays import Array, as_like, count, namespace, norm3, zeros
 from mjhab.core.errors import unknown_name
-from mjhab.envs.plan_tables import Focus
-from mjhab.envs.sensing import Sensing
+from mjhab.envs.parts.plan_tables import Focus
+from mjhab.envs.parts.sensing import Sensing
 from mjhab.layout.layout import Layout
 from mjhab.robots.fetch.model import FETCH_JOINTS, JOINT_LIMITS
 from mjhab.sim.protocol import SimState

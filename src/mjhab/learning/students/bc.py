@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from mjhab.learning.configs import StudentConfig
 from mjhab.learning.layout import Layout
 from mjhab.learning.networks import Encoder, Normalizer, Trunk, mlp
-from mjhab.learning.student import Batch, Student
+from mjhab.learning.students.student import Batch, Student
 
 PAPER_HIDDEN = (2048, 1024, 512)
 """Hidden layers of the published student (mshab/agents/bc/agent.py)."""

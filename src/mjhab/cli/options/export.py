@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from mjhab.cli.data_options import Places, Preset, Sub, Where
+from mjhab.cli.options.data import Places, Preset, Sub, Where
 
 Out = Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
 

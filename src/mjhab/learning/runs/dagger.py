@@ -7,9 +7,9 @@ succeed is added. The network is kept; a share of every batch comes from the new
 
 from __future__ import annotations
 
-from mjhab.learning.collection import Round
+from mjhab.learning.runs.collection import Round
 from mjhab.learning.configs import DaggerConfig
-from mjhab.learning.session import Session
+from mjhab.learning.runs.session import Session
 
 
 def train_dagger(session: Session, config: DaggerConfig) -> None:

@@ -8,8 +8,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from mjhab.config.env import EnvConfig
-from mjhab.envs.plan_tables import Focus, PlanTables
-from mjhab.envs.sensing import Sensing
+from mjhab.envs.parts.plan_tables import Focus, PlanTables
+from mjhab.envs.parts.sensing import Sensing
 from mjhab.episodes.generator import Episode
 from mjhab.episodes.starts import StartMaker
 from mjhab.layout.layout import Layout

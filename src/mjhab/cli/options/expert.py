@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from mjhab.cli.options import Name, Number, ProfileOptions
+from mjhab.cli.options.common import Name, Number, ProfileOptions
 
 Names = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")]
 

@@ -8,8 +8,8 @@ from typing import Annotated
 
 import tyro
 
-from mjhab.cli.data_options import Places, Preset, Where
-from mjhab.cli.options import Assets, Joints, MaybeName, Name, Number, PolicyName, ProfileOptions, StageMesh
+from mjhab.cli.options.common import Assets, Joints, MaybeName, Name, Number, PolicyName, ProfileOptions, StageMesh
+from mjhab.cli.options.data import Places, Preset, Where
 
 
 @dataclass(frozen=True)

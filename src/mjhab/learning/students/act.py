@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from mjhab.learning.configs import StudentConfig
 from mjhab.learning.layout import Layout
 from mjhab.learning.networks import Encoder, Normalizer
-from mjhab.learning.student import Batch, Student
+from mjhab.learning.students.student import Batch, Student
 
 HEADS = 4
 LATENT_WIDTH = 16

@@ -23,8 +23,8 @@ from mjhab.envs.observations import (
     state_observation,
     table_space,
 )
-from mjhab.envs.plan_tables import Focus
-from mjhab.envs.sensing import Sensing
+from mjhab.envs.parts.plan_tables import Focus
+from mjhab.envs.parts.sensing import Sensing
 from mjhab.render.home_scene import HomeRenderer
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.protocol import SimState

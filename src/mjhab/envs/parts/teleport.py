@@ -10,7 +10,7 @@ import numpy as np
 
 from mjhab.core.rotations import pose_inv, pose_mul
 from mjhab.core.seeding import stream
-from mjhab.envs.worlds import Worlds
+from mjhab.envs.parts.worlds import Worlds
 from mjhab.episodes.spawns import MAX_TRIES, Held
 from mjhab.tasks.plan import SubtaskKind
 

@@ -1,0 +1,1 @@
+"""The networks that learn: one file per algorithm, and what they share."""

@@ -206,7 +206,7 @@ def test_bad_input_is_refused_before_anything_is_made(
         (("--episodes", "0", "--chains", "0", *out), "nothing to measure"),
         (("--subtask", "open", "--task", "tidy_house", *out), "nothing to measure"),
         (("--out", str(made)), "add --resume"),
-        (("--out", str(made), "--resume", "--seed", "1"), "was made with --seed 0"),
+        (("--out", str(made), "--resume", "--seed", "1"), "was made with seed 0"),
         (("--out", str(tmp_path / "other"), "--resume"), "holds no measurement"),
         (("--out", str(tmp_path / "other" / "notes.txt")), "is a file"),
     ):

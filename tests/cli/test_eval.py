@@ -26,6 +26,7 @@ KEYS = [
     "progressive",
     "upper_bound",
     "labels",
+    "legacy_labels",
     "tainted",
     "seconds",
 ]
@@ -219,12 +220,14 @@ def test_a_policy_of_ones_own(
     assert run(policy=spec) == 0
     assert run(out="zero") == 0
     assert read_records(tmp_path / "run") == read_records(tmp_path / "zero")
-    assert stage.options[0] == {"obs_mode": "depth", "camera_size": 16} and stage.options[1] == {}
+    sees = {"obs_mode": "depth", "camera_size": 16}
+    assert stage.options[0] == {**sees, "profile": "mjhab"} and stage.options[1] == {"profile": "mjhab"}
     config = json.loads((tmp_path / "run" / "config.json").read_text())
-    assert config["policy"] == "mine.py:Still" and config["env"] == stage.options[0]
+    assert config["policy"] == "mine.py:Still" and config["env"] == sees
     assert "by mine.py:Still" in (tmp_path / "run" / "report.html").read_text()
     assert run("--obs", "rgb", "--camera-size", "64", "--control", "pd_ee_delta_pose", policy=spec, out="rgb") == 0
-    assert stage.options[-1] == {"obs_mode": "rgb", "camera_size": 64, "control_mode": "pd_ee_delta_pose"}
+    asked = {"obs_mode": "rgb", "camera_size": 64, "control_mode": "pd_ee_delta_pose"}
+    assert stage.options[-1] == {**asked, "profile": "mjhab"}
     file.write_text(OWN + "# another version")
     capsys.readouterr()
     assert run("--resume", policy=spec) == 2

@@ -154,7 +154,7 @@ def test_actions_must_have_a_row_per_world(shape: tuple[int, ...]) -> None:
         def act(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:
             return np.zeros(shape, np.float32)
 
-    with pytest.raises(UsageError, match=r"act of policy 'zero' must give one row of numbers per world, \(2, A\)"):
+    with pytest.raises(UsageError, match=r"policy 'zero' must return actions \(W, A\) for W = 2 worlds"):
         rollout(FakeEnv(2), Wrong(), range(2), seed=0)
 
 

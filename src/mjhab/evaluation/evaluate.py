@@ -282,9 +282,9 @@ def resolved_config(spec: EvalSpec, facts: PolicyFacts) -> dict[str, Any]:
     if spec.style:
         chosen["style"] = Styles.parse(spec.style).words
     options = env_options(spec, facts)
-    config = EnvConfig(task=spec.task, subtask=spec.subtask or "", **options)
+    config = EnvConfig(task=spec.task, subtask=spec.subtask or "", **plain(options))
     chosen |= plain(config.of_profile())
-    further = {name: value for name, value in options.items() if name not in chosen}
+    further = {name: value for name, value in options.items() if name != "profile"}
     if further:
         chosen["env"] = plain(further)
     if spec.spawns:

@@ -49,7 +49,7 @@ class PaperRow:
 
 @functools.cache
 def _rows() -> dict[tuple[str, str, str, str, str], PaperRow]:
-    text = files("mjhab.data").joinpath("paper_labels.csv").read_text(encoding="utf-8")
+    text = files("mjhab.reports").joinpath("paper_labels.csv").read_text(encoding="utf-8")
     rows = {}
     for row in csv.DictReader(line for line in text.splitlines() if not line.startswith("#")):
         names = ORDER[row["subtask"]]

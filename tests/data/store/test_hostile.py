@@ -121,7 +121,7 @@ CHANGES: dict[str, tuple[str, Callable[[np.ndarray], Any], str]] = {
     "qpos narrow": ("states/qpos", narrow, "states/qpos has 7 columns, not 30"),
     "qvel inf": ("states/qvel", spoilt(-np.inf), "states/qvel has 28 numbers that are not finite"),
     "forces nan": ("signals/forces", spoilt(np.nan), "signals/forces has 3 numbers that are not finite"),
-    "checks narrow": ("signals/checks", narrow, r"signals/checks has 7 columns, not 17"),
+    "checks narrow": ("signals/checks", narrow, r"signals/checks has 7 columns, not 18"),
     "reward nan": ("reward/total", spoilt(np.nan), "reward/total has 1 numbers that are not finite"),
     "terms nan": ("reward/terms", spoilt(np.nan), "reward/terms has 2 numbers that are not finite"),
     "state nan": ("obs/state", spoilt(np.nan), "obs/state has 5 numbers that are not finite"),

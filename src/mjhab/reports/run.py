@@ -145,7 +145,7 @@ def render_page(title: str, body: str, figures: Mapping[str, Any]) -> str:
     """A page in the house style: ``body`` is its HTML; ``figures["plots"]`` maps element ids to plotly figures."""
     from plotly.offline import get_plotlyjs
 
-    here = files("mjhab.rollout")
+    here = files("mjhab.reports")
     style, script = (here.joinpath(name).read_text(encoding="utf-8") for name in ("report.css", "report.js"))
     data = json.dumps(figures, separators=(",", ":"), allow_nan=False).replace("</", "<\\/")
     return f"""<!DOCTYPE html>

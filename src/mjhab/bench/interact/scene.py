@@ -62,7 +62,7 @@ class InteractScene:
 
 def interact_actions(scene: InteractScene) -> np.ndarray:
     """(200, 13) float32 actions of CONTROL_MODE: the recorded arm, head and torso held, all others zero."""
-    text = files("mjhab.cli").joinpath(ACTION_FILE).read_text(encoding="utf-8")
+    text = files("mjhab.bench.interact").joinpath(ACTION_FILE).read_text(encoding="utf-8")
     arm = np.loadtxt(text.splitlines(), delimiter=",", comments="#", dtype=np.float32, ndmin=2)
     return with_body(scene, arm)
 

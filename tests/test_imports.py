@@ -22,10 +22,24 @@ ALLOWED: dict[str, frozenset[str]] = {
     "experts": frozenset({"core", "tasks", "envs"}),
     "rollout": frozenset({"core", "tasks", "sim", "envs", "experts"}),
     "data": frozenset({"core", "tasks", "rollout"}),
-    "learning": frozenset({"core", "tasks", "envs", "experts", "rollout", "data"}),
+    "evaluation": frozenset({"core", "assets", "tasks", "envs", "rollout", "data"}),
+    "learning": frozenset({"core", "tasks", "envs", "experts", "rollout", "data", "evaluation"}),
     "viewer": frozenset({"core", "scenes", "tasks", "sim", "envs", "experts", "rollout", "data"}),
     "cli": frozenset(
-        {"core", "assets", "scenes", "tasks", "sim", "envs", "experts", "rollout", "data", "learning", "viewer"}
+        {
+            "core",
+            "assets",
+            "scenes",
+            "tasks",
+            "sim",
+            "envs",
+            "experts",
+            "rollout",
+            "data",
+            "evaluation",
+            "learning",
+            "viewer",
+        }
     ),
 }
 """Package to the packages it may import, besides itself."""

@@ -12,22 +12,24 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from mjhab.envs import make, make_train
     from mjhab.evaluation.evaluate import evaluate
+    from mjhab.evaluation.generate import generate
     from mjhab.experts import make_expert
     from mjhab.scenes.packs import open_pack
 
 __version__ = "0.1.0"
 
-__all__ = ["__version__", "evaluate", "make", "make_expert", "make_train", "open_pack"]
+__all__ = ["__version__", "evaluate", "generate", "make", "make_expert", "make_train", "open_pack"]
 
 _LAZY = {
     "evaluate": "mjhab.evaluation.evaluate",
+    "generate": "mjhab.evaluation.generate",
     "make": "mjhab.envs",
     "make_train": "mjhab.envs",
     "make_expert": "mjhab.experts",
     "open_pack": "mjhab.scenes.packs",
 }
 _PACKAGES = frozenset(
-    {"assets", "cli", "core", "data", "envs", "experts", "learning", "rollout", "scenes", "sim", "tasks"}
+    {"assets", "cli", "core", "data", "envs", "evaluation", "experts", "learning", "rollout", "scenes", "sim", "tasks"}
 )
 
 

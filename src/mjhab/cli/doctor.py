@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import os
 import platform
 import shutil
 import subprocess
@@ -15,6 +14,7 @@ import mjhab
 from mjhab.cli.options import DoctorOptions
 from mjhab.cli.output import print_json, print_table
 from mjhab.core.cache import cache_dir
+from mjhab.core.machine import cores
 
 PINNED_MUJOCO = "3.17.0"
 EXTRAS = {
@@ -58,13 +58,6 @@ def installed(package: str) -> str | None:
         return version(package)
     except PackageNotFoundError:
         return None
-
-
-def cores() -> int:
-    """Return the number of CPU cores this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def gpu_name() -> str | None:

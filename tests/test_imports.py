@@ -32,7 +32,7 @@ ALLOWED: dict[str, frozenset[str]] = {
     "rollout": frozenset({"core", "tasks"}),
     "data": frozenset({"core", "tasks", "rollout"}),
     "reports": frozenset({"core", "tasks", "rollout", "data"}),
-    "evaluation": _ENV | {"experts", "rollout", "data", "reports"},
+    "evaluation": _ENV | {"assets", "experts", "rollout", "data", "reports"},
     "learning": frozenset({"core", "tasks", "config", "episodes", "envs", "experts"})
     | {"rollout", "data", "reports", "evaluation"},
     "viewer": _RUN,

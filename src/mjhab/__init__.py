@@ -14,13 +14,15 @@ from mjhab.core.version import __version__
 if TYPE_CHECKING:
     from mjhab.envs import make, make_train
     from mjhab.evaluation.evaluate import evaluate
+    from mjhab.evaluation.generate import generate
     from mjhab.experts import make_expert
     from mjhab.scenes.packs import open_pack
 
-__all__ = ["__version__", "evaluate", "make", "make_expert", "make_train", "open_pack"]
+__all__ = ["__version__", "evaluate", "generate", "make", "make_expert", "make_train", "open_pack"]
 
 _LAZY = {
     "evaluate": "mjhab.evaluation.evaluate",
+    "generate": "mjhab.evaluation.generate",
     "make": "mjhab.envs",
     "make_train": "mjhab.envs",
     "make_expert": "mjhab.experts",

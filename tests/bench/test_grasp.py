@@ -19,6 +19,7 @@ def table() -> list[dict[str, object]]:
 def test_nothing_is_dropped(table: list[dict[str, object]]) -> None:
     assert [row["object"] for row in table] == list(BENCH_OBJECTS)
     assert not [row["object"] for row in table if row["dropped"]]
+    assert list(table[0]) == ["object", "slip_mm", "rotation_deg", "grasp_share", "dropped", "force_n"]
 
 
 def test_slip_and_rotation_stay_small(table: list[dict[str, object]]) -> None:
@@ -29,7 +30,7 @@ def test_slip_and_rotation_stay_small(table: list[dict[str, object]]) -> None:
 
 def test_the_grasp_test_holds_most_of_the_time(table: list[dict[str, object]]) -> None:
     for row in table:
-        assert float(str(row["grasped_fraction"])) > (0.8 if row["object"] == "024_bowl" else 0.98), row
+        assert float(str(row["grasp_share"])) > (0.8 if row["object"] == "024_bowl" else 0.98), row
 
 
 def test_the_same_seed_gives_the_same_row() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 from dataclasses import replace
 from pathlib import Path
@@ -11,12 +12,13 @@ from typing import Any
 
 import pytest
 
-from mjhab.cli.generate import build_stage, licence_of, make_job, stop_signals
+import mjhab
+from mjhab.cli.generate import generate_spec, stop_signals
 from mjhab.cli.main import main
 from mjhab.cli.options.generate import GenerateOptions
 from mjhab.core.errors import UsageError
-from mjhab.data.record.crew import ALL
 from mjhab.data.store.reading import open_shard
+from mjhab.evaluation.generate import build_stage, make_job
 from mjhab.tasks.style import Styles
 from tests.data.record.crews import InlineCrew
 from tests.data.record.test_replay import changed
@@ -56,6 +58,13 @@ def test_generate_tells_machines_what_it_made(made: Path, capsys: pytest.Capture
         assert next(iter(shard)).run.config["policy"] == {"name": "zero"}
 
 
+def test_the_library_function_goes_on_with_what_the_command_began(made: Path, tmp_path: Path) -> None:
+    out = tmp_path / "copy"
+    shutil.copytree(made, out)
+    more = mjhab.generate("zero", subtask="pick", episodes=3, worlds=2, threads=2, out=out, resume=True)
+    assert (more.summary["written"], more.summary["kept"]) == (1, 3)
+
+
 def test_replay_verifies(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     found = machine(capsys, "replay", str(made), "--verify", "--worlds", "2")
     assert found == {"episodes": 2, "exact": 2, "max_error": 0.0, "unlike": 0, "moved": 0}
@@ -82,16 +91,16 @@ def test_the_profile_is_recorded_and_reaches_the_environment(tmp_path: Path) -> 
     options = GenerateOptions(
         tmp_path, task="tidy_house", subtask="pick", policy="expert", episodes=1, worlds=1, profile="ms_hab"
     )
-    config = make_job(options).config
+    config = make_job(generate_spec(options)).config
     assert (config["profile"], config["stillness"], config["spawn_rule"]) == ("ms_hab", "published", "published")
     assert "starts" not in config
-    stage = build_stage(options)
+    stage = build_stage(generate_spec(options))
     assert stage.env.config.profile == "ms_hab" and stage.env.config.stationary == ("head",)
     for change, name in (({"stillness": "absolute"}, "stillness"), ({"cameras": ("fetch_hand",)}, "cameras")):
         with pytest.raises(UsageError, match=f"'ms_hab' has {name}"):
-            make_job(replace(options, **change))
-    one_camera = make_job(replace(options, profile="mjhab", cameras=("fetch_hand",)))
-    assert one_camera.config["cameras"] == ("fetch_hand",)
+            make_job(generate_spec(replace(options, **change)))
+    one_camera = make_job(generate_spec(replace(options, profile="mjhab", cameras=("fetch_hand",))))
+    assert one_camera.config["cameras"] == ["fetch_hand"]
 
 
 def test_what_cannot_work_is_refused_before_anything_is_built(
@@ -120,30 +129,13 @@ def test_what_cannot_work_is_refused_before_anything_is_built(
 def test_a_quota_that_was_not_filled_fails(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("mjhab.cli.generate.make_crew", lambda options: InlineCrew())
+    monkeypatch.setattr("mjhab.evaluation.generate.make_crew", lambda workers, ray: InlineCrew())
     found = machine(
         capsys, *COMMAND, "--target", "024_bowl", "--per-target", "1", "--keep", "success", "--out", str(tmp_path),
         code=1,
     )  # fmt: skip
     assert (found["written"], found["kept"], found["tried"], found["yield"]) == (0, 0, 2, 0.0)
     assert found["labels"] == {} and found["bytes_per_episode"] == 0
-
-
-def test_targets_that_quotas_count(tmp_path: Path) -> None:
-    stage = build_stage(GenerateOptions(tmp_path, subtask="open", policy="random", worlds=1, threads=1))
-    assert stage.targets == ("kitchen_counter/drawer3", "fridge/top_door")
-    assert stage.about == {"name": "random", "seed": 0} and stage.licence == ""
-    stage.env.close()
-    job = make_job(GenerateOptions(tmp_path, per_target=5, images="depth", rgb="jpeg"))
-    assert job.episodes >= 500 and job.spec.images is not None and job.spec.states and ALL == "all"
-
-
-def test_licence_of_public_assets(tmp_path: Path) -> None:
-    assert licence_of("builtin") == "" == licence_of(str(tmp_path))
-    for name in ("configs/scenes/a.scene_instance.json", "configs/objects/a.object_config.json", "urdf/a/a.urdf"):
-        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / name).touch()
-    assert "CC BY" in licence_of(f"{tmp_path}?articulate=cabinet") and "YCB" in licence_of(str(tmp_path / "apt_0"))
 
 
 def test_signals_are_noted_and_given_back() -> None:
@@ -186,12 +178,6 @@ def test_styles_are_drawn_per_episode_and_kept_with_it(tmp_path: Path, capsys: p
     )
 
 
-def test_a_job_without_a_style_says_nothing_of_it(tmp_path: Path) -> None:
-    assert "style" not in make_job(GenerateOptions(out=tmp_path, episodes=1)).config
-    asked = make_job(GenerateOptions(out=tmp_path, episodes=1, style=("hold=2", "speed=0.5..1"))).config
-    assert asked["style"] == ["speed=0.5..1.0", "hold=2"]
-
-
 OWN = """
 import numpy as np
 
@@ -209,7 +195,7 @@ class Still:
 def test_a_policy_of_ones_own(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("mjhab.cli.generate.make_crew", lambda options: InlineCrew())
+    monkeypatch.setattr("mjhab.evaluation.generate.make_crew", lambda workers, ray: InlineCrew())
     file = tmp_path / "mine.py"
     file.write_text(OWN)
     command = (*COMMAND, "--policy", f"{file}:Still")

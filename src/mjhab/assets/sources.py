@@ -109,3 +109,17 @@ def hub_endpoint() -> str:
     if parts.scheme not in ("http", "https") or not parts.netloc:
         raise UsageError(f"HF_ENDPOINT must be an address such as {ENDPOINT}, got {given!r}.")
     return given.rstrip("/")
+
+
+def licence_of(assets: str) -> str:
+    """Terms of an asset pack that is one of the public data sets; "" for any other.
+
+    Args:
+        assets: "builtin", or the folder of a pack, with "?" and options behind it or without.
+    """
+    folder = Path(assets.partition("?")[0])
+    parts = (folder, folder / "replica_cad", folder.parent, folder.parent / "replica_cad")
+    if assets == "builtin" or not any(SOURCES["replica_cad"].complete(part) for part in parts):
+        return ""
+    named = [SOURCES[name] for name in ("replica_cad", "ycb")]
+    return "; ".join(f"{source.title.partition(':')[0]}: {source.licence}" for source in named)

@@ -68,8 +68,9 @@ def grasp_table(
 
     Returns:
         One row per object: ``object``; ``slip_mm`` and ``rotation_deg``, the largest displacement in the gripper's
-        frame of the object's point at the tool centre, and the largest turn, since the motion began; ``dropped``;
-        ``grasped_fraction`` of control steps in which the grasp test held; ``force_n``, mean force on a finger.
+        frame of the object's point at the tool centre [mm] and the largest turn [degrees] since the motion began;
+        ``grasp_share`` of control steps in which the grasp test held; ``dropped``, whether the object moved farther
+        than ``DROP_DISTANCE``; ``force_n``, mean normal force on a finger [N].
 
     Raises:
         UsageError: an object has no entry in ``GRASPS``.
@@ -174,6 +175,10 @@ def _shake(name: str, seconds: float, seed: int) -> dict[str, object]:
         force += float(norms.mean()) / steps
         dropped = dropped or bool(np.linalg.norm(pos - pos0) > DROP_DISTANCE)
     return {
-        "object": name, "slip_mm": round(1e3 * slip, 2), "rotation_deg": round(angle, 2), "dropped": dropped,
-        "grasped_fraction": round(held / steps, 4), "force_n": round(force, 2),
-    }  # fmt: skip
+        "object": name,
+        "slip_mm": round(1e3 * slip, 2),
+        "rotation_deg": round(angle, 2),
+        "grasp_share": round(held / steps, 4),
+        "dropped": dropped,
+        "force_n": round(force, 2),
+    }

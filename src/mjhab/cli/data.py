@@ -24,7 +24,7 @@ from mjhab.core.errors import UsageError, unknown_name
 from mjhab.data.export.folders import broken
 from mjhab.data.imports.ms_hab import ABSENT, Origin, import_ms_hab
 from mjhab.data.select.facts import FACTS, FUNCTIONS, target_of
-from mjhab.data.select.query import PRESETS, Filter
+from mjhab.data.select.query import PRESETS, read_filter
 from mjhab.data.select.relabel import relabel
 from mjhab.data.select.sets import GROUPINGS, merge, select, split, stats
 from mjhab.data.store.checking import Repair, check, repair
@@ -46,20 +46,6 @@ def run_data(options: Any) -> int:
         DataReportOptions: _report, DataImportOptions: _import, LabelOptions: _label,
     }  # fmt: skip
     return runners[type(options)](options)  # type: ignore[operator]
-
-
-def read_filter(where: str | None, preset: str | None) -> Filter | None:
-    """The filter of ``--where`` and ``--preset`` together; None if neither is given.
-
-    Raises:
-        UsageError: it cannot be understood; the message says where and what was probably meant.
-    """
-    if preset is not None:
-        named = Filter.preset(preset)
-        if where is None:
-            return named
-        return Filter(f"({named.text}) and ({Filter(where).text})")
-    return None if where is None else Filter(where)
 
 
 def _query(options: DataQueryOptions) -> int:

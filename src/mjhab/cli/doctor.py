@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import os
 import platform
 import shutil
 import subprocess
@@ -14,6 +13,7 @@ from typing import Any
 from mjhab.cli.options.common import DoctorOptions
 from mjhab.cli.output import print_json, print_table
 from mjhab.core.cache import cache_dir
+from mjhab.core.machine import cores
 from mjhab.core.version import __version__
 
 PINNED_MUJOCO = "3.17.0"
@@ -58,13 +58,6 @@ def installed(package: str) -> str | None:
         return version(package)
     except PackageNotFoundError:
         return None
-
-
-def cores() -> int:
-    """Return the number of CPU cores this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def gpu_name() -> str | None:

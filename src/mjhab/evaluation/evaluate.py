@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 from mjhab.config.env import NAVIGATE_MODES, SPLITS, EnvConfig
 from mjhab.core.errors import UsageError, unknown_name
@@ -33,6 +33,8 @@ from mjhab.tasks.style import Styles
 PolicyLike = str | Policy | Callable[..., Policy]
 """A specification for `resolve_policy`, a policy, or what makes one: a class or function of the environment or nothing.
 """
+Spec = TypeVar("Spec")
+"""Specification of an evaluation, or of what is made like one."""
 FILM_QUALITY = 27
 """x264 rate factor: a film of a whole chain stays at a few MB, since the report carries it."""
 NOT_IN_CONFIG = frozenset({"policy", "style", "env", "out", "resume", "overwrite", "alone"})
@@ -148,14 +150,27 @@ def evaluate(policy: PolicyLike = "expert", **options: Any) -> Run:
         UsageError: an option is unknown or cannot work, or the run folder holds something else.
         EvaluationInterrupted: Ctrl-C; what was finished is kept.
     """
-    own = {f.name for f in dataclasses.fields(EvalSpec)}
+    return run_evaluation(spec_of_options(EvalSpec, {"policy": policy, **options}))
+
+
+def spec_of_options(spec_type: type[Spec], options: Mapping[str, Any]) -> Spec:
+    """Make a specification of options in which its own fields and those of `EnvConfig` stand side by side.
+
+    Args:
+        spec_type: a dataclass with the fields ``env``, for the options that are no field of its own, and ``out``.
+        options: by name; ``out`` may be a text.
+
+    Raises:
+        UsageError: see the dataclass.
+    """
+    own = {f.name for f in dataclasses.fields(cast(Any, spec_type))}
     known = {name: value for name, value in options.items() if name in own}
     further = {name: value for name, value in options.items() if name not in own}
     if further:
         known["env"] = {**known.get("env", {}), **further}
     if isinstance(known.get("out"), str):
         known["out"] = Path(known["out"])
-    return run_evaluation(EvalSpec(policy, **known))
+    return spec_type(**known)
 
 
 def run_evaluation(spec: EvalSpec, sinks: Sequence[Sink] = ()) -> Run:
@@ -327,17 +342,23 @@ def finish(folder: RunFolder, seconds: float, film_problem: str | None, alone: A
     return Run(folder.path, folder.config, tuple(records), summary, film_problem)
 
 
-def check_env_options(options: Mapping[str, Any]) -> None:
-    """Refuse options of the environment that do not exist, or that `EvalSpec` has under their own name.
+def check_env_options(options: Mapping[str, Any], spec: type[Any] = EvalSpec, what: str = "an evaluation") -> None:
+    """Refuse options of the environment that do not exist, or that a specification sets by a field of its own.
+
+    Args:
+        options: by name.
+        spec: dataclass of the specification, `EvalSpec` or one that is turned into it.
+        what: what it specifies, for the message.
 
     Raises:
         UsageError: there is one.
     """
-    spec_fields = {f.name for f in dataclasses.fields(EvalSpec)}
-    valid = {f.name for f in dataclasses.fields(EnvConfig)} - FIXED_ENV_OPTIONS - spec_fields
+    spec_fields = {f.name for f in dataclasses.fields(spec)}
+    evaluated = {f.name for f in dataclasses.fields(EvalSpec)}
+    valid = {f.name for f in dataclasses.fields(EnvConfig)} - FIXED_ENV_OPTIONS - evaluated - spec_fields
     for name in options:
         if name not in valid:
-            raise unknown_name("option of an evaluation", name, valid | spec_fields - {"env"})
+            raise unknown_name(f"option of {what}", name, valid | spec_fields - {"env"})
 
 
 def _anything_left(path: Path, spec: EvalSpec) -> bool:

@@ -28,17 +28,17 @@ from mjhab.bench.experts.rows import (
     row_folder,
     together,
 )
-from mjhab.cli.doctor import cores
-from mjhab.cli.generate import make_crew, make_job, stop_signals
+from mjhab.cli.generate import stop_signals
 from mjhab.cli.options.expert import BenchExpertsOptions
-from mjhab.cli.options.generate import GenerateOptions
 from mjhab.cli.output import print_json, print_table
-from mjhab.cli.profiles import resolved_profile
+from mjhab.cli.profiles import profile_options, resolved_profile
 from mjhab.core.errors import MjhabError, UsageError
-from mjhab.data.record.generation import Standing, generate
+from mjhab.core.machine import cores
+from mjhab.data.record.generation import Standing
 from mjhab.data.record.provenance import source_commit, versions
 from mjhab.data.store.reading import episodes as recorded_episodes
 from mjhab.data.store.shard import StorageError
+from mjhab.evaluation.generate import GenerateSpec, run_generation
 from mjhab.rollout.store import write_text
 
 CONFIG, RESULTS, TABLE, REPORT, EPISODES = "config.json", "results.json", "table.csv", "report.html", "episodes.jsonl"
@@ -83,14 +83,24 @@ def measure_row(
     Raises:
         MjhabError: a worker failed, or the folder of the row holds something else. StorageError: the disk is full.
     """
-    wanted = GenerateOptions(
-        row_folder(options.out, row), task=row.task, subtask=None if row.subtask == CHAIN else row.subtask,
-        target=row.target or None, policy="expert", episodes=row.episodes, no_states=True, split=options.split,
-        assets=row.assets, navigate=row.navigate or "teleport", seed=options.seed, worlds=options.worlds,
-        workers=max(1, min(options.workers, row.episodes // options.worlds)), resume=True,
-        profile=options.profile, starts=options.starts, stillness=options.stillness,
-    )  # fmt: skip
-    return generate(make_job(wanted), make_crew(wanted), tell, stopped, resume=True)
+    spec = GenerateSpec(
+        out=row_folder(options.out, row),
+        policy="expert",
+        task=row.task,
+        subtask=None if row.subtask == CHAIN else row.subtask,
+        target=row.target or None,
+        seed=options.seed,
+        split=options.split,
+        assets=row.assets,
+        navigate=row.navigate or "teleport",
+        env=profile_options(options),
+        episodes=row.episodes,
+        states=False,
+        worlds=options.worlds,
+        workers=max(1, min(options.workers, row.episodes // options.worlds)),
+        resume=True,
+    )
+    return run_generation(spec, tell, stopped).standing
 
 
 def read_row(options: BenchExpertsOptions, row: Row) -> list[Episode]:

@@ -128,6 +128,20 @@ class Filter:
         return (self.lets_taint_in or not record.taint) and self.holds(record, run)
 
 
+def read_filter(where: str | None, preset: str | None) -> Filter | None:
+    """Make the filter that passes what both a text and a preset pass; None if neither is given.
+
+    Raises:
+        UsageError: it cannot be understood; the message says where and what was probably meant.
+    """
+    if preset is None:
+        return None if where is None else Filter(where)
+    named = Filter.preset(preset)
+    if where is None:
+        return named
+    return Filter(f"({named.text}) and ({Filter(where).text})")
+
+
 class _Compiler:
     """Turns the text of one filter into parts, checking every node."""
 

@@ -12,9 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from mjhab.core.errors import UsageError
-from mjhab.data.record.crew import ALL, Crew, InlineCrew, ProcessCrew, Stage, WorkerSpec
+from mjhab.data.record.crew import ALL, Stage, WorkerSpec
 from mjhab.data.record.generation import Job, Standing, generate
 from mjhab.data.store.images import ImageFormat
+from mjhab.evaluation.generate import make_crew
 from mjhab.learning.demos import SUCCESSES
 from mjhab.learning.runs.take_over import TakeOver
 from mjhab.tasks.style import Styles
@@ -117,22 +118,14 @@ class Collector:
         told = {**asdict(wanted), "student": wanted.student.name if wanted.student else ""}
         config = {"scene": asdict(self._scene), "seed": self._seed, "round": told}
         job = Job(spec, config, out, wanted.episodes, self._means.workers, self._means.worlds)
-        standing = generate(job, self._crew(alone), tell, stopped, resume=True)
+        crew = make_crew(0 if alone else self._means.workers, self._ray)
+        standing = generate(job, crew, tell, stopped, resume=True)
         if standing.complete and not standing.kept:
             raise UsageError(
                 f"not one of the {standing.tried} episodes of round {wanted.number} succeeded; is the task too hard "
                 "for the expert here? See: mjhab eval --policy expert"
             )
         return standing
-
-    def _crew(self, alone: bool) -> Crew:
-        if alone:
-            return InlineCrew()
-        if not self._ray:
-            return ProcessCrew()
-        from mjhab.data.record.ray_crew import RayCrew
-
-        return RayCrew(self._ray)
 
 
 def round_seed(seed: int, number: int) -> int:

@@ -1,0 +1,401 @@
+"""Generation: record the episodes of a policy in a data set until every target has its quota.
+
+`generate` is `mjhab.generate`; ``mjhab generate`` and the bench of experts call `run_generation`. All do the same.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import pickle
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from mjhab.assets.sources import licence_of
+from mjhab.config.env import EnvConfig
+from mjhab.config.profiles import MJHAB
+from mjhab.core.errors import UsageError
+from mjhab.core.machine import cores
+from mjhab.data.record import generation
+from mjhab.data.record.crew import ALL, Crew, InlineCrew, ProcessCrew, Stage, WorkerSpec
+from mjhab.data.record.generation import Job, Standing
+from mjhab.data.select.query import Filter, read_filter
+from mjhab.data.store.images import ImageFormat
+from mjhab.data.store.reading import Episode
+from mjhab.data.store.reading import episodes as recorded_episodes
+from mjhab.envs.observations import camera_names, image_size, mode_outputs
+from mjhab.episodes.starts import valid_targets
+from mjhab.evaluation.evaluate import (
+    EvalSpec,
+    PolicyLike,
+    check_env_options,
+    describe_policy,
+    env_options,
+    make_env,
+    make_policy,
+    spec_of_options,
+)
+from mjhab.evaluation.resolve import PolicyFacts
+from mjhab.rollout.loop import plain
+from mjhab.tasks.style import Styles
+
+NO_IMAGES = "none"
+TRIES_PER_EPISODE = 20
+"""Episodes that are tried per episode to keep where ``episodes`` is not given."""
+MAX_TARGETS = 10
+"""No task has more kinds of objects."""
+NOT_IN_CONFIG = frozenset(
+    {
+        "out",
+        "policy",
+        "style",
+        "env",
+        "states",
+        "reward_mode",
+        "episodes",
+        "per_target",
+        "per_label",
+        "worlds",
+        "workers",
+        "threads",
+        "ray",
+        "resume",
+    }
+)
+"""Fields of `GenerateSpec` that a data set's configuration holds in another form, or not at all."""
+
+
+@dataclass(frozen=True)
+class GenerateSpec:
+    """What to record, which episodes to keep, and where the data set goes.
+
+    out: folder of the shards.
+    policy, style, task, subtask, target, seed, split, home, assets, navigate: as in `EvalSpec`.
+    env: further fields of `EnvConfig`, e.g. ``{"profile": "ms_hab"}``; they go before what the policy asks for by its
+    ``env_options``.
+    per_target, per_label: episodes to keep of every target, and of every label of every target; 0 for no limit. Whole
+    tasks and Navigate have one target. episodes: those with index 0 to N-1 are tried; None tries TRIES_PER_EPISODE
+    times as many as are to be kept, and needs ``per_target``.
+    keep, preset: filter of the episodes to keep, and the name of one (see `query.PRESETS`); both must hold, None keeps
+    all.
+    states: store positions and velocities; without them nothing can be rendered later. images: camera images to
+    store, "depth", "rgb", "rgbd", "seg" or several joined by "+"; "none" for none. cameras, camera_size: of which
+    cameras, and how large (one number, or height and width) [px]. rgb: format of colour, "png" or "jpeg".
+    reward_mode: reward to store, "" for that of an evaluation.
+    worlds: episodes that a worker runs at the same time. workers: processes to start (a script then needs
+    ``if __name__ == "__main__":``); 0 for this process. threads: of the physics of each worker, 0 divides the cores
+    among them. ray: address of a Ray cluster whose actors are the workers, "local" to start one here. None of these
+    changes the results.
+    resume: go on with the data set in ``out``; numbers of episodes, worlds, workers and threads may differ.
+
+    Raises:
+        UsageError: an unknown name, a number out of range, a filter that cannot be understood, options that exclude
+            each other.
+    """
+
+    out: Path
+    policy: PolicyLike = "expert"
+    style: tuple[str, ...] = ()
+    task: str = "set_table"
+    subtask: str | None = None
+    target: str | None = None
+    seed: int = 0
+    split: str = "train"
+    home: str | None = None
+    assets: str = "builtin"
+    navigate: str = "teleport"
+    env: Mapping[str, Any] = field(default_factory=dict)
+    per_target: int = 0
+    per_label: int = 0
+    episodes: int | None = None
+    keep: str | None = None
+    preset: str | None = None
+    states: bool = True
+    images: str = NO_IMAGES
+    cameras: tuple[str, ...] = MJHAB.cameras
+    camera_size: int | tuple[int, int] = 128
+    rgb: str = "png"
+    reward_mode: str = ""
+    worlds: int = 4
+    workers: int = 0
+    threads: int = 0
+    ray: str | None = None
+    resume: bool = False
+
+    def __post_init__(self) -> None:
+        check_env_options(self.env, GenerateSpec, "a data set")
+        for name in ("per_target", "per_label", "workers"):
+            value = getattr(self, name)
+            if value < 0:
+                raise UsageError(f"{name} must be at least 0, got {value}.")
+        if self.episodes is None and not self.per_target:
+            raise UsageError(
+                "say when to stop: per_target keeps so many episodes of every target, episodes tries so many."
+            )
+        self.as_evaluation()
+        self.filter()
+        if self.stores_images:
+            ImageFormat(self.rgb)
+            mode_outputs(self.images)
+            camera_names(self.cameras)
+            image_size(self.camera_size)
+
+    @property
+    def stores_images(self) -> bool:
+        """Whether camera images are stored."""
+        return self.images != NO_IMAGES
+
+    @property
+    def max_tries(self) -> int:
+        """Number of episodes that are tried at most."""
+        if self.episodes is not None:
+            return self.episodes
+        return TRIES_PER_EPISODE * MAX_TARGETS * self.per_target
+
+    def filter(self) -> Filter | None:
+        """The filter of ``keep`` and ``preset``; None keeps every episode."""
+        return read_filter(self.keep, self.preset)
+
+    def as_evaluation(self) -> EvalSpec:
+        """The evaluation that runs the same episodes with the same policy."""
+        return EvalSpec(
+            policy=self.policy,
+            style=self.style,
+            task=self.task,
+            subtask=self.subtask,
+            target=self.target,
+            episodes=self.max_tries,
+            worlds=self.worlds,
+            seed=self.seed,
+            split=self.split,
+            home=self.home,
+            assets=self.assets,
+            navigate=self.navigate,
+            threads=self.threads,
+            env=self.env,
+        )
+
+
+@dataclass(frozen=True)
+class GeneratedData:
+    """What a generation left.
+
+    path: folder of the shards. config: what the data set resolved to, as in generation.json. standing: how many
+    episodes were written, tried and kept. seconds: wall time of this run [s].
+    """
+
+    path: Path
+    config: Mapping[str, Any]
+    standing: Standing
+    seconds: float
+
+    @property
+    def is_short(self) -> bool:
+        """Whether fewer episodes passed than the quotas ask for."""
+        return self.standing.kept < self.standing.wanted
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """Counts as plain JSON data; ``written`` and ``episodes_per_hour`` are of this run, the others in all."""
+        done = self.standing
+        return {
+            "written": done.written,
+            "kept": done.kept,
+            "labels": dict(done.labels.most_common()),
+            "episodes_per_hour": round(done.written / self.seconds * 3600, 1),
+            "bytes_per_episode": round(done.bytes / done.kept) if done.kept else 0,
+            "tried": done.tried,
+            "yield": round(done.passed / done.tried, 4) if done.tried else 0.0,
+            "seconds": round(self.seconds, 1),
+        }
+
+    def episodes(self) -> Iterator[Episode]:
+        """Read the episodes of the data set, see `mjhab.data.store.reading.episodes`."""
+        return recorded_episodes(self.path)
+
+
+def generate(policy: PolicyLike = "expert", *, out: Path | str, **options: Any) -> GeneratedData:
+    """Record the episodes of a policy; leaves a folder of shards, as ``mjhab generate`` does.
+
+    >>> import mjhab
+    >>> made = mjhab.generate("zero", subtask="close", episodes=1, horizon=5, out="runs/close")
+    >>> made.summary["kept"], made.summary["labels"]
+    (1, {'cant_reach_articulation_failure': 1})
+    >>> episode = next(made.episodes())
+    >>> episode.array("actions").shape
+    (5, 13)
+
+    Args:
+        policy: an object with the `Policy` protocol; a class or function that makes one, from the vector environment if
+            it has a parameter; or a name as for ``mjhab generate --policy``, e.g. "expert" or "my_policy.py:MyPolicy".
+        out: folder of the shards.
+        **options: fields of `GenerateSpec`, and of `EnvConfig` for the environment.
+
+    Returns:
+        The data set: ``made.summary``, ``made.episodes()``, ``made.path``.
+
+    Raises:
+        UsageError: an option is unknown or cannot work, or the folder holds something else.
+        StorageError: the disk is full; the same call with ``resume=True`` goes on.
+        MjhabError: a worker failed.
+        KeyboardInterrupt: Ctrl-C; finished episodes are kept, and ``resume=True`` goes on.
+    """
+    return run_generation(spec_of_options(GenerateSpec, {"policy": policy, "out": out, **options}))
+
+
+def run_generation(
+    spec: GenerateSpec,
+    tell: Callable[[Standing], object] = bool,
+    stopped: Callable[[], bool] = bool,
+) -> GeneratedData:
+    """Record what is missing of a data set. Which episodes are kept depends neither on workers nor on interruptions.
+
+    Args:
+        spec: what, and where to.
+        tell: called with the counts when they have changed.
+        stopped: asked several times a second (of ``workers=0``: between batches of episodes); when it returns True
+            the workers stop, finished episodes are kept and ``standing.complete`` is False.
+
+    Raises:
+        UsageError, StorageError, MjhabError: see `generate`.
+    """
+    job = make_job(spec)
+    crew = make_crew(spec.workers, spec.ray)
+    begun = time.perf_counter()
+    standing = generation.generate(job, crew, tell, stopped, spec.resume)
+    return GeneratedData(spec.out, job.config, standing, time.perf_counter() - begun)
+
+
+def make_job(spec: GenerateSpec) -> Job:
+    """Turn a request into the job of its workers.
+
+    Raises:
+        UsageError: there is no such policy, it cannot be sent to workers, or it needs options that contradict others.
+    """
+    facts = describe_policy(spec.policy)
+    if spec.workers and not spec.ray:
+        _check_sendable(spec.policy, facts.name)
+    config = resolved_config(spec, facts)
+    keep = spec.filter()
+    threads = spec.threads or max(1, cores() // max(1, spec.workers))
+    worker = WorkerSpec(
+        build=functools.partial(build_stage, dataclasses.replace(spec, threads=threads)),
+        seed=spec.seed,
+        keep=keep.text if keep else "",
+        states=spec.states,
+        images=ImageFormat(spec.rgb) if spec.stores_images else None,
+    )
+    # Episodes of one subtask all last to the horizon: one per world leaves no world idle. Chains end when they end.
+    chunk = spec.worlds if spec.subtask else 2 * spec.worlds
+    return Job(
+        spec=worker,
+        config=config,
+        out=spec.out,
+        episodes=spec.max_tries,
+        workers=max(1, spec.workers),
+        chunk=chunk,
+        per_target=spec.per_target,
+        per_label=spec.per_label,
+    )
+
+
+def make_crew(workers: int, ray: str | None = None) -> Crew:
+    """Make a crew of so many workers: processes, actors of the Ray cluster at ``ray``, or, if 0, this process.
+
+    Raises:
+        UsageError: Ray is not installed, or the cluster cannot be reached.
+    """
+    if ray:
+        from mjhab.data.record.ray_crew import RayCrew
+
+        return RayCrew(ray)
+    return ProcessCrew() if workers else InlineCrew()
+
+
+def build_stage(spec: GenerateSpec) -> Stage:
+    """Build the environment and the policy of a worker; called in the worker's process."""
+    facts = describe_policy(spec.policy)
+    evaluation = spec.as_evaluation()
+    env: Any = make_env(evaluation, recorded_env_options(spec, facts))
+    targets = (ALL,)
+    if spec.subtask and spec.subtask != "navigate":
+        targets = (spec.target,) if spec.target else tuple(valid_targets(env.config, env.layout))
+    policy = make_policy(evaluation, env)
+    return Stage(env, policy, about_policy(spec, facts), targets, licence_of(spec.assets))
+
+
+def about_policy(spec: GenerateSpec, facts: PolicyFacts) -> dict[str, Any]:
+    """What is recorded of the policy: all that decides how it acts, as plain JSON data."""
+    about: dict[str, Any] = {"name": facts.name, **facts.identity}
+    if facts.env_options:
+        about["env_options"] = dict(facts.env_options)
+    if spec.style:
+        about["style"] = Styles.parse(spec.style).words
+    if spec.policy == "random":
+        about["seed"] = spec.seed
+    return about
+
+
+def recorded_env_options(spec: GenerateSpec, facts: PolicyFacts) -> dict[str, Any]:
+    """Further options of the environment that the user, the policy, or the images to store ask for.
+
+    Raises:
+        UsageError: the policy asks for an option that does not exist, or sees other images than those to store.
+    """
+    needed = env_options(spec.as_evaluation(), facts)
+    if spec.reward_mode:
+        needed["reward_mode"] = spec.reward_mode
+    if not spec.stores_images:
+        return needed
+    sees = needed.pop("obs_mode", "")
+    modes = [*spec.images.split("+"), *filter(None, sees.split("+"))]
+    stored = {
+        "obs_mode": "+".join(dict.fromkeys(modes)),
+        "cameras": spec.cameras,
+        "camera_size": spec.camera_size,
+    }
+    for name in ("cameras", "camera_size"):
+        if sees and name in needed and needed[name] != stored[name]:
+            raise UsageError(
+                f"the policy {facts.name} sees images with {name} = {needed[name]!r}, but {stored[name]!r} is asked "
+                f"for. Store those that it sees, or leave out images: `mjhab replay --render` draws any others later."
+            )
+    return {**needed, **stored}
+
+
+def resolved_config(spec: GenerateSpec, facts: PolicyFacts) -> dict[str, Any]:
+    """Everything that decides which episodes are made and what is stored of them; plain JSON data.
+
+    Raises:
+        UsageError: see `recorded_env_options`; an option of the environment has an unknown value, or one that
+            contradicts the profile.
+    """
+    config = {f.name: getattr(spec, f.name) for f in dataclasses.fields(spec) if f.name not in NOT_IN_CONFIG}
+    config |= {"no_states": not spec.states, "reward": spec.reward_mode}
+    # Without a style nothing is said of it: data sets that are older than styles can be resumed.
+    if spec.style:
+        config["style"] = Styles.parse(spec.style).words
+    options = {**recorded_env_options(spec, facts), "cameras": spec.cameras}
+    config |= EnvConfig(task=spec.task, subtask=spec.subtask or "", **options).of_profile()
+    further = {name: value for name, value in spec.env.items() if name not in config}
+    if further:
+        config["env"] = further
+    return plain({**config, "policy": facts.name, **facts.identity})
+
+
+def _check_sendable(policy: PolicyLike, name: str) -> None:
+    """Refuse a policy that worker processes could not be given.
+
+    Raises:
+        UsageError: it cannot be pickled.
+    """
+    try:
+        pickle.dumps(policy)
+    except Exception as error:
+        raise UsageError(
+            f"the policy {name} cannot be sent to worker processes ({error}); give FILE.py:CLASS or a class at the top "
+            "level of a module, or workers=0 to make the episodes in this process."
+        ) from error

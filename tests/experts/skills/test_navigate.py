@@ -154,7 +154,7 @@ def test_keeps_what_it_holds():
 
 @pytest.mark.parametrize("watches", [True, False])
 def test_plans_anew_when_a_door_opens_in_its_way(monkeypatch: pytest.MonkeyPatch, watches: bool):
-    """By looking; and without it, by running into the door, backing off and going round."""
+    """By looking; and without it, by running into the door, which is pushed aside or gone round."""
     env = build("set_table")
     met, plan_trip = [], navigate.plan_trip
 
@@ -172,7 +172,7 @@ def test_plans_anew_when_a_door_opens_in_its_way(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(navigate, "DOOR_MOVED", navigate.DOOR_MOVED if watches else np.inf)
     ended = drive(env, 2, 400, open_the_door)
     assert active(env).link == FRIDGE and ended["success"]
-    assert met == ([0, 0] if watches else [0, 1])
+    assert met == [0, 0] if watches else met in ([0], [0, 1])
     assert (ended["force"] == 0.0) == watches
 
 

@@ -29,6 +29,8 @@ from mjhab.sim.mujoco.settle import parked_robot_qpos
 from mjhab.tasks.plan import TaskConfig
 
 HOLD_SECONDS = 0.5
+STEADY_SHARE = 0.8
+"""Share of the grasp test's angle that a stored grasp may use: near the limit it flickers once the robot moves."""
 MAX_GRASPS = 32
 MAX_TRIES = 256
 MAX_OFFSET = 0.15
@@ -38,7 +40,7 @@ MAX_SLANT = np.radians(50.0)
 """Largest angle [rad] between the approach and straight down, where the object has grasps within. The hand points down
 at rest: what it took from the side would lie on its side in it, as few picks leave it."""
 _UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
-_VERSION = 4
+_VERSION = 6
 _POSITION_SCALE, _CLOSING_WEIGHT = 0.05, 0.5
 """What counts as far apart: 5 cm as much as a radian of approach or two of roll."""
 
@@ -210,7 +212,7 @@ class HeldStarts:
         force, angle = self.config.grasp_force, self.config.grasp_angle
         robot = parked_robot_qpos() if robot is None else robot
         open_hand = _with_fingers(robot, min(0.5 * width + 0.001, FINGER_MAX))
-        held = self.scratch.try_grasp(slot, tcp, open_hand, HOLD_SECONDS, force, angle)
+        held = self.scratch.try_grasp(slot, tcp, open_hand, HOLD_SECONDS, force, STEADY_SHARE * angle)
         return HeldGrasp(*held) if held is not None and np.linalg.norm(held[0][:3]) <= MAX_OFFSET else None
 
 

@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 
 from mjhab.core.errors import unknown_name
+from mjhab.scenes.builtin.objects import BOWL_FACETS
 
 Array = np.ndarray
 CORNER_YAWS, CORNER_TILTS = (-0.1, 0.0, 0.1), (0.0, 0.26, 0.44, 0.6)
@@ -59,7 +60,7 @@ class ObjectShape:
     half: tuple[float, float, float]
     wall: float = 0.0045
     lean: float = 0.197
-    facets: int = 16
+    facets: int = BOWL_FACETS
 
 
 @dataclass(frozen=True)
@@ -248,7 +249,7 @@ def _sphere_holds(shape: ObjectShape, pos: Array, rot: Array, gripper: Gripper, 
 
 def _bowl_holds(shape: ObjectShape, pos: Array, rot: Array, gripper: Gripper, options: Options) -> Iterator[Hold]:
     """One finger inside, one outside the wall, both about parallel to it; several leans of the hand at every place."""
-    axis, half, count = rot[:, 2], shape.half[2], shape.facets or 16
+    axis, half, count = rot[:, 2], shape.half[2], shape.facets or BOWL_FACETS
     # The middle of a flat facet lies nearer to the axis than its corners.
     radius = (shape.half[0] - shape.wall / 2) * (np.cos(np.pi / count) if shape.facets else 1.0)
     for angle in np.arange(count) * 2 * np.pi / count:

@@ -60,7 +60,10 @@ BOWL_WALL = 0.0045
 """Thickness of the bowl's wall [m]."""
 _BOWL_PROFILE = ((0.046, -0.0275), (0.0735, -0.0075), (0.0805, 0.0275))
 """Outer (radius, z) of the bowl: foot, knee, rim. Steep above the knee, so that a rim grasp has parallel sides."""
-_RIM_PIECES, _BASE_PIECES = 16, 8
+BOWL_FACETS = 12
+"""Flat pieces of the bowl's wall. A finger pad (26 mm wide) has 7 mm of room on either side of a piece's middle: beyond
+it, its side would meet the edge of the next piece."""
+_BASE_PIECES = 8
 
 
 def roster(task: str) -> tuple[str, ...]:
@@ -111,7 +114,7 @@ def object_meshes() -> dict[str, Mesh]:
     return {
         "apple_hull": _hull(_icosphere() * (np.array(SIZES["013_apple"]) / 2)),
         "apple_look": _apple_look(),
-        "bowl_rim_piece": _wall_piece(knee_r, knee_z, rim_r, rim_z, _RIM_PIECES),
+        "bowl_rim_piece": _wall_piece(knee_r, knee_z, rim_r, rim_z, BOWL_FACETS),
         "bowl_base_piece": _wall_piece(foot_r, foot_z, knee_r, knee_z, _BASE_PIECES),
         "bowl_outside": lathe(
             [
@@ -206,7 +209,7 @@ def _bowl() -> tuple[list[Geom], list[Geom]]:
     """An open bowl: a ring of steep rim pieces, a ring of flat base pieces, a round floor."""
     foot_r, foot_z = _BOWL_PROFILE[0]
     pieces = [Geom("cylinder", (foot_r, BOWL_WALL / 2, 0.0), (0.0, 0.0, foot_z + BOWL_WALL / 2), visual=False)]
-    for count, mesh in ((_RIM_PIECES, "bowl_rim_piece"), (_BASE_PIECES, "bowl_base_piece")):
+    for count, mesh in ((BOWL_FACETS, "bowl_rim_piece"), (_BASE_PIECES, "bowl_base_piece")):
         for i in range(count):
             turn = about_z(2 * math.pi * i / count)
             pieces.append(Geom("mesh", (1.0, 1.0, 1.0), quat=turn, mesh=mesh, visual=False))

@@ -20,6 +20,8 @@ from mjhab.sim.mujoco.cpu import SUBSTEPS, CpuSimulator
 from mjhab.sim.mujoco.settle import CLOSED_FINGER, hold_robot
 
 CLOSING_STEPS = 30
+MOST_CREEP_M_S = 0.001
+"""Speed [m/s] at which an object may creep out of a hand at rest: one held by its edge alone is lost within seconds."""
 TURN_RATE, TURN_STEPS, TURN_SLIP = 1.6, 20, 0.02
 """A held object must stay within this slip [m] while the base is jerked to either side at half its top speed [rad/s]:
 some grasps near an edge hold still for minutes and lose the object at the first turn."""
@@ -188,12 +190,15 @@ class Scratch:
             hold_robot(model, data)
             data.ctrl[self._fingers] = CLOSED_FINGER
             mujoco.mj_step(model, data, CLOSING_STEPS)
+            closed = self._load_pose(model, data, start)
             for _ in range(round(seconds / (SUBSTEPS * model.opt.timestep))):
                 mujoco.mj_step(model, data, SUBSTEPS)
                 if not self._grasped(data, slot, min_force, max_angle):
                     return None
             fingers = float(data.qpos[a.robot_q[FINGER_JOINTS.start]])
             relative = self._load_pose(model, data, start)
+            if np.linalg.norm(relative[:3] - closed[:3]) > MOST_CREEP_M_S * seconds:
+                return None
             for rate in (TURN_RATE, -TURN_RATE):
                 data.ctrl[self._turn] = rate
                 mujoco.mj_step(model, data, TURN_STEPS)

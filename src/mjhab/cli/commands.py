@@ -12,6 +12,7 @@ from mjhab.cli import export_options as export
 from mjhab.cli import generate_options as gen
 from mjhab.cli import gpu_options as gpu
 from mjhab.cli import options as opt
+from mjhab.cli import reproduce_options as rep
 from mjhab.cli import spawn_options as spawn
 from mjhab.cli import train_options as learn
 from mjhab.cli.options import Sub
@@ -45,6 +46,7 @@ Command = (
     | Annotated[gen.GenerateOptions, Sub("generate")]
     | Annotated[gen.ReplayOptions, Sub("replay")]
     | Annotated[learn.TrainCommand, Sub("train")]
+    | Annotated[rep.ReproduceOptions, Sub("reproduce")]
     | Annotated[data.DataCommand, Sub("data")]
     | Annotated[data.LabelOptions, Sub("label")]
     | Annotated[export.ExportCommand, Sub("export")]
@@ -71,6 +73,7 @@ RUNNERS: dict[type, tuple[str, str]] = {
     gen.GenerateOptions: ("generate", "run_generate"),
     gen.ReplayOptions: ("replay", "run_replay"),
     learn.TrainCommand: ("train", "run_train"),
+    rep.ReproduceOptions: ("reproduce", "run_reproduce"),
     data.DataCommand: ("data", "run_data"),
     data.LabelOptions: ("data", "run_data"),
     export.ExportCommand: ("export", "run_export"),

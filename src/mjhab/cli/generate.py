@@ -25,7 +25,7 @@ from mjhab.data.record.crew import ALL, Crew, ProcessCrew, Stage, WorkerSpec
 from mjhab.data.record.generation import Job, Standing, generate
 from mjhab.data.store.images import ImageFormat
 from mjhab.evaluation.evaluate import EvalSpec, check_env_options
-from mjhab.evaluation.resolve import PolicyFacts, PolicyOptions, inspect_policy, resolve_policy
+from mjhab.evaluation.resolve import PolicyFacts, PolicyOptions, full_spec, inspect_policy, resolve_policy
 from mjhab.tasks.style import Styles
 
 TRIES_PER_EPISODE = 20
@@ -69,6 +69,7 @@ def make_job(options: GenerateOptions) -> Job:
         UsageError: an unknown name, a number out of range, a filter that cannot be understood.
     """
     _check_episodes(options)
+    options = replace(options, policy=full_spec(options.policy, options.task, options.subtask, options.target))
     facts = inspect_policy(options.policy)
     for name in ("per_target", "per_label", "threads"):
         at_least(name.replace("_", "-"), getattr(options, name), 0)
@@ -81,7 +82,10 @@ def make_job(options: GenerateOptions) -> Job:
     _check_images(options)
     env_options(options, facts)
     config = {key: value for key, value in vars(options).items() if key not in _NOT_IN_CONFIG}
-    config |= resolved_profile(options, task=options.task, subtask=options.subtask or "", cameras=options.cameras)
+    of_policy = {name: facts.env_options[name] for name in ("profile", "stationary") if name in facts.env_options}
+    config |= resolved_profile(
+        options, task=options.task, subtask=options.subtask or "", cameras=options.cameras, **of_policy
+    )
     # Without a style nothing is said of it: what was made before there were styles can be gone on with.
     config |= {"style": Styles.parse(options.style).words} if config.pop("style") else {}
     config = {key: str(value) if isinstance(value, Path) else value for key, value in config.items()}

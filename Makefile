@@ -6,9 +6,10 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 SETUP_FILES := pyproject.toml constraints.txt
 DEMO_OUT := runs/demo
+DEMO_STUDENT_OUT := runs/demo-student
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-generate test-lerobot test-ray check format bench gpu-report clean distclean
+.PHONY: help setup demo demo-student test test-generate test-lerobot test-ray check format bench gpu-report clean distclean
 
 help:  ## show this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
@@ -31,11 +32,21 @@ $(VENV)/.dev: $(SETUP_FILES) | $(BIN)/python
 	@$(PIP) install -q -c constraints.txt -e '.[dev]'
 	@touch $(VENV)/.core $@
 
+$(VENV)/.learn: $(SETUP_FILES) | $(BIN)/python
+	@echo "mjhab: installing with torch into $(VENV), once"
+	@$(PIP) install -q -c constraints.txt -e '.[learn]'
+	@touch $(VENV)/.core $@
+
 setup: $(VENV)/.dev  ## install mjhab and its development tools into .venv
 
 demo: $(VENV)/.core  ## a Fetch robot does SetTable in furnished homes; films and report in runs/demo
 	$(BIN)/mjhab eval --task set_table --policy expert --episodes 4 --worlds 4 --seed 0 --films 4 --out $(DEMO_OUT) --overwrite
 	@echo "Open in a browser (no network needed): $(CURDIR)/$(DEMO_OUT)/report.html"
+
+demo-student: $(VENV)/.learn  ## a policy that learned from what the robot sees closes a drawer; films in runs/demo-student
+	$(BIN)/mjhab eval --policy student --task set_table --subtask close --target kitchen_counter/drawer3 --split val \
+	  --episodes 8 --worlds 8 --seed 0 --films 4 --out $(DEMO_STUDENT_OUT) --overwrite
+	@echo "Open in a browser (no network needed): $(CURDIR)/$(DEMO_STUDENT_OUT)/report.html"
 
 test: $(VENV)/.dev  ## the whole test suite, with the slowest tests listed at the end
 	$(BIN)/python -m pytest --durations=15 --durations-min=0.5 $(PYTEST_ARGS)

@@ -30,7 +30,14 @@ def test_options_become_a_request(tmp_path: Path) -> None:
     assert request.config.dagger is not None
     assert (request.config.dagger.rounds, request.config.dagger.episodes, request.config.student.demos) == (2, 5, 7)
     assert request.config.student.style == ("noise=0.0..0.2",)
+    longer = make_request(parse([*DAGGER, str(tmp_path), "--first-prefix", "40", "--prefix-growth", "30"]).command)
+    assert longer.config.dagger is not None
+    assert [longer.config.dagger.longest_prefix(number) for number in range(4)] == [0, 40, 70, 100]
     plain = make_request(parse([*DAGGER, str(tmp_path)]).command)
+    assert plain.scene.env_options().keys() == {"task", "subtask", "target", "split", "assets"}
+    told = ["--profile", "ms_hab", "--stillness", "published"]
+    scene = make_request(parse([*DAGGER, str(tmp_path), *told]).command).scene
+    assert (scene.profile, scene.stillness, scene.spawn_rule) == ("ms_hab", "published", "")
     assert plain.config == configs.preset_of("dagger", "quick")
 
 
@@ -49,6 +56,7 @@ def test_every_algorithm_has_a_command(algorithm: str, tmp_path: Path) -> None:
         (("--worlds", "0"), "--worlds must be at least 1"),
         (("--updates", "0"), "--updates must be at least 1"),
         (("--budget-minutes", "-1"), "--budget-minutes must be at least 0"),
+        (("--profile", "ms_hub"), "Did you mean 'ms_hab'"),
         (("--style", "nois=0.1"), "Did you mean 'noise'"),
         (("--data", "nowhere.h5"), "nowhere.h5 does not exist"),
     ],
@@ -56,6 +64,11 @@ def test_every_algorithm_has_a_command(algorithm: str, tmp_path: Path) -> None:
 def test_bad_input(words: tuple[str, ...], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["train", "bc", "--out", str(tmp_path / "run"), *words]) == 2
     assert said in capsys.readouterr().err
+
+
+def test_no_round_is_empty(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["train", "dagger", "--out", str(tmp_path / "run"), "--takeovers", "0"]) == 2
+    assert "--takeovers must be at least 1" in capsys.readouterr().err
 
 
 def test_from_data_to_a_checkpoint(

@@ -15,7 +15,7 @@ from safetensors.torch import save_file
 from mjhab.core.errors import UsageError
 from mjhab.data.store.images import ImageFormat
 from mjhab.learning.checkpoint import load_checkpoint, load_student, save_student, save_training
-from mjhab.learning.configs import HEADS, PRESETS, preset_of, student_from_plain, to_plain
+from mjhab.learning.configs import HEADS, PRESETS, DaggerConfig, preset_of, student_from_plain, to_plain
 from mjhab.learning.demos import BatchSampler, take_chunks
 from mjhab.learning.runs.collection import Means, Scene
 from mjhab.learning.runs.session import Request, Session, open_session
@@ -225,10 +225,10 @@ def test_a_run_leaves_its_folder_and_resumes_exactly(
     }
     make_updates = Trainer.update
 
-    def stop_after_two(trainer: Trainer, one: Batch) -> object:
+    def stop_after_two(trainer: Trainer, one: Batch, rate: float = 1.0) -> object:
         if trainer.step == 2:
             raise KeyboardInterrupt
-        return make_updates(trainer, one)
+        return make_updates(trainer, one, rate)
 
     monkeypatch.setattr("mjhab.learning.runs.session.CHECKPOINT_SECONDS", -1.0)
     monkeypatch.setattr(Trainer, "update", stop_after_two)
@@ -276,3 +276,20 @@ def test_data_that_do_not_fit_leave_no_folder(source: Path, tmp_path: Path) -> N
     with pytest.raises(UsageError, match="no episode passes"):
         train(request(source, where="steps > 1000"), tmp_path / "run")
     assert not (tmp_path / "run").exists()
+
+
+def test_the_learning_rate_falls_to_zero_in_the_end(
+    source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[float] = []
+    make_updates = Trainer.update
+
+    def note(trainer: Trainer, one: Batch, rate: float = 1.0) -> object:
+        asked.append(rate)
+        return make_updates(trainer, one, rate)
+
+    monkeypatch.setattr(Trainer, "update", note)
+    dagger = DaggerConfig(rounds=0, final_updates=4)
+    done = train(request(source, config=dataclasses.replace(train_config(), dagger=dagger)), tmp_path / "run")
+    assert asked == [1.0] * 4 + [1.0, 0.75, 0.5, 0.25]
+    assert (done.summary["steps"], done.summary["rounds"], done.summary["demonstrations"]) == (8, 0, 4)

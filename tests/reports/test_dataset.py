@@ -21,7 +21,7 @@ from mjhab.reports.dataset import render_data_report
 from mjhab.reports.dataset_forces import force_plots
 from mjhab.reports.dataset_labels import ALL, grouped, label_order, label_table
 from mjhab.reports.mosaics import EVERY, TILE, mosaic
-from mjhab.reports.paper import ORDER, POLICIES, paper_row
+from mjhab.reports.paper import ORDER, POLICIES, paper_row, paper_success
 from mjhab.tasks.labels import LABELS
 from mjhab.tasks.plan import KIND_NAMES, SubtaskKind
 from tests.data.fake_world import FakeEnv
@@ -141,3 +141,11 @@ def test_every_label_of_a_kind_has_a_row() -> None:
         names = label_order(kind)
         assert sorted(names) == sorted(LABELS[SubtaskKind(KIND_NAMES.index(kind))])
     assert label_order("navigate")[0] == "navigation_success"
+
+
+def test_success_in_the_paper_is_that_of_the_row() -> None:
+    assert paper_success("set_table", "close", "val", "fridge/top_door") == {"rl_per": 0.0, "bc": 0.0, "dp": 0.1}
+    drawer = paper_success("set_table", "open", "val", "kitchen_counter/drawer3")
+    assert (drawer["rl_per"], drawer["dp"]) == (84.52, 15.18)
+    assert paper_success("set_table", "pick", "val", "024_bowl") == paper_success("set_table", "pick", "val", "")
+    assert paper_success("tidy_house", "navigate", "val", "") == {}

@@ -132,7 +132,32 @@ def test_continuous_success_once_and_at_end(at_end: bool, once: bool, fail: bool
     assert (outcome.success_at_end[0], outcome.success_once[0], outcome.fail[0]) == (at_end, once, fail)
 
 
-@pytest.mark.parametrize("config", [CONFIG, CONTINUOUS])
+@pytest.mark.parametrize("outcome_in_step", [{"success": True}, {"force_ok": False}])
+def test_an_episode_ends_some_steps_after_its_outcome(outcome_in_step: dict[str, bool]) -> None:
+    plan = plan_of(PICK)
+    config = replace(CONTINUOUS, hold_steps=2)
+    progress, outcome = step(start(plan, config), plan, config)
+    assert progress.steps_left[0] == config.pick.horizon - 1
+    later = {name: value for name, value in outcome_in_step.items() if name == "force_ok"}
+    progress, outcome = step(progress, plan, config, **outcome_in_step)
+    ends = []
+    for held in (outcome_in_step, later):
+        assert not outcome.done[0]
+        progress, outcome = step(progress, plan, config, **held)
+        ends.append(bool(outcome.ended[0]))
+    assert ends == [False, True], "a success that lasts does not begin anew"
+    assert outcome.success_once[0] == outcome_in_step.get("success", False)
+
+
+def test_the_horizon_ends_an_episode_before_what_is_held() -> None:
+    plan = plan_of(PICK)
+    config = replace(CONTINUOUS, hold_steps=50, pick=SubtaskConfig(2, 20.0))
+    progress, _ = step(start(plan, config), plan, config, success=True)
+    _, outcome = step(progress, plan, config, success=True)
+    assert outcome.done[0] and outcome.success_at_end[0]
+
+
+@pytest.mark.parametrize("config", [CONFIG, CONTINUOUS, replace(CONTINUOUS, hold_steps=1)])
 def test_torch_advances_the_same_in_value_and_dtype(config: TaskConfig) -> None:
     rng = np.random.default_rng(3)
     worlds = 300

@@ -8,6 +8,7 @@ from typing import Annotated
 from mjhab.cli.options import common as opt
 from mjhab.cli.options import data, env, expert, export, gpu, spawn
 from mjhab.cli.options import generate as gen
+from mjhab.cli.options import reproduce as rep
 from mjhab.cli.options import train as learn
 from mjhab.cli.options.common import Sub
 
@@ -40,6 +41,7 @@ Command = (
     | Annotated[gen.GenerateOptions, Sub("generate")]
     | Annotated[gen.ReplayOptions, Sub("replay")]
     | Annotated[learn.TrainCommand, Sub("train")]
+    | Annotated[rep.ReproduceOptions, Sub("reproduce")]
     | Annotated[data.DataCommand, Sub("data")]
     | Annotated[data.LabelOptions, Sub("label")]
     | Annotated[export.ExportCommand, Sub("export")]
@@ -66,6 +68,7 @@ RUNNERS: dict[type, tuple[str, str]] = {
     gen.GenerateOptions: ("cli.generate", "run_generate"),
     gen.ReplayOptions: ("cli.replay", "run_replay"),
     learn.TrainCommand: ("cli.train", "run_train"),
+    rep.ReproduceOptions: ("cli.reproduce", "run_reproduce"),
     data.DataCommand: ("cli.data", "run_data"),
     data.LabelOptions: ("cli.data", "run_data"),
     export.ExportCommand: ("cli.export", "run_export"),

@@ -17,6 +17,8 @@ from mjhab.cli.options.train import (
     TrainOptions,
 )
 from mjhab.cli.output import at_least, print_json
+from mjhab.cli.profiles import profile_options
+from mjhab.config.profiles import DEFAULT_PROFILE, profile_named
 from mjhab.core.errors import unknown_name
 from mjhab.learning.require import require_learn
 from mjhab.tasks.plan import KIND_NAMES, TASKS
@@ -34,6 +36,15 @@ ALGORITHMS: dict[type[TrainOptions], str] = {
     TrainDiffusionOptions: "diffusion",
     TrainDaggerOptions: "dagger",
 }
+DAGGER_NUMBERS = {
+    "rounds": ("rounds", 0),
+    "round_updates": ("updates", 1),
+    "takeovers": ("episodes", 1),
+    "first_prefix": ("first_prefix", 0),
+    "prefix_growth": ("prefix_growth", 0),
+    "final_updates": ("final_updates", 0),
+}
+"""Field of `DaggerConfig` that an option changes, and the least value of it."""
 SECONDS_PER_MINUTE = 60.0
 
 
@@ -66,8 +77,15 @@ def make_request(options: TrainOptions) -> Request:
     for name in ("worlds", "workers", "demos", "updates"):
         if getattr(options, name) is not None:
             at_least(name, getattr(options, name), 1)
+    profile_named(options.profile or DEFAULT_PROFILE)
     scene = Scene(
-        options.task, options.subtask, options.target or "", options.split, options.assets, options.home or ""
+        task=options.task,
+        subtask=options.subtask,
+        target=options.target or "",
+        split=options.split,
+        assets=options.assets,
+        home=options.home or "",
+        **profile_options(options),
     )
     return Request(
         config=resolved(options),
@@ -94,7 +112,12 @@ def resolved(options: TrainOptions) -> TrainConfig:
     student = _changed(config.student, demos=options.demos, updates=options.updates, style=words)
     dagger = config.dagger
     if isinstance(options, TrainDaggerOptions) and dagger is not None:
-        changes = {"rounds": options.rounds, "updates": options.round_updates, "episodes": options.takeovers}
+        changes: dict[str, int] = {}
+        for option, (name, least) in DAGGER_NUMBERS.items():
+            given = getattr(options, option)
+            if given is not None:
+                at_least(option.replace("_", "-"), given, least)
+                changes[name] = given
         dagger = _changed(dagger, **changes)
     return dataclasses.replace(config, student=student, dagger=dagger)
 

@@ -18,7 +18,7 @@ from mjhab.config.env import NAVIGATE_MODES, SPLITS, EnvConfig
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.version import __version__
 from mjhab.evaluation.own_policy import check_methods, check_policy, construct_policy, env_options_of
-from mjhab.evaluation.resolve import PolicyFacts, PolicyOptions, inspect_policy, resolve_policy
+from mjhab.evaluation.resolve import PolicyFacts, PolicyOptions, full_spec, inspect_policy, resolve_policy
 from mjhab.reports.metrics import AloneRates, alone_rates, rows_by_kind, rows_by_position, summarize
 from mjhab.reports.run import render_report
 from mjhab.rollout.films import Film, FilmSink
@@ -103,6 +103,8 @@ class EvalSpec:
             if value < least:
                 raise UsageError(f"{name} must be at least {least}, got {value}.")
         check_env_options(self.env)
+        if isinstance(self.policy, str):
+            object.__setattr__(self, "policy", full_spec(self.policy, self.task, self.subtask, self.target))
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,8 @@ from mjhab.core.errors import UsageError, unknown_name
 from mjhab.rollout.policy import Policy, RolloutEnv
 
 NAMED_POLICIES = ("expert", "random", "zero")
+STUDENT = "student"
+"""The checkpoint of the package for what is to be done; `full_spec` says what that is."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +81,7 @@ class PolicyKind:
 
 POLICY_KINDS: list[PolicyKind] = [
     PolicyKind(", ".join(NAMED_POLICIES), lambda spec: spec in NAMED_POLICIES, "mjhab.evaluation.named_policies"),
+    PolicyKind(STUDENT, lambda spec: spec.partition(":")[0] == STUDENT, "mjhab.learning.shipped_kind"),
     PolicyKind("ms_hab:CHECKPOINT.pt", lambda spec: spec.startswith("ms_hab:"), "mjhab.learning.ms_hab.policy_kind"),
     PolicyKind("CHECKPOINT.safetensors", lambda spec: spec.endswith(".safetensors"), "mjhab.learning.policy_kind"),
     PolicyKind("FILE.py:CLASS", lambda spec: spec.endswith(".py") or ".py:" in spec, "mjhab.evaluation.policy_file"),
@@ -104,7 +107,7 @@ def resolve_policy(spec: str, env: RolloutEnv, options: PolicyOptions | None = N
     """Build the policy that a specification names.
 
     Args:
-        spec: "expert", "random", "zero", "FILE.py:CLASS", or what a registered kind understands.
+        spec: "expert", "random", "zero", "FILE.py:CLASS", or what a registered kind understands; see `full_spec`.
         env: the vector environment it will act in, with autoreset "disabled".
         options: the seed of the run and the expert's style; seed 0 and no style if None.
 
@@ -114,9 +117,14 @@ def resolve_policy(spec: str, env: RolloutEnv, options: PolicyOptions | None = N
     return _kind_of(spec).load().build_policy(spec, env, options or PolicyOptions())
 
 
+def full_spec(spec: str, task: str, subtask: str | None, target: str | None) -> str:
+    """A specification that does without what is to be done: "student" gets it, every other one stays as it is."""
+    return f"{STUDENT}:{task}/{subtask or ''}/{target or ''}" if spec == STUDENT else spec
+
+
 def _kind_of(spec: str) -> PolicyKind:
     for kind in POLICY_KINDS:
         if kind.matches(spec):
             return kind
-    forms = ", ".join(kind.form for kind in POLICY_KINDS[1:])
-    raise UsageError(f"{unknown_name('policy', spec, NAMED_POLICIES)} Or a policy of your own: {forms}.")
+    forms = ", ".join(kind.form for kind in POLICY_KINDS[2:])
+    raise UsageError(f"{unknown_name('policy', spec, (*NAMED_POLICIES, STUDENT))} Or a policy of your own: {forms}.")

@@ -113,7 +113,8 @@ class DaggerConfig:
     comes from the newest round. first_prefix, prefix_growth: in round r (from 1) the student acts for a number of
     control steps drawn from 0 to first_prefix + (r - 1) * prefix_growth, at most max_prefix: late take-overs from a
     student that knows little cannot be saved. horizon: control steps of an episode of collection; more than in
-    evaluation, so that the expert has the time to finish after a late take-over.
+    evaluation, so that the expert has the time to finish after a late take-over. final_updates: after the last round,
+    from all rounds in equal parts, with a learning rate that falls to zero.
     """
 
     rounds: int = 8
@@ -124,6 +125,7 @@ class DaggerConfig:
     prefix_growth: int = 20
     max_prefix: int = 180
     horizon: int = 320
+    final_updates: int = 0
 
     def longest_prefix(self, round_number: int) -> int:
         """Largest number of control steps that the student acts for in a round; 0 in round 0."""

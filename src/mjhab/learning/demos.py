@@ -17,7 +17,7 @@ from mjhab.data.select.sets import select
 from mjhab.data.store.images import decode
 from mjhab.data.store.reading import Episode, open_shard
 from mjhab.learning.configs import InputConfig
-from mjhab.learning.layout import Entry, Layout, compare_layouts
+from mjhab.learning.layout import Entry, Layout, compare_layouts, profile_of
 from mjhab.learning.runs.take_over import expert_steps
 
 SUCCESSES = "success"
@@ -137,7 +137,7 @@ def layout_of_data(places: Path | Sequence[Path], inputs: InputConfig, where: Fi
     with open_shard(path) as shard:
         episode = shard.episode(name)
         state, actions, control = entries_of(episode)
-        layout = Layout(inputs, state, actions, targets, control)
+        layout = Layout(inputs, state, actions, targets, control, recorded_profile(episode))
         _images(episode, layout, 1)
     return layout
 
@@ -148,6 +148,11 @@ def entries_of(episode: Episode) -> tuple[tuple[Entry, ...], tuple[str, ...], tu
     control = (env["control_mode"], env["base"], *env["stationary"])
     actions = tuple(str(name) for name in episode.run.layout["actions"])
     return tuple(episode.columns("obs/state").items()), actions, control
+
+
+def recorded_profile(episode: Episode) -> str:
+    """The profile of a recorded episode, see `profile_of`."""
+    return profile_of({**episode.run.options, **episode.run.config["env"]})
 
 
 def nothing_to_learn() -> UsageError:
@@ -263,6 +268,9 @@ def shift_images(images: np.ndarray, most: int, random: np.random.Generator) -> 
 def _check_layout(episode: Episode, layout: Layout) -> None:
     state, actions, control = entries_of(episode)
     wrong = compare_layouts(layout, state, actions, control)
+    profile = recorded_profile(episode)
+    if profile != layout.profile:
+        wrong.append(f"profile {profile} instead of {layout.profile}")
     if wrong:
         raise UsageError(
             f"episode {episode.name} of {episode.shard.path} does not fit the student: {'; '.join(wrong)}."

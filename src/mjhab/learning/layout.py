@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from mjhab.config.profiles import DEFAULT_PROFILE, PROFILES, profile_named
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.learning.configs import InputConfig
 from mjhab.tasks.plan import KIND_NAMES
@@ -23,7 +24,8 @@ class Layout:
     """What goes into a student and comes out of it.
 
     state: entries of the state, in order. actions: names of the numbers of an action. targets: types of objects and
-    links it is told apart by. control: of the environment, see `control_of`.
+    links it is told apart by. control: of the environment, see `control_of`. profile: of the environment, see
+    `profile_of`; where the student is evaluated if no other is asked for.
     """
 
     inputs: InputConfig
@@ -31,6 +33,7 @@ class Layout:
     actions: tuple[str, ...]
     targets: tuple[str, ...]
     control: tuple[str, ...]
+    profile: str = DEFAULT_PROFILE
 
     @property
     def entries(self) -> tuple[Entry, ...]:
@@ -82,6 +85,7 @@ class Layout:
             tuple(values["actions"]),
             tuple(values["targets"]),
             tuple(values["control"]),
+            str(values.get("profile", DEFAULT_PROFILE)),
         )
 
     def condition(self, subtask: str, target: str) -> np.ndarray:
@@ -105,7 +109,9 @@ class Layout:
         Raises:
             UsageError: the entries that differ, and how to get an environment that fits.
         """
-        wrong = compare_layouts(self, state_of(env), actions_of(env), control_of(env))
+        # A part that is stationary here and was not in training ignores its actions: allowed, as other profiles are.
+        control = (*control_of(env)[:2], *self.control[2:])
+        wrong = compare_layouts(self, state_of(env), actions_of(env), control)
         size = (self.inputs.image_size, self.inputs.image_size, 1)
         shapes = {entry.key: tuple(entry.shape) for entry in env.observer.table}
         for key in self.image_keys:
@@ -122,7 +128,9 @@ class Layout:
     def env_options(self) -> dict[str, Any]:
         """Options of the environment that show the student what it was trained on."""
         mode, base = self.control[:2]
-        options: dict[str, Any] = {"control_mode": mode, "base": base, "stationary": tuple(self.control[2:])}
+        options: dict[str, Any] = {"profile": self.profile, "control_mode": mode, "base": base}
+        if tuple(self.control[2:]) != profile_named(self.profile).stationary:
+            options["stationary"] = tuple(self.control[2:])
         if self.image_keys:
             options |= {
                 "obs_mode": "depth",
@@ -134,7 +142,8 @@ class Layout:
 
 def layout_of(env: Any, inputs: InputConfig, targets: Sequence[str]) -> Layout:
     """The layout of a student that is trained in an environment."""
-    return Layout(inputs, state_of(env), actions_of(env), tuple(targets), control_of(env))
+    profile = profile_of(vars(env.config))
+    return Layout(inputs, state_of(env), actions_of(env), tuple(targets), control_of(env), profile)
 
 
 def state_of(env: Any) -> tuple[Entry, ...]:
@@ -157,6 +166,24 @@ def actions_of(env: Any) -> tuple[str, ...]:
 def control_of(env: Any) -> tuple[str, ...]:
     """What the actions of an environment mean: control mode, kind of base, and what is held still."""
     return (env.config.control_mode, env.config.base, *env.config.stationary)
+
+
+def profile_of(options: Mapping[str, Any]) -> str:
+    """The profile of an environment with these options of `EnvConfig`, also after JSON.
+
+    An environment that has every value of a binding profile but the horizon belongs to it: demonstrations that are
+    made there may last longer than an evaluation, see `collection.longer`.
+    """
+    for profile in PROFILES.values():
+        values = profile.options(str(options.get("subtask", "")), trains=False)
+        del values["horizon"]
+        if profile.binding and all(_plain(options.get(name)) == _plain(value) for name, value in values.items()):
+            return profile.name
+    return str(options.get("profile", DEFAULT_PROFILE))
+
+
+def _plain(value: Any) -> Any:
+    return list(value) if isinstance(value, tuple) else value
 
 
 def compare_layouts(

@@ -15,7 +15,9 @@ from mjhab.rollout.policy import Policy, RolloutEnv
 
 
 def inspect_policy(spec: str) -> PolicyFacts:
-    """Describe a checkpoint: its name, the hash of its bytes, and the options of the environment that it needs.
+    """Describe a checkpoint: its name, the hash of its bytes, its profile, and the environment that it needs.
+
+    In an environment of another profile the record of a run has both: ``policy_profile`` and ``profile``.
 
     Raises:
         UsageError: torch is not installed, or the file cannot be read.
@@ -24,9 +26,10 @@ def inspect_policy(spec: str) -> PolicyFacts:
     from mjhab.learning.checkpoint import load_checkpoint
 
     path = Path(spec)
-    options = load_checkpoint(path).layout.env_options()
+    layout = load_checkpoint(path).layout
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    return PolicyFacts(path.stem, {"policy_sha256": digest}, options)
+    identity = {"policy_sha256": digest, "policy_profile": layout.profile}
+    return PolicyFacts(path.stem, identity, layout.env_options())
 
 
 def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions) -> Policy:

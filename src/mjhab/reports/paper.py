@@ -1,4 +1,4 @@
-"""The trajectory labels that the MS-HAB paper published for its policies (Tables 6 to 13)."""
+"""What the MS-HAB paper published of its policies: trajectory labels (Tables 6 to 13), success (Tables 1 and 5)."""
 
 from __future__ import annotations
 
@@ -33,6 +33,8 @@ ORDER: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 """Labels in the order of the columns i, ii, ... of the tables (MS-HAB paper App. A.6)."""
 _COLUMNS = ("i", "ii", "iii", "iv", "v", "vi", "vii", "viii", "ix", "x", "xi", "xii")
+SUCCESS_COLUMNS = ("rl_per", "rl_all", "bc", "dp")
+"""Policies of the tables of success: as POLICIES, and imitation by behaviour cloning and by a diffusion policy."""
 POLICIES = ("RL-Per", "RL-All", "IL")
 """One policy per object, one for all of them (not for Open and Close), and imitation of the former."""
 
@@ -47,11 +49,15 @@ class PaperRow:
     labels: dict[str, float]
 
 
+def _lines(name: str) -> csv.DictReader[str]:
+    text = files("mjhab.reports").joinpath(name).read_text(encoding="utf-8")
+    return csv.DictReader(line for line in text.splitlines() if not line.startswith("#"))
+
+
 @functools.cache
 def _rows() -> dict[tuple[str, str, str, str, str], PaperRow]:
-    text = files("mjhab.reports").joinpath("paper_labels.csv").read_text(encoding="utf-8")
     rows = {}
-    for row in csv.DictReader(line for line in text.splitlines() if not line.startswith("#")):
+    for row in _lines("paper_labels.csv"):
         names = ORDER[row["subtask"]]
         labels = {name: float(row[column]) for name, column in zip(names, _COLUMNS, strict=False)}
         key = (row["task"], row["subtask"], row["split"], row["target"], row["policy"])
@@ -68,6 +74,21 @@ def paper_row(task: str, subtask: str, split: str, target: str, policy: str) -> 
         policy: one of POLICIES.
     """
     return _rows().get((task, subtask, split, _paper_target(target), policy))
+
+
+def paper_success(task: str, subtask: str, split: str, target: str) -> dict[str, float]:
+    """Success once [%] of the paper's policies by SUCCESS_COLUMNS; empty if the paper has no such row.
+
+    Args:
+        task, subtask, split: as in a record.
+        target: of Open and Close: the link. Pick and Place have one row for all objects of a task.
+    """
+    articulation = _paper_target(target) if subtask in ("open", "close") else ""
+    wanted = (task, subtask, split, articulation)
+    for row in _lines("paper_success.csv"):
+        if (row["task"], row["subtask"], row["split"], row["articulation"]) == wanted:
+            return {name: float(row[name]) for name in SUCCESS_COLUMNS if row[name]}
+    return {}
 
 
 def _paper_target(target: str) -> str:

@@ -61,6 +61,9 @@ class TaskConfig:
     close: SubtaskConfig = SubtaskConfig(200, 10000.0)
     continuous: bool = False
     """Evaluate a single subtask to its horizon: success does not end it, force is never reset."""
+    hold_steps: int = -1
+    """With ``continuous``: control steps that an episode goes on after its first success, or after the step in which
+    its force exceeds the limit; -1 for all to the horizon. Demonstrations need no more."""
 
     ee_rest_pos: Vec3 = (0.5, 0.0, 1.25)
     """Where the tool centre rests, in the frame of base_link."""

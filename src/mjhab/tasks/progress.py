@@ -109,13 +109,14 @@ def advance(progress: Progress, signals: Signals, plan: PlanArrays, config: Task
     A subtask is completed when it succeeds (its force within the limit) while every finished Place still holds.
     Then the next one starts with its own horizon and no force. After the last one the force limit is waived.
     With ``config.continuous`` the pointer stays and the episode runs to the horizon: success may come and go, too
-    much force only marks it as failed. The values of the subtask that ended are in the ``progress`` passed in.
+    much force only marks it as failed; with ``config.hold_steps`` it ends so long after either. The values of the
+    subtask that ended are in the ``progress`` passed in.
 
     Returns:
         The new progress and the outcome of this step.
     """
     if config.continuous:
-        return _advance_continuous(progress, signals)
+        return _advance_continuous(progress, signals, config.hold_steps)
     xp = namespace(progress.pointer)
     alive = ~progress.done
     advanced = alive & signals.success & signals.placed_ok & signals.force_ok
@@ -143,8 +144,8 @@ def advance(progress: Progress, signals: Signals, plan: PlanArrays, config: Task
     return new, outcome
 
 
-def _advance_continuous(progress: Progress, signals: Signals) -> tuple[Progress, Outcome]:
-    """The single-subtask rule of ``advance``: nothing but the horizon ends the episode."""
+def _advance_continuous(progress: Progress, signals: Signals, hold_steps: int) -> tuple[Progress, Outcome]:
+    """The single-subtask rule of ``advance``: the horizon ends the episode, or ``hold_steps`` after its outcome."""
     alive = ~progress.done
     now = alive & signals.success & signals.force_ok
     once = alive & (progress.success_once | now)
@@ -153,4 +154,15 @@ def _advance_continuous(progress: Progress, signals: Signals) -> tuple[Progress,
     no = alive & ~alive
     fail = force_exceeded | (timeout & ~once)
     outcome = Outcome(no, now, fail, timeout & ~now, force_exceeded, no, timeout, timeout, once, now)
-    return replace(progress, success_once=progress.success_once | now, done=progress.done | timeout), outcome
+    steps_left = progress.steps_left
+    if hold_steps >= 0:
+        xp = namespace(steps_left)
+        decided = (now & ~progress.success_once) | force_exceeded
+        steps_left = xp.where(decided, xp.minimum(steps_left, xp.full_like(steps_left, hold_steps)), steps_left)
+    new = replace(
+        progress,
+        steps_left=steps_left,
+        success_once=progress.success_once | now,
+        done=progress.done | timeout,
+    )
+    return new, outcome

@@ -34,8 +34,17 @@ class ProfileOptions:
     """Whether a joint that moves backwards counts as moving (absolute) or as still; the profile's if absent."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class PolicyProfileOptions(ProfileOptions):
+    """`ProfileOptions` of commands whose policy, or data, may bring a profile."""
+
+    profile: Annotated[str, tyro.conf.arg(metavar="mjhab|ms_hab")] = ""
+    """Values of many options at once: ms_hab is the environment of the MS-HAB paper (see docs/environments.md). If
+    absent, the one that the checkpoint or the data were made with, else mjhab."""
+
+
 @dataclass(frozen=True)
-class EvalOptions(ProfileOptions):
+class EvalOptions(PolicyProfileOptions):
     """Run a policy in furnished homes; write records, numbers, films and a report.
 
     A whole task: `mjhab eval --task set_table --policy expert --episodes 20 --out runs/table`
@@ -54,7 +63,8 @@ class EvalOptions(ProfileOptions):
     target: MaybeName = None
     """With --subtask: the object or link to act on, e.g. 024_bowl or kitchen_counter/drawer3. All of them if absent."""
     policy: PolicyName = "expert"
-    """What acts: expert (scripted, knows the state), random, zero (stands still), or your own: FILE.py:CLASS (see
+    """What acts: expert (scripted, knows the state), student (a learned one of the package, with --subtask and
+    --target), random, zero (stands still), a CHECKPOINT.safetensors, or your own: FILE.py:CLASS (see
     docs/evaluation.md)."""
     style: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = ()
     """How the expert acts, e.g. speed=0.5..1.0 grasp=side release=drop noise=0.05; of a range or a list (a,b) every

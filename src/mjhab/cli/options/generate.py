@@ -8,12 +8,12 @@ from typing import Annotated
 
 import tyro
 
-from mjhab.cli.options.common import Assets, Joints, MaybeName, Name, Number, PolicyName, ProfileOptions, StageMesh
+from mjhab.cli.options.common import Assets, Joints, MaybeName, Name, Number, PolicyName, PolicyProfileOptions, StageMesh
 from mjhab.cli.options.data import Places, Preset, Where
 
 
 @dataclass(frozen=True)
-class GenerateOptions(ProfileOptions):
+class GenerateOptions(PolicyProfileOptions):
     """Make recorded episodes with several workers until every target has its quota; failures are kept by default.
 
     `mjhab generate --subtask pick --per-target 1000 --keep "label == 'straightforward_success'" --workers 2 --out
@@ -32,7 +32,8 @@ class GenerateOptions(ProfileOptions):
     target: MaybeName = None
     """With --subtask: the object or link to act on, e.g. 024_bowl or kitchen_counter/drawer3. All of them if absent."""
     policy: PolicyName = "expert"
-    """What acts: expert (scripted, knows the state), random, zero (stands still), or your own: FILE.py:CLASS (see
+    """What acts: expert (scripted, knows the state), student (a learned one of the package, with --subtask and
+    --target), random, zero (stands still), a CHECKPOINT.safetensors, or your own: FILE.py:CLASS (see
     docs/evaluation.md)."""
     style: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = ()
     """How the expert acts, e.g. speed=0.5..1.0 grasp=side release=drop noise=0.05; of a range or a list (a,b) every

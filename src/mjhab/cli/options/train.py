@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from mjhab.cli.options.common import Assets, Joints, MaybeName, Name, Number, StageMesh, Sub
+from mjhab.cli.options.common import Assets, Joints, MaybeName, Name, Number, PolicyProfileOptions, StageMesh, Sub
 from mjhab.cli.options.data import Where
 
 DataPlaces = Annotated[tuple[Path, ...], tyro.conf.arg(metavar="PATH ...")]
@@ -17,7 +17,7 @@ MaybeNumber = Annotated[int | None, tyro.conf.arg(metavar="N")]
 
 
 @dataclass(frozen=True)
-class TrainOptions:
+class TrainOptions(PolicyProfileOptions):
     """What all algorithms of ``mjhab train`` have in common."""
 
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
@@ -118,6 +118,12 @@ class TrainDaggerOptions(TrainOptions):
     """Updates after every round but the first; as the preset says if absent."""
     takeovers: MaybeNumber = None
     """Episodes of every round but the first; as the preset says if absent."""
+    final_updates: MaybeNumber = None
+    """Updates after the last round, from all rounds in equal parts, with a learning rate that falls to zero."""
+    first_prefix: MaybeNumber = None
+    """In the first round with take-overs the student acts for up to so many control steps."""
+    prefix_growth: MaybeNumber = None
+    """So many more in every later round. Where the expert saves nearly all episodes, more of them teach faster."""
 
 
 @dataclass(frozen=True)

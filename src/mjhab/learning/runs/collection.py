@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from mjhab.config.profiles import DEFAULT_PROFILE, profile_named
 from mjhab.core.errors import UsageError
 from mjhab.data.record.crew import ALL, Stage, WorkerSpec
 from mjhab.data.record.generation import Job, Standing, generate
@@ -23,7 +24,10 @@ from mjhab.tasks.style import Styles
 
 @dataclass(frozen=True)
 class Scene:
-    """Where a student learns: options of the environment as on the command line."""
+    """Where a student learns: options of the environment as on the command line.
+
+    profile, spawn_rule, stillness: as in `EnvConfig`; "" for those of the given data, or the usual ones.
+    """
 
     task: str = "set_table"
     subtask: str = "close"
@@ -31,10 +35,18 @@ class Scene:
     split: str = "train"
     assets: str = "builtin"
     home: str = ""
+    profile: str = ""
+    spawn_rule: str = ""
+    stillness: str = ""
 
     def env_options(self) -> dict[str, Any]:
-        """Options of `mjhab.envs.make`."""
-        return asdict(self)
+        """Options of `mjhab.envs.make`; what is empty is left to its defaults."""
+        return {name: value for name, value in asdict(self).items() if value}
+
+    def apart_from_profile(self) -> dict[str, Any]:
+        """Options that are given beside a profile."""
+        given = {"spawn_rule": self.spawn_rule, "stillness": self.stillness}
+        return {name: value for name, value in given.items() if value}
 
 
 @dataclass(frozen=True)
@@ -42,7 +54,8 @@ class Round:
     """One round of collection.
 
     number: 0 for the expert alone. student: checkpoint of who begins, None in round 0. longest: see `TakeOver`.
-    horizon: control steps of an episode, 0 for those of the task. style: of the expert, see `Styles.parse`.
+    horizon: control steps of an episode, 0 for those of the task. hold_steps: of those after its outcome, see
+    `TaskConfig.hold_steps`. style: of the expert, see `Styles.parse`.
     """
 
     number: int
@@ -50,6 +63,7 @@ class Round:
     longest: int = 0
     student: Path | None = None
     horizon: int = 0
+    hold_steps: int = -1
     style: tuple[str, ...] = ()
 
 
@@ -65,18 +79,33 @@ class Means:
     threads: int = 0
 
 
-def make_env(scene: Scene, view: dict[str, Any], means: Means, horizon: int = 0) -> Any:
-    """The environment of a scene, as a student sees it; ``view``: see `Layout.env_options`."""
+def make_env(scene: Scene, view: dict[str, Any], means: Means, collected: Round | None = None) -> Any:
+    """The environment of a scene, as a student sees it.
+
+    Args:
+        scene: where. means: on what.
+        view: see `Layout.env_options`.
+        collected: how long episodes last; as in evaluation if None.
+    """
     from mjhab.envs import make
 
-    return make(
-        **scene.env_options(),
-        **view,
-        num_envs=means.worlds,
-        threads=means.threads,
-        horizon=horizon,
-        autoreset="disabled",
-    )
+    options = {**scene.env_options(), **view}
+    if collected is not None:
+        options = longer(options, collected.horizon) | {"overrides": {"hold_steps": collected.hold_steps}}
+    return make(**options, num_envs=means.worlds, threads=means.threads, autoreset="disabled")
+
+
+def longer(options: dict[str, Any], horizon: int) -> dict[str, Any]:
+    """Options of an environment whose episodes last ``horizon`` control steps, also where its profile forbids that.
+
+    The environment then has all other values of the profile under the name of the default one; `layout.profile_of`
+    tells which it belongs to.
+    """
+    profile = profile_named(options.get("profile", DEFAULT_PROFILE))
+    if not horizon or not profile.binding:
+        return {**options, "horizon": horizon}
+    values = profile.options(options.get("subtask", ""), trains=False)
+    return {**values, **options, "profile": DEFAULT_PROFILE, "horizon": horizon}
 
 
 class Collector:
@@ -138,7 +167,7 @@ def build_stage(scene: Scene, view: dict[str, Any], means: Means, collected: Rou
     import torch
 
     torch.set_num_threads(max(1, means.threads))
-    env = make_env(scene, view, means, collected.horizon)
+    env = make_env(scene, view, means, collected)
     return stage_in(env, collected)
 
 
@@ -170,7 +199,7 @@ class StageKeeper:
 
     def stage(self, scene: Scene, view: dict[str, Any], means: Means, collected: Round) -> Stage:
         """The stage of a round."""
-        made_of = (scene, tuple(sorted(view.items())), means, collected.horizon)
+        made_of = (scene, tuple(sorted(view.items())), means, collected.horizon, collected.hold_steps)
         if self._env is None or self._made_of != made_of:
-            self._env, self._made_of = make_env(scene, view, means, collected.horizon), made_of
+            self._env, self._made_of = make_env(scene, view, means, collected), made_of
         return stage_in(self._env, collected)

@@ -19,7 +19,7 @@ def train_dagger(session: Session, config: DaggerConfig) -> None:
         OutOfTime: the budget is spent.
     """
     restore_rounds(session, config)
-    while True:
+    while session.progress.round <= config.rounds:
         number = session.progress.round
         if len(session.sources) <= number:
             collect_round(session, config, number)
@@ -27,10 +27,11 @@ def train_dagger(session: Session, config: DaggerConfig) -> None:
         session.train(updates, config.new_share)
         if session.request.round_episodes:
             session.evaluate(session.request.round_episodes)
-        if number == config.rounds:
+        if number == config.rounds and not config.final_updates:
             return
         session.save_student(session.folder.round_student(number + 1))
         session.next_round()
+    session.train(config.final_updates, session.newest_share, cool_down=True)
 
 
 def restore_rounds(session: Session, config: DaggerConfig) -> None:
@@ -51,5 +52,13 @@ def collect_round(session: Session, config: DaggerConfig, number: int) -> None:
     episodes = config.episodes if number else session.config.demos
     # The expert alone needs no more time than the task gives it.
     horizon = config.horizon if number else 0
-    style = session.config.style
-    session.collect(Round(number, episodes, config.longest_prefix(number), student, horizon, style))
+    wanted = Round(
+        number=number,
+        episodes=episodes,
+        longest=config.longest_prefix(number),
+        student=student,
+        horizon=horizon,
+        hold_steps=session.config.hold_steps,
+        style=session.config.style,
+    )
+    session.collect(wanted)

@@ -46,6 +46,7 @@ class Evaluations:
             worlds=self.means.worlds,
             threads=self.means.threads,
             seed=EVALUATION_SEED + self.seed,
+            env=scene.apart_from_profile(),
             films=films,
             out=out,
             overwrite=True,

@@ -5,13 +5,14 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import torch
 
 from mjhab.core.version import __version__
+from mjhab.core.errors import UsageError
 from mjhab.data.record.generation import Standing
 from mjhab.data.select.query import Filter
 from mjhab.learning.checkpoint import load_checkpoint, save_student, save_training
@@ -73,7 +74,13 @@ def layout_for(request: Request) -> Layout:
     """
     inputs, scene = request.config.student.inputs, request.scene
     if request.data:
-        return layout_of_data(request.data, inputs, request.filter)
+        layout = layout_of_data(request.data, inputs, request.filter)
+        if scene.profile and scene.profile != layout.profile:
+            raise UsageError(
+                f"the demonstrations are of profile {layout.profile}, not {scene.profile}. Leave out --profile, or "
+                f"make others: mjhab generate --profile {scene.profile}"
+            )
+        return layout
     from mjhab.episodes.starts import valid_targets
 
     env = make_env(scene, {}, Means(worlds=1, threads=1))
@@ -103,6 +110,7 @@ class Session:
         if request.torch_threads:
             torch.set_num_threads(request.torch_threads)
         self.request, self.layout, self.folder = request, layout, folder
+        self.scene = replace(request.scene, profile=layout.profile)
         self.config = request.config.student
         self.sources: list[Demonstrations] = []
         self.progress = Progress()
@@ -115,7 +123,7 @@ class Session:
         if saved is not None:
             self.trainer.restore(dict(saved.tensors), int(saved.about["step"]))
         self.fitted = saved is not None
-        self.collector = Collector(request.scene, layout.env_options(), request.means, request.seed, request.ray)
+        self.collector = Collector(self.scene, layout.env_options(), request.means, request.seed, request.ray)
         self.log = Logbook(folder, self.progress.seconds, self.trainer.step)
         self._saved_at = time.perf_counter()
         self._eval_seconds = 0.0
@@ -161,10 +169,20 @@ class Session:
         """Batches of all that was loaded."""
         return BatchSampler(self.sources, self.config.optimizer.batch, new_share, self.request.seed)
 
+    @property
+    def newest_share(self) -> float:
+        """Share of the newest demonstrations in all control steps that are learned."""
+        return len(self.sources[-1].usable) / sum(len(source.usable) for source in self.sources)
+
     # -- training ----------------------------------------------------------------------------------------------------
 
-    def train(self, updates: int, new_share: float = 1.0) -> None:
+    def train(self, updates: int, new_share: float = 1.0, cool_down: bool = False) -> None:
         """Make ``updates`` updates in this round, less those that were made before.
+
+        Args:
+            updates: of the whole round.
+            new_share: of every batch that comes from the newest demonstrations.
+            cool_down: let the learning rate fall to zero.
 
         Raises:
             OutOfTime: the budget is spent, but for the last evaluation.
@@ -178,7 +196,8 @@ class Session:
             before = time.perf_counter()
             batch = self._batch(sampler)
             loading += time.perf_counter() - before
-            losses.append(self.trainer.update(batch).loss)
+            rate = 1.0 - self.progress.round_step / updates if cool_down else 1.0
+            losses.append(self.trainer.update(batch, rate).loss)
             self.progress.round_step += 1
             self.progress.samples += len(batch.actions)
             if self.trainer.step % REPORT_EVERY == 0 or self.progress.round_step == updates:
@@ -226,7 +245,7 @@ class Session:
             "algorithm": self.request.config.algorithm,
             "step": self.trainer.step,
             "samples": self.progress.samples,
-            "scene": vars(self.request.scene),
+            "scene": vars(self.scene),
             "seed": self.request.seed,
         }
         save_student(path, self.trainer.average, about)
@@ -247,7 +266,7 @@ class Session:
             self.log.show({"phase": f"evaluating: {done}/{episodes}"})
 
         tell(0)
-        evaluations = Evaluations(self.request.scene, self.request.means, self.request.seed, tell)
+        evaluations = Evaluations(self.scene, self.request.means, self.request.seed, tell)
         out = self.folder.evaluation(FIRST if first and not last else LATEST)
         self.records = list(evaluations.run(self.folder.student, episodes, films, out).records)
         self._eval_seconds = (time.perf_counter() - began) / episodes

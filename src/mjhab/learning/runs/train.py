@@ -54,7 +54,7 @@ def train(request: Request, out: Path, resume: bool = False) -> TrainingResult:
 
 def summarize(session: Session) -> dict[str, Any]:
     """What a run came to, for machines. ``episodes``: of the evaluation that ``success_once`` comes from."""
-    records = session.records
+    records, dagger = session.records, session.request.config.dagger
     low, high = wilson(sum(record.success_once for record in records), len(records))
     return {
         "algorithm": session.request.config.algorithm,
@@ -67,7 +67,7 @@ def summarize(session: Session) -> dict[str, Any]:
         "success_once": mean(record.success_once for record in records) if records else None,
         "interval": [low, high],
         "episodes": len(records),
-        "rounds": session.progress.round,
+        "rounds": min(session.progress.round, dagger.rounds) if dagger else 0,
         "demonstrations": sum(source.episodes for source in session.sources),
     }
 

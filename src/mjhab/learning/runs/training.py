@@ -52,8 +52,8 @@ class Trainer:
             weight_decay=self.config.weight_decay,
         )
 
-    def update(self, batch: Batch) -> UpdateReport:
-        """Take one step of the optimizer.
+    def update(self, batch: Batch, rate: float = 1.0) -> UpdateReport:
+        """Take one step of the optimizer, with this share of the scheduled learning rate.
 
         Raises:
             BrokenLossError: the loss is not finite; nothing was changed.
@@ -71,7 +71,7 @@ class Trainer:
         if not math.isfinite(float(norm)):
             raise self._broken(f"the gradient became {float(norm)}")
         for group in self.optimizer.param_groups:
-            group["lr"] = config.learning_rate * self._rate()
+            group["lr"] = config.learning_rate * self._rate() * rate
         self.optimizer.step()
         self.step += 1
         self._follow()

@@ -15,12 +15,12 @@ from mjhab.core.errors import UsageError
 from mjhab.data.store.images import ImageFormat
 from mjhab.evaluation.evaluate import EvalSpec, describe_policy, env_options, resolved_config
 from mjhab.learning.checkpoint import save_student
-from mjhab.learning.collection import Means, Scene, longer, make_env
 from mjhab.learning.demos import layout_of_data, load_demonstrations
 from mjhab.learning.layout import Layout, profile_of
 from mjhab.learning.policy import StudentPolicy
-from mjhab.learning.session import Request, layout_for
-from mjhab.learning.student import make_student
+from mjhab.learning.runs.collection import Means, Scene, longer, make_env
+from mjhab.learning.runs.session import Request, layout_for
+from mjhab.learning.students.student import make_student
 from tests.data.fake_world import FakeEnv
 from tests.data.make import record
 from tests.learning.small import INPUTS, config, fake_env, layout, train_config

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 import torch
 
-from mjhab.cli import students_report
 from mjhab.data.store.reading import episodes
 from mjhab.learning.checkpoint import load_checkpoint, load_student
 from mjhab.learning.configs import DaggerConfig, InputConfig, TrainConfig
@@ -19,6 +18,7 @@ from mjhab.learning.demos import recorded_profile
 from mjhab.learning.runs.collection import Means, Scene
 from mjhab.learning.runs.session import Request
 from mjhab.learning.runs.train import train
+from mjhab.reports import students as students_report
 from tests.learning.small import config
 
 HOLD_STEPS = 5

@@ -11,10 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mjhab.cli.evaluate import ProgressSink, sigterm_interrupts
+from mjhab.cli.options.reproduce import ReproduceOptions
 from mjhab.cli.output import at_least, print_json, print_table
 from mjhab.cli.profiles import profile_options
-from mjhab.cli.reproduce_options import ReproduceOptions
-from mjhab.cli.students_report import student_row
 from mjhab.config.env import SPLITS
 from mjhab.config.profiles import profile_named
 from mjhab.core.errors import unknown_name
@@ -24,10 +23,11 @@ from mjhab.learning.require import require_learn
 from mjhab.reports import parts
 from mjhab.reports.paper import SUCCESS_COLUMNS, paper_success
 from mjhab.reports.run import render_page
+from mjhab.reports.students import student_row
 from mjhab.rollout.store import check_folder, write_text
 
 if TYPE_CHECKING:
-    from mjhab.learning.session import Request
+    from mjhab.learning.runs.session import Request
 
 CONFIG, ROW, RESULTS, REPORT = "config.json", "row.json", "results.json", "report.html"
 PAPER_TITLES = dict(zip(SUCCESS_COLUMNS, ("RL per object", "RL for all", "BC", "diffusion"), strict=True))
@@ -117,7 +117,7 @@ def make_row(options: ReproduceOptions, row: TableRow) -> None:
     Raises:
         KeyboardInterrupt: what is done is kept.
     """
-    from mjhab.learning.train import train
+    from mjhab.learning.runs.train import train
 
     folder = options.out / row.name.replace("/", ".")
     if (folder / ROW).is_file():
@@ -149,9 +149,9 @@ def make_row(options: ReproduceOptions, row: TableRow) -> None:
 def request_of(options: ReproduceOptions, row: TableRow) -> Request:
     """What is trained for a row."""
     from mjhab.cli.doctor import cores
-    from mjhab.learning.collection import Means, Scene
     from mjhab.learning.configs import preset_of
-    from mjhab.learning.session import Request
+    from mjhab.learning.runs.collection import Means, Scene
+    from mjhab.learning.runs.session import Request
 
     return Request(
         config=preset_of("dagger", options.preset),

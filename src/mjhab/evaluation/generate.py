@@ -38,7 +38,7 @@ from mjhab.evaluation.evaluate import (
     make_policy,
     spec_of_options,
 )
-from mjhab.evaluation.resolve import PolicyFacts
+from mjhab.evaluation.resolve import PolicyFacts, full_spec
 from mjhab.rollout.loop import plain
 from mjhab.tasks.style import Styles
 
@@ -126,6 +126,8 @@ class GenerateSpec:
     resume: bool = False
 
     def __post_init__(self) -> None:
+        if isinstance(self.policy, str):
+            object.__setattr__(self, "policy", full_spec(self.policy, self.task, self.subtask, self.target))
         check_env_options(self.env, GenerateSpec, "a data set")
         for name in ("per_target", "per_label", "workers"):
             value = getattr(self, name)

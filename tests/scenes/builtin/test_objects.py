@@ -41,8 +41,8 @@ def test_size_and_mass_are_those_of_ycb(name: str) -> None:
 def test_collision_fills_the_bounding_box(name: str) -> None:
     kind = builtin_objects()[name]
     low, high = bounds(kind.collision, object_meshes())
-    # Curved outlines are drawn around the circle, so they may stand out by 2 %; hull corners sit on the surface, and the
-    # middles of the bowl's flat pieces 2.7 mm inside of it.
+    # Curved outlines are drawn around the circle, so they may stand out by 2 %; hull corners sit on the surface,
+    # and the middles of the bowl's flat pieces 2.7 mm inside of it.
     np.testing.assert_allclose(high, kind.half, atol=0.003)
     np.testing.assert_allclose(-low, kind.half, atol=0.003)
 

@@ -8,7 +8,16 @@ from typing import Annotated
 
 import tyro
 
-from mjhab.cli.options.common import Assets, Joints, MaybeName, Name, Number, PolicyName, PolicyProfileOptions, StageMesh
+from mjhab.cli.options.common import (
+    Assets,
+    Joints,
+    MaybeName,
+    Name,
+    Number,
+    PolicyName,
+    PolicyProfileOptions,
+    StageMesh,
+)
 from mjhab.cli.options.data import Places, Preset, Where
 
 

@@ -1,4 +1,4 @@
-"""``python -m mjhab.cli.students_report FILE.json RUN EVALUATION ...``: what students cost and what they can do.
+"""``python -m mjhab.reports.students FILE.json RUN EVALUATION ...``: what students cost and what they can do.
 
 RUN is a folder of `mjhab train dagger`, EVALUATION one of `mjhab eval` of its checkpoint. Rows of the file that are of
 the same student (task, subtask, target, preset, seed) are replaced, the others stay.
@@ -13,8 +13,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from mjhab.cli.doctor import cores
 from mjhab.core.errors import MjhabError, UsageError
+from mjhab.core.machine import cores
 from mjhab.data.store.reading import episodes
 from mjhab.data.store.shard import last_label
 from mjhab.reports.metrics import label_counts, mean, wilson

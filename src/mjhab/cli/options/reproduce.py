@@ -8,8 +8,8 @@ from typing import Annotated
 
 import tyro
 
-from mjhab.cli.options import Assets, Name, Number, ProfileOptions
-from mjhab.cli.train_options import Minutes
+from mjhab.cli.options.common import Assets, Name, Number, ProfileOptions
+from mjhab.cli.options.train import Minutes
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -37,6 +37,8 @@ SUBTASKS: dict[str, tuple[str, ...]] = {
     "prepare_groceries": ("pick", "place", "navigate"),
 }
 ENV_STEPS = 200
+RUNS = "runs/"
+"""Group of a shard that tells which code made its episodes."""
 VOLATILE = ("seconds", "time", "version", "commit", "code", "host", "hash", "digest", "id", "software")
 """Parts of the names of record entries that say when and with what they were made, not what happened."""
 
@@ -128,7 +130,7 @@ def shard_fingerprints(folder: Path) -> Iterator[tuple[str, str]]:
             datasets: dict[str, h5py.Dataset] = {}
             file.visititems(lambda name, item, into=datasets: into.update({name: item}) if is_dataset(item) else None)
             for name, item in sorted(datasets.items()):
-                if not any(part in name.lower() for part in VOLATILE):
+                if not name.startswith(RUNS) and not any(part in name.lower() for part in VOLATILE):
                     value = item[()]
                     content = stable_record(value) if name.endswith("record") else np.asarray(value).tobytes()
                     yield name, hashlib.sha256(content).hexdigest()

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+from gymnasium.vector import AutoresetMode
 
 from mjhab.core.seeding import stream
 from mjhab.data.store.schema import CHECKS
@@ -56,6 +57,7 @@ class FakeEnv:
 
     def __init__(self, num_envs: int = 2, subtask: str = "", images: bool = False, horizon: int = 20) -> None:
         self.num_envs, self.images, self.horizon = num_envs, images, horizon
+        self.metadata: dict[str, Any] = {"autoreset_mode": AutoresetMode.DISABLED}
         self.config = FakeConfig(subtask=subtask, num_envs=num_envs, runs_to_horizon=bool(subtask))
         self.plan = tuple(e for e in CHAIN if e[0] == subtask) if subtask else CHAIN
         self.layout = SimpleNamespace(object_names=["024_bowl_:0000"], link_ids=["kitchen_counter/drawer3"])
@@ -65,6 +67,9 @@ class FakeEnv:
         self.state, self.focus = None, None
         self.tracker: SubtaskTracker | None = None
         self._settle(np.zeros(num_envs, bool))
+
+    def render_world(self, world: int, width: int = 480, height: int = 360) -> np.ndarray:
+        return np.zeros((height, width, 3), np.uint8)
 
     def reset(self, seed: int, options: dict[str, Any]) -> tuple[dict, dict]:
         mask = options["reset_mask"]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -214,7 +216,7 @@ def test_tracker_restarts_only_the_worlds_asked_for() -> None:
     assert all(step > 3 for step, _ in tracker.events(0))
 
 
-DIFFERENT: dict[str, tuple[int, dict[str, str | bool], str, str]] = {
+DIFFERENT: dict[str, tuple[int, dict[str, Any], str, str]] = {
     "grasped again at the goal": (
         PLACE, {"is_grasped": "1110100", "at_goal": "0111111", "success": "0000001"},
         "winding_success", "placed_in_goal_success",

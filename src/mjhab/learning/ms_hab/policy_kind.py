@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from pathlib import Path
+from typing import cast
 
 from mjhab.core.errors import UsageError
 from mjhab.evaluation.resolve import PolicyFacts, PolicyOptions
@@ -39,9 +40,9 @@ def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions) -> Policy:
     if options.style:
         raise UsageError(f"a style is for the policy expert; {spec} has none.")
     require_learn()
-    from mjhab.learning.ms_hab.policy import ms_hab_policy
+    from mjhab.learning.ms_hab.policy import Environment, ms_hab_policy
 
-    return ms_hab_policy(_path_of(spec), env)
+    return ms_hab_policy(_path_of(spec), cast(Environment, env))
 
 
 def _path_of(spec: str) -> Path:

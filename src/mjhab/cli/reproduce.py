@@ -117,6 +117,7 @@ def make_row(options: ReproduceOptions, row: TableRow) -> None:
     Raises:
         KeyboardInterrupt: what is done is kept.
     """
+    from mjhab.learning.runs.evaluation import EVALUATION_SEED
     from mjhab.learning.runs.train import train
 
     folder = options.out / row.name.replace("/", ".")
@@ -133,7 +134,7 @@ def make_row(options: ReproduceOptions, row: TableRow) -> None:
         target=row.target or None,
         episodes=options.episodes,
         worlds=options.worlds,
-        seed=options.seed,
+        seed=EVALUATION_SEED + options.seed,
         split=options.split,
         assets=options.assets,
         threads=options.threads,

@@ -12,7 +12,7 @@ from mjhab.evaluation.evaluate import EvalSpec, describe_policy
 from mjhab.evaluation.resolve import full_spec, inspect_policy, resolve_policy
 from mjhab.learning import shipped_kind
 from mjhab.learning.checkpoint import load_checkpoint, load_student, save_student
-from mjhab.learning.students.student import make_student
+from mjhab.learning.students.heads import make_student
 from tests.learning.small import config, fake_env, layout
 
 LARGEST_BYTES = 5_000_000

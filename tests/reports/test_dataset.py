@@ -29,7 +29,7 @@ from tests.data.make import record
 
 
 def test_every_published_row_adds_up() -> None:
-    text = files("mjhab.data").joinpath("paper_labels.csv").read_text()
+    text = files("mjhab.reports").joinpath("paper_labels.csv").read_text()
     assert "Tables 6 to 13" in text.splitlines()[0] + text.splitlines()[1]
     rows = list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
     assert len(rows) == 292

@@ -141,7 +141,7 @@ WAYS[sys.argv[1]](Path(sys.argv[2]), Path(sys.argv[3]), begin=lambda total: afte
 @pytest.mark.parametrize("way", WAYS)
 def test_a_kill(source: Path, tmp_path: Path, whole: dict[Any, dict[str, bytes]], way: str) -> None:
     command = [sys.executable, "-c", SCRIPT, way, str(source), str(tmp_path / "set")]
-    root = Path(__file__).parents[2]
+    root = Path(__file__).parents[3]
     env = {**os.environ, "PYTHONPATH": os.pathsep.join([str(root), *sys.path])}
     done = subprocess.run(command, cwd=root, env=env, capture_output=True, text=True)
     assert done.returncode == -signal.SIGKILL, done.stderr

@@ -24,7 +24,7 @@ from mjhab.tasks.measure import Signals
 from tests.data.fake_world import FakeEnv
 from tests.data.make import record
 
-DOCS = Path(__file__).parents[2] / "docs" / "data.md"
+DOCS = Path(__file__).parents[3] / "docs" / "data.md"
 
 
 @pytest.fixture

@@ -62,7 +62,7 @@ def test_boxes_look_along_the_axes_and_know_their_scan() -> None:
         turned = np.stack([c * points[:, 0] - s * points[:, 1], s * points[:, 0] + c * points[:, 1]], axis=1)
         assert np.abs(np.abs(turned).max(axis=0) - kind.half[:2]).max() < 0.0035, name
     assert abs(types["008_pudding_box"].scan_yaw) > 0.4
-    text = (Path(__file__).parents[2] / "docs" / "assets.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[3] / "docs" / "assets.md").read_text(encoding="utf-8")
     for name, kind in types.items():
         own, builtin = (round(float(np.degrees(k.scan_yaw)), 1) + 0.0 for k in (kind, builtin_objects()[name]))
         assert (f"| `{name}` | {own}° | {builtin}° |" in text) == (own != 0.0 or builtin != 0.0)

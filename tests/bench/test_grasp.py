@@ -76,3 +76,19 @@ def finger_contact_forces(bench: GraspBench) -> tuple[np.ndarray, np.ndarray]:
                 normal[side] += local[0]
                 friction[side] += frame[1] * local[1] + frame[2] * local[2]
     return normal, np.linalg.norm(friction, axis=1)
+
+
+def test_friction_of_every_pair_is_that_of_the_original() -> None:
+    """0.3 between all things; 1.15 with a pad, the average of its 2.0 and their 0.3 that the original's engine takes."""
+    bench = GraspBench("004_sugar_box")
+    for _ in range(10):
+        bench.step(bench.rest, 0.0, 0.0)
+    model, data = bench.model, bench.data
+    bodies = model.geom_bodyid[data.contact.geom[: data.ncon]]
+    fingers = [model.body(finger).id for finger in FINGER_LINKS]
+    with_pad = np.isin(bodies, fingers).any(axis=1)
+    assert with_pad.any()
+    np.testing.assert_allclose(data.contact.friction[: data.ncon][with_pad, 0], 1.15)
+    others = ~np.isin(model.geom_bodyid, fingers)
+    np.testing.assert_allclose(model.geom_friction[others, 0], 0.3)
+    assert (model.geom_priority[others] == 0).all()

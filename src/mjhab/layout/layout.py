@@ -27,7 +27,10 @@ _GEOM_TYPE = {
     "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,
     "mesh": mujoco.mjtGeom.mjGEOM_MESH,
 }
-OBJECT_FRICTION = (fetch.SLIDING_FRICTION, 0.01, 0.003)
+SLIDING_FRICTION = 0.3
+"""Sliding friction of everything but the finger pads, as in the original (ManiSkill's default material). A pair of
+geoms takes the larger of two equal values: 0.3 too."""
+OBJECT_FRICTION = (SLIDING_FRICTION, 0.01, 0.003)
 """Sliding, torsional [m], rolling [m]. Rolling friction lets round objects come to rest and sleep."""
 SLIDE_DAMPING, SLIDE_FRICTION = 5.0, 1.0
 HINGE_DAMPING, HINGE_FRICTION = 1.0, 0.5
@@ -146,7 +149,7 @@ def build_spec(layout: Layout, home: Home) -> mujoco.MjSpec:
     spec.modelname = home.name
     spec.memory = 64 << 20
     fetch.physics_options(spec)
-    spec.default.geom.friction[0] = fetch.SLIDING_FRICTION
+    spec.default.geom.friction[0] = SLIDING_FRICTION
     world = spec.worldbody
     plane = mujoco.mjtGeom.mjGEOM_PLANE
     world.add_geom(name="floor", type=plane, size=[0, 0, 1], contype=contact_bits.STATIC, conaffinity=0)

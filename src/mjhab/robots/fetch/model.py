@@ -184,9 +184,6 @@ CAMERAS: tuple[CameraMount, ...] = (
 )
 """The head camera sits at head_camera_link, a fixed mount on head_tilt_link."""
 
-SLIDING_FRICTION = 0.3
-"""Sliding friction of everything but the finger pads, as in the original (ManiSkill's default material). A pair of
-geoms takes the larger of two equal values: 0.3 too."""
 PAD_FRICTION = (1.15, 0.02, 0.001)
 """Sliding, torsional [m], rolling [m] of every contact of a finger pad. The original's pads have 2.0, what they touch
 has 0.3, and its engine averages the two. Here the pads' value wins by their priority: it is the average."""

@@ -79,7 +79,7 @@ def finger_contact_forces(bench: GraspBench) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_friction_of_every_pair_is_that_of_the_original() -> None:
-    """0.3 between all things; 1.15 with a pad, the average of its 2.0 and their 0.3 that the original's engine takes."""
+    """0.3 between all things; 1.15 with a pad, the average of its 2.0 and their 0.3, which the original takes."""
     bench = GraspBench("004_sugar_box")
     for _ in range(10):
         bench.step(bench.rest, 0.0, 0.0)

@@ -120,7 +120,7 @@ def compare(ours: dict[str, torch.Tensor], theirs: dict[str, np.ndarray]) -> Non
     for key, value in theirs.items():
         assert ours[key].numpy().dtype == value.dtype
         # Of an object just let go, the CPU engine's own pose moves by 0.03 for actions that differ by 1e-5; between the
-        # engines, one of them in single precision, a corner of a box that slips in the hand differs by 0.07.
+        # engines, one of them in single precision, one number of a held object's quaternion differs by 0.07.
         atol = 0.1 if key in ("extra/obj_pose_wrt_base", "state") else 0.02
         np.testing.assert_allclose(ours[key].numpy(), value, atol=atol, err_msg=key)
 

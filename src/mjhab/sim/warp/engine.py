@@ -307,23 +307,14 @@ class Engine:
 
     def _derive(self, update: wp.array) -> None:
         data, contact = self.data, self.data.contact
-        forces = [self.link_net, self.finger_force, self.touch, self.depth]
+        forces = [self.link_net, self.finger_force, self.touch, self.ee_contact, self.depth]
         wp.launch(kernels.clear_forces, dim=self.num_worlds, inputs=[update], outputs=forces)
         wp.launch(
             kernels.add_contacts, dim=data.naconmax,
             inputs=[data.nacon, contact.dist, contact.frame, contact.geom, contact.efc_address,
                     contact.worldid, contact.type, data.efc.force, data.njmax, self.model.geom_bodyid, self._link_of,
-                    self._finger_of, self._target_of, self._is_robot, update],
+                    self._finger_of, self._target_of, self._is_robot, self._is_end_effector, update],
             outputs=forces,
-        )  # fmt: skip
-        wp.launch(
-            kernels.clear_ee_contacts, dim=self.ee_contact.shape, inputs=[update], outputs=[self.ee_contact],
-        )  # fmt: skip
-        wp.launch(
-            kernels.mark_ee_contacts, dim=data.naconmax,
-            inputs=[data.nacon, contact.geom, contact.worldid, contact.type, self.model.geom_bodyid,
-                    self._is_end_effector, self._target_of, update],
-            outputs=[self.ee_contact],
         )  # fmt: skip
         wp.launch(
             kernels.finish_state, dim=self.num_worlds,

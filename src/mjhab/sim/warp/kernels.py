@@ -28,6 +28,7 @@ def clear_forces(
     link_net: wp.array2d[wp.vec3],
     finger: wp.array3d[wp.vec3],
     touch: wp.array2d[bool],
+    ee_contact: wp.array2d[bool],
     depth: wp.array[float],
 ):
     """Zero the force rows of the worlds to update."""
@@ -39,6 +40,7 @@ def clear_forces(
         link_net[world, k] = wp.vec3(0.0)
     for t in range(touch.shape[1]):
         touch[world, t] = False
+        ee_contact[world, t] = False
         finger[world, 0, t] = wp.vec3(0.0)
         finger[world, 1, t] = wp.vec3(0.0)
 
@@ -78,13 +80,18 @@ def add_contacts(
     finger_of: wp.array[int],
     target_of: wp.array[int],
     is_robot: wp.array[bool],
+    is_end_effector: wp.array[bool],
     update: wp.array[bool],
     link_net: wp.array2d[wp.vec3],
     finger: wp.array3d[wp.vec3],
     touch: wp.array2d[bool],
+    ee_contact: wp.array2d[bool],
     depth: wp.array[float],
 ):
-    """Add the force of every contact of the robot to its link, finger and target. ``*_of`` map bodies, -1 is none."""
+    """Add the force of every contact of the robot to its link, finger and target, and mark the targets it touches.
+
+    ``*_of`` map bodies, -1 is none.
+    """
     contact = wp.tid()
     if contact >= nacon[0] or (kind[contact] & CONSTRAINT_CONTACT) == 0:
         return
@@ -101,6 +108,10 @@ def add_contacts(
         touch[world, target_of[second]] = True
     if is_robot[second] and target_of[first] >= 0:
         touch[world, target_of[first]] = True
+    if is_end_effector[first] and target_of[second] >= 0:
+        ee_contact[world, target_of[second]] = True
+    if is_end_effector[second] and target_of[first] >= 0:
+        ee_contact[world, target_of[first]] = True
     if link_of[first] >= 0:
         wp.atomic_add(link_net, world, link_of[first], -force)
     if link_of[second] >= 0:
@@ -109,41 +120,6 @@ def add_contacts(
         wp.atomic_add(finger, world, finger_of[first], target_of[second], -force)
     if finger_of[second] >= 0 and target_of[first] >= 0:
         wp.atomic_add(finger, world, finger_of[second], target_of[first], force)
-
-
-@wp.kernel
-def clear_ee_contacts(update: wp.array[bool], ee_contact: wp.array2d[bool]):
-    """Forget the contacts of the end effector in the worlds to update."""
-    world, target = wp.tid()
-    if update[world]:
-        ee_contact[world, target] = False
-
-
-@wp.kernel
-def mark_ee_contacts(
-    nacon: wp.array[int],
-    geom: wp.array[wp.vec2i],
-    worldid: wp.array[int],
-    kind: wp.array[int],
-    geom_bodyid: wp.array[int],
-    is_end_effector: wp.array[bool],
-    target_of: wp.array[int],
-    update: wp.array[bool],
-    ee_contact: wp.array2d[bool],
-):
-    """Mark the targets that fingers or gripper_link touch. ``target_of``: target of a body, -1 for none."""
-    contact = wp.tid()
-    if contact >= nacon[0] or (kind[contact] & CONSTRAINT_CONTACT) == 0:
-        return
-    world = worldid[contact]
-    if not update[world]:
-        return
-    first = geom_bodyid[geom[contact][0]]
-    second = geom_bodyid[geom[contact][1]]
-    if is_end_effector[first] and target_of[second] >= 0:
-        ee_contact[world, target_of[second]] = True
-    if is_end_effector[second] and target_of[first] >= 0:
-        ee_contact[world, target_of[first]] = True
 
 
 @wp.kernel

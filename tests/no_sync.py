@@ -42,8 +42,13 @@ class NoSync(TorchDispatchMode):
         self._filling = False
 
     def __enter__(self) -> NoSync:
-        self._kept = {name: getattr(torch.Tensor, name) for name in ("__array__", "numpy", "tolist", "__setitem__")}
-        changed = {name: _refused(name) for name in ("__array__", "numpy", "tolist")} | {"__setitem__": self._set_item}
+        self._kept = {
+            name: getattr(torch.Tensor, name)
+            for name in ("__array__", "numpy", "tolist", "__setitem__")
+        }
+        changed = {name: _refused(name) for name in ("__array__", "numpy", "tolist")} | {
+            "__setitem__": self._set_item
+        }
         for name, method in changed.items():
             setattr(torch.Tensor, name, method)
         super().__enter__()
@@ -69,14 +74,19 @@ class NoSync(TorchDispatchMode):
 
     def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         self.seen += 1
-        name, kwargs = func.overloadpacket.__name__, kwargs or {}
-        harmless = _keeps_device(name, args, kwargs) or (name == "lift_fresh" and self._filling and args[0].ndim == 0)
+        name = func.overloadpacket.__name__
+        kwargs = kwargs or {}
+        harmless = _keeps_device(name, args, kwargs) or (
+            name == "lift_fresh" and self._filling and args[0].ndim == 0
+        )
         if name in _READING and not harmless:
             raise AssertionError(f"{name}: {_READING[name]}")
         if name in _INDEXING:
             for index in args[1]:
                 if index is not None and index.dtype in (torch.bool, torch.uint8):
-                    raise AssertionError(f"{name}: an index of flags; the shape of the result depends on values")
+                    raise AssertionError(
+                        f"{name}: an index of flags; the shape of the result depends on values"
+                    )
         return func(*args, **kwargs)
 
 

@@ -85,11 +85,17 @@ def test_file_imports_only_what_its_package_may(path: Path) -> None:
         parts = name.split(".")
         if parts[0] == "mjhab" and len(parts) > 1 and parts[1] in ALLOWED:
             allowed = ALLOWED[package] | {package}
-            assert parts[1] in allowed, f"{package} may not import {name}; it may import {sorted(allowed)}"
+            assert parts[1] in allowed, (
+                f"{package} may not import {name}; it may import {sorted(allowed)}"
+            )
         elif parts[0] in HEAVY:
             assert package in HEAVY[parts[0]], f"{package} may not import {parts[0]}"
-            assert parts[0] not in ("warp", "mujoco_warp") or path.parent.name == "warp", f"{parts[0]} in {path}"
-            assert parts[0] != "torch" or package != "envs" or path.parent.name == "device", f"torch in {path}"
+            assert parts[0] not in ("warp", "mujoco_warp") or path.parent.name == "warp", (
+                f"{parts[0]} in {path}"
+            )
+            assert parts[0] != "torch" or package != "envs" or path.parent.name == "device", (
+                f"torch in {path}"
+            )
 
 
 def module_of(path: Path) -> str:
@@ -128,13 +134,20 @@ def test_no_folder_is_a_heap() -> None:
     """A flat folder of many files says nothing about what lies where."""
     for folder in {path.parent for path in FILES}:
         files = [path for path in folder.glob("*.py") if path.name != "__init__.py"]
-        assert len(files) <= (MOST_COMMANDS if folder.name == "cli" else MOST_FILES), f"{folder} has {len(files)} files"
+        assert len(files) <= (MOST_COMMANDS if folder.name == "cli" else MOST_FILES), (
+            f"{folder} has {len(files)} files"
+        )
 
 
 def test_the_rule_can_be_broken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys.modules[__name__], "SOURCE", tmp_path)
     (tmp_path / "tasks").mkdir()
-    for line in ("from mjhab.sim import cpu", "import mujoco", "from ..envs import make", "def f():\n    import torch"):
+    for line in (
+        "from mjhab.sim import cpu",
+        "import mujoco",
+        "from ..envs import make",
+        "def f():\n    import torch",
+    ):
         path = tmp_path / "tasks" / "bad.py"
         path.write_text(line)
         with pytest.raises(AssertionError, match="tasks may not import"):
@@ -147,7 +160,9 @@ def test_import_mjhab_is_light() -> None:
         "bad = {'torch', 'warp', 'mujoco', 'numba', 'scipy', 'trimesh', 'h5py'} & set(sys.modules)\n"
         "assert not bad, f'import mjhab loaded {bad}'\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False
+    )
     assert done.returncode == 0, done.stderr
 
 
@@ -155,7 +170,9 @@ def test_every_package_is_an_attribute() -> None:
     """In a process of its own: here the packages have been imported already, which makes them attributes."""
     packages = sorted(path.parent.name for path in SOURCE.glob("*/__init__.py"))
     code = f"import mjhab\nfor name in {packages}:\n    assert name in dir(mjhab)\n    getattr(mjhab, name)\n"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False
+    )
     assert done.returncode == 0, done.stderr
 
 

@@ -50,7 +50,9 @@ def policy_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Pat
 
 def eval_command() -> list[str]:
     """Arguments of the README's command that evaluates this policy."""
-    (line,) = (line for line in block_with("bash", "DriveToGoal").splitlines() if "DriveToGoal" in line)
+    (line,) = (
+        line for line in block_with("bash", "DriveToGoal").splitlines() if "DriveToGoal" in line
+    )
     return shlex.split(line)[1:]
 
 
@@ -59,13 +61,20 @@ def test_the_policy_of_the_readme_runs_as_a_file(policy_file: Path) -> None:
     assert inspect_policy(str(spec.policy)).env_options == {"obs_mode": "depth", "camera_size": 32}
     run = mjhab.evaluate(spec.policy, subtask=spec.subtask, out=spec.out, **SMALL)
     assert [record.steps for record in run.records] == [4, 4] and run.report.is_file()
-    assert run.config["policy"] == "my_policy.py:DriveToGoal" and run.config["env"]["obs_mode"] == "depth"
-    assert (run.path / "films" / "episode_00000.mp4").stat().st_size > 0 and run.film_problem is None
+    assert (
+        run.config["policy"] == "my_policy.py:DriveToGoal"
+        and run.config["env"]["obs_mode"] == "depth"
+    )
+    assert (
+        run.path / "films" / "episode_00000.mp4"
+    ).stat().st_size > 0 and run.film_problem is None
 
 
 def test_the_python_of_the_readme_runs(policy_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     real = mjhab.evaluate
-    monkeypatch.setattr(mjhab, "evaluate", lambda *args, **options: real(*args, **{**options, **SMALL}))
+    monkeypatch.setattr(
+        mjhab, "evaluate", lambda *args, **options: real(*args, **{**options, **SMALL})
+    )
     code = block_with("python", "mjhab.evaluate(")
     names: dict[str, Any] = {}
     exec(compile(code, "README.md", "exec"), names)
@@ -74,7 +83,9 @@ def test_the_python_of_the_readme_runs(policy_file: Path, monkeypatch: pytest.Mo
 
 def test_listed_keys_are_those_of_the_environment() -> None:
     text = (ROOT / "docs" / "evaluation.md").read_text(encoding="utf-8")
-    env = mjhab.make(subtask="pick", obs_mode="rgbd", camera_size=16, autoreset="disabled", horizon=2)
+    env = mjhab.make(
+        subtask="pick", obs_mode="rgbd", camera_size=16, autoreset="disabled", horizon=2
+    )
     obs, info = env.reset(seed=0)
     listed = keys_of_table(text, "Info")
     assert listed == set(info) == set(env.step(np.zeros((1, 13), np.float32))[4])

@@ -22,8 +22,13 @@ class FakeHub:
     (the connection closes at once). ``asked``: (path, Range header) of every request for a file.
     """
 
-    def __init__(self, repo: str, files: dict[str, bytes], lfs: tuple[str, ...] = (), page: int = 1000) -> None:
-        self.repo, self.files, self.lfs, self.page = repo, files, lfs, page
+    def __init__(
+        self, repo: str, files: dict[str, bytes], lfs: tuple[str, ...] = (), page: int = 1000
+    ) -> None:
+        self.repo = repo
+        self.files = files
+        self.lfs = lfs
+        self.page = page
         self.faults: defaultdict[str, list[str]] = defaultdict(list)
         self.asked: list[tuple[str, str]] = []
         self.hosts: set[str] = set()
@@ -65,13 +70,21 @@ class FakeHub:
         link = ""
         if start + self.page < len(self.files):
             link = f'<https://elsewhere.example/tree?recursive=true&cursor={start + self.page}>; rel="next"'
-        self._json(request, [{"type": "directory", "path": "d", "oid": "x", "size": 0}, *rows], link)
+        self._json(
+            request, [{"type": "directory", "path": "d", "oid": "x", "size": 0}, *rows], link
+        )
 
     def _row(self, path: str) -> dict[str, Any]:
         data = self.files[path]
         if path in self.lfs:
             oid = hashlib.sha256(data).hexdigest()
-            return {"type": "file", "path": path, "oid": "p", "size": 130, "lfs": {"oid": oid, "size": len(data)}}
+            return {
+                "type": "file",
+                "path": path,
+                "oid": "p",
+                "size": 130,
+                "lfs": {"oid": oid, "size": len(data)},
+            }
         oid = hashlib.sha1(b"blob %d\0" % len(data) + data).hexdigest()
         return {"type": "file", "path": path, "oid": oid, "size": len(data)}
 

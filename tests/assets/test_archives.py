@@ -35,7 +35,9 @@ def make_zip(path: Path, files: dict[str, bytes], links: dict[str, str] | None =
     return path
 
 
-def make_tar(path: Path, files: dict[str, bytes], special: dict[str, tuple[bytes, str]] | None = None) -> Path:
+def make_tar(
+    path: Path, files: dict[str, bytes], special: dict[str, tuple[bytes, str]] | None = None
+) -> Path:
     with tarfile.open(path, "w:gz") as archive:
         for name, data in files.items():
             info = tarfile.TarInfo(name)
@@ -43,17 +45,22 @@ def make_tar(path: Path, files: dict[str, bytes], special: dict[str, tuple[bytes
             archive.addfile(info, io.BytesIO(data))
         for name, (kind, target) in (special or {}).items():
             info = tarfile.TarInfo(name)
-            info.type, info.linkname = kind, target
+            info.type = kind
+            info.linkname = target
             archive.addfile(info)
     return path
 
 
 @pytest.mark.parametrize("make", [make_zip, make_tar])
-@pytest.mark.parametrize("name", ["../evil", "a/../../evil", "/evil", "a\\..\\evil", "C:/evil", "..", "./../evil"])
+@pytest.mark.parametrize(
+    "name", ["../evil", "a/../../evil", "/evil", "a\\..\\evil", "C:/evil", "..", "./../evil"]
+)
 def test_paths_that_lead_out_are_refused(tmp_path: Path, make: object, name: str) -> None:
     archive = make(tmp_path / "bundle", {**GOOD, name: b"x"})  # type: ignore[operator]
     root = tmp_path / "deep" / "root"
-    with pytest.raises(UsageError, match="leads out of the folder; nothing was installed") as caught:
+    with pytest.raises(
+        UsageError, match="leads out of the folder; nothing was installed"
+    ) as caught:
         install_bundle(SOURCE, archive, root)
     assert "bundle" in str(caught.value)
     assert not list(tmp_path.rglob("evil")) and not (root / "replica_cad").exists()
@@ -93,7 +100,9 @@ def test_damaged_archives_are_refused(tmp_path: Path, kind: str) -> None:
     else:
         whole = (make_zip if kind == "zip" else make_tar)(path, payload).read_bytes()
         middle = len(whole) // 2
-        path.write_bytes(whole[:middle] if kind == "tar.gz" else whole[:200] + b"\0" * 300 + whole[500:])
+        path.write_bytes(
+            whole[:middle] if kind == "tar.gz" else whole[:200] + b"\0" * 300 + whole[500:]
+        )
     with pytest.raises(UsageError, match=r"damaged|neither a zip nor a tar") as caught:
         install_bundle(SOURCE, path, tmp_path / "root")
     assert str(path) in str(caught.value) and "\n" not in str(caught.value)
@@ -105,10 +114,15 @@ def test_damaged_archives_are_refused(tmp_path: Path, kind: str) -> None:
 def test_a_bundle_is_installed_without_a_network(
     tmp_path: Path, make: object, wrapper: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("mjhab.assets.transfer._open", lambda *args, **kwargs: pytest.fail("network"))
+    monkeypatch.setattr(
+        "mjhab.assets.transfer._open", lambda *args, **kwargs: pytest.fail("network")
+    )
     bundle = make(tmp_path / "bundle", {wrapper + name: data for name, data in GOOD.items()})  # type: ignore[operator]
     folder = install_bundle(SOURCE, bundle, tmp_path / "root")
-    assert {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()} == {*GOOD, RECORD}
+    assert {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()} == {
+        *GOOD,
+        RECORD,
+    }
     record = read_record(folder)
     assert record is not None and (record["origin"], record["trust"]) == ("bundle", "first use")
     assert not any((tmp_path / "root" / ".partial").iterdir())
@@ -116,7 +130,9 @@ def test_a_bundle_is_installed_without_a_network(
         install_bundle(SOURCE, bundle, tmp_path / "root")
 
 
-@pytest.mark.parametrize("path", ["ycb/024_bowl/textured.glb", "ycb-main/meshes/024_bowl/google_16k/textured.glb"])
+@pytest.mark.parametrize(
+    "path", ["ycb/024_bowl/textured.glb", "ycb-main/meshes/024_bowl/google_16k/textured.glb"]
+)
 def test_a_bundle_may_have_the_layout_of_the_repository(tmp_path: Path, path: str) -> None:
     bundle = make_zip(tmp_path / "b.zip", {path: b"bowl", "ycb-main/README.md": b"r"})
     folder = install_bundle(SOURCES["ycb"], bundle, tmp_path / "root")
@@ -127,14 +143,18 @@ def test_a_bundle_may_have_the_layout_of_the_repository(tmp_path: Path, path: st
 def test_a_bundle_of_something_else_is_refused(tmp_path: Path) -> None:
     bundle = make_zip(tmp_path / "holiday.zip", {"photo.jpg": b"x"})
     for name in ("replica_cad", "ycb", "hab_episodes"):
-        with pytest.raises(UsageError, match=rf"holiday\.zip is not the data set {name}: it must hold"):
+        with pytest.raises(
+            UsageError, match=rf"holiday\.zip is not the data set {name}: it must hold"
+        ):
             install_bundle(SOURCES[name], bundle, tmp_path / "root")
     with pytest.raises(UsageError, match="there is no such file"):
         install_bundle(SOURCE, tmp_path / "nothing.zip", tmp_path / "root")
     assert not any((tmp_path / "root").glob("[!.]*"))
 
 
-def test_an_archive_larger_than_the_disk_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_archive_larger_than_the_disk_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     bundle = make_zip(tmp_path / "b.zip", {**GOOD, "zeros": bytes(1 << 20)})
     monkeypatch.setattr("shutil.disk_usage", lambda path: type("Usage", (), {"free": 1 << 19}))
     with pytest.raises(UsageError, match=r"only 0\.0 GB free"):
@@ -147,7 +167,9 @@ def test_verify_finds_what_changed(tmp_path: Path) -> None:
     (folder / "urdf/fridge.urdf").write_bytes(b"<robot>")
     (folder / "configs/scenes/a.scene_instance.json").unlink()
     found = verify(folder)
-    assert found.changed == ("urdf/fridge.urdf",) and found.missing == ("configs/scenes/a.scene_instance.json",)
+    assert found.changed == ("urdf/fridge.urdf",) and found.missing == (
+        "configs/scenes/a.scene_instance.json",
+    )
 
 
 def test_a_folder_without_a_record_is_trusted_on_first_use(tmp_path: Path) -> None:
@@ -163,9 +185,14 @@ def test_a_folder_without_a_record_is_trusted_on_first_use(tmp_path: Path) -> No
 
 @pytest.mark.parametrize(
     "body",
-    ["", "[]", '{"format": "other"}', json.dumps({"format": "mjhab-asset-1", "files": {"a": {}}}),
-     json.dumps({"format": "mjhab-asset-1", "files": {"../a": {"sha256": ""}}})],
-)  # fmt: skip
+    [
+        "",
+        "[]",
+        '{"format": "other"}',
+        json.dumps({"format": "mjhab-asset-1", "files": {"a": {}}}),
+        json.dumps({"format": "mjhab-asset-1", "files": {"../a": {"sha256": ""}}}),
+    ],
+)
 def test_a_damaged_record_is_named(tmp_path: Path, body: str) -> None:
     (tmp_path / RECORD).write_text(body)
     with pytest.raises(UsageError) as caught:
@@ -173,6 +200,8 @@ def test_a_damaged_record_is_named(tmp_path: Path, body: str) -> None:
     assert RECORD in str(caught.value) and "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize(("given", "kept"), [("a/b.txt", "a/b.txt"), ("./a//b", "a/b"), ("a/./..b/c", "a/..b/c")])
+@pytest.mark.parametrize(
+    ("given", "kept"), [("a/b.txt", "a/b.txt"), ("./a//b", "a/b"), ("a/./..b/c", "a/..b/c")]
+)
 def test_harmless_paths_stay(given: str, kept: str) -> None:
     assert safe_path(given, "x") == kept

@@ -77,7 +77,10 @@ def test_fetch_installs_every_file_and_records_its_hash(hub: FakeHub, tmp_path: 
     assert installed(tmp_path) == FILES and no_leftovers(tmp_path)
     record = read_record(tmp_path / "replica_cad")
     assert record is not None and record["commit"] == COMMIT and record["trust"] == "hub"
-    assert record["files"][BIG_PATH] == {"size": len(BIG), "sha256": hashlib.sha256(BIG).hexdigest()}
+    assert record["files"][BIG_PATH] == {
+        "size": len(BIG),
+        "sha256": hashlib.sha256(BIG).hexdigest(),
+    }
     assert set(record["files"]) == set(FILES)
     assert count.total == count.came == sum(map(len, FILES.values()))
     assert verify(tmp_path / "replica_cad").first_use is False
@@ -88,8 +91,15 @@ def test_a_cut_connection_continues_where_it_broke(hub: FakeHub, tmp_path: Path)
     count = Count()
     fetch(SOURCE, tmp_path, progress=count.progress())
     assert installed(tmp_path)[BIG_PATH] == BIG
-    half, rest = len(BIG) // 2, len(BIG) // 4
-    assert ranges(hub) == ["", f"bytes={half}-", f"bytes={half}-", f"bytes={half + rest}-", f"bytes={half + rest}-"]
+    half = len(BIG) // 2
+    rest = len(BIG) // 4
+    assert ranges(hub) == [
+        "",
+        f"bytes={half}-",
+        f"bytes={half}-",
+        f"bytes={half + rest}-",
+        f"bytes={half + rest}-",
+    ]
     assert count.came == count.total
     assert count.waits == [pause(0), pause(0)]
 
@@ -119,7 +129,9 @@ def test_a_half_of_wrong_bytes_does_not_stay(hub: FakeHub, tmp_path: Path) -> No
     assert installed(tmp_path) == FILES
 
 
-def test_a_server_of_wrong_bytes_is_given_up_and_nothing_is_installed(hub: FakeHub, tmp_path: Path) -> None:
+def test_a_server_of_wrong_bytes_is_given_up_and_nothing_is_installed(
+    hub: FakeHub, tmp_path: Path
+) -> None:
     hub.faults[BIG_PATH] = ["wrong"] * 9
     with pytest.raises(TransferError, match="other bytes than the hub lists") as caught:
         fetch(SOURCE, tmp_path, progress=Count().progress())
@@ -159,7 +171,9 @@ def test_a_dead_hub_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 def test_a_repository_with_other_files_is_refused(hub: FakeHub, tmp_path: Path) -> None:
     hub.files = {"README.md": b"moved"}
-    with pytest.raises(UsageError, match=r"is not the data set replica_cad: it must hold configs/scenes/\*"):
+    with pytest.raises(
+        UsageError, match=r"is not the data set replica_cad: it must hold configs/scenes/\*"
+    ):
         fetch(SOURCE, tmp_path, progress=Count().progress())
     with pytest.raises(UsageError, match=r"none that ycb is made of.*--repo.*--offline"):
         fetch(replace(SOURCES["ycb"], repo=SOURCE.repo), tmp_path, progress=Count().progress())
@@ -182,7 +196,11 @@ def test_ycb_files_go_where_the_reader_looks(hub: FakeHub, tmp_path: Path) -> No
     }
     folder = fetch(replace(SOURCES["ycb"], repo=SOURCE.repo), tmp_path, progress=Count().progress())
     assert (folder / "024_bowl" / "textured.glb").read_bytes() == b"bowl"
-    assert sorted(p.name for p in folder.rglob("*") if p.is_file()) == [RECORD, "LICENSE", "textured.glb"]
+    assert sorted(p.name for p in folder.rglob("*") if p.is_file()) == [
+        RECORD,
+        "LICENSE",
+        "textured.glb",
+    ]
 
 
 def test_episodes_come_out_of_their_archive(hub: FakeHub, tmp_path: Path) -> None:
@@ -191,10 +209,15 @@ def test_episodes_come_out_of_their_archive(hub: FakeHub, tmp_path: Path) -> Non
         archive.writestr("rearrange/v1/val/tidy_house.json.gz", b"episodes")
     hub.files = {"rearrange.zip": buffer.getvalue(), "other.zip": b"no"}
     hub.lfs = ("rearrange.zip",)
-    folder = fetch(replace(SOURCES["hab_episodes"], repo=SOURCE.repo), tmp_path, progress=Count().progress())
+    folder = fetch(
+        replace(SOURCES["hab_episodes"], repo=SOURCE.repo), tmp_path, progress=Count().progress()
+    )
     assert [path.read_bytes() for path in folder.rglob("*.json.gz")] == [b"episodes"]
     record = read_record(folder)
-    assert record is not None and record["archive_sha256"] == hashlib.sha256(buffer.getvalue()).hexdigest()
+    assert (
+        record is not None
+        and record["archive_sha256"] == hashlib.sha256(buffer.getvalue()).hexdigest()
+    )
     assert no_leftovers(tmp_path)
 
 
@@ -255,7 +278,9 @@ def test_unknown_data_sets_are_refused_with_a_hint() -> None:
         source_named("ycbb")
 
 
-@pytest.mark.parametrize("body", [b"<html>", json.dumps({"error": "no"}).encode(), json.dumps([1]).encode()])
+@pytest.mark.parametrize(
+    "body", [b"<html>", json.dumps({"error": "no"}).encode(), json.dumps([1]).encode()]
+)
 def test_an_answer_of_something_else_is_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, body: bytes, hub: FakeHub
 ) -> None:

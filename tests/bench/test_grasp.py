@@ -19,7 +19,14 @@ def table() -> list[dict[str, object]]:
 def test_nothing_is_dropped(table: list[dict[str, object]]) -> None:
     assert [row["object"] for row in table] == list(BENCH_OBJECTS)
     assert not [row["object"] for row in table if row["dropped"]]
-    assert list(table[0]) == ["object", "slip_mm", "rotation_deg", "grasp_share", "dropped", "force_n"]
+    assert list(table[0]) == [
+        "object",
+        "slip_mm",
+        "rotation_deg",
+        "grasp_share",
+        "dropped",
+        "force_n",
+    ]
 
 
 def test_slip_and_rotation_stay_small(table: list[dict[str, object]]) -> None:
@@ -34,7 +41,9 @@ def test_the_grasp_test_holds_most_of_the_time(table: list[dict[str, object]]) -
 
 
 def test_the_same_seed_gives_the_same_row() -> None:
-    first, second = (grasp_table(seconds=1.0, seed=3, objects=("010_potted_meat_can",)) for _ in range(2))
+    first, second = (
+        grasp_table(seconds=1.0, seed=3, objects=("010_potted_meat_can",)) for _ in range(2)
+    )
     assert first == second
 
 
@@ -63,7 +72,8 @@ def test_a_box_that_friction_pulls_at_45_degrees_counts_as_grasped() -> None:
 
 def finger_contact_forces(bench: GraspBench) -> tuple[np.ndarray, np.ndarray]:
     """Sums (2,) of the normal forces and of the friction forces [N] between the [l, r] finger and the object."""
-    model, data = bench.model, bench.data
+    model = bench.model
+    data = bench.data
     normal = np.zeros(2)
     friction = np.zeros((2, 3))
     for index, contact in enumerate(data.contact[: data.ncon]):
@@ -83,7 +93,8 @@ def test_friction_of_every_pair_is_that_of_the_original() -> None:
     bench = GraspBench("004_sugar_box")
     for _ in range(10):
         bench.step(bench.rest, 0.0, 0.0)
-    model, data = bench.model, bench.data
+    model = bench.model
+    data = bench.data
     bodies = model.geom_bodyid[data.contact.geom[: data.ncon]]
     fingers = [model.body(finger).id for finger in FINGER_LINKS]
     with_pad = np.isin(bodies, fingers).any(axis=1)

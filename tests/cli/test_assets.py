@@ -33,14 +33,19 @@ def said(capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
     return json.loads(line)
 
 
-def test_fetch_verify_where_list(root: Path, bundle: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_fetch_verify_where_list(
+    root: Path, bundle: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["assets", "fetch", "ycb", "--offline", bundle, "--accept-licence", "--json"]) == 0
     out, err = capsys.readouterr()
     assert json.loads(out) == {"name": "ycb", "folder": str(root / "ycb"), "files": 1, "bytes": 4}
     assert "CC BY 4.0" in err and "ycbbenchmarks" in err
     assert main(["assets", "verify", "ycb", "--json"]) == 0
     found = said(capsys)
-    assert list(found) == ["name", "folder", "ok", "files", "missing", "changed", "first_use"] and found["ok"]
+    assert (
+        list(found) == ["name", "folder", "ok", "files", "missing", "changed", "first_use"]
+        and found["ok"]
+    )
     (root / "ycb" / "024_bowl" / "textured.glb").write_bytes(b"b0wl")
     assert main(["assets", "verify", "ycb", "--json"]) == 1
     assert said(capsys)["changed"] == ["024_bowl/textured.glb"]
@@ -79,15 +84,21 @@ def test_the_licence_is_asked_for(
     [
         (("fetch", "ycb"), ("add --accept-licence",)),
         (("fetch", "ybc", "--accept-licence"), ("unknown data set", "Did you mean 'ycb'")),
-        (("fetch", "ycb", "--accept-licence", "--offline", "none.zip"), ("none.zip", "no such file")),
+        (
+            ("fetch", "ycb", "--accept-licence", "--offline", "none.zip"),
+            ("none.zip", "no such file"),
+        ),
         (("verify", "ycb"), ("does not exist", "mjhab assets fetch ycb")),
         (("where", "nothing"), ("unknown data set",)),
     ],
 )
 def test_bad_input(
-    root: Path, args: tuple[str, ...], words: tuple[str, ...], capsys: pytest.CaptureFixture[str],
+    root: Path,
+    args: tuple[str, ...],
+    words: tuple[str, ...],
+    capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
+) -> None:
     monkeypatch.setattr(sys, "stdin", io.StringIO())
     assert main(["assets", *args]) == 2
     out, err = capsys.readouterr()

@@ -23,13 +23,22 @@ def run(capsys: pytest.CaptureFixture[str], *args: str) -> tuple[int, dict]:
 def test_envs_list_and_describe(capsys: pytest.CaptureFixture[str]):
     assert run(capsys, "envs", "list") == (0, {"envs": list(ENV_IDS)})
     code, found = run(
-        capsys, "envs", "describe", "mjhab/OpenSubtaskTrain-v1", "--obs", "depth", "--control", "pd_joint_vel"
+        capsys,
+        "envs",
+        "describe",
+        "mjhab/OpenSubtaskTrain-v1",
+        "--obs",
+        "depth",
+        "--control",
+        "pd_joint_vel",
     )
     assert code == 0 and len(found["actions"]) == 13 and found["actions"][0]["unit"] == "rad/s"
     keys = [row["key"] for row in found["observations"]]
     assert "sensor_data/fetch_head/depth" in keys and "agent/qpos" in keys
     assert sum(t["scale"] for t in found["reward_terms"] if t["when"] == "always") > 0
-    assert {t["subtask"] for t in found["reward_terms"]} == {"open"} and found["horizons"] == {"open": 200}
+    assert {t["subtask"] for t in found["reward_terms"]} == {"open"} and found["horizons"] == {
+        "open": 200
+    }
 
 
 def test_an_unknown_id_names_the_nearest(capsys: pytest.CaptureFixture[str]):
@@ -38,12 +47,30 @@ def test_an_unknown_id_names_the_nearest(capsys: pytest.CaptureFixture[str]):
 
 
 def test_bench_env_splits_the_time_of_a_step(capsys: pytest.CaptureFixture[str]):
-    small = ("--worlds", "1", "2", "--steps", "3", "--rounds", "1", "--camera-size", "16", "--threads", "1")
-    code, found = run(capsys, "bench", "env", "--env", "mjhab/CloseSubtaskTrain-v1", "--obs", "depth", *small)
+    small = (
+        "--worlds",
+        "1",
+        "2",
+        "--steps",
+        "3",
+        "--rounds",
+        "1",
+        "--camera-size",
+        "16",
+        "--threads",
+        "1",
+    )
+    code, found = run(
+        capsys, "bench", "env", "--env", "mjhab/CloseSubtaskTrain-v1", "--obs", "depth", *small
+    )
     assert code == 0 and list(found["stages"]) == list(STAGES)
     for stage in ("physics", "measure", "reward", "render", "reset"):
         assert found["stages"][stage] > 0, stage
-    assert found["env_sps"] > 0 and found["engine_sps"] > found["env_sps"] and found["cold_start_s"] > 0
+    assert (
+        found["env_sps"] > 0
+        and found["engine_sps"] > found["env_sps"]
+        and found["cold_start_s"] > 0
+    )
     points = found["points"]
     assert found["backend"] == "cpu" and [point["worlds"] for point in points] == [1, 2]
     assert found["env_sps"] == max(point["env_sps"] for point in points)
@@ -52,7 +79,17 @@ def test_bench_env_splits_the_time_of_a_step(capsys: pytest.CaptureFixture[str])
 
 def test_bench_soak_counts_steps_and_episodes(capsys: pytest.CaptureFixture[str]):
     _, found = run(
-        capsys, "bench", "soak", "--steps", "2050", "--worlds", "2", "--threads", "1", "--task", "tidy_house"
+        capsys,
+        "bench",
+        "soak",
+        "--steps",
+        "2050",
+        "--worlds",
+        "2",
+        "--threads",
+        "1",
+        "--task",
+        "tidy_house",
     )
     assert found["steps"] == 2052 and len(found["rss_mb"]) == 4
     # 342 steps of each of pick, place and navigate; the first two end after 200.
@@ -60,7 +97,18 @@ def test_bench_soak_counts_steps_and_episodes(capsys: pytest.CaptureFixture[str]
 
 
 def test_bench_reward_writes_curves(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    args = ("--episodes", "2", "--worlds", "2", "--subtasks", "open", "--threads", "1", "--out", str(tmp_path))
+    args = (
+        "--episodes",
+        "2",
+        "--worlds",
+        "2",
+        "--subtasks",
+        "open",
+        "--threads",
+        "1",
+        "--out",
+        str(tmp_path),
+    )
     code, found = run(capsys, "bench", "reward", *args)
     told = found["subtasks"]["open"]
     assert code == 0 and told["episodes"] == 2 and told["rise_success"] > 0.2
@@ -78,9 +126,12 @@ def test_auc_is_the_chance_that_success_scores_higher():
 
 
 def test_summary_and_figure_of_two_curves():
-    rising, flat = np.linspace(0, 1, 20), np.full(20, 0.1)
+    rising = np.linspace(0, 1, 20)
+    flat = np.full(20, 0.1)
     told = summary([(True, rising), (False, flat)])
     assert told["auc"] == 1.0 and told["successes"] == 1 and told["rising"] == 1.0
-    assert told["rise_success"] == pytest.approx(18 / 19, abs=1e-3) and told["return_failure"] == pytest.approx(2.0)
+    assert told["rise_success"] == pytest.approx(18 / 19, abs=1e-3) and told[
+        "return_failure"
+    ] == pytest.approx(2.0)
     names = [trace.get("name") for trace in figure([(True, rising), (False, flat)])["data"]]
     assert names[2] == "success (1 episodes)" and names[5] == "failure (1 episodes)"

@@ -24,12 +24,32 @@ from mjhab.cli.options.expert import BenchExpertsOptions
 from mjhab.core.errors import MjhabError
 from mjhab.rollout.records import EpisodeRecord, PlanEntry
 
-COMMAND = ("bench", "experts", "--task", "set_table", "--subtask", "open", "--episodes", "2", "--worlds", "1",
-           "--workers", "1")  # fmt: skip
+COMMAND = (
+    "bench",
+    "experts",
+    "--task",
+    "set_table",
+    "--subtask",
+    "open",
+    "--episodes",
+    "2",
+    "--worlds",
+    "1",
+    "--workers",
+    "1",
+)
 ROW = Row("builtin", "builtin", "tidy_house", "pick", "003_cracker_box", "", 4)
-EPISODE = Episode(0, "h", "pick", "straightforward_success", True, True, 100.0, 200.0, 50.0, 200, 1, 1, ())
-FAILED = replace(EPISODE, label="drop_failure", success_once=False, success_at_end=False, force_to_success=None,
-                 completed=0)  # fmt: skip
+EPISODE = Episode(
+    0, "h", "pick", "straightforward_success", True, True, 100.0, 200.0, 50.0, 200, 1, 1, ()
+)
+FAILED = replace(
+    EPISODE,
+    label="drop_failure",
+    success_once=False,
+    success_at_end=False,
+    force_to_success=None,
+    completed=0,
+)
 
 
 def refused(capsys: pytest.CaptureFixture[str], *args: str) -> str:
@@ -56,17 +76,28 @@ def test_two_rows_end_to_end(made: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert [row["episodes"] for row in rows.values()] == ["2", "2", "4"]
     # MS-HAB paper, Table 11: RL-Per opens the drawer in 84.52 %, the fridge in 88.10 % of the val episodes.
     assert [row["paper_rl_per"] for row in rows.values()] == ["84.52", "88.1", ""]
-    lines = [json.loads(line) for line in (made / "episodes.jsonl").read_text(encoding="utf-8").splitlines()]
+    lines = [
+        json.loads(line)
+        for line in (made / "episodes.jsonl").read_text(encoding="utf-8").splitlines()
+    ]
     assert [(line["row"].split("_")[-1], line["index"]) for line in lines] == [
-        ("counter-drawer3", 0), ("counter-drawer3", 1), ("door", 0), ("door", 1),
-    ]  # fmt: skip
+        ("counter-drawer3", 0),
+        ("counter-drawer3", 1),
+        ("door", 0),
+        ("door", 1),
+    ]
     text = (made / "results.json").read_text(encoding="utf-8")
     assert str(made.parent) not in text
     document = json.loads(text)
     assert document["config"] == {
-        "split": "val", "seed": 0, "policy": "expert", "profile": "mjhab", "stillness": "absolute",
-        "spawn_rule": "front_box", "assets": {"builtin": "builtin"},
-    }  # fmt: skip
+        "split": "val",
+        "seed": 0,
+        "policy": "expert",
+        "profile": "mjhab",
+        "stillness": "absolute",
+        "spawn_rule": "front_box",
+        "assets": {"builtin": "builtin"},
+    }
     assert {row["profile"] for row in rows.values()} == {"mjhab"}
     assert [row["successes"] for row in document["rows"]] == [
         sum(line["success_once"] for line in lines[first : first + 2]) for first in (0, 2)
@@ -83,10 +114,14 @@ def test_two_rows_end_to_end(made: Path, capsys: pytest.CaptureFixture[str]) -> 
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
-def test_a_stopped_run_goes_on_to_the_same_table(made: Path, tmp_path: Path, number: signal.Signals) -> None:
+def test_a_stopped_run_goes_on_to_the_same_table(
+    made: Path, tmp_path: Path, number: signal.Signals
+) -> None:
     out = tmp_path / "run"
     command = [sys.executable, "-m", "mjhab.cli.main", *COMMAND, "--out", str(out)]
-    process = subprocess.Popen(command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL, env=dict(os.environ))
+    process = subprocess.Popen(
+        command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL, env=dict(os.environ)
+    )
     rows = make_rows(options := _options(out))
     begun = False
     while process.poll() is None and not begun:
@@ -104,7 +139,9 @@ def test_a_stopped_run_goes_on_to_the_same_table(made: Path, tmp_path: Path, num
     assert (out / "table.csv").read_text() == (made / "table.csv").read_text()
     assert (out / "episodes.jsonl").read_text() == (made / "episodes.jsonl").read_text()
     after = [bench_experts.read_row(options, row) for row in rows]
-    assert all(episode in found for kept, found in zip(before, after, strict=True) for episode in kept)
+    assert all(
+        episode in found for kept, found in zip(before, after, strict=True) for episode in kept
+    )
 
 
 def _options(out: Path) -> BenchExpertsOptions:
@@ -126,7 +163,10 @@ def test_a_row_that_fails_does_not_stop_the_others(
     captured = capsys.readouterr()
     assert "drawer3 could not be measured: no luck" in captured.err
     told = json.loads(captured.out)
-    assert told["failed_rows"] == ["builtin/set_table_open_kitchen_counter-drawer3"] and told["episodes"] == 4
+    assert (
+        told["failed_rows"] == ["builtin/set_table_open_kitchen_counter-drawer3"]
+        and told["episodes"] == 4
+    )
     assert "no luck" in (made / "report.html").read_text(encoding="utf-8")
 
 
@@ -134,13 +174,21 @@ def test_rows_of_the_whole_table() -> None:
     rows = make_rows(BenchExpertsOptions())
     assert len({row.name for row in rows}) == len(rows) == 53
     singles = [row for row in rows if row.subtask != "chain"]
-    assert len(singles) == 2 * (9 + 9 + 1) + (2 + 2 + 2 + 2 + 1) and {row.episodes for row in singles} == {100}
+    assert len(singles) == 2 * (9 + 9 + 1) + (2 + 2 + 2 + 2 + 1) and {
+        row.episodes for row in singles
+    } == {100}
     asked = {(row.task, row.subtask, row.target): row.asked for row in rows}
     assert asked["tidy_house", "pick", "003_cracker_box"] == 0.85
-    assert asked["set_table", "pick", "024_bowl"] == 0.8 and asked["set_table", "place", "024_bowl"] == 0.9
+    assert (
+        asked["set_table", "pick", "024_bowl"] == 0.8
+        and asked["set_table", "place", "024_bowl"] == 0.9
+    )
     assert asked["set_table", "chain", ""] == 0.5 and asked["tidy_house", "navigate", ""] is None
     few = make_rows(BenchExpertsOptions(target=("013_apple",), navigate=("drive",)))
-    assert [(row.task, row.subtask) for row in few] == [("set_table", "pick"), ("set_table", "place")]
+    assert [(row.task, row.subtask) for row in few] == [
+        ("set_table", "pick"),
+        ("set_table", "place"),
+    ]
     only = make_rows(BenchExpertsOptions(subtask=("chain",), navigate=("drive",), chains=5))
     assert [row.name for row in only] == [
         f"builtin/{task}_chain_drive" for task in ("tidy_house", "prepare_groceries", "set_table")
@@ -149,15 +197,32 @@ def test_rows_of_the_whole_table() -> None:
 
 
 def test_what_a_row_says() -> None:
-    rough = replace(EPISODE, index=2, label="winding_success", force_to_success=1500.0, taint=("penetration",))
-    result = result_of(ROW, "val", [EPISODE, rough, FAILED, replace(EPISODE, index=3, peak_force=1400.0)])
-    assert (result.success_once, result.gentle, result.gentle_peak, result.tainted) == (0.75, 0.5, 0.5, 1)
+    rough = replace(
+        EPISODE, index=2, label="winding_success", force_to_success=1500.0, taint=("penetration",)
+    )
+    result = result_of(
+        ROW, "val", [EPISODE, rough, FAILED, replace(EPISODE, index=3, peak_force=1400.0)]
+    )
+    assert (result.success_once, result.gentle, result.gentle_peak, result.tainted) == (
+        0.75,
+        0.5,
+        0.5,
+        1,
+    )
     assert result.interval[0] < 0.75 < result.interval[1] and result.met is False
-    assert result.failures == {"drop_failure": 1} and next(iter(result.labels)) == "straightforward_success"
+    assert (
+        result.failures == {"drop_failure": 1}
+        and next(iter(result.labels)) == "straightforward_success"
+    )
     # MS-HAB paper, Table 7.
     assert result.paper == 0.7341 and result.paper_table == 7 and result.over_paper == 1.59
     nothing = result_of(ROW, "val", [], "broken")
-    assert (nothing.success_once, nothing.met, nothing.error, nothing.over_paper) == (None, None, "broken", None)
+    assert (nothing.success_once, nothing.met, nothing.error, nothing.over_paper) == (
+        None,
+        None,
+        "broken",
+        None,
+    )
 
 
 def test_chains_tell_how_far_they_came_and_where_they_ended() -> None:
@@ -165,7 +230,9 @@ def test_chains_tell_how_far_they_came_and_where_they_ended() -> None:
     done = replace(EPISODE, completed=4, planned=4)
     ended = replace(FAILED, completed=1, planned=4)
     result = result_of(row, "val", [done, ended])
-    assert result.progressive == (1.0, 0.5, 0.5, 0.5) and result.failures == {"pick drop_failure": 1}
+    assert result.progressive == (1.0, 0.5, 0.5, 0.5) and result.failures == {
+        "pick drop_failure": 1
+    }
     assert (result.asked, result.met, result.paper, result.gentle) == (0.4, True, None, None)
 
 
@@ -179,9 +246,27 @@ def test_all_targets_together_stand_next_to_the_papers_row_for_all() -> None:
 
 def test_force_counts_up_to_the_first_success() -> None:
     record = EpisodeRecord(
-        0, 7, "h", "set_table", "val", "pick", (PlanEntry("pick", "024_bowl_:0000"),), (), True, True, False, 4, 1,
-        ((2, "contact"), (3, "success"), (4, "success")), 40.0, 100.0, (10.0, 20.0, 30.0, 40.0), (), False, "",
-    )  # fmt: skip
+        0,
+        7,
+        "h",
+        "set_table",
+        "val",
+        "pick",
+        (PlanEntry("pick", "024_bowl_:0000"),),
+        (),
+        True,
+        True,
+        False,
+        4,
+        1,
+        ((2, "contact"), (3, "success"), (4, "success")),
+        40.0,
+        100.0,
+        (10.0, 20.0, 30.0, 40.0),
+        (),
+        False,
+        "",
+    )
     assert Episode.of(record).force_to_success == 60.0 and Episode.of(record).gentle
     lost = Episode.of(replace(record, success_once=False, events=()))
     assert lost.force_to_success is None and not lost.gentle and lost.label == ""

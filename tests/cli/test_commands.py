@@ -29,7 +29,11 @@ def machine(capsys: pytest.CaptureFixture[str], *args: str) -> dict[str, Any]:
 
 def test_help_names_the_commands() -> None:
     done = subprocess.run(
-        [sys.executable, "-m", "mjhab.cli.main", "--help"], capture_output=True, text=True, check=True, timeout=60
+        [sys.executable, "-m", "mjhab.cli.main", "--help"],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=60,
     )
     for name in ("eval", "homes", "bench", "doctor"):
         assert name in done.stdout
@@ -43,7 +47,9 @@ def test_help_loads_no_heavy_library() -> None:
         "bad = {'mujoco', 'torch', 'warp', 'numba', 'plotly'} & set(sys.modules)\n"
         "sys.exit(f'loaded {bad}' if bad else 0)"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False
+    )
     assert done.returncode == 0, done.stderr
 
 
@@ -75,8 +81,16 @@ def test_homes_render_writes_the_picture(
     monkeypatch.setattr(views, "render_home", draw)
     out = tmp_path / "new" / "home.png"
     size = ("--width", "64", "--height", "48")
-    said = machine(capsys, "homes", "render", "builtin_m0_00", "--out", str(out), "--view", "inside", *size)
-    assert said == {"home": "builtin_m0_00", "view": "inside", "width": 64, "height": 48, "out": str(out)}
+    said = machine(
+        capsys, "homes", "render", "builtin_m0_00", "--out", str(out), "--view", "inside", *size
+    )
+    assert said == {
+        "home": "builtin_m0_00",
+        "view": "inside",
+        "width": 64,
+        "height": 48,
+        "out": str(out),
+    }
     assert Image.open(out).size == (64, 48)
 
 
@@ -94,7 +108,9 @@ def test_homes_render_writes_the_picture(
         (("bench", "grasp", "--seconds", "0"), ("--seconds must be at least",)),
     ],
 )
-def test_bad_input(args: tuple[str, ...], words: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_input(
+    args: tuple[str, ...], words: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(args) == 2
     out, err = capsys.readouterr()
     assert out == "" and "Traceback" not in err
@@ -157,9 +173,15 @@ def test_bench_sim_measures_both_on_the_same_worlds() -> None:
     assert env.resets == [[r, r + 1, r + 2] for r in (0, 3, 6, 9) for _ in range(3)]
 
 
-def test_bench_sim_prints_the_keys(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("mjhab.envs.make", lambda **options: TimedEnv(options["num_envs"], quality=1.0))
-    result = machine(capsys, "bench", "sim", "--worlds", "2", "--steps", "3", "--rounds", "2", "--threads", "2")
+def test_bench_sim_prints_the_keys(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        "mjhab.envs.make", lambda **options: TimedEnv(options["num_envs"], quality=1.0)
+    )
+    result = machine(
+        capsys, "bench", "sim", "--worlds", "2", "--steps", "3", "--rounds", "2", "--threads", "2"
+    )
     assert list(result) == ["engine_sps", "env_sps", "ratio", "worlds", "threads"]
     assert (result["worlds"], result["threads"]) == (2, 2)
 

@@ -9,8 +9,27 @@ from mjhab.cli.main import main
 
 
 def evaluate(out: Path, worlds: int, threads: int) -> dict[int, dict]:
-    args = ["eval", "--task", "set_table", "--subtask", "close", "--target", "kitchen_counter/drawer3"]
-    args += ["--episodes", "3", "--films", "0", "--worlds", str(worlds), "--threads", str(threads), "--out", str(out)]
+    args = [
+        "eval",
+        "--task",
+        "set_table",
+        "--subtask",
+        "close",
+        "--target",
+        "kitchen_counter/drawer3",
+    ]
+    args += [
+        "--episodes",
+        "3",
+        "--films",
+        "0",
+        "--worlds",
+        str(worlds),
+        "--threads",
+        str(threads),
+        "--out",
+        str(out),
+    ]
     assert main(args) == 0
     records = [json.loads(line) for line in (out / "episodes.jsonl").read_text().splitlines()]
     return {r["index"]: {k: v for k, v in r.items() if k != "seconds"} for r in records}

@@ -32,14 +32,27 @@ def refused(capsys: pytest.CaptureFixture[str], code: int, *args: str) -> str:
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("episodes") / "new" / "groceries.json.gz"
-    args = ("--task", "prepare_groceries", "--split", "val", "--count", "2", "--seed", "1", "--workers", "1")
+    args = (
+        "--task",
+        "prepare_groceries",
+        "--split",
+        "val",
+        "--count",
+        "2",
+        "--seed",
+        "1",
+        "--workers",
+        "1",
+    )
     assert main(["episodes", "make", *args, "--out", str(out)]) == 0
     return out
 
 
 def test_make_says_what_it_did(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     out = tmp_path / "a.json"
-    said = machine(capsys, "episodes", "make", "--task", "set_table", "--count", "1", "--out", str(out))
+    said = machine(
+        capsys, "episodes", "make", "--task", "set_table", "--count", "1", "--out", str(out)
+    )
     assert list(said) == ["episodes", "rejected", "seconds"] and said["episodes"] == 1
     assert read_hab(out).episodes[0].info["task"] == "set_table"
     assert manifest_path(out).exists()
@@ -47,44 +60,65 @@ def test_make_says_what_it_did(capsys: pytest.CaptureFixture[str], tmp_path: Pat
 
 def test_check_counts_what_stays(capsys: pytest.CaptureFixture[str], made: Path) -> None:
     assert machine(capsys, "episodes", "check", str(made)) == {
-        "episodes": 2, "loaded": 2, "at_rest": 1.0, "moved": {}
-    }  # fmt: skip
+        "episodes": 2,
+        "loaded": 2,
+        "at_rest": 1.0,
+        "moved": {},
+    }
     assert main(["episodes", "check", str(made)]) == 0
     out = capsys.readouterr().out
     assert "024_bowl" in out and "100.0 % of 60 objects stay" in out
 
 
-def test_check_tells_what_moves(capsys: pytest.CaptureFixture[str], made: Path, tmp_path: Path) -> None:
+def test_check_tells_what_moves(
+    capsys: pytest.CaptureFixture[str], made: Path, tmp_path: Path
+) -> None:
     file = read_hab(made)
     name, matrix = file.episodes[0].rigid_objs[0]
     matrix[1, 3] += 0.1
     lifted = tmp_path / "lifted_prepare_groceries.json"
     write_hab(lifted, file)
     said = machine(capsys, "episodes", "check", str(lifted))
-    assert said["moved"] == {name.split(".")[0]: 1} and said["at_rest"] == pytest.approx(59 / 60, abs=1e-4)
+    assert said["moved"] == {name.split(".")[0]: 1} and said["at_rest"] == pytest.approx(
+        59 / 60, abs=1e-4
+    )
 
 
-def test_check_compares_with_the_manifest(capsys: pytest.CaptureFixture[str], made: Path, tmp_path: Path) -> None:
+def test_check_compares_with_the_manifest(
+    capsys: pytest.CaptureFixture[str], made: Path, tmp_path: Path
+) -> None:
     copy = tmp_path / made.name
     file = read_hab(made)
     file.episodes[1].rigid_objs[0][1][0, 3] += 0.001
     write_hab(copy, file)
     manifest_path(copy).write_bytes(manifest_path(made).read_bytes())
-    assert "episodes[1] is not what groceries.manifest.json lists" in refused(capsys, 1, "check", str(copy))
+    assert "episodes[1] is not what groceries.manifest.json lists" in refused(
+        capsys, 1, "check", str(copy)
+    )
 
 
-def test_wrong_orders_are_refused(capsys: pytest.CaptureFixture[str], made: Path, tmp_path: Path) -> None:
+def test_wrong_orders_are_refused(
+    capsys: pytest.CaptureFixture[str], made: Path, tmp_path: Path
+) -> None:
     out = str(tmp_path / "x.json")
-    assert "exists; add --overwrite" in refused(capsys, 2, "make", "--count", "2", "--out", str(made))
-    assert "must end with .json or .json.gz" in refused(capsys, 2, "make", "--out", str(tmp_path / "x.txt"))
-    assert "Did you mean 'tidy_house'" in refused(capsys, 2, "make", "--task", "tidy_hose", "--out", out)
+    assert "exists; add --overwrite" in refused(
+        capsys, 2, "make", "--count", "2", "--out", str(made)
+    )
+    assert "must end with .json or .json.gz" in refused(
+        capsys, 2, "make", "--out", str(tmp_path / "x.txt")
+    )
+    assert "Did you mean 'tidy_house'" in refused(
+        capsys, 2, "make", "--task", "tidy_hose", "--out", out
+    )
     assert "unknown split 'dev'" in refused(capsys, 2, "make", "--split", "dev", "--out", out)
     assert "--count must be at least 1" in refused(capsys, 2, "make", "--count", "0", "--out", out)
     assert "unknown task" in refused(capsys, 2, "check", str(made), "--task", "tidy")
     assert not list(tmp_path.iterdir())
 
 
-def test_broken_files_are_refused(capsys: pytest.CaptureFixture[str], made: Path, tmp_path: Path) -> None:
+def test_broken_files_are_refused(
+    capsys: pytest.CaptureFixture[str], made: Path, tmp_path: Path
+) -> None:
     data = made.read_bytes()
     cut = tmp_path / "cut.json.gz"
     cut.write_bytes(data[: len(data) // 2])
@@ -100,6 +134,8 @@ def test_broken_files_are_refused(capsys: pytest.CaptureFixture[str], made: Path
 
 def test_check_of_real_episodes(capsys: pytest.CaptureFixture[str]) -> None:
     path = real_data("hab_episodes", "tidy_house_v3_sc1_staging_01.json.gz")
-    said = machine(capsys, "episodes", "check", str(path), "--assets", str(real_data("replica_cad")))
+    said = machine(
+        capsys, "episodes", "check", str(path), "--assets", str(real_data("replica_cad"))
+    )
     assert (said["episodes"], said["loaded"]) == (50, 50)
     assert said["at_rest"] > 0.99

@@ -47,9 +47,11 @@ class Stage:
         if spec.subtask:
             plan = {"plan": ((spec.subtask, "024_bowl_:0000"),), "subtask": spec.subtask}
         env = FakeEnv(min(spec.worlds, spec.episodes), broken_camera=self.broken_camera, **plan)
-        env.interrupt_at, self.interrupt_at = self.interrupt_at, None
+        env.interrupt_at = self.interrupt_at
+        self.interrupt_at = None
         if self.terminate_at is not None:
-            env.interrupt_at, self.terminate_at = self.terminate_at, None
+            env.interrupt_at = self.terminate_at
+            self.terminate_at = None
             env.interrupt = lambda: os.kill(os.getpid(), signal.SIGTERM)
         self.built.append(env)
         self.options.append(dict(options))
@@ -106,27 +108,46 @@ def test_the_profile_and_its_values_are_recorded_and_told(
     assert run("--profile", "ms_hab", "--json", out="paper") == 0
     assert last_line(capsys.readouterr().out)["profile"] == "ms_hab"
     config = json.loads((tmp_path / "paper" / "config.json").read_text())
-    wanted = {"profile": "ms_hab", "stillness": "published", "spawn_rule": "published", "frame_stack": 3}
+    wanted = {
+        "profile": "ms_hab",
+        "stillness": "published",
+        "spawn_rule": "published",
+        "frame_stack": 3,
+    }
     assert wanted.items() <= config.items() and config["stationary"] == ["head"]
     assert json.loads((tmp_path / "paper" / "summary.json").read_text())["profile"] == "ms_hab"
     # A run goes on under its own profile only.
     assert run("--resume", out="paper") == 2
     assert run("--stillness", "published", out="mixed") == 0
     config = json.loads((tmp_path / "mixed" / "config.json").read_text())
-    assert (config["profile"], config["stillness"], config["spawn_rule"]) == ("mjhab", "published", "front_box")
+    assert (config["profile"], config["stillness"], config["spawn_rule"]) == (
+        "mjhab",
+        "published",
+        "front_box",
+    )
 
 
 @pytest.mark.parametrize(
     ("extra", "words"),
     [
         (("--profile", "mshab"), "Did you mean 'ms_hab'"),
-        (("--profile", "ms_hab", "--stillness", "absolute"), "profile 'ms_hab' has stillness 'published'"),
-        (("--profile", "ms_hab", "--starts", "front_box"), "profile 'ms_hab' has spawn_rule 'published'"),
+        (
+            ("--profile", "ms_hab", "--stillness", "absolute"),
+            "profile 'ms_hab' has stillness 'published'",
+        ),
+        (
+            ("--profile", "ms_hab", "--starts", "front_box"),
+            "profile 'ms_hab' has spawn_rule 'published'",
+        ),
         (("--starts", "anywhere"), "front_box, published"),
     ],
 )
 def test_profiles_that_cannot_be_are_refused(
-    run: Callable[..., int], stage: Stage, capsys: pytest.CaptureFixture[str], extra: tuple[str, ...], words: str
+    run: Callable[..., int],
+    stage: Stage,
+    capsys: pytest.CaptureFixture[str],
+    extra: tuple[str, ...],
+    words: str,
 ) -> None:
     assert run(*extra) == 2
     assert words in capsys.readouterr().err and not stage.built
@@ -139,7 +160,9 @@ def test_output_for_people(run: Callable[..., int], capsys: pytest.CaptureFixtur
     assert "12/12" in err, "the progress bar is on stderr"
 
 
-def test_number_of_worlds_and_threads_do_not_change_the_records(run: Callable[..., int], tmp_path: Path) -> None:
+def test_number_of_worlds_and_threads_do_not_change_the_records(
+    run: Callable[..., int], tmp_path: Path
+) -> None:
     assert run("--worlds", "1", out="a", policy="random") == 0
     assert run("--worlds", "8", "--threads", "2", out="b", policy="random") == 0
     a, b = ({r.index: r for r in read_records(tmp_path / name)} for name in ("a", "b"))
@@ -189,7 +212,11 @@ def test_two_runs_into_one_folder_never_mix(
     assert run() == 0
     config = json.loads((tmp_path / "run" / "config.json").read_text())
     with RunFolder.open(tmp_path / "run", config, resume=True):
-        for extra in (("--overwrite", "--seed", "1"), ("--resume",), ("--resume", "--policy", "random")):
+        for extra in (
+            ("--overwrite", "--seed", "1"),
+            ("--resume",),
+            ("--resume", "--policy", "random"),
+        ):
             capsys.readouterr()
             assert run(*extra) == 2
             assert "is being written by process" in capsys.readouterr().err
@@ -225,7 +252,19 @@ def test_a_policy_of_ones_own(
     config = json.loads((tmp_path / "run" / "config.json").read_text())
     assert config["policy"] == "mine.py:Still" and config["env"] == sees
     assert "by mine.py:Still" in (tmp_path / "run" / "report.html").read_text()
-    assert run("--obs", "rgb", "--camera-size", "64", "--control", "pd_ee_delta_pose", policy=spec, out="rgb") == 0
+    assert (
+        run(
+            "--obs",
+            "rgb",
+            "--camera-size",
+            "64",
+            "--control",
+            "pd_ee_delta_pose",
+            policy=spec,
+            out="rgb",
+        )
+        == 0
+    )
     asked = {"obs_mode": "rgb", "camera_size": 64, "control_mode": "pd_ee_delta_pose"}
     assert stage.options[-1] == asked
     file.write_text(OWN + "# another version")
@@ -236,14 +275,18 @@ def test_a_policy_of_ones_own(
     assert "Did you mean 'Still'" in capsys.readouterr().err and not (tmp_path / "new").exists()
 
 
-def test_resume_of_a_finished_run_builds_nothing(run: Callable[..., int], stage: Stage, tmp_path: Path) -> None:
+def test_resume_of_a_finished_run_builds_nothing(
+    run: Callable[..., int], stage: Stage, tmp_path: Path
+) -> None:
     assert run() == 0
     (tmp_path / "run" / "report.html").unlink()
     assert run("--resume") == 0
     assert len(stage.built) == 1 and (tmp_path / "run" / "report.html").is_file()
 
 
-def test_resume_with_more_episodes_runs_the_new_ones(run: Callable[..., int], stage: Stage, tmp_path: Path) -> None:
+def test_resume_with_more_episodes_runs_the_new_ones(
+    run: Callable[..., int], stage: Stage, tmp_path: Path
+) -> None:
     assert run() == 0
     assert run("--resume", "--episodes", "15") == 0
     assert [index for indices in stage.built[-1].resets for index in indices] == [12, 13, 14]
@@ -255,7 +298,9 @@ def test_full_folder_is_refused_and_overwritten_on_demand(
     assert run() == 0
     assert run() == 2
     err = capsys.readouterr().err
-    assert "not empty" in err and "--resume" in err and "--overwrite" in err and "Traceback" not in err
+    assert (
+        "not empty" in err and "--resume" in err and "--overwrite" in err and "Traceback" not in err
+    )
     assert len(stage.built) == 1, "refused before anything is built"
     assert run("--resume", "--seed", "1") == 2
     assert "seed = 0, now it is 1" in capsys.readouterr().err
@@ -265,7 +310,10 @@ def test_full_folder_is_refused_and_overwritten_on_demand(
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--task", "set_tabel"), ("unknown task 'set_tabel'", "Did you mean 'set_table'", "tidy_house")),
+        (
+            ("--task", "set_tabel"),
+            ("unknown task 'set_tabel'", "Did you mean 'set_table'", "tidy_house"),
+        ),
         (("--task", ""), ("unknown task ''", "set_table")),
         (("--subtask", "pik"), ("unknown subtask 'pik'", "'pick'", "open")),
         (("--navigate", "fly"), ("unknown navigate mode 'fly'", "teleport", "drive")),
@@ -296,8 +344,12 @@ def test_bad_input_is_one_clear_message(
     assert stage.built == [] and not (tmp_path / "run").exists()
 
 
-@pytest.mark.parametrize("arguments", [["eval", "--episods", "3"], ["evil"], [], ["eval", "--worlds", "many"]])
-def test_unknown_words_exit_with_2(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    "arguments", [["eval", "--episods", "3"], ["evil"], [], ["eval", "--worlds", "many"]]
+)
+def test_unknown_words_exit_with_2(
+    arguments: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(SystemExit) as stop:
         main(arguments)
     assert stop.value.code == 2
@@ -321,7 +373,9 @@ def test_films_are_written_and_shown(run: Callable[..., int], tmp_path: Path) ->
     assert (tmp_path / "run" / "report.html").read_text().count("<video") == 2
 
 
-def test_alone_runs_give_the_bound(run: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_alone_runs_give_the_bound(
+    run: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert run("--subtask", "pick", out="pick") == 0
     rate = json.loads((tmp_path / "pick" / "summary.json").read_text())["success_once"]
     capsys.readouterr()
@@ -333,10 +387,14 @@ def test_alone_runs_give_the_bound(run: Callable[..., int], tmp_path: Path, caps
 
 def test_default_folder_names_the_run() -> None:
     spec = EvalSpec(subtask="open", target="fridge/top_door", seed=3)
-    assert evaluate.default_out(spec, "expert") == Path("runs/set_table_open_fridge-top_door_expert_seed3")
+    assert evaluate.default_out(spec, "expert") == Path(
+        "runs/set_table_open_fridge-top_door_expert_seed3"
+    )
 
 
-def test_a_style_needs_the_expert_and_valid_names(run: Callable[..., int], capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_style_needs_the_expert_and_valid_names(
+    run: Callable[..., int], capsys: pytest.CaptureFixture[str]
+) -> None:
     assert run("--style", "speed=0.5") == 2
     assert "style is for the policy expert" in capsys.readouterr().err
     assert run("--style", "sped=0.5", policy="expert") == 2

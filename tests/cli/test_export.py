@@ -49,16 +49,24 @@ def test_export_maniskill(shard: Path, tmp_path: Path, capsys: pytest.CaptureFix
     command = ["export", "maniskill", str(shard), "--out", str(tmp_path / "out")]
     assert main([*command, "--json"]) == OK
     said = json.loads(capsys.readouterr().out)
-    assert (said["episodes"], said["frames"]) == (3, 60) and Path(said["files"][0]).name == "024_bowl.h5"
+    assert (said["episodes"], said["frames"]) == (3, 60) and Path(
+        said["files"][0]
+    ).name == "024_bowl.h5"
 
 
 @pytest.mark.parametrize("format", ["lerobot", "maniskill"])
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_stopped_export_goes_on(
-    shard: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, format: str,
-    number: signal.Signals, request: pytest.FixtureRequest,
-) -> None:  # fmt: skip
-    real, left = Episode.array, [10]
+    shard: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    format: str,
+    number: signal.Signals,
+    request: pytest.FixtureRequest,
+) -> None:
+    real = Episode.array
+    left = [10]
     # A shell's background job, as tests may be, ignores Ctrl-C from its start.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     request.addfinalizer(lambda: signal.signal(signal.SIGINT, before))
@@ -71,7 +79,10 @@ def test_a_stopped_export_goes_on(
 
     command = ["export", format, str(shard), "--out", str(tmp_path / "set")]
     monkeypatch.setattr(Episode, "array", array)
-    assert main(command) == INTERRUPTED and "The same command with --resume goes on" in capsys.readouterr().err
+    assert (
+        main(command) == INTERRUPTED
+        and "The same command with --resume goes on" in capsys.readouterr().err
+    )
     assert not (tmp_path / "set").exists() and signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
     assert main(command) == USAGE and "begun and stopped" in capsys.readouterr().err
     assert main([*command, "--resume"]) == OK and "3 episodes" in capsys.readouterr().out

@@ -37,7 +37,19 @@ def refused(capsys: pytest.CaptureFixture[str], *args: str) -> str:
     return capsys.readouterr().err
 
 
-COMMAND = ("generate", "--subtask", "pick", "--policy", "zero", "--worlds", "2", "--episodes", "2", "--threads", "2")
+COMMAND = (
+    "generate",
+    "--subtask",
+    "pick",
+    "--policy",
+    "zero",
+    "--worlds",
+    "2",
+    "--episodes",
+    "2",
+    "--threads",
+    "2",
+)
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +60,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_generate_tells_machines_what_it_made(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_generate_tells_machines_what_it_made(
+    made: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     again = machine(capsys, *COMMAND, "--out", str(made), "--resume")
     assert {"written", "kept", "labels", "episodes_per_hour", "bytes_per_episode"} <= set(again)
     assert (again["written"], again["kept"], sum(again["labels"].values())) == (0, 2, 2)
@@ -58,10 +72,14 @@ def test_generate_tells_machines_what_it_made(made: Path, capsys: pytest.Capture
         assert next(iter(shard)).run.config["policy"] == {"name": "zero"}
 
 
-def test_the_library_function_goes_on_with_what_the_command_began(made: Path, tmp_path: Path) -> None:
+def test_the_library_function_goes_on_with_what_the_command_began(
+    made: Path, tmp_path: Path
+) -> None:
     out = tmp_path / "copy"
     shutil.copytree(made, out)
-    more = mjhab.generate("zero", subtask="pick", episodes=3, worlds=2, threads=2, out=out, resume=True)
+    more = mjhab.generate(
+        "zero", subtask="pick", episodes=3, worlds=2, threads=2, out=out, resume=True
+    )
     assert (more.summary["written"], more.summary["kept"]) == (1, 3)
 
 
@@ -73,14 +91,29 @@ def test_replay_verifies(made: Path, tmp_path: Path, capsys: pytest.CaptureFixtu
         arrays["states/qpos"][5] += 1e-9
 
     wrong = changed(made / "shard_000.h5", tmp_path / "wrong.h5", shift)
-    found = machine(capsys, "replay", str(wrong), "--verify", "--where", "index == 1", "--worlds", "1", code=1)
+    found = machine(
+        capsys, "replay", str(wrong), "--verify", "--where", "index == 1", "--worlds", "1", code=1
+    )
     assert (found["episodes"], found["exact"]) == (1, 0) and 0.9e-9 < found["max_error"] < 1.1e-9
 
 
 def test_replay_renders(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "depth.h5"
-    command = ("replay", str(made), "--render", "depth", "--cameras", "fetch_hand", "--camera-size", "12", "16",
-               "--where", "index == 1", "--out", str(out))  # fmt: skip
+    command = (
+        "replay",
+        str(made),
+        "--render",
+        "depth",
+        "--cameras",
+        "fetch_hand",
+        "--camera-size",
+        "12",
+        "16",
+        "--where",
+        "index == 1",
+        "--out",
+        str(out),
+    )
     found = machine(capsys, *command)
     assert (found["episodes"], found["frames"]) == (1, 201) and found["bytes"] > 0
     with open_shard(out) as shard:
@@ -89,14 +122,27 @@ def test_replay_renders(made: Path, tmp_path: Path, capsys: pytest.CaptureFixtur
 
 def test_the_profile_is_recorded_and_reaches_the_environment(tmp_path: Path) -> None:
     options = GenerateOptions(
-        tmp_path, task="tidy_house", subtask="pick", policy="expert", episodes=1, worlds=1, profile="ms_hab"
+        tmp_path,
+        task="tidy_house",
+        subtask="pick",
+        policy="expert",
+        episodes=1,
+        worlds=1,
+        profile="ms_hab",
     )
     config = make_job(generate_spec(options)).config
-    assert (config["profile"], config["stillness"], config["spawn_rule"]) == ("ms_hab", "published", "published")
+    assert (config["profile"], config["stillness"], config["spawn_rule"]) == (
+        "ms_hab",
+        "published",
+        "published",
+    )
     assert "starts" not in config
     stage = build_stage(generate_spec(options))
     assert stage.env.config.profile == "ms_hab" and stage.env.config.stationary == ("head",)
-    for change, name in (({"stillness": "absolute"}, "stillness"), ({"cameras": ("fetch_hand",)}, "cameras")):
+    for change, name in (
+        ({"stillness": "absolute"}, "stillness"),
+        ({"cameras": ("fetch_hand",)}, "cameras"),
+    ):
         with pytest.raises(UsageError, match=f"'ms_hab' has {name}"):
             make_job(generate_spec(replace(options, **change)))
     one_camera = make_job(generate_spec(replace(options, profile="mjhab", cameras=("fetch_hand",))))
@@ -114,12 +160,18 @@ def test_what_cannot_work_is_refused_before_anything_is_built(
         (("generate", "--episodes", "1", "--workers", "0", *out), "--workers must be at least 1"),
         (("generate", "--episodes", "1", "--images", "dept", *out), "unknown observation mode"),
         (("generate", "--episodes", "1", "--out", str(made)), "add --resume"),
-        (("generate", "--subtask", "place", "--episodes", "1", "--resume", "--out", str(made)), "another"),
+        (
+            ("generate", "--subtask", "place", "--episodes", "1", "--resume", "--out", str(made)),
+            "another",
+        ),
         (("generate", "--episodes", "1", "--ray", "127.0.0.1:1", *out), "Ray"),
         (("replay", str(made)), "--verify, or --render"),
         (("replay", str(made), "--verify", "--render", "rgb"), "one of the two"),
         (("replay", str(made), "--render", "rgb"), "needs --out"),
-        (("replay", str(made), "--render", "rgb", "--out", str(made / "shard_000.h5")), "one of the shards"),
+        (
+            ("replay", str(made), "--render", "rgb", "--out", str(made / "shard_000.h5")),
+            "one of the shards",
+        ),
         (("replay", str(made), "--render", "depth", "--cameras", "follow", *out), "colour only"),
     ):
         assert words in refused(capsys, *args), args
@@ -131,9 +183,18 @@ def test_a_quota_that_was_not_filled_fails(
 ) -> None:
     monkeypatch.setattr("mjhab.evaluation.generate.make_crew", lambda workers, ray: InlineCrew())
     found = machine(
-        capsys, *COMMAND, "--target", "024_bowl", "--per-target", "1", "--keep", "success", "--out", str(tmp_path),
+        capsys,
+        *COMMAND,
+        "--target",
+        "024_bowl",
+        "--per-target",
+        "1",
+        "--keep",
+        "success",
+        "--out",
+        str(tmp_path),
         code=1,
-    )  # fmt: skip
+    )
     assert (found["written"], found["kept"], found["tried"], found["yield"]) == (0, 0, 2, 0.0)
     assert found["labels"] == {} and found["bytes_per_episode"] == 0
 
@@ -159,7 +220,9 @@ def test_ray_that_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
         RayCrew("local")
 
 
-def test_styles_are_drawn_per_episode_and_kept_with_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_styles_are_drawn_per_episode_and_kept_with_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "styled"
     words = ("--style", "release=drop", "speed=0.7..0.9", "hold=2")
     machine(capsys, *COMMAND, "--subtask", "place", "--policy", "expert", *words, "--out", str(out))
@@ -169,9 +232,20 @@ def test_styles_are_drawn_per_episode_and_kept_with_it(tmp_path: Path, capsys: p
             style = episode.record.style
             assert style == Styles.parse(words[1:]).draw(0, episode.record.index).__dict__
             assert json.loads(episode.attributes["style"]) == style
-            assert episode.run.config["policy"]["style"] == ["speed=0.7..0.9", "release=drop", "hold=2"]
+            assert episode.run.config["policy"]["style"] == [
+                "speed=0.7..0.9",
+                "release=drop",
+                "hold=2",
+            ]
     assert len({episode.record.style["speed"] for episode in episodes}) == 2
-    found = machine(capsys, "data", "query", str(out), "--where", "style.speed < 0.95 and style.release == 'drop'")
+    found = machine(
+        capsys,
+        "data",
+        "query",
+        str(out),
+        "--where",
+        "style.speed < 0.95 and style.release == 'drop'",
+    )
     assert (found["matched"], found["of"]) == (2, 2)
     assert "style" in refused(
         capsys, *COMMAND, "--subtask", "place", "--policy", "expert", "--resume", "--out", str(out)
@@ -206,7 +280,9 @@ def test_a_policy_of_ones_own(
         assert [episode.steps for episode in shard] == [3, 3]
     assert policy["name"] == "mine.py:Still" and policy["env_options"]["obs_mode"] == "depth"
     assert len(policy["policy_sha256"]) == 64
-    assert "camera_size = 16" in refused(capsys, *command, "--images", "rgb", "--out", str(tmp_path / "other"))
+    assert "camera_size = 16" in refused(
+        capsys, *command, "--images", "rgb", "--out", str(tmp_path / "other")
+    )
     stored = tmp_path / "stored"
     machine(capsys, *command, "--images", "rgb", "--camera-size", "16", "--out", str(stored))
     with open_shard(stored / "shard_000.h5") as shard:

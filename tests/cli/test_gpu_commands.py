@@ -46,7 +46,9 @@ def test_auto_is_warp_where_the_extra_finds_a_device(
     installed["torch"] = False
     devices.append("cuda:0")
     assert backends.resolve("auto") == "cpu"
-    with pytest.raises(UsageError, match=r"needs torch, not installed here; pip install 'mjhab\[gpu\]'"):
+    with pytest.raises(
+        UsageError, match=r"needs torch, not installed here; pip install 'mjhab\[gpu\]'"
+    ):
         backends.resolve("warp")
     with pytest.raises(UsageError, match=r"unknown backend 'wrap'.*warp"):
         backends.resolve("wrap")
@@ -79,7 +81,9 @@ def test_estimate_grows_with_worlds_and_pictures(monkeypatch: pytest.MonkeyPatch
     large = estimate.estimate_rows(DoctorOptions(num_envs=100, obs="rgbd", camera_size=256))
     for a, b, c in zip(state, images, large, strict=True):
         assert a["memory_mb"] < b["memory_mb"] < c["memory_mb"]
-        assert c["world_mb"] - a["world_mb"] == pytest.approx(4 * (b["world_mb"] - a["world_mb"]), rel=0.05)
+        assert c["world_mb"] - a["world_mb"] == pytest.approx(
+            4 * (b["world_mb"] - a["world_mb"]), rel=0.05
+        )
         assert a["most"] > b["most"] > c["most"] and a["fits"]
     # The number named fits, one more does not.
     room = estimate.rooms(DoctorOptions(obs="rgbd"))[1]
@@ -87,17 +91,27 @@ def test_estimate_grows_with_worlds_and_pictures(monkeypatch: pytest.MonkeyPatch
     assert room.need.total_mb(room.most) <= 8_000.0 < room.need.total_mb(room.most + 1)
 
 
-def test_estimate_command(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_estimate_command(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(estimate, "available_mb", lambda: 3_000.0)
     monkeypatch.setattr(estimate, "gpu_free_mb", lambda: None)
     args = ["doctor", "--estimate", "--obs", "rgbd"]
     assert main([*args, "--num-envs", "64", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     cpu, warp = found["backends"]
-    assert (cpu["backend"], cpu["fits"], warp["backend"], warp["fits"]) == ("cpu", True, "warp", None)
+    assert (cpu["backend"], cpu["fits"], warp["backend"], warp["fits"]) == (
+        "cpu",
+        True,
+        "warp",
+        None,
+    )
     assert main([*args, "--num-envs", "4096"]) == 2
     out = capsys.readouterr()
-    assert "4096 worlds do not fit: backend cpu needs" in out.err and f"at most --num-envs {cpu['most']}" in out.err
+    assert (
+        "4096 worlds do not fit: backend cpu needs" in out.err
+        and f"at most --num-envs {cpu['most']}" in out.err
+    )
     # Where the GPU has room, it is fine that this machine has not.
     monkeypatch.setattr(estimate, "gpu_free_mb", lambda: 80_000.0)
     assert main([*args, "--num-envs", "4096"]) == 0
@@ -110,9 +124,12 @@ def test_worlds_that_do_not_fit_the_device_are_refused(monkeypatch: pytest.Monke
     """The number that the message names fits."""
     device: Any = type("Device", (), {"is_cuda": True, "__str__": lambda self: "cuda:0"})()
     probe: Any = type(sys)("mjhab.sim.warp.device")
-    probe.open_device, probe.free_mb = lambda name: device, lambda opened: 6_000.0
+    probe.open_device = lambda name: device
+    probe.free_mb = lambda opened: 6_000.0
     monkeypatch.setitem(sys.modules, "mjhab.sim.warp.device", probe)
-    with pytest.raises(UsageError, match=r"4096 worlds need about [\d,]+ MB, but 6,000 MB are free on cuda:0") as told:
+    with pytest.raises(
+        UsageError, match=r"4096 worlds need about [\d,]+ MB, but 6,000 MB are free on cuda:0"
+    ) as told:
         memory.check_device_memory(4096, "rgbd", 128)
     most = int(str(told.value).rpartition("num_envs=")[2].rstrip("."))
     memory.check_device_memory(most, "rgbd", 128)
@@ -135,15 +152,22 @@ def test_worlds_that_do_not_fit_the_device_are_refused(monkeypatch: pytest.Monke
 # -- warmup ----------------------------------------------------------------------------------------------------------
 
 
-def test_warmup_says_what_it_compiles(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_warmup_says_what_it_compiles(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     from mjhab.scenes import packs
 
     pack = packs.open_pack("builtin")
-    monkeypatch.setattr(packs, "open_pack", lambda _: dataclasses.replace(pack, homes=pack.homes[:2]))
+    monkeypatch.setattr(
+        packs, "open_pack", lambda _: dataclasses.replace(pack, homes=pack.homes[:2])
+    )
     assert main(["warmup", "--backend", "cpu", "--json"]) == 0
     out = capsys.readouterr()
     assert list(json.loads(out.out)["seconds"]) == ["2 homes", "rasterizer"]
-    assert out.err.splitlines()[-2:] == ["mjhab: compiling: 2 homes ...", "mjhab: compiling: rasterizer ..."]
+    assert out.err.splitlines()[-2:] == [
+        "mjhab: compiling: 2 homes ...",
+        "mjhab: compiling: rasterizer ...",
+    ]
     assert main(["warmup", "--task", "dishes"]) == 2
     assert warmup.WORLDS > 0
 
@@ -182,43 +206,69 @@ def test_share_of_nothing_is_none() -> None:
 def record_equal(index: int, **changed: Any) -> dict[str, Any]:
     """A row of `run_equal` in which everything agrees."""
     plain = {
-        "index": index, "steps": 4, "success": [True, True], "label": ["a", "a"], "reward": [0.5, 0.5], "close": 4,
-        "taint": [0, 0], "drift": {},
-    }  # fmt: skip
+        "index": index,
+        "steps": 4,
+        "success": [True, True],
+        "label": ["a", "a"],
+        "reward": [0.5, 0.5],
+        "close": 4,
+        "taint": [0, 0],
+        "drift": {},
+    }
     return plain | changed
 
 
 def test_agreement_is_per_episode() -> None:
     rows = [
         record_equal(0),
-        record_equal(1, success=[True, False], label=["b", None], reward=[0.5, 0.4], close=1, taint=[0, 4]),
+        record_equal(
+            1, success=[True, False], label=["b", None], reward=[0.5, 0.4], close=1, taint=[0, 4]
+        ),
         record_equal(2, success=[False, False], label=[None, None], reward=[0.5, 0.51]),
         record_equal(3, label=["c", "d"], reward=[0.2, 0.9], close=0),
     ]
     assert bench_parity.equal_shares(rows) == {
-        "episodes": 4, "steps": 16, "success": 0.75, "label": 0.3333, "reward": 0.5625, "mean_reward": 0.5,
-        "success_cpu": 0.75, "success_warp": 0.5, "tainted": 1,
-    }  # fmt: skip
+        "episodes": 4,
+        "steps": 16,
+        "success": 0.75,
+        "label": 0.3333,
+        "reward": 0.5625,
+        "mean_reward": 0.5,
+        "success_cpu": 0.75,
+        "success_warp": 0.5,
+        "tainted": 1,
+    }
     own = [
         {"success": True, "label": "a", "reward": 0.51, "taint": []},
         {"success": True, "label": "b", "reward": 0.6, "taint": ["nan"]},
     ]
     assert bench_parity.own_shares(list(zip(rows, own, strict=False))) == {
-        "episodes": 2, "success": 1.0, "label": 1.0, "reward": 0.5, "success_cpu": 1.0, "success_warp": 1.0,
+        "episodes": 2,
+        "success": 1.0,
+        "label": 1.0,
+        "reward": 0.5,
+        "success_cpu": 1.0,
+        "success_warp": 1.0,
         "tainted": 1,
-    }  # fmt: skip
+    }
 
 
 def test_divergence_is_the_worst_and_the_median_world() -> None:
-    drift = [{str(step): dict.fromkeys(KINDS, x * step) for step in (1, 10)} for x in (1.0, 2.0, 9.0)]
+    drift = [
+        {str(step): dict.fromkeys(KINDS, x * step) for step in (1, 10)} for x in (1.0, 2.0, 9.0)
+    ]
     drift[2] |= {"100": dict.fromkeys(KINDS, 7.0)}  # only one world got so far
     found = bench_parity.divergence([record_equal(i, drift=rows) for i, rows in enumerate(drift)])
     assert found["steps"] == [1, 10]
-    assert found["qpos_max"]["robot"] == [9.0, 90.0] and found["qpos_median"]["links"] == [2.0, 20.0]
+    assert found["qpos_max"]["robot"] == [9.0, 90.0] and found["qpos_median"]["links"] == [
+        2.0,
+        20.0,
+    ]
 
 
 def test_the_log_lets_a_killed_run_go_on(tmp_path: Path) -> None:
-    path, leg = tmp_path / "deep" / "log.jsonl", Leg("set_table", "open")
+    path = tmp_path / "deep" / "log.jsonl"
+    leg = Leg("set_table", "open")
     log = Log(path)
     for index in (2, 0):
         log.add(leg, "equal", index, {"steps": index + 5})
@@ -243,31 +293,54 @@ def test_only_what_the_log_lacks_is_run(tmp_path: Path, monkeypatch: pytest.Monk
         def work(leg: Leg, episodes: list[int], done: Any) -> None:
             for index in episodes:
                 ran.append((name, leg.subtask, index))
-                done(index, record_equal(index) | ({} if name == "equal" else {"success": True, "label": "a",
-                                                                              "reward": 0.5, "taint": []}))  # fmt: skip
+                done(
+                    index,
+                    record_equal(index)
+                    | (
+                        {}
+                        if name == "equal"
+                        else {"success": True, "label": "a", "reward": 0.5, "taint": []}
+                    ),
+                )
 
         return work
 
     monkeypatch.setattr(bench_parity, "run_equal", run("equal"))
     monkeypatch.setattr(bench_parity, "run_own", run("own"))
-    legs, log = [Leg("set_table", name) for name in ("open", "close")], Log(tmp_path / "log")
+    legs = [Leg("set_table", name) for name in ("open", "close")]
+    log = Log(tmp_path / "log")
     log.add(legs[0], "equal", 0, record_equal(0))
     bench_parity.run_episodes(legs, 3, log)  # 2 of each: 3 do not divide
     assert ran == [
-        ("equal", "open", 1), ("equal", "close", 0), ("equal", "close", 1), ("own", "open", 0), ("own", "open", 1),
-        ("own", "close", 0), ("own", "close", 1),
-    ]  # fmt: skip
+        ("equal", "open", 1),
+        ("equal", "close", 0),
+        ("equal", "close", 1),
+        ("own", "open", 0),
+        ("own", "open", 1),
+        ("own", "close", 0),
+        ("own", "close", 1),
+    ]
     found = bench_parity.shares(log, "own", legs, bench_parity.own_shares)
-    assert list(found) == ["set_table open", "set_table close", "all"] and found["all"]["episodes"] == 4
+    assert (
+        list(found) == ["set_table open", "set_table close", "all"]
+        and found["all"]["episodes"] == 4
+    )
 
 
 def test_parity_knows_which_subtasks_there_are(capsys: pytest.CaptureFixture[str]) -> None:
     assert bench_parity.pairs("set_table", "pick") == [("set_table", "pick")]
     every = bench_parity.pairs("all", "all")
-    assert len(every) == 11 and ("tidy_house", "navigate") in every and ("tidy_house", "open") not in every
+    assert (
+        len(every) == 11
+        and ("tidy_house", "navigate") in every
+        and ("tidy_house", "open") not in every
+    )
     assert bench_parity.pairs("all", "open") == [("set_table", "open")]
     for wrong, said in (
-        (["--task", "tidy_house", "--subtask", "open"], "has no subtask 'open'; it has pick, place, navigate"),
+        (
+            ["--task", "tidy_house", "--subtask", "open"],
+            "has no subtask 'open'; it has pick, place, navigate",
+        ),
         (["--task", "dishes"], "unknown task 'dishes'"),
         (["--subtask", "pik"], "unknown subtask 'pik'"),
     ):
@@ -278,7 +351,9 @@ def test_parity_knows_which_subtasks_there_are(capsys: pytest.CaptureFixture[str
 
 
 def _named(args: list[str]) -> dict[str, str]:
-    return {name.removeprefix("--"): value for name, value in zip(args[::2], args[1::2], strict=True)}
+    return {
+        name.removeprefix("--"): value for name, value in zip(args[::2], args[1::2], strict=True)
+    }
 
 
 # -- report ----------------------------------------------------------------------------------------------------------
@@ -295,9 +370,13 @@ def quick_report(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gpu_report, "cuda_devices", list)
     monkeypatch.setattr(gpu_report, "gpu_name", lambda: None)
     monkeypatch.setattr(gpu_report, "measure_interact", no_room)
-    monkeypatch.setattr(gpu_report, "measure_parity", lambda options: {"episodes": options.episodes})
+    monkeypatch.setattr(
+        gpu_report, "measure_parity", lambda options: {"episodes": options.episodes}
+    )
     monkeypatch.setattr(gpu_report, "sleep_cost", lambda leg, steps: [leg.task, steps])
-    monkeypatch.setattr(gpu_report.bench_env, "measure", lambda plan: {"points": [{"worlds": plan.worlds[0]}]})
+    monkeypatch.setattr(
+        gpu_report.bench_env, "measure", lambda plan: {"points": [{"worlds": plan.worlds[0]}]}
+    )
 
 
 def read_all(folder: Path) -> dict[str, Any]:
@@ -308,22 +387,31 @@ def read_all(folder: Path) -> dict[str, Any]:
 def test_report_says_that_there_was_no_gpu(tmp_path: Path) -> None:
     gpu_report.main(tmp_path)
     found = read_all(tmp_path)
-    assert set(found) == {f"gpu-{name}" for name in ("memory", "interact", "env", "sleep", "parity-quick")}
+    assert set(found) == {
+        f"gpu-{name}" for name in ("memory", "interact", "env", "sleep", "parity-quick")
+    }
     for content in found.values():
         assert content["machine"]["gpu"] is None and content["note"] == gpu_report.NO_GPU
     points = found["gpu-interact"]["points"]
     assert len(points) == 6 and all(point["error"] == "no room" for point in points)
     assert found["gpu-parity-quick"]["episodes"] == 2
     assert [point["worlds"] for point in found["gpu-env"]["points"]] == [2, 16]
-    assert len(found["gpu-memory"]["estimates"]) == 4 and found["gpu-sleep"]["rows"] == ["tidy_house", 60]
+    assert len(found["gpu-memory"]["estimates"]) == 4 and found["gpu-sleep"]["rows"] == [
+        "tidy_house",
+        60,
+    ]
 
 
 @pytest.mark.usefixtures("quick_report")
-def test_report_on_a_gpu_measures_large_batches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_report_on_a_gpu_measures_large_batches(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(gpu_report, "cuda_devices", lambda: ["cuda:0"])
     gpu_report.main(tmp_path)
     found = read_all(tmp_path)
-    assert set(found) == {f"gpu-{name}" for name in ("memory", "interact", "env", "sleep", "parity")}
+    assert set(found) == {
+        f"gpu-{name}" for name in ("memory", "interact", "env", "sleep", "parity")
+    }
     parity = found["gpu-parity"]
     assert parity.pop("machine") and parity == {"note": None, "what": "parity", "episodes": 200}
     assert [point["what"] for point in found["gpu-env"]["points"]] == [

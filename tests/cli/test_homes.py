@@ -61,21 +61,29 @@ def test_check_fails_for_homes_that_do_not_work(
     x0, y0, x1, y1 = other.floor
     slab = Geom("box", ((x1 - x0) / 2, (y1 - y0) / 2, 1.0), ((x0 + x1) / 2, (y0 + y1) / 2, 1.0))
     full = dataclasses.replace(other, walls=(slab, *other.walls[1:]))
-    flat = dataclasses.replace(other, name="flat", walls=(Geom("box", (0.0, 1.0, 1.0)), *other.walls[1:]))
+    flat = dataclasses.replace(
+        other, name="flat", walls=(Geom("box", (0.0, 1.0, 1.0)), *other.walls[1:])
+    )
     silent = dataclasses.replace(blocked, open_limits=())
     use(monkeypatch, dataclasses.replace(pack, homes=(good, full, flat, silent)))
     assert main(["homes", "check", "--json"]) == 1
     found = said(capsys)
     why = {row["name"]: row["why"] for row in found["failed"]}
     assert found["ok"] == 2 and set(why) == {full.name, "flat"}
-    assert "no floor" in why[full.name] and "does not compile" in why["flat"] and "\n" not in why["flat"]
+    assert (
+        "no floor" in why[full.name]
+        and "does not compile" in why["flat"]
+        and "\n" not in why["flat"]
+    )
     assert [row["name"] for row in found["remarks"]] == [silent.name] * 2
     assert "fridge/top_door opens to 1.86 of 2.30" in found["remarks"][0]["what"]
     assert main(["homes", "check"]) == 1
     assert "no floor" in capsys.readouterr().out
 
 
-def test_show_tells_the_hard_case(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_show_tells_the_hard_case(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     use(monkeypatch, pack_of((3, 20)))
     assert main(["homes", "show", "builtin_m3_20", "--json"]) == 0
     shown = said(capsys)
@@ -90,7 +98,9 @@ def painted(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
     """Pictures of one colour instead of homes."""
     asked: list[tuple[Any, ...]] = []
 
-    def draw(pack: Pack, homes: Sequence[str], view: str, width: int, height: int) -> Iterator[np.ndarray]:
+    def draw(
+        pack: Pack, homes: Sequence[str], view: str, width: int, height: int
+    ) -> Iterator[np.ndarray]:
         asked.append((list(homes), view, width, height))
         return (np.full((height, width, 3), 40 * k, np.uint8) for k, _ in enumerate(homes))
 
@@ -99,10 +109,14 @@ def painted(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
 
 
 def test_a_sheet_of_all_homes(
-    painted: list[tuple[Any, ...]], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    painted: list[tuple[Any, ...]],
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
 ) -> None:
     use(monkeypatch, pack_of((0, 0), (0, 1), (3, 20)))
-    page, sheet = tmp_path / "new" / "homes.html", tmp_path / "homes.png"
+    page = tmp_path / "new" / "homes.html"
+    sheet = tmp_path / "homes.png"
     assert main(["homes", "render", "--all", "--out", str(page), "--json"]) == 0
     assert said(capsys) == {"homes": 3, "view": "top", "out": str(page)}
     text = page.read_text()
@@ -116,7 +130,10 @@ def test_a_sheet_of_all_homes(
 
 def test_groups_begin_new_rows(tmp_path: Path) -> None:
     image = np.zeros((30, 40, 3), np.uint8)
-    tiles = [Tile(f"h{k}", "ab"[k > 3], "a note that is far too long for its picture", image) for k in range(7)]
+    tiles = [
+        Tile(f"h{k}", "ab"[k > 3], "a note that is far too long for its picture", image)
+        for k in range(7)
+    ]
     assert _cells(tiles, 3) == [(0, 0), (0, 1), (0, 2), (1, 0), (2, 0), (2, 1), (2, 2)]
     save_png(tmp_path / "sheet.png", "seven", tiles)
     save_html(tmp_path / "sheet.html", "a <b>", tiles)
@@ -144,7 +161,10 @@ def test_bad_input(args: tuple[str, ...], words: str, capsys: pytest.CaptureFixt
 def test_one_real_sheet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     use(monkeypatch, pack_of((0, 0), (4, 20)))
     out = tmp_path / "homes.png"
-    assert main(["homes", "render", "--all", "--out", str(out), "--width", "96", "--height", "72"]) == 0
+    assert (
+        main(["homes", "render", "--all", "--out", str(out), "--width", "96", "--height", "72"])
+        == 0
+    )
     pixels = np.asarray(Image.open(out))
     assert len(np.unique(pixels.reshape(-1, 3), axis=0)) > 500
 
@@ -160,8 +180,18 @@ def test_options_of_a_real_pack_go_into_its_name(
 
     monkeypatch.setattr(packs, "open_pack", opened)
     (stage := tmp_path / "stage.glb").touch()
-    options = ["--assets", "data", "--stage-mesh", str(stage), "--articulate", "chest_of_drawers,cabinet", "--json"]
+    options = [
+        "--assets",
+        "data",
+        "--stage-mesh",
+        str(stage),
+        "--articulate",
+        "chest_of_drawers,cabinet",
+        "--json",
+    ]
     assert main(["homes", "show", "builtin_m0_00", *options]) == 0
     assert asked == [f"data?articulate=cabinet,chest_of_drawers?stage={stage}"]
-    assert main(["homes", "show", "builtin_m0_00", "--assets", "data", "--articulate", "fridge"]) == 2
+    assert (
+        main(["homes", "show", "builtin_m0_00", "--assets", "data", "--articulate", "fridge"]) == 2
+    )
     assert "unknown furniture to articulate 'fridge'" in capsys.readouterr().err

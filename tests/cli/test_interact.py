@@ -16,7 +16,14 @@ import pytest
 from mjhab.bench.interact import recipe as interact_recipe
 from mjhab.bench.interact import run as bench
 from mjhab.bench.interact.plot import interact_figure
-from mjhab.bench.interact.scene import CONTROL_MODE, OBJECTS, STEPS, InteractScene, interact_actions, interact_scene
+from mjhab.bench.interact.scene import (
+    CONTROL_MODE,
+    OBJECTS,
+    STEPS,
+    InteractScene,
+    interact_actions,
+    interact_scene,
+)
 from mjhab.bench.memory_sampler import MemorySampler
 from mjhab.cli.main import main
 from mjhab.core.errors import UsageError
@@ -52,7 +59,11 @@ def test_the_recipe_makes_the_actions_in_the_repository(scene: InteractScene) ->
 def test_start_is_that_of_the_paper_before_a_surface(scene: InteractScene) -> None:
     actions = interact_actions(scene)
     assert actions.shape == (200, 13) and actions.dtype == np.float32
-    assert np.abs(actions[:, :7]).max() <= 1.0 and not actions[:, 7].any() and not actions[:, 11:].any()
+    assert (
+        np.abs(actions[:, :7]).max() <= 1.0
+        and not actions[:, 7].any()
+        and not actions[:, 11:].any()
+    )
     np.testing.assert_allclose(actions[:, 8:11], [[0.0, 0.562, 0.15]] * 200, atol=1e-6)
     home = scene.layout.pack.homes[0]
     assert len(scene.layout.pack.homes) == 1 and len(home.props) == 1 and home.articulations
@@ -65,14 +76,18 @@ def test_commands_are_those_of_the_controller(scene: InteractScene) -> None:
     rng = np.random.default_rng(0)
     for row, action in zip(offset, actions, strict=True):
         q = rng.uniform(-1.0, 1.0, (1, 15))
-        np.testing.assert_allclose(row + moves * q[0], controller.command(action[None], q)[0], atol=1e-12)
+        np.testing.assert_allclose(
+            row + moves * q[0], controller.command(action[None], q)[0], atol=1e-12
+        )
 
 
 def test_a_surface_that_is_missing_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     from mjhab.bench.interact import scene as module
 
     pack = open_pack("builtin")
-    monkeypatch.setattr(module, "open_pack", lambda _: dataclasses.replace(pack, homes=pack.homes[:2]))
+    monkeypatch.setattr(
+        module, "open_pack", lambda _: dataclasses.replace(pack, homes=pack.homes[:2])
+    )
     monkeypatch.setattr(module, "HALF_WIDTH", 5.0)
     with pytest.raises(UsageError, match="no home of builtin has a table or counter"):
         interact_scene()
@@ -80,7 +95,19 @@ def test_a_surface_that_is_missing_is_told(monkeypatch: pytest.MonkeyPatch) -> N
 
 def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "interact"
-    args = ["bench", "interact", "--backend", "cpu", "--worlds", "1", "2", "--seeds", "2", "--steps", "4"]
+    args = [
+        "bench",
+        "interact",
+        "--backend",
+        "cpu",
+        "--worlds",
+        "1",
+        "2",
+        "--seeds",
+        "2",
+        "--steps",
+        "4",
+    ]
     assert main([*args, "--threads", "1", "--out", str(out), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert {"sps_mean", "sps_ci95", "device_mb", "rss_mb", "worlds", "device"} <= set(found)
@@ -89,7 +116,12 @@ def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert found["sps_mean"] == max(point["sps_mean"] for point in found["points"])
     assert json.loads((out / "interact.json").read_text()) == found
     rows = list(csv.DictReader((out / "interact.csv").open()))
-    assert [(row["worlds"], row["seed"]) for row in rows] == [("1", "1"), ("1", "2"), ("2", "1"), ("2", "2")]
+    assert [(row["worlds"], row["seed"]) for row in rows] == [
+        ("1", "1"),
+        ("1", "2"),
+        ("2", "1"),
+        ("2", "2"),
+    ]
     page = (out / "report.html").read_text(encoding="utf-8")
     assert "4299.18" in page and "Habitat 2.0" in page and 'alt="head and hand' in page
     assert all(point["physics_ms"] > 0.0 and point["render_ms"] > 0.0 for point in found["points"])
@@ -108,7 +140,9 @@ def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
         (["--steps", "201"], "--steps must be at most 200"),
     ],
 )
-def test_bad_arguments(args: list[str], message: str, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_bad_arguments(
+    args: list[str], message: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     assert main(["bench", "interact", "--out", str(tmp_path), *args]) == 2
     assert message in capsys.readouterr().err
 
@@ -127,7 +161,12 @@ def test_pictures_are_drawn_in_every_step_unless_told_not_to(scene: InteractScen
     run.step(0)
     run.step(1)
     assert len(drawn) == 2
-    assert drawn[0]["rgb"].shape == (1, 2, 128, 128, 3) and drawn[0]["depth"].shape == (1, 2, 128, 128)
+    assert drawn[0]["rgb"].shape == (1, 2, 128, 128, 3) and drawn[0]["depth"].shape == (
+        1,
+        2,
+        128,
+        128,
+    )
     # The head camera sees the table before it.
     assert 0.3 < np.median(drawn[0]["depth"][0, 0, 96:, 40:88]) < 2.0
     assert bench.InteractBench(scene, "cpu", 1, render=False, threads=1)._draw is None
@@ -139,7 +178,8 @@ def test_worlds_that_do_not_fit_are_refused_before_they_are_made(
     """On a GPU with 24 GB, as far as a machine without one can tell."""
     device: Any = type("Device", (), {"is_cuda": True, "__str__": lambda self: "cuda:0"})()
     probe: Any = type(sys)("mjhab.sim.warp.device")
-    probe.open_device, probe.free_mb = (lambda name: device), (lambda _: 24_000.0)
+    probe.open_device = lambda name: device
+    probe.free_mb = lambda _: 24_000.0
     monkeypatch.setitem(sys.modules, "mjhab.sim.warp.device", probe)
     opened: list[int] = []
 
@@ -148,7 +188,9 @@ def test_worlds_that_do_not_fit_are_refused_before_they_are_made(
         raise UsageError("no further")
 
     monkeypatch.setattr(bench, "open_simulator", opens)
-    with pytest.raises(UsageError, match=r"100000 worlds need about .* are free on cuda:0.*--worlds.*num_envs=\d+"):
+    with pytest.raises(
+        UsageError, match=r"100000 worlds need about .* are free on cuda:0.*--worlds.*num_envs=\d+"
+    ):
         bench.InteractBench(scene, "warp", 100_000, render=True)
     assert not opened
     for backend, worlds in (("warp", 8192), ("cpu", 100_000)):
@@ -183,11 +225,21 @@ def test_memory_is_sampled_while_the_work_runs() -> None:
 
 
 def test_plot_takes_the_memory_of_the_gpu_where_there_is_one() -> None:
-    point = {"worlds": 8, "sps_mean": 100.0, "sps_ci95": None, "rss_mb": 1024.0, "device_mb": 2048.0}
+    point = {
+        "worlds": 8,
+        "sps_mean": 100.0,
+        "sps_ci95": None,
+        "rss_mb": 1024.0,
+        "device_mb": 2048.0,
+    }
     found = {"points": [point], "backend": "warp", "device": "cuda:0"}
     ours, maniskill, habitat = interact_figure(found)["data"]
     assert ours["x"] == [2.0] and ours["y"] == [100.0]
-    assert (maniskill["x"], maniskill["y"], maniskill["error_y"]["array"]) == ([15.35], [4299.18], [26.36])
+    assert (maniskill["x"], maniskill["y"], maniskill["error_y"]["array"]) == (
+        [15.35],
+        [4299.18],
+        [26.36],
+    )
     assert (habitat["x"], habitat["y"], habitat["error_y"]["array"]) == ([22.6], [1397.65], [11.02])
     point["device_mb"] = None
     assert interact_figure(found)["data"][0]["x"] == [1.0]

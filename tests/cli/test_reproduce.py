@@ -35,7 +35,9 @@ def test_rows_are_those_of_the_paper() -> None:
         (("--profile", "ms_hub"), "Did you mean 'ms_hab'"),
     ],
 )
-def test_bad_input(words: tuple[str, ...], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_input(
+    words: tuple[str, ...], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "run"
     assert main(["reproduce", "table1", "--out", str(out), *words]) == 2
     assert said in capsys.readouterr().err
@@ -48,7 +50,17 @@ def test_a_row_is_trained_judged_and_set_beside_the_paper(
     student = config(inputs=InputConfig(image_size=16), demos=1, updates=2, hold_steps=5)
     dagger = DaggerConfig(rounds=0)
     monkeypatch.setitem(configs.PRESETS["dagger"], "tiny", TrainConfig(student, dagger))
-    words = [*COMMAND, "--out", str(tmp_path), "--worlds", "1", "--threads", "1", "--split", "train"]
+    words = [
+        *COMMAND,
+        "--out",
+        str(tmp_path),
+        "--worlds",
+        "1",
+        "--threads",
+        "1",
+        "--split",
+        "train",
+    ]
     words += ["--episodes", "1"]
     assert main(words) == 0
     (row,) = json.loads(capsys.readouterr().out.splitlines()[-1])["rows"]
@@ -59,6 +71,10 @@ def test_a_row_is_trained_judged_and_set_beside_the_paper(
     assert "88.39" in text and 'src="http' not in text
     assert main(words) == 2
     assert "is not empty" in capsys.readouterr().err
-    trained = (tmp_path / "set_table.close.drawer" / "train" / "student.safetensors").stat().st_mtime_ns
+    trained = (
+        (tmp_path / "set_table.close.drawer" / "train" / "student.safetensors").stat().st_mtime_ns
+    )
     assert main([*words, "--resume"]) == 0
-    assert (tmp_path / "set_table.close.drawer" / "train" / "student.safetensors").stat().st_mtime_ns == trained
+    assert (
+        tmp_path / "set_table.close.drawer" / "train" / "student.safetensors"
+    ).stat().st_mtime_ns == trained

@@ -22,16 +22,28 @@ from mjhab.tasks.plan import KIND_NAMES
 
 PICK: dict[str, Any] = {"task": "tidy_house", "subtask": "pick"}
 PUBLISHED = {
-    "stillness": "published", "spawn_rule": "published", "stationary": ("head",), "force_limits": True,
-    "reward_formula": "published", "reward_normaliser": "published", "cameras": ("fetch_head", "fetch_hand"),
+    "stillness": "published",
+    "spawn_rule": "published",
+    "stationary": ("head",),
+    "force_limits": True,
+    "reward_formula": "published",
+    "reward_normaliser": "published",
+    "cameras": ("fetch_head", "fetch_hand"),
     "frame_stack": 3,
     "handle_points": "published",
-}  # fmt: skip
+}
 USUAL = {
-    "stillness": "absolute", "spawn_rule": "front_box", "stationary": (), "force_limits": True,
-    "reward_formula": "bounded", "reward_normaliser": "attainable", "cameras": ("fetch_head", "fetch_hand"),
-    "frame_stack": 1, "handle_points": "ours", "horizon": 0,
-}  # fmt: skip
+    "stillness": "absolute",
+    "spawn_rule": "front_box",
+    "stationary": (),
+    "force_limits": True,
+    "reward_formula": "bounded",
+    "reward_normaliser": "attainable",
+    "cameras": ("fetch_head", "fetch_hand"),
+    "frame_stack": 1,
+    "handle_points": "ours",
+    "horizon": 0,
+}
 
 
 def values(config: EnvConfig, names: dict[str, Any]) -> dict[str, Any]:
@@ -55,11 +67,16 @@ def test_profiles_set_their_values_at_once() -> None:
         (TrainConfig, "navigate", (200, 200, 1000, 200, 200)),
     ],
 )
-def test_horizons_are_those_of_training_and_of_evaluation(build: Any, subtask: str, horizons: tuple[int, ...]) -> None:
+def test_horizons_are_those_of_training_and_of_evaluation(
+    build: Any, subtask: str, horizons: tuple[int, ...]
+) -> None:
     limits = task_config(build(profile="ms_hab", task="set_table", subtask=subtask), REST_QPOS)
     judged = KIND_NAMES.index(subtask) if subtask else slice(None)
     assert np.all(np.array(limits.horizons)[judged] == np.array(horizons)[judged])
-    assert limits.force_limits == (5000.0, 7500.0, np.inf, 10000.0, 10000.0) and limits.stillness == "published"
+    assert (
+        limits.force_limits == (5000.0, 7500.0, np.inf, 10000.0, 10000.0)
+        and limits.stillness == "published"
+    )
 
 
 @pytest.mark.parametrize(
@@ -78,7 +95,9 @@ def test_horizons_are_those_of_training_and_of_evaluation(build: Any, subtask: s
         ("overrides", {"place.horizon": 300}),
     ],
 )
-def test_an_option_that_contradicts_the_profile_is_refused_with_both_names(name: str, value: Any) -> None:
+def test_an_option_that_contradicts_the_profile_is_refused_with_both_names(
+    name: str, value: Any
+) -> None:
     wanted: dict[str, Any] = {name: value}
     given, contradicted = next(iter(value.items())) if isinstance(value, dict) else (name, value)
     for build in (EnvConfig, TrainConfig):
@@ -89,10 +108,16 @@ def test_an_option_that_contradicts_the_profile_is_refused_with_both_names(name:
 
 
 def test_what_agrees_or_is_not_fixed_may_be_given() -> None:
-    free: dict[str, Any] = {"control_mode": "pd_joint_pos", "camera_size": 64, "overrides": {"goal_type": "cylinder"}}
+    free: dict[str, Any] = {
+        "control_mode": "pd_joint_pos",
+        "camera_size": 64,
+        "overrides": {"goal_type": "cylinder"},
+    }
     # Recorded runs tell lists where there were tuples.
     cameras: Any = ["fetch_head", "fetch_hand"]
-    config = EnvConfig(profile="ms_hab", **PICK, **free, stillness="published", horizon=200, cameras=cameras)
+    config = EnvConfig(
+        profile="ms_hab", **PICK, **free, stillness="published", horizon=200, cameras=cameras
+    )
     assert config.camera_size == 64
     again = dataclasses.replace(config, num_envs=5)
     assert values(again, PUBLISHED) | {"cameras": tuple(again.cameras)} == PUBLISHED
@@ -119,9 +144,16 @@ def test_unknown_values_list_the_valid_ones(options: dict[str, Any], words: str)
 def test_environments_take_profiles_in_every_way_they_are_made() -> None:
     made = mjhab.make(**PICK, profile="ms_hab", num_envs=2, threads=1)
     trained = mjhab.make_train(**PICK, profile="ms_hab", num_envs=2, threads=1)
-    named: Any = gymnasium.make_vec("mjhab/PickSubtaskTrain-v1", num_envs=2, profile="ms_hab", threads=1)
+    named: Any = gymnasium.make_vec(
+        "mjhab/PickSubtaskTrain-v1", num_envs=2, profile="ms_hab", threads=1
+    )
     single: Any = gymnasium.make("mjhab/PickSubtaskTrain-v1", profile="ms_hab", threads=1)
-    for env, horizon in ((made, 200), (trained, 100), (named.unwrapped, 100), (single.unwrapped, 100)):
+    for env, horizon in (
+        (made, 200),
+        (trained, 100),
+        (named.unwrapped, 100),
+        (single.unwrapped, 100),
+    ):
         assert env.config.profile == "ms_hab" and env.task_config.pick.horizon == horizon
         assert env.task_config.stillness == "published"
     for env in (made, trained, named, single):
@@ -143,13 +175,22 @@ def test_a_head_that_is_stationary_stays_and_the_expert_does_without_it() -> Non
 
 def test_the_published_reward_reaches_the_environment() -> None:
     usual, published = (
-        envs.make_train(task="set_table", subtask="close", num_envs=1, threads=1, profile=name, autoreset="disabled")
+        envs.make_train(
+            task="set_table",
+            subtask="close",
+            num_envs=1,
+            threads=1,
+            profile=name,
+            autoreset="disabled",
+        )
         for name in ("mjhab", "ms_hab")
     )
     for env, whole in ((usual, 36.0), (published, 37.0)):
         env.reset(seed=1)
         _, reward, _, _, info = env.step(np.zeros((1, 13), np.float32))
-        assert reward[0] == pytest.approx(sum(float(term[0]) for term in info["reward_terms"].values()) / whole)
+        assert reward[0] == pytest.approx(
+            sum(float(term[0]) for term in info["reward_terms"].values()) / whole
+        )
 
 
 def test_frames_are_those_of_the_profile() -> None:
@@ -167,6 +208,8 @@ def test_runs_tell_the_profile_and_the_values_in_force() -> None:
     run = describe_run(env, {"name": "zero"})
     assert run.config["env"]["profile"] == "ms_hab"
     told = {**run.config["env"], **run.options}
-    assert {name: tuple(v) if isinstance(v := told[name], list) else v for name in PUBLISHED} == PUBLISHED
+    assert {
+        name: tuple(v) if isinstance(v := told[name], list) else v for name in PUBLISHED
+    } == PUBLISHED
     # What is only seen or said of an episode is not part of what happened in it.
     assert not {"frame_stack", "cameras", "reward_formula"} & set(run.config["env"])

@@ -23,8 +23,11 @@ def random_quats(n: int) -> np.ndarray:
 
 
 def test_products_match_matrices() -> None:
-    a, b, v = random_quats(50), random_quats(50), RNG.normal(size=(50, 3))
-    ma, mb = rot.mat_from_quat(a), rot.mat_from_quat(b)
+    a = random_quats(50)
+    b = random_quats(50)
+    v = RNG.normal(size=(50, 3))
+    ma = rot.mat_from_quat(a)
+    mb = rot.mat_from_quat(b)
     np.testing.assert_allclose(rot.mat_from_quat(rot.quat_mul(a, b)), ma @ mb, atol=1e-12)
     np.testing.assert_allclose(rot.quat_rotate(a, v), np.einsum("nij,nj->ni", ma, v), atol=1e-12)
     np.testing.assert_allclose(rot.quat_rotate_inv(a, rot.quat_rotate(a, v)), v, atol=1e-12)
@@ -63,7 +66,9 @@ def test_yaw_and_axis_angle() -> None:
     z = np.array([0.0, 0.0, 1.0])
     np.testing.assert_allclose(rot.quat_from_axis_angle(z, yaw), rot.quat_from_yaw(yaw), atol=1e-12)
     quarter = rot.quat_from_axis_angle(np.array([1.0, 0.0, 0.0]), np.array(math.pi / 2))
-    np.testing.assert_allclose(rot.quat_rotate(quarter, np.array([0.0, 1.0, 0.0])), [0, 0, 1], atol=1e-12)
+    np.testing.assert_allclose(
+        rot.quat_rotate(quarter, np.array([0.0, 1.0, 0.0])), [0, 0, 1], atol=1e-12
+    )
 
 
 def test_poses_compose_invert_and_map_points() -> None:
@@ -81,11 +86,14 @@ def test_poses_compose_invert_and_map_points() -> None:
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_torch_rotates_the_same_in_value_and_dtype(dtype: Any) -> None:
-    q, r = random_quats(30).astype(dtype), random_quats(30).astype(dtype)
-    v, yaw = RNG.normal(size=(30, 3)).astype(dtype), RNG.normal(size=30).astype(dtype)
+    q = random_quats(30).astype(dtype)
+    r = random_quats(30).astype(dtype)
+    v = RNG.normal(size=(30, 3)).astype(dtype)
+    yaw = RNG.normal(size=30).astype(dtype)
     t = torch.from_numpy
     tol = 1e-6 if dtype == np.float32 else 1e-12
-    pose, other = np.concatenate([v, q], 1), np.concatenate([v, r], 1)
+    pose = np.concatenate([v, q], 1)
+    other = np.concatenate([v, r], 1)
     pairs = [
         (rot.quat_mul(q, r), rot.quat_mul(t(q), t(r))),
         (rot.quat_rotate(q, v), rot.quat_rotate(t(q), t(v))),
@@ -115,7 +123,9 @@ def test_array_helpers() -> None:
     assert pick_column(table, np.array([1, 0, 3])).tolist() == [1, 4, 11]
     assert pick_column(torch.from_numpy(table), torch.tensor([1, 0, 3])).tolist() == [1, 4, 11]
     mask = np.array([True, False])
-    mixed = where_rows(mask, _Record(np.ones(2), np.ones((2, 2, 2))), _Record(np.zeros(2), np.zeros((2, 2, 2))))
+    mixed = where_rows(
+        mask, _Record(np.ones(2), np.ones((2, 2, 2))), _Record(np.zeros(2), np.zeros((2, 2, 2)))
+    )
     assert mixed.a.tolist() == [1, 0] and mixed.b.sum() == 4 and mixed.c is None
     assert to_numpy(torch.ones(2)).tolist() == [1, 1]
     assert as_like([1, 2], torch.zeros(1, dtype=torch.float32)).dtype == torch.float32

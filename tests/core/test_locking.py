@@ -18,7 +18,9 @@ def test_a_second_writer_is_told_who_the_first_is(tmp_path: Path) -> None:
     lock = WriteLock(file)
     assert is_written(file)
     for attempt in (WriteLock, refuse_if_written):
-        with pytest.raises(UsageError, match=r"data is being written by process \d+ on .*another file"):
+        with pytest.raises(
+            UsageError, match=r"data is being written by process \d+ on .*another file"
+        ):
             attempt(file)
     with pytest.raises(UsageError, match="another folder"):
         WriteLock(file, tmp_path)
@@ -36,7 +38,9 @@ def test_the_lock_file_of_a_killed_writer_is_taken_over(tmp_path: Path) -> None:
     lock.release()
 
 
-def test_a_file_system_without_locks_goes_without(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_system_without_locks_goes_without(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def unsupported(*_: Any) -> None:
         raise OSError(95, "Operation not supported")
 

@@ -24,9 +24,32 @@ GOOD = (
     "a" * MAX_NAME_CHARACTERS,
 )
 HOSTILE: tuple[Any, ...] = (
-    "", "..", ".", "../../x", "/abs/path", "a/../b", "a//b", "a/", "a/.hidden", ".hidden", "a\\b", "a b", "a\nb",
-    "a\0b", "a" * (MAX_NAME_CHARACTERS + 1), "ä", "‮txt", "$HOME", "~/x", "a;b", "<script>", "a..b", None, 3, ["a"],
-)  # fmt: skip
+    "",
+    "..",
+    ".",
+    "../../x",
+    "/abs/path",
+    "a/../b",
+    "a//b",
+    "a/",
+    "a/.hidden",
+    ".hidden",
+    "a\\b",
+    "a b",
+    "a\nb",
+    "a\0b",
+    "a" * (MAX_NAME_CHARACTERS + 1),
+    "ä",
+    "‮txt",
+    "$HOME",
+    "~/x",
+    "a;b",
+    "<script>",
+    "a..b",
+    None,
+    3,
+    ["a"],
+)
 
 
 @pytest.mark.parametrize("name", GOOD)

@@ -15,9 +15,16 @@ from mjhab.tasks.measure import Signals
 from mjhab.tasks.plan import KIND_NAMES
 from mjhab.tasks.tracker import SubtaskTracker
 
-CHAIN = (("open", "kitchen_counter/drawer3"), ("pick", "024_bowl_:0000"), ("place", "024_bowl_:0000"),
-         ("navigate", "fridge"), ("close", "kitchen_counter/drawer3"))  # fmt: skip
-NQ, NV, SIZE = 30, 28, 16
+CHAIN = (
+    ("open", "kitchen_counter/drawer3"),
+    ("pick", "024_bowl_:0000"),
+    ("place", "024_bowl_:0000"),
+    ("navigate", "fridge"),
+    ("close", "kitchen_counter/drawer3"),
+)
+NQ = 30
+NV = 28
+SIZE = 16
 
 
 @dataclass(frozen=True)
@@ -39,7 +46,13 @@ class FakeConfig:
 class _Sim:
     def __init__(self, env: FakeEnv) -> None:
         self._env = env
-        starts = {"robot_q": [0, 1], "robot_v": [0, 1], "object_q": [2], "object_v": [2], "link_q": [9]}
+        starts = {
+            "robot_q": [0, 1],
+            "robot_v": [0, 1],
+            "object_q": [2],
+            "object_v": [2],
+            "link_q": [9],
+        }
         self.addresses = SimpleNamespace(**starts)
 
     def get_world(self, world: int) -> dict[str, np.ndarray]:
@@ -55,16 +68,27 @@ class FakeEnv:
 
     taint_names = ("contact_overflow", "nan", "penetration")
 
-    def __init__(self, num_envs: int = 2, subtask: str = "", images: bool = False, horizon: int = 20) -> None:
-        self.num_envs, self.images, self.horizon = num_envs, images, horizon
+    def __init__(
+        self, num_envs: int = 2, subtask: str = "", images: bool = False, horizon: int = 20
+    ) -> None:
+        self.num_envs = num_envs
+        self.images = images
+        self.horizon = horizon
         self.metadata: dict[str, Any] = {"autoreset_mode": AutoresetMode.DISABLED}
         self.config = FakeConfig(subtask=subtask, num_envs=num_envs, runs_to_horizon=bool(subtask))
         self.plan = tuple(e for e in CHAIN if e[0] == subtask) if subtask else CHAIN
-        self.layout = SimpleNamespace(object_names=["024_bowl_:0000"], link_ids=["kitchen_counter/drawer3"])
+        self.layout = SimpleNamespace(
+            object_names=["024_bowl_:0000"], link_ids=["kitchen_counter/drawer3"]
+        )
         self.action_table = [SimpleNamespace(name=f"a{i}") for i in range(13)]
         self.worlds = [_World(self, 0, w) for w in range(num_envs)]
-        self.sim, self.observer, self.homes = _Sim(self), SimpleNamespace(observe=self._observe), [""] * num_envs
-        self.state, self.focus = None, None
+        self.sim, self.observer, self.homes = (
+            _Sim(self),
+            SimpleNamespace(observe=self._observe),
+            [""] * num_envs,
+        )
+        self.state = None
+        self.focus = None
         self.tracker: SubtaskTracker | None = None
         self._settle(np.zeros(num_envs, bool))
 
@@ -76,7 +100,9 @@ class FakeEnv:
         for w, index in zip(np.flatnonzero(mask), options["episode"], strict=True):
             self.worlds[w] = _World(self, seed, int(index))
         self._settle(mask)
-        return self._observe(None, None, None, None), self._info([[]] * self.num_envs, [None] * self.num_envs)
+        return self._observe(None, None, None, None), self._info(
+            [[]] * self.num_envs, [None] * self.num_envs
+        )
 
     def _settle(self, mask: np.ndarray) -> None:
         self.signals = self.judged = self._signals()
@@ -113,36 +139,60 @@ class FakeEnv:
         self.tracker.restart(moved, self.signals)
         self._outcome()
         over = self.progress.done
-        obs, reward = self._observe(None, None, None, None), np.array([0.5 * w.t for w in self.worlds])
+        obs = self._observe(None, None, None, None)
+        reward = np.array([0.5 * w.t for w in self.worlds])
         return obs, reward, over & self.success, over & ~self.success, self._info(events, ended)
 
     def _ended(self, w: int, kind: int, label: str) -> dict[str, Any]:
         assert self.tracker is not None
         world = self.worlds[w]
         return {
-            "index": world.pointer, "kind": KIND_NAMES[kind], "target": self.plan[world.pointer][1], "label": label,
+            "index": world.pointer,
+            "kind": KIND_NAMES[kind],
+            "target": self.plan[world.pointer][1],
+            "label": label,
             "legacy_label": self.tracker.legacy_label(w, kind),
-            "success_once": world.good, "success_at_end": world.good,
-            "start_step": world.start, "end_step": world.t, "peak_force": 3.0, "cumulative_force": 4.0,
+            "success_once": world.good,
+            "success_at_end": world.good,
+            "start_step": world.start,
+            "end_step": world.t,
+            "peak_force": 3.0,
+            "cumulative_force": 4.0,
             "events": self.tracker.events(w),
-        }  # fmt: skip
+        }
 
     def _signals(self) -> Signals:
         bits = np.array([w.bits for w in self.worlds])
         force = np.array([w.force for w in self.worlds])
         checks = {name: bits[:, k] for k, name in enumerate(CHECKS)}
         kind = np.zeros(self.num_envs, np.int64)
-        return Signals(**checks, robot_force=force, target_force=force * 2, cumulative_force=force * 3, kind=kind)
+        return Signals(
+            **checks,
+            robot_force=force,
+            target_force=force * 2,
+            cumulative_force=force * 3,
+            kind=kind,
+        )
 
     def _info(self, events: list[list[str]], ended: list[Any]) -> dict[str, Any]:
         worlds = self.worlds
         return {
-            "pointer": np.array([w.pointer for w in worlds]), "robot_force": np.array([w.force for w in worlds]),
-            "success": self.success.copy(), "fail": self.fail.copy(), "spawn_fallback": np.zeros(len(worlds), bool),
-            "taint": np.array([2 if w.index % 10 == 4 and w.t > 2 else 0 for w in worlds], np.uint8),
-            "reward_terms": {"reach": np.array([float(w.t) for w in worlds]), "hold": np.ones(len(worlds))},
-            "events": events, "ended": ended, "episode_spec": [w.spec for w in worlds],
-        }  # fmt: skip
+            "pointer": np.array([w.pointer for w in worlds]),
+            "robot_force": np.array([w.force for w in worlds]),
+            "success": self.success.copy(),
+            "fail": self.fail.copy(),
+            "spawn_fallback": np.zeros(len(worlds), bool),
+            "taint": np.array(
+                [2 if w.index % 10 == 4 and w.t > 2 else 0 for w in worlds], np.uint8
+            ),
+            "reward_terms": {
+                "reach": np.array([float(w.t) for w in worlds]),
+                "hold": np.ones(len(worlds)),
+            },
+            "events": events,
+            "ended": ended,
+            "episode_spec": [w.spec for w in worlds],
+        }
 
     def _observe(self, *_: Any) -> dict[str, np.ndarray]:
         qpos = np.array([w.qpos for w in self.worlds], np.float32)
@@ -154,12 +204,20 @@ class FakeEnv:
             level = (np.abs(qpos[:, :1]) * 1000).astype(np.int16)[:, None, None]
             ramp = np.arange(SIZE * SIZE, dtype=np.int16).reshape(SIZE, SIZE, 1)
             obs["sensor_data/fetch_head/depth"] = level + np.broadcast_to(ramp, (*shape, 1))
-            obs["sensor_data/fetch_head/rgb"] = np.repeat(obs["sensor_data/fetch_head/depth"] % 256, 3, 3).astype("u1")
-            obs["sensor_param/fetch_head/intrinsic_cv"] = np.tile(np.eye(3, dtype=np.float32), (self.num_envs, 1, 1))
+            obs["sensor_data/fetch_head/rgb"] = np.repeat(
+                obs["sensor_data/fetch_head/depth"] % 256, 3, 3
+            ).astype("u1")
+            obs["sensor_param/fetch_head/intrinsic_cv"] = np.tile(
+                np.eye(3, dtype=np.float32), (self.num_envs, 1, 1)
+            )
         return obs
 
     def get_state(self, world: int) -> dict[str, Any]:
-        return {"sim": self.sim.get_world(world), "flags": {"fallback": False}, "t": self.worlds[world].t}
+        return {
+            "sim": self.sim.get_world(world),
+            "flags": {"fallback": False},
+            "t": self.worlds[world].t,
+        }
 
     def close(self) -> None:
         self.worlds.clear()
@@ -172,7 +230,9 @@ class _World:
     """One episode: bits flip at random, subtasks end after a drawn number of steps."""
 
     def __init__(self, env: FakeEnv, seed: int, index: int) -> None:
-        self.plan, self.horizon, self.index = env.plan, env.horizon, index
+        self.plan = env.plan
+        self.horizon = env.horizon
+        self.index = index
         self.rng = stream(seed, "fake", index)
         self.home = f"builtin_m{index % 3}_00"
         self.lengths = self.rng.integers(1, 12, len(env.plan))
@@ -180,36 +240,53 @@ class _World:
         self.bits = self.fresh()
         self.qpos = self.rng.normal(size=NQ)
         self.t = self.pointer = self.start = 0
-        self.force, self.good, self.done, self.success = 0.0, False, False, False
-        entries = [{"kind": kind, "target": target, "goal": np.zeros(3)} for kind, target in env.plan]
+        self.force = 0.0
+        self.good = False
+        self.done = False
+        self.success = False
+        entries = [
+            {"kind": kind, "target": target, "goal": np.zeros(3)} for kind, target in env.plan
+        ]
         self.spec = {
-            "seed": seed, "index": index, "home": self.home, "task": "set_table", "split": "val",
-            "subtask": env.config.subtask or None, "plan": entries,
-        }  # fmt: skip
+            "seed": seed,
+            "index": index,
+            "home": self.home,
+            "task": "set_table",
+            "split": "val",
+            "subtask": env.config.subtask or None,
+            "plan": entries,
+        }
 
     def fresh(self) -> np.ndarray:
         """(K,) checks at the start of a subtask: nothing achieved, no force spent."""
         bits = self.rng.random(len(CHECKS)) < 0.3
-        bits[CHECKS.index("success")], bits[CHECKS.index("force_ok")] = False, True
+        bits[CHECKS.index("success")] = False
+        bits[CHECKS.index("force_ok")] = True
         return bits
 
     def step(self, action: np.ndarray) -> None:
         self.t += 1
         chance = np.full(len(CHECKS), 0.12)
-        chance[CHECKS.index("success")], chance[CHECKS.index("force_ok")] = 0.04, 0.01
+        chance[CHECKS.index("success")] = 0.04
+        chance[CHECKS.index("force_ok")] = 0.01
         self.bits = self.bits ^ (self.rng.random(len(CHECKS)) < chance)
         self.qpos[:5] += self.rng.normal(size=5) + 0.1 * float(action.sum())
         self.force = float(self.rng.exponential(100.0 * (1 + self.index)))
 
     def ends(self) -> bool:
         """One subtask alone runs to its horizon."""
-        return self.t >= self.horizon if len(self.plan) == 1 else self.t - self.start >= self.lengths[self.pointer]
+        return (
+            self.t >= self.horizon
+            if len(self.plan) == 1
+            else self.t - self.start >= self.lengths[self.pointer]
+        )
 
     def move(self) -> bool:
         """End the subtask; returns whether another one begins."""
         self.good = bool(self.outcomes[self.pointer])
         self.start = self.t
         last = self.pointer + 1 == len(self.plan)
-        self.success, self.done = self.good and last, last or not self.good
+        self.success = self.good and last
+        self.done = last or not self.good
         self.pointer += self.good and not last
         return not self.done

@@ -24,7 +24,11 @@ POLICY = {"name": "random"}
 
 
 def record(
-    path: Path, episodes: Iterable[int] = range(4), env: FakeEnv | None = None, seed: int = 0, **options: Any
+    path: Path,
+    episodes: Iterable[int] = range(4),
+    env: FakeEnv | None = None,
+    seed: int = 0,
+    **options: Any,
 ) -> tuple[list[EpisodeRecord], Recorder]:
     """Roll out episodes of a fake env into a shard; returns their records and the recorder."""
     env = env or FakeEnv()
@@ -56,12 +60,19 @@ def make_older(path: Path) -> None:
         file.attrs["schema"] = 1
         for name in group(file, "episodes"):
             episode = group(file, f"episodes/{name}")
-            del episode["actions_intended"], episode["actor"], episode.attrs["schema"], episode.attrs["actors"]
+            del (
+                episode["actions_intended"],
+                episode["actor"],
+                episode.attrs["schema"],
+                episode.attrs["actors"],
+            )
             episode.attrs["digest"] = episode_digest(read_arrays(episode))
 
 
 def chains_and_picks(folder: Path) -> Path:
     """Three chains and two Picks in a folder, with images."""
     record(folder / "chains.h5", range(3), FakeEnv(images=True), images=ImageFormat())
-    record(folder / "picks.h5", range(2), FakeEnv(subtask="pick", images=True), images=ImageFormat())
+    record(
+        folder / "picks.h5", range(2), FakeEnv(subtask="pick", images=True), images=ImageFormat()
+    )
     return folder

@@ -29,7 +29,13 @@ NAN_BIT = 1 << TAINTS.index("nan")
 
 
 def build(**options) -> SequentialTaskEnv:
-    defaults = {"task": "set_table", "subtask": "pick", "num_envs": 3, "autoreset": "disabled", "threads": 1}
+    defaults = {
+        "task": "set_table",
+        "subtask": "pick",
+        "num_envs": 3,
+        "autoreset": "disabled",
+        "threads": 1,
+    }
     return envs.make_train(**defaults | options)
 
 
@@ -87,7 +93,10 @@ def test_same_step_autoreset_step_by_step():
     assert not terminated.any()
     np.testing.assert_array_equal(info["_final_obs"], [True, False])
     assert info["final_info"]["ended"][0]["kind"] == "pick" and info["ended"][0] is None
-    assert info["episode_spec"][0]["index"] == 1 and info["final_info"]["episode_spec"][0]["index"] == 0
+    assert (
+        info["episode_spec"][0]["index"] == 1
+        and info["final_info"]["episode_spec"][0]["index"] == 0
+    )
     assert env.progress.episode_step.tolist() == [0, 2]
     assert not np.array_equal(obs["state"][0], info["final_obs"]["state"][0])
     np.testing.assert_array_equal(obs["state"][1], info["final_obs"]["state"][1])
@@ -135,7 +144,9 @@ def test_termination_is_failure_or_success_and_truncation_is_time():
         _, _, terminated, truncated, info = env.step(push)
         if terminated[0] or truncated[0]:
             break
-    assert terminated[0] and not truncated[0] and info["fail"][0] and info["cumulative_force"][0] > 0
+    assert (
+        terminated[0] and not truncated[0] and info["fail"][0] and info["cumulative_force"][0] > 0
+    )
 
 
 @pytest.mark.parametrize("mode", AUTORESET_MODES)
@@ -174,7 +185,8 @@ def test_episode_of_a_world_depends_on_its_seed_its_number_and_its_count_only():
 
 
 def test_state_round_trip_in_another_environment():
-    env, other = build(), build()
+    env = build()
+    other = build()
     env.reset(seed=1)
     other.reset(seed=2)
     for step in range(5):
@@ -223,7 +235,8 @@ def test_state_before_reset_and_of_another_layout_are_refused():
 
 @pytest.mark.parametrize("mode", AUTORESET_MODES)
 def test_a_nan_world_resets_itself_and_the_others_do_not_notice(mode: str):
-    env, calm = build(autoreset=mode), build(autoreset=mode)
+    env = build(autoreset=mode)
+    calm = build(autoreset=mode)
     env.reset(seed=4)
     calm.reset(seed=4)
     env.step(actions(env, 0))
@@ -251,7 +264,11 @@ def test_an_env_whose_state_was_made_infinite_from_outside_goes_on():
     env.reset(seed=0)
     env.sim.qpos[0, :] = np.inf
     obs, _, _, truncated, info = env.step(actions(env, 0))
-    assert truncated[0] and info["final_info"]["taint"][0] & NAN_BIT and np.isfinite(obs["state"]).all()
+    assert (
+        truncated[0]
+        and info["final_info"]["taint"][0] & NAN_BIT
+        and np.isfinite(obs["state"]).all()
+    )
     assert np.isfinite(info["final_obs"]["state"]).all()
 
 
@@ -302,7 +319,12 @@ def test_bad_options_name_what_is_valid(options: dict, match: str):
 
 
 def test_options_of_training_take_effect():
-    env = build(overrides={"goal_tol": 0.2, "place.horizon": 50}, subtask="place", force_limits=False, num_envs=1)
+    env = build(
+        overrides={"goal_tol": 0.2, "place.horizon": 50},
+        subtask="place",
+        force_limits=False,
+        num_envs=1,
+    )
     assert env.task_config.goal_tol == 0.2 and env.task_config.place.horizon == 50
     assert np.isinf(env.task_config.force_limits).all()
     _, info = env.reset(seed=0)
@@ -318,8 +340,13 @@ def test_zone_goals_reach_over_the_whole_receptacle():
     env.reset(seed=0)
     rect = env.tables.plans[0].subtasks[0].goal_rect
     goal = env.tables.plans[0].subtasks[0].goal_pos
-    low, high = np.min(rect, axis=0), np.max(rect, axis=0)
-    assert (low <= goal[:2]).all() and (goal[:2] <= np.array(high)).all() and np.prod(high - low) > 0.05
+    low = np.min(rect, axis=0)
+    high = np.max(rect, axis=0)
+    assert (
+        (low <= goal[:2]).all()
+        and (goal[:2] <= np.array(high)).all()
+        and np.prod(high - low) > 0.05
+    )
 
 
 def test_open_training_finds_one_drawer_in_ten_ajar_and_evaluation_none():
@@ -329,7 +356,9 @@ def test_open_training_finds_one_drawer_in_ten_ajar_and_evaluation_none():
     for k in range(40):
         env.reset(seed=0, options={"episode": [k]})
         q = env.state.link_q[0, link]
-        assert q < 0.01 or q == pytest.approx(0.2 * 0.9 * env.layout.links[link].link.range[1], abs=1e-3)
+        assert q < 0.01 or q == pytest.approx(
+            0.2 * 0.9 * env.layout.links[link].link.range[1], abs=1e-3
+        )
         ajar += q > 0.01
     assert 1 <= ajar <= 12
     judged = envs.make(subtask="open", target="kitchen_counter/drawer3", num_envs=1, threads=1)
@@ -361,7 +390,9 @@ def test_pictures_of_a_new_episode_stand_beside_those_that_go_on():
         np.testing.assert_array_equal(depth[:, -1], now)
         np.testing.assert_array_equal(depth[0, 0], now[0])
         old = info["final_obs"]["pixels"][f"{camera}_depth"]
-        assert not np.array_equal(old[0, -1], now[0]) and not np.array_equal(depth[1, 0], depth[1, -1])
+        assert not np.array_equal(old[0, -1], now[0]) and not np.array_equal(
+            depth[1, 0], depth[1, -1]
+        )
 
 
 def test_statistics_of_gymnasium_wrap_around_ours():

@@ -29,13 +29,17 @@ from tests.no_sync import NoSync
 
 need_warp()
 
-WORLDS, HORIZON = 2, 12
+WORLDS = 2
+HORIZON = 12
 DEVICE: dict[str, Any] = {"backend": "warp", "device": "cpu", "starts": 4}
 PICTURES: dict[str, Any] = {"obs_mode": "depth", "camera_size": 8}
 KINDS = [
-    ("tidy_house", "pick"), ("tidy_house", "place"), ("tidy_house", "navigate"), ("set_table", "open"),
+    ("tidy_house", "pick"),
+    ("tidy_house", "place"),
+    ("tidy_house", "navigate"),
+    ("set_table", "open"),
     ("set_table", "close"),
-]  # fmt: skip
+]
 
 
 def actions_of(step: int, dim: int, gripper: int) -> np.ndarray:
@@ -53,7 +57,8 @@ def env() -> Any:
 
 @contextmanager
 def autoreset(env: Any, mode: str) -> Iterator[Any]:
-    before, env.config = env.config, dataclasses.replace(env.config, autoreset=mode)
+    before = env.config
+    env.config = dataclasses.replace(env.config, autoreset=mode)
     env.reset()
     yield env
     env.config = before
@@ -81,8 +86,14 @@ def idle(env: Any, steps: int = 1) -> Any:
 
 @pytest.mark.parametrize(("task", "subtask"), KINDS)
 def test_episodes_are_those_of_the_cpu_backend(task: str, subtask: str) -> None:
-    options = {"task": task, "subtask": subtask, "num_envs": WORLDS, "reward_mode": "normalized_dense"}
-    cpu, dev = make(**options, horizon=HORIZON, threads=1), make(**options, horizon=HORIZON, **DEVICE)
+    options = {
+        "task": task,
+        "subtask": subtask,
+        "num_envs": WORLDS,
+        "reward_mode": "normalized_dense",
+    }
+    cpu = make(**options, horizon=HORIZON, threads=1)
+    dev = make(**options, horizon=HORIZON, **DEVICE)
     assert dev.observation_space == cpu.observation_space and dev.action_space == cpu.action_space
     theirs, _ = cpu.reset(options={"episode": [0, 1]})
     ours, info = dev.reset()
@@ -97,16 +108,23 @@ def test_episodes_are_those_of_the_cpu_backend(task: str, subtask: str) -> None:
         np.testing.assert_allclose(our_reward.numpy(), reward, atol=2e-2)
         for flags, expected in zip(our_ends, ends, strict=True):
             np.testing.assert_array_equal(flags.numpy(), expected)
-        final, expected = (info["final_info"], told["final_info"]) if step == HORIZON - 1 else (info, told)
+        final, expected = (
+            (info["final_info"], told["final_info"]) if step == HORIZON - 1 else (info, told)
+        )
         for name in (*CHECKERS, "pointer", "kind", "steps_left", "success", "fail"):
-            np.testing.assert_array_equal(final[name].numpy(), expected[name], err_msg=f"{name} in step {step}")
+            np.testing.assert_array_equal(
+                final[name].numpy(), expected[name], err_msg=f"{name} in step {step}"
+            )
         assert final["reward_terms"].keys() == expected["reward_terms"].keys()
         assert event_names(expected["kind"], final["event_flags"]) == expected["events"]
         records = expected["ended"]
     compare(info["final_obs"], told["final_obs"])
     assert final["ended"].all() and not info["ended"].any()
     for w, (mine, record) in enumerate(zip(dev.records(), records, strict=True)):
-        close = {name: pytest.approx(record[name], rel=0.02, abs=0.5) for name in ("peak_force", "cumulative_force")}
+        close = {
+            name: pytest.approx(record[name], rel=0.02, abs=0.5)
+            for name in ("peak_force", "cumulative_force")
+        }
         assert mine == record | close
         assert LABELS[SubtaskKind[subtask.upper()]][int(final["label"][w])] == record["label"]
     # The next episodes: two worlds further.
@@ -131,9 +149,11 @@ def test_a_full_turn_and_the_other_quaternion_are_the_same_state(env: Any) -> No
     turn = torch.zeros_like(env.state.robot_q)
     turn[:, 2] = 2 * np.pi
     state = dataclasses.replace(
-        env.state, robot_q=env.state.robot_q + turn, object_pose=env.state.object_pose * flip,
+        env.state,
+        robot_q=env.state.robot_q + turn,
+        object_pose=env.state.object_pose * flip,
         body_quat=-env.state.body_quat,
-    )  # fmt: skip
+    )
     seen = env.observer.observe(state, env.focus, env.signals)
     torch.testing.assert_close(seen["state"], obs["state"], rtol=0.0, atol=1e-4)
     for key in ("extra/tcp_pose_wrt_base", "extra/obj_pose_wrt_base"):
@@ -142,7 +162,8 @@ def test_a_full_turn_and_the_other_quaternion_are_the_same_state(env: Any) -> No
 
 def test_profiles_are_the_same_on_the_device() -> None:
     options = {"task": "tidy_house", "subtask": "place", "num_envs": 1, "profile": "ms_hab"}
-    cpu, dev = make_train(**options, threads=1), make_train(**options, **(DEVICE | {"starts": 2}))
+    cpu = make_train(**options, threads=1)
+    dev = make_train(**options, **(DEVICE | {"starts": 2}))
     cpu.reset(options={"episode": [0]})
     dev.reset(options={"episode": [0]})
     np.testing.assert_array_equal(dev.sim.qpos.numpy(), cpu.sim.qpos.astype(np.float32))
@@ -162,7 +183,8 @@ def test_profiles_are_the_same_on_the_device() -> None:
 
 def test_training_draws_the_same_starts() -> None:
     options = {"task": "set_table", "subtask": "close", "num_envs": 1, "episode_pool": 3, "seed": 5}
-    cpu, dev = make_train(**options, threads=1), make_train(**options, **(DEVICE | {"starts": 2}))
+    cpu = make_train(**options, threads=1)
+    dev = make_train(**options, **(DEVICE | {"starts": 2}))
     cpu.reset(options={"episode": [1]})
     dev.reset(options={"episode": [1]})
     np.testing.assert_array_equal(dev.sim.qpos.numpy(), cpu.sim.qpos.astype(np.float32))
@@ -171,7 +193,8 @@ def test_training_draws_the_same_starts() -> None:
 
 def test_a_chain_teleports_to_where_it_does_on_the_cpu() -> None:
     options = {"task": "tidy_house", "num_envs": WORLDS, "reward_mode": "dense"}
-    cpu, dev = make(**options, threads=1), make(**options, **(DEVICE | {"starts": 2}))
+    cpu = make(**options, threads=1)
+    dev = make(**options, **(DEVICE | {"starts": 2}))
     cpu.reset(options={"episode": [0, 1]})
     dev.reset()
     np.testing.assert_array_equal(dev.sim.qpos.numpy(), cpu.sim.qpos.astype(np.float32))
@@ -196,7 +219,8 @@ def test_a_chain_teleports_to_where_it_does_on_the_cpu() -> None:
 def test_landings_are_tried_in_the_state_that_is_to_be_expected() -> None:
     env = make(task="set_table", threads=1)
     episode = env.make_episode(0, 0)
-    plan, a = env.start_of(episode).plan, env.sim.addresses
+    plan = env.start_of(episode).plan
+    a = env.sim.addresses
     bowl = env.layout.object_names.index(plan.subtasks[3].obj)
     link = env.layout.link_ids.index(plan.subtasks[1].link)
     low, high = env.layout.links[link].link.range
@@ -205,11 +229,16 @@ def test_landings_are_tried_in_the_state_that_is_to_be_expected() -> None:
     for position in (0, 2, 4, 6, 8):
         assert plan.subtasks[position].kind == SubtaskKind.NAVIGATE
         qpos = env.starts.foresee(episode, plan, position)
-        seen[position] = (qpos[a.link_q[link]] - low) / (high - low) >= 0.85, qpos[a.object_q[bowl] :][:3]
+        seen[position] = (
+            (qpos[a.link_q[link]] - low) / (high - low) >= 0.85,
+            qpos[a.object_q[bowl] :][:3],
+        )
     assert [bool(opened) for opened, _ in seen.values()] == [False, True, True, True, False]
     np.testing.assert_array_equal(seen[0][1], episode.object_pose[bowl, :3])
     assert np.linalg.norm(seen[2][1] - seen[0][1]) > 0.1, "it moves with the drawer"
-    np.testing.assert_array_equal(seen[4][1], env.layout.parked_poses[bowl, :3], err_msg="carried: out of the way")
+    np.testing.assert_array_equal(
+        seen[4][1], env.layout.parked_poses[bowl, :3], err_msg="carried: out of the way"
+    )
     for position in (6, 8):
         np.testing.assert_allclose(seen[position][1], plan.subtasks[5].goal_pos, atol=0.002)
 
@@ -219,15 +248,21 @@ def test_what_is_held_leaps_along() -> None:
 
     rng = np.random.default_rng(0)
     qpos = torch.as_tensor(rng.uniform(-1, 1, (3, 29)))
-    qpos[:, 15:].unflatten(1, (2, 7))[..., 3:] /= qpos[:, 15:].unflatten(1, (2, 7))[..., 3:].norm(dim=-1, keepdim=True)
+    qpos[:, 15:].unflatten(1, (2, 7))[..., 3:] /= (
+        qpos[:, 15:].unflatten(1, (2, 7))[..., 3:].norm(dim=-1, keepdim=True)
+    )
     force = torch.zeros(3, 2, 2, 3, dtype=qpos.dtype)
-    force[0, :, 1, 0] = force[1, 0, 1, 0] = 1.0  # world 0 holds object 1 with both fingers, world 1 touches it
+    force[0, :, 1, 0] = force[1, 0, 1, 0] = (
+        1.0  # world 0 holds object 1 with both fingers, world 1 touches it
+    )
     state = SimpleNamespace(
         robot_q=qpos[:, :15], object_pose=qpos[:, 15:].unflatten(1, (2, 7)), finger_force=force
-    )  # fmt: skip
+    )
     addresses = SimpleNamespace(robot_q=np.arange(15), object_q=np.array([15, 22]))
     landing = torch.as_tensor(rng.uniform(-1, 1, (3, 15)))
-    moved = Teleporter(addresses, torch.device("cpu")).moved(qpos, state, landing, torch.tensor([1, 1, -1]))  # type: ignore[arg-type]
+    moved = Teleporter(addresses, torch.device("cpu")).moved(
+        qpos, state, landing, torch.tensor([1, 1, -1])
+    )  # type: ignore[arg-type]
     np.testing.assert_array_equal(moved[0, 3:22], qpos[0, 3:22])
     np.testing.assert_array_equal(moved[:, :3], landing[:, :3])
     before, after = (pose_mul(pose_inv(_base(q[0, :3])), q[0, 22:].numpy()) for q in (qpos, moved))
@@ -248,11 +283,14 @@ def _base(pose: torch.Tensor) -> np.ndarray:
 def test_a_reset_leaves_every_bit_of_the_other_worlds(env: Any) -> None:
     with autoreset(env, "disabled"):
         idle(env)
-        before, was = env.sim.get_world(0), map_record(lambda x: x[0].clone(), env.progress)
+        before = env.sim.get_world(0)
+        was = map_record(lambda x: x[0].clone(), env.progress)
         _, info = env.reset(options={"reset_mask": torch.tensor([False, True]), "episode": [3]})
         for name, value in env.sim.get_world(0).items():
             np.testing.assert_array_equal(value, before[name], err_msg=name)
-        assert dataclasses.asdict(map_record(lambda x: x[0], env.progress)) == dataclasses.asdict(was)
+        assert dataclasses.asdict(map_record(lambda x: x[0], env.progress)) == dataclasses.asdict(
+            was
+        )
         assert info["steps_left"].tolist() == [2, 3] and env.episode_spec(1)["index"] == 3
         np.testing.assert_array_equal(env.sim.qpos[1], env.pool.qpos[3])
 
@@ -279,8 +317,13 @@ def test_a_world_that_breaks_is_given_up_alone(env: Any) -> None:
     env.sim.engine.qvel_t[1, 0] = torch.nan
     _, _, _, truncated, info = idle(env)
     assert truncated.tolist() == [False, True] and info["nan_resets"].tolist() == [0, 1]
-    assert info["final_info"]["taint"].tolist() == [0, 1 << TAINTS.index("nan")] and info["taint"].tolist() == [0, 0]
-    assert torch.isfinite(info["final_obs"]["state"]).all() and torch.isfinite(info["robot_force"]).all()
+    assert info["final_info"]["taint"].tolist() == [0, 1 << TAINTS.index("nan")] and info[
+        "taint"
+    ].tolist() == [0, 0]
+    assert (
+        torch.isfinite(info["final_obs"]["state"]).all()
+        and torch.isfinite(info["robot_force"]).all()
+    )
     assert env.records()[0] is None and env.records()[1] is not None
 
 
@@ -290,7 +333,10 @@ def test_overflow_and_bad_actions_raise_in_evaluation(env: Any) -> None:
     tainted = int(env.tainted)
     env.sim.engine.overflow_t[0] = int(row_bit())
     *_, info = idle(env, 3)
-    assert info["final_info"]["taint"][0] == 1 << TAINTS.index("constraint_overflow") and int(env.tainted) > tainted
+    assert (
+        info["final_info"]["taint"][0] == 1 << TAINTS.index("constraint_overflow")
+        and int(env.tainted) > tainted
+    )
     rows = env.sim.engine.sizes.rows
     with pytest.raises(UsageError, match=rf"rows={rows}\).*buffers=\{{'rows': {2 * rows}\}}"):
         env.check_taint()
@@ -308,7 +354,9 @@ def row_bit() -> int:
 
 
 @pytest.mark.parametrize("device", ["cpu", *cuda_devices()])
-def test_a_step_never_waits_for_the_device(env: Any, device: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_step_never_waits_for_the_device(
+    env: Any, device: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     import warp as wp
 
     if device != "cpu":

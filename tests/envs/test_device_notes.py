@@ -19,28 +19,42 @@ from mjhab.tasks.progress import Outcome, Progress
 
 
 def test_history_tells_what_the_tracker_of_the_cpu_notes() -> None:
-    rng, worlds = np.random.default_rng(0), 6
+    rng = np.random.default_rng(0)
+    worlds = 6
     kinds = np.array([0, 1, 2, 3, 4, 0])
     plans = [TaskPlan("", (Subtask(SubtaskKind(int(k)), obj="a", link="b"),)) for k in kinds]
-    tracker, notes = Tracker(worlds), DeviceNotes(worlds, 40, torch.device("cpu"))
-    step, within, done = np.zeros(worlds, np.int64), np.zeros(worlds, np.int64), np.zeros(worlds, bool)
-    signals, progress = draw_signals(rng, kinds), draw_progress(rng, step, within, done)
+    tracker = Tracker(worlds)
+    notes = DeviceNotes(worlds, 40, torch.device("cpu"))
+    step = np.zeros(worlds, np.int64)
+    within = np.zeros(worlds, np.int64)
+    done = np.zeros(worlds, bool)
+    signals = draw_signals(rng, kinds)
+    progress = draw_progress(rng, step, within, done)
     tracker.begin(~done, signals, progress)
     notes.begin(torch.as_tensor(~done), *tensors(signals, progress))
     written = 0
     for _ in range(40):
-        step, within = step + ~done, within + ~done
-        signals, progress = draw_signals(rng, kinds), draw_progress(rng, step, within, done)
+        step = step + ~done
+        within = within + ~done
+        signals = draw_signals(rng, kinds)
+        progress = draw_progress(rng, step, within, done)
         flags = notes.update(*tensors(signals, progress))
-        assert tracker.update(signals, progress) == event_names(np.where(done, PADDING, kinds), flags)
+        assert tracker.update(signals, progress) == event_names(
+            np.where(done, PADDING, kinds), flags
+        )
         ended = (rng.random(worlds) < 0.1) & ~done
-        outcome = Outcome(**{f.name: rng.random(worlds) < 0.5 for f in dataclasses.fields(Outcome)} | {"ended": ended})
+        outcome = Outcome(
+            **{f.name: rng.random(worlds) < 0.5 for f in dataclasses.fields(Outcome)}
+            | {"ended": ended}
+        )
         expected = tracker.ended(signals, outcome, progress, plans)
         codes = notes.end(*tensors(signals, outcome, progress))
         # Some worlds go on with another subtask at once: what the last one did can still be told.
         moved = ended & (rng.random(worlds) < 0.8)
-        done, within = done | (ended & ~moved), np.where(moved, 0, within)
-        signals, progress = draw_signals(rng, kinds), draw_progress(rng, step, within, done)
+        done = done | (ended & ~moved)
+        within = np.where(moved, 0, within)
+        signals = draw_signals(rng, kinds)
+        progress = draw_progress(rng, step, within, done)
         tracker.begin(moved, signals, progress)
         notes.begin(torch.as_tensor(moved), *tensors(signals, progress))
         assert notes.records(plans) == expected
@@ -52,11 +66,15 @@ def test_history_tells_what_the_tracker_of_the_cpu_notes() -> None:
 
 
 def draw_signals(rng: np.random.Generator, kinds: np.ndarray) -> Signals:
-    values: dict[str, Any] = {f.name: rng.random(len(kinds)) < 0.5 for f in dataclasses.fields(Signals)}
+    values: dict[str, Any] = {
+        f.name: rng.random(len(kinds)) < 0.5 for f in dataclasses.fields(Signals)
+    }
     return Signals(**values | {"kind": kinds})
 
 
-def draw_progress(rng: np.random.Generator, step: np.ndarray, within: np.ndarray, done: np.ndarray) -> Progress:
+def draw_progress(
+    rng: np.random.Generator, step: np.ndarray, within: np.ndarray, done: np.ndarray
+) -> Progress:
     zero = np.zeros_like(step)
     force = rng.random(len(step)).astype(np.float32)
     return Progress(zero, zero, within.copy(), step.copy(), force, force, done, done.copy())

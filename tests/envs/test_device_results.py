@@ -37,15 +37,20 @@ def test_pictures_after_a_reset_are_those_of_the_new_episode(env: Any) -> None:
     for _ in range(2):
         idle(env)
     # World 1 shall go on when world 0 ends.
-    env.progress = dataclasses.replace(env.progress, steps_left=env.progress.steps_left + torch.tensor([0, 5]))
+    env.progress = dataclasses.replace(
+        env.progress, steps_left=env.progress.steps_left + torch.tensor([0, 5])
+    )
     obs, _, _, truncated, info = idle(env)
     assert truncated.tolist() == [True, False] and info["_final_obs"].tolist() == [True, False]
     pictures = [key for key in obs if key.endswith("depth")]
     assert len(pictures) == 2
-    again, final = env._observe(), info["final_obs"]
+    again = env._observe()
+    final = info["final_obs"]
     kept = {key: final[key].clone() for key in pictures}
     for key in pictures:
-        np.testing.assert_array_equal(obs[key], again[key], err_msg="of the present state, all drawn anew")
+        np.testing.assert_array_equal(
+            obs[key], again[key], err_msg="of the present state, all drawn anew"
+        )
         np.testing.assert_array_equal(obs[key][1], final[key][1])
         assert not torch.equal(obs[key][0], final[key][0])
     idle(env, 2)
@@ -58,7 +63,9 @@ def test_a_teleport_changes_the_pictures() -> None:
     obs, _ = dev.reset()
     # A Pick that succeeds when somebody says so is followed by a leap.
     everyone = torch.ones(1, dtype=torch.bool)
-    dev.progress = dataclasses.replace(dev.progress, pointer=torch.full_like(dev.progress.pointer, 2))
+    dev.progress = dataclasses.replace(
+        dev.progress, pointer=torch.full_like(dev.progress.pointer, 2)
+    )
     before = dev._observe()
     changed = dev._renew(~everyone, everyone, dev.start_row)
     assert changed.all()
@@ -98,14 +105,18 @@ def test_gradients_of_a_policy_stay_out_of_the_engine(env: Any) -> None:
 
 
 @pytest.mark.parametrize("work", ["reset", "step", "pool"])
-def test_a_device_that_is_full_is_told(env: Any, work: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_device_that_is_full_is_told(
+    env: Any, work: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def full(*_: object, **__: object) -> None:
         raise RuntimeError("CUDA out of memory. Tried to allocate 2 GiB")
 
     from mjhab.envs.device import env as module
 
     env.reset()
-    told = pytest.raises(UsageError, match=r"2 worlds do not fit into the memory of cpu; try 1 .*num_envs")
+    told = pytest.raises(
+        UsageError, match=r"2 worlds do not fit into the memory of cpu; try 1 .*num_envs"
+    )
     if work == "pool":
         monkeypatch.setattr(module, "StartPool", full)
         with told:

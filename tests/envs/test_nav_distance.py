@@ -53,7 +53,8 @@ def test_distances_fall_on_the_way_to_the_goal() -> None:
     field = free.distances_to(goal)
     ways = NavDistance(layout, 1)
     ways.begin(0, home.name, goal)
-    at, left = start, [ways.at(start[None])[0]]
+    at = start
+    left = [ways.at(start[None])[0]]
     while left[-1] > 0.1 and len(left) < 500:
         # Step to the neighbouring cell that is nearest to the goal.
         i, j = free.to_cell(at)

@@ -37,12 +37,16 @@ HALF = np.array([0.0479, 0.0933, 0.1760]) / 2
 
 @pytest.fixture(scope="module")
 def env() -> SequentialTaskEnv:
-    env = envs.make(task="tidy_house", subtask="pick", num_envs=WORLDS, autoreset="disabled", threads=1)
+    env = envs.make(
+        task="tidy_house", subtask="pick", num_envs=WORLDS, autoreset="disabled", threads=1
+    )
     env.reset(seed=0)
     return env
 
 
-def look(env: SequentialTaskEnv, observer: Observer, state: SimState | None = None) -> dict[str, np.ndarray]:
+def look(
+    env: SequentialTaskEnv, observer: Observer, state: SimState | None = None
+) -> dict[str, np.ndarray]:
     """Observations of the environment's present state, or of a changed one."""
     assert env.signals is not None
     return observer.observe(state or env.state, env.focus, env.signals, env.homes)
@@ -57,7 +61,9 @@ def refused(*parts: str) -> Iterator[None]:
         assert part in str(caught.value)
 
 
-def before_camera(env: SequentialTaskEnv, camera: str) -> tuple[SimState, int, np.ndarray, np.ndarray]:
+def before_camera(
+    env: SequentialTaskEnv, camera: str
+) -> tuple[SimState, int, np.ndarray, np.ndarray]:
     """A state with one box 0.3 m ahead of a camera in every world, turned at random; its slot, positions (W, 3) and
     rotations (W, 3, 3)."""
     slot = next(i for i, name in enumerate(env.layout.object_names) if name.startswith(OBJECT))
@@ -66,8 +72,10 @@ def before_camera(env: SequentialTaskEnv, camera: str) -> tuple[SimState, int, n
     pos = cam_pos[:, 0] - 0.3 * cam_mat[:, 0, :, 2]
     quat = np.random.default_rng(3).normal(size=(WORLDS, 4))
     mat = mat_from_quat(quat / np.linalg.norm(quat, axis=1, keepdims=True))
-    body_pos, body_mat = env.state.body_pos.copy(), env.state.body_mat.copy()
-    body_pos[:, body], body_mat[:, body] = pos, mat
+    body_pos = env.state.body_pos.copy()
+    body_mat = env.state.body_mat.copy()
+    body_pos[:, body] = pos
+    body_mat[:, body] = mat
     return dataclasses.replace(env.state, body_pos=body_pos, body_mat=body_mat), slot, pos, mat
 
 
@@ -104,7 +112,9 @@ def test_every_mode_fills_its_space_and_describes_it(env, mode, cameras, size, i
     rows = {row["key"]: row for row in json.loads(json.dumps(observer.describe()))}
     assert set(rows) == set(obs) == set(observer.single_space.spaces)
     for key, array in obs.items():
-        assert rows[key]["shape"] == list(array.shape[1:]) and rows[key]["dtype"] == array.dtype.name
+        assert (
+            rows[key]["shape"] == list(array.shape[1:]) and rows[key]["dtype"] == array.dtype.name
+        )
         assert rows[key]["unit"] and rows[key]["frame"] and rows[key]["meaning"]
     names = (cameras,) if isinstance(cameras, str) else cameras
     height, width = (size, size) if isinstance(size, int) else size
@@ -128,7 +138,8 @@ def test_the_state_is_the_same_bits_in_every_mode(env):
 
 def turned(env: SequentialTaskEnv) -> SimState:
     """The present state once more: the base a full turn on, and the quaternions of the objects negated."""
-    qpos, starts = env.sim.batch.qpos.copy(), env.sim.addresses
+    qpos = env.sim.batch.qpos.copy()
+    starts = env.sim.addresses
     qpos[:, starts.robot_q[2]] += 2 * np.pi
     for start in starts.object_q:
         qpos[:, start + 3 : start + 7] *= -1.0
@@ -137,8 +148,10 @@ def turned(env: SequentialTaskEnv) -> SimState:
 
 
 def test_a_full_turn_and_the_other_quaternion_are_the_same_state(env):
-    observer, qpos = Observer(env.sim, env.sensing), env.sim.batch.qpos.copy()
-    before, objects = look(env, observer), env.state.object_pose.copy()
+    observer = Observer(env.sim, env.sensing)
+    qpos = env.sim.batch.qpos.copy()
+    before = look(env, observer)
+    objects = env.state.object_pose.copy()
     other = turned(env)
     np.testing.assert_allclose(other.object_pose[..., 3:], -objects[..., 3:], atol=1e-12)
     after = look(env, observer, other)
@@ -151,7 +164,8 @@ def test_a_full_turn_and_the_other_quaternion_are_the_same_state(env):
 def test_quaternions_of_either_sign_are_seen_as_one(env):
     """Both signs come in at w = 0 too, where a half turn about any axis lies."""
     observer = Observer(env.sim, env.sensing)
-    objects, bodies = env.state.object_pose.copy(), env.state.body_quat.copy()
+    objects = env.state.object_pose.copy()
+    bodies = env.state.body_quat.copy()
     robot = env.state.robot_q.copy()
     robot[:, 2] = 0.0
     for half_turn in ([0.0, 1.0, 0.0, 0.0], [0.0, -0.6, 0.8, 0.0], [0.0, 0.0, 0.0, -1.0]):
@@ -160,7 +174,9 @@ def test_quaternions_of_either_sign_are_seen_as_one(env):
         for sign in (1.0, -1.0):
             signed = objects.copy()
             signed[..., 3:] *= sign
-            state = dataclasses.replace(env.state, robot_q=robot, object_pose=signed, body_quat=sign * bodies)
+            state = dataclasses.replace(
+                env.state, robot_q=robot, object_pose=signed, body_quat=sign * bodies
+            )
             seen.append(look(env, observer, state)["state"])
         np.testing.assert_array_equal(*seen)
 
@@ -170,7 +186,9 @@ def test_physics_keeps_the_sign_of_its_quaternions(env):
     qpos = env.sim.batch.qpos.copy()
     turned(env)
     start = env.sim.addresses.object_q[0] + 3
-    np.testing.assert_array_equal(env.sim.batch.qpos[:, start : start + 4], -qpos[:, start : start + 4])
+    np.testing.assert_array_equal(
+        env.sim.batch.qpos[:, start : start + 4], -qpos[:, start : start + 4]
+    )
     env.sim.reset(range(WORLDS), env.homes, qpos)
 
 
@@ -188,7 +206,9 @@ def test_a_finished_plan_shows_no_object_no_goal_and_no_grasp():
     for key in ("extra/obj_pose_wrt_base", "extra/goal_pos_wrt_base", "extra/is_grasped"):
         assert not finished[key].any()
     assert holding["extra/is_grasped"].all() and holding["extra/goal_pos_wrt_base"].any()
-    np.testing.assert_array_equal(finished["extra/tcp_pose_wrt_base"], holding["extra/tcp_pose_wrt_base"])
+    np.testing.assert_array_equal(
+        finished["extra/tcp_pose_wrt_base"], holding["extra/tcp_pose_wrt_base"]
+    )
 
 
 def test_parts_of_modes_add_up():
@@ -240,18 +260,22 @@ def test_points_of_an_object_project_onto_its_segment_at_its_depth(env, camera):
 
 
 def test_the_cloud_lies_on_the_depth_images_and_on_the_object(env):
-    cameras, size = ("fetch_hand", "fetch_head"), (48, 64)
+    cameras = ("fetch_hand", "fetch_head")
+    size = (48, 64)
     observer = Observer(env.sim, env.sensing, "rgbd+seg+pointcloud", cameras, size, threads=1)
     state, slot, pos, mat = before_camera(env, "fetch_head")
     obs = look(env, observer, state)
     seg_id = observer.segmentation_names.index(env.layout.object_names[slot])
     for world in range(WORLDS):
-        xyz, seg = to_world(env, world, obs["pointcloud/xyz"][world].astype(float)), obs["pointcloud/seg"][world, :, 0]
+        xyz = to_world(env, world, obs["pointcloud/xyz"][world].astype(float))
+        seg = obs["pointcloud/seg"][world, :, 0]
         for k, camera in enumerate(cameras):
             part = slice(k * size[0] * size[1], (k + 1) * size[0] * size[1])
             for name in ("rgb", "seg"):
                 image = obs[f"sensor_data/{camera}/{name}"][world]
-                np.testing.assert_array_equal(obs[f"pointcloud/{name}"][world, part], image.reshape(-1, image.shape[2]))
+                np.testing.assert_array_equal(
+                    obs[f"pointcloud/{name}"][world, part], image.reshape(-1, image.shape[2])
+                )
             mm = obs[f"sensor_data/{camera}/depth"][world].reshape(-1)
             hit = mm > 0
             np.testing.assert_array_equal(hit, seg[part] > 0)
@@ -287,7 +311,9 @@ def synthetic(depth: np.ndarray, base: tuple[float, float, float]) -> Views:
     mat = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
     intrinsic = np.array([[2.0, 0, 2], [0, 2, 1], [0, 0, 1]])
     images = {"depth": depth.astype(np.float32)[None, None]}
-    return Views(images, np.array([[[1.0, 2.0, 1.5]]]), mat[None, None], np.array([base]), intrinsic[None])
+    return Views(
+        images, np.array([[[1.0, 2.0, 1.5]]]), mat[None, None], np.array([base]), intrinsic[None]
+    )
 
 
 def row_of(key: str):
@@ -316,7 +342,8 @@ def test_depth_is_rounded_to_millimetres_and_capped():
 @pytest.mark.parametrize("value", [np.nan, 1e30])
 def test_a_world_that_diverged_is_blank_and_leaves_the_others(env, value):
     observer = Observer(env.sim, env.sensing, "rgbd+seg", size=16, threads=1)
-    body_pos, body_mat = env.state.body_pos.copy(), env.state.body_mat.copy()
+    body_pos = env.state.body_pos.copy()
+    body_mat = env.state.body_mat.copy()
     body_pos[0, 5:] = value
     if np.isnan(value):
         body_mat[0] = value

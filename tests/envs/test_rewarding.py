@@ -25,7 +25,10 @@ GOAL = (1.0, 0.0, 0.5)
 HANDLE = np.array([0.5, 0.4, 1.27])
 """0.4 m from the tool centre at rest."""
 LAYOUT: Any = SimpleNamespace(
-    links=[SimpleNamespace(link=SimpleNamespace(joint="hinge")), SimpleNamespace(link=SimpleNamespace(joint="slide"))]
+    links=[
+        SimpleNamespace(link=SimpleNamespace(joint="hinge")),
+        SimpleNamespace(link=SimpleNamespace(joint="slide")),
+    ]
 )
 SENSING: Any = SimpleNamespace(handle_pos=lambda state, world, link: state.handles[world, link])
 
@@ -34,11 +37,16 @@ def inputs_of(kinds: list[int], link: int = 1, **over: Any) -> RewardInputs:
     """Worlds that do one subtask each about object 1 of 3 and link 1 of 2 (a drawer), the robot at rest."""
     w = len(kinds)
     link_name = ("fridge/top_door", "kitchen_counter/drawer3")[link]
-    plan = stack_plans([TaskPlan("t", (Subtask(SubtaskKind(k), "bowl", link_name, GOAL),)) for k in kinds], CONFIG)
+    plan = stack_plans(
+        [TaskPlan("t", (Subtask(SubtaskKind(k), "bowl", link_name, GOAL),)) for k in kinds], CONFIG
+    )
     state: dict[str, Any] = {
-        "object_pose": np.zeros((w, 3, 7)), "object_vel": np.zeros((w, 3, 6)), "tcp_vel": np.zeros((w, 3)),
-        "link_qd": np.zeros((w, 2)), "handles": np.full((w, 2, 3), 9.0),
-    }  # fmt: skip
+        "object_pose": np.zeros((w, 3, 7)),
+        "object_vel": np.zeros((w, 3, 6)),
+        "tcp_vel": np.zeros((w, 3)),
+        "link_qd": np.zeros((w, 2)),
+        "handles": np.full((w, 2, 3), 9.0),
+    }
     state["object_pose"][:, 1, :3] = over.pop("obj", (0.5, 0.3, 1.27))
     state["handles"][:, link] = over.pop("handle", HANDLE)
     for name in set(over) & set(state):
@@ -47,7 +55,9 @@ def inputs_of(kinds: list[int], link: int = 1, **over: Any) -> RewardInputs:
     progress = start(plan, CONFIG)
     active = active_entries(plan, progress.pointer, CONFIG)
     signals = measure(world, plan, progress, CONFIG, active)
-    focus: Any = SimpleNamespace(kind=active.kind, obj=np.full(w, 1), link=np.full(w, link), active=active)
+    focus: Any = SimpleNamespace(
+        kind=active.kind, obj=np.full(w, 1), link=np.full(w, link), active=active
+    )
     sim: Any = SimpleNamespace(**state)
     return RewardInputs(sim, world, signals, focus, progress)
 
@@ -92,7 +102,9 @@ def test_it_looks_at_the_handle_and_the_speed_of_the_link_in_focus(link: int, id
 def test_the_way_to_a_goal_is_straight_unless_told_otherwise() -> None:
     base: dict[str, Any] = {"base_pose": [-2.0, 4.0, 0.0], "tcp_pos": [-1.5, 4.0, 1.27]}
     assert step(NAVIGATE, **base)["approach"] == pytest.approx(8 * (1 - tanh(0.5)))
-    assert step(NAVIGATE, lambda _: np.array([7.0]), **base)["approach"] == pytest.approx(8 * (1 - tanh(0.7)))
+    assert step(NAVIGATE, lambda _: np.array([7.0]), **base)["approach"] == pytest.approx(
+        8 * (1 - tanh(0.7))
+    )
     assert step(NAVIGATE, lambda _: np.array([np.inf]), **base)["approach"] == 0.0
 
 
@@ -105,13 +117,23 @@ def test_only_navigation_asks_for_the_way() -> None:
 
     rewarder(2, nav_distance=way).step(inputs_of([PICK, OPEN]))
     assert not asked
-    reward, terms = rewarder(5, nav_distance=way).step(inputs_of([PICK, PLACE, NAVIGATE, OPEN, CLOSE]))
-    assert asked == [5] and np.isfinite(reward).all() and all(np.isfinite(t).all() for t in terms.values())
+    reward, terms = rewarder(5, nav_distance=way).step(
+        inputs_of([PICK, PLACE, NAVIGATE, OPEN, CLOSE])
+    )
+    assert (
+        asked == [5]
+        and np.isfinite(reward).all()
+        and all(np.isfinite(t).all() for t in terms.values())
+    )
 
 
 def test_modes() -> None:
-    inputs = inputs_of([PICK, PICK], finger_force=squeeze(), obj=(0.5, 0.0, 1.27), robot_qd=np.zeros((2, 15)))
-    moved = dataclasses.replace(inputs, signals=dataclasses.replace(inputs.signals, success=np.array([True, False])))
+    inputs = inputs_of(
+        [PICK, PICK], finger_force=squeeze(), obj=(0.5, 0.0, 1.27), robot_qd=np.zeros((2, 15))
+    )
+    moved = dataclasses.replace(
+        inputs, signals=dataclasses.replace(inputs.signals, success=np.array([True, False]))
+    )
     dense, terms = rewarder(2).step(moved)
     assert dense == pytest.approx([29.0, 26.0]) and terms["success"].tolist() == [3.0, 0.0]
     normalized, same = rewarder(2, "normalized_dense").step(moved)
@@ -142,15 +164,19 @@ def test_the_torso_is_not_clipped_where_published() -> None:
     above = np.array(REST_QPOS)
     above[3] = top + 0.01
     made = rewarder(1, options=RewardOptions(formula="published"))
-    assert made.step(inputs_of([PLACE], obj=GOAL, robot_q=above))[1]["torso_up"][0] == pytest.approx(
-        2 * (1 + 0.01 / top)
-    )
+    assert made.step(inputs_of([PLACE], obj=GOAL, robot_q=above))[1]["torso_up"][
+        0
+    ] == pytest.approx(2 * (1 + 0.01 / top))
     above[3] = -0.01
-    assert made.step(inputs_of([PLACE], obj=GOAL, robot_q=above))[1]["torso_up"][0] == pytest.approx(-0.02 / top)
+    assert made.step(inputs_of([PLACE], obj=GOAL, robot_q=above))[1]["torso_up"][
+        0
+    ] == pytest.approx(-0.02 / top)
 
 
 def test_closing_at_the_handle_is_remembered_until_the_world_begins_anew() -> None:
-    at_handle, away = (inputs_of([CLOSE] * 3, joint_q=0.0, handle=at) for at in ((0.5, 0.2, 1.27), HANDLE))
+    at_handle, away = (
+        inputs_of([CLOSE] * 3, joint_q=0.0, handle=at) for at in ((0.5, 0.2, 1.27), HANDLE)
+    )
     made = rewarder(3)
     made.begin(np.ones(3, bool), away)
     assert not made.step(away)[1]["closed"].any()

@@ -14,7 +14,9 @@ from mjhab.tasks.plan import SubtaskKind
 
 
 def build(**options) -> SequentialTaskEnv:
-    return envs.make(**{"task": "set_table", "num_envs": 2, "autoreset": "disabled", "threads": 1} | options)
+    return envs.make(
+        **{"task": "set_table", "num_envs": 2, "autoreset": "disabled", "threads": 1} | options
+    )
 
 
 def still(env: SequentialTaskEnv) -> np.ndarray:
@@ -33,7 +35,9 @@ def test_spaces_and_state_layout():
     assert STATE_DIM == 42
     assert obs["state"].shape == (3, 42) and obs["state"].dtype == np.float32
     assert env.observation_space.contains(obs)
-    np.testing.assert_array_equal(obs["state"], np.concatenate([obs[e.key] for e in STATE_TABLE], axis=1))
+    np.testing.assert_array_equal(
+        obs["state"], np.concatenate([obs[e.key] for e in STATE_TABLE], axis=1)
+    )
     assert [e.name for e in action_table()][7] == "gripper" and len(action_table()) == ACTION_DIM
     assert (info["kind"] == SubtaskKind.NAVIGATE).all()
 
@@ -82,9 +86,15 @@ def test_worlds_can_be_in_different_subtasks():
 def snapshot(env: SequentialTaskEnv, world: int) -> list[bytes]:
     batch = env.sim.batch
     rows = [batch.qpos, batch.qvel, batch.ctrl, batch.qacc_warmstart, batch.sensordata, batch.xpos]
-    rows += [getattr(env.progress, f) for f in ("pointer", "steps_left", "cumulative_force", "peak_force")]
+    rows += [
+        getattr(env.progress, f)
+        for f in ("pointer", "steps_left", "cumulative_force", "peak_force")
+    ]
     rows += [env.state.robot_q, env.state.object_pose, env.tracker._start_step, env.joint_start]
-    rows += [getattr(env.tracker._notes._labels, f) for f in env.tracker._notes._labels.__dataclass_fields__]  # type: ignore[union-attr]
+    rows += [
+        getattr(env.tracker._notes._labels, f)
+        for f in env.tracker._notes._labels.__dataclass_fields__
+    ]  # type: ignore[union-attr]
     return [np.ascontiguousarray(r[world]).tobytes() for r in rows if r is not None]
 
 

@@ -29,7 +29,8 @@ from mjhab.tasks.plan import SubtaskKind
 from mjhab.tasks.rewards import RewardOptions
 from tests.no_sync import NoSync
 
-WORLDS, STEPS = 8, 4
+WORLDS = 8
+STEPS = 4
 TOLERANCE = {torch.float64: 1e-12, torch.float32: 2e-5}
 """Largest difference [SI units] from numpy, beside the same share of the value."""
 DTYPES = list(TOLERANCE)
@@ -57,19 +58,33 @@ def assert_same(found: Any, wanted: Any, dtype: torch.dtype, name: str = "") -> 
         for key, old in wanted.items():
             assert_same(found[key], old, dtype, f"{name}[{key}]")
     else:
-        kinds = {"f": (dtype, torch.float32), "i": (torch.int64, torch.int32, torch.int16), "b": (torch.bool,)}
+        kinds = {
+            "f": (dtype, torch.float32),
+            "i": (torch.int64, torch.int32, torch.int16),
+            "b": (torch.bool,),
+        }
         assert found.dtype in {**kinds, "u": (torch.uint8,)}[wanted.dtype.kind], name
         assert tuple(found.shape) == wanted.shape, name
         tolerance = max(TOLERANCE[dtype], 1e-6) if wanted.dtype == np.float32 else TOLERANCE[dtype]
-        np.testing.assert_allclose(to_numpy(found), wanted, rtol=tolerance, atol=tolerance, err_msg=name)
+        np.testing.assert_allclose(
+            to_numpy(found), wanted, rtol=tolerance, atol=tolerance, err_msg=name
+        )
 
 
-@pytest.fixture(scope="module", params=[("set_table", "sphere"), ("tidy_house", "zone")], ids=["set_table", "zone"])
+@pytest.fixture(
+    scope="module",
+    params=[("set_table", "sphere"), ("tidy_house", "zone")],
+    ids=["set_table", "zone"],
+)
 def history(request: pytest.FixtureRequest) -> tuple[SequentialTaskEnv, list[SimState]]:
     """An environment and its states while it moves at random."""
     task, goal_type = request.param
     env: SequentialTaskEnv = envs.make(
-        task=task, num_envs=WORLDS, threads=1, autoreset="disabled", overrides={"goal_type": goal_type}
+        task=task,
+        num_envs=WORLDS,
+        threads=1,
+        autoreset="disabled",
+        overrides={"goal_type": goal_type},
     )
     env.reset(seed=1)
     rng = np.random.default_rng(0)
@@ -94,7 +109,9 @@ def _touched(state: SimState, env: SequentialTaskEnv, rng: np.random.Generator) 
     )
 
 
-def pointers(env: SequentialTaskEnv, rng: np.random.Generator, kind: SubtaskKind | None = None) -> np.ndarray:
+def pointers(
+    env: SequentialTaskEnv, rng: np.random.Generator, kind: SubtaskKind | None = None
+) -> np.ndarray:
     """(W,) places in the plans, one past the end included; with a kind: only of subtasks of it."""
     length = env.tables.arrays.length
     if kind is None:
@@ -105,17 +122,35 @@ def pointers(env: SequentialTaskEnv, rng: np.random.Generator, kind: SubtaskKind
 class Follower:
     """What a step computes after physics, in one library."""
 
-    def __init__(self, env: SequentialTaskEnv, like: Any, kinds: list[SubtaskKind], mode: str, published: bool) -> None:
-        layout, addresses = env.layout, env.sim.addresses
+    def __init__(
+        self,
+        env: SequentialTaskEnv,
+        like: Any,
+        kinds: list[SubtaskKind],
+        mode: str,
+        published: bool,
+    ) -> None:
+        layout = env.layout
+        addresses = env.sim.addresses
         stillness = "published" if published else "absolute"
         # A subtask alone is judged continuously, as in training.
-        self.config = dataclasses.replace(env.task_config, continuous=len(kinds) == 1, stillness=stillness)
-        options = RewardOptions(formula="published", normaliser="published") if published else RewardOptions()
+        self.config = dataclasses.replace(
+            env.task_config, continuous=len(kinds) == 1, stillness=stillness
+        )
+        options = (
+            RewardOptions(formula="published", normaliser="published")
+            if published
+            else RewardOptions()
+        )
         self.sensing = Sensing(layout, addresses, WORLDS, like)
-        self.rewarder = Rewarder(WORLDS, self.config, mode, options, layout, self.sensing, kinds=kinds, like=like)
+        self.rewarder = Rewarder(
+            WORLDS, self.config, mode, options, layout, self.sensing, kinds=kinds, like=like
+        )
         self.notes: labels.LabelState | None = None
 
-    def step(self, state: SimState, tables: Rows, progress: Any, joint_start: Any) -> dict[str, Any]:
+    def step(
+        self, state: SimState, tables: Rows, progress: Any, joint_start: Any
+    ) -> dict[str, Any]:
         focus = look_up(tables, progress.pointer, self.config)
         world = self.sensing.world_state(state, tables, focus, joint_start)
         progress = progress_rules.accumulate(progress, world.robot_force)
@@ -128,12 +163,22 @@ class Follower:
         before = labels.start(signals) if self.notes is None else self.notes
         self.notes = labels.restart(labels.update(before, signals), outcome.ended, signals)
         return {
-            "focus": focus, "world": world, "signals": signals, "after": after, "outcome": outcome,
-            "restarted": progress_rules.reset_rows(after, outcome.ended, tables.arrays, self.config),
-            "reward": reward, "terms": terms, "context": context, "obs": state_observation(context),
-            "tcp": self.sensing.tcp_pose(state), "label": labels.label(self.notes, signals.kind),
+            "focus": focus,
+            "world": world,
+            "signals": signals,
+            "after": after,
+            "outcome": outcome,
+            "restarted": progress_rules.reset_rows(
+                after, outcome.ended, tables.arrays, self.config
+            ),
+            "reward": reward,
+            "terms": terms,
+            "context": context,
+            "obs": state_observation(context),
+            "tcp": self.sensing.tcp_pose(state),
+            "label": labels.label(self.notes, signals.kind),
             "events": events.edge_events(signals.kind, before.now, labels.watch(signals)),
-        }  # fmt: skip
+        }
 
 
 @pytest.mark.parametrize("dtype", DTYPES)
@@ -146,12 +191,16 @@ def test_the_signs_of_quaternions_do_not_matter(
     turn = np.zeros(state.robot_q.shape[1])
     turn[2] = 2 * np.pi
     flip = np.array([1.0, 1, 1, -1, -1, -1, -1])
-    other = dataclasses.replace(state, robot_q=state.robot_q + turn, object_pose=state.object_pose * flip)
+    other = dataclasses.replace(
+        state, robot_q=state.robot_q + turn, object_pose=state.object_pose * flip
+    )
     like = torch.zeros(0, dtype=dtype)
     sensing = Sensing(env.layout, env.sim.addresses, WORLDS, like)
     seen = [
         state_observation(
-            sensing.context(as_torch(each, dtype), as_torch(env.focus, dtype), as_torch(env.signals, dtype))
+            sensing.context(
+                as_torch(each, dtype), as_torch(env.focus, dtype), as_torch(env.signals, dtype)
+            )
         )["state"]
         for each in (state, other)
     ]
@@ -171,17 +220,26 @@ def follow_both(
     """Fold the states in numpy and in torch, at random places of the plans, and compare everything in every step."""
     env, states = history
     kinds = list(SubtaskKind) if kind is None else [kind]
-    rows = Rows(env.tables.arrays, env.tables.obj, env.tables.link, env.tables.target, env.tables.held)
+    rows = Rows(
+        env.tables.arrays, env.tables.obj, env.tables.link, env.tables.target, env.tables.held
+    )
     tensors = as_torch(rows, dtype)
     host = Follower(env, np.zeros(0), kinds, mode, published)
     device = Follower(env, torch.zeros(0, dtype=dtype), kinds, mode, published)
     rng = np.random.default_rng(2)
     begun = progress_rules.start(rows.arrays, env.task_config)
     for number, state in enumerate(states):
-        progress = dataclasses.replace(begun, pointer=pointers(env, rng, kind), steps_left=rng.integers(1, 3, WORLDS))
+        progress = dataclasses.replace(
+            begun, pointer=pointers(env, rng, kind), steps_left=rng.integers(1, 3, WORLDS)
+        )
         given = (state, rows, progress, env.joint_start)
         wanted = host.step(*given)
-        moved = (as_torch(state, dtype), tensors, as_torch(progress, dtype), as_torch(env.joint_start, dtype))
+        moved = (
+            as_torch(state, dtype),
+            tensors,
+            as_torch(progress, dtype),
+            as_torch(env.joint_start, dtype),
+        )
         if number == 0:
             device.step(*moved)  # Constants go to the device once.
             device.rewarder.begin(torch.ones(WORLDS, dtype=torch.bool), None)  # type: ignore[arg-type]
@@ -201,13 +259,17 @@ def test_all_that_follows_physics_is_the_same(history: Any, mode: str, dtype: to
 
 
 @pytest.mark.parametrize("dtype", DTYPES)
-def test_what_is_judged_and_earned_as_published_is_the_same(history: Any, dtype: torch.dtype) -> None:
+def test_what_is_judged_and_earned_as_published_is_the_same(
+    history: Any, dtype: torch.dtype
+) -> None:
     follow_both(history, None, "normalized_dense", dtype, published=True)
 
 
 @pytest.mark.parametrize("dtype", DTYPES)
 @pytest.mark.parametrize("kind", list(SubtaskKind))
-def test_the_reward_of_one_kind_is_the_same(history: Any, kind: SubtaskKind, dtype: torch.dtype) -> None:
+def test_the_reward_of_one_kind_is_the_same(
+    history: Any, kind: SubtaskKind, dtype: torch.dtype
+) -> None:
     env, _ = history
     if env.config.task == "tidy_house" and kind in (SubtaskKind.OPEN, SubtaskKind.CLOSE):
         assert not (env.tables.arrays.kind == kind).any()
@@ -224,7 +286,8 @@ def test_every_control_mode_is_the_same(mode: str, base: str, dtype: torch.dtype
     device = make_controller(mode, WORLDS, like=torch.zeros(0, dtype=dtype), **options)
     rng = np.random.default_rng(3)
     q = np.array(REST_QPOS) + rng.normal(0.0, 0.2, (WORLDS, 15))
-    everyone, some = np.ones(WORLDS, bool), np.arange(WORLDS) % 2 == 0
+    everyone = np.ones(WORLDS, bool)
+    some = np.arange(WORLDS) % 2 == 0
     for number in range(4):
         state: Any = _Pose(q)
         moved: Any = _Pose(as_torch(q, dtype))
@@ -233,7 +296,8 @@ def test_every_control_mode_is_the_same(mode: str, base: str, dtype: torch.dtype
         if number == 0:  # Constants go to the device once.
             warm = make_controller(mode, WORLDS, like=torch.zeros(0, dtype=dtype), **options)
             warm.ctrl(warm.still(moved), moved)
-        given, flags = torch.from_numpy(actions), torch.from_numpy(mask)
+        given = torch.from_numpy(actions)
+        flags = torch.from_numpy(mask)
         host.reset(mask, state)
         with NoSync():
             device.reset(flags, moved)
@@ -259,7 +323,12 @@ class _Pose:
 @pytest.mark.parametrize("mode", ["rgbd+seg", "pointcloud"])
 def test_what_cameras_see_is_the_same(mode: str, dtype: torch.dtype) -> None:
     env: SequentialTaskEnv = envs.make(
-        task="tidy_house", subtask="pick", num_envs=2, threads=1, obs_mode=mode, camera_size=(12, 16)
+        task="tidy_house",
+        subtask="pick",
+        num_envs=2,
+        threads=1,
+        obs_mode=mode,
+        camera_size=(12, 16),
     )
     env.reset(seed=0)
     seer = env.observer
@@ -269,7 +338,9 @@ def test_what_cameras_see_is_the_same(mode: str, dtype: torch.dtype) -> None:
     images["depth"][0, 0, 0, 0] = 40.0  # Farther than an int16 counts in millimetres.
     intrinsic = seer._intrinsic
     views = Views(images, pos, mat, env.state.robot_q[:, :3], intrinsic)
-    moved = Views(*(as_torch(part, dtype) for part in (images, pos, mat, env.state.robot_q[:, :3], intrinsic)))
+    moved = Views(
+        *(as_torch(part, dtype) for part in (images, pos, mat, env.state.robot_q[:, :3], intrinsic))
+    )
     rows = [entry for entry in seer.table if entry.key.startswith(("sensor", "pointcloud"))]
     assert len(rows) >= 3
     for entry in rows:
@@ -279,11 +350,15 @@ def test_what_cameras_see_is_the_same(mode: str, dtype: torch.dtype) -> None:
         wanted = entry.compute(views)
         assert to_numpy(found).dtype == wanted.dtype == entry.dtype, entry.key
         tolerance = 1e-5 if wanted.dtype == np.float32 else 0
-        np.testing.assert_allclose(to_numpy(found), wanted, atol=tolerance, rtol=tolerance, err_msg=entry.key)
+        np.testing.assert_allclose(
+            to_numpy(found), wanted, atol=tolerance, rtol=tolerance, err_msg=entry.key
+        )
 
 
 @pytest.mark.parametrize("dtype", DTYPES)
-def test_ways_to_goals_are_those_of_the_host_to_a_millimetre(history: Any, dtype: torch.dtype) -> None:
+def test_ways_to_goals_are_those_of_the_host_to_a_millimetre(
+    history: Any, dtype: torch.dtype
+) -> None:
     env, _ = history
     rng = np.random.default_rng(4)
     goals = [(env.homes[w], env.tables.arrays.goal_pos[w, 0]) for w in range(WORLDS)]
@@ -312,7 +387,9 @@ def test_ways_to_goals_are_those_of_the_host_to_a_millimetre(history: Any, dtype
     assert GoalFields([], maps, "cpu").at(torch.full((1,), -1), moved[:1]).tolist() == [0.0]
 
 
-def test_a_table_of_ways_too_large_for_the_device_is_refused(history: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_table_of_ways_too_large_for_the_device_is_refused(
+    history: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     env, _ = history
     monkeypatch.setattr("mjhab.envs.device.fields.MAX_BYTES", 1000)
     with pytest.raises(UsageError, match="fewer starts"):

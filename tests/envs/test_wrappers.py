@@ -13,18 +13,27 @@ from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
 import mjhab.envs as envs
 from mjhab.core.errors import UsageError
-from mjhab.envs.wrappers import FlattenStatePixels, FrameStack, NormalizeImages, denormalize_depth, normalize_depth
+from mjhab.envs.wrappers import (
+    FlattenStatePixels,
+    FrameStack,
+    NormalizeImages,
+    denormalize_depth,
+    normalize_depth,
+)
 from mjhab.robots.controllers.actions import ACTION_DIM
 
 DEPTH, RGB, SEG = (f"sensor_data/cam/{output}" for output in ("depth", "rgb", "seg"))
-SAME, NEXT, DISABLED = AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED
+SAME = AutoresetMode.SAME_STEP
+NEXT = AutoresetMode.NEXT_STEP
+DISABLED = AutoresetMode.DISABLED
 
 
 class CountingEnv(VectorEnv):
     """Worlds whose depth is 1000 * world + 100 * episode + step, and whose episodes last 2, 3, ... steps."""
 
     def __init__(self, mode: AutoresetMode, num_envs: int = 2) -> None:
-        self.num_envs, self.mode = num_envs, mode
+        self.num_envs = num_envs
+        self.mode = mode
         self.metadata = {"autoreset_mode": mode}
         self.rows = spaces.Dict(
             {
@@ -50,16 +59,23 @@ class CountingEnv(VectorEnv):
     def _observe(self) -> dict[str, np.ndarray]:
         value = 1000 * np.arange(self.num_envs) + 100 * self._episode + self._step
         shape = (self.num_envs, 1, 1, 1)
-        rgb = np.zeros((self.num_envs, 2, 3, 3), np.uint8) + np.arange(18, dtype=np.uint8).reshape(2, 3, 3) * 14
+        rgb = (
+            np.zeros((self.num_envs, 2, 3, 3), np.uint8)
+            + np.arange(18, dtype=np.uint8).reshape(2, 3, 3) * 14
+        )
         return {
             "state": np.repeat(value[:, None], 4, axis=1).astype(np.float32),
-            "sensor_param/cam/intrinsic_cv": np.tile(np.eye(3, dtype=np.float32), (self.num_envs, 1, 1)),
+            "sensor_param/cam/intrinsic_cv": np.tile(
+                np.eye(3, dtype=np.float32), (self.num_envs, 1, 1)
+            ),
             DEPTH: np.broadcast_to(value.reshape(shape), (self.num_envs, 2, 3, 1)).astype(np.int16),
             RGB: rgb,
             SEG: np.full((self.num_envs, 2, 3, 1), 7, np.int32),
         }
 
-    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[dict, dict]:
+    def reset(
+        self, *, seed: Any = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict, dict]:
         mask = (options or {}).get("reset_mask", np.ones(self.num_envs, bool))
         self._begin(mask)
         self._ended[mask] = False
@@ -82,7 +98,8 @@ class Frames:
     """Drives a FrameStack of 3 and reads each world's frames as lists of numbers."""
 
     def __init__(self, env: FrameStack) -> None:
-        self.env, self.info = env, dict[str, Any]()
+        self.env = env
+        self.info = dict[str, Any]()
 
     def reset(self, mask: list[bool] | None = None) -> list[list[int]]:
         options = None if mask is None else {"reset_mask": np.array(mask)}
@@ -159,7 +176,9 @@ def test_reset_by_mask_leaves_frames_of_other_worlds(mode):
     env.step()
     before = env.env.get_frames(0)
     assert env.reset([False, True]) == [[0, 0, 1], [1100, 1100, 1100]]
-    assert {k: v.tobytes() for k, v in env.env.get_frames(0).items()} == {k: v.tobytes() for k, v in before.items()}
+    assert {k: v.tobytes() for k, v in env.env.get_frames(0).items()} == {
+        k: v.tobytes() for k, v in before.items()
+    }
 
 
 def test_frames_are_the_callers_own_and_can_be_put_back():
@@ -177,10 +196,16 @@ def test_only_the_keys_asked_for_are_stacked():
     env = FrameStack(CountingEnv(SAME), 2, keys=["state", RGB])
     obs, _ = env.reset()
     assert env.observation_space.contains(obs)
-    assert obs["state"].shape == (2, 2, 4) and obs[RGB].shape == (2, 2, 2, 3, 3) and obs[DEPTH].shape == (2, 2, 3, 1)
+    assert (
+        obs["state"].shape == (2, 2, 4)
+        and obs[RGB].shape == (2, 2, 2, 3, 3)
+        and obs[DEPTH].shape == (2, 2, 3, 1)
+    )
     obs, *_, info = env.step(np.zeros(2, int))
     obs, *_, info = env.step(np.zeros(2, int))
-    assert obs["state"][0, :, 0].tolist() == [100, 100] and info["final_obs"]["state"][0, :, 0].tolist() == [1, 2]
+    assert obs["state"][0, :, 0].tolist() == [100, 100] and info["final_obs"]["state"][
+        0, :, 0
+    ].tolist() == [1, 2]
     np.testing.assert_array_equal(info["final_obs"][DEPTH][:, 0, 0, 0], [2, 1002])
 
 
@@ -190,7 +215,8 @@ def test_gymnasiums_statistics_agree_above_and_below(mode):
         lambda e: RecordEpisodeStatistics(FrameStack(e, 3)),
         lambda e: FrameStack(RecordEpisodeStatistics(e), 3),
     ):
-        env, lengths = build(CountingEnv(mode)), []
+        env = build(CountingEnv(mode))
+        lengths = []
         env.reset()
         done = np.zeros(2, bool)
         for _ in range(12):
@@ -198,7 +224,9 @@ def test_gymnasiums_statistics_agree_above_and_below(mode):
                 env.reset(options={"reset_mask": done})
             _, _, done, _, info = env.step(np.zeros(2, int))
             assert ("episode" in info) == done.any()
-            lengths += [(w, info["episode"]["l"][w], info["episode"]["r"][w]) for w in np.flatnonzero(done)]
+            lengths += [
+                (w, info["episode"]["l"][w], info["episode"]["r"][w]) for w in np.flatnonzero(done)
+            ]
         assert len(lengths) >= 6 and {(0, 2, 2.0), (1, 3, 3.0)} == set(lengths)
 
 
@@ -207,8 +235,10 @@ def test_flat_state_and_pixels_with_channels_first():
     obs, _ = env.reset()
     assert env.observation_space.contains(obs) and set(obs) == {"state", "pixels"}
     assert {k: v.shape for k, v in obs["pixels"].items()} == {
-        "cam_depth": (2, 1, 2, 3), "cam_rgb": (2, 3, 2, 3), "cam_seg": (2, 1, 2, 3),
-    }  # fmt: skip
+        "cam_depth": (2, 1, 2, 3),
+        "cam_rgb": (2, 3, 2, 3),
+        "cam_seg": (2, 1, 2, 3),
+    }
     assert obs["state"].shape == (2, 4) and obs["pixels"]["cam_depth"].dtype == np.int16
     assert obs["pixels"]["cam_rgb"][0, 2, 1, 0] == 14 * (3 * 3 + 2)
 
@@ -231,12 +261,22 @@ def test_flat_pixels_of_a_stack_in_the_final_observation_too():
 def test_cameras_keep_the_order_asked_for(cameras: tuple[str, ...]):
     """Learners join images in the order in which they find them, in spaces as in observations."""
     env = envs.make(
-        task="tidy_house", subtask="pick", num_envs=1, obs_mode="depth", cameras=cameras, camera_size=8, threads=1
+        task="tidy_house",
+        subtask="pick",
+        num_envs=1,
+        obs_mode="depth",
+        cameras=cameras,
+        camera_size=8,
+        threads=1,
     )
     flat = FlattenStatePixels(NormalizeImages(FrameStack(env, 2)))
     obs, _ = flat.reset(seed=0)
     wanted = [f"{camera}_depth" for camera in cameras]
-    for space in (flat.single_observation_space, flat.observation_space, NormalizeImages(flat).observation_space):
+    for space in (
+        flat.single_observation_space,
+        flat.observation_space,
+        NormalizeImages(flat).observation_space,
+    ):
         assert isinstance(space, spaces.Dict)
         pixels = space["pixels"]
         assert isinstance(pixels, spaces.Dict) and list(pixels) == wanted
@@ -263,7 +303,9 @@ ORDERS = {
 
 
 @pytest.mark.parametrize("order", ORDERS)
-@pytest.mark.parametrize("how", [{}, {"depth": "linear", "depth_clip": 5.0, "rgb": "imagenet"}, {"depth": "raw"}])
+@pytest.mark.parametrize(
+    "how", [{}, {"depth": "linear", "depth_clip": 5.0, "rgb": "imagenet"}, {"depth": "raw"}]
+)
 def test_images_are_normalised_and_come_back_wherever_the_wrapper_stands(order, how):
     env = ORDERS[order](CountingEnv(SAME), **how)
     seen = [env.reset()[0]]
@@ -275,7 +317,11 @@ def test_images_are_normalised_and_come_back_wherever_the_wrapper_stands(order, 
         assert env.observation_space.contains(obs)
         back = env.inverse(obs)
         assert env.env.observation_space.contains(back)
-        pairs = [("cam_rgb", back["pixels"], plain["pixels"])] if order == "flat" else [(RGB, back, plain)]
+        pairs = (
+            [("cam_rgb", back["pixels"], plain["pixels"])]
+            if order == "flat"
+            else [(RGB, back, plain)]
+        )
         for key, ours, theirs in pairs:
             np.testing.assert_array_equal(ours[key], theirs[key])
     final = env.inverse(seen[-1])
@@ -299,7 +345,9 @@ def test_numbers_of_normalised_images():
 
 def test_frames_of_the_real_environment_under_a_partial_reset():
     env = FrameStack(
-        envs.make(task="set_table", subtask="close", num_envs=2, autoreset="disabled", threads=1), 3, keys=["state"]
+        envs.make(task="set_table", subtask="close", num_envs=2, autoreset="disabled", threads=1),
+        3,
+        keys=["state"],
     )
     first = env.reset(seed=0)[0]["state"]
     assert first.shape == (2, 3, 42) and (first == first[:, :1]).all()
@@ -315,7 +363,9 @@ def test_frames_of_the_real_environment_under_a_partial_reset():
 
 def test_bad_input_is_named():
     env = CountingEnv(SAME)
-    with pytest.raises(UsageError, match=r"unknown observation key 'sensor_data/cam/dept'.*Did you mean"):
+    with pytest.raises(
+        UsageError, match=r"unknown observation key 'sensor_data/cam/dept'.*Did you mean"
+    ):
         FrameStack(env, 3, keys=["sensor_data/cam/dept"])
     with pytest.raises(UsageError, match="num_stack must be at least 1, got 0"):
         FrameStack(env, 0)

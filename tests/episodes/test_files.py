@@ -24,12 +24,16 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("made") / "all.json.gz"
     told: list[tuple[int, int]] = []
     made = make_file(RECIPE, out, 1, lambda done, rejected: told.append((done, rejected)))
-    assert [done for done, _ in told] == list(range(7)) and told[-1] == (made["episodes"], made["rejected"])
+    assert [done for done, _ in told] == list(range(7)) and told[-1] == (
+        made["episodes"],
+        made["rejected"],
+    )
     return out
 
 
 def test_the_file_holds_the_episodes_and_the_manifest_their_hashes(whole: Path) -> None:
-    file, manifest = read_hab(whole), json.loads(manifest_path(whole).read_text())
+    file = read_hab(whole)
+    manifest = json.loads(manifest_path(whole).read_text())
     assert [e.episode_id for e in file.episodes] == [str(i) for i in range(6)]
     assert {e.info["split"] for e in file.episodes} == {"val"}
     assert [len(e.target_names) for e in file.episodes] == [5] * 6
@@ -53,7 +57,9 @@ def test_workers_do_not_change_the_file(whole: Path, tmp_path: Path) -> None:
     assert out.read_bytes() == whole.read_bytes()
 
 
-def test_an_interrupted_run_goes_on(whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupted_run_goes_on(
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     out = tmp_path / "all.json.gz"
 
     def stop(done: int, rejected: int) -> None:

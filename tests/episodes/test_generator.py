@@ -37,7 +37,9 @@ def test_episodes_are_stable_and_separate(task: str, tmp_path, monkeypatch):
         qpos[a.object_q[:, None] + np.arange(7)] = episode.object_pose
         qpos[a.link_q] = episode.link_q
         after, speed = settle(model, a, qpos, seconds=2.0)
-        moved = np.linalg.norm(after[a.object_q[:, None] + np.arange(3)] - episode.object_pose[:, :3], axis=1)
+        moved = np.linalg.norm(
+            after[a.object_q[:, None] + np.arange(3)] - episode.object_pose[:, :3], axis=1
+        )
         assert moved.max() < 0.02 and speed < 0.05
         for target in episode.targets:
             assert np.linalg.norm(np.subtract(target.goal_pos, target.start_pos)) >= MIN_START_GOAL
@@ -76,6 +78,8 @@ def test_homes_of_a_pattern_take_turns():
     assert [some.make(0, index)[0].home[-2:] for index in range(4)] == ["00", "01", "02", "00"]
     drawn = EpisodeMaker(sim, "tidy_house", "val")
     every = EpisodeMaker(sim, "tidy_house", "val", home="builtin_m3_*")
-    assert drawn.homes == every.homes and drawn.digest != every.digest, "another home for the same name"
+    assert drawn.homes == every.homes and drawn.digest != every.digest, (
+        "another home for the same name"
+    )
     with pytest.raises(UsageError, match=r"unknown home 'builtin_m9_\*'"):
         EpisodeMaker(sim, "tidy_house", "train", home="builtin_m9_*")

@@ -49,7 +49,8 @@ def test_a_set_gives_the_starts_it_was_made_of(made: SpawnSet, layout: Layout):
     assert not partial_folder(made.path).exists()
     factory = SpawnFactory(RECIPE)
     for index in (0, 5, CHUNK, RECIPE.count - 1):
-        row, own = found.row(index), factory.row(index)
+        row = found.row(index)
+        own = factory.row(index)
         np.testing.assert_array_equal(row.qpos, own.qpos)
         np.testing.assert_array_equal(row.episode.object_pose, own.episode.object_pose)
         assert row.episode.targets == own.episode.targets and row.episode.home == own.episode.home
@@ -68,7 +69,9 @@ def test_an_environment_starts_from_the_set(made: SpawnSet, layout: Layout):
         row = maker.spawn_set.row(index)
         np.testing.assert_array_equal(start.qpos, row.qpos)
         assert start.plan.subtasks[0].obj.startswith("024_bowl") and start.home == row.episode.home
-    online = StartMaker(sim, EnvConfig(task="set_table", subtask="pick", target="024_bowl"), maker.task_config)
+    online = StartMaker(
+        sim, EnvConfig(task="set_table", subtask="pick", target="024_bowl"), maker.task_config
+    )
     np.testing.assert_array_equal(online.start(made.row(3).episode).qpos, made.row(3).qpos)
 
 
@@ -103,14 +106,19 @@ def test_another_purpose_is_refused(made: SpawnSet, change: dict[str, Any], word
 
 
 def test_a_published_set_names_the_arms_it_was_drawn_from():
-    recipe = SpawnRecipe("set_table", "place", "013_apple", "train", 0, 2, pool=1, spawn_rule="published")
+    recipe = SpawnRecipe(
+        "set_table", "place", "013_apple", "train", 0, 2, pool=1, spawn_rule="published"
+    )
     factory = SpawnFactory(recipe)
     apples = factory.starts.arms
     assert factory.header()["grasps"]["013_apple"] == apples.digest("013_apple")
     robot = factory.row(1).qpos[factory.sim.addresses.robot_q]
     away = [np.abs(robot[list(ARM_JOINTS)] - one.arm).max() for one in apples.arms("013_apple")]
     assert min(away) <= ARM_NOISE[1] + 1e-9
-    assert SpawnFactory(replace(recipe, spawn_rule="front_box")).header()["grasps"] != factory.header()["grasps"]
+    assert (
+        SpawnFactory(replace(recipe, spawn_rule="front_box")).header()["grasps"]
+        != factory.header()["grasps"]
+    )
 
 
 def test_damaged_files_are_refused(made: SpawnSet, tmp_path: Path):
@@ -159,7 +167,11 @@ def forged(value: Any) -> Callable[[np.ndarray], np.ndarray]:
     ],
 )
 def test_made_up_starts_are_refused(
-    made: SpawnSet, tmp_path: Path, name: str, change: Callable[[np.ndarray], np.ndarray], message: str
+    made: SpawnSet,
+    tmp_path: Path,
+    name: str,
+    change: Callable[[np.ndarray], np.ndarray],
+    message: str,
 ):
     header = {key: value for key, value in made.header.items() if key != "digest"}
     path = tmp_path / "forged.npz"
@@ -178,8 +190,11 @@ def test_a_recipe_with_a_name_that_is_none_is_refused(made: SpawnSet, tmp_path: 
         SpawnSet.read(path)
 
 
-def test_threads_and_interruptions_change_nothing(made: SpawnSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    out, row = tmp_path / "again.npz", SpawnFactory.row
+def test_threads_and_interruptions_change_nothing(
+    made: SpawnSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    out = tmp_path / "again.npz"
+    row = SpawnFactory.row
 
     def stop_late(factory: SpawnFactory, index: int) -> SpawnRow:
         if index == CHUNK + 2:
@@ -218,9 +233,20 @@ def machine(capsys: pytest.CaptureFixture[str], *args: str) -> dict[str, Any]:
 def test_commands(capsys: pytest.CaptureFixture[str], made: SpawnSet, tmp_path: Path):
     out = tmp_path / "sets" / "close.npz"
     told = machine(
-        capsys, "spawns", "make", "--out", str(out), "--subtask", "close", "--count", "3", "--pool", "1",
-        "--threads", "1",
-    )  # fmt: skip
+        capsys,
+        "spawns",
+        "make",
+        "--out",
+        str(out),
+        "--subtask",
+        "close",
+        "--count",
+        "3",
+        "--pool",
+        "1",
+        "--threads",
+        "1",
+    )
     assert (told["count"], told["subtask"], told["fallbacks"]) == (3, "close", 0)
     (out.parent / "half.npz").write_bytes(made.path.read_bytes()[:100])
     listed = machine(capsys, "spawns", "list", str(out.parent))
@@ -236,11 +262,27 @@ def test_commands(capsys: pytest.CaptureFixture[str], made: SpawnSet, tmp_path: 
 
 def test_bench_spawn(capsys: pytest.CaptureFixture[str]):
     told = machine(
-        capsys, "bench", "spawn", "--task", "set_table", "--subtask", "pick", "--count", "20", "--pool", "2", "--fresh",
+        capsys,
+        "bench",
+        "spawn",
+        "--task",
+        "set_table",
+        "--subtask",
+        "pick",
+        "--count",
+        "20",
+        "--pool",
+        "2",
+        "--fresh",
         "1",
-    )  # fmt: skip
+    )
     assert {"spawns_per_s", "tries_mean", "fallbacks", "episode_s"} <= set(told)
-    assert told["spawns_per_s"] > 0 and told["tries_mean"] >= 1 and told["fallbacks"] == 0 and told["episode_s"] > 0
+    assert (
+        told["spawns_per_s"] > 0
+        and told["tries_mean"] >= 1
+        and told["fallbacks"] == 0
+        and told["episode_s"] > 0
+    )
 
 
 def test_starts_share_the_arrangements_of_the_pool() -> None:

@@ -107,7 +107,9 @@ def test_a_robot_in_a_wall_is_not_free(sampler: SpawnSampler):
 def test_fallback_is_valid_where_one_exists(sampler: SpawnSampler):
     home = sampler.sim.layout.pack.homes[0]
     table = next(p for p in home.props if p.template == "table_01")
-    start = sampler.fallback(home.name, empty_home(sampler, home.name), SpawnGoal(np.array(table.pos[:2])))
+    start = sampler.fallback(
+        home.name, empty_home(sampler, home.name), SpawnGoal(np.array(table.pos[:2]))
+    )
     assert sampler.scratch.collision_free(home.name, start)
 
 
@@ -115,7 +117,9 @@ def test_a_search_ends_after_its_tries(sampler: SpawnSampler):
     home = sampler.sim.layout.pack.homes[0]
     inside_a_wall = np.array([home.walls[0].pos[0]] * 2 + [home.walls[0].pos[1]] * 2)
     goal = SpawnGoal(np.zeros(2), inside_a_wall)
-    found, tries = sampler.search(home.name, empty_home(sampler, home.name), goal, (stream(0, k) for k in range(7)))
+    found, tries = sampler.search(
+        home.name, empty_home(sampler, home.name), goal, (stream(0, k) for k in range(7))
+    )
     assert found is None and tries == 7
 
 
@@ -136,7 +140,10 @@ class Bench:
 
     def named(self, count: int, first: int = 0) -> list[Episode]:
         """Episodes with the same few arrangements."""
-        return [dataclasses.replace(self.episodes.episode(0, i % 3), index=first + i) for i in range(count)]
+        return [
+            dataclasses.replace(self.episodes.episode(0, i % 3), index=first + i)
+            for i in range(count)
+        ]
 
 
 @pytest.fixture(scope="module")
@@ -165,7 +172,8 @@ def heading_error(base: np.ndarray, point: np.ndarray) -> float:
 
 def check_free(bench: Bench, start: Start) -> None:
     """Nothing touches the robot now or after a control step, in a world where everything is awake."""
-    model, a = bench.sim.model(start.home), bench.sim.addresses
+    model = bench.sim.model(start.home)
+    a = bench.sim.addresses
     data = mujoco.MjData(model)
     data.qpos[:] = start.qpos
     for steps in (0, 5):
@@ -202,10 +210,13 @@ def test_nothing_is_touched(set_table: Bench, subtask: str):
 
 
 def test_pick_finds_its_link_open_and_the_bowl_carried_along(set_table: Bench):
-    sim, a = set_table.sim, set_table.sim.addresses
+    sim = set_table.sim
+    a = set_table.sim.addresses
     seen: list[float] = []
     for episode, start in zip(
-        set_table.named(6), set_table.maker("pick", "024_bowl").starts(set_table.named(6)), strict=True
+        set_table.named(6),
+        set_table.maker("pick", "024_bowl").starts(set_table.named(6)),
+        strict=True,
     ):
         k = sim.layout.link_ids.index(BOWL_DRAWER)
         low, high = sim.layout.links[k].link.range
@@ -213,17 +224,22 @@ def test_pick_finds_its_link_open_and_the_bowl_carried_along(set_table: Bench):
         assert low + 0.9 * (high - low) <= drawn <= high
         seen.append(drawn)
         slot = sim.layout.object_names.index(start.plan.subtasks[0].obj)
-        before, after = (link_frame(set_table, start.home, q) for q in (float(episode.link_q[k]), drawn))
+        before, after = (
+            link_frame(set_table, start.home, q) for q in (float(episode.link_q[k]), drawn)
+        )
         own = slice(a.object_q[slot], a.object_q[slot] + 7)
         np.testing.assert_allclose(
-            pose_mul(pose_inv(after), start.qpos[own]), pose_mul(pose_inv(before), episode.object_pose[slot]), atol=1e-9
+            pose_mul(pose_inv(after), start.qpos[own]),
+            pose_mul(pose_inv(before), episode.object_pose[slot]),
+            atol=1e-9,
         )
     assert np.ptp(seen) > 0.005
 
 
 def link_frame(bench: Bench, home: str, q: float) -> np.ndarray:
     """(7,) pose of the bowl's drawer pulled out by ``q``, from the engine."""
-    model, k = bench.sim.model(home), bench.sim.layout.link_ids.index(BOWL_DRAWER)
+    model = bench.sim.model(home)
+    k = bench.sim.layout.link_ids.index(BOWL_DRAWER)
     data = mujoco.MjData(model)
     data.qpos[bench.sim.addresses.link_q[k]] = q
     mujoco.mj_kinematics(model, data)
@@ -232,14 +248,17 @@ def link_frame(bench: Bench, home: str, q: float) -> np.ndarray:
 
 
 def test_fridge_is_open_for_pick_and_close_and_shut_for_open(set_table: Bench):
-    sim, door = set_table.sim, set_table.sim.layout.link_ids.index(FRIDGE_DOOR)
+    sim = set_table.sim
+    door = set_table.sim.layout.link_ids.index(FRIDGE_DOOR)
     column = sim.addresses.link_q[door]
     for subtask, target in (("pick", "013_apple"), ("close", FRIDGE_DOOR)):
         for start in set_table.maker(subtask, target).starts(set_table.named(4)):
             limit = dict(next(h for h in sim.layout.pack.homes if h.name == start.home).open_limits)
             assert 0.75 * 2.3 - 1e-9 <= start.qpos[column] <= limit.get(FRIDGE_DOOR, 2.3) + 1e-9
     for episode, start in zip(
-        set_table.named(4), set_table.maker("open", FRIDGE_DOOR).starts(set_table.named(4)), strict=True
+        set_table.named(4),
+        set_table.maker("open", FRIDGE_DOOR).starts(set_table.named(4)),
+        strict=True,
     ):
         assert start.qpos[column] == episode.link_q[door] and abs(start.qpos[column]) < 1e-3
         rows = sim.addresses.object_q[:, None] + np.arange(7)
@@ -249,14 +268,22 @@ def test_fridge_is_open_for_pick_and_close_and_shut_for_open(set_table: Bench):
 def test_open_and_close_stand_in_the_area_and_face_what_they_open(set_table: Bench):
     for subtask in ("open", "close"):
         maker = set_table.maker(subtask)
-        for episode, start in zip(set_table.named(8), maker.starts(set_table.named(8)), strict=True):
+        for episode, start in zip(
+            set_table.named(8), maker.starts(set_table.named(8)), strict=True
+        ):
             link = start.plan.subtasks[0].link
             x_min, x_max, y_min, y_max = start.boxes[link]
             x, y, _ = base = base_of(set_table, start)
             assert x_min <= x <= x_max and y_min <= y <= y_max
             target = next(t for t in episode.targets if t.start_link == link)
-            at = next(p for p in maker.home(start.home).articulations if p.template == link.split("/")[0])
-            root = at.pos if "fridge" in link else set_table.sim.layout.closed_link_origin(maker.home(start.home), link)
+            at = next(
+                p for p in maker.home(start.home).articulations if p.template == link.split("/")[0]
+            )
+            root = (
+                at.pos
+                if "fridge" in link
+                else set_table.sim.layout.closed_link_origin(maker.home(start.home), link)
+            )
             face = np.array(target.start_pos if subtask == "open" else root)
             assert heading_error(base, face) <= 0.5 + 1e-9
 
@@ -286,16 +313,22 @@ def test_groceries_navigate_where_the_leg_before_ended(groceries: Bench):
             assert abs(base[2]) <= np.pi / 2
             continue
         target = episode.targets[start.position // 4]
-        left = target.start_pos if start.position % 4 == 2 else episode.targets[start.position // 4 - 1].goal_pos
+        left = (
+            target.start_pos
+            if start.position % 4 == 2
+            else episode.targets[start.position // 4 - 1].goal_pos
+        )
         assert np.linalg.norm(base[:2] - left[:2]) <= MAX_DISTANCE + 1e-9
         assert heading_error(base, np.array(left)) <= 0.5 + 1e-9
 
 
 def test_navigate_carries_what_the_plan_says(set_table: Bench):
-    maker, a = set_table.maker("navigate"), set_table.sim.addresses
+    maker = set_table.maker("navigate")
+    a = set_table.sim.addresses
     opened = set()
     for start in maker.starts(set_table.named(24)):
-        subtask, leg = start.plan.subtasks[0], start.position % 8
+        subtask = start.plan.subtasks[0]
+        leg = start.position % 8
         link = subtask.link or {0: BOWL_DRAWER, 1: FRIDGE_DOOR}[start.position // 8]
         stands_open = start.qpos[a.link_q[set_table.sim.layout.link_ids.index(link)]] > 0.1
         assert stands_open == (leg in (2, 4, 6))
@@ -311,9 +344,12 @@ def test_navigate_carries_what_the_plan_says(set_table: Bench):
 def test_crowded_floor_gives_the_nearest_place_and_says_so(set_table: Bench):
     maker = set_table.maker("open", FRIDGE_DOOR)
     episode = set_table.named(1)[0]
-    home, layout = maker.home(episode.home), set_table.sim.layout
+    home = maker.home(episode.home)
+    layout = set_table.sim.layout
     x_min, x_max, y_min, y_max = maker.boxes(home)[FRIDGE_DOOR]
-    grid = np.stack(np.meshgrid(np.linspace(x_min, x_max, 5), np.linspace(y_min, y_max, 5)), axis=-1).reshape(-1, 2)
+    grid = np.stack(
+        np.meshgrid(np.linspace(x_min, x_max, 5), np.linspace(y_min, y_max, 5)), axis=-1
+    ).reshape(-1, 2)
     targets = {layout.object_names.index(t.obj) for t in episode.targets}
     pose = episode.object_pose.copy()
     for slot, xy in zip((s for s in range(len(pose)) if s not in targets), grid, strict=False):
@@ -331,9 +367,13 @@ def test_a_start_that_does_not_hold_its_object_does_not_count(tidy_house: Bench)
     start = maker.start(tidy_house.named(1)[0])
     slot = tidy_house.sim.layout.object_names.index(start.plan.subtasks[0].obj)
     column = tidy_house.sim.addresses.object_q[slot]
-    pose = pose_mul(pose_inv(maker.sampler.scratch.tcp_pose(start.home, start.qpos)), start.qpos[column : column + 7])
+    pose = pose_mul(
+        pose_inv(maker.sampler.scratch.tcp_pose(start.home, start.qpos)),
+        start.qpos[column : column + 7],
+    )
     xy = base_of(tidy_house, start)[:2]
-    goal, grip = SpawnGoal(np.array(start.plan.subtasks[0].goal_pos[:2])), (0.5, np.radians(30.0))
+    goal = SpawnGoal(np.array(start.plan.subtasks[0].goal_pos[:2]))
+    grip = (0.5, np.radians(30.0))
     assert maker.sampler.at(start.home, start.qpos, xy, goal, Held(slot, pose)) is not None
     away = pose + np.array([0.0, 0.0, 0.5, 0.0, 0.0, 0.0, 0.0])
     assert maker.sampler.at(start.home, start.qpos, xy, goal, Held(slot, away, grip)) is None
@@ -350,11 +390,14 @@ def published(bench: Bench, subtask: str, target: str = "") -> StartMaker:
 
 
 def test_published_picks_at_a_link_start_all_around_the_object(set_table: Bench):
-    maker, a = published(set_table, "pick"), set_table.sim.addresses
-    outside, far = 0, 0.0
+    maker = published(set_table, "pick")
+    a = set_table.sim.addresses
+    outside = 0
+    far = 0.0
     starts = maker.starts(set_table.named(40))
     for start in starts:
-        subtask, base = start.plan.subtasks[0], base_of(set_table, start)
+        subtask = start.plan.subtasks[0]
+        base = base_of(set_table, start)
         slot = set_table.sim.layout.object_names.index(subtask.obj)
         away = base[:2] - start.qpos[a.object_q[slot] : a.object_q[slot] + 2]
         far = max(far, float(np.hypot(*away)))
@@ -371,16 +414,20 @@ def test_published_picks_at_a_link_start_all_around_the_object(set_table: Bench)
 
 
 def test_published_places_at_a_link_start_around_the_goal_with_the_arm_of_a_pick(groceries: Bench):
-    maker, a = published(groceries, "place"), groceries.sim.addresses
+    maker = published(groceries, "place")
+    a = groceries.sim.addresses
     arms = {}
     inside = 0
     for start in maker.starts(groceries.named(24)):
-        subtask, base = start.plan.subtasks[0], base_of(groceries, start)
+        subtask = start.plan.subtasks[0]
+        base = base_of(groceries, start)
         assert np.hypot(*(base[:2] - subtask.goal_pos[:2])) <= DISC
         kind = subtask.obj.split("_:")[0]
         arms.setdefault(kind, np.array([one.arm for one in maker.arms.arms(kind)]))
         mine = start.qpos[a.robot_q][list(ARM_JOINTS)]
-        assert np.abs(arms[kind] - mine).max(axis=1).min() <= ARM_NOISE[1] + 1e-9, "a stored arm and noise"
+        assert np.abs(arms[kind] - mine).max(axis=1).min() <= ARM_NOISE[1] + 1e-9, (
+            "a stored arm and noise"
+        )
         if subtask.link:
             x_min, x_max, y_min, y_max = start.boxes[subtask.link]
             inside += x_min <= base[0] <= x_max and y_min <= base[1] <= y_max
@@ -392,29 +439,38 @@ def test_published_headings_are_drawn_before_the_noise_of_the_base(tidy_house: B
     """The original turns the robot at the place that it drew, and moves it then: up to 0.28 m beside."""
     worst = []
     for start in published(tidy_house, "pick").starts(tidy_house.named(60)):
-        subtask, base = start.plan.subtasks[0], base_of(tidy_house, start)
+        subtask = start.plan.subtasks[0]
+        base = base_of(tidy_house, start)
         slot = tidy_house.sim.layout.object_names.index(subtask.obj)
         column = tidy_house.sim.addresses.object_q[slot]
         error = heading_error(base, start.qpos[column : column + 2])
         away = float(np.hypot(*(base[:2] - start.qpos[column : column + 2])))
         # Within the noise's reach of the object the place may have been on its other side.
-        assert error <= YAW_NOISE[1] + np.arcsin(min(1.0, XY_NOISE[1] * np.sqrt(2) / max(away, 0.3))) + 1e-9
+        assert (
+            error
+            <= YAW_NOISE[1] + np.arcsin(min(1.0, XY_NOISE[1] * np.sqrt(2) / max(away, 0.3))) + 1e-9
+        )
         worst.append(error)
     assert max(worst) > YAW_NOISE[1]
 
 
-def test_published_teleports_bind_the_front_area_only_where_navigate_is_judged_by_it(groceries: Bench):
+def test_published_teleports_bind_the_front_area_only_where_navigate_is_judged_by_it(
+    groceries: Bench,
+):
     maker = published(groceries, "")
     for episode in groceries.named(3):
         home = maker.home(episode.home)
         boxes = maker.boxes(home)
         plan = chain(episode.task, episode.targets, home.name)
         for position in plan.indices(SubtaskKind.NAVIGATE):
-            subtask, goal = plan.subtasks[position], maker.spawn_goal(plan, position, boxes)
+            subtask = plan.subtasks[position]
+            goal = maker.spawn_goal(plan, position, boxes)
             assert (goal.area is not None) == (bool(subtask.link) and not subtask.must_hold)
             assert goal.reach == 1.8 and goal.yaw_noise == (0.1, 0.5) and goal.turn < 0.5
             qpos = maker.foresee(episode, plan, position)
-            found, _ = maker.sampler.search(home.name, qpos, goal, (stream(0, k) for k in range(MAX_TRIES)))
+            found, _ = maker.sampler.search(
+                home.name, qpos, goal, (stream(0, k) for k in range(MAX_TRIES))
+            )
             assert found is not None
             assert goal.face is not None
             base = found[groceries.sim.addresses.robot_q[:3]]
@@ -428,5 +484,7 @@ def test_published_teleports_bind_the_front_area_only_where_navigate_is_judged_b
 def test_a_published_search_ends_after_its_tries(sampler: SpawnSampler):
     home = sampler.sim.layout.pack.homes[0].name
     nowhere = SpawnGoal(np.array([50.0, 50.0]), published=True)
-    found, tries = sampler.search(home, empty_home(sampler, home), nowhere, (stream(0, k) for k in range(7)))
+    found, tries = sampler.search(
+        home, empty_home(sampler, home), nowhere, (stream(0, k) for k in range(7))
+    )
     assert found is None and tries == 7

@@ -73,7 +73,9 @@ def test_a_run_folder_with_report_and_films(stage: Stage, tmp_path: Path) -> Non
 def test_all_ways_to_give_a_policy_are_one(stage: Stage, tmp_path: Path) -> None:
     runs = [
         mjhab.evaluate(policy, episodes=4, films=0, out=str(tmp_path / str(number)))
-        for number, policy in enumerate(["zero", ZeroPolicy(), ZeroPolicy, Knowing, lambda env: Knowing(env)])
+        for number, policy in enumerate(
+            ["zero", ZeroPolicy(), ZeroPolicy, Knowing, lambda env: Knowing(env)]
+        )
     ]
     assert all(run.records == runs[0].records for run in runs)
     assert [run.config["policy"] for run in runs] == ["zero", "zero", "zero", "zero", "<lambda>"]
@@ -104,7 +106,9 @@ def test_what_the_policy_needs_and_what_the_user_asks_for(stage: Stage, tmp_path
         ({"policy": FakeEnv}, "FakeEnv has no act"),
     ],
 )
-def test_bad_input_leaves_nothing(stage: Stage, tmp_path: Path, options: dict[str, Any], words: str) -> None:
+def test_bad_input_leaves_nothing(
+    stage: Stage, tmp_path: Path, options: dict[str, Any], words: str
+) -> None:
     with pytest.raises(UsageError) as caught:
         mjhab.evaluate(**{"out": tmp_path / "run", "policy": "zero", **options})
     assert words in str(caught.value)
@@ -117,7 +121,9 @@ def test_ctrl_c_reports_and_goes_on_to_the_caller(stage: Stage, tmp_path: Path) 
         mjhab.evaluate("zero", episodes=30, films=0, out=tmp_path)
     kept = caught.value.run
     assert isinstance(caught.value, KeyboardInterrupt) and 0 < len(kept.records) < 30
-    assert f"Partial: {len(kept.records)} of 30" in kept.report.read_text() and stage.built[0].closed
+    assert (
+        f"Partial: {len(kept.records)} of 30" in kept.report.read_text() and stage.built[0].closed
+    )
     stage.interrupt_at = None
     whole = mjhab.evaluate("zero", episodes=30, films=0, out=tmp_path, resume=True)
     assert (
@@ -140,4 +146,6 @@ def test_further_sinks_hear_the_rollout(tmp_path: Path) -> None:
 
 def test_default_folders_are_valid_names() -> None:
     spec = EvalSpec(subtask="pick")
-    assert library.default_out(spec, "ws://host:80/a b").name == "set_table_pick_ws-host-80-a-b_seed0"
+    assert (
+        library.default_out(spec, "ws://host:80/a b").name == "set_table_pick_ws-host-80-a-b_seed0"
+    )

@@ -18,7 +18,13 @@ from mjhab.core.errors import UsageError
 from mjhab.data.record.crew import ALL
 from mjhab.data.record.generation import Standing
 from mjhab.evaluation import generate as library
-from mjhab.evaluation.generate import GenerateSpec, build_stage, make_job, resolved_config, run_generation
+from mjhab.evaluation.generate import (
+    GenerateSpec,
+    build_stage,
+    make_job,
+    resolved_config,
+    run_generation,
+)
 from mjhab.evaluation.resolve import PolicyFacts
 from mjhab.rollout.policy import ZeroPolicy
 from tests.data.fake_world import FakeEnv
@@ -46,21 +52,31 @@ class Own(ZeroPolicy):
 
 def test_the_example_of_the_docstring(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    (example,) = doctest.DocTestFinder(recurse=False).find(mjhab.generate, "mjhab.generate", globs={})
+    (example,) = doctest.DocTestFinder(recurse=False).find(
+        mjhab.generate, "mjhab.generate", globs={}
+    )
     assert len(example.examples) > 3
     assert doctest.DocTestRunner().run(example).failed == 0
-    assert sorted(path.name for path in (tmp_path / "runs" / "close").glob("*.h5")) == ["shard_000.h5"]
+    assert sorted(path.name for path in (tmp_path / "runs" / "close").glob("*.h5")) == [
+        "shard_000.h5"
+    ]
 
 
 def test_policies_of_ones_own(built: list[dict[str, Any]], tmp_path: Path) -> None:
     sets = [
         mjhab.generate(policy, episodes=6, worlds=4, out=tmp_path / str(number))
-        for number, policy in enumerate(["zero", ZeroPolicy(), ZeroPolicy, lambda env: ZeroPolicy()])
+        for number, policy in enumerate(
+            ["zero", ZeroPolicy(), ZeroPolicy, lambda env: ZeroPolicy()]
+        )
     ]
     first = [episode.array("actions") for episode in sets[0].episodes()]
     assert len(first) == 6
     for made in sets:
-        assert made.summary["kept"] == made.summary["written"] == 6 and made.standing.complete and not made.is_short
+        assert (
+            made.summary["kept"] == made.summary["written"] == 6
+            and made.standing.complete
+            and not made.is_short
+        )
         np.testing.assert_equal([episode.array("actions") for episode in made.episodes()], first)
     mjhab.generate(Own, episodes=1, stillness="published", out=str(tmp_path / "own"))
     assert built[-1] == {"obs_mode": "depth", "camera_size": 32, "stillness": "published"}
@@ -70,7 +86,11 @@ def test_a_stopped_generation_goes_on(built: list[dict[str, Any]], tmp_path: Pat
     told: list[Standing] = []
     spec = GenerateSpec(tmp_path / "set", "random", episodes=12, worlds=2)
     first = run_generation(spec, told.append, lambda: any(now.kept for now in told))
-    assert 0 < first.standing.kept < 12 and not first.standing.complete and told[-1].kept == first.standing.kept
+    assert (
+        0 < first.standing.kept < 12
+        and not first.standing.complete
+        and told[-1].kept == first.standing.kept
+    )
     with pytest.raises(UsageError, match="not empty"):
         run_generation(spec)
     second = run_generation(replace(spec, resume=True))
@@ -95,12 +115,16 @@ def test_ctrl_c_keeps_what_is_finished(built: list[dict[str, Any]], tmp_path: Pa
 
 
 def test_a_quota_that_is_not_filled_is_told(built: list[dict[str, Any]], tmp_path: Path) -> None:
-    made = mjhab.generate("random", episodes=4, per_target=3, keep="steps < 0", out=tmp_path / "set")
+    made = mjhab.generate(
+        "random", episodes=4, per_target=3, keep="steps < 0", out=tmp_path / "set"
+    )
     assert made.is_short and made.standing.complete and made.summary["tried"] == 4
     assert (made.summary["kept"], made.summary["yield"], made.summary["labels"]) == (0, 0.0, {})
 
 
-def test_what_cannot_work_is_refused_before_anything_is_built(built: list[dict[str, Any]], tmp_path: Path) -> None:
+def test_what_cannot_work_is_refused_before_anything_is_built(
+    built: list[dict[str, Any]], tmp_path: Path
+) -> None:
     for options, words in (
         ({"per_target": 0}, "say when to stop"),
         ({"per_target": -1}, "per_target must be at least 0, got -1"),
@@ -125,7 +149,13 @@ def test_what_cannot_work_is_refused_before_anything_is_built(built: list[dict[s
         ({"ray": "127.0.0.1:1"}, "Ray"),
     ):
         with pytest.raises(UsageError) as error:
-            mjhab.generate(**{"episodes": None if "per_target" in options else 1, "out": tmp_path / "set", **options})
+            mjhab.generate(
+                **{
+                    "episodes": None if "per_target" in options else 1,
+                    "out": tmp_path / "set",
+                    **options,
+                }
+            )
         assert words in str(error.value), options
     assert not built and not (tmp_path / "set").exists()
     with pytest.raises(TypeError, match="out"):
@@ -141,11 +171,21 @@ def test_targets_that_quotas_count(tmp_path: Path) -> None:
     assert job.episodes >= 500 and job.spec.images is not None and job.spec.states
 
 
-def test_whole_tasks_and_navigate_have_one_quota(built: list[dict[str, Any]], tmp_path: Path) -> None:
-    cases: list[dict[str, Any]] = [{}, {"subtask": "navigate"}, {"subtask": "navigate", "target": "024_bowl"}]
+def test_whole_tasks_and_navigate_have_one_quota(
+    built: list[dict[str, Any]], tmp_path: Path
+) -> None:
+    cases: list[dict[str, Any]] = [
+        {},
+        {"subtask": "navigate"},
+        {"subtask": "navigate", "target": "024_bowl"},
+    ]
     for options in cases:
-        assert build_stage(GenerateSpec(tmp_path, episodes=1, policy="zero", **options)).targets == (ALL,)
-    one = build_stage(GenerateSpec(tmp_path, episodes=1, policy="zero", subtask="pick", target="024_bowl"))
+        assert build_stage(
+            GenerateSpec(tmp_path, episodes=1, policy="zero", **options)
+        ).targets == (ALL,)
+    one = build_stage(
+        GenerateSpec(tmp_path, episodes=1, policy="zero", subtask="pick", target="024_bowl")
+    )
     assert one.targets == ("024_bowl",)
 
 
@@ -153,8 +193,20 @@ def test_the_configuration_holds_what_decides_and_nothing_else(tmp_path: Path) -
     spec = GenerateSpec(tmp_path, episodes=1)
     config = resolved_config(spec, PolicyFacts("expert"))
     assert "style" not in config and "env" not in config
-    free: dict[str, Any] = {"episodes": 9, "per_target": 2, "worlds": 9, "workers": 3, "threads": 2, "ray": "local"}
-    assert resolved_config(replace(spec, out=tmp_path / "b", resume=True, **free), PolicyFacts("expert")) == config
+    free: dict[str, Any] = {
+        "episodes": 9,
+        "per_target": 2,
+        "worlds": 9,
+        "workers": 3,
+        "threads": 2,
+        "ray": "local",
+    }
+    assert (
+        resolved_config(
+            replace(spec, out=tmp_path / "b", resume=True, **free), PolicyFacts("expert")
+        )
+        == config
+    )
     for change in (
         {"seed": 1},
         {"states": False},
@@ -171,7 +223,13 @@ def test_the_configuration_holds_what_decides_and_nothing_else(tmp_path: Path) -
 
 def test_licence_of_public_assets(tmp_path: Path) -> None:
     assert licence_of("builtin") == "" == licence_of(str(tmp_path))
-    for name in ("configs/scenes/a.scene_instance.json", "configs/objects/a.object_config.json", "urdf/a/a.urdf"):
+    for name in (
+        "configs/scenes/a.scene_instance.json",
+        "configs/objects/a.object_config.json",
+        "urdf/a/a.urdf",
+    ):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).touch()
-    assert "CC BY" in licence_of(f"{tmp_path}?articulate=cabinet") and "YCB" in licence_of(str(tmp_path / "apt_0"))
+    assert "CC BY" in licence_of(f"{tmp_path}?articulate=cabinet") and "YCB" in licence_of(
+        str(tmp_path / "apt_0")
+    )

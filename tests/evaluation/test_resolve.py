@@ -89,7 +89,9 @@ def test_policies_with_a_name() -> None:
 
 
 def test_an_unknown_name_tells_all_forms() -> None:
-    with pytest.raises(UsageError, match=r"unknown policy 'exprt'. Did you mean 'expert'\?.*FILE.py:CLASS"):
+    with pytest.raises(
+        UsageError, match=r"unknown policy 'exprt'. Did you mean 'expert'\?.*FILE.py:CLASS"
+    ):
         inspect_policy("exprt")
     with pytest.raises(UsageError, match="unknown policy 'exprt'"):
         resolve_policy("exprt", FakeEnv(1))
@@ -138,7 +140,10 @@ def test_a_class_that_is_no_policy(file: Path, name: str, words: tuple[str, ...]
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("import numpy\nimport no_such_library\n", "ModuleNotFoundError: No module named 'no_such_library' (line 2)"),
+        (
+            "import numpy\nimport no_such_library\n",
+            "ModuleNotFoundError: No module named 'no_such_library' (line 2)",
+        ),
         ("class A:\n    def act(self:\n", "SyntaxError"),
         ("def f():\n    return 1 / 0\n\nf()\n", "ZeroDivisionError: division by zero (line 2)"),
         ("import sys\nsys.exit(3)\n", "SystemExit: 3 (line 2)"),
@@ -184,7 +189,9 @@ class _Kind:
 def test_other_kinds_can_be_registered(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(resolve, "POLICY_KINDS", list(resolve.POLICY_KINDS))
     monkeypatch.setitem(sys.modules, "tests_policy_kind", _Kind)  # type: ignore[arg-type]
-    register_policy_kind(PolicyKind("test:NAME", lambda spec: spec.startswith("test:"), "tests_policy_kind"))
+    register_policy_kind(
+        PolicyKind("test:NAME", lambda spec: spec.startswith("test:"), "tests_policy_kind")
+    )
     assert inspect_policy("test:mine") == PolicyFacts("mine", {"weights": "abc"})
     assert isinstance(resolve_policy("test:mine", FakeEnv(1)), RandomPolicy)
     with pytest.raises(UsageError, match="test:NAME"):

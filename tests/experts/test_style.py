@@ -24,8 +24,13 @@ def records(
     subtask: str, *words: str, worlds: int = 4, episodes: tuple[int, ...] = (0, 1, 2, 3)
 ) -> list[EpisodeRecord]:
     env = envs.make(
-        task="tidy_house", subtask=subtask, num_envs=worlds, split="train", autoreset="disabled", threads=1
-    )  # fmt: skip
+        task="tidy_house",
+        subtask=subtask,
+        num_envs=worlds,
+        split="train",
+        autoreset="disabled",
+        threads=1,
+    )
     return rollout(env, make_expert(env, Styles.parse(words)), episodes, seed=0)
 
 
@@ -38,7 +43,8 @@ def success_step(record: EpisodeRecord) -> int:
 
 
 def test_a_style_that_is_the_default_changes_no_bit_but_is_recorded():
-    plain, asked = records("place"), records("place", "speed=1")
+    plain = records("place")
+    asked = records("place", "speed=1")
     assert [r.final_state for r in plain] == [r.final_state for r in asked]
     assert [r.force for r in plain] == [r.force for r in asked]
     assert all("style" not in r.to_dict() for r in plain)
@@ -47,7 +53,8 @@ def test_a_style_that_is_the_default_changes_no_bit_but_is_recorded():
 
 def test_styles_do_not_depend_on_the_worlds():
     words = ("speed=0.6..1.0", "noise=0.0..0.1", "hold=0..5", "dither=0.05")
-    many, few = records("place", *words, episodes=(0, 1, 2)), records("place", *words, worlds=2, episodes=(2, 0, 1))
+    many = records("place", *words, episodes=(0, 1, 2))
+    few = records("place", *words, worlds=2, episodes=(2, 0, 1))
     assert [r.style for r in many] == [r.style for r in few] and [r.final_state for r in many] == [
         r.final_state for r in few
     ]
@@ -55,7 +62,8 @@ def test_styles_do_not_depend_on_the_worlds():
 
 
 def test_dropped_objects_are_labelled_so():
-    placed, dropped = labels(records("place")), labels(records("place", "release=drop"))
+    placed = labels(records("place"))
+    dropped = labels(records("place", "release=drop"))
     assert len(placed) >= 3 and len(dropped) >= 3
     assert set(dropped) == {"dropped_to_goal_success"} and "dropped_to_goal_success" not in placed
 
@@ -64,13 +72,18 @@ def test_slower_takes_longer_and_holding_still_delays():
     plain, slow, late = (records("pick", *words) for words in ((), ("speed=0.6",), ("hold=20",)))
     both = [(p, s) for p, s in zip(plain, slow, strict=True) if p.success_once and s.success_once]
     assert len(both) >= 2 and all(success_step(s) > 1.2 * success_step(p) for p, s in both)
-    begun = [(p.events[0][0], h.events[0][0]) for p, h in zip(plain, late, strict=True) if p.events and h.events]
+    begun = [
+        (p.events[0][0], h.events[0][0])
+        for p, h in zip(plain, late, strict=True)
+        if p.events and h.events
+    ]
     # Most of them: the arm settles while it waits, and another plan, quicker or slower, may come out.
     assert len(begun) >= 3 and np.median([held - first for first, held in begun]) > 15
 
 
 def test_noise_changes_what_happens_and_is_corrected():
-    plain, noisy = records("pick"), records("pick", "noise=0.1", "base_noise=0.1")
+    plain = records("pick")
+    noisy = records("pick", "noise=0.1", "base_noise=0.1")
     assert all(p.final_state != n.final_state for p, n in zip(plain, noisy, strict=True))
     assert sum(n.success_once for n in noisy) >= 3
 
@@ -78,8 +91,14 @@ def test_noise_changes_what_happens_and_is_corrected():
 @lru_cache
 def a_start() -> WorldView:
     """A pick that can be done from every side."""
-    env = envs.make(task="tidy_house", subtask="pick", target="003_cracker_box", num_envs=1, autoreset="disabled",
-                    threads=1)  # fmt: skip
+    env = envs.make(
+        task="tidy_house",
+        subtask="pick",
+        target="003_cracker_box",
+        num_envs=1,
+        autoreset="disabled",
+        threads=1,
+    )
     env.reset(seed=0, options={"episode": [0]})
     return env.view(0)
 
@@ -110,7 +129,8 @@ def test_a_manner_slows_by_stretching_time():
 
 
 def test_a_plain_manner_gives_the_very_action():
-    manner, action = Manner(PLAIN, np.random.default_rng(0)), np.linspace(-1.0, 1.0, 13).astype(np.float32)
+    manner = Manner(PLAIN, np.random.default_rng(0))
+    action = np.linspace(-1.0, 1.0, 13).astype(np.float32)
     assert manner.due() and manner.due()
     np.testing.assert_array_equal(executed(manner, action), action)
 
@@ -118,12 +138,15 @@ def test_a_plain_manner_gives_the_very_action():
 def test_noise_fades_where_the_robot_hardly_moves_and_spares_what_it_should():
     manner = Manner(Style(noise=0.1, base_noise=0.1, noise_kind="step"), np.random.default_rng(0))
     action = np.zeros(13, np.float32)
-    action[0], action[7] = 0.5, -1.0
+    action[0] = 0.5
+    action[7] = -1.0
     moved = np.array([executed(manner, action) for _ in range(2000)]) - action
     np.testing.assert_allclose(moved[:, :7].std(axis=0), 0.1, rtol=0.15)
     assert not moved[:, 7:].any()
     action[0] = 0.025
-    np.testing.assert_allclose(np.array([executed(manner, action)[1] for _ in range(2000)]).std(), 0.01, rtol=0.15)
+    np.testing.assert_allclose(
+        np.array([executed(manner, action)[1] for _ in range(2000)]).std(), 0.01, rtol=0.15
+    )
 
 
 def test_smooth_noise_drifts():
@@ -158,10 +181,18 @@ class Notes(Sink):
 
 @pytest.mark.parametrize("words", [("speed=0.8",), ("noise=0.1", "hold=4", "dither=0.05")])
 def test_the_expert_tells_what_it_intends_without_its_noise(words: tuple[str, ...]):
-    env = envs.make(task="tidy_house", subtask="pick", num_envs=1, split="train", autoreset="disabled", threads=1)
+    env = envs.make(
+        task="tidy_house",
+        subtask="pick",
+        num_envs=1,
+        split="train",
+        autoreset="disabled",
+        threads=1,
+    )
     notes = Notes()
     rollout(env, make_expert(env, Styles.parse(words)), [0], seed=0, sinks=[notes], max_steps=60)
-    executed, intended = np.array(notes.executed), np.array(notes.intended)
+    executed = np.array(notes.executed)
+    intended = np.array(notes.intended)
     assert notes.actors == {"expert"}
     if words == ("speed=0.8",):
         np.testing.assert_array_equal(executed, intended)

@@ -24,8 +24,20 @@ from mjhab.core.errors import MjhabError
 from mjhab.data.store.reading import open_shard
 
 MJHAB = [sys.executable, "-m", "mjhab.cli.main"]
-MAKE = ["generate", "--task", "set_table", "--subtask", "pick", "--workers", "2", "--seed", "0", "--json"]
-EARLY, LATE = (0.1, 0.4), (0.5, 0.9)
+MAKE = [
+    "generate",
+    "--task",
+    "set_table",
+    "--subtask",
+    "pick",
+    "--workers",
+    "2",
+    "--seed",
+    "0",
+    "--json",
+]
+EARLY = (0.1, 0.4)
+LATE = (0.5, 0.9)
 """Shares of the episodes that are written when the two kills come."""
 _LONGEST_WAIT = 3.0
 """A kill comes up to so many seconds after its share is reached: anywhere in an episode."""
@@ -49,24 +61,34 @@ def written(out: Path) -> int:
     return count
 
 
-def wait_until(out: Path, process: subprocess.Popen[str], count: float, dice: random.Random) -> None:
+def wait_until(
+    out: Path, process: subprocess.Popen[str], count: float, dice: random.Random
+) -> None:
     """Return at a random moment after so many episodes were written."""
     while written(out) < count:
-        assert process.poll() is None, f"it ended before {count:.0f} episodes were written; give a larger number"
+        assert process.poll() is None, (
+            f"it ended before {count:.0f} episodes were written; give a larger number"
+        )
         time.sleep(0.2)
     time.sleep(dice.uniform(0.0, _LONGEST_WAIT))
-    assert process.poll() is None, "it ended before it could be killed; give a larger number of episodes"
+    assert process.poll() is None, (
+        "it ended before it could be killed; give a larger number of episodes"
+    )
 
 
 def workers(process: subprocess.Popen[str]) -> list[int]:
     """Process ids of the workers of a running command."""
     children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
-    return [int(pid) for pid in children if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+    return [
+        int(pid) for pid in children if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()
+    ]
 
 
 def ask(*command: str) -> dict[str, Any]:
     """What a command tells machines."""
-    done = subprocess.run([*MJHAB, *command, "--json"], stdout=subprocess.PIPE, text=True, check=False)
+    done = subprocess.run(
+        [*MJHAB, *command, "--json"], stdout=subprocess.PIPE, text=True, check=False
+    )
     print(f"mjhab {' '.join(command)}: exit code {done.returncode}", flush=True)
     return json.loads(done.stdout)
 
@@ -100,16 +122,36 @@ def main(out: Path, episodes: int, seed: int | None = None) -> None:
     seconds = time.perf_counter() - begun
     assert said["kept"] == said["tried"] == episodes, said
     found = ask("data", "check", str(out))
-    assert (found["episodes"], found["ok"], found["damaged"], found["doubled"]) == (episodes, episodes, 0, 0), found
+    assert (found["episodes"], found["ok"], found["damaged"], found["doubled"]) == (
+        episodes,
+        episodes,
+        0,
+        0,
+    ), found
     assert not found["unreadable"] and not found["unfinished"], found
     where = ("--where", "tainted or not tainted")
     rows = ask("data", "query", str(out), *where, "--list", str(episodes))["episodes"]
-    assert {(row["seed"], row["index"]) for row in rows} == {(0, index) for index in range(episodes)}
+    assert {(row["seed"], row["index"]) for row in rows} == {
+        (0, index) for index in range(episodes)
+    }
     replayed = ask("replay", str(out), "--verify", *where)
     assert (replayed["episodes"], replayed["exact"]) == (episodes, episodes), replayed
     assert (replayed["max_error"], replayed["moved"]) == (0.0, 0), replayed
-    rate = {"episodes_per_hour": round(episodes / seconds * 3600), "bytes_per_episode": said["bytes_per_episode"]}
-    print(json.dumps({"episodes": episodes, "exact": replayed["exact"], "kills_seed": seed, **rate, **said["labels"]}))
+    rate = {
+        "episodes_per_hour": round(episodes / seconds * 3600),
+        "bytes_per_episode": said["bytes_per_episode"],
+    }
+    print(
+        json.dumps(
+            {
+                "episodes": episodes,
+                "exact": replayed["exact"],
+                "kills_seed": seed,
+                **rate,
+                **said["labels"],
+            }
+        )
+    )
 
 
 if __name__ == "__main__":

@@ -39,12 +39,25 @@ SUBTASKS: dict[str, tuple[str, ...]] = {
 ENV_STEPS = 200
 RUNS = "runs/"
 """Group of a shard that tells which code made its episodes."""
-VOLATILE = ("seconds", "time", "version", "commit", "code", "host", "hash", "digest", "id", "software")
+VOLATILE = (
+    "seconds",
+    "time",
+    "version",
+    "commit",
+    "code",
+    "host",
+    "hash",
+    "digest",
+    "id",
+    "software",
+)
 """Parts of the names of record entries that say when and with what they were made, not what happened."""
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     commands = parser.add_subparsers(dest="command", required=True)
     record = commands.add_parser("record")
     record.add_argument("file", type=Path)
@@ -55,7 +68,9 @@ def main() -> int:
     compare.add_argument("after", type=Path)
     options = parser.parse_args()
     if options.command == "compare":
-        return report_differences(json.loads(options.before.read_text()), json.loads(options.after.read_text()))
+        return report_differences(
+            json.loads(options.before.read_text()), json.loads(options.after.read_text())
+        )
     found = fingerprints(small=options.small, data=options.data)
     options.file.write_text(json.dumps(found, indent=1, sort_keys=True))
     print(f"{len(found)} fingerprints in {options.file}")
@@ -96,7 +111,10 @@ def fingerprints(small: bool, data: str = "") -> dict[str, str]:
 def episode_sets(small: bool, data: str) -> Iterator[tuple[str, list[str]]]:
     """Name and ``mjhab generate`` options of every set of recorded episodes."""
     if small:
-        yield "set_table-pick", ["--task", "set_table", "--subtask", "pick", "--episodes", "1", "--worlds", "1"]
+        yield (
+            "set_table-pick",
+            ["--task", "set_table", "--subtask", "pick", "--episodes", "1", "--worlds", "1"],
+        )
         return
     for task in CHAINS:
         yield task, ["--task", task, "--episodes", "2", "--worlds", "2"]
@@ -104,7 +122,10 @@ def episode_sets(small: bool, data: str) -> Iterator[tuple[str, list[str]]]:
             yield f"{task}-{subtask}", ["--task", task, "--subtask", subtask, "--episodes", "4"]
     for mode in ("forward", "drive"):
         options = ["--navigate", "drive"] if mode == "drive" else []
-        yield f"random-{mode}", ["--task", "tidy_house", "--policy", "random", "--episodes", "1", *options]
+        yield (
+            f"random-{mode}",
+            ["--task", "tidy_house", "--policy", "random", "--episodes", "1", *options],
+        )
     if data:
         for task in CHAINS:
             for subtask in SUBTASKS[task]:
@@ -117,10 +138,15 @@ def episode_sets(small: bool, data: str) -> Iterator[tuple[str, list[str]]]:
 def run_command(*arguments: str) -> None:
     """Run an mjhab command in a process of its own."""
     done = subprocess.run(
-        [sys.executable, "-m", "mjhab.cli.main", *arguments, "--json"], capture_output=True, text=True, check=False
+        [sys.executable, "-m", "mjhab.cli.main", *arguments, "--json"],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     if done.returncode:
-        raise RuntimeError(f"mjhab {' '.join(arguments)} failed:\n{done.stdout[-2000:]}\n{done.stderr[-2000:]}")
+        raise RuntimeError(
+            f"mjhab {' '.join(arguments)} failed:\n{done.stdout[-2000:]}\n{done.stderr[-2000:]}"
+        )
 
 
 def shard_fingerprints(folder: Path) -> Iterator[tuple[str, str]]:
@@ -128,11 +154,19 @@ def shard_fingerprints(folder: Path) -> Iterator[tuple[str, str]]:
     for path in sorted(folder.rglob("*.h5")):
         with h5py.File(path, "r") as file:
             datasets: dict[str, h5py.Dataset] = {}
-            file.visititems(lambda name, item, into=datasets: into.update({name: item}) if is_dataset(item) else None)
+            file.visititems(
+                lambda name, item, into=datasets: (
+                    into.update({name: item}) if is_dataset(item) else None
+                )
+            )
             for name, item in sorted(datasets.items()):
                 if not name.startswith(RUNS) and not any(part in name.lower() for part in VOLATILE):
                     value = item[()]
-                    content = stable_record(value) if name.endswith("record") else np.asarray(value).tobytes()
+                    content = (
+                        stable_record(value)
+                        if name.endswith("record")
+                        else np.asarray(value).tobytes()
+                    )
                     yield name, hashlib.sha256(content).hexdigest()
 
 
@@ -147,7 +181,9 @@ def stable_record(value: Any) -> bytes:
         record = json.loads(raw)
     except ValueError:
         return raw
-    kept = {key: entry for key, entry in record.items() if not any(part in key for part in VOLATILE)}
+    kept = {
+        key: entry for key, entry in record.items() if not any(part in key for part in VOLATILE)
+    }
     return json.dumps(kept, sort_keys=True).encode()
 
 

@@ -13,7 +13,8 @@ import torch.nn.functional as F
 from torch import Tensor
 
 Weights = dict[str, Tensor]
-HEAD, HAND = "fetch_head_depth", "fetch_hand_depth"
+HEAD = "fetch_head_depth"
+HAND = "fetch_hand_depth"
 
 
 def _linear(name: str, outputs: int, inputs: int) -> dict[str, tuple[int, ...]]:
@@ -87,7 +88,9 @@ def dp_shapes() -> dict[str, tuple[int, ...]]:
     shapes: dict[str, tuple[int, ...]] = {}
     for i, (inputs, outputs) in enumerate(((2, 16), (16, 32), (32, 64), (64, 128))):
         shapes |= _conv(f"visual_encoder.cnn.{3 * i}", outputs, inputs, 3, 3)
-    shapes |= _conv("visual_encoder.cnn.12", 128, 128, 1, 1) | _linear("visual_encoder.fc.0", 256, 128)
+    shapes |= _conv("visual_encoder.cnn.12", 128, 128, 1, 1) | _linear(
+        "visual_encoder.fc.0", 256, 128
+    )
     condition = 64 + 2 * (256 + 42)
 
     def block(name: str, inputs: int, outputs: int) -> None:
@@ -111,7 +114,9 @@ def dp_shapes() -> dict[str, tuple[int, ...]]:
         block(f"noise_pred_net.down_modules.{i}.1", outputs, outputs)
         if i < 2:
             shapes |= _conv(f"noise_pred_net.down_modules.{i}.2.conv", outputs, outputs, 3)
-    shapes |= _conv("noise_pred_net.final_conv.0.block.0", 64, 64, 5) | _norm("noise_pred_net.final_conv.0.block.1", 64)
+    shapes |= _conv("noise_pred_net.final_conv.0.block.0", 64, 64, 5) | _norm(
+        "noise_pred_net.final_conv.0.block.1", 64
+    )
     return shapes | _conv("noise_pred_net.final_conv.1", 13, 64, 1)
 
 
@@ -119,14 +124,18 @@ def random_weights(shapes: Mapping[str, tuple[int, ...]], seed: int = 0) -> Weig
     """Normal numbers that keep the size of what goes through a layer."""
     generator = torch.Generator().manual_seed(seed)
     return {
-        name: torch.randn(shape, generator=generator) * (math.prod(shape[1:]) ** -0.5 if len(shape) > 1 else 0.3)
+        name: torch.randn(shape, generator=generator)
+        * (math.prod(shape[1:]) ** -0.5 if len(shape) > 1 else 0.3)
         for name, shape in shapes.items()
     }
 
 
 def save(path: Path, weights: Weights, **more: Any) -> Path:
     """Write a checkpoint as the original's train scripts do, with an optimizer beside the policy."""
-    optimizer = {"state": {0: {"step": torch.tensor(1.0)}}, "param_groups": [{"lr": 3e-4, "betas": (0.9, 0.999)}]}
+    optimizer = {
+        "state": {0: {"step": torch.tensor(1.0)}},
+        "param_groups": [{"lr": 3e-4, "betas": (0.9, 0.999)}],
+    }
     torch.save({"agent": weights, "optimizer": optimizer, **more}, path)
     return path
 
@@ -150,7 +159,9 @@ def sac_action(w: Weights, depth: dict[str, Tensor], state: Tensor) -> Tensor:
         parts.append((f"actor.encoder.pixels_projections.{camera}.projection", x.flatten()))
     parts.append(("actor.encoder.state_projection.projection", state[-1]))
     encoded = [
-        F.layer_norm(_apply(w, f"{name}.0", x), (50,), w[f"{name}.1.weight"], w[f"{name}.1.bias"]).tanh()
+        F.layer_norm(
+            _apply(w, f"{name}.0", x), (50,), w[f"{name}.1.weight"], w[f"{name}.1.bias"]
+        ).tanh()
         for name, x in parts
     ]
     x = torch.cat(encoded)
@@ -160,7 +171,9 @@ def sac_action(w: Weights, depth: dict[str, Tensor], state: Tensor) -> Tensor:
     return x[:13].tanh()
 
 
-def _extract(w: Weights, prefix: str, strides: tuple[int, ...], depth: dict[str, Tensor], state: Tensor) -> Tensor:
+def _extract(
+    w: Weights, prefix: str, strides: tuple[int, ...], depth: dict[str, Tensor], state: Tensor
+) -> Tensor:
     parts = []
     for camera in (HEAD, HAND):
         x = 1 - torch.tanh(depth[camera][None] / 1000)
@@ -189,7 +202,9 @@ def dp_plan(w: Weights, depth: dict[str, Tensor], state: Tensor, noise: Tensor) 
     """Of one world: 8 actions (8, 13) from noise (100, 16, 13)."""
     seen = []
     for frame in range(2):
-        x = torch.stack([1 - torch.tanh(depth[camera][frame] / 1000) for camera in (HAND, HEAD)])[None]
+        x = torch.stack([1 - torch.tanh(depth[camera][frame] / 1000) for camera in (HAND, HEAD)])[
+            None
+        ]
         for i in range(4):
             x = F.max_pool2d(_convolve(w, f"visual_encoder.cnn.{3 * i}", x, padding=1).relu(), 2)
         x = _convolve(w, "visual_encoder.cnn.12", x).relu().flatten(2).max(dim=2).values[0]
@@ -197,12 +212,16 @@ def dp_plan(w: Weights, depth: dict[str, Tensor], state: Tensor, noise: Tensor) 
     observed = torch.cat(seen)
     # Ho et al. 2020, equations 6, 7 and 15, on the cosine schedule with its offset of 0.008.
     cosine = [math.cos((i / 100 + 0.008) / 1.008 * math.pi / 2) ** 2 for i in range(101)]
-    betas = torch.tensor([min(1 - cosine[i + 1] / cosine[i], 0.999) for i in range(100)], dtype=torch.float64)
-    alphas, bars = 1 - betas, torch.cumprod(1 - betas, 0)
+    betas = torch.tensor(
+        [min(1 - cosine[i + 1] / cosine[i], 0.999) for i in range(100)], dtype=torch.float64
+    )
+    alphas = 1 - betas
+    bars = torch.cumprod(1 - betas, 0)
     x = noise[0]
     for t in reversed(range(100)):
         predicted = _unet(w, x, t, observed)
-        bar, bar_before = float(bars[t]), float(bars[t - 1]) if t else 1.0
+        bar = float(bars[t])
+        bar_before = float(bars[t - 1]) if t else 1.0
         clean = ((x - math.sqrt(1 - bar) * predicted) / math.sqrt(bar)).clamp(-1, 1)
         x = (
             math.sqrt(bar_before) * float(betas[t]) / (1 - bar) * clean
@@ -226,9 +245,13 @@ def _unet(w: Weights, actions: Tensor, step: int, observed: Tensor) -> Tensor:
 
     def block(name: str, x: Tensor) -> Tensor:
         film = _apply(w, f"{name}.cond_encoder.1", F.mish(condition)).reshape(2, -1, 1)
-        inner = conv_block(f"{name}.blocks.1", film[0] * conv_block(f"{name}.blocks.0", x) + film[1])
+        inner = conv_block(
+            f"{name}.blocks.1", film[0] * conv_block(f"{name}.blocks.0", x) + film[1]
+        )
         key = f"{name}.residual_conv"
-        return inner + (F.conv1d(x, w[f"{key}.weight"], w[f"{key}.bias"]) if f"{key}.weight" in w else x)
+        return inner + (
+            F.conv1d(x, w[f"{key}.weight"], w[f"{key}.bias"]) if f"{key}.weight" in w else x
+        )
 
     def pair(name: str, x: Tensor) -> Tensor:
         return block(f"{name}.1", block(f"{name}.0", x))
@@ -240,11 +263,15 @@ def _unet(w: Weights, actions: Tensor, step: int, observed: Tensor) -> Tensor:
         x = pair(name, x)
         kept.append(x)
         if i < 2:
-            x = F.conv1d(x, w[f"{name}.2.conv.weight"], w[f"{name}.2.conv.bias"], stride=2, padding=1)
+            x = F.conv1d(
+                x, w[f"{name}.2.conv.weight"], w[f"{name}.2.conv.bias"], stride=2, padding=1
+            )
     x = pair(f"{net}mid_modules", x)
     for i in range(2):
         name = f"{net}up_modules.{i}"
         x = pair(name, torch.cat([x, kept[2 - i]], dim=1))
-        x = F.conv_transpose1d(x, w[f"{name}.2.conv.weight"], w[f"{name}.2.conv.bias"], stride=2, padding=1)
+        x = F.conv_transpose1d(
+            x, w[f"{name}.2.conv.weight"], w[f"{name}.2.conv.bias"], stride=2, padding=1
+        )
     x = conv_block(f"{net}final_conv.0", x)
     return F.conv1d(x, w[f"{net}final_conv.1.weight"], w[f"{net}final_conv.1.bias"])[0].T

@@ -64,7 +64,9 @@ def train_config(**changes: Any) -> TrainConfig:
     return TrainConfig(config(**changes))
 
 
-def demonstrations(seed: int = 0, lengths: tuple[int, ...] = (7, 11, 5), told: Layout | None = None) -> Demonstrations:
+def demonstrations(
+    seed: int = 0, lengths: tuple[int, ...] = (7, 11, 5), told: Layout | None = None
+) -> Demonstrations:
     """Episodes whose first action is a line through the state, and the others 0.5."""
     told = told or layout()
     random = np.random.default_rng(seed)
@@ -100,6 +102,8 @@ def fake_env(worlds: int = 3, told: Layout | None = None) -> Any:
         num_envs=worlds,
         observer=SimpleNamespace(table=rows),
         action_table=[SimpleNamespace(name=name) for name in ACTIONS],
-        single_observation_space={"state": SimpleNamespace(shape=(sum(width for _, width in STATE),))},
+        single_observation_space={
+            "state": SimpleNamespace(shape=(sum(width for _, width in STATE),))
+        },
         config=SimpleNamespace(control_mode=CONTROL[0], base=CONTROL[1], stationary=()),
     )

@@ -30,7 +30,9 @@ from tests.learning.small import INPUTS, demonstrations
 
 
 @given(st.lists(st.booleans(), min_size=1, max_size=30), st.integers(-1, 20))
-def test_a_demonstration_ends_some_steps_after_its_first_success(success: list[bool], hold: int) -> None:
+def test_a_demonstration_ends_some_steps_after_its_first_success(
+    success: list[bool], hold: int
+) -> None:
     kept = kept_steps(np.array(success, np.uint8), hold)
     if hold < 0 or not any(success):
         assert kept == len(success)
@@ -48,7 +50,9 @@ def test_chunks_stay_in_their_episode(chunk: int, history: int, seed: int) -> No
         episode = int(np.searchsorted(starts, row, side="right")) - 1
         left = starts[episode + 1] - row
         assert taken.valid[row].tolist() == [k < left for k in range(chunk)]
-        np.testing.assert_array_equal(taken.actions[row][: min(chunk, left)], data.actions[row : row + chunk][:left])
+        np.testing.assert_array_equal(
+            taken.actions[row][: min(chunk, left)], data.actions[row : row + chunk][:left]
+        )
         seen = taken.vector[row].reshape(history, -1)
         np.testing.assert_array_equal(seen[-1], data.vector[row])
         np.testing.assert_array_equal(seen[0], data.vector[max(row - history + 1, starts[episode])])
@@ -64,7 +68,12 @@ def test_batches_mix_old_and_new_and_depend_on_seed_and_number_alone() -> None:
     rows = sampler.rows(7)
     assert rows[0][0] is sources[-1] and len(rows[0][1]) == 20
     assert sum(len(part) for _, part in rows) == 40
-    old = np.concatenate([np.concatenate([part for s, part in sampler.rows(k) if s is sources[0]]) for k in range(40)])
+    old = np.concatenate(
+        [
+            np.concatenate([part for s, part in sampler.rows(k) if s is sources[0]])
+            for k in range(40)
+        ]
+    )
     assert set(old.tolist()) == set(sources[0].usable.tolist())
     assert len(BatchSampler(sources[:1], 40, 0.5, 0).rows(0)[0][1]) == 40
 
@@ -84,7 +93,7 @@ def test_shifted_images_are_crops_with_the_edge_repeated(most: int, seed: int) -
     for image, out in zip(padded, moved, strict=True):
         crops = [
             image[:, y : y + 6, x : x + 6] for y in range(2 * most + 1) for x in range(2 * most + 1)
-        ]  # fmt: skip
+        ]
         assert any((crop == out).all() for crop in crops)
 
 
@@ -101,7 +110,9 @@ def test_base_velocity_is_along_the_base() -> None:
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("demos")
-    record(folder / "picks.h5", range(4), FakeEnv(subtask="pick", images=True), images=ImageFormat())
+    record(
+        folder / "picks.h5", range(4), FakeEnv(subtask="pick", images=True), images=ImageFormat()
+    )
     return folder
 
 
@@ -110,14 +121,18 @@ EVERY = Filter("success or not success")
 
 def test_what_is_read_is_what_was_recorded(source: Path) -> None:
     told = layout_of_data(source, INPUTS, EVERY)
-    assert told.targets == ("024_bowl",) and told.state == (("agent/qpos", 4), ("extra/is_grasped", 1))
+    assert told.targets == ("024_bowl",) and told.state == (
+        ("agent/qpos", 4),
+        ("extra/is_grasped", 1),
+    )
     data = load_demonstrations(source, told, -1, EVERY)
     at = 0
     for episode in episodes(source):
         n = episode.steps
         rows = slice(at, at + n)
         actions = episode.array("actions")
-        state, last = data.vector[rows, :5], data.vector[rows, 5:18]
+        state = data.vector[rows, :5]
+        last = data.vector[rows, 5:18]
         np.testing.assert_array_equal(state, episode.array("obs/state")[:n])
         np.testing.assert_array_equal(last[1:], actions[:-1])
         assert not last[0].any()
@@ -132,7 +147,9 @@ def test_what_is_read_is_what_was_recorded(source: Path) -> None:
 
 def test_data_that_do_not_fit_are_refused_with_what_to_do(source: Path, tmp_path: Path) -> None:
     larger = InputConfig(cameras=("fetch_head",), image_size=2 * SIZE)
-    with pytest.raises(UsageError, match=f"16x16 px; the preset needs 32x32 px.*replay.*--camera-size {2 * SIZE}"):
+    with pytest.raises(
+        UsageError, match=f"16x16 px; the preset needs 32x32 px.*replay.*--camera-size {2 * SIZE}"
+    ):
         layout_of_data(source, larger, EVERY)
     hand = InputConfig(cameras=("fetch_hand",), image_size=SIZE)
     with pytest.raises(UsageError, match=r"no depth images of fetch_hand.*mjhab replay"):
@@ -140,6 +157,10 @@ def test_data_that_do_not_fit_are_refused_with_what_to_do(source: Path, tmp_path
     with pytest.raises(UsageError, match="no episode passes"):
         layout_of_data(source, INPUTS, Filter("steps > 1000"))
     told = layout_of_data(source, INPUTS, EVERY)
-    record(tmp_path / "other.h5", range(1), FakeEnv(subtask="close", images=True), images=ImageFormat())
-    with pytest.raises(UsageError, match="unknown target of this student 'kitchen_counter/drawer3'"):
+    record(
+        tmp_path / "other.h5", range(1), FakeEnv(subtask="close", images=True), images=ImageFormat()
+    )
+    with pytest.raises(
+        UsageError, match="unknown target of this student 'kitchen_counter/drawer3'"
+    ):
         load_demonstrations(tmp_path, told, 3, EVERY)

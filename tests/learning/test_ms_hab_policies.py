@@ -63,12 +63,16 @@ def info(*indices: int) -> dict[str, Any]:
     return {"episode_spec": [{"seed": SEED, "index": index} for index in indices]}
 
 
-def tensors(history: list[dict[str, np.ndarray]], world: int, frames: int) -> tuple[dict, torch.Tensor]:
+def tensors(
+    history: list[dict[str, np.ndarray]], world: int, frames: int
+) -> tuple[dict, torch.Tensor]:
     """The last observations of an episode of one world, the first repeated where there are too few."""
     last = [history[max(0, len(history) - frames + i)] for i in range(frames)]
     depth = {
         f"{camera}_depth": torch.tensor(
-            np.stack([obs[f"sensor_data/{camera}/depth"][world, ..., 0] for obs in last]).astype(np.float32)
+            np.stack([obs[f"sensor_data/{camera}/depth"][world, ..., 0] for obs in last]).astype(
+                np.float32
+            )
         )
         for camera in ("fetch_head", "fetch_hand")
     }
@@ -79,7 +83,9 @@ class Plain:
     """What a policy does in one world, computed with plain functions from the observations of its episode."""
 
     def __init__(self, case: Case, weights: original.Weights, world: int, index: int) -> None:
-        self.case, self.weights, self.world = case, weights, world
+        self.case = case
+        self.weights = weights
+        self.world = world
         self.history: list[dict[str, np.ndarray]] = []
         self.noise = stream(SEED, "policy", "ms_hab", index)
         self.plan: list[torch.Tensor] = []
@@ -91,7 +97,9 @@ class Plain:
             action = self.case.action(self.weights, *seen)
         else:
             if not self.plan:
-                noise = torch.from_numpy(self.noise.standard_normal((100, 16, 13), dtype=np.float32))
+                noise = torch.from_numpy(
+                    self.noise.standard_normal((100, 16, 13), dtype=np.float32)
+                )
                 self.plan = list(original.dp_plan(self.weights, *seen, noise))
             action = self.plan.pop(0)
         action = action.clamp(-1, 1).numpy()
@@ -128,9 +136,12 @@ def test_actions_are_those_of_a_plain_computation(name: str, tmp_path: Path) -> 
 
 @pytest.mark.parametrize("name", CASES)
 def test_an_episode_does_not_depend_on_the_worlds_beside_it(name: str, tmp_path: Path) -> None:
-    _, network = load_network(original.save(tmp_path / "a.pt", original.random_weights(CASES[name].shapes)))
+    _, network = load_network(
+        original.save(tmp_path / "a.pt", original.random_weights(CASES[name].shapes))
+    )
     rng = np.random.default_rng(2)
-    many, one = MsHabPolicy(name, network), MsHabPolicy(name, network)
+    many = MsHabPolicy(name, network)
+    one = MsHabPolicy(name, network)
     many.reset(np.ones(2, bool))
     one.reset(np.ones(1, bool))
     for _ in range(2):
@@ -142,7 +153,11 @@ def test_an_episode_does_not_depend_on_the_worlds_beside_it(name: str, tmp_path:
 def test_the_networks_have_the_names_and_shapes_of_the_original() -> None:
     for name, case in CASES.items():
         layout = LAYOUTS[name]
-        acting = {key: shape for key, shape in case.shapes.items() if not key.startswith(layout.training_only)}
+        acting = {
+            key: shape
+            for key, shape in case.shapes.items()
+            if not key.startswith(layout.training_only)
+        }
         network = layout.build(acting)
         assert {key: tuple(value.shape) for key, value in network.state_dict().items()} == acting
 
@@ -151,7 +166,9 @@ def test_frames_and_cameras_are_read_off_the_parameters(tmp_path: Path) -> None:
     weights = original.random_weights(original.bc_shapes(frames=3))
     _, network = load_network(original.save(tmp_path / "a.pt", weights))
     assert network.frames == 3 and network.cameras == ("fetch_head_depth", "fetch_hand_depth")
-    _, network = load_network(original.save(tmp_path / "b.pt", original.random_weights(CASES["sac"].shapes)))
+    _, network = load_network(
+        original.save(tmp_path / "b.pt", original.random_weights(CASES["sac"].shapes))
+    )
     assert network.cameras == ("fetch_hand_depth", "fetch_head_depth")
 
 
@@ -172,13 +189,20 @@ def test_other_layouts_are_told_apart_by_their_keys(tmp_path: Path) -> None:
     weights = original.random_weights(CASES["ppo"].shapes)
     gone = {key: value for key, value in weights.items() if key != "actor_mean.2.bias"}
     original.save(path, {**gone, "actor_std": torch.zeros(3)})
-    refuse(path, "keys of MS-HAB's PPO network", "missing: actor_mean.2.bias;", "too many: actor_std")
+    refuse(
+        path, "keys of MS-HAB's PPO network", "missing: actor_mean.2.bias;", "too many: actor_std"
+    )
     original.save(path, {**weights, "actor_mean.0.weight": torch.zeros(512, 700)})
     refuse(path, "of another shape: actor_mean.0.weight (512, 700) instead of (512, 768)")
-    original.save(path, {key.replace("fetch_hand_depth", "all_depth"): value for key, value in weights.items()})
+    original.save(
+        path,
+        {key.replace("fetch_hand_depth", "all_depth"): value for key, value in weights.items()},
+    )
     refuse(path, "too many: feature_net.extractors.all_depth.0.0.weight", "and 2 more")
     sac = original.random_weights(CASES["sac"].shapes)
-    inner = {key.removeprefix("actor."): value for key, value in sac.items() if key.startswith("actor.")}
+    inner = {
+        key.removeprefix("actor."): value for key, value in sac.items() if key.startswith("actor.")
+    }
     original.save(path, inner)
     refuse(path, "Nearest is SAC: missing: actor.encoder", "too many: encoder.cnns")
     original.save(path, {"policy.net.0.weight": torch.zeros(3)})
@@ -202,7 +226,8 @@ class Spy:
 
 
 def test_files_that_are_no_checkpoints(tmp_path: Path) -> None:
-    mark, path = tmp_path / "executed", tmp_path / "a.pt"
+    mark = tmp_path / "executed"
+    path = tmp_path / "a.pt"
     torch.save({"agent": {"w": torch.zeros(2)}, "extra": Spy(mark)}, path)
     refuse(path, "needs more than tensors and was refused; nothing in it was executed", "pathlib")
     path.write_bytes(pickle.dumps({"agent": Spy(mark)}))
@@ -216,7 +241,12 @@ def test_files_that_are_no_checkpoints(tmp_path: Path) -> None:
 
 def test_environments_and_observations_that_do_not_fit(tmp_path: Path) -> None:
     path = original.save(tmp_path / "a.pt", original.random_weights(CASES["ppo"].shapes))
-    changes = {"obs_mode": "rgb", "cameras": ("fetch_head",), "camera_size": 64, "control_mode": "pd_joint_pos"}
+    changes = {
+        "obs_mode": "rgb",
+        "cameras": ("fetch_head",),
+        "camera_size": 64,
+        "control_mode": "pd_joint_pos",
+    }
     for option, value in changes.items():
         env: Any = SimpleNamespace(config=SimpleNamespace(**{**ENV_OPTIONS, option: value}))
         with pytest.raises(UsageError, match=rf"{option} (is|are) .*Make it with obs_mode='depth'"):
@@ -231,14 +261,18 @@ def test_environments_and_observations_that_do_not_fit(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="the observations lack sensor_data/fetch_hand/depth"):
         policy.act(lacking, info(0, 1))
     small = {**obs, "sensor_data/fetch_head/depth": np.zeros((WORLDS, 64, 64, 1), np.int16)}
-    with pytest.raises(UsageError, match=r"fetch_head/depth has shape \(2, 64, 64, 1\); .* need \(2, 128, 128, 1\)"):
+    with pytest.raises(
+        UsageError, match=r"fetch_head/depth has shape \(2, 64, 64, 1\); .* need \(2, 128, 128, 1\)"
+    ):
         policy.act(small, info(0, 1))
 
 
 def test_a_policy_acts_in_an_environment(tmp_path: Path) -> None:
     weights = original.random_weights(CASES["sac"].shapes)
     path = original.save(tmp_path / "policy.pt", weights)
-    env = make(task="set_table", subtask="pick", num_envs=2, autoreset="disabled", threads=1, **ENV_OPTIONS)
+    env = make(
+        task="set_table", subtask="pick", num_envs=2, autoreset="disabled", threads=1, **ENV_OPTIONS
+    )
     policy = ms_hab_policy(path, env)
     seen: list[tuple[dict, dict]] = []
     inner = policy.act

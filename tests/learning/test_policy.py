@@ -23,7 +23,9 @@ def scene(worlds: int, step: int) -> tuple[dict[str, np.ndarray], dict[str, Any]
     randoms = [np.random.default_rng([step, w]) for w in range(worlds)]
     obs = {
         "state": np.stack([random.normal(size=5) for random in randoms]).astype(np.float32),
-        "sensor_data/fetch_head/depth": np.stack([r.integers(0, 3000, (SIZE, SIZE, 1), np.int16) for r in randoms]),
+        "sensor_data/fetch_head/depth": np.stack(
+            [r.integers(0, 3000, (SIZE, SIZE, 1), np.int16) for r in randoms]
+        ),
     }
     plan = ({"kind": "pick", "target": f"{TARGETS[0]}_:0000", "goal": None},)
     specs = [{"index": w, "seed": 0, "plan": plan} for w in range(worlds)]
@@ -38,7 +40,8 @@ def actions_of(worlds: int, steps: int, algorithm: str = "bc", **changes: Any) -
 
 @pytest.mark.parametrize("algorithm", ["bc", "flow", "diffusion"])
 def test_what_it_does_in_an_episode_does_not_depend_on_the_other_worlds(algorithm: str) -> None:
-    few, many = actions_of(3, 5, algorithm), actions_of(21, 5, algorithm)
+    few = actions_of(3, 5, algorithm)
+    many = actions_of(21, 5, algorithm)
     np.testing.assert_array_equal(few, many[:, :3])
 
 
@@ -48,7 +51,9 @@ def test_the_first_actions_of_every_chunk_are_executed(monkeypatch: pytest.Monke
 
     def count(vector: np.ndarray, images: np.ndarray, noise: np.ndarray) -> np.ndarray:
         asked.append(vector.copy())
-        return np.broadcast_to(np.arange(4.0, dtype=np.float32)[None, :, None] / 10, (len(vector), 4, 13)).copy()
+        return np.broadcast_to(
+            np.arange(4.0, dtype=np.float32)[None, :, None] / 10, (len(vector), 4, 13)
+        ).copy()
 
     monkeypatch.setattr(student, "act", count)
     policy = StudentPolicy(student, fake_env(1))
@@ -63,9 +68,12 @@ def test_the_first_actions_of_every_chunk_are_executed(monkeypatch: pytest.Monke
 
 def test_it_sees_what_the_demonstrations_hold() -> None:
     inputs = dataclasses.replace(INPUTS, history=2)
-    policy = StudentPolicy(make_student(config(inputs=inputs), layout(inputs)), fake_env(2, layout(inputs)))
+    policy = StudentPolicy(
+        make_student(config(inputs=inputs), layout(inputs)), fake_env(2, layout(inputs))
+    )
     policy.reset(np.ones(2, bool))
-    (first, info), (second, _) = scene(2, 0), scene(2, 1)
+    (first, info) = scene(2, 0)
+    (second, _) = scene(2, 1)
     before = policy.act(first, info)
     policy.act(second, info)
     np.testing.assert_array_equal(policy._vectors[:, 0, :5], first["state"])
@@ -129,6 +137,11 @@ def test_a_checkpoint_is_a_policy_by_its_path(tmp_path: Path) -> None:
 
 
 def test_without_torch_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == "torch" else object())
-    with pytest.raises(UsageError, match=r"learning needs torch, which is not installed.*pip install 'mjhab\[learn\]'"):
+    monkeypatch.setattr(
+        "importlib.util.find_spec", lambda name: None if name == "torch" else object()
+    )
+    with pytest.raises(
+        UsageError,
+        match=r"learning needs torch, which is not installed.*pip install 'mjhab\[learn\]'",
+    ):
         inspect_policy("any.safetensors")

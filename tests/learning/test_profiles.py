@@ -60,16 +60,27 @@ def test_a_checkpoint_brings_its_profile_and_another_is_recorded(tmp_path: Path)
         EnvConfig(subtask="pick", **env_options(spec, facts))
         return resolved_config(spec, facts)
 
-    own, other = recorded(), recorded(profile="mjhab")
-    assert (own["profile"], own["policy_profile"], own["stationary"]) == ("ms_hab", "ms_hab", ["head"])
-    assert (other["profile"], other["policy_profile"], other["stationary"]) == ("mjhab", "ms_hab", [])
+    own = recorded()
+    other = recorded(profile="mjhab")
+    assert (own["profile"], own["policy_profile"], own["stationary"]) == (
+        "ms_hab",
+        "ms_hab",
+        ["head"],
+    )
+    assert (other["profile"], other["policy_profile"], other["stationary"]) == (
+        "mjhab",
+        "ms_hab",
+        [],
+    )
 
 
 def test_a_stationary_head_is_no_other_layout_but_another_control_mode_is() -> None:
     student = make_student(config(inputs=BOTH), of_ms_hab())
     env = fake_env(told=layout(BOTH))
     StudentPolicy(student, env)
-    env.config = SimpleNamespace(control_mode="pd_ee_delta_pose", base="forward", stationary=("head",))
+    env.config = SimpleNamespace(
+        control_mode="pd_ee_delta_pose", base="forward", stationary=("head",)
+    )
     with pytest.raises(UsageError, match="control pd_ee_delta_pose"):
         StudentPolicy(student, env)
 
@@ -77,12 +88,19 @@ def test_a_stationary_head_is_no_other_layout_but_another_control_mode_is() -> N
 def test_demonstrations_of_another_profile_are_refused(tmp_path: Path) -> None:
     record(tmp_path / "a.h5", range(2), FakeEnv(subtask="pick", images=True), images=ImageFormat())
     every = "success or not success"
-    request = Request(train_config(), Scene(profile="ms_hab"), Means(), data=(tmp_path,), where=every)
-    with pytest.raises(UsageError, match=r"demonstrations are of profile mjhab, not ms_hab.*generate --profile ms_hab"):
+    request = Request(
+        train_config(), Scene(profile="ms_hab"), Means(), data=(tmp_path,), where=every
+    )
+    with pytest.raises(
+        UsageError,
+        match=r"demonstrations are of profile mjhab, not ms_hab.*generate --profile ms_hab",
+    ):
         layout_for(request)
     told = layout_of_data(tmp_path, INPUTS, request.filter)
     with pytest.raises(UsageError, match="profile mjhab instead of ms_hab"):
-        load_demonstrations(tmp_path, dataclasses.replace(told, profile="ms_hab"), 3, request.filter)
+        load_demonstrations(
+            tmp_path, dataclasses.replace(told, profile="ms_hab"), 3, request.filter
+        )
 
 
 def test_layouts_come_back_from_json_and_old_ones_are_of_the_default_profile() -> None:

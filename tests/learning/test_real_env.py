@@ -23,15 +23,21 @@ from tests.learning.small import config
 
 HOLD_STEPS = 5
 INPUTS = InputConfig(image_size=16, base_velocity=True)
-SCENE = Scene("set_table", "close", "kitchen_counter/drawer3", home="builtin_m0_00", profile="ms_hab")
+SCENE = Scene(
+    "set_table", "close", "kitchen_counter/drawer3", home="builtin_m0_00", profile="ms_hab"
+)
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Request]:
     torch.set_num_threads(1)
     student = config(inputs=INPUTS, demos=1, updates=2, hold_steps=HOLD_STEPS)
-    dagger = DaggerConfig(rounds=1, episodes=1, updates=2, first_prefix=4, horizon=220, final_updates=1)
-    request = Request(TrainConfig(student, dagger), SCENE, Means(1, 1, 1), eval_episodes=1, round_episodes=0)
+    dagger = DaggerConfig(
+        rounds=1, episodes=1, updates=2, first_prefix=4, horizon=220, final_updates=1
+    )
+    request = Request(
+        TrainConfig(student, dagger), SCENE, Means(1, 1, 1), eval_episodes=1, round_episodes=0
+    )
     out = tmp_path_factory.mktemp("run")
     train(request, out)
     return out, request
@@ -40,12 +46,20 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Request]:
 def test_a_run_leaves_a_student_data_and_an_evaluation(run: tuple[Path, Request]) -> None:
     out, _ = run
     student = load_student(out / "student.safetensors")
-    assert student.layout.state_width == 42 and student.layout.targets == ("kitchen_counter/drawer3",)
+    assert student.layout.state_width == 42 and student.layout.targets == (
+        "kitchen_counter/drawer3",
+    )
     assert ("base/turning_rate", 1) in student.layout.entries
     assert load_checkpoint(out / "training.safetensors").about["step"] == 5
     assert student.layout.profile == "ms_hab" and student.layout.control[2:] == ("head",)
-    judged = json.loads((out / "evaluations" / "latest" / "config.json").read_text(encoding="utf-8"))
-    assert (judged["profile"], judged["horizon"], judged["policy_profile"]) == ("ms_hab", 200, "ms_hab")
+    judged = json.loads(
+        (out / "evaluations" / "latest" / "config.json").read_text(encoding="utf-8")
+    )
+    assert (judged["profile"], judged["horizon"], judged["policy_profile"]) == (
+        "ms_hab",
+        200,
+        "ms_hab",
+    )
     assert (out / "evaluations" / "latest" / "report.html").is_file()
     page = (out / "report.html").read_text(encoding="utf-8")
     assert 'id="loss-plot"' in page and 'src="http' not in page
@@ -59,20 +73,29 @@ def test_what_was_collected_says_who_acted(run: tuple[Path, Request]) -> None:
         for episode in episodes(out / "data" / f"round_00{number}"):
             assert episode.actors == ("student", "expert") and episode.record.success_once
             assert recorded_profile(episode) == "ms_hab"
-            assert episode.steps == np.flatnonzero(episode.array("reward/success"))[0] + 1 + HOLD_STEPS
+            assert (
+                episode.steps == np.flatnonzero(episode.array("reward/success"))[0] + 1 + HOLD_STEPS
+            )
             taken = episode.array("actor")
             assert taken[-1] == 1 and sorted(taken) == taken.tolist()
             assert number or taken.all()
 
 
-def test_the_table_of_students_says_what_lies_in_the_folders(run: tuple[Path, Request], tmp_path: Path) -> None:
+def test_the_table_of_students_says_what_lies_in_the_folders(
+    run: tuple[Path, Request], tmp_path: Path
+) -> None:
     out, _ = run
-    table, judged = tmp_path / "students.json", out / "evaluations" / "latest"
+    table = tmp_path / "students.json"
+    judged = out / "evaluations" / "latest"
     for _ in range(2):
         assert students_report.main([str(table), str(out), str(judged)]) == 0
     (row,) = json.loads(table.read_text(encoding="utf-8"))["rows"]
     learned = row["training"]
-    assert (row["subtask"], row["profile"], row["evaluation"]["horizon"]) == ("close", "ms_hab", 200)
+    assert (row["subtask"], row["profile"], row["evaluation"]["horizon"]) == (
+        "close",
+        "ms_hab",
+        200,
+    )
     assert (learned["episodes"], learned["updates"]) == (2, 5)
     assert learned["frames"] == sum(episode.steps for episode in episodes(out / "data"))
     assert row["evaluation"]["episodes"] == sum(row["evaluation"]["labels"].values()) == 1
@@ -87,6 +110,10 @@ def test_a_run_that_is_over_resumes_to_the_same_student(run: tuple[Path, Request
     out, request = run
     before = load_checkpoint(out / "student.safetensors").tensors
     again = train(dataclasses.replace(request, eval_episodes=0), out, resume=True)
-    assert again.summary["steps"] == 5 and again.summary["rounds"] == 1 and again.summary["demonstrations"] == 2
+    assert (
+        again.summary["steps"] == 5
+        and again.summary["rounds"] == 1
+        and again.summary["demonstrations"] == 2
+    )
     after = load_checkpoint(out / "student.safetensors").tensors
     assert all(torch.equal(before[name], after[name]) for name in before)

@@ -16,13 +16,21 @@ from mjhab.learning.students.heads import make_student
 from tests.learning.small import config, fake_env, layout
 
 LARGEST_BYTES = 5_000_000
-CLOSE: dict[str, Any] = {"task": "set_table", "subtask": "close", "target": "kitchen_counter/drawer3"}
+CLOSE: dict[str, Any] = {
+    "task": "set_table",
+    "subtask": "close",
+    "target": "kitchen_counter/drawer3",
+}
 
 
 @pytest.fixture
 def shelf(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A package with one student."""
-    save_student(tmp_path / "set_table.close.kitchen_counter-drawer3.safetensors", make_student(config(), layout()), {})
+    save_student(
+        tmp_path / "set_table.close.kitchen_counter-drawer3.safetensors",
+        make_student(config(), layout()),
+        {},
+    )
     monkeypatch.setattr(shipped_kind, "FOLDER", tmp_path)
     return tmp_path
 
@@ -41,12 +49,20 @@ def test_a_student_is_chosen_by_what_is_to_be_done() -> None:
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ({"subtask": "close", "target": "kitchen_counter/drawer"}, r"Did you mean 'set_table.close.kitchen_counter-dr"),
-        ({"subtask": "close"}, r"give --task, --subtask and --target.*for: set_table.close.kitchen_counter-drawer3"),
+        (
+            {"subtask": "close", "target": "kitchen_counter/drawer"},
+            r"Did you mean 'set_table.close.kitchen_counter-dr",
+        ),
+        (
+            {"subtask": "close"},
+            r"give --task, --subtask and --target.*for: set_table.close.kitchen_counter-drawer3",
+        ),
         ({}, "give --task, --subtask and --target"),
     ],
 )
-def test_where_there_is_none_those_are_named_that_there_are(given: dict[str, Any], said: str) -> None:
+def test_where_there_is_none_those_are_named_that_there_are(
+    given: dict[str, Any], said: str
+) -> None:
     with pytest.raises(UsageError, match=said):
         inspect_policy(str(EvalSpec("student", **given).policy))
 

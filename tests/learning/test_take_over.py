@@ -29,7 +29,8 @@ class Steady:
     """Gives one number everywhere, and remembers which worlds it was reset in."""
 
     def __init__(self, name: str, value: float, worlds: int) -> None:
-        self.name, self.value = name, value
+        self.name = name
+        self.value = value
         self.resets: list[np.ndarray] = []
         self.asked = np.zeros(worlds, np.int64)
 
@@ -41,14 +42,17 @@ class Steady:
         return np.full((len(self.asked), 13), self.value, np.float32)
 
     def notes(self) -> ActionNotes:
-        return ActionNotes.plain(np.full((len(self.asked), 13), self.value / 2, np.float32), self.name)
+        return ActionNotes.plain(
+            np.full((len(self.asked), 13), self.value / 2, np.float32), self.name
+        )
 
     def style(self, world: int) -> Mapping[str, Any]:
         return {}
 
 
 def make(worlds: int, longest: int) -> tuple[TakeOver, Steady, Steady]:
-    student, expert = Steady("student", -0.5, worlds), Steady("expert", 0.5, worlds)
+    student = Steady("student", -0.5, worlds)
+    expert = Steady("expert", 0.5, worlds)
     return TakeOver(student, expert, longest), student, expert
 
 
@@ -61,7 +65,9 @@ def roll(path: Path, worlds: int, longest: int, count: int = 5) -> tuple[Steady,
 
 
 @pytest.mark.parametrize("worlds", [1, 3])
-def test_the_student_acts_first_and_the_expert_from_the_drawn_step_on(worlds: int, tmp_path: Path) -> None:
+def test_the_student_acts_first_and_the_expert_from_the_drawn_step_on(
+    worlds: int, tmp_path: Path
+) -> None:
     _, expert = roll(tmp_path / "a.h5", worlds, 12)
     lengths = set()
     acted = 0
@@ -69,7 +75,8 @@ def test_the_student_acts_first_and_the_expert_from_the_drawn_step_on(worlds: in
         prefix = prefix_length(3, episode.record.index, 12)
         lengths.add(prefix)
         acted += episode.steps - prefix
-        actions, intended = episode.array("actions"), episode.array("actions_intended")
+        actions = episode.array("actions")
+        intended = episode.array("actions_intended")
         assert (actions[:prefix] == -0.5).all() and (actions[prefix:] == 0.5).all()
         assert (intended[:prefix] == -0.5).all() and (intended[prefix:] == 0.25).all()
         names = [episode.actors[number] for number in episode.array("actor")]
@@ -100,7 +107,9 @@ def test_what_the_expert_intended_is_learned_from_the_take_over_on(tmp_path: Pat
 def test_a_student_alone_is_learned_from(tmp_path: Path) -> None:
     env: Any = FakeEnv(1, subtask="pick")
     with ShardWriter(tmp_path / "a.h5") as writer:
-        rollout(env, Steady("student", 0.1, 1), [0], 0, [Recorder(writer, env, {"name": "student"})])
+        rollout(
+            env, Steady("student", 0.1, 1), [0], 0, [Recorder(writer, env, {"name": "student"})]
+        )
     assert all(expert_steps(episode).all() for episode in episodes(tmp_path / "a.h5"))
 
 

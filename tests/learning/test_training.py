@@ -15,7 +15,14 @@ from safetensors.torch import save_file
 from mjhab.core.errors import UsageError
 from mjhab.data.store.images import ImageFormat
 from mjhab.learning.checkpoint import load_checkpoint, load_student, save_student, save_training
-from mjhab.learning.configs import HEADS, PRESETS, DaggerConfig, preset_of, student_from_plain, to_plain
+from mjhab.learning.configs import (
+    HEADS,
+    PRESETS,
+    DaggerConfig,
+    preset_of,
+    student_from_plain,
+    to_plain,
+)
 from mjhab.learning.demos import BatchSampler, take_chunks
 from mjhab.learning.runs.collection import Means, Scene
 from mjhab.learning.runs.session import Request, Session, open_session
@@ -34,7 +41,9 @@ def one_thread() -> None:
 
 
 def trainer_of(algorithm: str = "bc", **changes: Any) -> Trainer:
-    trainer = Trainer(make_student(config(algorithm, **changes), layout(), seed=1), seed=2, updates=100)
+    trainer = Trainer(
+        make_student(config(algorithm, **changes), layout(), seed=1), seed=2, updates=100
+    )
     trainer.student.fit_normalizers(demonstrations())
     trainer.restart_average()
     return trainer
@@ -71,7 +80,9 @@ def test_what_lies_behind_the_end_is_not_learned() -> None:
     one = batch()
     hidden = ~one.valid
     assert hidden.any()
-    other = dataclasses.replace(one, actions=torch.where(hidden[..., None], torch.tensor(9.0), one.actions))
+    other = dataclasses.replace(
+        one, actions=torch.where(hidden[..., None], torch.tensor(9.0), one.actions)
+    )
     random = torch.Generator()
     assert torch.equal(student.loss(one, random), student.loss(other, random))
 
@@ -98,8 +109,11 @@ def test_the_average_follows_the_weights() -> None:
     before = [value.clone() for value in trainer.average.parameters()]
     trainer.update(batch())
     changed = 0
-    for old, kept, new in zip(before, trainer.average.parameters(), trainer.student.parameters(), strict=True):
-        low, high = torch.minimum(old, new) - 1e-6, torch.maximum(old, new) + 1e-6
+    for old, kept, new in zip(
+        before, trainer.average.parameters(), trainer.student.parameters(), strict=True
+    ):
+        low = torch.minimum(old, new) - 1e-6
+        high = torch.maximum(old, new) + 1e-6
         assert ((kept >= low) & (kept <= high)).all()
         changed += int((kept != old).any())
     assert changed
@@ -112,7 +126,8 @@ def test_the_average_follows_the_weights() -> None:
 
 @pytest.mark.parametrize("algorithm", HEADS)
 def test_training_goes_on_bit_by_bit(algorithm: str, tmp_path: Path) -> None:
-    whole, part = trainer_of(algorithm), trainer_of(algorithm)
+    whole = trainer_of(algorithm)
+    part = trainer_of(algorithm)
     for step in range(4):
         whole.update(batch(step))
     for step in range(2):
@@ -135,11 +150,15 @@ def test_a_student_comes_back_from_its_file(tmp_path: Path) -> None:
     path = tmp_path / "s.safetensors"
     save_student(path, trainer.average, {"scene": "here"})
     saved = load_checkpoint(path)
-    assert saved.about == {"scene": "here"} and saved.layout == layout() and saved.config == config()
+    assert (
+        saved.about == {"scene": "here"} and saved.layout == layout() and saved.config == config()
+    )
     one = batch()
     noise = np.zeros((8, 0, 4, 13), np.float32)
     before = trainer.average.act(one.vector.numpy(), one.images.numpy(), noise)
-    np.testing.assert_array_equal(before, load_student(path).act(one.vector.numpy(), one.images.numpy(), noise))
+    np.testing.assert_array_equal(
+        before, load_student(path).act(one.vector.numpy(), one.images.numpy(), noise)
+    )
     assert [entry.name for entry in tmp_path.iterdir()] == ["s.safetensors"]
 
 
@@ -175,7 +194,8 @@ def test_presets_are_plain_data_and_come_back() -> None:
             told = json.loads(json.dumps(to_plain(preset.student)))
             assert student_from_plain(told) == preset.student
             make_student(
-                dataclasses.replace(preset.student, inputs=preset.student.inputs), layout(preset.student.inputs)
+                dataclasses.replace(preset.student, inputs=preset.student.inputs),
+                layout(preset.student.inputs),
             )
     with pytest.raises(UsageError, match=r"unknown preset of bc 'smal'\. Did you mean 'small'"):
         preset_of("bc", "smal")
@@ -187,7 +207,9 @@ def test_presets_are_plain_data_and_come_back() -> None:
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("source")
-    record(folder / "picks.h5", range(4), FakeEnv(subtask="pick", images=True), images=ImageFormat())
+    record(
+        folder / "picks.h5", range(4), FakeEnv(subtask="pick", images=True), images=ImageFormat()
+    )
     return folder
 
 
@@ -245,12 +267,18 @@ def test_a_run_leaves_its_folder_and_resumes_exactly(
         train(request(source), tmp_path / "part")
 
 
-def test_nan_keeps_the_last_good_checkpoint(source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nan_keeps_the_last_good_checkpoint(
+    source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     plain = Session._batch
 
     def broken(session: Session, sampler: BatchSampler) -> Batch:
         one = plain(session, sampler)
-        return dataclasses.replace(one, actions=one.actions * torch.nan) if session.trainer.step == 3 else one
+        return (
+            dataclasses.replace(one, actions=one.actions * torch.nan)
+            if session.trainer.step == 3
+            else one
+        )
 
     monkeypatch.setattr(Session, "_batch", broken)
     monkeypatch.setattr("mjhab.learning.runs.session.CHECKPOINT_SECONDS", -1.0)
@@ -290,6 +318,12 @@ def test_the_learning_rate_falls_to_zero_in_the_end(
 
     monkeypatch.setattr(Trainer, "update", note)
     dagger = DaggerConfig(rounds=0, final_updates=4)
-    done = train(request(source, config=dataclasses.replace(train_config(), dagger=dagger)), tmp_path / "run")
+    done = train(
+        request(source, config=dataclasses.replace(train_config(), dagger=dagger)), tmp_path / "run"
+    )
     assert asked == [1.0] * 4 + [1.0, 0.75, 0.5, 0.25]
-    assert (done.summary["steps"], done.summary["rounds"], done.summary["demonstrations"]) == (8, 0, 4)
+    assert (done.summary["steps"], done.summary["rounds"], done.summary["demonstrations"]) == (
+        8,
+        0,
+        4,
+    )

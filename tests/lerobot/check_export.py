@@ -59,7 +59,9 @@ def check_frame(data: LeRobotDataset, row: int, group: Any, t: int) -> None:
         if key.startswith("observation.images."):
             shown = item[key].numpy().transpose(1, 2, 0) * 255
             states = [t, *(t + by for by in OTHERS if 0 <= t + by < len(group["obs/state"]))]
-            errors = [float(np.abs(shown - image(group, camera, "rgb", state)).mean()) for state in states]
+            errors = [
+                float(np.abs(shown - image(group, camera, "rgb", state)).mean()) for state in states
+            ]
             assert errors[0] < MOST_ERROR, f"{key} at {t}: mean error {errors[0]:.1f} of 255"
             assert errors[0] <= min(errors[1:]) + 0.05, f"{key} at {t} is another frame: {errors}"
             ERRORS.append(errors[0])
@@ -77,12 +79,16 @@ def main(export: Path, shards: Path) -> None:
             check_frame(data, first + t, group, t)
     item = data[0]
     window = LeRobotDataset(
-        "mjhab/check", root=export, video_backend="pyav",
+        "mjhab/check",
+        root=export,
+        video_backend="pyav",
         delta_timestamps={"action": [0, 1 / FPS, 2 / FPS], "observation.state": [-1 / FPS, 0]},
-    )  # fmt: skip
+    )
     assert window[0]["action"].shape == (3, item["action"].shape[0])
     error = f", mean error of film pixels {np.mean(ERRORS):.2f} of 255" if ERRORS else ""
-    print(f"ok: {len(rows)} episodes, {len(data)} frames{error}; {item['task']!r}, {item.get('subtask')!r}")
+    print(
+        f"ok: {len(rows)} episodes, {len(data)} frames{error}; {item['task']!r}, {item.get('subtask')!r}"
+    )
 
 
 def episodes(data: LeRobotDataset, export: Path) -> list[tuple[int, int, str]]:
@@ -90,7 +96,8 @@ def episodes(data: LeRobotDataset, export: Path) -> list[tuple[int, int, str]]:
     version = json.loads((export / "meta/info.json").read_text())["codebase_version"]
     if version == "v3.0":
         return [(e["dataset_from_index"], e["length"], e["source"]) for e in data.meta.episodes]
-    first, rows = 0, []
+    first = 0
+    rows = []
     for entry in data.meta.episodes.values():
         rows.append((first, entry["length"], entry["source"]))
         first += entry["length"]

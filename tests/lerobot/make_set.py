@@ -15,14 +15,23 @@ from mjhab.envs import make
 from mjhab.rollout.loop import rollout
 from mjhab.rollout.policy import RandomPolicy
 
-STEPS, SIZE, WORLDS = 30, 128, 4
+STEPS = 30
+SIZE = 128
+WORLDS = 4
 
 
 def main(folder: Path, episodes: int) -> None:
     """Pick and Place in equal numbers, so that there are several tasks and shards."""
     for subtask, count in (("pick", episodes - episodes // 2), ("place", episodes // 2)):
-        env = make(task="set_table", subtask=subtask, num_envs=WORLDS, autoreset="disabled", obs_mode="rgbd",
-                   camera_size=SIZE, seed=0)  # fmt: skip
+        env = make(
+            task="set_table",
+            subtask=subtask,
+            num_envs=WORLDS,
+            autoreset="disabled",
+            obs_mode="rgbd",
+            camera_size=SIZE,
+            seed=0,
+        )
         path = folder / f"{subtask}.h5"
         path.unlink(missing_ok=True)
         with ShardWriter(path) as writer:

@@ -33,7 +33,11 @@ def test_film_decodes_to_the_frames_that_went_in(tmp_path, size):
     assert write_film(path, frames(12, *size), fps=20) == 12
     got, meta = decode(path)
     assert got.shape == (12, 48, 64, 3)
-    assert meta["codec"] == "h264" and meta["pix_fmt"].startswith("yuv420p") and meta["fps"] == pytest.approx(20)
+    assert (
+        meta["codec"] == "h264"
+        and meta["pix_fmt"].startswith("yuv420p")
+        and meta["fps"] == pytest.approx(20)
+    )
     want = np.array(list(frames(12, 48, 64)), int)
     assert np.abs(got.astype(int) - want).mean() < 12 and got.mean() > 50
     assert [p.name for p in path.parent.iterdir()] == ["film.mp4"]
@@ -55,7 +59,10 @@ def test_an_error_leaves_no_file(tmp_path):
 def test_bad_frames_are_named(tmp_path):
     with pytest.raises(UsageError, match="uint8"), FilmWriter(tmp_path / "a.mp4") as film:
         film.add(np.zeros((8, 8, 3)))
-    with pytest.raises(UsageError, match=r"must be \(32, 32\)"), FilmWriter(tmp_path / "a.mp4") as film:
+    with (
+        pytest.raises(UsageError, match=r"must be \(32, 32\)"),
+        FilmWriter(tmp_path / "a.mp4") as film,
+    ):
         film.add(np.zeros((32, 32, 3), np.uint8))
         film.add(np.zeros((32, 34, 3), np.uint8))
     with pytest.raises(UsageError, match="at least one frame"), FilmWriter(tmp_path / "a.mp4"):
@@ -64,7 +71,10 @@ def test_bad_frames_are_named(tmp_path):
 
 
 def test_ffmpeg_failures_carry_its_message(tmp_path):
-    with pytest.raises(MjhabError, match="ffmpeg could not write"), FilmWriter(tmp_path / "a.mp4", fps=-1.0) as film:
+    with (
+        pytest.raises(MjhabError, match="ffmpeg could not write"),
+        FilmWriter(tmp_path / "a.mp4", fps=-1.0) as film,
+    ):
         for frame in frames(200, 256, 256):
             film.add(frame)
     assert not list(tmp_path.iterdir())

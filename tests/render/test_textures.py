@@ -18,7 +18,8 @@ from mjhab.scenes.builtin.materials import Material
 from mjhab.scenes.shapes.meshes import Mesh, mesh_arrays, mesh_from_arrays
 from mjhab.scenes.spec import Geom
 
-SIZE, FOVY = (128, 96), 1.0
+SIZE = (128, 96)
+FOVY = 1.0
 QUAD = np.array([[0, -1, -1], [0, 1, -1], [0, 1, 1], [0, -1, 1]], np.float32)
 QUAD_FACES = np.array([[0, 2, 1], [0, 3, 2]], np.int32)
 QUAD_UV = np.array([[0, 1], [1, 1], [1, 0], [0, 0]], np.float32)
@@ -32,14 +33,24 @@ def checks(count: int, texels: int) -> np.ndarray:
 
 
 def wall(image: np.ndarray, repeat: float = 1.0) -> Mesh:
-    return Mesh(QUAD, QUAD_FACES, None, QUAD_UV[QUAD_FACES] * np.float32(repeat), np.zeros(2, np.int32), (image,))
+    return Mesh(
+        QUAD,
+        QUAD_FACES,
+        None,
+        QUAD_UV[QUAD_FACES] * np.float32(repeat),
+        np.zeros(2, np.int32),
+        (image,),
+    )
 
 
 def draw(mesh: Mesh, eye, target, outputs=("rgb",)) -> dict[str, np.ndarray]:
     builder = SceneBuilder(1)
     builder.add_world_instance(builder.add_mesh("m", mesh), (0.0, 0.0, 0.0), seg="m")
-    pos, mat = np.asarray(eye, float)[None, None], look_at(eye, target)[None, None]
-    home, body, turn = np.zeros(1, int), np.zeros((1, 1, 3)), np.eye(3)[None, None]
+    pos = np.asarray(eye, float)[None, None]
+    mat = look_at(eye, target)[None, None]
+    home = np.zeros(1, int)
+    body = np.zeros((1, 1, 3))
+    turn = np.eye(3)[None, None]
     images = Rasterizer(builder.build(), 1).render(home, body, turn, pos, mat, FOVY, *SIZE, outputs)
     return {name: image[0, 0] for name, image in images.items()}
 
@@ -48,7 +59,8 @@ def wall_places(eye, target) -> tuple[np.ndarray, np.ndarray]:
     """Where the rays of pixels meet the plane of the wall: y and z (h, w)."""
     focal = 0.5 * SIZE[1] / np.tan(0.5 * FOVY)
     u, v = np.meshgrid(
-        (np.arange(SIZE[0]) + 0.5 - SIZE[0] / 2) / focal, -(np.arange(SIZE[1]) + 0.5 - SIZE[1] / 2) / focal
+        (np.arange(SIZE[0]) + 0.5 - SIZE[0] / 2) / focal,
+        -(np.arange(SIZE[1]) + 0.5 - SIZE[1] / 2) / focal,
     )
     ray = np.stack([u, v, -np.ones_like(u)], -1) @ look_at(eye, target).T
     place = np.asarray(eye, float) - (eye[0] / ray[..., :1]) * ray
@@ -60,7 +72,9 @@ def test_a_picture_lies_where_its_corners_say_also_in_perspective(eye) -> None:
     target = (0.0, 0.1, 0.0)
     rgb = draw(wall(checks(8, 16)), eye, target)["rgb"]
     y, z = wall_places(eye, target)
-    p, q = (y + 1) * 4, (1 - z) * 4  # in squares
+    # in squares
+    p = (y + 1) * 4
+    q = (1 - z) * 4
     inside = (p > 0) & (p < 8) & (q > 0) & (q < 8)
     # A texel is 1/16 square; a pixel is largest where the wall is seen at a slant.
     wide = np.maximum(np.abs(np.gradient(p)).max(0), np.abs(np.gradient(q)).max(0))
@@ -68,19 +82,26 @@ def test_a_picture_lies_where_its_corners_say_also_in_perspective(eye) -> None:
     clear = inside & (edge > 0.1 + wide) & (wide < 0.3)
     white = (np.floor(p) + np.floor(q)) % 2 == 1
     assert clear.sum() > 250
-    assert (rgb[clear & white].min(axis=1) > 90).all() and (rgb[clear & ~white].max(axis=1) < 40).all()
+    assert (rgb[clear & white].min(axis=1) > 90).all() and (
+        rgb[clear & ~white].max(axis=1) < 40
+    ).all()
 
 
 def test_fine_detail_from_afar_is_its_mean_light() -> None:
     fine = draw(wall(checks(64, 1), 4.0), (-3.0, 0.2, 0.1), (0.0, 0.0, 0.0))["rgb"].astype(int)
     # sRGB 188 is half of the light of white.
-    grey = draw(wall(np.full((4, 4, 3), 188, np.uint8)), (-3.0, 0.2, 0.1), (0.0, 0.0, 0.0))["rgb"].astype(int)
+    grey = draw(wall(np.full((4, 4, 3), 188, np.uint8)), (-3.0, 0.2, 0.1), (0.0, 0.0, 0.0))[
+        "rgb"
+    ].astype(int)
     assert np.abs(fine - grey).max() <= 3 and grey[48, 64, 0] > 60
 
 
 def test_moving_a_little_changes_little() -> None:
     image = np.random.default_rng(0).integers(0, 255, (256, 256, 3)).astype(np.uint8)
-    views = [draw(wall(image, 2.0), (-3.0, step, 0.0), (0.0, step, 0.0))["rgb"].astype(float) for step in (0.0, 0.002)]
+    views = [
+        draw(wall(image, 2.0), (-3.0, step, 0.0), (0.0, step, 0.0))["rgb"].astype(float)
+        for step in (0.0, 0.002)
+    ]
     middle = (slice(36, 60), slice(52, 76))
     assert np.abs(views[0][middle] - views[1][middle]).mean() < 4.0
 
@@ -91,20 +112,29 @@ def test_sampling_blends_four_texels_and_repeats() -> None:
     assert [pool.add(image), pool.add(image.copy()), pool.add(image[::-1].copy())] == [0, 0, 1]
     texels = pool.build()
     for u, v in np.random.default_rng(2).uniform(-2, 3, (50, 2)):
-        x, y = u * 16 - 0.5, v * 8 - 0.5
-        i, j = int(np.floor(x)), int(np.floor(y))
-        a, b = np.floor((x - i) * 16) / 16, np.floor((y - j) * 16) / 16
+        x = u * 16 - 0.5
+        y = v * 8 - 0.5
+        i = int(np.floor(x))
+        j = int(np.floor(y))
+        a = np.floor((x - i) * 16) / 16
+        b = np.floor((y - j) * 16) / 16
         near = image[np.ix_([j % 8, (j + 1) % 8], [i % 16, (i + 1) % 16])].astype(float)
         want = np.einsum("r,c,rck->k", [1 - b, b], [1 - a, a], near)
         np.testing.assert_allclose(sample(texels, 0, 0, u, v), want, atol=0.6)
     # The smallest copy is one texel of the mean light.
-    light = np.where(image / 255 <= 0.04045, image / 255 / 12.92, ((image / 255 + 0.055) / 1.055) ** 2.4).mean((0, 1))
+    light = np.where(
+        image / 255 <= 0.04045, image / 255 / 12.92, ((image / 255 + 0.055) / 1.055) ** 2.4
+    ).mean((0, 1))
     mean = 255 * (1.055 * light ** (1 / 2.4) - 0.055)
     np.testing.assert_allclose(sample(texels, 0, LEVELS - 1, 0.3, 0.9), mean, atol=2.5)
 
 
 def test_pictures_of_other_sizes_are_refused() -> None:
-    for image in (np.zeros((6, 8, 3), np.uint8), np.zeros((8, 1024, 3), np.uint8), np.zeros((8, 8, 3), np.float32)):
+    for image in (
+        np.zeros((6, 8, 3), np.uint8),
+        np.zeros((8, 1024, 3), np.uint8),
+        np.zeros((8, 8, 3), np.float32),
+    ):
         with pytest.raises(UsageError, match="powers of two up to 512"):
             TexturePool().add(image)
 
@@ -123,8 +153,14 @@ def test_patterns_repeat_without_a_seam_and_keep_their_brightness(kind: str) -> 
 
 def test_a_picture_is_tinted_by_the_colour_of_its_faces() -> None:
     image = np.full((4, 4, 3), 255, np.uint8)
-    green = Mesh(QUAD, QUAD_FACES, np.tile(np.array([[0.2, 0.9, 0.2]], np.float32), (2, 1)), wall(image).uv,
-                 np.zeros(2, np.int32), (image,))  # fmt: skip
+    green = Mesh(
+        QUAD,
+        QUAD_FACES,
+        np.tile(np.array([[0.2, 0.9, 0.2]], np.float32), (2, 1)),
+        wall(image).uv,
+        np.zeros(2, np.int32),
+        (image,),
+    )
     r, g, b = draw(green, (-2.0, 0.0, 0.0), (0.0, 0.0, 0.0))["rgb"][48, 64].astype(int)
     assert g > 80 and g > 1.8 * r and g > 1.8 * b
 
@@ -154,14 +190,19 @@ def test_a_mesh_survives_a_file(tmp_path) -> None:
 def ball(rings: int = 48) -> Mesh:
     """A unit sphere of about 2 rings^2 x 2 triangles; u is the longitude, v the latitude, cut along a meridian."""
     lon, lat = np.meshgrid(np.linspace(0, 1, 2 * rings + 1), np.linspace(0.01, 0.99, rings + 1))
-    t, p = 2 * np.pi * lon, np.pi * lat
+    t = 2 * np.pi * lon
+    p = np.pi * lat
     points = np.stack([np.sin(p) * np.cos(t), np.sin(p) * np.sin(t), np.cos(p)], -1).reshape(-1, 3)
     k = (np.arange(rings)[:, None] * (2 * rings + 1) + np.arange(2 * rings)).ravel()
     below = k + 2 * rings + 1
-    faces = np.concatenate([np.stack([k, below, k + 1], 1), np.stack([k + 1, below, below + 1], 1)]).astype(np.int32)
+    faces = np.concatenate(
+        [np.stack([k, below, k + 1], 1), np.stack([k + 1, below, below + 1], 1)]
+    ).astype(np.int32)
     uv = np.stack([lon.ravel(), lat.ravel()], 1)[faces].astype(np.float32)
     image = np.zeros((64, 64, 3), np.uint8)
-    return Mesh(points.astype(np.float32), faces, None, uv, np.zeros(len(faces), np.int32), (image,))
+    return Mesh(
+        points.astype(np.float32), faces, None, uv, np.zeros(len(faces), np.int32), (image,)
+    )
 
 
 def test_levels_get_coarser_and_keep_shape_and_picture(tmp_path, monkeypatch) -> None:
@@ -176,9 +217,15 @@ def test_levels_get_coarser_and_keep_shape_and_picture(tmp_path, monkeypatch) ->
     for level in levels:
         middle = level.vertices[level.faces].mean(axis=1).astype(float)
         one = np.concatenate([middle, np.ones((len(middle), 1))], axis=1)
-        assert np.quantile(np.abs(np.linalg.norm(middle, axis=1) - 1.0), 0.95) < max(2.0 * float(level.error[0]), 2e-3)
+        assert np.quantile(np.abs(np.linalg.norm(middle, axis=1) - 1.0), 0.95) < max(
+            2.0 * float(level.error[0]), 2e-3
+        )
         normal = np.einsum("fnc,fc->fn", level.normal, one)
-        out = np.einsum("fn,fn->f", normal, middle) / np.linalg.norm(normal, axis=1) / np.linalg.norm(middle, axis=1)
+        out = (
+            np.einsum("fn,fn->f", normal, middle)
+            / np.linalg.norm(normal, axis=1)
+            / np.linalg.norm(middle, axis=1)
+        )
         assert np.quantile(out, 0.02) > 0.9
         # The place in the picture is that of the direction, but for poles, where longitudes meet.
         place = np.einsum("fuc,fc->fu", level.uv, one)
@@ -195,12 +242,15 @@ def test_levels_get_coarser_and_keep_shape_and_picture(tmp_path, monkeypatch) ->
 
 
 @pytest.mark.parametrize("distance", [2.5, 6.0, 15.0])
-def test_a_coarser_mesh_is_drawn_only_where_nobody_sees_it(distance: float, tmp_path, monkeypatch) -> None:
+def test_a_coarser_mesh_is_drawn_only_where_nobody_sees_it(
+    distance: float, tmp_path, monkeypatch
+) -> None:
     monkeypatch.setenv("MJHAB_CACHE", str(tmp_path))
     image = draw(ball(), (-distance, 0.0, 0.0), (0.0, 0.0, 0.0), outputs=("depth", "seg"))
     focal = 0.5 * SIZE[1] / np.tan(0.5 * FOVY)
     u, v = np.meshgrid(
-        (np.arange(SIZE[0]) + 0.5 - SIZE[0] / 2) / focal, (np.arange(SIZE[1]) + 0.5 - SIZE[1] / 2) / focal
+        (np.arange(SIZE[0]) + 0.5 - SIZE[0] / 2) / focal,
+        (np.arange(SIZE[1]) + 0.5 - SIZE[1] / 2) / focal,
     )
     square = 1 + u * u + v * v
     root = distance**2 - square * (distance**2 - 1)
@@ -208,5 +258,8 @@ def test_a_coarser_mesh_is_drawn_only_where_nobody_sees_it(distance: float, tmp_
     face_on = root > 0.25
     pixel = distance / focal
     assert (image["seg"][face_on] == 1).all()
-    assert np.quantile(np.abs(image["depth"] - depth)[face_on], 0.95) < 1.5 * LEVEL_ERROR * pixel + 1e-3
+    assert (
+        np.quantile(np.abs(image["depth"] - depth)[face_on], 0.95)
+        < 1.5 * LEVEL_ERROR * pixel + 1e-3
+    )
     assert abs(int((image["seg"] > 0).sum()) - int((root > 0).sum())) <= 0.03 * (root > 0).sum() + 4

@@ -33,10 +33,12 @@ def test_every_published_row_adds_up() -> None:
     assert "Tables 6 to 13" in text.splitlines()[0] + text.splitlines()[1]
     rows = list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
     assert len(rows) == 292
-    at_end = {"pick": {"success_then_drop", "success_then_excessive_collisions"},
-              "place": {"dubious_success", "success_then_excessive_collisions"},
-              "open": {"dubious_success", "success_then_excessive_collisions"},
-              "close": {"dubious_success", "success_then_excessive_collisions"}}  # fmt: skip
+    at_end = {
+        "pick": {"success_then_drop", "success_then_excessive_collisions"},
+        "place": {"dubious_success", "success_then_excessive_collisions"},
+        "open": {"dubious_success", "success_then_excessive_collisions"},
+        "close": {"dubious_success", "success_then_excessive_collisions"},
+    }
     for row in rows:
         key = [row[name] for name in ("task", "subtask", "split", "target", "policy")]
         known = paper_row(*key)
@@ -58,7 +60,10 @@ def test_targets_are_found_by_our_names() -> None:
     drawer = paper_row("set_table", "close", "train", "kitchen_counter/drawer3", "RL-Per")
     fridge = paper_row("set_table", "close", "train", "fridge/top_door", "RL-Per")
     assert bowl and drawer and fridge
-    assert (drawer.success_once, fridge.labels["success_then_excessive_collisions"]) == (88.79, 61.81)
+    assert (drawer.success_once, fridge.labels["success_then_excessive_collisions"]) == (
+        88.79,
+        61.81,
+    )
     assert paper_row("set_table", "open", "train", "fridge/top_door", "RL-All") is None
     assert paper_row("tidy_house", "open", "train", "fridge/top_door", "RL-Per") is None
 
@@ -70,13 +75,23 @@ def test_shares_of_labels_stand_in_the_table(tmp_path: Path) -> None:
     assert sum(map(len, groups.values())) == 8 and not any(group.target == ALL for group in groups)
     for rules, which in (("published rules", "legacy_label"), ("own rules", "label")):
         for label, count in Counter(getattr(r.subtasks[-1], which) for r in records).items():
-            assert f'title="mjhab, {rules}, {label}: {count} of 8">{100 * count / 8:.1f}</td>' in table
+            assert (
+                f'title="mjhab, {rules}, {label}: {count} of 8">{100 * count / 8:.1f}</td>' in table
+            )
     assert any(r.subtasks[-1].label != r.subtasks[-1].legacy_label for r in records)
     columns = re.findall(r'<th class="n"[^>]*>([^<]*)</th>', table)
-    assert columns == ["mjhab, published rules", "mjhab, own rules", *(f"paper {policy}" for policy in POLICIES)]
+    assert columns == [
+        "mjhab, published rules",
+        "mjhab, own rules",
+        *(f"paper {policy}" for policy in POLICIES),
+    ]
     for policy in POLICIES:
         row = paper_row("set_table", "pick", "val", "024_bowl", policy)
-        assert row is not None and f"paper {policy}" in table and f">{row.success_once:.1f}</td>" in table
+        assert (
+            row is not None
+            and f"paper {policy}" in table
+            and f">{row.success_once:.1f}</td>" in table
+        )
 
 
 def test_all_targets_come_last_and_chains_have_no_paper_rows(tmp_path: Path) -> None:
@@ -114,9 +129,15 @@ def test_a_mosaic_shows_the_episodes_side_by_side(tmp_path: Path) -> None:
             raise AssertionError
 
     made = mosaic(members, Film)
-    assert made is not None and (made.film, made.episodes, made.camera) == (b"film", 5, "fetch_head rgb")
+    assert made is not None and (made.film, made.episodes, made.camera) == (
+        b"film",
+        5,
+        "fetch_head rgb",
+    )
     assert (
-        len(shapes) == 20 // EVERY + 1 and shapes[0][1] == made.width == 3 * TILE + 8 and shapes[0][0] == 2 * TILE + 4
+        len(shapes) == 20 // EVERY + 1
+        and shapes[0][1] == made.width == 3 * TILE + 8
+        and shapes[0][0] == 2 * TILE + 4
     )
     record(tmp_path / "b.h5", range(1), FakeEnv())
     assert mosaic([(tmp_path / "b.h5", next(episodes(tmp_path / "b.h5")).name)], Film) is None
@@ -125,12 +146,19 @@ def test_a_mosaic_shows_the_episodes_side_by_side(tmp_path: Path) -> None:
 def test_the_page_is_whole(tmp_path: Path) -> None:
     record(tmp_path / "a.h5", range(6), FakeEnv(subtask="pick", images=True), images=ImageFormat())
     page = render_data_report(tmp_path, FilmWriter)
-    data = json.loads(re.search(r'id="page-data">(.*?)</script>', page, re.S)[1].replace("<\\/", "</"))  # type: ignore[index]
+    data = json.loads(
+        re.search(r'id="page-data">(.*?)</script>', page, re.S)[1].replace("<\\/", "</")
+    )  # type: ignore[index]
     assert set(data["plots"]) == {"peak-pick", "sum-pick"}
     labels = {episode.attributes["label"] for episode in episodes(tmp_path)}
-    assert page.count("data:video/mp4;base64,") == len(labels) and "http" not in page.split("<script>")[0]
+    assert (
+        page.count("data:video/mp4;base64,") == len(labels)
+        and "http" not in page.split("<script>")[0]
+    )
     record(tmp_path / "b.h5", range(2), FakeEnv(subtask="open"))
-    bare = render_data_report(tmp_path / "b.h5", FilmWriter, Filter("index < 1 and (tainted or not tainted)"))
+    bare = render_data_report(
+        tmp_path / "b.h5", FilmWriter, Filter("index < 1 and (tainted or not tainted)")
+    )
     assert "mjhab replay --render adds them" in bare and "<video" not in bare
     with pytest.raises(UsageError, match="no episode passes"):
         render_data_report(tmp_path, FilmWriter, Filter("steps > 1000"))
@@ -144,8 +172,14 @@ def test_every_label_of_a_kind_has_a_row() -> None:
 
 
 def test_success_in_the_paper_is_that_of_the_row() -> None:
-    assert paper_success("set_table", "close", "val", "fridge/top_door") == {"rl_per": 0.0, "bc": 0.0, "dp": 0.1}
+    assert paper_success("set_table", "close", "val", "fridge/top_door") == {
+        "rl_per": 0.0,
+        "bc": 0.0,
+        "dp": 0.1,
+    }
     drawer = paper_success("set_table", "open", "val", "kitchen_counter/drawer3")
     assert (drawer["rl_per"], drawer["dp"]) == (84.52, 15.18)
-    assert paper_success("set_table", "pick", "val", "024_bowl") == paper_success("set_table", "pick", "val", "")
+    assert paper_success("set_table", "pick", "val", "024_bowl") == paper_success(
+        "set_table", "pick", "val", ""
+    )
     assert paper_success("tidy_house", "navigate", "val", "") == {}

@@ -25,7 +25,15 @@ from mjhab.rollout.policy import ZeroPolicy
 from mjhab.rollout.records import EpisodeRecord
 from tests.rollout.fake_env import SET_TABLE, FakeEnv
 
-KEYS = ["episodes", "success_once", "success_at_end", "progressive", "upper_bound", "labels", "legacy_labels"]
+KEYS = [
+    "episodes",
+    "success_once",
+    "success_at_end",
+    "progressive",
+    "upper_bound",
+    "labels",
+    "legacy_labels",
+]
 KEYS += ["tainted", "seconds"]
 
 
@@ -60,9 +68,15 @@ def test_progressive_counts_episodes_that_got_so_far(records: list[EpisodeRecord
     curve, bound = progress_curves(records)
     assert len(curve) == len(bound) == len(SET_TABLE)
     for k, value in enumerate(curve):
-        assert value == pytest.approx(sum(record.completed > k for record in records) / len(records), abs=1e-4)
-    assert curve[-1] == pytest.approx(sum(record.success_once for record in records) / len(records), abs=1e-4)
-    assert bound == pytest.approx(curve, abs=2e-4), "rates inside the chain multiply to the curve itself"
+        assert value == pytest.approx(
+            sum(record.completed > k for record in records) / len(records), abs=1e-4
+        )
+    assert curve[-1] == pytest.approx(
+        sum(record.success_once for record in records) / len(records), abs=1e-4
+    )
+    assert bound == pytest.approx(curve, abs=2e-4), (
+        "rates inside the chain multiply to the curve itself"
+    )
 
 
 def test_bound_multiplies_the_rates_of_subtasks_alone(records: list[EpisodeRecord]) -> None:
@@ -73,14 +87,21 @@ def test_bound_multiplies_the_rates_of_subtasks_alone(records: list[EpisodeRecor
 
 
 def test_alone_rates_come_from_single_subtask_runs(records: list[EpisodeRecord]) -> None:
-    runs = rollout(FakeEnv(4, plan=(("pick", "013_apple_:0000"),), subtask="pick"), ZeroPolicy(), range(20), seed=0)
+    runs = rollout(
+        FakeEnv(4, plan=(("pick", "013_apple_:0000"),), subtask="pick"),
+        ZeroPolicy(),
+        range(20),
+        seed=0,
+    )
     rate = sum(record.success_once for record in runs) / 20
     assert alone_rates([*runs, *records]) == {("pick", ""): rate, ("pick", "013_apple"): rate}
 
 
 def test_rows_count_what_was_reached(records: list[EpisodeRecord]) -> None:
     rows = rows_by_position(records)
-    assert [(row.kind, row.target) for row in rows] == [(kind, target_type(target)) for kind, target in SET_TABLE]
+    assert [(row.kind, row.target) for row in rows] == [
+        (kind, target_type(target)) for kind, target in SET_TABLE
+    ]
     assert rows[0].reached == 30
     for before, after in pairwise(rows):
         assert after.reached == before.successes
@@ -93,7 +114,12 @@ def test_rows_count_what_was_reached(records: list[EpisodeRecord]) -> None:
 
 def test_rows_without_any_episode_reaching_them() -> None:
     rows = rows_by_position(rollout(FakeEnv(1, quality=0.0), ZeroPolicy(), [0], seed=0))
-    assert (rows[1].reached, rows[1].success_once, rows[1].interval, rows[1].steps) == (0, 0.0, (0.0, 1.0), None)
+    assert (rows[1].reached, rows[1].success_once, rows[1].interval, rows[1].steps) == (
+        0,
+        0.0,
+        (0.0, 1.0),
+        None,
+    )
 
 
 def test_labels_and_taints_are_counted(records: list[EpisodeRecord]) -> None:

@@ -20,7 +20,14 @@ from mjhab.rollout.records import EpisodeRecord
 from mjhab.tasks.labels import LABELS
 from tests.rollout.fake_env import FakeEnv
 
-CONFIG = {"task": "set_table", "subtask": None, "policy": "expert", "episodes": 8, "worlds": 4, "seed": 0}
+CONFIG = {
+    "task": "set_table",
+    "subtask": None,
+    "policy": "expert",
+    "episodes": 8,
+    "worlds": 4,
+    "seed": 0,
+}
 VOID = {"meta", "br", "link", "img", "input", "hr"}
 
 
@@ -57,7 +64,10 @@ class Page(HTMLParser):
         return " ".join(" ".join(self.words).split())
 
     def count(self, tag: str, css: str = "") -> int:
-        return sum(t == tag and css in (a.get("class") or "").split() if css else t == tag for t, a in self.tags)
+        return sum(
+            t == tag and css in (a.get("class") or "").split() if css else t == tag
+            for t, a in self.tags
+        )
 
 
 @pytest.fixture(scope="module")
@@ -94,19 +104,30 @@ def test_nothing_is_loaded_from_elsewhere(records: list[EpisodeRecord], tmp_path
     html = render_report(records, CONFIG, 20.0, lambda index: tmp_path / f"{index}.mp4")
     own = re.sub(r"<script>.*?</script>", "", html, flags=re.S)
     assert not re.search(r"""(src|href)\s*=\s*["'](https?:)?//""", own)
-    assert "http://" not in own and "https://" not in own and "@import" not in own and "url(" not in own
+    assert (
+        "http://" not in own
+        and "https://" not in own
+        and "@import" not in own
+        and "url(" not in own
+    )
     assert "Plotly" in html
 
 
-def test_film_is_inside_and_its_timeline_below(records: list[EpisodeRecord], tmp_path: Path) -> None:
+def test_film_is_inside_and_its_timeline_below(
+    records: list[EpisodeRecord], tmp_path: Path
+) -> None:
     (tmp_path / "1.mp4").write_bytes(b"0123456789")
     page = page_of(records, film_path=lambda index: tmp_path / f"{index}.mp4")
     assert page.count("video") == page.count("figure", "film") == 1
     assert page.scripts["film-1"] == "MDEyMzQ1Njc4OQ=="
     assert page.count("button", "span") == len(records[1].subtasks)
     assert page.count("button", "tick") == len(records[1].events)
-    spans = [attrs for tag, attrs in page.tags if tag == "button" and "span" in (attrs["class"] or "")]
-    assert [int(span["data-step"] or -1) for span in spans] == [s.start_step for s in records[1].subtasks]
+    spans = [
+        attrs for tag, attrs in page.tags if tag == "button" and "span" in (attrs["class"] or "")
+    ]
+    assert [int(span["data-step"] or -1) for span in spans] == [
+        s.start_step for s in records[1].subtasks
+    ]
     assert "straightforward success" in str([span["title"] for span in spans])
 
 
@@ -125,7 +146,9 @@ def test_no_episode_and_partial_runs(records: list[EpisodeRecord]) -> None:
 
 def test_single_subtask_run_has_no_chain_sections() -> None:
     env = FakeEnv(2, plan=(("pick", "024_bowl_:0000"),), subtask="pick")
-    page = page_of(rollout(env, ZeroPolicy(), range(3), seed=0), config={**CONFIG, "subtask": "pick"})
+    page = page_of(
+        rollout(env, ZeroPolicy(), range(3), seed=0), config={**CONFIG, "subtask": "pick"}
+    )
     assert "Progressive completion" not in page.text and "Success per subtask" in page.text
     assert "Pick, set table by expert" in page.text
 
@@ -133,7 +156,9 @@ def test_single_subtask_run_has_no_chain_sections() -> None:
 def test_names_from_records_are_escaped(records: list[EpisodeRecord]) -> None:
     evil = "<script>alert(1)</script>"
     subtask = replace(records[0].subtasks[0], target=evil, label=f"{evil}_failure")
-    changed = replace(records[0], home=evil, subtasks=(subtask,), events=((1, evil),), taint=(evil,))
+    changed = replace(
+        records[0], home=evil, subtasks=(subtask,), events=((1, evil),), taint=(evil,)
+    )
     html = render_report([changed], {**CONFIG, "home": evil}, 1.0)
     assert evil not in html
     Page(html)
@@ -156,7 +181,11 @@ def test_label_bars_sum_to_one(records: list[EpisodeRecord]) -> None:
 def test_force_chart_sums_within_subtasks_up_to_the_record(records: list[EpisodeRecord]) -> None:
     record = records[0]
     figure = force_figure(record)
-    sums = [trace for trace in figure["data"] if trace.get("yaxis") == "y2" and "dash" not in trace["line"]]
+    sums = [
+        trace
+        for trace in figure["data"]
+        if trace.get("yaxis") == "y2" and "dash" not in trace["line"]
+    ]
     tops = [trace for trace in figure["data"] if "yaxis" not in trace]
     assert len(sums) == len(tops) == len(record.subtasks)
     assert [value for trace in tops for value in trace["y"]] == list(record.force)
@@ -168,14 +197,24 @@ def test_force_chart_sums_within_subtasks_up_to_the_record(records: list[Episode
 
 def test_force_chart_of_a_cut_episode_shows_the_rest() -> None:
     (record,) = rollout(FakeEnv(1, quality=1.0), ZeroPolicy(), [0], seed=0, max_steps=3)
-    assert [trace["name"] for trace in force_figure(record)["data"] if "yaxis" not in trace] == ["unfinished"]
+    assert [trace["name"] for trace in force_figure(record)["data"] if "yaxis" not in trace] == [
+        "unfinished"
+    ]
 
 
 def test_force_limits_are_those_of_the_tasks() -> None:
-    assert force_limits() == {"pick": 5e3, "place": 7.5e3, "navigate": float("inf"), "open": 1e4, "close": 1e4}
+    assert force_limits() == {
+        "pick": 5e3,
+        "place": 7.5e3,
+        "navigate": float("inf"),
+        "open": 1e4,
+        "close": 1e4,
+    }
 
 
 def test_progress_chart_has_a_point_per_subtask(records: list[EpisodeRecord]) -> None:
     rows = rows_by_position(records)
     figure = progress_figure(rows, *progress_curves(records))
-    assert [len(set(trace["x"])) for trace in figure["data"]] == [16, 16], "names must differ or points merge"
+    assert [len(set(trace["x"])) for trace in figure["data"]] == [16, 16], (
+        "names must differ or points merge"
+    )

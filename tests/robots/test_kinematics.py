@@ -18,7 +18,9 @@ REST = np.array(fetch.REST_QPOS)
 EXTRA = ("head_tilt_link", "torso_fixed_link", *fetch.FINGER_LINKS)
 CHAIN = Chain.from_tree(fetch.KINEMATIC_TREE, fetch.FETCH_JOINTS)
 FULL = Chain.from_tree(fetch.KINEMATIC_TREE, fetch.FETCH_JOINTS, extra=EXTRA)
-SPHERES = RobotSpheres.from_geoms(FULL, fetch.COLLISION, trunk=fetch.TRUNK_LINKS, distal=fetch.DISTAL_LINKS)
+SPHERES = RobotSpheres.from_geoms(
+    FULL, fetch.COLLISION, trunk=fetch.TRUNK_LINKS, distal=fetch.DISTAL_LINKS
+)
 
 
 def configurations(seed: int, count: int) -> np.ndarray:
@@ -47,14 +49,18 @@ def test_moving_the_base_moves_everything_rigidly(x, y, yaw, seed):
     q[:, :3] = 0.0
     moved = q.copy()
     moved[:, :3] = (x, y, yaw)
-    before, after = CHAIN.forward(q).pos[0, 3:], CHAIN.forward(moved).pos[0, 3:]
-    np.testing.assert_allclose(in_base(np.repeat(moved[:, :3], len(after), axis=0), after), before, atol=1e-9)
+    before = CHAIN.forward(q).pos[0, 3:]
+    after = CHAIN.forward(moved).pos[0, 3:]
+    np.testing.assert_allclose(
+        in_base(np.repeat(moved[:, :3], len(after), axis=0), after), before, atol=1e-9
+    )
 
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 10_000))
 def test_jacobian_is_the_derivative_of_the_pose(seed):
-    q, step = configurations(seed, 3), 1e-6
+    q = configurations(seed, 3)
+    step = 1e-6
     jac = FULL.jacobian(q)
     pos, rot = FULL.tip_pose(q)
     for column in range(15):
@@ -87,7 +93,9 @@ def test_unknown_links_and_joints_are_named():
 def test_gripper_frames_are_right_handed_rotations(seed):
     a, b = np.random.default_rng(seed).normal(size=(2, 4, 3))
     rot = frame_from_axes(a, b)
-    np.testing.assert_allclose(rot @ rot.swapaxes(1, 2), np.broadcast_to(np.eye(3), (4, 3, 3)), atol=1e-9)
+    np.testing.assert_allclose(
+        rot @ rot.swapaxes(1, 2), np.broadcast_to(np.eye(3), (4, 3, 3)), atol=1e-9
+    )
     np.testing.assert_allclose(np.linalg.det(rot), 1.0, atol=1e-9)
 
 
@@ -97,7 +105,8 @@ def test_distance_to_a_box_is_that_of_its_nearest_point(seed):
     rng = np.random.default_rng(seed)
     half = rng.uniform(0.05, 0.5, 3)
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-    center, points = rng.normal(size=3), rng.normal(size=(20, 3))
+    center = rng.normal(size=3)
+    points = rng.normal(size=(20, 3))
     got = sphere_box_distance(points, Boxes.of(center[None], half, turn[None]))[:, 0]
     local = (points - center) @ turn
     outside = np.linalg.norm(local - np.clip(local, -half, half), axis=1)
@@ -106,7 +115,10 @@ def test_distance_to_a_box_is_that_of_its_nearest_point(seed):
 
 
 def test_clearance_sees_a_wall_come_nearer_and_the_arm_touch_its_trunk():
-    near = [SPHERES.clearance(REST, Boxes.of(np.array([[x, 0, 1.0]]), [0.05, 1, 1]))[0] for x in (1.5, 1.2, 0.9, 0.5)]
+    near = [
+        SPHERES.clearance(REST, Boxes.of(np.array([[x, 0, 1.0]]), [0.05, 1, 1]))[0]
+        for x in (1.5, 1.2, 0.9, 0.5)
+    ]
     assert near == sorted(near, reverse=True) and near[0] > 0.5 and near[-1] < 0
     assert SPHERES.self_clearance(REST)[0] > 0.03
     folded = REST.copy()

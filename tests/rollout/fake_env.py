@@ -17,7 +17,10 @@ from mjhab.core.seeding import stream
 KINDS = ("pick", "place", "navigate", "open", "close")
 SET_TABLE = tuple(
     (kind, target)
-    for link, thing in (("kitchen_counter/drawer3", "024_bowl_:0000"), ("fridge/top_door", "013_apple_:0000"))
+    for link, thing in (
+        ("kitchen_counter/drawer3", "024_bowl_:0000"),
+        ("fridge/top_door", "013_apple_:0000"),
+    )
     for kind, target in (
         ("navigate", link),
         ("open", link),
@@ -60,8 +63,12 @@ class FakeEnv:
         broken_camera: bool = False,
     ) -> None:
         self.metadata: dict[str, Any] = {"autoreset_mode": AutoresetMode.DISABLED}
-        self.num_envs, self.plan, self.subtask, self.quality = num_envs, plan, subtask, quality
-        self.taint_chance, self.broken_camera = taint_chance, broken_camera
+        self.num_envs = num_envs
+        self.plan = plan
+        self.subtask = subtask
+        self.quality = quality
+        self.taint_chance = taint_chance
+        self.broken_camera = broken_camera
         self.worlds: list[_World | None] = [None] * num_envs
         self.steps_taken = 0
         self.resets: list[list[int]] = []
@@ -70,14 +77,17 @@ class FakeEnv:
         self.closed = False
 
     def reset(self, seed: int, options: dict[str, Any]) -> tuple[np.ndarray, dict[str, Any]]:
-        mask, indices = options["reset_mask"], options["episode"]
+        mask = options["reset_mask"]
+        indices = options["episode"]
         assert mask.shape == (self.num_envs,) and mask.dtype == bool and len(indices) == mask.sum()
         for w, index in zip(np.flatnonzero(mask), indices, strict=True):
             self.worlds[w] = _World(self, seed, int(index))
         self.resets.append([int(index) for index in indices])
         return self._obs(), self._info()
 
-    def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+    def step(
+        self, actions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         assert actions.shape == (self.num_envs, 13) and actions.dtype == np.float32
         self.steps_taken += 1
         if self.interrupt_at == self.steps_taken:
@@ -138,7 +148,8 @@ class _World:
     """One episode."""
 
     def __init__(self, env: FakeEnv, seed: int, index: int) -> None:
-        self.plan, self.rng = env.plan, stream(seed, "fake", index)
+        self.plan = env.plan
+        self.rng = stream(seed, "fake", index)
         self.outcomes = self.rng.random(len(self.plan)) < env.quality
         self.lengths = self.rng.integers(6, 20, len(self.plan))
         self.tainted = self.rng.random() < env.taint_chance
@@ -148,7 +159,9 @@ class _World:
         self.events: list[str] = []
         self.seen: list[list[Any]] = []
         self.ended: dict[str, Any] | None = None
-        entries = [{"kind": kind, "target": target, "goal": np.zeros(3)} for kind, target in self.plan]
+        entries = [
+            {"kind": kind, "target": target, "goal": np.zeros(3)} for kind, target in self.plan
+        ]
         self.episode = {
             "seed": seed,
             "index": index,
@@ -161,8 +174,13 @@ class _World:
 
     def step(self, action: np.ndarray) -> None:
         self.t += 1
-        self.events, self.ended = [], None
-        self.force = float(self.rng.exponential(8.0) + 5.0 * np.abs(action).sum()) if self.t % 3 == 0 else 0.0
+        self.events = []
+        self.ended = None
+        self.force = (
+            float(self.rng.exponential(8.0) + 5.0 * np.abs(action).sum())
+            if self.t % 3 == 0
+            else 0.0
+        )
         self.cumulative += self.force
         self.peak = max(self.peak, self.force)
         age = self.t - self.start
@@ -198,7 +216,10 @@ class _World:
             "cumulative_force": self.cumulative,
             "events": self.seen,
         }
-        self.start, self.cumulative, self.peak, self.seen = self.t, 0.0, 0.0, []
+        self.start = self.t
+        self.cumulative = 0.0
+        self.peak = 0.0
+        self.seen = []
         if good:
             self.pointer += 1
             self.success = self.pointer == len(self.plan)

@@ -15,7 +15,9 @@ from tests.rollout.fake_env import FakeEnv
 
 class FakeFilm:
     def __init__(self, path: Path, fps: int, broken: bool = False) -> None:
-        self.path, self.fps, self.broken = path, fps, broken
+        self.path = path
+        self.fps = fps
+        self.broken = broken
         self.frames: list[np.ndarray] = []
         self.state = "open"
 
@@ -76,7 +78,8 @@ def test_broken_encoder_stops_films_and_not_episodes() -> None:
 
 
 def test_unfinished_films_are_aborted_on_interrupt() -> None:
-    studio, env = Studio(), FakeEnv(2)
+    studio = Studio()
+    env = FakeEnv(2)
     env.interrupt_at = 5
     with pytest.raises(KeyboardInterrupt):
         rollout(env, ZeroPolicy(), range(2), seed=0, sinks=[studio.sink(0, 1)])

@@ -52,7 +52,9 @@ class Log(Sink):
 @pytest.mark.parametrize("policy", ["zero", "random"])
 def test_records_do_not_depend_on_the_number_of_worlds(policy: str) -> None:
     def run(worlds: int) -> list[EpisodeRecord]:
-        return rollout(FakeEnv(worlds), ZeroPolicy() if policy == "zero" else RandomPolicy(3), range(9), seed=3)
+        return rollout(
+            FakeEnv(worlds), ZeroPolicy() if policy == "zero" else RandomPolicy(3), range(9), seed=3
+        )
 
     one = run(1)
     assert [record.index for record in one] == list(range(9))
@@ -68,11 +70,14 @@ def test_any_order_gives_the_same_records(indices: list[int], worlds: int) -> No
 
 
 def test_seed_changes_the_episodes() -> None:
-    assert rollout(FakeEnv(2), ZeroPolicy(), range(4), seed=0) != rollout(FakeEnv(2), ZeroPolicy(), range(4), seed=1)
+    assert rollout(FakeEnv(2), ZeroPolicy(), range(4), seed=0) != rollout(
+        FakeEnv(2), ZeroPolicy(), range(4), seed=1
+    )
 
 
 def test_sinks_hear_every_step_of_every_episode_once() -> None:
-    log, env = Log(), FakeEnv(3)
+    log = Log()
+    env = FakeEnv(3)
     records = rollout(env, ZeroPolicy(), [7, 2, 5, 0, 9], seed=0, sinks=[log])
     assert env.resets[0] == [7, 2, 5], "worlds are filled in the order given"
     assert log.begun == [7, 2, 5, 0, 9] and sorted(log.ended) == [0, 2, 5, 7, 9]
@@ -82,7 +87,12 @@ def test_sinks_hear_every_step_of_every_episode_once() -> None:
 
 def test_record_holds_what_happened() -> None:
     (record,) = rollout(FakeEnv(1, quality=1.0, taint_chance=1.0), RandomPolicy(0), [4], seed=5)
-    assert (record.seed, record.index, record.home, record.task) == (5, 4, "builtin_m0_00", "set_table")
+    assert (record.seed, record.index, record.home, record.task) == (
+        5,
+        4,
+        "builtin_m0_00",
+        "set_table",
+    )
     assert record.success_once and record.success_at_end and not record.fail
     assert record.completed == len(record.plan) == len(record.subtasks) == 16
     assert record.steps == len(record.force) == record.subtasks[-1].end_step
@@ -116,7 +126,8 @@ def test_max_steps_cuts_episodes() -> None:
 
 
 def test_sinks_are_closed_when_interrupted() -> None:
-    log, env = Log(), FakeEnv(2)
+    log = Log()
+    env = FakeEnv(2)
     env.interrupt_at = 7
     with pytest.raises(KeyboardInterrupt):
         rollout(env, ZeroPolicy(), range(4), seed=0, sinks=[log])
@@ -131,9 +142,12 @@ def test_bad_indices_are_refused(episodes: list[int], message: str) -> None:
 
 @pytest.mark.parametrize("mode", [AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP])
 def test_an_env_that_resets_by_itself_is_refused(mode: AutoresetMode) -> None:
-    env, log = FakeEnv(1), Log()
+    env = FakeEnv(1)
+    log = Log()
     env.metadata = {"autoreset_mode": mode}
-    with pytest.raises(UsageError, match=f"autoreset='{mode.name.lower()}'.*autoreset=\"disabled\".*mjhab.evaluate"):
+    with pytest.raises(
+        UsageError, match=f"autoreset='{mode.name.lower()}'.*autoreset=\"disabled\".*mjhab.evaluate"
+    ):
         rollout(env, ZeroPolicy(), [0], seed=0, sinks=[log])
     assert env.resets == [] and log.begun == []
 
@@ -154,7 +168,9 @@ def test_actions_must_have_a_row_per_world(shape: tuple[int, ...]) -> None:
         def act(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:
             return np.zeros(shape, np.float32)
 
-    with pytest.raises(UsageError, match=r"policy 'zero' must return actions \(W, A\) for W = 2 worlds"):
+    with pytest.raises(
+        UsageError, match=r"policy 'zero' must return actions \(W, A\) for W = 2 worlds"
+    ):
         rollout(FakeEnv(2), Wrong(), range(2), seed=0)
 
 
@@ -178,7 +194,11 @@ def test_the_style_of_a_policy_is_recorded() -> None:
     (record,) = rollout(FakeEnv(1), Careful(), [3], seed=0)
     assert record.style == {"speed": 0.5} and EpisodeRecord.from_dict(record.to_dict()) == record
     (plain,) = rollout(FakeEnv(1), ZeroPolicy(), [3], seed=0)
-    assert plain.style == {} and "style" not in plain.to_dict() and EpisodeRecord.from_dict(plain.to_dict()) == plain
+    assert (
+        plain.style == {}
+        and "style" not in plain.to_dict()
+        and EpisodeRecord.from_dict(plain.to_dict()) == plain
+    )
 
 
 class Broken:
@@ -208,7 +228,10 @@ def spoilt(value: float, world: int = 1) -> np.ndarray:
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        (spoilt(np.nan), r"returned nan in column 5 of its actions, in episode 1 after control step 3 \(world 1\)"),
+        (
+            spoilt(np.nan),
+            r"returned nan in column 5 of its actions, in episode 1 after control step 3 \(world 1\)",
+        ),
         (spoilt(-np.inf, 0), r"returned -inf in column 5 of its actions, in episode 0"),
         (np.zeros(13), r"actions \(W, A\) for W = 2 worlds, got \(13,\)"),
         (np.zeros((1, 13)), r"got \(1, 13\)"),

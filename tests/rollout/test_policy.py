@@ -19,11 +19,13 @@ def test_zero_policy_is_zero_for_every_world() -> None:
 
 
 def test_random_actions_follow_the_episode_not_the_world() -> None:
-    a, b = RandomPolicy(0), RandomPolicy(0)
+    a = RandomPolicy(0)
+    b = RandomPolicy(0)
     a.reset(np.ones(2, bool))
     b.reset(np.ones(2, bool))
     for _ in range(3):
-        first, swapped = a.act(None, info_of(5, 6)), b.act(None, info_of(6, 5))
+        first = a.act(None, info_of(5, 6))
+        swapped = b.act(None, info_of(6, 5))
         np.testing.assert_array_equal(first, swapped[::-1])
     assert first.dtype == np.float32 and np.abs(first).max() <= 1.0 and len(np.unique(first)) == 26
 

@@ -20,7 +20,13 @@ CONFIG = {"task": "set_table", "policy": "zero", "seed": 0, "episodes": 6, "worl
 
 def run(folder: RunFolder, episodes: int = 6, env: FakeEnv | None = None) -> list[EpisodeRecord]:
     with folder:
-        return rollout(env or FakeEnv(2), ZeroPolicy(), folder.missing(episodes), seed=0, sinks=[StoreSink(folder)])
+        return rollout(
+            env or FakeEnv(2),
+            ZeroPolicy(),
+            folder.missing(episodes),
+            seed=0,
+            sinks=[StoreSink(folder)],
+        )
 
 
 def lines(path: Path) -> list[dict[str, Any]]:
@@ -37,7 +43,8 @@ def test_a_run_is_stored_and_read_back(tmp_path: Path) -> None:
 
 
 def test_each_episode_is_on_disk_when_it_ends(tmp_path: Path) -> None:
-    folder, env = RunFolder.open(tmp_path, CONFIG), FakeEnv(2)
+    folder = RunFolder.open(tmp_path, CONFIG)
+    env = FakeEnv(2)
     env.interrupt_at = 300
     with pytest.raises(KeyboardInterrupt):
         run(folder, 50, env)
@@ -47,7 +54,8 @@ def test_each_episode_is_on_disk_when_it_ends(tmp_path: Path) -> None:
 
 def test_resume_after_interrupt_equals_one_run(tmp_path: Path) -> None:
     whole = run(RunFolder.open(tmp_path / "whole", CONFIG), 12)
-    part, env = RunFolder.open(tmp_path / "part", CONFIG), FakeEnv(2)
+    part = RunFolder.open(tmp_path / "part", CONFIG)
+    env = FakeEnv(2)
     env.interrupt_at = 280
     with pytest.raises(KeyboardInterrupt):
         run(part, 12, env)
@@ -81,7 +89,9 @@ def test_damage_in_the_middle_is_an_error(tmp_path: Path) -> None:
 
 def test_a_folder_that_holds_something_is_refused(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("mine")
-    with pytest.raises(UsageError, match=r"not empty \(it holds notes.txt\).*--resume.*--overwrite"):
+    with pytest.raises(
+        UsageError, match=r"not empty \(it holds notes.txt\).*--resume.*--overwrite"
+    ):
         RunFolder.open(tmp_path, CONFIG)
 
 
@@ -93,7 +103,11 @@ def test_overwrite_deletes_only_own_files(tmp_path: Path) -> None:
         (tmp_path / name).write_text("mine")
     with RunFolder.open(tmp_path, CONFIG, overwrite=True) as folder:
         assert folder.records == []
-    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["config.json", "films", "notes.txt"]
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == [
+        "config.json",
+        "films",
+        "notes.txt",
+    ]
     assert [entry.name for entry in (tmp_path / "films").iterdir()] == ["mine.mp4"]
 
 
@@ -166,21 +180,29 @@ def test_records_name_their_config_and_foreign_ones_are_refused(tmp_path: Path) 
     with open(tmp_path / "a" / "episodes.jsonl", "a") as file:
         file.write((tmp_path / "b" / "episodes.jsonl").read_text())
     for read in (read_records, lambda path: RunFolder.open(path, CONFIG, resume=True)):
-        with pytest.raises(UsageError, match=f"line 7 of .*another run.*{config_hash(other)}.*{config_hash(CONFIG)}"):
+        with pytest.raises(
+            UsageError,
+            match=f"line 7 of .*another run.*{config_hash(other)}.*{config_hash(CONFIG)}",
+        ):
             read(tmp_path / "a")
     with RunFolder.open(tmp_path / "a", CONFIG, overwrite=True) as folder:
         assert folder.records == []
 
 
 def test_keys_that_change_nothing_in_an_episode_are_not_in_the_hash() -> None:
-    assert config_hash({**CONFIG, "worlds": 9, "films": 3, "threads": 2, "home": None}) == config_hash(CONFIG)
+    assert config_hash(
+        {**CONFIG, "worlds": 9, "films": 3, "threads": 2, "home": None}
+    ) == config_hash(CONFIG)
     assert config_hash({**CONFIG, "seed": 1}) != config_hash(CONFIG)
 
 
 def test_runs_of_older_versions_stay_readable(tmp_path: Path) -> None:
     records = run(RunFolder.open(tmp_path, CONFIG))
     file = tmp_path / "episodes.jsonl"
-    old = [{key: value for key, value in entry.items() if key != "config_hash"} for entry in lines(tmp_path)]
+    old = [
+        {key: value for key, value in entry.items() if key != "config_hash"}
+        for entry in lines(tmp_path)
+    ]
     file.write_text("".join(json.dumps(entry) + "\n" for entry in old))
     assert sorted(read_records(tmp_path), key=lambda record: record.index) == records
     with RunFolder.open(tmp_path, CONFIG, resume=True) as folder:
@@ -189,7 +211,9 @@ def test_runs_of_older_versions_stay_readable(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("line", [0, -1])
 @pytest.mark.parametrize("field", ["home", "task", "split", "subtask"])
-def test_names_that_are_none_are_an_error_wherever_they_stand(tmp_path: Path, field: str, line: int) -> None:
+def test_names_that_are_none_are_an_error_wherever_they_stand(
+    tmp_path: Path, field: str, line: int
+) -> None:
     """A finished line is never taken for one that a crash tore: it would be run again without a word."""
     run(RunFolder.open(tmp_path, CONFIG))
     file = tmp_path / "episodes.jsonl"
@@ -197,6 +221,8 @@ def test_names_that_are_none_are_an_error_wherever_they_stand(tmp_path: Path, fi
     rows[line][field] = "../../x"
     file.write_text("".join(json.dumps(row) + "\n" for row in rows))
     before = file.read_bytes()
-    with pytest.raises(UsageError, match=rf"line \d of .*field '{field}' of the record: '\.\./\.\./x' is no name"):
+    with pytest.raises(
+        UsageError, match=rf"line \d of .*field '{field}' of the record: '\.\./\.\./x' is no name"
+    ):
         RunFolder.open(tmp_path, CONFIG, resume=True)
     assert file.read_bytes() == before

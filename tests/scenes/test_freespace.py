@@ -13,7 +13,9 @@ from mjhab.scenes.shapes.shapes import box, rod, span
 from mjhab.scenes.spec import Geom, Home, Pack, Placement, Prop, Receptacle
 
 
-def _room(walls: tuple[Geom, ...] = (), props: tuple[Placement, ...] = (), size: float = 4.0) -> Home:
+def _room(
+    walls: tuple[Geom, ...] = (), props: tuple[Placement, ...] = (), size: float = 4.0
+) -> Home:
     return Home("room", "toy", "train", 0, 0, walls, (0.0, 0.0, size, size), "oak", props, ())
 
 
@@ -30,11 +32,20 @@ def test_clearance_in_an_empty_room_is_the_distance_to_the_edge() -> None:
 
 
 @settings(max_examples=40, deadline=None)
-@given(st.floats(0.5, 3.5), st.floats(0.5, 3.5), st.floats(-3.2, 3.2), st.floats(0.0, 4.0), st.floats(0.0, 4.0))
-def test_clearance_of_a_turned_box_is_its_distance(x: float, y: float, yaw: float, px: float, py: float) -> None:
+@given(
+    st.floats(0.5, 3.5),
+    st.floats(0.5, 3.5),
+    st.floats(-3.2, 3.2),
+    st.floats(0.0, 4.0),
+    st.floats(0.0, 4.0),
+)
+def test_clearance_of_a_turned_box_is_its_distance(
+    x: float, y: float, yaw: float, px: float, py: float
+) -> None:
     home = _room(props=(Placement("block", (x, y, 0.0), yaw),))
     free = free_map(home, _pack(Prop("block", (box((0.0, 0.0, 0.5), (0.6, 0.3, 1.0), "oak"),))))
-    c, s = np.cos(yaw), np.sin(yaw)
+    c = np.cos(yaw)
+    s = np.sin(yaw)
     local = np.array([[c, s], [-s, c]]) @ (np.array([px, py]) - (x, y))
     to_box = np.linalg.norm(np.maximum(np.abs(local) - (0.3, 0.15), 0.0))
     exact = min(to_box, px, py, 4.0 - px, 4.0 - py)
@@ -55,7 +66,10 @@ def test_only_what_stands_in_the_way_blocks() -> None:
     rug = Prop("rug", (box((0.0, 0.0, 0.01), (1.0, 1.0, 0.02), "oak"),), blocks_base=False)
     look = Prop("ghost", (box((0.0, 0.0, 0.5), (1.0, 1.0, 1.0), "oak", collide=False),))
     for prop in (high, rug, look):
-        assert blocking_polygons(_room(props=(Placement(prop.name, (2.0, 2.0, 0.0)),)), _pack(prop)) == []
+        assert (
+            blocking_polygons(_room(props=(Placement(prop.name, (2.0, 2.0, 0.0)),)), _pack(prop))
+            == []
+        )
 
 
 def test_navigable_is_the_largest_connected_piece() -> None:
@@ -69,7 +83,10 @@ def test_navigable_is_the_largest_connected_piece() -> None:
 
 
 def test_a_doorway_joins_rooms_only_for_a_robot_that_fits() -> None:
-    walls = (span((1.9, 2.0), (0.0, 1.5), (0.0, 2.0), "oak"), span((1.9, 2.0), (2.5, 4.0), (0.0, 2.0), "oak"))
+    walls = (
+        span((1.9, 2.0), (0.0, 1.5), (0.0, 2.0), "oak"),
+        span((1.9, 2.0), (2.5, 4.0), (0.0, 2.0), "oak"),
+    )
     free = free_map(_room(walls), _pack())
     for radius, joined in ((0.3, True), (0.45, True), (0.6, False)):
         x = free.to_xy(np.argwhere(free.navigable(radius)))[:, 0]
@@ -91,7 +108,9 @@ def test_cells_and_positions_round_trip_and_samples_lie_in_the_mask() -> None:
 
 def test_reach_is_the_distance_from_navigable_floor() -> None:
     table = Prop(
-        "table", (box((0.0, 0.0, 0.4), (0.8, 1.0, 0.8), "oak"),), (Receptacle("top", (0.0, 0.0, 0.8), (0.4, 0.5), 1.0),)
+        "table",
+        (box((0.0, 0.0, 0.4), (0.8, 1.0, 0.8), "oak"),),
+        (Receptacle("top", (0.0, 0.0, 0.8), (0.4, 0.5), 1.0),),
     )
     pack = _pack(table)
     home = _room(props=(Placement("table", (2.0, 2.0, 0.0), 0.4),))
@@ -114,14 +133,19 @@ def test_ways_in_an_empty_room_are_straight() -> None:
 def test_ways_lead_around_a_wall() -> None:
     # From one side of a wall of 3 m to the other, past its end at (2, 3).
     free = free_map(_room((span((1.95, 2.05), (0.0, 3.0), (0.0, 2.0), "oak"),), size=5.0), _pack())
-    here, there = np.array([1.0, 1.0]), np.array([3.0, 1.0])
+    here = np.array([1.0, 1.0])
+    there = np.array([3.0, 1.0])
     # Around a circle of 0.3 m about each corner of the wall's end.
     leg = float(np.hypot(0.95, 2.0))
     shortest = 2 * np.sqrt(leg**2 - 0.3**2) + 0.3 * np.pi * 0.7
     assert free.distance(here, there) == pytest.approx(shortest, rel=0.08)
     assert free.distance(here, there) > shortest
     field = free.distances_to(there)
-    assert field.dtype == np.float32 and field.shape == free.blocked.shape and not field.flags.writeable
+    assert (
+        field.dtype == np.float32
+        and field.shape == free.blocked.shape
+        and not field.flags.writeable
+    )
     assert free.distances_to(there) is field, "made once per goal"
     # The field never says less than the straight line, and never jumps between free neighbours.
     centres = free.to_xy(np.moveaxis(np.indices(free.blocked.shape), 0, -1))
@@ -134,7 +158,8 @@ def test_ways_lead_around_a_wall() -> None:
 def test_where_the_base_does_not_fit_the_straight_line_to_free_floor_counts() -> None:
     table = Prop("table", (box((0.0, 0.0, 0.4), (1.0, 1.0, 0.8), "oak"),))
     free = free_map(_room(props=(Placement("table", (2.0, 2.0, 0.0)),)), _pack(table))
-    inside, beside = np.array([1.9, 2.0]), np.array([0.9, 2.0])
+    inside = np.array([1.9, 2.0])
+    beside = np.array([0.9, 2.0])
     # 0.7 m from there to where a base fits, as a goal and as a start.
     assert free.distance(beside, inside) == pytest.approx(1.0, abs=0.1)
     assert free.distance(inside, beside) == pytest.approx(1.0, abs=0.1)
@@ -142,7 +167,9 @@ def test_where_the_base_does_not_fit_the_straight_line_to_free_floor_counts() ->
     assert free.distance(np.array([-10.0, 2.0]), beside) == pytest.approx(10.9, abs=0.1)
     walled = free_map(_room((span((0.9, 1.0), (0.0, 4.0), (0.0, 2.0), "oak"),)), _pack())
     # The smaller room is cut off: from there it counts how far the other one is.
-    assert walled.distance(np.array([0.45, 2.0]), np.array([3.0, 2.0])) == pytest.approx(2.55, abs=0.1)
+    assert walled.distance(np.array([0.45, 2.0]), np.array([3.0, 2.0])) == pytest.approx(
+        2.55, abs=0.1
+    )
     with pytest.raises(UsageError, match="no floor on which a base"):
         free_map(_room(size=0.5), _pack()).distances_to(inside)
 

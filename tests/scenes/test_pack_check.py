@@ -34,7 +34,10 @@ def saved(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     text = repr((props, fridge, can, home))
     meshes = {name: mesh for name, mesh in pack.meshes.items() if repr(name) in text}
     folder = tmp_path_factory.mktemp("pack")
-    save_pack(replace(pack, props=props, articulations=fridge, objects=can, homes=(home,), meshes=meshes), folder)
+    save_pack(
+        replace(pack, props=props, articulations=fridge, objects=can, homes=(home,), meshes=meshes),
+        folder,
+    )
     load_pack(folder)
     return folder, (folder / "pack.json").read_text()
 
@@ -93,15 +96,28 @@ NUMBERS = [
 ]
 
 
-@pytest.mark.parametrize(("place", "value"), NUMBERS, ids=[f"{place}={str(value)[:12]}" for place, value in NUMBERS])
+@pytest.mark.parametrize(
+    ("place", "value"), NUMBERS, ids=[f"{place}={str(value)[:12]}" for place, value in NUMBERS]
+)
 def test_numbers(saved: tuple[Path, str], place: str, value: Any) -> None:
     field = place.rstrip("0123456789.").rpartition(".")[2]
-    with pytest.raises(UsageError, match=rf"pack\.json: .*{field}.*(out of the range|has length|finite|empty|no area)"):
+    with pytest.raises(
+        UsageError,
+        match=rf"pack\.json: .*{field}.*(out of the range|has length|finite|empty|no area)",
+    ):
         load_pack(write(saved, place, value))
 
 
-NAMES = ["name", "props.0.name", "props.0.geoms.0.material", "articulations.0.links.0.name", "objects.0.name",
-         "homes.0.name", "homes.0.pack", "homes.0.floor_material"]  # fmt: skip
+NAMES = [
+    "name",
+    "props.0.name",
+    "props.0.geoms.0.material",
+    "articulations.0.links.0.name",
+    "objects.0.name",
+    "homes.0.name",
+    "homes.0.pack",
+    "homes.0.floor_material",
+]
 
 
 @pytest.mark.parametrize("value", ["../../x", "/abs/x", "a b", "x" * 1000, ""])
@@ -135,7 +151,9 @@ def test_the_built_in_pack_passes() -> None:
     assert check_pack(builtin_pack(), Path("builtin")) is builtin_pack()
 
 
-def test_no_model_is_written_outside_of_the_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_model_is_written_outside_of_the_cache(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The name of a home once led out of the cache, also where no file was read: a home made in Python."""
     monkeypatch.setenv("MJHAB_CACHE", str(tmp_path / "cache"))
     pack = builtin_pack()

@@ -18,13 +18,20 @@ CONFIG = TaskConfig(rest_qpos=REST)
 HISTORY_FIELDS = tuple(f.name for f in dataclasses.fields(History))
 
 
-def plan_of(*kinds: int, config: TaskConfig = CONFIG, link: str = "kitchen_counter/drawer3", **more: Any) -> PlanArrays:
+def plan_of(
+    *kinds: int, config: TaskConfig = CONFIG, link: str = "kitchen_counter/drawer3", **more: Any
+) -> PlanArrays:
     """One world that does the given kinds in order; place and navigation goals at (1, 0, 0.5)."""
-    subtasks = tuple(Subtask(SubtaskKind(k), obj="bowl", link=link, goal_pos=(1.0, 0.0, 0.5), **more) for k in kinds)
+    subtasks = tuple(
+        Subtask(SubtaskKind(k), obj="bowl", link=link, goal_pos=(1.0, 0.0, 0.5), **more)
+        for k in kinds
+    )
     return stack_plans([TaskPlan("test", subtasks)], config)
 
 
-def resting(subtasks: int = 1, worlds: int = 1, rest: tuple[float, ...] = REST, **over: Any) -> WorldState:
+def resting(
+    subtasks: int = 1, worlds: int = 1, rest: tuple[float, ...] = REST, **over: Any
+) -> WorldState:
     """Robots standing at the origin at rest, the hand empty, objects at the origin, the joint in the middle."""
     zeros = np.zeros
     values: dict[str, Any] = {
@@ -45,7 +52,9 @@ def resting(subtasks: int = 1, worlds: int = 1, rest: tuple[float, ...] = REST, 
         "held_force": zeros((worlds, 2, 3)),
     }
     for name, value in over.items():
-        values[name] = np.broadcast_to(np.asarray(value), values[name].shape).astype(values[name].dtype)
+        values[name] = np.broadcast_to(np.asarray(value), values[name].shape).astype(
+            values[name].dtype
+        )
     return WorldState(**values)
 
 
@@ -56,18 +65,28 @@ def squeeze(force: float = 5.0) -> np.ndarray:
 
 def signals(worlds: int = 1, **over: Any) -> Signals:
     """Signals where nothing holds but the force limit and the finished Places."""
-    values: dict[str, Any] = {f.name: np.zeros(worlds, dtype=bool) for f in dataclasses.fields(Signals)}
-    values |= {name: np.zeros(worlds) for name in ("robot_force", "target_force", "cumulative_force")}
+    values: dict[str, Any] = {
+        f.name: np.zeros(worlds, dtype=bool) for f in dataclasses.fields(Signals)
+    }
+    values |= {
+        name: np.zeros(worlds) for name in ("robot_force", "target_force", "cumulative_force")
+    }
     values |= {"force_ok": np.ones(worlds, dtype=bool), "placed_ok": np.ones(worlds, dtype=bool)}
     values["kind"] = np.zeros(worlds, dtype=np.int64)
     for name, value in over.items():
-        values[name] = np.broadcast_to(np.asarray(value, dtype=values[name].dtype), (worlds,)).copy()
+        values[name] = np.broadcast_to(
+            np.asarray(value, dtype=values[name].dtype), (worlds,)
+        ).copy()
     return Signals(**values)
 
 
 def history(steps: int | None = None, **rows: str | bool) -> History:
     """One world's history (T+1, 1) from strings such as ``is_grasped="0110"``; others False, force within limits."""
-    length = steps if steps is not None else max(len(row) for row in rows.values() if isinstance(row, str))
+    length = (
+        steps
+        if steps is not None
+        else max(len(row) for row in rows.values() if isinstance(row, str))
+    )
     values = {name: np.zeros((length, 1), dtype=bool) for name in HISTORY_FIELDS}
     values["force_ok"][:] = True
     for name, row in rows.items():
@@ -85,8 +104,10 @@ def random_history(rng: np.random.Generator, kind: int, steps: int, worlds: int)
     grasped = flips(0.4)
     contact = grasped | flips(0.3)
     ee_contact = contact | flips(0.3)
-    at_goal, near = flips(0.3), flips(0.5)
-    opened, closed = flips(0.3), flips(0.3)
+    at_goal = flips(0.3)
+    near = flips(0.5)
+    opened = flips(0.3)
+    closed = flips(0.3)
     closed = closed & ~opened
     broken = rng.integers(0, 4 * steps, worlds)
     force_ok = np.arange(steps)[:, None] < np.where(broken == 0, 4 * steps, broken)
@@ -113,7 +134,9 @@ def to_torch(record: Any) -> Any:
     return map_record(lambda x: torch.from_numpy(np.array(x)), record)
 
 
-def assert_same(numpy_value: np.ndarray, torch_value: torch.Tensor, name: str = "", tol: float = 0.0) -> None:
+def assert_same(
+    numpy_value: np.ndarray, torch_value: torch.Tensor, name: str = "", tol: float = 0.0
+) -> None:
     """The two agree in shape, dtype and value."""
     assert str(torch_value.dtype).removeprefix("torch.") == str(numpy_value.dtype), name
     np.testing.assert_allclose(torch_value.numpy(), numpy_value, rtol=tol, atol=tol, err_msg=name)

@@ -19,9 +19,16 @@ PICK, PLACE, NAVIGATE, OPEN, CLOSE = range(5)
 AT_REST = [0.5, 0.0, 1.27]
 """Where the tool centre rests when the base is at the origin: (0.5, 0, 1.25) in a base 2 cm above the floor."""
 EXTRA = {
-    "tcp_vel": (3,), "object_pos": (3,), "object_vel": (6,), "torso_up": (), "handle_distance": (), "joint_qd": (),
-    "joint_ideal": (), "nav_distance": (), "closed_near": (),
-}  # fmt: skip
+    "tcp_vel": (3,),
+    "object_pos": (3,),
+    "object_vel": (6,),
+    "torso_up": (),
+    "handle_distance": (),
+    "joint_qd": (),
+    "joint_ideal": (),
+    "nav_distance": (),
+    "closed_near": (),
+}
 """Fields of a view beside the world, with the shape of a row."""
 GOAL = (1.0, 0.0, 0.5)
 FULL = DenseReward(CONFIG)
@@ -43,21 +50,28 @@ def view_of(
     kinds: list[int], config: Any = CONFIG, must_hold: Any = False, force: Any = 0.0, **over: Any
 ) -> RewardView:
     """Worlds that do one subtask each, place and navigation goals at ``GOAL``; the robot at rest at the origin."""
-    subtasks = [Subtask(SubtaskKind(k), "bowl", "kitchen_counter/drawer3", GOAL, must_hold) for k in kinds]
+    subtasks = [
+        Subtask(SubtaskKind(k), "bowl", "kitchen_counter/drawer3", GOAL, must_hold) for k in kinds
+    ]
     plan = stack_plans([TaskPlan("test", (s,)) for s in subtasks], config)
     extra: dict[str, Any] = {name: np.zeros((len(kinds), *shape)) for name, shape in EXTRA.items()}
     extra |= {"joint_ideal": extra["joint_ideal"] + 1.0, "closed_near": extra["closed_near"] > 0}
     for name in set(over) & set(EXTRA):
-        extra[name] = np.broadcast_to(np.asarray(over.pop(name)), extra[name].shape).astype(extra[name].dtype)
+        extra[name] = np.broadcast_to(np.asarray(over.pop(name)), extra[name].shape).astype(
+            extra[name].dtype
+        )
     world = resting(1, len(kinds), **{"plan_obj_pos": extra["object_pos"][:, None], **over})
     return look(world, plan, config, force, extra)
 
 
-def look(world: WorldState, plan: Any, config: TaskConfig, force: Any, extra: dict[str, Any]) -> RewardView:
+def look(
+    world: WorldState, plan: Any, config: TaskConfig, force: Any, extra: dict[str, Any]
+) -> RewardView:
     progress = start(plan, config)
     progress = replace(progress, cumulative_force=progress.cumulative_force + force)
     signals = measure(world, plan, progress, config)
-    goal, open_frac = plan.goal_pos[:, 0], plan.open_frac[:, 0]
+    goal = plan.goal_pos[:, 0]
+    open_frac = plan.open_frac[:, 0]
     return RewardView(world=world, signals=signals, goal_pos=goal, open_frac=open_frac, **extra)
 
 
@@ -97,7 +111,8 @@ def random_view(seed: int, worlds: int, chance: float = 0.7) -> RewardView:
     views = []
     for kind in rng.integers(0, 5, worlds).tolist():
         over = {name: draw(rng) for name, draw in RANDOM.items() if rng.random() < chance}
-        must_hold, force = bool(rng.random() < 0.5), rng.exponential(5000)
+        must_hold = bool(rng.random() < 0.5)
+        force = rng.exponential(5000)
         views.append(view_of([kind], must_hold=must_hold, force=force, **BEST[kind] | over))
     return join(views)
 
@@ -106,7 +121,10 @@ def join(records: list[Any]) -> Any:
     """One record of many, their rows one after the other."""
     first = records[0]
     values = {f.name: [getattr(r, f.name) for r in records] for f in dataclasses.fields(first)}
-    merged = {k: join(v) if dataclasses.is_dataclass(v[0]) else np.concatenate(v) for k, v in values.items()}
+    merged = {
+        k: join(v) if dataclasses.is_dataclass(v[0]) else np.concatenate(v)
+        for k, v in values.items()
+    }
     return type(first)(**merged)
 
 

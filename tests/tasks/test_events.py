@@ -22,7 +22,9 @@ def stream(kind: int, record: History) -> list[list[str]]:
     """Event names of each step 1..T of one world."""
     kinds = np.array([kind])
     steps = range(1, record.success.shape[0])
-    return [event_names(kinds, step_events(kinds, record.row(t - 1), record.row(t)))[0] for t in steps]
+    return [
+        event_names(kinds, step_events(kinds, record.row(t - 1), record.row(t)))[0] for t in steps
+    ]
 
 
 def test_pick_events() -> None:
@@ -46,7 +48,9 @@ def test_place_events_tell_where_the_object_was_let_go() -> None:
         ["left_goal"],
     ]
     assert stream(PLACE, history(is_grasped="10", at_goal="00")) == [["released_outside_goal"]]
-    assert stream(PLACE, history(is_grasped="10", at_goal="10")) == [["released_outside_goal", "left_goal"]]
+    assert stream(PLACE, history(is_grasped="10", at_goal="10")) == [
+        ["released_outside_goal", "left_goal"]
+    ]
 
 
 def test_navigate_events() -> None:
@@ -63,14 +67,18 @@ def test_excess_is_told_once() -> None:
 
 
 def test_open_and_close_events() -> None:
-    record = history(contact="01110", opened="00100", slightly_opened="01110", closed="10001", success="00100")
+    record = history(
+        contact="01110", opened="00100", slightly_opened="01110", closed="10001", success="00100"
+    )
     assert stream(OPEN, record) == [
         ["contact", "slightly_opened"],
         ["opened", "success"],
         ["lost_success"],
         ["closed", "lost_contact"],
     ]
-    record = history(contact="0111", closed="0010", slightly_closed="0110", opened="1101", success="0010")
+    record = history(
+        contact="0111", closed="0010", slightly_closed="0110", opened="1101", success="0010"
+    )
     assert stream(CLOSE, record) == [
         ["contact", "slightly_closed"],
         ["closed", "success"],
@@ -94,7 +102,8 @@ def test_torch_flags_the_same_in_value_and_dtype() -> None:
     rng = np.random.default_rng(1)
     rows = [History(**{n: rng.random(600) < 0.5 for n in HISTORY_FIELDS}) for _ in range(2)]
     kinds = rng.integers(-1, 5, 600)
-    flags, others = step_events(kinds, *rows), [to_torch(row) for row in rows]
+    flags = step_events(kinds, *rows)
+    others = [to_torch(row) for row in rows]
     torch_kinds = to_torch(History(**dict.fromkeys(HISTORY_FIELDS, kinds))).success
     assert_same(flags, step_events(torch_kinds, *others))
     assert event_names(kinds, flags) == event_names(torch_kinds, step_events(torch_kinds, *others))
@@ -120,7 +129,12 @@ LEGACY = [
     (PICK, "grasped", False, "cant_grasp_failure"),
     (PICK, "contact grasped dropped", False, "drop_failure"),
     (PICK, "contact grasped dropped grasped", False, "too_slow_failure"),
-    (PLACE, f"grasped at_goal released_at_goal success {X}", True, "success_then_excessive_collisions"),
+    (
+        PLACE,
+        f"grasped at_goal released_at_goal success {X}",
+        True,
+        "success_then_excessive_collisions",
+    ),
     (PLACE, "at_goal success left_goal", True, "dubious_success"),
     (PLACE, "grasped at_goal released_at_goal success", True, "placed_in_goal_success"),
     (PLACE, "grasped released_outside_goal at_goal success", True, "dropped_to_goal_success"),
@@ -165,17 +179,33 @@ def test_published_rules(kind: int, events: str, success: bool, expected: str) -
 
 
 def test_published_rules_that_look_at_the_first_step_of_a_place() -> None:
-    assert legacy_label(PLACE, ["at_goal", "success"], True, at_goal_first=True) == "placed_in_goal_success"
-    assert legacy_label(PLACE, ["at_goal", "success"], True, at_goal_first=False) == "dropped_to_goal_success"
-    assert legacy_label(PLACE, ["at_goal", "left_goal"], False, at_goal_first=True) == "place_in_goal_failure"
-    assert legacy_label(PLACE, ["at_goal", "left_goal"], False, at_goal_first=False) == "drop_to_goal_failure"
+    assert (
+        legacy_label(PLACE, ["at_goal", "success"], True, at_goal_first=True)
+        == "placed_in_goal_success"
+    )
+    assert (
+        legacy_label(PLACE, ["at_goal", "success"], True, at_goal_first=False)
+        == "dropped_to_goal_success"
+    )
+    assert (
+        legacy_label(PLACE, ["at_goal", "left_goal"], False, at_goal_first=True)
+        == "place_in_goal_failure"
+    )
+    assert (
+        legacy_label(PLACE, ["at_goal", "left_goal"], False, at_goal_first=False)
+        == "drop_to_goal_failure"
+    )
 
 
 def test_published_events_count_from_nothing_at_the_first_action() -> None:
     held = history(is_grasped="1110", at_goal="0011", contact="1110", success="0001")
-    assert legacy_history(PLACE, held) == ["placed_in_goal_success"], "grasped counts although it was held before"
+    assert legacy_history(PLACE, held) == ["placed_in_goal_success"], (
+        "grasped counts although it was held before"
+    )
     reset_only = history(contact="1000")
-    assert legacy_history(PICK, reset_only) == ["mobility_failure"], "the reset itself is not looked at"
+    assert legacy_history(PICK, reset_only) == ["mobility_failure"], (
+        "the reset itself is not looked at"
+    )
     flicker = history(contact="0101111", is_grasped="0000111", success="0000001")
     assert legacy_history(PICK, flicker) == ["straightforward_success"], "repeats are dropped"
     regrasp = history(contact="0110111", is_grasped="0010000", success="0000000")
@@ -206,60 +236,105 @@ def test_tracker_agrees_with_recorded_histories(kind: SubtaskKind) -> None:
 def test_tracker_restarts_only_the_worlds_asked_for() -> None:
     record = random_history(np.random.default_rng(4), PICK, 6, 2)
     kinds = np.zeros(2, dtype=np.int64)
-    tracker, whole = SubtaskTracker(record.row(0)), SubtaskTracker(record.row(0))
+    tracker = SubtaskTracker(record.row(0))
+    whole = SubtaskTracker(record.row(0))
     for t in range(1, 6):
         for each in (tracker, whole):
             each.step(kinds, record.row(t), np.full(2, t))
         if t == 3:
             tracker.restart(np.array([True, False]), record.row(3))
-    assert tracker.events(1) == whole.events(1) and tracker.labels(kinds)[1] == whole.labels(kinds)[1]
+    assert (
+        tracker.events(1) == whole.events(1) and tracker.labels(kinds)[1] == whole.labels(kinds)[1]
+    )
     assert all(step > 3 for step, _ in tracker.events(0))
 
 
 DIFFERENT: dict[str, tuple[int, dict[str, Any], str, str]] = {
     "grasped again at the goal": (
-        PLACE, {"is_grasped": "1110100", "at_goal": "0111111", "success": "0000001"},
-        "winding_success", "placed_in_goal_success",
+        PLACE,
+        {"is_grasped": "1110100", "at_goal": "0111111", "success": "0000001"},
+        "winding_success",
+        "placed_in_goal_success",
     ),
     "let go twice outside": (
-        PLACE, {"is_grasped": "1101000", "at_goal": "0000011", "success": "0000001"},
-        "winding_success", "dropped_to_goal_success",
+        PLACE,
+        {"is_grasped": "1101000", "at_goal": "0000011", "success": "0000001"},
+        "winding_success",
+        "dropped_to_goal_success",
     ),
-    "pushed through the goal": (PLACE, {"at_goal": "0010"}, "drop_to_goal_failure", "didnt_grasp_failure"),
+    "pushed through the goal": (
+        PLACE,
+        {"at_goal": "0010"},
+        "drop_to_goal_failure",
+        "didnt_grasp_failure",
+    ),
     "grasped again after success": (
-        PICK, {"is_grasped": "0011011", "contact": "0111011", "ee_contact": "0111011", "success": "0001000"},
-        "success_then_drop", "winding_success",
+        PICK,
+        {
+            "is_grasped": "0011011",
+            "contact": "0111011",
+            "ee_contact": "0111011",
+            "success": "0001000",
+        },
+        "success_then_drop",
+        "winding_success",
     ),
     "touched by the palm": (PICK, {"ee_contact": "0110"}, "mobility_failure", "cant_grasp_failure"),
     "handle touched by the palm, open": (
-        OPEN, {"ee_contact": "0110"}, "cant_reach_articulation_failure", "cant_open_failure",
+        OPEN,
+        {"ee_contact": "0110"},
+        "cant_reach_articulation_failure",
+        "cant_open_failure",
     ),
     "handle touched by the palm, close": (
-        CLOSE, {"ee_contact": "0110"}, "cant_reach_articulation_failure", "cant_close_failure",
+        CLOSE,
+        {"ee_contact": "0110"},
+        "cant_reach_articulation_failure",
+        "cant_close_failure",
     ),
     "open, then half": (
-        OPEN, {"contact": "01111", "ee_contact": "01111", "slightly_opened": "00111", "opened": "00110",
-               "success": "00010"},
-        "open_success", "dubious_success",
+        OPEN,
+        {
+            "contact": "01111",
+            "ee_contact": "01111",
+            "slightly_opened": "00111",
+            "opened": "00110",
+            "success": "00010",
+        },
+        "open_success",
+        "dubious_success",
     ),
     "closed, then half": (
-        CLOSE, {"contact": "01111", "ee_contact": "01111", "slightly_closed": "00111", "closed": "00110",
-                "success": "00010"},
-        "closed_success", "dubious_success",
+        CLOSE,
+        {
+            "contact": "01111",
+            "ee_contact": "01111",
+            "slightly_closed": "00111",
+            "closed": "00110",
+            "success": "00010",
+        },
+        "closed_success",
+        "dubious_success",
     ),
     "open for a moment": (
-        OPEN, {"contact": "01111", "ee_contact": "01111", "slightly_opened": "00111", "opened": "00110"},
-        "slightly_open_failure", "closed_after_open_failure",
+        OPEN,
+        {"contact": "01111", "ee_contact": "01111", "slightly_opened": "00111", "opened": "00110"},
+        "slightly_open_failure",
+        "closed_after_open_failure",
     ),
     "moved and back": (
-        CLOSE, {"contact": "0111", "ee_contact": "0111", "slightly_closed": "0110"},
-        "open_after_closing_failure", "slightly_closed_failure",
+        CLOSE,
+        {"contact": "0111", "ee_contact": "0111", "slightly_closed": "0110"},
+        "open_after_closing_failure",
+        "slightly_closed_failure",
     ),
     "lost on the way": (
-        NAVIGATE, {"is_grasped": "1101111", "near": "0000111", "success": "0000011", "must_hold": True},
-        "success_then_dropped", "navigation_success",
+        NAVIGATE,
+        {"is_grasped": "1101111", "near": "0000111", "success": "0000011", "must_hold": True},
+        "success_then_dropped",
+        "navigation_success",
     ),
-}  # fmt: skip
+}
 """Histories that the two sets of rules label differently: the table of docs/data.md."""
 
 

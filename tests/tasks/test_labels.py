@@ -25,7 +25,14 @@ from mjhab.tasks.labels import (
     update,
 )
 from mjhab.tasks.plan import SubtaskKind
-from tests.tasks.build import HISTORY_FIELDS, assert_same, assert_same_record, history, random_history, to_torch
+from tests.tasks.build import (
+    HISTORY_FIELDS,
+    assert_same,
+    assert_same_record,
+    history,
+    random_history,
+    to_torch,
+)
 
 KINDS = list(SubtaskKind)
 
@@ -53,7 +60,8 @@ def real_history(draw: st.DrawFn, kind: int) -> History:
 def expected_label(kind: int, h: History) -> str:
     """The decision lists once more, read off naively, for one world."""
     g, a, s = (getattr(h, n)[:, 0].tolist() for n in ("is_grasped", "at_goal", "success"))
-    excess, touched = not h.force_ok.all(), h.ee_contact.any()
+    excess = not h.force_ok.all()
+    touched = h.ee_contact.any()
     releases = [t for t in range(1, len(g)) if g[t - 1] and not g[t]]
     exits = [t for t in range(1, len(a)) if a[t - 1] and not a[t]]
     if any(s) and excess:
@@ -62,7 +70,13 @@ def expected_label(kind: int, h: History) -> str:
         return "excessive_collision_failure"
     if kind == SubtaskKind.PICK:
         if any(s):
-            return "success_then_drop" if not g[-1] else "winding_success" if releases else "straightforward_success"
+            return (
+                "success_then_drop"
+                if not g[-1]
+                else "winding_success"
+                if releases
+                else "straightforward_success"
+            )
         if not any(g):
             return "cant_grasp_failure" if touched else "mobility_failure"
         return "too_slow_failure" if g[-1] else "drop_failure"
@@ -72,7 +86,13 @@ def expected_label(kind: int, h: History) -> str:
                 return "dubious_success"
             before = [t for t in releases if t <= s.index(True)]
             dropped = not a[before[-1]] if before else not a[0]
-            return "winding_success" if exits else "dropped_to_goal_success" if dropped else "placed_in_goal_success"
+            return (
+                "winding_success"
+                if exits
+                else "dropped_to_goal_success"
+                if dropped
+                else "placed_in_goal_success"
+            )
         if not any(g):
             return "didnt_grasp_failure"
         if not any(a):
@@ -93,7 +113,9 @@ def expected_joint_label(kind: int, h: History) -> str:
     opening = kind == SubtaskKind.OPEN
     there = (h.opened if opening else h.closed)[:, 0].tolist()
     if h.success.any():
-        return "dubious_success" if not there[-1] else "open_success" if opening else "closed_success"
+        return (
+            "dubious_success" if not there[-1] else "open_success" if opening else "closed_success"
+        )
     if not h.ee_contact.any():
         return "cant_reach_articulation_failure"
     if any(there):
@@ -107,7 +129,9 @@ def expected_joint_label(kind: int, h: History) -> str:
 @pytest.mark.parametrize("kind", KINDS)
 @settings(max_examples=250, deadline=None)
 @given(data=st.data())
-def test_every_history_has_exactly_the_label_of_the_rules(kind: SubtaskKind, data: st.DataObject) -> None:
+def test_every_history_has_exactly_the_label_of_the_rules(
+    kind: SubtaskKind, data: st.DataObject
+) -> None:
     record = data.draw(any_history())
     names = labels_of(kind, record)
     assert len(names) == 1 and names[0] in LABELS[kind]
@@ -117,12 +141,18 @@ def test_every_history_has_exactly_the_label_of_the_rules(kind: SubtaskKind, dat
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_label_occurs_in_possible_histories(kind: SubtaskKind) -> None:
     rng = np.random.default_rng(7)
-    seen = {name for steps in (2, 4, 8) for name in labels_of(kind, random_history(rng, kind, steps, 10_000))}
+    seen = {
+        name
+        for steps in (2, 4, 8)
+        for name in labels_of(kind, random_history(rng, kind, steps, 10_000))
+    }
     assert seen == set(LABELS[kind])
 
 
 EXAMPLES: dict[tuple[int, str], History] = {
-    (0, "success_then_excessive_collisions"): history(is_grasped="0111", success="0010", force_ok="1110"),
+    (0, "success_then_excessive_collisions"): history(
+        is_grasped="0111", success="0010", force_ok="1110"
+    ),
     (0, "success_then_drop"): history(is_grasped="0110", success="0010"),
     (0, "winding_success"): history(is_grasped="01011", success="00001"),
     (0, "straightforward_success"): history(is_grasped="0011", ee_contact="0111", success="0001"),
@@ -131,7 +161,9 @@ EXAMPLES: dict[tuple[int, str], History] = {
     (0, "cant_grasp_failure"): history(ee_contact="0100"),
     (0, "drop_failure"): history(is_grasped="0110"),
     (0, "too_slow_failure"): history(is_grasped="0101"),
-    (1, "success_then_excessive_collisions"): history(at_goal="0111", success="0010", force_ok="1110"),
+    (1, "success_then_excessive_collisions"): history(
+        at_goal="0111", success="0010", force_ok="1110"
+    ),
     (1, "dubious_success"): history(is_grasped="1000", at_goal="0110", success="0010"),
     (1, "winding_success"): history(is_grasped="111100", at_goal="010111", success="000001"),
     (1, "dropped_to_goal_success"): history(is_grasped="1100", at_goal="0001", success="0001"),
@@ -149,7 +181,9 @@ EXAMPLES: dict[tuple[int, str], History] = {
     (2, "excessive_collision_failure"): history(force_ok="1110"),
     (2, "dropped_failure"): history(is_grasped="1100", must_hold=True),
     (2, "navigation_failure"): history(is_grasped="1111", must_hold=True),
-    (3, "success_then_excessive_collisions"): history(opened="0111", success="0010", force_ok="1110"),
+    (3, "success_then_excessive_collisions"): history(
+        opened="0111", success="0010", force_ok="1110"
+    ),
     (3, "dubious_success"): history(opened="0110", success="0010"),
     (3, "open_success"): history(opened="0111", success="0001"),
     (3, "excessive_collision_failure"): history(opened="0111", force_ok="1110"),
@@ -158,7 +192,9 @@ EXAMPLES: dict[tuple[int, str], History] = {
     (3, "too_slow_failure"): history(ee_contact="0111", opened="0101"),
     (3, "slightly_open_failure"): history(ee_contact="0111", slightly_opened="0010"),
     (3, "cant_open_failure"): history(ee_contact="0111"),
-    (4, "success_then_excessive_collisions"): history(closed="0111", success="0010", force_ok="1110"),
+    (4, "success_then_excessive_collisions"): history(
+        closed="0111", success="0010", force_ok="1110"
+    ),
     (4, "dubious_success"): history(closed="0110", success="0010"),
     (4, "closed_success"): history(closed="0111", success="0001"),
     (4, "excessive_collision_failure"): history(closed="0111", force_ok="1110"),
@@ -192,7 +228,8 @@ RELEVANT: dict[int, set[str]] = {
 @settings(max_examples=60, deadline=None)
 @given(data=st.data())
 def test_a_label_depends_on_its_signals_only(kind: SubtaskKind, data: st.DataObject) -> None:
-    record, other = data.draw(real_history(kind)), None
+    record = data.draw(real_history(kind))
+    other = None
     rng = np.random.default_rng(data.draw(st.integers(0, 1000)))
     other = {
         name: rng.random(record.success.shape) < 0.5
@@ -206,7 +243,9 @@ def test_a_label_depends_on_its_signals_only(kind: SubtaskKind, data: st.DataObj
 @given(data=st.data())
 def test_contact_flicker_never_changes_a_pick_label(data: st.DataObject) -> None:
     record = data.draw(real_history(SubtaskKind.PICK))
-    flicker = np.random.default_rng(data.draw(st.integers(0, 1000))).random(record.contact.shape) < 0.5
+    flicker = (
+        np.random.default_rng(data.draw(st.integers(0, 1000))).random(record.contact.shape) < 0.5
+    )
     # Contact comes and goes after the first one, as while the fingers slide along the object.
     touched = np.maximum.accumulate(np.asarray(record.ee_contact | record.is_grasped), axis=0)
     first = touched & ~np.roll(touched, 1, axis=0)
@@ -246,12 +285,15 @@ def test_straightforward_means_no_release(data: st.DataObject) -> None:
 
 @settings(max_examples=100, deadline=None)
 @given(data=st.data())
-def test_placed_in_goal_means_at_the_goal_at_the_last_release_and_at_the_end(data: st.DataObject) -> None:
+def test_placed_in_goal_means_at_the_goal_at_the_last_release_and_at_the_end(
+    data: st.DataObject,
+) -> None:
     record = data.draw(real_history(SubtaskKind.PLACE))
     for w, name in enumerate(labels_of(1, record)):
         if name != "placed_in_goal_success":
             continue
-        g, a = record.is_grasped[:, w], record.at_goal[:, w]
+        g = record.is_grasped[:, w]
+        a = record.at_goal[:, w]
         releases = np.flatnonzero(g[:-1] & ~g[1:]) + 1
         assert a[-1]
         assert a[releases[-1]] if releases.size else a[0]
@@ -282,7 +324,8 @@ def test_torch_labels_the_same_in_value_and_dtype(kind: SubtaskKind) -> None:
     record = random_history(np.random.default_rng(8), kind, 10, 300)
     kinds = np.full(300, int(kind), dtype=np.int64)
     kinds[::7] = -1
-    other, torch_kinds = to_torch(record), to_torch(History(**dict.fromkeys(HISTORY_FIELDS, kinds))).success
+    other = to_torch(record)
+    torch_kinds = to_torch(History(**dict.fromkeys(HISTORY_FIELDS, kinds))).success
     assert_same_record(fold(record), fold(other))
     assert_same(label_history(kinds, record), label_history(torch_kinds, other))
     assert label_names(torch_kinds, label_history(torch_kinds, other))[0] == ""

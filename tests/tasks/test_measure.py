@@ -21,7 +21,9 @@ ZERO_REST = TaskConfig(rest_qpos=(0.0,) * 15)
 HALF = replace(ZERO_REST, nav_bearing=math.atan2(1.0, 2.0), ignore_arm=False)
 
 
-def look(kind: int, config: TaskConfig = ZERO_REST, link: str = "kitchen_counter/drawer3", **over: Any) -> Signals:
+def look(
+    kind: int, config: TaskConfig = ZERO_REST, link: str = "kitchen_counter/drawer3", **over: Any
+) -> Signals:
     """Measure one world that does one subtask."""
     force = over.pop("cumulative", 0.0)
     plan = plan_of(kind, config=config, link=link, must_hold=over.pop("must_hold", False))
@@ -42,10 +44,15 @@ def beyond(value: float) -> float:
     return math.nextafter(value, math.copysign(math.inf, value))
 
 
-def at_and_beyond(kind: int, signal: str, make: Any, limit: float, config: TaskConfig = ZERO_REST, **more: Any) -> None:
+def at_and_beyond(
+    kind: int, signal: str, make: Any, limit: float, config: TaskConfig = ZERO_REST, **more: Any
+) -> None:
     """The signal holds at the limit and not one float beyond."""
     assert bool(getattr(look(kind, config, **make(limit), **more), signal)[0]), (signal, limit)
-    assert not bool(getattr(look(kind, config, **make(beyond(limit)), **more), signal)[0]), (signal, limit)
+    assert not bool(getattr(look(kind, config, **make(beyond(limit)), **more), signal)[0]), (
+        signal,
+        limit,
+    )
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -96,12 +103,15 @@ def test_contact_is_by_fingers_ee_contact_by_the_hand_touch_by_any_link() -> Non
 
 def test_place_goal_types() -> None:
     def at(offset: tuple[float, float, float], config: TaskConfig) -> bool:
-        plan = stack_plans([TaskPlan("t", (Subtask(SubtaskKind.PLACE, "o", goal_rect=rect),))], config)
+        plan = stack_plans(
+            [TaskPlan("t", (Subtask(SubtaskKind.PLACE, "o", goal_rect=rect),))], config
+        )
         state = resting(rest=config.rest_qpos, plan_obj_pos=offset)
         return bool(measure(state, plan, start(plan, config), config).at_goal[0])
 
     rect = ((0.5, 0.2), (-0.5, 0.2), (-0.5, -0.2), (0.5, -0.2))
-    ball, can = ZERO_REST, replace(ZERO_REST, goal_type="cylinder")
+    ball = ZERO_REST
+    can = replace(ZERO_REST, goal_type="cylinder")
     zone = replace(ZERO_REST, goal_type="zone")
     assert at((0.15, 0, 0), ball) and not at((beyond(0.15), 0, 0), ball)
     assert at((0, 0, -0.15), ball) and not at((0.12, 0, 0.12), ball)
@@ -115,14 +125,19 @@ def test_place_goal_types() -> None:
 
 
 def test_joint_thresholds_include_equality() -> None:
-    def joint(q: float, kind: int = OPEN, link: str = "kitchen_counter/drawer3", top: float = 1.0) -> Signals:
+    def joint(
+        q: float, kind: int = OPEN, link: str = "kitchen_counter/drawer3", top: float = 1.0
+    ) -> Signals:
         return look(kind, link=link, joint_q=q, joint_max=top, joint_start=1.0)
 
     for q, opened in ((0.9, True), (math.nextafter(0.9, 0), False)):
         assert bool(joint(q).opened[0]) is opened
     for q, opened in ((0.75, True), (math.nextafter(0.75, 0), False)):
         assert bool(joint(q, link="fridge/top_door").opened[0]) is opened
-    assert joint(1.725, link="fridge/top_door", top=2.3).opened[0] and not joint(1.72, OPEN, "fridge/x", 2.3).opened[0]
+    assert (
+        joint(1.725, link="fridge/top_door", top=2.3).opened[0]
+        and not joint(1.72, OPEN, "fridge/x", 2.3).opened[0]
+    )
     assert joint(0.01, CLOSE).closed[0] and not joint(beyond(0.01), CLOSE).closed[0]
     assert joint(0.1).slightly_opened[0] and not joint(math.nextafter(0.1, 0)).slightly_opened[0]
     near = math.nextafter(1 - 0.05, 2)
@@ -136,13 +151,19 @@ def test_joint_thresholds_include_equality() -> None:
 def test_navigation_distance_bearing_and_area() -> None:
     at_and_beyond(NAVIGATE, "near", lambda v: {"base_pose": [1.0, v, 0.0]}, 2.0)
     at_and_beyond(NAVIGATE, "near", lambda v: {"base_pose": [1.0, v, 0.0]}, -2.0)
-    assert look(NAVIGATE, HALF, base_pose=[0.0, 0.5, 0.0]).oriented[0], "equal to the limit, to the right"
-    assert look(NAVIGATE, HALF, base_pose=[0.0, -0.5, 0.0]).oriented[0], "equal to the limit, to the left"
+    assert look(NAVIGATE, HALF, base_pose=[0.0, 0.5, 0.0]).oriented[0], (
+        "equal to the limit, to the right"
+    )
+    assert look(NAVIGATE, HALF, base_pose=[0.0, -0.5, 0.0]).oriented[0], (
+        "equal to the limit, to the left"
+    )
     assert not look(NAVIGATE, HALF, base_pose=[0.0, 0.51, 0.0]).oriented[0]
     assert not look(NAVIGATE, HALF, base_pose=[0.0, -0.51, 0.0]).oriented[0]
     assert not look(NAVIGATE, base_pose=[0.0, 0.0, math.pi]).oriented[0]
     assert look(NAVIGATE, base_pose=[0.0, 0.0, 2 * math.pi]).oriented[0]
-    assert look(NAVIGATE, base_pose=[1.0, 0.0, 3.0]).success[0], "standing on the goal, every heading faces it"
+    assert look(NAVIGATE, base_pose=[1.0, 0.0, 3.0]).success[0], (
+        "standing on the goal, every heading faces it"
+    )
     box = (-1.0, 0.0, -0.5, 0.0)
     assert look(NAVIGATE, box=box).near[0], "on the corner of the area"
     for xy in ((1e-9, 0.0), (-1.1, 0.0), (0.0, 1e-9), (0.0, -0.6)):
@@ -158,9 +179,16 @@ def test_navigate_judges_arm_and_grasp_unless_ignored() -> None:
     assert not look(NAVIGATE, strict, robot_q=joints(5, 0.3)).success[0]
     held = {"must_hold": True, "held_force": squeeze(), "robot_q": joints(5, 0.3)}
     carrying = look(NAVIGATE, strict, **held)
-    assert carrying.success[0] and carrying.is_grasped[0] and carrying.contact[0] and carrying.must_hold[0]
+    assert (
+        carrying.success[0]
+        and carrying.is_grasped[0]
+        and carrying.contact[0]
+        and carrying.must_hold[0]
+    )
     assert not look(NAVIGATE, strict, must_hold=True).success[0], "the object is gone"
-    assert not look(NAVIGATE, strict, must_hold=True, finger_force=squeeze()).is_grasped[0], "another object"
+    assert not look(NAVIGATE, strict, must_hold=True, finger_force=squeeze()).is_grasped[0], (
+        "another object"
+    )
     assert look(NAVIGATE, must_hold=True).success[0]
     assert not look(NAVIGATE, robot_qd=joints(0, 0.1)).success[0], "still driving"
 
@@ -199,7 +227,9 @@ def test_success_needs_every_condition(kind: int) -> None:
         assert not look(kind, strict, **good, finger_force=squeeze()).success[0], "still held"
 
 
-@pytest.mark.parametrize(("kind", "limit"), [(PICK, 5000.0), (PLACE, 7500.0), (OPEN, 10000.0), (CLOSE, 10000.0)])
+@pytest.mark.parametrize(
+    ("kind", "limit"), [(PICK, 5000.0), (PLACE, 7500.0), (OPEN, 10000.0), (CLOSE, 10000.0)]
+)
 def test_force_limit_includes_equality(kind: int, limit: float) -> None:
     at_and_beyond(kind, "force_ok", lambda v: {"cumulative": v}, limit)
     at_and_beyond(kind, "success", lambda v: {"cumulative": v}, limit, **GOOD[kind])
@@ -211,7 +241,12 @@ def test_finished_places_are_watched_and_a_finished_plan_has_no_kind() -> None:
     objects = np.array([[[1.0, 0.0, 0.5], [0.0, 0.0, 0.0], [5.0, 0.0, 0.0]]])
     state = resting(3, plan_obj_pos=objects)
     moved = resting(3, plan_obj_pos=objects + np.array([0.0, 0.2, 0.0]))
-    for pointer, kind, ok in ((0, PLACE, True), (1, PICK, False), (2, PLACE, False), (3, -1, False)):
+    for pointer, kind, ok in (
+        (0, PLACE, True),
+        (1, PICK, False),
+        (2, PLACE, False),
+        (3, -1, False),
+    ):
         progress = replace(start(plan, CONFIG), pointer=np.array([pointer]))
         here = measure(state, plan, progress, CONFIG)
         assert here.kind[0] == kind
@@ -228,7 +263,9 @@ def _mixed(worlds: int, seed: int) -> tuple[Any, Any, Any, TaskConfig]:
         Target("b", (1, 0, 0), (0, 0, 0), "fridge/t"),
     ]
     config = replace(CONFIG, ignore_arm=bool(seed % 2))
-    plan = stack_plans([chain("set_table", targets)] * worlds, config, [{"fridge/t": (-1, 1, -1, 1)}] * worlds)
+    plan = stack_plans(
+        [chain("set_table", targets)] * worlds, config, [{"fridge/t": (-1, 1, -1, 1)}] * worlds
+    )
     near = rng.normal(size=(worlds, 1)) * 0.1
 
     def around(x: Any, scale: float) -> np.ndarray:
@@ -261,11 +298,14 @@ def _mixed(worlds: int, seed: int) -> tuple[Any, Any, Any, TaskConfig]:
 def test_torch_measures_the_same_in_value_and_dtype(seed: int) -> None:
     state, plan, progress, config = _mixed(400, seed)
     here = measure(state, plan, progress, config)
-    assert_same_record(here, measure(to_torch(state), to_torch(plan), to_torch(progress), config), tol=1e-12)
+    assert_same_record(
+        here, measure(to_torch(state), to_torch(plan), to_torch(progress), config), tol=1e-12
+    )
     assert here.success.any() and not here.success.all()
     assert here.success.dtype == bool and here.kind.dtype == np.int64
     assert_same_record(
-        accumulate(progress, state.robot_force), accumulate(to_torch(progress), to_torch(state).robot_force)
+        accumulate(progress, state.robot_force),
+        accumulate(to_torch(progress), to_torch(state).robot_force),
     )
 
 
@@ -274,19 +314,32 @@ def test_single_precision_stays_single() -> None:
 
     def single(record: Any) -> Any:
         tensors = to_torch(record)
-        names = {k: v.float() if v is not None and v.is_floating_point() else v for k, v in vars(tensors).items()}
+        names = {
+            k: v.float() if v is not None and v.is_floating_point() else v
+            for k, v in vars(tensors).items()
+        }
         return type(record)(**names)
 
     here = measure(single(state), single(plan), single(progress), config)
     assert str(here.target_force.dtype) == str(here.cumulative_force.dtype) == "torch.float32"
-    assert str(accumulate(single(progress), single(state).robot_force).peak_force.dtype) == "torch.float32"
+    assert (
+        str(accumulate(single(progress), single(state).robot_force).peak_force.dtype)
+        == "torch.float32"
+    )
 
 
 def test_measuring_changes_nothing() -> None:
     state, plan, progress, config = _mixed(16, 1)
-    before = [np.copy(v) for record in (state, plan, progress) for v in vars(record).values() if v is not None]
+    before = [
+        np.copy(v)
+        for record in (state, plan, progress)
+        for v in vars(record).values()
+        if v is not None
+    ]
     measure(state, plan, progress, config)
-    after = [v for record in (state, plan, progress) for v in vars(record).values() if v is not None]
+    after = [
+        v for record in (state, plan, progress) for v in vars(record).values() if v is not None
+    ]
     for a, b in zip(before, after, strict=True):
         np.testing.assert_array_equal(a, b)
 

@@ -22,8 +22,12 @@ from mjhab.tasks.plan import (
 )
 from tests.tasks.build import CONFIG, REST
 
-BOWL = Target("bowl", (4, 1, 0.8), (1, 0, 0.9), start_link="kitchen_counter/drawer3", handle_pos=(1.3, 0, 0.9))
-APPLE = Target("apple", (4, 2, 0.8), (0, 3, 1.2), start_link="fridge/top_door", handle_pos=(0.4, 3, 1.2))
+BOWL = Target(
+    "bowl", (4, 1, 0.8), (1, 0, 0.9), start_link="kitchen_counter/drawer3", handle_pos=(1.3, 0, 0.9)
+)
+APPLE = Target(
+    "apple", (4, 2, 0.8), (0, 3, 1.2), start_link="fridge/top_door", handle_pos=(0.4, 3, 1.2)
+)
 
 
 def kinds(plan: TaskPlan) -> list[str]:
@@ -75,7 +79,8 @@ def test_thresholds_are_those_of_the_paper() -> None:
 
 
 def test_stacked_plans_are_padded_to_the_longest() -> None:
-    long, short = chain("set_table", [BOWL, APPLE]), TaskPlan("x", (Subtask(SubtaskKind.PICK, "bowl"),))
+    long = chain("set_table", [BOWL, APPLE])
+    short = TaskPlan("x", (Subtask(SubtaskKind.PICK, "bowl"),))
     box = (0.0, 1.0, -1.0, 1.0)
     plan = stack_plans([long, short], CONFIG, [{"fridge/top_door": box}, {}], min_subtasks=20)
     assert plan.kind.shape == (2, 20) and plan.kind.dtype == np.int64
@@ -90,8 +95,14 @@ def test_stacked_plans_are_padded_to_the_longest() -> None:
 
 
 def test_area_in_front_turns_with_the_furniture() -> None:
-    np.testing.assert_allclose(front_box("fridge/top_door", (1.0, 2.0), 0.0), (1.933, 2.833, 1.4, 2.6))
-    np.testing.assert_allclose(front_box("fridge/top_door", (1.0, 2.0), math.pi / 2), (0.4, 1.6, 2.933, 3.833))
-    np.testing.assert_allclose(front_box("kitchen_counter/drawer3", (0, 0), math.pi), (-1.5, -0.3, -0.6, 0.6))
+    np.testing.assert_allclose(
+        front_box("fridge/top_door", (1.0, 2.0), 0.0), (1.933, 2.833, 1.4, 2.6)
+    )
+    np.testing.assert_allclose(
+        front_box("fridge/top_door", (1.0, 2.0), math.pi / 2), (0.4, 1.6, 2.933, 3.833)
+    )
+    np.testing.assert_allclose(
+        front_box("kitchen_counter/drawer3", (0, 0), math.pi), (-1.5, -0.3, -0.6, 0.6)
+    )
     with pytest.raises(UsageError, match="unknown furniture 'sofa'"):
         front_box("sofa/seat", (0, 0), 0)

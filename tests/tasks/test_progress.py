@@ -20,7 +20,13 @@ PLAN = plan_of(NAVIGATE, PICK, PLACE)
 CONTINUOUS = replace(CONFIG, continuous=True)
 
 
-def step(progress: Progress, plan: PlanArrays, config: TaskConfig = CONFIG, force: float = 0.0, **holds: Any) -> Any:
+def step(
+    progress: Progress,
+    plan: PlanArrays,
+    config: TaskConfig = CONFIG,
+    force: float = 0.0,
+    **holds: Any,
+) -> Any:
     """One control step of one world with hand-made signals."""
     return advance(accumulate(progress, np.array([force])), signals(**holds), plan, config)
 
@@ -34,7 +40,11 @@ def test_a_plan_runs_through() -> None:
     assert progress.steps_left[0] == 500 and progress.pointer[0] == 0
     progress, outcome = step(progress, PLAN, force=10.0)
     assert true_fields(outcome) == set()
-    assert (progress.steps_left[0], progress.subtask_step[0], progress.cumulative_force[0]) == (499, 1, 10.0)
+    assert (progress.steps_left[0], progress.subtask_step[0], progress.cumulative_force[0]) == (
+        499,
+        1,
+        10.0,
+    )
     progress, outcome = step(progress, PLAN, force=4.0, success=True)
     assert true_fields(outcome) == {"advanced", "ended", "success_once", "success_at_end"}
     assert (progress.pointer[0], progress.steps_left[0], progress.subtask_step[0]) == (1, 200, 0)
@@ -42,12 +52,21 @@ def test_a_plan_runs_through() -> None:
     assert progress.episode_step[0] == 2
     progress, outcome = step(progress, PLAN, success=True)
     progress, outcome = step(progress, PLAN, force=7.0, success=True)
-    assert true_fields(outcome) == {"advanced", "success", "done", "ended", "success_once", "success_at_end"}
+    assert true_fields(outcome) == {
+        "advanced",
+        "success",
+        "done",
+        "ended",
+        "success_once",
+        "success_at_end",
+    }
     assert progress.pointer[0] == 3 and progress.done[0]
     assert progress.cumulative_force[0] == 7.0, "kept for the record of the last subtask"
 
 
-def test_peak_and_cumulative_force_of_the_ended_subtask_are_in_the_progress_before_advancing() -> None:
+def test_peak_and_cumulative_force_of_the_ended_subtask_are_in_the_progress_before_advancing() -> (
+    None
+):
     progress = start(PLAN, CONFIG)
     for force in (3.0, 9.0, 1.0):
         progress = accumulate(progress, np.array([force]))
@@ -63,7 +82,9 @@ def test_horizon_counts_control_steps_and_its_last_step_may_still_succeed() -> N
             assert true_fields(outcome) == set()
         progress, outcome = step(progress, PLAN, config, success=last_succeeds)
         expected = {"advanced", "ended", "success_once", "success_at_end"}
-        assert true_fields(outcome) == (expected if last_succeeds else {"timeout", "fail", "done", "ended"})
+        assert true_fields(outcome) == (
+            expected if last_succeeds else {"timeout", "fail", "done", "ended"}
+        )
         assert progress.done[0] != last_succeeds
 
 
@@ -92,7 +113,9 @@ def test_a_done_world_stands_still_until_its_reset() -> None:
 def test_partial_reset_leaves_other_rows_bit_identical() -> None:
     plan = map_record(lambda x: np.repeat(x, 4, axis=0), PLAN)
     rng = np.random.default_rng(0)
-    progress = replace(start(plan, CONFIG), cumulative_force=rng.random(4), pointer=np.array([0, 1, 2, 3]))
+    progress = replace(
+        start(plan, CONFIG), cumulative_force=rng.random(4), pointer=np.array([0, 1, 2, 3])
+    )
     new = reset_rows(progress, np.array([False, True, False, True]), plan, CONFIG)
     assert new.pointer.tolist() == [0, 0, 2, 0]
     assert new.cumulative_force[[0, 2]].tobytes() == progress.cumulative_force[[0, 2]].tobytes()
@@ -111,25 +134,40 @@ def test_continuous_evaluation_runs_to_the_horizon() -> None:
     assert true_fields(outcome) == {"success_once"}, "success may go away"
     assert progress.pointer[0] == 0 and progress.cumulative_force[0] == 15.0
     progress, outcome = step(progress, plan, config, force=50.0, force_ok=False)
-    assert true_fields(outcome) == {"success_once", "force_exceeded", "fail", "timeout", "done", "ended"}
+    assert true_fields(outcome) == {
+        "success_once",
+        "force_exceeded",
+        "fail",
+        "timeout",
+        "done",
+        "ended",
+    }
     assert progress.done[0] and progress.cumulative_force[0] == 65.0
 
 
 def test_continuous_force_marks_the_failure_without_ending() -> None:
     plan = plan_of(PICK)
-    progress, outcome = step(start(plan, CONTINUOUS), plan, CONTINUOUS, success=True, force_ok=False)
+    progress, outcome = step(
+        start(plan, CONTINUOUS), plan, CONTINUOUS, success=True, force_ok=False
+    )
     assert true_fields(outcome) == {"force_exceeded", "fail"}
     assert not progress.done[0] and not progress.success_once[0]
 
 
-@pytest.mark.parametrize(("at_end", "once", "fail"), [(True, True, False), (False, True, False), (False, False, True)])
+@pytest.mark.parametrize(
+    ("at_end", "once", "fail"), [(True, True, False), (False, True, False), (False, False, True)]
+)
 def test_continuous_success_once_and_at_end(at_end: bool, once: bool, fail: bool) -> None:
     plan = plan_of(CLOSE)
     config = TaskConfig(rest_qpos=REST, close=SubtaskConfig(2, 1e9), continuous=True)
     progress, _ = step(start(plan, config), plan, config, success=once)
     _, outcome = step(progress, plan, config, success=at_end)
     assert outcome.done[0] and outcome.ended[0]
-    assert (outcome.success_at_end[0], outcome.success_once[0], outcome.fail[0]) == (at_end, once, fail)
+    assert (outcome.success_at_end[0], outcome.success_once[0], outcome.fail[0]) == (
+        at_end,
+        once,
+        fail,
+    )
 
 
 @pytest.mark.parametrize("outcome_in_step", [{"success": True}, {"force_ok": False}])
@@ -163,22 +201,36 @@ def test_torch_advances_the_same_in_value_and_dtype(config: TaskConfig) -> None:
     worlds = 300
     plan = map_record(lambda x: np.repeat(x, worlds, axis=0), PLAN)
     progress = start(plan, config)
-    other, torch_plan = to_torch(progress), to_torch(plan)
+    other = to_torch(progress)
+    torch_plan = to_torch(plan)
     assert_same_record(progress, start(torch_plan, config))
     progress = replace(progress, steps_left=rng.integers(1, 8, worlds))
     other = to_torch(progress)
     for _ in range(6):
-        holds = {name: rng.random(worlds) < p for name, p in (("success", 0.4), ("force_ok", 0.9), ("placed_ok", 0.9))}
-        force, here = rng.random(worlds), signals(worlds, **holds)
+        holds = {
+            name: rng.random(worlds) < p
+            for name, p in (("success", 0.4), ("force_ok", 0.9), ("placed_ok", 0.9))
+        }
+        force = rng.random(worlds)
+        here = signals(worlds, **holds)
         progress, outcome = advance(accumulate(progress, force), here, plan, config)
         other, torch_outcome = advance(
-            accumulate(other, to_torch(here).robot_force * 0 + to_force(force)), to_torch(here), torch_plan, config
+            accumulate(other, to_torch(here).robot_force * 0 + to_force(force)),
+            to_torch(here),
+            torch_plan,
+            config,
         )
         assert_same_record(progress, other)
         assert_same_record(outcome, torch_outcome)
-        assert not (outcome.done & ~outcome.ended).any() and not (outcome.advanced & outcome.fail).any()
+        assert (
+            not (outcome.done & ~outcome.ended).any()
+            and not (outcome.advanced & outcome.fail).any()
+        )
     mask = rng.random(worlds) < 0.5
-    assert_same_record(reset_rows(progress, mask, plan, config), reset_rows(other, to_mask(mask), torch_plan, config))
+    assert_same_record(
+        reset_rows(progress, mask, plan, config),
+        reset_rows(other, to_mask(mask), torch_plan, config),
+    )
 
 
 def to_force(force: np.ndarray) -> Any:

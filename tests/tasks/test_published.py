@@ -28,7 +28,10 @@ from tests.tasks.reward_states import BEST, CLOSE, NAVIGATE, OPEN, PICK, PLACE, 
 PUBLISHED = replace(CONFIG, stillness="published")
 OPTIONS = RewardOptions(formula="published", normaliser="published")
 WHOLE = {PICK: 28.0, PLACE: 44.0, NAVIGATE: 28.0, OPEN: 27.0, CLOSE: 37.0}
-IDEAL, OPEN_SHARE, LOW, HIGH = 1.0, 0.9, 0.0, 0.5
+IDEAL = 1.0
+OPEN_SHARE = 0.9
+LOW = 0.0
+HIGH = 0.5
 """A drawer: ideal speed [m/s], share of its range that counts as open, range [m]."""
 
 
@@ -88,7 +91,9 @@ def original_open(s: State) -> float:
 def original_close(s: State) -> float:
     target = 0.01 * (HIGH - LOW) + LOW
     reward = 8.0 if s.closed_near else 7.5 if s.grasped else 7 * (1 - tanh(s.distance))
-    reward += 5 * (1 - max((s.joint - target) / (HIGH - target), 0)) + 5 * (abs(s.joint_speed) <= IDEAL)
+    reward += 5 * (1 - max((s.joint - target) / (HIGH - target), 0)) + 5 * (
+        abs(s.joint_speed) <= IDEAL
+    )
     arm = 1 - (tanh(s.posture) + tanh(s.posture / 5)) / 2
     reward += 10 * arm if s.closed_near else arm
     if s.closed_near:
@@ -108,7 +113,9 @@ def drawn(kind: int, seed: int) -> tuple[State, RewardView]:
     over["robot_qd"] = rng.normal(0, 0.3, 15) * (rng.random() < 0.7)
     if rng.random() < 0.5:
         over["robot_qd"] = -np.abs(over["robot_qd"])
-    over["joint_q"] = rng.uniform(-0.05, 0.55) if rng.random() < 0.6 else {OPEN: 0.47, CLOSE: 0.002}[kind]
+    over["joint_q"] = (
+        rng.uniform(-0.05, 0.55) if rng.random() < 0.6 else {OPEN: 0.47, CLOSE: 0.002}[kind]
+    )
     over["joint_qd"] = rng.normal(0, 1.5)
     over["torso_up"] = rng.uniform(-0.1, 1.1)
     over["handle_distance"] = rng.exponential(0.5)
@@ -123,21 +130,34 @@ def drawn(kind: int, seed: int) -> tuple[State, RewardView]:
     view = replace(view, closed_near=np.array([near]))
     world = view.world
     state = State(
-        world.robot_q[0], world.robot_qd[0], world.tcp_pos[0], float(world.joint_q[0]), float(view.joint_qd[0]),
-        float(view.handle_distance[0]), float(view.torso_up[0]), bool(view.signals.is_grasped[0]), near, force,
-    )  # fmt: skip
+        world.robot_q[0],
+        world.robot_qd[0],
+        world.tcp_pos[0],
+        float(world.joint_q[0]),
+        float(view.joint_qd[0]),
+        float(view.handle_distance[0]),
+        float(view.torso_up[0]),
+        bool(view.signals.is_grasped[0]),
+        near,
+        force,
+    )
     return state, view
 
 
 def as_torch(record: Any) -> Any:
-    return map_record(lambda x: as_torch(x) if dataclasses.is_dataclass(x) else torch.from_numpy(np.array(x)), record)
+    return map_record(
+        lambda x: as_torch(x) if dataclasses.is_dataclass(x) else torch.from_numpy(np.array(x)),
+        record,
+    )
 
 
 @pytest.mark.parametrize("cast", [lambda view: view, as_torch], ids=["numpy", "torch"])
 @pytest.mark.parametrize(("kind", "original"), [(OPEN, original_open), (CLOSE, original_close)])
 @settings(max_examples=80, deadline=None)
 @given(seed=st.integers(0, 2**32))
-def test_open_and_close_earn_what_the_original_gives(kind: int, original: Any, cast: Any, seed: int) -> None:
+def test_open_and_close_earn_what_the_original_gives(
+    kind: int, original: Any, cast: Any, seed: int
+) -> None:
     state, view = drawn(kind, seed)
     scored = DenseReward(PUBLISHED, OPTIONS).score(cast(view))
     assert float(scored.total[0]) == pytest.approx(original(state), abs=1e-11)
@@ -152,7 +172,8 @@ def test_the_states_reach_what_differs() -> None:
         differ: set[str] = set()
         for seed in range(300):
             _, view = drawn(kind, seed)
-            one, two = ours[kind].score(view).terms[:, 0], theirs.score(view).terms[:, 0]
+            one = ours[kind].score(view).terms[:, 0]
+            two = theirs.score(view).terms[:, 0]
             differ |= {name for name, a, b in zip(theirs.names, one, two, strict=True) if a != b}
         assert differ == wanted
     backwards = [drawn(OPEN, seed) for seed in range(300)]

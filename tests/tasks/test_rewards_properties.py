@@ -15,7 +15,18 @@ from mjhab.core.arrays import map_record
 from mjhab.tasks.plan import KIND_NAMES, SubtaskKind
 from mjhab.tasks.rewards import REWARD_TABLES, DenseReward, RewardOptions, RewardView
 from tests.tasks.build import CONFIG, assert_same
-from tests.tasks.reward_states import BEST, CLOSE, FULL, NAVIGATE, OPEN, PICK, PLACE, random_view, rows, view_of
+from tests.tasks.reward_states import (
+    BEST,
+    CLOSE,
+    FULL,
+    NAVIGATE,
+    OPEN,
+    PICK,
+    PLACE,
+    random_view,
+    rows,
+    view_of,
+)
 
 # -- the normaliser ----------------------------------------------------------------------------------------------------
 
@@ -23,8 +34,14 @@ from tests.tasks.reward_states import BEST, CLOSE, FULL, NAVIGATE, OPEN, PICK, P
 @pytest.mark.parametrize("kind", SubtaskKind)
 def test_the_best_state_reaches_the_normaliser(kind: SubtaskKind) -> None:
     scored = FULL.score(view_of([kind], **BEST[kind]))
-    assert scored.total[0] == pytest.approx({PICK: 29, PLACE: 44, NAVIGATE: 28, OPEN: 27, CLOSE: 36}[kind], abs=1e-12)
-    assert scored.normaliser[0] == REWARD_TABLES[kind].attainable == pytest.approx(scored.total[0], abs=1e-12)
+    assert scored.total[0] == pytest.approx(
+        {PICK: 29, PLACE: 44, NAVIGATE: 28, OPEN: 27, CLOSE: 36}[kind], abs=1e-12
+    )
+    assert (
+        scored.normaliser[0]
+        == REWARD_TABLES[kind].attainable
+        == pytest.approx(scored.total[0], abs=1e-12)
+    )
 
 
 def test_published_normalisers_differ_where_the_original_is_off() -> None:
@@ -43,8 +60,13 @@ def test_no_state_earns_more_than_the_normaliser(seed: int, chance: float) -> No
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 2**32), st.lists(st.floats(-20, 20), min_size=5, max_size=5))
-def test_no_state_earns_more_than_the_normaliser_of_other_scales(seed: int, drawn: list[float]) -> None:
-    scales = {name: {REWARD_TABLES[SubtaskKind(k)].terms[k + 2].name: drawn[k]} for k, name in enumerate(KIND_NAMES)}
+def test_no_state_earns_more_than_the_normaliser_of_other_scales(
+    seed: int, drawn: list[float]
+) -> None:
+    scales = {
+        name: {REWARD_TABLES[SubtaskKind(k)].terms[k + 2].name: drawn[k]}
+        for k, name in enumerate(KIND_NAMES)
+    }
     scored = DenseReward(CONFIG, RewardOptions(scales)).score(random_view(seed, 20))
     assert (scored.total <= scored.normaliser * (1 + 1e-12)).all()
     np.testing.assert_allclose(scored.terms.sum(0), scored.total, rtol=1e-12, atol=1e-12)
@@ -69,7 +91,10 @@ def with_reach(kind: int, d: float) -> RewardView:
 @settings(max_examples=25, deadline=None)
 @given(near=st.floats(0.0, 3.0), more=st.floats(0.001, 1.0))
 def test_nearer_is_better(kind: SubtaskKind, near: float, more: float) -> None:
-    assert FULL.score(with_reach(kind, near)).total[0] > FULL.score(with_reach(kind, near + more)).total[0]
+    assert (
+        FULL.score(with_reach(kind, near)).total[0]
+        > FULL.score(with_reach(kind, near + more)).total[0]
+    )
 
 
 @pytest.mark.parametrize("kind", (OPEN, CLOSE))
@@ -92,10 +117,13 @@ def test_numpy_and_torch_agree(seed: int, dtype: str) -> None:
         return map_record(one, record)
 
     view = random_view(seed, 12)
-    ours, theirs = FULL.score(cast(view, np.asarray)), FULL.score(cast(view, lambda x: torch.from_numpy(x.copy())))
+    ours = FULL.score(cast(view, np.asarray))
+    theirs = FULL.score(cast(view, lambda x: torch.from_numpy(x.copy())))
     for name in ("terms", "total", "normaliser"):
         assert getattr(ours, name).dtype == dtype
-        assert_same(getattr(ours, name), getattr(theirs, name), name, 1e-12 if dtype == "float64" else 1e-5)
+        assert_same(
+            getattr(ours, name), getattr(theirs, name), name, 1e-12 if dtype == "float64" else 1e-5
+        )
 
 
 @settings(max_examples=15, deadline=None)

@@ -17,8 +17,12 @@ WORDS = ("release=place,drop", "speed=0.5..0.9", "hold=3..6", "noise=0.05")
 def test_a_value_holds_for_every_episode_and_a_range_is_drawn_from():
     styles = Styles.parse(WORDS)
     drawn = [styles.draw(4, index) for index in range(200)]
-    assert {style.noise for style in drawn} == {0.05} and {style.grasp for style in drawn} == {"any"}
-    assert {style.release for style in drawn} == {"place", "drop"} and {style.hold for style in drawn} == {3, 4, 5, 6}
+    assert {style.noise for style in drawn} == {0.05} and {style.grasp for style in drawn} == {
+        "any"
+    }
+    assert {style.release for style in drawn} == {"place", "drop"} and {
+        style.hold for style in drawn
+    } == {3, 4, 5, 6}
     speeds = [style.speed for style in drawn]
     assert 0.5 <= min(speeds) < 0.55 and 0.85 < max(speeds) <= 0.9
 
@@ -27,7 +31,10 @@ def test_a_value_holds_for_every_episode_and_a_range_is_drawn_from():
 def test_a_draw_depends_on_seed_and_index_alone(seed: int, index: int):
     assert Styles.parse(WORDS).draw(seed, index) == Styles.parse(WORDS[::-1]).draw(seed, index)
     # Another field that is asked for changes nothing in the others.
-    assert Styles.parse(("speed=0.5..0.9",)).draw(seed, index).speed == Styles.parse(WORDS).draw(seed, index).speed
+    assert (
+        Styles.parse(("speed=0.5..0.9",)).draw(seed, index).speed
+        == Styles.parse(WORDS).draw(seed, index).speed
+    )
 
 
 def test_nothing_asked_for_is_the_plain_style():

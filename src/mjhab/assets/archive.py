@@ -25,7 +25,9 @@ def safe_path(path: str, where: str) -> str:
     parts = [part for part in PurePosixPath(path).parts if part != "."]
     bad = path.startswith("/") or ".." in parts or "\\" in path or ":" in path or "\0" in path
     if bad or not parts:
-        raise UsageError(f"{where}: the path {path!r} leads out of the folder; nothing was installed.")
+        raise UsageError(
+            f"{where}: the path {path!r} leads out of the folder; nothing was installed."
+        )
     return "/".join(parts)
 
 
@@ -49,7 +51,14 @@ def unpack(archive: Path, folder: Path, tell: Callable[[int], object] = lambda c
                 _write(_tar_members(file, archive), folder, archive, tell)
         else:
             raise UsageError(f"{archive}: neither a zip nor a tar archive.")
-    except (zipfile.BadZipFile, tarfile.TarError, EOFError, zlib.error, lzma.LZMAError, NotImplementedError) as error:
+    except (
+        zipfile.BadZipFile,
+        tarfile.TarError,
+        EOFError,
+        zlib.error,
+        lzma.LZMAError,
+        NotImplementedError,
+    ) as error:
         raise UsageError(f"{archive}: damaged ({error}); nothing was installed.") from error
 
 
@@ -70,7 +79,9 @@ def _zip_members(file: zipfile.ZipFile, archive: Path) -> Iterator[Member]:
 def _tar_members(file: tarfile.TarFile, archive: Path) -> Iterator[Member]:
     for info in file.getmembers():
         if not (info.isfile() or info.isdir()):
-            raise UsageError(f"{archive}: {info.name!r} is a link or a device; nothing was installed.")
+            raise UsageError(
+                f"{archive}: {info.name!r} is a link or a device; nothing was installed."
+            )
         if info.isfile():
             yield info.name, info.size, lambda info=info: _open(file, info)
 
@@ -81,12 +92,17 @@ def _open(file: tarfile.TarFile, info: tarfile.TarInfo) -> IO[bytes]:
     return content
 
 
-def _write(members: Iterator[Member], folder: Path, archive: Path, tell: Callable[[int], object]) -> None:
+def _write(
+    members: Iterator[Member], folder: Path, archive: Path, tell: Callable[[int], object]
+) -> None:
     found = [(safe_path(path, str(archive)), size, content) for path, size, content in members]
     folder.mkdir(parents=True, exist_ok=True)
-    wanted, free = sum(size for _, size, _ in found), shutil.disk_usage(folder).free
+    wanted = sum(size for _, size, _ in found)
+    free = shutil.disk_usage(folder).free
     if wanted > free:
-        raise UsageError(f"{archive}: holds {wanted / 1e9:.1f} GB, but {folder} has only {free / 1e9:.1f} GB free.")
+        raise UsageError(
+            f"{archive}: holds {wanted / 1e9:.1f} GB, but {folder} has only {free / 1e9:.1f} GB free."
+        )
     for path, size, content in found:
         target = folder / path
         target.parent.mkdir(parents=True, exist_ok=True)

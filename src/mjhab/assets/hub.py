@@ -42,7 +42,11 @@ def list_files(
         rows = _json(body, page)
         if not isinstance(rows, list):
             raise TransferError(f"{page}: expected a list of files.")
-        files += [_remote(row, f"{endpoint}/datasets/{repo}/resolve/{commit}", page) for row in rows if _is_file(row)]
+        files += [
+            _remote(row, f"{endpoint}/datasets/{repo}/resolve/{commit}", page)
+            for row in rows
+            if _is_file(row)
+        ]
         query = _next_query(link)
     return commit, files
 
@@ -63,7 +67,11 @@ def _remote(row: dict[str, Any], base: str, page: str) -> RemoteFile:
     big = isinstance(lfs, dict) and "oid" in lfs
     size = _field(lfs if big else row, "size", int, page)
     # A pointer's own hash says nothing about the file behind it.
-    expected = Expected(size, sha256=str(lfs["oid"])) if big else Expected(size, blob_sha1=str(row.get("oid", "")))
+    expected = (
+        Expected(size, sha256=str(lfs["oid"]))
+        if big
+        else Expected(size, blob_sha1=str(row.get("oid", "")))
+    )
     return RemoteFile(path, f"{base}/{quote(path)}", expected)
 
 
@@ -78,4 +86,6 @@ def _json(body: bytes, url: str) -> Any:
     try:
         return json.loads(body)
     except ValueError as error:
-        raise TransferError(f"{url}: the answer is not JSON; is HF_ENDPOINT the address of a hub?") from error
+        raise TransferError(
+            f"{url}: the answer is not JSON; is HF_ENDPOINT the address of a hub?"
+        ) from error

@@ -54,7 +54,9 @@ class Verification:
     first_use: bool
 
 
-def fetch(source: Source, root: Path, overwrite: bool = False, progress: Progress | None = None) -> Path:
+def fetch(
+    source: Source, root: Path, overwrite: bool = False, progress: Progress | None = None
+) -> Path:
     """Download a data set from the hub and install it as ``root/<name>``; an interrupted run is continued.
 
     Args:
@@ -128,7 +130,9 @@ def verify(folder: Path) -> Verification:
     listed: dict[str, dict[str, Any]] = record["files"]
     missing = tuple(sorted(path for path in listed if not (folder / path).is_file()))
     there = [path for path in listed if (folder / path).is_file()]
-    changed = tuple(sorted(path for path in there if _sha256(folder / path) != listed[path]["sha256"]))
+    changed = tuple(
+        sorted(path for path in there if _sha256(folder / path) != listed[path]["sha256"])
+    )
     return Verification(len(listed), missing, changed, False)
 
 
@@ -150,20 +154,26 @@ def read_record(folder: Path) -> dict[str, Any] | None:
             if not isinstance(row["sha256"], str):
                 raise ValueError(f"files[{name!r}].sha256 must be a string")
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise UsageError(f"{path}: damaged ({error}); fetch the data set again with --overwrite.") from error
+        raise UsageError(
+            f"{path}: damaged ({error}); fetch the data set again with --overwrite."
+        ) from error
     return body
 
 
 def _refuse_installed(target: Path, overwrite: bool) -> None:
     if target.exists() and not overwrite:
-        raise UsageError(f"{target} exists; `mjhab assets verify {target.name}` checks it, --overwrite replaces it.")
+        raise UsageError(
+            f"{target} exists; `mjhab assets verify {target.name}` checks it, --overwrite replaces it."
+        )
 
 
 def _room(folder: Path, total: int) -> None:
     have = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
     free = shutil.disk_usage(folder).free
     if total - have > free:
-        raise UsageError(f"{folder} needs {(total - have) / 1e9:.1f} GB more, but only {free / 1e9:.1f} GB are free.")
+        raise UsageError(
+            f"{folder} needs {(total - have) / 1e9:.1f} GB more, but only {free / 1e9:.1f} GB are free."
+        )
 
 
 def _wanted(source: Source, listed: list[RemoteFile]) -> list[tuple[str, RemoteFile]]:
@@ -184,7 +194,9 @@ def _wanted(source: Source, listed: list[RemoteFile]) -> list[tuple[str, RemoteF
     return [(safe_path(to, source.repo), file) for to, file in placed]
 
 
-def _download_all(wanted: list[tuple[str, RemoteFile]], staging: Path, progress: Progress) -> dict[str, str]:
+def _download_all(
+    wanted: list[tuple[str, RemoteFile]], staging: Path, progress: Progress
+) -> dict[str, str]:
     """Fetch several files at once. A file under its own name is whole and was checked. Returns new files' hashes."""
     stop = threading.Event()
 
@@ -217,7 +229,9 @@ def _install(source: Source, content: Path, root: Path, told: dict[str, str]) ->
     found = _find(source, content)
     if found is None:
         needed = ", ".join(source.expects)
-        raise UsageError(f"{told['origin']} is not the data set {source.name}: it must hold {needed}.")
+        raise UsageError(
+            f"{told['origin']} is not the data set {source.name}: it must hold {needed}."
+        )
     _write_record(found, told, _digests(found))
     _swap(found, root / source.name, root / PARTIAL)
 
@@ -238,7 +252,11 @@ def _arranged(source: Source, folder: Path) -> Path | None:
     """Files of a repository's layout, moved to where the readers look; None if this is not that layout."""
     if not source.picks:
         return None
-    paths = {path: source.place(path.relative_to(folder).as_posix()) for path in folder.rglob("*") if path.is_file()}
+    paths = {
+        path: source.place(path.relative_to(folder).as_posix())
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
     moves = {path: to for path, to in paths.items() if to is not None}
     if not all(any(fnmatch(to, pattern) for to in moves.values()) for pattern in source.expects):
         return None
@@ -268,7 +286,8 @@ def _swap(new: Path, target: Path, partial: Path) -> None:
 def _digests(folder: Path) -> dict[str, dict[str, Any]]:
     files = [path for path in sorted(folder.rglob("*")) if path.is_file() and path.name != RECORD]
     return {
-        path.relative_to(folder).as_posix(): {"size": path.stat().st_size, "sha256": _sha256(path)} for path in files
+        path.relative_to(folder).as_posix(): {"size": path.stat().st_size, "sha256": _sha256(path)}
+        for path in files
     }
 
 

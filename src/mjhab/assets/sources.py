@@ -60,7 +60,11 @@ SOURCES: dict[str, Source] = {
             "CC BY 4.0 by its card on the hub; copies elsewhere carry CC BY-NC 4.0 (non-commercial). "
             "Copyright Facebook, Inc. and its affiliates. Not the licence of mjhab.",
             "https://aihabitat.org/datasets/replica_cad/",
-            ("configs/scenes/*.scene_instance.json", "configs/objects/*.object_config.json", "urdf/**/*.urdf"),
+            (
+                "configs/scenes/*.scene_instance.json",
+                "configs/objects/*.object_config.json",
+                "urdf/**/*.urdf",
+            ),
         ),
         Source(
             "ycb",
@@ -70,7 +74,10 @@ SOURCES: dict[str, Source] = {
             "CC BY 4.0 by its authors (Calli et al., the YCB Object and Model Set). Not the licence of mjhab.",
             "https://www.ycbbenchmarks.com/",
             ("*/textured.glb",),
-            picks=((r"meshes/([^/]+)/google_16k/(textured\.glb)", r"\1/\2"), (r"(?:.*/)?(LICENSE[^/]*)", r"\1")),
+            picks=(
+                (r"meshes/([^/]+)/google_16k/(textured\.glb)", r"\1/\2"),
+                (r"(?:.*/)?(LICENSE[^/]*)", r"\1"),
+            ),
         ),
         Source(
             "hab_episodes",

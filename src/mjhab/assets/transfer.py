@@ -64,7 +64,9 @@ def get(url: str, sleep: Callable[[float], object] = time.sleep) -> tuple[bytes,
         except (OSError, http.client.HTTPException) as error:
             problem = _worth_another_try(url, error)
         sleep(pause(attempt))
-    raise TransferError(f"{url}: {problem}, {TRIES} times in a row; check the network or the proxy and try again.")
+    raise TransferError(
+        f"{url}: {problem}, {TRIES} times in a row; check the network or the proxy and try again."
+    )
 
 
 def download(
@@ -89,7 +91,8 @@ def download(
     target.parent.mkdir(parents=True, exist_ok=True)
     part = target.with_name(target.name + ".part")
     tell(_size(part))
-    failures, problem = 0, ""
+    failures = 0
+    problem = ""
     while failures < TRIES:
         before = _size(part)
         if expected.size is None or before != expected.size:
@@ -107,11 +110,17 @@ def download(
             raise TransferError("interrupted")
         if 0 < failures < TRIES:
             sleep(pause(failures - 1))
-    raise TransferError(f"{url}: {problem}, again and again; the same command continues from what has arrived.")
+    raise TransferError(
+        f"{url}: {problem}, again and again; the same command continues from what has arrived."
+    )
 
 
 def _append(
-    url: str, part: Path, expected: Expected, tell: Callable[[int], object], stop: threading.Event | None
+    url: str,
+    part: Path,
+    expected: Expected,
+    tell: Callable[[int], object],
+    stop: threading.Event | None,
 ) -> str:
     """Add what the server sends to ``part``; returns what went wrong, or nothing when the file is whole."""
     have = _size(part)
@@ -121,7 +130,9 @@ def _append(
         have = 0
     try:
         with _open(url, have) as answer:
-            if have and not _continues(answer, have):  # the server knows no ranges and sends the whole file
+            if have and not _continues(
+                answer, have
+            ):  # the server knows no ranges and sends the whole file
                 tell(-have)
                 have = 0
             with part.open("ab" if have else "wb") as file:
@@ -135,11 +146,15 @@ def _append(
         return _worth_another_try(url, error)
     except (OSError, http.client.HTTPException) as error:
         return _worth_another_try(url, error)
-    wanted = expected.size if expected.size is not None else (have + int(length) if length else total)
+    wanted = (
+        expected.size if expected.size is not None else (have + int(length) if length else total)
+    )
     return "" if total >= wanted else f"the connection broke off at {total} of {wanted} bytes"
 
 
-def _copy(answer: IO[bytes], file: IO[bytes], tell: Callable[[int], object], stop: threading.Event | None) -> int:
+def _copy(
+    answer: IO[bytes], file: IO[bytes], tell: Callable[[int], object], stop: threading.Event | None
+) -> int:
     count = 0
     while chunk := answer.read(CHUNK):
         file.write(chunk)
@@ -161,14 +176,21 @@ def _wrong(part: Path, expected: Expected) -> tuple[str, str]:
     size = _size(part)
     if expected.size is not None and size != expected.size:
         return f"the server sent {size} bytes, the hub lists {expected.size}", ""
-    sha256, blob = hashlib.sha256(), hashlib.sha1(b"blob %d\0" % size, usedforsecurity=False)
+    sha256 = hashlib.sha256()
+    blob = hashlib.sha1(b"blob %d\0" % size, usedforsecurity=False)
     with part.open("rb") as file:
         while chunk := file.read(CHUNK):
             sha256.update(chunk)
             blob.update(chunk)
-    for given, wanted in ((sha256.hexdigest(), expected.sha256), (blob.hexdigest(), expected.blob_sha1)):
+    for given, wanted in (
+        (sha256.hexdigest(), expected.sha256),
+        (blob.hexdigest(), expected.blob_sha1),
+    ):
         if wanted and given != wanted:
-            return f"the server sent other bytes than the hub lists (hash {given[:12]}, not {wanted[:12]})", ""
+            return (
+                f"the server sent other bytes than the hub lists (hash {given[:12]}, not {wanted[:12]})",
+                "",
+            )
     return "", sha256.hexdigest()
 
 
@@ -187,8 +209,12 @@ def _worth_another_try(url: str, error: Exception) -> str:
         TransferError: it will not.
     """
     if isinstance(error, HTTPError) and error.code not in _PASSING:
-        hint = {401: "it needs an account", 403: "it is not public", 404: "it is not there"}.get(error.code, "")
-        raise TransferError(f"{url}: the server says {error.code} {error.reason}" + (f": {hint}." if hint else "."))
+        hint = {401: "it needs an account", 403: "it is not public", 404: "it is not there"}.get(
+            error.code, ""
+        )
+        raise TransferError(
+            f"{url}: the server says {error.code} {error.reason}" + (f": {hint}." if hint else ".")
+        )
     if isinstance(error, HTTPError):
         return f"the server says {error.code} {error.reason}"
     reason = error.reason if isinstance(error, URLError) else error

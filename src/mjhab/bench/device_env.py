@@ -52,11 +52,19 @@ def measure_device_env(options: BenchEnvOptions, worlds: int) -> dict[str, Any]:
     commands = env.sim.engine.ctrl_t.clone()
     bare = _rate(engine, options, worlds, wait)
     return {
-        "env_sps": whole, "engine_sps": bare, "ratio": round(whole / bare, 4), "worlds": worlds,
-        "stages": stages, "profiled_steps": len(actions), "reset_ms": reset_ms, "rss_mb": memory.peak_rss_mb,
-        "device_mb": memory.peak_device_mb, "cold_start_s": round(cold, 2), "device": str(env.sim.device),
+        "env_sps": whole,
+        "engine_sps": bare,
+        "ratio": round(whole / bare, 4),
+        "worlds": worlds,
+        "stages": stages,
+        "profiled_steps": len(actions),
+        "reset_ms": reset_ms,
+        "rss_mb": memory.peak_rss_mb,
+        "device_mb": memory.peak_device_mb,
+        "cold_start_s": round(cold, 2),
+        "device": str(env.sim.device),
         "tainted": int((env.sim.taint() != 0).sum()),
-    }  # fmt: skip
+    }
 
 
 def _make(options: BenchEnvOptions, worlds: int) -> tuple[Any, Callable[[], None]]:
@@ -66,10 +74,17 @@ def _make(options: BenchEnvOptions, worlds: int) -> tuple[Any, Callable[[], None
 
     extra = {"reward_mode": options.reward, "task": options.task}
     env = make_by_id(
-        options.env, backend="warp", device=options.device, num_envs=worlds, obs_mode=options.obs,
-        camera_size=options.camera_size, assets=options.assets, seed=options.seed,
-        **{k: v for k, v in extra.items() if v is not None}, **profile_options(options),
-    )  # fmt: skip
+        options.env,
+        backend="warp",
+        device=options.device,
+        num_envs=worlds,
+        obs_mode=options.obs,
+        camera_size=options.camera_size,
+        assets=options.assets,
+        seed=options.seed,
+        **{k: v for k, v in extra.items() if v is not None},
+        **profile_options(options),
+    )
     return env, lambda: synchronize(env.sim.device)
 
 
@@ -79,7 +94,9 @@ def used_mb(env: Any) -> float | None:
     return (device.total_memory - device.free_memory) / 2**20 if device.is_cuda else None
 
 
-def _rate(work: Callable[[], None], options: BenchEnvOptions, worlds: int, wait: Callable[[], None]) -> float:
+def _rate(
+    work: Callable[[], None], options: BenchEnvOptions, worlds: int, wait: Callable[[], None]
+) -> float:
     """Control steps/s over all worlds: the median of the rounds."""
     times = []
     for _ in range(options.rounds):
@@ -91,7 +108,9 @@ def _rate(work: Callable[[], None], options: BenchEnvOptions, worlds: int, wait:
     return round(worlds * options.steps / median(times), 1)
 
 
-def profile(env: Any, actions: list[Any], wait: Callable[[], None]) -> tuple[dict[str, float], float]:
+def profile(
+    env: Any, actions: list[Any], wait: Callable[[], None]
+) -> tuple[dict[str, float], float]:
     """Seconds per stage over the steps under ``actions``, and one reset of every world, and a world's reset [ms]."""
     watch = Stopwatch(wait)
     watch_env(watch, env)

@@ -43,7 +43,10 @@ def bench_sim(options: BenchSimOptions) -> int:
     if options.json:
         print_json(result)
     else:
-        rows = [("bare engine", result["engine_sps"]), ("env.step without cameras", result["env_sps"])]
+        rows = [
+            ("bare engine", result["engine_sps"]),
+            ("env.step without cameras", result["env_sps"]),
+        ]
         title = f"{options.task}, {options.worlds} worlds, {result['threads']} threads"
         print_table(title, ("what", "control steps/s over all worlds"), rows)
         print(f"the environment runs at {100 * result['ratio']:.0f} % of the bare engine")
@@ -97,7 +100,8 @@ def measure_sps(env: Any, steps: int, rounds: int, seed: int) -> dict[str, Any]:
 def sway(worlds: int, steps: int, seed: int, size: int = ACTION_SIZE) -> np.ndarray:
     """Smooth motions (steps, W, size) of all joints and the base, each dimension with its own period."""
     rng = np.random.default_rng(seed)
-    period, phase = rng.uniform(20, 60, (worlds, size)), rng.uniform(0, 2 * np.pi, (worlds, size))
+    period = rng.uniform(20, 60, (worlds, size))
+    phase = rng.uniform(0, 2 * np.pi, (worlds, size))
     time_axis = np.arange(steps)[:, None, None]
     return (0.5 * np.sin(2 * np.pi * time_axis / period + phase)).astype(np.float32)
 
@@ -121,6 +125,8 @@ def bench_grasp(options: BenchGraspOptions) -> int:
     else:
         columns = list(rows[0])
         print_table(
-            f"{options.seconds:g} s of base and arm motion", columns, [[row[key] for key in columns] for row in rows]
+            f"{options.seconds:g} s of base and arm motion",
+            columns,
+            [[row[key] for key in columns] for row in rows],
         )
     return 1 if any(row["dropped"] for row in rows) else 0

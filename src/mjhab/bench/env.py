@@ -53,13 +53,22 @@ def measure(options: BenchEnvOptions) -> dict[str, Any]:
 
 def _print(options: BenchEnvOptions, backend: str, point: dict[str, Any]) -> None:
     names = {
-        "env_sps": "environment [control steps/s]", "engine_sps": "bare engine [control steps/s]",
-        "ratio": "environment / engine", "reset_ms": "one reset [ms]", "rss_mb": "memory [MB]",
-        "world_mb": "memory per world [MB]", "device_mb": "memory of the GPU [MB]", "cold_start_s": "cold start [s]",
+        "env_sps": "environment [control steps/s]",
+        "engine_sps": "bare engine [control steps/s]",
+        "ratio": "environment / engine",
+        "reset_ms": "one reset [ms]",
+        "rss_mb": "memory [MB]",
+        "world_mb": "memory per world [MB]",
+        "device_mb": "memory of the GPU [MB]",
+        "cold_start_s": "cold start [s]",
         "tainted": "tainted worlds",
-    }  # fmt: skip
+    }
     rows = [(told, point[name]) for name, told in names.items() if point.get(name) is not None]
-    print_table(f"{options.env}, {options.obs}, {point['worlds']} worlds, {backend}", ("what", "value"), rows)
+    print_table(
+        f"{options.env}, {options.obs}, {point['worlds']} worlds, {backend}",
+        ("what", "value"),
+        rows,
+    )
     steps = point["profiled_steps"]
     stages = [(stage, round(1000 * point["stages"][stage] / steps, 3)) for stage in STAGES]
     print_table("where the time of a step of all worlds goes", ("stage", "ms"), stages)
@@ -79,10 +88,17 @@ def measure_env(options: BenchEnvOptions, worlds: int) -> dict[str, Any]:
 
     extra = {"reward_mode": options.reward, "task": options.task}
     env = make_by_id(
-        options.env, num_envs=worlds, obs_mode=options.obs, camera_size=options.camera_size,
-        assets=options.assets, seed=options.seed, threads=options.threads, autoreset="disabled",
-        **{k: v for k, v in extra.items() if v is not None}, **profile_options(options),
-    )  # fmt: skip
+        options.env,
+        num_envs=worlds,
+        obs_mode=options.obs,
+        camera_size=options.camera_size,
+        assets=options.assets,
+        seed=options.seed,
+        threads=options.threads,
+        autoreset="disabled",
+        **{k: v for k, v in extra.items() if v is not None},
+        **profile_options(options),
+    )
     env.reset(seed=options.seed)
     actions = sway(worlds, options.steps, options.seed, len(env.action_table))
     env.step(actions[0])
@@ -91,10 +107,17 @@ def measure_env(options: BenchEnvOptions, worlds: int) -> dict[str, Any]:
     stages, reset_ms = profile(env, actions)
     full = resident_mb()
     return {
-        "env_sps": sps["env_sps"], "engine_sps": sps["engine_sps"], "ratio": sps["ratio"], "worlds": worlds,
-        "stages": stages, "profiled_steps": len(actions), "reset_ms": reset_ms, "rss_mb": full,
-        "world_mb": world_mb(env), "cold_start_s": round(cold, 2),
-    }  # fmt: skip
+        "env_sps": sps["env_sps"],
+        "engine_sps": sps["engine_sps"],
+        "ratio": sps["ratio"],
+        "worlds": worlds,
+        "stages": stages,
+        "profiled_steps": len(actions),
+        "reset_ms": reset_ms,
+        "rss_mb": full,
+        "world_mb": world_mb(env),
+        "cold_start_s": round(cold, 2),
+    }
 
 
 def profile(env: Any, actions: np.ndarray) -> tuple[dict[str, float], float]:

@@ -30,7 +30,8 @@ from mjhab.core.errors import MjhabError, unknown_name
 from mjhab.sim.backends import cuda_devices, resolve
 
 NO_GPU = "no GPU at hand: these numbers come from Warp's CPU device and say nothing about a GPU"
-GPU_WORLDS, CPU_WORLDS = (64, 256, 1024, 4096, 8192), (1, 16)
+GPU_WORLDS = (64, 256, 1024, 4096, 8192)
+CPU_WORLDS = (1, 16)
 ENV_WORLDS = (256, 512, 1024, 2048, 4096)
 CHAIN_WORLDS = (256, 1024)
 """Fewer: for the starts of a chain, all its landings are searched on the host."""
@@ -42,16 +43,23 @@ def machine() -> dict[str, Any]:
     """What the numbers were measured on."""
     packages = ("mujoco", "mujoco-warp", "warp-lang", "torch", "numpy", "numba")
     return {
-        "gpu": gpu_name(), "cores": cores(), "processor": platform.machine(), "python": platform.python_version(),
+        "gpu": gpu_name(),
+        "cores": cores(),
+        "processor": platform.machine(),
+        "python": platform.python_version(),
         "versions": {name: installed(name) for name in packages},
-    }  # fmt: skip
+    }
 
 
 def memory_results(has_gpu: bool) -> dict[str, Any]:
     """Estimates of `mjhab doctor --estimate`."""
     return {
         "estimates": [
-            {"num_envs": count, "obs": obs, "backends": estimate_rows(DoctorOptions(num_envs=count, obs=obs))}
+            {
+                "num_envs": count,
+                "obs": obs,
+                "backends": estimate_rows(DoctorOptions(num_envs=count, obs=obs)),
+            }
             for count in (1024, 4096)
             for obs in ("state", "rgbd")
         ]
@@ -60,7 +68,8 @@ def memory_results(has_gpu: bool) -> dict[str, Any]:
 
 def interact_results(has_gpu: bool) -> dict[str, Any]:
     """The Interact benchmark on both backends; a number of worlds that does not fit gives its error."""
-    cpu, warp = BenchInteractOptions(backend="cpu", seeds=3), BenchInteractOptions(backend="warp")
+    cpu = BenchInteractOptions(backend="cpu", seeds=3)
+    warp = BenchInteractOptions(backend="warp")
     counts = GPU_WORLDS if has_gpu else (2,)
     if not has_gpu:
         warp = dataclasses.replace(warp, device="cpu", seeds=2, steps=40)
@@ -70,7 +79,11 @@ def interact_results(has_gpu: bool) -> dict[str, Any]:
         for bare in (True, False)
         for count in several
     ]
-    return {"points": [attempt(lambda plan=plan: measure_interact(plan)[0], _words(plan)) for plan in plans]}
+    return {
+        "points": [
+            attempt(lambda plan=plan: measure_interact(plan)[0], _words(plan)) for plan in plans
+        ]
+    }
 
 
 def _words(plan: BenchInteractOptions) -> str:
@@ -110,7 +123,7 @@ def parity_results(has_gpu: bool) -> dict[str, Any]:
     """The parity report over all subtasks with 200 expert episodes."""
     options = BenchParityOptions(
         worlds=16 if has_gpu else 10, episodes=200, task="all", subtask="all", log=PARITY_LOG
-    )  # fmt: skip
+    )
     return attempt(lambda: measure_parity(options), "parity")
 
 
@@ -121,9 +134,13 @@ def quick_parity_results(has_gpu: bool) -> dict[str, Any]:
 
 
 MEASURES: dict[str, Callable[[bool], dict[str, Any]]] = {
-    "memory": memory_results, "interact": interact_results, "env": env_results, "sleep": sleep_results,
-    "parity": parity_results, "parity-quick": quick_parity_results,
-}  # fmt: skip
+    "memory": memory_results,
+    "interact": interact_results,
+    "env": env_results,
+    "sleep": sleep_results,
+    "parity": parity_results,
+    "parity-quick": quick_parity_results,
+}
 """What can be measured: name of the file after "gpu-", and function of whether there is a GPU."""
 
 
@@ -157,7 +174,9 @@ def main(out: Path, names: Sequence[str] = ()) -> None:
     for name in names or [name for name in MEASURES if name != left_out]:
         text = json.dumps(head | MEASURES[name](has_gpu), indent=1) + "\n"
         path = out / f"gpu-{name}.json"
-        write_atomic(path, lambda temporary, text=text: temporary.write_text(text, encoding="utf-8"))
+        write_atomic(
+            path, lambda temporary, text=text: temporary.write_text(text, encoding="utf-8")
+        )
         print(path, flush=True)
     if not has_gpu:
         print(f"Note: {NO_GPU}.")

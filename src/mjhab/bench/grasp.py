@@ -27,7 +27,8 @@ GRIP_TARGET = -0.01
 SETTLE_STEPS = 10
 DROP_DISTANCE = 0.08
 """An object that moved this far in the gripper's frame [m] is lost."""
-MIN_FORCE, MAX_ANGLE = 0.5, np.deg2rad(30.0)
+MIN_FORCE = 0.5
+MAX_ANGLE = np.deg2rad(30.0)
 """Grasp test (mani_skill/agents/robots/fetch/fetch.py, called with 30 degrees by mshab)."""
 
 
@@ -105,7 +106,8 @@ class GraspBench:
         self.data.qpos[self.qpos] = self.rest
         self.data.qpos[self.qpos[13:]] = 0.5 * grasp.width
         mujoco.mj_kinematics(self.model, self.data)
-        c, s = np.cos(grasp.turn), np.sin(grasp.turn)
+        c = np.cos(grasp.turn)
+        s = np.sin(grasp.turn)
         # Columns: the object's axes in gripper_link. Height along -x; the object's x across the fingers.
         axes = np.array([[0.0, 0.0, -1.0], [c, -s, 0.0], [-s, -c, 0.0]])
         hand = self.data.body(fetch.TCP_LINK)
@@ -119,7 +121,8 @@ class GraspBench:
 
     def pose_in_hand(self) -> tuple[np.ndarray, np.ndarray]:
         """Position (3,) and rotation (3, 3) of the object in gripper_link."""
-        hand, thing = self.data.body(fetch.TCP_LINK), self.data.body(self.object)
+        hand = self.data.body(fetch.TCP_LINK)
+        thing = self.data.body(self.object)
         turn = hand.xmat.reshape(3, 3)
         return turn.T @ (thing.xpos - hand.xpos), turn.T @ thing.xmat.reshape(3, 3)
 
@@ -134,16 +137,22 @@ class GraspBench:
 
     def finger_forces(self) -> tuple[np.ndarray, bool]:
         """Norms (2,) of the object's force on the [l, r] finger [N], and the grasp test."""
-        norms, along = np.zeros(2), np.zeros(2)
+        norms = np.zeros(2)
+        along = np.zeros(2)
         for i, finger in enumerate(fetch.FINGER_LINKS):
             # The sensor gives the force of the finger on the object.
             force = -normal_force(self.data.sensor(f"{finger}>{self.object}").data)
             opening = self.data.body(finger).xmat.reshape(3, 3) @ fetch.FINGER_OPEN_DIR[finger]
-            norms[i], along[i] = np.linalg.norm(force), force @ opening
-        return norms, bool((norms >= MIN_FORCE).all() and (along >= norms * np.cos(MAX_ANGLE)).all())
+            norms[i] = np.linalg.norm(force)
+            along[i] = force @ opening
+        return norms, bool(
+            (norms >= MIN_FORCE).all() and (along >= norms * np.cos(MAX_ANGLE)).all()
+        )
 
 
-def shake_motion(time: float, rest: np.ndarray, phase: np.ndarray) -> tuple[np.ndarray, float, float]:
+def shake_motion(
+    time: float, rest: np.ndarray, phase: np.ndarray
+) -> tuple[np.ndarray, float, float]:
     """Joint goal (15,), base speed [m/s] and yaw rate [rad/s] at a time."""
     goal = rest.copy()
     goal[3] -= 0.1
@@ -163,7 +172,9 @@ def _shake(name: str, seconds: float, seed: int) -> dict[str, object]:
     pos0, turn0 = bench.pose_in_hand()
     held_point = turn0.T @ -pos0
     slip = angle = force = 0.0
-    held, dropped, steps = 0, False, round(seconds / CONTROL_DT)
+    held = 0
+    dropped = False
+    steps = round(seconds / CONTROL_DT)
     for k in range(steps):
         bench.step(*shake_motion(k * CONTROL_DT, bench.rest, phase))
         pos, turn = bench.pose_in_hand()

@@ -18,9 +18,14 @@ class MemorySampler:
     """
 
     def __init__(
-        self, rss_mb: Callable[[], float], device_mb: Callable[[], float | None], interval: float = 0.05
+        self,
+        rss_mb: Callable[[], float],
+        device_mb: Callable[[], float | None],
+        interval: float = 0.05,
     ) -> None:
-        self._rss, self._device, self._interval = rss_mb, device_mb, interval
+        self._rss = rss_mb
+        self._device = device_mb
+        self._interval = interval
         self.peak_rss_mb = 0.0
         self.peak_device_mb: float | None = None
         self.samples = 0
@@ -33,7 +38,10 @@ class MemorySampler:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self._stop.set()
         self._thread.join()

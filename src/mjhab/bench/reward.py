@@ -60,13 +60,23 @@ def bench_reward(options: BenchRewardOptions) -> int:
     )
     page = render_page("Dense reward of the expert", body, {"plots": figures, "force": []})
     options.out.mkdir(parents=True, exist_ok=True)
-    write_atomic(options.out / "report.html", lambda temporary: temporary.write_text(page, encoding="utf-8"))
+    write_atomic(
+        options.out / "report.html", lambda temporary: temporary.write_text(page, encoding="utf-8")
+    )
     if options.json:
-        print_json({"profile": options.profile, "subtasks": found, "report": str(options.out / "report.html")})
+        print_json(
+            {
+                "profile": options.profile,
+                "subtasks": found,
+                "report": str(options.out / "report.html"),
+            }
+        )
     else:
         columns = list(next(iter(found.values())))
         rows = [[kind, *(found[kind][c] for c in columns)] for kind in kinds]
-        print_table(f"normalised dense reward, profile {options.profile}", ("subtask", *columns), rows)
+        print_table(
+            f"normalised dense reward, profile {options.profile}", ("subtask", *columns), rows
+        )
         print(f"Curves: {options.out / 'report.html'}")
     return 0
 
@@ -78,9 +88,15 @@ def measure_reward(kind: str, options: BenchRewardOptions) -> list[tuple[bool, n
 
     task = "set_table" if kind in ("open", "close") else "tidy_house"
     env = make_train(
-        task=task, subtask=kind, num_envs=min(options.worlds, options.episodes), threads=options.threads,
-        seed=options.seed, autoreset="disabled", open_start=0.0, **profile_options(options),
-    )  # fmt: skip
+        task=task,
+        subtask=kind,
+        num_envs=min(options.worlds, options.episodes),
+        threads=options.threads,
+        seed=options.seed,
+        autoreset="disabled",
+        open_start=0.0,
+        **profile_options(options),
+    )
     with progress_bar(f"expert: {kind}", options.episodes) as advance:
         sink = RewardSink(env.num_envs, advance)
         rollout(env, make_expert(env), range(options.episodes), options.seed, [sink])
@@ -93,7 +109,9 @@ def summary(curves: list[tuple[bool, np.ndarray]]) -> dict[str, Any]:
     returns = np.array([rewards.sum() for _, rewards in curves])
     tenth = [max(1, len(rewards) // 10) for _, rewards in curves]
     rise = [
-        float(rewards[-n:].mean() - rewards[:n].mean()) for n, (won, rewards) in zip(tenth, curves, strict=True) if won
+        float(rewards[-n:].mean() - rewards[:n].mean())
+        for n, (won, rewards) in zip(tenth, curves, strict=True)
+        if won
     ]
     return {
         "episodes": len(curves),
@@ -108,7 +126,8 @@ def summary(curves: list[tuple[bool, np.ndarray]]) -> dict[str, Any]:
 
 def auc(score: np.ndarray, good: np.ndarray) -> float | None:
     """Chance that a good one (n,) bool has a higher score (n,) than a bad one, ties half; None without both."""
-    wins, losses = int(good.sum()), int((~good).sum())
+    wins = int(good.sum())
+    losses = int((~good).sum())
     if not wins or not losses:
         return None
     return round(float((rankdata(score)[good].sum() - wins * (wins + 1) / 2) / (wins * losses)), 4)
@@ -125,8 +144,11 @@ def figure(curves: list[tuple[bool, np.ndarray]]) -> Figure:
         table = np.full((len(chosen), length), np.nan)
         for row, rewards in zip(table, chosen, strict=True):
             row[: len(rewards)] = rewards
-        low, middle, high = (np.nanpercentile(table, p, axis=0).round(4).tolist() for p in (25, 50, 75))
-        x, color = list(range(1, length + 1)), COLORS[name]
+        low, middle, high = (
+            np.nanpercentile(table, p, axis=0).round(4).tolist() for p in (25, 50, 75)
+        )
+        x = list(range(1, length + 1))
+        color = COLORS[name]
         band = {
             "type": "scatter",
             "x": x,
@@ -139,14 +161,21 @@ def figure(curves: list[tuple[bool, np.ndarray]]) -> Figure:
             {**band, "y": low},
             {**band, "y": high, "fill": "tonexty", "fillcolor": f"{color}33"},
             {
-                "type": "scatter", "x": x, "y": middle, "mode": "lines", "name": f"{name} ({len(chosen)} episodes)",
-                "line": {"width": 3, "color": color}, "hovertemplate": "step %{x}<br>reward %{y:.3f}<extra></extra>",
+                "type": "scatter",
+                "x": x,
+                "y": middle,
+                "mode": "lines",
+                "name": f"{name} ({len(chosen)} episodes)",
+                "line": {"width": 3, "color": color},
+                "hovertemplate": "step %{x}<br>reward %{y:.3f}<extra></extra>",
             },
-        ]  # fmt: skip
+        ]
     layout = {
-        "height": 320, "legend": {"orientation": "h", "y": 1.14}, "xaxis": {"title": {"text": "control step"}},
+        "height": 320,
+        "legend": {"orientation": "h", "y": 1.14},
+        "xaxis": {"title": {"text": "control step"}},
         "yaxis": {"range": [0, 1.02], "title": {"text": "normalised dense reward"}},
-    }  # fmt: skip
+    }
     return {"data": data, "layout": layout}
 
 

@@ -42,8 +42,13 @@ def sleep_cost(leg: Leg, steps: int) -> list[dict[str, Any]]:
     for engine, run in (("C", _run_c), ("warp", _run_warp)):
         asleep, asleep_end = run(recording, leg, True)
         awake, awake_end = run(recording, leg, False)
-        apart = {kind: float(f"{rows.max():.3g}") for kind, rows in difference(asleep_end, awake_end).items()}
-        rows.append({"engine": engine, "sleep": True} | asleep | {"difference": dict.fromkeys(KINDS, 0.0)})
+        apart = {
+            kind: float(f"{rows.max():.3g}")
+            for kind, rows in difference(asleep_end, awake_end).items()
+        }
+        rows.append(
+            {"engine": engine, "sleep": True} | asleep | {"difference": dict.fromkeys(KINDS, 0.0)}
+        )
         rows.append({"engine": engine, "sleep": False} | awake | {"difference": apart})
     return rows
 
@@ -55,7 +60,8 @@ def _record(leg: Leg, steps: int) -> Recording:
     policy = make_expert(env)
     obs, info = env.reset(seed=leg.seed, options={"episode": range(leg.worlds)})
     policy.reset(np.ones(leg.worlds, bool))
-    homes, qpos = list(env.homes), env.sim.qpos.copy()
+    homes = list(env.homes)
+    qpos = env.sim.qpos.copy()
     commands = []
     for _ in range(steps):
         obs, _, _, _, info = env.step(np.asarray(policy.act(obs, info), np.float32))
@@ -70,7 +76,8 @@ def _run_c(recording: Recording, leg: Leg, sleep: bool) -> tuple[dict[str, Any],
         for home in set(recording.homes):
             sim.model(home).opt.sleep_tolerance = 0.0
     sim.reset(range(leg.worlds), recording.homes, recording.qpos)
-    spent, awake = 0.0, 0
+    spent = 0.0
+    awake = 0
     for number, command in enumerate(recording.commands):
         begun = time.process_time()
         sim.step(command)
@@ -85,7 +92,9 @@ def _run_warp(recording: Recording, leg: Leg, sleep: bool) -> tuple[dict[str, An
     from mjhab.sim.warp.simulator import BufferSizes, WarpSimulator
 
     env = recording.env
-    sizes = None if sleep else BufferSizes(contacts=2048 * leg.worlds, ccd=1024 * leg.worlds, rows=4096)
+    sizes = (
+        None if sleep else BufferSizes(contacts=2048 * leg.worlds, ccd=1024 * leg.worlds, rows=4096)
+    )
     sim = WarpSimulator(env.layout, leg.worlds, leg.device, env.controller.drives, sizes)
     rows, ctrl, rings = sim.start_rows(recording.homes, recording.qpos)
     if not sleep:
@@ -95,7 +104,8 @@ def _run_warp(recording: Recording, leg: Leg, sleep: bool) -> tuple[dict[str, An
     sim.reset_masked(everyone, rows, sim.qpos.new_tensor(recording.qpos), ctrl, rings)
     clock = time.perf_counter if sim.device.is_cuda else time.process_time
     commands = [sim.qpos.new_tensor(command) for command in recording.commands]
-    spent, awake = 0.0, 0
+    spent = 0.0
+    awake = 0
     for number, command in enumerate(commands):
         synchronize(sim.device)
         begun = clock()
@@ -109,9 +119,11 @@ def _run_warp(recording: Recording, leg: Leg, sleep: bool) -> tuple[dict[str, An
 
 def _row(spent: float, recording: Recording, awake: int, sim: Any) -> dict[str, Any]:
     return {
-        "ms": round(1e3 * spent / len(recording.commands), 2), "awake_dofs": awake,
-        "nv": int(recording.env.sim.batch.qvel.shape[1]), "tainted": int((to_numpy(sim.taint()) != 0).sum()),
-    }  # fmt: skip
+        "ms": round(1e3 * spent / len(recording.commands), 2),
+        "awake_dofs": awake,
+        "nv": int(recording.env.sim.batch.qvel.shape[1]),
+        "tainted": int((to_numpy(sim.taint()) != 0).sum()),
+    }
 
 
 def _copy(state: SimState) -> SimState:

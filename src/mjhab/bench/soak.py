@@ -29,9 +29,12 @@ def bench_soak(options: BenchSoakOptions) -> int:
         print_json(found)
     else:
         rows = [
-            (k, ", ".join(f"{n} {c}" for n, c in v.items()) if isinstance(v, dict) else v) for k, v in found.items()
+            (k, ", ".join(f"{n} {c}" for n, c in v.items()) if isinstance(v, dict) else v)
+            for k, v in found.items()
         ]
-        print_table(f"{found['steps']:,} control steps with random actions", ("what", "value"), rows)
+        print_table(
+            f"{found['steps']:,} control steps with random actions", ("what", "value"), rows
+        )
     return 1 if found["rss_growth"] > MOST_GROWTH else 0
 
 
@@ -60,7 +63,8 @@ def soak(options: BenchSoakOptions) -> dict[str, Any]:
         env.reset()
     rng = np.random.default_rng(options.seed)
     rounds = -(-options.steps // (options.worlds * len(envs)))
-    episodes, fallbacks = 0, 0
+    episodes = 0
+    fallbacks = 0
     marks = {rounds * q // QUARTERS - 1 for q in range(1, QUARTERS + 1)}
     memory: list[float] = []
     tainted = dict.fromkeys(envs[0].taint_names, 0)
@@ -70,7 +74,8 @@ def soak(options: BenchSoakOptions) -> dict[str, Any]:
             for env in envs:
                 *_, info = env.step(rng.uniform(-1, 1, env.action_space.shape).astype(np.float32))
                 if "final_info" in info:
-                    done, final = info["_final_info"], info["final_info"]
+                    done = info["_final_info"]
+                    final = info["final_info"]
                     episodes += int(done.sum())
                     fallbacks += int(final["spawn_fallback"][done].sum())
                     for bit, name in enumerate(env.taint_names):
@@ -78,10 +83,16 @@ def soak(options: BenchSoakOptions) -> dict[str, Any]:
             if number in marks:
                 memory.append(resident_mb())
             advance()
-    half, end = memory[len(memory) // 2 - 1] if len(memory) > 1 else memory[-1], memory[-1]
+    half = memory[len(memory) // 2 - 1] if len(memory) > 1 else memory[-1]
+    end = memory[-1]
     return {
-        "profile": options.profile, "steps": rounds * options.worlds * len(envs), "episodes": episodes,
-        "seconds": round(time.perf_counter() - begun, 1), "tainted": tainted,
-        "nan_resets": int(sum(env.nan_resets.sum() for env in envs)), "spawn_fallbacks": fallbacks, "rss_mb": memory,
+        "profile": options.profile,
+        "steps": rounds * options.worlds * len(envs),
+        "episodes": episodes,
+        "seconds": round(time.perf_counter() - begun, 1),
+        "tainted": tainted,
+        "nan_resets": int(sum(env.nan_resets.sum() for env in envs)),
+        "spawn_fallbacks": fallbacks,
+        "rss_mb": memory,
         "rss_growth": round(end / half - 1.0, 4) if half else 0.0,
-    }  # fmt: skip
+    }

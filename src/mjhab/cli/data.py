@@ -41,10 +41,17 @@ IMPORTS = ("ms_hab",)
 def run_data(options: Any) -> int:
     """Run one of the commands of ``mjhab data``, or ``mjhab label``; returns the exit code."""
     runners = {
-        DataQueryOptions: _query, DataStatsOptions: _stats, DataMergeOptions: _merge, DataSplitOptions: _split,
-        DataCheckOptions: _check, DataRepairOptions: _repair, DataFieldsOptions: _fields,
-        DataReportOptions: _report, DataImportOptions: _import, LabelOptions: _label,
-    }  # fmt: skip
+        DataQueryOptions: _query,
+        DataStatsOptions: _stats,
+        DataMergeOptions: _merge,
+        DataSplitOptions: _split,
+        DataCheckOptions: _check,
+        DataRepairOptions: _repair,
+        DataFieldsOptions: _fields,
+        DataReportOptions: _report,
+        DataImportOptions: _import,
+        LabelOptions: _label,
+    }
     return runners[type(options)](options)  # type: ignore[operator]
 
 
@@ -57,22 +64,37 @@ def _query(options: DataQueryOptions) -> int:
     ][: options.list]
     if options.json:
         listed = {"episodes": rows} if options.list else {}
-        print_json({"matched": len(found.matched), "of": found.of, "tainted_left_out": found.tainted, **listed})
+        print_json(
+            {
+                "matched": len(found.matched),
+                "of": found.of,
+                "tainted_left_out": found.tainted,
+                **listed,
+            }
+        )
         return 0
     if rows:
         print_table("Episodes", list(rows[0]), [list(row.values()) for row in rows])
     print(f"{len(found.matched)} of {found.of} episodes")
     if found.tainted:
-        print(f"{found.tainted} more are tainted and left out; a filter that speaks of `tainted` decides itself")
+        print(
+            f"{found.tainted} more are tainted and left out; a filter that speaks of `tainted` decides itself"
+        )
     return 0
 
 
 def _row(record: EpisodeRecord) -> dict[str, Any]:
     label = record.subtasks[-1].label if record.subtasks else None
     return {
-        "seed": record.seed, "index": record.index, "task": record.task, "subtask": record.subtask or "chain",
-        "target": target_of(record), "label": label or "-", "steps": record.steps, "max_force": record.peak_force,
-    }  # fmt: skip
+        "seed": record.seed,
+        "index": record.index,
+        "task": record.task,
+        "subtask": record.subtask or "chain",
+        "target": target_of(record),
+        "label": label or "-",
+        "steps": record.steps,
+        "max_force": record.peak_force,
+    }
 
 
 def _stats(options: DataStatsOptions) -> int:
@@ -107,7 +129,9 @@ def _report(options: DataReportOptions) -> int:
     from mjhab.reports.dataset import render_data_report
 
     if options.out.is_dir():
-        raise UsageError(f"--out {options.out} is a folder; give a file such as {options.out / 'report.html'}.")
+        raise UsageError(
+            f"--out {options.out} is a folder; give a file such as {options.out / 'report.html'}."
+        )
     where = read_filter(options.where, options.preset)
     with late_bar("films") as begin:
         page = render_data_report(options.places, FilmWriter, where, begin)
@@ -156,7 +180,9 @@ def _parts(words: tuple[str, ...]) -> dict[str, float]:
         except ValueError:
             number = float("nan")
         if not name or "/" in name or name in parts or number != number:
-            raise UsageError(f"--parts {word!r}: give names, each once, with shares, as in: train=0.9 val=0.1")
+            raise UsageError(
+                f"--parts {word!r}: give names, each once, with shares, as in: train=0.9 val=0.1"
+            )
         parts[name] = number
     return parts
 
@@ -165,7 +191,9 @@ def _import(options: DataImportOptions) -> int:
     if options.format not in IMPORTS:
         raise unknown_name("format", options.format, IMPORTS)
     if not options.files:
-        raise UsageError("name the files to import, as in: mjhab data import ms_hab 024_bowl.h5 --out runs/imported")
+        raise UsageError(
+            "name the files to import, as in: mjhab data import ms_hab 024_bowl.h5 --out runs/imported"
+        )
     origin = Origin(options.task, options.split)
     done = []
     for path in options.files:
@@ -175,7 +203,9 @@ def _import(options: DataImportOptions) -> int:
     frames = sum(each.frames for each in done)
     present = sum(each.present for each in done)
     if options.json:
-        print_json({"episodes": episodes, "frames": frames, "present": present, "lacks": list(ABSENT)})
+        print_json(
+            {"episodes": episodes, "frames": frames, "present": present, "lacks": list(ABSENT)}
+        )
         return 0
     print(f"{episodes} episodes, {frames:,} frames in {options.out}; {present} were there already")
     print(f"The data lack {', '.join(ABSENT)}: they cannot be replayed, rendered or labelled anew.")
@@ -185,39 +215,65 @@ def _import(options: DataImportOptions) -> int:
 def _check(options: DataCheckOptions) -> int:
     with progress_bar("checking", len(shard_paths(options.places))) as advance:
         report = check(options.places, advance)
-    damaged = [(str(path), name, "; ".join(wrong)) for (path, name), wrong in report.damaged.items()]
+    damaged = [
+        (str(path), name, "; ".join(wrong)) for (path, name), wrong in report.damaged.items()
+    ]
     unreadable = [(str(path), "", wrong) for path, wrong in report.unreadable.items()]
     if options.json:
         print_json(
             {
-                "episodes": report.episodes, "ok": report.ok, "damaged": len(damaged),
-                "unreadable": [path for path, _, _ in unreadable], "unfinished": [str(p) for p in report.unfinished],
-                "doubled": len(report.doubled), "schemas": {str(k): report.schemas[k] for k in sorted(report.schemas)},
-                "problems": [{"shard": path, "episode": name, "wrong": wrong} for path, name, wrong in damaged],
+                "episodes": report.episodes,
+                "ok": report.ok,
+                "damaged": len(damaged),
+                "unreadable": [path for path, _, _ in unreadable],
+                "unfinished": [str(p) for p in report.unfinished],
+                "doubled": len(report.doubled),
+                "schemas": {str(k): report.schemas[k] for k in sorted(report.schemas)},
+                "problems": [
+                    {"shard": path, "episode": name, "wrong": wrong}
+                    for path, name, wrong in damaged
+                ],
             }
-        )  # fmt: skip
+        )
         return 0 if report.clean else 1
     if damaged or unreadable:
-        print_table("Damaged", ("shard", "episode", "what is wrong"), (damaged + unreadable)[:_MOST_ROWS])
+        print_table(
+            "Damaged", ("shard", "episode", "what is wrong"), (damaged + unreadable)[:_MOST_ROWS]
+        )
     for path in report.unfinished:
-        print(f"{path}: a writer was stopped in the middle of an episode; the next one, or repair, clears that up")
+        print(
+            f"{path}: a writer was stopped in the middle of an episode; the next one, or repair, clears that up"
+        )
     for name in report.doubled[:_MOST_ROWS]:
         print(f"episode {name} is there more than once")
     older = sum(count for schema, count in report.schemas.items() if schema < VERSION)
     if older:
-        print(f"{older} episodes are of an older schema; they are read as those of schema {VERSION}, see docs/data.md")
-    print(f"{report.episodes} episodes, {report.ok} ok, {len(damaged)} damaged, {len(unreadable)} shards unreadable")
+        print(
+            f"{older} episodes are of an older schema; they are read as those of schema {VERSION}, see docs/data.md"
+        )
+    print(
+        f"{report.episodes} episodes, {report.ok} ok, {len(damaged)} damaged, {len(unreadable)} shards unreadable"
+    )
     return 0 if report.clean else 1
 
 
 def _repair(options: DataRepairOptions) -> int:
     done = [repair(path) for path in shard_paths(options.places)]
-    kept, lost = sum(r.kept for r in done), sum(len(r.lost) for r in done)
+    kept = sum(r.kept for r in done)
+    lost = sum(len(r.lost) for r in done)
     if options.json:
         aside = [str(r.kept_as) for r in done if r.kept_as]
         finished = sum(r.finished for r in done)
         indexed = all(r.indexed for r in done)
-        print_json({"kept": kept, "lost": lost, "finished": finished, "damaged_files": aside, "indexed": indexed})
+        print_json(
+            {
+                "kept": kept,
+                "lost": lost,
+                "finished": finished,
+                "damaged_files": aside,
+                "indexed": indexed,
+            }
+        )
         return 0
     for each in done:
         print(_repaired(each))
@@ -227,8 +283,14 @@ def _repair(options: DataRepairOptions) -> int:
 
 def _repaired(done: Repair) -> str:
     if done.kept_as is not None:
-        lost = f"{len(done.lost)} lost" if done.indexed else f"at least {len(done.lost)} lost (its index is damaged)"
-        return f"{done.path}: {done.kept} episodes saved, {lost}; the damaged file is {done.kept_as}"
+        lost = (
+            f"{len(done.lost)} lost"
+            if done.indexed
+            else f"at least {len(done.lost)} lost (its index is damaged)"
+        )
+        return (
+            f"{done.path}: {done.kept} episodes saved, {lost}; the damaged file is {done.kept_as}"
+        )
     what = "the last episode's writing was cleared up" if done.finished else "nothing to do"
     return f"{done.path}: {done.kept} episodes, {what}"
 
@@ -238,7 +300,9 @@ def _fields(options: DataFieldsOptions) -> int:
     names += [(f"{name}(event)", "a number", meaning) for name, (meaning, _) in FUNCTIONS.items()]
     presets = [(name, text, meaning) for name, (text, meaning) in PRESETS.items()]
     if options.json:
-        print_json({"fields": [list(row) for row in names], "presets": [list(row) for row in presets]})
+        print_json(
+            {"fields": [list(row) for row in names], "presets": [list(row) for row in presets]}
+        )
         return 0
     print_table("Names in filters", ("name", "is", "meaning"), names)
     print_table("Presets", ("name", "filter", "meaning"), presets)
@@ -256,15 +320,23 @@ def _label(options: LabelOptions) -> int:
                     skipped += 1
                     continue
                 record, changed = relabel(episode)
-                episodes, subtasks = episodes + 1, subtasks + len(record.subtasks)
-                changes += [(episode.name, str(c.subtask), c.what, str(c.old), str(c.new)) for c in changed]
+                episodes += 1
+                subtasks = subtasks + len(record.subtasks)
+                changes += [
+                    (episode.name, str(c.subtask), c.what, str(c.old), str(c.new)) for c in changed
+                ]
                 if changed:
                     new[episode.name] = record
         if options.write and new:
             _write_records(path, new)
     labels = sum(what == "label" for _, _, what, _, _ in changes)
     if options.json:
-        counts = {"episodes": episodes, "subtasks": subtasks, "changed": labels, "changes": len(changes)}
+        counts = {
+            "episodes": episodes,
+            "subtasks": subtasks,
+            "changed": labels,
+            "changes": len(changes),
+        }
         print_json({**counts, "without_signals": skipped} if skipped else counts)
         return 0
     if changes:
@@ -272,9 +344,13 @@ def _label(options: LabelOptions) -> int:
         print_table("Changes", columns, changes[:_MOST_ROWS])
     written = " (written)" if options.write and changes else ""
     others = len(changes) - labels
-    print(f"{episodes} episodes, {subtasks} subtasks: {labels} labels and {others} other things changed{written}")
+    print(
+        f"{episodes} episodes, {subtasks} subtasks: {labels} labels and {others} other things changed{written}"
+    )
     if skipped:
-        print(f"{skipped} episodes were imported without signals; their labels stay those of their source")
+        print(
+            f"{skipped} episodes were imported without signals; their labels stay those of their source"
+        )
     return 0
 
 

@@ -79,14 +79,21 @@ def _print(found: dict[str, Any]) -> None:
     if found["mujoco"] != PINNED_MUJOCO:
         mujoco += f"; mjhab needs {PINNED_MUJOCO}: pip install mujoco=={PINNED_MUJOCO}"
     rows = [("mjhab", __version__), ("python", found["python"]), ("mujoco", mujoco)]
-    rows += [(name, installed(name) or "missing") for name in ("numpy", "numba", "gymnasium", "gymnasium-robotics")]
+    rows += [
+        (name, installed(name) or "missing")
+        for name in ("numpy", "numba", "gymnasium", "gymnasium-robotics")
+    ]
     print_table("installed", ("what", "version"), rows)
     extras = []
     for name, modules in EXTRAS.items():
         here = all(importlib.util.find_spec(module) for module in modules)
-        extras.append((name, ", ".join(modules), "yes" if here else f"no: pip install 'mjhab[{name}]'"))
+        extras.append(
+            (name, ", ".join(modules), "yes" if here else f"no: pip install 'mjhab[{name}]'")
+        )
     print_table("extras", ("extra", "modules", "installed"), extras)
-    renderers = [(name, "works" if works else _advice(name)) for name, works in found["renderers"].items()]
+    renderers = [
+        (name, "works" if works else _advice(name)) for name, works in found["renderers"].items()
+    ]
     print_table("renderers", ("renderer", "state"), renderers)
     gpu = found["gpu"] or "none found (the CPU is all that is needed)"
     machine = [
@@ -107,5 +114,9 @@ def _advice(renderer: str) -> str:
 
 def _size(cache: str) -> str:
     folder = Path(cache)
-    total = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()) if folder.is_dir() else 0
+    total = (
+        sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
+        if folder.is_dir()
+        else 0
+    )
     return f"{total / 1e6:.1f} MB"

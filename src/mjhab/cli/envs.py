@@ -21,9 +21,14 @@ def list_envs(options: EnvsListOptions) -> int:
     if options.json:
         print_json({"envs": list(ENV_IDS)})
     else:
-        rows = [(env_id, o["task"], o.get("subtask", "the whole chain")) for env_id, o in ENV_IDS.items()]
+        rows = [
+            (env_id, o["task"], o.get("subtask", "the whole chain"))
+            for env_id, o in ENV_IDS.items()
+        ]
         print_table("environments", ("id", "task (default)", "subtask"), rows)
-        print('gymnasium.make_vec("mjhab/PickSubtaskTrain-v1", num_envs=16, task="set_table", obs_mode="depth", ...)')
+        print(
+            'gymnasium.make_vec("mjhab/PickSubtaskTrain-v1", num_envs=16, task="set_table", obs_mode="depth", ...)'
+        )
     return 0
 
 
@@ -34,12 +39,20 @@ def describe_env(options: EnvsDescribeOptions) -> int:
         print_json(found)
         return 0
     for title, part in (
-        ("observations", "observations"), ("actions", "actions"), ("dense reward", "reward_terms"),
-    ):  # fmt: skip
+        ("observations", "observations"),
+        ("actions", "actions"),
+        ("dense reward", "reward_terms"),
+    ):
         rows: list[dict[str, Any]] = found[part]
         if rows:
-            print_table(f"{found['id']}: {title}", list(rows[0]), [[_text(v) for v in r.values()] for r in rows])
-    print(f"reward mode {found['reward_mode']}; horizons {found['horizons']} control steps of 50 ms")
+            print_table(
+                f"{found['id']}: {title}",
+                list(rows[0]),
+                [[_text(v) for v in r.values()] for r in rows],
+            )
+    print(
+        f"reward mode {found['reward_mode']}; horizons {found['horizons']} control steps of 50 ms"
+    )
     return 0
 
 
@@ -52,7 +65,11 @@ def description(options: EnvsDescribeOptions) -> dict[str, Any]:
     from mjhab.tasks.rewards import reward_table
 
     env = make_by_id(
-        options.env, num_envs=1, obs_mode=options.obs, control_mode=options.control, **profile_options(options)
+        options.env,
+        num_envs=1,
+        obs_mode=options.obs,
+        control_mode=options.control,
+        **profile_options(options),
     )
     kinds = [env.config.subtask] if env.config.subtask else list(KIND_NAMES)
     horizons = dict(zip(KIND_NAMES, env.task_config.horizons, strict=True))
@@ -60,7 +77,9 @@ def description(options: EnvsDescribeOptions) -> dict[str, Any]:
         "id": options.env,
         "profile": env.config.profile,
         "observations": [{k: _plain(v) for k, v in row.items()} for row in env.observer.describe()],
-        "actions": [{k: _plain(v) for k, v in dataclasses.asdict(row).items()} for row in env.action_table],
+        "actions": [
+            {k: _plain(v) for k, v in dataclasses.asdict(row).items()} for row in env.action_table
+        ],
         "reward_mode": env.config.reward,
         "reward_terms": [
             {"subtask": kind, **{k: _plain(v) for k, v in dataclasses.asdict(row).items()}}

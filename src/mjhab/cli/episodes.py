@@ -60,7 +60,9 @@ def make(options: EpisodesMakeOptions) -> int:
     if options.json:
         print_json({**made, "seconds": seconds})
     else:
-        print(f"{made['episodes']} episodes in {options.out}, {made['rejected']} draws rejected, {seconds:.0f} s")
+        print(
+            f"{made['episodes']} episodes in {options.out}, {made['rejected']} draws rejected, {seconds:.0f} s"
+        )
         print(f"manifest: {manifest_path(options.out)}")
     return 0
 
@@ -75,7 +77,8 @@ def check(options: EpisodesCheckOptions) -> int:
     file = read_hab(options.file)
     check_manifest(file)
     episodes = _load(options, file)
-    total, fallen = Counter[str](), Counter[str]()
+    total = Counter[str]()
+    fallen = Counter[str]()
     worst: dict[str, float] = {}
     with _bar() as bar, ThreadPoolExecutor(options.threads or cores()) as pool:
         line = bar.add_task("settling", total=len(episodes), note="")
@@ -90,12 +93,23 @@ def check(options: EpisodesCheckOptions) -> int:
     if options.json:
         moved = {kind: fallen[kind] for kind in sorted(fallen)}
         print_json(
-            {"episodes": len(file.episodes), "loaded": len(episodes), "at_rest": round(share, 4), "moved": moved}
+            {
+                "episodes": len(file.episodes),
+                "loaded": len(episodes),
+                "at_rest": round(share, 4),
+                "moved": moved,
+            }
         )
         return 0
     columns = ("object", "copies", "moved > 2 cm or tipped > 10 deg", "share [%]", "farthest [mm]")
     rows = [
-        (kind, total[kind], fallen[kind], round(100 * fallen[kind] / total[kind], 1), round(1000 * worst[kind], 1))
+        (
+            kind,
+            total[kind],
+            fallen[kind],
+            round(100 * fallen[kind] / total[kind], 1),
+            round(1000 * worst[kind], 1),
+        )
         for kind in sorted(total)
     ]
     print_table(f"{len(episodes)} episodes, 2 s of simulation each", columns, rows)
@@ -121,9 +135,12 @@ def check_manifest(file: HabFile) -> None:
     found = [state_hash(episode) for episode in file.episodes]
     if found != listed:
         k = next(
-            (i for i, (a, b) in enumerate(zip(found, listed, strict=False)) if a != b), min(len(found), len(listed))
+            (i for i, (a, b) in enumerate(zip(found, listed, strict=False)) if a != b),
+            min(len(found), len(listed)),
         )
-        raise MjhabError(f"{file.path}: episodes[{k}] is not what {beside.name} lists; make the file again.")
+        raise MjhabError(
+            f"{file.path}: episodes[{k}] is not what {beside.name} lists; make the file again."
+        )
 
 
 def _load(options: EpisodesCheckOptions, file: HabFile) -> FileEpisodes:

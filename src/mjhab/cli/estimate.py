@@ -68,7 +68,11 @@ def run_estimate(options: DoctorOptions) -> int:
         print_json({"num_envs": options.num_envs, "obs": options.obs, "backends": rows})
     else:
         title = f"{options.num_envs:,} worlds, {options.obs}, {options.camera_size} px (estimates)"
-        print_table(title, list(rows[0]), [["unknown" if x is None else x for x in row.values()] for row in rows])
+        print_table(
+            title,
+            list(rows[0]),
+            [["unknown" if x is None else x for x in row.values()] for row in rows],
+        )
     known = [room for room in found if room.most is not None]
     if known and not any(room.most >= options.num_envs for room in known):  # type: ignore[operator]
         told = "; ".join(
@@ -86,9 +90,15 @@ def estimate_rows(options: DoctorOptions) -> list[dict[str, Any]]:
 
 
 def _row(room: Room, num_envs: int) -> dict[str, Any]:
-    need, free, most = room.need, room.free_mb, room.most
+    need = room.need
+    free = room.free_mb
+    most = room.most
     return {
-        "backend": room.backend, "memory_mb": round(need.total_mb(num_envs)), "world_mb": round(need.world_mb, 2),
-        "base_mb": round(need.base_mb), "free_mb": None if free is None else round(free),
-        "fits": None if most is None else most >= num_envs, "most": most,
-    }  # fmt: skip
+        "backend": room.backend,
+        "memory_mb": round(need.total_mb(num_envs)),
+        "world_mb": round(need.world_mb, 2),
+        "base_mb": round(need.base_mb),
+        "free_mb": None if free is None else round(free),
+        "fits": None if most is None else most >= num_envs,
+        "most": most,
+    }

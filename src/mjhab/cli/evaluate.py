@@ -41,7 +41,11 @@ def eval_spec(options: EvalOptions) -> EvalSpec:
     Raises:
         UsageError: an unknown name, or a number out of range.
     """
-    asked = {"obs_mode": options.obs, "control_mode": options.control, "camera_size": options.camera_size}
+    asked = {
+        "obs_mode": options.obs,
+        "control_mode": options.control,
+        "camera_size": options.camera_size,
+    }
     given = {name: value for name, value in asked.items() if value is not None}
     return EvalSpec(
         policy=options.policy,
@@ -132,7 +136,9 @@ class ProgressSink(Sink):
         """Move the bar."""
         self._done += 1
         self._won += record.success_once
-        self._bar.update(self._task, advance=1, success=f", {100 * self._won / self._done:.0f} % success")
+        self._bar.update(
+            self._task, advance=1, success=f", {100 * self._won / self._done:.0f} % success"
+        )
 
 
 def _tell(options: EvalOptions, run: Run, interrupted: bool) -> None:

@@ -23,7 +23,11 @@ def run_export(options: ExportLerobotOptions | ExportManiskillOptions) -> int:
     """Run a parsed ``mjhab export`` command; returns 0, or 130 after Ctrl-C or SIGTERM."""
     try:
         with _interrupted_by_sigterm():
-            return _lerobot(options) if isinstance(options, ExportLerobotOptions) else _maniskill(options)
+            return (
+                _lerobot(options)
+                if isinstance(options, ExportLerobotOptions)
+                else _maniskill(options)
+            )
     except KeyboardInterrupt:
         print(
             f"mjhab: stopped; what is done stays beside {options.out}. The same command with --resume goes on.",
@@ -51,19 +55,34 @@ def _lerobot(options: ExportLerobotOptions) -> int:
     except ModuleNotFoundError as error:
         if error.name is None or error.name.partition(".")[0] != "pyarrow":
             raise
-        raise UsageError("LeRobot data sets need pyarrow; install it with: pip install 'mjhab[data]'") from error
+        raise UsageError(
+            "LeRobot data sets need pyarrow; install it with: pip install 'mjhab[data]'"
+        ) from error
     choice = lerobot.Choice(rgb=not options.no_rgb, depth=not options.no_depth)
-    films = FilmTools(functools.partial(FilmWriter, quality=options.quality, keyframes=_KEYFRAMES), join_films)
+    films = FilmTools(
+        functools.partial(FilmWriter, quality=options.quality, keyframes=_KEYFRAMES), join_films
+    )
     with late_bar("exporting") as begin:
         done = lerobot.export_lerobot(
-            options.places, options.out, films, version=options.version,
-            where=read_filter(options.where, options.preset), choice=choice, overwrite=options.overwrite,
-            resume=options.resume, options={"quality": options.quality}, begin=begin,
-        )  # fmt: skip
+            options.places,
+            options.out,
+            films,
+            version=options.version,
+            where=read_filter(options.where, options.preset),
+            choice=choice,
+            overwrite=options.overwrite,
+            resume=options.resume,
+            options={"quality": options.quality},
+            begin=begin,
+        )
     if options.json:
         print_json({"episodes": done.episodes, "frames": done.frames, "images": list(done.images)})
         return 0
-    images = f"with {', '.join(done.images)}" if done.images else "without images (mjhab replay --render adds them)"
+    images = (
+        f"with {', '.join(done.images)}"
+        if done.images
+        else "without images (mjhab replay --render adds them)"
+    )
     print(f"{done.episodes} episodes, {done.frames:,} frames, {images}: {options.out}")
     return 0
 
@@ -71,13 +90,25 @@ def _lerobot(options: ExportLerobotOptions) -> int:
 def _maniskill(options: ExportManiskillOptions) -> int:
     with late_bar("exporting") as begin:
         done = export_maniskill(
-            options.places, options.out, where=read_filter(options.where, options.preset),
-            overwrite=options.overwrite, resume=options.resume, begin=begin,
-        )  # fmt: skip
+            options.places,
+            options.out,
+            where=read_filter(options.where, options.preset),
+            overwrite=options.overwrite,
+            resume=options.resume,
+            begin=begin,
+        )
     if options.json:
-        print_json({"episodes": done.episodes, "frames": done.frames, "files": [str(path) for path in done.files]})
+        print_json(
+            {
+                "episodes": done.episodes,
+                "frames": done.frames,
+                "files": [str(path) for path in done.files],
+            }
+        )
         return 0
-    print(f"{done.episodes} episodes, {done.frames:,} frames in {len(done.files)} files: {options.out}")
+    print(
+        f"{done.episodes} episodes, {done.frames:,} frames in {len(done.files)} files: {options.out}"
+    )
     if done.without_depth:
         print(
             f"{done.without_depth} of them have no depth images, which MS-HAB's training scripts need; "

@@ -106,7 +106,9 @@ def _progress(spec: GenerateSpec) -> Iterator[Callable[[Standing], None]]:
             total = now.wanted or spec.max_tries
             rate = now.written / (time.perf_counter() - begun) * 3600
             share = f", yield {100 * now.passed / now.tried:.0f} %" if now.tried else ""
-            bar.update(task, completed=done, total=max(total, 1), what=f"{share}, {rate:,.0f} episodes/h")
+            bar.update(
+                task, completed=done, total=max(total, 1), what=f"{share}, {rate:,.0f} episodes/h"
+            )
 
         yield tell
 

@@ -6,11 +6,18 @@ from collections import Counter
 from typing import Any
 
 from mjhab.cli.home_names import find_home
-from mjhab.cli.options.common import HomesCheckOptions, HomesListOptions, HomesRenderOptions, HomesShowOptions
+from mjhab.cli.options.common import (
+    HomesCheckOptions,
+    HomesListOptions,
+    HomesRenderOptions,
+    HomesShowOptions,
+)
 from mjhab.cli.output import print_json, print_table
 
 
-def run_homes(options: HomesListOptions | HomesShowOptions | HomesCheckOptions | HomesRenderOptions) -> int:
+def run_homes(
+    options: HomesListOptions | HomesShowOptions | HomesCheckOptions | HomesRenderOptions,
+) -> int:
     """Run one of the four commands and return the exit code."""
     if isinstance(options, HomesListOptions):
         return list_homes(options)
@@ -34,7 +41,9 @@ def list_homes(options: HomesListOptions) -> int:
         print_json({"homes": homes})
     else:
         columns = ("name", "pack", "split", "macro", "micro")
-        print_table(f"{len(homes)} homes", columns, [[home[key] for key in columns] for home in homes])
+        print_table(
+            f"{len(homes)} homes", columns, [[home[key] for key in columns] for home in homes]
+        )
     return 0
 
 
@@ -68,4 +77,10 @@ def show_home(options: HomesShowOptions) -> int:
 
 
 def _row(home: Any) -> dict[str, Any]:
-    return {"name": home.name, "pack": home.pack, "split": home.split, "macro": home.macro, "micro": home.micro}
+    return {
+        "name": home.name,
+        "pack": home.pack,
+        "split": home.split,
+        "macro": home.macro,
+        "micro": home.micro,
+    }

@@ -61,7 +61,10 @@ def _print(report: Any) -> None:
         ("usable", report.ok),
         ("layout", report.layout or "none"),
         ("geoms, degrees of freedom", f"{report.ngeom}, {report.nv}"),
-        ("models", f"{report.compile_s:.1f} s, {per_home:.3f} s each; {report.cold} of them not in the cache"),
+        (
+            "models",
+            f"{report.compile_s:.1f} s, {per_home:.3f} s each; {report.cold} of them not in the cache",
+        ),
         ("memory of all models", f"{report.model_bytes / 1e6:.1f} MB"),
     )
     print_table("homes check", ("what", "value"), facts)

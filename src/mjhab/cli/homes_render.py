@@ -10,14 +10,19 @@ from mjhab.cli.options.common import HomesRenderOptions
 from mjhab.cli.output import at_least, print_json, progress_bar
 from mjhab.core.errors import UsageError
 
-PNG, HTML = ".png", ".html"
-ONE_SIZE, SHEET_SIZE = (1200, 900), (400, 300)
+PNG = ".png"
+HTML = ".html"
+ONE_SIZE = (1200, 900)
+SHEET_SIZE = (400, 300)
 
 
 def render(options: HomesRenderOptions) -> int:
     """Draw what was asked for."""
     width, height = SHEET_SIZE if options.all else ONE_SIZE
-    size = (width if options.width is None else options.width, height if options.height is None else options.height)
+    size = (
+        width if options.width is None else options.width,
+        height if options.height is None else options.height,
+    )
     at_least("width", size[0], 16)
     at_least("height", size[1], 16)
     check_out(options.out, (PNG, HTML) if options.all else (PNG,))
@@ -57,7 +62,15 @@ def render_one(options: HomesRenderOptions, width: int, height: int) -> int:
     Image.fromarray(image).save(options.out)
     if options.json:
         height, width = image.shape[:2]
-        print_json({"home": home.name, "view": options.view, "width": width, "height": height, "out": str(options.out)})
+        print_json(
+            {
+                "home": home.name,
+                "view": options.view,
+                "width": width,
+                "height": height,
+                "out": str(options.out),
+            }
+        )
     else:
         print(f"drew {home.name} ({options.view}) into {options.out}")
     return 0

@@ -19,7 +19,10 @@ DESCRIPTION = f"""mjhab {__version__}: home assistant tasks with low-level whole
 A Fetch robot tidies furnished homes with real physics. Begin with `mjhab doctor` and
 `mjhab eval --task set_table --policy expert --episodes 4 --out runs/first`."""
 
-OK, FAILED, USAGE, INTERRUPTED = 0, 1, 2, 130
+OK = 0
+FAILED = 1
+USAGE = 2
+INTERRUPTED = 130
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -47,7 +50,11 @@ def parse(args: Sequence[str] | None) -> Any:
         prog="mjhab",
         description=DESCRIPTION,
         args=args,
-        config=(tyro.conf.OmitSubcommandPrefixes, tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
+        config=(
+            tyro.conf.OmitSubcommandPrefixes,
+            tyro.conf.OmitArgPrefixes,
+            tyro.conf.FlagCreatePairsOff,
+        ),
     )
 
 
@@ -55,7 +62,8 @@ def staged(options: Any) -> Any:
     """Options whose ``articulate`` and ``stage_mesh`` went into the name of their asset pack, where the rest looks."""
     if hasattr(options, "command"):
         return dataclasses.replace(options, command=staged(options.command))
-    joints, stage = getattr(options, "articulate", None), getattr(options, "stage_mesh", None)
+    joints = getattr(options, "articulate", None)
+    stage = getattr(options, "stage_mesh", None)
     if joints is None and stage is None:
         return options
     from mjhab.scenes.packs import with_joints, with_stage

@@ -25,7 +25,9 @@ def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[obje
     rows = [list(row) for row in rows]
     table = Table(title=title, title_justify="left", title_style="bold")
     for i, name in enumerate(columns):
-        numeric = bool(rows) and all(isinstance(row[i], int | float) and not isinstance(row[i], bool) for row in rows)
+        numeric = bool(rows) and all(
+            isinstance(row[i], int | float) and not isinstance(row[i], bool) for row in rows
+        )
         table.add_column(name, justify="right" if numeric else "left")
     for row in rows:
         table.add_row(*(Text(str(cell)) for cell in row))
@@ -45,9 +47,16 @@ def at_least(option: str, value: float, least: float) -> None:
 @contextmanager
 def progress_bar(what: str, total: int) -> Iterator[Callable[[], None]]:
     """Show a bar on stderr where a person looks on; gives a function that moves it by one."""
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+    )
     console = Console(stderr=True)
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+    with Progress(
+        *columns, console=console, transient=True, disable=not console.is_terminal
+    ) as progress:
         bar = progress.add_task(what, total=total)
         yield lambda: progress.advance(bar)
 

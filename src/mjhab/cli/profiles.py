@@ -9,7 +9,11 @@ from mjhab.cli.options.common import ProfileOptions
 
 def profile_options(options: ProfileOptions) -> dict[str, Any]:
     """What `mjhab.envs.make` and `make_train` are told of the profile, and of what is given beside it."""
-    given = {"profile": options.profile or None, "spawn_rule": options.starts, "stillness": options.stillness}
+    given = {
+        "profile": options.profile or None,
+        "spawn_rule": options.starts,
+        "stillness": options.stillness,
+    }
     return {name: value for name, value in given.items() if value is not None}
 
 

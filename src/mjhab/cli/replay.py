@@ -25,7 +25,9 @@ def run_replay(options: ReplayOptions) -> int:
     at_least("worlds", options.worlds, 1)
     at_least("threads", options.threads, 0)
     if options.verify == (options.render is not None):
-        raise UsageError("say what to do, one of the two: --verify, or --render depth (or rgb, rgbd, ...).")
+        raise UsageError(
+            "say what to do, one of the two: --verify, or --render depth (or rgb, rgbd, ...)."
+        )
     return _verify(options) if options.verify else _render(options)
 
 
@@ -39,11 +41,20 @@ def _verify(options: ReplayOptions) -> int:
         print_json({"episodes": found.episodes, "exact": found.exact, "max_error": error, **others})
     else:
         if found.wrong:
-            rows = [(name, "yes" if name in found.unlike else "", what) for name, what in found.wrong.items()]
-            print_table("Not as recorded", ("episode", "other model", "what differs"), rows[:_MOST_ROWS])
-        print(f"{found.exact} of {found.episodes} episodes exact, largest difference {found.max_error:g}")
+            rows = [
+                (name, "yes" if name in found.unlike else "", what)
+                for name, what in found.wrong.items()
+            ]
+            print_table(
+                "Not as recorded", ("episode", "other model", "what differs"), rows[:_MOST_ROWS]
+            )
+        print(
+            f"{found.exact} of {found.episodes} episodes exact, largest difference {found.max_error:g}"
+        )
         if found.moved:
-            print(f"{len(found.moved)} of them begin elsewhere here and were replayed from the recorded first state.")
+            print(
+                f"{len(found.moved)} of them begin elsewhere here and were replayed from the recorded first state."
+            )
         if found.wrong and found.unlike:
             print(
                 "Other model: the home is compiled to another one here than where it was recorded; another version of "
@@ -58,13 +69,19 @@ def _render(options: ReplayOptions) -> int:
     if any(path.resolve() == options.out.resolve() for path in shard_paths(options.places)):
         raise UsageError(f"--out {options.out} is one of the shards to replay; give a new file.")
     if len(options.camera_size) > 2:
-        raise UsageError(f"--camera-size is one number or height and width, got {options.camera_size}.")
+        raise UsageError(
+            f"--camera-size is one number or height and width, got {options.camera_size}."
+        )
     if FOLLOW in options.cameras and "rgb" not in (options.render or ""):
-        raise UsageError("the camera 'follow' gives colour only: add rgb to --render, as in --render rgb.")
+        raise UsageError(
+            "the camera 'follow' gives colour only: add rgb to --render, as in --render rgb."
+        )
     images = ImageFormat(options.rgb)
     where = read_filter(options.where, options.preset)
     with progress_bar("drawing", _count(options)) as advance:
-        done = render(options.places, options.out, _maker(options), options.cameras, images, where, advance)
+        done = render(
+            options.places, options.out, _maker(options), options.cameras, images, where, advance
+        )
     if options.json:
         print_json(vars(done))
     else:
@@ -97,14 +114,24 @@ def _maker(options: ReplayOptions) -> Callable[[RunInfo], Any]:
         from mjhab.envs import make, make_train
 
         # Shards tell lists, configurations hold tuples.
-        config = {key: tuple(v) if isinstance(v, list) else v for key, v in run.config["env"].items()}
+        config = {
+            key: tuple(v) if isinstance(v, list) else v for key, v in run.config["env"].items()
+        }
         # The options that a profile gives values are recorded; its name would forbid other cameras.
         config.pop("profile", None)
         for name in ("episodes_file", "spawns"):
             missing = Path(str(config.get(name) or "."))
             if not missing.exists():
-                raise UsageError(f"the episodes were recorded with the file {missing} ({name}), which is not there.")
+                raise UsageError(
+                    f"the episodes were recorded with the file {missing} ({name}), which is not there."
+                )
         build = make_train if run.config.get("maker") == TRAIN_MAKER else make
-        return build(**config, **sight, num_envs=options.worlds, threads=options.threads, autoreset="disabled")
+        return build(
+            **config,
+            **sight,
+            num_envs=options.worlds,
+            threads=options.threads,
+            autoreset="disabled",
+        )
 
     return make_env

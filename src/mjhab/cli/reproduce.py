@@ -29,8 +29,13 @@ from mjhab.rollout.store import check_folder, write_text
 if TYPE_CHECKING:
     from mjhab.learning.runs.session import Request
 
-CONFIG, ROW, RESULTS, REPORT = "config.json", "row.json", "results.json", "report.html"
-PAPER_TITLES = dict(zip(SUCCESS_COLUMNS, ("RL per object", "RL for all", "BC", "diffusion"), strict=True))
+CONFIG = "config.json"
+ROW = "row.json"
+RESULTS = "results.json"
+REPORT = "report.html"
+PAPER_TITLES = dict(
+    zip(SUCCESS_COLUMNS, ("RL per object", "RL for all", "BC", "diffusion"), strict=True)
+)
 RESULTS_OF_PAPER = ("table1",)
 SECONDS_PER_MINUTE = 60.0
 
@@ -123,7 +128,8 @@ def make_row(options: ReproduceOptions, row: TableRow) -> None:
     folder = options.out / row.name.replace("/", ".")
     if (folder / ROW).is_file():
         return
-    run, judged = folder / "train", folder / "evaluation"
+    run = folder / "train"
+    judged = folder / "evaluation"
     result = train(request_of(options, row), run, resume=(run / CONFIG).is_file())
     if result.interrupted:
         raise KeyboardInterrupt
@@ -156,7 +162,9 @@ def request_of(options: ReproduceOptions, row: TableRow) -> Request:
 
     return Request(
         config=preset_of("dagger", options.preset),
-        scene=Scene(row.task, row.subtask, row.target, assets=options.assets, **profile_options(options)),
+        scene=Scene(
+            row.task, row.subtask, row.target, assets=options.assets, **profile_options(options)
+        ),
         means=Means(options.worlds, 1, options.threads or cores()),
         seed=options.seed,
         budget_seconds=SECONDS_PER_MINUTE * options.budget_minutes,
@@ -196,7 +204,15 @@ def result_of(row: TableRow, measured: Mapping[str, Any], split: str) -> dict[st
     }
 
 
-COLUMNS = ("row", "success once [%]", "95 % interval", "at end [%]", "episodes", "demonstrations", "CPU minutes")
+COLUMNS = (
+    "row",
+    "success once [%]",
+    "95 % interval",
+    "at end [%]",
+    "episodes",
+    "demonstrations",
+    "CPU minutes",
+)
 
 
 def cells(result: Mapping[str, Any]) -> tuple[Any, ...]:
@@ -219,16 +235,22 @@ def page(results: Sequence[Mapping[str, Any]], split: str) -> str:
     lines = []
     for result in results:
         values = (*cells(result), *(result["paper"].get(name, "") for name in PAPER_TITLES))
-        lines.append("<tr>" + "".join(f"<td>{escape(str(value))}</td>" for value in values) + "</tr>")
+        lines.append(
+            "<tr>" + "".join(f"<td>{escape(str(value))}</td>" for value in values) + "</tr>"
+        )
     table = f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(lines)}</tbody></table>"
     hint = (
         f"Success once in homes of split {split}. The paper's policies were judged in ReplicaCAD homes, about 1,000 "
         "episodes each (MS-HAB, ICLR 2025, Tables 1 and 5)."
     )
-    return render_page("Table 1", "<h1>Table 1</h1>" + parts.section("Success", hint, table), {"plots": {}})
+    return render_page(
+        "Table 1", "<h1>Table 1</h1>" + parts.section("Success", hint, table), {"plots": {}}
+    )
 
 
-def tell(options: ReproduceOptions, results: Sequence[Mapping[str, Any]], interrupted: bool) -> None:
+def tell(
+    options: ReproduceOptions, results: Sequence[Mapping[str, Any]], interrupted: bool
+) -> None:
     """Print the table, or its JSON."""
     if interrupted:
         print("mjhab: interrupted. The same command with --resume goes on.", file=sys.stderr)
@@ -236,6 +258,9 @@ def tell(options: ReproduceOptions, results: Sequence[Mapping[str, Any]], interr
         print_json({"rows": list(results), "report": str(options.out / REPORT)})
         return
     titles = (*COLUMNS, *PAPER_TITLES.values())
-    rows = [(*cells(result), *(result["paper"].get(name, "") for name in PAPER_TITLES)) for result in results]
+    rows = [
+        (*cells(result), *(result["paper"].get(name, "") for name in PAPER_TITLES))
+        for result in results
+    ]
     print_table(f"Table 1, split {options.split}", titles, rows)
     print(f"report: {options.out / REPORT}")

@@ -30,10 +30,20 @@ def make(options: SpawnsMakeOptions) -> int:
 
     resolved = resolved_profile(options, task=options.task, subtask=options.subtask or "")
     recipe = SpawnRecipe(
-        options.task, options.subtask or "", options.target or "", options.split, options.seed, options.count,
-        options.assets, options.home or "", options.pool, options.harvested, resolved["spawn_rule"],
-    )  # fmt: skip
-    begun, shown = time.perf_counter(), 0
+        options.task,
+        options.subtask or "",
+        options.target or "",
+        options.split,
+        options.seed,
+        options.count,
+        options.assets,
+        options.home or "",
+        options.pool,
+        options.harvested,
+        resolved["spawn_rule"],
+    )
+    begun = time.perf_counter()
+    shown = 0
     with progress_bar(f"{options.task} {options.subtask or 'chain'}", options.count) as advance:
 
         def tell(done: int, fallbacks: int) -> None:
@@ -42,7 +52,9 @@ def make(options: SpawnsMakeOptions) -> int:
                 advance()
             shown = done
 
-        made = make_set(recipe, options.out, options.threads or cores(), tell, options.overwrite).describe()
+        made = make_set(
+            recipe, options.out, options.threads or cores(), tell, options.overwrite
+        ).describe()
     seconds = round(time.perf_counter() - begun, 2)
     if options.json:
         print_json({**made, "seconds": seconds})
@@ -60,9 +72,12 @@ def listing(options: SpawnsListOptions) -> int:
 
     path = options.path
     if not path.exists():
-        raise UsageError(f"there is nothing at {path}; `mjhab spawns make --out FILE{SUFFIX}` makes a set.")
+        raise UsageError(
+            f"there is nothing at {path}; `mjhab spawns make --out FILE{SUFFIX}` makes a set."
+        )
     files = sorted(path.glob(f"[!.]*{SUFFIX}")) if path.is_dir() else [path]
-    found, damaged = [], []
+    found = []
+    damaged = []
     for file in files:
         try:
             found.append(SpawnSet.read(file).describe())
@@ -88,10 +103,14 @@ def listing(options: SpawnsListOptions) -> int:
         "layout",
     )
     rows = [
-        [Path(one["file"]).name if name == "file" else one[name] or ("all" if name == "target" else one[name])
-         for name in columns]
+        [
+            Path(one["file"]).name
+            if name == "file"
+            else one[name] or ("all" if name == "target" else one[name])
+            for name in columns
+        ]
         for one in found
-    ]  # fmt: skip
+    ]
     print_table(f"{len(found)} sets of starts in {path}", columns, rows)
     for line in damaged:
         print(line)
@@ -131,10 +150,18 @@ def measure_spawns(options: BenchSpawnOptions) -> dict[str, Any]:
 
     resolved = resolved_profile(options, task=options.task, subtask=options.subtask)
     recipe = SpawnRecipe(
-        options.task, options.subtask, options.target or "", "train", options.seed, options.count, options.assets,
-        pool=options.pool, spawn_rule=resolved["spawn_rule"],
-    )  # fmt: skip
-    factory, threads = SpawnFactory(recipe), options.threads or cores()
+        options.task,
+        options.subtask,
+        options.target or "",
+        "train",
+        options.seed,
+        options.count,
+        options.assets,
+        pool=options.pool,
+        spawn_rule=resolved["spawn_rule"],
+    )
+    factory = SpawnFactory(recipe)
+    threads = options.threads or cores()
     # Index count + i is another start in the same arrangement: homes, maps and grasps are known when the clock runs.
     warm = [factory.episode(options.count + i) for i in range(max(options.pool, 2 * threads))]
     factory.starts.starts(warm, threads)
@@ -150,5 +177,7 @@ def measure_spawns(options: BenchSpawnOptions) -> dict[str, Any]:
         "spawns_per_s": round(options.count / seconds, 1),
         "tries_mean": round(sum(start.tries for start in starts) / len(starts), 3),
         "fallbacks": sum(start.fallback for start in starts),
-        "episode_s": round(episode_s, 3), "count": options.count, "threads": threads,
-    }  # fmt: skip
+        "episode_s": round(episode_s, 3),
+        "count": options.count,
+        "threads": threads,
+    }

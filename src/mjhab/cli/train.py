@@ -69,7 +69,10 @@ def make_request(options: TrainOptions) -> Request:
     from mjhab.learning.runs.collection import Means, Scene
     from mjhab.learning.runs.session import Request
 
-    for kind, given, valid in (("task", options.task, TASKS), ("subtask", options.subtask, KIND_NAMES)):
+    for kind, given, valid in (
+        ("task", options.task, TASKS),
+        ("subtask", options.subtask, KIND_NAMES),
+    ):
         if given not in valid:
             raise unknown_name(kind, given, valid)
     for name in ("eval_episodes", "round_episodes", "films", "seed", "threads", "budget_minutes"):
@@ -90,7 +93,9 @@ def make_request(options: TrainOptions) -> Request:
     return Request(
         config=resolved(options),
         scene=scene,
-        means=Means(options.worlds, options.workers, options.threads or max(1, cores() // options.workers)),
+        means=Means(
+            options.worlds, options.workers, options.threads or max(1, cores() // options.workers)
+        ),
         seed=options.seed,
         data=options.data,
         where=options.where or "",
@@ -123,7 +128,9 @@ def resolved(options: TrainOptions) -> TrainConfig:
 
 
 def _changed(config: Any, **values: Any) -> Any:
-    return dataclasses.replace(config, **{name: value for name, value in values.items() if value is not None})
+    return dataclasses.replace(
+        config, **{name: value for name, value in values.items() if value is not None}
+    )
 
 
 def _tell(options: TrainOptions, result: TrainingResult) -> None:

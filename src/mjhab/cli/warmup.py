@@ -62,9 +62,17 @@ def warmup(options: WarmupOptions, backend: str) -> dict[str, float]:
         from mjhab.envs import make_train
 
         env = make_train(
-            task=options.task, subtask="pick", backend="warp", device=options.device, num_envs=WORLDS, starts=WORLDS,
-            assets=options.assets, obs_mode="rgbd+seg", camera_size=16, **profile_options(options),
-        )  # fmt: skip
+            task=options.task,
+            subtask="pick",
+            backend="warp",
+            device=options.device,
+            num_envs=WORLDS,
+            starts=WORLDS,
+            assets=options.assets,
+            obs_mode="rgbd+seg",
+            camera_size=16,
+            **profile_options(options),
+        )
         env.reset()
         env.step(env.sim.qpos.new_zeros(env.action_space.shape))
 
@@ -73,7 +81,10 @@ def warmup(options: WarmupOptions, backend: str) -> dict[str, float]:
         for kind in sorted(set(layout.roster)):
             starts.arms.arms(kind)
 
-    parts: dict[str, Callable[[], None]] = {f"{len(homes)} homes": compile_homes, "rasterizer": rasterizer}
+    parts: dict[str, Callable[[], None]] = {
+        f"{len(homes)} homes": compile_homes,
+        "rasterizer": rasterizer,
+    }
     if config.spawn_rule == "published":
         parts["arms that hold objects"] = arms
     if backend == "warp":

@@ -134,7 +134,9 @@ class EnvConfig:
             _known("subtask", self.subtask, KIND_NAMES)
             self._check_subtask()
         elif self.continuous:
-            raise UsageError("continuous=True needs a subtask: in a chain, success is what brings the next subtask.")
+            raise UsageError(
+                "continuous=True needs a subtask: in a chain, success is what brings the next subtask."
+            )
         self._check_numbers()
 
     def of_profile(self) -> dict[str, Any]:
@@ -168,7 +170,9 @@ class EnvConfig:
                 f"{self.subtask!r} belongs to: {', '.join(having)}."
             )
         if self.reward_mode == "pointer":
-            raise UsageError("reward_mode 'pointer' counts the subtasks of a chain; a single one takes 'sparse'.")
+            raise UsageError(
+                "reward_mode 'pointer' counts the subtasks of a chain; a single one takes 'sparse'."
+            )
 
     def _check_numbers(self) -> None:
         if isinstance(self.starts, str):
@@ -176,13 +180,22 @@ class EnvConfig:
                 f"starts is the number of starts that the warp backend keeps, got {self.starts!r}; where the robot "
                 f"starts is spawn_rule: {', '.join(SPAWN_RULES)}."
             )
-        least = {"num_envs": 1, "threads": 0, "horizon": 0, "episode_pool": 0, "starts": 0, "frame_stack": 1}
+        least = {
+            "num_envs": 1,
+            "threads": 0,
+            "horizon": 0,
+            "episode_pool": 0,
+            "starts": 0,
+            "frame_stack": 1,
+        }
         for name, low in least.items():
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int) or value < low:
                 raise UsageError(f"{name} must be a whole number of at least {low}, got {value!r}")
         if not 0.0 <= self.open_start <= 1.0:
-            raise UsageError(f"open_start is a share of resets between 0 and 1, got {self.open_start}")
+            raise UsageError(
+                f"open_start is a share of resets between 0 and 1, got {self.open_start}"
+            )
 
     @property
     def reward(self) -> str:
@@ -239,7 +252,9 @@ def task_config(config: EnvConfig, rest_qpos: tuple[float, ...]) -> TaskConfig:
         stillness=config.stillness,
     )
     if config.trains:
-        base = dataclasses.replace(base, navigate=dataclasses.replace(base.navigate, horizon=TRAIN_NAVIGATE_HORIZON))
+        base = dataclasses.replace(
+            base, navigate=dataclasses.replace(base.navigate, horizon=TRAIN_NAVIGATE_HORIZON)
+        )
     changes: dict[str, Any] = {}
     for kind in KIND_NAMES:
         limits: SubtaskConfig = getattr(base, kind)
@@ -261,7 +276,9 @@ def _override(base: TaskConfig, changes: dict[str, Any], name: str, value: Any) 
     plain = [f.name for f in dataclasses.fields(base) if f.name not in apart]
     nested = [f"{kind}.{f.name}" for kind in KIND_NAMES for f in dataclasses.fields(SubtaskConfig)]
     if name == "stillness":
-        raise UsageError(f"stillness is an option of its own, not one of the overrides: give stillness={value!r}.")
+        raise UsageError(
+            f"stillness is an option of its own, not one of the overrides: give stillness={value!r}."
+        )
     if name not in (*plain, *nested):
         raise unknown_name("task-config override", name, (*plain, *nested))
     present = getattr(owner, part or name)

@@ -59,7 +59,11 @@ class Profile:
             trains: for an environment of `make_train`.
         """
         apart = ("name", "binding", "horizon", "train_horizon")
-        values = {field.name: getattr(self, field.name) for field in fields(self) if field.name not in apart}
+        values = {
+            field.name: getattr(self, field.name)
+            for field in fields(self)
+            if field.name not in apart
+        }
         # One number for all kinds would be Navigate's, too, which has more time.
         alone = subtask not in ("", "navigate")
         horizon = self.train_horizon if trains else self.horizon

@@ -63,7 +63,9 @@ class Table:
 
 @lru_cache(maxsize=256)
 def _constant(values: tuple[Any, ...] | Table, xp: ModuleType, device: Any, dtype: Any) -> Array:
-    return xp.asarray(values.values if isinstance(values, Table) else values, dtype=dtype, device=device)
+    return xp.asarray(
+        values.values if isinstance(values, Table) else values, dtype=dtype, device=device
+    )
 
 
 def constant(values: tuple[Any, ...] | Table, like: Array) -> Array:
@@ -148,7 +150,8 @@ def where_rows(mask: Array, new: Record, old: Record) -> Record:
     chosen: dict[str, Any] = {}
     xp = namespace(mask)
     for field in dataclasses.fields(old):  # type: ignore[arg-type]
-        a, b = getattr(new, field.name), getattr(old, field.name)
+        a = getattr(new, field.name)
+        b = getattr(old, field.name)
         if b is None:
             chosen[field.name] = a
             continue

@@ -38,7 +38,9 @@ class Boxes:
         sets = [part for part in parts if len(part)]
         if not sets:
             return Boxes(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3)))
-        return Boxes(*(np.concatenate([getattr(s, k) for s in sets]) for k in ("center", "half", "rot")))
+        return Boxes(
+            *(np.concatenate([getattr(s, k) for s in sets]) for k in ("center", "half", "rot"))
+        )
 
     def take(self, keep: Array) -> Boxes:
         """The boxes picked by an index or mask."""
@@ -50,7 +52,9 @@ class Boxes:
         if point.shape == (3,):
             gap = sphere_box_distance(point[None], self)[0] if len(self) else np.zeros(0)
         else:
-            gap = np.linalg.norm(self.center[:, :2] - point, axis=1) - np.linalg.norm(self.half, axis=1)
+            gap = np.linalg.norm(self.center[:, :2] - point, axis=1) - np.linalg.norm(
+                self.half, axis=1
+            )
         return self.take(gap <= reach)
 
 

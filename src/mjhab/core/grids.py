@@ -26,14 +26,19 @@ def grid_graph(
         price: (X, Y) cost of a metre in each cell; 1 if absent. An edge costs the mean of its ends.
     """
     number = np.arange(free.size).reshape(free.shape)
-    starts, ends, costs = [], [], []
+    starts = []
+    ends = []
+    costs = []
     for dx, dy in moves:
-        a, b = _window(free, (dx, dy), (0, 0)), _window(free, (dx, dy), (dx, dy))
+        a = _window(free, (dx, dy), (0, 0))
+        b = _window(free, (dx, dy), (dx, dy))
         both = free[a] & free[b]
         if max(abs(dx), abs(dy)) == 2:
             step = (int(np.sign(dx)), int(np.sign(dy)))
             straight = (step[0], 0) if abs(dx) == 2 else (0, step[1])
-            both = both & free[_window(free, (dx, dy), straight)] & free[_window(free, (dx, dy), step)]
+            both = (
+                both & free[_window(free, (dx, dy), straight)] & free[_window(free, (dx, dy), step)]
+            )
         length = np.full(int(both.sum()), np.hypot(dx, dy) * cell)
         if price is not None:
             length = np.hypot(dx, dy) * cell * 0.5 * (price[a] + price[b])[both]
@@ -46,6 +51,8 @@ def grid_graph(
 
 def _window(free: np.ndarray, move: Move, offset: Move) -> tuple[slice, slice]:
     """The cells at ``offset`` from all cells from which ``move`` stays on the raster."""
-    (nx, ny), (dx, dy) = free.shape, move
-    x, y = offset[0], max(0, -dy) + offset[1]
+    (nx, ny) = free.shape
+    (dx, dy) = move
+    x = offset[0]
+    y = max(0, -dy) + offset[1]
     return slice(x, x + max(nx - dx, 0)), slice(y, y + max(ny - abs(dy), 0))

@@ -26,7 +26,11 @@ def check_name(what: str, name: Any, *, empty: bool = False) -> str:
         if not name and empty:
             return name
         parts = name.split("/")
-        if _NAME.fullmatch(name) and ".." not in name and not any(part.startswith(".") or not part for part in parts):
+        if (
+            _NAME.fullmatch(name)
+            and ".." not in name
+            and not any(part.startswith(".") or not part for part in parts)
+        ):
             return name
     shown = repr(name)
     if len(shown) > _MOST_SHOWN:

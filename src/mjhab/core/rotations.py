@@ -25,8 +25,14 @@ def quat_canonical(q: Array) -> Array:
 
 def quat_mul(a: Array, b: Array) -> Array:
     """Hamilton product ``a * b``: rotate by ``b`` first, then by ``a``. Shapes (..., 4)."""
-    aw, ax, ay, az = a[..., 0], a[..., 1], a[..., 2], a[..., 3]
-    bw, bx, by, bz = b[..., 0], b[..., 1], b[..., 2], b[..., 3]
+    aw = a[..., 0]
+    ax = a[..., 1]
+    ay = a[..., 2]
+    az = a[..., 3]
+    bw = b[..., 0]
+    bx = b[..., 1]
+    by = b[..., 2]
+    bz = b[..., 3]
     parts = [
         aw * bw - ax * bx - ay * by - az * bz,
         aw * bx + ax * bw + ay * bz - az * by,
@@ -43,8 +49,13 @@ def quat_conj(q: Array) -> Array:
 
 def quat_rotate(q: Array, v: Array) -> Array:
     """Rotate vectors (..., 3) by unit quaternions (..., 4)."""
-    w, x, y, z = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
-    vx, vy, vz = v[..., 0], v[..., 1], v[..., 2]
+    w = q[..., 0]
+    x = q[..., 1]
+    y = q[..., 2]
+    z = q[..., 3]
+    vx = v[..., 0]
+    vy = v[..., 1]
+    vz = v[..., 2]
     tx = 2 * (y * vz - z * vy)
     ty = 2 * (z * vx - x * vz)
     tz = 2 * (x * vy - y * vx)
@@ -64,7 +75,10 @@ def quat_rotate_inv(q: Array, v: Array) -> Array:
 def mat_from_quat(q: Array) -> Array:
     """Rotation matrices (..., 3, 3) of unit quaternions (..., 4); columns are the rotated axes."""
     xp = namespace(q)
-    w, x, y, z = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
+    w = q[..., 0]
+    x = q[..., 1]
+    y = q[..., 2]
+    z = q[..., 3]
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
@@ -79,17 +93,24 @@ def quat_from_mat(m: Array) -> Array:
     Shepperd's method: of four equivalent forms the one with the largest pivot is taken, so no case is ill-conditioned.
     """
     xp = namespace(m)
-    m00, m11, m22 = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
+    m00 = m[..., 0, 0]
+    m11 = m[..., 1, 1]
+    m22 = m[..., 2, 2]
     pivots = [1 + m00 + m11 + m22, 1 + m00 - m11 - m22, 1 - m00 + m11 - m22, 1 - m00 - m11 + m22]
-    wx, wy, wz = m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]
-    xy, xz, yz = m[..., 1, 0] + m[..., 0, 1], m[..., 0, 2] + m[..., 2, 0], m[..., 2, 1] + m[..., 1, 2]
+    wx = m[..., 2, 1] - m[..., 1, 2]
+    wy = m[..., 0, 2] - m[..., 2, 0]
+    wz = m[..., 1, 0] - m[..., 0, 1]
+    xy = m[..., 1, 0] + m[..., 0, 1]
+    xz = m[..., 0, 2] + m[..., 2, 0]
+    yz = m[..., 2, 1] + m[..., 1, 2]
     forms = [
         [pivots[0], wx, wy, wz],
         [wx, pivots[1], xy, xz],
         [wy, xy, pivots[2], yz],
         [wz, xz, yz, pivots[3]],
     ]
-    best, quat = pivots[0], xp.stack(forms[0], axis=-1)
+    best = pivots[0]
+    quat = xp.stack(forms[0], axis=-1)
     for pivot, form in zip(pivots[1:], forms[1:], strict=True):
         better = pivot > best
         best = xp.where(better, pivot, best)
@@ -107,7 +128,10 @@ def quat_from_yaw(yaw: Array) -> Array:
 
 def yaw_from_quat(q: Array) -> Array:
     """Heading (...,) [rad] in (-pi, pi]: the direction of the rotated x-axis seen from above."""
-    w, x, y, z = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
+    w = q[..., 0]
+    x = q[..., 1]
+    y = q[..., 2]
+    z = q[..., 3]
     return namespace(q).atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
@@ -115,7 +139,9 @@ def quat_from_axis_angle(axis: Array, angle: Array) -> Array:
     """Quaternions (..., 4) of rotations about unit axes (..., 3) by ``angle`` (...,) [rad]."""
     xp = namespace(axis, angle)
     sin = xp.sin(angle / 2)
-    parts = xp.broadcast_arrays(xp.cos(angle / 2), sin * axis[..., 0], sin * axis[..., 1], sin * axis[..., 2])
+    parts = xp.broadcast_arrays(
+        xp.cos(angle / 2), sin * axis[..., 0], sin * axis[..., 1], sin * axis[..., 2]
+    )
     return xp.stack(list(parts), axis=-1)
 
 
@@ -143,7 +169,11 @@ def frame_from_axes(approach: Array, closing: Array) -> Array:
     x = approach / xp.sqrt(xp.sum(approach * approach, axis=-1, keepdims=True))
     y = closing - x * xp.sum(closing * x, axis=-1, keepdims=True)
     y = y / xp.sqrt(xp.sum(y * y, axis=-1, keepdims=True))
-    x0, x1, x2 = x[..., 0], x[..., 1], x[..., 2]
-    y0, y1, y2 = y[..., 0], y[..., 1], y[..., 2]
+    x0 = x[..., 0]
+    x1 = x[..., 1]
+    x2 = x[..., 2]
+    y0 = y[..., 0]
+    y1 = y[..., 1]
+    y2 = y[..., 2]
     z = xp.stack([x1 * y2 - x2 * y1, x2 * y0 - x0 * y2, x0 * y1 - x1 * y0], axis=-1)
     return xp.stack([x, y, z], axis=-1)

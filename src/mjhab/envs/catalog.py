@@ -93,7 +93,9 @@ def make_single(*, env_id: str, **options: Any) -> SingleEnv:
     from mjhab.envs.single import SingleEnv
 
     if options.get("backend") == "warp":
-        raise UsageError("one world as a plain gymnasium.Env runs on backend 'cpu'; use gymnasium.make_vec for 'warp'")
+        raise UsageError(
+            "one world as a plain gymnasium.Env runs on backend 'cpu'; use gymnasium.make_vec for 'warp'"
+        )
     fixed = {"num_envs": 1, "autoreset": "disabled", "backend": "cpu"}
     return SingleEnv(make_by_id(env_id, **{**options, **fixed}))
 

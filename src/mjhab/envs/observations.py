@@ -59,11 +59,18 @@ def pose_in_base(base: Array, pose: Array) -> Array:
     The sign that a quaternion of the simulator has depends on how often the base or the object has turned round.
     """
     # The base turns about z only: half of the quaternion product is zero and left out.
-    xp, yaw = namespace(base), base[:, 2]
-    c, s = xp.cos(yaw), xp.sin(yaw)
-    ch, sh = xp.cos(0.5 * yaw), xp.sin(0.5 * yaw)
-    x, y = pose[..., 0] - base[:, 0], pose[..., 1] - base[:, 1]
-    qw, qx, qy, qz = pose[..., 3], pose[..., 4], pose[..., 5], pose[..., 6]
+    xp = namespace(base)
+    yaw = base[:, 2]
+    c = xp.cos(yaw)
+    s = xp.sin(yaw)
+    ch = xp.cos(0.5 * yaw)
+    sh = xp.sin(0.5 * yaw)
+    x = pose[..., 0] - base[:, 0]
+    y = pose[..., 1] - base[:, 1]
+    qw = pose[..., 3]
+    qx = pose[..., 4]
+    qy = pose[..., 5]
+    qz = pose[..., 6]
     out = empty(pose.shape, pose)
     out[..., 0] = c * x + s * y
     out[..., 1] = c * y - s * x
@@ -98,40 +105,68 @@ class ObsEntry:
 
 STATE_TABLE = (
     ObsEntry(
-        "agent/qpos", (12,), "m, rad", "joint: torso, head, arm, fingers", lambda c: c.robot_q[:, 3:],
+        "agent/qpos",
+        (12,),
+        "m, rad",
+        "joint: torso, head, arm, fingers",
+        lambda c: c.robot_q[:, 3:],
         "joint positions without the base",
     ),
     ObsEntry(
-        "agent/qvel", (12,), "m/s, rad/s", "joint: torso, head, arm, fingers", lambda c: c.robot_qd[:, 3:],
+        "agent/qvel",
+        (12,),
+        "m/s, rad/s",
+        "joint: torso, head, arm, fingers",
+        lambda c: c.robot_qd[:, 3:],
         "joint velocities without the base",
     ),
     ObsEntry(
-        "extra/tcp_pose_wrt_base", (7,), "m, wxyz", "base_link", lambda c: c.tcp_pose,
+        "extra/tcp_pose_wrt_base",
+        (7,),
+        "m, wxyz",
+        "base_link",
+        lambda c: c.tcp_pose,
         "gripper_link: position, quaternion with w >= 0",
     ),
     ObsEntry(
-        "extra/obj_pose_wrt_base", (7,), "m, wxyz", "base_link", lambda c: c.obj_pose,
+        "extra/obj_pose_wrt_base",
+        (7,),
+        "m, wxyz",
+        "base_link",
+        lambda c: c.obj_pose,
         "object of the active subtask (Open: the one inside), w >= 0; zero in Close, in Navigate with empty hands and "
         "once the plan is finished",
     ),
     ObsEntry(
-        "extra/goal_pos_wrt_base", (3,), "m", "base_link", lambda c: c.goal_pos,
+        "extra/goal_pos_wrt_base",
+        (3,),
+        "m",
+        "base_link",
+        lambda c: c.goal_pos,
         "Place: goal; Open, Close: handle; Navigate: next target; zero in Pick and once the plan is finished",
     ),
     ObsEntry(
-        "extra/is_grasped", (1,), "0 or 1", "-", lambda c: c.is_grasped[:, None],
+        "extra/is_grasped",
+        (1,),
+        "0 or 1",
+        "-",
+        lambda c: c.is_grasped[:, None],
         "the object (Open, Close: the handle) is grasped; zero once the plan is finished",
     ),
-)  # fmt: skip
+)
 STATE_DIM = sum(entry.shape[0] for entry in STATE_TABLE)
 STATE_KEY = "state"
 CAMERA_KEYS = tuple(camera.name for camera in CAMERAS)
 CAMERA_OUTPUTS = ("depth", "rgb", "seg")
 POINTCLOUD = "pointcloud"
 OBS_MODES: dict[str, tuple[str, ...]] = {
-    "state": (), "depth": ("depth",), "rgb": ("rgb",), "rgbd": ("depth", "rgb"), "seg": ("seg",),
+    "state": (),
+    "depth": ("depth",),
+    "rgb": ("rgb",),
+    "rgbd": ("depth", "rgb"),
+    "seg": ("seg",),
     POINTCLOUD: (POINTCLOUD,),
-}  # fmt: skip
+}
 """Observation modes and what each adds to the state; joined by "+" they add up, as in "rgbd+seg"."""
 DEPTH_SCALE = 1000.0
 """Depth images are int16 millimetres, 0 where nothing is hit."""
@@ -175,7 +210,9 @@ def camera_names(cameras: str | Sequence[str]) -> tuple[str, ...]:
         if name not in CAMERA_KEYS:
             raise unknown_name("camera", name, CAMERA_KEYS)
     if not names:
-        raise UsageError(f"cameras must name at least one camera of: {', '.join(CAMERA_KEYS)}; got none.")
+        raise UsageError(
+            f"cameras must name at least one camera of: {', '.join(CAMERA_KEYS)}; got none."
+        )
     return names
 
 
@@ -186,8 +223,12 @@ def image_size(size: int | Sequence[int]) -> tuple[int, int]:
         UsageError: not whole numbers, not one or two of them, or below MIN_SIZE.
     """
     sides = tuple(size) if isinstance(size, Sequence) else (size, size)
-    if len(sides) != 2 or any(not isinstance(side, int | np.integer) or side < MIN_SIZE for side in sides):
-        raise UsageError(f"camera size must be one whole number or (height, width), each >= {MIN_SIZE}; got {size!r}.")
+    if len(sides) != 2 or any(
+        not isinstance(side, int | np.integer) or side < MIN_SIZE for side in sides
+    ):
+        raise UsageError(
+            f"camera size must be one whole number or (height, width), each >= {MIN_SIZE}; got {size!r}."
+        )
     return int(sides[0]), int(sides[1])
 
 
@@ -199,11 +240,15 @@ def intrinsic_matrix(camera: str, size: tuple[int, int]) -> np.ndarray:
     return np.array([[focal, 0.0, 0.5 * width], [0.0, focal, 0.5 * height], [0.0, 0.0, 1.0]])
 
 
-def observation_table(outputs: Sequence[str], cameras: Sequence[str], size: tuple[int, int]) -> tuple[ObsEntry, ...]:
+def observation_table(
+    outputs: Sequence[str], cameras: Sequence[str], size: tuple[int, int]
+) -> tuple[ObsEntry, ...]:
     """All rows but ``state``: those of STATE_TABLE and, with ``outputs`` of `mode_outputs`, those of the cameras."""
     rows = list(STATE_TABLE)
     for c, camera in enumerate(cameras if outputs else ()):
-        rows += [_image_row(c, camera, output, size) for output in outputs if output in CAMERA_OUTPUTS]
+        rows += [
+            _image_row(c, camera, output, size) for output in outputs if output in CAMERA_OUTPUTS
+        ]
         rows += _param_rows(c, camera)
     if POINTCLOUD in outputs:
         rows += _cloud_rows(len(cameras) * size[0] * size[1])
@@ -221,14 +266,24 @@ def describe(table: Sequence[ObsEntry]) -> list[dict[str, Any]]:
     """The rows of a table and ``state`` for people and machines: key, shape, dtype, unit, frame, meaning."""
     rows = [
         {
-            "key": entry.key, "shape": list(entry.shape), "dtype": np.dtype(entry.dtype).name, "unit": entry.unit,
-            "frame": entry.frame, "meaning": entry.meaning,
+            "key": entry.key,
+            "shape": list(entry.shape),
+            "dtype": np.dtype(entry.dtype).name,
+            "unit": entry.unit,
+            "frame": entry.frame,
+            "meaning": entry.meaning,
         }
         for entry in table
-    ]  # fmt: skip
+    ]
     meaning = "the rows " + ", ".join(entry.key for entry in STATE_TABLE) + " in this order"
     rows.append(
-        {"key": STATE_KEY, "shape": [STATE_DIM], "dtype": "float32", "unit": "mixed", "frame": "mixed"}
+        {
+            "key": STATE_KEY,
+            "shape": [STATE_DIM],
+            "dtype": "float32",
+            "unit": "mixed",
+            "frame": "mixed",
+        }
         | {"meaning": meaning}
     )
     return rows
@@ -236,41 +291,89 @@ def describe(table: Sequence[ObsEntry]) -> list[dict[str, Any]]:
 
 def _image_row(index: int, camera: str, output: str, size: tuple[int, int]) -> ObsEntry:
     compute = partial(_image, index=index, output=output)
-    key, frame = camera_key(camera, output), "image, rows from the top"
+    key = camera_key(camera, output)
+    frame = "image, rows from the top"
     if output == "rgb":
         return ObsEntry(key, (*size, 3), "sRGB", frame, compute, "colour", np.uint8, 0, 255)
     if output == "depth":
         meaning = "distance along the optical axis, 0 where nothing is hit"
         return ObsEntry(key, (*size, 1), "mm", frame, compute, meaning, np.int16, 0, DEPTH_MAX)
-    meaning, most = "segmentation id, see `segmentation_names`; 0 where nothing is hit", np.iinfo(np.int32).max
+    meaning = "segmentation id, see `segmentation_names`; 0 where nothing is hit"
+    most = np.iinfo(np.int32).max
     return ObsEntry(key, (*size, 1), "id", frame, compute, meaning, np.int32, 0, most)
 
 
 def _param_rows(index: int, camera: str) -> list[ObsEntry]:
-    def row(name: str, shape: tuple[int, ...], unit: str, frame: str, compute: Callable, meaning: str) -> ObsEntry:
-        return ObsEntry(param_key(camera, name), shape, unit, frame, partial(compute, index=index), meaning)
+    def row(
+        name: str, shape: tuple[int, ...], unit: str, frame: str, compute: Callable, meaning: str
+    ) -> ObsEntry:
+        return ObsEntry(
+            param_key(camera, name), shape, unit, frame, partial(compute, index=index), meaning
+        )
 
     return [
-        row("intrinsic_cv", (3, 3), "px", "camera: x right, y down, z forward", _intrinsic_cv,
-            "pinhole matrix; pixel centres lie at + 0.5"),
-        row("extrinsic_cv", (3, 4), "m", "camera: x right, y down, z forward", _extrinsic_cv,
-            "world to camera"),
-        row("cam2world_gl", (4, 4), "m", "world", _cam2world_gl,
-            "camera (x right, y up, z backwards) to world"),
-    ]  # fmt: skip
+        row(
+            "intrinsic_cv",
+            (3, 3),
+            "px",
+            "camera: x right, y down, z forward",
+            _intrinsic_cv,
+            "pinhole matrix; pixel centres lie at + 0.5",
+        ),
+        row(
+            "extrinsic_cv",
+            (3, 4),
+            "m",
+            "camera: x right, y down, z forward",
+            _extrinsic_cv,
+            "world to camera",
+        ),
+        row(
+            "cam2world_gl",
+            (4, 4),
+            "m",
+            "world",
+            _cam2world_gl,
+            "camera (x right, y up, z backwards) to world",
+        ),
+    ]
 
 
 def _cloud_rows(points: int) -> list[ObsEntry]:
     most = np.iinfo(np.int32).max
     order = "of every pixel: cameras in the order asked for, rows from the top"
     return [
-        ObsEntry(f"{POINTCLOUD}/xyz", (points, 3), "m", "base_link", _cloud_xyz,
-                 f"position {order}; zero where nothing is hit (seg 0)"),
-        ObsEntry(f"{POINTCLOUD}/rgb", (points, 3), "sRGB", "-", partial(_cloud_image, output="rgb"),
-                 f"colour {order}", np.uint8, 0, 255),
-        ObsEntry(f"{POINTCLOUD}/seg", (points, 1), "id", "-", partial(_cloud_image, output="seg"),
-                 f"segmentation id {order}", np.int32, 0, most),
-    ]  # fmt: skip
+        ObsEntry(
+            f"{POINTCLOUD}/xyz",
+            (points, 3),
+            "m",
+            "base_link",
+            _cloud_xyz,
+            f"position {order}; zero where nothing is hit (seg 0)",
+        ),
+        ObsEntry(
+            f"{POINTCLOUD}/rgb",
+            (points, 3),
+            "sRGB",
+            "-",
+            partial(_cloud_image, output="rgb"),
+            f"colour {order}",
+            np.uint8,
+            0,
+            255,
+        ),
+        ObsEntry(
+            f"{POINTCLOUD}/seg",
+            (points, 1),
+            "id",
+            "-",
+            partial(_cloud_image, output="seg"),
+            f"segmentation id {order}",
+            np.int32,
+            0,
+            most,
+        ),
+    ]
 
 
 def _image(views: Views, index: int, output: str) -> Array:
@@ -279,7 +382,8 @@ def _image(views: Views, index: int, output: str) -> Array:
         return image
     if output == "seg":
         return image[..., None]
-    xp, mm = namespace(image), image * DEPTH_SCALE
+    xp = namespace(image)
+    mm = image * DEPTH_SCALE
     xp.round(mm, out=mm)
     xp.minimum(mm, constant((float(DEPTH_MAX),), mm), out=mm)
     return xp.astype(mm, xp.int16)[..., None]
@@ -305,27 +409,36 @@ def _turned(mat: Array) -> Array:
 def _cam2world_gl(views: Views, index: int) -> Array:
     xp = namespace(views.mat)
     out = xp.zeros((len(views.pos), 4, 4), dtype=xp.float32, device=device_of(views.mat))
-    out[:, :3, :3], out[:, :3, 3], out[:, 3, 3] = views.mat[:, index], views.pos[:, index], 1.0
+    out[:, :3, :3] = views.mat[:, index]
+    out[:, :3, 3] = views.pos[:, index]
+    out[:, 3, 3] = 1.0
     return out
 
 
 def _cloud_xyz(views: Views) -> Array:
     depth = views.images["depth"]
-    xp, f32 = namespace(depth), namespace(depth).float32
+    xp = namespace(depth)
+    f32 = namespace(depth).float32
     yaw = views.base[:, 2]
-    c, s, zero = xp.cos(yaw), xp.sin(yaw), zeros(yaw.shape, yaw)
-    to_base = xp.stack([xp.stack([c, s, zero]), xp.stack([-s, c, zero]), xp.stack([zero, zero, zero + 1.0])])
+    c = xp.cos(yaw)
+    s = xp.sin(yaw)
+    zero = zeros(yaw.shape, yaw)
+    to_base = xp.stack(
+        [xp.stack([c, s, zero]), xp.stack([-s, c, zero]), xp.stack([zero, zero, zero + 1.0])]
+    )
     to_base = xp.permute_dims(to_base, (2, 0, 1))
     origin = xp.concat([views.base[:, :2], zero[:, None] + BASE_HEIGHT], axis=1)
     rot = to_base[:, None] @ views.mat
     pos = xp.einsum("wij,wcj->wci", to_base, views.pos - origin[:, None])
     # Points in the camera (x right, y down, z forward) and 1, all 0 where nothing is hit, times a 4x3 matrix.
     seen = empty((*depth.shape, 4), depth)
-    col, row = count(depth.shape[3], depth) + 0.5, count(depth.shape[2], depth)[:, None] + 0.5
+    col = count(depth.shape[3], depth) + 0.5
+    row = count(depth.shape[2], depth)[:, None] + 0.5
     for k, matrix in enumerate(views.intrinsic):
         seen[:, k, ..., 0] = depth[:, k] * xp.astype((col - matrix[0, 2]) / matrix[0, 0], f32)
         seen[:, k, ..., 1] = depth[:, k] * xp.astype((row - matrix[1, 2]) / matrix[1, 1], f32)
-    seen[..., 2], seen[..., 3] = depth, depth > 0.0
+    seen[..., 2] = depth
+    seen[..., 3] = depth > 0.0
     move = xp.concat([xp.permute_dims(_turned(rot), (0, 1, 3, 2)), pos[:, :, None]], axis=2)
     points = xp.reshape(seen, (*depth.shape[:2], -1, 4)) @ xp.astype(move, f32)
     return xp.reshape(points, (len(depth), -1, 3))
@@ -339,8 +452,11 @@ def _cloud_image(views: Views, output: str) -> Array:
 def state_observation(context: ObsContext) -> dict[str, Array]:
     """Every entry of STATE_TABLE and their concatenation, float32, (W, ...); the entries are views of it."""
     xp = namespace(context.robot_q)
-    state = xp.astype(xp.concat([entry.compute(context) for entry in STATE_TABLE], axis=1), xp.float32)
-    obs, column = {}, 0
+    state = xp.astype(
+        xp.concat([entry.compute(context) for entry in STATE_TABLE], axis=1), xp.float32
+    )
+    obs = {}
+    column = 0
     for entry in STATE_TABLE:
         obs[entry.key] = state[:, column : column + entry.shape[0]]
         column += entry.shape[0]

@@ -66,7 +66,8 @@ class SequentialTaskEnv(VectorEnv):
     """
 
     def __init__(self, config: EnvConfig) -> None:
-        self.config, self.num_envs = config, config.num_envs
+        self.config = config
+        self.num_envs = config.num_envs
         check_memory(config.num_envs)
         self.task_config = task_config(config, REST_QPOS)
         self.controller = make_controller(
@@ -77,17 +78,31 @@ class SequentialTaskEnv(VectorEnv):
         points = config.handle_points
         self.sensing = Sensing(self.layout, self.sim.addresses, self.num_envs, handle_points=points)
         self.observer = Observer(
-            self.sim, self.sensing, config.obs_mode, config.cameras, config.camera_size, config.threads
+            self.sim,
+            self.sensing,
+            config.obs_mode,
+            config.cameras,
+            config.camera_size,
+            config.threads,
         )
-        length = 1 if config.subtask else TARGETS_PER_TASK[config.task] * SUBTASKS_PER_TARGET[config.task]
+        length = (
+            1
+            if config.subtask
+            else TARGETS_PER_TASK[config.task] * SUBTASKS_PER_TARGET[config.task]
+        )
         self.tables = PlanTables(self.layout, self.task_config, self.num_envs, length)
         self.tracker = Tracker(self.num_envs)
         self.nav = NavDistance(self.layout, self.num_envs, self.starts.sampler.map)
         self.rewarder = Rewarder(
-            self.num_envs, self.task_config, config.reward, config.reward_options, self.layout, self.sensing,
+            self.num_envs,
+            self.task_config,
+            config.reward,
+            config.reward_options,
+            self.layout,
+            self.sensing,
             lambda inputs: self.nav.at(inputs.world.base_pose[:, :2]),
             [SubtaskKind[config.subtask.upper()]] if config.subtask else list(SubtaskKind),
-        )  # fmt: skip
+        )
         self._set_spaces()
         self._init_worlds()
 
@@ -96,7 +111,9 @@ class SequentialTaskEnv(VectorEnv):
         file = read_hab(Path(config.episodes_file)) if config.episodes_file else None
         self.layout = Layout(pack, file_roster(file, pack) if file else roster(config.task))
         check_target(config, self.layout)
-        self.sim = CpuSimulator(self.layout, config.num_envs, config.threads, self.controller.drives)
+        self.sim = CpuSimulator(
+            self.layout, config.num_envs, config.threads, self.controller.drives
+        )
         wanted = config.target if config.target in self.layout.roster else ""
         self.episodes = (
             FileEpisodes(self.sim, file, config.task, config.home, wanted)
@@ -106,7 +123,11 @@ class SequentialTaskEnv(VectorEnv):
 
     def _set_spaces(self) -> None:
         autoreset = AutoresetMode[self.config.autoreset.upper()]
-        self.metadata = {"autoreset_mode": autoreset, "render_fps": 20, "render_modes": ["rgb_array"]}
+        self.metadata = {
+            "autoreset_mode": autoreset,
+            "render_fps": 20,
+            "render_modes": ["rgb_array"],
+        }
         self.render_mode = self.config.render_mode or None
         self.single_observation_space = self.observer.single_space
         self.observation_space = batched(self.single_observation_space, self.num_envs)
@@ -127,7 +148,8 @@ class SequentialTaskEnv(VectorEnv):
         self.reward_terms: dict[str, np.ndarray] = {}
         self.count = np.zeros(n, np.int64)
         self.seeds = np.full(n, self.config.seed, np.int64)
-        self.joint_start, self.grip = np.zeros(n), np.ones(n, np.float32)
+        self.joint_start = np.zeros(n)
+        self.grip = np.ones(n, np.float32)
         """(W,): joint of the active link when its subtask began; the gripper's number in the last action."""
         self.teleports = Teleports(self)
         self.reporter = Reporter(self)
@@ -146,7 +168,10 @@ class SequentialTaskEnv(VectorEnv):
     # -- reset -----------------------------------------------------------------------------------------------------
 
     def reset(
-        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
     ) -> tuple[dict, dict]:
         """Start episodes. World i's k-th episode since its seed was set depends on (its seed, i, k) only.
 
@@ -164,7 +189,9 @@ class SequentialTaskEnv(VectorEnv):
         if options:
             raise unknown_name("reset option", next(iter(options)), ("reset_mask", "episode"))
         if mask.shape != (self.num_envs,) or mask.dtype != bool:
-            raise UsageError(f"reset_mask must be bool ({self.num_envs},), got {mask.dtype} {mask.shape}")
+            raise UsageError(
+                f"reset_mask must be bool ({self.num_envs},), got {mask.dtype} {mask.shape}"
+            )
         self._reseed(seed, mask)
         worlds = np.flatnonzero(mask)
         if indices is None:
@@ -180,11 +207,14 @@ class SequentialTaskEnv(VectorEnv):
             return
         seeds = [seed] * self.num_envs if isinstance(seed, int | np.integer) else list(seed)
         if len(seeds) != self.num_envs or any(s is not None and s < 0 for s in seeds):
-            raise UsageError(f"seed must be a number >= 0 or {self.num_envs} of them, one per world; got {seed!r}")
+            raise UsageError(
+                f"seed must be a number >= 0 or {self.num_envs} of them, one per world; got {seed!r}"
+            )
         for world in np.flatnonzero(mask).tolist():
             own = seeds[world]
             if own is not None:
-                self.seeds[world], self.count[world] = own, 0
+                self.seeds[world] = own
+                self.count[world] = 0
 
     def make_episode(self, seed: int, index: int) -> Episode:
         """The episode of a name."""
@@ -204,14 +234,18 @@ class SequentialTaskEnv(VectorEnv):
             start = self.adopt(world, self.make_episode(int(self.seeds[world]), index))
             self.fallback[world] = start.fallback
             starts.append(start)
-        self.sim.reset(worlds.tolist(), [s.home for s in starts], np.stack([s.qpos for s in starts]))
+        self.sim.reset(
+            worlds.tolist(), [s.home for s in starts], np.stack([s.qpos for s in starts])
+        )
         mask = np.zeros(self.num_envs, bool)
         mask[worlds] = True
         self.count[worlds] += 1
         self.success[worlds] = self.fail[worlds] = self.due[worlds] = False
         held = self.tables.arrays.kind[:, 0] == SubtaskKind.PLACE
         self.grip[worlds] = np.where(held[worlds], -1.0, 1.0)
-        self.follow(progress_rules.reset_rows(self.progress, mask, self.tables.arrays, self.task_config))
+        self.follow(
+            progress_rules.reset_rows(self.progress, mask, self.tables.arrays, self.task_config)
+        )
         self.state = self.sim.state()
         self.controller.reset(mask, self.state)
         self._enter_subtask(mask)
@@ -221,13 +255,17 @@ class SequentialTaskEnv(VectorEnv):
         start = self.starts.start(episode)
         if self.task_config.goal_type != "zone":
             return start
-        plan = with_zones(start.plan, self.layout, self.starts.home(start.home), self.task_config.goal_tol)
+        plan = with_zones(
+            start.plan, self.layout, self.starts.home(start.home), self.task_config.goal_tol
+        )
         return dataclasses.replace(start, plan=plan)
 
     def adopt(self, world: int, episode: Episode) -> Start:
         """Give a world an episode: its home, its plan; returns what it begins with."""
         start = self.start_of(episode)
-        self.episodes_now[world], self.homes[world], self.boxes[world] = episode, start.home, start.boxes
+        self.episodes_now[world] = episode
+        self.homes[world] = start.home
+        self.boxes[world] = start.boxes
         self.tables.set_row(world, start.plan, start.boxes)
         return start
 
@@ -258,10 +296,16 @@ class SequentialTaskEnv(VectorEnv):
         return self.sensing.world_state(self.state, self.tables, self.focus, self.joint_start)
 
     def _measure(self, world: WorldState) -> Signals:
-        signals = measure(world, self.tables.arrays, self.progress, self.task_config, self.focus.active)
+        signals = measure(
+            world, self.tables.arrays, self.progress, self.task_config, self.focus.active
+        )
         waiting = self.teleports.waiting
         # A Navigate that still waits for its spawn is not done, wherever the robot happens to stand.
-        return dataclasses.replace(signals, success=signals.success & ~waiting) if waiting.any() else signals
+        return (
+            dataclasses.replace(signals, success=signals.success & ~waiting)
+            if waiting.any()
+            else signals
+        )
 
     def _reward_inputs(self, world: WorldState, signals: Signals) -> RewardInputs:
         return RewardInputs(self.state, world, signals, self.focus, self.progress)
@@ -281,14 +325,19 @@ class SequentialTaskEnv(VectorEnv):
         signals = self._measure(world)
         if broken is not None:
             self.progress, signals = _give_up(broken, self.progress, signals)
-        new, outcome = progress_rules.advance(self.progress, signals, self.tables.arrays, self.task_config)
+        new, outcome = progress_rules.advance(
+            self.progress, signals, self.tables.arrays, self.task_config
+        )
         reward = self._reward(world, signals, new)
         events = self.tracker.update(signals, self.progress)
         ended = self.tracker.ended(signals, outcome, self.progress, self.tables.plans)
         if outcome.advanced.any():
             self.follow(new)
-        self.progress, self.signals, self.judged = new, signals, signals
-        self.success, self.fail = outcome.success.copy(), outcome.fail.copy()
+        self.progress = new
+        self.signals = signals
+        self.judged = signals
+        self.success = outcome.success.copy()
+        self.fail = outcome.fail.copy()
         moved = outcome.advanced & ~outcome.done
         if moved.any():
             self._enter_subtask(moved)
@@ -331,7 +380,8 @@ class SequentialTaskEnv(VectorEnv):
         if not self.config.runs_to_horizon:
             terminated = terminated | outcome.success | outcome.force_exceeded
         truncated = outcome.done & ~terminated
-        obs, info = None, None
+        obs = None
+        info = None
         if outcome.done.any() and self.config.autoreset == "same_step":
             obs, info = self._renew(events, ended, outcome.done)
         elif self.config.autoreset == "next_step":
@@ -341,27 +391,38 @@ class SequentialTaskEnv(VectorEnv):
                 self._begin_next(np.flatnonzero(self.due))
             self.due = outcome.done.copy()
         if obs is None or info is None:
-            obs, info = self._observe(), self.reporter.info(events, ended)
+            obs = self._observe()
+            info = self.reporter.info(events, ended)
         return obs, reward, terminated, truncated, info
 
     def _renew(self, events: list[list[str]], ended: list, done: np.ndarray) -> tuple[dict, dict]:
         """Reset finished worlds in the same step: their last observation and info go into final_obs, final_info."""
-        final_obs, final_info = self._observe(), self.reporter.info(events, ended)
+        final_obs = self._observe()
+        final_info = self.reporter.info(events, ended)
         self._begin_next(np.flatnonzero(done))
         # What happened belongs to the old episode; the new one begins with nothing.
         gone = done.tolist()
         events = [[] if old else names for names, old in zip(events, gone, strict=True)]
         ended = [None if old else record for record, old in zip(ended, gone, strict=True)]
         info = self.reporter.info(events, ended)
-        info |= {"final_obs": final_obs, "final_info": final_info, "_final_obs": done, "_final_info": done}
+        info |= {
+            "final_obs": final_obs,
+            "final_info": final_info,
+            "_final_obs": done,
+            "_final_info": done,
+        }
         return self._observe(final_obs, done), info
 
     def _begin_next(self, worlds: np.ndarray) -> None:
         self._begin(worlds, [int(i) for i in worlds * INDEX_STRIDE + self.count[worlds]])
 
-    def _observe(self, known: dict[str, np.ndarray] | None = None, changed: np.ndarray | None = None) -> dict:
+    def _observe(
+        self, known: dict[str, np.ndarray] | None = None, changed: np.ndarray | None = None
+    ) -> dict:
         assert self.signals is not None
-        return self.observer.observe(self.state, self.focus, self.signals, self.homes, known, changed)
+        return self.observer.observe(
+            self.state, self.focus, self.signals, self.homes, known, changed
+        )
 
     # -- states and pictures ---------------------------------------------------------------------------------------
 
@@ -375,11 +436,15 @@ class SequentialTaskEnv(VectorEnv):
 
     def render_world(self, world: int, width: int = 480, height: int = 360) -> np.ndarray:
         """Human view (H, W, 3) uint8 of one world."""
-        return self.observer.renderer.follow_view(self.state, self.homes[world], world, width, height)
+        return self.observer.renderer.follow_view(
+            self.state, self.homes[world], world, width, height
+        )
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """Human views (H, W, 3) uint8 of all worlds, or None without a render mode."""
-        return tuple(self.render_world(w) for w in range(self.num_envs)) if self.render_mode else None
+        return (
+            tuple(self.render_world(w) for w in range(self.num_envs)) if self.render_mode else None
+        )
 
     def view(self, world: int) -> WorldView:
         """Privileged live view of one world, for scripted experts."""
@@ -393,7 +458,9 @@ class SequentialTaskEnv(VectorEnv):
     def state_digest(self, world: int) -> str:
         """Hash of positions and velocities of one world: equal only if every bit is."""
         batch = self.sim.batch
-        return hashlib.sha256(batch.qpos[world].tobytes() + batch.qvel[world].tobytes()).hexdigest()[:16]
+        return hashlib.sha256(
+            batch.qpos[world].tobytes() + batch.qvel[world].tobytes()
+        ).hexdigest()[:16]
 
 
 def _give_up(broken: np.ndarray, progress: Progress, signals: Signals) -> tuple[Progress, Signals]:

@@ -32,7 +32,9 @@ class SingleEnv(gymnasium.Env):
             raise AttributeError(name)
         return getattr(self.worlds, name)
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict, dict]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict, dict]:
         """Begin an episode; see `SequentialTaskEnv.reset` for the options."""
         super().reset(seed=seed)
         obs, info = self.worlds.reset(seed=seed, options=options)

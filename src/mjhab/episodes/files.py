@@ -87,11 +87,21 @@ class Factory:
         """
         episode, rejected = self.maker.make(self.recipe.seed, index)
         hab = to_hab(self.maker.layout, self._homes[episode.home], episode)
-        return Row(index, episode.home, rejected, state_hash(hab), json.dumps(to_json(hab), allow_nan=False))
+        return Row(
+            index,
+            episode.home,
+            rejected,
+            state_hash(hab),
+            json.dumps(to_json(hab), allow_nan=False),
+        )
 
 
 def make_file(
-    recipe: Recipe, out: Path, workers: int, tell: Callable[[int, int], None], overwrite: bool = False
+    recipe: Recipe,
+    out: Path,
+    workers: int,
+    tell: Callable[[int, int], None],
+    overwrite: bool = False,
 ) -> dict[str, int]:
     """Make the episodes of a recipe and write them; finished ones survive an interruption.
 
@@ -115,7 +125,8 @@ def make_file(
     out.parent.mkdir(parents=True, exist_ok=True)
     partial = partial_path(out)
     rows = _resume(partial, header, overwrite)
-    done, rejected = len(rows), sum(row.rejected for row in rows)
+    done = len(rows)
+    rejected = sum(row.rejected for row in rows)
     tell(done, rejected)
     missing = range(recipe.first + done, recipe.first + recipe.count)
     with partial.open("a", encoding="utf-8") as log:
@@ -123,7 +134,8 @@ def make_file(
             log.write(json.dumps(asdict(row)) + "\n")
             log.flush()
             rows.append(row)
-            done, rejected = done + 1, rejected + row.rejected
+            done += 1
+            rejected = rejected + row.rejected
             tell(done, rejected)
     write_rows(out, {"config": None}, (row.text for row in rows))
     _write_manifest(out, header, rows)
@@ -132,7 +144,9 @@ def make_file(
 
 
 def _write_manifest(out: Path, header: dict[str, Any], rows: list[Row]) -> None:
-    listed = [{"index": r.index, "home": r.home, "rejected": r.rejected, "hash": r.digest} for r in rows]
+    listed = [
+        {"index": r.index, "home": r.home, "rejected": r.rejected, "hash": r.digest} for r in rows
+    ]
     text = json.dumps({**header, "episodes": listed}, indent=1)
     write_atomic(manifest_path(out), lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
@@ -158,7 +172,9 @@ def _resume(partial: Path, header: dict[str, Any], overwrite: bool) -> list[Row]
             "add --overwrite."
         )
     kept = [json.dumps(header), *(json.dumps(asdict(row)) for row in rows)]
-    write_atomic(partial, lambda temporary: temporary.write_text("\n".join(kept) + "\n", encoding="utf-8"))
+    write_atomic(
+        partial, lambda temporary: temporary.write_text("\n".join(kept) + "\n", encoding="utf-8")
+    )
     return rows
 
 

@@ -95,10 +95,17 @@ class EpisodeMaker:
         target: object type that must be among the targets, or "".
     """
 
-    def __init__(self, sim: CpuSimulator, task: str, split: str, home: str = "", target: str = "") -> None:
-        self.sim, self.task, self.split, self.target = sim, task, split, target
+    def __init__(
+        self, sim: CpuSimulator, task: str, split: str, home: str = "", target: str = ""
+    ) -> None:
+        self.sim = sim
+        self.task = task
+        self.split = split
+        self.target = target
         self.layout: Layout = sim.layout
-        self.homes = homes_named(self.layout.pack, home) if home else homes_of(self.layout.pack, split)
+        self.homes = (
+            homes_named(self.layout.pack, home) if home else homes_of(self.layout.pack, split)
+        )
         self._in_turn = bool(home)
         for chosen in self.homes:
             require_furniture(chosen, task)
@@ -126,7 +133,9 @@ class EpisodeMaker:
             episode = self._draw(seed, index, attempt)
             if episode is not None:
                 return episode, attempt
-        raise MjhabError(f"no stable start for {self.task} episode {index} of seed {seed} in {_ATTEMPTS} draws")
+        raise MjhabError(
+            f"no stable start for {self.task} episode {index} of seed {seed} in {_ATTEMPTS} draws"
+        )
 
     def _draw(self, seed: int, index: int, attempt: int) -> Episode | None:
         # The home is drawn apart from the attempts: a home where placing is hard stays as likely as the others.
@@ -135,7 +144,9 @@ class EpisodeMaker:
         receptacles = {r.id: r for r in placed_receptacles(self.layout, home)}
         draw = _Draw(home, receptacles, {}, self.layout.parked_poses.copy())
         targets = self._place_targets(rng, draw)
-        if targets is None or not self._place_clutter(rng, draw, {self._slot(t.obj) for t in targets}):
+        if targets is None or not self._place_clutter(
+            rng, draw, {self._slot(t.obj) for t in targets}
+        ):
             return None
         qpos = self.sim.model(home.name).qpos0.copy()
         a = self.sim.addresses
@@ -144,14 +155,21 @@ class EpisodeMaker:
             qpos[a.link_q[self.layout.link_ids.index(FRIDGE_DOOR)]] = FRIDGE_PREOPEN
         settled, speed = settle(self.sim.model(home.name), a, qpos)
         pose = settled[a.object_q[:, None] + np.arange(7)]
-        if speed > MAX_SPEED or np.linalg.norm(pose[:, :3] - draw.pose[:, :3], axis=1).max() > MAX_DRIFT:
+        if (
+            speed > MAX_SPEED
+            or np.linalg.norm(pose[:, :3] - draw.pose[:, :3], axis=1).max() > MAX_DRIFT
+        ):
             return None
-        return Episode(self.task, self.split, seed, index, home.name, pose, settled[a.link_q], targets)
+        return Episode(
+            self.task, self.split, seed, index, home.name, pose, settled[a.link_q], targets
+        )
 
     def _home(self, seed: int, index: int) -> Home:
         if self._in_turn:
             return self.homes[index % len(self.homes)]
-        return self.homes[int(stream(seed, "home", self.task, self.split, index).integers(len(self.homes)))]
+        return self.homes[
+            int(stream(seed, "home", self.task, self.split, index).integers(len(self.homes)))
+        ]
 
     # -- where things go -------------------------------------------------------------------------------------------
 
@@ -166,7 +184,9 @@ class EpisodeMaker:
             if r.template in OPEN_TEMPLATES and r.id.split("/")[0] not in things:
                 things.add(r.id.split("/")[0])
                 out.append(r)
-            elif (r.template == "kitchen_counter" and r.name in COUNTER_TOPS) or (shelf and r.id == FRIDGE_SHELF):
+            elif (r.template == "kitchen_counter" and r.name in COUNTER_TOPS) or (
+                shelf and r.id == FRIDGE_SHELF
+            ):
                 out.append(r)
         return out
 
@@ -189,7 +209,8 @@ class EpisodeMaker:
 
     def _set_table(self, rng: np.random.Generator, draw: _Draw) -> tuple[Target, ...] | None:
         last = {kind: slot for slot, kind in enumerate(self.layout.roster)}
-        bowl, apple = last["024_bowl"], last["013_apple"]
+        bowl = last["024_bowl"]
+        apple = last["013_apple"]
         drawer = [r for r in draw.receptacles.values() if r.link == BOWL_DRAWER]
         table = [r for r in draw.receptacles.values() if r.template == SETTABLE_TABLE]
         shelf = [draw.receptacles[FRIDGE_SHELF]]
@@ -198,8 +219,14 @@ class EpisodeMaker:
     def _groceries(self, rng: np.random.Generator, draw: _Draw) -> tuple[Target, ...] | None:
         slots = self._slots(rng)
         shelf = [draw.receptacles[FRIDGE_SHELF]]
-        tops = [r for r in draw.receptacles.values() if r.template == "kitchen_counter" and r.name in COUNTER_TOPS[:2]]
-        return self._targets(rng, draw, [(slots[0], shelf, tops), (slots[1], shelf, tops), (slots[2], tops, shelf)])
+        tops = [
+            r
+            for r in draw.receptacles.values()
+            if r.template == "kitchen_counter" and r.name in COUNTER_TOPS[:2]
+        ]
+        return self._targets(
+            rng, draw, [(slots[0], shelf, tops), (slots[1], shelf, tops), (slots[2], tops, shelf)]
+        )
 
     def _targets(
         self,
@@ -209,7 +236,9 @@ class EpisodeMaker:
     ) -> tuple[Target, ...] | None:
         starts: list[PlacedReceptacle] = []
         for slot, places, _ in wanted:
-            put = self._put(rng, draw, slot, places, SHELF_GAP if places[0].id == FRIDGE_SHELF else TARGET_GAP)
+            put = self._put(
+                rng, draw, slot, places, SHELF_GAP if places[0].id == FRIDGE_SHELF else TARGET_GAP
+            )
             if put is None:
                 return None
             starts.append(put)
@@ -227,7 +256,12 @@ class EpisodeMaker:
         return tuple(targets)
 
     def _target(
-        self, draw: _Draw, slot: int, start: PlacedReceptacle, where: PlacedReceptacle, goal: np.ndarray
+        self,
+        draw: _Draw,
+        slot: int,
+        start: PlacedReceptacle,
+        where: PlacedReceptacle,
+        goal: np.ndarray,
     ) -> Target:
         link = opens(start)
         return Target(
@@ -255,9 +289,15 @@ class EpisodeMaker:
         return place.point(u, v) + np.array([0.0, 0.0, half_z])
 
     def _put(
-        self, rng: np.random.Generator, draw: _Draw, slot: int, places: list[PlacedReceptacle], gap: float
+        self,
+        rng: np.random.Generator,
+        draw: _Draw,
+        slot: int,
+        places: list[PlacedReceptacle],
+        gap: float,
     ) -> PlacedReceptacle | None:
-        radius, half_z = self._radius(slot), self.layout.objects[slot].half[2]
+        radius = self._radius(slot)
+        half_z = self.layout.objects[slot].half[2]
         weights = np.array([4 * r.half[0] * r.half[1] for r in places])
         for _ in range(60):
             place = places[int(rng.choice(len(places), p=weights / weights.sum()))]
@@ -278,7 +318,8 @@ class EpisodeMaker:
         places: list[PlacedReceptacle],
         others: list[tuple[np.ndarray, float]],
     ) -> tuple[PlacedReceptacle, np.ndarray] | None:
-        radius, half_z = self._radius(slot), self.layout.objects[slot].half[2]
+        radius = self._radius(slot)
+        half_z = self.layout.objects[slot].half[2]
         weights = np.array([4 * r.half[0] * r.half[1] for r in places])
         start = draw.placed[slot][0]
         for _ in range(100):
@@ -286,7 +327,9 @@ class EpisodeMaker:
             pos = self._sample(rng, place, radius, half_z)
             if pos is None or np.linalg.norm(pos - start) < MIN_START_GOAL:
                 continue
-            if self._is_free(draw, pos, radius, SHELF_GAP if place.id == FRIDGE_SHELF else TARGET_GAP):
+            if self._is_free(
+                draw, pos, radius, SHELF_GAP if place.id == FRIDGE_SHELF else TARGET_GAP
+            ):
                 return place, pos
         return None
 
@@ -315,7 +358,9 @@ class EpisodeMaker:
     def digest(self) -> str:
         """Hash of everything an episode depends on besides its name: homes, objects, code that compiles them."""
         shared = home_hash(self.layout, self.homes[0])
-        return hashlib.sha256(repr((_VERSION, shared, self.homes, self._in_turn)).encode()).hexdigest()[:16]
+        return hashlib.sha256(
+            repr((_VERSION, shared, self.homes, self._in_turn)).encode()
+        ).hexdigest()[:16]
 
     def _path(self, seed: int, index: int) -> Path:
         name = f"{self.task}{self.target}-{self.split}-{seed}-{index}.npz"
@@ -325,20 +370,35 @@ class EpisodeMaker:
         rows = np.array([(t.obj, t.start_link, t.goal_link) for t in episode.targets])
         goals = np.array([(t.goal_pos, t.start_pos, t.handle_pos) for t in episode.targets])
         arrays = {
-            "home": np.array(episode.home), "object_pose": episode.object_pose, "link_q": episode.link_q,
-            "targets": rows, "goals": goals,
-        }  # fmt: skip
+            "home": np.array(episode.home),
+            "object_pose": episode.object_pose,
+            "link_q": episode.link_q,
+            "targets": rows,
+            "goals": goals,
+        }
         write_atomic(path, lambda temporary: np.savez(temporary, allow_pickle=False, **arrays))
 
     def _load(self, path: Path, seed: int, index: int) -> Episode:
         with np.load(path, allow_pickle=False) as data:
             targets = tuple(
-                Target(str(obj), _point(goal), _point(start_pos), str(start), str(where), _point(handle))
-                for (obj, start, where), (goal, start_pos, handle) in zip(data["targets"], data["goals"], strict=True)
+                Target(
+                    str(obj),
+                    _point(goal),
+                    _point(start_pos),
+                    str(start),
+                    str(where),
+                    _point(handle),
+                )
+                for (obj, start, where), (goal, start_pos, handle) in zip(
+                    data["targets"], data["goals"], strict=True
+                )
             )
             # Copies: what comes out of the file is a view of a buffer 20 times its size, and pools keep a thousand.
-            pose, link_q = data["object_pose"].copy(), data["link_q"].copy()
-            return Episode(self.task, self.split, seed, index, str(data["home"]), pose, link_q, targets)
+            pose = data["object_pose"].copy()
+            link_q = data["link_q"].copy()
+            return Episode(
+                self.task, self.split, seed, index, str(data["home"]), pose, link_q, targets
+            )
 
 
 def homes_of(pack: Pack, split: str) -> list[Home]:
@@ -374,7 +434,9 @@ def require_furniture(home: Home, task: str) -> None:
     has = {p.template for p in (*home.articulations, *home.props)}
     missing = [name for name in NEEDED[task] if name not in has]
     if missing:
-        raise UsageError(f"scene {home.name!r} of pack {home.pack!r} has no {missing[0]}, which {task} needs.")
+        raise UsageError(
+            f"scene {home.name!r} of pack {home.pack!r} has no {missing[0]}, which {task} needs."
+        )
 
 
 def opens(place: PlacedReceptacle) -> str:

@@ -15,7 +15,16 @@ from mjhab.config.env import EnvConfig, task_config
 from mjhab.core.cache import write_atomic
 from mjhab.core.errors import UsageError
 from mjhab.episodes.generator import Episode, EpisodeMaker
-from mjhab.episodes.spawn_sets import SUFFIX, SpawnRecipe, SpawnRow, SpawnSet, header_of, join, pack_rows, write
+from mjhab.episodes.spawn_sets import (
+    SUFFIX,
+    SpawnRecipe,
+    SpawnRow,
+    SpawnSet,
+    header_of,
+    join,
+    pack_rows,
+    write,
+)
 from mjhab.episodes.starts import StartMaker, check_target
 from mjhab.layout.layout import Layout
 from mjhab.robots.fetch.model import REST_QPOS
@@ -37,9 +46,15 @@ class SpawnFactory:
     def __init__(self, recipe: SpawnRecipe) -> None:
         self.recipe = recipe
         config = EnvConfig(
-            task=recipe.task, subtask=recipe.subtask, target=recipe.target, split=recipe.split, home=recipe.home,
-            assets=recipe.assets, seed=recipe.seed, spawn_rule=recipe.spawn_rule,
-        )  # fmt: skip
+            task=recipe.task,
+            subtask=recipe.subtask,
+            target=recipe.target,
+            split=recipe.split,
+            home=recipe.home,
+            assets=recipe.assets,
+            seed=recipe.seed,
+            spawn_rule=recipe.spawn_rule,
+        )
         self.layout = Layout(open_pack(recipe.assets), roster(recipe.task))
         check_target(config, self.layout)
         self.sim = CpuSimulator(self.layout, 1, 1)
@@ -50,7 +65,9 @@ class SpawnFactory:
     def episode(self, index: int) -> Episode:
         """The episode of start ``index``."""
         recipe = self.recipe
-        arrangement = self.episodes.episode(recipe.seed, index % recipe.pool if recipe.pool else index)
+        arrangement = self.episodes.episode(
+            recipe.seed, index % recipe.pool if recipe.pool else index
+        )
         return dataclasses.replace(arrangement, index=index)
 
     def row(self, index: int) -> SpawnRow:
@@ -65,7 +82,9 @@ class SpawnFactory:
 
     def header(self) -> dict[str, Any]:
         """What the file will say about itself."""
-        kinds = sorted(set(self.layout.roster)) if self.recipe.subtask in ("place", "navigate") else []
+        kinds = (
+            sorted(set(self.layout.roster)) if self.recipe.subtask in ("place", "navigate") else []
+        )
         library = self.starts.arms if self.starts.published else self.starts.held
         return header_of(self.recipe, self.layout, {kind: library.digest(kind) for kind in kinds})
 
@@ -76,7 +95,11 @@ def partial_folder(out: Path) -> Path:
 
 
 def make_set(
-    recipe: SpawnRecipe, out: Path, threads: int, tell: Callable[[int, int], None], overwrite: bool = False
+    recipe: SpawnRecipe,
+    out: Path,
+    threads: int,
+    tell: Callable[[int, int], None],
+    overwrite: bool = False,
 ) -> SpawnSet:
     """Make the starts of a recipe and write them; finished ones survive an interruption.
 
@@ -95,7 +118,8 @@ def make_set(
     if out.exists() and not overwrite:
         raise UsageError(f"{out} exists; add --overwrite, or choose another --out.")
     factory = SpawnFactory(recipe)
-    header, folder = factory.header(), partial_folder(out)
+    header = factory.header()
+    folder = partial_folder(out)
     _resume(folder, header, overwrite)
     parts: list[dict[str, np.ndarray]] = []
     done = fallbacks = 0
@@ -106,7 +130,8 @@ def make_set(
                 rows = list(pool.map(factory.row, range(first, min(first + CHUNK, recipe.count))))
                 write(path, header, pack_rows(rows))
             parts.append(SpawnSet.read(path).columns)
-            done, fallbacks = done + len(parts[-1]["home"]), fallbacks + int(parts[-1]["fallback"].sum())
+            done = done + len(parts[-1]["home"])
+            fallbacks = fallbacks + int(parts[-1]["fallback"].sum())
             tell(done, fallbacks)
     made = write(out, header, join(parts))
     _clear(folder)
@@ -119,7 +144,8 @@ def _resume(folder: Path, header: dict[str, Any], overwrite: bool) -> None:
     Raises:
         UsageError: it was left by another recipe, and ``overwrite`` is not set.
     """
-    note, text = folder / "header.json", json.dumps(header, sort_keys=True)
+    note = folder / "header.json"
+    text = json.dumps(header, sort_keys=True)
     if note.exists() and note.read_text(encoding="utf-8") != text:
         if not overwrite:
             raise UsageError(

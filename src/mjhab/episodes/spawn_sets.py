@@ -36,7 +36,17 @@ from mjhab.tasks.plan import Target
 
 FORMAT = "mjhab-spawns-1"
 SUFFIX = ".npz"
-_COLUMNS = ("home", "qpos", "object_pose", "link_q", "position", "fallback", "tries", "targets", "points")
+_COLUMNS = (
+    "home",
+    "qpos",
+    "object_pose",
+    "link_q",
+    "position",
+    "fallback",
+    "tries",
+    "targets",
+    "points",
+)
 
 _DIMENSIONS = {"qpos": 2, "object_pose": 3, "link_q": 2, "targets": 3, "points": 4}
 """Dimensions of the columns; the others have one."""
@@ -95,9 +105,13 @@ def header_of(recipe: SpawnRecipe, layout: Layout, grasps: dict[str, str]) -> di
     """What a file says about itself. ``grasps``: object type to hash of the grasps its starts were drawn from."""
     made_by = {"mjhab": __version__, **{name: version(name) for name in ("mujoco", "numpy")}}
     return {
-        "format": FORMAT, "recipe": asdict(recipe), "pack": layout.pack.name, "layout": layout_digest(layout),
-        "grasps": grasps, "versions": made_by,
-    }  # fmt: skip
+        "format": FORMAT,
+        "recipe": asdict(recipe),
+        "pack": layout.pack.name,
+        "layout": layout_digest(layout),
+        "grasps": grasps,
+        "versions": made_by,
+    }
 
 
 def pack_rows(rows: Sequence[SpawnRow]) -> dict[str, np.ndarray]:
@@ -112,7 +126,9 @@ def pack_rows(rows: Sequence[SpawnRow]) -> dict[str, np.ndarray]:
         "fallback": np.array([row.fallback for row in rows]),
         "tries": np.array([row.tries for row in rows]),
         "targets": np.array([[(t.obj, t.start_link, t.goal_link) for t in own] for own in targets]),
-        "points": np.array([[(t.goal_pos, t.start_pos, t.handle_pos) for t in own] for own in targets]),
+        "points": np.array(
+            [[(t.goal_pos, t.start_pos, t.handle_pos) for t in own] for own in targets]
+        ),
     }
 
 
@@ -125,7 +141,12 @@ def write(path: Path, header: dict[str, Any], columns: dict[str, np.ndarray]) ->
     """Write a set atomically and return it."""
     header = {**header, "digest": _content(header, columns)}
     text = np.array(json.dumps(header))
-    write_atomic(path, lambda temporary: np.savez_compressed(temporary, allow_pickle=False, header=text, **columns))
+    write_atomic(
+        path,
+        lambda temporary: np.savez_compressed(
+            temporary, allow_pickle=False, header=text, **columns
+        ),
+    )
     return SpawnSet(path, header, columns)
 
 
@@ -134,7 +155,10 @@ def _content(header: dict[str, Any], columns: dict[str, np.ndarray]) -> str:
     recipe = {name: value for name, value in header["recipe"].items() if name != "assets"}
     digest = hashlib.sha256(json.dumps({**header, "recipe": recipe}, sort_keys=True).encode())
     for name in _COLUMNS:
-        digest.update(repr((name, columns[name].dtype.str, columns[name].shape)).encode() + columns[name].tobytes())
+        digest.update(
+            repr((name, columns[name].dtype.str, columns[name].shape)).encode()
+            + columns[name].tobytes()
+        )
     return digest.hexdigest()[:16]
 
 
@@ -153,7 +177,9 @@ def _check_content(header: dict[str, Any], columns: dict[str, np.ndarray]) -> No
     for name in _COLUMNS:
         column = columns[name]
         if column.ndim != _DIMENSIONS.get(name, 1) or len(column) != count or not count:
-            raise ValueError(f"column {name!r} has shape {column.shape}, which does not fit {count} starts.")
+            raise ValueError(
+                f"column {name!r} has shape {column.shape}, which does not fit {count} starts."
+            )
         if column.dtype.kind not in _KINDS.get(name, "iu"):
             raise ValueError(f"column {name!r} is {column.dtype}.")
         if column.dtype.kind == "f" and not np.isfinite(column).all():
@@ -163,14 +189,18 @@ def _check_content(header: dict[str, Any], columns: dict[str, np.ndarray]) -> No
     for name in set(columns["targets"].ravel().tolist()):
         check_name("column 'targets'", name, empty=True)
     for name in ("object_pose", "points"):
-        check_range(f"column {name!r}", columns[name][..., :3], -MAX_POSITION_M, MAX_POSITION_M, "m")
+        check_range(
+            f"column {name!r}", columns[name][..., :3], -MAX_POSITION_M, MAX_POSITION_M, "m"
+        )
 
 
 class SpawnSet:
     """Starts from a file. ``header``: what `header_of` says, and ``digest``; ``columns``: the rows, see above."""
 
     def __init__(self, path: Path, header: dict[str, Any], columns: dict[str, np.ndarray]) -> None:
-        self.path, self.header, self.columns = path, header, columns
+        self.path = path
+        self.header = header
+        self.columns = columns
 
     @classmethod
     def read(cls, path: Path) -> SpawnSet:
@@ -180,7 +210,9 @@ class SpawnSet:
             UsageError: there is no such file, or it is no spawn set, or it is damaged.
         """
         if not path.is_file():
-            raise UsageError(f"there is no file {path}; `mjhab spawns make --out {path}` makes one.")
+            raise UsageError(
+                f"there is no file {path}; `mjhab spawns make --out {path}` makes one."
+            )
         try:
             with np.load(path, allow_pickle=False) as data:
                 header = json.loads(str(data["header"]))
@@ -191,9 +223,13 @@ class SpawnSet:
             sound = _content(header, columns) == stated
         # What is cut off or overwritten shows as any of these.
         except (OSError, ValueError, KeyError, EOFError, TypeError, zipfile.BadZipFile) as error:
-            raise UsageError(f"{path} is no spawn set, or is damaged ({error}); make it again.") from error
+            raise UsageError(
+                f"{path} is no spawn set, or is damaged ({error}); make it again."
+            ) from error
         if not sound:
-            raise UsageError(f"{path} is damaged: its content is not what its header says; make it again.")
+            raise UsageError(
+                f"{path} is damaged: its content is not what its header says; make it again."
+            )
         try:
             _check_content(header, columns)
         except (ValueError, KeyError, TypeError) as error:
@@ -207,11 +243,11 @@ class SpawnSet:
         Raises:
             UsageError: as `read`, or it was made for another layout.
         """
-        found, here = cls.read(path), layout_digest(layout)
+        found = cls.read(path)
+        here = layout_digest(layout)
         if found.header["layout"] != here:
-            theirs = (
-                f"{found.header['layout']} (pack {found.header['pack']!r}, mjhab {found.header['versions']['mjhab']})"
-            )
+            made = f"pack {found.header['pack']!r}, mjhab {found.header['versions']['mjhab']}"
+            theirs = f"{found.header['layout']} ({made})"
             raise UsageError(
                 f"{path} was made for layout {theirs}; this is layout {here} (pack {layout.pack.name!r}, mjhab "
                 f"{__version__}): homes, objects or the code that compiles them differ. Make it again with `mjhab "
@@ -231,7 +267,9 @@ class SpawnSet:
     def recipe(self) -> SpawnRecipe:
         """What the set was made from."""
         known = {field.name for field in fields(SpawnRecipe)}
-        return SpawnRecipe(**{name: value for name, value in self.header["recipe"].items() if name in known})
+        return SpawnRecipe(
+            **{name: value for name, value in self.header["recipe"].items() if name in known}
+        )
 
     @property
     def homes(self) -> tuple[str, ...]:
@@ -246,10 +284,16 @@ class SpawnSet:
     def describe(self) -> dict[str, Any]:
         """Numbers and names for a table or a manifest."""
         return {
-            "file": str(self.path), **asdict(self.recipe), "count": len(self), "homes": len(self.homes),
-            "fallbacks": self.fallbacks, "tries_mean": round(float(self.columns["tries"].mean()), 3),
-            "pack": self.header["pack"], "layout": self.header["layout"], "digest": self.digest,
-        }  # fmt: skip
+            "file": str(self.path),
+            **asdict(self.recipe),
+            "count": len(self),
+            "homes": len(self.homes),
+            "fallbacks": self.fallbacks,
+            "tries_mean": round(float(self.columns["tries"].mean()), 3),
+            "pack": self.header["pack"],
+            "layout": self.header["layout"],
+            "digest": self.digest,
+        }
 
     def check(self, config: EnvConfig) -> None:
         """Refuse an environment that is to do something else than what the starts are for.
@@ -258,7 +302,8 @@ class SpawnSet:
             UsageError: names what differs.
         """
         for name in ("task", "subtask", "target", "split", "home", "spawn_rule"):
-            made, wanted = getattr(self.recipe, name), getattr(config, name)
+            made = getattr(self.recipe, name)
+            wanted = getattr(config, name)
             if made != wanted:
                 raise UsageError(
                     f"{self.path} holds starts with {name} {made!r}, the environment has {name} {wanted!r}. Set "
@@ -267,17 +312,34 @@ class SpawnSet:
 
     def number(self, index: int) -> int:
         """The row of episode ``index``: the same number while there are rows, else one drawn by the index."""
-        return index if index < len(self) else int(stream(self.recipe.seed, "spawn set", index).integers(len(self)))
+        return (
+            index
+            if index < len(self)
+            else int(stream(self.recipe.seed, "spawn set", index).integers(len(self)))
+        )
 
     def row(self, index: int, seed: int | None = None) -> SpawnRow:
         """The start of episode ``index``; its episode is named by (``seed``, index), by default the set's seed."""
-        k, rows = self.number(index), self.columns
+        k = self.number(index)
+        rows = self.columns
         episode = Episode(
-            self.recipe.task, self.recipe.split, self.recipe.seed if seed is None else seed, index,
-            str(rows["home"][k]), rows["object_pose"][k], rows["link_q"][k], self._targets(k),
-        )  # fmt: skip
+            self.recipe.task,
+            self.recipe.split,
+            self.recipe.seed if seed is None else seed,
+            index,
+            str(rows["home"][k]),
+            rows["object_pose"][k],
+            rows["link_q"][k],
+            self._targets(k),
+        )
         qpos = rows["qpos"][k].copy()
-        return SpawnRow(episode, qpos, int(rows["position"][k]), bool(rows["fallback"][k]), int(rows["tries"][k]))
+        return SpawnRow(
+            episode,
+            qpos,
+            int(rows["position"][k]),
+            bool(rows["fallback"][k]),
+            int(rows["tries"][k]),
+        )
 
     def episode(self, seed: int, index: int) -> Episode:
         """The episode that start ``index`` belongs to, as `EpisodeMaker.episode` would name it."""
@@ -285,7 +347,9 @@ class SpawnSet:
 
     def _targets(self, k: int) -> tuple[Target, ...]:
         return tuple(
-            Target(str(obj), _point(goal), _point(start_pos), str(start), str(where), _point(handle))
+            Target(
+                str(obj), _point(goal), _point(start_pos), str(start), str(where), _point(handle)
+            )
             for (obj, start, where), (goal, start_pos, handle) in zip(
                 self.columns["targets"][k], self.columns["points"][k], strict=True
             )

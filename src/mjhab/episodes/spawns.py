@@ -22,10 +22,13 @@ from mjhab.scenes.freespace import BASE_RADIUS, FreeMap, free_map
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.scratch import Scratch
 
-XY_NOISE, YAW_NOISE, ARM_NOISE = (0.1, 0.2), (0.25, 0.5), (0.1, 0.2)
+XY_NOISE = (0.1, 0.2)
+YAW_NOISE = (0.25, 0.5)
+ARM_NOISE = (0.1, 0.2)
 """(standard deviation, clip) in m, rad, rad."""
 MAX_DISTANCE = 2.0
-TELEPORT_DISTANCE, TELEPORT_YAW_NOISE = 1.8, (0.1, 0.5)
+TELEPORT_DISTANCE = 1.8
+TELEPORT_YAW_NOISE = (0.1, 0.5)
 """Distance [m] and (standard deviation, clip) [rad] of the published teleports (mshab/evaluate.py)."""
 EYE_HEIGHT = 1.0
 """Height [m] at which a wall between robot and goal counts; doorways are open there."""
@@ -66,7 +69,9 @@ class SpawnGoal:
             return inside & (xy[..., 1] >= y_min - slack) & (xy[..., 1] <= y_max + slack)
         if self.center is None:
             return np.ones(xy.shape[:-1], bool)
-        return np.hypot(xy[..., 0] - self.center[0], xy[..., 1] - self.center[1]) <= self.reach + slack
+        return (
+            np.hypot(xy[..., 0] - self.center[0], xy[..., 1] - self.center[1]) <= self.reach + slack
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +115,12 @@ class SpawnSampler:
         return self._roomiest(home, self.walkable(home))
 
     def try_once(
-        self, home: str, qpos: np.ndarray, goal: SpawnGoal, rng: np.random.Generator, held: Held | None = None
+        self,
+        home: str,
+        qpos: np.ndarray,
+        goal: SpawnGoal,
+        rng: np.random.Generator,
+        held: Held | None = None,
     ) -> np.ndarray | None:
         """One random try: the new state (nq,) when it is valid, else None. See `search`."""
         return self.search(home, qpos, goal, (rng,), held)[0]
@@ -135,7 +145,8 @@ class SpawnSampler:
         Returns:
             The new state (nq,), None if no try was valid, and the number of tries.
         """
-        candidates, tries = self._candidates(home, goal), 0
+        candidates = self._candidates(home, goal)
+        tries = 0
         for rng in rngs:
             tries += 1
             base = self._sample_base(home, goal, candidates, rng)
@@ -151,19 +162,25 @@ class SpawnSampler:
         """The state with the robot at ``xy`` (2,) in its rest pose, facing the goal; None when it touches something."""
         return self._apply(home, qpos, np.array([*xy, self._heading(xy, goal)]), np.zeros(7), held)
 
-    def fallback(self, home: str, qpos: np.ndarray, goal: SpawnGoal, held: Held | None = None) -> np.ndarray:
+    def fallback(
+        self, home: str, qpos: np.ndarray, goal: SpawnGoal, held: Held | None = None
+    ) -> np.ndarray:
         """Without noise: the nearest valid start, else the roomiest place near the goal (the caller flags it)."""
         cells = self.walkable(home)
         close = goal.allows(cells, slack=1.0)
         cells = cells[close] if close.any() else cells
         center = cells.mean(axis=0) if goal.center is None else goal.center
-        order = np.argsort(np.linalg.norm(cells - center, axis=1), kind="stable")[:: max(1, len(cells) // 200)]
+        order = np.argsort(np.linalg.norm(cells - center, axis=1), kind="stable")[
+            :: max(1, len(cells) // 200)
+        ]
         for xy in cells[order]:
             found = self.at(home, qpos, xy, goal, held)
             if found is not None:
                 return found
         best = self._roomiest(home, cells)
-        return self._pose(home, qpos, np.array([*best, self._heading(best, goal)]), np.zeros(7), held)
+        return self._pose(
+            home, qpos, np.array([*best, self._heading(best, goal)]), np.zeros(7), held
+        )
 
     # -- one try ---------------------------------------------------------------------------------------------------
 
@@ -185,7 +202,9 @@ class SpawnSampler:
         self, home: str, goal: SpawnGoal, candidates: np.ndarray, rng: np.random.Generator
     ) -> np.ndarray | None:
         noise = np.clip(rng.normal(0, XY_NOISE[0], 2), -XY_NOISE[1], XY_NOISE[1])
-        turn = float(np.clip(rng.normal(0, goal.yaw_noise[0]), -goal.yaw_noise[1], goal.yaw_noise[1]))
+        turn = float(
+            np.clip(rng.normal(0, goal.yaw_noise[0]), -goal.yaw_noise[1], goal.yaw_noise[1])
+        )
         if not len(candidates):
             return None
         cell = candidates[int(rng.integers(len(candidates)))]
@@ -196,7 +215,11 @@ class SpawnSampler:
             return np.array([*xy, rng.uniform(*goal.yaw)])
         if goal.published:
             yaw = self._heading(cell, goal) + turn
-            return np.array([*xy, yaw]) if abs(wrap(self._heading(xy, goal) - yaw)) <= goal.turn else None
+            return (
+                np.array([*xy, yaw])
+                if abs(wrap(self._heading(xy, goal) - yaw)) <= goal.turn
+                else None
+            )
         if abs(turn) > goal.turn or self._behind_wall(home, xy, goal.face):
             return None
         return np.array([*xy, self._heading(xy, goal) + turn])
@@ -213,7 +236,12 @@ class SpawnSampler:
         return bool((sphere_box_distance(line, self._walls[home]) < 0.0).any())
 
     def _pose(
-        self, home: str, qpos: np.ndarray, base: np.ndarray, arm_noise: np.ndarray, held: Held | None
+        self,
+        home: str,
+        qpos: np.ndarray,
+        base: np.ndarray,
+        arm_noise: np.ndarray,
+        held: Held | None,
     ) -> np.ndarray:
         a = self.sim.addresses
         out = qpos.copy()
@@ -227,7 +255,12 @@ class SpawnSampler:
         return out
 
     def _apply(
-        self, home: str, qpos: np.ndarray, base: np.ndarray, arm_noise: np.ndarray, held: Held | None
+        self,
+        home: str,
+        qpos: np.ndarray,
+        base: np.ndarray,
+        arm_noise: np.ndarray,
+        held: Held | None,
     ) -> np.ndarray | None:
         out = self._pose(home, qpos, base, arm_noise, held)
         carried, grip = (held.slot, held.grip) if held else (-1, None)

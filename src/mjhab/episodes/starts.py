@@ -17,14 +17,30 @@ from mjhab.episodes.generator import BOWL_DRAWER, FRIDGE_DOOR, Episode
 from mjhab.episodes.grasps.held import HeldStarts
 from mjhab.episodes.grasps.held_arms import HeldArms
 from mjhab.episodes.spawn_sets import SpawnSet
-from mjhab.episodes.spawns import MAX_TRIES, TELEPORT_DISTANCE, TELEPORT_YAW_NOISE, Held, SpawnGoal, SpawnSampler
+from mjhab.episodes.spawns import (
+    MAX_TRIES,
+    TELEPORT_DISTANCE,
+    TELEPORT_YAW_NOISE,
+    Held,
+    SpawnGoal,
+    SpawnSampler,
+)
 from mjhab.layout.layout import Layout
 from mjhab.robots.controllers.table import ARM_JOINTS
 from mjhab.robots.fetch.model import REST_QPOS
 from mjhab.scenes.spec import Home
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.settle import parked_robot_qpos
-from mjhab.tasks.plan import FRONT_AREAS, Box, Subtask, SubtaskKind, TaskConfig, TaskPlan, chain, front_box
+from mjhab.tasks.plan import (
+    FRONT_AREAS,
+    Box,
+    Subtask,
+    SubtaskKind,
+    TaskConfig,
+    TaskPlan,
+    chain,
+    front_box,
+)
 
 TURN_SPARE = 0.02
 """By how much [rad] a teleport must face its goal better than success asks for: its noise is clipped at that very angle
@@ -35,7 +51,9 @@ OPEN_START_MARGIN = 1.0
 AJAR = 0.2
 """Part of the way to open at which a drawer starts that was left ajar (mshab/envs/open.py)."""
 
-DOORSTEP, DOORSTEP_REACH, DOORSTEP_YAW = (-1.0, 0.0), 0.5, (-np.pi / 2, np.pi / 2)
+DOORSTEP = (-1.0, 0.0)
+DOORSTEP_REACH = 0.5
+DOORSTEP_YAW = (-np.pi / 2, np.pi / 2)
 """Where the first Navigate of PrepareGroceries begins, how near to it, and heading [m, rad]
 (mshab/utils/gen/gen_spawn_positions.py, in ReplicaCAD's apartment)."""
 
@@ -84,7 +102,9 @@ def check_target(config: EnvConfig, layout: Layout) -> None:
     if config.target not in valid:
         raise unknown_name("target", config.target, valid)
     if not config.subtask:
-        raise UsageError(f"target {config.target!r} needs a subtask: add --subtask pick, place, open or close.")
+        raise UsageError(
+            f"target {config.target!r} needs a subtask: add --subtask pick, place, open or close."
+        )
 
 
 class StartMaker:
@@ -98,8 +118,12 @@ class StartMaker:
         UsageError: ``harvested`` under the published spawn rule; a file of starts that does not fit.
     """
 
-    def __init__(self, sim: CpuSimulator, config: EnvConfig, task_config: TaskConfig, harvested: bool = False) -> None:
-        self.sim, self.config, self.task_config = sim, config, task_config
+    def __init__(
+        self, sim: CpuSimulator, config: EnvConfig, task_config: TaskConfig, harvested: bool = False
+    ) -> None:
+        self.sim = sim
+        self.config = config
+        self.task_config = task_config
         self.layout = sim.layout
         self.sampler = SpawnSampler(sim)
         self.held = HeldStarts(sim, task_config, self.sampler.scratch, harvested)
@@ -179,7 +203,9 @@ class StartMaker:
         """Where a robot stands that has navigated to the subtask at ``position`` of a plan, or does so now."""
         subtask = plan.subtasks[position]
         if subtask.kind == SubtaskKind.PICK:
-            point = next(s.goal_pos for s in plan.subtasks[:position][::-1] if s.kind == SubtaskKind.NAVIGATE)
+            point = next(
+                s.goal_pos for s in plan.subtasks[:position][::-1] if s.kind == SubtaskKind.NAVIGATE
+            )
         else:
             point = subtask.goal_pos
         area = np.array(boxes[subtask.link]) if subtask.link else None
@@ -204,7 +230,8 @@ class StartMaker:
 
         What the robot carries then is out of the way.
         """
-        qpos, slots = self._episode_qpos(episode), self.layout.object_names
+        qpos = self._episode_qpos(episode)
+        slots = self.layout.object_names
         for subtask in plan.subtasks[:position]:
             if subtask.kind == SubtaskKind.PLACE:
                 self._put_at_goal(qpos, slots.index(subtask.obj), subtask.goal_pos)
@@ -223,7 +250,9 @@ class StartMaker:
     def _pick_position(self, plan: TaskPlan, episode: Episode) -> int:
         found = subtask_positions(plan, self.layout, self.config.subtask, self.config.target)
         if not found:
-            raise UsageError(f"no {self.config.subtask} of {self.config.target!r} in task {self.config.task!r}")
+            raise UsageError(
+                f"no {self.config.subtask} of {self.config.target!r} in task {self.config.task!r}"
+            )
         return found[int(stream(episode.seed, "subtask", episode.index).integers(len(found)))]
 
     def _episode_qpos(self, episode: Episode) -> np.ndarray:
@@ -235,7 +264,12 @@ class StartMaker:
         return qpos
 
     def _goal(
-        self, episode: Episode, plan: TaskPlan, position: int, boxes: dict[str, Box], qpos: np.ndarray
+        self,
+        episode: Episode,
+        plan: TaskPlan,
+        position: int,
+        boxes: dict[str, Box],
+        qpos: np.ndarray,
     ) -> SpawnGoal:
         """Where the robot stands to start the subtask at ``position`` alone, in a home in the state ``qpos`` (nq,).
 
@@ -254,7 +288,9 @@ class StartMaker:
             inside = next(t.start_pos for t in episode.targets if t.obj == subtask.obj)
             return SpawnGoal(np.array(inside[:2]), goal.area)
         if subtask.kind == SubtaskKind.CLOSE:
-            return SpawnGoal(np.array(self._link_root(self._homes[episode.home], subtask.link)), goal.area)
+            return SpawnGoal(
+                np.array(self._link_root(self._homes[episode.home], subtask.link)), goal.area
+            )
         return goal
 
     def _departure(self, episode: Episode, plan: TaskPlan, position: int) -> SpawnGoal:
@@ -264,16 +300,30 @@ class StartMaker:
         """
         if episode.task != "prepare_groceries":
             return SpawnGoal(None)
-        before = [s.goal_pos for s in plan.subtasks[:position] if s.kind in (SubtaskKind.NAVIGATE, SubtaskKind.PLACE)]
+        before = [
+            s.goal_pos
+            for s in plan.subtasks[:position]
+            if s.kind in (SubtaskKind.NAVIGATE, SubtaskKind.PLACE)
+        ]
         if before:
             return SpawnGoal(np.array(before[-1][:2]))
         at = SpawnGoal(None, near=np.array(DOORSTEP), reach=DOORSTEP_REACH, yaw=DOORSTEP_YAW)
         if not at.allows(self.sampler.walkable(episode.home)).any():
-            at = SpawnGoal(None, near=self.sampler.roomiest(episode.home), reach=DOORSTEP_REACH, yaw=DOORSTEP_YAW)
+            at = SpawnGoal(
+                None,
+                near=self.sampler.roomiest(episode.home),
+                reach=DOORSTEP_REACH,
+                yaw=DOORSTEP_YAW,
+            )
         return at
 
     def _prepare(
-        self, rng: np.random.Generator, episode: Episode, plan: TaskPlan, position: int, qpos: np.ndarray
+        self,
+        rng: np.random.Generator,
+        episode: Episode,
+        plan: TaskPlan,
+        position: int,
+        qpos: np.ndarray,
     ) -> Held | None:
         """Bring the home into the state in which the subtask comes up; returns what the robot holds."""
         subtask = plan.subtasks[position]
@@ -288,7 +338,9 @@ class StartMaker:
             link, placed = _open_before(plan, position)
             if link:
                 self._leave_open(rng, episode, link, qpos, placed)
-        if subtask.kind == SubtaskKind.PLACE or (subtask.kind == SubtaskKind.NAVIGATE and subtask.must_hold):
+        if subtask.kind == SubtaskKind.PLACE or (
+            subtask.kind == SubtaskKind.NAVIGATE and subtask.must_hold
+        ):
             if subtask.link:
                 self._ensure_open(rng, episode, subtask.link, qpos)
             return self._hold(rng, subtask, qpos)
@@ -304,7 +356,12 @@ class StartMaker:
         qpos[self._link_q(link)] = min(at, dict(self._homes[home].open_limits).get(link, at))
 
     def _ensure_open(
-        self, rng: np.random.Generator, episode: Episode, link: str, qpos: np.ndarray, anew: bool = False
+        self,
+        rng: np.random.Generator,
+        episode: Episode,
+        link: str,
+        qpos: np.ndarray,
+        anew: bool = False,
     ) -> None:
         """Open a link that stands less than half open, or draw ``anew`` how far it is open."""
         low, high = self.layout.links[self.layout.link_ids.index(link)].link.range
@@ -323,13 +380,17 @@ class StartMaker:
         else:
             self._carry_along(episode, Subtask(SubtaskKind.PICK, obj=target.obj, link=link), qpos)
 
-    def _leave_ajar(self, rng: np.random.Generator, episode: Episode, subtask: Subtask, qpos: np.ndarray) -> None:
+    def _leave_ajar(
+        self, rng: np.random.Generator, episode: Episode, subtask: Subtask, qpos: np.ndarray
+    ) -> None:
         """In training, let a drawer start part of the way to open now and then (mshab/envs/open.py)."""
         ref = self.layout.links[self.layout.link_ids.index(subtask.link)]
         if ref.link.joint != "slide" or rng.uniform() >= self.config.open_start:
             return
         low, high = ref.link.range
-        qpos[self._link_q(subtask.link)] = low + AJAR * self.task_config.open_fraction(subtask.link) * (high - low)
+        qpos[self._link_q(subtask.link)] = low + AJAR * self.task_config.open_fraction(
+            subtask.link
+        ) * (high - low)
         self._carry_along(episode, subtask, qpos)
 
     def _carry_along(self, episode: Episode, subtask: Subtask, qpos: np.ndarray) -> None:
@@ -339,9 +400,14 @@ class StartMaker:
             return
         yaw = self.layout.articulation_placement(self._homes[episode.home], ref.articulation).yaw
         start = self.sim.addresses.object_q[self.layout.object_names.index(subtask.obj)]
-        moved = qpos[self._link_q(subtask.link)] - episode.link_q[self.layout.link_ids.index(subtask.link)]
+        moved = (
+            qpos[self._link_q(subtask.link)]
+            - episode.link_q[self.layout.link_ids.index(subtask.link)]
+        )
         ax, ay, _ = ref.link.axis
-        direction = np.array([np.cos(yaw) * ax - np.sin(yaw) * ay, np.sin(yaw) * ax + np.cos(yaw) * ay])
+        direction = np.array(
+            [np.cos(yaw) * ax - np.sin(yaw) * ay, np.sin(yaw) * ax + np.cos(yaw) * ay]
+        )
         qpos[start : start + 2] += moved * direction
 
     def _put_at_goal(self, qpos: np.ndarray, slot: int, goal: tuple[float, float, float]) -> None:
@@ -395,10 +461,12 @@ class StartMaker:
 
 def _open_before(plan: TaskPlan, position: int) -> tuple[str, bool]:
     """The link that a plan has left open before ``position``, or "", and whether what was inside is placed by then."""
-    link, placed = "", False
+    link = ""
+    placed = False
     for subtask in plan.subtasks[:position]:
         if subtask.kind == SubtaskKind.OPEN:
-            link, placed = subtask.link, False
+            link = subtask.link
+            placed = False
         elif subtask.kind == SubtaskKind.PLACE:
             placed = True
         elif subtask.kind == SubtaskKind.CLOSE:

@@ -38,12 +38,14 @@ def zone(
     goal: tuple[float, float, float], receptacles: Sequence[PlacedReceptacle], tolerance: float
 ) -> tuple[tuple[float, float], ...]:
     """Four corners (x, y) [m, world], in order around the rectangle, of the zone of a goal."""
-    best, gap = None, _ABOVE
+    best = None
+    gap = _ABOVE
     for r in receptacles:
         inside = (np.abs(r.local(np.array(goal[:2]))) <= np.array(r.half)).all()
         above = goal[2] - r.pos[2]
         if inside and -0.02 <= above < gap:
-            best, gap = r, above
+            best = r
+            gap = above
     signs = ((-1, -1), (1, -1), (1, 1), (-1, 1))
     if best is None:
         return tuple((goal[0] + tolerance * u, goal[1] + tolerance * v) for u, v in signs)

@@ -17,8 +17,19 @@ from typing import Any, TypeVar, cast
 from mjhab.config.env import NAVIGATE_MODES, SPLITS, EnvConfig
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.version import __version__
-from mjhab.evaluation.own_policy import check_methods, check_policy, construct_policy, env_options_of
-from mjhab.evaluation.resolve import PolicyFacts, PolicyOptions, full_spec, inspect_policy, resolve_policy
+from mjhab.evaluation.own_policy import (
+    check_methods,
+    check_policy,
+    construct_policy,
+    env_options_of,
+)
+from mjhab.evaluation.resolve import (
+    PolicyFacts,
+    PolicyOptions,
+    full_spec,
+    inspect_policy,
+    resolve_policy,
+)
 from mjhab.reports.metrics import AloneRates, alone_rates, rows_by_kind, rows_by_position, summarize
 from mjhab.reports.run import render_report
 from mjhab.rollout.films import Film, FilmSink
@@ -98,13 +109,21 @@ class EvalSpec:
         Styles.parse(self.style)
         if self.target and not self.subtask:
             raise UsageError("a target needs a subtask: a whole task has its targets in its plan.")
-        for name, least in (("episodes", 1), ("worlds", 1), ("seed", 0), ("threads", 0), ("films", 0)):
+        for name, least in (
+            ("episodes", 1),
+            ("worlds", 1),
+            ("seed", 0),
+            ("threads", 0),
+            ("films", 0),
+        ):
             value = getattr(self, name)
             if value < least:
                 raise UsageError(f"{name} must be at least {least}, got {value}.")
         check_env_options(self.env)
         if isinstance(self.policy, str):
-            object.__setattr__(self, "policy", full_spec(self.policy, self.task, self.subtask, self.target))
+            object.__setattr__(
+                self, "policy", full_spec(self.policy, self.task, self.subtask, self.target)
+            )
 
 
 @dataclass(frozen=True)
@@ -216,7 +235,13 @@ def _run(
     films = FilmSink(range(spec.films), folder.film_path, _open_film)
     interrupted = False
     try:
-        rollout(env, policy, folder.missing(spec.episodes), spec.seed, [films, StoreSink(folder), *sinks])
+        rollout(
+            env,
+            policy,
+            folder.missing(spec.episodes),
+            spec.seed,
+            [films, StoreSink(folder), *sinks],
+        )
     except KeyboardInterrupt:
         interrupted = True
     run = finish(folder, earlier + time.perf_counter() - started, films.problem, alone)
@@ -334,17 +359,25 @@ def read_alone(folders: Sequence[Path]) -> dict[tuple[str, str], float]:
     return alone_rates(records)
 
 
-def finish(folder: RunFolder, seconds: float, film_problem: str | None, alone: AloneRates | None) -> Run:
+def finish(
+    folder: RunFolder, seconds: float, film_problem: str | None, alone: AloneRates | None
+) -> Run:
     """Write summary.json and report.html from the records in the folder."""
     records = folder.records
     summary = {"profile": folder.config.get("profile"), **summarize(records, seconds, alone)}
     rows = {"along_the_plan": rows_by_position(records), "by_kind": rows_by_kind(records)}
-    folder.write_summary({**summary, **{name: [asdict(row) for row in table] for name, table in rows.items()}})
-    folder.write_report(render_report(records, folder.config, seconds, folder.film_path, film_problem, alone))
+    folder.write_summary(
+        {**summary, **{name: [asdict(row) for row in table] for name, table in rows.items()}}
+    )
+    folder.write_report(
+        render_report(records, folder.config, seconds, folder.film_path, film_problem, alone)
+    )
     return Run(folder.path, folder.config, tuple(records), summary, film_problem)
 
 
-def check_env_options(options: Mapping[str, Any], spec: type[Any] = EvalSpec, what: str = "an evaluation") -> None:
+def check_env_options(
+    options: Mapping[str, Any], spec: type[Any] = EvalSpec, what: str = "an evaluation"
+) -> None:
     """Refuse options of the environment that do not exist, or that a specification sets by a field of its own.
 
     Args:
@@ -357,7 +390,12 @@ def check_env_options(options: Mapping[str, Any], spec: type[Any] = EvalSpec, wh
     """
     spec_fields = {f.name for f in dataclasses.fields(spec)}
     evaluated = {f.name for f in dataclasses.fields(EvalSpec)}
-    valid = {f.name for f in dataclasses.fields(EnvConfig)} - FIXED_ENV_OPTIONS - evaluated - spec_fields
+    valid = (
+        {f.name for f in dataclasses.fields(EnvConfig)}
+        - FIXED_ENV_OPTIONS
+        - evaluated
+        - spec_fields
+    )
     for name in options:
         if name not in valid:
             raise unknown_name(f"option of {what}", name, valid | spec_fields - {"env"})

@@ -127,7 +127,9 @@ class GenerateSpec:
 
     def __post_init__(self) -> None:
         if isinstance(self.policy, str):
-            object.__setattr__(self, "policy", full_spec(self.policy, self.task, self.subtask, self.target))
+            object.__setattr__(
+                self, "policy", full_spec(self.policy, self.task, self.subtask, self.target)
+            )
         check_env_options(self.env, GenerateSpec, "a data set")
         for name in ("per_target", "per_label", "workers"):
             value = getattr(self, name)
@@ -375,7 +377,11 @@ def resolved_config(spec: GenerateSpec, facts: PolicyFacts) -> dict[str, Any]:
         UsageError: see `recorded_env_options`; an option of the environment has an unknown value, or one that
             contradicts the profile.
     """
-    config = {f.name: getattr(spec, f.name) for f in dataclasses.fields(spec) if f.name not in NOT_IN_CONFIG}
+    config = {
+        f.name: getattr(spec, f.name)
+        for f in dataclasses.fields(spec)
+        if f.name not in NOT_IN_CONFIG
+    }
     config |= {"no_states": not spec.states, "reward": spec.reward_mode}
     # Without a style nothing is said of it: data sets that are older than styles can be resumed.
     if spec.style:

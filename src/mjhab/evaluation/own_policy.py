@@ -56,7 +56,9 @@ def env_options_of(policy: Any) -> Mapping[str, Any]:
     """
     options = getattr(policy, "env_options", {})
     if not isinstance(options, Mapping):
-        raise UsageError(f"env_options of a policy must be a dict like {{'obs_mode': 'depth'}}, got {options!r}.")
+        raise UsageError(
+            f"env_options of a policy must be a dict like {{'obs_mode': 'depth'}}, got {options!r}."
+        )
     return dict(options)
 
 

@@ -59,7 +59,11 @@ def _load_class(spec: str) -> type:
         raise UsageError(f"--policy {spec}: there is no file {path}.")
     module = _load_module(path)
     classes = {key: value for key, value in vars(module).items() if inspect.isclass(value)}
-    own = [key for key, value in classes.items() if value.__module__ == module.__name__ and not key.startswith("_")]
+    own = [
+        key
+        for key, value in classes.items()
+        if value.__module__ == module.__name__ and not key.startswith("_")
+    ]
     if not name:
         found = ", ".join(f"{path}:{key}" for key in own) or f"{path}:MyPolicy"
         raise UsageError(f"--policy {spec}: say which class of the file, as in {found}.")

@@ -80,11 +80,29 @@ class PolicyKind:
 
 
 POLICY_KINDS: list[PolicyKind] = [
-    PolicyKind(", ".join(NAMED_POLICIES), lambda spec: spec in NAMED_POLICIES, "mjhab.evaluation.named_policies"),
-    PolicyKind(STUDENT, lambda spec: spec.partition(":")[0] == STUDENT, "mjhab.learning.shipped_kind"),
-    PolicyKind("ms_hab:CHECKPOINT.pt", lambda spec: spec.startswith("ms_hab:"), "mjhab.learning.ms_hab.policy_kind"),
-    PolicyKind("CHECKPOINT.safetensors", lambda spec: spec.endswith(".safetensors"), "mjhab.learning.policy_kind"),
-    PolicyKind("FILE.py:CLASS", lambda spec: spec.endswith(".py") or ".py:" in spec, "mjhab.evaluation.policy_file"),
+    PolicyKind(
+        ", ".join(NAMED_POLICIES),
+        lambda spec: spec in NAMED_POLICIES,
+        "mjhab.evaluation.named_policies",
+    ),
+    PolicyKind(
+        STUDENT, lambda spec: spec.partition(":")[0] == STUDENT, "mjhab.learning.shipped_kind"
+    ),
+    PolicyKind(
+        "ms_hab:CHECKPOINT.pt",
+        lambda spec: spec.startswith("ms_hab:"),
+        "mjhab.learning.ms_hab.policy_kind",
+    ),
+    PolicyKind(
+        "CHECKPOINT.safetensors",
+        lambda spec: spec.endswith(".safetensors"),
+        "mjhab.learning.policy_kind",
+    ),
+    PolicyKind(
+        "FILE.py:CLASS",
+        lambda spec: spec.endswith(".py") or ".py:" in spec,
+        "mjhab.evaluation.policy_file",
+    ),
 ]
 """The kinds that are known; the first that matches is taken."""
 
@@ -127,4 +145,6 @@ def _kind_of(spec: str) -> PolicyKind:
         if kind.matches(spec):
             return kind
     forms = ", ".join(kind.form for kind in POLICY_KINDS[2:])
-    raise UsageError(f"{unknown_name('policy', spec, (*NAMED_POLICIES, STUDENT))} Or a policy of your own: {forms}.")
+    raise UsageError(
+        f"{unknown_name('policy', spec, (*NAMED_POLICIES, STUDENT))} Or a policy of your own: {forms}."
+    )

@@ -83,9 +83,14 @@ class ExpertPolicy:
         if subtask is None or view.done:
             still = np.zeros(ACTION_DIM, np.float32)
             return still, still
-        manner, token = self._manner(w, view), view.token
+        manner = self._manner(w, view)
+        token = view.token
         if manner.holds:
-            gripper = motion.CLOSED if subtask.must_hold or subtask.kind is SubtaskKind.PLACE else motion.OPEN
+            gripper = (
+                motion.CLOSED
+                if subtask.must_hold or subtask.kind is SubtaskKind.PLACE
+                else motion.OPEN
+            )
             still = motion.action(view, motion.rest_goal(view), gripper=gripper)
             return still, manner.wait(still)
         begins = self._tokens[w] != token

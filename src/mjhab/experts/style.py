@@ -14,7 +14,8 @@ from mjhab.robots.controllers.actions import ACTION_DIM, ARM_JOINTS, BASE_FORWAR
 from mjhab.tasks.style import ANY, PLAIN, SMOOTH, Style
 
 Array = np.ndarray
-ARM, BASE = slice(0, len(ARM_JOINTS)), [BASE_FORWARD, BASE_YAW]
+ARM = slice(0, len(ARM_JOINTS))
+BASE = [BASE_FORWARD, BASE_YAW]
 LASTING = 0.86
 """What is left of smooth noise after a control step: it drifts with a time constant of a third of a second."""
 FULL_NOISE = 0.25
@@ -54,7 +55,8 @@ class Manner:
     """
 
     def __init__(self, style: Style, random: np.random.Generator) -> None:
-        self.style, self._random = style, random
+        self.style = style
+        self._random = random
         self._phase = 1.0
         self._noise = np.zeros(ACTION_DIM)
         self.holds = style.hold

@@ -42,7 +42,13 @@ def layout_hash(model: mujoco.MjModel) -> str:
     """Hash of what all homes of a layout share: names, order, kinds and sizes, but no poses."""
     names = model.names.split(b"\0", 1)[1]  # the first is the name of the home
     digest = hashlib.sha256(names)
-    for array in (model.body_parentid, model.jnt_type, model.geom_type, model.geom_dataid, model.sensor_type):
+    for array in (
+        model.body_parentid,
+        model.jnt_type,
+        model.geom_type,
+        model.geom_dataid,
+        model.sensor_type,
+    ):
         digest.update(array.tobytes())
     digest.update(repr((model.nq, model.nv, model.nu, model.ngeom, model.nsensordata)).encode())
     return digest.hexdigest()[:16]
@@ -83,8 +89,14 @@ def _compile(layout: Layout, home: Home, report: HomesReport) -> str:
     report.model_bytes += mujoco.mj_sizeModel(model)
     digest = layout_hash(model)
     if not report.layout:
-        report.layout, report.ngeom, report.nv = digest, model.ngeom, model.nv
-    return "" if digest == report.layout else f"its layout is {digest}, that of the others {report.layout}"
+        report.layout = digest
+        report.ngeom = model.ngeom
+        report.nv = model.nv
+    return (
+        ""
+        if digest == report.layout
+        else f"its layout is {digest}, that of the others {report.layout}"
+    )
 
 
 def _floor(layout: Layout, home: Home) -> str:
@@ -99,5 +111,7 @@ def remarks(layout: Layout, home: Home) -> list[str]:
     found = [] if share >= ONE_PIECE else [f"only {share:.0%} of the free floor is connected"]
     for r in reach(home, layout.pack, free):
         if r.center > MAX_REACH_CENTER:
-            found.append(f"{r.thing}/{r.receptacle} is {r.center:.2f} m from where a robot can stand")
+            found.append(
+                f"{r.thing}/{r.receptacle} is {r.center:.2f} m from where a robot can stand"
+            )
     return found + stuck_links(home, layout.pack)

@@ -17,9 +17,15 @@ from mjhab.scenes.spec import Home
 def home_hash(layout: Layout, home: Home) -> str:
     """Hash of a home in its layout: equal when the compiled model would be equal."""
     pack = layout.pack
-    digest = hashlib.sha256(mujoco.__version__.encode() + code_digest("scenes", "robots.fetch", "layout"))
+    digest = hashlib.sha256(
+        mujoco.__version__.encode() + code_digest("scenes", "robots.fetch", "layout")
+    )
     digest.update(repr((home, layout.roster, layout.prop_slots, layout.num_walls)).encode())
-    digest.update(repr((sorted(pack.props.items()), sorted(pack.articulations.items()), layout.objects)).encode())
+    digest.update(
+        repr(
+            (sorted(pack.props.items()), sorted(pack.articulations.items()), layout.objects)
+        ).encode()
+    )
     for name in sorted(pack.meshes):
         digest.update(name.encode() + pack.meshes[name].vertices.tobytes())  # type: ignore[attr-defined]
     return digest.hexdigest()[:24]

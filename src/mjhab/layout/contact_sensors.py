@@ -32,7 +32,9 @@ def add_force_sensor(spec: mujoco.MjSpec, name: str, body1: str, body2: str = ""
     _add_sensor(spec, name, body1, body2, (_FOUND, _FORCE, _NORMAL), _MAXFORCE, CONTACT_SLOTS)
 
 
-def add_touch_sensor(spec: mujoco.MjSpec, name: str, body1: str, body2: str, *, whole_subtree: bool) -> None:
+def add_touch_sensor(
+    spec: mujoco.MjSpec, name: str, body1: str, body2: str, *, whole_subtree: bool
+) -> None:
     """Add a sensor of one number: how many contacts ``body2`` has with ``body1``, or with all bodies from it down."""
     _add_sensor(spec, name, body1, body2, (_FOUND,), _NETFORCE, 1, whole_subtree)
 
@@ -54,7 +56,9 @@ def _add_sensor(
 ) -> None:
     # A reference of type XBODY on the first side stands for the whole subtree below that body.
     kind = mujoco.mjtObj.mjOBJ_XBODY if whole_subtree else mujoco.mjtObj.mjOBJ_BODY
-    sensor = spec.add_sensor(name=name, type=mujoco.mjtSensor.mjSENS_CONTACT, objname=body1, objtype=kind)
+    sensor = spec.add_sensor(
+        name=name, type=mujoco.mjtSensor.mjSENS_CONTACT, objname=body1, objtype=kind
+    )
     if body2:
         sensor.reftype = mujoco.mjtObj.mjOBJ_BODY
         sensor.refname = body2

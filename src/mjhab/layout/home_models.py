@@ -21,7 +21,8 @@ class HomeModels:
     """
 
     def __init__(self, layout: Layout, drives: Drives) -> None:
-        self._layout, self._drives = layout, drives
+        self._layout = layout
+        self._drives = drives
         self._homes = {home.name: home for home in layout.pack.homes}
         self._models: dict[str, mujoco.MjModel] = {}
 

@@ -18,7 +18,19 @@ from scipy.spatial import ConvexHull
 from mjhab.layout.contact_sensors import add_depth_sensor, add_force_sensor, add_touch_sensor
 from mjhab.robots.fetch import model as fetch
 from mjhab.scenes import contact_bits
-from mjhab.scenes.spec import IDENTITY, PARKED, Articulation, Geom, Home, Link, ObjectType, Pack, Placement, Quat, Vec3
+from mjhab.scenes.spec import (
+    IDENTITY,
+    PARKED,
+    Articulation,
+    Geom,
+    Home,
+    Link,
+    ObjectType,
+    Pack,
+    Placement,
+    Quat,
+    Vec3,
+)
 
 _GEOM_TYPE = {
     "box": mujoco.mjtGeom.mjGEOM_BOX,
@@ -32,8 +44,10 @@ SLIDING_FRICTION = 0.3
 geoms takes the larger of two equal values: 0.3 too."""
 OBJECT_FRICTION = (SLIDING_FRICTION, 0.01, 0.003)
 """Sliding, torsional [m], rolling [m]. Rolling friction lets round objects come to rest and sleep."""
-SLIDE_DAMPING, SLIDE_FRICTION = 5.0, 1.0
-HINGE_DAMPING, HINGE_FRICTION = 1.0, 0.5
+SLIDE_DAMPING = 5.0
+SLIDE_FRICTION = 1.0
+HINGE_DAMPING = 1.0
+HINGE_FRICTION = 0.5
 JOINT_ARMATURE = 0.1
 PARK_ORIGIN = (40.0, 40.0)
 """Objects an episode does not use lie on the floor from here on, 0.5 m apart, asleep."""
@@ -44,9 +58,12 @@ def yaw_quat(yaw: float) -> Quat:
     return (float(np.cos(yaw / 2)), 0.0, 0.0, float(np.sin(yaw / 2)))
 
 
-def compose(pos: Vec3, quat: Quat, local_pos: Vec3, local_quat: Quat = IDENTITY) -> tuple[Vec3, Quat]:
+def compose(
+    pos: Vec3, quat: Quat, local_pos: Vec3, local_quat: Quat = IDENTITY
+) -> tuple[Vec3, Quat]:
     """Pose of a child given in the frame of a parent pose, both (m, wxyz)."""
-    out_pos, out_quat = np.zeros(3), np.zeros(4)
+    out_pos = np.zeros(3)
+    out_quat = np.zeros(4)
     mujoco.mju_rotVecQuat(out_pos, np.asarray(local_pos, float), np.asarray(quat, float))
     mujoco.mju_mulQuat(out_quat, np.asarray(quat, float), np.asarray(local_quat, float))
     out_pos += pos
@@ -91,8 +108,12 @@ class Layout:
             PropSlot(f"{name}_{k}", name, k) for name in sorted(copies) for k in range(copies[name])
         )
         self.num_walls = max(len(home.walls) for home in pack.homes)
-        self.articulations: tuple[Articulation, ...] = tuple(pack.articulations[n] for n in sorted(pack.articulations))
-        self.links = tuple(LinkRef(f"{a.name}/{k.name}", a.name, k) for a in self.articulations for k in a.links)
+        self.articulations: tuple[Articulation, ...] = tuple(
+            pack.articulations[n] for n in sorted(pack.articulations)
+        )
+        self.links = tuple(
+            LinkRef(f"{a.name}/{k.name}", a.name, k) for a in self.articulations for k in a.links
+        )
         self.link_ids = tuple(ref.id for ref in self.links)
         seen: Counter[str] = Counter()
         names = []
@@ -122,7 +143,10 @@ class Layout:
         left: dict[str, list[Placement]] = {}
         for placement in home.props:
             left.setdefault(placement.template, []).append(placement)
-        return [left[s.template][s.index] if s.index < len(left.get(s.template, ())) else None for s in self.prop_slots]
+        return [
+            left[s.template][s.index] if s.index < len(left.get(s.template, ())) else None
+            for s in self.prop_slots
+        ]
 
     def articulation_placement(self, home: Home, name: str) -> Placement:
         """Where an articulation stands in a home; parked below the floor when the home has none."""
@@ -152,7 +176,9 @@ def build_spec(layout: Layout, home: Home) -> mujoco.MjSpec:
     spec.default.geom.friction[0] = SLIDING_FRICTION
     world = spec.worldbody
     plane = mujoco.mjtGeom.mjGEOM_PLANE
-    world.add_geom(name="floor", type=plane, size=[0, 0, 1], contype=contact_bits.STATIC, conaffinity=0)
+    world.add_geom(
+        name="floor", type=plane, size=[0, 0, 1], contype=contact_bits.STATIC, conaffinity=0
+    )
     _add_meshes(spec, layout)
     fetch.add_fetch(spec)
     for k in range(layout.num_walls):
@@ -165,27 +191,47 @@ def build_spec(layout: Layout, home: Home) -> mujoco.MjSpec:
     for articulation in layout.articulations:
         at = layout.articulation_placement(home, articulation.name)
         _add_articulation(spec, articulation, at, dict(home.open_limits))
-    for name, kind, pose in zip(layout.object_names, layout.objects, layout.parked_poses, strict=True):
+    for name, kind, pose in zip(
+        layout.object_names, layout.objects, layout.parked_poses, strict=True
+    ):
         _add_object(spec, name, kind, pose)
     _add_sensors(spec, layout)
     return spec
 
 
 def _add_meshes(spec: mujoco.MjSpec, layout: Layout) -> None:
-    used = {g.mesh for kind in layout.pack.objects.values() for g in kind.collision if g.shape == "mesh"}
-    used |= {g.mesh for prop in layout.pack.props.values() for g in prop.geoms if g.shape == "mesh" and g.collide}
+    used = {
+        g.mesh for kind in layout.pack.objects.values() for g in kind.collision if g.shape == "mesh"
+    }
+    used |= {
+        g.mesh
+        for prop in layout.pack.props.values()
+        for g in prop.geoms
+        if g.shape == "mesh" and g.collide
+    }
     for name in sorted(used):
         mesh = layout.pack.meshes[name]
         spec.add_mesh(name=name, uservert=np.asarray(mesh.vertices, float).ravel())  # type: ignore[attr-defined]
 
 
 def _add_geom(
-    body: mujoco.MjsBody, geom: Geom, name: str, contype: int, *, conaffinity: int = 0, density: float = 1000.0
+    body: mujoco.MjsBody,
+    geom: Geom,
+    name: str,
+    contype: int,
+    *,
+    conaffinity: int = 0,
+    density: float = 1000.0,
 ) -> mujoco.MjsGeom:
     added = body.add_geom(
-        name=name, type=_GEOM_TYPE[geom.shape], pos=geom.pos, quat=geom.quat, contype=contype,
-        conaffinity=conaffinity, density=density,
-    )  # fmt: skip
+        name=name,
+        type=_GEOM_TYPE[geom.shape],
+        pos=geom.pos,
+        quat=geom.quat,
+        contype=contype,
+        conaffinity=conaffinity,
+        density=density,
+    )
     if geom.shape == "mesh":
         added.meshname = geom.mesh
     else:
@@ -193,14 +239,20 @@ def _add_geom(
     return added
 
 
-def _add_static(world: mujoco.MjsBody, geoms: tuple[Geom, ...], name: str, at: Placement | None, bit: int) -> None:
+def _add_static(
+    world: mujoco.MjsBody, geoms: tuple[Geom, ...], name: str, at: Placement | None, bit: int
+) -> None:
     for i, geom in enumerate(g for g in geoms if g.collide):
-        pos, quat = (PARKED, IDENTITY) if at is None else compose(at.pos, at.rotation, geom.pos, geom.quat)
+        pos, quat = (
+            (PARKED, IDENTITY) if at is None else compose(at.pos, at.rotation, geom.pos, geom.quat)
+        )
         moved = Geom(geom.shape, geom.size, pos, quat, mesh=geom.mesh)
         _add_geom(world, moved, f"{name}/{i}", bit)
 
 
-def _add_articulation(spec: mujoco.MjSpec, articulation: Articulation, at: Placement, limits: dict[str, float]) -> None:
+def _add_articulation(
+    spec: mujoco.MjSpec, articulation: Articulation, at: Placement, limits: dict[str, float]
+) -> None:
     _add_static(spec.worldbody, articulation.geoms, articulation.name, at, contact_bits.STATIC)
     for link in articulation.links:
         pos, quat = compose(at.pos, at.rotation, link.pos)
@@ -212,10 +264,12 @@ def _add_articulation(spec: mujoco.MjSpec, articulation: Articulation, at: Place
         body.add_joint(
             name=name,
             type=mujoco.mjtJoint.mjJNT_SLIDE if slide else mujoco.mjtJoint.mjJNT_HINGE,
-            axis=link.axis, range=(low, min(high, limits.get(name, high))), armature=JOINT_ARMATURE,
+            axis=link.axis,
+            range=(low, min(high, limits.get(name, high))),
+            armature=JOINT_ARMATURE,
             damping=[SLIDE_DAMPING if slide else HINGE_DAMPING, 0, 0],
             frictionloss=SLIDE_FRICTION if slide else HINGE_FRICTION,
-        )  # fmt: skip
+        )
         solid = [g for g in link.geoms if g.collide]
         density = link.mass / sum(volume(g, None) for g in solid)
         for i, geom in enumerate(solid):
@@ -228,7 +282,9 @@ def _add_object(spec: mujoco.MjSpec, name: str, kind: ObjectType, pose: np.ndarr
     affinity = contact_bits.OBJECT_AFFINITY
     density = kind.mass / sum(volume(g, spec) for g in kind.collision)
     for i, geom in enumerate(kind.collision):
-        added = _add_geom(body, geom, f"{name}/{i}", contact_bits.OBJECT, conaffinity=affinity, density=density)
+        added = _add_geom(
+            body, geom, f"{name}/{i}", contact_bits.OBJECT, conaffinity=affinity, density=density
+        )
         added.condim = 6
         added.friction = OBJECT_FRICTION
 
@@ -260,7 +316,8 @@ def _add_sensors(spec: mujoco.MjSpec, layout: Layout) -> None:
         add_touch_sensor(spec, f"touch>{target}", "base_link", target, whole_subtree=True)
     add_depth_sensor(spec, "robot_depth", "base_link")
     # Type XBODY is the origin of the link frame, not its centre of mass.
-    linvel, xbody = mujoco.mjtSensor.mjSENS_FRAMELINVEL, mujoco.mjtObj.mjOBJ_XBODY
+    linvel = mujoco.mjtSensor.mjSENS_FRAMELINVEL
+    xbody = mujoco.mjtObj.mjOBJ_XBODY
     spec.add_sensor(name="tcp_velocity", type=linvel, objtype=xbody, objname=fetch.TCP_LINK)
     for target in (*layout.object_names, *layout.link_ids):
         # Of gripper_link alone: the contacts of the fingers are known, and looking through a subtree costs more.
@@ -308,7 +365,12 @@ def addresses(layout: Layout, model: mujoco.MjModel) -> Addresses:
     link_q, link_v = joints(layout.link_ids)
     targets = (*layout.object_names, *layout.link_ids)
     return Addresses(
-        robot_q=robot_q, robot_v=robot_v, object_q=object_q, object_v=object_v, link_q=link_q, link_v=link_v,
+        robot_q=robot_q,
+        robot_v=robot_v,
+        object_q=object_q,
+        object_v=object_v,
+        link_q=link_q,
+        link_v=link_v,
         object_body=np.array([model.body(n).id for n in layout.object_names]),
         link_body=np.array([model.body(n).id for n in layout.link_ids]),
         robot_body={n: model.body(n).id for n in (*fetch.FORCE_LINKS, *fetch.FINGER_LINKS)},
@@ -317,4 +379,4 @@ def addresses(layout: Layout, model: mujoco.MjModel) -> Addresses:
         touch=sensors([f"touch>{t}" for t in targets]),
         tcp_velocity=int(model.sensor("tcp_velocity").adr[0]),
         palm=sensors([f"palm>{t}" for t in targets]),
-    )  # fmt: skip
+    )

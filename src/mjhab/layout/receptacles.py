@@ -30,13 +30,15 @@ class PlacedReceptacle:
 
     def point(self, u: float, v: float) -> np.ndarray:
         """World position (3,) of the point at (u, v) [m] from the centre in the receptacle's own axes."""
-        c, s = np.cos(self.yaw), np.sin(self.yaw)
+        c = np.cos(self.yaw)
+        s = np.sin(self.yaw)
         return np.array([self.pos[0] + c * u - s * v, self.pos[1] + s * u + c * v, self.pos[2]])
 
     def local(self, xy: np.ndarray) -> np.ndarray:
         """Coordinates (..., 2) of world points (..., 2) in the receptacle's own axes."""
         d = np.asarray(xy) - np.asarray(self.pos[:2])
-        c, s = np.cos(self.yaw), np.sin(self.yaw)
+        c = np.cos(self.yaw)
+        s = np.sin(self.yaw)
         return np.stack([c * d[..., 0] + s * d[..., 1], -s * d[..., 0] + c * d[..., 1]], axis=-1)
 
 
@@ -46,19 +48,34 @@ def placed_receptacles(layout: Layout, home: Home) -> tuple[PlacedReceptacle, ..
     for slot, placement in zip(layout.prop_slots, layout.slot_placements(home), strict=True):
         if placement is not None:
             prop = layout.pack.props[slot.template]
-            out += [_place(slot.name, slot.template, r, placement, (0.0, 0.0, 0.0)) for r in prop.receptacles]
+            out += [
+                _place(slot.name, slot.template, r, placement, (0.0, 0.0, 0.0))
+                for r in prop.receptacles
+            ]
     for articulation in layout.articulations:
         placement = layout.articulation_placement(home, articulation.name)
         if placement not in home.articulations:
             continue
         origin = {link.name: link.pos for link in articulation.links}
         for r in articulation.receptacles:
-            out.append(_place(articulation.name, articulation.name, r, placement, origin.get(r.link, (0.0, 0.0, 0.0))))
+            out.append(
+                _place(
+                    articulation.name,
+                    articulation.name,
+                    r,
+                    placement,
+                    origin.get(r.link, (0.0, 0.0, 0.0)),
+                )
+            )
     return tuple(out)
 
 
-def _place(thing: str, template: str, r: Receptacle, at: Placement, origin: Vec3) -> PlacedReceptacle:
+def _place(
+    thing: str, template: str, r: Receptacle, at: Placement, origin: Vec3
+) -> PlacedReceptacle:
     local = (origin[0] + r.pos[0], origin[1] + r.pos[1], origin[2] + r.pos[2])
     pos, _ = compose(at.pos, at.rotation, local)
     link = f"{thing}/{r.link}" if r.link else ""
-    return PlacedReceptacle(f"{thing}/{r.name}", r.name, template, r.kind, link, pos, at.yaw, r.half, r.height)
+    return PlacedReceptacle(
+        f"{thing}/{r.name}", r.name, template, r.kind, link, pos, at.yaw, r.half, r.height
+    )

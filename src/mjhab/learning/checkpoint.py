@@ -61,12 +61,16 @@ def load_checkpoint(path: Path) -> Checkpoint:
         with safe_open(path, "pt") as file:
             head = json.loads((file.metadata() or {}).get(_HEAD, "{}"))
             if head.get("format") != FORMAT:
-                raise UsageError(f"{path} is not a checkpoint of `mjhab train` (format {head.get('format')!r}).")
+                raise UsageError(
+                    f"{path} is not a checkpoint of `mjhab train` (format {head.get('format')!r})."
+                )
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
     except (SafetensorError, json.JSONDecodeError, OSError) as error:
         raise UsageError(f"{path} cannot be read as a checkpoint: {error}.") from error
     config = student_from_plain(head["student"])
-    return Checkpoint(config, Layout.from_plain(config.inputs, head["layout"]), head["about"], tensors)
+    return Checkpoint(
+        config, Layout.from_plain(config.inputs, head["layout"]), head["about"], tensors
+    )
 
 
 def load_student(path: Path) -> Student:
@@ -84,7 +88,9 @@ def load_student(path: Path) -> Student:
     return student.eval().requires_grad_(False)
 
 
-def _save(path: Path, student: Student, tensors: Mapping[str, Tensor], about: Mapping[str, Any]) -> None:
+def _save(
+    path: Path, student: Student, tensors: Mapping[str, Tensor], about: Mapping[str, Any]
+) -> None:
     head = {
         "format": FORMAT,
         "version": __version__,

@@ -13,7 +13,11 @@ from typing import Any
 
 from mjhab.core.errors import UsageError, unknown_name
 
-BC, FLOW, ACT, DIFFUSION, DAGGER = "bc", "flow", "act", "diffusion", "dagger"
+BC = "bc"
+FLOW = "flow"
+ACT = "act"
+DIFFUSION = "diffusion"
+DAGGER = "dagger"
 HEADS = (BC, FLOW, ACT, DIFFUSION)
 """Algorithms that turn what a student sees into a chunk of actions."""
 
@@ -147,7 +151,9 @@ class TrainConfig:
         return DAGGER if self.dagger is not None else self.student.algorithm
 
 
-PAPER_INPUTS = InputConfig(image_size=128, previous_action=False, condition=False, normalize=False, shift=0)
+PAPER_INPUTS = InputConfig(
+    image_size=128, previous_action=False, condition=False, normalize=False, shift=0
+)
 """Inputs of the published students: two depth images of 128 pixels and the 42-D state as they are."""
 
 SMALL = StudentConfig()
@@ -157,7 +163,9 @@ PAPER_BC = StudentConfig(
     inputs=PAPER_INPUTS,
     network=NetworkConfig("paper", (24, 36, 48, 64, 64), 1024, 1024, 3),
     # 100 epochs of 1,000 demonstrations (about 130,000 control steps) in batches of 512.
-    optimizer=OptimizerConfig(batch=512, learning_rate=3e-4, weight_decay=0.0, warmup=0, clip_norm=0.0, ema=0.0),
+    optimizer=OptimizerConfig(
+        batch=512, learning_rate=3e-4, weight_decay=0.0, warmup=0, clip_norm=0.0, ema=0.0
+    ),
     chunk=1,
     execute=1,
     hold_steps=-1,
@@ -192,7 +200,9 @@ PAPER_DP = StudentConfig(
 
 FLOW_SMALL = dataclasses.replace(SMALL, algorithm=FLOW, preset="flow", huber=0.0, sampling_steps=6)
 
-ACT_SMALL = dataclasses.replace(SMALL, algorithm=ACT, preset="act", network=NetworkConfig(hidden=128, layers=2))
+ACT_SMALL = dataclasses.replace(
+    SMALL, algorithm=ACT, preset="act", network=NetworkConfig(hidden=128, layers=2)
+)
 
 QUICK = dataclasses.replace(SMALL, preset="quick", demos=128, updates=4000)
 
@@ -200,11 +210,15 @@ PRESETS: dict[str, dict[str, TrainConfig]] = {
     BC: {"small": TrainConfig(SMALL), "quick": TrainConfig(QUICK), "paper": TrainConfig(PAPER_BC)},
     FLOW: {
         "flow": TrainConfig(FLOW_SMALL),
-        "quick": TrainConfig(dataclasses.replace(FLOW_SMALL, preset="quick", demos=128, updates=4000)),
+        "quick": TrainConfig(
+            dataclasses.replace(FLOW_SMALL, preset="quick", demos=128, updates=4000)
+        ),
     },
     ACT: {
         "act": TrainConfig(ACT_SMALL),
-        "quick": TrainConfig(dataclasses.replace(ACT_SMALL, preset="quick", demos=128, updates=4000)),
+        "quick": TrainConfig(
+            dataclasses.replace(ACT_SMALL, preset="quick", demos=128, updates=4000)
+        ),
     },
     DIFFUSION: {"paper_dp": TrainConfig(PAPER_DP)},
     DAGGER: {
@@ -252,8 +266,12 @@ def student_from_plain(values: Mapping[str, Any]) -> StudentConfig:
         }
         return StudentConfig(**{**_tuples(values), **parts})
     except (KeyError, TypeError) as error:
-        raise UsageError(f"the config of a student is not one of this version of mjhab: {error}.") from error
+        raise UsageError(
+            f"the config of a student is not one of this version of mjhab: {error}."
+        ) from error
 
 
 def _tuples(values: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
+    return {
+        name: tuple(value) if isinstance(value, list) else value for name, value in values.items()
+    }

@@ -123,7 +123,9 @@ def load_demonstrations(
     return Demonstrations.join([parts[name] for name in sorted(parts)])
 
 
-def layout_of_data(places: Path | Sequence[Path], inputs: InputConfig, where: Filter | None = None) -> Layout:
+def layout_of_data(
+    places: Path | Sequence[Path], inputs: InputConfig, where: Filter | None = None
+) -> Layout:
     """The layout of a student that learns from a data set; its targets are those of the episodes that pass.
 
     Raises:
@@ -133,7 +135,9 @@ def layout_of_data(places: Path | Sequence[Path], inputs: InputConfig, where: Fi
     if not found.matched:
         raise nothing_to_learn()
     path, name = found.matched[0]
-    targets = tuple(sorted({type_name(entry.target) for record in found.records for entry in record.plan}))
+    targets = tuple(
+        sorted({type_name(entry.target) for record in found.records for entry in record.plan})
+    )
     with open_shard(path) as shard:
         episode = shard.episode(name)
         state, actions, control = entries_of(episode)
@@ -218,8 +222,12 @@ class BatchSampler:
         new_share: of every batch that comes from the newest, where there are several.
     """
 
-    def __init__(self, sources: Sequence[Demonstrations], batch: int, new_share: float, seed: int) -> None:
-        self._sources, self._batch, self._seed = list(sources), batch, seed
+    def __init__(
+        self, sources: Sequence[Demonstrations], batch: int, new_share: float, seed: int
+    ) -> None:
+        self._sources = list(sources)
+        self._batch = batch
+        self._seed = seed
         self._new = round(new_share * batch) if len(self._sources) > 1 else batch
 
     def rows(self, step: int) -> list[tuple[Demonstrations, np.ndarray]]:
@@ -321,13 +329,16 @@ def _images(episode: Episode, layout: Layout, steps: int) -> np.ndarray:
         starts = [0, *ends]
         frames = [decode(files[starts[t] : ends[t]], "depth")[..., 0] for t in range(steps)]
         if frames[0].shape != (size, size):
-            raise _no_images(episode, layout, f"has depth images of {frames[0].shape[1]}x{frames[0].shape[0]} px")
+            raise _no_images(
+                episode, layout, f"has depth images of {frames[0].shape[1]}x{frames[0].shape[0]} px"
+            )
         cameras.append(nearness(np.stack(frames)))
     return np.stack(cameras, axis=1)
 
 
 def _no_images(episode: Episode, layout: Layout, found: str) -> UsageError:
-    size, cameras = layout.inputs.image_size, " ".join(layout.inputs.cameras)
+    size = layout.inputs.image_size
+    cameras = " ".join(layout.inputs.cameras)
     return UsageError(
         f"episode {episode.name} of {episode.shard.path} {found}; the preset needs {size}x{size} px. Draw them from "
         f"the recorded states: mjhab replay {episode.shard.path} --render depth --camera-size {size} "

@@ -118,7 +118,9 @@ class Layout:
             if key not in shapes:
                 wrong.append(f"{key} is missing")
             elif shapes[key] != size:
-                wrong.append(f"{key} is {shapes[key][1]}x{shapes[key][0]} px instead of {size[1]}x{size[0]}")
+                wrong.append(
+                    f"{key} is {shapes[key][1]}x{shapes[key][0]} px instead of {size[1]}x{size[0]}"
+                )
         if wrong:
             raise UsageError(
                 f"the checkpoint does not fit this environment: {'; '.join(wrong)}. It was trained with "
@@ -177,7 +179,9 @@ def profile_of(options: Mapping[str, Any]) -> str:
     for profile in PROFILES.values():
         values = profile.options(str(options.get("subtask", "")), trains=False)
         del values["horizon"]
-        if profile.binding and all(_plain(options.get(name)) == _plain(value) for name, value in values.items()):
+        if profile.binding and all(
+            _plain(options.get(name)) == _plain(value) for name, value in values.items()
+        ):
             return profile.name
     return str(options.get("profile", DEFAULT_PROFILE))
 
@@ -191,7 +195,9 @@ def compare_layouts(
 ) -> list[str]:
     """What differs from the state, the actions and the control of a layout, in words."""
     wrong = compare_entries("state", layout.state, state)
-    wrong += compare_entries("action", [(name, 1) for name in layout.actions], [(name, 1) for name in actions])
+    wrong += compare_entries(
+        "action", [(name, 1) for name in layout.actions], [(name, 1) for name in actions]
+    )
     if layout.control != control:
         wrong.append(f"control {', '.join(control)} instead of {', '.join(layout.control)}")
     return wrong
@@ -201,9 +207,12 @@ def compare_entries(what: str, wanted: Sequence[Entry], found: Sequence[Entry]) 
     """What differs between two lists of entries, in words; empty if nothing does."""
     if tuple(wanted) == tuple(found):
         return []
-    before, now = dict(wanted), dict(found)
+    before = dict(wanted)
+    now = dict(found)
     wrong = [f"{what} has no {name}" for name in before if name not in now]
-    wrong += [f"{what} has {name}, which the student does not know" for name in now if name not in before]
+    wrong += [
+        f"{what} has {name}, which the student does not know" for name in now if name not in before
+    ]
     wrong += [
         f"{what} {name} has {now[name]} numbers instead of {width}"
         for name, width in before.items()

@@ -41,7 +41,9 @@ class Normalizer(nn.Module):
         mean = values[:, :measured].mean(axis=0, dtype=np.float64)
         spread = values[:, :measured].std(axis=0, dtype=np.float64)
         self.mean[:measured] = torch.from_numpy(mean.astype(np.float32))
-        self.scale[:measured] = torch.from_numpy(np.maximum(spread, LEAST_SPREAD).astype(np.float32))
+        self.scale[:measured] = torch.from_numpy(
+            np.maximum(spread, LEAST_SPREAD).astype(np.float32)
+        )
 
     def forward(self, values: Tensor) -> Tensor:
         """Normalized values (..., width)."""
@@ -80,7 +82,9 @@ class CameraEncoder(nn.Module):
             before = after
             size = (size + 2 - kernel) // stride + 1
         self.convolutions = nn.Sequential(*layers, nn.Flatten())
-        self.head = nn.Sequential(nn.Linear(before * size * size, features), nn.LayerNorm(features), nn.Tanh())
+        self.head = nn.Sequential(
+            nn.Linear(before * size * size, features), nn.LayerNorm(features), nn.Tanh()
+        )
 
     def forward(self, image: Tensor) -> Tensor:
         return self.head(self.convolutions(image))
@@ -131,8 +135,10 @@ class Encoder(nn.Module):
 
     def __init__(self, config: StudentConfig, layout: Layout) -> None:
         super().__init__()
-        inputs, network = config.inputs, config.network
-        self.history, self.cameras = inputs.history, len(layout.image_keys)
+        inputs = config.inputs
+        network = config.network
+        self.history = inputs.history
+        self.cameras = len(layout.image_keys)
         self.normalizer = Normalizer(layout.width, MOST_SPREADS if inputs.normalize else math.inf)
         build = PaperCamera if network.encoder == "paper" else CameraEncoder
         self.encoders = nn.ModuleList(

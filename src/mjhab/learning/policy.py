@@ -33,9 +33,13 @@ class StudentPolicy:
 
     def __init__(self, student: Student, env: Any, seed: int = 0) -> None:
         student.layout.check_env(env)
-        self.student, self._env, self._seed = student, env, seed
-        config, layout = student.config, student.layout
-        worlds, width = env.num_envs, len(layout.actions)
+        self.student = student
+        self._env = env
+        self._seed = seed
+        config = student.config
+        layout = student.layout
+        worlds = env.num_envs
+        width = len(layout.actions)
         self._last = np.zeros((worlds, width), np.float32)
         self._chunks = np.zeros((worlds, config.chunk, width), np.float32)
         self._step = np.zeros(worlds, np.int64)

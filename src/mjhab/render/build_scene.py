@@ -38,7 +38,9 @@ def _mesh(vertices: np.ndarray, faces: np.ndarray) -> Mesh:
 
 def box_mesh(half: Sequence[float]) -> Mesh:
     """A box with half-extents (3,) [m]: 8 vertices, 12 faces."""
-    corners = np.array([[x, y, z] for z in (-1, 1) for y in (-1, 1) for x in (-1, 1)], float) * np.asarray(half)
+    corners = np.array(
+        [[x, y, z] for z in (-1, 1) for y in (-1, 1) for x in (-1, 1)], float
+    ) * np.asarray(half)
     quads = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
     return _mesh(corners, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]))
 
@@ -46,13 +48,18 @@ def box_mesh(half: Sequence[float]) -> Mesh:
 def _lathe(profile: Sequence[tuple[float, float]], segments: int = SEGMENTS) -> Mesh:
     """Surface of revolution about z of (radius, z) points from bottom to top; both ends on the axis."""
     angle = np.arange(segments) * (2 * np.pi / segments)
-    rings = [np.stack([r * np.cos(angle), r * np.sin(angle), np.full(segments, z)], 1) for r, z in profile[1:-1]]
+    rings = [
+        np.stack([r * np.cos(angle), r * np.sin(angle), np.full(segments, z)], 1)
+        for r, z in profile[1:-1]
+    ]
     vertices = np.concatenate([[[0, 0, profile[0][1]]], *rings, [[0, 0, profile[-1][1]]]])
-    last, k = len(vertices) - 1, np.arange(segments)
+    last = len(vertices) - 1
+    k = np.arange(segments)
     n = (k + 1) % segments
     faces = [np.stack([np.zeros_like(k), 1 + n, 1 + k], 1)]
     for ring in range(len(rings) - 1):
-        a, b = 1 + ring * segments, 1 + (ring + 1) * segments
+        a = 1 + ring * segments
+        b = 1 + (ring + 1) * segments
         faces += [np.stack([a + k, a + n, b + n], 1), np.stack([a + k, b + n, b + k], 1)]
     top = 1 + (len(rings) - 1) * segments
     faces.append(np.stack([top + k, top + n, np.full_like(k, last)], 1))
@@ -61,7 +68,9 @@ def _lathe(profile: Sequence[tuple[float, float]], segments: int = SEGMENTS) -> 
 
 def cylinder_mesh(radius: float, half_length: float) -> Mesh:
     """A closed cylinder about z [m]."""
-    return _lathe([(0.0, -half_length), (radius, -half_length), (radius, half_length), (0.0, half_length)])
+    return _lathe(
+        [(0.0, -half_length), (radius, -half_length), (radius, half_length), (0.0, half_length)]
+    )
 
 
 def capsule_mesh(radius: float, half_length: float) -> Mesh:
@@ -82,7 +91,9 @@ def primitive_mesh(geom: Geom) -> Mesh:
         return capsule_mesh(geom.size[0], geom.size[1])
     if geom.shape == "sphere":
         return capsule_mesh(geom.size[0], 0.0)
-    raise UsageError(f"primitive_mesh: a geom of shape {geom.shape!r} has no primitive; look its mesh up in the pack.")
+    raise UsageError(
+        f"primitive_mesh: a geom of shape {geom.shape!r} has no primitive; look its mesh up in the pack."
+    )
 
 
 def _pick(textures: tuple[np.ndarray, ...], number: int) -> np.ndarray | None:
@@ -142,7 +153,8 @@ class SceneBuilder:
         """Id of a mesh; a key that was added before returns the first mesh."""
         if key in self._meshes:
             return self._meshes[key]
-        first, material = len(self._levels), self._own_materials(mesh)
+        first = len(self._levels)
+        material = self._own_materials(mesh)
         for level in mesh_levels(mesh):
             self._coarser.append(len(self._levels) + 1)
             self._levels.append(level)
@@ -159,12 +171,17 @@ class SceneBuilder:
         number = np.full(count, -1) if mesh.face_texture is None else mesh.face_texture
         looks, index = np.unique(np.c_[color, number], axis=0, return_inverse=True)
         ids = [
-            self.add_material(Material((float(r), float(g), float(b)), gloss=MESH_GLOSS), _pick(mesh.textures, int(k)))
+            self.add_material(
+                Material((float(r), float(g), float(b)), gloss=MESH_GLOSS),
+                _pick(mesh.textures, int(k)),
+            )
             for r, g, b, k in looks
         ]
         return np.array(ids, np.int32)[index.reshape(-1)]
 
-    def add_geom_mesh(self, geom: Geom, meshes: Mapping[str, object] | None = None) -> tuple[int, Vec3]:
+    def add_geom_mesh(
+        self, geom: Geom, meshes: Mapping[str, object] | None = None
+    ) -> tuple[int, Vec3]:
         """Mesh id and instance scale that draw a geom: unit primitives are shared by all sizes.
 
         Args:
@@ -179,9 +196,10 @@ class SceneBuilder:
         if geom.shape == "capsule":
             return self.add_mesh(("capsule", round(b / a, 3)), capsule_mesh(1.0, b / a)), (a, a, a)
         unit = Geom(geom.shape, UNIT)
-        return self.add_mesh(geom.shape, primitive_mesh(unit)), {"box": (a, b, c), "cylinder": (a, a, b)}.get(
-            geom.shape, (a, a, a)
-        )
+        return self.add_mesh(geom.shape, primitive_mesh(unit)), {
+            "box": (a, b, c),
+            "cylinder": (a, a, b),
+        }.get(geom.shape, (a, a, a))
 
     def add_body_instance(
         self,
@@ -200,7 +218,9 @@ class SceneBuilder:
             seg: name in segmentation images.
         """
         if body_id <= 0:
-            raise UsageError(f"add_body_instance: body_id must be above 0 (the world); got {body_id}.")
+            raise UsageError(
+                f"add_body_instance: body_id must be above 0 (the world); got {body_id}."
+            )
         self._local.append((np.asarray(pos, float), mat_from_quat(np.asarray(quat, float))))
         count = self.num_homes
         return self._add(mesh, body_id, seg, np.zeros((count, 3)), np.eye(3), scale, material)
@@ -225,10 +245,19 @@ class SceneBuilder:
         return self._add(mesh, 0, seg, pos, mat_from_quat(np.asarray(quat, float)), scale, material)
 
     def _add(
-        self, mesh: int, body: int, seg: str, pos: ArrayLike, mat: ArrayLike, scale: ArrayLike, material: ArrayLike
+        self,
+        mesh: int,
+        body: int,
+        seg: str,
+        pos: ArrayLike,
+        mat: ArrayLike,
+        scale: ArrayLike,
+        material: ArrayLike,
     ) -> int:
         if not 0 <= mesh < len(self._levels):
-            raise UsageError(f"mesh id {mesh} is not in 0..{len(self._levels) - 1}; use what add_mesh returned.")
+            raise UsageError(
+                f"mesh id {mesh} is not in 0..{len(self._levels) - 1}; use what add_mesh returned."
+            )
         h = self.num_homes
         self._home_pose.append(
             (
@@ -242,7 +271,11 @@ class SceneBuilder:
         return len(self._instances) - 1
 
     def add_body_geom(
-        self, geom: Geom, body_id: int, seg: str = "background", meshes: Mapping[str, object] | None = None
+        self,
+        geom: Geom,
+        body_id: int,
+        seg: str = "background",
+        meshes: Mapping[str, object] | None = None,
     ) -> int:
         """Hang a geom (with its named material) on a body. Returns the instance id."""
         mesh, scale = self.add_geom_mesh(geom, meshes)
@@ -265,10 +298,14 @@ class SceneBuilder:
         mesh, scale = self.add_geom_mesh(geom, meshes)
         material = -1 if self._colored(mesh) else self.material(geom.material)
         frame = mat_from_quat(np.asarray(quat, float))
-        where = np.asarray(pos, float) + np.einsum("...rc,c->...r", frame, np.asarray(geom.pos, float))
+        where = np.asarray(pos, float) + np.einsum(
+            "...rc,c->...r", frame, np.asarray(geom.pos, float)
+        )
         shown = np.asarray(present, float)[..., None] * np.asarray(scale, float)
         self._local.append((np.zeros(3), np.eye(3)))
-        return self._add(mesh, 0, seg, where, frame @ mat_from_quat(np.asarray(geom.quat)), shown, material)
+        return self._add(
+            mesh, 0, seg, where, frame @ mat_from_quat(np.asarray(geom.quat)), shown, material
+        )
 
     def _colored(self, mesh: int) -> bool:
         """True if the mesh brings its own face colours."""
@@ -282,8 +319,12 @@ class SceneBuilder:
         """The arrays; at least one instance is needed."""
         if not self._instances:
             raise UsageError("SceneBuilder.build: nothing was added; add an instance first.")
-        mesh, body, seg = (np.array(column, np.int32) for column in zip(*self._instances, strict=True))
-        pos, mat, scale = (np.ascontiguousarray(np.stack(part, 1)) for part in zip(*self._home_pose, strict=True))
+        mesh, body, seg = (
+            np.array(column, np.int32) for column in zip(*self._instances, strict=True)
+        )
+        pos, mat, scale = (
+            np.ascontiguousarray(np.stack(part, 1)) for part in zip(*self._home_pose, strict=True)
+        )
         return RenderScene(
             **self._mesh_arrays(),
             instance_mesh=mesh,
@@ -330,14 +371,17 @@ class SceneBuilder:
             "mat_color2": srgb_to_linear(second),
             "mat_texture": np.array([texture for _, texture in self._materials], np.int32),
             "mat_pattern": pattern,
-            "mat_size": np.array([np.multiply(m.scale, PERIODS.get(m.pattern, (1.0, 1.0))) for m in looks]),
+            "mat_size": np.array(
+                [np.multiply(m.scale, PERIODS.get(m.pattern, (1.0, 1.0))) for m in looks]
+            ),
             "mat_gloss": np.array([m.gloss for m in looks]),
         }
 
     def _light_arrays(self) -> dict[str, np.ndarray]:
         """Lamps of all homes, padded with zero colour."""
         most = max(1, *(len(lights) for lights in self._lights))
-        pos, color = np.zeros((self.num_homes, most, 3)), np.zeros((self.num_homes, most, 3))
+        pos = np.zeros((self.num_homes, most, 3))
+        color = np.zeros((self.num_homes, most, 3))
         for home, lights in enumerate(self._lights):
             for k, light in enumerate(lights):
                 pos[home, k] = light.pos

@@ -29,7 +29,9 @@ class FilmWriter:
             reach.
     """
 
-    def __init__(self, path: str | Path, fps: float = 20.0, quality: int = 23, keyframes: int = 0) -> None:
+    def __init__(
+        self, path: str | Path, fps: float = 20.0, quality: int = 23, keyframes: int = 0
+    ) -> None:
         self.path = Path(path)
         self.fps = fps
         self.quality = quality
@@ -44,7 +46,10 @@ class FilmWriter:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         if kind is None:
             self.close()
@@ -58,7 +63,9 @@ class FilmWriter:
             UsageError: another shape or dtype; MjhabError: ffmpeg failed.
         """
         if frame.dtype != np.uint8 or frame.ndim != 3 or frame.shape[2] != 3:
-            raise UsageError(f"a film frame must be (H, W, 3) uint8; got {frame.shape} {frame.dtype}.")
+            raise UsageError(
+                f"a film frame must be (H, W, 3) uint8; got {frame.shape} {frame.dtype}."
+            )
         size = (frame.shape[0], frame.shape[1])
         if self._shape is None:
             self._shape = size
@@ -114,12 +121,35 @@ class FilmWriter:
         self.path.parent.mkdir(parents=True, exist_ok=True)
         self._part = self.path.with_name(f".{self.path.stem}.{os.getpid()}.part.mp4")
         command = [imageio_ffmpeg.get_ffmpeg_exe(), "-loglevel", "error", "-y"]
-        command += ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", str(self.fps), "-i", "-"]
-        command += ["-an", "-c:v", "libx264", "-preset", "veryfast", "-crf", str(self.quality), "-threads", "2"]
+        command += [
+            "-f",
+            "rawvideo",
+            "-pix_fmt",
+            "rgb24",
+            "-s",
+            f"{width}x{height}",
+            "-r",
+            str(self.fps),
+            "-i",
+            "-",
+        ]
+        command += [
+            "-an",
+            "-c:v",
+            "libx264",
+            "-preset",
+            "veryfast",
+            "-crf",
+            str(self.quality),
+            "-threads",
+            "2",
+        ]
         if self.keyframes:
             command += ["-g", str(self.keyframes), "-bf", "0"]
         command += ["-pix_fmt", "yuv420p", "-movflags", "+faststart", str(self._part)]
-        return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=self._log)
+        return subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=self._log
+        )
 
 
 def join_films(parts: Sequence[Path], path: Path) -> None:

@@ -26,13 +26,20 @@ from mjhab.sim.protocol import SimState
 
 VIEWS = ("top", "inside")
 FLOOR_HALF_THICKNESS = 0.02
-FOLLOW_EYES = ((-0.7, 1.6, 2.3), (-0.7, -1.6, 2.3), (-1.4, 0.9, 2.6), (-1.4, -0.9, 2.6), (-0.4, 0.5, 3.6))
+FOLLOW_EYES = (
+    (-0.7, 1.6, 2.3),
+    (-0.7, -1.6, 2.3),
+    (-1.4, 0.9, 2.6),
+    (-1.4, -0.9, 2.6),
+    (-0.4, 0.5, 3.6),
+)
 """Film camera in the frame of the robot: forward, left, height [m]; the first from which it is in plain view."""
 FOLLOW_TARGET = (0.45, 0.85)
 """What it looks at: this far ahead of the robot, at this height [m]."""
 TALL = 1.3
 """Standing things that reach above this height [m] can hide the robot."""
-FOLLOW_FOVY, HOME_FOVY = 0.85, 0.8
+FOLLOW_FOVY = 0.85
+HOME_FOVY = 0.8
 INSIDE_HEIGHT = 2.0
 FAR = 1e4
 """Bodies farther than this from the origin [m] have been thrown out of the world."""
@@ -84,7 +91,9 @@ def _add_shell(builder: SceneBuilder, layout: Layout) -> None:
     _add_boxes(builder, unit, [home.walls for home in homes], "wall")
 
 
-def _add_boxes(builder: SceneBuilder, unit: int, boxes: Sequence[tuple[Geom, ...]], seg: str) -> None:
+def _add_boxes(
+    builder: SceneBuilder, unit: int, boxes: Sequence[tuple[Geom, ...]], seg: str
+) -> None:
     absent = Geom("box", (0.0, 0.0, 0.0), PARKED)
     for k in range(max(len(row) for row in boxes)):
         row = [b[k] if k < len(b) else absent for b in boxes]
@@ -99,7 +108,11 @@ def _add_boxes(builder: SceneBuilder, unit: int, boxes: Sequence[tuple[Geom, ...
 
 
 def _add_standing(
-    builder: SceneBuilder, geoms: tuple[Geom, ...], at: Sequence[Placement | None], seg: str, meshes: dict[str, object]
+    builder: SceneBuilder,
+    geoms: tuple[Geom, ...],
+    at: Sequence[Placement | None],
+    seg: str,
+    meshes: dict[str, object],
 ) -> None:
     pos = np.array([PARKED if p is None else p.pos for p in at])
     quat = np.array([IDENTITY if p is None else p.rotation for p in at])
@@ -157,19 +170,34 @@ class HomeRenderer:
         fovy = [fetch.CAMERAS[c].fovy for c in _camera_rows(cameras)]
         pos, mat = self.camera_poses(state, cameras)
         # NaN fails the comparison. The kernels must not see it: they have no bounds checks.
-        sane = (np.abs(state.body_pos) < FAR).all((1, 2)) & (np.abs(state.body_mat) < 2.0).all((1, 2, 3))
+        sane = (np.abs(state.body_pos) < FAR).all((1, 2)) & (np.abs(state.body_mat) < 2.0).all(
+            (1, 2, 3)
+        )
         rows = slice(None) if sane.all() else sane
         drawn = self.rasterizer.render(
-            index[rows], state.body_pos[rows], state.body_mat[rows], pos[rows], mat[rows], fovy, width, height, outputs
+            index[rows],
+            state.body_pos[rows],
+            state.body_mat[rows],
+            pos[rows],
+            mat[rows],
+            fovy,
+            width,
+            height,
+            outputs,
         )
         if sane.all():
             return drawn
-        images = {name: np.zeros((len(sane), *image.shape[1:]), image.dtype) for name, image in drawn.items()}
+        images = {
+            name: np.zeros((len(sane), *image.shape[1:]), image.dtype)
+            for name, image in drawn.items()
+        }
         for name, image in drawn.items():
             images[name][sane] = image
         return images
 
-    def camera_poses(self, state: SimState, cameras: Sequence[str] = CAMERA_NAMES) -> tuple[np.ndarray, np.ndarray]:
+    def camera_poses(
+        self, state: SimState, cameras: Sequence[str] = CAMERA_NAMES
+    ) -> tuple[np.ndarray, np.ndarray]:
         """World positions (W, C, 3) [m] and orientations (W, C, 3, 3) (x right, y up, z backwards) of robot cameras.
 
         Raises:
@@ -181,22 +209,35 @@ class HomeRenderer:
         pos = state.body_pos[:, mounts] + np.einsum("wcij,cj->wci", mat, self._mount_pos[rows])
         return pos, mat @ self._mount_mat[rows]
 
-    def follow_view(self, state: SimState, home: str, world: int, width: int, height: int) -> np.ndarray:
+    def follow_view(
+        self, state: SimState, home: str, world: int, width: int, height: int
+    ) -> np.ndarray:
         """RGB (height, width, 3) from behind the robot of one world, looking over its shoulder at its work."""
         x, y, yaw = state.robot_q[world, :3]
-        forward, left = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])
+        forward = np.array([np.cos(yaw), np.sin(yaw)])
+        left = np.array([-np.sin(yaw), np.cos(yaw)])
         here = np.array([x, y])
         target = np.append(here + FOLLOW_TARGET[0] * forward, FOLLOW_TARGET[1])
         eyes = [np.append(here + f * forward + s * left, h) for f, s, h in FOLLOW_EYES]
         eye = next((e for e in eyes if self._in_view(home, e, target)), eyes[-1])
         return self._picture(
-            home, state.body_pos[[world]], state.body_mat[[world]], eye, target, FOLLOW_FOVY, width, height, "fast"
+            home,
+            state.body_pos[[world]],
+            state.body_mat[[world]],
+            eye,
+            target,
+            FOLLOW_FOVY,
+            width,
+            height,
+            "fast",
         )
 
     def _in_view(self, home: str, eye: np.ndarray, target: np.ndarray) -> bool:
         """Whether nothing tall stands between the eye and the space before the robot."""
         share = np.linspace(0.0, 0.75, 12)[:, None]
-        return bool((sphere_box_distance(eye + share * (target - eye), self._tall(home)) > 0.05).all())
+        return bool(
+            (sphere_box_distance(eye + share * (target - eye), self._tall(home)) > 0.05).all()
+        )
 
     def _tall(self, home: str) -> Boxes:
         if home not in self._tall_boxes:
@@ -206,7 +247,11 @@ class HomeRenderer:
             center = model.geom_pos + np.einsum("kij,kj->ki", rot, model.geom_aabb[:, :3])
             half = model.geom_aabb[:, 3:]
             top = center[:, 2] + np.einsum("kj,kj->k", np.abs(rot[:, 2]), half)
-            keep = (model.geom_bodyid == 0) & (model.geom_type != int(mujoco.mjtGeom.mjGEOM_PLANE)) & (top > TALL)
+            keep = (
+                (model.geom_bodyid == 0)
+                & (model.geom_type != int(mujoco.mjtGeom.mjGEOM_PLANE))
+                & (top > TALL)
+            )
             self._tall_boxes[home] = Boxes.of(center[keep], half[keep], rot[keep])
         return self._tall_boxes[home]
 
@@ -221,25 +266,41 @@ class HomeRenderer:
         if home not in self._home_index:
             raise unknown_name("home", home, self._home_index)
         spec = self.layout.pack.homes[self._home_index[home]]
-        eye, target, fovy = self._from_top(spec, width, height) if view == "top" else self._from_inside(spec)
+        eye, target, fovy = (
+            self._from_top(spec, width, height) if view == "top" else self._from_inside(spec)
+        )
         model = self._sim.model(home)
         data = mujoco.MjData(model)
         data.qpos[self._sim.addresses.robot_q] = parked_robot_qpos()
         mujoco.mj_kinematics(model, data)
         return self._picture(
-            home, data.xpos[None], data.xmat.reshape(1, -1, 3, 3), eye, target, fovy, width, height, "nice"
+            home,
+            data.xpos[None],
+            data.xmat.reshape(1, -1, 3, 3),
+            eye,
+            target,
+            fovy,
+            width,
+            height,
+            "nice",
         )
 
     @staticmethod
     def _from_top(home: Home, width: int, height: int) -> tuple[np.ndarray, np.ndarray, float]:
         """Eye, target and field of view that show a whole floor; a deep one lies on its side in a wide picture."""
         x0, y0, x1, y1 = home.floor
-        size, up = np.array([x1 - x0, y1 - y0]), np.array([0.0, 1.0])
+        size = np.array([x1 - x0, y1 - y0])
+        up = np.array([0.0, 1.0])
         if (size[1] > size[0]) != (height > width):
-            size, up = size[::-1], np.array([1.0, 0.0])
+            size = size[::-1]
+            up = np.array([1.0, 0.0])
         fit = max(size[1], size[0] * height / width) / 2 * 1.15
         center = np.array([(x0 + x1) / 2, (y0 + y1) / 2, 0.0])
-        return center + np.append(-0.18 * fit * up, 2.6 + fit / np.tan(HOME_FOVY / 2)), center, HOME_FOVY
+        return (
+            center + np.append(-0.18 * fit * up, 2.6 + fit / np.tan(HOME_FOVY / 2)),
+            center,
+            HOME_FOVY,
+        )
 
     def _from_inside(self, home: Home) -> tuple[np.ndarray, np.ndarray, float]:
         """Eye, target and field of view of somebody at the end of the home who looks over it: from the place far from
@@ -247,14 +308,21 @@ class HomeRenderer:
         fmap = free_map(home, self.layout.pack, cell=0.25)
         floor = fmap.to_xy(np.argwhere(fmap.navigable(0.2)))
         middle = floor.mean(axis=0)
-        places = floor[np.argsort(np.linalg.norm(floor - middle, axis=1))[-max(1, len(floor) // 3) :]]
+        places = floor[
+            np.argsort(np.linalg.norm(floor - middle, axis=1))[-max(1, len(floor) // 3) :]
+        ]
         places = places[:: max(1, len(places) // 40)]
         share = np.linspace(0.02, 0.8, 30)[:, None]
         seen = []
         for xy in places:
-            eye, spots = np.append(xy, INSIDE_HEIGHT), np.column_stack([floor[::7], np.full(len(floor[::7]), 0.5)])
+            eye = np.append(xy, INSIDE_HEIGHT)
+            spots = np.column_stack([floor[::7], np.full(len(floor[::7]), 0.5)])
             rays = (eye + share[:, None] * (spots - eye)).reshape(-1, 3)
-            free = (sphere_box_distance(rays, self._tall(home.name)) > 0.02).all(axis=1).reshape(len(share), -1)
+            free = (
+                (sphere_box_distance(rays, self._tall(home.name)) > 0.02)
+                .all(axis=1)
+                .reshape(len(share), -1)
+            )
             seen.append(int(free.all(axis=0).sum()))
         eye = np.append(places[int(np.argmax(seen))], INSIDE_HEIGHT)
         return eye, np.append(middle, 0.5), 1.2
@@ -274,6 +342,15 @@ class HomeRenderer:
         index = np.array([self._home_index[home]])
         mat = look_at(eye.tolist(), target.tolist())
         images = self.rasterizer.render(
-            index, body_pos, body_mat, eye[None, None], mat[None, None], fovy, width, height, ("rgb",), quality
+            index,
+            body_pos,
+            body_mat,
+            eye[None, None],
+            mat[None, None],
+            fovy,
+            width,
+            height,
+            ("rgb",),
+            quality,
         )
         return images["rgb"][0, 0]

@@ -22,7 +22,8 @@ CREASE = np.cos(np.radians(40.0))
 """Faces that meet at less than 40 deg are shaded as one curved surface."""
 MIN_FACES = 600
 """Meshes with fewer faces have one level only."""
-_STEP, _FEWEST = 3.5, 80
+_STEP = 3.5
+_FEWEST = 80
 """Every level has so many times fewer faces than the one before, down to about so many."""
 Array = np.ndarray
 
@@ -55,7 +56,9 @@ def mesh_levels(mesh: Mesh) -> list[Level]:
     if found is None:
         found = _make(mesh)
         names = [f.name for f in fields(Level)]
-        arrays = {f"{k}/{name}": getattr(level, name) for k, level in enumerate(found) for name in names}
+        arrays = {
+            f"{k}/{name}": getattr(level, name) for k, level in enumerate(found) for name in names
+        }
         write_atomic(path, lambda temporary: np.savez(temporary, allow_pickle=False, **arrays))
     return found
 
@@ -90,10 +93,13 @@ def _make(mesh: Mesh) -> list[Level]:
         few = simplify(vertices, faces, target)
         if not 0 < len(few.faces) < 0.7 * len(levels[-1].faces):
             break
-        old, new = vertices[faces[few.source]], few.vertices[few.faces]
+        old = vertices[faces[few.source]]
+        new = few.vertices[few.faces]
         error = float(np.quantile(_off(old, new), 0.98))
         moved = uv[few.source] + _slip(old, new, uv[few.source])
-        levels.append(_level(few.vertices, few.faces, few.source, normals[few.source], moved, error))
+        levels.append(
+            _level(few.vertices, few.faces, few.source, normals[few.source], moved, error)
+        )
     return levels
 
 
@@ -117,37 +123,55 @@ def _slip(old: Array, new: Array, uv: Array) -> Array:
 
 def _slopes(corners: Array, values: Array) -> Array:
     """In-plane gradients (F, n, 3) of values (F, 3, n) given at the corners (F, 3, 3) of faces; 0 on slivers."""
-    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    aa, ab, bb = (a * a).sum(1), (a * b).sum(1), (b * b).sum(1)
+    a = corners[:, 1] - corners[:, 0]
+    b = corners[:, 2] - corners[:, 0]
+    aa = (a * a).sum(1)
+    ab = (a * b).sum(1)
+    bb = (b * b).sum(1)
     det = aa * bb - ab * ab
     safe = det > 1e-8 * (aa * bb) + 1e-30
     inv = np.where(safe, 1.0 / np.where(safe, det, 1.0), 0.0)[:, None]
-    to_a, to_b = (bb[:, None] * a - ab[:, None] * b) * inv, (aa[:, None] * b - ab[:, None] * a) * inv
-    da, db = values[:, 1] - values[:, 0], values[:, 2] - values[:, 0]
+    to_a = (bb[:, None] * a - ab[:, None] * b) * inv
+    to_b = (aa[:, None] * b - ab[:, None] * a) * inv
+    da = values[:, 1] - values[:, 0]
+    db = values[:, 2] - values[:, 0]
     return da[:, :, None] * to_a[:, None, :] + db[:, :, None] * to_b[:, None, :]
 
 
 def _affine(corners: Array, values: Array) -> Array:
     """Maps (F, n, 4) f32 that give the values (F, 3, n) at the corners."""
     slope = _slopes(corners, values)
-    middle, mean = corners.mean(axis=1), values.mean(axis=1)
+    middle = corners.mean(axis=1)
+    mean = values.mean(axis=1)
     offset = mean - np.einsum("fnc,fc->fn", slope, middle)
     return np.concatenate([slope, offset[:, :, None]], axis=2).astype(np.float32)
 
 
-def _level(vertices: Array, faces: Array, source: Array, normals: Array, uv: Array, error: float) -> Level:
+def _level(
+    vertices: Array, faces: Array, source: Array, normals: Array, uv: Array, error: float
+) -> Level:
     corners = np.asarray(vertices, np.float64)[faces]
     normal = _affine(corners, normals)
     flat = (normals == normals[:, :1]).all(axis=(1, 2))
-    normal[flat] = np.concatenate([np.zeros((int(flat.sum()), 3, 3)), normals[flat, 0, :, None]], axis=2)
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    p, q = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
+    normal[flat] = np.concatenate(
+        [np.zeros((int(flat.sum()), 3, 3)), normals[flat, 0, :, None]], axis=2
+    )
+    area = np.linalg.norm(
+        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+    )
+    p = uv[:, 1] - uv[:, 0]
+    q = uv[:, 2] - uv[:, 0]
     covered = np.abs(p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0])
     density = np.sqrt(covered / np.maximum(area, 1e-14))
     return Level(
-        vertices.astype(np.float32), faces.astype(np.int32), source.astype(np.int32), normal, _affine(corners, uv),
-        density.astype(np.float32), np.array([error]),
-    )  # fmt: skip
+        vertices.astype(np.float32),
+        faces.astype(np.int32),
+        source.astype(np.int32),
+        normal,
+        _affine(corners, uv),
+        density.astype(np.float32),
+        np.array([error]),
+    )
 
 
 def corner_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -157,12 +181,17 @@ def corner_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     Vertices at the same place count as one, so split seams and STL triangle soups come out smooth.
     """
     points = np.asarray(vertices, np.float64)[faces]
-    away, back = np.roll(points, -1, 1) - points, np.roll(points, 1, 1) - points
-    angle = np.arctan2(np.linalg.norm(np.cross(away, back), axis=2), (away * back).sum(2)).reshape(-1, 1)
+    away = np.roll(points, -1, 1) - points
+    back = np.roll(points, 1, 1) - points
+    angle = np.arctan2(np.linalg.norm(np.cross(away, back), axis=2), (away * back).sum(2)).reshape(
+        -1, 1
+    )
     area = np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0])
     size = np.linalg.norm(area, axis=1, keepdims=True)
     unit = np.where(size > 1e-14, area / np.maximum(size, 1e-14), (0.0, 0.0, 1.0))
-    grid = np.round(np.asarray(vertices, np.float64) / max(float(np.ptp(vertices, axis=0).max()), 1e-9) * 1e5)
+    grid = np.round(
+        np.asarray(vertices, np.float64) / max(float(np.ptp(vertices, axis=0).max()), 1e-9) * 1e5
+    )
     weld = np.unique(grid.astype(np.int64), axis=0, return_inverse=True)[1].reshape(-1)
     corner = weld[faces].reshape(-1)
     order = np.argsort(corner, kind="stable")
@@ -177,7 +206,9 @@ def corner_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
             alike = np.einsum("nkc,nc->nk", own, own[:, k]) > CREASE
             total = np.einsum("nk,nkc->nc", alike, weight)
             length = np.linalg.norm(total, axis=1, keepdims=True)
-            result[rows[:, k]] = np.where(length > 1e-14, total / np.maximum(length, 1e-14), own[:, k])
+            result[rows[:, k]] = np.where(
+                length > 1e-14, total / np.maximum(length, 1e-14), own[:, k]
+            )
     flat = np.abs(result.reshape(-1, 3, 3) - unit[:, None]).max((1, 2)) < 1e-5
     result = np.where(flat[:, None, None], unit[:, None], result.reshape(-1, 3, 3))
     return result.astype(np.float32)

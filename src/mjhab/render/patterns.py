@@ -28,9 +28,17 @@ def pattern_tile(kind: str) -> Array:
     Raises:
         KeyError: no such pattern; "plain" has none.
     """
-    mix, shade = {"wood": _wood, "planks": _planks, "tiles": _tiles, "fabric": _fabric, "stripes": _stripes}[kind]()
+    mix, shade = {
+        "wood": _wood,
+        "planks": _planks,
+        "tiles": _tiles,
+        "fabric": _fabric,
+        "stripes": _stripes,
+    }[kind]()
     shade = np.broadcast_to(shade, mix.shape)
-    levels = np.stack([np.clip(mix, 0.0, 1.0), np.clip(shade / SHADE_TOP, 0.0, 1.0), np.zeros_like(mix)], axis=-1)
+    levels = np.stack(
+        [np.clip(mix, 0.0, 1.0), np.clip(shade / SHADE_TOP, 0.0, 1.0), np.zeros_like(mix)], axis=-1
+    )
     return np.round(255.0 * levels).astype(np.uint8)
 
 
@@ -42,11 +50,18 @@ def _grid(width: int, height: int) -> tuple[Array, Array]:
 def _noise(seed: int, u: Array, v: Array, cells_u: int, cells_v: int) -> Array:
     """Smooth value noise in 0..1 that repeats when u or v (in 0..1) grow by 1, with so many cells each way."""
     values = np.random.default_rng(seed).random((cells_v, cells_u))
-    x, y = u * cells_u, v * cells_v
-    i, j = np.floor(x).astype(int), np.floor(y).astype(int)
-    a, b = x - i, y - j
-    a, b = a * a * (3.0 - 2.0 * a), b * b * (3.0 - 2.0 * b)
-    i0, i1, j0, j1 = i % cells_u, (i + 1) % cells_u, j % cells_v, (j + 1) % cells_v
+    x = u * cells_u
+    y = v * cells_v
+    i = np.floor(x).astype(int)
+    j = np.floor(y).astype(int)
+    a = x - i
+    b = y - j
+    a = a * a * (3.0 - 2.0 * a)
+    b = b * b * (3.0 - 2.0 * b)
+    i0 = i % cells_u
+    i1 = (i + 1) % cells_u
+    j0 = j % cells_v
+    j1 = (j + 1) % cells_v
     low = values[j0, i0] * (1.0 - a) + values[j0, i1] * a
     high = values[j1, i0] * (1.0 - a) + values[j1, i1] * a
     return low * (1.0 - b) + high * b
@@ -78,8 +93,10 @@ def _planks() -> tuple[Array, Array]:
     board = np.floor(shifted).astype(int) % count
     tint = rng.random((int(width), count))[row, board]
     grain = _grain(8, (u + tint) % 1.0, v, length / 0.7, width / 0.7)
-    across, along = v * width - row, shifted - np.floor(shifted)
-    edge, end = np.minimum(across, 1.0 - across), np.minimum(along, 1.0 - along) * _BOARD
+    across = v * width - row
+    along = shifted - np.floor(shifted)
+    edge = np.minimum(across, 1.0 - across)
+    end = np.minimum(along, 1.0 - along) * _BOARD
     line = np.maximum(_seam(edge, 0.04, width / 1024), _seam(end, 0.04, length / 512))
     return 0.55 * tint + 0.45 * grain, 1.0 - 0.45 * line
 
@@ -93,8 +110,10 @@ def _tiles() -> tuple[Array, Array]:
     """Square tiles of size 1 with grout (mix 1), each with its shade."""
     count = int(PERIODS["tiles"][0])
     u, v = _grid(512, 512)
-    p, q = u * count, v * count
-    i, j = np.floor(p).astype(int), np.floor(q).astype(int)
+    p = u * count
+    q = v * count
+    i = np.floor(p).astype(int)
+    j = np.floor(q).astype(int)
     edge = np.minimum(np.minimum(p - i, 1.0 - p + i), np.minimum(q - j, 1.0 - q + j))
     shade = 0.95 + 0.08 * np.random.default_rng(5).random((count, count))[j, i]
     return _seam(edge, 0.026, count / 512), shade

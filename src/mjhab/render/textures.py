@@ -46,12 +46,16 @@ class TexturePool:
                 f"texture must be (h, w, 3) uint8 with sides that are powers of two up to {MAX_TEXTURE}; "
                 f"got {image.shape} {image.dtype}."
             )
-        return self._add(hashlib.sha256(image.tobytes() + repr(image.shape).encode()).digest(), image, False)
+        return self._add(
+            hashlib.sha256(image.tobytes() + repr(image.shape).encode()).digest(), image, False
+        )
 
     def add_pattern(self, kind: str) -> int:
         """Number of the picture of a pattern."""
         key = kind.encode()
-        return self._numbers[key] if key in self._numbers else self._add(key, pattern_tile(kind), True)
+        return (
+            self._numbers[key] if key in self._numbers else self._add(key, pattern_tile(kind), True)
+        )
 
     def _add(self, key: bytes, image: np.ndarray, linear: bool) -> int:
         if key not in self._numbers:
@@ -61,7 +65,10 @@ class TexturePool:
 
     def build(self) -> Texels:
         """All pictures with their smaller copies."""
-        bits = np.array([(i.shape[1].bit_length() - 1, i.shape[0].bit_length() - 1) for i, _ in self._images], np.int32)
+        bits = np.array(
+            [(i.shape[1].bit_length() - 1, i.shape[0].bit_length() - 1) for i, _ in self._images],
+            np.int32,
+        )
         bits = bits.reshape(-1, 2)
         sides = [np.maximum(bits[:, k, None] - np.arange(LEVELS), 0) for k in range(2)]
         sizes = np.int64(1) << (sides[0] + sides[1]).astype(np.int64)
@@ -74,16 +81,25 @@ class TexturePool:
             decode, encode = _curves(linear)
             for level in range(1, LEVELS):
                 _halve(
-                    pixels, start[k, level - 1], start[k, level], sides[0][k, level - 1], sides[1][k, level - 1],
-                    decode, encode,
-                )  # fmt: skip
+                    pixels,
+                    start[k, level - 1],
+                    start[k, level],
+                    sides[0][k, level - 1],
+                    sides[1][k, level - 1],
+                    decode,
+                    encode,
+                )
         return Texels(pixels, start, bits)
 
 
 def _curves(linear: bool) -> tuple[np.ndarray, np.ndarray]:
     """Tables between bytes (256,) and light in steps of 1 / `_STEPS`: means are of light, or of the bytes."""
     value = np.arange(256) / 255.0
-    light = value if linear else np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+    light = (
+        value
+        if linear
+        else np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+    )
     middles = (light[1:] + light[:-1]) / 2
     encode = np.searchsorted(middles, np.arange(_STEPS + 1) / _STEPS).astype(np.uint32)
     return light * _STEPS, encode
@@ -92,9 +108,12 @@ def _curves(linear: bool) -> tuple[np.ndarray, np.ndarray]:
 @kernel
 def _halve(pixels, source, target, width_bits, height_bits, decode, encode):
     """Write the copy with half the sides; a side of one pixel stays."""
-    width, height = 1 << width_bits, 1 << height_bits
-    step_x, step_y = (1 if width > 1 else 0), (1 if height > 1 else 0)
-    columns, rows = width >> step_x, height >> step_y
+    width = 1 << width_bits
+    height = 1 << height_bits
+    step_x = 1 if width > 1 else 0
+    step_y = 1 if height > 1 else 0
+    columns = width >> step_x
+    rows = height >> step_y
     for y in range(rows):
         for x in range(columns):
             out = np.uint32(0)
@@ -124,18 +143,35 @@ def sample(texels, texture, level, u, v):
     wide = max(texels.bits[texture, 0] - level, 0)
     high = max(texels.bits[texture, 1] - level, 0)
     start = texels.start[texture, level]
-    x, y = u * (1 << wide) - 0.5, v * (1 << high) - 0.5
-    fx, fy = np.floor(x), np.floor(y)
-    i, j = np.int64(fx), np.int64(fy)
-    a, b = np.int64((x - fx) * 16.0), np.int64((y - fy) * 16.0)
-    i0, i1 = i & ((1 << wide) - 1), (i + 1) & ((1 << wide) - 1)
-    j0, j1 = start + ((j & ((1 << high) - 1)) << wide), start + (((j + 1) & ((1 << high) - 1)) << wide)
+    x = u * (1 << wide) - 0.5
+    y = v * (1 << high) - 0.5
+    fx = np.floor(x)
+    fy = np.floor(y)
+    i = np.int64(fx)
+    j = np.int64(fy)
+    a = np.int64((x - fx) * 16.0)
+    b = np.int64((y - fy) * 16.0)
+    i0 = i & ((1 << wide) - 1)
+    i1 = (i + 1) & ((1 << wide) - 1)
+    j0 = start + ((j & ((1 << high) - 1)) << wide)
+    j1 = start + (((j + 1) & ((1 << high) - 1)) << wide)
     pixels = texels.pixels
-    p00, p01 = np.int64(pixels[np.uint64(j0 + i0)]), np.int64(pixels[np.uint64(j0 + i1)])
-    p10, p11 = np.int64(pixels[np.uint64(j1 + i0)]), np.int64(pixels[np.uint64(j1 + i1)])
+    p00 = np.int64(pixels[np.uint64(j0 + i0)])
+    p01 = np.int64(pixels[np.uint64(j0 + i1)])
+    p10 = np.int64(pixels[np.uint64(j1 + i0)])
+    p11 = np.int64(pixels[np.uint64(j1 + i1)])
     # Two bytes of a word are weighted at once: the weights sum to 256.
-    w00, w01, w10, w11 = (16 - a) * (16 - b), a * (16 - b), (16 - a) * b, a * b
+    w00 = (16 - a) * (16 - b)
+    w01 = a * (16 - b)
+    w10 = (16 - a) * b
+    w11 = a * b
     m = 0xFF00FF
     outer = (p00 & m) * w00 + (p01 & m) * w01 + (p10 & m) * w10 + (p11 & m) * w11
-    middle = (p00 & 0xFF00) * w00 + (p01 & 0xFF00) * w01 + (p10 & 0xFF00) * w10 + (p11 & 0xFF00) * w11
-    return (outer & 0xFFFF) * (1.0 / 256.0), (middle >> 8) * (1.0 / 256.0), (outer >> 16) * (1.0 / 256.0)
+    middle = (
+        (p00 & 0xFF00) * w00 + (p01 & 0xFF00) * w01 + (p10 & 0xFF00) * w10 + (p11 & 0xFF00) * w11
+    )
+    return (
+        (outer & 0xFFFF) * (1.0 / 256.0),
+        (middle >> 8) * (1.0 / 256.0),
+        (outer >> 16) * (1.0 / 256.0),
+    )

@@ -12,7 +12,9 @@ from mjhab.scenes.spec import Pack
 from mjhab.sim.mujoco.cpu import CpuSimulator
 
 
-def render_home(pack: Pack, home: str, view: str = "top", width: int = 960, height: int = 720) -> np.ndarray:
+def render_home(
+    pack: Pack, home: str, view: str = "top", width: int = 960, height: int = 720
+) -> np.ndarray:
     """RGB (height, width, 3) of one home of a pack, without objects.
 
     Raises:

@@ -13,7 +13,10 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-PAPER, INK, PALE, ALERT = (250, 249, 246), (32, 33, 36), (110, 112, 118), (176, 58, 20)
+PAPER = (250, 249, 246)
+INK = (32, 33, 36)
+PALE = (110, 112, 118)
+ALERT = (176, 58, 20)
 JPEG_QUALITY = 88
 
 _PAGE = """<!doctype html>
@@ -48,14 +51,20 @@ def save_png(path: Path, title: str, tiles: Sequence[Tile]) -> None:
     columns = max(1, min(len(tiles), round(math.sqrt(len(tiles) * 1.5 * height / width))))
     cells = _cells(tiles, columns)
     size = max(10, width // 24)
-    gap, caption, head = max(4, width // 40), round(size * 3.2), 3 * size
+    gap = max(4, width // 40)
+    caption = round(size * 3.2)
+    head = 3 * size
     rows = cells[-1][0] + 1
-    sheet = Image.new("RGB", (gap + columns * (width + gap), head + rows * (height + caption) + gap), PAPER)
+    sheet = Image.new(
+        "RGB", (gap + columns * (width + gap), head + rows * (height + caption) + gap), PAPER
+    )
     draw = ImageDraw.Draw(sheet)
     draw.text((gap, gap), title, INK, ImageFont.load_default(1.6 * size))
-    font, small = ImageFont.load_default(size), ImageFont.load_default(0.8 * size)
+    font = ImageFont.load_default(size)
+    small = ImageFont.load_default(0.8 * size)
     for tile, (row, column) in zip(tiles, cells, strict=True):
-        x, y = gap + column * (width + gap), head + row * (height + caption)
+        x = gap + column * (width + gap)
+        y = head + row * (height + caption)
         sheet.paste(Image.fromarray(tile.image), (x, y))
         below = y + height + 0.15 * size
         draw.text((x, below), tile.name, INK, font)
@@ -67,10 +76,12 @@ def save_png(path: Path, title: str, tiles: Sequence[Tile]) -> None:
 def _cells(tiles: Sequence[Tile], columns: int) -> list[tuple[int, int]]:
     """(row, column) of every tile; a group begins a new row."""
     cells: list[tuple[int, int]] = []
-    row, column = 0, 0
+    row = 0
+    column = 0
     for k, tile in enumerate(tiles):
         if column == columns or (k and tile.group != tiles[k - 1].group):
-            row, column = row + 1, 0
+            row += 1
+            column = 0
         cells.append((row, column))
         column += 1
     return cells
@@ -91,7 +102,9 @@ def save_html(path: Path, title: str, tiles: Sequence[Tile]) -> None:
     for group in dict.fromkeys(tile.group for tile in tiles):
         members = [tile for tile in tiles if tile.group == group]
         figures = "\n".join(_figure(tile) for tile in members)
-        parts.append(f'<h2>{html.escape(group)}: {len(members)}</h2>\n<div class="sheet">\n{figures}\n</div>')
+        parts.append(
+            f'<h2>{html.escape(group)}: {len(members)}</h2>\n<div class="sheet">\n{figures}\n</div>'
+        )
     path.write_text(_PAGE.format(title=html.escape(title), body="\n".join(parts)), encoding="utf-8")
 
 
@@ -100,7 +113,8 @@ def _figure(tile: Tile) -> str:
     Image.fromarray(tile.image).save(buffer, "JPEG", quality=JPEG_QUALITY)
     data = base64.b64encode(buffer.getvalue()).decode()
     height, width = tile.image.shape[:2]
-    name, note = html.escape(tile.name), html.escape(tile.note)
+    name = html.escape(tile.name)
+    note = html.escape(tile.note)
     extra = f"<span>{note}</span>" if note else ""
     return (
         f'<figure><img alt="{name}" width="{width}" height="{height}" loading="lazy" '

@@ -74,7 +74,11 @@ def render_data_report(
         parts.section("Labels", _LABEL_HINT, _labels(records)),
         parts.section("Films", _FILM_HINT, _films(found.matched, records, open_film, begin)),
         parts.section("Forces", _FORCE_HINT, _pairs(list(plots))),
-        parts.section("Homes and targets", "Where the episodes happened and what they were about.", _counts(records)),
+        parts.section(
+            "Homes and targets",
+            "Where the episodes happened and what they were about.",
+            _counts(records),
+        ),
     ]
     return render_page("Recorded episodes", "\n".join(body), {"plots": plots})
 
@@ -84,17 +88,25 @@ def _policies(members: Sequence[Place]) -> list[str]:
     names: dict[str, None] = {}
     for path in dict.fromkeys(path for path, _ in members):
         with open_shard(path) as shard:
-            names |= {str(run.config.get("policy", {}).get("name", "?")): None for run in shard.runs.values()}
+            names |= {
+                str(run.config.get("policy", {}).get("name", "?")): None
+                for run in shard.runs.values()
+            }
     return list(names)
 
 
 def _header(records: Sequence[EpisodeRecord], policies: Sequence[str], where: str | None) -> str:
     tasks = sorted({record.task.replace("_", " ") for record in records})
     shown: list[tuple[str, Any]] = [("task", ", ".join(tasks)), ("policy", ", ".join(policies))]
-    shown += [("split", ", ".join(sorted({r.split for r in records}))), ("homes", len({r.home for r in records}))]
+    shown += [
+        ("split", ", ".join(sorted({r.split for r in records}))),
+        ("homes", len({r.home for r in records})),
+    ]
     if where:
         shown.append(("filter", where))
-    chips = "".join(f'<span class="chip">{escape(k)} <b>{escape(str(v))}</b></span>' for k, v in shown)
+    chips = "".join(
+        f'<span class="chip">{escape(k)} <b>{escape(str(v))}</b></span>' for k, v in shown
+    )
     return (
         "<header><h1>Recorded episodes</h1><p>A Fetch robot in furnished homes, simulated by MuJoCo, labelled by "
         f'mjhab.</p><div class="chips">{chips}</div></header>'
@@ -102,15 +114,24 @@ def _header(records: Sequence[EpisodeRecord], policies: Sequence[str], where: st
 
 
 def _cards(records: Sequence[EpisodeRecord], size: float) -> str:
-    count, steps = len(records), sum(record.steps for record in records)
+    count = len(records)
+    steps = sum(record.steps for record in records)
     once = sum(record.success_once for record in records)
     gentle = sum(record.success_once and record.peak_force < 1400.0 for record in records)
     low, high = wilson(once, count)
     values = [
         ("episodes", f"{count:,}", f"{steps * STEP_SECONDS / 60:,.1f} minutes of robot time"),
-        ("success once", parts.percent(once / count), f"{100 * low:.0f} to {100 * high:.0f} % (95 % CI)"),
+        (
+            "success once",
+            parts.percent(once / count),
+            f"{100 * low:.0f} to {100 * high:.0f} % (95 % CI)",
+        ),
         ("gentle success", parts.percent(gentle / count), "never more than 1,400 N"),
-        ("tainted", f"{sum(bool(record.taint) for record in records)}", "flagged by the simulation"),
+        (
+            "tainted",
+            f"{sum(bool(record.taint) for record in records)}",
+            "flagged by the simulation",
+        ),
         ("size", f"{size / 1e6:,.2f} MB", "per episode, in the shards"),
     ]
     tiles = (
@@ -127,7 +148,9 @@ def _labels(records: Sequence[EpisodeRecord]) -> str:
     for kind in KIND_NAMES:
         members = {group: subtasks for group, subtasks in groups.items() if group.kind == kind}
         if members:
-            tables.append(f'<h3 style="margin:18px 0 4px;font-size:16px">{kind}</h3>{label_table(kind, members)}')
+            tables.append(
+                f'<h3 style="margin:18px 0 4px;font-size:16px">{kind}</h3>{label_table(kind, members)}'
+            )
     return "".join(tables) or parts.empty("No subtask ended.")
 
 
@@ -147,12 +170,16 @@ def _films(
         places = by_label[kind, label]
         made = mosaic(places, open_film)
         if made is not None:
-            figures.append(_figure(kind, label, made, f"{made.episodes} of {len(places)}, {made.camera}"))
+            figures.append(
+                _figure(kind, label, made, f"{made.episodes} of {len(places)}, {made.camera}")
+            )
         if after is not None:
             after()
     if not figures:
         return parts.empty(_NO_IMAGES)
-    columns = "display:grid;grid-template-columns:repeat(auto-fill,minmax(min(100%,300px),1fr));gap:20px"
+    columns = (
+        "display:grid;grid-template-columns:repeat(auto-fill,minmax(min(100%,300px),1fr));gap:20px"
+    )
     return f'<div style="{columns}">{"".join(figures)}</div>'
 
 
@@ -176,7 +203,9 @@ def _pairs(names: Sequence[str]) -> str:
     if not names:
         return parts.empty("No subtask ended.")
     columns = "display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,420px),1fr));gap:14px 24px"
-    return f'<div style="{columns}">{"".join(f"""<div id="{name}"></div>""" for name in names)}</div>'
+    return (
+        f'<div style="{columns}">{"".join(f"""<div id="{name}"></div>""" for name in names)}</div>'
+    )
 
 
 def _counts(records: Sequence[EpisodeRecord]) -> str:
@@ -187,7 +216,9 @@ def _counts(records: Sequence[EpisodeRecord]) -> str:
 
 
 def _list(name: str, rows: Sequence[tuple[str, int]]) -> str:
-    body = "".join(f'<tr><td>{escape(text)}</td><td class="n">{count}</td></tr>' for text, count in rows)
+    body = "".join(
+        f'<tr><td>{escape(text)}</td><td class="n">{count}</td></tr>' for text, count in rows
+    )
     head = f'<tr><th>{escape(name)}</th><th class="n">number</th></tr>'
     table = f'<table class="sortable"><thead>{head}</thead><tbody>{body}</tbody></table>'
     return f'<details open><summary>{escape(name)}s</summary><div class="scroll">{table}</div></details>'

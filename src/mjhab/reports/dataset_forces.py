@@ -27,7 +27,10 @@ def force_plots(subtasks: Sequence[SubtaskRecord]) -> dict[str, Figure]:
         if not members:
             continue
         figures[f"peak-{kind}"] = _histogram(
-            members, lambda s: s.peak_force, f"{kind}: largest force of a step [N]", {"1,400 N": GENTLE}
+            members,
+            lambda s: s.peak_force,
+            f"{kind}: largest force of a step [N]",
+            {"1,400 N": GENTLE},
         )
         limit = limits[kind]
         lines = {f"limit {limit:,.0f}": limit} if np.isfinite(limit) else {}
@@ -53,11 +56,17 @@ def _histogram(
         hover = [f"{10**low:,.0f} to {10**high:,.0f}" for low, high in itertools.pairwise(edges)]
         data.append(
             {
-                "type": "bar", "name": name, "x": ((edges[1:] + edges[:-1]) / 2).tolist(), "y": counts.tolist(),
-                "width": float(edges[1]) * 0.94, "marker": {"color": _COLORS[name]}, "text": hover,
-                "textposition": "none", "hovertemplate": f"%{{y}} {name}<br>%{{text}}<extra></extra>",
+                "type": "bar",
+                "name": name,
+                "x": ((edges[1:] + edges[:-1]) / 2).tolist(),
+                "y": counts.tolist(),
+                "width": float(edges[1]) * 0.94,
+                "marker": {"color": _COLORS[name]},
+                "text": hover,
+                "textposition": "none",
+                "hovertemplate": f"%{{y}} {name}<br>%{{text}}<extra></extra>",
             }
-        )  # fmt: skip
+        )
     return {"data": data, "layout": _layout(title, top, lines)}
 
 
@@ -77,10 +86,19 @@ def _layout(title: str, top: float, lines: Mapping[str, float]) -> dict[str, Any
         "yaxis": {"title": {"text": "subtasks"}, "rangemode": "tozero"},
         "legend": {"orientation": "h", "y": 1.16, "traceorder": "normal"},
         "shapes": [
-            {"type": "line", "x0": x, "x1": x, "yref": "paper", "y0": 0, "y1": 1, "line": dash} for x in marks.values()
+            {"type": "line", "x0": x, "x1": x, "yref": "paper", "y0": 0, "y1": 1, "line": dash}
+            for x in marks.values()
         ],
         "annotations": [
-            {"x": x, "y": 1, "yref": "paper", "text": name, "showarrow": False, "xanchor": "right", "xshift": -4}
+            {
+                "x": x,
+                "y": 1,
+                "yref": "paper",
+                "text": name,
+                "showarrow": False,
+                "xanchor": "right",
+                "xshift": -4,
+            }
             for name, x in marks.items()
         ],
-    }  # fmt: skip
+    }

@@ -38,14 +38,19 @@ def grouped(records: Iterable[EpisodeRecord]) -> dict[Group, list[SubtaskRecord]
     for record in records:
         for subtask in record.subtasks:
             way = "" if record.subtask else CHAINS
-            groups[Group(subtask.kind, record.task, record.split, way, type_name(subtask.target))].append(subtask)
+            groups[
+                Group(subtask.kind, record.task, record.split, way, type_name(subtask.target))
+            ].append(subtask)
     together: dict[Group, list[SubtaskRecord]] = defaultdict(list)
     several: Counter[Group] = Counter()
     for group, members in groups.items():
         whole = Group(group.kind, group.task, group.split, group.way, ALL)
         together[whole] += members
         several[whole] += 1
-    found = {**groups, **{group: members for group, members in together.items() if several[group] > 1}}
+    found = {
+        **groups,
+        **{group: members for group, members in together.items() if several[group] > 1},
+    }
     return {group: found[group] for group in sorted(found, key=_place)}
 
 
@@ -57,7 +62,9 @@ def _place(group: Group) -> tuple[str | bool, ...]:
 def label_order(kind: str) -> tuple[str, ...]:
     """Labels of a kind in the order of the paper's tables; where it has none (Navigate), successes before failures."""
     names = LABELS[SubtaskKind(KIND_NAMES.index(kind))]
-    return ORDER.get(kind) or tuple(sorted(names, key=lambda name: (name.endswith("_failure"), "_then_" in name)))
+    return ORDER.get(kind) or tuple(
+        sorted(names, key=lambda name: (name.endswith("_failure"), "_then_" in name))
+    )
 
 
 def label_table(kind: str, groups: Mapping[Group, Sequence[SubtaskRecord]]) -> str:
@@ -66,7 +73,10 @@ def label_table(kind: str, groups: Mapping[Group, Sequence[SubtaskRecord]]) -> s
     Columns: ours by the published rules (``legacy_label``), ours by our own rules, then the paper's policies on the
     same task, split and target, whose labels the published rules made.
     """
-    tables = (_group_table(group, _columns(group, members), label_order(kind)) for group, members in groups.items())
+    tables = (
+        _group_table(group, _columns(group, members), label_order(kind))
+        for group, members in groups.items()
+    )
     columns = "display:grid;grid-template-columns:repeat(auto-fill,minmax(min(100%,560px),1fr));gap:18px 28px"
     return f'<div style="{columns}">{"".join(tables)}</div>'
 
@@ -84,14 +94,22 @@ class _Column:
 
 
 def _columns(group: Group, members: Sequence[SubtaskRecord]) -> list[_Column]:
-    columns = [_ours("mjhab, published rules", members, "legacy_label"), _ours("mjhab, own rules", members, "label")]
+    columns = [
+        _ours("mjhab, published rules", members, "legacy_label"),
+        _ours("mjhab, own rules", members, "label"),
+    ]
     for policy in POLICIES if not group.way else ():
         row = paper_row(group.task, group.kind, group.split, group.target, policy)
         if row is not None:
             told = dict.fromkeys(row.labels, f"Table {row.table}")
             column = _Column(
-                f"paper {policy}", PAPER_EPISODES, row.success_once, row.success_at_end, row.labels, told
-            )  # fmt: skip
+                f"paper {policy}",
+                PAPER_EPISODES,
+                row.success_once,
+                row.success_at_end,
+                row.labels,
+                told,
+            )
             columns.append(column)
     return columns
 
@@ -112,13 +130,21 @@ def _ours(name: str, members: Sequence[SubtaskRecord], which: str) -> _Column:
 def _group_table(group: Group, columns: Sequence[_Column], labels: Sequence[str]) -> str:
     way = f" {group.way}" if group.way else ""
     title = f"{group.task.replace('_', ' ')}, {group.split}{way}: <b>{escape(group.target)}</b>"
-    heads = "".join(f'<th class="n" style="white-space:normal">{escape(column.name)}</th>' for column in columns)
+    heads = "".join(
+        f'<th class="n" style="white-space:normal">{escape(column.name)}</th>' for column in columns
+    )
     rows = [
         _row("episodes", [f'<td class="n">{column.episodes:,}</td>' for column in columns]),
         _row("success once", [_once(column) for column in columns]),
-        _row("success at end", [f'<td class="n">{column.success_at_end:.1f}</td>' for column in columns]),
+        _row(
+            "success at end",
+            [f'<td class="n">{column.success_at_end:.1f}</td>' for column in columns],
+        ),
     ]
-    rows += [_row(label.replace("_", " "), [_share(label, column) for column in columns]) for label in labels]
+    rows += [
+        _row(label.replace("_", " "), [_share(label, column) for column in columns])
+        for label in labels
+    ]
     head = f'<tr style="vertical-align:bottom"><th>{title}</th>{heads}</tr>'
     return f'<div class="scroll"><table><thead>{head}</thead><tbody>{"".join(rows)}</tbody></table></div>'
 

@@ -43,7 +43,8 @@ def wilson(successes: int, total: int) -> tuple[float, float]:
     """Return the Wilson 95 % interval of a rate to 4 digits; (0, 1) if there is no trial."""
     if total == 0:
         return (0.0, 1.0)
-    rate, shrink = successes / total, 1.0 + Z95**2 / total
+    rate = successes / total
+    shrink = 1.0 + Z95**2 / total
     centre = (rate + Z95**2 / (2 * total)) / shrink
     half = Z95 * math.sqrt(rate * (1 - rate) / total + Z95**2 / (4 * total**2)) / shrink
     return (round(max(0.0, centre - half), 4), round(min(1.0, centre + half), 4))
@@ -90,7 +91,9 @@ def progress_curves(
     return [round(float(v), 4) for v in curve], [round(float(v), 4) for v in upper_bound(rates)]
 
 
-def summarize(records: Sequence[EpisodeRecord], seconds: float, alone: AloneRates | None = None) -> dict[str, Any]:
+def summarize(
+    records: Sequence[EpisodeRecord], seconds: float, alone: AloneRates | None = None
+) -> dict[str, Any]:
     """Return the summary for machines; fractions in 0..1, 0 where there is no episode.
 
     Args:
@@ -136,7 +139,12 @@ def rows_by_position(records: Sequence[EpisodeRecord]) -> list[SubtaskRow]:
     rows = []
     for position in range(max((len(record.plan) for record in records), default=0)):
         entries = [record.plan[position] for record in records if position < len(record.plan)]
-        ended = [subtask for record in records for subtask in record.subtasks if subtask.index == position]
+        ended = [
+            subtask
+            for record in records
+            for subtask in record.subtasks
+            if subtask.index == position
+        ]
         kinds = sorted({entry.kind for entry in entries})
         targets = sorted({target_type(entry.target) for entry in entries})
         shown = targets[0] if len(targets) == 1 else f"{len(targets)} targets"
@@ -153,7 +161,9 @@ def rows_by_kind(records: Sequence[EpisodeRecord]) -> list[SubtaskRow]:
     return [_row(None, kind, target, groups[kind, target]) for kind, target in sorted(groups)]
 
 
-def _row(position: int | None, kind: str, target: str, ended: Sequence[SubtaskRecord]) -> SubtaskRow:
+def _row(
+    position: int | None, kind: str, target: str, ended: Sequence[SubtaskRecord]
+) -> SubtaskRow:
     once = sum(subtask.success_once for subtask in ended)
     return SubtaskRow(
         position=position,

@@ -56,19 +56,25 @@ def mosaic(members: Sequence[tuple[Path, str]], open_film: OpenFilm) -> Mosaic |
         film = open_film(folder / "mosaic.mp4", FILM_FPS)
         try:
             for t in range(0, max(episode.steps for episode, _, _ in shown) + 1, EVERY):
-                film.add(_grid([_tile(episode, camera, output, t) for episode, camera, output in shown]))
+                film.add(
+                    _grid([_tile(episode, camera, output, t) for episode, camera, output in shown])
+                )
             film.close()
         except BaseException:
             film.abort()
             raise
         width = _columns(len(shown)) * (TILE + _GAP) - _GAP
-        return Mosaic((folder / "mosaic.mp4").read_bytes(), width, len(shown), f"{shown[0][1]} {shown[0][2]}")
+        return Mosaic(
+            (folder / "mosaic.mp4").read_bytes(), width, len(shown), f"{shown[0][1]} {shown[0][2]}"
+        )
 
 
 def _best(episode: Episode) -> tuple[str, str] | None:
     """Camera and output to show: colour before depth; over the shoulder before the head before the hand."""
     shown = [image for image in episode.images if image[1] in ("rgb", "depth")]
-    return min(shown, key=lambda image: (image[1] != "rgb", _CAMERAS.get(image[0], 2), image), default=None)
+    return min(
+        shown, key=lambda image: (image[1] != "rgb", _CAMERAS.get(image[0], 2), image), default=None
+    )
 
 
 def _tile(episode: Episode, camera: str, output: str, t: int) -> np.ndarray:
@@ -78,7 +84,8 @@ def _tile(episode: Episode, camera: str, output: str, t: int) -> np.ndarray:
         near = np.where(image > 0, 1.0 - np.minimum(image / _FAR, 1.0), 0.0)
         image = np.repeat((255 * near).astype(np.uint8), 3, axis=2)
     side = min(image.shape[:2])
-    top, left = (image.shape[0] - side) // 2, (image.shape[1] - side) // 2
+    top = (image.shape[0] - side) // 2
+    left = (image.shape[1] - side) // 2
     square = Image.fromarray(np.ascontiguousarray(image[top : top + side, left : left + side]))
     return np.asarray(square.resize((TILE, TILE), Image.Resampling.BILINEAR))
 
@@ -89,7 +96,8 @@ def _grid(tiles: Sequence[np.ndarray]) -> np.ndarray:
     pitch = TILE + _GAP
     grid = np.full((rows * pitch - _GAP, columns * pitch - _GAP, 3), 24, np.uint8)
     for number, tile in enumerate(tiles):
-        top, left = number // columns * pitch, number % columns * pitch
+        top = number // columns * pitch
+        left = number % columns * pitch
         grid[top : top + TILE, left : left + TILE] = tile
     return grid
 

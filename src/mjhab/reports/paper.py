@@ -11,26 +11,53 @@ from mjhab.data.select.facts import type_name
 
 ORDER: dict[str, tuple[str, ...]] = {
     "pick": (
-        "straightforward_success", "winding_success", "success_then_drop", "success_then_excessive_collisions",
-        "excessive_collision_failure", "mobility_failure", "cant_grasp_failure", "drop_failure", "too_slow_failure",
+        "straightforward_success",
+        "winding_success",
+        "success_then_drop",
+        "success_then_excessive_collisions",
+        "excessive_collision_failure",
+        "mobility_failure",
+        "cant_grasp_failure",
+        "drop_failure",
+        "too_slow_failure",
     ),
     "place": (
-        "placed_in_goal_success", "dropped_to_goal_success", "dubious_success", "winding_success",
-        "success_then_excessive_collisions", "excessive_collision_failure", "didnt_grasp_failure",
-        "didnt_reach_goal_failure", "place_in_goal_failure", "drop_to_goal_failure", "wont_let_go_failure",
+        "placed_in_goal_success",
+        "dropped_to_goal_success",
+        "dubious_success",
+        "winding_success",
+        "success_then_excessive_collisions",
+        "excessive_collision_failure",
+        "didnt_grasp_failure",
+        "didnt_reach_goal_failure",
+        "place_in_goal_failure",
+        "drop_to_goal_failure",
+        "wont_let_go_failure",
         "too_slow_failure",
     ),
     "open": (
-        "open_success", "dubious_success", "success_then_excessive_collisions", "excessive_collision_failure",
-        "cant_reach_articulation_failure", "closed_after_open_failure", "slightly_open_failure", "too_slow_failure",
+        "open_success",
+        "dubious_success",
+        "success_then_excessive_collisions",
+        "excessive_collision_failure",
+        "cant_reach_articulation_failure",
+        "closed_after_open_failure",
+        "slightly_open_failure",
+        "too_slow_failure",
         "cant_open_failure",
     ),
     "close": (
-        "closed_success", "dubious_success", "success_then_excessive_collisions", "excessive_collision_failure",
-        "cant_reach_articulation_failure", "open_after_closing_failure", "slightly_closed_failure",
-        "too_slow_failure", "cant_close_failure",
+        "closed_success",
+        "dubious_success",
+        "success_then_excessive_collisions",
+        "excessive_collision_failure",
+        "cant_reach_articulation_failure",
+        "open_after_closing_failure",
+        "slightly_closed_failure",
+        "too_slow_failure",
+        "cant_close_failure",
     ),
-}  # fmt: skip
+}
 """Labels in the order of the columns i, ii, ... of the tables (MS-HAB paper App. A.6)."""
 _COLUMNS = ("i", "ii", "iii", "iv", "v", "vi", "vii", "viii", "ix", "x", "xi", "xii")
 SUCCESS_COLUMNS = ("rl_per", "rl_all", "bc", "dp")
@@ -61,7 +88,12 @@ def _rows() -> dict[tuple[str, str, str, str, str], PaperRow]:
         names = ORDER[row["subtask"]]
         labels = {name: float(row[column]) for name, column in zip(names, _COLUMNS, strict=False)}
         key = (row["task"], row["subtask"], row["split"], row["target"], row["policy"])
-        rows[key] = PaperRow(int(row["paper_table"]), float(row["success_once"]), float(row["success_at_end"]), labels)
+        rows[key] = PaperRow(
+            int(row["paper_table"]),
+            float(row["success_once"]),
+            float(row["success_at_end"]),
+            labels,
+        )
     return rows
 
 

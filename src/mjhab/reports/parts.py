@@ -14,9 +14,18 @@ from mjhab.rollout.films import FILM_EVERY, FILM_FPS
 from mjhab.rollout.records import EpisodeRecord, SubtaskRecord
 
 CONTROL_HZ = 20.0
-_GOOD_EVENTS = frozenset({"success", "grasped", "at_goal", "released_at_goal", "navigated_close", "opened", "closed"})
+_GOOD_EVENTS = frozenset(
+    {"success", "grasped", "at_goal", "released_at_goal", "navigated_close", "opened", "closed"}
+)
 _BAD_EVENTS = frozenset(
-    {"dropped", "left_goal", "released_outside_goal", "excessive_collisions", "lost_success", "lost_navigated_close"}
+    {
+        "dropped",
+        "left_goal",
+        "released_outside_goal",
+        "excessive_collisions",
+        "lost_success",
+        "lost_navigated_close",
+    }
 )
 
 
@@ -80,19 +89,32 @@ def success_table(rows: Sequence[SubtaskRow]) -> str:
     """Success per row with its interval; a first column with the place in the plan where rows have one."""
     placed = any(row.position is not None for row in rows)
     heads = [("#", "n")] if placed else []
-    heads += [("subtask", ""), ("target", ""), ("reached", "n"), ("success once", "n"), ("95 % interval", "")]
+    heads += [
+        ("subtask", ""),
+        ("target", ""),
+        ("reached", "n"),
+        ("success once", "n"),
+        ("95 % interval", ""),
+    ]
     heads += [("at end", "n"), ("median steps", "n"), ("median peak force", "n")]
     head = "".join(f'<th class="{css}">{escape(name)}</th>' for name, css in heads)
     body = []
     for row in rows:
         cells = [f'<td class="n">{row.position + 1}</td>' if row.position is not None else ""]
-        cells += [f"<td>{_kind(row.kind)}</td><td>{escape(row.target)}</td>", f'<td class="n">{row.reached}</td>']
+        cells += [
+            f"<td>{_kind(row.kind)}</td><td>{escape(row.target)}</td>",
+            f'<td class="n">{row.reached}</td>',
+        ]
         if row.reached:
             cells += [f'<td class="n">{percent(row.success_once)}</td><td>{_rate_bar(row)}</td>']
-            cells += [f'<td class="n">{percent(row.success_at_end)}</td><td class="n">{row.steps:.0f}</td>']
+            cells += [
+                f'<td class="n">{percent(row.success_at_end)}</td><td class="n">{row.steps:.0f}</td>'
+            ]
             cells += [f'<td class="n">{row.peak_force:.0f} N</td>']
         else:
-            cells += ['<td class="n">-</td><td></td><td class="n">-</td><td class="n">-</td><td class="n">-</td>']
+            cells += [
+                '<td class="n">-</td><td></td><td class="n">-</td><td class="n">-</td><td class="n">-</td>'
+            ]
         body.append(f"<tr>{''.join(cells)}</tr>")
     table = f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(body)}</tbody></table>"
     return f'<div class="scroll">{table}</div>'
@@ -109,7 +131,9 @@ def film(record: EpisodeRecord, path: Path | None) -> str:
     else:
         view = '<div class="nofilm">no film of this episode</div>'
         hint = "Click a stretch or a mark of the timeline to read what it is."
-    outcome = "success" if record.success_once else f"{record.completed} of {len(record.plan)} subtasks"
+    outcome = (
+        "success" if record.success_once else f"{record.completed} of {len(record.plan)} subtasks"
+    )
     flags = f", tainted: {escape(', '.join(record.taint))}" if record.taint else ""
     return (
         f'<figure class="film" data-steps="{record.steps}" data-steps-per-second="{FILM_FPS * FILM_EVERY}">'
@@ -134,9 +158,12 @@ def _timeline(record: EpisodeRecord) -> str:
 
 
 def _span(subtask: SubtaskRecord, steps: int) -> str:
-    left, width = 100 * subtask.start_step / steps, 100 * (subtask.end_step - subtask.start_step) / steps
+    left = 100 * subtask.start_step / steps
+    width = 100 * (subtask.end_step - subtask.start_step) / steps
     title = f"{subtask.index + 1}. {subtask.kind} {target_type(subtask.target)}"
-    label = (subtask.label or ("success" if subtask.success_once else "no success")).replace("_", " ")
+    label = (subtask.label or ("success" if subtask.success_once else "no success")).replace(
+        "_", " "
+    )
     more = (
         f"{label}; {(subtask.end_step - subtask.start_step) / CONTROL_HZ:.1f} s, peak {subtask.peak_force:.0f} N, "
         f"sum {subtask.cumulative_force:,.0f} N x steps"
@@ -162,7 +189,9 @@ def _event_list(record: EpisodeRecord) -> str:
         return ""
     head = '<tr><th class="n">time</th><th class="n">step</th><th>subtask</th><th>event</th></tr>'
     table = f"<table><thead>{head}</thead><tbody>{''.join(rows)}</tbody></table>"
-    return f'<details><summary>{len(rows)} events</summary><div class="scroll">{table}</div></details>'
+    return (
+        f'<details><summary>{len(rows)} events</summary><div class="scroll">{table}</div></details>'
+    )
 
 
 def episode_table(records: Sequence[EpisodeRecord]) -> str:

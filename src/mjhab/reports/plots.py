@@ -45,7 +45,9 @@ def force_limits() -> dict[str, float]:
     return {kind: getattr(TaskConfig, kind).force_limit for kind in KIND_NAMES}
 
 
-def progress_figure(rows: Sequence[SubtaskRow], curve: Sequence[float], bound: Sequence[float]) -> Figure:
+def progress_figure(
+    rows: Sequence[SubtaskRow], curve: Sequence[float], bound: Sequence[float]
+) -> Figure:
     """Progressive completion over the places of the plan, with its upper bound."""
     names = [f"{(row.position or 0) + 1} {row.kind}" for row in rows]
     hover = [f"{row.kind} {row.target}" for row in rows]
@@ -124,7 +126,8 @@ def _label_order(label: str) -> tuple[int, str]:
 
 def force_figure(record: EpisodeRecord) -> Figure:
     """Robot force of every control step, and its sum within the subtask against the limit."""
-    limits, force = force_limits(), np.asarray(record.force, float)
+    limits = force_limits()
+    force = np.asarray(record.force, float)
     data: list[dict[str, Any]] = []
     drawn: set[str] = set()
     highest = 1.0
@@ -136,7 +139,12 @@ def force_figure(record: EpisodeRecord) -> Figure:
         common = {"type": "scatter", "mode": "lines", "x": steps, "legendgroup": kind}
         color = KIND_COLORS.get(kind, OTHER_COLOR)
         fill = {"fill": "tozeroy", "line": {"color": color, "width": 1}}
-        top = {"y": force[start:end].tolist(), "name": kind, "showlegend": kind not in drawn, **fill}
+        top = {
+            "y": force[start:end].tolist(),
+            "name": kind,
+            "showlegend": kind not in drawn,
+            **fill,
+        }
         top["hovertemplate"] = f"{name}<br>step %{{x}}: %{{y:.1f}} N<extra></extra>"
         low = {
             "y": np.round(total, 1).tolist(),
@@ -157,7 +165,9 @@ def force_figure(record: EpisodeRecord) -> Figure:
 
 def _spans(record: EpisodeRecord) -> list[tuple[str, str, int, int]]:
     """Kind, target, start and end step of every stretch; what no subtask covers (a cut episode) comes last."""
-    spans = [(s.kind, s.target, s.start_step, min(s.end_step, record.steps)) for s in record.subtasks]
+    spans = [
+        (s.kind, s.target, s.start_step, min(s.end_step, record.steps)) for s in record.subtasks
+    ]
     last = max((end for *_, end in spans), default=0)
     if last < record.steps:
         spans.append(("unfinished", "", last, record.steps))
@@ -182,8 +192,16 @@ def _limit_line(start: int, end: int, limit: float, legend: bool) -> dict[str, A
 def _force_layout(steps: int, highest: float) -> dict[str, Any]:
     return {
         "height": 460,
-        "xaxis": {"title": {"text": "control step (20 per second)"}, "range": [0, max(steps, 1)], "anchor": "y2"},
+        "xaxis": {
+            "title": {"text": "control step (20 per second)"},
+            "range": [0, max(steps, 1)],
+            "anchor": "y2",
+        },
         "yaxis": {"title": {"text": "force [N]"}, "domain": [0.56, 1.0], "rangemode": "tozero"},
-        "yaxis2": {"title": {"text": "sum [N x steps]"}, "domain": [0.0, 0.46], "range": [0, 1.08 * highest]},
+        "yaxis2": {
+            "title": {"text": "sum [N x steps]"},
+            "domain": [0.0, 0.46],
+            "range": [0, 1.08 * highest],
+        },
         "legend": {"orientation": "h", "y": 1.12},
     }

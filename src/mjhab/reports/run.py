@@ -10,7 +10,14 @@ from pathlib import Path
 from typing import Any
 
 from mjhab.reports import parts
-from mjhab.reports.metrics import AloneRates, labels_by_kind, progress_curves, rows_by_kind, rows_by_position, summarize
+from mjhab.reports.metrics import (
+    AloneRates,
+    labels_by_kind,
+    progress_curves,
+    rows_by_kind,
+    rows_by_position,
+    summarize,
+)
 from mjhab.reports.plots import force_figure, labels_figure, progress_figure
 from mjhab.rollout.records import EpisodeRecord
 
@@ -43,11 +50,19 @@ def render_report(
     if records:
         body.append(_films(records, film_path, film_problem))
         body += _results(records, alone)
-        body.append(parts.section("Episodes", "Click a column head to sort.", parts.episode_table(records)))
+        body.append(
+            parts.section("Episodes", "Click a column head to sort.", parts.episode_table(records))
+        )
         body.append(parts.section("Simulation flags", _TAINT_HINT, parts.taint_table(records)))
     else:
-        body.append(parts.section("No episode finished", "", parts.empty("Resume the run to fill this report.")))
-    body.append(parts.section("Run", "The options this run resolved to.", parts.config_list(config)))
+        body.append(
+            parts.section(
+                "No episode finished", "", parts.empty("Resume the run to fill this report.")
+            )
+        )
+    body.append(
+        parts.section("Run", "The options this run resolved to.", parts.config_list(config))
+    )
     return render_page(_title(config), "\n".join(body), _figures(records, alone))
 
 
@@ -66,7 +81,10 @@ def _title(config: Mapping[str, Any]) -> str:
 
 def _header(records: Sequence[EpisodeRecord], config: Mapping[str, Any]) -> str:
     homes = len({record.home for record in records})
-    shown = [("homes", homes), *((key, config.get(key)) for key in ("split", "assets", "seed", "worlds"))]
+    shown = [
+        ("homes", homes),
+        *((key, config.get(key)) for key in ("split", "assets", "seed", "worlds")),
+    ]
     chips = "".join(
         f'<span class="chip">{escape(key)} <b>{escape(str(value))}</b></span>'
         for key, value in shown
@@ -103,23 +121,35 @@ def _results(records: Sequence[EpisodeRecord], alone: AloneRates | None) -> list
         hint = "In plan order. A subtask counts only where an episode reached it; whiskers are Wilson 95 % intervals."
         out.append(parts.section("Success along the plan", hint, parts.success_table(rows)))
     hint = "All subtasks that ended, by kind and target; whiskers are Wilson 95 % intervals."
-    out.append(parts.section("Success per subtask", hint, parts.success_table(rows_by_kind(records))))
+    out.append(
+        parts.section("Success per subtask", hint, parts.success_table(rows_by_kind(records)))
+    )
     hint = "How subtasks went. Green: clean success; yellow: success with a flaw; red shades: kinds of failure."
-    labels = '<div id="labels-plot"></div>' if labels_by_kind(records) else parts.empty("No subtask has a label.")
+    labels = (
+        '<div id="labels-plot"></div>'
+        if labels_by_kind(records)
+        else parts.empty("No subtask has a label.")
+    )
     out.append(parts.section("Trajectory labels", hint, labels))
     hint = (
         "Contact force on the robot, summed over its links without the fingers. The lower chart adds it up within each "
         "subtask; a subtask fails when the sum passes the dashed limit (navigation has none)."
     )
-    options = "".join(f"<option>episode {record.index}</option>" for record in records[:FORCE_EPISODES])
+    options = "".join(
+        f"<option>episode {record.index}</option>" for record in records[:FORCE_EPISODES]
+    )
     picker = f'<select id="force-episode" aria-label="episode">{options}</select><div id="force-plot"></div>'
     out.append(parts.section("Force over time", hint, picker))
     return out
 
 
-def _films(records: Sequence[EpisodeRecord], film_path: Callable[[int], Path] | None, problem: str | None) -> str:
+def _films(
+    records: Sequence[EpisodeRecord], film_path: Callable[[int], Path] | None, problem: str | None
+) -> str:
     paths = {record.index: film_path(record.index) for record in records} if film_path else {}
-    filmed = [record for record in records if record.index in paths and paths[record.index].is_file()]
+    filmed = [
+        record for record in records if record.index in paths and paths[record.index].is_file()
+    ]
     shown = filmed or list(records[:TIMELINES_WITHOUT_FILM])
     figures = "".join(parts.film(record, paths.get(record.index)) for record in shown)
     hint = (
@@ -146,7 +176,9 @@ def render_page(title: str, body: str, figures: Mapping[str, Any]) -> str:
     from plotly.offline import get_plotlyjs
 
     here = files("mjhab.reports")
-    style, script = (here.joinpath(name).read_text(encoding="utf-8") for name in ("report.css", "report.js"))
+    style, script = (
+        here.joinpath(name).read_text(encoding="utf-8") for name in ("report.css", "report.js")
+    )
     data = json.dumps(figures, separators=(",", ":"), allow_nan=False).replace("</", "<\\/")
     return f"""<!DOCTYPE html>
 <html lang="en">

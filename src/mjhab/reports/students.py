@@ -32,8 +32,10 @@ def student_row(run: Path, evaluation: Path) -> dict[str, Any]:
     Raises:
         UsageError: a folder holds something else, or the evaluation is of another checkpoint.
     """
-    config, summary = read_json(run / "config.json"), read_json(run / "summary.json")
-    judged, records = read_json(evaluation / "config.json"), read_records(evaluation)
+    config = read_json(run / "config.json")
+    summary = read_json(run / "summary.json")
+    judged = read_json(evaluation / "config.json")
+    records = read_records(evaluation)
     scene = config["scene"]
     digest = hashlib.sha256((run / "student.safetensors").read_bytes()).hexdigest()
     if judged.get("policy_sha256") != digest:
@@ -45,15 +47,24 @@ def student_row(run: Path, evaluation: Path) -> dict[str, Any]:
         "profile": judged["policy_profile"],
         "training": training(run, config, summary),
         "evaluation": {
-            **{name: judged[name] for name in ("profile", "split", "seed", "horizon", "policy_sha256")},
+            **{
+                name: judged[name]
+                for name in ("profile", "split", "seed", "horizon", "policy_sha256")
+            },
             "episodes": len(records),
             "success_once": mean(record.success_once for record in records),
-            "success_once_interval": wilson(sum(record.success_once for record in records), len(records)),
+            "success_once_interval": wilson(
+                sum(record.success_once for record in records), len(records)
+            ),
             "success_at_end": mean(record.success_at_end for record in records),
-            "success_at_end_interval": wilson(sum(record.success_at_end for record in records), len(records)),
+            "success_at_end_interval": wilson(
+                sum(record.success_at_end for record in records), len(records)
+            ),
             "labels": label_counts(last_label(record) for record in records),
         },
-        "paper_success_once": paper_success(scene["task"], scene["subtask"], judged["split"], scene["target"]),
+        "paper_success_once": paper_success(
+            scene["task"], scene["subtask"], judged["split"], scene["target"]
+        ),
     }
 
 
@@ -64,18 +75,24 @@ def read_json(path: Path) -> dict[str, Any]:
         UsageError: there is no such file.
     """
     if not path.is_file():
-        raise UsageError(f"{path} does not exist: give folders of `mjhab train` and `mjhab eval`, in turn.")
+        raise UsageError(
+            f"{path} does not exist: give folders of `mjhab train` and `mjhab eval`, in turn."
+        )
     return json.loads(path.read_text(encoding="utf-8"))
 
 
 def training(run: Path, config: dict[str, Any], summary: dict[str, Any]) -> dict[str, Any]:
     """What a student learned from, and what that took."""
-    data, commits = [], set()
+    data = []
+    commits = set()
     for folder in sorted((run / "data").glob("round_*")):
         found = list(episodes(folder))
         commits |= {episode.run.commit for episode in found}
         data.append({"episodes": len(found), "frames": sum(episode.steps for episode in found)})
-    metrics = [json.loads(line) for line in (run / "metrics.jsonl").read_text(encoding="utf-8").splitlines()]
+    metrics = [
+        json.loads(line)
+        for line in (run / "metrics.jsonl").read_text(encoding="utf-8").splitlines()
+    ]
     return {
         "split": config["scene"]["split"],
         "algorithm": config["algorithm"],
@@ -87,7 +104,9 @@ def training(run: Path, config: dict[str, Any], summary: dict[str, Any]) -> dict
         "cpu_minutes": round(summary["cpu_seconds"] / SECONDS_PER_MINUTE, 1),
         "minutes": round(summary["seconds"] / SECONDS_PER_MINUTE, 1),
         "cores": cores(),
-        "success_once_on_the_way": [row["success_once"] for row in metrics if "success_once" in row],
+        "success_once_on_the_way": [
+            row["success_once"] for row in metrics if "success_once" in row
+        ],
         "commits": sorted(commits),
     }
 
@@ -96,15 +115,21 @@ def write_rows(path: Path, rows: Sequence[dict[str, Any]]) -> None:
     """Put rows into the file, in place of those of the same students."""
     earlier = json.loads(path.read_text(encoding="utf-8"))["rows"] if path.is_file() else []
     table = {tuple(row[name] for name in IDENTITY): row for row in [*earlier, *rows]}
-    content = {"what": "students: policies that act from depth images and state", "rows": list(table.values())}
+    content = {
+        "what": "students: policies that act from depth images and state",
+        "rows": list(table.values()),
+    }
     write_text(path, json.dumps(content, indent=1) + "\n")
 
 
 def main(words: Sequence[str]) -> int:
     """Run the command; returns the exit code."""
-    path, places = Path(words[0]), [Path(word) for word in words[1:]]
+    path = Path(words[0])
+    places = [Path(word) for word in words[1:]]
     try:
-        rows = [student_row(run, judged) for run, judged in zip(places[::2], places[1::2], strict=True)]
+        rows = [
+            student_row(run, judged) for run, judged in zip(places[::2], places[1::2], strict=True)
+        ]
     except MjhabError as error:
         print(f"mjhab: {error}", file=sys.stderr)
         return 1

@@ -17,13 +17,26 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from mjhab.core.arrays import Array, Table, between, constant, empty, indices, may_hold, namespace, norm3, zeros
+from mjhab.core.arrays import (
+    Array,
+    Table,
+    between,
+    constant,
+    empty,
+    indices,
+    may_hold,
+    namespace,
+    norm3,
+    zeros,
+)
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.rotations import quat_from_mat
 
 DAMPING = 1e-4
 """Least damping of the normal equations; more is added far from the goal, where the linear model is poor."""
-_EYES = {n: Table(tuple(tuple(float(i == k) for k in range(n)) for i in range(n))) for n in range(1, 7)}
+_EYES = {
+    n: Table(tuple(tuple(float(i == k) for k in range(n)) for i in range(n))) for n in range(1, 7)
+}
 _EYE = _EYES[3]
 
 
@@ -138,7 +151,16 @@ class Chain:
         limits = {row.joint: row.limits for row in tree if row.joint}
         bounds = np.array([limits.get(name, (-np.inf, np.inf)) for name in order], dtype=np.float64)
         parent = tuple(links.index(j.parent) for j in wanted)
-        return cls(tuple(wanted), column, parent, tip, tuple(order), bounds[:, 0], bounds[:, 1], root_height)
+        return cls(
+            tuple(wanted),
+            column,
+            parent,
+            tip,
+            tuple(order),
+            bounds[:, 0],
+            bounds[:, 1],
+            root_height,
+        )
 
     @property
     def size(self) -> int:
@@ -180,26 +202,35 @@ class Chain:
     def forward(self, q: Array) -> Frames:
         """World frames of every link for ``q`` (N, Q) or (Q,); base columns are world x, y [m] and yaw [rad]."""
         q = _rows(q)
-        xp, count, n_links = namespace(q), len(q), len(self.links)
+        xp = namespace(q)
+        count = len(q)
+        n_links = len(self.links)
         pos = empty((count, n_links, 3), q)
         axes = empty((count, n_links, 3, 3), q)  # [n, link, axis, xyz]: rows are the link axes
         pos[:, 0] = constant((0.0, 0.0, self.root_height), q)
         axes[:, 0] = constant(_EYE, q)
-        cos, sin = xp.cos(q), xp.sin(q)
+        cos = xp.cos(q)
+        sin = xp.sin(q)
         for i, joint in enumerate(self.joints):
-            up, link, col = self.parent[i], i + 1, self.column[i]
+            up = self.parent[i]
+            link = i + 1
+            col = self.column[i]
             point = pos[:, up]
             for k in range(3):
                 if joint.pos[k]:
                     point = point + joint.pos[k] * axes[:, up, k]
             axes[:, link] = axes[:, up]
             if joint.kind == "slide":
-                k, sign = joint.axis, joint.sign
+                k = joint.axis
+                sign = joint.sign
                 point = point + sign * q[:, col, None] * axes[:, up, k]
             elif joint.kind == "hinge":
-                k, sign = joint.axis, joint.sign
-                a, b = (k + 1) % 3, (k + 2) % 3
-                c, s = cos[:, col, None], sign * sin[:, col, None]
+                k = joint.axis
+                sign = joint.sign
+                a = (k + 1) % 3
+                b = (k + 2) % 3
+                c = cos[:, col, None]
+                s = sign * sin[:, col, None]
                 axes[:, link, a] = c * axes[:, up, a] + s * axes[:, up, b]
                 axes[:, link, b] = c * axes[:, up, b] - s * axes[:, up, a]
             pos[:, link] = point
@@ -219,9 +250,11 @@ class Chain:
         """
         q = _rows(q)
         frames = self.forward(q) if frames is None else frames
-        where, movers = namespace(q).where, self._tip_movers
+        where = namespace(q).where
+        movers = self._tip_movers
         links, axes, columns = (indices(values, q) for values in movers[:3])
-        signs, turns = constant(movers[3], q), constant(movers[4], q) > 0.5
+        signs = constant(movers[3], q)
+        turns = constant(movers[4], q) > 0.5
         axis = signs * frames.rot[:, links, :, axes].swapaxes(0, 1)
         arm = frames.pos[:, self.tip_index, None] - frames.pos[:, links]
         jac = zeros((len(q), 6, self.size), q)
@@ -249,8 +282,10 @@ class Chain:
 def in_base(base_pose: np.ndarray, points: np.ndarray) -> np.ndarray:
     """World points (N, 3) in the frame of base poses (N, 3: x, y, yaw), heights still above the floor."""
     yaw = base_pose[:, 2]
-    dx, dy = points[:, 0] - base_pose[:, 0], points[:, 1] - base_pose[:, 1]
-    c, s = np.cos(yaw), np.sin(yaw)
+    dx = points[:, 0] - base_pose[:, 0]
+    dy = points[:, 1] - base_pose[:, 1]
+    c = np.cos(yaw)
+    s = np.sin(yaw)
     return np.stack([c * dx + s * dy, c * dy - s * dx, points[:, 2]], axis=1)
 
 
@@ -261,10 +296,13 @@ def wrap(angle: np.ndarray | float) -> np.ndarray:
 
 def rotation_vector(rot: Array) -> Array:
     """Rotation vectors (..., 3) [rad], length in [0, pi], of rotation matrices (..., 3, 3)."""
-    xp, quat = namespace(rot), quat_from_mat(rot)
+    xp = namespace(rot)
+    quat = quat_from_mat(rot)
     sin_half = norm3(quat[..., 1:])
     angle = 2 * xp.atan2(sin_half, quat[..., 0])
-    scale = xp.where(sin_half > 1e-9, angle / xp.maximum(sin_half, constant((1e-12,), sin_half)), 2.0)
+    scale = xp.where(
+        sin_half > 1e-9, angle / xp.maximum(sin_half, constant((1e-12,), sin_half)), 2.0
+    )
     return quat[..., 1:] * scale[..., None]
 
 
@@ -272,7 +310,9 @@ def rotate(vector: Array) -> Array:
     """Rotation matrices (N, 3, 3) of rotation vectors (N, 3) [rad]."""
     xp = namespace(vector)
     angle = norm3(vector)[:, None, None]
-    x, y, z = vector[:, 0], vector[:, 1], vector[:, 2]
+    x = vector[:, 0]
+    y = vector[:, 1]
+    z = vector[:, 2]
     zero = xp.zeros_like(x)
     skew = xp.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(-1, 3, 3)
     safe = xp.maximum(angle, constant((1e-9,), angle))
@@ -288,7 +328,9 @@ def damped_step(error: Array, jac: Array, pull: Array, damping: float = DAMPING)
     """
     xp = namespace(error)
     size = xp.minimum(xp.sum(error * error, axis=1), constant((1.0,), error))
-    square = jac @ jac.swapaxes(1, 2) + (damping + 0.03 * size)[:, None, None] * constant(_EYES[error.shape[1]], error)
+    square = jac @ jac.swapaxes(1, 2) + (damping + 0.03 * size)[:, None, None] * constant(
+        _EYES[error.shape[1]], error
+    )
     wanted = error - xp.einsum("nij,nj->ni", jac, pull)
     return xp.einsum("nij,ni->nj", jac, _solve(square, wanted)) + pull
 
@@ -298,7 +340,8 @@ def _solve(square: Array, wanted: Array) -> Array:
     if isinstance(square, np.ndarray):
         return np.linalg.solve(square, wanted[..., None])[..., 0]
     # torch's solver asks the device whether it succeeded. Elimination without pivots does for these matrices.
-    xp, eye = namespace(square), constant(_EYES[wanted.shape[1]], wanted)
+    xp = namespace(square)
+    eye = constant(_EYES[wanted.shape[1]], wanted)
     both = xp.concat([square, wanted[..., None]], axis=2)
     for k in range(wanted.shape[1]):
         row = both[:, k] / both[:, k, k, None]
@@ -325,7 +368,10 @@ def limited_step(
     free = xp.ones_like(pull)
     for last in (False, False, True):
         remaining = error - xp.einsum("nij,nj->ni", jac, stopped)
-        step = _bounded(stopped + damped_step(remaining, jac * free[:, None], pull * free, damping) * free, largest)
+        step = _bounded(
+            stopped + damped_step(remaining, jac * free[:, None], pull * free, damping) * free,
+            largest,
+        )
         over = (free > 0) & ((step < low) | (step > high))
         if last or not may_hold(over):
             break
@@ -386,11 +432,15 @@ def _collect(link: str, rows: dict[str, TreeRow], into: list[Joint], root: str) 
 
 def _joint(row: TreeRow) -> Joint:
     if abs(abs(row.quat[0]) - 1.0) > 1e-9:
-        raise UsageError(f"link {row.link!r} is turned against its parent at zero; such links cannot be in a chain")
+        raise UsageError(
+            f"link {row.link!r} is turned against its parent at zero; such links cannot be in a chain"
+        )
     if not row.joint:
         return Joint(row.link, "fixed", row.parent, row.link, row.origin)
     for k in range(3):
         if abs(abs(row.axis[k]) - 1.0) < 1e-12:
             kind: Literal["slide", "hinge"] = "slide" if row.slide else "hinge"
             return Joint(row.joint, kind, row.parent, row.link, row.origin, k, row.axis[k])
-    raise UsageError(f"joint {row.joint!r} has axis {row.axis}; only axes along x, y or z are supported")
+    raise UsageError(
+        f"joint {row.joint!r} has axis {row.axis}; only axes along x, y or z are supported"
+    )

@@ -56,8 +56,11 @@ class FilmSink(Sink):
         height: int = 360,
     ) -> None:
         self.problem: str | None = None
-        self._indices, self._path_of, self._open_film = frozenset(indices), path_of, open_film
-        self._every, self._size = every, (width, height)
+        self._indices = frozenset(indices)
+        self._path_of = path_of
+        self._open_film = open_film
+        self._every = every
+        self._size = (width, height)
         self._films: dict[int, Film] = {}
 
     def on_reset(self, env: Any, info: Mapping[str, Any], mask: np.ndarray) -> None:

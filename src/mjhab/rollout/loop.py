@@ -81,7 +81,9 @@ def _check_env(env: RolloutEnv) -> None:
             'mjhab.make(..., autoreset="disabled"), or call mjhab.evaluate(policy, task=...), which makes its own.'
         )
     if not hasattr(env, "num_envs"):
-        raise UsageError("rollout needs a vector environment: mjhab.make(..., num_envs=1, autoreset='disabled').")
+        raise UsageError(
+            "rollout needs a vector environment: mjhab.make(..., num_envs=1, autoreset='disabled')."
+        )
     if metadata.get("tensors"):
         raise UsageError("rollout runs on the CPU: make the environment with backend='cpu'.")
 
@@ -98,7 +100,10 @@ class _Run:
         sinks: Sequence[Sink],
         max_steps: int | None,
     ) -> None:
-        self.env, self.policy, self.seed, self.sinks = env, policy, seed, sinks
+        self.env = env
+        self.policy = policy
+        self.seed = seed
+        self.sinks = sinks
         self.max_steps = np.inf if max_steps is None else max_steps
         self.waiting = deque(int(index) for index in episodes)
         self.active = np.zeros(env.num_envs, bool)
@@ -116,10 +121,14 @@ class _Run:
         actions = np.where(self.active[:, None], actions, np.float32(0.0))
         self.obs, reward, terminated, truncated, self.info = self.env.step(actions)
         self.steps[self.active] += 1
-        done = self.active & (np.asarray(terminated) | np.asarray(truncated) | (self.steps >= self.max_steps))
+        done = self.active & (
+            np.asarray(terminated) | np.asarray(truncated) | (self.steps >= self.max_steps)
+        )
         for w in np.flatnonzero(self.active):
             self._trace(int(w)).add(int(w), int(self.steps[w]), self.info)
-        view = StepView(self.active.copy(), self.steps.copy(), done, actions, self.obs, reward, self.info, notes)
+        view = StepView(
+            self.active.copy(), self.steps.copy(), done, actions, self.obs, reward, self.info, notes
+        )
         for sink in self.sinks:
             sink.on_step(self.env, view)
         for w in np.flatnonzero(done):
@@ -143,7 +152,9 @@ class _Run:
         try:
             actions = np.asarray(given, np.float32)
         except (TypeError, ValueError) as error:
-            raise UsageError(f"policy {self.policy.name!r} must return numbers (W, A), got {type(given)}.") from error
+            raise UsageError(
+                f"policy {self.policy.name!r} must return numbers (W, A), got {type(given)}."
+            ) from error
         if actions.ndim != 2 or len(actions) != worlds:
             raise UsageError(
                 f"policy {self.policy.name!r} must return actions (W, A) for W = {worlds} worlds, got {actions.shape}."
@@ -165,7 +176,9 @@ class _Run:
 
     def _finish(self, world: int) -> None:
         style = self.policy.style(world) if isinstance(self.policy, Styled) else {}
-        record = self._trace(world).record(int(self.steps[world]), world, self.info, self.env, style)
+        record = self._trace(world).record(
+            int(self.steps[world]), world, self.info, self.env, style
+        )
         self.active[world] = False
         self.traces[world] = None
         self.records.append(record)
@@ -178,7 +191,9 @@ class _Run:
         if not mask.any():
             return
         indices = np.array([self.waiting.popleft() for _ in range(int(mask.sum()))], np.int64)
-        self.obs, self.info = self.env.reset(seed=self.seed, options={"episode": indices, "reset_mask": mask})
+        self.obs, self.info = self.env.reset(
+            seed=self.seed, options={"episode": indices, "reset_mask": mask}
+        )
         self.policy.reset(mask)
         self.active |= mask
         self.steps[mask] = 0
@@ -193,8 +208,12 @@ class _Trace:
 
     def __init__(self, seed: int, index: int, episode: Mapping[str, Any]) -> None:
         if episode["index"] != index:
-            raise RuntimeError(f"env was asked for episode {index} but reset to episode {episode['index']}.")
-        self.seed, self.index, self.episode = seed, index, episode
+            raise RuntimeError(
+                f"env was asked for episode {index} but reset to episode {episode['index']}."
+            )
+        self.seed = seed
+        self.index = index
+        self.episode = episode
         self.started = time.perf_counter()
         self.force: list[float] = []
         self.events: list[Event] = []
@@ -212,8 +231,13 @@ class _Trace:
             self.subtasks.append(SubtaskRecord.from_dict(info["ended"][world]))
 
     def record(
-        self, steps: int, world: int, info: Mapping[str, Any], env: RolloutEnv, style: Mapping[str, Any]
-    ) -> EpisodeRecord:  # fmt: skip
+        self,
+        steps: int,
+        world: int,
+        info: Mapping[str, Any],
+        env: RolloutEnv,
+        style: Mapping[str, Any],
+    ) -> EpisodeRecord:
         """Close the episode after ``steps`` control steps; ``info`` is that of its last step."""
         episode = self.episode
         return EpisodeRecord(
@@ -224,7 +248,8 @@ class _Trace:
             split=str(episode["split"]),
             subtask=episode["subtask"],
             plan=tuple(
-                PlanEntry(str(entry["kind"]), str(entry["target"]), plain(entry["goal"])) for entry in episode["plan"]
+                PlanEntry(str(entry["kind"]), str(entry["target"]), plain(entry["goal"]))
+                for entry in episode["plan"]
             ),
             subtasks=tuple(self.subtasks),
             success_once=self.success_once,

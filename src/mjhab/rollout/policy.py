@@ -125,7 +125,9 @@ class RandomPolicy:
         for w, episode in enumerate(info["episode_spec"]):
             generator = self._streams[w]
             if generator is None:
-                generator = stream(self._seed, "policy", "random", int((episode or {}).get("index", 0)))
+                generator = stream(
+                    self._seed, "policy", "random", int((episode or {}).get("index", 0))
+                )
                 self._streams[w] = generator
             actions[w] = generator.uniform(-1.0, 1.0, ACTION_SIZE)
         return actions

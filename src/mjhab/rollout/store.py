@@ -22,7 +22,11 @@ from mjhab.core.locking import WriteLock, lock_path, refuse_if_written
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink
 
-CONFIG, EPISODES, SUMMARY, REPORT, FILMS = "config.json", "episodes.jsonl", "summary.json", "report.html", "films"
+CONFIG = "config.json"
+EPISODES = "episodes.jsonl"
+SUMMARY = "summary.json"
+REPORT = "report.html"
+FILMS = "films"
 OWN = frozenset({CONFIG, EPISODES, SUMMARY, REPORT, FILMS})
 FREE_KEYS = frozenset({"episodes", "films", "worlds", "threads"})
 """Config keys that a resumed run may change: they do not alter what happens in an episode."""
@@ -34,7 +38,9 @@ class RunFolder:
     Use as a context manager, or ``close`` it.
     """
 
-    def __init__(self, path: Path, config: Mapping[str, Any], records: list[EpisodeRecord], lock: WriteLock) -> None:
+    def __init__(
+        self, path: Path, config: Mapping[str, Any], records: list[EpisodeRecord], lock: WriteLock
+    ) -> None:
         self.path = path
         self.config = dict(config)
         self._hash = config_hash(config)
@@ -54,7 +60,9 @@ class RunFolder:
             self._lock = None
 
     @classmethod
-    def open(cls, path: Path, config: Mapping[str, Any], *, resume: bool = False, overwrite: bool = False) -> RunFolder:
+    def open(
+        cls, path: Path, config: Mapping[str, Any], *, resume: bool = False, overwrite: bool = False
+    ) -> RunFolder:
         """Prepare ``path`` for a run with ``config`` (plain JSON data) and save the config there.
 
         Args:
@@ -132,7 +140,9 @@ class StoreSink(Sink):
         self._folder.add(record)
 
 
-def check_folder(path: Path, config: Mapping[str, Any], *, resume: bool = False, overwrite: bool = False) -> None:
+def check_folder(
+    path: Path, config: Mapping[str, Any], *, resume: bool = False, overwrite: bool = False
+) -> None:
     """Refuse what ``RunFolder.open`` cannot do, and change nothing: for checks before long preparations.
 
     Raises:
@@ -149,7 +159,11 @@ def check_folder(path: Path, config: Mapping[str, Any], *, resume: bool = False,
 
 def _check_content(path: Path, config: Mapping[str, Any], *, resume: bool, overwrite: bool) -> None:
     own_lock = lock_path(path / CONFIG).name
-    found = sorted(entry.name for entry in path.iterdir() if entry.name != own_lock) if path.exists() else []
+    found = (
+        sorted(entry.name for entry in path.iterdir() if entry.name != own_lock)
+        if path.exists()
+        else []
+    )
     if found and not (resume or overwrite):
         raise UsageError(
             f"the output folder {path} is not empty (it holds {_some(found)}). Give --resume to continue that run, "
@@ -170,7 +184,9 @@ def read_records(folder: Path) -> list[EpisodeRecord]:
 
 def config_hash(config: Mapping[str, Any]) -> str:
     """Name of a config: equal for configs that a resumed run may have, which differ in ``FREE_KEYS`` at most."""
-    fixed = {key: value for key, value in config.items() if key not in FREE_KEYS and value is not None}
+    fixed = {
+        key: value for key, value in config.items() if key not in FREE_KEYS and value is not None
+    }
     text = json.dumps(fixed, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
@@ -203,11 +219,15 @@ def _delete_own(path: Path) -> None:
 
 def _check_same(path: Path, config: Mapping[str, Any]) -> None:
     if not (path / CONFIG).is_file():
-        raise UsageError(f"nothing to resume in {path}: it has no {CONFIG}. Give an empty or new folder as --out.")
+        raise UsageError(
+            f"nothing to resume in {path}: it has no {CONFIG}. Give an empty or new folder as --out."
+        )
     try:
         old = json.loads((path / CONFIG).read_text(encoding="utf-8"))
     except json.JSONDecodeError as error:
-        raise UsageError(f"cannot resume: {path / CONFIG} is not JSON ({error}). Use --overwrite.") from error
+        raise UsageError(
+            f"cannot resume: {path / CONFIG} is not JSON ({error}). Use --overwrite."
+        ) from error
     for key in sorted({*old, *config} - FREE_KEYS):
         if old.get(key) != config.get(key):
             raise UsageError(
@@ -241,7 +261,8 @@ def _read_file(path: Path, wanted: str) -> tuple[list[EpisodeRecord], int]:
     ``wanted``: hash of the config that the records must come from; "" for any.
     """
     whole = path.read_bytes() if path.is_file() else b""
-    kept, end = [], 0
+    kept = []
+    end = 0
     for number, line in enumerate(whole.splitlines(keepends=True), 1):
         try:
             if not line.endswith(b"\n"):

@@ -92,16 +92,26 @@ class FreeMap:
 
     def distance(self, a: np.ndarray, b: np.ndarray) -> float:
         """Length [m] of the shortest way of the base between ``a`` and ``b`` (2,), as `distances_to` has it."""
-        field, origin, cell = self.distances_to(b)[None], np.array([self.origin]), np.array([self.cell])
-        return float(look_up(field, origin, cell, np.array([field.shape[1:]]), np.asarray(a, float)[None, :2])[0])
+        field = self.distances_to(b)[None]
+        origin = np.array([self.origin])
+        cell = np.array([self.cell])
+        return float(
+            look_up(
+                field, origin, cell, np.array([field.shape[1:]]), np.asarray(a, float)[None, :2]
+            )[0]
+        )
 
     def _field(self, goal: np.ndarray) -> np.ndarray:
         graph, nearest, off = self._ways
         x, y = self.to_cell(goal)
         source = nearest[:, x, y]
         node = int(source[0] * self.blocked.shape[1] + source[1])
-        along = np.asarray(dijkstra(graph, directed=False, indices=node)).reshape(self.blocked.shape)
-        straight = np.linalg.norm(self.to_xy(np.moveaxis(np.indices(self.blocked.shape), 0, -1)) - goal, axis=-1)
+        along = np.asarray(dijkstra(graph, directed=False, indices=node)).reshape(
+            self.blocked.shape
+        )
+        straight = np.linalg.norm(
+            self.to_xy(np.moveaxis(np.indices(self.blocked.shape), 0, -1)) - goal, axis=-1
+        )
         apart = float(np.linalg.norm(self.to_xy(source) - goal)) if off[x, y] else 0.0
         field = np.maximum(along[nearest[0], nearest[1]] + off + apart, straight).astype(np.float32)
         field.flags.writeable = False
@@ -116,9 +126,15 @@ class FreeMap:
         """Graph of the navigable cells; the nearest of them (2, X, Y) to every cell and how far off it is [m]."""
         free = self.navigable()
         if not free.any():
-            raise UsageError(f"no floor on which a base of radius {BASE_RADIUS} m can stand: nothing leads anywhere.")
+            raise UsageError(
+                f"no floor on which a base of radius {BASE_RADIUS} m can stand: nothing leads anywhere."
+            )
         off, nearest = distance_transform_edt(~free, return_indices=True)  # type: ignore[misc]
-        return grid_graph(free, self.cell, SIXTEEN), np.asarray(nearest), np.asarray(off) * self.cell
+        return (
+            grid_graph(free, self.cell, SIXTEEN),
+            np.asarray(nearest),
+            np.asarray(off) * self.cell,
+        )
 
     def sample(self, rng: np.random.Generator, mask: np.ndarray) -> np.ndarray:
         """A uniform position (2,) [m] in the cells of ``mask`` (X, Y).
@@ -132,7 +148,9 @@ class FreeMap:
         return self.to_xy(cells[rng.integers(len(cells))] + rng.uniform(-0.5, 0.5, 2))
 
 
-def look_up(fields: np.ndarray, origin: np.ndarray, cell: np.ndarray, shape: np.ndarray, xy: np.ndarray) -> np.ndarray:
+def look_up(
+    fields: np.ndarray, origin: np.ndarray, cell: np.ndarray, shape: np.ndarray, xy: np.ndarray
+) -> np.ndarray:
     """Values (W,) at positions ``xy`` (W, 2) [m], one in each of ``fields`` (W, X, Y).
 
     Args:
@@ -145,7 +163,9 @@ def look_up(fields: np.ndarray, origin: np.ndarray, cell: np.ndarray, shape: np.
     wanted = (xy - origin) / cell[:, None] - 0.5
     at = np.clip(wanted, 0.0, last)
     low = np.minimum(at.astype(int), np.maximum(last - 1, 0))
-    (i, j), (k, m), (u, v) = low.T, np.minimum(low + 1, last).T, (at - low).T
+    (i, j) = low.T
+    (k, m) = np.minimum(low + 1, last).T
+    (u, v) = (at - low).T
     w = np.arange(len(fields))
     near, far = ((1 - v) * fields[w, row, j] + v * fields[w, row, m] for row in (i, k))
     return (1 - u) * near + u * far + np.linalg.norm(wanted - at, axis=1) * cell
@@ -160,7 +180,9 @@ def free_map(home: Home, pack: Pack, cell: float = 0.05) -> FreeMap:
     """
     x0, y0, x1, y1 = home.floor
     origin = (x0 - _MARGIN, y0 - _MARGIN)
-    shape = tuple(int(np.ceil((hi - lo + 2 * _MARGIN) / cell - 1e-9)) for lo, hi in ((x0, x1), (y0, y1)))
+    shape = tuple(
+        int(np.ceil((hi - lo + 2 * _MARGIN) / cell - 1e-9)) for lo, hi in ((x0, x1), (y0, y1))
+    )
     blocked = np.zeros(shape, bool)
     for polygon in blocking_polygons(home, pack):
         _fill(blocked, polygon, origin, cell)
@@ -173,7 +195,9 @@ def free_map(home: Home, pack: Pack, cell: float = 0.05) -> FreeMap:
 
 def blocking_polygons(home: Home, pack: Pack) -> list[np.ndarray]:
     """Convex outlines (N, 2) [m] in the world of everything that blocks the base."""
-    polygons = [_flatten(g, Placement("wall", (0.0, 0.0, 0.0)), pack) for g in home.walls if g.collide]
+    polygons = [
+        _flatten(g, Placement("wall", (0.0, 0.0, 0.0)), pack) for g in home.walls if g.collide
+    ]
     for placement in (*home.props, *home.articulations):
         template: Prop | Articulation
         if placement.template in pack.props:
@@ -188,12 +212,17 @@ def blocking_polygons(home: Home, pack: Pack) -> list[np.ndarray]:
 
 def _flatten(geom: Geom, placement: Placement, pack: Pack) -> np.ndarray | None:
     """Outline of a geom on the floor, counter-clockwise, or None if it is above the robot."""
-    if geom.shape == "box" and geom.quat == IDENTITY and placement.quat is None:  # most geoms, and no hull to find
-        (x, y, z), (hx, hy, hz) = geom.pos, geom.size
+    if (
+        geom.shape == "box" and geom.quat == IDENTITY and placement.quat is None
+    ):  # most geoms, and no hull to find
+        (x, y, z) = geom.pos
+        (hx, hy, hz) = geom.size
         z += placement.pos[2]
         hidden = z - hz >= ROBOT_HEIGHT or z + hz <= 0.0
         return None if hidden else rectangle(placement, (x - hx, x + hx), (y - hy, y + hy))
-    points = outline(geom, pack.meshes) @ mat_from_quat(np.array(placement.rotation)).T + np.array(placement.pos)
+    points = outline(geom, pack.meshes) @ mat_from_quat(np.array(placement.rotation)).T + np.array(
+        placement.pos
+    )
     if points[:, 2].min() >= ROBOT_HEIGHT or points[:, 2].max() <= 0.0:
         return None
     flat = np.unique(points[:, :2].round(9), axis=0)
@@ -217,11 +246,16 @@ def reach(home: Home, pack: Pack, free: FreeMap, radius: float = BASE_RADIUS) ->
     result = []
     for placement in (*home.props, *home.articulations):
         template = pack.props.get(placement.template) or pack.articulations[placement.template]
-        origins = {} if isinstance(template, Prop) else {link.name: link.pos for link in template.links}
+        origins = (
+            {} if isinstance(template, Prop) else {link.name: link.pos for link in template.links}
+        )
         for r in template.receptacles:
             ox, oy, _ = origins.get(r.link, (0.0, 0.0, 0.0))
-            x, y = r.pos[0] + ox, r.pos[1] + oy
-            a, b, _, d = rectangle(placement, (x - r.half[0], x + r.half[0]), (y - r.half[1], y + r.half[1]))
+            x = r.pos[0] + ox
+            y = r.pos[1] + oy
+            a, b, _, d = rectangle(
+                placement, (x - r.half[0], x + r.half[0]), (y - r.half[1], y + r.half[1])
+            )
             u, v = np.meshgrid(np.linspace(0.0, 1.0, 5), np.linspace(0.0, 1.0, 7))
             grid = a + u.ravel()[:, None] * (b - a) + v.ravel()[:, None] * (d - a)
             far = np.full(len(grid) + 1, np.inf)
@@ -231,7 +265,9 @@ def reach(home: Home, pack: Pack, free: FreeMap, radius: float = BASE_RADIUS) ->
     return result
 
 
-def _fill(blocked: np.ndarray, polygon: np.ndarray, origin: tuple[float, float], cell: float) -> None:
+def _fill(
+    blocked: np.ndarray, polygon: np.ndarray, origin: tuple[float, float], cell: float
+) -> None:
     """Mark the cells whose square meets a convex counter-clockwise polygon."""
     low = np.clip(np.floor((polygon.min(0) - origin) / cell).astype(int), 0, blocked.shape)
     high = np.clip(np.ceil((polygon.max(0) - origin) / cell - 1e-9).astype(int), 0, blocked.shape)

@@ -16,7 +16,17 @@ import numpy as np
 
 from mjhab.core.errors import UsageError
 from mjhab.core.names import check_name
-from mjhab.scenes.spec import Geom, Handle, Home, Light, Link, ObjectType, Pack, Placement, Receptacle
+from mjhab.scenes.spec import (
+    Geom,
+    Handle,
+    Home,
+    Light,
+    Link,
+    ObjectType,
+    Pack,
+    Placement,
+    Receptacle,
+)
 
 MAX_FILE_NUMBER = 1000.0
 """Largest number that the files a pack is made from may hold: position [m], angle [rad], mass [kg], scale, vertex."""
@@ -72,7 +82,9 @@ RANGES: dict[tuple[type, str], tuple[float, float, str]] = {
     (ObjectType, "scan_yaw"): _ANGLE,
 }
 """Least value, largest value and unit of every number of a field."""
-UNIT_VECTORS = frozenset({(Geom, "quat"), (Placement, "quat"), (Handle, "bar"), (Handle, "out"), (Link, "axis")})
+UNIT_VECTORS = frozenset(
+    {(Geom, "quat"), (Placement, "quat"), (Handle, "bar"), (Handle, "out"), (Link, "axis")}
+)
 """Fields that are directions or quaternions of length 1."""
 NAMES = frozenset({"name", "template", "mesh", "link", "material", "pack"})
 """Fields that are names, of whatever they are a field."""
@@ -143,7 +155,9 @@ def check_range(where: str, value: Any, low: float, high: float, unit: str) -> N
     """
     for number in np.ravel(np.asarray(value, np.float64)).tolist():
         if not low <= number <= high:
-            raise ValueError(f"{where}: {number:g} is out of the range {low:g} to {high:g} [{unit}].")
+            raise ValueError(
+                f"{where}: {number:g} is out of the range {low:g} to {high:g} [{unit}]."
+            )
 
 
 def _check_unit(where: str, value: tuple[float, ...]) -> None:
@@ -157,7 +171,9 @@ def _check_size(where: str, geom: Geom, extent: float) -> None:
     if geom.shape == "mesh":
         scale = np.abs(geom.size)
         check_range(where, scale, MIN_MESH_SCALE, MAX_MESH_SCALE, "1")
-        check_range(f"{where} times the vertices of {geom.mesh!r}", scale * extent, 0.0, MAX_SIZE_M, "m")
+        check_range(
+            f"{where} times the vertices of {geom.mesh!r}", scale * extent, 0.0, MAX_SIZE_M, "m"
+        )
         return
     used = NUMBERS_OF_SIZE[geom.shape]
     check_range(where, geom.size[:used], *_SIZE)
@@ -173,7 +189,9 @@ def _check_link(where: str, link: Link) -> None:
 def _check_home(where: str, home: Home) -> None:
     x_min, y_min, x_max, y_max = home.floor
     if not (x_min < x_max and y_min < y_max):
-        raise ValueError(f"{where}.floor: {list(home.floor)} is no area: x_min, y_min, x_max, y_max [m].")
+        raise ValueError(
+            f"{where}.floor: {list(home.floor)} is no area: x_min, y_min, x_max, y_max [m]."
+        )
     check_name(f"{where}.floor_material", home.floor_material)
     for link, limit in home.open_limits:
         check_name(f"{where}.open_limits", link)
@@ -185,12 +203,23 @@ def _mesh_extent(name: str, mesh: Any) -> float:
     where = f"mesh {check_name('name of a mesh', name)!r}"
     vertices = np.asarray(mesh.vertices)
     faces = np.asarray(mesh.faces)
-    if vertices.ndim != 2 or vertices.shape[1] != 3 or vertices.dtype.kind != "f" or not len(vertices):
-        raise ValueError(f"{where}: vertices must be numbers (V, 3), got {vertices.dtype} {vertices.shape}.")
+    if (
+        vertices.ndim != 2
+        or vertices.shape[1] != 3
+        or vertices.dtype.kind != "f"
+        or not len(vertices)
+    ):
+        raise ValueError(
+            f"{where}: vertices must be numbers (V, 3), got {vertices.dtype} {vertices.shape}."
+        )
     if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
-        raise ValueError(f"{where}: faces must be whole numbers (F, 3), got {faces.dtype} {faces.shape}.")
+        raise ValueError(
+            f"{where}: faces must be whole numbers (F, 3), got {faces.dtype} {faces.shape}."
+        )
     if faces.size and not (faces.min() >= 0 and faces.max() < len(vertices)):
-        raise ValueError(f"{where}: faces name vertices that are not there ({len(vertices)} vertices).")
+        raise ValueError(
+            f"{where}: faces name vertices that are not there ({len(vertices)} vertices)."
+        )
     extent = float(np.abs(vertices).max())
     if not math.isfinite(extent):
         raise ValueError(f"{where}: vertices are not finite.")

@@ -28,8 +28,10 @@ from mjhab.scenes.shapes.meshes import Mesh, mesh_arrays, mesh_from_arrays
 from mjhab.scenes.spec import Articulation, Home, ObjectType, Pack, Prop
 
 PACK_FORMAT = "mjhab-pack-1"
-_JSON, _MESHES = "pack.json", "meshes.npz"
-_JOINTS, _STAGE = "?articulate=", "?stage="
+_JSON = "pack.json"
+_MESHES = "meshes.npz"
+_JOINTS = "?articulate="
+_STAGE = "?stage="
 
 
 def open_pack(name: str) -> Pack:
@@ -49,10 +51,13 @@ def open_pack(name: str) -> Pack:
         return builtin_pack()
     place, _, stage = name.partition(_STAGE)
     place, _, joints = place.partition(_JOINTS)
-    folder, scene = Path(place), ""
+    folder = Path(place)
+    scene = ""
     if place.endswith(SCENE_SUFFIX) and folder.is_file():
         folder, scene = folder.resolve().parents[2], folder.name.removesuffix(SCENE_SUFFIX)
-    elif not folder.exists() and any(map(is_replica_cad, (folder.parent, folder.parent / "replica_cad"))):
+    elif not folder.exists() and any(
+        map(is_replica_cad, (folder.parent, folder.parent / "replica_cad"))
+    ):
         folder, scene = folder.parent, folder.name
         folder = folder if is_replica_cad(folder) else folder / "replica_cad"
     for data_set in (folder, folder / "replica_cad"):
@@ -65,10 +70,14 @@ def open_pack(name: str) -> Pack:
     if folder.is_dir():
         return load_pack(folder)
     if folder.exists():
-        raise UsageError(f"asset pack {name!r} is a file; expected 'builtin' or a folder with {_JSON} and {_MESHES}.")
+        raise UsageError(
+            f"asset pack {name!r} is a file; expected 'builtin' or a folder with {_JSON} and {_MESHES}."
+        )
     looks_like_path = any(sep and sep in name for sep in (os.sep, os.altsep, "/"))
     if looks_like_path:
-        raise UsageError(f"asset folder {name!r} does not exist; expected 'builtin' or a folder with {_JSON}.")
+        raise UsageError(
+            f"asset folder {name!r} does not exist; expected 'builtin' or a folder with {_JSON}."
+        )
     raise unknown_name("asset pack", name, ("builtin",))
 
 
@@ -109,7 +118,9 @@ def with_joints(assets: str, furniture: str | None) -> str:
 
 
 @lru_cache(maxsize=4)
-def _replica_cad(folder: Path, scene: str, stage_mesh: Path | None, articulate: tuple[str, ...]) -> Pack:
+def _replica_cad(
+    folder: Path, scene: str, stage_mesh: Path | None, articulate: tuple[str, ...]
+) -> Pack:
     from mjhab.scenes.replica_cad.reader import open_replica_cad
 
     return open_replica_cad(folder, scene, stage_mesh, articulate)
@@ -173,10 +184,15 @@ def load_pack(folder: Path) -> Pack:
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
         raise UsageError(f"{path}: not valid JSON ({error}); write the pack again.") from error
     if not isinstance(body, dict) or body.get("format") != PACK_FORMAT:
-        raise UsageError(f"{path}: field 'format' must be {PACK_FORMAT!r}; this is not a pack of this version.")
+        raise UsageError(
+            f"{path}: field 'format' must be {PACK_FORMAT!r}; this is not a pack of this version."
+        )
     try:
         props = {p.name: p for p in _read(tuple[Prop, ...], body["props"], "props")}
-        articulations = {a.name: a for a in _read(tuple[Articulation, ...], body["articulations"], "articulations")}
+        articulations = {
+            a.name: a
+            for a in _read(tuple[Articulation, ...], body["articulations"], "articulations")
+        }
         objects = {o.name: o for o in _read(tuple[ObjectType, ...], body["objects"], "objects")}
         homes = _read(tuple[Home, ...], body["homes"], "homes")
         names = _read(tuple[str, ...], body["meshes"], "meshes")
@@ -219,7 +235,9 @@ def _check_names(pack: Pack, path: Path) -> None:
         ):
             for p in placed:
                 if p.template not in known:
-                    raise UsageError(f"{path}: home {home.name!r}, {what}: template {p.template!r} is not in the pack.")
+                    raise UsageError(
+                        f"{path}: home {home.name!r}, {what}: template {p.template!r} is not in the pack."
+                    )
     links = [link for a in pack.articulations.values() for link in a.links]
     groups = [
         *(t.geoms for t in pack.props.values()),
@@ -230,7 +248,9 @@ def _check_names(pack: Pack, path: Path) -> None:
     ]
     for geom in (g for group in groups for g in group):
         if geom.shape == "mesh" and geom.mesh not in pack.meshes:
-            raise UsageError(f"{path}: a geom names the mesh {geom.mesh!r}, which is not in the pack.")
+            raise UsageError(
+                f"{path}: a geom names the mesh {geom.mesh!r}, which is not in the pack."
+            )
 
 
 def _read(kind: Any, value: Any, where: str) -> Any:
@@ -239,16 +259,21 @@ def _read(kind: Any, value: Any, where: str) -> Any:
     Raises:
         ValueError: the value does not fit; the message names the field.
     """
-    origin, args = typing.get_origin(kind), typing.get_args(kind)
+    origin = typing.get_origin(kind)
+    args = typing.get_args(kind)
     if dataclasses.is_dataclass(kind):
         return _read_record(kind, value, where)
     if origin is types.UnionType:
         return None if value is None else _read(args[0], value, where)
     if origin is tuple:
         if not isinstance(value, list) or (Ellipsis not in args and len(value) != len(args)):
-            raise ValueError(f"{where}: expected a list of {'any' if Ellipsis in args else len(args)} entries.")
+            raise ValueError(
+                f"{where}: expected a list of {'any' if Ellipsis in args else len(args)} entries."
+            )
         kinds = [args[0]] * len(value) if Ellipsis in args else list(args)
-        return tuple(_read(k, v, f"{where}[{i}]") for i, (k, v) in enumerate(zip(kinds, value, strict=True)))
+        return tuple(
+            _read(k, v, f"{where}[{i}]") for i, (k, v) in enumerate(zip(kinds, value, strict=True))
+        )
     if origin is typing.Literal:
         if value not in args:
             raise ValueError(f"{where}: {value!r} is not one of {', '.join(map(str, args))}.")

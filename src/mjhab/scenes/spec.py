@@ -16,7 +16,8 @@ IDENTITY: Quat = (1.0, 0.0, 0.0, 0.0)
 PARKED: Vec3 = (0.0, 0.0, -50.0)
 """Where pieces stand that a home does not use: far below the floor, no contact possible."""
 
-OWN_POINTS, PUBLISHED_POINTS = "ours", "published"
+OWN_POINTS = "ours"
+PUBLISHED_POINTS = "published"
 HANDLE_POINTS = (OWN_POINTS, PUBLISHED_POINTS)
 """Points to show for handles: where our geometry is gripped, or those that the plans of MS-HAB name."""
 

@@ -32,7 +32,9 @@ def resolve(name: str) -> str:
     if name == "auto":
         return "warp" if not missing and cuda_devices() else "cpu"
     if name == "warp" and missing:
-        raise UsageError(f"backend 'warp' needs {', '.join(missing)}, not installed here; pip install 'mjhab[gpu]'")
+        raise UsageError(
+            f"backend 'warp' needs {', '.join(missing)}, not installed here; pip install 'mjhab[gpu]'"
+        )
     return name
 
 
@@ -44,7 +46,13 @@ def cuda_devices() -> list[str]:
 
 
 def open_simulator(
-    name: str, layout: Layout, num_worlds: int, *, threads: int = 0, device: str = "", drives: Drives | None = None
+    name: str,
+    layout: Layout,
+    num_worlds: int,
+    *,
+    threads: int = 0,
+    device: str = "",
+    drives: Drives | None = None,
 ) -> CpuSimulator | WarpSimulator:
     """A simulator of worlds of a layout.
 

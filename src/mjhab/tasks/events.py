@@ -45,9 +45,29 @@ LABEL_EVENTS: dict[SubtaskKind, tuple[str, ...]] = {
         "success",
         "excessive_collisions",
     ),
-    SubtaskKind.NAVIGATE: ("navigated_close", "grasped", "dropped", "success", "excessive_collisions"),
-    SubtaskKind.OPEN: ("contact", "opened", "success", "excessive_collisions", "slightly_opened", "closed"),
-    SubtaskKind.CLOSE: ("contact", "closed", "success", "excessive_collisions", "slightly_closed", "opened"),
+    SubtaskKind.NAVIGATE: (
+        "navigated_close",
+        "grasped",
+        "dropped",
+        "success",
+        "excessive_collisions",
+    ),
+    SubtaskKind.OPEN: (
+        "contact",
+        "opened",
+        "success",
+        "excessive_collisions",
+        "slightly_opened",
+        "closed",
+    ),
+    SubtaskKind.CLOSE: (
+        "contact",
+        "closed",
+        "success",
+        "excessive_collisions",
+        "slightly_closed",
+        "opened",
+    ),
 }
 """Events the published labels count, in the order they are listed within one step."""
 
@@ -58,7 +78,9 @@ _MORE: dict[SubtaskKind, tuple[str, ...]] = {
     SubtaskKind.OPEN: ("lost_contact", "lost_success"),
     SubtaskKind.CLOSE: ("lost_contact", "lost_success"),
 }
-EVENTS: dict[SubtaskKind, tuple[str, ...]] = {kind: LABEL_EVENTS[kind] + _MORE[kind] for kind in SubtaskKind}
+EVENTS: dict[SubtaskKind, tuple[str, ...]] = {
+    kind: LABEL_EVENTS[kind] + _MORE[kind] for kind in SubtaskKind
+}
 """Every event a kind of subtask can have, in the order they are listed within one step."""
 
 _COLUMNS = {int(k): [(EVENT_NAMES.index(name), name) for name in EVENTS[k]] for k in SubtaskKind}
@@ -90,7 +112,10 @@ _EDGE_OF = {
     "lost_success": "-success",
     "excessive_collisions": "+excess",
 }
-_BACK = {(SubtaskKind.OPEN, "closed"): "-slightly_opened", (SubtaskKind.CLOSE, "opened"): "-slightly_closed"}
+_BACK = {
+    (SubtaskKind.OPEN, "closed"): "-slightly_opened",
+    (SubtaskKind.CLOSE, "opened"): "-slightly_closed",
+}
 """In an Open, ``closed`` means that the joint fell back to no more than 10 % of its range; in a Close, ``opened`` means
 that it went back to within 5 % of its range of the start. All other events are edges of the signal named."""
 
@@ -108,13 +133,16 @@ _EDGE_INDEX = Table(
         (_EDGES.index("none"),) * len(EVENT_NAMES),
     )
 )
-_GRASPED, _AT_GOAL = WATCHED.index("is_grasped"), WATCHED.index("at_goal")
+_GRASPED = WATCHED.index("is_grasped")
+_AT_GOAL = WATCHED.index("at_goal")
 
 
 def blank(signals: Watched) -> History:
     """The state mshab/utils/label_dataset.py assumes before the first action: nothing holds, no force spent."""
     no = signals.success & ~signals.success
-    return History(**{f.name: ~no if f.name == "force_ok" else no for f in dataclasses.fields(History)})
+    return History(
+        **{f.name: ~no if f.name == "force_ok" else no for f in dataclasses.fields(History)}
+    )
 
 
 def step_events(kind: Array, previous: Watched, current: Watched) -> Array:
@@ -133,9 +161,13 @@ def step_events(kind: Array, previous: Watched, current: Watched) -> Array:
 def edge_events(kind: Array, before: Array, now: Array) -> Array:
     """``step_events`` of two consecutive watched steps, (K, W) bool each with the rows ``WATCHED``."""
     changed = before ^ now
-    rise, fall = changed & now, changed & before
-    release, at_goal = fall[_GRASPED][None], now[_AT_GOAL][None]
-    edges = namespace(kind).concat((rise, fall, release & at_goal, release & ~at_goal, rise[:1] & fall[:1]))
+    rise = changed & now
+    fall = changed & before
+    release = fall[_GRASPED][None]
+    at_goal = now[_AT_GOAL][None]
+    edges = namespace(kind).concat(
+        (rise, fall, release & at_goal, release & ~at_goal, rise[:1] & fall[:1])
+    )
     # (W, E): for every world the edges that are events of its kind.
     return edges[constant(_EDGE_INDEX, kind)[kind], count(kind.shape[0], kind)[:, None]]
 

@@ -140,7 +140,9 @@ class History:
         """Return the history of T+1 steps of signals."""
         xp = namespace(rows[0].success)
         names = [f.name for f in dataclasses.fields(History)]
-        return History(**{name: xp.stack([getattr(row, name) for row in rows], axis=0) for name in names})
+        return History(
+            **{name: xp.stack([getattr(row, name) for row in rows], axis=0) for name in names}
+        )
 
 
 WATCHED: tuple[str, ...] = (
@@ -169,10 +171,20 @@ def watch(signals: Watched) -> Array:
     s = signals
     return pile(
         (
-            s.is_grasped, s.at_goal, s.opened, s.closed, s.slightly_opened, s.slightly_closed, s.near,
-            s.contact, s.touch, s.ee_contact, s.success, ~s.force_ok,
+            s.is_grasped,
+            s.at_goal,
+            s.opened,
+            s.closed,
+            s.slightly_opened,
+            s.slightly_closed,
+            s.near,
+            s.contact,
+            s.touch,
+            s.ee_contact,
+            s.success,
+            ~s.force_ok,
         )
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True)
@@ -275,7 +287,13 @@ def _place_rules(s: LabelState) -> list[Array]:
 
 def _navigate_rules(s: LabelState) -> list[Array]:
     lost = s.must_hold & ~s.holds("is_grasped")
-    return [s.ever("success") & s.ever("excess"), s.ever("success") & lost, s.ever("success"), s.ever("excess"), lost]
+    return [
+        s.ever("success") & s.ever("excess"),
+        s.ever("success") & lost,
+        s.ever("success"),
+        s.ever("excess"),
+        lost,
+    ]
 
 
 def _joint_rules(s: LabelState, there: str, slightly: str) -> list[Array]:
@@ -353,7 +371,9 @@ def label_history(kind: Array, history: History, valid: Array | None = None) -> 
 
 def get_row(state: LabelState, w: int) -> dict[str, Any]:
     """Copy of what a label state says about world ``w``, as numpy arrays."""
-    return {f.name: to_numpy(getattr(state, f.name)[..., w]).copy() for f in dataclasses.fields(state)}
+    return {
+        f.name: to_numpy(getattr(state, f.name)[..., w]).copy() for f in dataclasses.fields(state)
+    }
 
 
 def _with_ee_contact(rows: Any) -> np.ndarray:
@@ -371,7 +391,9 @@ def set_row(state: LabelState, w: int, row: Mapping[str, Any]) -> LabelState:
 
     def put(name: str) -> Array:
         array = namespace(state.now).asarray(getattr(state, name), copy=True)
-        array[..., w] = as_like(_with_ee_contact(row[name]) if name in ("now", "seen") else row[name], array)
+        array[..., w] = as_like(
+            _with_ee_contact(row[name]) if name in ("now", "seen") else row[name], array
+        )
         return array
 
     return LabelState(*(put(f.name) for f in dataclasses.fields(state)))

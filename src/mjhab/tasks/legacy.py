@@ -35,7 +35,9 @@ def _last(events: Sequence[str], name: str) -> int:
     return max((i for i, event in enumerate(events) if event == name), default=-1)
 
 
-def legacy_label(kind: int, events: Sequence[str], success: bool, at_goal_first: bool = False) -> str:
+def legacy_label(
+    kind: int, events: Sequence[str], success: bool, at_goal_first: bool = False
+) -> str:
     """Label a subtask from its event list.
 
     Args:
@@ -48,7 +50,11 @@ def legacy_label(kind: int, events: Sequence[str], success: bool, at_goal_first:
     if kind == SubtaskKind.PICK:
         return _pick(events, success)
     if kind == SubtaskKind.PLACE:
-        return _place_success(events, at_goal_first) if success else _place_failure(events, at_goal_first)
+        return (
+            _place_success(events, at_goal_first)
+            if success
+            else _place_failure(events, at_goal_first)
+        )
     if kind == SubtaskKind.NAVIGATE:
         return _navigate(events, success)
     return _joint(SubtaskKind(kind), events, success)
@@ -91,7 +97,8 @@ def _place_failure(events: list[str], at_goal_first: bool) -> str:
         return "didnt_grasp_failure"
     if "at_goal" not in events:
         return "didnt_reach_goal_failure"
-    grasp, inside = _last(events, "grasped"), _last(events, "released_at_goal")
+    grasp = _last(events, "grasped")
+    inside = _last(events, "released_at_goal")
     outside = _last(events, "released_outside_goal")
     placed = (len(events) <= 2 and at_goal_first) or (inside > outside and inside > grasp)
     dropped = (len(events) <= 2 and not at_goal_first) or (outside > inside and outside > grasp)
@@ -153,4 +160,7 @@ def legacy_history(kind: int, history: History) -> list[str]:
             extend(events[w], kind, names)
         previous = current
     success = history.success[1:].any(axis=0)
-    return [legacy_label(kind, events[w], bool(success[w]), bool(history.at_goal[1, w])) for w in range(worlds)]
+    return [
+        legacy_label(kind, events[w], bool(success[w]), bool(history.at_goal[1, w]))
+        for w in range(worlds)
+    ]

@@ -206,21 +206,31 @@ def at_goal(obj_pos: Array, goal_pos: Array, rect: Array | None, config: TaskCon
     xp = namespace(delta)
     level = xp.abs(delta[..., 2]) <= config.goal_tol
     if config.goal_type == "cylinder":
-        x, y = delta[..., 0], delta[..., 1]
+        x = delta[..., 0]
+        y = delta[..., 1]
         return level & (xp.sqrt(x * x + y * y) <= config.goal_tol)
     if rect is None:
-        raise UsageError('goal_type "zone" needs the goal_rect of every Place in the plan; use "sphere" without them.')
+        raise UsageError(
+            'goal_type "zone" needs the goal_rect of every Place in the plan; use "sphere" without them.'
+        )
     inside = level
     for neighbour in (1, 3):
         edge = rect[..., neighbour, :] - rect[..., 0, :]
-        along = (obj_pos[..., 0] - rect[..., 0, 0]) * edge[..., 0] + (obj_pos[..., 1] - rect[..., 0, 1]) * edge[..., 1]
-        inside = inside & (along >= 0) & (along <= edge[..., 0] * edge[..., 0] + edge[..., 1] * edge[..., 1])
+        along = (obj_pos[..., 0] - rect[..., 0, 0]) * edge[..., 0] + (
+            obj_pos[..., 1] - rect[..., 0, 1]
+        ) * edge[..., 1]
+        inside = (
+            inside
+            & (along >= 0)
+            & (along <= edge[..., 0] * edge[..., 0] + edge[..., 1] * edge[..., 1])
+        )
     return inside
 
 
 def _rest(state: WorldState, cos: Array, sin: Array, config: TaskConfig) -> Array:
     """Tool centre at its rest point. ``cos``, ``sin`` (W,) of the base's heading. Returns (W,) bool."""
-    base, tcp = state.base_pose, state.tcp_pos
+    base = state.base_pose
+    tcp = state.tcp_pos
     rx, ry, rz = config.ee_rest_pos
     dx = tcp[:, 0] - (base[:, 0] + cos * rx - sin * ry)
     dy = tcp[:, 1] - (base[:, 1] + sin * rx + cos * ry)
@@ -234,7 +244,10 @@ def _stillness(state: WorldState, tolerance: Array, config: TaskConfig) -> tuple
     ``tolerance`` (W, 10): how far the joints may be from rest.
     """
     xp = namespace(tolerance)
-    near_rest = xp.abs(state.robot_q[:, 3:13] - constant(config.rest_qpos[3:13], state.robot_q)) <= tolerance
+    near_rest = (
+        xp.abs(state.robot_q[:, 3:13] - constant(config.rest_qpos[3:13], state.robot_q))
+        <= tolerance
+    )
     limits = constant((config.static_base_speed,) * 3 + (config.static_speed,) * 10, state.robot_qd)
     speed = state.robot_qd[:, :13]
     if config.stillness == "absolute":
@@ -243,12 +256,15 @@ def _stillness(state: WorldState, tolerance: Array, config: TaskConfig) -> tuple
     return near_rest.all(-1), slow.all(-1)
 
 
-def _arrival(state: WorldState, active: Active, cos: Array, sin: Array, config: TaskConfig) -> tuple[Array, Array]:
+def _arrival(
+    state: WorldState, active: Active, cos: Array, sin: Array, config: TaskConfig
+) -> tuple[Array, Array]:
     """Near the navigation goal (and inside its box), and facing it. Returns two (W,) bool."""
     xp = namespace(state.base_pose)
     position = state.base_pose[:, :2]
     to_goal = active.goal_pos[:, :2] - position
-    dx, dy = to_goal[:, 0], to_goal[:, 1]
+    dx = to_goal[:, 0]
+    dy = to_goal[:, 1]
     bearing = xp.atan2(cos * dy - sin * dx, cos * dx + sin * dy)
     # Nothing is outside of a box of NaN, which is none.
     outside = (position < active.box[:, ::2]) | (position > active.box[:, 1::2])
@@ -256,7 +272,9 @@ def _arrival(state: WorldState, active: Active, cos: Array, sin: Array, config: 
     return near, xp.abs(bearing) <= config.nav_bearing
 
 
-def _joint(state: WorldState, active: Active, config: TaskConfig) -> tuple[Array, Array, Array, Array]:
+def _joint(
+    state: WorldState, active: Active, config: TaskConfig
+) -> tuple[Array, Array, Array, Array]:
     """The joint is opened, closed, slightly opened, slightly closed; four (W,) bool."""
     span = state.joint_max - state.joint_min
     opening = state.joint_q - state.joint_min
@@ -269,7 +287,11 @@ def _joint(state: WorldState, active: Active, config: TaskConfig) -> tuple[Array
 
 
 def measure(
-    state: WorldState, plan: PlanArrays, progress: Standing, config: TaskConfig, active: Active | None = None
+    state: WorldState,
+    plan: PlanArrays,
+    progress: Standing,
+    config: TaskConfig,
+    active: Active | None = None,
 ) -> Signals:
     """Measure the active subtask of every world.
 
@@ -286,17 +308,27 @@ def measure(
     if active is None:
         active = active_entries(plan, progress.pointer, config)
     xp = namespace(state.base_pose)
-    yaw, cumulative = state.base_pose[:, 2], progress.cumulative_force
-    cos, sin = xp.cos(yaw), xp.sin(yaw)
+    yaw = state.base_pose[:, 2]
+    cumulative = progress.cumulative_force
+    cos = xp.cos(yaw)
+    sin = xp.sin(yaw)
     is_grasped, contact, target_force = _grip(state, active.navigate, config)
     there = at_goal(state.plan_obj_pos, plan.goal_pos, plan.goal_rect, config)  # (W, S)
     # In the order of CHECKS.
     rows = (
-        is_grasped, _rest(state, cos, sin, config), *_stillness(state, active.rest_tol, config),
-        cumulative <= active.force_limit, contact, state.target_contact | contact, state.ee_contact | contact,
-        pick_column(there, active.index), *_joint(state, active, config), *_arrival(state, active, cos, sin, config),
-        ~is_grasped, is_grasped | ~active.must_hold,
-    )  # fmt: skip
+        is_grasped,
+        _rest(state, cos, sin, config),
+        *_stillness(state, active.rest_tol, config),
+        cumulative <= active.force_limit,
+        contact,
+        state.target_contact | contact,
+        state.ee_contact | contact,
+        pick_column(there, active.index),
+        *_joint(state, active, config),
+        *_arrival(state, active, cos, sin, config),
+        ~is_grasped,
+        is_grasped | ~active.must_hold,
+    )
     checks = pile(rows) & active.applies
     return Signals(
         **dict(zip(_SIGNAL_ROWS, checks, strict=False)),

@@ -95,7 +95,9 @@ class TaskConfig:
 
     def __post_init__(self) -> None:
         if len(self.rest_qpos) != 15:
-            raise UsageError(f"rest_qpos needs the 15 joint values of the robot, got {len(self.rest_qpos)}.")
+            raise UsageError(
+                f"rest_qpos needs the 15 joint values of the robot, got {len(self.rest_qpos)}."
+            )
         if self.goal_type not in ("sphere", "cylinder", "zone"):
             raise unknown_name("goal_type", self.goal_type, ("sphere", "cylinder", "zone"))
         if self.stillness not in STILLNESS:
@@ -117,7 +119,9 @@ class TaskConfig:
 
     def open_fraction(self, link: str) -> float:
         """Return the part of its range at which a link such as ``"fridge/top_door"`` counts as open."""
-        return self.open_fraction_fridge if link.startswith("fridge/") else self.open_fraction_drawer
+        return (
+            self.open_fraction_fridge if link.startswith("fridge/") else self.open_fraction_drawer
+        )
 
 
 @dataclass(frozen=True)
@@ -188,7 +192,9 @@ def _fetch_and_place(target: Target) -> list[Subtask]:
     """Navigate to the object, pick it, carry it to its goal, place it."""
     kind = SubtaskKind
     return [
-        Subtask(kind.NAVIGATE, link=target.start_link, goal_pos=target.start_pos, toward=target.obj),
+        Subtask(
+            kind.NAVIGATE, link=target.start_link, goal_pos=target.start_pos, toward=target.obj
+        ),
         Subtask(kind.PICK, obj=target.obj, link=target.start_link),
         Subtask(
             kind.NAVIGATE,
@@ -205,9 +211,12 @@ def _fetch_and_place(target: Target) -> list[Subtask]:
 def _open_fetch_place_close(target: Target) -> list[Subtask]:
     """The chain of one SetTable object: its drawer or door is opened before and closed after."""
     kind = SubtaskKind
-    link, handle = target.start_link, target.handle_pos
+    link = target.start_link
+    handle = target.handle_pos
     if not link:
-        raise UsageError(f"set_table needs a start_link for {target.obj!r}: the drawer or door it starts behind.")
+        raise UsageError(
+            f"set_table needs a start_link for {target.obj!r}: the drawer or door it starts behind."
+        )
     go = Subtask(kind.NAVIGATE, link=link, goal_pos=handle, toward=link)
     opening = Subtask(kind.OPEN, obj=target.obj, link=link, goal_pos=handle)
     closing = Subtask(kind.CLOSE, link=link, goal_pos=handle)
@@ -229,7 +238,9 @@ def chain(task: str, targets: Sequence[Target], home: str = "") -> TaskPlan:
     if task not in TASKS:
         raise unknown_name("task", task, TASKS)
     if not 1 <= len(targets) <= TARGETS_PER_TASK[task]:
-        raise UsageError(f"{task} handles 1 to {TARGETS_PER_TASK[task]} objects, got {len(targets)} targets.")
+        raise UsageError(
+            f"{task} handles 1 to {TARGETS_PER_TASK[task]} objects, got {len(targets)} targets."
+        )
     build = _open_fetch_place_close if task == "set_table" else _fetch_and_place
     return TaskPlan(task, tuple(subtask for target in targets for subtask in build(target)), home)
 
@@ -312,7 +323,8 @@ def front_box(link: str, pos_xy: tuple[float, float], yaw: float) -> Box:
     if furniture not in FRONT_AREAS:
         raise unknown_name("furniture", furniture, FRONT_AREAS)
     near, far, half = FRONT_AREAS[furniture]
-    cos, sin = math.cos(yaw), math.sin(yaw)
+    cos = math.cos(yaw)
+    sin = math.sin(yaw)
     corners = [(x, y) for x in (near, far) for y in (-half, half)]
     xs = [pos_xy[0] + cos * x - sin * y for x, y in corners]
     ys = [pos_xy[1] + sin * x + cos * y for x, y in corners]

@@ -103,7 +103,9 @@ def accumulate(progress: Progress, robot_force: Array) -> Progress:
     )
 
 
-def advance(progress: Progress, signals: Signals, plan: PlanArrays, config: TaskConfig) -> tuple[Progress, Outcome]:
+def advance(
+    progress: Progress, signals: Signals, plan: PlanArrays, config: TaskConfig
+) -> tuple[Progress, Outcome]:
     """Move on to the next subtask where the active one is completed; end episodes that failed or are done.
 
     A subtask is completed when it succeeds (its force within the limit) while every finished Place still holds.
@@ -129,7 +131,16 @@ def advance(progress: Progress, signals: Signals, plan: PlanArrays, config: Task
     done = success | fail
     moved = advanced & ~success
     outcome = Outcome(
-        advanced, success, fail, timeout, force_exceeded, place_broken, done, advanced | done, advanced, advanced
+        advanced,
+        success,
+        fail,
+        timeout,
+        force_exceeded,
+        place_broken,
+        done,
+        advanced | done,
+        advanced,
+        advanced,
     )
     new = Progress(
         pointer,
@@ -144,7 +155,9 @@ def advance(progress: Progress, signals: Signals, plan: PlanArrays, config: Task
     return new, outcome
 
 
-def _advance_continuous(progress: Progress, signals: Signals, hold_steps: int) -> tuple[Progress, Outcome]:
+def _advance_continuous(
+    progress: Progress, signals: Signals, hold_steps: int
+) -> tuple[Progress, Outcome]:
     """The single-subtask rule of ``advance``: the horizon ends the episode, or ``hold_steps`` after its outcome."""
     alive = ~progress.done
     now = alive & signals.success & signals.force_ok
@@ -153,12 +166,16 @@ def _advance_continuous(progress: Progress, signals: Signals, hold_steps: int) -
     force_exceeded = alive & ~signals.force_ok
     no = alive & ~alive
     fail = force_exceeded | (timeout & ~once)
-    outcome = Outcome(no, now, fail, timeout & ~now, force_exceeded, no, timeout, timeout, once, now)
+    outcome = Outcome(
+        no, now, fail, timeout & ~now, force_exceeded, no, timeout, timeout, once, now
+    )
     steps_left = progress.steps_left
     if hold_steps >= 0:
         xp = namespace(steps_left)
         decided = (now & ~progress.success_once) | force_exceeded
-        steps_left = xp.where(decided, xp.minimum(steps_left, xp.full_like(steps_left, hold_steps)), steps_left)
+        steps_left = xp.where(
+            decided, xp.minimum(steps_left, xp.full_like(steps_left, hold_steps)), steps_left
+        )
     new = replace(
         progress,
         steps_left=steps_left,

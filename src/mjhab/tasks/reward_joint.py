@@ -29,7 +29,9 @@ OPEN_TERMS = (
     Term("reach", 3.0, "reaching", "hand to the handle: 1 - tanh(d)"),
     Term("grasp", 5.0, "gripping", "the handle is grasped, in place of reach"),
     Term("opened", 6.0, "opened", "the link is open, in place of reach and grasp"),
-    Term("progress", 6.0, ALWAYS, "share of the way from closed to the opening that counts as open"),
+    Term(
+        "progress", 6.0, ALWAYS, "share of the way from closed to the opening that counts as open"
+    ),
     Term("started", 3.0, "started", "the joint has left its closed end by 0.01"),
     Term("gentle", 3.0, "gentle", "the joint moves at 2 rad/s (door), 1 m/s (drawer) or less"),
     Term("posture", 2.0, "opened", "torso, head and arm to rest: 1 - tanh(|q - rest|)"),
@@ -42,8 +44,11 @@ OPEN_TERMS = (
 _OPEN_SHARPNESS = {"reach": 1.0, "posture": 1.0, "rest": 1.0, "still": 1.0}
 
 
-def _open(view: RewardView, config: TaskConfig, published: bool = False) -> tuple[dict[str, Array], dict[str, Array]]:
-    world, signals = view.world, view.signals
+def _open(
+    view: RewardView, config: TaskConfig, published: bool = False
+) -> tuple[dict[str, Array], dict[str, Array]]:
+    world = view.world
+    signals = view.signals
     distances = {
         "reach": view.handle_distance,
         "posture": posture_error(world, config),
@@ -55,7 +60,8 @@ def _open(view: RewardView, config: TaskConfig, published: bool = False) -> tupl
     opening = world.joint_q - world.joint_min
     raw["progress"] = 1 - share_left(way - opening, way, bounded=not published)
     raw["torso_up"] = view.torso_up
-    opened, grasped = signals.opened, signals.is_grasped
+    opened = signals.opened
+    grasped = signals.is_grasped
     # The original compares the velocity itself: a door that falls shut counts as gentle.
     speed = view.joint_qd if published else namespace(opening).abs(view.joint_qd)
     when = {
@@ -86,10 +92,22 @@ OPEN = RewardTable(
 CLOSE_TERMS = (
     Term("reach", 7.0, "reaching", "hand to the handle: 1 - tanh(d)"),
     Term("grasp", 7.5, "gripping", "the handle is grasped, in place of reach"),
-    Term("closed", 8.0, "closed", "closed with the hand at the handle, in place of reach and grasp"),
-    Term("progress", 5.0, ALWAYS, "share of the way from fully open to the opening that counts as closed"),
+    Term(
+        "closed", 8.0, "closed", "closed with the hand at the handle, in place of reach and grasp"
+    ),
+    Term(
+        "progress",
+        5.0,
+        ALWAYS,
+        "share of the way from fully open to the opening that counts as closed",
+    ),
     Term("gentle", 5.0, "gentle", "the joint moves at 2 rad/s (door), 1 m/s (drawer) or less"),
-    Term("posture", 1.0, "away", "torso, head and arm to rest: 1 - (tanh e + tanh(e / 5)) / 2, e = |q - rest|"),
+    Term(
+        "posture",
+        1.0,
+        "away",
+        "torso, head and arm to rest: 1 - (tanh e + tanh(e / 5)) / 2, e = |q - rest|",
+    ),
     Term("posture_closed", 10.0, "closed", "as posture"),
     Term("torso_up", 1.0, "closed", "height of the torso as a share of its travel"),
     Term("rest", 2.0, "closed", "hand to its rest point: 1 - (tanh d + tanh(3 d)) / 2"),
@@ -97,12 +115,23 @@ CLOSE_TERMS = (
     Term("success", 3.0, "success", "the subtask is achieved"),
 )
 
-_CLOSE_SHARPNESS = {"reach": 1.0, "posture": 1.0, "posture_far": 0.2, "rest": 1.0, "rest_near": 3.0, "still": 1.0}
+_CLOSE_SHARPNESS = {
+    "reach": 1.0,
+    "posture": 1.0,
+    "posture_far": 0.2,
+    "rest": 1.0,
+    "rest_near": 3.0,
+    "still": 1.0,
+}
 
 
-def _close(view: RewardView, config: TaskConfig, published: bool = False) -> tuple[dict[str, Array], dict[str, Array]]:
-    world, signals = view.world, view.signals
-    posture, rest = posture_error(world, config), rest_distance(world, config)
+def _close(
+    view: RewardView, config: TaskConfig, published: bool = False
+) -> tuple[dict[str, Array], dict[str, Array]]:
+    world = view.world
+    signals = view.signals
+    posture = posture_error(world, config)
+    rest = rest_distance(world, config)
     distances = {
         "reach": view.handle_distance,
         "posture": posture,
@@ -116,9 +145,12 @@ def _close(view: RewardView, config: TaskConfig, published: bool = False) -> tup
     raw["rest"] = (raw["rest"] + raw["rest_near"]) / 2
     span = world.joint_max - world.joint_min
     way = (1 - config.close_fraction) * span
-    raw["progress"] = 1 - share_left(way - (world.joint_max - world.joint_q), way, bounded=not published)
+    raw["progress"] = 1 - share_left(
+        way - (world.joint_max - world.joint_q), way, bounded=not published
+    )
     raw["torso_up"] = view.torso_up
-    closed, grasped = view.closed_near, signals.is_grasped
+    closed = view.closed_near
+    grasped = signals.is_grasped
     when = {
         "reaching": ~(closed | grasped),
         "gripping": grasped & ~closed,
@@ -145,7 +177,11 @@ def closed_near(before: Array, closed: Array, distance: Array) -> Array:
 CLOSE = RewardTable(
     SubtaskKind.CLOSE,
     CLOSE_TERMS,
-    cases=(("gentle", "away", "reaching"), ("gentle", "away", "gripping"), ("gentle", "closed", "resting", "success")),
+    cases=(
+        ("gentle", "away", "reaching"),
+        ("gentle", "away", "gripping"),
+        ("gentle", "closed", "resting", "success"),
+    ),
     published=37.0,
     raw=_close,
     raw_published=partial(_close, published=True),

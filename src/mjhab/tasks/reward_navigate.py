@@ -35,16 +35,25 @@ NAVIGATE_TERMS = (
 )
 
 _SHARPNESS = {
-    "approach": 0.1, "forward": 2.0, "heading": 0.5, "base_still": 1 / 3, "still": 1.0, "force": 3.0, "posture": 0.2,
+    "approach": 0.1,
+    "forward": 2.0,
+    "heading": 0.5,
+    "base_still": 1 / 3,
+    "still": 1.0,
+    "force": 3.0,
+    "posture": 0.2,
     "rest": 3.0,
-}  # fmt: skip
+}
 
 
 def _navigate(view: RewardView, config: TaskConfig) -> tuple[dict[str, Array], dict[str, Array]]:
-    world, signals = view.world, view.signals
+    world = view.world
+    signals = view.signals
     xp = namespace(world.base_pose)
-    cos, sin = xp.cos(world.base_pose[:, 2]), xp.sin(world.base_pose[:, 2])
-    dx, dy = view.goal_pos[:, 0] - world.base_pose[:, 0], view.goal_pos[:, 1] - world.base_pose[:, 1]
+    cos = xp.cos(world.base_pose[:, 2])
+    sin = xp.sin(world.base_pose[:, 2])
+    dx = view.goal_pos[:, 0] - world.base_pose[:, 0]
+    dy = view.goal_pos[:, 1] - world.base_pose[:, 1]
     bearing = xp.atan2(cos * dy - sin * dx, cos * dx + sin * dy)
     distances = {
         "approach": view.nav_distance,
@@ -75,7 +84,11 @@ def _navigate(view: RewardView, config: TaskConfig) -> tuple[dict[str, Array], d
 NAVIGATE = RewardTable(
     SubtaskKind.NAVIGATE,
     NAVIGATE_TERMS,
-    cases=(("ready", "far"), ("ready", "near", "misaligned"), ("ready", "near", "aligned", "settled")),
+    cases=(
+        ("ready", "far"),
+        ("ready", "near", "misaligned"),
+        ("ready", "near", "aligned", "settled"),
+    ),
     published=28.0,
     raw=_navigate,
 )

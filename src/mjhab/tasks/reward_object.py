@@ -33,7 +33,9 @@ PICK_TERMS = (
     Term("force_limit", 2.0, "force_ok", "the force so far is within the limit"),
     Term("grasp", 2.0, "grasped", "the object is grasped"),
     Term("success", 3.0, "success", "the subtask is achieved"),
-    Term("torso_still", 1.0, "reaching", "torso speed: 1 - tanh(5 v), 1 within 0.3 m of the object"),
+    Term(
+        "torso_still", 1.0, "reaching", "torso speed: 1 - tanh(5 v), 1 within 0.3 m of the object"
+    ),
     Term("above", 1.0, "reaching", "hand over the object: 1 - tanh(5 d), d along the floor"),
     Term("hold", 2.0, "grasped", "the object is held, the way back to rest begins"),
     Term("rest", 5.0, "grasped", "hand to its rest point: 1 - tanh(3 d)"),
@@ -44,17 +46,26 @@ PICK_TERMS = (
 )
 
 _PICK_SHARPNESS = {
-    "reach": 3.0, "slow_hand": 0.2, "posture": 0.2, "force": 3.0, "torso_still": 5.0, "above": 5.0, "rest": 3.0,
-    "base_still": 1.0, "still": 1.0,
-}  # fmt: skip
+    "reach": 3.0,
+    "slow_hand": 0.2,
+    "posture": 0.2,
+    "force": 3.0,
+    "torso_still": 5.0,
+    "above": 5.0,
+    "rest": 3.0,
+    "base_still": 1.0,
+    "still": 1.0,
+}
 
 
 def _pick(view: RewardView, config: TaskConfig) -> tuple[dict[str, Array], dict[str, Array]]:
-    world, signals = view.world, view.signals
+    world = view.world
+    signals = view.signals
     xp = namespace(world.tcp_pos)
     delta = world.tcp_pos - view.object_pos
     distance, hand_speed, base_speed = lengths(delta, view.tcp_vel, world.robot_qd[:, :3])
-    x, y = delta[:, 0], delta[:, 1]
+    x = delta[:, 0]
+    y = delta[:, 1]
     distances = {
         "reach": distance,
         "slow_hand": hand_speed,
@@ -89,14 +100,29 @@ PICK = RewardTable(
 
 PLACE_TERMS = (
     Term("slow_hand", 1.0, ALWAYS, "hand speed: 1 - tanh(v / 5)"),
-    Term("slow_object", 3.0, ALWAYS, "object not thrown: 1 - tanh((|v| + |w|) / 5), 1 while it is grasped"),
+    Term(
+        "slow_object",
+        3.0,
+        ALWAYS,
+        "object not thrown: 1 - tanh((|v| + |w|) / 5), 1 while it is grasped",
+    ),
     Term("force", 3.0, ALWAYS, "contact force over 200 N: 1 - tanh(3 (max(0.001 F, 0.2) - 0.2))"),
     Term("force_limit", 2.0, "force_ok", "the force so far is within the limit"),
     Term("success", 6.0, "success", "the subtask is achieved"),
     Term("grasp", 2.0, "carrying", "the object is grasped and not at its goal"),
     Term("torso_not_sinking", 1.0, "away", "downward torso speed: 1 - tanh(5 v)"),
-    Term("transport", 6.0, "away", "object and hand to the goal: 1 - (tanh d_object + tanh d_hand) / 2"),
-    Term("height", 4.0, "away", "both 5 cm above the goal's height: 1 - tanh((dz_object + dz_hand) / 2)"),
+    Term(
+        "transport",
+        6.0,
+        "away",
+        "object and hand to the goal: 1 - (tanh d_object + tanh d_hand) / 2",
+    ),
+    Term(
+        "height",
+        4.0,
+        "away",
+        "both 5 cm above the goal's height: 1 - tanh((dz_object + dz_hand) / 2)",
+    ),
     Term("placed", 13.0, "placed", "the object is at its goal"),
     Term("rest", 5.0, "placed", "hand to its rest point: 1 - tanh(3 d)"),
     Term("posture", 4.0, "placed", "torso, head and arm to rest: 1 - tanh(|q - rest|)"),
@@ -108,17 +134,33 @@ PLACE_TERMS = (
 )
 
 _PLACE_SHARPNESS = {
-    "slow_hand": 0.2, "slow_object": 0.2, "force": 3.0, "torso_not_sinking": 5.0, "transport": 1.0, "hand": 1.0,
-    "height": 0.5, "rest": 3.0, "posture": 1.0, "base_still": 1.0, "still": 1.0,
-}  # fmt: skip
+    "slow_hand": 0.2,
+    "slow_object": 0.2,
+    "force": 3.0,
+    "torso_not_sinking": 5.0,
+    "transport": 1.0,
+    "hand": 1.0,
+    "height": 0.5,
+    "rest": 3.0,
+    "posture": 1.0,
+    "base_still": 1.0,
+    "still": 1.0,
+}
 
 
 def _place(view: RewardView, config: TaskConfig) -> tuple[dict[str, Array], dict[str, Array]]:
-    world, signals = view.world, view.signals
+    world = view.world
+    signals = view.signals
     xp = namespace(world.tcp_pos)
-    from_goal, hand = view.object_pos - view.goal_pos, world.tcp_pos - view.goal_pos
+    from_goal = view.object_pos - view.goal_pos
+    hand = world.tcp_pos - view.goal_pos
     linear, angular, object_way, hand_way, hand_speed, base_speed = lengths(
-        view.object_vel[:, :3], view.object_vel[:, 3:], from_goal, hand, view.tcp_vel, world.robot_qd[:, :3]
+        view.object_vel[:, :3],
+        view.object_vel[:, 3:],
+        from_goal,
+        hand,
+        view.tcp_vel,
+        world.robot_qd[:, :3],
     )
     distances = {
         "slow_hand": hand_speed,

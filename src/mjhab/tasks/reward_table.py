@@ -86,7 +86,10 @@ class RewardTable:
     @property
     def attainable(self) -> float:
         """The largest sum the terms can reach: in the best of the cases, every raw value 1 (0 if its scale < 0)."""
-        return max(sum(max(t.scale, 0.0) for t in self.terms if t.when in (ALWAYS, *case)) for case in self.cases)
+        return max(
+            sum(max(t.scale, 0.0) for t in self.terms if t.when in (ALWAYS, *case))
+            for case in self.cases
+        )
 
     def in_formula(self, formula: str) -> RewardTable:
         """The table with the raw values of "bounded" or of "published", see `rewards.RewardOptions`."""
@@ -104,9 +107,17 @@ class RewardTable:
         for name, scale in scales.items():
             if name not in {t.name for t in self.terms}:
                 raise unknown_name(f"reward term of {kind}", name, [t.name for t in self.terms])
-            if isinstance(scale, bool) or not isinstance(scale, int | float) or not math.isfinite(scale):
-                raise UsageError(f"the scale of reward term {kind}.{name} must be a finite number, got {scale!r}")
-        terms = tuple(dataclasses.replace(t, scale=float(scales.get(t.name, t.scale))) for t in self.terms)
+            if (
+                isinstance(scale, bool)
+                or not isinstance(scale, int | float)
+                or not math.isfinite(scale)
+            ):
+                raise UsageError(
+                    f"the scale of reward term {kind}.{name} must be a finite number, got {scale!r}"
+                )
+        terms = tuple(
+            dataclasses.replace(t, scale=float(scales.get(t.name, t.scale))) for t in self.terms
+        )
         return dataclasses.replace(self, terms=terms)
 
 
@@ -164,10 +175,12 @@ def lengths(*vectors: Array) -> list[Array]:
 
 def rest_distance(world: WorldState, config: TaskConfig) -> Array:
     """(W,) distance of the tool centre from where it rests in front of the base [m]."""
-    base, tcp = world.base_pose, world.tcp_pos
+    base = world.base_pose
+    tcp = world.tcp_pos
     xp = namespace(base)
     rx, ry, rz = config.ee_rest_pos
-    radius, heading = math.hypot(rx, ry), base[:, 2] + math.atan2(ry, rx)
+    radius = math.hypot(rx, ry)
+    heading = base[:, 2] + math.atan2(ry, rx)
     dx = tcp[:, 0] - base[:, 0] - radius * xp.cos(heading)
     dy = tcp[:, 1] - base[:, 1] - radius * xp.sin(heading)
     dz = tcp[:, 2] - (config.base_height + rz)

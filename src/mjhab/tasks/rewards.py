@@ -37,7 +37,9 @@ __all__ = [
     "reward_table",
 ]
 
-REWARD_TABLES: dict[SubtaskKind, RewardTable] = {t.kind: t for t in (PICK, PLACE, NAVIGATE, OPEN, CLOSE)}
+REWARD_TABLES: dict[SubtaskKind, RewardTable] = {
+    t.kind: t for t in (PICK, PLACE, NAVIGATE, OPEN, CLOSE)
+}
 
 
 def reward_table(kind: str) -> RewardTable:
@@ -118,11 +120,20 @@ class DenseReward:
             kind = reward_table(name).kind
             every[kind] = every[kind].scaled(changes)
         self.tables: dict[int, RewardTable] = {int(kind): every[kind] for kind in kinds}
-        self.names: tuple[str, ...] = tuple(dict.fromkeys(t.name for tb in self.tables.values() for t in tb.terms))
-        self._scales = {k: Table(tuple(t.scale for t in table.terms)) for k, table in self.tables.items()}
-        self._rows = {k: Table(tuple(self.names.index(t.name) for t in tb.terms)) for k, tb in self.tables.items()}
+        self.names: tuple[str, ...] = tuple(
+            dict.fromkeys(t.name for tb in self.tables.values() for t in tb.terms)
+        )
+        self._scales = {
+            k: Table(tuple(t.scale for t in table.terms)) for k, table in self.tables.items()
+        }
+        self._rows = {
+            k: Table(tuple(self.names.index(t.name) for t in tb.terms))
+            for k, tb in self.tables.items()
+        }
         published = options.normaliser == "published"
-        divisors = [every[kind].published if published else every[kind].attainable for kind in SubtaskKind]
+        divisors = [
+            every[kind].published if published else every[kind].attainable for kind in SubtaskKind
+        ]
         # A table whose scales are all zero or negative has nothing to be measured against. Kind -1 reads the end.
         self._normaliser = Table((*(divisor or 1.0 for divisor in divisors), 1.0))
 
@@ -132,7 +143,8 @@ class DenseReward:
         Raises:
             UsageError: a world does a subtask that is not among ``kinds`` (numpy only; elsewhere it scores 0).
         """
-        kind, like = view.signals.kind, view.tcp_vel
+        kind = view.signals.kind
+        like = view.tcp_vel
         present = kinds_at_hand(kind, self.tables.keys())
         normaliser = constant(self._normaliser, like)[kind]
         xp = namespace(like)

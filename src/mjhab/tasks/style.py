@@ -11,11 +11,19 @@ from typing import Any
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.seeding import stream
 
-ANY, TOP, TILTED, SIDE = "any", "top", "tilted", "side"
-PLACE, DROP = "place", "drop"
-PUSH, THROW, GRASP = "push", "throw", "grasp"
-SMOOTH, STEP = "smooth", "step"
-RANGE, OR = "..", ","
+ANY = "any"
+TOP = "top"
+TILTED = "tilted"
+SIDE = "side"
+PLACE = "place"
+DROP = "drop"
+PUSH = "push"
+THROW = "throw"
+GRASP = "grasp"
+SMOOTH = "smooth"
+STEP = "step"
+RANGE = ".."
+OR = ","
 """Between the ends of a range; between words to choose from."""
 
 
@@ -23,17 +31,30 @@ RANGE, OR = "..", ","
 class Style:
     """How an episode is done. The default is the expert as it is; every field is an option of ``--style``."""
 
-    speed: float = field(default=1.0, metadata={"low": 0.3, "high": 1.0, "about": "of all motions; 1 is the fastest"})
+    speed: float = field(
+        default=1.0, metadata={"low": 0.3, "high": 1.0, "about": "of all motions; 1 is the fastest"}
+    )
     grasp: str = field(
         default=ANY,
-        metadata={"words": (ANY, TOP, TILTED, SIDE), "about": "how the hand comes, where the object can be held so"},
+        metadata={
+            "words": (ANY, TOP, TILTED, SIDE),
+            "about": "how the hand comes, where the object can be held so",
+        },
     )
     release: str = field(
         default=PLACE,
-        metadata={"words": (PLACE, DROP), "about": "put it down, or let it fall on its goal where there is room to"},
+        metadata={
+            "words": (PLACE, DROP),
+            "about": "put it down, or let it fall on its goal where there is room to",
+        },
     )
     drop_height: float = field(
-        default=0.18, metadata={"low": 0.0, "high": 0.5, "about": "from how high above its place a drop begins [m]"}
+        default=0.18,
+        metadata={
+            "low": 0.0,
+            "high": 0.5,
+            "about": "from how high above its place a drop begins [m]",
+        },
     )
     close: str = field(
         default=ANY,
@@ -43,19 +64,43 @@ class Style:
         },
     )
     noise: float = field(
-        default=0.0, metadata={"low": 0.0, "high": 0.5, "about": "std on the arm while it moves; 1 is a whole action"}
+        default=0.0,
+        metadata={
+            "low": 0.0,
+            "high": 0.5,
+            "about": "std on the arm while it moves; 1 is a whole action",
+        },
     )
     base_noise: float = field(
-        default=0.0, metadata={"low": 0.0, "high": 0.5, "about": "std on the base while it moves; 1 is a whole action"}
+        default=0.0,
+        metadata={
+            "low": 0.0,
+            "high": 0.5,
+            "about": "std on the base while it moves; 1 is a whole action",
+        },
     )
     noise_kind: str = field(
-        default=SMOOTH, metadata={"words": (SMOOTH, STEP), "about": "noise that drifts, or another one in every step"}
+        default=SMOOTH,
+        metadata={
+            "words": (SMOOTH, STEP),
+            "about": "noise that drifts, or another one in every step",
+        },
     )
     hold: int = field(
-        default=0, metadata={"low": 0, "high": 100, "about": "control steps to stand still at the start of an episode"}
+        default=0,
+        metadata={
+            "low": 0,
+            "high": 100,
+            "about": "control steps to stand still at the start of an episode",
+        },
     )
     dither: float = field(
-        default=0.0, metadata={"low": 0.0, "high": 0.5, "about": "std on the arm while it holds; 1 is a whole action"}
+        default=0.0,
+        metadata={
+            "low": 0.0,
+            "high": 0.5,
+            "about": "std on the arm while it holds; 1 is a whole action",
+        },
     )
 
 
@@ -85,9 +130,13 @@ class Styles:
             if name not in NAMES:
                 raise unknown_name("style", name, NAMES)
             if not equals or not text:
-                raise UsageError(f"--style {word}: give a value, as in {name}={getattr(PLAIN, name)}.")
+                raise UsageError(
+                    f"--style {word}: give a value, as in {name}={getattr(PLAIN, name)}."
+                )
             if name in choices:
-                raise UsageError(f"--style: {name} is given twice; give a range or a list, as in {_SAMPLE}.")
+                raise UsageError(
+                    f"--style: {name} is given twice; give a range or a list, as in {_SAMPLE}."
+                )
             choices[name] = _read(name, text)
         return cls(choices)
 
@@ -154,7 +203,8 @@ def _read(name: str, text: str) -> tuple[Any, ...]:
                 raise unknown_name(f"{name} in --style", word, valid)
         return tuple(sorted(set(words), key=valid.index))
     kind: type[float] = type(getattr(PLAIN, name))
-    low, high = f.metadata["low"], f.metadata["high"]
+    low = f.metadata["low"]
+    high = f.metadata["high"]
     try:
         values = [kind(part) for part in text.split(RANGE)]
     except ValueError:

@@ -57,7 +57,10 @@ ONLY_FOR: dict[str, tuple[SubtaskKind, ...]] = {
 # One column per kind; the last is for kind -1 (finished), which an index of -1 reads. It asks for a check that is
 # never true there, so that a finished plan does not succeed again.
 _APPLIES = Table(
-    tuple(tuple(name not in ONLY_FOR or kind in ONLY_FOR[name] for kind in (*SubtaskKind, None)) for name in CHECKS)
+    tuple(
+        tuple(name not in ONLY_FOR or kind in ONLY_FOR[name] for kind in (*SubtaskKind, None))
+        for name in CHECKS
+    )
 )
 
 
@@ -65,7 +68,9 @@ def _optional(ignore_arm: bool) -> Table:
     """(K, 6): the check is no condition of the kind."""
     needs = dict(CONDITIONS)
     if ignore_arm:
-        needs[SubtaskKind.NAVIGATE] = tuple(n for n in needs[SubtaskKind.NAVIGATE] if n not in ARM_CONDITIONS)
+        needs[SubtaskKind.NAVIGATE] = tuple(
+            n for n in needs[SubtaskKind.NAVIGATE] if n not in ARM_CONDITIONS
+        )
     columns = (*(needs[kind] for kind in SubtaskKind), ("at_goal",))
     return Table(tuple(tuple(name not in column for column in columns) for name in CHECKS))
 

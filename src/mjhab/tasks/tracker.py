@@ -16,7 +16,8 @@ from mjhab.tasks import labels as lb
 from mjhab.tasks.legacy import extend, legacy_label
 from mjhab.tasks.plan import PADDING
 
-_SUCCESS, _AT_GOAL = lb.WATCHED.index("success"), lb.WATCHED.index("at_goal")
+_SUCCESS = lb.WATCHED.index("success")
+_AT_GOAL = lb.WATCHED.index("at_goal")
 
 
 @dataclass
@@ -61,10 +62,14 @@ class SubtaskTracker:
     def set_row(self, w: int, row: dict[str, Any]) -> None:
         """Put what ``get_row`` gave into world ``w``."""
         self._labels = lb.set_row(self._labels, w, row["labels"])
-        self._notes[w] = _Notes([(int(step), str(name)) for step, name in row["events"]], list(row["legacy"]))
+        self._notes[w] = _Notes(
+            [(int(step), str(name)) for step, name in row["events"]], list(row["legacy"])
+        )
         self._begun[w], self._success[w], self._at_goal_first[w] = row["flags"]
 
-    def step(self, kind: Array, signals: lb.Watched, step: Array, live: Array | None = None) -> list[list[str]]:
+    def step(
+        self, kind: Array, signals: lb.Watched, step: Array, live: Array | None = None
+    ) -> list[list[str]]:
         """Add one control step.
 
         Args:
@@ -76,7 +81,8 @@ class SubtaskTracker:
         Returns:
             Names of this step's events per world.
         """
-        before, now = self._labels.now, lb.watch(signals)
+        before = self._labels.now
+        now = lb.watch(signals)
         if self._begun.all() and not to_numpy(before ^ now).any():
             # Nothing changed in any world: there are no events, and every note says so already.
             return [[] for _ in self._notes]
@@ -89,7 +95,9 @@ class SubtaskTracker:
         self._write(to_numpy(kind), names, to_numpy(now), to_numpy(step))
         return names
 
-    def _write(self, kinds: np.ndarray, names: list[list[str]], now: np.ndarray, step: np.ndarray) -> None:
+    def _write(
+        self, kinds: np.ndarray, names: list[list[str]], now: np.ndarray, step: np.ndarray
+    ) -> None:
         """Write the step's events into the notes; the published labels see the first step as if from nothing."""
         live = kinds >= 0
         self._success |= live & now[_SUCCESS]

@@ -22,7 +22,8 @@ from mjhab.render.film import FilmWriter, join_films
 from tests.data.fake_world import SIZE, FakeEnv
 from tests.data.make import chains_and_picks, record
 
-RGB, DEPTH = "observation.images.fetch_head", "observation.depth.fetch_head"
+RGB = "observation.images.fetch_head"
+DEPTH = "observation.depth.fetch_head"
 
 
 @pytest.fixture(scope="module")
@@ -52,30 +53,48 @@ def frames_of(path: Path) -> np.ndarray:
 
 def check_rows(table: Any, episode: Episode, number: int, first: int) -> None:
     count = episode.steps
-    np.testing.assert_array_equal(np.stack(table["observation.state"].to_numpy()), episode.array("obs/state")[:count])
+    np.testing.assert_array_equal(
+        np.stack(table["observation.state"].to_numpy()), episode.array("obs/state")[:count]
+    )
     np.testing.assert_array_equal(np.stack(table["action"].to_numpy()), episode.array("actions"))
     np.testing.assert_allclose(table["timestamp"].to_numpy(), np.arange(count) / 20, atol=1e-6)
     np.testing.assert_array_equal(table["index"].to_numpy(), np.arange(first, first + count))
     assert set(table["episode_index"].to_pylist()) == {number}
-    assert table["next.success"].to_pylist() == episode.array("reward/success").astype(bool).tolist()
+    assert (
+        table["next.success"].to_pylist() == episode.array("reward/success").astype(bool).tolist()
+    )
     assert table["next.done"].to_pylist() == [False] * (count - 1) + [True]
     depth = np.array(table[DEPTH].to_pylist())
     assert depth.shape == (count, SIZE, SIZE)
-    np.testing.assert_array_equal(depth[-1], episode.frame("fetch_head", "depth", count - 1)[..., 0])
+    np.testing.assert_array_equal(
+        depth[-1], episode.frame("fetch_head", "depth", count - 1)[..., 0]
+    )
 
 
 def test_v30_tables_hold_the_source(source: Path, exported: Path) -> None:
     info = json.loads((exported / "meta/info.json").read_text())
-    assert info["codebase_version"] == "v3.0" and info["fps"] == FPS == 20 and info["robot_type"] == "fetch"
+    assert (
+        info["codebase_version"] == "v3.0"
+        and info["fps"] == FPS == 20
+        and info["robot_type"] == "fetch"
+    )
     meta = pq.read_table(exported / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
     data = pq.read_table(exported / "data/chunk-000/file-000.parquet")
-    assert set(data.column_names) == {k for k, f in info["features"].items() if f["dtype"] != "video"}
+    assert set(data.column_names) == {
+        k for k, f in info["features"].items() if f["dtype"] != "video"
+    }
     assert (
-        str(data.schema.field("action").type) == "fixed_size_list<element: float>[13]" and info["total_episodes"] == 5
+        str(data.schema.field("action").type) == "fixed_size_list<element: float>[13]"
+        and info["total_episodes"] == 5
     )
     for number, (row, episode) in enumerate(zip(meta, episodes(source), strict=True)):
-        first, last = row["dataset_from_index"], row["dataset_to_index"]
-        assert (row["episode_index"], row["length"], row["source"]) == (number, episode.steps, episode.name)
+        first = row["dataset_from_index"]
+        last = row["dataset_to_index"]
+        assert (row["episode_index"], row["length"], row["source"]) == (
+            number,
+            episode.steps,
+            episode.name,
+        )
         check_rows(data.slice(first, last - first), episode, number, first)
         np.testing.assert_allclose(row["stats/action/max"], episode.array("actions").max(axis=0))
     assert meta[-1]["dataset_to_index"] == len(data) == info["total_frames"]
@@ -93,7 +112,8 @@ def test_v30_tasks_and_subtasks_are_named(source: Path, exported: Path) -> None:
     for episode in episodes(source):
         plan = [subtask_words(entry.kind, entry.target) for entry in episode.record.plan]
         active = episode.array("subtasks/active")[: episode.steps]
-        mine, said = said[: episode.steps], said[episode.steps :]
+        mine = said[: episode.steps]
+        said = said[episode.steps :]
         assert mine == [plan[i] for i in active]
 
 
@@ -105,7 +125,9 @@ def test_v30_film_shows_the_frames_at_their_times(source: Path, exported: Path) 
     for row, episode in zip(meta, episodes(source), strict=True):
         start = row[f"videos/{RGB}/from_timestamp"]
         assert row[f"videos/{RGB}/to_timestamp"] - start == pytest.approx(episode.steps / FPS)
-        wanted = np.stack([episode.frame("fetch_head", "rgb", t) for t in range(episode.steps)]).astype(int)
+        wanted = np.stack(
+            [episode.frame("fetch_head", "rgb", t) for t in range(episode.steps)]
+        ).astype(int)
         got = shown[round(start * FPS) :][: episode.steps]
         assert np.abs(got - wanted).mean() < 8
         assert np.abs(got.mean(axis=(1, 2)) - wanted.mean(axis=(1, 2))).max() < 8
@@ -118,19 +140,33 @@ def test_v21_has_a_file_per_episode(source: Path, tmp_path: Path) -> None:
     first = 0
     for number, episode in enumerate(episodes(source)):
         place = {"episode_chunk": 0, "episode_index": number, "video_key": RGB}
-        check_rows(pq.read_table(tmp_path / "set" / info["data_path"].format(**place)), episode, number, first)
+        check_rows(
+            pq.read_table(tmp_path / "set" / info["data_path"].format(**place)),
+            episode,
+            number,
+            first,
+        )
         film = tmp_path / "set" / info["video_path"].format(**place)
         assert imageio_ffmpeg.count_frames_and_secs(str(film))[0] == episode.steps
         first += episode.steps
-    lines = {name: (tmp_path / f"set/meta/{name}.jsonl").read_text().splitlines()
-             for name in ("tasks", "subtasks", "episodes", "episodes_stats")}  # fmt: skip
+    lines = {
+        name: (tmp_path / f"set/meta/{name}.jsonl").read_text().splitlines()
+        for name in ("tasks", "subtasks", "episodes", "episodes_stats")
+    }
     assert json.loads(lines["tasks"][1]) == {"task_index": 1, "task": "Pick up the bowl."}
     stats = json.loads(lines["episodes_stats"][4])["stats"]
-    assert set(stats["action"]) == {"min", "max", "mean", "std", "count"} and np.shape(stats[RGB]["mean"]) == (3, 1, 1)
+    assert set(stats["action"]) == {"min", "max", "mean", "std", "count"} and np.shape(
+        stats[RGB]["mean"]
+    ) == (3, 1, 1)
 
 
 def test_choice_filter_and_bad_input(source: Path, tmp_path: Path) -> None:
-    done = export(source, tmp_path / "a", where=Filter("subtask == 'pick'"), choice=Choice(rgb=False, depth=False))
+    done = export(
+        source,
+        tmp_path / "a",
+        where=Filter("subtask == 'pick'"),
+        choice=Choice(rgb=False, depth=False),
+    )
     assert (done.episodes, done.images) == (2, ()) and not (tmp_path / "a/videos").exists()
     assert json.loads((tmp_path / "a/meta/info.json").read_text())["video_path"] is None
     with pytest.raises(UsageError, match=r"exists already.*--overwrite"):
@@ -159,23 +195,37 @@ def test_an_export_appears_whole_or_not_at_all(source: Path, tmp_path: Path) -> 
 def test_episodes_that_differ_are_refused(source: Path, tmp_path: Path) -> None:
     record(tmp_path / "plain.h5", [7], FakeEnv())
     with pytest.raises(UsageError, match=r"differs .* in observation.*--no-rgb"):
-        export_lerobot([source, tmp_path / "plain.h5"], tmp_path / "set", FilmTools(FilmWriter, join_films))
+        export_lerobot(
+            [source, tmp_path / "plain.h5"], tmp_path / "set", FilmTools(FilmWriter, join_films)
+        )
     assert not list(tmp_path.glob(".*")) and not (tmp_path / "set").exists()
 
 
 def test_statistics_of_parts_are_those_of_the_whole() -> None:
     rng = np.random.default_rng(0)
     pieces = [rng.normal(loc=i, size=(20 + 10 * i, 3)) for i in range(3)]
-    whole, parts = vector_stats(np.concatenate(pieces)), aggregate([{"a": vector_stats(p)} for p in pieces])["a"]
+    whole = vector_stats(np.concatenate(pieces))
+    parts = aggregate([{"a": vector_stats(p)} for p in pieces])["a"]
     for name in ("min", "max", "mean", "std", "count"):
         np.testing.assert_allclose(parts[name], whole[name])
     image = image_stats(np.full((4, 5, 6, 3), [0, 51, 255], np.uint8))
-    assert image["mean"].shape == (3, 1, 1) and image["mean"].ravel().tolist() == pytest.approx([0.0, 0.2, 1.0])
+    assert image["mean"].shape == (3, 1, 1) and image["mean"].ravel().tolist() == pytest.approx(
+        [0.0, 0.2, 1.0]
+    )
     assert image["count"].tolist() == [4]
 
 
 def test_words_and_names() -> None:
-    assert thing("024_bowl_:0003") == "the bowl" and thing("fridge/top_door") == "the top door of the fridge"
-    names = state_names({"agent/qpos": 12, "extra/tcp_pose_wrt_base": 7, "extra/is_grasped": 1, "other/new": 2})
+    assert (
+        thing("024_bowl_:0003") == "the bowl"
+        and thing("fridge/top_door") == "the top door of the fridge"
+    )
+    names = state_names(
+        {"agent/qpos": 12, "extra/tcp_pose_wrt_base": 7, "extra/is_grasped": 1, "other/new": 2}
+    )
     assert len(names) == len(set(names)) == 22
-    assert names[0] == "qpos.torso_lift" and names[15] == "tcp_pose_wrt_base.qw" and names[-1] == "new.1"
+    assert (
+        names[0] == "qpos.torso_lift"
+        and names[15] == "tcp_pose_wrt_base.qw"
+        and names[-1] == "new.1"
+    )

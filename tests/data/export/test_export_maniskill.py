@@ -23,7 +23,9 @@ from tests.data.make import record
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("source")
-    record(folder / "picks.h5", range(3), FakeEnv(subtask="pick", images=True), images=ImageFormat())
+    record(
+        folder / "picks.h5", range(3), FakeEnv(subtask="pick", images=True), images=ImageFormat()
+    )
     record(folder / "opens.h5", range(2), FakeEnv(subtask="open"))
     record(folder / "chains.h5", [0], FakeEnv())
     return folder
@@ -31,15 +33,20 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def joined(group: Any, count: int) -> np.ndarray:
     """The state as mshab/train_bc.py joins it: members in the order in which HDF5 lists them."""
-    parts = [group["obs"][name][key][:count] for name in ("agent", "extra") for key in group["obs"][name]]
+    parts = [
+        group["obs"][name][key][:count] for name in ("agent", "extra") for key in group["obs"][name]
+    ]
     return np.concatenate([part[:, None] if part.ndim == 1 else part for part in parts], axis=1)
 
 
 def test_layout_and_contents(source: Path, tmp_path: Path) -> None:
     done = export_maniskill(source, tmp_path / "out")
     names = sorted(str(path.relative_to(tmp_path / "out")) for path in done.files)
-    assert names == ["set_table/open/kitchen_counter.h5", "set_table/pick/024_bowl.h5",
-                     "set_table/sequential_task/all.h5"]  # fmt: skip
+    assert names == [
+        "set_table/open/kitchen_counter.h5",
+        "set_table/pick/024_bowl.h5",
+        "set_table/sequential_task/all.h5",
+    ]
     assert (done.episodes, done.without_depth) == (6, 3)
     said = json.loads((tmp_path / "out/set_table/pick/024_bowl.json").read_text())
     assert said["source_type"] == "mjhab" and said["env_info"]["env_id"] == "PickSubtaskTrain-v0"
@@ -50,7 +57,8 @@ def test_layout_and_contents(source: Path, tmp_path: Path) -> None:
 
 
 def check(group: Any, episode: Episode, number: int, info: dict[str, Any]) -> None:
-    count, record_ = episode.steps, episode.record
+    count = episode.steps
+    record_ = episode.record
     np.testing.assert_array_equal(group["actions"], episode.array("actions"))
     for name in ("terminated", "truncated", "success", "fail"):
         assert group[name].shape == (count,) and group[name].dtype == bool
@@ -60,12 +68,16 @@ def check(group: Any, episode: Episode, number: int, info: dict[str, Any]) -> No
     images = group["obs/sensor_data/fetch_head"]
     assert images["rgb"].shape == (count + 1, SIZE, SIZE, 3) and images["rgb"].compression_opts == 5
     assert images["depth"].shape == (count + 1, SIZE, SIZE, 1) and images["depth"].dtype == np.int16
-    np.testing.assert_array_equal(images["depth"][count], episode.frame("fetch_head", "depth", count))
+    np.testing.assert_array_equal(
+        images["depth"][count], episode.frame("fetch_head", "depth", count)
+    )
     assert group["obs/sensor_param/fetch_head/intrinsic_cv"].shape == (count + 1, 3, 3)
     assert group["obs/extra/is_grasped"].dtype == bool
     assert (info["episode_id"], info["elapsed_steps"], info["label"]) == (
-        number, count, record_.subtasks[-1].label,
-    )  # fmt: skip
+        number,
+        count,
+        record_.subtasks[-1].label,
+    )
     assert info["success_once"] == record_.success_once
     assert info["legacy_label"] == record_.subtasks[-1].legacy_label
     theirs = {"excessive_collisions": "exceeded_cumulative_force_limit"}
@@ -74,7 +86,11 @@ def check(group: Any, episode: Episode, number: int, info: dict[str, Any]) -> No
     verbose = [[step - 1, theirs.get(e, e), None] for step, e in record_.events]
     assert [each for each in info["events_verbose"] if each[1] != "collision"] == verbose
     collisions = [each for each in info["events_verbose"] if each[1] == "collision"]
-    met = {step: force for steps, _, forces in collisions for step, force in zip(steps, forces, strict=True)}
+    met = {
+        step: force
+        for steps, _, forces in collisions
+        for step, force in zip(steps, forces, strict=True)
+    }
     assert met == {step: force for step, force in enumerate(record_.force) if force > 0}
 
 
@@ -96,5 +112,9 @@ def test_groups_keep_the_order_of_the_state(source: Path, tmp_path: Path) -> Non
     record(tmp_path / "a.h5", [0], env)
     done = export_maniskill(tmp_path / "a.h5", tmp_path / "out")
     with h5py.File(done.files[0]) as file:
-        assert list(file["traj_0/obs/extra"]) == ["tcp_pose_wrt_base", "goal_pos_wrt_base", "is_grasped"]  # type: ignore[arg-type]
+        assert list(file["traj_0/obs/extra"]) == [
+            "tcp_pose_wrt_base",
+            "goal_pos_wrt_base",
+            "is_grasped",
+        ]  # type: ignore[arg-type]
         assert joined(file["traj_0"], 3)[0, 4:11].tolist() == list(range(7))

@@ -55,7 +55,11 @@ def export(request: pytest.FixtureRequest) -> Export:
 
 
 def bytes_of(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
 
 
 @pytest.fixture(scope="module")
@@ -100,11 +104,16 @@ class Killed(BaseException):
 
 @pytest.mark.parametrize("name", ["replace", "pwrite", "fsync"])
 def test_a_stop_at_any_change_of_a_file(
-    source: Path, tmp_path: Path, export: Export, whole: dict[Any, dict[str, bytes]], name: str,
+    source: Path,
+    tmp_path: Path,
+    export: Export,
+    whole: dict[Any, dict[str, bytes]],
+    name: str,
     monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
+) -> None:
     """Every go gets a few changes further; what is there between them is a whole export or none."""
-    real, left = getattr(os, name), [0]
+    real = getattr(os, name)
+    left = [0]
 
     def call(*args: Any, **options: Any) -> Any:
         left[0] -= 1
@@ -152,9 +161,13 @@ def test_a_kill(source: Path, tmp_path: Path, whole: dict[Any, dict[str, bytes]]
 
 
 def test_in_the_middle_of_a_film(
-    source: Path, tmp_path: Path, whole: dict[Any, dict[str, bytes]], monkeypatch: pytest.MonkeyPatch
+    source: Path,
+    tmp_path: Path,
+    whole: dict[Any, dict[str, bytes]],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    add, frames = FilmWriter.add, [0]
+    add = FilmWriter.add
+    frames = [0]
 
     def interrupted(self: FilmWriter, frame: Any) -> None:
         frames[0] += 1
@@ -170,13 +183,17 @@ def test_in_the_middle_of_a_film(
     assert bytes_of(tmp_path / "set") == whole[lerobot]
 
 
-def test_what_was_begun_is_not_mixed_with_something_else(source: Path, tmp_path: Path, export: Export) -> None:
+def test_what_was_begun_is_not_mixed_with_something_else(
+    source: Path, tmp_path: Path, export: Export
+) -> None:
     out = tmp_path / "set"
     with pytest.raises(KeyboardInterrupt):
         export(source, out, begin=stop_after(2))
     with pytest.raises(UsageError, match=r"begun and stopped; add --resume .* --overwrite"):
         export(source, out)
-    with pytest.raises(UsageError, match=r"begun with another episodes \(episodes: '5 of .*now '2 of "):
+    with pytest.raises(
+        UsageError, match=r"begun with another episodes \(episodes: '5 of .*now '2 of "
+    ):
         export(source, out, where=Filter("subtask == 'pick'"), resume=True)
     export(source, out, where=Filter("subtask == 'pick'"), overwrite=True)
     assert [path.name for path in tmp_path.iterdir()] == ["set"]
@@ -193,5 +210,12 @@ def test_options_of_films_and_images_must_be_the_same(source: Path, tmp_path: Pa
     with pytest.raises(KeyboardInterrupt):
         lerobot(source, tmp_path / "set", options={"quality": 18}, begin=stop_after(1))
     with pytest.raises(UsageError, match="begun with another depth, quality, version"):
-        lerobot(source, tmp_path / "set", "2.1", options={"quality": 20}, choice=Choice(depth=False), resume=True)
+        lerobot(
+            source,
+            tmp_path / "set",
+            "2.1",
+            options={"quality": 20},
+            choice=Choice(depth=False),
+            resume=True,
+        )
     lerobot(source, tmp_path / "set", options={"quality": 18}, resume=True)

@@ -30,7 +30,9 @@ STEPS = 6
 SIDE = 8
 
 
-def original(folder: Path, count: int = 3, subtask: str = "pick", name: str = "024_bowl", **changes: Any) -> Path:
+def original(
+    folder: Path, count: int = 3, subtask: str = "pick", name: str = "024_bowl", **changes: Any
+) -> Path:
     """A file as mshab/envs/wrappers/record.py writes it, with other values in the JSON of episodes for ``changes``."""
     path = folder / "set_table" / subtask / f"{name}.h5"
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -43,32 +45,69 @@ def original(folder: Path, count: int = 3, subtask: str = "pick", name: str = "0
             agent, extra = (obs.create_group(part, track_order=True) for part in ("agent", "extra"))
             for key, width in (("qpos", 12), ("qvel", 12)):
                 agent[key] = rng.normal(size=(STEPS + 1, width)).astype(np.float32)
-            for key, width in (("tcp_pose_wrt_base", 7), ("obj_pose_wrt_base", 7), ("goal_pos_wrt_base", 3)):
+            for key, width in (
+                ("tcp_pose_wrt_base", 7),
+                ("obj_pose_wrt_base", 7),
+                ("goal_pos_wrt_base", 3),
+            ):
                 extra[key] = rng.normal(size=(STEPS + 1, width)).astype(np.float32)
             extra["is_grasped"] = np.arange(STEPS + 1) > 2
             for camera in ("fetch_head", "fetch_hand"):
-                obs[f"sensor_param/{camera}/intrinsic_cv"] = np.tile(np.eye(3, dtype=np.float32), (STEPS + 1, 1, 1))
+                obs[f"sensor_param/{camera}/intrinsic_cv"] = np.tile(
+                    np.eye(3, dtype=np.float32), (STEPS + 1, 1, 1)
+                )
                 depth = rng.integers(0, 9000, (STEPS + 1, SIDE, SIDE, 1)).astype(np.int16)
-                obs.create_dataset(f"sensor_data/{camera}/depth", data=depth, compression="gzip", compression_opts=5)
-                obs[f"sensor_data/{camera}/rgb"] = rng.integers(0, 256, (STEPS + 1, SIDE, SIDE, 3)).astype(np.uint8)
+                obs.create_dataset(
+                    f"sensor_data/{camera}/depth",
+                    data=depth,
+                    compression="gzip",
+                    compression_opts=5,
+                )
+                obs[f"sensor_data/{camera}/rgb"] = rng.integers(
+                    0, 256, (STEPS + 1, SIDE, SIDE, 3)
+                ).astype(np.uint8)
             trajectory["actions"] = rng.uniform(-1, 1, (STEPS, 13)).astype(np.float32)
             trajectory["terminated"] = np.zeros(STEPS, bool)
             trajectory["truncated"] = np.arange(STEPS) == STEPS - 1
             trajectory["success"] = np.arange(STEPS) >= 4
             trajectory["fail"] = np.zeros(STEPS, bool)
             trajectory["rewards"] = rng.random(STEPS).astype(np.float32)
-            verbose = [[1, "contact", None], [[1, 2], "collision", [12.34, 1500.0]], [2, "grasped", None]]
+            verbose = [
+                [1, "contact", None],
+                [[1, 2], "collision", [12.34, 1500.0]],
+                [2, "grasped", None],
+            ]
             episode = {
-                "episode_id": number, "episode_seed": [2024] * 4, "build_config_idx": 7, "task_plan_idx": 3,
-                "init_config_idx": 1, "spawn_selection_idx": 2, "control_mode": "pd_joint_delta_pos",
-                "elapsed_steps": STEPS, "label": "straightforward_success",
-                "events": ["contact", "grasped", "success"], "events_verbose": [*verbose, [4, "success", None]],
-                "articulation_type": None, "reset_kwargs": {}, "success_once": True, "success_at_end": True,
+                "episode_id": number,
+                "episode_seed": [2024] * 4,
+                "build_config_idx": 7,
+                "task_plan_idx": 3,
+                "init_config_idx": 1,
+                "spawn_selection_idx": 2,
+                "control_mode": "pd_joint_delta_pos",
+                "elapsed_steps": STEPS,
+                "label": "straightforward_success",
+                "events": ["contact", "grasped", "success"],
+                "events_verbose": [*verbose, [4, "success", None]],
+                "articulation_type": None,
+                "reset_kwargs": {},
+                "success_once": True,
+                "success_at_end": True,
                 "fail": False,
-            }  # fmt: skip
+            }
             told.append(episode | changes)
-    env = {"env_id": f"{subtask.capitalize()}SubtaskTrain-v0", "env_kwargs": {}, "max_episode_steps": STEPS}
-    said = {"env_info": env, "commit_info": {}, "source_type": "RL", "source_desc": "policy", "episodes": told}
+    env = {
+        "env_id": f"{subtask.capitalize()}SubtaskTrain-v0",
+        "env_kwargs": {},
+        "max_episode_steps": STEPS,
+    }
+    said = {
+        "env_info": env,
+        "commit_info": {},
+        "source_type": "RL",
+        "source_desc": "policy",
+        "episodes": told,
+    }
     path.with_suffix(".json").write_text(json.dumps(said))
     return path
 
@@ -99,9 +138,15 @@ def test_an_export_comes_back(tmp_path: Path) -> None:
         assert new.images == old.images
         for camera, output in old.images:
             for t in (0, old.steps):
-                np.testing.assert_array_equal(new.frame(camera, output, t), old.frame(camera, output, t))
-        assert new.attributes["ending"] == old.attributes["ending"] and new.terminated == old.terminated
-        was, now = old.record, new.record
+                np.testing.assert_array_equal(
+                    new.frame(camera, output, t), old.frame(camera, output, t)
+                )
+        assert (
+            new.attributes["ending"] == old.attributes["ending"]
+            and new.terminated == old.terminated
+        )
+        was = old.record
+        now = new.record
         for name in (
             "seed",
             "index",
@@ -124,7 +169,10 @@ def test_an_export_comes_back(tmp_path: Path) -> None:
 def test_a_file_of_the_original(tmp_path: Path) -> None:
     path = original(tmp_path)
     done = import_ms_hab(path, tmp_path / "shards")
-    assert done.shard == tmp_path / "shards/set_table/pick/024_bowl.h5" and (done.episodes, done.frames) == (3, 18)
+    assert done.shard == tmp_path / "shards/set_table/pick/024_bowl.h5" and (
+        done.episodes,
+        done.frames,
+    ) == (3, 18)
     with h5py.File(path) as file:
         for number, episode in enumerate(episodes(done.shard)):
             obs: Any = file[f"traj_{number}/obs"]
@@ -137,14 +185,27 @@ def test_a_file_of_the_original(tmp_path: Path) -> None:
             np.testing.assert_array_equal(episode.array("obs/state"), state.astype(np.float32))
             assert (episode.observation("extra/obj_pose_wrt_base")[:, 3] >= 0).all()
             depth = np.array(obs["sensor_data/fetch_hand/depth"])
-            np.testing.assert_array_equal(episode.observation("sensor_data/fetch_hand/depth"), depth)
+            np.testing.assert_array_equal(
+                episode.observation("sensor_data/fetch_hand/depth"), depth
+            )
             told = episode.record
-            assert (told.seed, told.index, told.home, told.split) == (2024, number, "build_config_7", "train")
-            assert told.subtasks[0].label == told.subtasks[0].legacy_label == "straightforward_success"
+            assert (told.seed, told.index, told.home, told.split) == (
+                2024,
+                number,
+                "build_config_7",
+                "train",
+            )
+            assert (
+                told.subtasks[0].label == told.subtasks[0].legacy_label == "straightforward_success"
+            )
             assert told.events == ((2, "contact"), (3, "grasped"), (5, "success"))
             assert told.force == (0.0, 12.34, 1500.0, 0.0, 0.0, 0.0) and told.peak_force == 1500.0
-            assert episode.attributes["ending"] == "timeout" and episode.run.config["policy"] == {"name": "ms_hab rl"}
-            with pytest.raises(UsageError, match=r"states/qpos is not there. Its source lacks states/initial"):
+            assert episode.attributes["ending"] == "timeout" and episode.run.config["policy"] == {
+                "name": "ms_hab rl"
+            }
+            with pytest.raises(
+                UsageError, match=r"states/qpos is not there. Its source lacks states/initial"
+            ):
                 episode.array("states/qpos")
             with pytest.raises(UsageError, match="imported from data without it: states/initial"):
                 episode.initial()
@@ -153,21 +214,38 @@ def test_a_file_of_the_original(tmp_path: Path) -> None:
 def test_filters_statistics_reports_and_windows_work_on_it(tmp_path: Path) -> None:
     shards = import_ms_hab(original(tmp_path), tmp_path / "shards").shard.parents[2]
     where = (
-        "label == 'straightforward_success' and first('grasped') == 3 and max_force > 1400 and policy == 'ms_hab rl'"
+        "label == 'straightforward_success' and first('grasped') == 3 "
+        "and max_force > 1400 and policy == 'ms_hab rl'"
     )
     assert len(select(shards, Filter(where)).matched) == 3
     assert len(select(shards, Filter.preset("pick_published")).matched) == 3
     row = stats(shards)["rows"][0]
-    assert (row["task"], row["subtask"], row["target"], row["success_once"]) == ("set_table", "pick", "024_bowl", 1.0)
+    assert (row["task"], row["subtask"], row["target"], row["success_once"]) == (
+        "set_table",
+        "pick",
+        "024_bowl",
+        1.0,
+    )
     page = render_data_report(shards, FilmWriter)
-    assert "mjhab, published rules, straightforward_success: 3 of 3" in page and "data:video/mp4" in page
-    windows = WindowDataset(shards, history=2, chunk=4, images=["fetch_head/depth"], normalize="spread")
-    assert len(windows) == 18 and windows[5]["state"].shape == (2, 42) and windows[5]["action"].shape == (4, 13)
+    assert (
+        "mjhab, published rules, straightforward_success: 3 of 3" in page
+        and "data:video/mp4" in page
+    )
+    windows = WindowDataset(
+        shards, history=2, chunk=4, images=["fetch_head/depth"], normalize="spread"
+    )
+    assert (
+        len(windows) == 18
+        and windows[5]["state"].shape == (2, 42)
+        and windows[5]["action"].shape == (4, 13)
+    )
     again = export_maniskill(shards, tmp_path / "again")
     assert again.episodes == 3 and not again.without_depth
 
 
-def test_what_needs_states_or_signals_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_needs_states_or_signals_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     shards = tmp_path / "shards"
     import_ms_hab(original(tmp_path), shards)
 
@@ -181,7 +259,9 @@ def test_what_needs_states_or_signals_says_so(tmp_path: Path, capsys: pytest.Cap
     told = json.loads(capsys.readouterr().out)
     assert (told["episodes"], told["changed"], told["without_signals"]) == (2, 0, 3)
     for episode in episodes(shards / "set_table"):
-        with pytest.raises(UsageError, match=r"It was imported from data without states to draw them from"):
+        with pytest.raises(
+            UsageError, match=r"It was imported from data without states to draw them from"
+        ):
             episode.frame("fetch_head", "seg", 0)
 
 
@@ -211,7 +291,9 @@ def test_an_import_goes_on_where_it_stopped(tmp_path: Path) -> None:
 
 def test_links_furniture_and_folders(tmp_path: Path) -> None:
     shards = tmp_path / "shards"
-    path = original(tmp_path, 1, "close", "fridge", articulation_type="fridge", label="closed_success")
+    path = original(
+        tmp_path, 1, "close", "fridge", articulation_type="fridge", label="closed_success"
+    )
     import_ms_hab(path, shards)
     lying = tmp_path / "lying.h5"
     path.rename(lying)
@@ -247,7 +329,9 @@ def test_bad_files(tmp_path: Path) -> None:
     refused("no list 'episodes'")
     path.with_suffix(".json").write_text("{")
     refused("is no JSON")
-    path.with_suffix(".json").write_text(good.replace(f'"elapsed_steps": {STEPS}', '"elapsed_steps": 9'))
+    path.with_suffix(".json").write_text(
+        good.replace(f'"elapsed_steps": {STEPS}', '"elapsed_steps": 9')
+    )
     refused(f"traj_0 has {STEPS} actions, and the JSON says 9 steps")
     path.with_suffix(".json").write_text(good.replace('"episode_id": 0', '"episode_id": 4'))
     refused("has no traj_4")
@@ -270,12 +354,18 @@ def test_bad_files(tmp_path: Path) -> None:
 
 
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    paths = [str(original(tmp_path, 2)), str(original(tmp_path, 1, "open", "fridge", articulation_type="fridge"))]
+    paths = [
+        str(original(tmp_path, 2)),
+        str(original(tmp_path, 1, "open", "fridge", articulation_type="fridge")),
+    ]
     out = tmp_path / "shards"
     assert main(["data", "import", "ms_hab", *paths, "--out", str(out), "--json"]) == 0
     told = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert told == {"episodes": 3, "frames": 18, "present": 0, "lacks": list(ABSENT)}
     assert main(["data", "import", "ms_hab", paths[0], "--out", str(out)]) == 0
-    assert "0 episodes, 0 frames" in (said := capsys.readouterr().out) and "2 were there already" in said
+    assert (
+        "0 episodes, 0 frames" in (said := capsys.readouterr().out)
+        and "2 were there already" in said
+    )
     assert main(["data", "import", "mshab", paths[0], "--out", str(out)]) == 2
     assert "Did you mean 'ms_hab'" in capsys.readouterr().err

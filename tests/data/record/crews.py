@@ -9,7 +9,16 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from mjhab.data.record.crew import Gone, Message, Report, Request, Stage, Worker, WorkerSpec, failure
+from mjhab.data.record.crew import (
+    Gone,
+    Message,
+    Report,
+    Request,
+    Stage,
+    Worker,
+    WorkerSpec,
+    failure,
+)
 from mjhab.data.record.generation import Job
 from mjhab.data.store.reading import episodes
 from mjhab.rollout.policy import RandomPolicy
@@ -33,7 +42,9 @@ def job(out: Path, keep: str = "", worlds: int = 2, **options: Any) -> Job:
 
 def kept(place: Path) -> dict[int, str]:
     """Index and digest of the episodes in a folder, each of which is there once."""
-    found = [(episode.record.index, str(episode.attributes["digest"])) for episode in episodes(place)]
+    found = [
+        (episode.record.index, str(episode.attributes["digest"])) for episode in episodes(place)
+    ]
     assert len(dict(found)) == len(found)
     return dict(sorted(found))
 
@@ -49,7 +60,9 @@ class InlineCrew:
     """
 
     def __init__(self, seed: int = 0, deaths: float = 0.0) -> None:
-        self.random, self.deaths, self.died = random.Random(seed), deaths, 0
+        self.random = random.Random(seed)
+        self.deaths = deaths
+        self.died = 0
         self.workers: dict[int, Worker] = {}
         self.said: dict[int, deque[Message]] = {}
         self.stopped = False

@@ -21,7 +21,8 @@ from tests.data.record.crews import KEEP, InlineCrew, job, kept
 
 def workers(crew: Any) -> list[int]:
     """Process ids of its actors that are alive."""
-    ray, found = importlib.import_module("ray"), []
+    ray = importlib.import_module("ray")
+    found = []
     for actor in list(crew._actors.values()):
         try:
             found.append(ray.get(actor.__ray_call__.remote(lambda _: os.getpid()), timeout=60))
@@ -33,8 +34,10 @@ def workers(crew: Any) -> list[int]:
 @pytest.mark.parametrize("seed", range(2))
 def test_a_worker_killed_in_the_middle_loses_and_doubles_nothing(tmp_path: Path, seed: int) -> None:
     generate(job(tmp_path / "reference", KEEP, worlds=1, per_target=25), InlineCrew())
-    dice, killed = random.Random(seed), list[int]()
-    out, crew = tmp_path / "ray", RayCrew(LOCAL)
+    dice = random.Random(seed)
+    killed = list[int]()
+    out = tmp_path / "ray"
+    crew = RayCrew(LOCAL)
 
     def kill(now: Standing) -> None:
         if len(killed) < 2 and now.written >= 5 * (1 + len(killed)):
@@ -49,11 +52,17 @@ def test_a_worker_killed_in_the_middle_loses_and_doubles_nothing(tmp_path: Path,
 def test_a_run_stops_in_the_middle_of_an_episode(tmp_path: Path) -> None:
     told: list[Standing] = []
     crew: Any = RayCrew(LOCAL)
-    done = generate(job(tmp_path, episodes=100_000, workers=2), crew, told.append, lambda: len(told) > 5)
+    done = generate(
+        job(tmp_path, episodes=100_000, workers=2), crew, told.append, lambda: len(told) > 5
+    )
     begun = time.monotonic()
     assert not done.complete and len(kept(tmp_path)) == done.kept >= 3 and check(tmp_path).clean
     again = generate(job(tmp_path, episodes=done.kept + 5), RayCrew(LOCAL), resume=True)
-    assert again.complete and list(kept(tmp_path)) == list(range(done.kept + 5)) and time.monotonic() - begun < 60
+    assert (
+        again.complete
+        and list(kept(tmp_path)) == list(range(done.kept + 5))
+        and time.monotonic() - begun < 60
+    )
 
 
 def test_a_cluster_that_is_not_there() -> None:

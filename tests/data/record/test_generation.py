@@ -36,12 +36,16 @@ def reference(tmp_path_factory: pytest.TempPathFactory) -> dict[int, str]:
     return kept(out)
 
 
-@pytest.mark.parametrize(("workers", "worlds", "chunk", "deaths"), [(2, 2, 3, 0.0), (5, 1, 2, 0.0), (3, 2, 4, 0.2)])
+@pytest.mark.parametrize(
+    ("workers", "worlds", "chunk", "deaths"), [(2, 2, 3, 0.0), (5, 1, 2, 0.0), (3, 2, 4, 0.2)]
+)
 def test_workers_and_deaths_do_not_change_the_set(
     tmp_path: Path, reference: dict[int, str], workers: int, worlds: int, chunk: int, deaths: float
 ) -> None:
     crew = InlineCrew(seed=workers, deaths=deaths)
-    done = generate(job(tmp_path, KEEP, worlds, per_target=COUNT, workers=workers, chunk=chunk), crew)
+    done = generate(
+        job(tmp_path, KEEP, worlds, per_target=COUNT, workers=workers, chunk=chunk), crew
+    )
     assert done.complete and done.written == done.kept == COUNT and crew.stopped
     assert kept(tmp_path) == reference and check(tmp_path).clean
     assert (crew.died > 0) == (deaths > 0)
@@ -49,7 +53,11 @@ def test_workers_and_deaths_do_not_change_the_set(
 
 def test_failures_are_kept_without_a_filter(tmp_path: Path) -> None:
     done = generate(job(tmp_path, episodes=20, workers=3), InlineCrew(deaths=0.1))
-    assert done.complete and list(kept(tmp_path)) == list(range(20)) and done.tried == done.passed == 20
+    assert (
+        done.complete
+        and list(kept(tmp_path)) == list(range(20))
+        and done.tried == done.passed == 20
+    )
     assert len(done.labels) > 3
 
 
@@ -75,28 +83,42 @@ def test_a_stopped_run_goes_on_where_it_was(tmp_path: Path, reference: dict[int,
     assert again.complete and again.written == 0 and kept(tmp_path) == reference
 
 
-def test_a_raised_quota_gives_the_set_of_the_larger_one(tmp_path: Path, reference: dict[int, str]) -> None:
+def test_a_raised_quota_gives_the_set_of_the_larger_one(
+    tmp_path: Path, reference: dict[int, str]
+) -> None:
     generate(job(tmp_path, KEEP, per_target=10, workers=3), InlineCrew(1))
     assert len(kept(tmp_path)) == 10
     told: list[Standing] = []
-    generate(job(tmp_path, KEEP, per_target=COUNT, workers=1), InlineCrew(2), told.append, resume=True)
+    generate(
+        job(tmp_path, KEEP, per_target=COUNT, workers=1), InlineCrew(2), told.append, resume=True
+    )
     assert kept(tmp_path) == reference
-    assert [s.kept for s in told] == sorted(s.kept for s in told) and told[-1].kept == COUNT == told[-1].wanted
+    assert [s.kept for s in told] == sorted(s.kept for s in told) and told[
+        -1
+    ].kept == COUNT == told[-1].wanted
 
 
 def test_a_quota_that_cannot_be_filled_ends_with_the_episodes(tmp_path: Path) -> None:
-    done = generate(job(tmp_path, "steps > 10000", episodes=10, per_target=3, workers=2), InlineCrew())
+    done = generate(
+        job(tmp_path, "steps > 10000", episodes=10, per_target=3, workers=2), InlineCrew()
+    )
     assert done.complete and (done.kept, done.tried, done.passed) == (0, 10, 0)
     lines = (tmp_path / TRIED).read_text().splitlines()
     assert sorted(json.loads(line)["index"] for line in lines) == list(range(10))
     # Half a line, as a kill in the middle of writing it leaves.
     (tmp_path / TRIED).write_text("\n".join(lines)[:-5])
-    again = generate(job(tmp_path, "steps > 10000", episodes=12, per_target=3), InlineCrew(), resume=True)
+    again = generate(
+        job(tmp_path, "steps > 10000", episodes=12, per_target=3), InlineCrew(), resume=True
+    )
     assert again.tried == 12 and len((tmp_path / TRIED).read_text().splitlines()) == 12
 
 
-def test_processes_killed_at_random_lose_and_double_nothing(tmp_path: Path, reference: dict[int, str]) -> None:
-    crew, dice, killed = ProcessCrew(), random.Random(5), list[int]()
+def test_processes_killed_at_random_lose_and_double_nothing(
+    tmp_path: Path, reference: dict[int, str]
+) -> None:
+    crew = ProcessCrew()
+    dice = random.Random(5)
+    killed = list[int]()
 
     def kill(now: Standing) -> None:
         if len(killed) < 2 and now.written >= 4 * (1 + len(killed)):
@@ -110,9 +132,12 @@ def test_processes_killed_at_random_lose_and_double_nothing(tmp_path: Path, refe
 
 
 def test_processes_stop_in_the_middle_of_an_episode(tmp_path: Path) -> None:
-    crew, begun = ProcessCrew(), time.monotonic()
+    crew = ProcessCrew()
+    begun = time.monotonic()
     told: list[Standing] = []
-    done = generate(job(tmp_path, episodes=100_000, workers=1), crew, told.append, lambda: len(told) > 5)
+    done = generate(
+        job(tmp_path, episodes=100_000, workers=1), crew, told.append, lambda: len(told) > 5
+    )
     assert not done.complete and done.kept >= 3 and not crew.pids and time.monotonic() - begun < 20
     assert check(tmp_path).clean and len(kept(tmp_path)) == done.kept
 
@@ -120,7 +145,8 @@ def test_processes_stop_in_the_middle_of_an_episode(tmp_path: Path) -> None:
 def test_a_full_disk_stops_and_can_be_resumed(
     tmp_path: Path, reference: dict[int, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    real, left = ShardWriter._change, [8]
+    real = ShardWriter._change
+    left = [8]
 
     def change(self: ShardWriter, fill: object) -> int:
         left[0] -= 1
@@ -138,7 +164,9 @@ def test_a_full_disk_stops_and_can_be_resumed(
     assert generate(work, InlineCrew(), resume=True).complete and kept(tmp_path) == reference
 
 
-def test_the_disk_of_the_list_of_tries_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_disk_of_the_list_of_tries_is_full(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
@@ -150,7 +178,10 @@ def test_the_disk_of_the_list_of_tries_is_full(tmp_path: Path, monkeypatch: pyte
 def test_a_worker_that_always_dies_or_fails_is_given_up(tmp_path: Path) -> None:
     with pytest.raises(MjhabError, match="died 3 times"):
         generate(job(tmp_path / "a", "steps > 10000", episodes=10), InlineCrew(deaths=1.0))
-    with pytest.raises(UsageError, match="is being written"), ShardWriter(tmp_path / "b" / "shard_000.h5") as writer:
+    with (
+        pytest.raises(UsageError, match="is being written"),
+        ShardWriter(tmp_path / "b" / "shard_000.h5") as writer,
+    ):
         # Another process has every shard, as far as a worker can see.
         (tmp_path / "b" / CONFIG).write_text('{"keep": ""}')
         work = job(tmp_path / "b", episodes=5)
@@ -174,7 +205,9 @@ def test_folders_that_cannot_be_used(tmp_path: Path) -> None:
     (tmp_path / "a" / CONFIG).write_text('{"keep": ""}')
     work = job(tmp_path / "a", episodes=5)
     with pytest.raises(UsageError, match="is being written"):
-        generate(work, InlineCrew(), lambda _: generate(work, InlineCrew(), resume=True), resume=True)
+        generate(
+            work, InlineCrew(), lambda _: generate(work, InlineCrew(), resume=True), resume=True
+        )
     other = replace(work, spec=replace(work.spec, build=functools.partial(build, 2, "pick")))
     with pytest.raises(UsageError, match="another configuration"):
         generate(other, InlineCrew(), resume=True)

@@ -12,12 +12,16 @@ from hypothesis import strategies as st
 from mjhab.core.errors import UsageError
 from mjhab.data.record.quotas import Outcome, Quotas, Surety
 
-TARGETS, LABELS = ("bowl", "apple", "can"), ("good", "bad")
+TARGETS = ("bowl", "apple", "can")
+LABELS = ("good", "bad")
 
 
 def drawn(seed: int, count: int, chance: float) -> list[Outcome]:
     dice = random.Random(seed)
-    return [Outcome(i, dice.choice(TARGETS), dice.choice(LABELS), dice.random() < chance) for i in range(count)]
+    return [
+        Outcome(i, dice.choice(TARGETS), dice.choice(LABELS), dice.random() < chance)
+        for i in range(count)
+    ]
 
 
 def one_after_another(outcomes: list[Outcome], per_target: int, per_label: int) -> list[int]:
@@ -26,7 +30,10 @@ def one_after_another(outcomes: list[Outcome], per_target: int, per_label: int) 
     kept = []
     for outcome in outcomes:
         keys = (outcome.target, ""), (outcome.target, outcome.label)
-        room = all(not quota or count[key] < quota for key, quota in zip(keys, (per_target, per_label), strict=True))
+        room = all(
+            not quota or count[key] < quota
+            for key, quota in zip(keys, (per_target, per_label), strict=True)
+        )
         if outcome.passes and room:
             kept.append(outcome.index)
             count.update(keys)
@@ -35,15 +42,22 @@ def one_after_another(outcomes: list[Outcome], per_target: int, per_label: int) 
 
 @settings(max_examples=150, deadline=None)
 @given(
-    st.integers(0, 999), st.integers(0, 8), st.integers(0, 5), st.floats(0.2, 1.0), st.integers(1, 7), st.integers(1, 5)
-)  # fmt: skip
+    st.integers(0, 999),
+    st.integers(0, 8),
+    st.integers(0, 5),
+    st.floats(0.2, 1.0),
+    st.integers(1, 7),
+    st.integers(1, 5),
+)
 def test_the_set_is_that_of_one_worker(
     seed: int, per_target: int, per_label: int, chance: float, workers: int, chunk: int
 ) -> None:
-    outcomes, dice = drawn(seed, 90, chance), random.Random(seed + 1)
+    outcomes = drawn(seed, 90, chance)
+    dice = random.Random(seed + 1)
     quotas = Quotas(TARGETS, per_target, per_label)
     open_now: list[tuple[int, Surety]] = []
-    kept, following = set[int](), 0
+    kept = set[int]()
+    following = 0
     while True:
         while len(open_now) < workers * chunk and following < len(outcomes) and not quotas.full:
             indices = range(following, min(following + chunk, len(outcomes)))
@@ -75,7 +89,9 @@ def test_what_is_far_from_the_quota_is_certain_at_once() -> None:
     for index in range(5):
         quotas.report(Outcome(index, "bowl", "good", index % 2 == 0))
     assert quotas.decide() == {0: True, 2: True, 4: True} and not quotas.full
-    assert quotas.surety(11)("bowl") and not quotas.surety(12)("bowl") and quotas.surety(12)("apple")
+    assert (
+        quotas.surety(11)("bowl") and not quotas.surety(12)("bowl") and quotas.surety(12)("apple")
+    )
     assert Quotas(()).surety(10**6)("anything")
 
 

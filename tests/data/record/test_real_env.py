@@ -33,9 +33,18 @@ class Digests(Sink):
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Path, list[Any], list[str]]:
-    env = make(task="set_table", subtask="pick", num_envs=1, autoreset="disabled", obs_mode="rgbd", camera_size=SIZE,
-               reward_mode="dense", seed=0)  # fmt: skip
-    path, digests = tmp_path_factory.mktemp("real") / "a.h5", Digests()
+    env = make(
+        task="set_table",
+        subtask="pick",
+        num_envs=1,
+        autoreset="disabled",
+        obs_mode="rgbd",
+        camera_size=SIZE,
+        reward_mode="dense",
+        seed=0,
+    )
+    path = tmp_path_factory.mktemp("real") / "a.h5"
+    digests = Digests()
     with ShardWriter(path) as writer:
         recorder = Recorder(writer, env, {"name": "random"}, images=ImageFormat())
         records = rollout(env, RandomPolicy(0), [2], 0, [digests, recorder], max_steps=12)
@@ -49,14 +58,22 @@ def test_stored_states_are_those_of_the_simulator(recorded: Any) -> None:
     with open_shard(path) as shard:
         episode = next(iter(shard))
         assert episode.record == records[0] and not episode.problems()
-        qpos, qvel = episode.array("states/qpos"), episode.array("states/qvel")
+        qpos = episode.array("states/qpos")
+        qvel = episode.array("states/qvel")
         assert len(qpos) == episode.steps + 1 == 13 and np.isfinite(qpos).all()
-        stored = [hashlib.sha256(p.tobytes() + v.tobytes()).hexdigest()[:16] for p, v in zip(qpos, qvel, strict=True)]
+        stored = [
+            hashlib.sha256(p.tobytes() + v.tobytes()).hexdigest()[:16]
+            for p, v in zip(qpos, qvel, strict=True)
+        ]
         assert stored[1:] == digests
         assert qpos.shape[1] == episode.run.layout["sizes"]["qpos"]
         joints = episode.run.layout["columns"]["robot_q"]
-        np.testing.assert_allclose(episode.observation("agent/qpos"), qpos[:, joints][:, 3:], atol=1e-6)
-        assert episode.run.config["env"]["subtask"] == "pick" and episode.run.licence.startswith("Apache-2.0")
+        np.testing.assert_allclose(
+            episode.observation("agent/qpos"), qpos[:, joints][:, 3:], atol=1e-6
+        )
+        assert episode.run.config["env"]["subtask"] == "pick" and episode.run.licence.startswith(
+            "Apache-2.0"
+        )
         assert len(str(episode.attributes["model"])) == 16 and episode.attributes["ending"] == "cut"
         assert len(episode.run.layout["actions"]) == episode.array("actions").shape[1] == 13
 
@@ -65,7 +82,9 @@ def test_images_rewards_and_labels(recorded: Any) -> None:
     env, path, _, _ = recorded
     with open_shard(path) as shard:
         episode: Episode = next(iter(shard))
-        assert sorted(episode.images) == [(c, o) for c in ("fetch_hand", "fetch_head") for o in ("depth", "rgb")]
+        assert sorted(episode.images) == [
+            (c, o) for c in ("fetch_hand", "fetch_head") for o in ("depth", "rgb")
+        ]
         last = env.observer.observe(env.state, env.focus, env.signals, env.homes)
         for camera, output in episode.images:
             frame = episode.frame(camera, output, episode.steps)
@@ -80,8 +99,10 @@ def test_the_first_state_and_the_actions_give_every_state_bit_by_bit(recorded: A
     env, path, _, _ = recorded
     with open_shard(path) as shard:
         episode = next(iter(shard))
-        initial, actions = episode.initial(), episode.array("actions")
-        qpos, qvel = episode.array("states/qpos"), episode.array("states/qvel")
+        initial = episode.initial()
+        actions = episode.array("actions")
+        qpos = episode.array("states/qpos")
+        qvel = episode.array("states/qvel")
     env.set_state(0, initial)
     for t in range(len(actions) + 1):
         state = env.sim.get_world(0)

@@ -58,7 +58,9 @@ class Witness(Sink):
 
 
 def test_everything_is_stored_as_it_was(tmp_path: Path) -> None:
-    env, witness, path = FakeEnv(3, images=True), Witness(), tmp_path / "a.h5"
+    env = FakeEnv(3, images=True)
+    witness = Witness()
+    path = tmp_path / "a.h5"
     with ShardWriter(path) as writer:
         recorder = Recorder(writer, env, POLICY, images=ImageFormat())
         records = rollout(env, RandomPolicy(0), range(7), 5, [witness, recorder])
@@ -67,25 +69,41 @@ def test_everything_is_stored_as_it_was(tmp_path: Path) -> None:
         assert len(shard) == 7
         for episode, expected in zip(shard, records, strict=True):
             seen = {name: np.array(rows) for name, rows in witness.rows[expected.index].items()}
-            assert episode.record == expected and episode.steps == expected.steps == len(seen["actions"])
+            assert episode.record == expected and episode.steps == expected.steps == len(
+                seen["actions"]
+            )
             assert not episode.problems()
             np.testing.assert_array_equal(episode.array("actions"), seen["actions"])
             np.testing.assert_array_equal(episode.array("states/qpos"), seen["qpos"])
             assert len(seen["qpos"]) == expected.steps + 1
             np.testing.assert_array_equal(episode.observation("state"), seen["state"])
             np.testing.assert_array_equal(episode.observation("agent/qpos"), seen["state"][:, :4])
-            np.testing.assert_array_equal(episode.table("signals/checks")["is_grasped"], seen["grasped"])
-            np.testing.assert_array_equal(episode.table("signals/forces")["robot_force"], seen["force"])
-            np.testing.assert_array_equal(episode.observation("sensor_data/fetch_head/depth"), seen["depth"])
+            np.testing.assert_array_equal(
+                episode.table("signals/checks")["is_grasped"], seen["grasped"]
+            )
+            np.testing.assert_array_equal(
+                episode.table("signals/forces")["robot_force"], seen["force"]
+            )
+            np.testing.assert_array_equal(
+                episode.observation("sensor_data/fetch_head/depth"), seen["depth"]
+            )
             np.testing.assert_array_equal(episode.frame("fetch_head", "rgb", 1), seen["rgb"][1])
-            assert episode.table("reward/terms")["reach"].tolist() == list(range(1, expected.steps + 1))
-            assert episode.observation("sensor_param/fetch_head/intrinsic_cv").shape == (expected.steps + 1, 3, 3)
+            assert episode.table("reward/terms")["reach"].tolist() == list(
+                range(1, expected.steps + 1)
+            )
+            assert episode.observation("sensor_param/fetch_head/intrinsic_cv").shape == (
+                expected.steps + 1,
+                3,
+                3,
+            )
             np.testing.assert_array_equal(episode.initial()["sim"]["qpos"], seen["qpos"][0])
 
 
 def test_worlds_do_not_change_a_byte_of_an_episode(tmp_path: Path) -> None:
     for worlds in (1, 4):
-        record(tmp_path / f"{worlds}.h5", range(6), FakeEnv(worlds, images=True), images=ImageFormat())
+        record(
+            tmp_path / f"{worlds}.h5", range(6), FakeEnv(worlds, images=True), images=ImageFormat()
+        )
     one, four = ([(e.name, e.attributes) for e in episodes(tmp_path / f"{n}.h5")] for n in (1, 4))
     assert one == four
 
@@ -96,22 +114,31 @@ def test_subtasks_begin_where_the_record_says(tmp_path: Path) -> None:
     for episode, expected in zip(episodes(tmp_path / "a.h5"), records, strict=True):
         starts = episode.array("subtasks/step").tolist()
         assert starts[: len(expected.subtasks)] == [entry.start_step for entry in expected.subtasks]
-        assert episode.array("subtasks/index").tolist() == [entry.index for entry in expected.subtasks]
+        assert episode.array("subtasks/index").tolist() == [
+            entry.index for entry in expected.subtasks
+        ]
         for k, entry in enumerate(expected.subtasks):
             index, history = episode.history(k)
-            assert index == entry.index and history.success.shape == (entry.end_step - entry.start_step + 1, 1)
+            assert index == entry.index and history.success.shape == (
+                entry.end_step - entry.start_step + 1,
+                1,
+            )
         active = episode.array("subtasks/active")
         assert active[0] == 0 and (np.diff(active) >= 0).all()
 
 
-@pytest.mark.parametrize(("max_steps", "endings"), [(None, {"success", "force_exceeded", "timeout", "place_broken"}),
-                                                    (1, {"cut"})])  # fmt: skip
+@pytest.mark.parametrize(
+    ("max_steps", "endings"),
+    [(None, {"success", "force_exceeded", "timeout", "place_broken"}), (1, {"cut"})],
+)
 def test_endings(tmp_path: Path, max_steps: int | None, endings: set[str]) -> None:
     record(tmp_path / "a.h5", range(12), max_steps=max_steps)
     found = {str(e.attributes["ending"]) for e in episodes(tmp_path / "a.h5")}
     assert found <= endings and (max_steps is None or found == endings)
     for episode in episodes(tmp_path / "a.h5"):
-        assert episode.terminated == (episode.attributes["ending"] in ("success", "force_exceeded", "place_broken"))
+        assert episode.terminated == (
+            episode.attributes["ending"] in ("success", "force_exceeded", "place_broken")
+        )
         assert (episode.attributes["ending"] == "success") == (episode.record.success_at_end)
 
 
@@ -119,13 +146,18 @@ def test_one_subtask_runs_to_its_horizon(tmp_path: Path) -> None:
     record(tmp_path / "a.h5", range(3), FakeEnv(2, "pick"))
     for episode in episodes(tmp_path / "a.h5"):
         assert episode.steps == 20 and episode.attributes["ending"] == "timeout"
-        assert episode.run.config["env"]["subtask"] == "pick" and episode.run.config["policy"] == POLICY
+        assert (
+            episode.run.config["env"]["subtask"] == "pick"
+            and episode.run.config["policy"] == POLICY
+        )
 
 
 def test_failures_are_kept_unless_told_otherwise(tmp_path: Path) -> None:
     records, recorder = record(tmp_path / "all.h5", range(12))
     assert 0 < sum(r.success_once for r in records) < 12 and recorder.kept == 12
-    _, recorder = record(tmp_path / "good.h5", range(12), keep=lambda record, run: record.success_once)
+    _, recorder = record(
+        tmp_path / "good.h5", range(12), keep=lambda record, run: record.success_once
+    )
     assert recorder.seen == 12 and recorder.kept == sum(r.success_once for r in records)
 
 
@@ -136,7 +168,10 @@ def test_without_states_nothing_can_be_rendered_and_the_message_says_so(tmp_path
         assert not episode.problems() and episode.initial()["sim"]["qpos"].shape == (NQ,)
         with pytest.raises(UsageError, match="recorded without states"):
             episode.array("states/qpos")
-        with pytest.raises(UsageError, match=r"no rgb images of fetch_head \(it has: none\).*recorded without states"):
+        with pytest.raises(
+            UsageError,
+            match=r"no rgb images of fetch_head \(it has: none\).*recorded without states",
+        ):
             episode.frame("fetch_head", "rgb", 0)
         with pytest.raises(UsageError, match="Did you mean 'actions'"):
             episode.array("action")
@@ -151,7 +186,11 @@ def test_states_and_actions_that_do_not_fit_are_refused(tmp_path: Path) -> None:
         arrays = {path: episode.array(path) for path in episode.paths if path != "record"}
         good = EpisodeData(episode.record, episode.run, "m", "success", arrays)
     cases: list[tuple[str, Any, str]] = [
-        ("states/qpos", arrays["states/qpos"][1:], r"states/qpos has \d+ rows, not \d+ \(N\+1 with N = \d+ actions\)"),
+        (
+            "states/qpos",
+            arrays["states/qpos"][1:],
+            r"states/qpos has \d+ rows, not \d+ \(N\+1 with N = \d+ actions\)",
+        ),
         ("actions", arrays["actions"][1:], r"actions has \d+ rows"),
         ("actions", arrays["actions"].astype(float), "actions is float64, not float32"),
         ("signals/checks", arrays["signals/checks"][:, 2:], f"not {len(CHECKS)} columns"),
@@ -160,20 +199,31 @@ def test_states_and_actions_that_do_not_fit_are_refused(tmp_path: Path) -> None:
         ("states/forces", arrays["actions"], "not part of the schema"),
     ]
     for path, array, message in cases:
-        changed = {**arrays, path: array} if array is not None else {k: v for k, v in arrays.items() if k != path}
+        changed = (
+            {**arrays, path: array}
+            if array is not None
+            else {k: v for k, v in arrays.items() if k != path}
+        )
         with pytest.raises(ValueError, match=message):
             dataclasses.replace(good, arrays=changed)
 
 
 def test_plain_data_comes_back_as_it_was() -> None:
     value = {
-        "sim": {"qpos": np.array([1e-300, np.pi, -0.0, np.inf]), "none": np.zeros((0, 3), np.float32)},
-        "flag": np.bool_(True), "mask": np.array([[True, False]]), "list": [1, "a", None], "count": np.int64(3),
+        "sim": {
+            "qpos": np.array([1e-300, np.pi, -0.0, np.inf]),
+            "none": np.zeros((0, 3), np.float32),
+        },
+        "flag": np.bool_(True),
+        "mask": np.array([[True, False]]),
+        "list": [1, "a", None],
+        "count": np.int64(3),
         "small": np.array([0.1], np.float32),
-    }  # fmt: skip
+    }
     back = from_bytes(to_bytes(value))
     for path in (("sim", "qpos"), ("sim", "none")):
-        a, b = value[path[0]][path[1]], back[path[0]][path[1]]
+        a = value[path[0]][path[1]]
+        b = back[path[0]][path[1]]
         assert a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes()
     assert back["small"].tobytes() == value["small"].tobytes() and back["mask"].dtype == bool
     assert back["list"] == [1, "a", None] and back["flag"] is True and back["count"] == 3
@@ -184,7 +234,12 @@ def test_plain_data_comes_back_as_it_was() -> None:
 def test_provenance() -> None:
     run = describe_run(FakeEnv(3, "pick"), POLICY)
     assert re.fullmatch(r"([0-9a-f]{40}(\+changes)?)?", run.commit)
-    assert run.versions["mujoco"] and run.versions["mjhab"] and run.machine and "Apache-2.0" in run.licence
+    assert (
+        run.versions["mujoco"]
+        and run.versions["mjhab"]
+        and run.machine
+        and "Apache-2.0" in run.licence
+    )
     assert "num_envs" not in run.config["env"]
     for view in ("obs_mode", "handle_points"):
         assert view in run.options and view not in run.config["env"]
@@ -216,7 +271,9 @@ def test_images() -> None:
         ImageFormat(quality=100)
 
 
-def test_a_model_is_the_same_from_a_cold_and_from_a_warm_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_model_is_the_same_from_a_cold_and_from_a_warm_cache(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("MJHAB_CACHE", str(tmp_path))
     pack = open_pack("builtin")
     layout = Layout(pack, ())

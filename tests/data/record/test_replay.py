@@ -27,13 +27,21 @@ from mjhab.envs import make, make_train
 from mjhab.rollout.loop import rollout
 from mjhab.rollout.policy import RandomPolicy
 
-SIZE, STEPS = 16, 6
+SIZE = 16
+STEPS = 6
 PNG = ImageFormat()
 
 
 @pytest.fixture(scope="module")
 def env() -> Any:
-    return make(task="set_table", subtask="pick", num_envs=2, autoreset="disabled", obs_mode="rgbd", camera_size=SIZE)
+    return make(
+        task="set_table",
+        subtask="pick",
+        num_envs=2,
+        autoreset="disabled",
+        obs_mode="rgbd",
+        camera_size=SIZE,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +71,9 @@ def altered(episode: Episode, change: Callable[[dict[str, np.ndarray]], None]) -
     arrays = {path: episode.array(path) for path in episode.paths if path != "record"}
     change(arrays)
     attributes = episode.attributes
-    return EpisodeData(episode.record, episode.run, str(attributes["model"]), str(attributes["ending"]), arrays)
+    return EpisodeData(
+        episode.record, episode.run, str(attributes["model"]), str(attributes["ending"]), arrays
+    )
 
 
 def test_every_bit_comes_again_in_any_number_of_worlds(recorded: Path, env: Any) -> None:
@@ -71,7 +81,9 @@ def test_every_bit_comes_again_in_any_number_of_worlds(recorded: Path, env: Any)
 
     def one_world(run: RunInfo) -> Any:
         made.append(run)
-        config = {key: tuple(v) if isinstance(v, list) else v for key, v in run.config["env"].items()}
+        config = {
+            key: tuple(v) if isinstance(v, list) else v for key, v in run.config["env"].items()
+        }
         return make(**config, num_envs=1, autoreset="disabled")
 
     told: list[int] = []
@@ -80,7 +92,10 @@ def test_every_bit_comes_again_in_any_number_of_worlds(recorded: Path, env: Any)
         assert (found.episodes, found.exact, found.max_error) == (3, 3, 0.0)
         assert not found.wrong and not found.unlike and not found.moved
     assert len(made) == 1 and len(told) == 6
-    assert verify(recorded, given(env), Filter("index == 2 and (tainted or not tainted)")).episodes == 1
+    assert (
+        verify(recorded, given(env), Filter("index == 2 and (tainted or not tainted)")).episodes
+        == 1
+    )
 
 
 def test_a_single_bit_is_seen(recorded: Path, env: Any, tmp_path: Path) -> None:
@@ -90,7 +105,9 @@ def test_a_single_bit_is_seen(recorded: Path, env: Any, tmp_path: Path) -> None:
 
     found = verify(changed(recorded, tmp_path / "bit.h5", one_bit), given(env))
     assert found.exact == 0 and 0 < found.max_error < 1e-12
-    assert set(found.wrong.values()) == {f"qpos differs from state 3 of {n} on" for n in (STEPS, STEPS + 3)}
+    assert set(found.wrong.values()) == {
+        f"qpos differs from state 3 of {n} on" for n in (STEPS, STEPS + 3)
+    }
 
     # The writer takes no such number: somebody else has put it there.
     path = changed(recorded, tmp_path / "nan.h5", lambda arrays: None)
@@ -98,13 +115,19 @@ def test_a_single_bit_is_seen(recorded: Path, env: Any, tmp_path: Path) -> None:
         for episode in group(file, "episodes"):
             dataset(file, f"episodes/{episode}/states/qvel")[2, 4] = np.nan
     found = verify(path, given(env))
-    assert found.exact == 0 and found.max_error == np.inf and "qvel differs from state 2" in str(found.wrong)
+    assert (
+        found.exact == 0
+        and found.max_error == np.inf
+        and "qvel differs from state 2" in str(found.wrong)
+    )
 
     def action(arrays: dict[str, np.ndarray]) -> None:
         arrays["actions"][1, 0] *= 0.5
 
     found = verify(changed(recorded, tmp_path / "action.h5", action), given(env))
-    assert found.exact == 0 and found.max_error > 1e-6 and "differs from state 2" in str(found.wrong)
+    assert (
+        found.exact == 0 and found.max_error > 1e-6 and "differs from state 2" in str(found.wrong)
+    )
 
 
 def test_without_states_the_last_one_is_compared(recorded: Path, env: Any, tmp_path: Path) -> None:
@@ -124,14 +147,19 @@ def test_without_states_the_last_one_is_compared(recorded: Path, env: Any, tmp_p
         render(path, tmp_path / "never.h5", given(env), ["fetch_head"], PNG)
 
 
-def test_another_start_is_replaced_by_the_recorded_one(recorded: Path, env: Any, tmp_path: Path) -> None:
+def test_another_start_is_replaced_by_the_recorded_one(
+    recorded: Path, env: Any, tmp_path: Path
+) -> None:
     """An episode that begins elsewhere here, as when a later version draws other starts, is replayed all the same."""
     with open_shard(recorded) as shard, ShardWriter(tmp_path / "a.h5") as writer:
         for episode in shard:
             state = episode.initial()
             home = episode.record.home
             mask = np.array([True, False])
-            env.reset(seed=[0, None], options={"episode": np.array([episode.record.index]), "reset_mask": mask})
+            env.reset(
+                seed=[0, None],
+                options={"episode": np.array([episode.record.index]), "reset_mask": mask},
+            )
             state["sim"]["qpos"][env.sim.addresses.robot_q[0]] += 0.01
             env.set_state(0, state)
             assert env.homes[0] == home
@@ -143,7 +171,8 @@ def test_another_start_is_replaced_by_the_recorded_one(recorded: Path, env: Any,
 def resimulated(env: Any, episode: Episode) -> EpisodeData:
     from mjhab.data.store.episode_data import to_bytes
 
-    initial, rows = env.get_state(0), [env.sim.get_world(0)]
+    initial = env.get_state(0)
+    rows = [env.sim.get_world(0)]
     for action in episode.array("actions"):
         env.step(np.stack([action, np.zeros_like(action)]))
         rows.append(env.sim.get_world(0))
@@ -154,7 +183,9 @@ def resimulated(env: Any, episode: Episode) -> EpisodeData:
         arrays["states/qvel"] = np.stack([row["qvel"] for row in rows])
 
     data = altered(episode, change)
-    return dataclasses.replace(data, record=dataclasses.replace(data.record, final_state=env.state_digest(0)))
+    return dataclasses.replace(
+        data, record=dataclasses.replace(data.record, final_state=env.state_digest(0))
+    )
 
 
 def test_another_model_is_named(recorded: Path, env: Any, tmp_path: Path) -> None:
@@ -165,10 +196,16 @@ def test_another_model_is_named(recorded: Path, env: Any, tmp_path: Path) -> Non
     assert found.exact == 1 and len(found.unlike) == 1
 
 
-def test_images_drawn_from_states_are_those_that_were_recorded(recorded: Path, env: Any, tmp_path: Path) -> None:
+def test_images_drawn_from_states_are_those_that_were_recorded(
+    recorded: Path, env: Any, tmp_path: Path
+) -> None:
     out = tmp_path / "again.h5"
     done = render(recorded, out, given(env), ["fetch_head", "fetch_hand"], PNG)
-    assert (done.episodes, done.frames, done.present) == (3, 2 * (STEPS + 1) + STEPS + 4, 0) and check(out).clean
+    assert (done.episodes, done.frames, done.present) == (
+        3,
+        2 * (STEPS + 1) + STEPS + 4,
+        0,
+    ) and check(out).clean
     with open_shard(recorded) as before, open_shard(out) as after:
         assert before.names == after.names
         for old, new in zip(before, after, strict=True):
@@ -176,23 +213,53 @@ def test_images_drawn_from_states_are_those_that_were_recorded(recorded: Path, e
             for path in old.paths:
                 np.testing.assert_array_equal(old.array(path), new.array(path), err_msg=path)
             assert old.columns("obs/state") == new.columns("obs/state") != {}
-            assert new.run.config == old.run.config and new.run.options["rendered"]["camera_size"] == [SIZE, SIZE]
+            assert new.run.config == old.run.config and new.run.options["rendered"][
+                "camera_size"
+            ] == [SIZE, SIZE]
     again = render(recorded, out, given(env), ["fetch_head", "fetch_hand"], PNG)
     assert (again.episodes, again.present) == (0, 3)
 
 
 def test_other_sizes_cameras_and_modalities(recorded: Path, tmp_path: Path) -> None:
-    out, wanted = tmp_path / "seg.h5", ("fetch_head", FOLLOW)
-    other = make(task="set_table", subtask="pick", num_envs=4, autoreset="disabled", obs_mode="rgb+seg",
-                 cameras="fetch_head", camera_size=(24, 32))  # fmt: skip
-    render(recorded, out, given(other), wanted, ImageFormat("jpeg"), Filter("index == 1 and (tainted or not tainted)"))
+    out = tmp_path / "seg.h5"
+    wanted = ("fetch_head", FOLLOW)
+    other = make(
+        task="set_table",
+        subtask="pick",
+        num_envs=4,
+        autoreset="disabled",
+        obs_mode="rgb+seg",
+        cameras="fetch_head",
+        camera_size=(24, 32),
+    )
+    render(
+        recorded,
+        out,
+        given(other),
+        wanted,
+        ImageFormat("jpeg"),
+        Filter("index == 1 and (tainted or not tainted)"),
+    )
     with open_shard(out) as shard:
         (episode,) = shard
         # The hand stays as it was; depth of the head in the old size would not fit the new picture.
-        head, hand = "fetch_head", "fetch_hand"
-        assert set(episode.images) == {(hand, "depth"), (hand, "rgb"), (head, "rgb"), (head, "seg"), (FOLLOW, "rgb")}
-        assert episode.frame("fetch_head", "seg", STEPS).shape == (24, 32, 1) and not episode.problems()
-        assert episode.frame(FOLLOW, "rgb", 0).shape == (24, 32, 3) and episode.frame(FOLLOW, "rgb", 0).std() > 5
+        head = "fetch_head"
+        hand = "fetch_hand"
+        assert set(episode.images) == {
+            (hand, "depth"),
+            (hand, "rgb"),
+            (head, "rgb"),
+            (head, "seg"),
+            (FOLLOW, "rgb"),
+        }
+        assert (
+            episode.frame("fetch_head", "seg", STEPS).shape == (24, 32, 1)
+            and not episode.problems()
+        )
+        assert (
+            episode.frame(FOLLOW, "rgb", 0).shape == (24, 32, 3)
+            and episode.frame(FOLLOW, "rgb", 0).std() > 5
+        )
         assert episode.frame("fetch_hand", "rgb", 0).shape == (SIZE, SIZE, 3)
         assert episode.array("obs/sensor_param/fetch_head/intrinsic_cv").shape == (STEPS + 1, 3, 3)
 
@@ -202,10 +269,14 @@ def test_what_is_replayed_is_never_written(recorded: Path, env: Any) -> None:
         render(recorded, recorded, given(env), ["fetch_head"], PNG)
 
 
-def test_training_environments_are_built_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_training_environments_are_built_again(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Their arrangements come from a pool drawn with the seed of the environment: `make` would begin elsewhere."""
     path = tmp_path / "train.h5"
-    env = make_train(task="set_table", subtask="open", num_envs=2, autoreset="disabled", seed=5, episode_pool=2)
+    env = make_train(
+        task="set_table", subtask="open", num_envs=2, autoreset="disabled", seed=5, episode_pool=2
+    )
     with ShardWriter(path) as writer:
         recorder = Recorder(writer, env, {"name": "random"})
         rollout(env, RandomPolicy(0), [0, 1, 2], 3, [recorder], max_steps=STEPS)
@@ -218,4 +289,8 @@ def test_training_environments_are_built_again(tmp_path: Path, capsys: pytest.Ca
         return make(task="set_table", subtask="open", num_envs=2, autoreset="disabled")
 
     lost = verify(path, without_pool)
-    assert len(lost.moved) == 3 and lost.exact < 3 and "it cannot begin here: the state is of home" in str(lost.wrong)
+    assert (
+        len(lost.moved) == 3
+        and lost.exact < 3
+        and "it cannot begin here: the state is of home" in str(lost.wrong)
+    )

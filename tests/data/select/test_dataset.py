@@ -38,16 +38,21 @@ def test_windows_hold_what_was_before_and_what_comes(source: Path) -> None:
     lengths = [episode.steps for episode in episodes(source)]
     assert len(data) == sum(lengths)
     for k, episode in enumerate(episodes(source)):
-        state, actions = episode.array("obs/state"), episode.array("actions")
+        state = episode.array("obs/state")
+        actions = episode.array("actions")
         for t in (0, 1, 5, episode.steps - 2, episode.steps - 1):
             item = data[sum(lengths[:k]) + t]
             assert (item["episode"], item["step"]) == (k, t)
             np.testing.assert_array_equal(item["state"], state[[max(t - 2, 0), max(t - 1, 0), t]])
             ahead = np.arange(t, t + 4)
-            np.testing.assert_array_equal(item["action"], actions[np.minimum(ahead, episode.steps - 1)])
+            np.testing.assert_array_equal(
+                item["action"], actions[np.minimum(ahead, episode.steps - 1)]
+            )
             assert item["action_is_pad"].tolist() == (ahead >= episode.steps).tolist()
             assert item[DEPTH].shape == (3, 1, SIZE, SIZE) and item[DEPTH].dtype == torch.int16
-            np.testing.assert_array_equal(item[DEPTH][2, 0], episode.frame("fetch_head", "depth", t)[..., 0])
+            np.testing.assert_array_equal(
+                item[DEPTH][2, 0], episode.frame("fetch_head", "depth", t)[..., 0]
+            )
             np.testing.assert_array_equal(
                 item[DEPTH][0, 0], episode.frame("fetch_head", "depth", max(t - 2, 0))[..., 0]
             )
@@ -56,17 +61,21 @@ def test_windows_hold_what_was_before_and_what_comes(source: Path) -> None:
 
 
 def test_normalized_numbers_have_mean_zero_and_come_back(source: Path, tmp_path: Path) -> None:
-    plain, data = WindowDataset(source), WindowDataset(source, normalize="spread", cache=tmp_path / "stats.npz")
+    plain = WindowDataset(source)
+    data = WindowDataset(source, normalize="spread", cache=tmp_path / "stats.npz")
     actions = torch.cat([data[i]["action"] for i in range(len(data))]).numpy()
     np.testing.assert_allclose(actions.mean(axis=0), 0, atol=1e-5)
     np.testing.assert_allclose(actions.std(axis=0), 1, atol=1e-4)
     known = Statistics.load(tmp_path / "stats.npz")
-    np.testing.assert_allclose(known.restore("action", actions[7]), plain[7]["action"][0], atol=1e-5)
+    np.testing.assert_allclose(
+        known.restore("action", actions[7]), plain[7]["action"][0], atol=1e-5
+    )
     assert known.low["state"].shape == (5,) and (known.high["state"] >= known.low["state"]).all()
 
 
 def test_normalized_to_a_range(source: Path) -> None:
-    plain, data = WindowDataset(source), WindowDataset(source, normalize="range")
+    plain = WindowDataset(source)
+    data = WindowDataset(source, normalize="range")
     actions = torch.cat([data[i]["action"] for i in range(len(data))]).numpy()
     np.testing.assert_allclose(actions.min(axis=0), -1, atol=1e-5)
     np.testing.assert_allclose(actions.max(axis=0), 1, atol=1e-5)
@@ -76,7 +85,9 @@ def test_normalized_to_a_range(source: Path) -> None:
         WindowDataset(source, normalize="rang")
 
 
-def test_images_of_a_shard_with_a_journal(source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_images_of_a_shard_with_a_journal(
+    source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A writer was killed while it put its last episode in place: frames come through HDF5, and are the same."""
     path = tmp_path / "a.h5"
     record(path, range(1), FakeEnv(subtask="pick", images=True), images=ImageFormat())
@@ -88,7 +99,8 @@ def test_images_of_a_shard_with_a_journal(source: Path, tmp_path: Path, monkeypa
         patch.setattr(journal, "_apply", killed)
         record(path, range(1, 2), FakeEnv(subtask="pick", images=True), images=ImageFormat())
     assert journal.journal_path(path).exists()
-    pending, whole = WindowDataset(path, images=[DEPTH]), WindowDataset(source, images=[DEPTH])
+    pending = WindowDataset(path, images=[DEPTH])
+    whole = WindowDataset(source, images=[DEPTH])
     assert len(pending) == 2 * len(whole) // 6
     for t in (0, len(pending) - 1):
         assert torch.equal(pending[t][DEPTH], whole[t][DEPTH])
@@ -99,7 +111,9 @@ def test_a_file_that_was_replaced_is_told(source: Path, tmp_path: Path) -> None:
     record(path, range(1), FakeEnv(subtask="pick", images=True), images=ImageFormat())
     data = WindowDataset(path, images=[DEPTH])
     path.write_bytes(bytes(path.stat().st_size))
-    with pytest.raises(DamagedError, match=r"image 3 of fetch_head depth .* Has the file been replaced"):
+    with pytest.raises(
+        DamagedError, match=r"image 3 of fetch_head depth .* Has the file been replaced"
+    ):
         data[3]
 
 
@@ -113,7 +127,10 @@ def test_statistics_are_computed_once_for_the_same_data(
     np.testing.assert_array_equal(again.mean["action"], first.mean["action"])
     monkeypatch.undo()
     other = WindowDataset(source, where=Filter("index < 2"), cache=cache).statistics
-    assert other.fingerprint != first.fingerprint and Statistics.load(cache).fingerprint == other.fingerprint
+    assert (
+        other.fingerprint != first.fingerprint
+        and Statistics.load(cache).fingerprint == other.fingerprint
+    )
     assert WindowDataset(source, statistics=first).statistics is first
     cache.write_bytes(b"no statistics")
     with pytest.raises(UsageError, match="Delete it"):
@@ -134,8 +151,10 @@ def test_workers_read_the_same(source: Path) -> None:
 
 def test_order_is_a_function_of_seed_and_epoch(source: Path) -> None:
     data = WindowDataset(source)
-    sampler, other = SeededSampler(len(data), seed=3), SeededSampler(len(data), seed=3)
-    first, second = list(sampler), list(sampler)
+    sampler = SeededSampler(len(data), seed=3)
+    other = SeededSampler(len(data), seed=3)
+    first = list(sampler)
+    second = list(sampler)
     assert sorted(first) == list(range(len(data))) == sorted(second) and first != second
     other.set_epoch(1)
     assert list(other) == second and list(SeededSampler(len(data), seed=4)) != first

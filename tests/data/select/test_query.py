@@ -17,14 +17,41 @@ from mjhab.rollout.records import EpisodeRecord, PlanEntry, SubtaskRecord
 from mjhab.tasks.events import EVENT_NAMES
 
 RUN = RunInfo({"policy": {"name": "expert"}})
-SUB = SubtaskRecord(0, "pick", "024_bowl_:0001", "straightforward_success", "winding_success", True, True, 0, 200, 99.0,
-                    1000.0)  # fmt: skip
+SUB = SubtaskRecord(
+    0,
+    "pick",
+    "024_bowl_:0001",
+    "straightforward_success",
+    "winding_success",
+    True,
+    True,
+    0,
+    200,
+    99.0,
+    1000.0,
+)
 GOOD = EpisodeRecord(
-    seed=3, index=7, home="builtin_m0_00", task="set_table", split="train", subtask="pick",
-    plan=(PlanEntry("pick", "024_bowl_:0001"),), subtasks=(SUB,), success_once=True, success_at_end=False, fail=False,
-    steps=200, completed=1, events=((20, "contact"), (25, "grasped"), (90, "success"), (120, "contact")),
-    peak_force=1200.5, cumulative_force=5000.0, force=(), taint=(), spawn_fallback=False, final_state="",
-)  # fmt: skip
+    seed=3,
+    index=7,
+    home="builtin_m0_00",
+    task="set_table",
+    split="train",
+    subtask="pick",
+    plan=(PlanEntry("pick", "024_bowl_:0001"),),
+    subtasks=(SUB,),
+    success_once=True,
+    success_at_end=False,
+    fail=False,
+    steps=200,
+    completed=1,
+    events=((20, "contact"), (25, "grasped"), (90, "success"), (120, "contact")),
+    peak_force=1200.5,
+    cumulative_force=5000.0,
+    force=(),
+    taint=(),
+    spawn_fallback=False,
+    final_state="",
+)
 
 
 STYLED = dataclasses.replace(GOOD, style={"speed": 0.7, "release": "drop"})
@@ -37,7 +64,10 @@ def ask(text: str, record: EpisodeRecord = GOOD) -> bool:
 @pytest.mark.parametrize(
     ("text", "answer"),
     [
-        ("label in ('straightforward_success', 'winding_success') and max_force < 1400 and not dropped", True),
+        (
+            "label in ('straightforward_success', 'winding_success') and max_force < 1400 and not dropped",
+            True,
+        ),
         ("label in ['winding_success']", False),
         ("label not in {'winding_success'}", True),
         ("legacy_label == 'winding_success' and target == '024_bowl'", True),
@@ -82,7 +112,11 @@ def test_meaning(text: str, answer: bool) -> None:
         ("label = 'drop_failure'", 7, "write == to compare"),
         ("success && fail", 10, "write 'and' instead of '&&'"),
         ("success & fail", 1, "write 'and' and 'or' for & and |"),
-        ("label == 'drop_failure' or 'winding_success'", 28, "'or' needs yes or no, but this is a text"),
+        (
+            "label == 'drop_failure' or 'winding_success'",
+            28,
+            "'or' needs yes or no, but this is a text",
+        ),
         ("steps", 1, "a filter needs yes or no, but this is a number"),
         ("label in ('drop_failure')", 11, "a list of one is ('a',)"),
         ("label < 'a'", 9, "a text has no order"),
@@ -120,8 +154,14 @@ def test_errors_say_where_and_what(text: str, column: int, message: str) -> None
 
 
 def test_hostile_texts_are_refused_or_harmless() -> None:
-    for text in ("(" * 3000 + "success" + ")" * 900, "not " * 900 + "success", "success\0", "9" * 3999 + " > steps",
-                 " and ".join(["success"] * 440), "-" * 3000 + "1 < steps"):  # fmt: skip
+    for text in (
+        "(" * 3000 + "success" + ")" * 900,
+        "not " * 900 + "success",
+        "success\0",
+        "9" * 3999 + " > steps",
+        " and ".join(["success"] * 440),
+        "-" * 3000 + "1 < steps",
+    ):
         try:
             assert ask(text) in (True, False)
         except UsageError as error:
@@ -150,17 +190,26 @@ def test_tainted_episodes_pass_only_when_asked_for() -> None:
 def test_facts_without_subtasks_and_of_chains() -> None:
     plan = (PlanEntry("open", "fridge/top_door"), PlanEntry("pick", "013_apple_:0000"))
     cut = dataclasses.replace(GOOD, subtasks=(), plan=plan, subtask=None, events=())
-    assert ask("label == '' and target == 'fridge/top_door' and furniture == 'fridge' and subtask == ''", cut)
+    assert ask(
+        "label == '' and target == 'fridge/top_door' and furniture == 'fridge' and subtask == ''",
+        cut,
+    )
     ended = dataclasses.replace(SUB, kind="open", target="fridge/top_door", label="open_success")
     chain = dataclasses.replace(cut, subtasks=(ended, SUB))
-    assert ask("'open_success' in labels and label == 'straightforward_success' and planned == 2", chain)
+    assert ask(
+        "'open_success' in labels and label == 'straightforward_success' and planned == 2", chain
+    )
 
 
 def test_every_name_can_be_asked() -> None:
     for name, fact in FACTS.items():
         value: Any = fact.get(GOOD, RUN)
-        text = {"a number": f"{name} >= 0", "a text": f"{name} == {value!r}", "yes or no": f"{name} == {value}",
-                "a list of texts": f"'contact' in {name} or steps > 0"}[fact.kind]  # fmt: skip
+        text = {
+            "a number": f"{name} >= 0",
+            "a text": f"{name} == {value!r}",
+            "yes or no": f"{name} == {value}",
+            "a list of texts": f"'contact' in {name} or steps > 0",
+        }[fact.kind]
         if "a list" in fact.kind and fact.choices:
             text = f"{fact.choices[0]!r} in {name} or steps > 0"
         assert ask(text), name
@@ -171,17 +220,32 @@ def test_presets() -> None:
     for name in PRESETS:
         assert Filter.preset(name).text == PRESETS[name][0]
     assert Filter.preset("pick_paper")(GOOD, RUN) and not Filter.preset("place_paper")(GOOD, RUN)
-    close = dataclasses.replace(SUB, kind="close", target="fridge/top_door", label="success_then_excessive_collisions",
-                                legacy_label="success_then_excessive_collisions")  # fmt: skip
+    close = dataclasses.replace(
+        SUB,
+        kind="close",
+        target="fridge/top_door",
+        label="success_then_excessive_collisions",
+        legacy_label="success_then_excessive_collisions",
+    )
     fridge = dataclasses.replace(GOOD, subtask="close", subtasks=(close,))
-    drawer = dataclasses.replace(fridge, subtasks=(dataclasses.replace(close, target="kitchen_counter/drawer3"),))
-    assert Filter.preset("close_published")(fridge, RUN) and not Filter.preset("close_paper")(fridge, RUN)
+    drawer = dataclasses.replace(
+        fridge, subtasks=(dataclasses.replace(close, target="kitchen_counter/drawer3"),)
+    )
+    assert Filter.preset("close_published")(fridge, RUN) and not Filter.preset("close_paper")(
+        fridge, RUN
+    )
     assert not Filter.preset("close_published")(drawer, RUN)
     # A second grasp at the goal: five events for the published rules, placed all the same by ours.
-    again = dataclasses.replace(SUB, kind="place", label="placed_in_goal_success", legacy_label="winding_success")
+    again = dataclasses.replace(
+        SUB, kind="place", label="placed_in_goal_success", legacy_label="winding_success"
+    )
     place = dataclasses.replace(GOOD, subtask="place", subtasks=(again,))
-    assert Filter.preset("place_paper")(place, RUN) and not Filter.preset("place_published")(place, RUN)
-    straight = dataclasses.replace(place, subtasks=(dataclasses.replace(again, legacy_label=again.label),))
+    assert Filter.preset("place_paper")(place, RUN) and not Filter.preset("place_published")(
+        place, RUN
+    )
+    straight = dataclasses.replace(
+        place, subtasks=(dataclasses.replace(again, legacy_label=again.label),)
+    )
     assert Filter.preset("place_published")(straight, RUN)
     with pytest.raises(UsageError, match="Did you mean 'pick_paper'"):
         Filter.preset("pickpaper")
@@ -189,7 +253,9 @@ def test_presets() -> None:
 
 def test_filters_ask_for_styles():
     assert ask("style.speed < 0.8 and style.release == 'drop' and style.hold == 0", STYLED)
-    assert ask("style.speed == 1 and style.release in ('place', 'drop') and style.grasp == 'any'", GOOD)
+    assert ask(
+        "style.speed == 1 and style.release in ('place', 'drop') and style.grasp == 'any'", GOOD
+    )
     for text, column, problem in (
         ("success and style.spee < 1", 13, "Did you mean 'style.speed'?"),
         ("style.release == 'dropp'", 18, "Did you mean 'drop'?"),

@@ -37,7 +37,11 @@ def test_equals_what_was_recorded(tmp_path: Path, subtask: str) -> None:
 def test_episodes_that_were_cut(tmp_path: Path) -> None:
     records, _ = record(tmp_path / "a.h5", range(12), max_steps=9)
     assert any(len(r.subtasks) == 0 for r in records) and any(len(r.subtasks) for r in records)
-    assert any(step > (r.subtasks[-1].end_step if r.subtasks else 0) for r in records for step, _ in r.events)
+    assert any(
+        step > (r.subtasks[-1].end_step if r.subtasks else 0)
+        for r in records
+        for step, _ in r.events
+    )
     for episode, expected in zip(episodes(tmp_path / "a.h5"), records, strict=True):
         assert relabel(episode) == (expected, [])
 
@@ -48,7 +52,10 @@ def test_changed_rules_are_told_and_written(
     path = tmp_path / "a.h5"
     records, _ = record(path, range(14))
     wanted = sum(
-        entry.label != LABELS[SubtaskKind.PICK][0] for r in records for entry in r.subtasks if entry.kind == "pick"
+        entry.label != LABELS[SubtaskKind.PICK][0]
+        for r in records
+        for entry in r.subtasks
+        if entry.kind == "pick"
     )
 
     def strict(kind: np.ndarray, history: Any) -> np.ndarray:
@@ -75,7 +82,10 @@ def test_changed_rules_are_told_and_written(
             assert entry.kind != "pick" or entry.label == LABELS[SubtaskKind.PICK][0]
     assert label("--write")["changed"] == wanted
     assert [e.record for e in episodes(path)] == records
-    assert main(["label", str(path)]) == 0 and "0 labels and 0 other things changed" in capsys.readouterr().out
+    assert (
+        main(["label", str(path)]) == 0
+        and "0 labels and 0 other things changed" in capsys.readouterr().out
+    )
 
 
 def test_a_record_that_does_not_fit_its_signals_is_refused(tmp_path: Path) -> None:
@@ -100,7 +110,9 @@ def test_a_shard_without_ee_contact_is_read_with_touch_in_its_place(tmp_path: Pa
             arrays = {path: episode.array(path) for path in episode.paths if path != "record"}
             cut = {path: arrays[path][:, :old] for path in ("signals/checks", "subtasks/checks")}
             columns = {"signals/checks": CHECKS[:old]}
-            writer.append(EpisodeData(episode.record, episode.run, "m", "cut", arrays | cut, columns))
+            writer.append(
+                EpisodeData(episode.record, episode.run, "m", "cut", arrays | cut, columns)
+            )
     assert check(tmp_path / "old.h5").clean
     for episode in episodes(tmp_path / "old.h5"):
         for k in range(len(episode.array("subtasks/step"))):

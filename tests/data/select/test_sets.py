@@ -47,7 +47,9 @@ def test_select_and_stats(folder: Path) -> None:
     found = select(folder, Filter("steps > 2"))
     assert (len(found.matched), found.of) == (sum(r.steps > 2 and not r.taint for r in records), 20)
     assert found.tainted == sum(r.steps > 2 for r in tainted)
-    assert len(select(folder).matched) == 20 and len(select(folder, Filter("tainted")).matched) == len(tainted)
+    assert len(select(folder).matched) == 20 and len(
+        select(folder, Filter("tainted")).matched
+    ) == len(tainted)
     numbers = stats(folder)
     assert numbers["of"] == numbers["episodes"] == 20 and numbers["shards"] == 2
     assert numbers["labels"] == Counter(s.label for r in records for s in r.subtasks)
@@ -130,19 +132,36 @@ def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, Any]:
 
 def test_commands(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(capsys, "check", folder)[1] == {
-        "episodes": 20, "ok": 20, "damaged": 0, "unreadable": [], "unfinished": [], "doubled": 0,
+        "episodes": 20,
+        "ok": 20,
+        "damaged": 0,
+        "unreadable": [],
+        "unfinished": [],
+        "doubled": 0,
         "schemas": {"2": 20},
         "problems": [],
-    }  # fmt: skip
+    }
     code, found = run(capsys, "query", folder, "--where", "subtask == 'pick'", "--list", "2")
     assert code == 0 and (found["matched"], found["of"], found["tainted_left_out"]) == (7, 20, 1)
-    assert [row["index"] for row in found["episodes"]] == [0, 1] and found["episodes"][0]["target"] == "024_bowl"
+    assert [row["index"] for row in found["episodes"]] == [0, 1] and found["episodes"][0][
+        "target"
+    ] == "024_bowl"
     assert (
-        run(capsys, "query", folder, "--preset", "pick_paper", "--where", "tainted or true")[1]["tainted_left_out"] == 0
+        run(capsys, "query", folder, "--preset", "pick_paper", "--where", "tainted or true")[1][
+            "tainted_left_out"
+        ]
+        == 0
     )
     assert run(capsys, "stats", folder)[1]["episodes"] == 20
-    assert run(capsys, "merge", folder, "--out", tmp_path / "m.h5", "--where", "success")[1]["repeated"] == 0
-    sizes = run(capsys, "split", folder, "--out", tmp_path / "s", "--parts", "train=0.5", "val=0.25")[1]
+    assert (
+        run(capsys, "merge", folder, "--out", tmp_path / "m.h5", "--where", "success")[1][
+            "repeated"
+        ]
+        == 0
+    )
+    sizes = run(
+        capsys, "split", folder, "--out", tmp_path / "s", "--parts", "train=0.5", "val=0.25"
+    )[1]
     assert sizes == {"parts": {"train": 10, "val": 5}}
     repaired = {"kept": 20, "lost": 0, "finished": 0, "damaged_files": [], "indexed": True}
     assert run(capsys, "repair", folder)[1] == repaired
@@ -161,7 +180,9 @@ def test_tables(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert text in capsys.readouterr().out
 
 
-def test_damage_fails_the_check_and_is_repaired(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_damage_fails_the_check_and_is_repaired(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     with h5py.File(folder / "pick.h5", "r+") as file:
         name = sorted(group(file, "episodes"))[3]
         dataset(file, f"episodes/{name}/actions")[0, 0] += 1.0
@@ -169,7 +190,9 @@ def test_damage_fails_the_check_and_is_repaired(folder: Path, capsys: pytest.Cap
     code, report = run(capsys, "check", folder)
     assert code == 1 and (report["ok"], report["damaged"], len(report["unreadable"])) == (19, 1, 1)
     wrong = "its bytes are not those that were written (digest)"
-    assert report["problems"] == [{"shard": str(folder / "pick.h5"), "episode": name, "wrong": wrong}]
+    assert report["problems"] == [
+        {"shard": str(folder / "pick.h5"), "episode": name, "wrong": wrong}
+    ]
     assert main(["data", "check", str(folder)]) == 1 and "digest" in capsys.readouterr().out
     (folder / "foreign.h5").unlink()
     assert main(["data", "repair", str(folder)]) == 0
@@ -188,7 +211,9 @@ def test_damage_fails_the_check_and_is_repaired(folder: Path, capsys: pytest.Cap
         (("split", "--out", "x", "--by", "homes"), "Did you mean 'home'"),
     ],
 )
-def test_bad_options(folder: Path, words: tuple[str, ...], message: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_options(
+    folder: Path, words: tuple[str, ...], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["data", words[0], str(folder), *words[1:]]) == 2
     assert message in capsys.readouterr().err
     assert main(["data", "query", str(folder / "nowhere")]) == 2

@@ -31,7 +31,9 @@ from mjhab.rollout.policy import RandomPolicy
 from tests.data.fake_world import FakeEnv
 from tests.data.make import make_older, record
 
-NO_FILMS = FilmTools(lambda path, fps: pytest.fail("there is nothing to film"), lambda paths, out: None)
+NO_FILMS = FilmTools(
+    lambda path, fps: pytest.fail("there is nothing to film"), lambda paths, out: None
+)
 
 
 class Takeover(RandomPolicy):
@@ -66,7 +68,9 @@ def test_intended_actions_and_actors_are_stored(source: Path) -> None:
         for episode in shard:
             assert not episode.problems() and episode.schema == VERSION and episode.lacks == ()
             assert episode.actors == ("student", "expert")
-            np.testing.assert_array_equal(episode.array("actions_intended"), 0.5 * episode.array("actions"))
+            np.testing.assert_array_equal(
+                episode.array("actions_intended"), 0.5 * episode.array("actions")
+            )
             wanted = (episode.array("subtasks/active")[:-1] > 0) & (episode.record.index % 2 == 0)
             np.testing.assert_array_equal(episode.array("actor"), wanted)
             seen |= set(episode.array("actor").tolist())
@@ -78,7 +82,9 @@ def test_a_policy_that_says_nothing_means_what_it_does(tmp_path: Path) -> None:
     with open_shard(tmp_path / "a.h5") as shard:
         for episode in shard:
             assert episode.actors == ("random",) and not episode.array("actor").any()
-            np.testing.assert_array_equal(episode.array("actions_intended"), episode.array("actions"))
+            np.testing.assert_array_equal(
+                episode.array("actions_intended"), episode.array("actions")
+            )
 
 
 @pytest.mark.parametrize(
@@ -89,7 +95,9 @@ def test_a_policy_that_says_nothing_means_what_it_does(tmp_path: Path) -> None:
         (np.zeros((2, 13)), np.array([0, 2], np.uint8), "actor 2 has no name"),
     ],
 )
-def test_notes_that_do_not_fit_are_refused(intended: np.ndarray, actor: np.ndarray, message: str) -> None:
+def test_notes_that_do_not_fit_are_refused(
+    intended: np.ndarray, actor: np.ndarray, message: str
+) -> None:
     with pytest.raises(ValueError, match=message):
         ActionNotes(intended, actor, ("student", "expert"))
 
@@ -114,15 +122,21 @@ def test_actors_without_names_are_refused_and_found(source: Path) -> None:
             EpisodeData(episode.record, episode.run, "m", "success", narrow, actors=episode.actors)
 
 
-def test_shards_of_schema_1_are_read_with_what_stands_in(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_shards_of_schema_1_are_read_with_what_stands_in(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = tmp_path / "old.h5"
     record(path, range(3))
     make_older(path)
     with open_shard(path) as shard:
         for episode in shard:
             assert episode.schema == 1 and episode.lacks == ("actions_intended", "actor")
-            assert episode.actors == ("random",) and episode.array("actor").shape == (episode.steps,)
-            np.testing.assert_array_equal(episode.array("actions_intended"), episode.array("actions"))
+            assert episode.actors == ("random",) and episode.array("actor").shape == (
+                episode.steps,
+            )
+            np.testing.assert_array_equal(
+                episode.array("actions_intended"), episode.array("actions")
+            )
             assert episode.array("actor").dtype == np.uint8 and not episode.array("actor").any()
     assert check(path).clean and dict(check(path).schemas) == {1: 3} and repair(path).kept == 3
     assert main(["data", "check", str(path)]) == 0
@@ -130,7 +144,9 @@ def test_shards_of_schema_1_are_read_with_what_stands_in(tmp_path: Path, capsys:
 
 
 def test_new_episodes_in_an_old_shard(tmp_path: Path) -> None:
-    old, new, merged = tmp_path / "old.h5", tmp_path / "new.h5", tmp_path / "merged.h5"
+    old = tmp_path / "old.h5"
+    new = tmp_path / "new.h5"
+    merged = tmp_path / "merged.h5"
     record(old, range(2))
     make_older(old)
     record(new, range(2, 4))
@@ -152,7 +168,10 @@ def test_an_episode_that_lost_its_intended_actions_is_damaged(source: Path, tmp_
         name = min(file["episodes"])  # type: ignore[type-var]
         del file[f"episodes/{name}/actions_intended"]
     assert list(check(path).damaged.values()) == [["actions_intended is missing"]]
-    with open_shard(path) as shard, pytest.raises(UsageError, match="unknown dataset 'actions_intended'"):
+    with (
+        open_shard(path) as shard,
+        pytest.raises(UsageError, match="unknown dataset 'actions_intended'"),
+    ):
         shard.episode(str(name)).array("actions_intended")
 
 
@@ -166,7 +185,8 @@ def test_windows_take_either_actions_for_labels(source: Path, tmp_path: Path) ->
     assert executed.statistics.fingerprint != intended.statistics.fingerprint
     seen = set()
     for i in range(len(executed)):
-        a, b = executed[i], intended[i]
+        a = executed[i]
+        b = intended[i]
         halved = a["episode"] < 6
         assert (b["action"] == (0.5 if halved else 1.0) * a["action"]).all()
         assert a["actor"].shape == (2,) and (a["actor"] == 2).all() == (not halved)
@@ -192,7 +212,9 @@ def test_exports_hold_both(source: Path, tmp_path: Path) -> None:
             np.testing.assert_array_equal(trajectory["actions_intended"], intended)
             np.testing.assert_array_equal(trajectory["actor"], actor)
             assert tuple(said[number]["actors"]) == actors
-            assert said[number]["lacks"] == (["actions_intended", "actor"] if actors == ("random",) else [])
+            assert said[number]["lacks"] == (
+                ["actions_intended", "actor"] if actors == ("random",) else []
+            )
 
     for version, table in (
         ("3.0", "data/chunk-000/file-000.parquet"),
@@ -206,8 +228,13 @@ def test_exports_hold_both(source: Path, tmp_path: Path) -> None:
         np.testing.assert_array_equal(rows["action"][:count].to_pylist(), found[0][0])
         assert rows["actor_index"][:count].to_pylist() == found[0][2].tolist()
         features = json.loads((out / "meta/info.json").read_text())["features"]
-        assert features["intended_action"] == features["action"] and features["actor_index"]["dtype"] == "int64"
-    names = [json.loads(line) for line in (tmp_path / "2.1/meta/actors.jsonl").read_text().splitlines()]
+        assert (
+            features["intended_action"] == features["action"]
+            and features["actor_index"]["dtype"] == "int64"
+        )
+    names = [
+        json.loads(line) for line in (tmp_path / "2.1/meta/actors.jsonl").read_text().splitlines()
+    ]
     assert [row["actor"] for row in names] == ["student", "expert", "random"]
     rows = pq.read_table(tmp_path / "3.0/data/chunk-000/file-000.parquet")
     assert set(rows["actor_index"].to_pylist()) == {0, 1, 2}
@@ -217,4 +244,7 @@ def test_exports_hold_both(source: Path, tmp_path: Path) -> None:
 
 def _read(path: Path) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, tuple[str, ...]]]:
     with open_shard(path) as shard:
-        return [(e.array("actions"), e.array("actions_intended"), e.array("actor"), e.actors) for e in shard]
+        return [
+            (e.array("actions"), e.array("actions_intended"), e.array("actor"), e.actors)
+            for e in shard
+        ]

@@ -92,7 +92,9 @@ def test_a_kill_between_any_two_steps_loses_at_most_the_last_episode(
             if seen == 2:
                 again.append(numbered(template, 2))
             again.append(numbered(template, 3))
-        assert check(path).ok == 4 and not journal_path(path).exists() and not lock_path(path).exists()
+        assert (
+            check(path).ok == 4 and not journal_path(path).exists() and not lock_path(path).exists()
+        )
         outcomes.add((seen, finished))
         if finished:
             assert done() < when
@@ -137,8 +139,10 @@ def test_a_kill_during_recovery_is_recovered_from(
 
 
 def test_real_kills_at_random_moments(tmp_path: Path, template: EpisodeData) -> None:
-    path, dice = tmp_path / "a.h5", random.Random(0)
-    rounds, count = int(os.environ.get("MJHAB_KILLS", "25")), 0
+    path = tmp_path / "a.h5"
+    dice = random.Random(0)
+    rounds = int(os.environ.get("MJHAB_KILLS", "25"))
+    count = 0
     for _ in range(rounds):
         read, write = os.pipe()
         child = os.fork()
@@ -184,7 +188,8 @@ def test_a_full_disk_stops_cleanly_and_the_next_run_goes_on(
     path = tmp_path / "a.h5"
     with ShardWriter(path) as writer:
         writer.append(numbered(template, 0))
-        count, real = 0, os.pwrite
+        count = 0
+        real = os.pwrite
 
         def full(*args: Any) -> int:
             nonlocal count
@@ -196,7 +201,9 @@ def test_a_full_disk_stops_cleanly_and_the_next_run_goes_on(
 
         with monkeypatch.context() as patch:
             patch.setattr(jn.os, "pwrite", full)
-            with pytest.raises(StorageError, match=r"disk is full.*same command again.*finished before is safe"):
+            with pytest.raises(
+                StorageError, match=r"disk is full.*same command again.*finished before is safe"
+            ):
                 writer.append(numbered(template, 1))
         with pytest.raises(UsageError, match="has been closed"):
             writer.append(numbered(template, 2))
@@ -227,7 +234,9 @@ def test_a_place_that_cannot_be_written(tmp_path: Path) -> None:
 def test_two_writers(tmp_path: Path, template: EpisodeData) -> None:
     path = tmp_path / "a.h5"
     with ShardWriter(path) as writer:
-        with pytest.raises(UsageError, match=rf"being written by process {os.getpid()} on .*another file"):
+        with pytest.raises(
+            UsageError, match=rf"being written by process {os.getpid()} on .*another file"
+        ):
             ShardWriter(path)
         child = os.fork()
         if child == 0:
@@ -275,9 +284,11 @@ def test_overlay_is_a_file(tmp_path: Path) -> None:
     path = tmp_path / "f"
     path.write_bytes(rng.bytes(20_000))
     fd = os.open(path, os.O_RDONLY)
-    overlay, model = Overlay(fd, 20_000), io.BytesIO(path.read_bytes())
+    overlay = Overlay(fd, 20_000)
+    model = io.BytesIO(path.read_bytes())
     for _ in range(300):
-        at, size = int(rng.integers(0, 30_000)), int(rng.integers(0, 9_000))
+        at = int(rng.integers(0, 30_000))
+        size = int(rng.integers(0, 9_000))
         overlay.seek(at)
         model.seek(at)
         if rng.random() < 0.5:
@@ -286,7 +297,9 @@ def test_overlay_is_a_file(tmp_path: Path) -> None:
         else:
             got = bytearray(size)
             assert bytes(got[: overlay.readinto(got)]) == model.read(size)
-        assert overlay.tell() == model.tell() and overlay.seek(0, os.SEEK_END) == len(model.getvalue())
+        assert overlay.tell() == model.tell() and overlay.seek(0, os.SEEK_END) == len(
+            model.getvalue()
+        )
     assert overlay.truncate(25_000) == 25_000
     model.truncate(25_000)
     overlay.seek(0)
@@ -314,5 +327,9 @@ def test_plain_h5py_reads_a_shard(tmp_path: Path) -> None:
         names = sorted(group(file, "episodes"))
         assert len(names) == 2
         episode = group(file, f"episodes/{names[0]}")
-        assert dataset(episode, "actions").shape == (records[0].steps, 13) == (episode.attrs["steps"], 13)
+        assert (
+            dataset(episode, "actions").shape
+            == (records[0].steps, 13)
+            == (episode.attrs["steps"], 13)
+        )
         assert str(dataset(episode, "signals/checks").attrs["columns"]).startswith("b'is_grasped,")

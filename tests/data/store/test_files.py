@@ -17,7 +17,15 @@ from mjhab.data.store.episode_data import episode_digest, from_bytes, run_id, to
 from mjhab.data.store.hdf5 import dataset, group, read_arrays
 from mjhab.data.store.images import ImageFormat
 from mjhab.data.store.reading import Episode, episodes, open_shard, shard_paths
-from mjhab.data.store.schema import ATTRIBUTES, CHECKS, FIELDS, FORCES, VERSION, DamagedError, field_of
+from mjhab.data.store.schema import (
+    ATTRIBUTES,
+    CHECKS,
+    FIELDS,
+    FORCES,
+    VERSION,
+    DamagedError,
+    field_of,
+)
 from mjhab.data.store.shard import ShardWriter
 from mjhab.tasks.labels import History
 from mjhab.tasks.measure import Signals
@@ -73,17 +81,26 @@ def test_foreign_files(tmp_path: Path) -> None:
         assert path.read_bytes() == before
     report = check(tmp_path)
     assert len(report.unreadable) == 4 and not report.clean and report.episodes == 0
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["empty.h5", "old.h5", "other.h5", "text.h5"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == [
+        "empty.h5",
+        "old.h5",
+        "other.h5",
+        "text.h5",
+    ]
 
 
 @pytest.mark.parametrize("version", [0, VERSION + 6])
 def test_other_versions(shard: Path, version: int) -> None:
     with h5py.File(shard, "r+") as file:
-        file.attrs["schema"], file.attrs["mjhab"] = version, "9.8"
+        file.attrs["schema"] = version
+        file.attrs["mjhab"] = "9.8"
     how = "Update mjhab to 9.8 or later" if version > VERSION else "Read it with mjhab 9.8"
     before = shard.read_bytes()
     for act in (open_shard, ShardWriter, repair, check):
-        with pytest.raises(UsageError, match=rf"schema {version} .* mjhab 9.8; .* reads schema 1 to {VERSION}. {how}"):
+        with pytest.raises(
+            UsageError,
+            match=rf"schema {version} .* mjhab 9.8; .* reads schema 1 to {VERSION}. {how}",
+        ):
             act(shard)
     assert shard.read_bytes() == before
 
@@ -91,19 +108,24 @@ def test_other_versions(shard: Path, version: int) -> None:
 def test_what_a_later_version_adds_is_passed_over(shard: Path) -> None:
     """Names that this version does not know do no harm: that is the rule by which they need no other schema version."""
     with h5py.File(shard, "r+") as file:
-        runs, episode = group(file, "runs"), group(file, f"episodes/{min(group(file, 'episodes'))}")
+        runs = group(file, "runs")
+        episode = group(file, f"episodes/{min(group(file, 'episodes'))}")
         run = min(runs)
         values = {**from_bytes(dataset(runs, run)[()]), "weather": "rain"}
         record_ = {**from_bytes(dataset(episode, "record")[()]), "mood": "good"}
         del episode["record"]
-        episode["record"], episode["audio/left"] = to_bytes(record_), np.zeros(5)
+        episode["record"] = to_bytes(record_)
+        episode["audio/left"] = np.zeros(5)
         runs[run_id(values)] = to_bytes(values)
-        episode.attrs["run"], episode.attrs["colour"] = run_id(values), "red"
+        episode.attrs["run"] = run_id(values)
+        episode.attrs["colour"] = "red"
         episode.attrs["digest"] = episode_digest(read_arrays(episode))
     assert check(shard).clean and repair(shard).kept == 4
     with open_shard(shard) as opened:
         first = next(iter(opened))
-        assert first.record.steps == first.steps and first.run.config["policy"] == {"name": "random"}
+        assert first.record.steps == first.steps and first.run.config["policy"] == {
+            "name": "random"
+        }
         assert first.array("audio/left").shape == (5,) and first.attributes["colour"] == "red"
 
 
@@ -119,7 +141,10 @@ def test_places(tmp_path: Path, shard: Path) -> None:
     for act in (open_shard, shard_paths, repair):
         with pytest.raises(UsageError, match="does not exist"):
             act(tmp_path / "nowhere.h5")
-    with open_shard(shard) as opened, pytest.raises(UsageError, match=r"unknown episode in .*Did you mean"):
+    with (
+        open_shard(shard) as opened,
+        pytest.raises(UsageError, match=r"unknown episode in .*Did you mean"),
+    ):
         opened.episode(opened.names[0][:-1] + "9")
 
 
@@ -130,9 +155,15 @@ def test_a_rotten_byte_is_found_and_the_rest_is_saved(shard: Path, data: str) ->
     report = check(shard)
     assert list(report.damaged) == [(shard, name)] and report.ok == 3 and report.episodes == 4
     done = repair(shard)
-    assert done.kept == 3 and list(done.lost) == [name] and done.kept_as == shard.with_name("a.h5.damaged")
+    assert (
+        done.kept == 3
+        and list(done.lost) == [name]
+        and done.kept_as == shard.with_name("a.h5.damaged")
+    )
     assert check(shard).clean
-    assert {e.name: e.attributes for e in episodes(shard)} == {k: v for k, v in before.items() if k != name}
+    assert {e.name: e.attributes for e in episodes(shard)} == {
+        k: v for k, v in before.items() if k != name
+    }
     assert sorted(p.name for p in shard.parent.iterdir()) == ["a.h5", "a.h5.damaged"]
     assert repair(shard).kept_as is None
     spoil(shard, data)
@@ -142,15 +173,24 @@ def test_a_rotten_byte_is_found_and_the_rest_is_saved(shard: Path, data: str) ->
 def test_a_cut_file(shard: Path) -> None:
     size = shard.stat().st_size
     os.truncate(shard, size - 3000)
-    with pytest.raises(DamagedError, match=r"cannot be read: it is cut off, [\d,]+ of its [\d,]+ bytes.*data repair"):
+    with pytest.raises(
+        DamagedError,
+        match=r"cannot be read: it is cut off, [\d,]+ of its [\d,]+ bytes.*data repair",
+    ):
         open_shard(shard)
     report = check(shard)
     assert list(report.unreadable) == [shard] and not report.clean
     done = repair(shard)
-    assert 1 <= done.kept < 4 and done.kept_as is not None and done.kept_as.stat().st_size == size - 3000
+    assert (
+        1 <= done.kept < 4
+        and done.kept_as is not None
+        and done.kept_as.stat().st_size == size - 3000
+    )
     assert check(shard).ok == done.kept
     os.truncate(shard, 200)
-    with pytest.raises(DamagedError, match=r"no episode in .*/a.h5 can be read; the file was left as it is"):
+    with pytest.raises(
+        DamagedError, match=r"no episode in .*/a.h5 can be read; the file was left as it is"
+    ):
         repair(shard)
     assert shard.stat().st_size == 200
 
@@ -164,7 +204,9 @@ def test_bytes_turned_anywhere_never_pass_unseen(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     found = 0
     for at in rng.integers(0, len(good), 400):
-        path.write_bytes(good[:at] + bytes([good[at] ^ (1 << int(rng.integers(8)))]) + good[at + 1 :])
+        path.write_bytes(
+            good[:at] + bytes([good[at] ^ (1 << int(rng.integers(8)))]) + good[at + 1 :]
+        )
         try:
             report = check(path)
         except UsageError as error:
@@ -184,15 +226,30 @@ def test_text_lies_where_checksums_are(tmp_path: Path) -> None:
 
 def test_episodes_may_be_kept_longer_than_their_shard_is_open(tmp_path: Path) -> None:
     for part in range(2):
-        record(tmp_path / f"{part}.h5", range(2 * part, 2 * part + 2), FakeEnv(1, images=True), images=ImageFormat())
+        record(
+            tmp_path / f"{part}.h5",
+            range(2 * part, 2 * part + 2),
+            FakeEnv(1, images=True),
+            images=ImageFormat(),
+        )
     kept = list(episodes(tmp_path))
     for episode, now in zip(kept, episodes(tmp_path), strict=True):
-        assert (episode.record, episode.attributes, episode.run) == (now.record, now.attributes, now.run)
-        assert episode.paths == now.paths and episode.columns("obs/state") == now.columns("obs/state")
-        assert episode.nbytes == now.nbytes and episode.images == now.images and not episode.problems()
+        assert (episode.record, episode.attributes, episode.run) == (
+            now.record,
+            now.attributes,
+            now.run,
+        )
+        assert episode.paths == now.paths and episode.columns("obs/state") == now.columns(
+            "obs/state"
+        )
+        assert (
+            episode.nbytes == now.nbytes and episode.images == now.images and not episode.problems()
+        )
         for key in ("state", "agent/qpos", "sensor_data/fetch_head/depth"):
             np.testing.assert_array_equal(episode.observation(key), now.observation(key))
-        assert episode.frame_places("fetch_head", "rgb")[0] == now.frame_places("fetch_head", "rgb")[0]  # type: ignore[index]
+        assert (
+            episode.frame_places("fetch_head", "rgb")[0] == now.frame_places("fetch_head", "rgb")[0]
+        )  # type: ignore[index]
         np.testing.assert_array_equal(episode.history(0)[1].success, now.history(0)[1].success)
     kept[0].shard.path.unlink()
     with pytest.raises(UsageError, match="does not exist"):
@@ -218,7 +275,9 @@ def test_files_hold_what_the_schema_says(tmp_path: Path) -> None:
     record(tmp_path / "a.h5", range(1), FakeEnv(1, images=True), images=ImageFormat())
     with open_shard(tmp_path / "a.h5") as shard:
         episode: Episode = next(iter(shard))
-        assert {field.path for path in episode.paths if (field := field_of(path))} == {f.path for f in FIELDS}
+        assert {field.path for path in episode.paths if (field := field_of(path))} == {
+            f.path for f in FIELDS
+        }
         assert set(episode.attributes) == set(ATTRIBUTES)
 
 
@@ -226,7 +285,9 @@ def test_docs_show_the_schema() -> None:
     text = DOCS.read_text(encoding="utf-8")
     for field in FIELDS:
         path = f"`{field.path}`" + (" (optional)" if field.optional else "")
-        assert f"| {path} | {field.shape} | {field.dtype} | {field.unit} | {field.meaning} |" in text
+        assert (
+            f"| {path} | {field.shape} | {field.dtype} | {field.unit} | {field.meaning} |" in text
+        )
     for name, meaning in ATTRIBUTES.items():
         assert f"| `{name}` | {meaning} |" in text
     assert f"schema {VERSION}" in text

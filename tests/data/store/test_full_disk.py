@@ -72,18 +72,24 @@ def check(write: Write, source: Path, out: Path, monkeypatch: pytest.MonkeyPatch
 
 @pytest.mark.parametrize("calls", [0, 1, 3, 5])
 @pytest.mark.parametrize("write", [maniskill, parts])
-def test_hdf5(source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, write: Write, calls: int) -> None:
+def test_hdf5(
+    source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, write: Write, calls: int
+) -> None:
     monkeypatch.setattr(journal, "_write", full_after(calls, journal._write))
     check(write, source, tmp_path / "out", monkeypatch)
 
 
-def test_no_room_for_an_empty_file(source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_room_for_an_empty_file(
+    source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(hdf5.os, "fsync", full_after(0, hdf5.os.fsync))
     check(maniskill, source, tmp_path / "out", monkeypatch)
 
 
 def test_tables(source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pq.ParquetWriter, "write_table", full_after(1, pq.ParquetWriter.write_table))
+    monkeypatch.setattr(
+        pq.ParquetWriter, "write_table", full_after(1, pq.ParquetWriter.write_table)
+    )
     check(lerobot, source, tmp_path / "out", monkeypatch)
 
 

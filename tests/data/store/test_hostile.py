@@ -59,7 +59,9 @@ FIELDS: dict[str, Forge] = {
     [("task", name) for name in ("{outside}", "a/../../../outside", "a\nb", "x" * 300)]
     + [(field, "../../outside") for field in FIELDS],
 )
-def test_a_name_in_a_record_leads_nowhere(tmp_path: Path, picks: bytes, field: str, name: str) -> None:
+def test_a_name_in_a_record_leads_nowhere(
+    tmp_path: Path, picks: bytes, field: str, name: str
+) -> None:
     """Before, "/abs" and "../" in ``task`` made the export write there, and the episode was missing in the export."""
     inside = tmp_path / "inside"
     inside.mkdir()
@@ -67,15 +69,25 @@ def test_a_name_in_a_record_leads_nowhere(tmp_path: Path, picks: bytes, field: s
     path.write_bytes(picks)
     with open_shard(path) as shard:
         first = shard.names[0]
-        forged = FIELDS[field](shard.episode(first).record, name.format(outside=tmp_path / "outside"))
+        forged = FIELDS[field](
+            shard.episode(first).record, name.format(outside=tmp_path / "outside")
+        )
     with ShardWriter(path) as writer:
         writer.replace_records({first: forged})
     before = everything(tmp_path)
-    for act in (lambda: export_maniskill(path, inside / "set"), lambda: stats(path), lambda: WindowDataset(path)):
-        with pytest.raises(DamagedError, match=rf"episode {first} of .*is no name.*mjhab data check"):
+    for act in (
+        lambda: export_maniskill(path, inside / "set"),
+        lambda: stats(path),
+        lambda: WindowDataset(path),
+    ):
+        with pytest.raises(
+            DamagedError, match=rf"episode {first} of .*is no name.*mjhab data check"
+        ):
             act()
     report = check(path)
-    assert list(report.damaged) == [(path, first)] and "is no name" in report.damaged[path, first][0]
+    assert (
+        list(report.damaged) == [(path, first)] and "is no name" in report.damaged[path, first][0]
+    )
     assert everything(tmp_path) == before
     assert repair(path).kept == 2
     assert export_maniskill(path, inside / "set").episodes == 2
@@ -109,27 +121,51 @@ def narrow(array: np.ndarray) -> np.ndarray:
 
 
 CHANGES: dict[str, tuple[str, Callable[[np.ndarray], Any], str]] = {
-    "actions nan": ("actions", spoilt(np.nan), r"actions has 13 numbers that are not finite, .*nan\) at \[1, 0\]"),
+    "actions nan": (
+        "actions",
+        spoilt(np.nan),
+        r"actions has 13 numbers that are not finite, .*nan\) at \[1, 0\]",
+    ),
     "actions inf": ("actions", spoilt(np.inf), r"actions has 13 numbers that are not finite"),
     "actions of 7": ("actions", narrow, "actions has 7 columns, not 13"),
     "actions flat": ("actions", lambda a: a[:, 0], r"actions has shape \(20,\), not \(N, A\)"),
     "actions short": ("actions", lambda a: a[:-1], "actions has 19 rows, not 20"),
     "actions wide": ("actions", lambda a: a.astype(np.float64), "actions is float64, not float32"),
-    "actions of text": ("actions", lambda a: np.full(a.shape, b"left"), r"actions is \|S4, not float32"),
+    "actions of text": (
+        "actions",
+        lambda a: np.full(a.shape, b"left"),
+        r"actions is \|S4, not float32",
+    ),
     "a number": ("actions", lambda _: np.float32(1.0), r"actions has shape \(\), not \(N, A\)"),
     "qpos nan": ("states/qpos", spoilt(np.nan), "states/qpos has 30 numbers that are not finite"),
     "qpos narrow": ("states/qpos", narrow, "states/qpos has 7 columns, not 30"),
     "qvel inf": ("states/qvel", spoilt(-np.inf), "states/qvel has 28 numbers that are not finite"),
-    "forces nan": ("signals/forces", spoilt(np.nan), "signals/forces has 3 numbers that are not finite"),
+    "forces nan": (
+        "signals/forces",
+        spoilt(np.nan),
+        "signals/forces has 3 numbers that are not finite",
+    ),
     "checks narrow": ("signals/checks", narrow, r"signals/checks has 7 columns, not 18"),
-    "reward nan": ("reward/total", spoilt(np.nan), "reward/total has 1 numbers that are not finite"),
+    "reward nan": (
+        "reward/total",
+        spoilt(np.nan),
+        "reward/total has 1 numbers that are not finite",
+    ),
     "terms nan": ("reward/terms", spoilt(np.nan), "reward/terms has 2 numbers that are not finite"),
     "state nan": ("obs/state", spoilt(np.nan), "obs/state has 5 numbers that are not finite"),
     "state narrow": ("obs/state", lambda a: a[:, :3], "obs/state has 3 columns, not 5"),
     "state long": ("obs/state", lambda a: np.concatenate([a, a]), "obs/state has 42 rows, not 21"),
-    "late subtask": ("subtasks/step", lambda a: a + 99, "subtasks/step must begin with 0, grow, and not exceed N = 20"),
-    "no subtask": ("subtasks/step", lambda a: np.int32(0), r"subtasks/step has shape \(\), not \(K,\)"),
-}  # fmt: skip
+    "late subtask": (
+        "subtasks/step",
+        lambda a: a + 99,
+        "subtasks/step must begin with 0, grow, and not exceed N = 20",
+    ),
+    "no subtask": (
+        "subtasks/step",
+        lambda a: np.int32(0),
+        r"subtasks/step has shape \(\), not \(K,\)",
+    ),
+}
 
 
 @pytest.mark.parametrize("change", CHANGES)
@@ -161,13 +197,22 @@ def test_numbers_no_episode_has(tmp_path: Path, picks: bytes, change: str) -> No
 
 RECORDS: dict[str, tuple[Callable[[EpisodeRecord], EpisodeRecord], str]] = {
     "forces": (lambda r: replace(r, force=r.force[:-1]), "its record has 19 forces, not 20"),
-    "nan": (lambda r: replace(r, peak_force=float("nan")), "its record has forces that are not finite"),
+    "nan": (
+        lambda r: replace(r, peak_force=float("nan")),
+        "its record has forces that are not finite",
+    ),
     "index": (lambda r: replace(r, index=7), "its record is that of episode 7 of seed 0"),
     "seed": (lambda r: replace(r, seed=-3), "its record is that of episode 1 of seed -3"),
     "steps": (lambda r: replace(r, steps=-5), "its record has"),
-    "plan": (lambda r: replace(r, subtasks=(replace(r.subtasks[0], index=9),)), "has subtask 9 of a plan of 1"),
-    "end": (lambda r: replace(r, subtasks=(replace(r.subtasks[0], end_step=999),)), "a subtask from step 0 to 999"),
-}  # fmt: skip
+    "plan": (
+        lambda r: replace(r, subtasks=(replace(r.subtasks[0], index=9),)),
+        "has subtask 9 of a plan of 1",
+    ),
+    "end": (
+        lambda r: replace(r, subtasks=(replace(r.subtasks[0], end_step=999),)),
+        "a subtask from step 0 to 999",
+    ),
+}
 
 
 @pytest.mark.parametrize("change", RECORDS)
@@ -190,14 +235,21 @@ def test_records_that_do_not_fit_their_episode(tmp_path: Path, picks: bytes, cha
 
 @pytest.mark.parametrize(
     ("place", "make", "message"),
-    [CHANGES[name] for name in ("actions nan", "actions flat", "actions wide", "qpos nan", "state long")],
+    [
+        CHANGES[name]
+        for name in ("actions nan", "actions flat", "actions wide", "qpos nan", "state long")
+    ],
 )
 def test_the_writer_refuses_them(
     tmp_path: Path, place: str, make: Callable[[np.ndarray], np.ndarray], message: str
 ) -> None:
     whole = numbered(one_episode(tmp_path), 1)
     steps = whole.record.steps
-    message = message.replace("20", str(steps)).replace("21", str(steps + 1)).replace("42", str(2 * steps + 2))
+    message = (
+        message.replace("20", str(steps))
+        .replace("21", str(steps + 1))
+        .replace("42", str(2 * steps + 2))
+    )
     with pytest.raises(ValueError, match=f"episode 1 does not fit the schema: {message}"):
         replace(whole, arrays={**whole.arrays, place: make(whole.arrays[place])})
 
@@ -205,7 +257,9 @@ def test_the_writer_refuses_them(
 def test_the_writer_knows_the_sizes_of_the_env(tmp_path: Path) -> None:
     whole: EpisodeData = one_episode(tmp_path)
     run = replace(whole.run, layout={"actions": ["a"] * 7, "sizes": {"qpos": 3, "ctrl": 5}})
-    with pytest.raises(ValueError, match=r"actions has 13 columns, not 7; .*states/qpos has 30 columns, not 3"):
+    with pytest.raises(
+        ValueError, match=r"actions has 13 columns, not 7; .*states/qpos has 30 columns, not 3"
+    ):
         replace(whole, run=run)
 
 
@@ -221,6 +275,9 @@ def test_the_recorder_refuses_them(tmp_path: Path) -> None:
     path = tmp_path / "a.h5"
     record(path, range(1), FakeEnv(1, subtask="pick"))
     before: Any = path.read_bytes()
-    with pytest.raises(MjhabError, match=r"episode 5 does not fit .*reward/total has .*not finite.*was not recorded"):
+    with pytest.raises(
+        MjhabError,
+        match=r"episode 5 does not fit .*reward/total has .*not finite.*was not recorded",
+    ):
         record(path, [5], Odd(1, subtask="pick"))
     assert path.read_bytes() == before

@@ -40,11 +40,16 @@ def template(tmp_path_factory: pytest.TempPathFactory) -> EpisodeData:
 
 
 def test_who_reads_meets_whole_episodes_only(tmp_path: Path, template: EpisodeData) -> None:
-    path, count = tmp_path / "a.h5", 120
+    path = tmp_path / "a.h5"
+    count = 120
     with ShardWriter(path) as writer:
         writer.append(numbered(template, 0))
         readers = [
-            subprocess.Popen([sys.executable, "-c", READER, str(path), str(count)], stdout=subprocess.PIPE, text=True)
+            subprocess.Popen(
+                [sys.executable, "-c", READER, str(path), str(count)],
+                stdout=subprocess.PIPE,
+                text=True,
+            )
             for _ in range(2)
         ]
         for index in range(1, count):
@@ -82,7 +87,9 @@ def test_a_shard_held_open_by_h5py_is_appended_to(tmp_path: Path, template: Epis
     assert check(path).ok == 2
 
 
-def test_without_locks_on_folders_it_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_locks_on_folders_it_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def refuse(*_: object) -> None:
         raise OSError(95, "Operation not supported")
 

@@ -36,7 +36,8 @@ class PoseEnv(FakeEnv):
 def shards(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """The same episodes as schema 2, and as schema 1 with signs drawn at random."""
     folder = tmp_path_factory.mktemp("poses")
-    new, old = folder / "new.h5", folder / "old.h5"
+    new = folder / "new.h5"
+    old = folder / "old.h5"
     for path in (new, old):
         record(path, range(3), PoseEnv())
     rng = np.random.default_rng(0)
@@ -53,7 +54,10 @@ def shards(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 
 def states(episode: Episode) -> dict[str, np.ndarray]:
-    return {key: episode.observation(key) for key in ("state", "extra/tcp_pose_wrt_base", "extra/obj_pose_wrt_base")}
+    return {
+        key: episode.observation(key)
+        for key in ("state", "extra/tcp_pose_wrt_base", "extra/obj_pose_wrt_base")
+    }
 
 
 def test_old_shards_are_read_as_canonical(shards: tuple[Path, Path]) -> None:
@@ -66,7 +70,9 @@ def test_old_shards_are_read_as_canonical(shards: tuple[Path, Path]) -> None:
             np.testing.assert_array_equal(one.array("states/qpos"), other.array("states/qpos"))
 
 
-def test_windows_statistics_and_exports_of_old_and_new_agree(shards: tuple[Path, Path], tmp_path: Path) -> None:
+def test_windows_statistics_and_exports_of_old_and_new_agree(
+    shards: tuple[Path, Path], tmp_path: Path
+) -> None:
     one, other = (WindowDataset(path) for path in shards)
     for i in (0, len(one) // 2, len(one) - 1):
         np.testing.assert_array_equal(one[i]["state"], other[i]["state"])

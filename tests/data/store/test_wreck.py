@@ -80,7 +80,9 @@ def test_a_turned_bit_in_a_cut_shard_is_still_found(
         assert len(saved) >= COUNT // 2 - 1 and check(path).clean
 
 
-def test_a_damaged_index_loses_nothing(tmp_path: Path, made: tuple[Path, list[int], dict[str, str]]) -> None:
+def test_a_damaged_index_loses_nothing(
+    tmp_path: Path, made: tuple[Path, list[int], dict[str, str]]
+) -> None:
     source, _, digests = made
     path = tmp_path / "a.h5"
     path.write_bytes(source.read_bytes())
@@ -98,7 +100,9 @@ def test_a_damaged_index_loses_nothing(tmp_path: Path, made: tuple[Path, list[in
     assert {episode.name for episode in episodes(path)} == set(digests)
 
 
-def test_headers_that_are_none_are_passed_over(tmp_path: Path, made: tuple[Path, list[int], dict[str, str]]) -> None:
+def test_headers_that_are_none_are_passed_over(
+    tmp_path: Path, made: tuple[Path, list[int], dict[str, str]]
+) -> None:
     """The four bytes may stand anywhere, also where nothing but chance or malice put them."""
     source, _, digests = made
     path = tmp_path / "a.h5"

@@ -58,16 +58,21 @@ def surface(half: tuple[float, float, float]) -> np.ndarray:
 
 @pytest.mark.parametrize("name", ["003_cracker_box", "008_pudding_box", "010_potted_meat_can"])
 def test_corners_of_boxes_fit_between_the_fingers(name: str):
-    shape, gripper = shape_of(builtin_objects()[name]), Gripper()
+    shape = shape_of(builtin_objects()[name])
+    gripper = Gripper()
     plain = grasp_candidates(shape, np.zeros(3), UPRIGHT, support_z=-shape.half[2])
-    every = grasp_candidates(shape, np.zeros(3), UPRIGHT, support_z=-shape.half[2], options=Options(corners=True))
+    every = grasp_candidates(
+        shape, np.zeros(3), UPRIGHT, support_z=-shape.half[2], options=Options(corners=True)
+    )
     corners = every.take(np.abs(every.rot[:, :2, 1]).max(axis=1) < 0.95)
     assert len(corners) == len(every) - len(plain) > 20
     # The lines on which they close lie level, between two sides.
     np.testing.assert_allclose(corners.rot[:, 2, 1], 0.0, atol=1e-9)
     for pos, rot, width in zip(corners.pos, corners.rot, corners.width, strict=True):
         local = (surface(shape.half) - pos) @ rot
-        between = local[(local[:, 0] < gripper.finger[0]) & (np.abs(local[:, 2]) < gripper.finger[1])]
+        between = local[
+            (local[:, 0] < gripper.finger[0]) & (np.abs(local[:, 2]) < gripper.finger[1])
+        ]
         # The tips are as deep as they can be with some room, and the palm keeps off.
         assert width - 0.03 < 2 * np.abs(between[:, 1]).max() < width + 1e-6 < gripper.opening
         palm = (local[:, 0] < gripper.palm_x[1]) & (np.abs(local[:, 2]) < gripper.palm_half[1])
@@ -79,7 +84,9 @@ class CornerBench(GraspBench):
 
     def _grip(self, grasp: Grasp) -> None:
         shape = shape_of(builtin_objects()["008_pudding_box"])
-        every = grasp_candidates(shape, np.zeros(3), UPRIGHT, support_z=-0.1, options=Options(corners=True))
+        every = grasp_candidates(
+            shape, np.zeros(3), UPRIGHT, support_z=-0.1, options=Options(corners=True)
+        )
         best = int(np.flatnonzero((np.abs(every.rot[:, 0, 1]) < 0.8) & (every.kind == 2))[0])
         self.data.qpos[self.qpos] = self.rest
         self.data.qpos[self.qpos[13:]] = every.width[best] / 2 + 0.002

@@ -20,7 +20,8 @@ from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.scratch import Scratch
 from mjhab.tasks.plan import TaskConfig
 
-APPLE, BOWL = "013_apple", "024_bowl"
+APPLE = "013_apple"
+BOWL = "024_bowl"
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +54,9 @@ def test_grasps_are_many_and_come_from_everywhere(sim: CpuSimulator, kind: str):
 
 def test_spread_takes_the_best_first_and_then_what_is_different():
     shape = shape_of(open_pack("builtin").objects["005_tomato_soup_can"])
-    candidates = grasp_candidates(shape, np.zeros(3), np.array([1.0, 0, 0, 0]), support_z=-shape.half[2])
+    candidates = grasp_candidates(
+        shape, np.zeros(3), np.array([1.0, 0, 0, 0]), support_z=-shape.half[2]
+    )
     rows = list(spread(candidates, 16))
     assert rows[0] == 0 and len(set(rows)) == 16
 
@@ -65,7 +68,9 @@ def test_spread_takes_the_best_first_and_then_what_is_different():
     assert closest(rows) > 2 * closest(list(range(16)))
 
 
-def test_found_once_then_read_from_the_cache(sim: CpuSimulator, empty_cache: Path, monkeypatch: pytest.MonkeyPatch):
+def test_found_once_then_read_from_the_cache(
+    sim: CpuSimulator, empty_cache: Path, monkeypatch: pytest.MonkeyPatch
+):
     found = library(sim)
     first = found.grasps(APPLE)
     files = list(empty_cache.rglob(f"{APPLE}.npz"))
@@ -85,7 +90,9 @@ def test_harvested_grasps_are_tested_kept_and_used_on_request(sim: CpuSimulator,
     assert added is not None
     np.testing.assert_allclose(added.pose, best.pose, atol=0.01)
     assert len(own.grasps(APPLE)) == MAX_GRASPS + 1
-    assert len(library(sim).grasps(APPLE)) == MAX_GRASPS, "starts that did not ask for them depend on them"
+    assert len(library(sim).grasps(APPLE)) == MAX_GRASPS, (
+        "starts that did not ask for them depend on them"
+    )
     assert len(library(sim, harvested=True).grasps(APPLE)) == MAX_GRASPS + 1
     beside = best.pose + np.array([0.0, 0.0, 0.2, 0.0, 0.0, 0.0, 0.0])
     assert own.add(APPLE, beside, best.fingers) is None
@@ -101,7 +108,9 @@ def test_harvested_grasps_are_tested_kept_and_used_on_request(sim: CpuSimulator,
         (APPLE, np.eye(1, 7, 3)[0], 0.2, "0.05"),
     ],
 )
-def test_nonsense_is_not_added(sim: CpuSimulator, kind: str, pose: np.ndarray, fingers: float, words: str):
+def test_nonsense_is_not_added(
+    sim: CpuSimulator, kind: str, pose: np.ndarray, fingers: float, words: str
+):
     with pytest.raises(UsageError, match=words):
         library(sim).add(kind, pose, fingers)
 

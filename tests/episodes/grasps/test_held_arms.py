@@ -26,10 +26,12 @@ from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.scratch import Scratch
 from mjhab.tasks.plan import TaskConfig
 
-APPLE, BOWL = "013_apple", "024_bowl"
+APPLE = "013_apple"
+BOWL = "024_bowl"
 CONFIG = TaskConfig(rest_qpos=REST_QPOS)
 REST_ARM = np.array(REST_QPOS)[list(ARM_JOINTS)]
-HELD_STEPS, LEAST_HELD = 5, 0.9
+HELD_STEPS = 5
+LEAST_HELD = 0.9
 """After so many control steps so many starts must still hold their object."""
 
 
@@ -71,7 +73,9 @@ def test_arms_are_many_and_hold_their_object_near_the_hand(sim: CpuSimulator, ki
     assert max(np.linalg.norm(one.grasp.pose[:3]) for one in arms) <= MAX_OFFSET
 
 
-def test_made_once_then_read_from_the_cache(sim: CpuSimulator, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_made_once_then_read_from_the_cache(
+    sim: CpuSimulator, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("MJHAB_CACHE", str(tmp_path))
     monkeypatch.setattr(held_arms, "MAX_ARMS", 3)
     first = library(sim)
@@ -90,13 +94,21 @@ def test_made_once_then_read_from_the_cache(sim: CpuSimulator, tmp_path: Path, m
 @pytest.mark.parametrize(("task", "count"), [("set_table", 24), ("tidy_house", 40)])
 def test_objects_are_still_held_after_some_steps(task: str, count: int) -> None:
     env: Any = envs.make(
-        task=task, subtask="place", profile="ms_hab", num_envs=count, threads=2, autoreset="disabled", seed=3
+        task=task,
+        subtask="place",
+        profile="ms_hab",
+        num_envs=count,
+        threads=2,
+        autoreset="disabled",
+        seed=3,
     )
     env.reset(options={"episode": list(range(count))})
     robot = env.state.robot_q
     off = np.abs(robot[:, list(ARM_JOINTS)] - REST_ARM)
     assert off.max() > 0.5 and off.max() <= CONFIG.arm_tol_grasped + 0.2 + 1e-6
-    np.testing.assert_allclose(robot[:, [3, 4, 6]], np.tile(np.array(REST_QPOS)[[3, 4, 6]], (count, 1)), atol=1e-6)
+    np.testing.assert_allclose(
+        robot[:, [3, 4, 6]], np.tile(np.array(REST_QPOS)[[3, 4, 6]], (count, 1)), atol=1e-6
+    )
     for _ in range(HELD_STEPS):
         actions = env.controller.still(env.state)
         actions[:, env.controller.gripper] = -1.0

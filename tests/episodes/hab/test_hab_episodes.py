@@ -16,7 +16,13 @@ from mjhab.core.rotations import mat_from_quat
 from mjhab.envs import make
 from mjhab.episodes.generator import FRIDGE_PREOPEN, Episode, EpisodeMaker, require_furniture
 from mjhab.episodes.hab.format import HabEpisode, HabFile, read_hab, write_hab
-from mjhab.episodes.hab.reader import FileEpisodes, file_roster, joint_positions, number_of_root, object_poses
+from mjhab.episodes.hab.reader import (
+    FileEpisodes,
+    file_roster,
+    joint_positions,
+    number_of_root,
+    object_poses,
+)
 from mjhab.episodes.hab.writer import to_hab
 from mjhab.layout.layout import Layout
 from mjhab.scenes.builtin.objects import roster
@@ -75,7 +81,10 @@ def test_receptacles_are_found_without_the_lists() -> None:
 
 
 def test_links_are_numbered_as_in_the_benchmark() -> None:
-    assert hab("set_table").target_receptacles == (("kitchen_counter_:0000", 7), ("fridge_:0000", 1))
+    assert hab("set_table").target_receptacles == (
+        ("kitchen_counter_:0000", 7),
+        ("fridge_:0000", 1),
+    )
     groceries = hab("prepare_groceries")
     assert groceries.ao_states["fridge_:0000"].keys() == {"2"}
     markers = {m.name: m.link for m in hab("set_table").markers}
@@ -93,7 +102,9 @@ def test_links_are_numbered_as_in_the_benchmark() -> None:
         ({}, 7, 0),
     ],
 )
-def test_both_ways_of_numbering_links_are_told_apart(states: dict[str, float], drawer: int | None, root: int) -> None:
+def test_both_ways_of_numbering_links_are_told_apart(
+    states: dict[str, float], drawer: int | None, root: int
+) -> None:
     sim, home, _ = world("set_table")
     plain = hab("set_table")
     listed = (("kitchen_counter_:0000", drawer), ("fridge_:0000", None))
@@ -109,7 +120,9 @@ def test_links_may_be_named() -> None:
     episode = replace(hab("set_table"), ao_states={"fridge_:0000": {"bottom_door": 0.7}})
     sim = world("set_table")[0]
     door = sim.layout.link_ids.index("fridge/bottom_door")
-    assert from_file("set_table", episode).episode(0, 0).link_q[door] == pytest.approx(0.7, abs=0.05)
+    assert from_file("set_table", episode).episode(0, 0).link_q[door] == pytest.approx(
+        0.7, abs=0.05
+    )
 
 
 def test_copies_that_an_episode_does_not_use_are_parked() -> None:
@@ -131,14 +144,19 @@ def test_roster_is_the_most_of_each_type() -> None:
         objects = tuple((f"{kind}.object_config.json", np.eye(4)) for kind in kinds)
         return replace(hab("tidy_house"), rigid_objs=objects)
 
-    file = HabFile((having("024_bowl", "024_bowl", "013_apple"), having("024_bowl", "004_sugar_box")))
+    file = HabFile(
+        (having("024_bowl", "024_bowl", "013_apple"), having("024_bowl", "004_sugar_box"))
+    )
     found = file_roster(file, open_pack("builtin"))
     assert found == ("004_sugar_box", "013_apple", "024_bowl", "024_bowl")
 
 
 def test_an_object_that_does_not_exist_is_named() -> None:
     odd = replace(hab("tidy_house"), rigid_objs=(("024_bowll.object_config.json", np.eye(4)),))
-    with pytest.raises(UsageError, match=r"some\.json\.gz: episodes\[0\]\.rigid_objs\[0\]: .*Did you mean '024_bowl'"):
+    with pytest.raises(
+        UsageError,
+        match=r"some\.json\.gz: episodes\[0\]\.rigid_objs\[0\]: .*Did you mean '024_bowl'",
+    ):
         file_roster(HabFile((odd,), path=PATH), open_pack("builtin"))
 
 
@@ -159,7 +177,9 @@ def test_what_does_not_fit_the_layout_is_named() -> None:
         r"episodes\[0\]\.scene_id: unknown scene 'builtin_m0_0'\. Did you mean": changed(
             "tidy_house", scene_id="x/builtin_m0_0.scene_instance.json"
         ),
-        r"episodes\[0\]\.targets: tidy_house handles 1 to 5 targets, got 0": changed("tidy_house", targets={}),
+        r"episodes\[0\]\.targets: tidy_house handles 1 to 5 targets, got 0": changed(
+            "tidy_house", targets={}
+        ),
         r"episodes\[0\]\.targets: unknown object '013_apple_:0000'": changed(
             "tidy_house", targets={"013_apple_:0000": np.eye(4)}
         ),
@@ -187,24 +207,42 @@ def test_set_table_needs_something_to_open() -> None:
     matrix = whole.rigid_objs[-2][1].copy()
     matrix[1, 3] += 1.0
     lifted = replace(
-        whole, rigid_objs=(*whole.rigid_objs[:-2], (whole.rigid_objs[-2][0], matrix), whole.rigid_objs[-1]),
-        target_receptacles=(), goal_receptacles=(),
-    )  # fmt: skip
-    with pytest.raises(UsageError, match=r"episodes\[0\]\.rigid_objs: .* starts in no drawer or fridge"):
+        whole,
+        rigid_objs=(
+            *whole.rigid_objs[:-2],
+            (whole.rigid_objs[-2][0], matrix),
+            whole.rigid_objs[-1],
+        ),
+        target_receptacles=(),
+        goal_receptacles=(),
+    )
+    with pytest.raises(
+        UsageError, match=r"episodes\[0\]\.rigid_objs: .* starts in no drawer or fridge"
+    ):
         from_file("set_table", lifted)
 
 
 def test_a_home_without_a_fridge_is_refused_for_set_table() -> None:
     pack = open_pack("builtin")
-    bare = replace(pack.homes[1], articulations=tuple(p for p in pack.homes[1].articulations if p.template != "fridge"))
-    with pytest.raises(UsageError, match=f"scene '{bare.name}' of pack 'builtin' has no fridge, which set_table needs"):
+    bare = replace(
+        pack.homes[1],
+        articulations=tuple(p for p in pack.homes[1].articulations if p.template != "fridge"),
+    )
+    with pytest.raises(
+        UsageError,
+        match=f"scene '{bare.name}' of pack 'builtin' has no fridge, which set_table needs",
+    ):
         require_furniture(bare, "set_table")
     require_furniture(bare, "tidy_house")
-    sim = CpuSimulator(Layout(replace(pack, homes=(pack.homes[0], bare)), roster("set_table")), 1, 1)
+    sim = CpuSimulator(
+        Layout(replace(pack, homes=(pack.homes[0], bare)), roster("set_table")), 1, 1
+    )
     with pytest.raises(UsageError, match="has no fridge"):
         EpisodeMaker(sim, "set_table", bare.split, home=bare.name)
     episode = replace(hab("set_table"), scene_id=f"{bare.name}.scene_instance.json")
-    with pytest.raises(UsageError, match=r"some\.json\.gz: episodes\[0\]\.scene_id: .*has no fridge"):
+    with pytest.raises(
+        UsageError, match=r"some\.json\.gz: episodes\[0\]\.scene_id: .*has no fridge"
+    ):
         FileEpisodes(sim, HabFile((episode,), path=PATH), "set_table")
 
 
@@ -214,7 +252,9 @@ def test_the_env_runs_the_episodes_of_a_file(tmp_path: Path) -> None:
     one = replace(first, targets={name: first.targets[name] for name in first.target_names[:1]})
     path = tmp_path / "two.json"
     write_hab(path, HabFile((hab("tidy_house", 1), one)))
-    env = make(task="tidy_house", num_envs=3, episodes_file=str(path), split="val", autoreset="disabled")
+    env = make(
+        task="tidy_house", num_envs=3, episodes_file=str(path), split="val", autoreset="disabled"
+    )
     _, info = env.reset(seed=3, options={"episode": np.array([0, 1, 2])})
     told = info["episode_spec"]
     assert [e["index"] for e in told] == [0, 1, 2] and {e["home"] for e in told} == {home.name}
@@ -224,7 +264,13 @@ def test_the_env_runs_the_episodes_of_a_file(tmp_path: Path) -> None:
     _, _, _, _, info = env.step(np.zeros((3, 13), np.float32))
     assert not info["taint"].any()
     kind = episodes[1].targets[2].obj.split("_:")[0]
-    alone = make(task="tidy_house", subtask="pick", target=kind, episodes_file=str(path), autoreset="disabled")
+    alone = make(
+        task="tidy_house",
+        subtask="pick",
+        target=kind,
+        episodes_file=str(path),
+        autoreset="disabled",
+    )
     _, info = alone.reset(seed=0, options={"episode": np.array([0])})
     assert info["episode_spec"][0]["plan"][0]["target"].startswith(kind)
     with pytest.raises(UsageError, match=r"none of its 2 episodes is in home 'builtin_m1_00'"):
@@ -238,7 +284,8 @@ def test_real_episodes_stay_at_rest() -> None:
     layout = Layout(pack, file_roster(file, pack))
     source = FileEpisodes(CpuSimulator(layout, 1, 1), file, "tidy_house")
     assert len(source) == 50
-    total, fallen = Counter[str](), Counter[str]()
+    total = Counter[str]()
+    fallen = Counter[str]()
     for k in range(0, 50, 10):
         episode, rest = source.settled(k)
         total.update(name.split("_:")[0] for name in rest.names)
@@ -257,11 +304,19 @@ def test_states_of_furniture_that_is_welded_unless_asked_for() -> None:
     folder = str(real_data("replica_cad"))
     file = read_hab(real_data("hab_episodes", "tidy_house_v3_sc1_staging_01.json.gz"))
     # Numbers of the data set: left cupboard doors open towards negative angles.
-    states = {"kitchenCupboard_01_:0000": {"2": -1.0, "3": 0.5}, "chestOfDrawers_01_:0000": {"2": 0.1}}
+    states = {
+        "kitchenCupboard_01_:0000": {"2": -1.0, "3": 0.5},
+        "chestOfDrawers_01_:0000": {"2": 0.1},
+    }
     episode = replace(file.episodes[0], ao_states=states)
-    welded, opening = (Layout(open_pack(name), file_roster(file, open_pack(name)))
-                       for name in (folder, with_joints(folder, "kitchen_cupboards,chest_of_drawers")))  # fmt: skip
-    with pytest.raises(ValueError, match=r"\['2'\]: 'kitchenCupboard_01' is welded shut in this pack \(--articulate"):
+    welded, opening = (
+        Layout(open_pack(name), file_roster(file, open_pack(name)))
+        for name in (folder, with_joints(folder, "kitchen_cupboards,chest_of_drawers"))
+    )
+    with pytest.raises(
+        ValueError,
+        match=r"\['2'\]: 'kitchenCupboard_01' is welded shut in this pack \(--articulate",
+    ):
         joint_positions(welded, episode, 0)
     found = dict(zip(opening.link_ids, joint_positions(opening, episode, 0).tolist(), strict=True))
     assert {name: q for name, q in found.items() if q} == {
@@ -273,6 +328,13 @@ def test_states_of_furniture_that_is_welded_unless_asked_for() -> None:
     assert number_of_root(opening, home, episode, object_poses(opening, episode)) == 0
     assert number_of_root(welded, home, episode, object_poses(welded, episode)) == 0
     made = Episode(
-        "tidy_house", "train", 0, 0, home.name, object_poses(opening, episode), np.array([*found.values()]), ()
+        "tidy_house",
+        "train",
+        0,
+        0,
+        home.name,
+        object_poses(opening, episode),
+        np.array([*found.values()]),
+        (),
     )
     assert to_hab(opening, home, made).ao_states == states

@@ -14,7 +14,15 @@ from hypothesis import strategies as st
 
 from mjhab.core.errors import UsageError
 from mjhab.core.rotations import mat_from_quat, quat_from_axis_angle
-from mjhab.episodes.hab.format import HabFile, from_json, pose_from_hab, pose_to_hab, read_hab, to_json, write_hab
+from mjhab.episodes.hab.format import (
+    HabFile,
+    from_json,
+    pose_from_hab,
+    pose_to_hab,
+    read_hab,
+    to_json,
+    write_hab,
+)
 from tests.real_data import real_data
 
 FILES = ("tidy_house_v3_sc1_staging_01.json.gz", "habitat_lab_rearrange_format_demo.json.gz")
@@ -24,17 +32,36 @@ EYE = np.eye(4).tolist()
 def row(**changes: Any) -> dict[str, Any]:
     """A small whole episode as JSON."""
     return {
-        "episode_id": "7", "scene_id": "data/x/configs/scenes/v3_sc0_staging_00.scene_instance.json",
-        "scene_dataset_config": "x.json", "start_position": [0, 0, 0], "start_rotation": [0, 0, 0, 1],
+        "episode_id": "7",
+        "scene_id": "data/x/configs/scenes/v3_sc0_staging_00.scene_instance.json",
+        "scene_dataset_config": "x.json",
+        "start_position": [0, 0, 0],
+        "start_rotation": [0, 0, 0, 1],
         "info": {"object_labels": {"024_bowl_:0001": "any_targets|0"}, "difficulty": "easy"},
         "ao_states": {"fridge_:0000": {"2": 1.5}},
-        "rigid_objs": [["024_bowl.object_config.json", EYE], ["a/b/024_bowl.object_config.json", EYE]],
+        "rigid_objs": [
+            ["024_bowl.object_config.json", EYE],
+            ["a/b/024_bowl.object_config.json", EYE],
+        ],
         "targets": {"013_apple_:0000": EYE, "024_bowl_:0001": EYE},
-        "markers": [{"name": "fridge_push_point", "type": "articulated_object",
-                     "params": {"offset": [0.1, -0.62, 0.2], "link": "top_door", "object": "fridge_:0000"}}],
-        "target_receptacles": [["kitchen_counter_:0000", 7], ["frl_apartment_table_01_:0000", None]],
-        "goal_receptacles": [], "name_to_receptacle": {"024_bowl_:0000": "kitchen_counter_:0000|sink"},
-    } | changes  # fmt: skip
+        "markers": [
+            {
+                "name": "fridge_push_point",
+                "type": "articulated_object",
+                "params": {
+                    "offset": [0.1, -0.62, 0.2],
+                    "link": "top_door",
+                    "object": "fridge_:0000",
+                },
+            }
+        ],
+        "target_receptacles": [
+            ["kitchen_counter_:0000", 7],
+            ["frl_apartment_table_01_:0000", None],
+        ],
+        "goal_receptacles": [],
+        "name_to_receptacle": {"024_bowl_:0000": "kitchen_counter_:0000|sink"},
+    } | changes
 
 
 @pytest.mark.parametrize("name", FILES)
@@ -54,7 +81,10 @@ def test_names_of_an_episode() -> None:
     assert episode.instances == ("024_bowl_:0000", "024_bowl_:0001")
     assert episode.target_names == ("024_bowl_:0001",), "object_labels say which and in which order"
     assert from_json(row(info={})).target_names == ("013_apple_:0000", "024_bowl_:0001")
-    assert episode.target_receptacles == (("kitchen_counter_:0000", 7), ("frl_apartment_table_01_:0000", None))
+    assert episode.target_receptacles == (
+        ("kitchen_counter_:0000", 7),
+        ("frl_apartment_table_01_:0000", None),
+    )
     assert episode.markers[0].link == "top_door"
 
 
@@ -63,8 +93,13 @@ def test_the_same_episodes_give_the_same_bytes(tmp_path: Path) -> None:
     for name in ("a.json.gz", "b.json.gz", "c.json"):
         write_hab(tmp_path / name, file)
     assert (tmp_path / "a.json.gz").read_bytes() == (tmp_path / "b.json.gz").read_bytes()
-    assert json.loads((tmp_path / "c.json").read_text()) == {"config": None, "episodes": [row(), row(episode_id="8")]}
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.json.gz", "b.json.gz", "c.json"], "nothing half-written"
+    assert json.loads((tmp_path / "c.json").read_text()) == {
+        "config": None,
+        "episodes": [row(), row(episode_id="8")],
+    }
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.json.gz", "b.json.gz", "c.json"], (
+        "nothing half-written"
+    )
 
 
 def test_up_becomes_up_and_scans_keep_their_heading() -> None:
@@ -73,7 +108,9 @@ def test_up_becomes_up_and_scans_keep_their_heading() -> None:
     np.testing.assert_allclose(pose_from_hab(matrix), (1.0, 2.0, 0.8, 1, 0, 0, 0), atol=1e-12)
     # A quarter turn about +y of theirs is one about +z of ours.
     matrix[:3, :3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]
-    np.testing.assert_allclose(mat_from_quat(pose_from_hab(matrix)[3:])[:, 0], (0, 1, 0), atol=1e-12)
+    np.testing.assert_allclose(
+        mat_from_quat(pose_from_hab(matrix)[3:])[:, 0], (0, 1, 0), atol=1e-12
+    )
     # In our frame of the object the scan is turned by scan_yaw, so we are turned back by it.
     turned = mat_from_quat(pose_from_hab(matrix, np.pi / 2)[3:])
     np.testing.assert_allclose(turned, np.eye(3), atol=1e-12)
@@ -82,10 +119,13 @@ def test_up_becomes_up_and_scans_keep_their_heading() -> None:
 @given(
     st.lists(st.floats(-20, 20), min_size=3, max_size=3),
     st.lists(st.floats(-1, 1), min_size=3, max_size=3).filter(lambda v: np.linalg.norm(v) > 0.1),
-    st.floats(-3.1, 3.1), st.floats(-3.1, 3.1),
-)  # fmt: skip
+    st.floats(-3.1, 3.1),
+    st.floats(-3.1, 3.1),
+)
 @settings(max_examples=100, deadline=None)
-def test_poses_survive_the_file(place: list[float], axis: list[float], angle: float, scan_yaw: float) -> None:
+def test_poses_survive_the_file(
+    place: list[float], axis: list[float], angle: float, scan_yaw: float
+) -> None:
     unit = np.array(axis) / np.linalg.norm(axis)
     pose = np.concatenate([place, quat_from_axis_angle(unit, np.array(angle))])
     back = pose_from_hab(pose_to_hab(pose, scan_yaw), scan_yaw)
@@ -122,10 +162,14 @@ def moved(x: float) -> list[list[float]]:
 BAD = {
     r"field 'episodes' must be a list": {"homes": []},
     r"field 'episodes' is empty": {"episodes": []},
-    r"episodes\[0\]: field 'rigid_objs' is missing": {"episodes": [{"scene_id": "a", "targets": {}}]},
+    r"episodes\[0\]: field 'rigid_objs' is missing": {
+        "episodes": [{"scene_id": "a", "targets": {}}]
+    },
     r"episodes\[0\]\.scene_id: expected str": {"episodes": [row(scene_id=3)]},
     r"episodes\[0\]\.rigid_objs\[0\]: expected \[file name": {"episodes": [row(rigid_objs=[EYE])]},
-    r"episodes\[0\]\.rigid_objs\[0\]\[1\]: expected a 4x4": {"episodes": [row(rigid_objs=[["a", [[1, 2], [3]]]])]},
+    r"episodes\[0\]\.rigid_objs\[0\]\[1\]: expected a 4x4": {
+        "episodes": [row(rigid_objs=[["a", [[1, 2], [3]]]])]
+    },
     r"episodes\[1\]\.targets\['a'\]: the upper left 3x3 part is not": {
         "episodes": [row(), row(targets={"a": (2 * np.eye(4)).tolist()})]
     },
@@ -133,26 +177,40 @@ BAD = {
         "episodes": [row(ao_states={"fridge": {"2": "open"}})]
     },
     r"episodes\[0\]\.markers\[0\]: expected name": {"episodes": [row(markers=[{"name": "x"}])]},
-    r"episodes\[0\]\.goal_receptacles\[0\]: expected \[handle": {"episodes": [row(goal_receptacles=[["a", "b"]])]},
+    r"episodes\[0\]\.goal_receptacles\[0\]: expected \[handle": {
+        "episodes": [row(goal_receptacles=[["a", "b"]])]
+    },
     r"episodes\[0\]\.scene_id: '\.\.' is no name": {"episodes": [row(scene_id="data/..")]},
     r"episodes\[0\]\.rigid_objs\[0\]: '' is no name": {"episodes": [row(rigid_objs=[["a/", EYE]])]},
-    r"episodes\[0\]\.rigid_objs\[0\]: 'a b' is no name": {"episodes": [row(rigid_objs=[["a b", EYE]])]},
+    r"episodes\[0\]\.rigid_objs\[0\]: 'a b' is no name": {
+        "episodes": [row(rigid_objs=[["a b", EYE]])]
+    },
     r"episodes\[0\]\.targets: '\.\./x' is no name": {"episodes": [row(targets={"../x": EYE})]},
     r"episodes\[0\]\.ao_states: '/etc' is no name": {"episodes": [row(ao_states={"/etc": {}})]},
-    r"episodes\[0\]\.ao_states\['a'\]: '\.\.' is no name": {"episodes": [row(ao_states={"a": {"..": 0}})]},
-    r"episodes\[0\]\.name_to_receptacle\['a'\]: '\.\.' is": {"episodes": [row(name_to_receptacle={"a": "b|.."})]},
-    r"episodes\[0\]\.target_receptacles\[0\]: '\.\.' is": {"episodes": [row(target_receptacles=[["..", 1]])]},
+    r"episodes\[0\]\.ao_states\['a'\]: '\.\.' is no name": {
+        "episodes": [row(ao_states={"a": {"..": 0}})]
+    },
+    r"episodes\[0\]\.name_to_receptacle\['a'\]: '\.\.' is": {
+        "episodes": [row(name_to_receptacle={"a": "b|.."})]
+    },
+    r"episodes\[0\]\.target_receptacles\[0\]: '\.\.' is": {
+        "episodes": [row(target_receptacles=[["..", 1]])]
+    },
     r"episodes\[0\]\.rigid_objs\[0\]\[1\]: position: 1e\+300 is out of": {
         "episodes": [row(rigid_objs=[["a", moved(1e300)]])]
     },
-    r"episodes\[0\]\.targets\['a'\]: position: -5000 is out of": {"episodes": [row(targets={"a": moved(-5000.0)})]},
+    r"episodes\[0\]\.targets\['a'\]: position: -5000 is out of": {
+        "episodes": [row(targets={"a": moved(-5000.0)})]
+    },
     r"episodes\[0\]\.rigid_objs\[0\]\[1\]: expected a 4x4 matrix of finite": {
         "episodes": [row(rigid_objs=[["a", moved(10**400)]])]
     },
     r"episodes\[0\]\.ao_states\['fridge'\]\['1'\]: expected a number": {
         "episodes": [row(ao_states={"fridge": {"1": 10**400}})]
     },
-    r"episodes\[0\]\.info\.object_labels: expected an object": {"episodes": [row(info={"object_labels": []})]},
+    r"episodes\[0\]\.info\.object_labels: expected an object": {
+        "episodes": [row(info={"object_labels": []})]
+    },
 }
 
 

@@ -13,21 +13,29 @@ def view_with(**objects: tuple[float, float]) -> Any:
     """A view with objects of a mass [kg] so far [m] from the hand."""
     pose = {name: np.array([1.0, 2.0, 1.0 - far, 1, 0, 0, 0]) for name, (_, far) in objects.items()}
     return SimpleNamespace(
-        tcp_pose=np.array([1.0, 2.0, 1.0, 1, 0, 0, 0]), object_names=tuple(objects), object_pose=pose.__getitem__,
+        tcp_pose=np.array([1.0, 2.0, 1.0, 1, 0, 0, 0]),
+        object_names=tuple(objects),
+        object_pose=pose.__getitem__,
         object_type=lambda name: SimpleNamespace(mass=objects[name][0]),
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.parametrize(
     ("objects", "care"),
-    [({}, FIRM), ({"box": (0.5, 0.05)}, WEAK), ({"box": (0.5, 0.02)}, FIRM), ({"bowl": (0.15, 0.08)}, FIRM)],
+    [
+        ({}, FIRM),
+        ({"box": (0.5, 0.05)}, WEAK),
+        ({"box": (0.5, 0.02)}, FIRM),
+        ({"bowl": (0.15, 0.08)}, FIRM),
+    ],
 )
 def test_a_heavy_object_held_far_from_its_centre_is_driven_with_more_care(objects, care):
     assert care_for(view_with(**objects)) == care
 
 
 def test_a_hurry_asks_for_less_care_of_what_is_heavy():
-    heavy, light = view_with(box=(0.5, 0.05)), view_with(bowl=(0.15, 0.08))
+    heavy = view_with(box=(0.5, 0.05))
+    light = view_with(bowl=(0.15, 0.08))
     assert care_for(heavy, hurry=True) == BRISK and care_for(light, hurry=True) == FIRM
     assert WEAK.change < BRISK.change < FIRM.change and WEAK.spin <= BRISK.spin
 

@@ -58,7 +58,9 @@ def test_the_base_can_help_to_reach_far_goals():
     pos = np.array([[2.0, 1.0, 0.8]])
     seeds = REST[None]
     arm_only = ik.solve(CHAIN, pos, rot, seeds, DOFS, rest=REST, mode="approach")
-    with_base = ik.solve(CHAIN, pos, rot, seeds, ik.columns(CHAIN, base=True), rest=REST, mode="approach")
+    with_base = ik.solve(
+        CHAIN, pos, rot, seeds, ik.columns(CHAIN, base=True), rest=REST, mode="approach"
+    )
     assert not arm_only.ok.any() and with_base.ok.all()
 
 
@@ -121,7 +123,9 @@ def test_grasps_respect_support_opening_and_geometry(shape, yaw, lying):
     quat = np.array([np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)])
     height = shape.half[2]
     if lying and shape.kind != "bowl":
-        quat = np.array([np.cos(yaw / 2), np.cos(yaw / 2), np.sin(yaw / 2), np.sin(yaw / 2)]) * np.sqrt(0.5)
+        quat = np.array(
+            [np.cos(yaw / 2), np.cos(yaw / 2), np.sin(yaw / 2), np.sin(yaw / 2)]
+        ) * np.sqrt(0.5)
         height = shape.half[1]
     center = np.array([0.3, -0.2, 0.7 + height])
     found = grasp_candidates(shape, center, quat, support_z=0.7)
@@ -141,16 +145,26 @@ def test_grasps_respect_support_opening_and_geometry(shape, yaw, lying):
 
 
 def test_neighbours_and_robot_decide_what_comes_first():
-    center, quat = np.array([0.0, 0.0, 0.751]), np.array([1.0, 0, 0, 0])
+    center = np.array([0.0, 0.0, 0.751])
+    quat = np.array([1.0, 0, 0, 0])
     wall = Boxes.of(np.array([[0.08, 0.0, 0.9]]), [0.02, 0.5, 0.3])
     free = grasp_candidates(CAN, center, quat, support_z=0.7, robot_xy=np.array([-1.0, 0]))
-    tight = grasp_candidates(CAN, center, quat, support_z=0.7, robot_xy=np.array([-1.0, 0]), neighbours=wall)
+    tight = grasp_candidates(
+        CAN, center, quat, support_z=0.7, robot_xy=np.array([-1.0, 0]), neighbours=wall
+    )
     assert free.rot[0, 0, 0] > 0.3
     assert 0 < len(tight) < len(free) and (tight.clear >= 0).all()
 
 
 def test_what_cannot_be_grasped_gives_no_candidates_and_unknown_shapes_are_named():
     slab = ObjectShape("box", (0.08, 0.10, 0.036))
-    assert len(grasp_candidates(slab, np.array([0, 0, 0.036]), np.array([1.0, 0, 0, 0]), support_z=0.0)) == 0
+    assert (
+        len(
+            grasp_candidates(slab, np.array([0, 0, 0.036]), np.array([1.0, 0, 0, 0]), support_z=0.0)
+        )
+        == 0
+    )
     with pytest.raises(UsageError, match="cylinder"):
-        grasp_candidates(ObjectShape("cilinder", (1, 1, 1)), np.zeros(3), np.array([1.0, 0, 0, 0]), support_z=0.0)  # type: ignore[arg-type]
+        grasp_candidates(
+            ObjectShape("cilinder", (1, 1, 1)), np.zeros(3), np.array([1.0, 0, 0, 0]), support_z=0.0
+        )  # type: ignore[arg-type]

@@ -14,7 +14,8 @@ from mjhab.core.errors import UsageError
 from mjhab.experts.base.navigation import CONTROL_DT, Follower, Planner
 from mjhab.robots.kinematics import wrap
 
-ORIGIN, CELL = np.array([-4.0, -3.0]), 0.05
+ORIGIN = np.array([-4.0, -3.0])
+CELL = 0.05
 
 
 def rooms(seed: int) -> np.ndarray:
@@ -24,7 +25,8 @@ def rooms(seed: int) -> np.ndarray:
     taken[[0, -1]] = taken[:, [0, -1]] = True
     taken[80, :50] = taken[80, 66:] = True
     for _ in range(8):
-        x, y = rng.integers(5, 150), rng.integers(5, 110)
+        x = rng.integers(5, 150)
+        y = rng.integers(5, 110)
         if not 60 < x < 96:
             taken[x : x + rng.integers(3, 15), y : y + rng.integers(3, 15)] = True
     return clearances(~taken)
@@ -42,7 +44,10 @@ def free_points(clearance: np.ndarray, seed: int, count: int) -> np.ndarray:
 
 def drive(follower: Follower, pose: np.ndarray, steps: int = 900) -> tuple[int, np.ndarray]:
     """Simulate a base whose speeds follow commands with 0.15 s; returns the steps used (-1: too many) and the track."""
-    pose, speed, rate, track = np.array(pose, dtype=float), 0.0, 0.0, []
+    pose = np.array(pose, dtype=float)
+    speed = 0.0
+    rate = 0.0
+    track = []
     blend = 1 - np.exp(-0.01 / 0.15)
     for step in range(steps):
         track.append(pose.copy())
@@ -123,7 +128,8 @@ def test_narrow_cells_are_passed_only_where_there_is_no_other_way():
     clearance = np.full((30, 30), 0.5)
     clearance[15] = 0.0
     clearance[15, 3] = 0.28
-    start, goal = np.array([0.25, 1.95]), np.array([2.75, 1.95])
+    start = np.array([0.25, 1.95])
+    goal = np.array([2.75, 1.95])
     assert Planner((0.0, 0.0), 0.1, clearance, radius=0.29).plan(start, goal) is None
     narrow = Planner((0.0, 0.0), 0.1, clearance, radius=0.29, narrow=0.27)
     path = narrow.plan(start, goal)

@@ -14,7 +14,14 @@ import pytest
 import mjhab.envs as envs
 from mjhab.core.boxes import Boxes
 from mjhab.core.rotations import mat_from_quat
-from mjhab.envs.parts.world_view import FETCH_JOINTS, KINEMATIC_TREE, REST_QPOS, ROBOT_GEOMS, TRUNK_LINKS, WorldView
+from mjhab.envs.parts.world_view import (
+    FETCH_JOINTS,
+    KINEMATIC_TREE,
+    REST_QPOS,
+    ROBOT_GEOMS,
+    TRUNK_LINKS,
+    WorldView,
+)
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.episodes.grasps.candidates import ObjectShape, grasp_candidates
 from mjhab.episodes.grasps.held import shape_of
@@ -33,7 +40,14 @@ from mjhab.experts.base.route import (
     torso_gone,
 )
 from mjhab.experts.planning.carry import CORNER, held_spheres
-from mjhab.experts.planning.reach import ARM_END, FAR_OFF, Scene, _overreach, base_poses, surroundings
+from mjhab.experts.planning.reach import (
+    ARM_END,
+    FAR_OFF,
+    Scene,
+    _overreach,
+    base_poses,
+    surroundings,
+)
 from mjhab.experts.skills.pick import LOW_SHELF_OPTIONS, SHELF_OPTIONS
 from mjhab.experts.skills.place import DROPS, hand_goals, place
 from mjhab.robots.kinematics import Chain, wrap
@@ -44,7 +58,13 @@ place_module = importlib.import_module("mjhab.experts.skills.place")
 
 def place_env(episode: int, target: str = "") -> SequentialTaskEnv:
     env = envs.make(
-        task="tidy_house", subtask="place", target=target, num_envs=1, split="train", autoreset="disabled", threads=1
+        task="tidy_house",
+        subtask="place",
+        target=target,
+        num_envs=1,
+        split="train",
+        autoreset="disabled",
+        threads=1,
     )
     env.reset(seed=0, options={"episode": [episode]})
     return env
@@ -71,7 +91,10 @@ def test_a_drive_with_an_object_goes_as_expected():
     view = env.view(0)
     obj, _ = goal_of(view)
     arm = REST_QPOS.copy()
-    arm[[FETCH_JOINTS.index("torso_lift_joint"), FETCH_JOINTS.index("elbow_flex_joint")]] -= [0.2, 0.5]
+    arm[[FETCH_JOINTS.index("torso_lift_joint"), FETCH_JOINTS.index("elbow_flex_joint")]] -= [
+        0.2,
+        0.5,
+    ]
     arm[13:] = view.q[13:]
     goal = view.q[:3] - [0.2 * np.cos(view.q[2]), 0.2 * np.sin(view.q[2]), -0.4]
     found = drive_of(view, goal, direction=-1, straight=True, care=FIRM)
@@ -87,14 +110,19 @@ def test_a_drive_with_an_object_goes_as_expected():
     off = np.abs(np.array(real) - expected[: len(real)])
     assert off[:, :2].max() < 0.02 and off[:, 2].max() < 0.08
     # The torso swings a little beyond its goal.
-    assert off[:10, 3].max() < 0.02 and off[:, 3].max() < 0.08 and off[:, motion.ARM_JOINTS].max() < 0.05
+    assert (
+        off[:10, 3].max() < 0.02
+        and off[:, 3].max() < 0.08
+        and off[:, motion.ARM_JOINTS].max() < 0.05
+    )
 
 
 def test_a_bend_is_driven_as_expected():
     env = place_env(1)
     view = env.view(0)
     obj, _ = goal_of(view)
-    ahead, left = np.array([np.cos(view.q[2]), np.sin(view.q[2])]), np.array([-np.sin(view.q[2]), np.cos(view.q[2])])
+    ahead = np.array([np.cos(view.q[2]), np.sin(view.q[2])])
+    left = np.array([-np.sin(view.q[2]), np.cos(view.q[2])])
     here = view.q[:2]
     path = np.stack([here, here - 0.3 * ahead, here - 0.6 * ahead - 0.4 * left])
     yaw = float(np.arctan2(*(-0.3 * ahead - 0.4 * left)[::-1]))
@@ -110,17 +138,23 @@ def test_a_bend_is_driven_as_expected():
     assert np.linalg.norm(off[:, :2], axis=1).max() < 0.02 and np.abs(wrap(off[:, 2])).max() < 0.1
 
 
-def test_a_drive_with_something_in_the_hand_that_grazes_furniture_is_tight(monkeypatch: pytest.MonkeyPatch):
+def test_a_drive_with_something_in_the_hand_that_grazes_furniture_is_tight(
+    monkeypatch: pytest.MonkeyPatch,
+):
     view = place_env(1).view(0)
     boxes = Boxes.of(np.zeros((0, 3)), np.zeros((0, 3)))
     ahead = view.q[:3] + 0.5 * np.array([np.cos(view.q[2]), np.sin(view.q[2]), 0.0])
 
     def room(middle: float, care: Care | None) -> float:
         def clearance(at: np.ndarray) -> np.ndarray:
-            ends = (np.linalg.norm(at - view.q[:2], axis=1) < 0.1) | (np.linalg.norm(at - ahead[:2], axis=1) < 0.1)
+            ends = (np.linalg.norm(at - view.q[:2], axis=1) < 0.1) | (
+                np.linalg.norm(at - ahead[:2], axis=1) < 0.1
+            )
             return np.where(ends, 0.4, middle)
 
-        cells = SimpleNamespace(clearance_at=clearance, plan=lambda *_: np.stack([view.q[:2], ahead[:2]]))
+        cells = SimpleNamespace(
+            clearance_at=clearance, plan=lambda *_: np.stack([view.q[:2], ahead[:2]])
+        )
         monkeypatch.setattr(route_module, "planner", lambda _: cells)
         found = plan_route(view, ahead, view.q, motion.arm_spheres(), boxes, care=care)
         assert found is not None and found.care is care
@@ -131,22 +165,34 @@ def test_a_drive_with_something_in_the_hand_that_grazes_furniture_is_tight(monke
 
 
 def test_nothing_of_the_trunk_counts_on_the_way_of_an_arm():
-    arm, whole = motion.arm_spheres(), motion.spheres()
+    arm = motion.arm_spheres()
+    whole = motion.spheres()
     links = {arm.chain.links[i] for i in arm.link}
     assert not links & set(TRUNK_LINKS) and links < {whole.chain.links[i] for i in whole.link}
     # It stays above the base, which the map of the floor keeps clear.
     chain = Chain.from_tree(KINEMATIC_TREE, FETCH_JOINTS, extra=TRUNK_LINKS)
-    frames, reach = chain.forward(REST_QPOS[None]), dict.fromkeys(TRUNK_LINKS, 0.0)
+    frames = chain.forward(REST_QPOS[None])
+    reach = dict.fromkeys(TRUNK_LINKS, 0.0)
     for link in TRUNK_LINKS:
         at = chain.links.index(link)
         for geom in ROBOT_GEOMS[link]:
-            half = geom.size if geom.shape == "box" else (geom.size[0] / np.sqrt(2.0),) * 2 + (geom.size[1],)
+            half = (
+                geom.size
+                if geom.shape == "box"
+                else (geom.size[0] / np.sqrt(2.0),) * 2 + (geom.size[1],)
+            )
             corners = np.array(list(itertools.product((-1.0, 1.0), repeat=3))) * half
             turn = frames.rot[0, at] @ mat_from_quat(np.array(geom.quat, float))
-            spots = frames.pos[0, at] + frames.rot[0, at] @ np.array(geom.pos, float) + corners @ turn.T
-            reach[link] = max(reach[link], float(np.linalg.norm(spots[:, :2] - REST_QPOS[:2], axis=1).max()))
+            spots = (
+                frames.pos[0, at] + frames.rot[0, at] @ np.array(geom.pos, float) + corners @ turn.T
+            )
+            reach[link] = max(
+                reach[link], float(np.linalg.norm(spots[:, :2] - REST_QPOS[:2], axis=1).max())
+            )
     assert max(reach.values()) < reach["base_link"] + 0.02
-    np.testing.assert_array_equal(arm.self_clearance(REST_QPOS[None]), whole.self_clearance(REST_QPOS[None]))
+    np.testing.assert_array_equal(
+        arm.self_clearance(REST_QPOS[None]), whole.self_clearance(REST_QPOS[None])
+    )
 
 
 def test_spheres_reach_into_the_corners_of_a_held_box():
@@ -154,7 +200,8 @@ def test_spheres_reach_into_the_corners_of_a_held_box():
     obj, _ = goal_of(view)
     half = np.array(view.object_type(obj).half)
     assert shape_of(view.object_type(obj)).kind == "box"
-    pose, (tcp, rot) = view.object_pose(obj), motion.tcp(view)
+    pose = view.object_pose(obj)
+    (tcp, rot) = motion.tcp(view)
     corners = pose[:3] + (half * [[1, 1, 1], [-1, 1, -1], [1, -1, -1]]) @ mat_from_quat(pose[3:]).T
     local, radius = held_spheres(view, obj)
     gap = np.linalg.norm(corners[:, None] - (tcp + local @ rot.T), axis=2) - radius
@@ -178,25 +225,43 @@ def test_bases_are_only_where_something_can_be_reached():
     near_by = base_poses(view, goal, scene, goals, 0.0, None, False)
     anywhere = base_poses(view, goal, scene, goals, 0.0, None, True)
     moved = np.linalg.norm(near_by[0][:, :2] - view.q[:2], axis=1) > 1e-9
-    assert moved.any() and np.linalg.norm(near_by[0][moved, :2] - goal[:2], axis=1).max() <= FAR_OFF + 1e-9
+    assert (
+        moved.any()
+        and np.linalg.norm(near_by[0][moved, :2] - goal[:2], axis=1).max() <= FAR_OFF + 1e-9
+    )
     assert np.linalg.norm(anywhere[0][:, :2] - goal[:2], axis=1).max() > FAR_OFF
     assert anywhere[1].min() <= near_by[1].min()
 
 
 def test_place_looks_at_every_way_before_it_waits(monkeypatch: pytest.MonkeyPatch):
-    view, asked = place_env(1).view(0), []
+    view = place_env(1).view(0)
+    asked = []
     monkeypatch.setattr(place_module, "plan_place", lambda *args: asked.append(args[4:]))
     next(place(view))
     # In its place, then in a hurry and on any side, then from above.
-    assert asked == [(0, 0.0, False), (1, 0.0, True), (2, 0.0, True), (3, DROPS[1], True), (4, DROPS[2], True)]
+    assert asked == [
+        (0, 0.0, False),
+        (1, 0.0, True),
+        (2, 0.0, True),
+        (3, DROPS[1], True),
+        (4, DROPS[2], True),
+    ]
 
 
 def test_a_bowl_under_a_shelf_is_taken_from_the_front():
     bowl = ObjectShape("bowl", (0.081, 0.081, 0.028))
     low = Boxes.of([[0.0, 0.0, 0.362]], [[0.4, 0.4, 0.01]], [np.eye(3)])
-    pos, quat = np.array([0.0, 0.0, 0.028]), np.array([1.0, 0.0, 0.0, 0.0])
+    pos = np.array([0.0, 0.0, 0.028])
+    quat = np.array([1.0, 0.0, 0.0, 0.0])
     found = [
-        grasp_candidates(bowl, pos, quat, support_z=0.0, neighbours=low, options=replace(options, inward=(1.0, 0.0)))
+        grasp_candidates(
+            bowl,
+            pos,
+            quat,
+            support_z=0.0,
+            neighbours=low,
+            options=replace(options, inward=(1.0, 0.0)),
+        )
         for options in (SHELF_OPTIONS, LOW_SHELF_OPTIONS)
     ]
     assert not len(found[0]) and len(found[1])

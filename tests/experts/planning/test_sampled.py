@@ -29,7 +29,8 @@ def turned(pan: float) -> np.ndarray:
     return q
 
 
-LEFT, RIGHT = turned(0.9), turned(-0.9)
+LEFT = turned(0.9)
+RIGHT = turned(-0.9)
 # A wall that ends at the robot, between where the arm is and where it is to go, with and without a gap at half height.
 WALL = Boxes.of([[1.0, 0.0, 2.4], [1.0, 0.0, 0.5]], [[0.65, 0.01, 0.9], [0.65, 0.01, 0.5]])
 SOLID = Boxes.of([[0.9, 0.0, 1.5]], [[0.65, 0.01, 1.5]])
@@ -93,7 +94,8 @@ def blocked_drive(monkeypatch: pytest.MonkeyPatch) -> tuple[np.ndarray, np.ndarr
 
 def test_drives_with_another_posture_where_the_arm_does_not_pass(monkeypatch: pytest.MonkeyPatch):
     goal, arm, posts = blocked_drive(monkeypatch)
-    view, robot = view_of(LEFT), motion.spheres()
+    view = view_of(LEFT)
+    robot = motion.spheres()
     straight = route.plan_route(view, goal, arm, robot, posts)
     assert straight is not None and straight.room < sampled.TOUCHES
     found = plan_around(view, goal, arm, robot, posts)
@@ -103,7 +105,9 @@ def test_drives_with_another_posture_where_the_arm_does_not_pass(monkeypatch: py
     assert robot.clearance(carried, posts).min() > 0.05
     assert found.lead + 30 <= found.steps and np.array_equal(found.arm, arm)
     again = plan_around(view, goal, arm, robot, posts)
-    assert again is not None and again.via is not None and again.via.tobytes() == found.via.tobytes()
+    assert (
+        again is not None and again.via is not None and again.via.tobytes() == found.via.tobytes()
+    )
 
 
 def test_only_where_straight_ways_touch_and_time_is_left(monkeypatch: pytest.MonkeyPatch):
@@ -115,9 +119,14 @@ def test_only_where_straight_ways_touch_and_time_is_left(monkeypatch: pytest.Mon
     view = view_of(LEFT)
 
     def stance(room: float) -> tuple[Stance, HandGoals, float]:
-        return Stance(0, arm, arm, Route(np.zeros((2, 2)), 0.0, 1, 0.3, arm, 0, 40, room)), goals, 0.0
+        return (
+            Stance(0, arm, arm, Route(np.zeros((2, 2)), 0.0, 1, 0.3, arm, 0, 40, room)),
+            goals,
+            0.0,
+        )
 
-    good, bad = stance(0.01), stance(-0.07)
+    good = stance(0.01)
+    bad = stance(-0.07)
     assert roomier(view, good, blocked) is good
     around = roomier(view, bad, blocked)
     assert around is not None and around is not bad and around[0].route.via is not None
@@ -135,7 +144,9 @@ class Arm:
     """A robot that stands and whose arm and torso do most of what they are told."""
 
     def __init__(self, q: np.ndarray) -> None:
-        self.q, self.link_forces, self.passed = q.copy(), np.zeros(1), [q.copy()]
+        self.q = q.copy()
+        self.link_forces = np.zeros(1)
+        self.passed = [q.copy()]
 
     def obey(self, action: np.ndarray) -> None:
         self.q = self.q.copy()
@@ -145,8 +156,10 @@ class Arm:
 
 
 def test_arm_passes_the_postures_of_a_route_one_after_the_other():
-    view, low = Arm(LEFT), turned(0.3)
-    low[7], low[9] = -0.5, 1.3
+    view = Arm(LEFT)
+    low = turned(0.3)
+    low[7] = -0.5
+    low[9] = 1.3
     via = np.stack([low, turned(-0.3)])
     here = np.zeros((2, 2))
     way = Route(here, 0.0, 1, 0.3, RIGHT, 30, 120, 0.0, via=via, carried=0, lead=20)
@@ -164,4 +177,6 @@ def test_arm_passes_the_postures_of_a_route_one_after_the_other():
     # It starts gently, when the base has arrived as well.
     speed = np.abs(np.diff(np.array(view.passed), axis=0)).max(axis=1)
     for start in (0, way.lead):
-        np.testing.assert_allclose(speed[start : start + 4] / speed.max(), [0.25, 0.5, 0.75, 1.0], atol=0.01)
+        np.testing.assert_allclose(
+            speed[start : start + 4] / speed.max(), [0.25, 0.5, 0.75, 1.0], atol=0.01
+        )

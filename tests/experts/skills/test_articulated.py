@@ -18,16 +18,19 @@ from mjhab.experts.planning import stances
 from mjhab.experts.skills import door, door_stances, drawer
 from mjhab.tasks.style import Styles
 
-DRAWER, DOOR = "kitchen_counter/drawer3", "fridge/top_door"
+DRAWER = "kitchen_counter/drawer3"
+DOOR = "fridge/top_door"
 
 
 def play(
     subtask: str, target: str, episode: int, *words: str, look: Callable[[WorldView], object] = bool
-) -> dict:  # fmt: skip
+) -> dict:
     """The record of one episode's subtask, run to its horizon by the expert; ``look`` is called after every step."""
     env = make(task="set_table", subtask=subtask, target=target, num_envs=1, autoreset="disabled")
     policy = make_expert(env, Styles.parse(words))
-    obs, info = env.reset(seed=0, options={"episode": [episode], "reset_mask": np.ones(1, dtype=bool)})
+    obs, info = env.reset(
+        seed=0, options={"episode": [episode], "reset_mask": np.ones(1, dtype=bool)}
+    )
     policy.reset(np.ones(1, dtype=bool))
     while info["ended"][0] is None:
         obs, _, _, _, info = env.step(policy.act(obs, info))
@@ -62,12 +65,16 @@ def test_a_door_is_pushed_all_the_way_or_thrown_as_asked() -> None:
             q = view.link_q(DOOR)
             if 0.05 < q < 0.5:
                 door_now = motion.as_boxes(view.home.links[DOOR].boxes(q))
-                far[0] = max(far[0], float(sphere_box_distance(motion.tcp(view)[0][None], door_now).min()))
+                far[0] = max(
+                    far[0], float(sphere_box_distance(motion.tcp(view)[0][None], door_now).min())
+                )
 
         ended = play("close", DOOR, 13, *words, look=look)
         return ended, far[0]
 
-    (pushed, near), (thrown, far), (plain, _) = behind("close=push"), behind("close=throw"), behind()
+    (pushed, near) = behind("close=push")
+    (thrown, far) = behind("close=throw")
+    (plain, _) = behind()
     assert pushed["success_once"] and thrown["success_once"]
     assert near < 0.06 < 0.15 < far, (near, far)
     assert thrown["state"] == plain["state"] != pushed["state"]
@@ -75,7 +82,8 @@ def test_a_door_is_pushed_all_the_way_or_thrown_as_asked() -> None:
 
 def test_a_drawer_is_shut_with_its_handle_held_where_that_is_asked_for() -> None:
     def widths(*words: str) -> tuple[dict, np.ndarray]:
-        found, last = [], [0.0]
+        found = []
+        last = [0.0]
 
         def look(view: WorldView) -> None:
             q = view.link_q(DRAWER)
@@ -85,7 +93,9 @@ def test_a_drawer_is_shut_with_its_handle_held_where_that_is_asked_for() -> None
 
         return play("close", DRAWER, 6, *words, look=look), np.array(found)
 
-    (held, around), (pushed, fist), (plain, _) = widths("close=grasp"), widths("close=push"), widths()
+    (held, around) = widths("close=grasp")
+    (pushed, fist) = widths("close=push")
+    (plain, _) = widths()
     assert held["success_once"] and pushed["success_once"]
     assert fist.max() < 0.003 < 0.01 < around.min(), (fist, around)
     assert pushed["state"] == plain["state"]
@@ -114,7 +124,8 @@ def test_pull_stances_hold_the_bar(env: SequentialTaskEnv) -> None:
 
 def test_pull_stances_follow_the_arc(env: SequentialTaskEnv) -> None:
     link = plan_link(env, DOOR)
-    found, angles = stances.cached(link, "pull", door_stances.pull_stances), door_stances.pull_angles(link)
+    found = stances.cached(link, "pull", door_stances.pull_stances)
+    angles = door_stances.pull_angles(link)
     assert len(found) > 20
     assert angles[-1] > 0.75 * link.range[1]
     for k in range(1, len(angles)):
@@ -124,10 +135,8 @@ def test_pull_stances_follow_the_arc(env: SequentialTaskEnv) -> None:
 
 def test_hand_gets_in_behind_an_open_door(env: SequentialTaskEnv) -> None:
     link = plan_link(env, DOOR)
-    found, angles = (
-        stances.cached(link, "push_open", door_stances.push_open),
-        door_stances.push_angles(link, half=False),
-    )
+    found = stances.cached(link, "push_open", door_stances.push_open)
+    angles = door_stances.push_angles(link, half=False)
     assert len(found) > 20
     hand = motion.spheres().only(("wrist_roll_link", "gripper_link"))
     assert hand.clearance(found.q[:, 0], motion.as_boxes(link.boxes(link.range[1]))).min() > 0.03
@@ -147,7 +156,8 @@ def test_stances_belong_to_one_piece_of_furniture(env: SequentialTaskEnv) -> Non
 
 @pytest.mark.parametrize("speed", [0.3, 0.8, 1.5])
 def test_thrown_door_coasts(speed: float) -> None:
-    way, dt = 0.0, 1e-4
+    way = 0.0
+    dt = 1e-4
     v = speed
     while v > 0:
         way += v * dt
@@ -161,21 +171,26 @@ def test_frame_round_trip(env: SequentialTaskEnv) -> None:
     frame = stances.Frame.of(link)
     pose = np.array([0.7, -0.4, 2.0])
     world = frame.base(pose)
-    c, s = np.cos(frame.yaw), np.sin(frame.yaw)
+    c = np.cos(frame.yaw)
+    s = np.sin(frame.yaw)
     assert np.allclose(np.array([[c, s], [-s, c]]) @ (world[:2] - frame.origin), pose[:2])
-    handle = JointedLink(link.id, link.spec, np.array([0.0, 0.0, link.origin[2]]), np.eye(3)).handle_pose(0.4)[0]
+    handle = JointedLink(
+        link.id, link.spec, np.array([0.0, 0.0, link.origin[2]]), np.eye(3)
+    ).handle_pose(0.4)[0]
     assert np.allclose(frame.point(handle[:2]), link.handle_pose(0.4)[0][:2])
 
 
 def test_withdrawn_hand_moves_straight_back(env: SequentialTaskEnv) -> None:
     q = stances.cached(plan_link(env, DRAWER), "pull", drawer._pull_stances).q[:, 1]
     moved = door._withdrawn(q, 0.05)
-    (start, rot), (end, _) = motion.chain().tip_pose(q), motion.chain().tip_pose(moved)
+    (start, rot) = motion.chain().tip_pose(q)
+    (end, _) = motion.chain().tip_pose(moved)
     done = np.abs(moved - q).max(axis=1) > 0
     assert done.mean() > 0.8
     assert np.allclose(start - end, 0.05 * rot[:, :, 0] * done[:, None], atol=5e-3)
 
 
 def test_quickest_seeds_are_kept() -> None:
-    row, travel = np.array([1, 0, 0, 0, 1]), np.array([5.0, 3.0, 1.0, 2.0, 4.0])
+    row = np.array([1, 0, 0, 0, 1])
+    travel = np.array([5.0, 3.0, 1.0, 2.0, 4.0])
     assert stances._quickest(row, travel, 2).tolist() == [True, False, True, True, True]

@@ -17,7 +17,9 @@ from mjhab.experts.skills import navigate
 from mjhab.robots.kinematics import wrap
 from mjhab.tasks.plan import Subtask
 
-CELL, REACH, THICK = 0.05, 0.6, 0.05
+CELL = 0.05
+REACH = 0.6
+THICK = 0.05
 FRIDGE = "fridge/top_door"
 Map = np.ndarray
 
@@ -27,7 +29,9 @@ def floorplan(taken: Map) -> Floorplan:
     gap = np.asarray(distance_transform_edt(~taken)) * CELL - CELL / 2
     walls = np.repeat(taken[None], len(LEVELS), axis=0)
     arm = Arm(np.array([[REACH, 0.0]]), np.array([THICK]), np.array([[5, 5]]))
-    return Floorplan(np.zeros(2), CELL, gap - BASE_NEED, np.repeat(gap[None], len(LEVELS), axis=0), walls, arm)
+    return Floorplan(
+        np.zeros(2), CELL, gap - BASE_NEED, np.repeat(gap[None], len(LEVELS), axis=0), walls, arm
+    )
 
 
 def ending_at(lattice: Lattice, xy: tuple[float, float]) -> np.ndarray:
@@ -73,7 +77,9 @@ def test_no_way_through_a_wall():
 def test_robot_backs_out_of_a_passage_too_narrow_to_turn_in():
     taken = np.zeros((120, 80), dtype=bool)
     taken[[0, -1]] = taken[:, [0, -1]] = True
-    taken[60:, :31] = taken[60:, 49:] = True  # a blind alley of 0.9 m: the base fits, the arm cannot swing round
+    taken[60:, :31] = taken[60:, 49:] = (
+        True  # a blind alley of 0.9 m: the base fits, the arm cannot swing round
+    )
     plan = floorplan(taken)
     lattice = Lattice(plan)
     pose = np.array([4.5, 2.0, 0.0])
@@ -104,7 +110,9 @@ def test_facing_is_by_the_short_way(start: float, end: float):
 
 
 def build(task: str, subtask: str = "navigate", **more: str) -> SequentialTaskEnv:
-    return envs.make(task=task, subtask=subtask, num_envs=1, autoreset="disabled", threads=1, **more)
+    return envs.make(
+        task=task, subtask=subtask, num_envs=1, autoreset="disabled", threads=1, **more
+    )
 
 
 def active(env: SequentialTaskEnv) -> Subtask:
@@ -118,7 +126,9 @@ def drive(env: SequentialTaskEnv, episode: int, steps: int, halfway=None) -> dic
     obs, info = env.reset(seed=0, options={"episode": [episode]})
     policy = make_expert(env)
     policy.reset(np.ones(1, bool))
-    start, moves, force = env.state.robot_q[0, :2].copy(), [], 0.0
+    start = env.state.robot_q[0, :2].copy()
+    moves = []
+    force = 0.0
     for step in range(steps):
         before = env.state.robot_q[0, :2].copy()
         obs, _, _, _, info = env.step(policy.act(obs, info))
@@ -128,13 +138,19 @@ def drive(env: SequentialTaskEnv, episode: int, steps: int, halfway=None) -> dic
             halfway(env)
         if env.success[0] or env.progress.pointer[0]:
             break
-    return {"success": bool(env.success[0]), "moves": np.array(moves), "start": start, "force": force}
+    return {
+        "success": bool(env.success[0]),
+        "moves": np.array(moves),
+        "start": start,
+        "force": force,
+    }
 
 
 def test_drives_around_walls_and_faces_the_goal():
     env = build("set_table")
     ended = drive(env, 10, 400)
-    q, goal = env.state.robot_q[0], env.focus.active.goal_pos[0]
+    q = env.state.robot_q[0]
+    goal = env.focus.active.goal_pos[0]
     assert ended["success"] and ended["force"] == 0.0
     assert ended["moves"].sum() > 1.3 * np.linalg.norm(q[:2] - ended["start"])  # not straight
     assert ended["moves"].max() < 0.1
@@ -156,7 +172,8 @@ def test_keeps_what_it_holds():
 def test_plans_anew_when_a_door_opens_in_its_way(monkeypatch: pytest.MonkeyPatch, watches: bool):
     """By looking; and without it, by running into the door, which is pushed aside or gone round."""
     env = build("set_table")
-    met, plan_trip = [], navigate.plan_trip
+    met = []
+    plan_trip = navigate.plan_trip
 
     def spy(*args):
         met.append(len(args[4]))
@@ -198,12 +215,20 @@ def test_chain_teleports_unless_told_otherwise():
 
 
 def test_a_place_behind_furniture_is_a_long_way_round():
-    env = envs.make(task="tidy_house", num_envs=1, split="val", home="builtin_m3_08", autoreset="disabled", threads=1)
+    env = envs.make(
+        task="tidy_house",
+        num_envs=1,
+        split="val",
+        home="builtin_m3_08",
+        autoreset="disabled",
+        threads=1,
+    )
     env.reset(seed=0, options={"episode": [0]})
     view = env.view(0)
     # A chair between a table and a wall: the floor to its left is reached from the far side of the table only.
     seat = np.array([6.76, 5.21, 0.49])
-    below, beside = np.array([6.42, 3.68]), np.array([6.25, 4.95])
+    below = np.array([6.42, 3.68])
+    beside = np.array([6.25, 4.95])
     points = np.stack([below, beside])[:, None]
     way = navigate.detours(view, navigate.Aim(seat, 0.95, 2.0, None), points)[:, 0]
     assert way[0] > 5.0 and way[1] == 0.0

@@ -45,7 +45,9 @@ def test_outline_is_that_of_the_box_as_it_stands():
     np.testing.assert_allclose(np.abs(edge).max(axis=0), BOX.half[:2])
     # It lies on its broad side.
     lying = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
-    np.testing.assert_allclose(np.abs(outline(BOX, lying)).max(axis=0), [BOX.half[2], BOX.half[1]], atol=1e-12)
+    np.testing.assert_allclose(
+        np.abs(outline(BOX, lying)).max(axis=0), [BOX.half[2], BOX.half[1]], atol=1e-12
+    )
 
 
 def test_either_end_is_pushed_in_no_further_than_it_needs():
@@ -55,7 +57,8 @@ def test_either_end_is_pushed_in_no_further_than_it_needs():
         assert np.degrees(push.turn) == pytest.approx(42.0)
         # Its front, near the end.
         np.testing.assert_allclose([push.end[0], abs(push.end[1])], [-0.036, 0.070], atol=0.004)
-        before, after = mat_from_quat(ACROSS[3:]), mat_from_quat(push.pose_after(ACROSS, 0.6)[3:])
+        before = mat_from_quat(ACROSS[3:])
+        after = mat_from_quat(push.pose_after(ACROSS, 0.6)[3:])
         corner = np.array([*push.end, 0.0]) @ before @ after.T
         assert corner[0] > push.end[0] + 0.03
 
@@ -78,7 +81,9 @@ def test_the_hand_pushes_low_and_stays_above_the_shelf():
 def test_only_boxes_that_stand_are_turned():
     view = SimpleNamespace(
         object_pose=lambda obj: np.array([0.0, 0.0, 0.1, np.cos(0.3), np.sin(0.3), 0.0, 0.0]),
-        object_type=lambda obj: SimpleNamespace(collision=[SimpleNamespace(shape="box")], half=BOX.half),
+        object_type=lambda obj: SimpleNamespace(
+            collision=[SimpleNamespace(shape="box")], half=BOX.half
+        ),
     )
     assert plan_nudge(view, "box", shelf(), INWARD, turned_by(0.0)) is None  # pyright: ignore[reportArgumentType]
 
@@ -87,9 +92,14 @@ def test_a_box_that_cannot_be_grasped_is_turned_and_stays_upright(monkeypatch: p
     # By a corner it could be.
     monkeypatch.setattr(pick, "SHELF_OPTIONS", replace(pick.SHELF_OPTIONS, corners=False))
     env = envs.make(
-        task="prepare_groceries", subtask="pick", target="003_cracker_box", num_envs=1, split="train",
-        autoreset="disabled", threads=1,
-    )  # fmt: skip
+        task="prepare_groceries",
+        subtask="pick",
+        target="003_cracker_box",
+        num_envs=1,
+        split="train",
+        autoreset="disabled",
+        threads=1,
+    )
     obs, info = env.reset(seed=0, options={"episode": [11]})
     view = env.view(0)
     subtask = view.subtask

@@ -32,7 +32,13 @@ UPRIGHT = np.eye(3)
 
 def build(task: str, subtask: str, target: str = "", worlds: int = 3) -> SequentialTaskEnv:
     return envs.make(
-        task=task, subtask=subtask, target=target, num_envs=worlds, split="train", autoreset="disabled", threads=1
+        task=task,
+        subtask=subtask,
+        target=target,
+        num_envs=worlds,
+        split="train",
+        autoreset="disabled",
+        threads=1,
     )
 
 
@@ -106,7 +112,11 @@ def test_pilot_drives_straight_back():
     [
         (ObjectShape("box", (0.02, 0.04, 0.1)), UPRIGHT, 0.1),
         (ObjectShape("box", (0.02, 0.04, 0.1)), rotate(np.array([[np.pi / 2, 0.0, 0.0]]))[0], 0.04),
-        (ObjectShape("cylinder", (0.03, 0.03, 0.05)), rotate(np.array([[0.0, np.pi / 4, 0.0]]))[0], 0.08 / np.sqrt(2)),
+        (
+            ObjectShape("cylinder", (0.03, 0.03, 0.05)),
+            rotate(np.array([[0.0, np.pi / 4, 0.0]]))[0],
+            0.08 / np.sqrt(2),
+        ),
         (ObjectShape("sphere", (0.04, 0.04, 0.04)), rotate(np.array([[0.3, 0.7, 0.1]]))[0], 0.04),
     ],
 )
@@ -150,7 +160,8 @@ def test_fridge_shelf_asks_to_come_straight_in():
 
 
 def test_way_out_of_a_shelf_keeps_the_object_off_the_walls():
-    half, eye = np.array([0.04, 0.04, 0.05]), np.eye(3)[None]
+    half = np.array([0.04, 0.04, 0.05])
+    eye = np.eye(3)[None]
     target = Boxes(np.array([[0.5, 0.0, 1.05]]), half[None], eye)
     wall = Boxes(np.array([[0.3, 0.12, 1.1]]), np.array([[0.4, 0.01, 0.5]]), eye)
     bases = np.array([[-0.3, 0.0, 0.0], [-0.2, 0.2, -0.35], [-0.2, -0.2, 0.35]])
@@ -160,9 +171,12 @@ def test_way_out_of_a_shelf_keeps_the_object_off_the_walls():
 
 
 def test_grasps_on_a_shelf_come_from_its_open_side():
-    shape, pose = ObjectShape("box", (0.05, 0.03, 0.08)), np.array([0.0, 0.0, 1.08])
+    shape = ObjectShape("box", (0.05, 0.03, 0.08))
+    pose = np.array([0.0, 0.0, 1.08])
     found = [
-        grasp_candidates(shape, pose, np.array([1.0, 0.0, 0.0, 0.0]), support_z=1.0, options=options)
+        grasp_candidates(
+            shape, pose, np.array([1.0, 0.0, 0.0, 0.0]), support_z=1.0, options=options
+        )
         for options in (Options(), Options(inward=(1.0, 0.0), shallower=(0.0, 0.02)))
     ]
     assert found[0].rot[:, 0, 0].min() < -0.25
@@ -182,7 +196,9 @@ def test_hand_goals_put_the_object_upright_at_the_goal():
     leans = np.linalg.norm(centres[:, :2] - goal[:2], axis=1) > 0.10 + 1e-9
     assert goals.score[leans].max(initial=-np.inf) < goals.score[~leans].max() - 0.2
     assert np.linalg.norm(centres[goals.score > -1e-9, :2] - goal[:2], axis=1).max() < 1e-9
-    assert (centres[:, 2] > goal[2]).all() and np.abs(centres[goals.score > -1e-9, 2] - goal[2]).max() < 0.02
+    assert (centres[:, 2] > goal[2]).all() and np.abs(
+        centres[goals.score > -1e-9, 2] - goal[2]
+    ).max() < 0.02
 
 
 def test_spheres_of_a_held_object_stay_with_it():
@@ -201,7 +217,9 @@ def test_route_keeps_room_and_ends_at_the_goal():
     spot = free[np.argmin(np.abs(np.linalg.norm(free - view.q[:2], axis=1) - 1.0))]
     near, target = surroundings(view, the_object(view), np.array([*spot, 1.0]))
     rest = motion.rest_goal(view)
-    route = plan_route(view, np.array([*spot, 0.0]), rest, motion.spheres(), type(near).join([near, target]))
+    route = plan_route(
+        view, np.array([*spot, 0.0]), rest, motion.spheres(), type(near).join([near, target])
+    )
     assert route is not None
     np.testing.assert_allclose(route.path[-1], spot)
     assert route.steps < 200
@@ -214,7 +232,9 @@ def test_grasps_beside_the_centre_come_last():
     )
 
     ordered = balanced(found, centre)
-    before, after = (np.abs(np.einsum("gj,gj->g", centre - g.pos, g.rot[:, :, 2])) for g in (found, ordered))
+    before, after = (
+        np.abs(np.einsum("gj,gj->g", centre - g.pos, g.rot[:, :, 2])) for g in (found, ordered)
+    )
     assert len(ordered) == len(found) and (np.diff(ordered.score) <= 0.0).all()
     assert after[:10].max() <= EVEN < before.max()
     assert after[:40].mean() < before[:40].mean()
@@ -233,12 +253,19 @@ def test_a_drive_ends_when_the_object_is_lost():
 
 def test_place_picks_up_again_what_it_lost():
     env = envs.make(
-        task="tidy_house", subtask="place", num_envs=1, split="train", autoreset="disabled", threads=1, horizon=350
+        task="tidy_house",
+        subtask="place",
+        num_envs=1,
+        split="train",
+        autoreset="disabled",
+        threads=1,
+        horizon=350,
     )
     obs, info = env.reset(seed=0, options={"episode": [1]})
     expert = make_expert(env)
     expert.reset(np.ones(1, bool))
-    obj, height = the_object(env.view(0)), np.inf
+    obj = the_object(env.view(0))
+    height = np.inf
     for step in range(350):
         actions = expert.act(obs, info)
         if 10 <= step < 16:
@@ -250,7 +277,9 @@ def test_place_picks_up_again_what_it_lost():
     assert height < 0.1 and reward[0] > 0.5
 
 
-def test_a_grasp_out_of_reach_from_where_the_base_stays_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_grasp_out_of_reach_from_where_the_base_stays_is_given_up(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     stance = SimpleNamespace(at=np.zeros(6))
     plans: list[int] = []
 

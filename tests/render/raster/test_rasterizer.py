@@ -25,7 +25,14 @@ def draw(builder: SceneBuilder, eye, target, homes=(0,), threads=1, **options):
     mat = np.broadcast_to(look_at(eye, target), (count, 1, 3, 3))
     raster = Rasterizer(builder.build(), threads, options.pop("cull", True))
     images = raster.render(
-        np.array(homes), np.zeros((count, 1, 3)), np.tile(np.eye(3), (count, 1, 1, 1)), pos, mat, FOVY, *SIZE, **options
+        np.array(homes),
+        np.zeros((count, 1, 3)),
+        np.tile(np.eye(3), (count, 1, 1, 1)),
+        pos,
+        mat,
+        FOVY,
+        *SIZE,
+        **options,
     )
     raster.close()
     return {name: image[:, 0] for name, image in images.items()}
@@ -35,15 +42,20 @@ def rays(eye, target, size=SIZE, fovy=FOVY):
     """World rays (h, w, 3) through pixel centres, scaled so that the ray parameter is planar depth."""
     width, height = size
     focal = 0.5 * height / np.tan(0.5 * fovy)
-    u, v = np.meshgrid((np.arange(width) + 0.5 - width / 2) / focal, -(np.arange(height) + 0.5 - height / 2) / focal)
+    u, v = np.meshgrid(
+        (np.arange(width) + 0.5 - width / 2) / focal,
+        -(np.arange(height) + 0.5 - height / 2) / focal,
+    )
     return np.stack([u, v, -np.ones_like(u)], -1) @ look_at(eye, target).T
 
 
 def box_depth(eye, ray, center, half):
     """Ray parameter of the first hit of an axis-aligned box, 0 where none."""
     with np.errstate(divide="ignore"):
-        a, b = (np.asarray(center) - half - eye) / ray, (np.asarray(center) + half - eye) / ray
-    near, far = np.minimum(a, b).max(-1), np.maximum(a, b).min(-1)
+        a = (np.asarray(center) - half - eye) / ray
+        b = (np.asarray(center) + half - eye) / ray
+    near = np.minimum(a, b).max(-1)
+    far = np.maximum(a, b).min(-1)
     return np.where((near < far) & (near > 0), near, 0.0)
 
 
@@ -57,7 +69,8 @@ def mesh_depth(eye, ray, mesh, center):
             inv = 1.0 / (cross @ (b - a))
             u = (cross @ (eye - a)) * inv
             side = np.cross(eye - a, b - a)
-            v, t = (ray @ side) * inv, (side @ (c - a)) * inv
+            v = (ray @ side) * inv
+            t = (side @ (c - a)) * inv
         best = np.where((u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0) & (t < best), t, best)
     return np.where(np.isfinite(best), best, 0.0)
 
@@ -65,13 +78,17 @@ def mesh_depth(eye, ray, mesh, center):
 def sphere_depth(eye, ray, center, radius):
     """Ray parameter of the first hit of a sphere, 0 where none."""
     to = np.asarray(eye) - center
-    a, b, c = (ray**2).sum(-1), (ray * to).sum(-1), (to**2).sum() - radius**2
+    a = (ray**2).sum(-1)
+    b = (ray * to).sum(-1)
+    c = (to**2).sum() - radius**2
     disc = b * b - a * c
     return np.where(disc > 0, (-b - np.sqrt(np.maximum(disc, 0))) / a, 0.0)
 
 
 def test_box_depth_and_seg_are_exact():
-    eye, center, half = np.array([2.0, -1.5, 1.3]), np.array([0.1, 0.2, 0.3]), np.array([0.4, 0.3, 0.5])
+    eye = np.array([2.0, -1.5, 1.3])
+    center = np.array([0.1, 0.2, 0.3])
+    half = np.array([0.4, 0.3, 0.5])
     builder = SceneBuilder(1)
     builder.add_world_geom(Geom("box", tuple(half), tuple(center)), seg="crate")
     image = draw(builder, eye, center)
@@ -83,7 +100,8 @@ def test_box_depth_and_seg_are_exact():
 
 def test_floor_under_the_camera_is_clipped_at_the_near_plane():
     # The floor reaches far behind the camera: every triangle crosses the near plane.
-    eye, target = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.3, 0.2])
+    eye = np.array([0.0, 0.0, 1.0])
+    target = np.array([1.0, 0.3, 0.2])
     builder = SceneBuilder(1)
     builder.add_world_geom(Geom("box", (50.0, 50.0, 0.5), (0.0, 0.0, -0.5)), seg="floor")
     image = draw(builder, eye, target)
@@ -104,18 +122,22 @@ def test_nothing_behind_or_nearer_than_the_near_plane_is_drawn():
 
 
 def test_sphere_agrees_with_its_triangles_and_with_the_true_sphere():
-    eye, center = np.array([1.5, 0.5, 0.8]), np.array([0.0, 0.0, 0.4])
+    eye = np.array([1.5, 0.5, 0.8])
+    center = np.array([0.0, 0.0, 0.4])
     ball = Geom("sphere", (0.5, 0.0, 0.0), tuple(center))
     builder = SceneBuilder(1)
     builder.add_world_geom(ball, seg="ball")
     image = draw(builder, eye, center)
     ray = rays(eye, center)
-    want, true = mesh_depth(eye, ray, primitive_mesh(ball), center), sphere_depth(eye, ray, center, 0.5)
+    want = mesh_depth(eye, ray, primitive_mesh(ball), center)
+    true = sphere_depth(eye, ray, center, 0.5)
     np.testing.assert_array_equal(image["seg"][0], want > 0)
     np.testing.assert_allclose(image["depth"][0], want, atol=1e-4)
     both = (want > 0) & (true > 0)
     assert ((want > 0) != (true > 0)).mean() < 0.02
-    assert np.median(np.abs(image["depth"][0] - true)[both]) < 0.01  # a sphere of 24 sides is 9 mm too thin
+    assert (
+        np.median(np.abs(image["depth"][0] - true)[both]) < 0.01
+    )  # a sphere of 24 sides is 9 mm too thin
 
 
 def test_any_mesh_pose_agrees_with_its_triangles():
@@ -139,7 +161,10 @@ def test_any_mesh_pose_agrees_with_its_triangles():
 
 @pytest.mark.parametrize("order", [(0, 1), (1, 0)])
 def test_nearer_things_hide_farther_ones_in_any_order(order):
-    shapes = [Geom("box", (0.1, 2.0, 2.0), (1.0, 0.0, 0.0)), Geom("sphere", (0.5, 0.0, 0.0), (3.0, 0.0, 0.0))]
+    shapes = [
+        Geom("box", (0.1, 2.0, 2.0), (1.0, 0.0, 0.0)),
+        Geom("sphere", (0.5, 0.0, 0.0), (3.0, 0.0, 0.0)),
+    ]
     builder = SceneBuilder(1)
     for k in order:
         builder.add_world_geom(shapes[k], seg=("wall", "ball")[k])
@@ -151,8 +176,10 @@ def test_nearer_things_hide_farther_ones_in_any_order(order):
 def test_instances_move_resize_and_vanish_per_home():
     builder = SceneBuilder(3)
     unit = builder.add_mesh("box", primitive_mesh(Geom("box", (1.0, 1.0, 1.0))))
-    red, blue = builder.add_material(Material((1.0, 0.0, 0.0))), builder.add_material(Material((0.0, 0.0, 1.0)))
-    pos, scale = [[2.0, 0, 0], [3.0, 0, 0], [2.0, 0, 0]], [[0.5] * 3, [0.5, 9.0, 9.0], [0.0] * 3]
+    red = builder.add_material(Material((1.0, 0.0, 0.0)))
+    blue = builder.add_material(Material((0.0, 0.0, 1.0)))
+    pos = [[2.0, 0, 0], [3.0, 0, 0], [2.0, 0, 0]]
+    scale = [[0.5] * 3, [0.5, 9.0, 9.0], [0.0] * 3]
     builder.add_world_instance(unit, pos, scale=scale, material=[red, blue, red], seg="thing")
     image = draw(builder, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0), homes=(1, 2, 0, 1))
     middle = image["depth"][:, SIZE[1] // 2, SIZE[0] // 2]
@@ -173,11 +200,20 @@ def test_body_instances_follow_their_body():
     builder = SceneBuilder(1)
     builder.add_body_geom(Geom("box", (0.1, 0.2, 0.3), (0.5, 0.0, 0.0)), 2, "link")
     turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    body_pos, body_mat = np.zeros((1, 3, 3)), np.tile(np.eye(3), (1, 3, 1, 1))
-    body_pos[0, 2], body_mat[0, 2] = (1.0, 2.0, 0.5), turn
-    eye, target = np.array([-1.0, 1.0, 1.0]), np.array([1.0, 2.5, 0.5])
+    body_pos = np.zeros((1, 3, 3))
+    body_mat = np.tile(np.eye(3), (1, 3, 1, 1))
+    body_pos[0, 2] = (1.0, 2.0, 0.5)
+    body_mat[0, 2] = turn
+    eye = np.array([-1.0, 1.0, 1.0])
+    target = np.array([1.0, 2.5, 0.5])
     image = Rasterizer(builder.build(), 1).render(
-        np.zeros(1, int), body_pos, body_mat, eye[None, None], look_at(eye, target)[None, None], FOVY, *SIZE
+        np.zeros(1, int),
+        body_pos,
+        body_mat,
+        eye[None, None],
+        look_at(eye, target)[None, None],
+        FOVY,
+        *SIZE,
     )
     # The body is turned by 90 deg: the box's centre is at (1, 2.5, 0.5) and its x and y half-extents swap.
     want = box_depth(eye, rays(eye, target), target, np.array([0.2, 0.1, 0.3]))
@@ -186,14 +222,21 @@ def test_body_instances_follow_their_body():
 
 def crowded() -> SceneBuilder:
     """Two homes with a floor, walls, many balls and boxes of every pattern, and lamps."""
-    builder, rng = SceneBuilder(2), np.random.default_rng(0)
-    builder.add_world_geom(Geom("box", (4.0, 4.0, 0.1), (0.0, 0.0, -0.1), material="floor_oak"), seg="floor")
-    builder.add_world_geom(Geom("box", (0.1, 4.0, 1.2), (-2.0, 0.0, 1.2), material="curtain"), seg="wall")
+    builder = SceneBuilder(2)
+    rng = np.random.default_rng(0)
+    builder.add_world_geom(
+        Geom("box", (4.0, 4.0, 0.1), (0.0, 0.0, -0.1), material="floor_oak"), seg="floor"
+    )
+    builder.add_world_geom(
+        Geom("box", (0.1, 4.0, 1.2), (-2.0, 0.0, 1.2), material="curtain"), seg="wall"
+    )
     for k in range(40):
         geom = (
-            Geom("sphere", (0.2, 0, 0), material="oak"), Geom("box", (0.2, 0.1, 0.3), material="floor_tile"),
-            Geom("cylinder", (0.1, 0.2, 0), material="floor_carpet"), Geom("capsule", (0.1, 0.1, 0), material="steel"),
-        )[k % 4]  # fmt: skip
+            Geom("sphere", (0.2, 0, 0), material="oak"),
+            Geom("box", (0.2, 0.1, 0.3), material="floor_tile"),
+            Geom("cylinder", (0.1, 0.2, 0), material="floor_carpet"),
+            Geom("capsule", (0.1, 0.1, 0), material="steel"),
+        )[k % 4]
         where = rng.uniform((-1.5, -1.5, 0.0), (1.5, 1.5, 2.0), (2, 3))
         builder.add_world_geom(geom, where, seg="x")
     for home in range(2):
@@ -204,7 +247,14 @@ def crowded() -> SceneBuilder:
 @pytest.mark.parametrize("quality", ["fast", "nice"])
 def test_images_do_not_depend_on_threads(quality):
     runs = [
-        draw(crowded(), (3.0, 2.0, 2.0), (0.0, 0.0, 0.8), homes=(0, 1, 1, 0, 1), threads=n, quality=quality)
+        draw(
+            crowded(),
+            (3.0, 2.0, 2.0),
+            (0.0, 0.0, 0.8),
+            homes=(0, 1, 1, 0, 1),
+            threads=n,
+            quality=quality,
+        )
         for n in (1, 2, 4)
     ]
     for run in runs[1:]:
@@ -219,9 +269,13 @@ def test_lamps_cast_shadows_only_in_nice_pictures():
     builder.add_world_geom(Geom("box", (0.4, 0.4, 0.02), (0.0, 0.0, 1.2)), seg="plate")
     builder.add_light(0, Light((0.0, 0.0, 2.4)))
     fast, nice = (
-        draw(builder, (1.8, 0.0, 0.9), (0.0, 0.0, 0.2), quality=q)["rgb"][0].astype(int) for q in ("fast", "nice")
+        draw(builder, (1.8, 0.0, 0.9), (0.0, 0.0, 0.2), quality=q)["rgb"][0].astype(int)
+        for q in ("fast", "nice")
     )
-    below = (slice(42, 46), slice(44, 52))  # on the floor, in front of the middle of the plate's shadow
+    below = (
+        slice(42, 46),
+        slice(44, 52),
+    )  # on the floor, in front of the middle of the plate's shadow
     assert nice[below].mean() < 0.8 * fast[below].mean()
     np.testing.assert_allclose(nice[60, 4], fast[60, 4], atol=12)
 
@@ -239,7 +293,9 @@ def test_shared_edges_leave_no_holes():
     builder = SceneBuilder(1)
     for y in range(-4, 4):
         for z in range(-4, 4):
-            builder.add_world_geom(Geom("box", (0.1, 0.25, 0.25), (1.1, 0.5 * y, 0.5 * z)), seg="tile")
+            builder.add_world_geom(
+                Geom("box", (0.1, 0.25, 0.25), (1.1, 0.5 * y, 0.5 * z)), seg="tile"
+            )
     assert draw(builder, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0))["seg"].all()
 
 
@@ -247,33 +303,46 @@ def test_mirrored_and_culled_faces():
     builder = SceneBuilder(1)
     mesh = builder.add_mesh("box", primitive_mesh(Geom("box", (1.0, 1.0, 1.0))))
     builder.add_world_instance(mesh, (2.0, 0.0, 0.0), scale=(-0.5, 0.5, 0.5), seg="mirrored")
-    assert draw(builder, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0))["depth"].max() == pytest.approx(1.5, abs=1e-5)
-    inside = [draw(builder, (2.0, 0.0, 0.0), (3.0, 0.0, 0.0), cull=cull)["seg"].any() for cull in (True, False)]
+    assert draw(builder, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0))["depth"].max() == pytest.approx(
+        1.5, abs=1e-5
+    )
+    inside = [
+        draw(builder, (2.0, 0.0, 0.0), (3.0, 0.0, 0.0), cull=cull)["seg"].any()
+        for cull in (True, False)
+    ]
     assert inside == [False, True]
 
 
 def test_primitives_face_outwards_and_fill_their_size():
     geoms = (
-        Geom("box", (0.3, 0.2, 0.1)), Geom("cylinder", (0.2, 0.4, 0)),
-        Geom("capsule", (0.1, 0.3, 0)), Geom("sphere", (0.2, 0, 0)),
-    )  # fmt: skip
+        Geom("box", (0.3, 0.2, 0.1)),
+        Geom("cylinder", (0.2, 0.4, 0)),
+        Geom("capsule", (0.1, 0.3, 0)),
+        Geom("sphere", (0.2, 0, 0)),
+    )
     for geom in geoms:
         mesh = primitive_mesh(geom)
         p = mesh.vertices[mesh.faces].astype(float)
         volume = np.einsum("fi,fi->f", p[:, 0], np.cross(p[:, 1], p[:, 2])).sum() / 6
         a, b, c = geom.size
         exact = {
-            "box": 8 * a * b * c, "cylinder": 2 * np.pi * a * a * b,
-            "capsule": np.pi * a * a * (2 * b + 4 / 3 * a), "sphere": 4 / 3 * np.pi * a**3,
-        }[geom.shape]  # fmt: skip
+            "box": 8 * a * b * c,
+            "cylinder": 2 * np.pi * a * a * b,
+            "capsule": np.pi * a * a * (2 * b + 4 / 3 * a),
+            "sphere": 4 / 3 * np.pi * a**3,
+        }[geom.shape]
         assert 0.93 * exact < volume <= 1.000001 * exact
 
 
 def test_normals_are_flat_on_boxes_and_smooth_on_spheres():
-    box, ball = primitive_mesh(Geom("box", (1, 2, 3))), primitive_mesh(Geom("sphere", (2.0, 0, 0)))
+    box = primitive_mesh(Geom("box", (1, 2, 3)))
+    ball = primitive_mesh(Geom("sphere", (2.0, 0, 0)))
     flat = corner_normals(box.vertices, box.faces)
     assert (flat == flat[:, :1]).all() and np.allclose(np.abs(flat).max(-1), 1.0)
-    soup = Mesh(ball.vertices[ball.faces].reshape(-1, 3), np.arange(ball.faces.size, dtype=np.int32).reshape(-1, 3))
+    soup = Mesh(
+        ball.vertices[ball.faces].reshape(-1, 3),
+        np.arange(ball.faces.size, dtype=np.int32).reshape(-1, 3),
+    )
     smooth = corner_normals(soup.vertices, soup.faces)
     np.testing.assert_allclose(smooth.reshape(-1, 3), soup.vertices / 2.0, atol=0.02)
 
@@ -282,15 +351,23 @@ def test_mesh_colors_become_materials():
     builder = SceneBuilder(1)
     box = primitive_mesh(Geom("box", (1.0, 1.0, 1.0)))
     color = np.tile(np.array([[0.0, 0.8, 0.0]], np.float32), (12, 1))
-    assert builder.add_geom_mesh(Geom("mesh", (1, 1, 1), mesh="m"), {"m": Mesh(box.vertices, box.faces, color)})[0] == 0
+    assert (
+        builder.add_geom_mesh(
+            Geom("mesh", (1, 1, 1), mesh="m"), {"m": Mesh(box.vertices, box.faces, color)}
+        )[0]
+        == 0
+    )
     builder.add_world_instance(0, (3.0, 0.0, 0.0), seg="green")
-    r, g, b = draw(builder, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0))["rgb"][0, SIZE[1] // 2, SIZE[0] // 2].astype(int)
+    r, g, b = draw(builder, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0))["rgb"][
+        0, SIZE[1] // 2, SIZE[0] // 2
+    ].astype(int)
     assert g > 80 and g > 3 * r and g > 3 * b
 
 
 def test_a_world_looks_the_same_in_any_batch_and_with_any_outputs():
     # Threads take worlds in portions: what a thread drew before must not show.
-    eye, target = (3.0, 2.0, 2.0), (0.0, 0.0, 0.8)
+    eye = (3.0, 2.0, 2.0)
+    target = (0.0, 0.0, 0.8)
     many = draw(crowded(), eye, target, homes=(0, 1) * 9, threads=2)
     for home in (0, 1):
         alone = draw(crowded(), eye, target, homes=(home,), outputs=("rgb",))["rgb"][0]
@@ -312,7 +389,8 @@ def test_corners_are_darker_than_open_floor():
 
 def test_bad_input_is_named():
     raster = Rasterizer(crowded().build(), 1)
-    eye, mat = np.zeros((1, 1, 3)), np.eye(3)[None, None]
+    eye = np.zeros((1, 1, 3))
+    mat = np.eye(3)[None, None]
     good = (np.zeros(1, int), eye, mat, eye, mat, 1.0)
     with pytest.raises(UsageError, match="Did you mean 'depth'"):
         raster.render(*good, 8, 8, outputs=("dept",))

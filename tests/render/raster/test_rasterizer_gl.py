@@ -19,14 +19,16 @@ from mjhab.render.gl_probe import GL_BACKENDS, best_renderer, renderer_probe
 from mjhab.render.raster.rasterizer import Rasterizer, look_at
 from mjhab.scenes.spec import Geom
 
-SIZE, FOVY = (160, 120), 1.1
+SIZE = (160, 120)
+FOVY = 1.1
 BOXES = [
     Geom("box", (3.0, 3.0, 0.05), (0.0, 0.0, -0.05)),
     Geom("box", (0.4, 0.2, 0.3), (0.3, 0.2, 0.4), (0.9, 0.1, 0.3, 0.2)),
     Geom("box", (0.1, 0.6, 0.1), (-0.5, -0.1, 0.3), (0.8, -0.3, 0.1, 0.5)),
     Geom("box", (0.05, 3.0, 1.0), (-2.0, 0.0, 1.0)),
 ]
-EYE, TARGET = np.array([1.6, -1.2, 1.4]), np.array([0.0, 0.0, 0.3])
+EYE = np.array([1.6, -1.2, 1.4])
+TARGET = np.array([0.0, 0.0, 0.3])
 _SCRIPT = """
 import sys
 import mujoco
@@ -78,20 +80,25 @@ def test_depth_and_seg_agree_with_mujoco_where_opengl_works(tmp_path, record_tes
     record_testsuite_property("opengl", backend if backend in GL_BACKENDS else "none")
     print(f"OpenGL: compared with {backend}")
     if backend not in GL_BACKENDS:
-        warnings.warn("no OpenGL here: the rasterizer was not compared with mujoco.Renderer", stacklevel=1)
+        warnings.warn(
+            "no OpenGL here: the rasterizer was not compared with mujoco.Renderer", stacklevel=1
+        )
         assert backend == "rasterizer" and not any(renderer_probe()[name] for name in GL_BACKENDS)
         return
     file = tmp_path / "gl.npz"
     subprocess.run(
         [sys.executable, "-c", _SCRIPT, scene_xml(), *map(str, SIZE), str(file)],
         env={**os.environ, "MUJOCO_GL": backend, "PYOPENGL_PLATFORM": backend},
-        check=True, capture_output=True, timeout=60,
-    )  # fmt: skip
+        check=True,
+        capture_output=True,
+        timeout=60,
+    )
     builder = SceneBuilder(1)
     for k, geom in enumerate(BOXES):
         quat = np.array(geom.quat) / np.linalg.norm(geom.quat)
         builder.add_world_geom(Geom("box", geom.size, geom.pos, tuple(quat)), seg=str(k))
-    eye, mat = EYE[None, None], look_at(EYE, TARGET)[None, None]
+    eye = EYE[None, None]
+    mat = look_at(EYE, TARGET)[None, None]
     own = Rasterizer(builder.build(), 1).render(
         np.zeros(1, int), np.zeros((1, 1, 3)), np.eye(3)[None, None], eye, mat, FOVY, *SIZE
     )

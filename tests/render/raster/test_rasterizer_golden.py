@@ -42,7 +42,9 @@ VIEWS: dict[str, View] = {
 def poster() -> Mesh:
     """A picture on a sheet of 0.8 m x 0.8 m: rings of colour and a white frame."""
     y, x = np.mgrid[-1:1:64j, -1:1:64j]
-    image = np.stack([128 + 120 * np.sin(9 * np.hypot(x, y)), 90 + 80 * x, 128 - 100 * y], -1).clip(0, 255)
+    image = np.stack([128 + 120 * np.sin(9 * np.hypot(x, y)), 90 + 80 * x, 128 - 100 * y], -1).clip(
+        0, 255
+    )
     image[np.maximum(np.abs(x), np.abs(y)) > 0.9] = 240
     corners = np.array([[-0.4, 0, -0.4], [0.4, 0, -0.4], [0.4, 0, 0.4], [-0.4, 0, 0.4]], np.float32)
     faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
@@ -52,7 +54,8 @@ def poster() -> Mesh:
 
 def room() -> SceneBuilder:
     """A corner of a room: every pattern, a table with all objects, a ball that has levels of detail, a poster."""
-    builder, meshes = SceneBuilder(1), object_meshes()
+    builder = SceneBuilder(1)
+    meshes = object_meshes()
     for geom, name in (
         (Geom("box", (2.5, 2.5, 0.05), (0, 0, -0.05), material="floor_oak"), "floor"),
         (Geom("box", (2.5, 0.05, 1.3), (0, 2.0, 1.3), material="wall_sage"), "wall"),
@@ -65,7 +68,9 @@ def room() -> SceneBuilder:
         builder.add_world_geom(geom, seg=name)
     for x in (-0.25, 0.65):
         for y in (-0.25, 0.45):
-            builder.add_world_geom(Geom("cylinder", (0.03, 0.34, 0), (x, y, 0.34), material="steel"), seg="table")
+            builder.add_world_geom(
+                Geom("cylinder", (0.03, 0.34, 0), (x, y, 0.34), material="steel"), seg="table"
+            )
     for k, (name, kind) in enumerate(builtin_objects().items()):
         at = np.array([[-0.15 + 0.18 * (k % 5), -0.1 + 0.35 * (k // 5), 0.72 + kind.half[2]]])
         for geom in kind.visuals:
@@ -79,9 +84,16 @@ def room() -> SceneBuilder:
 def drawn(view: str) -> dict[str, np.ndarray]:
     eye, target, fovy, quality = VIEWS[view]
     images = Rasterizer(room().build(), 1).render(
-        np.zeros(1, int), np.zeros((1, 1, 3)), np.eye(3)[None, None], np.array(eye)[None, None],
-        look_at(eye, target)[None, None], fovy, SIZE, SIZE, quality=quality,
-    )  # fmt: skip
+        np.zeros(1, int),
+        np.zeros((1, 1, 3)),
+        np.eye(3)[None, None],
+        np.array(eye)[None, None],
+        look_at(eye, target)[None, None],
+        fovy,
+        SIZE,
+        SIZE,
+        quality=quality,
+    )
     return {name: image[0, 0] for name, image in images.items()}
 
 
@@ -92,7 +104,9 @@ def stored(view: str, images: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         Image.fromarray(images["rgb"]).save(FOLDER / f"{view}_rgb.png", optimize=True)
         depth = np.round(images["depth"] / DEPTH_STEP).clip(0, 65535).astype(np.uint16)
         Image.fromarray(depth).save(FOLDER / f"{view}_depth.png", optimize=True)
-        Image.fromarray(images["seg"].astype(np.uint8)).save(FOLDER / f"{view}_seg.png", optimize=True)
+        Image.fromarray(images["seg"].astype(np.uint8)).save(
+            FOLDER / f"{view}_seg.png", optimize=True
+        )
     files = {name: FOLDER / f"{view}_{name}.png" for name in ("rgb", "depth", "seg")}
     return {name: np.asarray(Image.open(file)).astype(np.float64) for name, file in files.items()}
 

@@ -25,9 +25,14 @@ from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.settle import parked_robot_qpos
 
 SIZE = 96
-SHOWN, HIDDEN = 0, 5
+SHOWN = 0
+HIDDEN = 5
 """Geom groups."""
-KINDS = [int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_MESH), int(mujoco.mjtGeom.mjGEOM_CYLINDER)]
+KINDS = [
+    int(mujoco.mjtGeom.mjGEOM_BOX),
+    int(mujoco.mjtGeom.mjGEOM_MESH),
+    int(mujoco.mjtGeom.mjGEOM_CYLINDER),
+]
 
 
 @functools.cache
@@ -48,7 +53,8 @@ def home() -> tuple[mujoco.MjModel, mujoco.MjData]:
     data.qpos[sim.addresses.robot_q[:3]] = *here, yaw
     for name in layout.object_names:
         forward, left, height = rng.uniform((0.5, -1.2, 0.3), (2.5, 1.2, 1.6))
-        c, s = np.cos(yaw), np.sin(yaw)
+        c = np.cos(yaw)
+        s = np.sin(yaw)
         where = here[0] + c * forward - s * left, here[1] + s * forward + c * left, height
         turn = rng.normal(size=4)
         data.joint(model.body(name).jntadr[0]).qpos[:] = np.r_[where, turn / np.linalg.norm(turn)]
@@ -57,7 +63,9 @@ def home() -> tuple[mujoco.MjModel, mujoco.MjData]:
     for geom in range(model.ngeom):
         solid = model.geom_contype[geom] or model.geom_conaffinity[geom]
         own = model.body_rootid[model.geom_bodyid[geom]] == root
-        kept = solid and not own and model.geom_type[geom] in KINDS and data.geom_xpos[geom, 2] > -20
+        kept = (
+            solid and not own and model.geom_type[geom] in KINDS and data.geom_xpos[geom, 2] > -20
+        )
         model.geom_group[geom] = SHOWN if kept else HIDDEN
     return model, data
 
@@ -70,8 +78,10 @@ def geom_mesh(model: mujoco.MjModel, geom: int) -> Mesh:
     if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CYLINDER:
         return fine_cylinder(size[0], size[1])
     mesh = model.geom_dataid[geom]
-    first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
-    start, faces = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
+    first = model.mesh_vertadr[mesh]
+    count = model.mesh_vertnum[mesh]
+    start = model.mesh_faceadr[mesh]
+    faces = model.mesh_facenum[mesh]
     return Mesh(
         model.mesh_vert[first : first + count].astype(np.float32),
         model.mesh_face[start : start + faces].astype(np.int32),
@@ -82,13 +92,21 @@ def fine_cylinder(radius: float, half: float, sides: int = 140) -> Mesh:
     """A cylinder of so many sides that it is 0.02 % too thin, in fewer faces than a mesh with levels of detail has."""
     angle = np.arange(sides) * (2 * np.pi / sides)
     ring = radius * np.stack([np.cos(angle), np.sin(angle)], 1)
-    low, high = np.c_[ring, np.full(sides, -half)], np.c_[ring, np.full(sides, half)]
-    k, n = np.arange(sides), (np.arange(sides) + 1) % sides
-    bottom, top = np.full(sides, 2 * sides), np.full(sides, 2 * sides + 1)
+    low = np.c_[ring, np.full(sides, -half)]
+    high = np.c_[ring, np.full(sides, half)]
+    k = np.arange(sides)
+    n = (np.arange(sides) + 1) % sides
+    bottom = np.full(sides, 2 * sides)
+    top = np.full(sides, 2 * sides + 1)
     faces = np.concatenate(
         [
             np.stack(f, 1)
-            for f in ((k, n, n + sides), (k, n + sides, k + sides), (bottom, n, k), (top, k + sides, n + sides))
+            for f in (
+                (k, n, n + sides),
+                (k, n + sides, k + sides),
+                (bottom, n, k),
+                (top, k + sides, n + sides),
+            )
         ]
     )
     points = np.concatenate([low, high, [[0, 0, -half], [0, 0, half]]])
@@ -108,9 +126,16 @@ def rasterized(pos: np.ndarray, mat: np.ndarray, fovy: float) -> dict[str, np.nd
         names[str(geom)] = geom + 1
     scene = builder.build()
     images = Rasterizer(scene, 1).render(
-        np.zeros(1, int), np.zeros((1, 1, 3)), np.eye(3)[None, None], pos[None, None], mat[None, None], fovy,
-        SIZE, SIZE, ("depth", "seg"),
-    )  # fmt: skip
+        np.zeros(1, int),
+        np.zeros((1, 1, 3)),
+        np.eye(3)[None, None],
+        pos[None, None],
+        mat[None, None],
+        fovy,
+        SIZE,
+        SIZE,
+        ("depth", "seg"),
+    )
     own = np.array([names[name] for name in scene.seg_names])
     return {"depth": images["depth"][0, 0], "seg": own[images["seg"][0, 0]]}
 
@@ -122,11 +147,14 @@ def ray_cast(pos: np.ndarray, mat: np.ndarray, fovy: float) -> tuple[np.ndarray,
     u, v = np.meshgrid(*2 * [(np.arange(SIZE) + 0.5 - SIZE / 2) / focal])
     ray = (np.stack([u, -v, -np.ones_like(u)], -1) @ mat.T).reshape(-1, 3)
     length = np.linalg.norm(ray, axis=1)
-    geom, distance = np.empty(len(ray), np.int32), np.empty(len(ray))
+    geom = np.empty(len(ray), np.int32)
+    distance = np.empty(len(ray))
     groups = np.zeros(6, np.uint8)
     groups[SHOWN] = 1
     unit = np.ascontiguousarray((ray / length[:, None]).ravel())
-    mujoco.mj_multiRay(model, data, pos, unit, groups, True, -1, geom, distance, None, len(ray), mujoco.mjMAXVAL)
+    mujoco.mj_multiRay(
+        model, data, pos, unit, groups, True, -1, geom, distance, None, len(ray), mujoco.mjMAXVAL
+    )
     depth = np.where(geom >= 0, distance / length, 0.0)
     return depth.reshape(SIZE, SIZE), (geom + 1).reshape(SIZE, SIZE)
 
@@ -146,7 +174,8 @@ def test_depth_and_seg_agree_with_ray_casting(camera: fetch.CameraMount) -> None
     model, data = home()
     body = model.body(camera.body).id
     frame = data.xmat[body].reshape(3, 3)
-    pos, mat = data.xpos[body] + frame @ np.array(camera.pos), frame @ mat_from_quat(np.array(camera.quat))
+    pos = data.xpos[body] + frame @ np.array(camera.pos)
+    mat = frame @ mat_from_quat(np.array(camera.quat))
     depth, seg = ray_cast(pos, mat, camera.fovy)
     own = rasterized(pos, mat, camera.fovy)
     assert len(np.unique(seg)) > 15, "the view is worth testing"

@@ -26,10 +26,14 @@ need_warp()
 CAMERAS = ("fetch_head", "fetch_hand")
 OUTPUTS = ("rgb", "depth", "seg")
 ROSTER = ("003_cracker_box", "005_tomato_soup_can")
-BOX, CAN = 0, 1
+BOX = 0
+CAN = 1
 SIZE = (56, 72)
 WORLDS = 3
-DEPTH_MEDIAN, DEPTH_P95, SEGMENTS, COLOR = 1e-3, 1e-3, 0.995, 2.0
+DEPTH_MEDIAN = 1e-3
+DEPTH_P95 = 1e-3
+SEGMENTS = 0.995
+COLOR = 2.0
 """Tolerances: depth [m], share of equal segment ids, mean difference of colours [of 255]."""
 
 
@@ -44,7 +48,9 @@ def open_worlds(layout: Layout):
     from mjhab.sim.warp.engine import BufferSizes
     from mjhab.sim.warp.simulator import WarpSimulator
 
-    return WarpSimulator(layout, WORLDS, "cpu", sizes=BufferSizes(contacts=4096, ccd=1024, rows=1024))
+    return WarpSimulator(
+        layout, WORLDS, "cpu", sizes=BufferSizes(contacts=4096, ccd=1024, rows=1024)
+    )
 
 
 class Pair:
@@ -121,7 +127,13 @@ def test_pictures_agree_with_the_cpu_renderer(pair: Pair) -> None:
     assert pair.cameras.segmentation_names == pair.renderer.scene.seg_names
     # Something of everything is in view: else the test proves little.
     seen = {pair.cameras.segmentation_names[k] for k in np.unique(got["seg"])}
-    assert {"floor", "wall", "003_cracker_box_:0000", "005_tomato_soup_can_:0000", "robot/gripper_link"} <= seen
+    assert {
+        "floor",
+        "wall",
+        "003_cracker_box_:0000",
+        "005_tomato_soup_can_:0000",
+        "robot/gripper_link",
+    } <= seen
 
 
 def test_pictures_follow_the_worlds(pair: Pair) -> None:
@@ -136,7 +148,9 @@ def test_pictures_follow_the_worlds(pair: Pair) -> None:
 
 def test_camera_poses_agree_with_the_cpu_renderer(pair: Pair) -> None:
     pair.begin(pair.homes, [pair.start(home, place) for place, home in enumerate(pair.homes)])
-    for got, want in zip(pair.cameras.poses(), pair.renderer.camera_poses(pair.cpu.state(), CAMERAS), strict=True):
+    for got, want in zip(
+        pair.cameras.poses(), pair.renderer.camera_poses(pair.cpu.state(), CAMERAS), strict=True
+    ):
         assert got.shape == want.shape
         np.testing.assert_allclose(got.numpy(), want, atol=1e-5)
 
@@ -159,7 +173,8 @@ def test_trap_stale_trees_worlds_move_to_other_homes(pair: Pair, warp: ModuleTyp
     pair.drawn()
     moved = pair.layout.pack.homes[len(pair.layout.pack.homes) // 3].name
     built = len(pair.cameras._scene._meshes)
-    homes, there = [pair.homes[0], moved, pair.homes[2]], pair.start(moved)
+    homes = [pair.homes[0], moved, pair.homes[2]]
+    there = pair.start(moved)
     for sim in (pair.sim, pair.cpu):
         sim.reset([1], [moved], there[None])
     got = pair.drawn()
@@ -180,7 +195,8 @@ def test_trap_stale_trees_worlds_move_to_other_homes(pair: Pair, warp: ModuleTyp
 
 def test_trap_depth_is_not_clamped_at_one_metre(pair: Pair) -> None:
     pair.begin(pair.homes, [pair.start(home, place) for place, home in enumerate(pair.homes)])
-    got, want = pair.drawn()["depth"], pair.expected(pair.homes)["depth"]
+    got = pair.drawn()["depth"]
+    want = pair.expected(pair.homes)["depth"]
     far = want > 1.5
     assert far.mean() > 0.1 and want.max() > 2.5
     assert np.median(np.abs(got[far] - want[far])) < DEPTH_MEDIAN
@@ -188,9 +204,13 @@ def test_trap_depth_is_not_clamped_at_one_metre(pair: Pair) -> None:
 
 def test_trap_hidden_what_is_parked_is_not_drawn(pair: Pair) -> None:
     pair.begin(pair.homes, [pair.start(home) for home in pair.homes])
-    a, data = pair.cpu.addresses, pair.sim.engine.data
+    a = pair.cpu.addresses
+    data = pair.sim.engine.data
     pos = data.xpos.numpy()
-    robot = [pair.cpu.model(pair.homes[0]).body(name).id for name in ("base_link", "gripper_link", "head_tilt_link")]
+    robot = [
+        pair.cpu.model(pair.homes[0]).body(name).id
+        for name in ("base_link", "gripper_link", "head_tilt_link")
+    ]
     assert (pos[:, robot, 2] > 0).all()
     # The whole scene of bodies sinks to where pieces of other homes are parked, in view of the cameras.
     sunk = np.array([PARKED[0] - 2.0, PARKED[1], PARKED[2] - 0.6]) - pos[:, robot[:1]]
@@ -202,8 +222,11 @@ def test_trap_hidden_what_is_parked_is_not_drawn(pair: Pair) -> None:
         pos[:] = before
     assert not seg.any()
     # And an object alone, right before the hand.
-    hand, can = robot[1], a.object_body[CAN]
-    assert (pair.drawn()["seg"] == pair.cameras.segmentation_names.index("005_tomato_soup_can_:0000")).any()
+    hand = robot[1]
+    can = a.object_body[CAN]
+    assert (
+        pair.drawn()["seg"] == pair.cameras.segmentation_names.index("005_tomato_soup_can_:0000")
+    ).any()
     pos[:, can, 2] = -26.0
     try:
         names = {pair.cameras.segmentation_names[k] for k in np.unique(pair.drawn()["seg"])}
@@ -217,7 +240,8 @@ def test_trap_faces_seen_from_behind_hide_nothing(pair: Pair) -> None:
     # next one begins, from behind and from the front at once.
     home = pair.homes[0]
     pair.begin([home] * WORLDS, [pair.start(home)] * WORLDS)
-    got, want = pair.drawn()["seg"][0, 1], pair.expected([home] * WORLDS)["seg"][0, 1]
+    got = pair.drawn()["seg"][0, 1]
+    want = pair.expected([home] * WORLDS)["seg"][0, 1]
     names = pair.cameras.segmentation_names
     wall = want == names.index("wall")
     assert wall.mean() > 0.1 and (got[wall] == want[wall]).mean() > 0.99
@@ -244,7 +268,9 @@ def test_worlds_that_are_not_asked_for_keep_their_pixels(
     before, after = ([pair.start(home, place) for home in pair.homes] for place in (0, 1))
     pair.begin(pair.homes, after)
     want = pair.drawn()
-    monkeypatch.setattr(warp, "WORLDS_AT_ONCE", 2)  # the world that is drawn lies in the first portion
+    monkeypatch.setattr(
+        warp, "WORLDS_AT_ONCE", 2
+    )  # the world that is drawn lies in the first portion
     cameras = warp.WarpCameras(pair.sim, CAMERAS, SIZE, OUTPUTS)
     pair.begin(pair.homes, before)
     kept = {name: image.numpy().copy() for name, image in cameras.draw().items()}
@@ -258,7 +284,9 @@ def test_worlds_that_are_not_asked_for_keep_their_pixels(
         np.testing.assert_array_equal(image, want[name])
 
 
-def test_a_device_that_is_full_is_told(pair: Pair, warp: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_device_that_is_full_is_told(
+    pair: Pair, warp: ModuleType, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def full(*_: object, **__: object) -> None:
         raise RuntimeError("Failed to allocate 123 bytes on device 'cuda:0'")
 
@@ -286,7 +314,8 @@ def test_portions_and_single_outputs_change_no_pixel(
 def test_patterns_are_seen(pair: Pair) -> None:
     # Boards of a wooden floor: light alone would leave it nearly even.
     pair.begin(pair.homes, [pair.start(home) for home in pair.homes])
-    got, want = pair.drawn(), pair.expected(pair.homes)
+    got = pair.drawn()
+    want = pair.expected(pair.homes)
     floor = pair.cameras.segmentation_names.index("floor")
     alike(got, want, floor)
 
@@ -294,15 +323,19 @@ def test_patterns_are_seen(pair: Pair) -> None:
 def test_pictures_on_real_furniture_and_objects_are_seen(warp: ModuleType) -> None:
     pair = Pair(warp, str(real_data("replica_cad")), (96, 96))
     pair.begin(pair.homes, [pair.start(home, place) for place, home in enumerate(pair.homes)])
-    got, want = pair.drawn(), pair.expected(pair.homes)
+    got = pair.drawn()
+    want = pair.expected(pair.homes)
     agree(got, want)
     alike(got, want, pair.cameras.segmentation_names.index("003_cracker_box_:0000"), spread=20.0)
 
 
-def alike(got: dict[str, np.ndarray], want: dict[str, np.ndarray], segment: int, spread: float = 4.0) -> None:
+def alike(
+    got: dict[str, np.ndarray], want: dict[str, np.ndarray], segment: int, spread: float = 4.0
+) -> None:
     """The colours of a segment vary, and as those of the CPU renderer do."""
     both = (got["seg"] == segment) & (want["seg"] == segment)
-    ours, theirs = got["rgb"][both].astype(float), want["rgb"][both].astype(float)
+    ours = got["rgb"][both].astype(float)
+    theirs = want["rgb"][both].astype(float)
     assert both.sum() > 60 and ours.std(axis=0).min() > spread
     for channel in range(3):
         assert np.corrcoef(ours[:, channel], theirs[:, channel])[0, 1] > 0.97
@@ -316,12 +349,20 @@ def test_meshes_are_decimated_to_a_budget(pair: Pair) -> None:
 
     def most(level: np.ndarray) -> int:
         faces = scene.mesh_face_count[level]
-        return int(max((present(scene)[:, ~moving] * faces[~moving]).sum(axis=1).max(), faces[moving].sum()))
+        return int(
+            max(
+                (present(scene)[:, ~moving] * faces[~moving]).sum(axis=1).max(), faces[moving].sum()
+            )
+        )
 
-    fine, coarse = choose_levels(scene, detail=0.0), choose_levels(scene, detail=0.002, budget=14_000)
+    fine = choose_levels(scene, detail=0.0)
+    coarse = choose_levels(scene, detail=0.002, budget=14_000)
     assert (fine == scene.instance_mesh).all() and most(fine) > 18_000
     # Furniture of the built-in homes has one level, what moves has several: it can shrink, the furniture cannot.
-    assert scene.mesh_face_count[coarse[moving]].sum() < 0.7 * scene.mesh_face_count[fine[moving]].sum()
+    assert (
+        scene.mesh_face_count[coarse[moving]].sum()
+        < 0.7 * scene.mesh_face_count[fine[moving]].sum()
+    )
 
 
 @pytest.mark.parametrize(
@@ -334,6 +375,8 @@ def test_meshes_are_decimated_to_a_budget(pair: Pair) -> None:
         (CAMERAS, ("rgb",), (0, 8), "size"),
     ],
 )
-def test_wrong_requests_are_refused(pair: Pair, warp: ModuleType, cameras, outputs, size, said: str) -> None:
+def test_wrong_requests_are_refused(
+    pair: Pair, warp: ModuleType, cameras, outputs, size, said: str
+) -> None:
     with pytest.raises(UsageError, match=said):
         warp.WarpCameras(pair.sim, cameras, size, outputs)

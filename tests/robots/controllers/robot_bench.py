@@ -17,14 +17,18 @@ from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.protocol import SimState
 
 WORLDS = 8
-ARM, BODY = list(ARM_JOINTS), list(BODY_JOINTS)
+ARM = list(ARM_JOINTS)
+BODY = list(BODY_JOINTS)
 BENT = np.array(REST_QPOS)
 BENT[[7, 11]] = -0.5, 1.2
 """Rest with shoulder and wrist away from their limits."""
 REMEMBERING = (
-    "pd_joint_target_delta_pos", "pd_ee_target_delta_pos", "pd_ee_target_delta_pose", "pd_ee_pose",
+    "pd_joint_target_delta_pos",
+    "pd_ee_target_delta_pos",
+    "pd_ee_target_delta_pose",
+    "pd_ee_pose",
     "pd_joint_delta_pos_stiff_body",
-)  # fmt: skip
+)
 
 
 @lru_cache(maxsize=1)
@@ -61,7 +65,8 @@ def bench(mode: str, posture: np.ndarray = BENT, yaw: float = 0.0, **options) ->
     sim = simulator(controller.drives)
     home = sim.layout.pack.homes[0].name
     robot = posture.copy()
-    robot[:2], robot[2] = 17.0, yaw
+    robot[:2] = 17.0
+    robot[2] = yaw
     qpos = sim.model(home).qpos0.copy()
     qpos[sim.addresses.robot_q] = robot
     sim.batch.bind("qfrc_applied")[:] = 0.0

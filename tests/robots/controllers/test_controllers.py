@@ -12,7 +12,14 @@ from mjhab.core.errors import UsageError
 from mjhab.robots.controllers import BASES, CONTROL_MODES, STATIONARY, make_controller
 from mjhab.robots.controllers.actions import ACTION_DIM, action_table
 from mjhab.robots.controllers.table import ARM_JOINTS, ARM_NAMES
-from mjhab.robots.fetch.model import ACTUATORS, FETCH_JOINTS, REST_QPOS, Drives, add_fetch, apply_drives
+from mjhab.robots.fetch.model import (
+    ACTUATORS,
+    FETCH_JOINTS,
+    REST_QPOS,
+    Drives,
+    add_fetch,
+    apply_drives,
+)
 from tests.robots.controllers.robot_bench import (
     ARM,
     BENT,
@@ -26,35 +33,69 @@ from tests.robots.controllers.robot_bench import (
 )
 
 ARM_DIMS = dict.fromkeys(CONTROL_MODES, 7) | {
-    "pd_joint_pos_vel": 14, "pd_joint_delta_pos_vel": 14, "pd_ee_delta_pos": 3, "pd_ee_target_delta_pos": 3,
-    "pd_ee_delta_pose": 6, "pd_ee_delta_pose_align": 6, "pd_ee_target_delta_pose": 6, "pd_ee_pose": 6,
-}  # fmt: skip
+    "pd_joint_pos_vel": 14,
+    "pd_joint_delta_pos_vel": 14,
+    "pd_ee_delta_pos": 3,
+    "pd_ee_target_delta_pos": 3,
+    "pd_ee_delta_pose": 6,
+    "pd_ee_delta_pose_align": 6,
+    "pd_ee_target_delta_pose": 6,
+    "pd_ee_pose": 6,
+}
 ABSOLUTE = ("pd_joint_pos", "pd_joint_pos_vel", "pd_ee_pose")
 
 
 def test_every_mode_of_the_original_is_there():
     assert set(CONTROL_MODES) == {
-        "pd_joint_delta_pos", "pd_joint_pos", "pd_ee_delta_pos", "pd_ee_delta_pose", "pd_ee_delta_pose_align",
-        "pd_joint_target_delta_pos", "pd_ee_target_delta_pos", "pd_ee_target_delta_pose", "pd_ee_pose",
-        "pd_joint_vel", "pd_joint_pos_vel", "pd_joint_delta_pos_vel", "pd_joint_delta_pos_stiff_body",
-    }  # fmt: skip
+        "pd_joint_delta_pos",
+        "pd_joint_pos",
+        "pd_ee_delta_pos",
+        "pd_ee_delta_pose",
+        "pd_ee_delta_pose_align",
+        "pd_joint_target_delta_pos",
+        "pd_ee_target_delta_pos",
+        "pd_ee_target_delta_pose",
+        "pd_ee_pose",
+        "pd_joint_vel",
+        "pd_joint_pos_vel",
+        "pd_joint_delta_pos_vel",
+        "pd_joint_delta_pos_stiff_body",
+    }
 
 
 @pytest.mark.parametrize("base", BASES)
 @pytest.mark.parametrize("mode", CONTROL_MODES)
 def test_table_and_bounds_of_every_mode(mode: str, base: str):
     controller = make_controller(mode, 2, base=base)
-    assert controller.dim == len(controller.table) == ARM_DIMS[mode] + 4 + (3 if base == "holonomic" else 2)
-    assert controller.gripper == ARM_DIMS[mode] and controller.table[controller.gripper].name == "gripper"
+    assert (
+        controller.dim
+        == len(controller.table)
+        == ARM_DIMS[mode] + 4 + (3 if base == "holonomic" else 2)
+    )
+    assert (
+        controller.gripper == ARM_DIMS[mode]
+        and controller.table[controller.gripper].name == "gripper"
+    )
     assert controller.low.shape == controller.high.shape == (controller.dim,)
     assert len({row.name for row in controller.table}) == controller.dim
     for row, low, high in zip(controller.table, controller.low, controller.high, strict=True):
-        assert (low, high) == ((-1, 1) if row.normalized else (np.float32(row.low), np.float32(row.high)))
-        assert math.isfinite(low) and low < high and row.unit in ("m", "rad", "m/s", "rad/s") and row.frame
+        assert (low, high) == (
+            (-1, 1) if row.normalized else (np.float32(row.low), np.float32(row.high))
+        )
+        assert (
+            math.isfinite(low)
+            and low < high
+            and row.unit in ("m", "rad", "m/s", "rad/s")
+            and row.frame
+        )
     arm = [row.normalized for row in controller.table[: controller.gripper]]
     assert arm == [mode not in ABSOLUTE] * len(arm)
     names = [row.name for row in controller.table[controller.gripper + 1 :]]
-    moves = ["base_forward", "base_left", "base_yaw"] if base == "holonomic" else ["base_forward", "base_yaw"]
+    moves = (
+        ["base_forward", "base_left", "base_yaw"]
+        if base == "holonomic"
+        else ["base_forward", "base_yaw"]
+    )
     assert names == ["head_pan_joint", "head_tilt_joint", "torso_lift_joint", *moves]
 
 
@@ -64,15 +105,22 @@ def test_stationary_parts_keep_their_numbers_and_ignore_them(mode: str, base: st
     state = still_state(3)
     actions = np.random.default_rng(0).uniform(-1, 1, (3, make_controller(mode, base=base).dim))
     body = make_controller(mode).gripper + 1
-    columns = {"head": [body, body + 1], "torso": [body + 2], "base": list(range(body + 3, actions.shape[1]))}
+    columns = {
+        "head": [body, body + 1],
+        "torso": [body + 2],
+        "base": list(range(body + 3, actions.shape[1])),
+    }
     for part in STATIONARY:
-        controller, free = make_controller(mode, 3, base=base, stationary=(part,)), make_controller(mode, 3, base=base)
+        controller = make_controller(mode, 3, base=base, stationary=(part,))
+        free = make_controller(mode, 3, base=base)
         for c in (controller, free):
             c.reset(np.ones(3, bool), state)
         zeroed = actions.copy()
         zeroed[:, columns[part]] = free.still(state)[:, columns[part]]
         given = actions.copy()
-        np.testing.assert_allclose(controller.ctrl(given, state), free.ctrl(zeroed, state), atol=1e-7)
+        np.testing.assert_allclose(
+            controller.ctrl(given, state), free.ctrl(zeroed, state), atol=1e-7
+        )
         np.testing.assert_array_equal(given, actions)
         assert controller.dim == free.dim
 
@@ -84,14 +132,16 @@ def original_default_mode(actions: np.ndarray, q: np.ndarray) -> np.ndarray:
     for joint, column in zip((*ARM_JOINTS, 4, 6, 3), (*range(7), 8, 9, 10), strict=True):
         out[:, joint] = q[:, joint] + 0.1 * a[:, column]
     out[:, 13] = out[:, 14] = -0.01 + 0.5 * (a[:, 7] + 1.0) * (0.05 + 0.01)
-    out[:, 0], out[:, 1] = 1.0 * a[:, 11] * np.cos(q[:, 2]), 1.0 * a[:, 11] * np.sin(q[:, 2])
+    out[:, 0] = 1.0 * a[:, 11] * np.cos(q[:, 2])
+    out[:, 1] = 1.0 * a[:, 11] * np.sin(q[:, 2])
     out[:, 2] = 3.14 * a[:, 12]
     return out
 
 
 def test_default_mode_is_unchanged_in_every_bit():
     rng = np.random.default_rng(0)
-    actions, q = rng.uniform(-1.3, 1.3, (64, ACTION_DIM)).astype(np.float32), rng.normal(size=(64, 15))
+    actions = rng.uniform(-1.3, 1.3, (64, ACTION_DIM)).astype(np.float32)
+    q = rng.normal(size=(64, 15))
     want = original_default_mode(actions, q)
     assert make_controller("pd_joint_delta_pos", 64).command(actions, q).tobytes() == want.tobytes()
     assert make_controller().table == action_table() and len(action_table()) == ACTION_DIM
@@ -100,7 +150,8 @@ def test_default_mode_is_unchanged_in_every_bit():
 def test_drives_change_only_what_they_name():
     spec = mujoco.MjSpec()
     add_fetch(spec)
-    plain, other = spec.compile(), spec.compile()
+    plain = spec.compile()
+    other = spec.compile()
     fields = ("actuator_gainprm", "actuator_biasprm", "jnt_actfrcrange")
     apply_drives(other, Drives())
     for field in fields:
@@ -110,7 +161,11 @@ def test_drives_change_only_what_they_name():
     assert other.actuator("elbow_flex_joint").gainprm[0] == 100.0
     assert other.actuator("torso_lift_joint").biasprm[:3].tolist() == [0.0, -1e5, -1e5]
     assert other.jnt_actfrcrange[other.joint("torso_lift_joint").id].tolist() == [-1e5, 1e5]
-    rest = [i for i, name in enumerate(ACTUATORS) if name not in ("elbow_flex_joint", "torso_lift_joint")]
+    rest = [
+        i
+        for i, name in enumerate(ACTUATORS)
+        if name not in ("elbow_flex_joint", "torso_lift_joint")
+    ]
     np.testing.assert_array_equal(plain.actuator_biasprm[rest], other.actuator_biasprm[rest])
     apply_drives(other, Drives())
     for field in fields:
@@ -158,8 +213,10 @@ def test_gripper_head_and_torso_follow_in_every_mode(mode: str):
     posture[3] = 0.2
     b = bench(mode, posture)
     actions = b.controller.still(b.state)
-    first, stiff = b.controller.gripper, "stiff" in mode
-    actions[0, first], actions[1, first] = 1.0, -1.0
+    first = b.controller.gripper
+    stiff = "stiff" in mode
+    actions[0, first] = 1.0
+    actions[1, first] = -1.0
     for i in range(3):
         actions[2 + i, first + 1 + i] += 0.3 if stiff else 1.0
     if stiff:
@@ -179,11 +236,14 @@ def test_gripper_head_and_torso_follow_in_every_mode(mode: str):
 def test_stiff_body_reaches_its_target_and_holds_what_is_stationary():
     b = bench("pd_joint_delta_pos_stiff_body", stationary=("head",))
     actions = np.zeros((WORLDS, b.controller.dim))
-    actions[:, 8:10], actions[:, 10] = 0.5, 0.1
+    actions[:, 8:10] = 0.5
+    actions[:, 10] = 0.1
     for _ in range(100):
         b.step(actions)
     np.testing.assert_allclose(b.state.robot_q[:, 3], 0.1, atol=0.01)
-    np.testing.assert_allclose(b.state.robot_q[:, [4, 6]], BENT[[4, 6]] * np.ones((WORLDS, 1)), atol=1e-3)
+    np.testing.assert_allclose(
+        b.state.robot_q[:, [4, 6]], BENT[[4, 6]] * np.ones((WORLDS, 1)), atol=1e-3
+    )
 
 
 @pytest.mark.parametrize("mode", ["pd_joint_delta_pos", "pd_joint_vel", "pd_ee_target_delta_pose"])
@@ -199,7 +259,8 @@ def test_base_drives_forward_turns_and_strafes_in_its_own_frame(mode: str):
     for _ in range(10):
         b.step(actions)
     speed = (b.state.robot_q[:, :3] - begin) / 0.5
-    c, s = math.cos(yaw), math.sin(yaw)
+    c = math.cos(yaw)
+    s = math.sin(yaw)
     np.testing.assert_allclose(speed[0], [c, s, 0], atol=0.02)
     np.testing.assert_allclose(speed[1], [-s, c, 0], atol=0.02)
     assert speed[2, 2] == pytest.approx(3.14, abs=0.05)
@@ -209,10 +270,13 @@ def test_base_drives_forward_turns_and_strafes_in_its_own_frame(mode: str):
 
 def test_forward_base_equals_the_holonomic_one_without_its_sideways_number():
     rng = np.random.default_rng(1)
-    q, actions = rng.normal(size=(5, 15)), rng.uniform(-1, 1, (5, 14))
+    q = rng.normal(size=(5, 15))
+    actions = rng.uniform(-1, 1, (5, 14))
     actions[:, 12] = 0.0
     both = make_controller(base="holonomic").command(actions, q)
-    np.testing.assert_array_equal(both, make_controller().command(np.delete(actions, 12, axis=1), q))
+    np.testing.assert_array_equal(
+        both, make_controller().command(np.delete(actions, 12, axis=1), q)
+    )
 
 
 def test_velocity_mode_reaches_its_speed():
@@ -257,7 +321,8 @@ def test_under_load_targets_hold_and_measured_positions_sag(mode: str):
         b.step(actions)
         if step in (19, 39):
             heights.append(b.arm()[:, 1].copy())
-    first, second = heights[0] - BENT[7], heights[1] - BENT[7]
+    first = heights[0] - BENT[7]
+    second = heights[1] - BENT[7]
     if mode in REMEMBERING[:4] or mode in ABSOLUTE:
         np.testing.assert_allclose(first, 0.02, atol=2e-3)
         np.testing.assert_allclose(second, first, atol=1e-4)
@@ -268,7 +333,8 @@ def test_under_load_targets_hold_and_measured_positions_sag(mode: str):
 @pytest.mark.parametrize("mode", REMEMBERING)
 def test_partial_reset_touches_no_other_world_and_state_makes_a_round_trip(mode: str):
     rng = np.random.default_rng(3)
-    state, moved = still_state(3), still_state(3, np.array(REST_QPOS))
+    state = still_state(3)
+    moved = still_state(3, np.array(REST_QPOS))
     controller = make_controller(mode, 3, stationary=("torso",))
     controller.reset(np.ones(3, bool), state)
     actions = rng.uniform(-1, 1, (3, controller.dim))
@@ -298,7 +364,9 @@ def test_state_of_another_mode_is_refused():
     with pytest.raises(UsageError, match="arm_target"):
         make_controller("pd_ee_pose", 2).set_state(0, {"body_target": np.zeros(3)})
     with pytest.raises(UsageError, match="body_target"):
-        make_controller("pd_joint_delta_pos_stiff_body", 2).set_state(0, {"body_target": np.zeros(7)})
+        make_controller("pd_joint_delta_pos_stiff_body", 2).set_state(
+            0, {"body_target": np.zeros(7)}
+        )
 
 
 def test_unknown_names_say_what_is_nearest():

@@ -11,19 +11,30 @@ from mjhab.robots.controllers import CONTROL_MODES, make_controller
 from mjhab.robots.controllers.end_effector import arm_chain
 from mjhab.robots.fetch.model import JOINT_LIMITS, REST_QPOS
 from mjhab.robots.kinematics import rotate, rotation_vector
-from tests.robots.controllers.robot_bench import ARM, BENT, REMEMBERING, WORLDS, Bench, bench, still_state
+from tests.robots.controllers.robot_bench import (
+    ARM,
+    BENT,
+    REMEMBERING,
+    WORLDS,
+    Bench,
+    bench,
+    still_state,
+)
 
 
 def directions() -> np.ndarray:
     """Actions (8, 6): ±x, ±y, ±z, a turn about x, none."""
     rows = np.zeros((WORLDS, 6))
     for i in range(3):
-        rows[2 * i, i], rows[2 * i + 1, i] = 0.1, -0.1
+        rows[2 * i, i] = 0.1
+        rows[2 * i + 1, i] = -0.1
     rows[6, 3] = 0.2
     return rows
 
 
-@pytest.mark.parametrize("mode", [m for m in CONTROL_MODES if m.startswith("pd_ee_") and m != "pd_ee_pose"])
+@pytest.mark.parametrize(
+    "mode", [m for m in CONTROL_MODES if m.startswith("pd_ee_") and m != "pd_ee_pose"]
+)
 def test_end_effector_moves_along_its_frame(mode: str):
     b = bench(mode, yaw=1.0)
     pos, rot = b.tip()
@@ -39,7 +50,9 @@ def test_end_effector_moves_along_its_frame(mode: str):
     for world in range(6):
         along = directions()[world, :3] / 0.1
         assert moved[world] @ along > 0.02
-        assert np.linalg.norm(moved[world] - (moved[world] @ along) * along) < 0.1 * (moved[world] @ along)
+        assert np.linalg.norm(moved[world] - (moved[world] @ along) * along) < 0.1 * (
+            moved[world] @ along
+        )
     np.testing.assert_allclose(moved[7], 0.0, atol=2e-4)
     if size == 6:
         turn = rotation_vector(b_rot @ rot.swapaxes(1, 2))
@@ -48,7 +61,9 @@ def test_end_effector_moves_along_its_frame(mode: str):
         assert np.linalg.norm(turn[:6], axis=1).max() < 0.01
 
 
-@pytest.mark.parametrize("mode", ["pd_ee_delta_pose", "pd_ee_delta_pose_align", "pd_ee_target_delta_pose"])
+@pytest.mark.parametrize(
+    "mode", ["pd_ee_delta_pose", "pd_ee_delta_pose_align", "pd_ee_target_delta_pose"]
+)
 def test_one_command_of_the_end_effector_is_met_and_its_turn_clipped_by_norm(mode: str):
     state = still_state(6)
     controller = make_controller(mode, 6)
@@ -57,7 +72,11 @@ def test_one_command_of_the_end_effector_is_met_and_its_turn_clipped_by_norm(mod
     actions = np.random.default_rng(2).uniform(-0.4, 0.4, (6, controller.dim))
     actions[0, 3:6] = 1.0
     got_pos, got_rot = arm_chain().tip_pose(controller.ctrl(actions, state)[:, ARM])
-    turn = 0.1 * actions[:, 3:6] / np.maximum(np.linalg.norm(actions[:, 3:6], axis=1, keepdims=True), 1.0)
+    turn = (
+        0.1
+        * actions[:, 3:6]
+        / np.maximum(np.linalg.norm(actions[:, 3:6], axis=1, keepdims=True), 1.0)
+    )
     own = mode.endswith("align")
     move = 0.1 * actions[:, :3, None]
     np.testing.assert_allclose(got_pos, pos + (rot @ move if own else move)[..., 0], atol=2e-4)
@@ -67,13 +86,15 @@ def test_one_command_of_the_end_effector_is_met_and_its_turn_clipped_by_norm(mod
 
 
 def test_absolute_pose_far_away_is_approached_over_several_steps():
-    state, goal = still_state(1), BENT.copy()
+    state = still_state(1)
+    goal = BENT.copy()
     goal[ARM] = BENT[ARM] + np.array([0.6, 0.5, -0.5, 0.4, 0.5, -0.5, 0.6])
     controller = make_controller("pd_ee_pose", 1)
     controller.reset(np.ones(1, bool), state)
     pos, rot = arm_chain().tip_pose(goal[ARM])
     actions = np.zeros((1, controller.dim))
-    actions[:, :3], actions[:, 3:6] = pos, rotation_vector(rot)
+    actions[:, :3] = pos
+    actions[:, 3:6] = rotation_vector(rot)
     for _ in range(15):
         out = controller.ctrl(actions, state)
     got_pos, got_rot = arm_chain().tip_pose(out[:, ARM])
@@ -117,7 +138,11 @@ def from_target(b: Bench, want: np.ndarray, rot: np.ndarray, before: np.ndarray)
 def from_measured(b: Bench, want: np.ndarray, rot: np.ndarray, before: np.ndarray) -> np.ndarray:
     pos, now = b.tip()
     # The servos cover 1 - exp(-kp/kd * 50 ms) of a change in one control step.
-    return np.concatenate([want - pos, rotation_vector(rot @ now.swapaxes(1, 2))], axis=1) / 0.1 / 0.3935
+    return (
+        np.concatenate([want - pos, rotation_vector(rot @ now.swapaxes(1, 2))], axis=1)
+        / 0.1
+        / 0.3935
+    )
 
 
 @pytest.mark.parametrize(
@@ -140,9 +165,15 @@ def test_end_effector_tracks_a_square_within_5_mm(mode: str, command: Callable[.
     b = bench(mode, np.array(REST_QPOS))
     begin, rot = b.tip()
     axes = np.zeros((WORLDS, 2, 3))
-    for world, (first, second) in enumerate([(0, 1), (1, 2), (0, 2), (0, 1), (0, 2), (1, 2), (0, 1), (0, 2)]):
-        axes[world, 0, first], axes[world, 1, second] = 1 - 2 * (world >> 1 & 1), 1 - 2 * (world >> 2 & 1)
-    worst, before = np.zeros(WORLDS), begin
+    for world, (first, second) in enumerate(
+        [(0, 1), (1, 2), (0, 2), (0, 1), (0, 2), (1, 2), (0, 1), (0, 2)]
+    ):
+        axes[world, 0, first], axes[world, 1, second] = (
+            1 - 2 * (world >> 1 & 1),
+            1 - 2 * (world >> 2 & 1),
+        )
+    worst = np.zeros(WORLDS)
+    before = begin
     for k in range(round(4 * SIDE / speed * 20)):
         want = begin + square(0.05 * (k + 1), speed) @ axes
         actions = np.zeros((WORLDS, b.controller.dim))

@@ -63,11 +63,14 @@ def test_head_camera_sees_forward_and_down(model: mujoco.MjModel) -> None:
     np.testing.assert_allclose(np.radians(model.cam_fovy), 2.0)
 
 
-def test_joints_limits_and_servos_have_the_published_order_and_values(model: mujoco.MjModel) -> None:
+def test_joints_limits_and_servos_have_the_published_order_and_values(
+    model: mujoco.MjModel,
+) -> None:
     assert [model.actuator(i).name for i in range(model.nu)] == list(fetch.ACTUATORS)
     assert model.nv == len(fetch.FETCH_JOINTS) == 15
     for i, name in enumerate(fetch.FETCH_JOINTS):
-        joint, gains = model.joint(name), fetch.GAINS[i]
+        joint = model.joint(name)
+        gains = fetch.GAINS[i]
         finite = np.isfinite(fetch.JOINT_LIMITS[i][0])
         assert bool(model.jnt_limited[joint.id]) == finite
         if finite:
@@ -80,7 +83,9 @@ def test_joints_limits_and_servos_have_the_published_order_and_values(model: muj
 
 def test_masses_are_those_of_the_inertial_table(model: mujoco.MjModel) -> None:
     for link in fetch.LINKS:
-        merged = [t.link for t in fetch.KINEMATIC_TREE if t.parent == link and t.link not in fetch.LINKS]
+        merged = [
+            t.link for t in fetch.KINEMATIC_TREE if t.parent == link and t.link not in fetch.LINKS
+        ]
         expected = INERTIALS[link].mass + sum(INERTIALS[m].mass for m in merged)
         assert model.body(link).mass[0] == pytest.approx(expected)
     assert model.body_mass.sum() == pytest.approx(sum(i.mass for i in INERTIALS.values()))
@@ -110,10 +115,14 @@ def test_the_arm_feels_the_head(model: mujoco.MjModel) -> None:
 
 
 @pytest.mark.parametrize("joint", MOVING)
-def test_a_full_delta_neither_rings_nor_passes_its_target(model: mujoco.MjModel, joint: int) -> None:
+def test_a_full_delta_neither_rings_nor_passes_its_target(
+    model: mujoco.MjModel, joint: int
+) -> None:
     low, high = fetch.JOINT_LIMITS[joint]
     start = REST.copy()
-    start[3], start[11] = 0.15, 1.5  # away from the limits
+    # away from the limits
+    start[3] = 0.15
+    start[11] = 1.5
     step = 0.03 if "finger" in fetch.FETCH_JOINTS[joint] else 0.1
     target = start.copy()
     target[joint] += step
@@ -127,7 +136,9 @@ def test_a_full_delta_neither_rings_nor_passes_its_target(model: mujoco.MjModel,
         mujoco.mj_step(model, data)
         trace.append(data.qpos[addresses(model)][joint])
     done = (np.array(trace) - start[joint]) / step
-    overshoot = 1.4 if fetch.FETCH_JOINTS[joint] == "torso_lift_joint" else 1.05  # its servo is underdamped
+    overshoot = (
+        1.4 if fetch.FETCH_JOINTS[joint] == "torso_lift_joint" else 1.05
+    )  # its servo is underdamped
     assert done.max() < overshoot
     assert abs(done[-1] - 1.0) < 0.02
 
@@ -155,9 +166,16 @@ def test_opening_between_the_pads_is_twice_the_joint(model: mujoco.MjModel, q: f
     for link in fetch.FINGER_LINKS:
         opening = np.array(fetch.FINGER_OPEN_DIR[link])
         (pad, *_), (edge, *_) = (model.geom(f"{link}/{i}").size for i in (0, 1))
-        at_pad, at_edge = (hand.xmat.reshape(3, 3).T @ (data.geom(f"{link}/{i}").xpos - hand.xpos) for i in (0, 1))
-        faces += [float(opening @ at_pad) - model.geom(f"{link}/0").size[1], float(opening @ at_edge) - edge]
-        assert at_pad[0] - pad == pytest.approx(-0.029) and at_edge[0] + edge == pytest.approx(0.031)
+        at_pad, at_edge = (
+            hand.xmat.reshape(3, 3).T @ (data.geom(f"{link}/{i}").xpos - hand.xpos) for i in (0, 1)
+        )
+        faces += [
+            float(opening @ at_pad) - model.geom(f"{link}/0").size[1],
+            float(opening @ at_edge) - edge,
+        ]
+        assert at_pad[0] - pad == pytest.approx(-0.029) and at_edge[0] + edge == pytest.approx(
+            0.031
+        )
         assert np.abs([at_pad[2], at_edge[2]]).max() < 1e-9
     np.testing.assert_allclose(faces, q - 0.0004, atol=1e-9)
 
@@ -173,7 +191,9 @@ def _corners(geom: Geom) -> np.ndarray:
 
 @pytest.mark.parametrize("link", list(COLLISION))
 def test_collision_shapes_stay_within_the_visual_mesh(link: str) -> None:
-    seen = np.concatenate([mesh.vertices for name, mesh, _ in fetch_visuals.robot_meshes() if name == link])
+    seen = np.concatenate(
+        [mesh.vertices for name, mesh, _ in fetch_visuals.robot_meshes() if name == link]
+    )
     shape = np.concatenate([_corners(geom) for geom in COLLISION[link]])
     assert (shape.min(0) >= seen.min(0) - 1.5e-3).all()
     assert (shape.max(0) <= seen.max(0) + 1.5e-3).all()

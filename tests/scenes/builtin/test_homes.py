@@ -18,7 +18,14 @@ from mjhab.layout.layout import Layout
 from mjhab.scenes.builtin import homes
 from mjhab.scenes.builtin.furniture import builtin_articulations
 from mjhab.scenes.builtin.home_plans import HARD
-from mjhab.scenes.builtin.homes import EVERY, VERSION_ONE, builtin_homes, keep_clear, make_home, split_of
+from mjhab.scenes.builtin.homes import (
+    EVERY,
+    VERSION_ONE,
+    builtin_homes,
+    keep_clear,
+    make_home,
+    split_of,
+)
 from mjhab.scenes.builtin.materials import MATERIALS
 from mjhab.scenes.freespace import free_map, reach
 from mjhab.scenes.packs import load_pack, open_pack, save_pack
@@ -52,13 +59,20 @@ def test_names_and_splits() -> None:
     listed = _pack().homes
     assert [h.name for h in listed][:2] == ["builtin_m0_00", "builtin_m0_01"]
     assert len({h.name for h in listed}) == len(listed) >= 6
-    assert {h.macro: h.split for h in listed} == {0: "train", 1: "train", 2: "train", 3: "val", 4: "test"}
+    assert {h.macro: h.split for h in listed} == {
+        0: "train",
+        1: "train",
+        2: "train",
+        3: "val",
+        4: "test",
+    }
     assert Counter(split_of(macro) for macro, _ in ALL) == {"train": 63, "val": 21, "test": 21}
 
 
 def test_the_pieces_that_tasks_name_are_there() -> None:
     pack = _pack()
-    counter, fridge = pack.articulations["kitchen_counter"], pack.articulations["fridge"]
+    counter = pack.articulations["kitchen_counter"]
+    fridge = pack.articulations["fridge"]
     assert [link.name for link in counter.links] == [
         "drawer1_top",
         "drawer1_bottom",
@@ -68,9 +82,16 @@ def test_the_pieces_that_tasks_name_are_there() -> None:
         "drawer3",
         "drawer4",
     ]
-    assert [(link.name, link.range) for link in fridge.links] == [("top_door", (0.0, 2.3)), ("bottom_door", (0.0, 2.5))]
-    assert {"counter_left", "counter_right", "sink", "drawer3"} <= {r.name for r in counter.receptacles}
-    assert {"bottom", "middle", "middle_bottom", "middle_top", "top"} == {r.name for r in fridge.receptacles}
+    assert [(link.name, link.range) for link in fridge.links] == [
+        ("top_door", (0.0, 2.3)),
+        ("bottom_door", (0.0, 2.5)),
+    ]
+    assert {"counter_left", "counter_right", "sink", "drawer3"} <= {
+        r.name for r in counter.receptacles
+    }
+    assert {"bottom", "middle", "middle_bottom", "middle_top", "top"} == {
+        r.name for r in fridge.receptacles
+    }
     for home in pack.homes:
         assert {p.template for p in home.articulations} == {"kitchen_counter", "fridge"}
         placed = Counter(p.template for p in home.props)
@@ -96,7 +117,9 @@ def test_one_layout_stays_small() -> None:
     for home in pack.homes:
         most |= Counter(p.template for p in home.props)
     furniture = [pack.props[name] for name in most.elements()] + list(pack.articulations.values())
-    felt = sum(g.collide for t in furniture for g in all_geoms(t)) + max(len(h.walls) for h in pack.homes)
+    felt = sum(g.collide for t in furniture for g in all_geoms(t)) + max(
+        len(h.walls) for h in pack.homes
+    )
     assert felt <= 250
     triangles = {"box": 12, "cylinder": 96, "sphere": 480}
     seen = 0
@@ -108,7 +131,8 @@ def test_one_layout_stays_small() -> None:
 
 @pytest.mark.parametrize(("macro", "micro"), ALL)
 def test_a_robot_reaches_every_receptacle(macro: int, micro: int) -> None:
-    home, pack = make_home(macro, micro), _pack()
+    home = make_home(macro, micro)
+    pack = _pack()
     free = free_map(home, pack)
     assert free.navigable(0.3).sum() >= 0.94 * (free.clearance >= 0.3).sum()
     assert {r.receptacle: r.center for r in reach(home, pack, free) if r.center > 0.9} == {}
@@ -117,10 +141,13 @@ def test_a_robot_reaches_every_receptacle(macro: int, micro: int) -> None:
 
 @pytest.mark.parametrize(("macro", "micro"), ALL)
 def test_nothing_stands_in_something_else(macro: int, micro: int) -> None:
-    home, pack = make_home(macro, micro), _pack()
+    home = make_home(macro, micro)
+    pack = _pack()
     areas = []
     for placement in (*home.props, *home.articulations):
-        area = footprint(placement, pack.props.get(placement.template) or pack.articulations[placement.template])
+        area = footprint(
+            placement, pack.props.get(placement.template) or pack.articulations[placement.template]
+        )
         if area is not None:
             areas.append(area)
     for a, b in itertools.combinations(areas, 2):
@@ -133,21 +160,28 @@ def test_nothing_stands_in_something_else(macro: int, micro: int) -> None:
 
 @pytest.mark.parametrize(("macro", "micro"), ALL)
 def test_floor_in_front_of_what_opens_is_free(macro: int, micro: int) -> None:
-    home, pack = make_home(macro, micro), _pack()
+    home = make_home(macro, micro)
+    pack = _pack()
     for placement in home.articulations:
         zone = rectangle(placement, *keep_clear(macro, micro)[placement.template])
-        assert np.all(zone >= np.array(home.floor[:2]) - 1e-9) and np.all(zone <= np.array(home.floor[2:]) + 1e-9)
+        assert np.all(zone >= np.array(home.floor[:2]) - 1e-9) and np.all(
+            zone <= np.array(home.floor[2:]) + 1e-9
+        )
         for wall in home.walls:
             assert not meet(outline(wall)[:, :2][[0, 2, 6, 4]], zone, -1e-6)
         for other in home.props:
             area = footprint(other, pack.props[other.template])
-            assert area is None or not meet(area.corners, zone), (placement.template, other.template)
+            assert area is None or not meet(area.corners, zone), (
+                placement.template,
+                other.template,
+            )
 
 
 @pytest.mark.parametrize(("macro", "micro"), ALL)
 def test_doors_and_drawers_swing_through_free_space(macro: int, micro: int) -> None:
     """Sweep each link over its range: it meets no wall and no furniture, but in the one home that says so."""
-    home, pack = make_home(macro, micro), _pack()
+    home = make_home(macro, micro)
+    pack = _pack()
     assert stuck_links(home, pack) == []
     assert bool(home.open_limits) == ((macro, micro) == (3, 20))
 
@@ -169,7 +203,12 @@ def test_hard_cases_open_toward_a_wall() -> None:
     ranges = {f"fridge/{k.name}": k.range[1] for k in pack.articulations["fridge"].links}
     assert all(travel[name] == ranges[name] for travel in free.values() for name in ranges)
     # Open wide enough to count as open, with less room before the handle than a finger is thick.
-    assert 0.75 * 2.3 < dict(hard[3, 20].open_limits)["fridge/top_door"] < blocked["fridge/top_door"] < 1.9
+    assert (
+        0.75 * 2.3
+        < dict(hard[3, 20].open_limits)["fridge/top_door"]
+        < blocked["fridge/top_door"]
+        < 1.9
+    )
 
 
 def test_a_stuck_link_is_found() -> None:
@@ -183,7 +222,9 @@ def test_a_stuck_link_is_found() -> None:
 def test_the_joint_ends_where_the_door_meets_the_wall() -> None:
     pack = dataclasses.replace(_pack(), homes=(make_home(3, 0), make_home(3, 20)))
     layout = Layout(pack, ())
-    open_wide, blocked = (compile_home(layout, home).joint("fridge/top_door").range[1] for home in pack.homes)
+    open_wide, blocked = (
+        compile_home(layout, home).joint("fridge/top_door").range[1] for home in pack.homes
+    )
     assert (open_wide, blocked) == (2.3, 1.85)
 
 
@@ -192,7 +233,8 @@ def test_fingers_fit_around_every_handle(thing: str) -> None:
     """Fetch's fingers are 14 mm thick, 26 mm wide and reach 31 mm past the grasp point."""
     for link in builtin_articulations()[thing].links:
         handle = link.handle
-        along, out = np.array(handle.bar), np.array(handle.out)
+        along = np.array(handle.bar)
+        out = np.array(handle.out)
         open_dir = np.cross(along, out)
         assert handle.thickness <= 0.024 and handle.half_length >= 0.07
         for side in (-1.0, 1.0):
@@ -202,7 +244,11 @@ def test_fingers_fit_around_every_handle(thing: str) -> None:
                 p = outline(g)
                 overlap = np.minimum(p.max(0), mid + room) - np.maximum(p.min(0), mid - room)
                 assert not np.all(overlap > 0), (link.name, g)
-        front = max(outline(g)[:, 0].max() for g in link.geoms if g.material in ("cabinet_front", "fridge_door"))
+        front = max(
+            outline(g)[:, 0].max()
+            for g in link.geoms
+            if g.material in ("cabinet_front", "fridge_door")
+        )
         assert handle.pos[0] - handle.thickness / 2 - front >= 0.045
 
 
@@ -226,12 +272,17 @@ def test_receptacles_lie_on_a_surface_with_free_room_above(name: str) -> None:
     for r in thing.receptacles:
         origin = np.array(links[r.link].pos) if r.link else np.zeros(3)
         p = np.array(r.pos) + origin
-        corners = np.array([[sx * r.half[0], sy * r.half[1], 0.0] for sx in (-1, 1) for sy in (-1, 1)]) + p
+        corners = (
+            np.array([[sx * r.half[0], sy * r.half[1], 0.0] for sx in (-1, 1) for sy in (-1, 1)])
+            + p
+        )
         for c in corners:
             assert any(
-                np.all(c[:2] >= lo[:2]) and np.all(c[:2] <= hi[:2]) and abs(hi[2] - c[2]) < 1e-6 for lo, hi in boxes
+                np.all(c[:2] >= lo[:2]) and np.all(c[:2] <= hi[:2]) and abs(hi[2] - c[2]) < 1e-6
+                for lo, hi in boxes
             ), (r.name, c)
-        low, high = corners.min(0) + np.array([0.0, 0.0, 1e-4]), corners.max(0)
+        low = corners.min(0) + np.array([0.0, 0.0, 1e-4])
+        high = corners.max(0)
         high[2] += 0.055 if r.link else r.height
         for lo, hi in boxes:
             overlap = np.minimum(high, hi) - np.maximum(low, lo)
@@ -255,13 +306,17 @@ def test_homes_keep_their_geometry() -> None:
     for macro, micro in VERSION_ONE:
         home = make_home(macro, micro)
         for placement in (*home.props, *home.articulations):
-            digest.update(repr((placement.template, rounded(*placement.pos, placement.yaw))).encode())
+            digest.update(
+                repr((placement.template, rounded(*placement.pos, placement.yaw))).encode()
+            )
         for wall in home.walls:
             digest.update(repr(rounded(*wall.pos, *wall.size)).encode())
     assert digest.hexdigest()[:16] == PINNED
 
 
-def test_furnished_homes_come_back_from_the_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_furnished_homes_come_back_from_the_cache(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("MJHAB_CACHE", str(tmp_path))
     keys = ((4, 0), (3, 20))
     first = builtin_homes(keys)
@@ -279,7 +334,9 @@ def test_furnished_homes_come_back_from_the_cache(tmp_path: Path, monkeypatch: p
 def test_the_layout_of_all_homes_is_that_of_five() -> None:
     """Micro layouts bring no pieces of their own, so a model does not grow with the number of homes."""
     plans = Layout(dataclasses.replace(_pack(), homes=tuple(make_home(m, 0) for m in range(5))), ())
-    all_homes = Layout(dataclasses.replace(_pack(), homes=tuple(make_home(*key) for key in ALL)), ())
+    all_homes = Layout(
+        dataclasses.replace(_pack(), homes=tuple(make_home(*key) for key in ALL)), ()
+    )
     assert all_homes.prop_slots == plans.prop_slots and all_homes.num_walls == plans.num_walls
 
 
@@ -299,7 +356,9 @@ def test_a_pack_survives_the_disk(tmp_path: Path) -> None:
 def test_unknown_packs_are_refused_with_a_hint(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"unknown asset pack 'bultin'\. Did you mean 'builtin'\?"):
         open_pack("bultin")
-    with pytest.raises(UsageError, match=r"has no pack\.json; a pack folder must hold pack\.json and meshes\.npz"):
+    with pytest.raises(
+        UsageError, match=r"has no pack\.json; a pack folder must hold pack\.json and meshes\.npz"
+    ):
         open_pack(str(tmp_path))
     with pytest.raises(UsageError, match="does not exist"):
         open_pack(str(tmp_path / "nowhere"))
@@ -315,15 +374,29 @@ def test_unknown_packs_are_refused_with_a_hint(tmp_path: Path) -> None:
         ("homes", None, "field 'homes' is missing"),
         ("props", [{"name": "a"}], r"props\[0\]: field 'geoms' is missing"),
         ("props", [{"name": "a", "geoms": [], "wheels": 4}], r"props\[0\]: unknown field 'wheels'"),
-        ("props", [{"name": "a", "geoms": [{"shape": "cone", "size": [1, 1, 1]}]}], r"'cone' is not one of box"),
-        ("props", [{"name": "a", "geoms": [{"shape": "box", "size": [1, "b", 1]}]}], r"size\[1\]: expected a number"),
-        ("props", [{"name": "a", "geoms": [{"shape": "box", "size": [1, 1]}]}], r"size: expected a list of 3"),
+        (
+            "props",
+            [{"name": "a", "geoms": [{"shape": "cone", "size": [1, 1, 1]}]}],
+            r"'cone' is not one of box",
+        ),
+        (
+            "props",
+            [{"name": "a", "geoms": [{"shape": "box", "size": [1, "b", 1]}]}],
+            r"size\[1\]: expected a number",
+        ),
+        (
+            "props",
+            [{"name": "a", "geoms": [{"shape": "box", "size": [1, 1]}]}],
+            r"size: expected a list of 3",
+        ),
         ("props", [], "template '.*' is not in the pack"),
         ("meshes", ["nothing"], "array 'nothing/vertices' is missing"),
         ("meshes", [], "names the mesh"),
     ],
 )
-def test_broken_packs_name_the_file_and_the_field(tmp_path: Path, field: str, value: object, message: str) -> None:
+def test_broken_packs_name_the_file_and_the_field(
+    tmp_path: Path, field: str, value: object, message: str
+) -> None:
     save_pack(_pack(), tmp_path)
     body = json.loads((tmp_path / "pack.json").read_text())
     if value is None:

@@ -103,12 +103,15 @@ def test_closed_meshes_face_outward(name: str) -> None:
     assert volume > 0
 
 
-@pytest.mark.parametrize(("task", "count"), [("tidy_house", 30), ("prepare_groceries", 30), ("set_table", 29)])
+@pytest.mark.parametrize(
+    ("task", "count"), [("tidy_house", 30), ("prepare_groceries", 30), ("set_table", 29)]
+)
 def test_rosters_have_the_counts_of_the_benchmark(task: str, count: int) -> None:
     slots = roster(task)
     assert len(slots) == count
     assert set(slots) <= set(YCB)
-    apples, bowls = Counter(slots)["013_apple"], Counter(slots)["024_bowl"]
+    apples = Counter(slots)["013_apple"]
+    bowls = Counter(slots)["024_bowl"]
     assert (apples, bowls) == ((1, 4) if task == "set_table" else (0, 4))
 
 

@@ -28,7 +28,10 @@ def write_glb(
     transform: dict[str, Any] | None = None,
 ) -> Path:
     """Write meshes (vertices, faces) as a file; by default one node for each. ``image`` (H, W, 3) is their texture."""
-    blob, views, accessors, meshes = b"", [], [], []
+    blob = b""
+    views = []
+    accessors = []
+    meshes = []
 
     def add(data: np.ndarray, kind: str, component: int) -> int:
         nonlocal blob
@@ -37,7 +40,12 @@ def write_glb(
         blob += raw + b"\0" * (-len(raw) % 4)
         width = {"SCALAR": 1, "VEC2": 2, "VEC3": 3}[kind]
         accessors.append(
-            {"bufferView": len(views) - 1, "componentType": component, "count": data.size // width, "type": kind}
+            {
+                "bufferView": len(views) - 1,
+                "componentType": component,
+                "count": data.size // width,
+                "type": kind,
+            }
         )
         return len(accessors) - 1
 
@@ -46,17 +54,22 @@ def write_glb(
         if uv is not None:
             attributes["TEXCOORD_0"] = add(np.asarray(uv, np.float32), "VEC2", 5126)
         primitive: dict[str, Any] = {
-            "attributes": attributes, "indices": add(np.asarray(faces, np.uint16).ravel(), "SCALAR", 5123)
-        }  # fmt: skip
+            "attributes": attributes,
+            "indices": add(np.asarray(faces, np.uint16).ravel(), "SCALAR", 5123),
+        }
         if image is not None:
             primitive["material"] = 0
         meshes.append({"name": f"part_{k}", "primitives": [primitive]})
     document: dict[str, Any] = {
-        "asset": {"version": "2.0"}, "scene": 0, "meshes": meshes,
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "meshes": meshes,
         "nodes": nodes if nodes is not None else [{"mesh": k} for k in range(len(meshes))],
-    }  # fmt: skip
+    }
     children = {c for node in document["nodes"] for c in node.get("children", [])}
-    document["scenes"] = [{"nodes": [k for k in range(len(document["nodes"])) if k not in children]}]
+    document["scenes"] = [
+        {"nodes": [k for k in range(len(document["nodes"])) if k not in children]}
+    ]
     if image is not None:
         stream = io.BytesIO()
         Image.fromarray(np.asarray(image, np.uint8)).save(stream, "PNG")
@@ -69,19 +82,33 @@ def write_glb(
         document["materials"] = [{"pbrMetallicRoughness": {"baseColorTexture": texture}}]
         document["textures"] = [{"source": 0}]
         document["images"] = [{"bufferView": len(views) - 1, "mimeType": "image/png"}]
-    document |= {"bufferViews": views, "accessors": accessors, "buffers": [{"byteLength": len(blob)}]}
+    document |= {
+        "bufferViews": views,
+        "accessors": accessors,
+        "buffers": [{"byteLength": len(blob)}],
+    }
     text = json.dumps(document).encode()
     text += b" " * (-len(text) % 4)
-    body = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(blob), b"BIN\0") + blob
+    body = (
+        struct.pack("<I4s", len(text), b"JSON")
+        + text
+        + struct.pack("<I4s", len(blob), b"BIN\0")
+        + blob
+    )
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body)
     return path
 
 
-def box_glb(path: Path, *halves: tuple[float, float, float], at: tuple[tuple[float, float, float], ...] = ()) -> Path:
+def box_glb(
+    path: Path, *halves: tuple[float, float, float], at: tuple[tuple[float, float, float], ...] = ()
+) -> Path:
     """Write boxes of half-extents [m] (data set axes), each at a place (the origin by default)."""
     places = at or ((0.0, 0.0, 0.0),) * len(halves)
-    return write_glb(path, [(BOX * np.array(h) + np.array(p), BOX_FACES) for h, p in zip(halves, places, strict=True)])
+    return write_glb(
+        path,
+        [(BOX * np.array(h) + np.array(p), BOX_FACES) for h, p in zip(halves, places, strict=True)],
+    )
 
 
 URDF = """<robot name="chest"><link name="root"/><joint name="up" type="fixed"><origin rpy="1.565 0 0"/>
@@ -96,21 +123,40 @@ def tiny_data_set(folder: Path) -> Path:
     box_glb(folder / "objects" / "frl_apartment_table.glb", (0.5, 0.4, 0.3))
     box_glb(
         folder / "objects" / "convex" / "frl_apartment_table_cv_decomp.glb",
-        (0.5, 0.02, 0.3), (0.05, 0.19, 0.05), at=((0, 0.38, 0), (0, 0.17, 0)),
-    )  # fmt: skip
+        (0.5, 0.02, 0.3),
+        (0.05, 0.19, 0.05),
+        at=((0, 0.38, 0), (0, 0.17, 0)),
+    )
     box_glb(folder / "objects" / "frl_apartment_mat.glb", (0.4, 0.01, 0.3))
     box_glb(folder / "urdf" / "chest" / "chest.glb", (0.2, 0.5, 0.3))
     (folder / "urdf" / "chest" / "chest.urdf").write_text(URDF)
-    write(folder / "configs" / "objects" / "frl_apartment_table.object_config.json", {
-        "render_asset": "../../objects/frl_apartment_table.glb", "mass": 5,
-        "collision_asset": "../../objects/convex/frl_apartment_table_cv_decomp.glb",
-        "user_defined": {"receptacle_aabb_Top_frl_apartment_table": {
-            "parent_object": "frl_apartment_table", "position": [0, 0.5, 0], "scale": [-0.6, 0.11, -0.2]}},
-    })  # fmt: skip
-    write(folder / "configs" / "objects" / "frl_apartment_mat.object_config.json", {
-        "render_asset": "../../objects/frl_apartment_mat.glb", "use_bounding_box_for_collision": True, "mass": 1,
-    })  # fmt: skip
-    write(folder / "configs" / "stages" / "Stage.stage_config.json", {"render_asset": "../../stages/Stage.glb"})
+    write(
+        folder / "configs" / "objects" / "frl_apartment_table.object_config.json",
+        {
+            "render_asset": "../../objects/frl_apartment_table.glb",
+            "mass": 5,
+            "collision_asset": "../../objects/convex/frl_apartment_table_cv_decomp.glb",
+            "user_defined": {
+                "receptacle_aabb_Top_frl_apartment_table": {
+                    "parent_object": "frl_apartment_table",
+                    "position": [0, 0.5, 0],
+                    "scale": [-0.6, 0.11, -0.2],
+                }
+            },
+        },
+    )
+    write(
+        folder / "configs" / "objects" / "frl_apartment_mat.object_config.json",
+        {
+            "render_asset": "../../objects/frl_apartment_mat.glb",
+            "use_bounding_box_for_collision": True,
+            "mass": 1,
+        },
+    )
+    write(
+        folder / "configs" / "stages" / "Stage.stage_config.json",
+        {"render_asset": "../../stages/Stage.glb"},
+    )
     write(folder / "configs" / "scenes" / "v3_sc3_staging_07.scene_instance.json", {
         "stage_instance": {"template_name": "stages/Stage"},
         "object_instances": [

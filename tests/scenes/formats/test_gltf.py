@@ -51,7 +51,9 @@ def test_a_mirroring_node_keeps_the_outside_outside(tmp_path: Path) -> None:
 def test_hulls_are_read_one_per_mesh_with_their_distinct_points(tmp_path: Path) -> None:
     corners = BOX[BOX_FACES.ravel()]
     faces = np.arange(len(corners)).reshape(-1, 3)
-    hulls = read_hulls(write_glb(tmp_path / "a.glb", [(corners, faces), (corners * 0.5 + 4, faces)]))
+    hulls = read_hulls(
+        write_glb(tmp_path / "a.glb", [(corners, faces), (corners * 0.5 + 4, faces)])
+    )
     assert [h.shape for h in hulls] == [(8, 3), (8, 3)]
     assert np.allclose(hulls[1].mean(0), 4)
     with pytest.raises(UsageError, match=r"flat\.glb: mesh 'part_0' has 3 distinct points"):
@@ -60,7 +62,9 @@ def test_hulls_are_read_one_per_mesh_with_their_distinct_points(tmp_path: Path) 
 
 @settings(max_examples=40, deadline=None)
 @given(share=st.floats(0.0, 0.999))
-def test_any_cut_off_file_is_one_error_that_names_it(share: float, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_any_cut_off_file_is_one_error_that_names_it(
+    share: float, tmp_path_factory: pytest.TempPathFactory
+) -> None:
     whole = box_glb(tmp_path_factory.mktemp("glb") / "thing.glb", (1, 2, 3))
     raw = whole.read_bytes()
     whole.write_bytes(raw[: int(share * len(raw))])
@@ -74,11 +78,17 @@ def test_any_cut_off_file_is_one_error_that_names_it(share: float, tmp_path_fact
     [
         (b'"POSITION"', b'"POSITIOM"', "POSITION"),
         (b'"componentType"', b'"componentTypo"', "componentType"),
-        (b'"byteOffset": 0, "byteLength": 96', b'"byteOffset":999, "byteLength": 9', "past the end"),
+        (
+            b'"byteOffset": 0, "byteLength": 96',
+            b'"byteOffset":999, "byteLength": 9',
+            "past the end",
+        ),
         (b'{"asset"', b'["asset"', "JSON chunk is broken"),
     ],
 )
-def test_a_broken_document_is_one_error(old: bytes, new: bytes, message: str, tmp_path: Path) -> None:
+def test_a_broken_document_is_one_error(
+    old: bytes, new: bytes, message: str, tmp_path: Path
+) -> None:
     path = box_glb(tmp_path / "thing.glb", (1, 2, 3))
     raw = path.read_bytes()
     assert old in raw and len(old) == len(new)
@@ -108,7 +118,9 @@ def test_a_textured_quad_keeps_its_picture_on_both_sides(tmp_path: Path) -> None
     np.testing.assert_array_equal(mesh.face_texture, 0)
     np.testing.assert_array_equal(mesh.textures[0], image)
     # Every corner of both sides keeps its place in the picture.
-    want = {tuple(p): tuple(q) for p, q in zip(QUAD.round(5).tolist(), QUAD_UV.tolist(), strict=True)}
+    want = {
+        tuple(p): tuple(q) for p, q in zip(QUAD.round(5).tolist(), QUAD_UV.tolist(), strict=True)
+    }
     for face, uv in zip(mesh.faces, mesh.uv, strict=True):
         for corner, place in zip(mesh.vertices[face].round(5).tolist(), uv, strict=True):
             np.testing.assert_allclose(place, want[tuple(corner)], atol=1e-6)
@@ -140,7 +152,11 @@ def test_closed_bodies_are_drawn_from_outside_only(tmp_path: Path) -> None:
 def test_texture_transform_moves_the_picture(tmp_path: Path) -> None:
     image = np.zeros((4, 4, 3), np.uint8)
     moved = write_glb(
-        tmp_path / "a.glb", [(QUAD, QUAD_FACES)], uv=QUAD_UV * 0.4, image=image, transform={"offset": [0.55, 0.0]}
+        tmp_path / "a.glb",
+        [(QUAD, QUAD_FACES)],
+        uv=QUAD_UV * 0.4,
+        image=image,
+        transform={"offset": [0.55, 0.0]},
     )
     uv = textured_mesh(read_glb(moved)).uv
     assert uv is not None

@@ -34,14 +34,21 @@ def test_links_joints_and_number_lists_with_commas(tmp_path: Path) -> None:
     assert urdf.links["body"].mass == 3.5 and urdf.links["lid"].mass == 0.0
     assert urdf.root == "root" and urdf.moving("body") == "root" and urdf.moving("lid") == "lid"
     assert np.allclose(urdf.pose("lid")[:3, 3], [0.5, 0, 1])
-    assert np.allclose(urdf.joints["lid"].axis, [0, 0, 1]) and urdf.joints["lid"].limits == (0.0, 1.5)
+    assert np.allclose(urdf.joints["lid"].axis, [0, 0, 1]) and urdf.joints["lid"].limits == (
+        0.0,
+        1.5,
+    )
     assert urdf.links["body"].visuals[0].file == tmp_path / "body.glb"
 
 
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ('type="revolute"', 'type="screw"', r"'hinge': unknown type 'screw'; known are fixed, prismatic, revolute"),
+        (
+            'type="revolute"',
+            'type="screw"',
+            r"'hinge': unknown type 'screw'; known are fixed, prismatic, revolute",
+        ),
         ('type="revolute"', "", r"<joint> has no attribute 'type'"),
         ('child link="lid"', 'child link="lod"', r"joint 'hinge' names the link 'lod'"),
         ("0.4, 0.6", "0.4", r"link 'body': box size: expected 3 numbers, got '0.2 0.4'"),
@@ -50,7 +57,11 @@ def test_links_joints_and_number_lists_with_commas(tmp_path: Path) -> None:
         ('xyz="0 0 2"', 'xyz="0 0 0"', r"joint 'hinge': needs a <limit> and an axis"),
         ("<limit lower", "<limits lower", r"joint 'hinge': needs a <limit>"),
         ("<box size", "<sphere size", r"link 'body': collision shapes must be boxes"),
-        ('<link name="lid"/>', '<link name="lid"/><link name="more"/>', r"one root link, found 2 \(root, more\)"),
+        (
+            '<link name="lid"/>',
+            '<link name="lid"/><link name="more"/>',
+            r"one root link, found 2 \(root, more\)",
+        ),
         ("</robot>", "", "not valid XML"),
     ],
 )
@@ -69,7 +80,9 @@ def test_what_it_does_not_know_is_named(old: str, new: str, message: str, tmp_pa
         ("0.4, 0.6", "0.4, 1e9", "box size: expected 3 numbers"),
     ],
 )
-def test_names_and_numbers_no_furniture_has(old: str, new: str, message: str, tmp_path: Path) -> None:
+def test_names_and_numbers_no_furniture_has(
+    old: str, new: str, message: str, tmp_path: Path
+) -> None:
     assert old in TEXT
     path = tmp_path / "thing.urdf"
     path.write_text(TEXT.replace(old, new))

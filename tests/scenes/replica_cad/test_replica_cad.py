@@ -54,8 +54,11 @@ def test_y_up_becomes_z_up(folder: Path) -> None:
     assert np.allclose(points.mean(0)[:2], [1, -2]) and points[:, 2].max() == pytest.approx(0.8)
     at = next(p for p in pack.homes[0].props if p.template == "table")
     assert at.quat is None and at.yaw == pytest.approx(2 * np.arccos(0.6))
-    low, high = corners(pack, "mat").min(0), corners(pack, "mat").max(0)
-    assert np.allclose(low, [-1.4, -0.3, 0.0], atol=1e-6) and np.allclose(high, [-0.6, 0.3, 0.02], atol=1e-6)
+    low = corners(pack, "mat").min(0)
+    high = corners(pack, "mat").max(0)
+    assert np.allclose(low, [-1.4, -0.3, 0.0], atol=1e-6) and np.allclose(
+        high, [-0.6, 0.3, 0.02], atol=1e-6
+    )
 
 
 def test_a_scaled_piece_on_its_side_stands_upright(folder: Path) -> None:
@@ -89,7 +92,12 @@ def test_receptacles_lie_on_the_surface_and_inside_its_edges(folder: Path) -> No
 def test_it_compiles_and_survives_the_disk(folder: Path, tmp_path: Path) -> None:
     pack = open_pack(str(folder))
     model = compile_home(Layout(pack, ()), pack.homes[0])
-    assert {model.geom(k).name for k in range(model.ngeom)} >= {"table_0/0", "table_0/1", "mat_0/0", "chest_0/0"}
+    assert {model.geom(k).name for k in range(model.ngeom)} >= {
+        "table_0/0",
+        "table_0/1",
+        "mat_0/0",
+        "chest_0/0",
+    }
     save_pack(pack, tmp_path / "saved")
     again = load_pack(tmp_path / "saved")
     assert again.homes == pack.homes and again.props == pack.props
@@ -108,7 +116,9 @@ def test_tilted_things_keep_their_tilt(folder: Path) -> None:
     assert points[:, 2].max() == pytest.approx(0.7) and points[:, 2].min() == pytest.approx(0.1)
 
 
-def test_a_missing_stage_gives_floor_and_one_warning(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_missing_stage_gives_floor_and_one_warning(
+    folder: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     with caplog.at_level(logging.WARNING, "mjhab"):
         pack = open_replica_cad(folder)
         open_replica_cad(folder)
@@ -120,11 +130,15 @@ def test_a_missing_stage_gives_floor_and_one_warning(folder: Path, caplog: pytes
     assert x0 < -2 and x1 > 2 and y0 < -3 and y1 > 2.5
 
 
-def test_stage_mesh_of_the_data_set_or_of_the_user(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_stage_mesh_of_the_data_set_or_of_the_user(
+    folder: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     box_glb(folder / "stages" / "Stage.glb", (4.0, 1.5, 3.0), at=((0, 1.5, 0),))
     with caplog.at_level(logging.WARNING, "mjhab"):
         home = open_replica_cad(folder).homes[0]
-    assert not caplog.records and len(home.walls) == 4 and home.floor == pytest.approx((-4, -3, 4, 3))
+    assert (
+        not caplog.records and len(home.walls) == 4 and home.floor == pytest.approx((-4, -3, 4, 3))
+    )
     other = box_glb(folder.parent / "other.glb", (5.0, 1.5, 3.0), at=((0, 1.5, 0),))
     assert open_pack(with_stage(str(folder), other)).homes[0].floor == pytest.approx((-5, -3, 5, 3))
     with pytest.raises(UsageError, match=r"stage mesh '.*none\.glb' does not exist"):
@@ -138,7 +152,9 @@ def test_furniture_to_articulate_is_part_of_the_name_of_a_pack(folder: Path) -> 
     name = with_stage(with_joints(str(folder), "cabinet,kitchen_cupboards"), stage)
     assert open_pack(name).homes[0].floor == pytest.approx((-5, -3, 5, 3))
     assert with_joints("builtin", None) == "builtin"
-    with pytest.raises(UsageError, match=r"unknown furniture to articulate 'cabinets'\. Did you mean 'cabinet'\?"):
+    with pytest.raises(
+        UsageError, match=r"unknown furniture to articulate 'cabinets'\. Did you mean 'cabinet'\?"
+    ):
         with_joints(str(folder), "cabinets")
     with pytest.raises(UsageError, match="not a ReplicaCAD folder: furniture to articulate"):
         open_pack(with_joints("builtin", "cabinet"))
@@ -171,7 +187,9 @@ def test_other_scenes_by_their_names(folder: Path) -> None:
         open_pack(f"{outer}/apt_0,apt_2")
 
 
-def test_objects_that_may_move_stand_fixed_with_one_warning(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_objects_that_may_move_stand_fixed_with_one_warning(
+    folder: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     path = folder / "configs" / "scenes" / f"{SCENE}.scene_instance.json"
     body = json.loads(path.read_text())
     still = open_replica_cad(folder).homes[0].props
@@ -195,7 +213,9 @@ def test_the_data_set_inside_a_folder_is_found(folder: Path) -> None:
 
 def test_a_folder_that_is_not_the_data_set(folder: Path) -> None:
     shutil.rmtree(folder / "urdf")
-    with pytest.raises(UsageError, match=r"not a whole ReplicaCAD data set: urdf missing; `mjhab assets fetch"):
+    with pytest.raises(
+        UsageError, match=r"not a whole ReplicaCAD data set: urdf missing; `mjhab assets fetch"
+    ):
         open_pack(str(folder))
 
 
@@ -206,30 +226,115 @@ SCENES = f"configs/scenes/{SCENE}.scene_instance.json"
 @pytest.mark.parametrize(
     ("file", "old", "new", "message"),
     [
-        (OBJECTS, '"render_asset"', '"rendered_asset"', r"table\.object_config\.json: field 'render_asset' is missing"),
-        (OBJECTS, '"position": [0, 0.5, 0]', '"position": [0, 0.5]', r"Top_frl_apartment_table\.position: expected 3"),
+        (
+            OBJECTS,
+            '"render_asset"',
+            '"rendered_asset"',
+            r"table\.object_config\.json: field 'render_asset' is missing",
+        ),
+        (
+            OBJECTS,
+            '"position": [0, 0.5, 0]',
+            '"position": [0, 0.5]',
+            r"Top_frl_apartment_table\.position: expected 3",
+        ),
         (OBJECTS, "}", "", r"table\.object_config\.json: not valid JSON"),
-        (SCENES, '"translation": [1, 0.4, 2]', '"translation": "up"', r"object_instances\[0\]\.translation: expect"),
-        (SCENES, '"rotation": [0.6, 0, 0.8, 0]', '"rotation": [0, 0, 0, 0]', r"object_instances\[0\]\.rotation: not a"),
-        (SCENES, "frl_apartment_mat", "frl_apartment_mouse", r"frl_apartment_mouse\.object_config\.json: cannot"),
-        (SCENES, '"template_name": "chest"', '"template_name": "desk"', r"urdf has no desk\.urdf, which a scene names"),
-        (SCENES, '"template_name": "chest"', '"template_nam": "chest"', r"articulated_object_instances\[0\]\.templ"),
-        (SCENES, '"stage_instance"', '"stage"', r"staging_07\.scene_instance\.json: field 'stage_instance' is missing"),
-        ("urdf/chest/chest.urdf", 'type="fixed"', 'type="floating"', r"chest\.urdf: joint 'up': unknown type 'float"),
+        (
+            SCENES,
+            '"translation": [1, 0.4, 2]',
+            '"translation": "up"',
+            r"object_instances\[0\]\.translation: expect",
+        ),
+        (
+            SCENES,
+            '"rotation": [0.6, 0, 0.8, 0]',
+            '"rotation": [0, 0, 0, 0]',
+            r"object_instances\[0\]\.rotation: not a",
+        ),
+        (
+            SCENES,
+            "frl_apartment_mat",
+            "frl_apartment_mouse",
+            r"frl_apartment_mouse\.object_config\.json: cannot",
+        ),
+        (
+            SCENES,
+            '"template_name": "chest"',
+            '"template_name": "desk"',
+            r"urdf has no desk\.urdf, which a scene names",
+        ),
+        (
+            SCENES,
+            '"template_name": "chest"',
+            '"template_nam": "chest"',
+            r"articulated_object_instances\[0\]\.templ",
+        ),
+        (
+            SCENES,
+            '"stage_instance"',
+            '"stage"',
+            r"staging_07\.scene_instance\.json: field 'stage_instance' is missing",
+        ),
+        (
+            "urdf/chest/chest.urdf",
+            'type="fixed"',
+            'type="floating"',
+            r"chest\.urdf: joint 'up': unknown type 'float",
+        ),
         (
             SCENES,
             '"template_name": "frl_apartment_mat"',
             '"template_name": "../../mat"',
             r"\[1\]\.template_name: .* no name",
         ),
-        (SCENES, '"template_name": "chest"', '"template_name": "/chest"', r"\[0\]\.template_name: .* is no name"),
-        (SCENES, '"translation": [1, 0.4, 2]', '"translation": [1e300, 0.4, 2]', r"\[0\]\.translation: expected 3"),
-        (SCENES, '"translation": [1, 0.4, 2]', '"translation": [900, 0.4, 2]', r"floor: 901.428 is out of the range"),
-        (SCENES, '"uniform_scale": 0.5', '"uniform_scale": 1e300', r"\[0\]\.uniform_scale: expected 1 numbers"),
-        (SCENES, '"uniform_scale": 0.5', '"uniform_scale": -1', r"\[0\]\.uniform_scale: .*above 0, got -1"),
-        (SCENES, '"uniform_scale": 0.5', '"uniform_scale": "big"', r"\[0\]\.uniform_scale: expected 1 numbers"),
-        (OBJECTS, '"position": [0, 0.5, 0]', '"position": [0, 1e300, 0]', r"frl_apartment_table\.position: expected 3"),
-        ("urdf/chest/chest.urdf", "chest.glb", "cheese.glb", r"render mesh .*cheese\.glb does not exist"),
+        (
+            SCENES,
+            '"template_name": "chest"',
+            '"template_name": "/chest"',
+            r"\[0\]\.template_name: .* is no name",
+        ),
+        (
+            SCENES,
+            '"translation": [1, 0.4, 2]',
+            '"translation": [1e300, 0.4, 2]',
+            r"\[0\]\.translation: expected 3",
+        ),
+        (
+            SCENES,
+            '"translation": [1, 0.4, 2]',
+            '"translation": [900, 0.4, 2]',
+            r"floor: 901.428 is out of the range",
+        ),
+        (
+            SCENES,
+            '"uniform_scale": 0.5',
+            '"uniform_scale": 1e300',
+            r"\[0\]\.uniform_scale: expected 1 numbers",
+        ),
+        (
+            SCENES,
+            '"uniform_scale": 0.5',
+            '"uniform_scale": -1',
+            r"\[0\]\.uniform_scale: .*above 0, got -1",
+        ),
+        (
+            SCENES,
+            '"uniform_scale": 0.5',
+            '"uniform_scale": "big"',
+            r"\[0\]\.uniform_scale: expected 1 numbers",
+        ),
+        (
+            OBJECTS,
+            '"position": [0, 0.5, 0]',
+            '"position": [0, 1e300, 0]',
+            r"frl_apartment_table\.position: expected 3",
+        ),
+        (
+            "urdf/chest/chest.urdf",
+            "chest.glb",
+            "cheese.glb",
+            r"render mesh .*cheese\.glb does not exist",
+        ),
     ],
 )
 def test_a_broken_file_is_one_error_that_names_file_and_field(
@@ -244,7 +349,13 @@ def test_a_broken_file_is_one_error_that_names_file_and_field(
 
 
 @pytest.mark.parametrize(
-    "file", ["objects/frl_apartment_table.glb", "objects/convex/frl_apartment_table_cv_decomp.glb", SCENES, OBJECTS]
+    "file",
+    [
+        "objects/frl_apartment_table.glb",
+        "objects/convex/frl_apartment_table_cv_decomp.glb",
+        SCENES,
+        OBJECTS,
+    ],
 )
 def test_a_cut_off_file_leaves_nothing_in_the_cache(
     file: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -257,7 +368,9 @@ def test_a_cut_off_file_leaves_nothing_in_the_cache(
     assert not list((tmp_path / "cache").rglob("*.*"))
 
 
-def test_a_broken_cache_file_is_made_anew(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_broken_cache_file_is_made_anew(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("MJHAB_CACHE", str(tmp_path / "cache"))
     open_replica_cad(folder)
     (cached,) = (tmp_path / "cache" / "replica_cad").glob("*.npz")

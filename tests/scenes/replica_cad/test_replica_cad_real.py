@@ -50,14 +50,24 @@ def layout(pack: Pack) -> Layout:
 
 def test_all_84_scenes_are_homes_of_one_layout(pack: Pack, layout: Layout) -> None:
     assert Counter((h.split, h.macro) for h in pack.homes) == {
-        ("train", 0): 21, ("train", 1): 21, ("train", 2): 21, ("val", 3): 21
-    }  # fmt: skip
+        ("train", 0): 21,
+        ("train", 1): 21,
+        ("train", 2): 21,
+        ("val", 3): 21,
+    }
     models = [compile_home(layout, home) for home in pack.homes]
     first = models[0]
     for model in models[1:]:
         for size in ("ngeom", "nbody", "nv", "nmesh", "nmeshvert", "nsensor", "nu"):
             assert getattr(model, size) == getattr(first, size)
-        for field in ("geom_type", "geom_dataid", "geom_bodyid", "geom_contype", "jnt_type", "body_parentid"):
+        for field in (
+            "geom_type",
+            "geom_dataid",
+            "geom_bodyid",
+            "geom_contype",
+            "jnt_type",
+            "body_parentid",
+        ):
             assert (getattr(model, field) == getattr(first, field)).all()
     # 15 joints of the robot, 7 drawers, 2 doors.
     assert first.nv == 24 and first.ngeom < 520
@@ -66,7 +76,11 @@ def test_all_84_scenes_are_homes_of_one_layout(pack: Pack, layout: Layout) -> No
 
 
 def test_every_hull_of_the_data_set_is_read(folder: Path) -> None:
-    hulls = [hull for file in sorted((folder / "objects" / "convex").glob("*.glb")) for hull in read_hulls(file)]
+    hulls = [
+        hull
+        for file in sorted((folder / "objects" / "convex").glob("*.glb"))
+        for hull in read_hulls(file)
+    ]
     assert len(hulls) == 1128 and sum(map(len, hulls)) == 19372
 
 
@@ -91,9 +105,13 @@ def _walkable(folder: Path, name: str, xy: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", EVERY_MACRO)
-def test_ways_are_as_long_as_on_the_data_sets_walkable_areas(name: str, folder: Path, pack: Pack) -> None:
+def test_ways_are_as_long_as_on_the_data_sets_walkable_areas(
+    name: str, folder: Path, pack: Pack
+) -> None:
     free = free_map(next(h for h in pack.homes if h.name == name), pack)
-    walkable = _walkable(folder, name, free.to_xy(np.argwhere(np.ones_like(free.blocked)))).reshape(free.blocked.shape)
+    walkable = _walkable(folder, name, free.to_xy(np.argwhere(np.ones_like(free.blocked)))).reshape(
+        free.blocked.shape
+    )
     theirs = replace(free, blocked=~walkable, clearance=np.where(walkable, 1.0, 0.0))
     both = np.argwhere(theirs.navigable() & free.navigable())
     rng = np.random.default_rng(1)
@@ -120,14 +138,18 @@ def test_the_data_sets_walkable_areas_are_free(name: str, folder: Path, pack: Pa
 
 
 def test_scale_origins_and_fronts(pack: Pack) -> None:
-    counter, fridge = pack.articulations["kitchen_counter"], pack.articulations["fridge"]
+    counter = pack.articulations["kitchen_counter"]
+    fridge = pack.articulations["fridge"]
     links = {link.name: link for link in (*counter.links, *fridge.links)}
     drawer = links["drawer3"]
     # uniform_scale 0.98: lengths and travel by s, mass by s^3.
     assert drawer.pos == pytest.approx((-0.167635 * 0.98, 1.0264 * 0.98, 0.53 * 0.98))
     assert drawer.range == pytest.approx((0.0, 0.49)) and drawer.mass == pytest.approx(4 * 0.98**3)
     assert drawer.axis == pytest.approx((1, 0, 0))
-    assert links["top_door"].axis[2] == pytest.approx(-1, abs=1e-4) and links["top_door"].range == (0.0, 2.3)
+    assert links["top_door"].axis[2] == pytest.approx(-1, abs=1e-4) and links["top_door"].range == (
+        0.0,
+        2.3,
+    )
     at = next(p for p in pack.homes[0].articulations if p.template == "kitchen_counter")
     worktop = next(r for r in counter.receptacles if r.name == "counter_left")
     assert at.pos[2] + worktop.pos[2] == pytest.approx(0.859, abs=0.002)
@@ -137,10 +159,18 @@ def test_receptacles_of_the_tasks_carry_what_stands_on_them(pack: Pack, layout: 
     home = pack.homes[22]
     found = {r.id: r for r in placed_receptacles(layout, home)}
     wanted = {
-        "table_01_0/tbl1_top1", "table_02_0/tbl2_top1", "chair_01_0/chr1_top1", "chair_01_1/chr1_top1", "sofa_0/sofa",
-        "tvstand_0/tvstnd1_top1", "kitchen_counter/counter_left", "kitchen_counter/counter_right",
-        "kitchen_counter/sink", "fridge/middle_top", "kitchen_counter/drawer_right_top",
-    }  # fmt: skip
+        "table_01_0/tbl1_top1",
+        "table_02_0/tbl2_top1",
+        "chair_01_0/chr1_top1",
+        "chair_01_1/chr1_top1",
+        "sofa_0/sofa",
+        "tvstand_0/tvstnd1_top1",
+        "kitchen_counter/counter_left",
+        "kitchen_counter/counter_right",
+        "kitchen_counter/sink",
+        "fridge/middle_top",
+        "kitchen_counter/drawer_right_top",
+    }
     assert wanted <= set(found)
     assert found["kitchen_counter/drawer_right_top"].link == "kitchen_counter/drawer3"
     for name in wanted:
@@ -148,29 +178,49 @@ def test_receptacles_of_the_tasks_carry_what_stands_on_them(pack: Pack, layout: 
         placed = {p.template: p for p in (*home.props, *home.articulations)}
         if r.template == "chair_01":
             placed["chair_01"] = [p for p in home.props if p.template == "chair_01"][int(name[9])]
-        at, template = placed[r.template], pack.props.get(r.template) or pack.articulations[r.template]
+        at = placed[r.template]
+        template = pack.props.get(r.template) or pack.articulations[r.template]
         turn = mat_from_quat(np.array(at.rotation)).T
         pieces = [outline(g, pack.meshes) @ turn + at.pos for g in all_geoms(template) if g.collide]
-        u, v = np.meshgrid(np.linspace(-0.97, 0.97, 9) * r.half[0], np.linspace(-0.97, 0.97, 9) * r.half[1])
+        u, v = np.meshgrid(
+            np.linspace(-0.97, 0.97, 9) * r.half[0], np.linspace(-0.97, 0.97, 9) * r.half[1]
+        )
         points = np.array([r.point(a, b) for a, b in zip(u.ravel(), v.ravel(), strict=True)])
-        low, high = (np.array(x) for x in zip(*(vertical_extent(p, points[:, :2]) for p in pieces), strict=True))
+        low, high = (
+            np.array(x)
+            for x in zip(*(vertical_extent(p, points[:, :2]) for p in pieces), strict=True)
+        )
         below = np.where(high < r.pos[2] + 0.05, high, -np.inf).max(axis=0)
         above = np.where(high >= r.pos[2] + 0.05, low, np.inf).min(axis=0)
         assert np.abs(below - r.pos[2]).max() < 0.012, name
         assert (above - r.pos[2]).min() > r.height - 0.012 and r.height > 0.13, name
 
 
-@pytest.mark.parametrize("link_id", ["kitchen_counter/drawer1_top", "kitchen_counter/drawer2_middle",
-                                     "kitchen_counter/drawer3", "kitchen_counter/drawer4",
-                                     "fridge/top_door", "fridge/bottom_door"])  # fmt: skip
-def test_handles_stand_free_and_are_narrower_than_the_gripper(link_id: str, pack: Pack, layout: Layout) -> None:
+@pytest.mark.parametrize(
+    "link_id",
+    [
+        "kitchen_counter/drawer1_top",
+        "kitchen_counter/drawer2_middle",
+        "kitchen_counter/drawer3",
+        "kitchen_counter/drawer4",
+        "fridge/top_door",
+        "fridge/bottom_door",
+    ],
+)
+def test_handles_stand_free_and_are_narrower_than_the_gripper(
+    link_id: str, pack: Pack, layout: Layout
+) -> None:
     link = home_shapes(layout, pack.homes[0].name).links[link_id]
     pos, bar, out = link.handle_pose(0.0)
     across = np.cross(bar, out)
     boxes = link.boxes(0.0)
 
     def inside(point: np.ndarray) -> bool:
-        return bool((np.abs(np.einsum("kij,ki->kj", boxes.rot, point - boxes.center)) <= boxes.half).all(axis=1).any())
+        return bool(
+            (np.abs(np.einsum("kij,ki->kj", boxes.rot, point - boxes.center)) <= boxes.half)
+            .all(axis=1)
+            .any()
+        )
 
     assert link.handle.thickness < 0.09 and out @ [1, 0, 0] > 0.999
     deep = pos - 0.02 * out
@@ -179,22 +229,33 @@ def test_handles_stand_free_and_are_narrower_than_the_gripper(link_id: str, pack
     for side in (-1.0, 1.0):
         for depth in np.linspace(0.0, 0.03, 7):
             for off in (0.002, 0.016):
-                assert not inside(pos - depth * out + side * (link.handle.thickness / 2 + off) * across)
+                assert not inside(
+                    pos - depth * out + side * (link.handle.thickness / 2 + off) * across
+                )
     ends = [deep + s * 0.9 * link.handle.half_length * bar for s in (-1.0, 1.0)]
     assert all(inside(e) for e in ends)
 
 
 @pytest.mark.parametrize(
     ("target", "point", "off"),
-    [("kitchen_counter/drawer3", (0.26, 0.0, 0.0), 0.04), ("fridge/top_door", (0.09, -0.66, 0.2), 0.03)],
+    [
+        ("kitchen_counter/drawer3", (0.26, 0.0, 0.0), 0.04),
+        ("fridge/top_door", (0.09, -0.66, 0.2), 0.03),
+    ],
 )
 def test_published_handle_points_are_those_of_the_frames_of_the_urdf(
-    target: str, point: tuple[float, float, float], off: float, folder: Path, pack: Pack, layout: Layout
+    target: str,
+    point: tuple[float, float, float],
+    off: float,
+    folder: Path,
+    pack: Pack,
+    layout: Layout,
 ) -> None:
     """The point lies on the link of the URDF, whose frame has +y up: unscaled, near our own point."""
     handle = next(ref.link.handle for ref in layout.links if ref.id == target)
     assert handle.published is not None
-    own, published = np.array(handle.pos), np.array(handle.published)
+    own = np.array(handle.pos)
+    published = np.array(handle.published)
     assert np.linalg.norm(published) == pytest.approx(np.linalg.norm(point))
     assert np.linalg.norm(published - own) == pytest.approx(off, abs=0.005)
     assert handle.point("published") == handle.published and handle.point("ours") == handle.pos
@@ -207,13 +268,23 @@ def test_parts_without_a_published_handle_point_keep_ours(layout: Layout) -> Non
     assert lower.point("published") == lower.pos
 
 
-@pytest.mark.parametrize(("subtask", "target"), [("open", "kitchen_counter/drawer3"), ("close", "fridge/top_door")])
-def test_observation_and_reward_take_the_handle_points_asked_for(subtask: str, target: str, folder: Path) -> None:
+@pytest.mark.parametrize(
+    ("subtask", "target"), [("open", "kitchen_counter/drawer3"), ("close", "fridge/top_door")]
+)
+def test_observation_and_reward_take_the_handle_points_asked_for(
+    subtask: str, target: str, folder: Path
+) -> None:
     """The point is carried along by the link; what the expert grasps does not change."""
     options: dict[str, Any] = {
-        "task": "set_table", "subtask": subtask, "target": target, "assets": str(folder), "home": "v3_sc1_staging_01",
-        "reward_mode": "dense", "autoreset": "disabled", "threads": 1,
-    }  # fmt: skip
+        "task": "set_table",
+        "subtask": subtask,
+        "target": target,
+        "assets": str(folder),
+        "home": "v3_sc1_staging_01",
+        "reward_mode": "dense",
+        "autoreset": "disabled",
+        "threads": 1,
+    }
     seen = {}
     for points in ("ours", "published"):
         env = envs.make(**options, handle_points=points)
@@ -221,14 +292,22 @@ def test_observation_and_reward_take_the_handle_points_asked_for(subtask: str, t
         obs, _, _, _, info = env.step(np.zeros((1, 13), np.float32))
         goal = obs["extra/goal_pos_wrt_base"][0].astype(float)
         x, y, yaw = env.state.robot_q[0, :3]
-        c, s = np.cos(yaw), np.sin(yaw)
-        at = np.array([x + c * goal[0] - s * goal[1], y + s * goal[0] + c * goal[1], goal[2] + BASE_HEIGHT])
+        c = np.cos(yaw)
+        s = np.sin(yaw)
+        at = np.array(
+            [x + c * goal[0] - s * goal[1], y + s * goal[0] + c * goal[1], goal[2] + BASE_HEIGHT]
+        )
         index = env.layout.link_ids.index(target)
         body = env.sim.addresses.link_body[index]
         handle = env.layout.links[index].link.handle
-        wanted = env.state.body_pos[0, body] + env.state.body_mat[0, body] @ np.array(handle.point(points))
+        wanted = env.state.body_pos[0, body] + env.state.body_mat[0, body] @ np.array(
+            handle.point(points)
+        )
         np.testing.assert_allclose(at, wanted, atol=1e-5)
-        seen[points] = (info["reward_terms"]["reach"][0], env.view(0).home.links[target].handle_pose(0.0)[0])
+        seen[points] = (
+            info["reward_terms"]["reach"][0],
+            env.view(0).home.links[target].handle_pose(0.0)[0],
+        )
         env.close()
     assert abs(seen["ours"][0] - seen["published"][0]) > 1e-3
     np.testing.assert_array_equal(seen["ours"][1], seen["published"][1])
@@ -263,7 +342,8 @@ def test_doors_and_drawers_move_through_their_whole_range(pack: Pack, layout: La
     data = mujoco.MjData(model)
     data.qpos[:2] = 30.0
     ids = [model.joint(name).id for name in layout.link_ids]
-    dofs, low_high = model.jnt_dofadr[ids], model.jnt_range[ids]
+    dofs = model.jnt_dofadr[ids]
+    low_high = model.jnt_range[ids]
     assert (model.jnt_range[ids][:, 0] == 0).all()
     for end, force in ((1, 20.0), (0, -20.0)):
         for _ in range(400):
@@ -274,10 +354,13 @@ def test_doors_and_drawers_move_through_their_whole_range(pack: Pack, layout: La
     assert model.body_mass[bodies] == pytest.approx([ref.link.mass for ref in layout.links])
 
 
-def test_cupboards_cabinet_and_chest_open_when_asked_for(folder: Path, pack: Pack, layout: Layout) -> None:
+def test_cupboards_cabinet_and_chest_open_when_asked_for(
+    folder: Path, pack: Pack, layout: Layout
+) -> None:
     more = open_pack(with_joints(str(folder), "kitchen_cupboards,cabinet,chest_of_drawers"))
     opening = Layout(more, ())
-    closed, model = compile_home(layout, pack.homes[0]), compile_home(opening, more.homes[0])
+    closed = compile_home(layout, pack.homes[0])
+    model = compile_home(opening, more.homes[0])
     others = {layout_hash(compile_home(opening, home)) for home in more.homes[21::21]}
     assert others == {layout_hash(model)} != {layout_hash(closed)}
     # Eight cupboard doors, two sliding doors, six drawers; the same collision shapes.
@@ -286,7 +369,8 @@ def test_cupboards_cabinet_and_chest_open_when_asked_for(folder: Path, pack: Pac
     data = mujoco.MjData(model)
     data.qpos[:2] = 30.0
     ids = [model.joint(name).id for name in opening.link_ids]
-    dofs, address = model.jnt_dofadr[ids], model.jnt_qposadr[ids]
+    dofs = model.jnt_dofadr[ids]
+    address = model.jnt_qposadr[ids]
     assert (model.jnt_range[ids][:, 0] == 0).all()
     for end, force in ((1, 20.0), (0, -20.0)):
         for _ in range(400):
@@ -305,15 +389,26 @@ def test_optional_links_keep_the_numbers_of_the_data_set(folder: Path) -> None:
     links = {f"{a.name}/{k.name}": k for a in pack.articulations.values() for k in a.links}
     left, right = (links[f"kitchenCupboard_01/kitchencupboard_doorWhole_1{side}"] for side in "LR")
     # Hinges open outwards: the left one counts downwards in the data set, both upwards here. uniform_scale 0.38.
-    assert (left.mirrored, right.mirrored) == (True, False) and left.range == right.range == (0.0, 2.3)
-    assert left.axis[2] == pytest.approx(-1, abs=1e-3) and right.axis[2] == pytest.approx(1, abs=1e-3)
+    assert (left.mirrored, right.mirrored) == (True, False) and left.range == right.range == (
+        0.0,
+        2.3,
+    )
+    assert left.axis[2] == pytest.approx(-1, abs=1e-3) and right.axis[2] == pytest.approx(
+        1, abs=1e-3
+    )
     assert left.mass == pytest.approx(8 * 0.38**3)
     drawer = links["chestOfDrawers_01/drawer_midR"]
-    assert drawer.range == pytest.approx((0.0, 0.2)) and drawer.axis == pytest.approx((1, 0, 0), abs=1e-3)
+    assert drawer.range == pytest.approx((0.0, 0.2)) and drawer.axis == pytest.approx(
+        (1, 0, 0), abs=1e-3
+    )
     slide = links["cabinet/right_door"]
     assert slide.mirrored and slide.range == (0.0, 0.76) and slide.axis == pytest.approx((-1, 0, 0))
     # Bars and knobs are narrower than the gripper opens; the cabinet's doors have none.
-    assert all(link.handle.thickness < 0.09 for name, link in links.items() if not name.startswith("cabinet"))
+    assert all(
+        link.handle.thickness < 0.09
+        for name, link in links.items()
+        if not name.startswith("cabinet")
+    )
     assert slide.handle.thickness == pytest.approx(0.5)
 
 
@@ -335,7 +430,9 @@ def test_walls_of_the_stage_mesh(folder: Path, pack: Pack) -> None:
     staged = open_pack(with_stage(name, file))
     assert staged.homes[0].walls == walls
     free = free_map(staged.homes[0], staged)
-    points = np.concatenate([p[:, :2].mean(axis=0)[None] for p in mesh.polygons if p[:, 2].max() < 0.25])
+    points = np.concatenate(
+        [p[:, :2].mean(axis=0)[None] for p in mesh.polygons if p[:, 2].max() < 0.25]
+    )
     assert (free.clearance_at(points) > 0.2).all()
 
 

@@ -20,9 +20,16 @@ from mjhab.scenes.shapes.simplify import simplify
 from mjhab.scenes.spec import Geom, ObjectType
 from tests.real_data import real_data
 
-BOXES = ("003_cracker_box", "004_sugar_box", "008_pudding_box", "009_gelatin_box", "010_potted_meat_can")
+BOXES = (
+    "003_cracker_box",
+    "004_sugar_box",
+    "008_pudding_box",
+    "009_gelatin_box",
+    "010_potted_meat_can",
+)
 CANS = ("002_master_chef_can", "005_tomato_soup_can", "007_tuna_fish_can")
-BOWL, APPLE = "024_bowl", "013_apple"
+BOWL = "024_bowl"
+APPLE = "013_apple"
 
 
 @cache
@@ -44,7 +51,11 @@ def test_shapes_and_masses() -> None:
     types, _ = ycb()
     assert {name: kind.mass for name, kind in types.items()} == MASSES
     assert {name for name, kind in types.items() if kind.collision[0].shape == "box"} == set(BOXES)
-    cans = {name for name, kind in types.items() if kind.collision[0].shape == "cylinder" and len(kind.collision) == 1}
+    cans = {
+        name
+        for name, kind in types.items()
+        if kind.collision[0].shape == "cylinder" and len(kind.collision) == 1
+    }
     assert cans == set(CANS)
     assert [geom.shape for geom in types[APPLE].collision] == ["mesh"]
     for name, kind in types.items():
@@ -57,14 +68,20 @@ def test_shapes_and_masses() -> None:
 def test_boxes_look_along_the_axes_and_know_their_scan() -> None:
     types, _ = ycb()
     for name in BOXES:
-        kind, points = types[name], scan(name).vertices
-        c, s = np.cos(kind.scan_yaw), np.sin(kind.scan_yaw)
-        turned = np.stack([c * points[:, 0] - s * points[:, 1], s * points[:, 0] + c * points[:, 1]], axis=1)
+        kind = types[name]
+        points = scan(name).vertices
+        c = np.cos(kind.scan_yaw)
+        s = np.sin(kind.scan_yaw)
+        turned = np.stack(
+            [c * points[:, 0] - s * points[:, 1], s * points[:, 0] + c * points[:, 1]], axis=1
+        )
         assert np.abs(np.abs(turned).max(axis=0) - kind.half[:2]).max() < 0.0035, name
     assert abs(types["008_pudding_box"].scan_yaw) > 0.4
     text = (Path(__file__).parents[3] / "docs" / "assets.md").read_text(encoding="utf-8")
     for name, kind in types.items():
-        own, builtin = (round(float(np.degrees(k.scan_yaw)), 1) + 0.0 for k in (kind, builtin_objects()[name]))
+        own, builtin = (
+            round(float(np.degrees(k.scan_yaw)), 1) + 0.0 for k in (kind, builtin_objects()[name])
+        )
         assert (f"| `{name}` | {own}° | {builtin}° |" in text) == (own != 0.0 or builtin != 0.0)
     assert all(types[name].scan_yaw == 0.0 for name in (*CANS, APPLE, BOWL))
 
@@ -77,11 +94,14 @@ def test_origin_is_the_centre_of_the_bounding_box() -> None:
 
 def test_looks_are_textured_and_in_place() -> None:
     for name in MASSES:
-        look, points = mesh(f"{name}_look"), scan(name).vertices
+        look = mesh(f"{name}_look")
+        points = scan(name).vertices
         (texture,) = look.textures
         assert max(texture.shape) <= MAX_TEXTURE and texture.std() > 20
         assert look.uv is not None and look.uv.min() > -1e-3 and look.uv.max() < 1.0 + 1e-3
-        np.testing.assert_allclose(np.ptp(look.vertices[:, 2]), np.ptp(points[:, 2]), atol=1e-6, err_msg=name)
+        np.testing.assert_allclose(
+            np.ptp(look.vertices[:, 2]), np.ptp(points[:, 2]), atol=1e-6, err_msg=name
+        )
 
 
 def seen_color(name: str) -> np.ndarray:
@@ -94,7 +114,8 @@ def seen_color(name: str) -> np.ndarray:
 
 
 def test_cracker_box_is_red_and_sugar_box_yellow() -> None:
-    cracker, sugar = seen_color("003_cracker_box"), seen_color("004_sugar_box")
+    cracker = seen_color("003_cracker_box")
+    sugar = seen_color("004_sugar_box")
     assert cracker[0] > 0.4 > 2 * cracker[2]
     assert min(sugar[0], sugar[1]) > 1.25 * sugar[2]
 
@@ -119,7 +140,9 @@ def bowl_model(extra: str) -> mujoco.MjModel:
     for geom in kind.collision:
         is_mesh = geom.shape == "mesh"
         added = body.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_MESH if is_mesh else mujoco.mjtGeom.mjGEOM_CYLINDER, pos=geom.pos, quat=geom.quat
+            type=mujoco.mjtGeom.mjGEOM_MESH if is_mesh else mujoco.mjtGeom.mjGEOM_CYLINDER,
+            pos=geom.pos,
+            quat=geom.quat,
         )
         if is_mesh:
             added.meshname = geom.mesh
@@ -135,17 +158,21 @@ def test_an_apple_sized_ball_falls_into_the_bowl_and_stays() -> None:
     model = bowl_model(f'<body name="ball" pos="0.02 0.01 0.15"><freejoint/>{geom}</body>')
     data = mujoco.MjData(model)
     mujoco.mj_step(model, data, 1500)
-    bowl, ball_at = data.body("bowl").xpos, data.body("ball").xpos
+    bowl = data.body("bowl").xpos
+    ball_at = data.body("ball").xpos
     assert np.linalg.norm(ball_at[:2] - bowl[:2]) < 0.03
-    assert ball_at[2] - radius < 0.012, "it lies on the floor of the bowl, 5 mm thick, not on its rim"
+    assert ball_at[2] - radius < 0.012, (
+        "it lies on the floor of the bowl, 5 mm thick, not on its rim"
+    )
     assert np.abs(data.qvel).max() < 0.05
 
 
 def test_bowl_pieces_follow_the_scan() -> None:
     planes = [
         ConvexHull(mesh(g.mesh).vertices @ mat_from_quat(np.array(g.quat)).T).equations
-        for g in ycb()[0][BOWL].collision if g.mesh
-    ]  # fmt: skip
+        for g in ycb()[0][BOWL].collision
+        if g.mesh
+    ]
     points = scan(BOWL).vertices[::7]
     points = points[np.hypot(points[:, 0], points[:, 1]) > 0.047]
     # Farthest plane of the nearest piece: outside by so much; the wall is 4.5 mm thick.
@@ -178,8 +205,12 @@ def test_a_broken_scan_is_named(tmp_path: Path, damage: str) -> None:
 
 
 def sphere(count: int = 60) -> tuple[np.ndarray, np.ndarray]:
-    u, v = np.meshgrid(np.linspace(0, 2 * np.pi, 2 * count, endpoint=False), np.linspace(0.02, np.pi - 0.02, count))
-    points = np.stack([np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v)], axis=-1).reshape(-1, 3)
+    u, v = np.meshgrid(
+        np.linspace(0, 2 * np.pi, 2 * count, endpoint=False), np.linspace(0.02, np.pi - 0.02, count)
+    )
+    points = np.stack([np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v)], axis=-1).reshape(
+        -1, 3
+    )
     hull = ConvexHull(points)
     faces = hull.simplices.copy()
     a, b, c = (points[faces[:, k]] for k in range(3))
@@ -198,7 +229,9 @@ def test_simplify_keeps_the_shape_with_fewer_faces() -> None:
     few = simplify(vertices, faces, 600)
     assert 250 < len(few.faces) <= 600
     assert abs(volume(few.vertices, few.faces) / volume(vertices, faces) - 1) < 0.05
-    np.testing.assert_allclose(np.linalg.norm(few.vertices[np.unique(few.faces)], axis=1), 1.0, atol=0.05)
+    np.testing.assert_allclose(
+        np.linalg.norm(few.vertices[np.unique(few.faces)], axis=1), 1.0, atol=0.05
+    )
     # Every face is near the one that it was made from, corner by corner.
     moved = np.linalg.norm(few.vertices[few.faces] - vertices[faces[few.source]], axis=2)
     assert moved.max() < 0.25
@@ -218,7 +251,11 @@ def test_a_lump_becomes_one_hull_and_a_crate_a_box() -> None:
     lump, meshes = object_from_scan(APPLE, Scan(vertices * (0.05, 0.04, 0.03), faces))
     assert lump.collision == (Geom("mesh", (1.0, 1.0, 1.0), mesh=f"{APPLE}_hull", visual=False),)
     assert set(meshes) == {f"{APPLE}_hull", f"{APPLE}_look"}
-    corners = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * (0.04, 0.02, 0.06)
+    corners = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * (
+        0.04,
+        0.02,
+        0.06,
+    )
     turned = corners @ mat_from_quat(np.array([np.cos(0.15), 0, 0, np.sin(0.15)])).T
     hull = hull_of(turned)
     crate, _ = object_from_scan("003_cracker_box", Scan(hull.vertices, hull.faces))

@@ -22,7 +22,9 @@ def test_the_box_of_a_box_is_that_box(quat: tuple[float, ...], half: tuple[float
     center, found, turn = smallest_box(BOX * half @ rot.T + [1, 2, 3])
     assert np.allclose(center, [1, 2, 3], atol=1e-6)
     assert np.allclose(np.sort(found), np.sort(half), atol=1e-5)
-    assert np.allclose(turn @ turn.T, np.eye(3), atol=1e-9) and np.linalg.det(turn) == pytest.approx(1)
+    assert np.allclose(turn @ turn.T, np.eye(3), atol=1e-9) and np.linalg.det(
+        turn
+    ) == pytest.approx(1)
 
 
 @settings(max_examples=20, deadline=None)
@@ -51,5 +53,7 @@ def test_hull_meshes_are_closed_and_face_outward() -> None:
 
 
 def test_vertical_lines_enter_and_leave() -> None:
-    low, high = vertical_extent(np.concatenate([BOX[:, :], [[0, 0, 2]]]), np.array([[0, 0], [0.5, 0], [3, 0]]))
+    low, high = vertical_extent(
+        np.concatenate([BOX[:, :], [[0, 0, 2]]]), np.array([[0, 0], [0.5, 0], [3, 0]])
+    )
     assert np.allclose(low, [-1, -1, np.inf]) and np.allclose(high, [2, 1.5, -np.inf])

@@ -41,11 +41,14 @@ def test_a_steady_push_opens_everything(key: tuple[int, int]) -> None:
 
 def test_a_box_in_the_way_stops_a_drawer_where_it_stands() -> None:
     """The counter of this home looks along +x; a lower drawer meets a box 30 cm before their handles."""
-    home, pack = make_home(0, 0), builtin_pack()
+    home = make_home(0, 0)
+    pack = builtin_pack()
     (counter,) = [p for p in home.articulations if p.template == "kitchen_counter"]
     assert counter.yaw == 0.0
     handle = 0.323 + 0.05 + 0.02
-    box = Geom("box", (0.05, 0.3, 0.1), (counter.pos[0] + handle + 0.30 + 0.05, counter.pos[1] + 1.0, 0.45))
+    box = Geom(
+        "box", (0.05, 0.3, 0.1), (counter.pos[0] + handle + 0.30 + 0.05, counter.pos[1] + 1.0, 0.45)
+    )
     found = free_travel(dataclasses.replace(home, walls=(*home.walls, box)), pack)
     free = free_travel(home, pack)
     changed = {name: found[name] for name in free if found[name] != free[name]}
@@ -55,7 +58,8 @@ def test_a_box_in_the_way_stops_a_drawer_where_it_stands() -> None:
 
 def test_a_door_above_a_shelf_swings_free() -> None:
     """The fridge of the hard case on a plinth higher than its wall: nothing is in the way of its doors."""
-    home, pack = make_home(3, 20), builtin_pack()
+    home = make_home(3, 20)
+    pack = builtin_pack()
     lifted = tuple(dataclasses.replace(p, pos=(*p.pos[:2], 2.7)) for p in home.articulations)
     free = free_travel(dataclasses.replace(home, articulations=lifted), pack)
     assert (free["fridge/top_door"], free["fridge/bottom_door"]) == (2.3, 2.5)

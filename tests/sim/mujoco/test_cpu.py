@@ -52,7 +52,9 @@ def test_each_world_rests_on_the_furniture_of_its_own_home(layout: Layout):
     rows = []
     for i, home in enumerate(homes):
         qpos = start(sim, home)
-        qpos[sim.addresses.object_q[0] : sim.addresses.object_q[0] + 3] = free_place(layout, i) + np.array([0, 0, 0.08])
+        qpos[sim.addresses.object_q[0] : sim.addresses.object_q[0] + 3] = free_place(
+            layout, i
+        ) + np.array([0, 0, 0.08])
         rows.append(qpos)
     sim.reset([0, 1, 2], homes, np.stack(rows))
     ctrl = np.zeros((3, sim.batch.ctrl.shape[1]))
@@ -67,7 +69,8 @@ def test_each_world_rests_on_the_furniture_of_its_own_home(layout: Layout):
 def test_contact_sensors_match_the_contact_forces_of_the_engine(layout: Layout):
     home = layout.pack.homes[0].name
     sim = CpuSimulator(layout, 1, 1)
-    model, a = sim.model(home), sim.addresses
+    model = sim.model(home)
+    a = sim.addresses
     data = mujoco.MjData(model)
     robot = parked_robot_qpos()
     data.qpos[a.robot_q] = robot
@@ -102,13 +105,20 @@ def test_contact_sensors_match_the_contact_forces_of_the_engine(layout: Layout):
 
 @pytest.mark.parametrize(
     ("link", "offset", "by_hand"),
-    [("gripper_link", (-0.12, 0.0, 0.0), True), ("gripper_link", (0.0, 0.0, 0.0), True),
-     ("forearm_roll_link", (0.05, 0.0, 0.0), False), ("base_link", (0.3, 0.0, 0.15), False)],
-)  # fmt: skip
-def test_the_end_effector_is_gripper_link_and_fingers(layout: Layout, link: str, offset: tuple, by_hand: bool):
+    [
+        ("gripper_link", (-0.12, 0.0, 0.0), True),
+        ("gripper_link", (0.0, 0.0, 0.0), True),
+        ("forearm_roll_link", (0.05, 0.0, 0.0), False),
+        ("base_link", (0.3, 0.0, 0.15), False),
+    ],
+)
+def test_the_end_effector_is_gripper_link_and_fingers(
+    layout: Layout, link: str, offset: tuple, by_hand: bool
+):
     home = layout.pack.homes[0].name
     sim = CpuSimulator(layout, 1, 1)
-    model, a = sim.model(home), sim.addresses
+    model = sim.model(home)
+    a = sim.addresses
     data = mujoco.MjData(model)
     qpos = model.qpos0.copy()
     qpos[a.robot_q] = parked_robot_qpos()
@@ -131,9 +141,17 @@ def test_reset_of_one_world_keeps_the_bytes_of_the_others(layout: Layout):
     ctrl = np.random.default_rng(0).uniform(-0.3, 0.3, sim.batch.ctrl.shape)
     for _ in range(5):
         sim.step(ctrl)
-    before = [sim.batch.qpos[0].tobytes(), sim.batch.qvel[0].tobytes(), sim.batch.sensordata[0].tobytes()]
+    before = [
+        sim.batch.qpos[0].tobytes(),
+        sim.batch.qvel[0].tobytes(),
+        sim.batch.sensordata[0].tobytes(),
+    ]
     sim.reset([1], [homes[0]], start(sim, homes[0])[None])
-    assert [sim.batch.qpos[0].tobytes(), sim.batch.qvel[0].tobytes(), sim.batch.sensordata[0].tobytes()] == before
+    assert [
+        sim.batch.qpos[0].tobytes(),
+        sim.batch.qvel[0].tobytes(),
+        sim.batch.sensordata[0].tobytes(),
+    ] == before
 
 
 def test_replay_after_reset_is_bit_exact(layout: Layout):

@@ -11,7 +11,8 @@ from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.settle import parked_robot_qpos, settle
 from mjhab.sim.protocol import TAINTS
 
-CAN, BOX = 0, 1
+CAN = 0
+BOX = 1
 ROSTER = ("005_tomato_soup_can", "004_sugar_box")
 WORLDS = 3
 
@@ -56,7 +57,8 @@ def starts(cpu: CpuSimulator, drop: float = 0.0) -> np.ndarray:
 
 def holding(cpu: CpuSimulator, home: str) -> tuple[np.ndarray, np.ndarray]:
     """A state (nq,) with the can held by a robot far outside, and the ctrl (nu,) that holds it."""
-    model, a = cpu.model(home), cpu.addresses
+    model = cpu.model(home)
+    a = cpu.addresses
     data = mujoco.MjData(model)
     robot = parked_robot_qpos()
     robot[13:15] = 0.0345
@@ -88,8 +90,16 @@ def bits_of(taint: object) -> list[set[str]]:
 
 def rows_of(sim, world: int) -> list[bytes]:
     """Everything of one world that a reset of another must keep."""
-    engine, state = sim.engine, sim.state()
-    arrays = [engine.qpos_t, engine.qvel_t, engine.warmstart_t, engine.ctrl_t, engine.time_t, engine.asleep_t]
+    engine = sim.engine
+    state = sim.state()
+    arrays = [
+        engine.qpos_t,
+        engine.qvel_t,
+        engine.warmstart_t,
+        engine.ctrl_t,
+        engine.time_t,
+        engine.asleep_t,
+    ]
     arrays += [state.link_force, state.finger_force, state.touch, state.tcp_vel]
     arrays += [state.body_pos, state.body_mat, state.body_quat, sim.taint()]
     return [array[world].numpy().tobytes() for array in arrays]

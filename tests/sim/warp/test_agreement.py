@@ -39,18 +39,30 @@ def test_states_agree_with_the_cpu_simulator(shared, cpu: CpuSimulator, layout: 
         for sim in (shared, cpu):
             sim.step(ctrl)
         if step in (0, 11):
-            got, want = shared.state(), cpu.state()
+            got = shared.state()
+            want = cpu.state()
             for field, limit in {
-                "robot_q": 1e-4, "robot_qd": 1e-3, "object_pose": 2e-3, "tcp_vel": 1e-3, "link_q": 1e-5,
-                "link_qd": 1e-5, "body_pos": 1e-3, "body_quat": 2e-3, "body_mat": 4e-3,
-            }.items():  # fmt: skip
-                np.testing.assert_allclose(getattr(got, field), getattr(want, field), atol=limit, err_msg=field)
+                "robot_q": 1e-4,
+                "robot_qd": 1e-3,
+                "object_pose": 2e-3,
+                "tcp_vel": 1e-3,
+                "link_q": 1e-5,
+                "link_qd": 1e-5,
+                "body_pos": 1e-3,
+                "body_quat": 2e-3,
+                "body_mat": 4e-3,
+            }.items():
+                np.testing.assert_allclose(
+                    getattr(got, field), getattr(want, field), atol=limit, err_msg=field
+                )
     # What rests sleeps in both.
     assert shared.engine.data.nv_awake.numpy().tolist() == [15] * WORLDS
     assert not shared.taint().any()
 
 
-def test_forces_of_a_grasp_agree_with_the_cpu_simulator(shared, cpu: CpuSimulator, layout: Layout) -> None:
+def test_forces_of_a_grasp_agree_with_the_cpu_simulator(
+    shared, cpu: CpuSimulator, layout: Layout
+) -> None:
     home = homes_of(layout)[0]
     qpos, ctrl = holding(cpu, home)
     for sim in (shared, cpu):
@@ -61,7 +73,8 @@ def test_forces_of_a_grasp_agree_with_the_cpu_simulator(shared, cpu: CpuSimulato
         for sim in (shared, cpu):
             for _ in range(steps):
                 sim.step(np.tile(ctrl, (WORLDS, 1)))
-        got, want = shared.state(), cpu.state()
+        got = shared.state()
+        want = cpu.state()
         pinch = np.linalg.norm(want.finger_force[0, :, CAN], axis=-1)
         assert (pinch > 20.0).all()
         np.testing.assert_allclose(got.finger_force, want.finger_force, atol=limit * pinch.max())
@@ -71,7 +84,9 @@ def test_forces_of_a_grasp_agree_with_the_cpu_simulator(shared, cpu: CpuSimulato
         assert got.touch[0, CAN] and not got.touch[0, BOX]
 
 
-def test_forces_agree_where_the_robot_is_in_the_thick_of_things(shared, cpu: CpuSimulator, layout: Layout) -> None:
+def test_forces_agree_where_the_robot_is_in_the_thick_of_things(
+    shared, cpu: CpuSimulator, layout: Layout
+) -> None:
     from mjhab.sim.warp.sizes import stress
 
     homes = homes_of(layout)
@@ -83,14 +98,19 @@ def test_forces_agree_where_the_robot_is_in_the_thick_of_things(shared, cpu: Cpu
     )
     for sim in (shared, cpu):
         sim.reset(range(WORLDS), homes, qpos)
-    got, want = shared.state(), cpu.state()
+    got = shared.state()
+    want = cpu.state()
     assert (want.link_force > 1.0).sum() >= WORLDS
-    np.testing.assert_allclose(got.link_force, want.link_force, rtol=0.05, atol=0.02 * want.link_force.max())
+    np.testing.assert_allclose(
+        got.link_force, want.link_force, rtol=0.05, atol=0.02 * want.link_force.max()
+    )
     np.testing.assert_array_equal(got.touch, want.touch)
     np.testing.assert_array_equal(got.ee_contact, want.ee_contact)
 
 
-def test_trap_static_poses_each_world_rests_on_its_own_furniture(shared, cpu: CpuSimulator, layout: Layout) -> None:
+def test_trap_static_poses_each_world_rests_on_its_own_furniture(
+    shared, cpu: CpuSimulator, layout: Layout
+) -> None:
     shared.reset(range(WORLDS), homes_of(layout), starts(cpu))
     for world, home in enumerate(homes_of(layout)):
         data = mujoco.MjData(cpu.model(home))
@@ -110,12 +130,19 @@ def test_a_world_moves_to_another_home(shared, cpu: CpuSimulator, layout: Layout
     shared.reset(range(WORLDS), homes_of(layout), qpos)
     shared.reset([2], [homes_of(layout)[0]], qpos[:1])
     data = shared.engine.data
-    for rows in (data.geom_xpos, data.geom_xmat, shared.engine.model.geom_size, shared.engine.model.body_pos):
+    for rows in (
+        data.geom_xpos,
+        data.geom_xmat,
+        shared.engine.model.geom_size,
+        shared.engine.model.body_pos,
+    ):
         np.testing.assert_array_equal(rows.numpy()[2], rows.numpy()[0])
         assert (rows.numpy()[1] != rows.numpy()[0]).any()
 
 
-def test_every_home_differs_only_in_rows_that_worlds_have_of_their_own(shared, cpu: CpuSimulator, layout: Layout):
+def test_every_home_differs_only_in_rows_that_worlds_have_of_their_own(
+    shared, cpu: CpuSimulator, layout: Layout
+):
     for home in layout.pack.homes[::10]:
         shared.engine.homes.row(home.name, cpu.model(home.name))
     narrow = copy.copy(cpu.model(homes_of(layout)[0]))

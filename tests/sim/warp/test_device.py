@@ -30,7 +30,9 @@ def cuda(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     monkeypatch.setattr(wp, "is_conditional_graph_supported", lambda: told["graphs"])
     monkeypatch.setattr(wp, "get_devices", lambda: ["cpu", "cuda:0"] if told["there"] else ["cpu"])
     monkeypatch.setattr(
-        wp, "get_device", lambda name: device if name.startswith("cuda") else SimpleNamespace(is_cuda=False)
+        wp,
+        "get_device",
+        lambda name: device if name.startswith("cuda") else SimpleNamespace(is_cuda=False),
     )
     return told
 
@@ -47,13 +49,19 @@ def test_the_first_cuda_device_is_taken(cuda: dict[str, Any]) -> None:
     ("machine", "name", "said"),
     [
         ({"driver": None, "there": False}, "", "found no CUDA device"),
-        ({"driver": (12, 2), "there": True}, "", r"driver for CUDA 12.4 or newer, this one is for 12.2; update"),
+        (
+            {"driver": (12, 2), "there": True},
+            "",
+            r"driver for CUDA 12.4 or newer, this one is for 12.2; update",
+        ),
         ({"driver": (11, 0), "there": False}, "", "this one is for 11.0"),
         ({"driver": (11, 0), "there": False}, "cuda:0", "this one is for 11.0"),
         ({"graphs": False}, "cuda:0", "a Warp that was built with CUDA 12.4 or newer"),
     ],
 )
-def test_machines_that_cannot_are_told_why(cuda: dict[str, Any], machine: dict[str, Any], name: str, said: str) -> None:
+def test_machines_that_cannot_are_told_why(
+    cuda: dict[str, Any], machine: dict[str, Any], name: str, said: str
+) -> None:
     cuda |= machine
     with pytest.raises(UsageError, match=said) as told:
         warp_device.open_device(name)
@@ -63,13 +71,22 @@ def test_machines_that_cannot_are_told_why(cuda: dict[str, Any], machine: dict[s
 
 def test_a_full_device_is_told_in_one_line() -> None:
     device: Any = "cuda:0"
-    for told in ("Failed to allocate 123 bytes on device 'cuda:0'", "CUDA out of memory. Tried to allocate 2 GiB"):
+    for told in (
+        "Failed to allocate 123 bytes on device 'cuda:0'",
+        "CUDA out of memory. Tried to allocate 2 GiB",
+    ):
         with (
-            pytest.raises(UsageError, match=r"4096 worlds do not fit into the memory of cuda:0; try 2048 .*num_envs"),
+            pytest.raises(
+                UsageError,
+                match=r"4096 worlds do not fit into the memory of cuda:0; try 2048 .*num_envs",
+            ),
             warp_device.room_for(4096, device),
         ):
             raise RuntimeError(told)
-    with pytest.raises(UsageError, match=r"1 worlds do not fit .*not even one does"), warp_device.room_for(1, device):
+    with (
+        pytest.raises(UsageError, match=r"1 worlds do not fit .*not even one does"),
+        warp_device.room_for(1, device),
+    ):
         raise RuntimeError("CUDA error 2: out of memory")
     for other in ("something else", "CUDA error 700: an illegal memory access was encountered"):
         with pytest.raises(RuntimeError, match=other), warp_device.room_for(4096, device):
@@ -85,9 +102,12 @@ def test_warp_works_on_the_stream_of_torch(monkeypatch: pytest.MonkeyPatch) -> N
         return SimpleNamespace(cuda_stream=ordinal * 100)
 
     monkeypatch.setattr(torch.cuda, "current_stream", current)
-    monkeypatch.setattr(wp, "stream_from_torch", lambda stream: SimpleNamespace(handle=stream.cuda_stream))
+    monkeypatch.setattr(
+        wp, "stream_from_torch", lambda stream: SimpleNamespace(handle=stream.cuda_stream)
+    )
     monkeypatch.setattr(warp_device, "_STREAMS", {})
-    one, two = SimpleNamespace(ordinal=1), SimpleNamespace(ordinal=2)
+    one = SimpleNamespace(ordinal=1)
+    two = SimpleNamespace(ordinal=2)
     first: Any = warp_device.torch_stream(one)  # type: ignore[arg-type]
     other: Any = warp_device.torch_stream(two)  # type: ignore[arg-type]
     assert (first.handle, other.handle) == (100, 200) and asked == [1, 2]
@@ -111,7 +131,10 @@ def watched(clock: list[float]) -> tuple[warp_builds.BuildProgress, Any]:
 def test_a_log_gets_a_line_now_and_then(capsys: pytest.CaptureFixture[str]) -> None:
     clock = [0.0]
     progress, compiler = watched(clock)
-    assert compiler("/cache/wp_mujoco_warp._src.solver_1a2b3c4d.cu") == "/CACHE/WP_MUJOCO_WARP._SRC.SOLVER_1A2B3C4D.CU"
+    assert (
+        compiler("/cache/wp_mujoco_warp._src.solver_1a2b3c4d.cu")
+        == "/CACHE/WP_MUJOCO_WARP._SRC.SOLVER_1A2B3C4D.CU"
+    )
     compiler("/cache/wp_mjhab.sim.warp.kernels_1a2b3c4d.cpp")
     clock[0] = 21.0 + warp_builds.LINE_EVERY - 20.0  # the third comes too early for a line
     compiler("/cache/wp_other_1a2b3c4d.cpp")

@@ -30,9 +30,12 @@ from tests.sim.warp.start import (
 need_warp()
 
 
-def test_trap_masked_reset_other_worlds_keep_every_bit(shared, cpu: CpuSimulator, layout: Layout) -> None:
+def test_trap_masked_reset_other_worlds_keep_every_bit(
+    shared, cpu: CpuSimulator, layout: Layout
+) -> None:
     # World 1 holds the can, so that it has forces to lose; world 0 is reset, whose reset would clear all contacts.
-    homes, qpos = homes_of(layout), starts(cpu)
+    homes = homes_of(layout)
+    qpos = starts(cpu)
     qpos[1], ctrl = holding(cpu, homes[1])
     ends = []
     for resets in (True, False):
@@ -56,7 +59,10 @@ def test_a_reset_wakes_nothing_in_other_worlds(shared, cpu: CpuSimulator, layout
     shared.reset(range(WORLDS), homes_of(layout), qpos)
     tree = cpu.model(homes_of(layout)[1]).body_treeid[cpu.addresses.object_body[CAN]]
     shared.engine.asleep_t[1, tree] = int(tree)
-    assert any(w == 1 for w in shared.engine.data.contact.worldid.numpy()[: shared.engine.data.nacon.numpy()[0]])
+    assert any(
+        w == 1
+        for w in shared.engine.data.contact.worldid.numpy()[: shared.engine.data.nacon.numpy()[0]]
+    )
     shared.reset([0], homes_of(layout)[:1], qpos[:1])
     assert int(shared.engine.asleep_t[1, tree]) == int(tree)
 
@@ -72,7 +78,8 @@ def test_a_replay_after_reset_is_bit_equal(shared, cpu: CpuSimulator, layout: La
 
 
 def test_worlds_are_saved_and_restored(shared, cpu: CpuSimulator, layout: Layout) -> None:
-    homes, qpos = homes_of(layout), starts(cpu, drop=0.05)
+    homes = homes_of(layout)
+    qpos = starts(cpu, drop=0.05)
     ctrl = np.stack([hold(cpu, q) for q in qpos])
     shared.reset(range(WORLDS), homes, qpos)
     shared.step(ctrl)
@@ -89,7 +96,9 @@ def test_worlds_are_saved_and_restored(shared, cpu: CpuSimulator, layout: Layout
         shared.set_world(0, homes[1], saved | {"qpos": np.zeros(5)})
 
 
-def test_what_lies_still_starts_asleep_and_what_falls_does_not(shared, cpu: CpuSimulator, layout: Layout) -> None:
+def test_what_lies_still_starts_asleep_and_what_falls_does_not(
+    shared, cpu: CpuSimulator, layout: Layout
+) -> None:
     qpos = starts(cpu, drop=0.05)
     qpos[0] = starts(cpu)[0]
     shared.reset(range(WORLDS), homes_of(layout), qpos)
@@ -100,7 +109,9 @@ def test_what_lies_still_starts_asleep_and_what_falls_does_not(shared, cpu: CpuS
     assert shared.engine.data.nv_awake.numpy().tolist() == [15, 21, 21]
 
 
-def test_trap_a_teleport_wakes_what_it_moves_and_nothing_else(shared, cpu: CpuSimulator, layout: Layout) -> None:
+def test_trap_a_teleport_wakes_what_it_moves_and_nothing_else(
+    shared, cpu: CpuSimulator, layout: Layout
+) -> None:
     qpos = starts(cpu)
     ctrl = np.stack([hold(cpu, q) for q in qpos])
     shared.reset(range(WORLDS), homes_of(layout), qpos)
@@ -124,7 +135,9 @@ def test_trap_a_teleport_wakes_what_it_moves_and_nothing_else(shared, cpu: CpuSi
     assert int(shared.engine.asleep_t[1, box]) >= 0
 
 
-def test_a_teleport_wakes_what_lay_on_what_it_moves(shared, cpu: CpuSimulator, layout: Layout) -> None:
+def test_a_teleport_wakes_what_lay_on_what_it_moves(
+    shared, cpu: CpuSimulator, layout: Layout
+) -> None:
     # The box stands on the can.
     model = cpu.model(homes_of(layout)[1])
     can, box = (int(model.body_treeid[cpu.addresses.object_body[slot]]) for slot in (CAN, BOX))

@@ -60,8 +60,12 @@ def start(sim: Any, home: str, world: int) -> np.ndarray:
 
 def everything(sim: Any, world: int) -> dict[str, np.ndarray]:
     """What the physics of a world depends on, what is derived of it, and its flags."""
-    state, engine = sim.state(), sim.engine
-    more = {name: getattr(state, name)[world] for name in ("body_pos", "link_force", "finger_force", "touch")}
+    state = sim.state()
+    engine = sim.engine
+    more = {
+        name: getattr(state, name)[world]
+        for name in ("body_pos", "link_force", "finger_force", "touch")
+    }
     more |= {"asleep": engine.asleep_t[world], "taint": engine.taint_t[world]}
     more |= {name: values[world] for name, values in engine.homes._worlds.items()}
     return sim.get_world(world) | {name: value.numpy().copy() for name, value in more.items()}
@@ -80,7 +84,9 @@ def test_a_masked_reset_is_a_reset_of_these_worlds(both: Any) -> None:
         each.add_taint(1, 4)
     kept = [everything(sim, world) for world in (0, 2)]
     rows, ctrl, rings = sim.start_rows(other, starts)
-    sim.reset_masked(torch.tensor([False, True, False]), rows, torch.as_tensor(starts).float(), ctrl, rings)
+    sim.reset_masked(
+        torch.tensor([False, True, False]), rows, torch.as_tensor(starts).float(), ctrl, rings
+    )
     plain.reset([1], [other[1]], starts[1:2])
     same(everything(sim, 1), everything(plain, 1))
     for world, before in zip((0, 2), kept, strict=True):
@@ -96,7 +102,9 @@ def test_a_masked_teleport_is_a_teleport(both: Any) -> None:
     sim, plain, _, states = both
     there = sim.qpos.clone()
     there[:, sim.addresses.robot_q[0]] += 0.25
-    rows, ctrl, rings = sim.start_rows([home.name for home in sim.layout.pack.homes[:WORLDS]], states)
+    rows, ctrl, rings = sim.start_rows(
+        [home.name for home in sim.layout.pack.homes[:WORLDS]], states
+    )
     moved = torch.tensor([True, False, True])
     sim.reset_masked(NO, rows, there, ctrl, rings, moved)
     plain.teleport([0, 2], there[[0, 2]])
@@ -114,7 +122,9 @@ def test_nothing_is_computed_where_nothing_is_due(both: Any) -> None:
         sim.reset_masked(NO, rows, sim.qpos.clone(), ctrl, rings)
         sim.mend_broken()
         assert not torch.equal(poses, right)
-    sim.reset_masked(torch.tensor([False, True, False]), rows, torch.as_tensor(states).float(), ctrl, rings)
+    sim.reset_masked(
+        torch.tensor([False, True, False]), rows, torch.as_tensor(states).float(), ctrl, rings
+    )
     np.testing.assert_array_equal(poses[0], right[0])
 
 

@@ -44,14 +44,20 @@ def test_a_step_copies_nothing_to_the_host(
         raise AssertionError("copied to the host")
 
     with monkeypatch.context() as patch:
-        for kind, names in ((torch.Tensor, ("cpu", "numpy", "item", "tolist", "__array__")), (wp.array, ("numpy",))):
+        for kind, names in (
+            (torch.Tensor, ("cpu", "numpy", "item", "tolist", "__array__")),
+            (wp.array, ("numpy",)),
+        ):
             for name in names:
                 patch.setattr(kind, name, forbidden)
         shared.step(ctrl)
         state = shared.state()
         taint = shared.taint()
     assert not taint.any()
-    for view, owner in ((state.object_pose, shared.engine.data.qpos), (state.body_pos, shared.engine.data.xpos)):
+    for view, owner in (
+        (state.object_pose, shared.engine.data.qpos),
+        (state.body_pos, shared.engine.data.xpos),
+    ):
         assert owner.ptr <= view.data_ptr() < owner.ptr + owner.capacity
 
 
@@ -71,7 +77,9 @@ def test_buffer_sizes_are_measured_once_and_hold_the_stress(
     qpos = np.stack([*(qpos for qpos, _ in run.states), starts(cpu)[0]])
     shared.reset(range(WORLDS), [home.name] * WORLDS, qpos)
     shared.step(np.zeros((WORLDS, 15)))
-    assert not {"contact_overflow", "constraint_overflow", "nan"} & set().union(*bits_of(shared.taint()))
+    assert not {"contact_overflow", "constraint_overflow", "nan"} & set().union(
+        *bits_of(shared.taint())
+    )
 
 
 def host_block(size: int, **_: object) -> Any:
@@ -84,7 +92,9 @@ def nullcontext_of(*_: object) -> AbstractContextManager[None]:
     return nullcontext()
 
 
-def test_trap_captured_work_takes_the_memory_of_its_first_run(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_trap_captured_work_takes_the_memory_of_its_first_run(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     # The body of a conditional graph must hold no allocation, and the engine allocates wherever it computes.
     from mjhab.sim.warp import graphs as warp_graphs
 
@@ -125,8 +135,12 @@ def test_captured_work_needs_no_memory_but_that_of_its_first_run(
         asked.append(len(arena._kept) - before)
 
     monkeypatch.setattr(warp_graphs._Arena, "closed", watched)
-    monkeypatch.setattr(warp_graphs.wp, "ScopedCapture", lambda device: nullcontext(SimpleNamespace(graph=None)))
-    sim = warp.WarpSimulator(layout, 2, "cpu", sizes=warp.BufferSizes(contacts=512, ccd=256, rows=512))
+    monkeypatch.setattr(
+        warp_graphs.wp, "ScopedCapture", lambda device: nullcontext(SimpleNamespace(graph=None))
+    )
+    sim = warp.WarpSimulator(
+        layout, 2, "cpu", sizes=warp.BufferSizes(contacts=512, ccd=256, rows=512)
+    )
     home = layout.pack.homes[0].name
     qpos = sim.qpos.clone()
     sim.step(sim.engine.ctrl_t.clone())
@@ -151,11 +165,15 @@ def test_the_broad_phase_is_one_that_can_stand_under_a_condition(
         return model
 
     monkeypatch.setattr(mujoco_warp, "put_model", put_large)
-    sim = warp.WarpSimulator(layout, 1, "cpu", sizes=warp.BufferSizes(contacts=512, ccd=256, rows=512))
+    sim = warp.WarpSimulator(
+        layout, 1, "cpu", sizes=warp.BufferSizes(contacts=512, ccd=256, rows=512)
+    )
     assert sim.engine.model.opt.broadphase == mujoco_warp.BroadphaseType.NXN
 
 
-def test_work_is_captured_once_replayed_and_captured_anew_when_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_work_is_captured_once_replayed_and_captured_anew_when_asked(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     from mjhab.sim.warp import graphs as warp_graphs
 
     log: list[str] = []
@@ -204,13 +222,17 @@ def test_without_the_engine_the_error_says_what_to_install(monkeypatch: pytest.M
         importlib.import_module("mjhab.sim.warp.simulator")
 
 
-def test_too_many_worlds_for_the_memory(warp: ModuleType, layout: Layout, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_many_worlds_for_the_memory(
+    warp: ModuleType, layout: Layout, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def full(*_: object) -> None:
         raise RuntimeError("Failed to allocate 123 bytes on device 'cuda:0'")
 
     monkeypatch.setattr(warp, "Engine", full)
     sizes = warp.BufferSizes(contacts=64, ccd=64, rows=64)
-    with pytest.raises(UsageError, match=r"6 worlds do not fit into the memory of cpu; try 3 .*num_envs"):
+    with pytest.raises(
+        UsageError, match=r"6 worlds do not fit into the memory of cpu; try 3 .*num_envs"
+    ):
         warp.WarpSimulator(layout, 6, "cpu", sizes=sizes)
 
 

@@ -77,7 +77,9 @@ def test_interact_draws_the_same_on_both_backends(scene: InteractScene) -> None:
 
 
 def test_parity_of_an_environment(tmp_path: Path) -> None:
-    options = BenchParityOptions(worlds=1, steps=2, grasp_seconds=0.0, device="cpu", threads=1, log=tmp_path / "log")
+    options = BenchParityOptions(
+        worlds=1, steps=2, grasp_seconds=0.0, device="cpu", threads=1, log=tmp_path / "log"
+    )
     found = bench_parity.measure_parity(options)
     assert found["steps"] == [1] and set(found["qpos_max"]) == set(KINDS)
     assert 0.0 < found["qpos_max"]["robot"][0] < 1e-4
@@ -114,12 +116,24 @@ def test_the_expert_acts_on_warp_by_itself(monkeypatch: pytest.MonkeyPatch) -> N
 def test_a_device_env_is_timed_stage_by_stage(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pool, "LEAST", 2)
     options = BenchEnvOptions(
-        env="mjhab/CloseSubtaskTrain-v1", obs="depth", reward="dense", backend="warp", device="cpu", worlds=(2,),
-        steps=2, rounds=1, camera_size=16,
-    )  # fmt: skip
+        env="mjhab/CloseSubtaskTrain-v1",
+        obs="depth",
+        reward="dense",
+        backend="warp",
+        device="cpu",
+        worlds=(2,),
+        steps=2,
+        rounds=1,
+        camera_size=16,
+    )
     found = bench_env.measure(options)
     (point,) = found["points"]
-    assert (found["backend"], point["worlds"], point["device"], point["tainted"]) == ("warp", 2, "cpu", 0)
+    assert (found["backend"], point["worlds"], point["device"], point["tainted"]) == (
+        "warp",
+        2,
+        "cpu",
+        0,
+    )
     assert list(point["stages"]) == list(STAGES) and min(point["stages"].values()) > 0.0
     assert point["env_sps"] > 0.0 and point["engine_sps"] > 0.0 and point["reset_ms"] > 0.0
     assert point["device_mb"] is None and point["rss_mb"] > 100.0
@@ -127,7 +141,9 @@ def test_a_device_env_is_timed_stage_by_stage(monkeypatch: pytest.MonkeyPatch) -
 
 def test_sleep_saves_and_hardly_changes() -> None:
     rows = gpu_sleep.sleep_cost(Leg("set_table", "pick", threads=1, worlds=1), 3)
-    assert [(row["engine"], row["sleep"]) for row in rows] == [(e, s) for e in ("C", "warp") for s in (True, False)]
+    assert [(row["engine"], row["sleep"]) for row in rows] == [
+        (e, s) for e in ("C", "warp") for s in (True, False)
+    ]
     for asleep, awake in (rows[:2], rows[2:]):
         assert asleep["awake_dofs"] < 0.2 * awake["awake_dofs"] <= 0.2 * awake["nv"]
         assert awake["difference"]["robot"] < 1e-5 and 0.0 < awake["difference"]["objects"] < 1e-3
@@ -137,10 +153,14 @@ def test_sleep_saves_and_hardly_changes() -> None:
 
 def test_warmup_compiles_all_of_a_device_env(monkeypatch: pytest.MonkeyPatch) -> None:
     pack = packs.open_pack("builtin")
-    monkeypatch.setattr(packs, "open_pack", lambda _: dataclasses.replace(pack, homes=pack.homes[:2]))
+    monkeypatch.setattr(
+        packs, "open_pack", lambda _: dataclasses.replace(pack, homes=pack.homes[:2])
+    )
     stepped: list[int] = []
     step = DeviceEnv.step
-    monkeypatch.setattr(DeviceEnv, "step", lambda env, actions: stepped.append(env.num_envs) or step(env, actions))
+    monkeypatch.setattr(
+        DeviceEnv, "step", lambda env, actions: stepped.append(env.num_envs) or step(env, actions)
+    )
     seconds = warmup.warmup(WarmupOptions(task="set_table", device="cpu"), "warp")
     assert list(seconds) == ["2 homes", "rasterizer", "MuJoCo Warp"] and stepped == [warmup.WORLDS]
 

@@ -48,12 +48,14 @@ def test_trap_overflow_of_contacts_taints_until_the_reset(
     shared, cpu: CpuSimulator, layout: Layout, buffer: str
 ) -> None:
     # Can and box have just landed; there are more points of contact than pairs that may touch.
-    data, qpos = shared.engine.data, starts(cpu, drop=0.001)
+    data = shared.engine.data
+    qpos = starts(cpu, drop=0.001)
     qpos[:, cpu.addresses.object_q[BOX] + 2] += 0.001
     ctrl = np.stack([hold(cpu, q) for q in qpos])
     shared.reset(range(WORLDS), homes_of(layout), qpos)
     shared.step(ctrl)
-    contacts, pairs = int(data.nacon.numpy()[0]), int(shared.engine.pairs_peak.numpy()[0])
+    contacts = int(data.nacon.numpy()[0])
+    pairs = int(shared.engine.pairs_peak.numpy()[0])
     assert pairs < contacts and not shared.taint().any()
     with smaller(shared, buffer, contacts - 1 if buffer == "naconmax" else 1):
         shared.step(ctrl)
@@ -69,11 +71,13 @@ def test_trap_overflow_of_pairs_taints_though_the_engine_says_nothing(
     shared, cpu: CpuSimulator, layout: Layout
 ) -> None:
     # Pairs beyond the limit are dropped; those that are left give few contacts, so nothing else is full.
-    data, qpos = shared.engine.data, starts(cpu, drop=0.03)
+    data = shared.engine.data
+    qpos = starts(cpu, drop=0.03)
     ctrl = np.stack([hold(cpu, q) for q in qpos])
     shared.reset(range(WORLDS), homes_of(layout), qpos)
     shared.step(ctrl)
-    whole, pairs = data.naconmax, int(shared.engine.pairs_peak.numpy()[0])
+    whole = data.naconmax
+    pairs = int(shared.engine.pairs_peak.numpy()[0])
     assert 1 < pairs < whole and not shared.taint().any()
     shared.reset(range(WORLDS), homes_of(layout), qpos)
     with smaller(shared, "naconmax", pairs - 1):
@@ -86,14 +90,19 @@ def test_trap_overflow_of_pairs_taints_though_the_engine_says_nothing(
 def test_trap_overflow_of_constraint_rows_or_awake_dofs_taints(
     warp: ModuleType, cpu: CpuSimulator, layout: Layout, least: dict[str, int]
 ) -> None:
-    sim = warp.WarpSimulator(layout, 1, "cpu", sizes=warp.BufferSizes(contacts=200, ccd=100, **least))
+    sim = warp.WarpSimulator(
+        layout, 1, "cpu", sizes=warp.BufferSizes(contacts=200, ccd=100, **least)
+    )
     sim.reset([0], homes_of(layout, 1), starts(cpu, drop=0.001)[:1])
     sim.step(np.zeros((1, 15)))
     assert "constraint_overflow" in bits_of(sim.taint())[0]
 
 
-def test_trap_nan_is_found_mended_and_stays_in_its_world(shared, cpu: CpuSimulator, layout: Layout) -> None:
-    homes, qpos = homes_of(layout), starts(cpu)
+def test_trap_nan_is_found_mended_and_stays_in_its_world(
+    shared, cpu: CpuSimulator, layout: Layout
+) -> None:
+    homes = homes_of(layout)
+    qpos = starts(cpu)
     ctrl = np.stack([hold(cpu, q) for q in qpos])
     ends = []
     for breaks in (False, True):
@@ -114,7 +123,9 @@ def test_trap_nan_is_found_mended_and_stays_in_its_world(shared, cpu: CpuSimulat
     assert shared.state().body_pos.isfinite().all() and shared.qpos.isfinite().all()
 
 
-def test_deep_penetration_is_flagged_in_its_world(shared, cpu: CpuSimulator, layout: Layout) -> None:
+def test_deep_penetration_is_flagged_in_its_world(
+    shared, cpu: CpuSimulator, layout: Layout
+) -> None:
     qpos = starts(cpu)
     robot = np.array(REST_QPOS)
     robot[:2] = chosen(layout)[1].walls[0].pos[:2]

@@ -23,7 +23,9 @@ _MOST_FAILURES = 2
 """Labels of failures that a table names."""
 
 
-def render_experts(results: Sequence[Result], groups: Sequence[Result], config: Mapping[str, Any]) -> str:
+def render_experts(
+    results: Sequence[Result], groups: Sequence[Result], config: Mapping[str, Any]
+) -> str:
     """The whole page, which needs no network.
 
     Args:
@@ -31,7 +33,8 @@ def render_experts(results: Sequence[Result], groups: Sequence[Result], config: 
     """
     singles = [result for result in results if result.subtask != CHAIN]
     chains = [result for result in results if result.subtask == CHAIN]
-    body, plots = [_header(results, config), _cards(singles, chains)], {}
+    body = [_header(results, config), _cards(singles, chains)]
+    plots = {}
     if groups:
         hint = f"Success once within the horizon and the force limit of a subtask, all targets. {_GENTLE} {_PAPER}"
         body.append(parts.section("Per subtask", hint, _table(groups)))
@@ -42,7 +45,9 @@ def render_experts(results: Sequence[Result], groups: Sequence[Result], config: 
         )
         places = ""
         for pack in dict.fromkeys(chain.pack for chain in chains):
-            plots[f"chains-{pack}"] = _chain_figure([chain for chain in chains if chain.pack == pack])
+            plots[f"chains-{pack}"] = _chain_figure(
+                [chain for chain in chains if chain.pack == pack]
+            )
             places += f'<h3>{escape(pack)} homes</h3><div id="chains-{escape(pack)}"></div>'
         body.append(parts.section("Whole tasks", hint, _chain_table(chains) + places))
     for kind in KIND_NAMES:
@@ -51,8 +56,12 @@ def render_experts(results: Sequence[Result], groups: Sequence[Result], config: 
             body.append(_kind_section(kind, members, plots))
     errors = [result for result in results if result.error]
     if errors:
-        body.append(parts.section("Not measured", "These rows stopped with an error.", _errors(errors)))
-    body.append(parts.section("Run", "What all rows have in common.", parts.config_list(_flat(config))))
+        body.append(
+            parts.section("Not measured", "These rows stopped with an error.", _errors(errors))
+        )
+    body.append(
+        parts.section("Run", "What all rows have in common.", parts.config_list(_flat(config)))
+    )
     return render_page("Experts", "\n".join(body), {"plots": plots})
 
 
@@ -67,9 +76,14 @@ _GENTLE = "< 1,400 N: success once while the forces on the robot summed up to le
 
 
 def _header(results: Sequence[Result], config: Mapping[str, Any]) -> str:
-    shown = [("homes", f"{', '.join(dict.fromkeys(r.pack for r in results))}, {config['split']}"),
-             ("seed", config["seed"]), ("profile", config["profile"])]  # fmt: skip
-    chips = "".join(f'<span class="chip">{escape(k)} <b>{escape(str(v))}</b></span>' for k, v in shown)
+    shown = [
+        ("homes", f"{', '.join(dict.fromkeys(r.pack for r in results))}, {config['split']}"),
+        ("seed", config["seed"]),
+        ("profile", config["profile"]),
+    ]
+    chips = "".join(
+        f'<span class="chip">{escape(k)} <b>{escape(str(v))}</b></span>' for k, v in shown
+    )
     left = sum(result.wanted - result.episodes for result in results)
     banner = ""
     if left:
@@ -87,7 +101,8 @@ def _header(results: Sequence[Result], config: Mapping[str, Any]) -> str:
 def _cards(singles: Sequence[Result], chains: Sequence[Result]) -> str:
     values = []
     if singles:
-        count, once = sum(r.episodes for r in singles), sum(r.successes for r in singles)
+        count = sum(r.episodes for r in singles)
+        once = sum(r.successes for r in singles)
         low, high = wilson(once, count)
         gentle = sum((r.gentle or 0.0) * r.episodes for r in singles)
         values += [
@@ -97,14 +112,27 @@ def _cards(singles: Sequence[Result], chains: Sequence[Result]) -> str:
                 _rate(once / count if count else None),
                 f"{100 * low:.1f} to {100 * high:.1f} % (95 % CI)",
             ),
-            ("under 1,400 N", _rate(gentle / count if count else None), "forces up to success, summed"),
+            (
+                "under 1,400 N",
+                _rate(gentle / count if count else None),
+                "forces up to success, summed",
+            ),
         ]
         both = [r.over_paper for r in singles if r.over_paper is not None]
         better = sum(points > 0 for points in both)
-        values.append(("above the paper", f"{better} / {len(both)}", f"rows, against {PAPER_POLICY}"))
+        values.append(
+            ("above the paper", f"{better} / {len(both)}", f"rows, against {PAPER_POLICY}")
+        )
     if chains:
-        count, once = sum(r.episodes for r in chains), sum(r.successes for r in chains)
-        values.append(("whole tasks", _rate(once / count if count else None), f"complete, of {count:,} episodes"))
+        count = sum(r.episodes for r in chains)
+        once = sum(r.successes for r in chains)
+        values.append(
+            (
+                "whole tasks",
+                _rate(once / count if count else None),
+                f"complete, of {count:,} episodes",
+            )
+        )
     asked = [r.met for r in (*singles, *chains) if r.met is not None]
     values.append(("as much as asked", f"{sum(asked)} / {len(asked)}", "rows, by their rates"))
     tainted = sum(r.tainted for r in (*singles, *chains))
@@ -142,18 +170,34 @@ def _kind_section(kind: str, members: Sequence[Result], plots: dict[str, Figure]
 def _table(results: Sequence[Result]) -> str:
     """Rows of single subtasks; a click on a head sorts. Columns that tell nothing apart are left out."""
     heads = [
-        ("homes", ""), ("task", ""), ("subtask", ""), ("target", ""), ("n", "n"), ("once", "n"), ("95 %", ""),
-        ("asked", "n"), ("paper", "n"), ("difference", "n"), ("< 1,400 N", "n"), ("tainted", "n"),
+        ("homes", ""),
+        ("task", ""),
+        ("subtask", ""),
+        ("target", ""),
+        ("n", "n"),
+        ("once", "n"),
+        ("95 %", ""),
+        ("asked", "n"),
+        ("paper", "n"),
+        ("difference", "n"),
+        ("< 1,400 N", "n"),
+        ("tainted", "n"),
         ("failures", ""),
-    ]  # fmt: skip
-    alike = {name for name in ("subtask", "target") if len({getattr(result, name) for result in results}) == 1}
+    ]
+    alike = {
+        name
+        for name in ("subtask", "target")
+        if len({getattr(result, name) for result in results}) == 1
+    }
     if all(result.asked is None for result in results):
         alike.add("asked")
     if all(result.paper is None for result in results):
         alike |= {"paper", "difference"}
     if not any(result.tainted for result in results):
         alike.add("tainted")
-    return _html_table([head for head in heads if head[0] not in alike], [_cells(result) for result in results])
+    return _html_table(
+        [head for head in heads if head[0] not in alike], [_cells(result) for result in results]
+    )
 
 
 def _cells(r: Result) -> dict[str, str]:
@@ -171,7 +215,9 @@ def _cells(r: Result) -> dict[str, str]:
         "95 %": f"<td>{_interval(r)}</td>",
         "asked": _number(r.asked, _asked(r)),
         "paper": paper if r.paper is not None else "<td></td>",
-        "difference": _number(r.over_paper, "" if r.over_paper is None else f"{r.over_paper:+.1f}", _sign(r)),
+        "difference": _number(
+            r.over_paper, "" if r.over_paper is None else f"{r.over_paper:+.1f}", _sign(r)
+        ),
         "< 1,400 N": _number(r.gentle, _rate(r.gentle)),
         "no peak of 1,400 N": _number(r.gentle_peak, _rate(r.gentle_peak)),
         "tainted": _number(r.tainted, str(r.tainted)),
@@ -181,9 +227,17 @@ def _cells(r: Result) -> dict[str, str]:
 
 def _chain_table(chains: Sequence[Result]) -> str:
     heads = (
-        ("homes", ""), ("task", ""), ("navigate", ""), ("n", "n"), ("complete", "n"), ("95 %", ""), ("asked", "n"),
-        ("no peak of 1,400 N", "n"), ("tainted", "n"), ("failures", ""),
-    )  # fmt: skip
+        ("homes", ""),
+        ("task", ""),
+        ("navigate", ""),
+        ("n", "n"),
+        ("complete", "n"),
+        ("95 %", ""),
+        ("asked", "n"),
+        ("no peak of 1,400 N", "n"),
+        ("tainted", "n"),
+        ("failures", ""),
+    )
     return _html_table(heads, [_cells(result) for result in chains])
 
 
@@ -191,13 +245,16 @@ def _html_table(heads: Sequence[tuple[str, str]], rows: Sequence[Mapping[str, st
     head = "".join(f'<th class="{css}">{escape(name)}</th>' for name, css in heads)
     body = "".join(f"<tr>{''.join(row[name] for name, _ in heads)}</tr>" for row in rows)
     table = (
-        f'<table class="sortable" style="font-size:13px"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>'
+        f'<table class="sortable" style="font-size:13px"><thead><tr>{head}</tr></thead>'
+        f"<tbody>{body}</tbody></table>"
     )
     return f'<div class="scroll">{table}</div>'
 
 
 def _number(value: float | None, text: str, style: str = "") -> str:
-    return f'<td class="n" data-value="{"" if value is None else value}" style="{style}">{text}</td>'
+    return (
+        f'<td class="n" data-value="{"" if value is None else value}" style="{style}">{text}</td>'
+    )
 
 
 def _rate(value: float | None) -> str:
@@ -249,12 +306,21 @@ def _paper_figure(results: Sequence[Result]) -> Figure:
     """Bars: ours in every asset pack, then the paper's."""
     names = list(dict.fromkeys(_short(result) for result in results))
     data: list[dict[str, Any]] = []
-    for pack, color in zip(dict.fromkeys(result.pack for result in results), _COLORS * len(results), strict=False):
+    for pack, color in zip(
+        dict.fromkeys(result.pack for result in results), _COLORS * len(results), strict=False
+    ):
         mine = [r for r in results if r.pack == pack and r.success_once is not None]
         rates = [r.success_once or 0.0 for r in mine]
-        above = [high - rate for rate, high in zip(rates, (r.interval[1] for r in mine), strict=True)]
+        above = [
+            high - rate for rate, high in zip(rates, (r.interval[1] for r in mine), strict=True)
+        ]
         below = [rate - low for rate, low in zip(rates, (r.interval[0] for r in mine), strict=True)]
-        bars = {"type": "bar", "name": f"expert, {pack} homes", "x": [_short(r) for r in mine], "y": rates}
+        bars = {
+            "type": "bar",
+            "name": f"expert, {pack} homes",
+            "x": [_short(r) for r in mine],
+            "y": rates,
+        }
         whiskers = {
             "type": "data",
             "symmetric": False,
@@ -264,20 +330,36 @@ def _paper_figure(results: Sequence[Result]) -> Figure:
             "width": 3,
         }
         hover = "%{x}<br>%{y:.1%}<extra></extra>"
-        data.append({**bars, "marker": {"color": color}, "error_y": whiskers, "hovertemplate": hover})
+        data.append(
+            {**bars, "marker": {"color": color}, "error_y": whiskers, "hovertemplate": hover}
+        )
     known = {_short(result): result.paper for result in results if result.paper is not None}
-    data.append({
-        "type": "bar", "name": f"paper, {PAPER_POLICY}", "x": list(known), "y": list(known.values()),
-        "marker": {"color": _PAPER_COLOR}, "hovertemplate": "%{x}<br>paper %{y:.1%}<extra></extra>",
-    })  # fmt: skip
+    data.append(
+        {
+            "type": "bar",
+            "name": f"paper, {PAPER_POLICY}",
+            "x": list(known),
+            "y": list(known.values()),
+            "marker": {"color": _PAPER_COLOR},
+            "hovertemplate": "%{x}<br>paper %{y:.1%}<extra></extra>",
+        }
+    )
     return {
         "data": data,
         "layout": {
-            "height": 440, "barmode": "group", "bargap": 0.25, "legend": {"orientation": "h", "y": 1.14},
+            "height": 440,
+            "barmode": "group",
+            "bargap": 0.25,
+            "legend": {"orientation": "h", "y": 1.14},
             "yaxis": {"range": [0, 1.04], "tickformat": ".0%"},
-            "xaxis": {"type": "category", "categoryorder": "array", "categoryarray": names, "tickangle": -40},
+            "xaxis": {
+                "type": "category",
+                "categoryorder": "array",
+                "categoryarray": names,
+                "tickangle": -40,
+            },
         },
-    }  # fmt: skip
+    }
 
 
 def _chain_figure(chains: Sequence[Result]) -> Figure:
@@ -287,20 +369,32 @@ def _chain_figure(chains: Sequence[Result]) -> Figure:
     data = []
     for chain in chains:
         name = f"{chain.task.replace('_', ' ')}, {chain.navigate}"
-        line = {"color": colors[chain.task], "dash": _DASHES.get(chain.navigate, "dot"), "width": 2.5}
-        data.append({
-            "type": "scatter", "mode": "lines+markers", "name": name, "x": list(range(len(chain.progressive) + 1)),
-            "y": [1.0, *chain.progressive], "line": line, "marker": {"size": 5},
-            "hovertemplate": f"{name}<br>%{{x}} subtasks: %{{y:.1%}}<extra></extra>",
-        })  # fmt: skip
+        line = {
+            "color": colors[chain.task],
+            "dash": _DASHES.get(chain.navigate, "dot"),
+            "width": 2.5,
+        }
+        data.append(
+            {
+                "type": "scatter",
+                "mode": "lines+markers",
+                "name": name,
+                "x": list(range(len(chain.progressive) + 1)),
+                "y": [1.0, *chain.progressive],
+                "line": line,
+                "marker": {"size": 5},
+                "hovertemplate": f"{name}<br>%{{x}} subtasks: %{{y:.1%}}<extra></extra>",
+            }
+        )
     return {
         "data": data,
         "layout": {
-            "height": 380, "legend": {"orientation": "h", "y": -0.24},
+            "height": 380,
+            "legend": {"orientation": "h", "y": -0.24},
             "yaxis": {"range": [0, 1.04], "tickformat": ".0%", "title": {"text": "episodes"}},
             "xaxis": {"title": {"text": "completed at least so many subtasks"}, "dtick": 2},
         },
-    }  # fmt: skip
+    }
 
 
 def _errors(results: Sequence[Result]) -> str:
@@ -317,6 +411,8 @@ def _flat(config: Mapping[str, Any]) -> dict[str, Any]:
     flat: dict[str, Any] = {}
     for key, value in config.items():
         flat |= (
-            {f"{key}: {name}": entry for name, entry in value.items()} if isinstance(value, Mapping) else {key: value}
+            {f"{key}: {name}": entry for name, entry in value.items()}
+            if isinstance(value, Mapping)
+            else {key: value}
         )
     return flat

@@ -29,7 +29,9 @@ ALL = "all"
 PAPER_POLICY = "RL-Per"
 """One policy per object, trained by reinforcement learning: the best of the MS-HAB paper."""
 ASKED_CHAINS = {"set_table": 0.5, "prepare_groceries": 0.4, "tidy_house": 0.4}
-ASKED, ASKED_INSIDE, ASKED_CRACKER_BOX = 0.9, 0.8, 0.85
+ASKED = 0.9
+ASKED_INSIDE = 0.8
+ASKED_CRACKER_BOX = 0.85
 """Success rates the project asks of its experts: in the open; picking out of drawer and fridge; for the large box."""
 
 
@@ -62,7 +64,9 @@ class Row:
         if self.target == "003_cracker_box":
             return ASKED_CRACKER_BOX
         # SetTable picks out of the drawer and the fridge, PrepareGroceries out of and into the fridge.
-        inside = self.task == "prepare_groceries" or (self.task == "set_table" and self.subtask == "pick")
+        inside = self.task == "prepare_groceries" or (
+            self.task == "set_table" and self.subtask == "pick"
+        )
         return ASKED_INSIDE if inside else ASKED
 
 
@@ -91,13 +95,24 @@ class Episode:
     @classmethod
     def of(cls, record: EpisodeRecord) -> Episode:
         """Take it from a record."""
-        first = min((step for step, name in record.events if name == "success"), default=record.steps)
+        first = min(
+            (step for step, name in record.events if name == "success"), default=record.steps
+        )
         return cls(
-            record.index, record.home, record.subtasks[-1].kind if record.subtasks else "", last_label(record),
-            record.success_once, record.success_at_end,
-            round(sum(record.force[:first]), 1) if record.success_once else None, record.cumulative_force,
-            record.peak_force, record.steps, record.completed, len(record.plan), record.taint,
-        )  # fmt: skip
+            record.index,
+            record.home,
+            record.subtasks[-1].kind if record.subtasks else "",
+            last_label(record),
+            record.success_once,
+            record.success_at_end,
+            round(sum(record.force[:first]), 1) if record.success_once else None,
+            record.cumulative_force,
+            record.peak_force,
+            record.steps,
+            record.completed,
+            len(record.plan),
+            record.taint,
+        )
 
     @property
     def gentle(self) -> bool:
@@ -142,7 +157,11 @@ class Result:
     @property
     def met(self) -> bool | None:
         """Whether as much succeeded as is asked; None where nothing is asked or measured."""
-        return None if self.asked is None or self.success_once is None else self.success_once >= self.asked
+        return (
+            None
+            if self.asked is None or self.success_once is None
+            else self.success_once >= self.asked
+        )
 
     @property
     def over_paper(self) -> float | None:
@@ -167,7 +186,11 @@ def make_rows(options: BenchExpertsOptions) -> list[Row]:
                 if subtask in (options.subtask or (subtask,)):
                     found = _rows_of(options, pack, assets, task, subtask)
                     targets |= {row.target for row in found if row.target}
-                    rows += [row for row in found if row.episodes and row.target in (options.target or (row.target,))]
+                    rows += [
+                        row
+                        for row in found
+                        if row.episodes and row.target in (options.target or (row.target,))
+                    ]
     for target in options.target:
         if target not in targets:
             raise unknown_name("target of these rows", target, targets)
@@ -178,7 +201,9 @@ def make_rows(options: BenchExpertsOptions) -> list[Row]:
     return rows
 
 
-def _rows_of(options: BenchExpertsOptions, pack: str, assets: str, task: str, subtask: str) -> list[Row]:
+def _rows_of(
+    options: BenchExpertsOptions, pack: str, assets: str, task: str, subtask: str
+) -> list[Row]:
     if subtask == CHAIN:
         modes = dict.fromkeys(options.navigate)
         return [Row(pack, assets, task, subtask, "", mode, options.chains) for mode in modes]
@@ -191,9 +216,11 @@ def _rows_of(options: BenchExpertsOptions, pack: str, assets: str, task: str, su
 
 def _check(options: BenchExpertsOptions) -> None:
     for kind, given, valid in (
-        ("task", options.task, TASKS), ("subtask", options.subtask, (*KIND_NAMES, CHAIN)),
-        ("navigate mode", options.navigate, NAVIGATE_MODES), ("split", (options.split,), SPLITS),
-    ):  # fmt: skip
+        ("task", options.task, TASKS),
+        ("subtask", options.subtask, (*KIND_NAMES, CHAIN)),
+        ("navigate mode", options.navigate, NAVIGATE_MODES),
+        ("split", (options.split,), SPLITS),
+    ):
         for name in given:
             if name not in valid:
                 raise unknown_name(kind, name, valid)
@@ -213,7 +240,9 @@ def _packs(options: BenchExpertsOptions) -> dict[str, str]:
                 f"--assets {packs[pack.name]} and {assets} are both {pack.name!r}; measure them in two folders."
             )
         if not any(home.split == options.split for home in pack.homes):
-            raise UsageError(f"--assets {assets} has no homes of the split {options.split!r}; choose another --split.")
+            raise UsageError(
+                f"--assets {assets} has no homes of the split {options.split!r}; choose another --split."
+            )
         packs[pack.name] = assets
     return packs
 
@@ -225,25 +254,44 @@ def row_folder(out: Path, row: Row) -> Path:
 
 def result_of(row: Row, split: str, episodes: Sequence[Episode], error: str = "") -> Result:
     """The table's row for the episodes measured so far; ``error``: why there are no more."""
-    once, chain = sum(episode.success_once for episode in episodes), row.subtask == CHAIN
+    once = sum(episode.success_once for episode in episodes)
+    chain = row.subtask == CHAIN
     paper = None if chain else paper_row(row.task, row.subtask, split, row.target, PAPER_POLICY)
     curve: tuple[float, ...] = ()
     if chain and episodes:
-        counts, plan = [episode.completed for episode in episodes], max(episode.planned for episode in episodes)
+        counts = [episode.completed for episode in episodes]
+        plan = max(episode.planned for episode in episodes)
         curve = tuple(progressive(counts, plan).round(4).tolist())
-    failed = (f"{e.last} {e.label}".strip() if chain else e.label for e in episodes if not e.success_once)
+    failed = (
+        f"{e.last} {e.label}".strip() if chain else e.label for e in episodes if not e.success_once
+    )
     return Result(
-        row.pack, row.task, row.subtask, row.target, row.navigate, split,
-        episodes=len(episodes), wanted=row.episodes, homes=len({episode.home for episode in episodes}), successes=once,
-        success_once=_share(episode.success_once for episode in episodes), interval=wilson(once, len(episodes)),
+        row.pack,
+        row.task,
+        row.subtask,
+        row.target,
+        row.navigate,
+        split,
+        episodes=len(episodes),
+        wanted=row.episodes,
+        homes=len({episode.home for episode in episodes}),
+        successes=once,
+        success_once=_share(episode.success_once for episode in episodes),
+        interval=wilson(once, len(episodes)),
         success_at_end=_share(episode.success_at_end for episode in episodes),
         gentle=None if chain else _share(episode.gentle for episode in episodes),
-        gentle_peak=_share(episode.success_once and episode.peak_force < GENTLE for episode in episodes),
+        gentle_peak=_share(
+            episode.success_once and episode.peak_force < GENTLE for episode in episodes
+        ),
         tainted=sum(bool(episode.taint) for episode in episodes),
-        labels=_counts(episode.label for episode in episodes), failures=_counts(failed),
-        asked=row.asked, paper=round(paper.success_once / 100, 6) if paper else None,
-        paper_table=paper.table if paper else None, progressive=curve, error=error,
-    )  # fmt: skip
+        labels=_counts(episode.label for episode in episodes),
+        failures=_counts(failed),
+        asked=row.asked,
+        paper=round(paper.success_once / 100, 6) if paper else None,
+        paper_table=paper.table if paper else None,
+        progressive=curve,
+        error=error,
+    )
 
 
 def together(measured: Sequence[tuple[Row, Sequence[Episode]]], split: str) -> list[Result]:
@@ -251,11 +299,15 @@ def together(measured: Sequence[tuple[Row, Sequence[Episode]]], split: str) -> l
     groups: dict[tuple[str, str, str, str], list[tuple[Row, Sequence[Episode]]]] = {}
     for row, episodes in measured:
         if row.subtask != CHAIN:
-            groups.setdefault((row.pack, row.assets, row.task, row.subtask), []).append((row, episodes))
+            groups.setdefault((row.pack, row.assets, row.task, row.subtask), []).append(
+                (row, episodes)
+            )
     found = []
     for names, members in groups.items():
         every = [episode for _, episodes in members for episode in episodes]
-        found.append(result_of(Row(*names, ALL, "", sum(row.episodes for row, _ in members)), split, every))
+        found.append(
+            result_of(Row(*names, ALL, "", sum(row.episodes for row, _ in members)), split, every)
+        )
     return found
 
 

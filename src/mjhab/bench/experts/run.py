@@ -41,7 +41,11 @@ from mjhab.data.store.shard import StorageError
 from mjhab.evaluation.generate import GenerateSpec, run_generation
 from mjhab.rollout.store import write_text
 
-CONFIG, RESULTS, TABLE, REPORT, EPISODES = "config.json", "results.json", "table.csv", "report.html", "episodes.jsonl"
+CONFIG = "config.json"
+RESULTS = "results.json"
+TABLE = "table.csv"
+REPORT = "report.html"
+EPISODES = "episodes.jsonl"
 CHAIN_WEIGHT = 8.0
 """A whole task takes about as long as so many single subtasks; for the estimate of what is left."""
 
@@ -76,7 +80,10 @@ def bench_experts(options: BenchExpertsOptions) -> int:
 
 
 def measure_row(
-    options: BenchExpertsOptions, row: Row, tell: Callable[[Standing], object], stopped: Callable[[], bool]
+    options: BenchExpertsOptions,
+    row: Row,
+    tell: Callable[[Standing], object],
+    stopped: Callable[[], bool],
 ) -> Standing:
     """Record the episodes of a row that are not recorded yet.
 
@@ -112,19 +119,26 @@ def read_row(options: BenchExpertsOptions, row: Row) -> list[Episode]:
     return [found[index] for index in sorted(found) if index < row.episodes]
 
 
-def write_results(options: BenchExpertsOptions, measured: Measured, errors: Mapping[Row, str]) -> list[Result]:
+def write_results(
+    options: BenchExpertsOptions, measured: Measured, errors: Mapping[Row, str]
+) -> list[Result]:
     """Write every file of results for what is measured so far; returns the rows."""
-    results = [result_of(row, options.split, found, errors.get(row, "")) for row, found in measured.items()]
+    results = [
+        result_of(row, options.split, found, errors.get(row, "")) for row, found in measured.items()
+    ]
     # Some targets alone are not what the paper's rows over all targets are about.
     groups = [] if options.target else together(list(measured.items()), options.split)
     config = {**_config(options), "assets": {row.pack: _short(row.assets) for row in measured}}
     document = {
-        "what": "success of mjhab's scripted experts", "config": config, "versions": versions(),
-        "commit": source_commit(), "cores": cores(),
+        "what": "success of mjhab's scripted experts",
+        "config": config,
+        "versions": versions(),
+        "commit": source_commit(),
+        "cores": cores(),
         "rows": [result_dict(result) for result in results if result.subtask != CHAIN],
         "groups": [result_dict(result) for result in groups],
         "chains": [result_dict(result) for result in results if result.subtask == CHAIN],
-    }  # fmt: skip
+    }
     lines = [
         json.dumps({"row": row.name, "seed": options.seed, **asdict(episode)})
         for row, found in measured.items()
@@ -156,12 +170,15 @@ def _open_folder(options: BenchExpertsOptions) -> None:
     Raises:
         UsageError: it holds something, and --resume is not given or it was made with other options.
     """
-    out, config = options.out, _config(options)
+    out = options.out
+    config = _config(options)
     if out.exists() and not out.is_dir():
         raise UsageError(f"--out {out} is a file; give a folder.")
     there = out.is_dir() and any(out.iterdir())
     if there and not options.resume:
-        raise UsageError(f"{out} is not empty; add --resume to go on with what is in it, or choose another --out.")
+        raise UsageError(
+            f"{out} is not empty; add --resume to go on with what is in it, or choose another --out."
+        )
     if there:
         try:
             before = json.loads((out / CONFIG).read_text(encoding="utf-8"))
@@ -182,20 +199,59 @@ def _csv(results: Sequence[Result], profile: str) -> str:
     """The table for spreadsheets: rates in percent, one line per row, groups of targets last."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow((
-        "pack", "split", "profile", "task", "subtask", "target", "navigate", "episodes", "success_once", "low_95",
-        "high_95", "success_at_end", "under_1400_sum", "under_1400_peak", "tainted", "asked", "paper_rl_per",
-        "paper_table", "ours_minus_paper", "failures", "progressive", "error",
-    ))  # fmt: skip
+    writer.writerow(
+        (
+            "pack",
+            "split",
+            "profile",
+            "task",
+            "subtask",
+            "target",
+            "navigate",
+            "episodes",
+            "success_once",
+            "low_95",
+            "high_95",
+            "success_at_end",
+            "under_1400_sum",
+            "under_1400_peak",
+            "tainted",
+            "asked",
+            "paper_rl_per",
+            "paper_table",
+            "ours_minus_paper",
+            "failures",
+            "progressive",
+            "error",
+        )
+    )
     for r in results:
         low, high = r.interval if r.episodes else (None, None)
-        rates = (_percent(value) for value in (r.success_once, low, high, r.success_at_end, r.gentle, r.gentle_peak))
-        writer.writerow((
-            r.pack, r.split, profile, r.task, r.subtask, r.target, r.navigate, r.episodes, *rates, r.tainted,
-            _percent(r.asked), _percent(r.paper), r.paper_table, r.over_paper,
-            "; ".join(f"{n} {name}" for name, n in r.failures.items()),
-            " ".join(f"{100 * share:.1f}" for share in r.progressive), r.error,
-        ))  # fmt: skip
+        rates = (
+            _percent(value)
+            for value in (r.success_once, low, high, r.success_at_end, r.gentle, r.gentle_peak)
+        )
+        writer.writerow(
+            (
+                r.pack,
+                r.split,
+                profile,
+                r.task,
+                r.subtask,
+                r.target,
+                r.navigate,
+                r.episodes,
+                *rates,
+                r.tainted,
+                _percent(r.asked),
+                _percent(r.paper),
+                r.paper_table,
+                r.over_paper,
+                "; ".join(f"{n} {name}" for name, n in r.failures.items()),
+                " ".join(f"{100 * share:.1f}" for share in r.progressive),
+                r.error,
+            )
+        )
     return text.getvalue()
 
 
@@ -206,19 +262,28 @@ def _percent(rate: float | None) -> float | None:
 @contextmanager
 def _progress(measured: Measured) -> Iterator[Callable[[Row, int], None]]:
     """A bar over all rows, on stderr; gives a function that says how many episodes of a row there are."""
-    columns = (TextColumn("[bold]{task.description}"), BarColumn(bar_width=10), MofNCompleteColumn(),
-               TextColumn("{task.fields[what]}"))  # fmt: skip
+    columns = (
+        TextColumn("[bold]{task.description}"),
+        BarColumn(bar_width=10),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[what]}"),
+    )
     done = {row: len(found) for row, found in measured.items()}
-    first, begun = _weight(done), time.perf_counter()
+    first = _weight(done)
+    begun = time.perf_counter()
     whole = _weight({row: row.episodes for row in measured})
     with Progress(*columns, console=Console(stderr=True)) as bar:
         task = bar.add_task(
-            "experts", total=sum(row.episodes for row in measured), completed=sum(done.values()), what=""
+            "experts",
+            total=sum(row.episodes for row in measured),
+            completed=sum(done.values()),
+            what="",
         )
 
         def tell(row: Row, count: int) -> None:
             done[row] = count
-            hours, gained = (time.perf_counter() - begun) / 3600, _weight(done) - first
+            hours = (time.perf_counter() - begun) / 3600
+            gained = _weight(done) - first
             what = ""
             if gained > 0:
                 left = round((whole - first - gained) * hours / gained * 60)
@@ -230,32 +295,50 @@ def _progress(measured: Measured) -> Iterator[Callable[[Row, int], None]]:
 
 def _weight(counts: Mapping[Row, int]) -> float:
     """Work in so many episodes of each row, in single subtasks."""
-    return sum(count * (CHAIN_WEIGHT if row.subtask == CHAIN else 1.0) for row, count in counts.items())
+    return sum(
+        count * (CHAIN_WEIGHT if row.subtask == CHAIN else 1.0) for row, count in counts.items()
+    )
 
 
 def _tell(
-    options: BenchExpertsOptions, results: Sequence[Result], errors: Mapping[Row, str], left: int, seconds: float
+    options: BenchExpertsOptions,
+    results: Sequence[Result],
+    errors: Mapping[Row, str],
+    left: int,
+    seconds: float,
 ) -> None:
     for row, error in errors.items():
         print(f"mjhab: {row.name} could not be measured: {error}", file=sys.stderr)
     if left:
-        print(f"mjhab: stopped, {left} episodes are left. The same command with --resume goes on.", file=sys.stderr)
+        print(
+            f"mjhab: stopped, {left} episodes are left. The same command with --resume goes on.",
+            file=sys.stderr,
+        )
     singles = [result for result in results if result.subtask != CHAIN]
     chains = [result for result in results if result.subtask == CHAIN]
     if options.json:
-        print_json({
-            "profile": options.profile, "rows": len(results), "episodes": sum(result.episodes for result in results),
-            "success_once": {name_of(result): result.success_once for result in results},
-            "below_asked": [name_of(result) for result in results if result.met is False],
-            "tainted": sum(result.tainted for result in results), "failed_rows": [row.name for row in errors],
-            "left": left, "seconds": round(seconds, 1), "out": str(options.out),
-        })  # fmt: skip
+        print_json(
+            {
+                "profile": options.profile,
+                "rows": len(results),
+                "episodes": sum(result.episodes for result in results),
+                "success_once": {name_of(result): result.success_once for result in results},
+                "below_asked": [name_of(result) for result in results if result.met is False],
+                "tainted": sum(result.tainted for result in results),
+                "failed_rows": [row.name for row in errors],
+                "left": left,
+                "seconds": round(seconds, 1),
+                "out": str(options.out),
+            }
+        )
         return
     for pack, task in dict.fromkeys((result.pack, result.task) for result in singles):
         rows = [_cells(result) for result in singles if (result.pack, result.task) == (pack, task)]
         columns = ("subtask", "target", "n", "once", "95 %", "< 1,400 N", "asked", "paper")
         print_table(
-            f"{task}, {pack} homes, {options.split}, profile {options.profile}: success once [%]", columns, rows
+            f"{task}, {pack} homes, {options.split}, profile {options.profile}: success once [%]",
+            columns,
+            rows,
         )
     if chains:
         columns = ("chain", "n", "complete", "95 %", "asked", "completed 1, 2, ... subtasks")
@@ -280,7 +363,14 @@ def _cells(r: Result) -> tuple[object, ...]:
 
 def _chain_cells(r: Result) -> tuple[object, ...]:
     curve = " ".join(f"{100 * share:.0f}" for share in r.progressive)
-    return f"{r.pack} {r.task}, {r.navigate}", r.episodes, _text(r.success_once), _interval(r), _text(r.asked), curve
+    return (
+        f"{r.pack} {r.task}, {r.navigate}",
+        r.episodes,
+        _text(r.success_once),
+        _interval(r),
+        _text(r.asked),
+        curve,
+    )
 
 
 def _text(rate: float | None) -> str:

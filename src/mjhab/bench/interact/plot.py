@@ -27,21 +27,35 @@ def interact_figure(found: dict[str, Any]) -> Figure:
     points = sorted(found["points"], key=lambda point: point["worlds"])
     memory = [(p["rss_mb"] if p["device_mb"] is None else p["device_mb"]) / 1024 for p in points]
     ours = {
-        "x": memory, "y": [p["sps_mean"] for p in points], "text": [f"W = {p['worlds']:,}" for p in points],
-        "error_y": {"type": "data", "array": [p["sps_ci95"] or 0.0 for p in points]}, "type": "scatter",
-        "mode": "lines+markers+text", "textposition": "middle right", "line": {"color": "#2563eb"},
+        "x": memory,
+        "y": [p["sps_mean"] for p in points],
+        "text": [f"W = {p['worlds']:,}" for p in points],
+        "error_y": {"type": "data", "array": [p["sps_ci95"] or 0.0 for p in points]},
+        "type": "scatter",
+        "mode": "lines+markers+text",
+        "textposition": "middle right",
+        "line": {"color": "#2563eb"},
         "name": f"mjhab, {found['backend']} on {found['device']}",
-    }  # fmt: skip
+    }
     paper = [
         {
-            "x": [memory], "y": [sps], "error_y": {"type": "data", "array": [ci]}, "name": name, "type": "scatter",
-            "mode": "markers", "marker": {"size": 11, "color": color, "symbol": "diamond"},
+            "x": [memory],
+            "y": [sps],
+            "error_y": {"type": "data", "array": [ci]},
+            "name": name,
+            "type": "scatter",
+            "mode": "markers",
+            "marker": {"size": 11, "color": color, "symbol": "diamond"},
         }
         for name, memory, sps, ci, color in PAPER
-    ]  # fmt: skip
+    ]
     layout = {
         "xaxis": {"title": {"text": "memory [GB]"}, "rangemode": "tozero"},
-        "yaxis": {"title": {"text": "control steps per second, all worlds"}, "type": "log", "dtick": 1},
+        "yaxis": {
+            "title": {"text": "control steps per second, all worlds"},
+            "type": "log",
+            "dtick": 1,
+        },
         "height": 460,
     }
     return {"data": [ours, *paper], "layout": layout}
@@ -55,7 +69,9 @@ def interact_page(found: dict[str, Any], pictures: Mapping[str, np.ndarray]) -> 
         pictures: "rgb" (C, h, w, 3) uint8 and "depth" (C, h, w) float32 [m] of one world, or none.
     """
     cameras = "two 128 x 128 RGB-D pictures in every step" if found["render"] else "no pictures"
-    memory = "of the process" if found["points"][0]["device_mb"] is None else "of the GPU, all processes"
+    memory = (
+        "of the process" if found["points"][0]["device_mb"] is None else "of the GPU, all processes"
+    )
     hint = (
         f"{found['steps']} control steps in {found['home']}, {found['seeds']} runs of each point, {cameras}; whiskers: "
         f"95 % confidence. Memory {memory}, the largest during the runs. The diamonds are what the MS-HAB paper "
@@ -63,25 +79,38 @@ def interact_page(found: dict[str, Any], pictures: Mapping[str, np.ndarray]) -> 
     )
     if not found["render"]:
         hint += " Without pictures the two do not compare."
-    parts = ["<h1>Interact benchmark</h1>", section("Speed over memory", hint, '<div id="interact"></div>')]
+    parts = [
+        "<h1>Interact benchmark</h1>",
+        section("Speed over memory", hint, '<div id="interact"></div>'),
+    ]
     parts.append(section("Numbers", _STAGES_HINT, _table(found)))
     if pictures:
         parts.append(section("What the cameras see", _VIEWS_HINT, _strip(pictures)))
     return render_page(
-        "Interact benchmark", "".join(parts), {"plots": {"interact": interact_figure(found)}, "force": []}
+        "Interact benchmark",
+        "".join(parts),
+        {"plots": {"interact": interact_figure(found)}, "force": []},
     )
 
 
 _COLUMNS = {
-    "worlds": "worlds", "sps_mean": "control steps/s", "sps_ci95": "± 95 %", "reset_and_step_sps": "with the reset",
-    "physics_ms": "physics [ms]", "render_ms": "pictures [ms]", "device_mb": "GPU [MB]", "rss_mb": "process [MB]",
+    "worlds": "worlds",
+    "sps_mean": "control steps/s",
+    "sps_ci95": "± 95 %",
+    "reset_and_step_sps": "with the reset",
+    "physics_ms": "physics [ms]",
+    "render_ms": "pictures [ms]",
+    "device_mb": "GPU [MB]",
+    "rss_mb": "process [MB]",
     "tainted_worlds": "tainted worlds",
-}  # fmt: skip
+}
 _STAGES_HINT = (
-    "Physics and pictures: time of one control step of all worlds, measured apart after the runs, each waited for."
+    "Physics and pictures: time of one control step of all worlds, "
+    "measured apart after the runs, each waited for."
 )
 _VIEWS_HINT = (
-    "World 0 at the end of those steps: head and hand, colour and depth (black: 0 m, or nothing; white: 3 m and more)."
+    "World 0 at the end of those steps: head and hand, colour and depth "
+    "(black: 0 m, or nothing; white: 3 m and more)."
 )
 _DEPTH_WHITE = 3.0
 _SCALE = 2
@@ -108,6 +137,8 @@ def _strip(pictures: Mapping[str, np.ndarray]) -> str:
         tiles += [rgb, np.repeat(grey[..., None], 3, axis=2)]
     strip = Image.fromarray(np.concatenate(tiles, axis=1))
     buffer = io.BytesIO()
-    strip.resize((_SCALE * strip.width, _SCALE * strip.height), Image.Resampling.NEAREST).save(buffer, "PNG")
+    strip.resize((_SCALE * strip.width, _SCALE * strip.height), Image.Resampling.NEAREST).save(
+        buffer, "PNG"
+    )
     data = base64.b64encode(buffer.getvalue()).decode("ascii")
     return f'<img style="max-width:100%" alt="head and hand, colour and depth" src="data:image/png;base64,{data}">'

@@ -56,12 +56,14 @@ def way_points(start: np.ndarray) -> np.ndarray:
     the hand stays at its height during a sweep.
     """
     chain = Chain.from_tree(KINEMATIC_TREE, FETCH_JOINTS)
-    dofs, pan = columns(chain, torso=False), FETCH_JOINTS.index("shoulder_pan_joint")
+    dofs = columns(chain, torso=False)
+    pan = FETCH_JOINTS.index("shoulder_pan_joint")
     now = start.copy()
     now[:3] = 0.0
     now[pan] = 0.0
     surface = SURFACE_HEIGHT + start[TORSO] - START_QPOS[TORSO]
-    c, s = np.cos(PITCH), np.sin(PITCH)
+    c = np.cos(PITCH)
+    s = np.sin(PITCH)
     down = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
     out = []
     for _, angle, reach, above in WAY:
@@ -88,7 +90,8 @@ def record(scene: InteractScene) -> np.ndarray:
     times = np.concatenate([[0.0], np.cumsum([row[0] for row in WAY])])
     done = np.zeros((STEPS, len(arm)), np.float32)
     for step in range(STEPS):
-        state, at = sim.state(), min(step + 1 + AHEAD, STEPS)
+        state = sim.state()
+        at = min(step + 1 + AHEAD, STEPS)
         goal = np.array([np.interp(at, times, knots[:, j]) for j in range(len(arm))])
         wanted = (goal - state.robot_q[0, arm]) / controller.limits.joint_delta
         done[step] = np.round(np.clip(wanted, -1.0, 1.0), DIGITS)
@@ -100,7 +103,12 @@ def main(path: Path) -> None:
     """Record the actions and write them as CSV, a row per control step."""
     actions = record(interact_scene())
     head = "arm actions of pd_joint_delta_pos, 20 Hz; made by python -m mjhab.bench.interact.recipe"
-    write_atomic(path, lambda temporary: np.savetxt(temporary, actions, fmt=f"%.{DIGITS}f", delimiter=",", header=head))
+    write_atomic(
+        path,
+        lambda temporary: np.savetxt(
+            temporary, actions, fmt=f"%.{DIGITS}f", delimiter=",", header=head
+        ),
+    )
 
 
 if __name__ == "__main__":

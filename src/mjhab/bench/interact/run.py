@@ -14,7 +14,14 @@ import numpy as np
 from scipy.stats import t as student
 
 from mjhab.bench.interact.plot import interact_page
-from mjhab.bench.interact.scene import CONTROL_MODE, OBJECTS, STEPS, InteractScene, interact_actions, interact_scene
+from mjhab.bench.interact.scene import (
+    CONTROL_MODE,
+    OBJECTS,
+    STEPS,
+    InteractScene,
+    interact_actions,
+    interact_scene,
+)
 from mjhab.bench.memory_sampler import MemorySampler
 from mjhab.bench.stages import resident_mb
 from mjhab.cli.options.gpu import BenchInteractOptions
@@ -27,7 +34,8 @@ from mjhab.robots.controllers import make_controller
 from mjhab.robots.fetch.model import CAMERAS
 from mjhab.sim.backends import open_simulator, resolve
 
-CAMERA_SIZE, OUTPUTS = 128, ("rgb", "depth")
+CAMERA_SIZE = 128
+OUTPUTS = ("rgb", "depth")
 CAMERA_NAMES = tuple(camera.name for camera in CAMERAS)
 WORLD_MB = 0.34
 """A world on a device without pictures: 0.14 MB of arrays, 0.17 MB that a substep takes on its way (sums for 3 and for
@@ -50,9 +58,16 @@ COLUMNS: tuple[str, ...] = (
     "rss_mb",
 )
 _HEADS = {
-    "worlds": "worlds", "sps_mean": "SPS", "sps_ci95": "± 95 %", "physics_ms": "phys", "render_ms": "render",
-    "device_mb": "GPU MB", "rss_mb": "RSS MB", "moved": "moved", "tainted_worlds": "taint",
-}  # fmt: skip
+    "worlds": "worlds",
+    "sps_mean": "SPS",
+    "sps_ci95": "± 95 %",
+    "physics_ms": "phys",
+    "render_ms": "render",
+    "device_mb": "GPU MB",
+    "rss_mb": "RSS MB",
+    "moved": "moved",
+    "tainted_worlds": "taint",
+}
 Pictures = dict[str, np.ndarray]
 
 
@@ -71,9 +86,17 @@ class InteractBench:
     """
 
     def __init__(
-        self, scene: InteractScene, backend: str, worlds: int, *, render: bool, device: str = "", threads: int = 0
+        self,
+        scene: InteractScene,
+        backend: str,
+        worlds: int,
+        *,
+        render: bool,
+        device: str = "",
+        threads: int = 0,
     ) -> None:
-        self.scene, self.worlds = scene, worlds
+        self.scene = scene
+        self.worlds = worlds
         if backend == "warp":
             # Pictures are looked at, not kept as observations.
             mode = "rgbd" if render else "state"
@@ -90,7 +113,9 @@ class InteractBench:
         self._moves: Any
         self._offset, self._moves = affine_commands(interact_actions(scene))
         if backend == "warp":
-            tensor = self.sim.state().robot_q.new_tensor  # on the device: no copy to the host in a step
+            tensor = (
+                self.sim.state().robot_q.new_tensor
+            )  # on the device: no copy to the host in a step
             self._offset, self._moves = tensor(self._offset), tensor(self._moves)
 
     def _drawer(self, backend: str, threads: int) -> Callable[[], Mapping[str, Any]]:
@@ -168,7 +193,9 @@ def bench_interact(options: BenchInteractOptions) -> int:
     at_least("worlds", min(options.worlds, default=0), 1)
     at_least("threads", options.threads, 0)
     if options.steps > STEPS:
-        raise UsageError(f"--steps must be at most {STEPS}, as many as are recorded; got {options.steps}.")
+        raise UsageError(
+            f"--steps must be at most {STEPS}, as many as are recorded; got {options.steps}."
+        )
     found, runs, pictures = measure_interact(options)
     write_results(options.out, found, runs, pictures)
     if options.json:
@@ -177,13 +204,17 @@ def bench_interact(options: BenchInteractOptions) -> int:
     kind = "no cameras" if options.no_render else f"2 x {CAMERA_SIZE} x {CAMERA_SIZE} RGB-D"
     rows = [[len(p[k]) if k == "moved" else p[k] for k in _HEADS] for p in found["points"]]
     print_table(
-        f"Interact, {found['backend']} on {found['device']}, {kind}; stages in ms", tuple(_HEADS.values()), rows
+        f"Interact, {found['backend']} on {found['device']}, {kind}; stages in ms",
+        tuple(_HEADS.values()),
+        rows,
     )
     print(f"Plot of speed over memory: {options.out / 'report.html'}")
     return 0
 
 
-def measure_interact(options: BenchInteractOptions) -> tuple[dict[str, Any], list[dict[str, Any]], Pictures]:
+def measure_interact(
+    options: BenchInteractOptions,
+) -> tuple[dict[str, Any], list[dict[str, Any]], Pictures]:
     """Measure every number of worlds, ``seeds`` times.
 
     Returns:
@@ -191,26 +222,49 @@ def measure_interact(options: BenchInteractOptions) -> tuple[dict[str, Any], lis
         largest memory during the runs; ``moved`` objects; ``tainted_worlds``; time of each stage, see `stage_times`);
         the single runs; and pictures of a world in the midst of it.
     """
-    backend, render = resolve(options.backend), not options.no_render
+    backend = resolve(options.backend)
+    render = not options.no_render
     scene = interact_scene(options.assets)
-    points, runs, pictures = [], [], {}
+    points = []
+    runs = []
+    pictures = {}
     with progress_bar("interact", len(options.worlds) * options.seeds) as advance:
         for worlds in options.worlds:
-            bench = InteractBench(scene, backend, worlds, render=render, device=options.device, threads=options.threads)
+            bench = InteractBench(
+                scene,
+                backend,
+                worlds,
+                render=render,
+                device=options.device,
+                threads=options.threads,
+            )
             warm(bench)
             mine = []
             for seed in range(1, options.seeds + 1):
                 mine.append({"worlds": worlds, "seed": seed} | measure_run(bench, options.steps))
                 advance()
-            points.append(summarize(mine) | {"moved": bench.moved(), "tainted_worlds": bench.tainted()})
+            points.append(
+                summarize(mine) | {"moved": bench.moved(), "tainted_worlds": bench.tainted()}
+            )
             stages, pictures = stage_times(bench, min(options.steps, STAGE_STEPS))
             points[-1] |= stages
             device = str(getattr(bench.sim, "device", "cpu"))
-            runs += [{"backend": backend, "device": device, "render": render, **run} for run in mine]
+            runs += [
+                {"backend": backend, "device": device, "render": render, **run} for run in mine
+            ]
             del bench
-    common = {"backend": backend, "device": runs[0]["device"], "render": render, "steps": options.steps}
+    common = {
+        "backend": backend,
+        "device": runs[0]["device"],
+        "render": render,
+        "steps": options.steps,
+    }
     best = max(points, key=lambda point: point["sps_mean"])
-    return best | common | {"seeds": options.seeds, "home": scene.home, "points": points}, runs, pictures
+    return (
+        best | common | {"seeds": options.seeds, "home": scene.home, "points": points},
+        runs,
+        pictures,
+    )
 
 
 def warm(bench: InteractBench) -> None:
@@ -257,7 +311,9 @@ def stage_times(bench: InteractBench, steps: int) -> tuple[dict[str, float | Non
         spent["physics"] += moved - begun
         spent["render"] += time.perf_counter() - moved
     views = {name: to_numpy(image[0]).copy() for name, image in images.items()}
-    times: dict[str, float | None] = {f"{stage}_ms": round(1e3 * total / steps, 2) for stage, total in spent.items()}
+    times: dict[str, float | None] = {
+        f"{stage}_ms": round(1e3 * total / steps, 2) for stage, total in spent.items()
+    }
     return times if views else times | {"render_ms": None}, views
 
 
@@ -265,7 +321,11 @@ def summarize(runs: list[dict[str, Any]]) -> dict[str, Any]:
     """Mean and interval of runs with one number of worlds. One run has no interval."""
     sps = np.array([run["sps"] for run in runs])
     count = len(sps)
-    ci = float(student.ppf(0.975, count - 1) * sps.std(ddof=1) / math.sqrt(count)) if count > 1 else None
+    ci = (
+        float(student.ppf(0.975, count - 1) * sps.std(ddof=1) / math.sqrt(count))
+        if count > 1
+        else None
+    )
     device = [run["device_mb"] for run in runs if run["device_mb"] is not None]
     return {
         "worlds": runs[0]["worlds"],
@@ -277,7 +337,9 @@ def summarize(runs: list[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-def write_results(out: Path, found: dict[str, Any], runs: list[dict[str, Any]], pictures: Pictures) -> None:
+def write_results(
+    out: Path, found: dict[str, Any], runs: list[dict[str, Any]], pictures: Pictures
+) -> None:
     """Write interact.json, interact.csv (a row per run) and report.html into a folder."""
 
     def table(path: Path) -> None:

@@ -25,20 +25,45 @@ from mjhab.scenes.spec import Home, Pack
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.settle import settle
 
-OBJECTS = ("005_tomato_soup_can", "004_sugar_box", "010_potted_meat_can", "002_master_chef_can", "003_cracker_box")
+OBJECTS = (
+    "005_tomato_soup_can",
+    "004_sugar_box",
+    "010_potted_meat_can",
+    "002_master_chef_can",
+    "003_cracker_box",
+)
 """From the robot's right to its left. The original's trajectory touches five objects, too (MS-HAB paper Sec. 4)."""
 ANGLES = (-0.44, -0.22, 0.0, 0.22, 0.44)
 """Where they stand, as angles [rad] about the axis of the shoulder."""
-SHOULDER_X, RADIUS = 0.033, 0.75
+SHOULDER_X = 0.033
+RADIUS = 0.75
 """The axis before the centre of the base, and the distance of the objects from it [m]."""
 STAND = 0.45
 """From the centre of the base to the usable part of the surface [m]."""
-START_QPOS = (0.0, 0.0, 0.0, 0.15, 0.0, -0.45, 0.562, -1.08, 0.1, 0.935, -0.001, 1.573, 0.005, 0.015, 0.015)
+START_QPOS = (
+    0.0,
+    0.0,
+    0.0,
+    0.15,
+    0.0,
+    -0.45,
+    0.562,
+    -1.08,
+    0.1,
+    0.935,
+    -0.001,
+    1.573,
+    0.005,
+    0.015,
+    0.015,
+)
 """Robot before a surface at SURFACE_HEIGHT, FETCH_JOINTS order (mshab's interact_scene_builder.py); at another height
 the torso differs."""
-SURFACE_HEIGHT, TORSO_RANGE = 0.75, (0.0, 0.386)
+SURFACE_HEIGHT = 0.75
+TORSO_RANGE = (0.0, 0.386)
 TORSO = 3
-DEPTH, HALF_WIDTH = 0.36, 0.42
+DEPTH = 0.36
+HALF_WIDTH = 0.42
 """Least depth and half-width of the surface [m]."""
 STEPS = 200
 CONTROL_MODE = "pd_joint_delta_pos_stiff_body"
@@ -83,7 +108,9 @@ def interact_scene(assets: str = "builtin") -> InteractScene:
     pack = open_pack(assets)
     missing = [name for name in OBJECTS if name not in pack.objects]
     if missing:
-        raise UsageError(f"bench interact needs the objects {', '.join(missing)}, which {assets} lacks.")
+        raise UsageError(
+            f"bench interact needs the objects {', '.join(missing)}, which {assets} lacks."
+        )
     for home in pack.homes:
         for stripped, surface, base in _places(pack, home):
             return _arrange(dataclasses.replace(pack, homes=(stripped,)), surface, base)
@@ -96,9 +123,15 @@ def interact_scene(assets: str = "builtin") -> InteractScene:
 def _places(pack: Pack, home: Home) -> Iterator[tuple[Home, PlacedReceptacle, np.ndarray]]:
     """Surfaces of a home without its other furniture, and base poses (x, y, yaw) before them."""
     for surface in placed_receptacles(Layout(dataclasses.replace(pack, homes=(home,)), ()), home):
-        if surface.link or surface.kind != "open" or not TORSO_RANGE[0] <= _torso(surface) <= TORSO_RANGE[1]:
+        if (
+            surface.link
+            or surface.kind != "open"
+            or not TORSO_RANGE[0] <= _torso(surface) <= TORSO_RANGE[1]
+        ):
             continue
-        own = [p for p in home.props if p.template == surface.template and _near(p.pos, surface.pos)]
+        own = [
+            p for p in home.props if p.template == surface.template and _near(p.pos, surface.pos)
+        ]
         stripped = dataclasses.replace(home, props=tuple(own))
         floor = free_map(stripped, pack)
         for base in _bases(surface):
@@ -120,18 +153,22 @@ def _bases(surface: PlacedReceptacle) -> Iterator[np.ndarray]:
         deep, wide = surface.half if turn in (0.0, np.pi) else surface.half[::-1]
         if 2 * deep >= DEPTH and wide >= HALF_WIDTH:
             out = surface.yaw + turn
-            place = np.array(surface.pos[:2]) + (deep + STAND) * np.array([np.cos(out), np.sin(out)])
+            place = np.array(surface.pos[:2]) + (deep + STAND) * np.array(
+                [np.cos(out), np.sin(out)]
+            )
             yield np.array([*place, (out + 2 * np.pi) % (2 * np.pi) - np.pi])
 
 
 def _arrange(pack: Pack, surface: PlacedReceptacle, base: np.ndarray) -> InteractScene:
     layout = Layout(pack, OBJECTS)
     sim = CpuSimulator(layout, 1, 1)
-    model, a = sim.model(pack.homes[0].name), sim.addresses
+    model = sim.model(pack.homes[0].name)
+    a = sim.addresses
     qpos = model.qpos0.copy()
     x, y, yaw = base
     for slot, angle in enumerate(ANGLES):
-        ahead, left = SHOULDER_X + RADIUS * np.cos(angle), RADIUS * np.sin(angle)
+        ahead = SHOULDER_X + RADIUS * np.cos(angle)
+        left = RADIUS * np.sin(angle)
         start = a.object_q[slot]
         qpos[start : start + 7] = [
             x + ahead * np.cos(yaw) - left * np.sin(yaw),
@@ -142,6 +179,7 @@ def _arrange(pack: Pack, surface: PlacedReceptacle, base: np.ndarray) -> Interac
         ]
     qpos = settle(model, a, qpos)[0]
     robot = np.array(START_QPOS)
-    robot[:3], robot[TORSO] = base, _torso(surface)
+    robot[:3] = base
+    robot[TORSO] = _torso(surface)
     qpos[a.robot_q] = robot
     return InteractScene(layout, qpos, robot)

@@ -49,16 +49,24 @@ class Leg:
         from mjhab.envs import make
 
         return make(
-            task=self.task, subtask=self.subtask, num_envs=self.worlds, threads=self.threads, seed=self.seed,
-            reward_mode="normalized_dense", autoreset="disabled", continuous=self.whole,
-        )  # fmt: skip
+            task=self.task,
+            subtask=self.subtask,
+            num_envs=self.worlds,
+            threads=self.threads,
+            seed=self.seed,
+            reward_mode="normalized_dense",
+            autoreset="disabled",
+            continuous=self.whole,
+        )
 
     def make_twin(self) -> Any:
         """Its environment on the warp backend; what tries out states before a reset stays on the CPU."""
         from mjhab.sim.warp.simulator import WarpSimulator
 
         env = self.make_env()
-        env.sim = HostTwin(WarpSimulator(env.layout, env.num_envs, self.device, env.controller.drives), env.sim)
+        env.sim = HostTwin(
+            WarpSimulator(env.layout, env.num_envs, self.device, env.controller.drives), env.sim
+        )
         env.state = env.sim.state()
         return env
 
@@ -85,14 +93,18 @@ class Log:
             # The last line is half a line if the run before was killed while it wrote.
             for line in lines[:-1] if lines and not lines[-1].endswith("\n") else lines:
                 self._take(line)
-            path.write_text("".join(json.dumps(row) + "\n" for row in self.rows.values()), encoding="utf-8")
+            path.write_text(
+                "".join(json.dumps(row) + "\n" for row in self.rows.values()), encoding="utf-8"
+            )
 
     def _take(self, line: str) -> None:
         try:
             row = json.loads(line)
             self.rows[tuple(row[name] for name in KEY)] = row
         except (ValueError, KeyError, TypeError) as error:
-            raise UsageError(f"{self._path} is no log of mjhab bench parity: {line[:60]!r}") from error
+            raise UsageError(
+                f"{self._path} is no log of mjhab bench parity: {line[:60]!r}"
+            ) from error
 
     def add(self, leg: Leg, acting: str, index: int, row: Mapping[str, Any]) -> None:
         """Keep the row of an episode."""
@@ -115,7 +127,10 @@ class Log:
 
 
 def run_equal(
-    leg: Leg, episodes: Sequence[int], done: Callable[[int, Row], None], max_steps: int | None = None
+    leg: Leg,
+    episodes: Sequence[int],
+    done: Callable[[int, Row], None],
+    max_steps: int | None = None,
 ) -> None:
     """Let the expert act on the cpu backend, give both backends its actions, and hand on a row of every episode.
 
@@ -146,7 +161,8 @@ class Twin(Sink):
     """
 
     def __init__(self, twin: Any, done: Callable[[int, Row], None]) -> None:
-        self._twin, self._done = twin, done
+        self._twin = twin
+        self._done = done
         self._runs: list[_Run] = [_Run() for _ in range(twin.num_envs)]
 
     def on_reset(self, env: Any, info: Mapping[str, Any], mask: np.ndarray) -> None:
@@ -168,7 +184,9 @@ class Twin(Sink):
             run.add(1, w, reward, info)
             if int(step.steps[w]) in MARKS:
                 drift = drift or difference(env.sim.state(), self._twin.sim.state())
-                run.drift[str(step.steps[w])] = {kind: float(f"{rows[w]:.4g}") for kind, rows in drift.items()}
+                run.drift[str(step.steps[w])] = {
+                    kind: float(f"{rows[w]:.4g}") for kind, rows in drift.items()
+                }
 
     def on_episode_end(self, env: Any, world: int, record: EpisodeRecord) -> None:
         """Hand on the row of the episode."""
@@ -180,7 +198,8 @@ class _Run:
 
     def __init__(self) -> None:
         self.rewards: tuple[list[float], list[float]] = ([], [])
-        self.won, self.taint = [False, False], [0, 0]
+        self.won = [False, False]
+        self.taint = [0, 0]
         self.labels: list[str | None] = [None, None]
         self.drift: dict[str, dict[str, float]] = {}
 
@@ -195,17 +214,22 @@ class _Run:
     def row(self, steps: int) -> Row:
         gaps = np.abs(np.subtract(*self.rewards))
         return {
-            "steps": steps, "success": self.won, "label": self.labels, "taint": self.taint,
+            "steps": steps,
+            "success": self.won,
+            "label": self.labels,
+            "taint": self.taint,
             "reward": [round(float(np.mean(side)), 6) for side in self.rewards],
-            "close": int((gaps <= REWARD_TOLERANCE).sum()), "drift": self.drift,
-        }  # fmt: skip
+            "close": int((gaps <= REWARD_TOLERANCE).sum()),
+            "drift": self.drift,
+        }
 
 
 class _Alone(Sink):
     """Hands on the row of every episode, see `run_own`."""
 
     def __init__(self, num_envs: int, done: Callable[[int, Row], None]) -> None:
-        self._sum, self._done = np.zeros(num_envs), done
+        self._sum = np.zeros(num_envs)
+        self._done = done
 
     def on_step(self, env: Any, step: StepView) -> None:
         """Add the rewards of the worlds in which an episode runs."""
@@ -213,18 +237,25 @@ class _Alone(Sink):
 
     def on_episode_end(self, env: Any, world: int, record: EpisodeRecord) -> None:
         """Hand on the row."""
-        self._done(record.index, {
-            "steps": record.steps, "success": record.success_once,
-            "label": record.subtasks[-1].label if record.subtasks else None,
-            "reward": round(float(self._sum[world]) / max(1, record.steps), 6), "taint": list(record.taint),
-        })  # fmt: skip
+        self._done(
+            record.index,
+            {
+                "steps": record.steps,
+                "success": record.success_once,
+                "label": record.subtasks[-1].label if record.subtasks else None,
+                "reward": round(float(self._sum[world]) / max(1, record.steps), 6),
+                "taint": list(record.taint),
+            },
+        )
         self._sum[world] = 0.0
 
 
 def difference(a: SimState, b: SimState) -> dict[str, np.ndarray]:
     """Largest difference (W,) of each of KINDS; turns are angles between orientations of objects."""
     dot = np.abs((a.object_pose[..., 3:] * b.object_pose[..., 3:]).sum(-1))
-    norms = np.linalg.norm(a.object_pose[..., 3:], axis=-1) * np.linalg.norm(b.object_pose[..., 3:], axis=-1)
+    norms = np.linalg.norm(a.object_pose[..., 3:], axis=-1) * np.linalg.norm(
+        b.object_pose[..., 3:], axis=-1
+    )
     by_kind = {
         "robot": np.abs(a.robot_q - b.robot_q),
         "objects": np.linalg.norm(a.object_pose[..., :3] - b.object_pose[..., :3], axis=-1),

@@ -41,28 +41,37 @@ def grasp_parity(seconds: float, device: str, threads: int, seed: int) -> list[d
     return [
         {"object": obj}
         | {
-            name: {"slip_mm": round(1e3 * float(slip[i]), 2), "dropped": bool(slip[i] > DROP_DISTANCE)}
+            name: {
+                "slip_mm": round(1e3 * float(slip[i]), 2),
+                "dropped": bool(slip[i] > DROP_DISTANCE),
+            }
             for name, slip in slips.items()
         }
         for i, obj in enumerate(BENCH_OBJECTS)
     ]
 
 
-def _shake(layout: Layout, backend: str, seconds: float, device: str, threads: int, seed: int) -> np.ndarray:
+def _shake(
+    layout: Layout, backend: str, seconds: float, device: str, threads: int, seed: int
+) -> np.ndarray:
     """(number of objects,) largest displacement [m] in the hand."""
-    worlds, home = len(BENCH_OBJECTS), layout.pack.homes[0].name
+    worlds = len(BENCH_OBJECTS)
+    home = layout.pack.homes[0].name
     sim: Any = open_simulator(backend, layout, worlds, threads=threads, device=device)
     qpos = np.stack([_held(sim, home, slot) for slot in range(worlds)])
     rest = qpos[0, sim.addresses.robot_q]
     sim.reset(range(worlds), [home] * worlds, qpos)
     phase = stream(seed, "grasp_bench").uniform(0.0, 2 * np.pi, 7)
-    begin, slip = _in_hand(sim), np.zeros(worlds)
+    begin = _in_hand(sim)
+    slip = np.zeros(worlds)
     for k in range(round(seconds / CONTROL_DT)):
         goal, forward, turn = shake_motion(k * CONTROL_DT, rest, phase)
         measured = to_numpy(sim.state().robot_q).astype(np.float64)
         ctrl = measured + np.clip(goal - measured, -0.1, 0.1)
-        ctrl[:, 0], ctrl[:, 1] = forward * np.cos(measured[:, 2]), forward * np.sin(measured[:, 2])
-        ctrl[:, 2], ctrl[:, 13:] = turn, GRIP_TARGET
+        ctrl[:, 0] = forward * np.cos(measured[:, 2])
+        ctrl[:, 1] = forward * np.sin(measured[:, 2])
+        ctrl[:, 2] = turn
+        ctrl[:, 13:] = GRIP_TARGET
         sim.step(ctrl)
         slip = np.maximum(slip, np.linalg.norm(_in_hand(sim) - begin, axis=1))
     return slip
@@ -85,7 +94,8 @@ def _held(sim: Any, home: str, slot: int) -> np.ndarray:
 
 def _in_hand(sim: Any) -> np.ndarray:
     """(W, 3) position of each world's own object in the frame of the hand."""
-    state, hand = sim.state(), sim.addresses.robot_body[TCP_LINK]
+    state = sim.state()
+    hand = sim.addresses.robot_body[TCP_LINK]
     own = np.arange(sim.num_worlds)
     pos = to_numpy(state.object_pose).astype(np.float64)[own, own, :3]
     turn = mat_from_quat(to_numpy(state.body_quat).astype(np.float64)[:, hand])

@@ -9,7 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from mjhab.bench.parity.episodes import KINDS, MARKS, REWARD_TOLERANCE, Leg, Log, Row, run_equal, run_own
+from mjhab.bench.parity.episodes import (
+    KINDS,
+    MARKS,
+    REWARD_TOLERANCE,
+    Leg,
+    Log,
+    Row,
+    run_equal,
+    run_own,
+)
 from mjhab.cli.options.gpu import BenchParityOptions
 from mjhab.cli.output import at_least, print_json, print_table, progress_bar
 from mjhab.config.env import SUBTASKS_OF_TASK
@@ -35,18 +44,30 @@ def bench_parity(options: BenchParityOptions) -> int:
         print_json(found)
         return 0
     marks = [f"step {mark}" for mark in found["steps"]]
-    for name, title in (("max", "largest difference in any world"), ("median", "median over the worlds")):
-        rows = [[f"{kind} [{KINDS[kind]}]", *(f"{x:.2g}" for x in found[f"qpos_{name}"][kind])] for kind in KINDS]
+    for name, title in (
+        ("max", "largest difference in any world"),
+        ("median", "median over the worlds"),
+    ):
+        rows = [
+            [f"{kind} [{KINDS[kind]}]", *(f"{x:.2g}" for x in found[f"qpos_{name}"][kind])]
+            for kind in KINDS
+        ]
         print_table(title, ("what", *marks), rows)
     for acting, title in (("equal", "the same actions"), ("own", "the expert on each by itself")):
         legs = found[f"episodes_{acting}"]
         if legs:
-            print_table(f"share that agrees, {title}", ("what", *next(iter(legs.values()))),
-                        [[name, *shares.values()] for name, shares in legs.items()])  # fmt: skip
+            print_table(
+                f"share that agrees, {title}",
+                ("what", *next(iter(legs.values()))),
+                [[name, *shares.values()] for name, shares in legs.items()],
+            )
     print_table("agreement", ("what", "share"), list(found["agree"].items()))
     if found["grasps"]:
         rows = [
-            [row["object"], *(row[b][key] for b in ("cpu", "warp") for key in ("slip_mm", "dropped"))]
+            [
+                row["object"],
+                *(row[b][key] for b in ("cpu", "warp") for key in ("slip_mm", "dropped")),
+            ]
             for row in found["grasps"]
         ]
         columns = ("object", "cpu slip [mm]", "cpu dropped", "warp slip [mm]", "warp dropped")
@@ -76,7 +97,8 @@ def measure_parity(options: BenchParityOptions) -> dict[str, Any]:
     log = Log(options.log)
     drift = run_drift(legs, options.steps, log)
     run_episodes(legs, options.episodes, log)
-    equal, own = shares(log, "equal", legs, equal_shares), shares(log, "own", legs, own_shares)
+    equal = shares(log, "equal", legs, equal_shares)
+    own = shares(log, "own", legs, own_shares)
     judged = equal["all"] if equal else equal_shares(drift)
     grasps: list[dict[str, Any]] = []
     if options.grasp_seconds:
@@ -84,10 +106,15 @@ def measure_parity(options: BenchParityOptions) -> dict[str, Any]:
 
         grasps = grasp_parity(options.grasp_seconds, device, options.threads, options.seed)
     return {
-        "device": device, "worlds": len(drift), **divergence(drift),
+        "device": device,
+        "worlds": len(drift),
+        **divergence(drift),
         "agree": {name: judged[name] for name in ("success", "label", "reward")},
-        "episodes_equal": equal, "episodes_own": own, "grasps": grasps, "not_compared": NOT_COMPARED,
-    }  # fmt: skip
+        "episodes_equal": equal,
+        "episodes_own": own,
+        "grasps": grasps,
+        "not_compared": NOT_COMPARED,
+    }
 
 
 def pairs(task: str, subtask: str) -> list[tuple[str, str]]:
@@ -103,7 +130,9 @@ def pairs(task: str, subtask: str) -> list[tuple[str, str]]:
     tasks = SUBTASKS_OF_TASK if task == "all" else (task,)
     found = [(t, s) for t in tasks for s in SUBTASKS_OF_TASK[t] if subtask in ("all", s)]
     if not found:
-        raise UsageError(f"task {task!r} has no subtask {subtask!r}; it has {', '.join(SUBTASKS_OF_TASK[task])}.")
+        raise UsageError(
+            f"task {task!r} has no subtask {subtask!r}; it has {', '.join(SUBTASKS_OF_TASK[task])}."
+        )
     return found
 
 
@@ -111,7 +140,8 @@ def run_drift(legs: list[Leg], steps: int, log: Log) -> list[Row]:
     """Rows of `run_equal` of as many episodes as there are worlds, ``steps`` long whether they succeed or not."""
     rows = []
     for leg in legs:
-        acting, indices = f"drift{steps}", range(leg.worlds)
+        acting = f"drift{steps}"
+        indices = range(leg.worlds)
         if missing := log.missing(leg, acting, indices):
             add = functools.partial(log.add, leg, acting)
             run_equal(dataclasses.replace(leg, whole=True), missing, add, steps)
@@ -142,7 +172,10 @@ def divergence(rows: Sequence[Row]) -> dict[str, Any]:
     marks = [mark for mark in MARKS if all(str(mark) in row["drift"] for row in rows)]
     table = {
         f"qpos_{name}": {
-            kind: [float(f"{reduce([row['drift'][str(mark)][kind] for row in rows]):.4g}") for mark in marks]
+            kind: [
+                float(f"{reduce([row['drift'][str(mark)][kind] for row in rows]):.4g}")
+                for mark in marks
+            ]
             for kind in KINDS
         }
         for name, reduce in (("max", np.max), ("median", np.median))
@@ -163,7 +196,9 @@ def shares(
         }
     found = {name: rows for name, rows in found.items() if rows}
     every = [row for rows in found.values() for row in rows]
-    return {name: reduce(rows) for name, rows in found.items()} | ({"all": reduce(every)} if every else {})
+    return {name: reduce(rows) for name, rows in found.items()} | (
+        {"all": reduce(every)} if every else {}
+    )
 
 
 def equal_shares(rows: Sequence[Row]) -> dict[str, Any]:
@@ -174,15 +209,18 @@ def equal_shares(rows: Sequence[Row]) -> dict[str, Any]:
     labels = [row["label"] for row in rows if any(row["label"])]
     steps = sum(row["steps"] for row in rows)
     return {
-        "episodes": len(rows), "steps": steps,
+        "episodes": len(rows),
+        "steps": steps,
         "success": share([row["success"][0] == row["success"][1] for row in rows]),
         "label": share([a == b for a, b in labels]),
         "reward": round(sum(row["close"] for row in rows) / max(1, steps), 4),
-        "mean_reward": share([abs(a - b) <= REWARD_TOLERANCE for a, b in (row["reward"] for row in rows)]),
+        "mean_reward": share(
+            [abs(a - b) <= REWARD_TOLERANCE for a, b in (row["reward"] for row in rows)]
+        ),
         "success_cpu": share([row["success"][0] for row in rows]),
         "success_warp": share([row["success"][1] for row in rows]),
         "tainted": sum(any(row["taint"]) for row in rows),
-    }  # fmt: skip
+    }
 
 
 def own_shares(pairs_of_rows: Sequence[tuple[Row, Row]]) -> dict[str, Any]:
@@ -191,11 +229,13 @@ def own_shares(pairs_of_rows: Sequence[tuple[Row, Row]]) -> dict[str, Any]:
         "episodes": len(pairs_of_rows),
         "success": share([a["success"][0] == b["success"] for a, b in pairs_of_rows]),
         "label": share([a["label"][0] == b["label"] for a, b in pairs_of_rows]),
-        "reward": share([abs(a["reward"][0] - b["reward"]) <= REWARD_TOLERANCE for a, b in pairs_of_rows]),
+        "reward": share(
+            [abs(a["reward"][0] - b["reward"]) <= REWARD_TOLERANCE for a, b in pairs_of_rows]
+        ),
         "success_cpu": share([a["success"][0] for a, _ in pairs_of_rows]),
         "success_warp": share([b["success"] for _, b in pairs_of_rows]),
         "tainted": sum(bool(b["taint"]) for _, b in pairs_of_rows),
-    }  # fmt: skip
+    }
 
 
 def share(hits: Any) -> float | None:

@@ -270,10 +270,14 @@ class EpisodesCheckOptions:
 class EpisodesCommand:
     """Make or check files of episodes."""
 
-    command: Annotated[EpisodesMakeOptions, Sub("make")] | Annotated[EpisodesCheckOptions, Sub("check")]
+    command: (
+        Annotated[EpisodesMakeOptions, Sub("make")] | Annotated[EpisodesCheckOptions, Sub("check")]
+    )
 
 
-DataSet = Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="replica_cad|ycb|hab_episodes")]
+DataSet = Annotated[
+    tyro.conf.Positional[str], tyro.conf.arg(metavar="replica_cad|ycb|hab_episodes")
+]
 
 
 @dataclass(frozen=True)
@@ -328,7 +332,9 @@ class AssetsVerifyOptions:
 class AssetsWhereOptions:
     """Print the folder of a data set, or the one that holds them all: MJHAB_ASSETS chooses it."""
 
-    name: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="replica_cad|ycb|hab_episodes")] = ""
+    name: Annotated[
+        tyro.conf.Positional[str], tyro.conf.arg(metavar="replica_cad|ycb|hab_episodes")
+    ] = ""
     """The data set; the folder of all of them if absent, which --assets takes."""
     json: bool = False
     """Print one line of JSON."""

@@ -87,7 +87,10 @@ class DataSplitOptions:
     """Shards (*.h5) or folders of shards."""
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
     """Where to: every part becomes <part>.h5 in it."""
-    parts: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=SHARE ...")] = ("train=0.9", "val=0.1")
+    parts: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=SHARE ...")] = (
+        "train=0.9",
+        "val=0.1",
+    )
     """Names and shares of the parts, at most 1 in sum."""
     by: Annotated[str, tyro.conf.arg(metavar="episode|home|target")] = "episode"
     """What stays together in one part."""

@@ -54,7 +54,9 @@ class EnvsDescribeOptions(ProfileOptions):
 class EnvsCommand:
     """What environments there are, and what goes in and out of them."""
 
-    command: Annotated[EnvsListOptions, Sub("list")] | Annotated[EnvsDescribeOptions, Sub("describe")]
+    command: (
+        Annotated[EnvsListOptions, Sub("list")] | Annotated[EnvsDescribeOptions, Sub("describe")]
+    )
 
 
 @dataclass(frozen=True)

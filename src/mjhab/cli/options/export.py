@@ -73,4 +73,7 @@ class ExportManiskillOptions:
 class ExportCommand:
     """Write recorded episodes in the formats of other tools."""
 
-    command: Annotated[ExportLerobotOptions, Sub("lerobot")] | Annotated[ExportManiskillOptions, Sub("maniskill")]
+    command: (
+        Annotated[ExportLerobotOptions, Sub("lerobot")]
+        | Annotated[ExportManiskillOptions, Sub("maniskill")]
+    )

@@ -60,7 +60,10 @@ class GenerateOptions(PolicyProfileOptions):
     """A filter with a name, see `mjhab data fields`; with --keep, both must hold."""
     images: Annotated[str, tyro.conf.arg(metavar="none|depth|rgb|rgbd|seg")] = "none"
     """Camera images to store; several joined by +. `mjhab replay --render` draws them later, too."""
-    cameras: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ("fetch_head", "fetch_hand")
+    cameras: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = (
+        "fetch_head",
+        "fetch_hand",
+    )
     """Of which cameras."""
     camera_size: Number = 128
     """Side of the images [px]."""
@@ -115,7 +118,10 @@ class ReplayOptions:
     """Draw these images of every state into a new shard; several joined by +. Nothing is simulated."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE.h5")] = None
     """With --render: the shard to make, or to go on with."""
-    cameras: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ("fetch_head", "fetch_hand")
+    cameras: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = (
+        "fetch_head",
+        "fetch_hand",
+    )
     """With --render: fetch_head, fetch_hand, and follow, which looks over the robot's shoulder (colour only)."""
     camera_size: Annotated[tuple[int, ...], tyro.conf.arg(metavar="N|HEIGHT WIDTH")] = (128,)
     """With --render: side of the images, or height and width [px]."""

@@ -8,7 +8,17 @@ from typing import Annotated
 
 import tyro
 
-from mjhab.cli.options.common import Assets, Backend, Device, Joints, Name, Number, Numbers, ProfileOptions, StageMesh
+from mjhab.cli.options.common import (
+    Assets,
+    Backend,
+    Device,
+    Joints,
+    Name,
+    Number,
+    Numbers,
+    ProfileOptions,
+    StageMesh,
+)
 
 Folder = Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
 

@@ -8,7 +8,16 @@ from typing import Annotated
 
 import tyro
 
-from mjhab.cli.options.common import Assets, Joints, MaybeName, Name, Number, ProfileOptions, StageMesh, Sub
+from mjhab.cli.options.common import (
+    Assets,
+    Joints,
+    MaybeName,
+    Name,
+    Number,
+    ProfileOptions,
+    StageMesh,
+    Sub,
+)
 
 
 @dataclass(frozen=True)

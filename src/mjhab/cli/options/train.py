@@ -8,7 +8,16 @@ from typing import Annotated
 
 import tyro
 
-from mjhab.cli.options.common import Assets, Joints, MaybeName, Name, Number, PolicyProfileOptions, StageMesh, Sub
+from mjhab.cli.options.common import (
+    Assets,
+    Joints,
+    MaybeName,
+    Name,
+    Number,
+    PolicyProfileOptions,
+    StageMesh,
+    Sub,
+)
 from mjhab.cli.options.data import Where
 
 DataPlaces = Annotated[tuple[Path, ...], tyro.conf.arg(metavar="PATH ...")]

@@ -17,7 +17,9 @@ from mjhab.core.locking import WriteLock
 from mjhab.core.version import __version__
 from mjhab.data.store.shard import StorageError, is_full
 
-JOB, WHOLE, WORK = "job.json", "whole", "work"
+JOB = "job.json"
+WHOLE = "whole"
+WORK = "work"
 """What lies in ``.<name>.part``: what is being made, what it is to become, and what is needed on the way."""
 
 
@@ -109,11 +111,15 @@ def broken(out: Path, error: Exception) -> StorageError:
             f"cannot write {out}: the disk is full. Nothing of it was left; free some space and give the same command "
             "again."
         )
-    return StorageError(f"cannot write {out}: {_reason(error)}. Give the same command again when that is mended.")
+    return StorageError(
+        f"cannot write {out}: {_reason(error)}. Give the same command again when that is mended."
+    )
 
 
 def _stopped(out: Path, error: Exception) -> StorageError:
-    what, then = ("the disk is full", "free some space") if is_full(error) else (_reason(error), "mend that")
+    what, then = (
+        ("the disk is full", "free some space") if is_full(error) else (_reason(error), "mend that")
+    )
     return StorageError(
         f"cannot write {out}: {what}. What is done stays beside it; {then} and give the same command with --resume."
     )
@@ -150,9 +156,13 @@ def _check(target: Target, job: dict[str, Any]) -> None:
         if not out.is_dir():
             raise UsageError(f"{out} is a file; name a folder as --out.")
         if not target.overwrite:
-            raise UsageError(f"{out} exists already; name another folder as --out, or give --overwrite.")
+            raise UsageError(
+                f"{out} exists already; name another folder as --out, or give --overwrite."
+            )
         if any(out.iterdir()) and not any(out.glob(target.mark)):
-            raise UsageError(f"{out} holds something else than an export (no {target.mark}), so it is not overwritten.")
+            raise UsageError(
+                f"{out} holds something else than an export (no {target.mark}), so it is not overwritten."
+            )
     if not target.begun:
         return
     if target.resume:

@@ -74,7 +74,8 @@ def export_maniskill(
     if not found.matched:
         raise nothing_passes()
     after = begin(len(found.matched)) if begin else None
-    without, files = 0, dict[Path, _File]()
+    without = 0
+    files = dict[Path, _File]()
     target = Target(out, "*/*/*.h5", overwrite, resume)
     with whole_folder(target, {"format": "maniskill", "episodes": found.fingerprint}) as filling:
         for (path, name), record in zip(found.matched, found.records, strict=True):
@@ -123,7 +124,10 @@ class _File:
         number = len(self._episodes)
         if number >= self._present:
             change_file(
-                self._path, lambda file: _put(file.create_group(f"{TRAJECTORY}{number}", track_order=True), episode)
+                self._path,
+                lambda file: _put(
+                    file.create_group(f"{TRAJECTORY}{number}", track_order=True), episode
+                ),
             )
         self._episodes.append(_episode_info(number, episode))
         self._runs.setdefault(episode.run.id, vars(episode.run))
@@ -134,7 +138,9 @@ class _File:
         subtask = env.get("subtask")
         value = {
             "env_info": {
-                "env_id": f"{subtask.capitalize()}SubtaskTrain-v0" if subtask else "SequentialTask-v0",
+                "env_id": f"{subtask.capitalize()}SubtaskTrain-v0"
+                if subtask
+                else "SequentialTask-v0",
                 "env_kwargs": env,
                 "max_episode_steps": max(each["elapsed_steps"] for each in self._episodes),
             },
@@ -157,7 +163,11 @@ def _put(group: h5py.Group, episode: Episode) -> None:
             if folder not in parent:
                 parent.create_group(folder, track_order=True)
             parent = subgroup(parent, folder)
-        squeeze = {"compression": "gzip", "compression_opts": _GZIP} if folders[:1] == ["sensor_data"] else {}
+        squeeze = (
+            {"compression": "gzip", "compression_opts": _GZIP}
+            if folders[:1] == ["sensor_data"]
+            else {}
+        )
         parent.create_dataset(last, data=values, **squeeze)
     ends = np.zeros(episode.steps, bool)
     ends[-1] = True
@@ -178,7 +188,9 @@ def _observations(episode: Episode) -> Iterator[tuple[str, np.ndarray]]:
     for path in episode.paths:
         if path.startswith("obs/sensor_param/"):
             yield path.removeprefix("obs/"), episode.array(path)
-    for camera, output in sorted(episode.images, key=lambda image: (image[0] != "fetch_head", image)):
+    for camera, output in sorted(
+        episode.images, key=lambda image: (image[0] != "fetch_head", image)
+    ):
         frames = [episode.frame(camera, output, t) for t in range(episode.steps + 1)]
         yield f"sensor_data/{camera}/{output}", np.stack(frames)
 
@@ -190,7 +202,9 @@ def _episode_info(number: int, episode: Episode) -> dict[str, Any]:
         "episode_id": number,
         "episode_seed": [record.seed],
         # Indices into the original's asset files; home and index say here which episode it was.
-        **dict.fromkeys(("build_config_idx", "task_plan_idx", "init_config_idx", "spawn_selection_idx")),
+        **dict.fromkeys(
+            ("build_config_idx", "task_plan_idx", "init_config_idx", "spawn_selection_idx")
+        ),
         "home": record.home,
         "episode_index": record.index,
         "control_mode": episode.run.config.get("env", {}).get("control_mode", "pd_joint_delta_pos"),
@@ -202,7 +216,9 @@ def _episode_info(number: int, episode: Episode) -> dict[str, Any]:
         "target": record.subtasks[-1].target if record.subtasks else record.plan[0].target,
         "split": record.split,
         "ending": str(episode.attributes["ending"]),
-        "events": to_events(record.subtask, record.events) if record.subtask else [name for _, name in record.events],
+        "events": to_events(record.subtask, record.events)
+        if record.subtask
+        else [name for _, name in record.events],
         "events_verbose": to_verbose(record.events, record.force),
         "articulation_type": link or None,
         "reset_kwargs": {},

@@ -79,7 +79,10 @@ class Origin:
 
 
 def import_ms_hab(
-    path: Path, out: Path, origin: Origin | None = None, begin: Callable[[int], Callable[[], object]] | None = None
+    path: Path,
+    out: Path,
+    origin: Origin | None = None,
+    begin: Callable[[int], Callable[[], object]] | None = None,
 ) -> Imported:
     """Write the trajectories of a file of MS-HAB into ``out/<task>/<subtask>/<name>.h5``, as episodes of ours.
 
@@ -98,7 +101,9 @@ def import_ms_hab(
     source = _Source.read(path, origin or Origin())
     shard = out / source.task / source.subtask / path.name
     if shard.resolve() == path.resolve():
-        raise UsageError(f"--out {out} would put the shard in the place of {path}; give another folder.")
+        raise UsageError(
+            f"--out {out} would put the shard in the place of {path}; give another folder."
+        )
     after = begin(len(source.told)) if begin else None
     written = frames = present = 0
     run = source.run()
@@ -137,14 +142,18 @@ class _Source:
         _check_file(path)
         beside = path.with_suffix(".json")
         if not beside.is_file():
-            raise UsageError(f"{path} has no {beside.name} beside it, which says what its trajectories are.")
+            raise UsageError(
+                f"{path} has no {beside.name} beside it, which says what its trajectories are."
+            )
         text = beside.read_bytes()
         try:
             said = json.loads(text)
         except ValueError as error:
             raise UsageError(f"{beside} is no JSON: {error}") from error
         if not isinstance(said, Mapping) or not isinstance(said.get("episodes"), list):
-            raise UsageError(f"{beside} has no list 'episodes'; give a file as MS-HAB's generator writes it.")
+            raise UsageError(
+                f"{beside} has no list 'episodes'; give a file as MS-HAB's generator writes it."
+            )
         told = said["episodes"]
         for number, each in enumerate(told):
             missing = [key for key in EPISODE_KEYS if key not in each]
@@ -154,7 +163,15 @@ class _Source:
                     "as mshab/utils/gen/gen_data.py does."
                 )
         subtask = _subtask(path, said)
-        return cls(path, said, told, _task(path, origin), subtask, origin.split, hashlib.sha256(text).hexdigest()[:16])
+        return cls(
+            path,
+            said,
+            told,
+            _task(path, origin),
+            subtask,
+            origin.split,
+            hashlib.sha256(text).hexdigest()[:16],
+        )
 
     @property
     def is_ours(self) -> bool:
@@ -163,7 +180,9 @@ class _Source:
 
     def run(self) -> RunInfo:
         """What made the episodes, as far as the file says."""
-        control = str(next((each["control_mode"] for each in self.told if "control_mode" in each), ""))
+        control = str(
+            next((each["control_mode"] for each in self.told if "control_mode" in each), "")
+        )
         made = next(iter(self.said.get("runs", {}).values()), {})
         name = made.get("config", {}).get("policy", {}).get("name") if self.is_ours else None
         policy = name or f"ms_hab {self.said.get('source_type', '')}".strip().lower()
@@ -174,9 +193,14 @@ class _Source:
                 "policy": {"name": policy},
                 "imported": {"from": "ms_hab", "file": place, "json": self.digest},
             },
-            options={"source_type": self.said.get("source_type"), "source_desc": self.said.get("source_desc")},
+            options={
+                "source_type": self.said.get("source_type"),
+                "source_desc": self.said.get("source_desc"),
+            },
             versions=dict(made.get("versions", {})),
-            layout={key: made["layout"][key] for key in ("actions",) if key in made.get("layout", {})},
+            layout={
+                key: made["layout"][key] for key in ("actions",) if key in made.get("layout", {})
+            },
             assets=str(made.get("assets", "replica_cad")),
             licence=str(made.get("licence", "unknown: see the source of the data")),
             absent=ABSENT,
@@ -186,17 +210,27 @@ class _Source:
         """Indices of the episodes: those of the original episode where that is told and tells them apart."""
         indices = [int(each.get("episode_index", each["episode_id"])) for each in self.told]
         names = {(_seed(each), index) for each, index in zip(self.told, indices, strict=True)}
-        return indices if len(names) == len(indices) else [int(each["episode_id"]) for each in self.told]
+        return (
+            indices
+            if len(names) == len(indices)
+            else [int(each["episode_id"]) for each in self.told]
+        )
 
-    def episode(self, file: h5py.File, told: Mapping[str, Any], index: int, run: RunInfo) -> EpisodeData:
+    def episode(
+        self, file: h5py.File, told: Mapping[str, Any], index: int, run: RunInfo
+    ) -> EpisodeData:
         """One trajectory as an episode."""
         name = f"{TRAJECTORY}{told['episode_id']}"
         if name not in file:
-            raise UsageError(f"{self.path} has no {name}, which {self.path.with_suffix('.json').name} speaks of.")
+            raise UsageError(
+                f"{self.path} has no {name}, which {self.path.with_suffix('.json').name} speaks of."
+            )
         trajectory = group(file, name)
         missing = [key for key in (*ARRAYS, *GROUPS) if key not in trajectory]
         if missing:
-            raise UsageError(f"{self.path}: {name} has no {', '.join(missing)}; it has {', '.join(trajectory)}.")
+            raise UsageError(
+                f"{self.path}: {name} has no {', '.join(missing)}; it has {', '.join(trajectory)}."
+            )
         arrays, columns = _arrays(trajectory)
         steps = len(arrays["actions"])
         if steps != int(told["elapsed_steps"]) or steps < 1:
@@ -208,27 +242,54 @@ class _Source:
         actors = tuple(str(actor) for actor in told.get("actors", ()))
         return EpisodeData(record, run, "", ending, arrays, columns, actors)
 
-    def _record(self, told: Mapping[str, Any], index: int, arrays: Mapping[str, np.ndarray]) -> EpisodeRecord:
-        success, steps = arrays["reward/success"].astype(bool), len(arrays["actions"])
+    def _record(
+        self, told: Mapping[str, Any], index: int, arrays: Mapping[str, np.ndarray]
+    ) -> EpisodeRecord:
+        success = arrays["reward/success"].astype(bool)
+        steps = len(arrays["actions"])
         events, force = from_verbose(told["events_verbose"], steps)
         label = told["label"] or None
-        peak, total = round(max(force), 3), round(sum(force), 3)
+        peak = round(max(force), 3)
+        total = round(sum(force), 3)
         target = self._target(told)
         # The rules that made the labels of the original are the published ones; their names are ours, too.
         legacy = told.get("legacy_label", None if self.is_ours else label)
         subtask = SubtaskRecord(
-            index=0, kind=self.subtask, target=target, label=label, legacy_label=legacy,
-            success_once=bool(success.any()), success_at_end=bool(success[-1]), start_step=0, end_step=steps,
-            peak_force=peak, cumulative_force=total, events=events,
-        )  # fmt: skip
+            index=0,
+            kind=self.subtask,
+            target=target,
+            label=label,
+            legacy_label=legacy,
+            success_once=bool(success.any()),
+            success_at_end=bool(success[-1]),
+            start_step=0,
+            end_step=steps,
+            peak_force=peak,
+            cumulative_force=total,
+            events=events,
+        )
         return EpisodeRecord(
-            seed=_seed(told), index=index, home=str(told.get("home") or f"build_config_{told.get('build_config_idx')}"),
-            task=self.task, split=str(told.get("split") or self.split), subtask=self.subtask,
-            plan=(PlanEntry(self.subtask, target),), subtasks=(subtask,), success_once=subtask.success_once,
-            success_at_end=subtask.success_at_end, fail=bool(arrays["reward/fail"][-1]), steps=steps,
-            completed=int(subtask.success_once), events=events, peak_force=peak, cumulative_force=total, force=force,
-            taint=(), spawn_fallback=False, final_state="",
-        )  # fmt: skip
+            seed=_seed(told),
+            index=index,
+            home=str(told.get("home") or f"build_config_{told.get('build_config_idx')}"),
+            task=self.task,
+            split=str(told.get("split") or self.split),
+            subtask=self.subtask,
+            plan=(PlanEntry(self.subtask, target),),
+            subtasks=(subtask,),
+            success_once=subtask.success_once,
+            success_at_end=subtask.success_at_end,
+            fail=bool(arrays["reward/fail"][-1]),
+            steps=steps,
+            completed=int(subtask.success_once),
+            events=events,
+            peak_force=peak,
+            cumulative_force=total,
+            force=force,
+            taint=(),
+            spawn_fallback=False,
+            final_state="",
+        )
 
     def _target(self, told: Mapping[str, Any]) -> str:
         furniture = str(told.get("articulation_type") or "")
@@ -237,7 +298,9 @@ class _Source:
 
 def _check_file(path: Path) -> None:
     if not path.is_file():
-        raise UsageError(f"{path} does not exist or is no file; give a file of MS-HAB's data set, such as 024_bowl.h5.")
+        raise UsageError(
+            f"{path} does not exist or is no file; give a file of MS-HAB's data set, such as 024_bowl.h5."
+        )
     try:
         with h5py.File(path, "r") as file:
             names = list(file)
@@ -299,7 +362,11 @@ def _arrays(trajectory: h5py.Group) -> tuple[dict[str, np.ndarray], dict[str, tu
         "obs/state": np.concatenate(list(parts.values()), axis=1),
     }
     # The policy's own actions are executed in the original: no noise is added to them.
-    told = {name: dataset(trajectory, name)[()] for name in ("actions_intended", "actor") if name in trajectory}
+    told = {
+        name: dataset(trajectory, name)[()]
+        for name in ("actions_intended", "actor")
+        if name in trajectory
+    }
     by_policy = {"actions_intended": actions, "actor": np.zeros(steps, np.uint8)} | told
     arrays |= by_policy
     arrays |= _camera_arrays(trajectory)

@@ -51,7 +51,9 @@ def to_verbose(events: Iterable[Event], force: Sequence[float]) -> list[list[Any
     return told
 
 
-def from_verbose(told: Iterable[Sequence[Any]], steps: int) -> tuple[tuple[Event, ...], tuple[float, ...]]:
+def from_verbose(
+    told: Iterable[Sequence[Any]], steps: int
+) -> tuple[tuple[Event, ...], tuple[float, ...]]:
     """Events (steps from 1) and force [N] of every control step, from an "events_verbose"."""
     events: list[Event] = []
     force = [0.0] * steps

@@ -154,28 +154,38 @@ class Worker:
     """Rolls out episodes into a shard of its own. Episodes whose fate is open are held back in memory."""
 
     def __init__(self, spec: WorkerSpec, shard: Path) -> None:
-        self._spec, self._stage = spec, spec.build()
+        self._spec = spec
+        self._stage = spec.build()
         self._filter = Filter(spec.keep) if spec.keep else None
         self._writer = ShardWriter(shard)
         self._held: dict[int, EpisodeData] = {}
-        self._request, self._tell = Request(()), _nobody
+        self._request = Request(())
+        self._tell = _nobody
         self._recorder = Recorder(
-            self, self._stage.env, self._stage.about, keep=self._passes, states=spec.states, images=spec.images,
+            self,
+            self._stage.env,
+            self._stage.about,
+            keep=self._passes,
+            states=spec.states,
+            images=spec.images,
             licence=self._stage.licence,
-        )  # fmt: skip
+        )
 
     @property
     def ready(self) -> Ready:
         """What it says when it is up."""
         return Ready(self._recorder.run, self._stage.targets)
 
-    def run(self, request: Request, tell: Callable[[Message], object], stopped: Callable[[], bool]) -> None:
+    def run(
+        self, request: Request, tell: Callable[[Message], object], stopped: Callable[[], bool]
+    ) -> None:
         """Carry out a request.
 
         Raises:
             StorageError: the disk is full. Stopped: ``stopped`` said so.
         """
-        self._request, self._tell = request, tell
+        self._request = request
+        self._tell = tell
         for index, keep in request.decided.items():
             data = self._held.pop(index, None)
             if keep and data is not None:
@@ -297,13 +307,16 @@ class InlineCrew:
     def send(self, number: int, request: Request) -> None:
         """See `Crew`; the work is done when this returns."""
         try:
-            self._workers[number].run(request, lambda message: self._said.append((number, message)), bool)
+            self._workers[number].run(
+                request, lambda message: self._said.append((number, message)), bool
+            )
         except Exception as error:
             self._said.append((number, failure(error)))
 
     def messages(self, seconds: float) -> list[tuple[int, Message]]:
         """See `Crew`; nothing more comes by waiting."""
-        said, self._said = self._said, []
+        said = self._said
+        self._said = []
         return said
 
     def stop(self) -> None:

@@ -39,7 +39,8 @@ from mjhab.data.record.quotas import Outcome, Quotas
 from mjhab.data.store.reading import open_shard
 from mjhab.data.store.shard import StorageError
 
-CONFIG, TRIED = "generation.json", "tried.jsonl"
+CONFIG = "generation.json"
+TRIED = "tried.jsonl"
 _PATIENCE = 0.2
 """Seconds between looks at whether to stop."""
 _MOST_DEATHS = 3
@@ -80,9 +81,12 @@ class Standing:
 
 
 def generate(
-    job: Job, crew: Crew, tell: Callable[[Standing], object] = bool, stopped: Callable[[], bool] = bool,
+    job: Job,
+    crew: Crew,
+    tell: Callable[[Standing], object] = bool,
+    stopped: Callable[[], bool] = bool,
     resume: bool = False,
-) -> Standing:  # fmt: skip
+) -> Standing:
     """Make a data set. Which episodes are kept depends on the job alone, not on the number of workers or on kills.
 
     Args:
@@ -132,7 +136,9 @@ class _Run:
     """State of one call of ``generate``."""
 
     def __init__(self, job: Job, crew: Crew, tell: Callable[[Standing], object]) -> None:
-        self.job, self.crew, self.tell = job, crew, tell
+        self.job = job
+        self.crew = crew
+        self.tell = tell
         self.quotas = Quotas((), job.per_target, job.per_label)
         self.configs: set[str] = set()
         self.promised: set[int] = set()
@@ -172,9 +178,13 @@ class _Run:
     @property
     def finished(self) -> bool:
         """Whether everything that is to be kept is on the disk and nothing else can be kept."""
-        if self.promised or any(keep for member in self.members.values() for keep in member.decided.values()):
+        if self.promised or any(
+            keep for member in self.members.values() for keep in member.decided.values()
+        ):
             return False
-        return self.quotas.full or (self._none_left and not any(m.open or m.held for m in self.members.values()))
+        return self.quotas.full or (
+            self._none_left and not any(m.open or m.held for m in self.members.values())
+        )
 
     @property
     def _none_left(self) -> bool:
@@ -201,7 +211,12 @@ class _Run:
         if not indices and not member.decided:
             return
         sure = self.quotas.surety(max(indices, default=0))
-        request = Request(tuple(indices), frozenset(self.promised.intersection(indices)), sure, dict(member.decided))
+        request = Request(
+            tuple(indices),
+            frozenset(self.promised.intersection(indices)),
+            sure,
+            dict(member.decided),
+        )
         member.open.update(indices)
         member.busy = True
         # What is to be kept stays in the books until it is told to be on the disk.
@@ -231,7 +246,8 @@ class _Run:
                         "with other options); choose another --out."
                     )
                 self.quotas.targets = targets
-                member.ready, member.busy = True, False
+                member.ready = True
+                member.busy = False
             case Report(outcome, stored):
                 member.deaths = 0
                 self._take(member, outcome, stored)
@@ -242,7 +258,9 @@ class _Run:
             case Failed(kind, text):
                 if kind == "storage":
                     raise StorageError(f"{text} `mjhab generate` goes on with --resume.")
-                raise UsageError(text) if kind == "usage" else MjhabError(f"a worker failed:\n{text}")
+                raise (
+                    UsageError(text) if kind == "usage" else MjhabError(f"a worker failed:\n{text}")
+                )
             case Gone():
                 self._bury(number, member)
 
@@ -307,17 +325,22 @@ class _Run:
 
     def standing(self, final: bool = False) -> Standing:
         """How far it is; at the end, counted anew from what is on the disk."""
-        outcomes, wanted = self.quotas.outcomes.values(), self.job.per_target * len(self.quotas.targets)
+        outcomes = self.quotas.outcomes.values()
+        wanted = self.job.per_target * len(self.quotas.targets)
         passed = sum(outcome.passes for outcome in outcomes)
         if not final:
-            return Standing(self.written, self.quotas.kept, len(outcomes), passed, wanted, self.quotas.labels)
+            return Standing(
+                self.written, self.quotas.kept, len(outcomes), passed, wanted, self.quotas.labels
+            )
         paths = sorted(self.job.out.glob("*.h5"))
         stored = [outcome for path in paths for outcome in self._stored(path)]
         labels = Counter(outcome.label for outcome in stored)
         size = sum(path.stat().st_size for path in paths)
         # What was written when nobody listened any more counts as well.
         written = len(stored) - self.before
-        return Standing(written, len(stored), len(outcomes), passed, wanted, labels, self.finished, size)
+        return Standing(
+            written, len(stored), len(outcomes), passed, wanted, labels, self.finished, size
+        )
 
 
 def _open_folder(job: Job, resume: bool) -> WriteLock:
@@ -328,7 +351,9 @@ def _open_folder(job: Job, resume: bool) -> WriteLock:
         raise UsageError(f"--out {job.out} is a file; give a folder.")
     there = job.out.is_dir() and any(job.out.iterdir())
     if there and not resume:
-        raise UsageError(f"{job.out} is not empty; add --resume to go on with what is in it, or choose another --out.")
+        raise UsageError(
+            f"{job.out} is not empty; add --resume to go on with what is in it, or choose another --out."
+        )
     if there and path.exists():
         other = differences(json.loads(path.read_text(encoding="utf-8")), config)
         if other:
@@ -336,7 +361,9 @@ def _open_folder(job: Job, resume: bool) -> WriteLock:
                 f"{job.out} was made with another {other}. Give the same options, or choose another --out."
             )
     elif there and any(job.out.glob("*.h5")):
-        raise UsageError(f"{job.out} holds shards that `mjhab generate` has not made; choose another --out.")
+        raise UsageError(
+            f"{job.out} holds shards that `mjhab generate` has not made; choose another --out."
+        )
     job.out.mkdir(parents=True, exist_ok=True)
     lock = WriteLock(path, job.out)
     if not path.exists():

@@ -18,7 +18,19 @@ from mjhab.core.version import __version__
 from mjhab.data.store.episode_data import RunInfo
 
 _LIBRARIES = ("mujoco", "mujoco-warp", "numpy", "h5py")
-_FREE = frozenset({"num_envs", "threads", "seed", "autoreset", "render_mode", "backend", "device", "starts", "buffers"})
+_FREE = frozenset(
+    {
+        "num_envs",
+        "threads",
+        "seed",
+        "autoreset",
+        "render_mode",
+        "backend",
+        "device",
+        "starts",
+        "buffers",
+    }
+)
 """Options of an environment that change nothing in an episode; its seed is kept with each episode. What is recorded
 comes from the CPU: the options of the other backend are not in force."""
 _VIEW = frozenset(
@@ -68,13 +80,18 @@ def describe_run(env: Any, policy: Mapping[str, Any], licence: str = "") -> RunI
         layout={
             "objects": list(layout.object_names),
             "links": list(layout.link_ids),
-            "sizes": {"qpos": len(first["qpos"]), "qvel": len(first["qvel"]), "ctrl": len(first["ctrl"])},
+            "sizes": {
+                "qpos": len(first["qpos"]),
+                "qvel": len(first["qvel"]),
+                "ctrl": len(first["ctrl"]),
+            },
             "columns": _columns(env.sim.addresses),
             "actions": [entry.name for entry in env.action_table],
             "taints": list(env.taint_names),
         },
         assets=env.config.assets,
-        licence=licence or (BUILTIN_LICENCE if env.config.assets == "builtin" else "unknown: see the asset pack"),
+        licence=licence
+        or (BUILTIN_LICENCE if env.config.assets == "builtin" else "unknown: see the asset pack"),
     )
 
 
@@ -102,7 +119,9 @@ def source_commit() -> str:
     try:
         # Someone else's repository may surround a virtual environment: it must be ours that tracks this file.
         git("ls-files", "--error-unmatch", "__init__.py")
-        return git("rev-parse", "HEAD") + ("+changes" if git("status", "--porcelain", "--", ".") else "")
+        return git("rev-parse", "HEAD") + (
+            "+changes" if git("status", "--porcelain", "--", ".") else ""
+        )
     except (OSError, subprocess.SubprocessError):
         return ""
 

@@ -52,14 +52,20 @@ class Quotas:
         UsageError: a negative quota.
     """
 
-    def __init__(self, targets: Iterable[str] = (), per_target: int = 0, per_label: int = 0) -> None:
+    def __init__(
+        self, targets: Iterable[str] = (), per_target: int = 0, per_label: int = 0
+    ) -> None:
         if per_target < 0 or per_label < 0:
-            raise UsageError(f"quotas are at least 0 (no limit); got {per_target} per target, {per_label} per label.")
+            raise UsageError(
+                f"quotas are at least 0 (no limit); got {per_target} per target, {per_label} per label."
+            )
         self.targets = tuple(targets)
-        self._per_target, self._per_label = per_target or _NONE, per_label or _NONE
+        self._per_target = per_target or _NONE
+        self._per_label = per_label or _NONE
         self._kept: dict[tuple[str, str | None], list[int]] = defaultdict(list)
         self._waiting: dict[int, Outcome] = {}
-        self._frontier, self._beyond = 0, set[int]()
+        self._frontier = 0
+        self._beyond = set[int]()
         self.outcomes: dict[int, Outcome] = {}
         """Of all reported episodes, by index."""
 
@@ -67,8 +73,12 @@ class Quotas:
     def labels(self) -> Counter[str]:
         """Labels of the kept episodes."""
         counted = Counter({key: len(kept) for key, kept in self._kept.items()})
-        return Counter({label: sum(n for (_, other), n in counted.items() if other == label)
-                        for label in sorted({label for _, label in counted if label is not None})})  # fmt: skip
+        return Counter(
+            {
+                label: sum(n for (_, other), n in counted.items() if other == label)
+                for label in sorted({label for _, label in counted if label is not None})
+            }
+        )
 
     @property
     def kept(self) -> int:
@@ -82,7 +92,9 @@ class Quotas:
     @property
     def full(self) -> bool:
         """Whether every target has its quota: nothing that is still open can be kept."""
-        return bool(self.targets) and all(self.count(target) >= self._per_target for target in self.targets)
+        return bool(self.targets) and all(
+            self.count(target) >= self._per_target for target in self.targets
+        )
 
     def is_open(self, index: int) -> bool:
         """Whether an index was not reported yet."""
@@ -141,10 +153,14 @@ class Quotas:
         unknown = self._open_below(last + 1)
         default = unknown <= min(self._per_target, self._per_label)
         waiting = Counter(key for outcome in self._waiting.values() for key in _keys(outcome))
-        sizes = {key: len(self._kept[key]) + waiting[key] + unknown for key in {*self._kept, *waiting}}
+        sizes = {
+            key: len(self._kept[key]) + waiting[key] + unknown for key in {*self._kept, *waiting}
+        }
         others: set[str] = set()
         for target in {target for target, _ in sizes}:
-            labels = [n for (other, label), n in sizes.items() if other == target and label is not None]
+            labels = [
+                n for (other, label), n in sizes.items() if other == target and label is not None
+            ]
             certain = sizes.get((target, None), unknown) <= self._per_target
             if (certain and max(labels, default=unknown) <= self._per_label) != default:
                 others.add(target)
@@ -159,9 +175,12 @@ class Quotas:
         return max(0, index - self._frontier - below)
 
     def _is_certain(self, outcome: Outcome) -> bool:
-        index, unknown = outcome.index, self._open_below(outcome.index)
+        index = outcome.index
+        unknown = self._open_below(outcome.index)
         for key, quota in zip(_keys(outcome), (self._per_target, self._per_label), strict=True):
-            waiting = sum(other.index < index and key in _keys(other) for other in self._waiting.values())
+            waiting = sum(
+                other.index < index and key in _keys(other) for other in self._waiting.values()
+            )
             if bisect_left(self._kept[key], index) + waiting + unknown >= quota:
                 return False
         return True

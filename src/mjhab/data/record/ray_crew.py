@@ -11,10 +11,20 @@ from pathlib import Path
 from typing import Any
 
 from mjhab.core.errors import UsageError
-from mjhab.data.record.crew import Failed, Gone, Message, Request, Stopped, Worker, WorkerSpec, failure
+from mjhab.data.record.crew import (
+    Failed,
+    Gone,
+    Message,
+    Request,
+    Stopped,
+    Worker,
+    WorkerSpec,
+    failure,
+)
 
 LOCAL = "local"
-_LONGEST_STOP, _LONGEST_CALL = 15.0, 10.0
+_LONGEST_STOP = 15.0
+_LONGEST_CALL = 10.0
 """Seconds until an actor that does not stop is ended, and until an address that does not answer is given up."""
 
 
@@ -64,11 +74,17 @@ class RayCrew:
         try:
             ray: Any = importlib.import_module("ray")
         except ImportError as error:
-            raise UsageError("--ray needs Ray, which is not installed: pip install 'mjhab[scale]'.") from error
+            raise UsageError(
+                "--ray needs Ray, which is not installed: pip install 'mjhab[scale]'."
+            ) from error
         self._ray = ray
         _check_reachable(address)
         try:
-            ray.init(address=None if address == LOCAL else address, log_to_driver=False, configure_logging=False)
+            ray.init(
+                address=None if address == LOCAL else address,
+                log_to_driver=False,
+                configure_logging=False,
+            )
         except (ConnectionError, ValueError, RuntimeError) as error:
             raise UsageError(f"no Ray cluster can be reached at {address!r}: {error}") from error
         # Two threads: one works, one hears that it has to stop.

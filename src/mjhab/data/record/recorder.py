@@ -58,7 +58,10 @@ class Recorder(Sink):
         self.run = describe_run(env, policy, licence)
         self.seen = self.kept = self.bytes = 0
         self.labels: Counter[str] = Counter()
-        self._writer, self._keep, self._states, self._images = writer, keep, states, images
+        self._writer = writer
+        self._keep = keep
+        self._states = states
+        self._images = images
         self._open: dict[int, _Buffer] = {}
         self._models: dict[str, str] = {}
 
@@ -81,7 +84,8 @@ class Recorder(Sink):
         for w in np.flatnonzero(step.active).tolist():
             buffer = self._open[w]
             buffer.add_action(step, w, {name: float(values[w]) for name, values in terms.items()})
-            before, now = buffer.active[-1], int(step.info["pointer"][w])
+            before = buffer.active[-1]
+            now = int(step.info["pointer"][w])
             buffer.add_state(self._physics(env, w), checks[w], forces[w], step.info, w)
             buffer.add_obs(step.obs, w, self._images)
             if now != before and now < buffer.length:
@@ -104,7 +108,9 @@ class Recorder(Sink):
         model = self._models[record.home]
         arrays = buffer.arrays()
         try:
-            data = EpisodeData(record, self.run, model, _ending(env, world), arrays, columns, buffer.actors)
+            data = EpisodeData(
+                record, self.run, model, _ending(env, world), arrays, columns, buffer.actors
+            )
         except ValueError as error:
             raise MjhabError(f"{error}. It was not recorded; those before it are safe.") from error
         self.bytes += self._writer.append(data)
@@ -125,7 +131,8 @@ class _Buffer:
     """The rows of one running episode."""
 
     def __init__(self, initial: dict[str, Any], length: int) -> None:
-        self.initial, self.length = initial, length
+        self.initial = initial
+        self.length = length
         self.active: list[int] = []
         self.actors: tuple[str, ...] = ()
         self._rows: dict[str, list[Any]] = {}
@@ -160,7 +167,9 @@ class _Buffer:
         self.active.append(int(info["pointer"][world]))
         self._put("subtasks/active", np.int16(self.active[-1]))
 
-    def add_obs(self, obs: Mapping[str, np.ndarray], world: int, images: ImageFormat | None) -> None:
+    def add_obs(
+        self, obs: Mapping[str, np.ndarray], world: int, images: ImageFormat | None
+    ) -> None:
         """Add the observation of a state of ``world``: those that ``state`` joins are kept once."""
         if not self._parts:
             self._parts = joined_parts(obs)
@@ -169,7 +178,9 @@ class _Buffer:
             if key.startswith(_IMAGE):
                 if images is not None:
                     output = key.rsplit("/", 1)[1]
-                    self._files.setdefault(key.removeprefix(_IMAGE), []).append(encode(values[world], output, images))
+                    self._files.setdefault(key.removeprefix(_IMAGE), []).append(
+                        encode(values[world], output, images)
+                    )
             elif key != STATE and key not in self._parts:
                 self._put(f"obs/{key}", values[world].copy())
 
@@ -198,7 +209,9 @@ class _Buffer:
         arrays["states/initial"] = to_bytes(self.initial)
         names = self._term_names()
         if names:
-            arrays["reward/terms"] = np.array([[terms.get(name, 0.0) for name in names] for terms in self._terms])
+            arrays["reward/terms"] = np.array(
+                [[terms.get(name, 0.0) for name in names] for terms in self._terms]
+            )
         for key, files in self._files.items():
             arrays[f"images/{key}/bytes"] = np.frombuffer(b"".join(files), np.uint8)
             arrays[f"images/{key}/ends"] = np.cumsum([len(file) for file in files], dtype=np.int64)
@@ -207,14 +220,20 @@ class _Buffer:
 
 def signal_rows(signals: Any) -> tuple[np.ndarray, np.ndarray]:
     """`tasks.measure.Signals` of W worlds as (W, len(CHECKS)) uint8 and (W, len(FORCES)) float64."""
-    checks = np.stack([np.asarray(getattr(signals, name)) for name in CHECKS], axis=1).astype(np.uint8)
+    checks = np.stack([np.asarray(getattr(signals, name)) for name in CHECKS], axis=1).astype(
+        np.uint8
+    )
     forces = np.stack([np.asarray(getattr(signals, name), np.float64) for name in FORCES], axis=1)
     return checks, forces
 
 
 def joined_parts(obs: Mapping[str, np.ndarray]) -> dict[str, int]:
     """Observations that stand side by side in ``state``, in that order, with their widths; empty if they do not."""
-    parts = {key: v.shape[1] for key, v in obs.items() if key != STATE and v.ndim == 2 and v.dtype == np.float32}
+    parts = {
+        key: v.shape[1]
+        for key, v in obs.items()
+        if key != STATE and v.ndim == 2 and v.dtype == np.float32
+    }
     if not parts or sum(parts.values()) != obs[STATE].shape[1]:
         return {}
     joined = np.concatenate([obs[key] for key in parts], axis=1)

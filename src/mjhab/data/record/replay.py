@@ -53,9 +53,11 @@ class Rendered:
 
 
 def verify(
-    places: Path | Sequence[Path], make_env: MakeEnv, where: Filter | None = None,
+    places: Path | Sequence[Path],
+    make_env: MakeEnv,
+    where: Filter | None = None,
     tell: Callable[[], object] = bool,
-) -> Verified:  # fmt: skip
+) -> Verified:
     """Simulate recorded actions again and compare positions and velocities of every state, bit by bit.
 
     Of episodes without states only the last one can be compared, by the hash in their record.
@@ -130,7 +132,8 @@ class _Comparison:
         self.states = None
         if "states/qpos" in episode.paths and "states/qvel" in episode.paths:
             self.states = episode.array("states/qpos"), episode.array("states/qvel")
-        self.problem, self.error = "", 0.0
+        self.problem = ""
+        self.error = 0.0
 
     @property
     def steps(self) -> int:
@@ -152,7 +155,11 @@ class _Comparison:
             if not self.problem or self.problem.startswith("the last"):
                 self.problem = f"{name} differs from state {t} of {self.steps} on"
             with np.errstate(invalid="ignore"):
-                error = float(np.abs(state[name] - rows[t]).max()) if state[name].shape == rows[t].shape else np.inf
+                error = (
+                    float(np.abs(state[name] - rows[t]).max())
+                    if state[name].shape == rows[t].shape
+                    else np.inf
+                )
             self.error = max(self.error, error if np.isfinite(error) else np.inf)
 
 
@@ -176,7 +183,8 @@ def _verify_batch(env: Any, batch: list[Episode]) -> list[tuple[Episode, str, fl
                 actions[world] = one.actions[t] if t < one.steps else 0.0
             env.step(actions)
     return [
-        (episode, one.problem, one.error, other) for episode, one, other in zip(batch, compared, moved, strict=True)
+        (episode, one.problem, one.error, other)
+        for episode, one, other in zip(batch, compared, moved, strict=True)
     ]
 
 
@@ -223,20 +231,24 @@ def render(
         for env, batch in _batches(places, make_env, where):
             for episode in batch:
                 if episode.shard.path.resolve() == out.resolve():
-                    raise UsageError(f"--out {out} is one of the shards to replay; give a new file.")
+                    raise UsageError(
+                        f"--out {out} is one of the shards to replay; give a new file."
+                    )
                 if episode.name in writer.names:
                     present += 1
                 else:
                     drawn = _draw(env, episode, FOLLOW in cameras, images)
                     size += writer.append(_with_images(episode, drawn, env, cameras))
-                    written, frames = written + 1, frames + episode.steps + 1
+                    written += 1
+                    frames = frames + episode.steps + 1
                 tell()
     return Rendered(written, frames, size, present)
 
 
 def _draw(env: Any, episode: Episode, follow: bool, images: ImageFormat) -> dict[str, np.ndarray]:
     """Datasets of an episode's images, and what else the observer makes of them, by path."""
-    qpos, home = episode.array("states/qpos"), episode.record.home
+    qpos = episode.array("states/qpos")
+    home = episode.record.home
     files: dict[str, list[bytes]] = {}
     rows: dict[str, list[np.ndarray]] = {}
     side = env.observer.size
@@ -252,7 +264,9 @@ def _draw(env: Any, episode: Episode, follow: bool, images: ImageFormat) -> dict
             for key, values in drawn.items():
                 if key.startswith(_IMAGE):
                     output = key.rpartition("/")[2]
-                    files.setdefault(key.removeprefix(_IMAGE), []).append(encode(values[w], output, images))
+                    files.setdefault(key.removeprefix(_IMAGE), []).append(
+                        encode(values[w], output, images)
+                    )
                 else:
                     rows.setdefault(f"obs/{key}", []).append(values[w].copy())
             if follow:
@@ -265,27 +279,45 @@ def _draw(env: Any, episode: Episode, follow: bool, images: ImageFormat) -> dict
     return arrays
 
 
-def _with_images(episode: Episode, drawn: dict[str, np.ndarray], env: Any, cameras: Sequence[str]) -> EpisodeData:
+def _with_images(
+    episode: Episode, drawn: dict[str, np.ndarray], env: Any, cameras: Sequence[str]
+) -> EpisodeData:
     """The episode with other images; its run tells what they are and which version has drawn them."""
     arrays = {path: episode.array(path) for path in episode.paths if path != "record"}
     size = tuple(env.observer.size)
     for camera, output in episode.images:
         if camera in cameras and episode.frame(camera, output, 0).shape[:2] != size:
-            arrays = {path: a for path, a in arrays.items() if not path.startswith(f"images/{camera}/{output}/")}
+            arrays = {
+                path: a
+                for path, a in arrays.items()
+                if not path.startswith(f"images/{camera}/{output}/")
+            }
     arrays |= drawn
     columns = {path: _columns(episode, path) for path in arrays if path in episode.paths}
-    seen = {"obs_mode": "+".join(env.observer.outputs) or "state", "cameras": list(cameras), "camera_size": list(size)}
+    seen = {
+        "obs_mode": "+".join(env.observer.outputs) or "state",
+        "cameras": list(cameras),
+        "camera_size": list(size),
+    }
     options = {**episode.run.options, "rendered": {**seen, "mjhab": __version__}}
     run = dataclasses.replace(episode.run, options=options)
     attributes = episode.attributes
     try:
         return EpisodeData(
-            episode.record, run, str(attributes["model"]), str(attributes["ending"]), arrays,
-            {path: names for path, names in columns.items() if names}, episode.actors, episode.schema,
-        )  # fmt: skip
+            episode.record,
+            run,
+            str(attributes["model"]),
+            str(attributes["ending"]),
+            arrays,
+            {path: names for path, names in columns.items() if names},
+            episode.actors,
+            episode.schema,
+        )
     except ValueError as error:
         raise DamagedError(f"{episode.shard.path}: {error}") from error
 
 
 def _columns(episode: Episode, path: str) -> tuple[str, ...]:
-    return tuple(f"{name}:{width}" if width else name for name, width in episode.columns(path).items())
+    return tuple(
+        f"{name}:{width}" if width else name for name, width in episode.columns(path).items()
+    )

@@ -27,8 +27,10 @@ from mjhab.data.store.images import decode
 from mjhab.data.store.reading import Episode, open_shard
 from mjhab.data.store.schema import VERSION, DamagedError
 
-STATE, ACTION = "state", "action"
-EXECUTED, INTENDED = "executed", "intended"
+STATE = "state"
+ACTION = "action"
+EXECUTED = "executed"
+INTENDED = "intended"
 LABELS: dict[str, str] = {EXECUTED: "actions", INTENDED: "actions_intended"}
 """Actions that a policy can be trained on, and the datasets that they lie in."""
 _OPEN = 64
@@ -81,7 +83,9 @@ class WindowDataset(Dataset[dict[str, Any]]):
             raise UsageError(f"history and chunk must be at least 1, got {history} and {chunk}.")
         if labels not in LABELS:
             raise unknown_name("labels", labels, LABELS)
-        self.history, self.chunk, self.images = history, chunk, tuple(images)
+        self.history = history
+        self.chunk = chunk
+        self.images = tuple(images)
         self.labels = labels
         self.actors: tuple[str, ...] = ()
         self._members = select(places, where).matched
@@ -96,8 +100,12 @@ class WindowDataset(Dataset[dict[str, Any]]):
         self._starts: list[int] = np.cumsum([0, *map(len, self._actions)]).tolist()
         self.statistics = statistics or self._statistics(mark, cache)
         if normalize:
-            self._states = [self.statistics.normalize(STATE, values, normalize) for values in self._states]
-            self._actions = [self.statistics.normalize(ACTION, values, normalize) for values in self._actions]
+            self._states = [
+                self.statistics.normalize(STATE, values, normalize) for values in self._states
+            ]
+            self._actions = [
+                self.statistics.normalize(ACTION, values, normalize) for values in self._actions
+            ]
 
     def _read(self) -> str:
         digests = [("labels", self.labels), ("schema", str(VERSION))]
@@ -148,7 +156,8 @@ class WindowDataset(Dataset[dict[str, Any]]):
         if not 0 <= index < len(self):
             raise IndexError(index)
         episode, t = self.place_of(index)
-        states, actions = self._states[episode], self._actions[episode]
+        states = self._states[episode]
+        actions = self._actions[episode]
         seen = np.maximum(np.arange(t - self.history + 1, t + 1), 0)
         ahead = np.arange(t, t + self.chunk)
         done = np.minimum(ahead, len(actions) - 1)
@@ -163,7 +172,9 @@ class WindowDataset(Dataset[dict[str, Any]]):
         for image in self.images:
             source = self._frames[image][episode]
             frames = {step: source.read(step, self._files) for step in sorted(set(seen.tolist()))}
-            item[image] = torch.from_numpy(np.stack([frames[step].transpose(2, 0, 1) for step in seen.tolist()]))
+            item[image] = torch.from_numpy(
+                np.stack([frames[step].transpose(2, 0, 1) for step in seen.tolist()])
+            )
         return item
 
     def __getstate__(self) -> dict[str, Any]:
@@ -231,7 +242,9 @@ class SeededSampler(Sampler[int]):
     """
 
     def __init__(self, size: int, seed: int = 0) -> None:
-        self._size, self._seed, self._epoch = size, seed, 0
+        self._size = size
+        self._seed = seed
+        self._epoch = 0
 
     def set_epoch(self, epoch: int) -> None:
         """The number of the epoch that begins next."""

@@ -22,9 +22,19 @@ _KIND_WORDS: dict[str, str] = {
     "close": "Close {0}.",
 }
 _JOINTS: tuple[str, ...] = (
-    "torso_lift", "head_pan", "shoulder_pan", "head_tilt", "shoulder_lift", "upperarm_roll", "elbow_flex",
-    "forearm_roll", "wrist_flex", "wrist_roll", "r_gripper_finger", "l_gripper_finger",
-)  # fmt: skip
+    "torso_lift",
+    "head_pan",
+    "shoulder_pan",
+    "head_tilt",
+    "shoulder_lift",
+    "upperarm_roll",
+    "elbow_flex",
+    "forearm_roll",
+    "wrist_flex",
+    "wrist_roll",
+    "r_gripper_finger",
+    "l_gripper_finger",
+)
 _POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 _PARTS: dict[str, tuple[str, ...]] = {
     "agent/qpos": _JOINTS,
@@ -60,7 +70,8 @@ def state_names(columns: Mapping[str, int]) -> list[str]:
     """A name for every number of ``obs/state``, from the names and widths of its parts (`Episode.columns`)."""
     names = []
     for part, width in columns.items():
-        head, parts = part.rpartition("/")[2], _PARTS.get(part, ())
+        head = part.rpartition("/")[2]
+        parts = _PARTS.get(part, ())
         if len(parts) != max(width, 1):
             parts = tuple(map(str, range(width)))
         names += [f"{head}.{name}" for name in parts] if width > 1 else [head]

@@ -14,8 +14,13 @@ from mjhab.tasks.labels import LABELS
 from mjhab.tasks.plan import KIND_NAMES, TASKS
 from mjhab.tasks.style import NAMES, descriptions, field_words, value_of
 
-NUMBER, TEXT, TRUTH, TEXTS = "a number", "a text", "yes or no", "a list of texts"
-ALL_LABELS: tuple[str, ...] = tuple(dict.fromkeys(name for names in LABELS.values() for name in names))
+NUMBER = "a number"
+TEXT = "a text"
+TRUTH = "yes or no"
+TEXTS = "a list of texts"
+ALL_LABELS: tuple[str, ...] = tuple(
+    dict.fromkeys(name for names in LABELS.values() for name in names)
+)
 
 
 @dataclass(frozen=True)
@@ -54,24 +59,68 @@ def _event(name: str) -> Fact:
 
 _BASE: tuple[Fact, ...] = (
     Fact("task", TEXT, "task", lambda r, _: r.task, TASKS),
-    Fact("subtask", TEXT, "the subtask done alone, '' for a whole chain", lambda r, _: r.subtask or "",
-         ("", *KIND_NAMES)),
+    Fact(
+        "subtask",
+        TEXT,
+        "the subtask done alone, '' for a whole chain",
+        lambda r, _: r.subtask or "",
+        ("", *KIND_NAMES),
+    ),
     Fact("split", TEXT, "split of the home", lambda r, _: r.split, ("train", "val", "test")),
     Fact("home", TEXT, "home", lambda r, _: r.home),
-    Fact("policy", TEXT, "name of what acted", lambda _, run: str(run.config.get("policy", {}).get("name", ""))),
-    Fact("profile", TEXT, "profile of the environment, '' where none is recorded",
-         lambda _, run: str(run.config.get("env", {}).get("profile", ""))),
+    Fact(
+        "policy",
+        TEXT,
+        "name of what acted",
+        lambda _, run: str(run.config.get("policy", {}).get("name", "")),
+    ),
+    Fact(
+        "profile",
+        TEXT,
+        "profile of the environment, '' where none is recorded",
+        lambda _, run: str(run.config.get("env", {}).get("profile", "")),
+    ),
     Fact("seed", NUMBER, "seed", lambda r, _: r.seed),
     Fact("index", NUMBER, "index", lambda r, _: r.index),
-    Fact("target", TEXT, "object type or link of the last subtask that ended", lambda r, _: target_of(r)),
-    Fact("furniture", TEXT, "furniture that the target is part of, '' for an object",
-         lambda r, _: target_of(r).rpartition("/")[0]),
-    Fact("targets", TEXTS, "object types and links of the plan", lambda r, _: [type_name(e.target) for e in r.plan]),
-    Fact("label", TEXT, "label of the last subtask that ended, '' if none did",
-         lambda r, _: next(iter(_ended(r, "label")[::-1]), ""), ("", *ALL_LABELS)),
-    Fact("labels", TEXTS, "labels of the subtasks that ended", lambda r, _: _ended(r, "label"), ALL_LABELS),
-    Fact("legacy_label", TEXT, "label by the rules of the published code",
-         lambda r, _: next(iter(_ended(r, "legacy_label")[::-1]), ""), ("", *ALL_LABELS)),
+    Fact(
+        "target",
+        TEXT,
+        "object type or link of the last subtask that ended",
+        lambda r, _: target_of(r),
+    ),
+    Fact(
+        "furniture",
+        TEXT,
+        "furniture that the target is part of, '' for an object",
+        lambda r, _: target_of(r).rpartition("/")[0],
+    ),
+    Fact(
+        "targets",
+        TEXTS,
+        "object types and links of the plan",
+        lambda r, _: [type_name(e.target) for e in r.plan],
+    ),
+    Fact(
+        "label",
+        TEXT,
+        "label of the last subtask that ended, '' if none did",
+        lambda r, _: next(iter(_ended(r, "label")[::-1]), ""),
+        ("", *ALL_LABELS),
+    ),
+    Fact(
+        "labels",
+        TEXTS,
+        "labels of the subtasks that ended",
+        lambda r, _: _ended(r, "label"),
+        ALL_LABELS,
+    ),
+    Fact(
+        "legacy_label",
+        TEXT,
+        "label by the rules of the published code",
+        lambda r, _: next(iter(_ended(r, "legacy_label")[::-1]), ""),
+        ("", *ALL_LABELS),
+    ),
     Fact("success", TRUTH, "the goal was reached at least once", lambda r, _: r.success_once),
     Fact("success_at_end", TRUTH, "the goal holds in the last step", lambda r, _: r.success_at_end),
     Fact("fail", TRUTH, "the episode failed", lambda r, _: r.fail),
@@ -79,20 +128,43 @@ _BASE: tuple[Fact, ...] = (
     Fact("planned", NUMBER, "subtasks of the plan", lambda r, _: len(r.plan)),
     Fact("steps", NUMBER, "control steps", lambda r, _: r.steps),
     Fact("duration", NUMBER, "time [s]", lambda r, _: r.steps * STEP_SECONDS),
-    Fact("max_force", NUMBER, "largest force of a step on the robot [N]", lambda r, _: r.peak_force),
-    Fact("mean_force", NUMBER, "mean of it over the steps [N]", lambda r, _: r.cumulative_force / max(r.steps, 1)),
-    Fact("cumulative_force", NUMBER, "sum of it over the steps [N x steps]", lambda r, _: r.cumulative_force),
+    Fact(
+        "max_force", NUMBER, "largest force of a step on the robot [N]", lambda r, _: r.peak_force
+    ),
+    Fact(
+        "mean_force",
+        NUMBER,
+        "mean of it over the steps [N]",
+        lambda r, _: r.cumulative_force / max(r.steps, 1),
+    ),
+    Fact(
+        "cumulative_force",
+        NUMBER,
+        "sum of it over the steps [N x steps]",
+        lambda r, _: r.cumulative_force,
+    ),
     Fact("tainted", TRUTH, "the simulation flagged a fault", lambda r, _: bool(r.taint)),
     Fact("taints", TEXTS, "names of the faults", lambda r, _: list(r.taint)),
-    Fact("spawn_fallback", TRUTH, "no random start was valid, the nearest was taken", lambda r, _: r.spawn_fallback),
+    Fact(
+        "spawn_fallback",
+        TRUTH,
+        "no random start was valid, the nearest was taken",
+        lambda r, _: r.spawn_fallback,
+    ),
     Fact("events", TEXTS, "names of all events in order", lambda r, _: events_of(r), EVENT_NAMES),
-)  # fmt: skip
+)
 
 
 def _styled(name: str) -> Fact:
     words = field_words(name)
     about = f"asked of the expert: {descriptions()[name]}"
-    return Fact(f"style.{name}", TEXT if words else NUMBER, about, lambda r, _: value_of(r.style, name), words)
+    return Fact(
+        f"style.{name}",
+        TEXT if words else NUMBER,
+        about,
+        lambda r, _: value_of(r.style, name),
+        words,
+    )
 
 
 FACTS: dict[str, Fact] = {fact.name: fact for fact in _BASE}
@@ -107,7 +179,13 @@ def _steps_of(record: EpisodeRecord, event: str) -> list[int]:
 
 FUNCTIONS: dict[str, tuple[str, Callable[[EpisodeRecord, str], float]]] = {
     "count": ("how often an event occurred", lambda r, event: len(_steps_of(r, event))),
-    "first": ("control step of its first occurrence", lambda r, event: min(_steps_of(r, event), default=float("nan"))),
-    "last": ("control step of its last occurrence", lambda r, event: max(_steps_of(r, event), default=float("nan"))),
+    "first": (
+        "control step of its first occurrence",
+        lambda r, event: min(_steps_of(r, event), default=float("nan")),
+    ),
+    "last": (
+        "control step of its last occurrence",
+        lambda r, event: max(_steps_of(r, event), default=float("nan")),
+    ),
 }
 """Functions of the filter language: name to meaning and value. No comparison with a step that is not holds."""

@@ -28,19 +28,36 @@ DEEPEST = 40
 _NUMBERS = "a list of numbers"
 _CONSTANTS = {"true": True, "false": False}
 _ORDER: dict[type[ast.cmpop], Callable[[Any, Any], bool]] = {
-    ast.Lt: operator.lt, ast.LtE: operator.le, ast.Gt: operator.gt, ast.GtE: operator.ge,
-}  # fmt: skip
-_EQUAL: dict[type[ast.cmpop], Callable[[Any, Any], bool]] = {ast.Eq: operator.eq, ast.NotEq: operator.ne}
+    ast.Lt: operator.lt,
+    ast.LtE: operator.le,
+    ast.Gt: operator.gt,
+    ast.GtE: operator.ge,
+}
+_EQUAL: dict[type[ast.cmpop], Callable[[Any, Any], bool]] = {
+    ast.Eq: operator.eq,
+    ast.NotEq: operator.ne,
+}
 _MATH: dict[type[ast.operator], Callable[[float, float], float]] = {
-    ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul,
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
     ast.Div: lambda a, b: a / b if b else math.nan,
-}  # fmt: skip
+}
 
 PRESETS: dict[str, tuple[str, str]] = {
-    "pick_paper": ("subtask == 'pick' and label == 'straightforward_success'", "Pick as in the paper's data"),
-    "place_paper": ("subtask == 'place' and label == 'placed_in_goal_success'", "Place as in the paper's data"),
+    "pick_paper": (
+        "subtask == 'pick' and label == 'straightforward_success'",
+        "Pick as in the paper's data",
+    ),
+    "place_paper": (
+        "subtask == 'place' and label == 'placed_in_goal_success'",
+        "Place as in the paper's data",
+    ),
     "open_paper": ("subtask == 'open' and label == 'open_success'", "Open as in the paper's data"),
-    "close_paper": ("subtask == 'close' and label == 'closed_success'", "Close as in the paper's data"),
+    "close_paper": (
+        "subtask == 'close' and label == 'closed_success'",
+        "Close as in the paper's data",
+    ),
     "pick_published": (
         "subtask == 'pick' and legacy_label == 'straightforward_success'",
         "Pick as mshab/utils/gen/gen_data.py keeps it, by the published rules of labels",
@@ -146,15 +163,20 @@ class _Compiler:
     """Turns the text of one filter into parts, checking every node."""
 
     def __init__(self, text: str) -> None:
-        self.text, self.names = text, set[str]()
+        self.text = text
+        self.names = set[str]()
         self._lead = self._depth = 0
 
     def compile(self) -> _Part:
         """The part of the whole text."""
         if not self.text.strip():
-            raise FilterError(self.text, 1, "the filter is empty; for instance: success and max_force < 1400")
+            raise FilterError(
+                self.text, 1, "the filter is empty; for instance: success and max_force < 1400"
+            )
         if len(self.text) > LONGEST:
-            raise UsageError(f"the filter has {len(self.text)} characters; at most {LONGEST} are read.")
+            raise UsageError(
+                f"the filter has {len(self.text)} characters; at most {LONGEST} are read."
+            )
         lead = len(self.text) - len(self.text.lstrip())
         self.text = self.text.replace("\n", " ").replace("\t", " ")
         try:
@@ -171,18 +193,25 @@ class _Compiler:
         for wrong, right in (("&&", "and"), ("||", "or"), ("!(", "not ("), ("<>", "!=")):
             if wrong in self.text:
                 return f"write {right!r} instead of {wrong!r}"
-        if self.text[(error.offset or 1) - 1 + len(self.text) - len(self.text.lstrip()) :].startswith("="):
+        if self.text[
+            (error.offset or 1) - 1 + len(self.text) - len(self.text.lstrip()) :
+        ].startswith("="):
             return "write == to compare"
         return f"cannot be read: {error.msg}"
 
     def _error(self, node: ast.AST, problem: str) -> FilterError:
-        before = self.text.lstrip().encode()[: getattr(node, "col_offset", 0)].decode(errors="replace")
+        before = (
+            self.text.lstrip().encode()[: getattr(node, "col_offset", 0)].decode(errors="replace")
+        )
         return FilterError(self.text, len(before) + self._lead + 1, problem)
 
     def _truth(self, node: ast.AST, what: str) -> _Part:
         part = self._part(node)
         if part.kind != TRUTH:
-            raise self._error(node, f"{what} needs {TRUTH}, but this is {part.kind}; compare it, as in steps < 100")
+            raise self._error(
+                node,
+                f"{what} needs {TRUTH}, but this is {part.kind}; compare it, as in steps < 100",
+            )
         return part
 
     def _number(self, node: ast.AST, what: str) -> _Part:
@@ -193,12 +222,23 @@ class _Compiler:
 
     def _part(self, node: ast.AST) -> _Part:
         maker = {
-            ast.BoolOp: self._bool_op, ast.UnaryOp: self._unary, ast.Compare: self._compare, ast.BinOp: self._binary,
-            ast.Name: self._name, ast.Attribute: self._name, ast.Constant: self._constant, ast.Tuple: self._list,
-            ast.List: self._list, ast.Set: self._list, ast.Call: self._call,
-        }.get(type(node))  # fmt: skip
+            ast.BoolOp: self._bool_op,
+            ast.UnaryOp: self._unary,
+            ast.Compare: self._compare,
+            ast.BinOp: self._binary,
+            ast.Name: self._name,
+            ast.Attribute: self._name,
+            ast.Constant: self._constant,
+            ast.Tuple: self._list,
+            ast.List: self._list,
+            ast.Set: self._list,
+            ast.Call: self._call,
+        }.get(type(node))
         if maker is None:
-            raise self._error(node, "only names, numbers, texts, lists, comparisons, + - * /, and, or, not are known")
+            raise self._error(
+                node,
+                "only names, numbers, texts, lists, comparisons, + - * /, and, or, not are known",
+            )
         self._depth += 1
         if self._depth > DEEPEST:
             raise self._error(node, f"nested deeper than {DEEPEST} levels")
@@ -217,14 +257,16 @@ class _Compiler:
             return _Part(TRUTH, lambda r, run: not inner.get(r, run))
         if not isinstance(node.op, ast.USub | ast.UAdd):
             raise self._error(node, "unknown sign; write 'not' for the opposite")
-        inner, sign = self._number(node.operand, "a sign"), -1 if isinstance(node.op, ast.USub) else 1
+        inner = self._number(node.operand, "a sign")
+        sign = -1 if isinstance(node.op, ast.USub) else 1
         return _Part(NUMBER, lambda r, run: sign * inner.get(r, run))
 
     def _binary(self, node: ast.BinOp) -> _Part:
         compute = _MATH.get(type(node.op))
         if compute is None:
             raise self._error(node, "only + - * / are known; write 'and' and 'or' for & and |")
-        a, b = self._number(node.left, "arithmetic"), self._number(node.right, "arithmetic")
+        a = self._number(node.left, "arithmetic")
+        b = self._number(node.right, "arithmetic")
         return _Part(NUMBER, lambda r, run: compute(a.get(r, run), b.get(r, run)))
 
     def _compare(self, node: ast.Compare) -> _Part:
@@ -233,7 +275,7 @@ class _Compiler:
         tests = [
             self._test(op, a, b, where)
             for op, a, b, where in zip(node.ops, parts, parts[1:], sides[1:], strict=False)
-        ]  # fmt: skip
+        ]
 
         def holds(record: EpisodeRecord, run: RunInfo) -> bool:
             values = [part.get(record, run) for part in parts]
@@ -241,11 +283,15 @@ class _Compiler:
 
         return _Part(TRUTH, holds)
 
-    def _test(self, op: ast.cmpop, a: _Part, b: _Part, where: ast.AST) -> Callable[[Any, Any], bool]:
+    def _test(
+        self, op: ast.cmpop, a: _Part, b: _Part, where: ast.AST
+    ) -> Callable[[Any, Any], bool]:
         if isinstance(op, ast.In | ast.NotIn):
             element = {TEXTS: TEXT, _NUMBERS: NUMBER}.get(b.kind)
             if element is None:
-                raise self._error(where, f"'in' needs a list, but this is {b.kind}; a list of one is ('a',)")
+                raise self._error(
+                    where, f"'in' needs a list, but this is {b.kind}; a list of one is ('a',)"
+                )
             if a.kind != element:
                 raise self._error(where, f"{a.kind} is never in {b.kind}")
             self._check_choices(a, b)
@@ -273,7 +319,9 @@ class _Compiler:
         names = sorted(filter(None, valid))
         near = difflib.get_close_matches(given, names, n=1, cutoff=0.5)
         rest = f"Did you mean {near[0]!r}?" if near else f"Known: {', '.join(names)}."
-        return self._error(node, f"{what} {given!r}. {rest} (`mjhab data fields` explains all names)")
+        return self._error(
+            node, f"{what} {given!r}. {rest} (`mjhab data fields` explains all names)"
+        )
 
     def _name(self, node: ast.Name | ast.Attribute) -> _Part:
         if isinstance(node, ast.Name):
@@ -316,7 +364,9 @@ class _Compiler:
         if name not in FUNCTIONS:
             raise self._unknown(node, "unknown function", name or "?", FUNCTIONS)
         argument = node.args[0] if len(node.args) == 1 and not node.keywords else None
-        event = argument.value if isinstance(argument, ast.Constant) else getattr(argument, "id", None)
+        event = (
+            argument.value if isinstance(argument, ast.Constant) else getattr(argument, "id", None)
+        )
         if not isinstance(event, str):
             raise self._error(node, f"{name}() takes one event, as in {name}('dropped')")
         if event not in EVENT_NAMES:

@@ -30,17 +30,22 @@ def relabel(episode: Episode) -> tuple[EpisodeRecord, list[Change]]:
 
     Subtasks that had not ended when the episode was cut have no label, as in the record.
     """
-    record, changes = episode.record, []
-    subtasks, events = [], [e for e in record.events if e[0] > _last_end(record)]
+    record = episode.record
+    changes = []
+    subtasks = []
+    events = [e for e in record.events if e[0] > _last_end(record)]
     for k, old in reversed(list(enumerate(record.subtasks))):
         index, history = episode.history(k)
         if index != old.index:
-            raise ValueError(f"episode {episode.name}: the signals are of subtask {index}, the record of {old.index}")
+            raise ValueError(
+                f"episode {episode.name}: the signals are of subtask {index}, the record of {old.index}"
+            )
         new = relabel_subtask(old, history)
         subtasks.insert(0, new)
         events[:0] = new.events
         for what in ("label", "legacy_label", "events"):
-            before, after = getattr(old, what), getattr(new, what)
+            before = getattr(old, what)
+            after = getattr(new, what)
             if before != after:
                 changes.insert(0, Change(old.index, what, before, after))
     if not changes:

@@ -47,7 +47,10 @@ class Selection:
     @property
     def fingerprint(self) -> str:
         """A short text that is another one for other episodes, other contents or another order."""
-        lines = (f"{name} {digest}\n" for (_, name), digest in zip(self.matched, self.digests, strict=True))
+        lines = (
+            f"{name} {digest}\n"
+            for (_, name), digest in zip(self.matched, self.digests, strict=True)
+        )
         return f"{len(self.matched)} of {hashlib.sha256(''.join(lines).encode()).hexdigest()[:16]}"
 
 
@@ -60,7 +63,8 @@ def select(places: Path | Sequence[Path], where: Filter | None = None) -> Select
     found = Selection()
     for episode in episodes(places):
         found.of += 1
-        record, run = episode.record, episode.run
+        record = episode.record
+        run = episode.run
         if where is None or where(record, run):
             found.matched.append((episode.shard.path, episode.name))
             found.records.append(record)
@@ -164,7 +168,11 @@ def merge(places: Sequence[Path], out: Path, where: Filter | None = None) -> Mer
 
 
 def split(
-    places: Sequence[Path], out: Path, parts: Mapping[str, float], by: str = "episode", seed: int = 0
+    places: Sequence[Path],
+    out: Path,
+    parts: Mapping[str, float],
+    by: str = "episode",
+    seed: int = 0,
 ) -> dict[str, int]:
     """Divide a data set into shards ``out/<part>.h5``; returns the number of episodes in each.
 
@@ -188,7 +196,9 @@ def split(
     names: set[str] = set()
     for episode in episodes(places):
         if episode.name in names:
-            raise UsageError(f"episode {episode.name} comes twice; merge the shards into one first.")
+            raise UsageError(
+                f"episode {episode.name} comes twice; merge the shards into one first."
+            )
         names.add(episode.name)
         groups[GROUPINGS[by](episode)].append((episode.shard.path, episode.name))
     dealt = _deal(groups, parts, seed)
@@ -221,12 +231,15 @@ def _remove(path: Path) -> None:
     journal_path(path).unlink(missing_ok=True)
 
 
-def _deal(groups: Mapping[str, list[Place]], parts: Mapping[str, float], seed: int) -> dict[str, list[Place]]:
+def _deal(
+    groups: Mapping[str, list[Place]], parts: Mapping[str, float], seed: int
+) -> dict[str, list[Place]]:
     order = sorted(groups, key=lambda name: hashlib.sha256(f"{seed}/{name}".encode()).digest())
     total = sum(map(len, groups.values()))
     dealt: dict[str, list[Place]] = {part: [] for part in parts}
     waiting = iter(order)
-    reached, due = 0, 0.0
+    reached = 0
+    due = 0.0
     for part, share in parts.items():
         due += share * total
         while reached < round(due) and (name := next(waiting, None)) is not None:

@@ -14,7 +14,8 @@ from mjhab.core.cache import write_atomic
 from mjhab.core.errors import UsageError, unknown_name
 
 _FORMAT = "mjhab-statistics-1"
-SPREAD, RANGE = "spread", "range"
+SPREAD = "spread"
+RANGE = "range"
 NORMALS = (SPREAD, RANGE)
 """Ways to normalize: mean 0 and spread 1, or all values from -1 to 1, as diffusion needs it."""
 _LEAST = 1e-3
@@ -44,8 +45,12 @@ class Statistics:
             square = sum(((piece - mean) ** 2).sum(axis=0) for piece in pieces) / count
             parts["mean"][name] = np.asarray(mean, np.float32)
             parts["std"][name] = np.sqrt(square).astype(np.float32)
-            parts["low"][name] = np.min([piece.min(axis=0) for piece in pieces], axis=0).astype(np.float32)
-            parts["high"][name] = np.max([piece.max(axis=0) for piece in pieces], axis=0).astype(np.float32)
+            parts["low"][name] = np.min([piece.min(axis=0) for piece in pieces], axis=0).astype(
+                np.float32
+            )
+            parts["high"][name] = np.max([piece.max(axis=0) for piece in pieces], axis=0).astype(
+                np.float32
+            )
         return cls(**parts, fingerprint=fingerprint)
 
     def normalize(self, name: str, values: np.ndarray, how: str = SPREAD) -> np.ndarray:
@@ -67,13 +72,20 @@ class Statistics:
             raise unknown_name("way to normalize", str(how), NORMALS)
         if how == SPREAD:
             return self.mean[name], np.maximum(self.std[name], _LEAST)
-        low, high = self.low[name], self.high[name]
+        low = self.low[name]
+        high = self.high[name]
         return (low + high) / 2, np.maximum((high - low) / 2, _LEAST)
 
     def save(self, path: Path) -> None:
         """Write them as npz, without pickles, whole or not at all."""
-        arrays = {f"{part}/{name}": value for part in _PARTS for name, value in getattr(self, part).items()}
-        head = np.frombuffer(json.dumps({"format": _FORMAT, "of": self.fingerprint}).encode(), np.uint8)
+        arrays = {
+            f"{part}/{name}": value
+            for part in _PARTS
+            for name, value in getattr(self, part).items()
+        }
+        head = np.frombuffer(
+            json.dumps({"format": _FORMAT, "of": self.fingerprint}).encode(), np.uint8
+        )
 
         def write(temporary: Path) -> None:
             with temporary.open("wb") as file:

@@ -58,7 +58,9 @@ class Repair:
     indexed: bool = True
 
 
-def check(places: Path | Sequence[Path], on_shard: Callable[[], object] | None = None) -> CheckReport:
+def check(
+    places: Path | Sequence[Path], on_shard: Callable[[], object] | None = None
+) -> CheckReport:
     """Read every byte of every episode and compare it with its digest and with the schema.
 
     Raises:
@@ -170,7 +172,8 @@ def _salvage(path: Path, cut: bool) -> Repair:
 
 
 def _free_name(path: Path) -> Path:
-    number, name = 0, path.with_name(path.name + ".damaged")
+    number = 0
+    name = path.with_name(path.name + ".damaged")
     while name.exists():
         number += 1
         name = path.with_name(f"{path.name}.damaged{number}")

@@ -89,11 +89,15 @@ class EpisodeData:
             object.__setattr__(self, "actors", (self.run.policy,))
         arrays = {**self.arrays, "record": np.zeros(1, np.uint8)}
         widths = column_widths(self.run.layout, self.columns)
-        wrong = problems(arrays, self.record.steps, schema=self.schema, widths=widths, absent=self.run.absent)
+        wrong = problems(
+            arrays, self.record.steps, schema=self.schema, widths=widths, absent=self.run.absent
+        )
         wrong = wrong or unnamed_actors(arrays, self.actors)
         wrong += record_problems(self.record)
         if wrong:
-            raise ValueError(f"episode {self.record.index} does not fit the schema: {'; '.join(wrong)}")
+            raise ValueError(
+                f"episode {self.record.index} does not fit the schema: {'; '.join(wrong)}"
+            )
 
     @property
     def name(self) -> str:
@@ -113,16 +117,22 @@ def record_problems(record: EpisodeRecord) -> list[str]:
     """What is wrong with the numbers of a record, in words; empty if nothing is."""
     found = []
     if len(record.force) != record.steps:
-        found.append(f"its record has {len(record.force)} forces, not {record.steps}, one per control step")
+        found.append(
+            f"its record has {len(record.force)} forces, not {record.steps}, one per control step"
+        )
     forces = [*record.force, record.peak_force, record.cumulative_force]
-    forces += [force for entry in record.subtasks for force in (entry.peak_force, entry.cumulative_force)]
+    forces += [
+        force for entry in record.subtasks for force in (entry.peak_force, entry.cumulative_force)
+    ]
     if not np.isfinite(forces).all():
         found.append("its record has forces that are not finite")
     for entry in record.subtasks:
         if not 0 <= entry.index < len(record.plan):
             found.append(f"its record has subtask {entry.index} of a plan of {len(record.plan)}")
         if not 0 <= entry.start_step <= entry.end_step <= record.steps:
-            found.append(f"its record has a subtask from step {entry.start_step} to {entry.end_step} of {record.steps}")
+            found.append(
+                f"its record has a subtask from step {entry.start_step} to {entry.end_step} of {record.steps}"
+            )
     return found
 
 
@@ -143,7 +153,9 @@ def record_bytes(record: EpisodeRecord) -> np.ndarray:
 
 def to_bytes(value: Any) -> np.ndarray:
     """Nested dicts and lists of plain data and numpy arrays as (n,) uint8 JSON, without loss."""
-    return np.frombuffer(json.dumps(value, default=_plain, separators=(",", ":")).encode(), np.uint8)
+    return np.frombuffer(
+        json.dumps(value, default=_plain, separators=(",", ":")).encode(), np.uint8
+    )
 
 
 def from_bytes(data: np.ndarray) -> Any:

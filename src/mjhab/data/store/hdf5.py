@@ -112,7 +112,9 @@ def check_format(file: h5py.File, path: Path) -> int:
         )
     missing = [name for name in (EPISODES, RUNS) if name not in file]
     if missing:
-        raise DamagedError(f"{path} has lost its group {missing[0]!r}. Try: mjhab data repair {path}")
+        raise DamagedError(
+            f"{path} has lost its group {missing[0]!r}. Try: mjhab data repair {path}"
+        )
     return version
 
 
@@ -143,7 +145,9 @@ def dataset(parent: h5py.Group, path: str) -> h5py.Dataset:
 def dataset_paths(parent: h5py.Group) -> list[str]:
     """Paths of all datasets in a group and the groups in it."""
     found: list[str] = []
-    parent.visititems(lambda path, item: found.append(path) if isinstance(item, h5py.Dataset) else None)
+    parent.visititems(
+        lambda path, item: found.append(path) if isinstance(item, h5py.Dataset) else None
+    )
     return found
 
 

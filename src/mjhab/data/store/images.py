@@ -44,7 +44,9 @@ def encode(image: np.ndarray, output: str, form: ImageFormat) -> bytes:
             picture.save(file, "PNG", compress_level=_PNG_LEVEL)
         return file.getvalue()
     if image.min() < 0 or image.max() > _MOST:
-        raise ValueError(f"{output} image has values from {image.min()} to {image.max()}; 0 to {_MOST} can be stored")
+        raise ValueError(
+            f"{output} image has values from {image.min()} to {image.max()}; 0 to {_MOST} can be stored"
+        )
     Image.fromarray(image[..., 0].astype(np.uint16)).save(file, "PNG", compress_level=_PNG_LEVEL)
     return file.getvalue()
 

@@ -30,7 +30,8 @@ from mjhab.data.store.schema import DamagedError
 PAGE = 4096
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _MAGIC = b"mjhab journal 1\n"
-_HEAD, _PART = struct.Struct("<QQ32sI"), struct.Struct("<QI")
+_HEAD = struct.Struct("<QQ32sI")
+_PART = struct.Struct("<QI")
 _END_OF_FILE = 28
 """Offset of the file's length in a superblock of version 2 or 3 with 8-byte offsets (HDF5 format specification)."""
 
@@ -61,7 +62,8 @@ class Overlay(io.RawIOBase):
 
     def __init__(self, fd: int, length: int, pages: dict[int, bytes] | None = None) -> None:
         super().__init__()
-        self._fd, self.base = fd, length
+        self._fd = fd
+        self.base = length
         self.pages = {number: bytearray(data) for number, data in (pages or {}).items()}
         self.tail = bytearray()
         self._at = 0
@@ -85,7 +87,9 @@ class Overlay(io.RawIOBase):
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
         """Move to an offset."""
-        self._at = offset + {os.SEEK_SET: 0, os.SEEK_CUR: self._at, os.SEEK_END: self.length}[whence]
+        self._at = (
+            offset + {os.SEEK_SET: 0, os.SEEK_CUR: self._at, os.SEEK_END: self.length}[whence]
+        )
         return self._at
 
     def tell(self) -> int:
@@ -128,7 +132,8 @@ class Overlay(io.RawIOBase):
         for number in range(at // PAGE, -(-(at + old) // PAGE)) if old else ():
             page = self.pages.get(number)
             if page is not None:
-                low, high = max(at, number * PAGE), min(at + old, number * PAGE + len(page))
+                low = max(at, number * PAGE)
+                high = min(at + old, number * PAGE + len(page))
                 if low < high:  # a page that was the last one may be short
                     out[low - at : high - at] = page[low - number * PAGE : high - number * PAGE]
         start = at + old - self.base
@@ -140,7 +145,8 @@ class Overlay(io.RawIOBase):
             start = number * PAGE
             if number not in self.pages:
                 self.pages[number] = self._read(start, min(PAGE, self.base - start))
-            low, high = max(at, start), min(end, start + PAGE)
+            low = max(at, start)
+            high = min(end, start + PAGE)
             self.pages[number][low - start : high - start] = view[low - at : high - at]
 
 
@@ -153,7 +159,9 @@ def committed_length(path: Path) -> int:
     with open(path, "rb") as file:
         head = file.read(_END_OF_FILE + 8)
     if head[:8] != SIGNATURE:
-        raise DamagedError(f"{path} is not an HDF5 file: it does not begin with the signature of one.")
+        raise DamagedError(
+            f"{path} is not an HDF5 file: it does not begin with the signature of one."
+        )
     if len(head) < _END_OF_FILE + 8 or head[8] not in (2, 3) or head[9] != 8:
         raise DamagedError(
             f"{path} is an HDF5 file of a kind that mjhab does not write; give a shard, as `mjhab generate` makes them."
@@ -226,7 +234,8 @@ def read_journal(path: Path) -> Journal | None:
         data = journal_path(path).read_bytes()
     except FileNotFoundError:
         return None
-    body, digest = data[:-32], data[-32:]
+    body = data[:-32]
+    digest = data[-32:]
     if not body.startswith(_MAGIC) or hashlib.sha256(body).digest() != digest:
         return None
     journal = _unpack(body)
@@ -262,7 +271,8 @@ def _pack(fd: int, overlay: Overlay) -> bytes:
 
 def _unpack(body: bytes) -> Journal:
     before, after, first, count = _HEAD.unpack_from(body, len(_MAGIC))
-    at, pages = len(_MAGIC) + _HEAD.size, {}
+    at = len(_MAGIC) + _HEAD.size
+    pages = {}
     for _ in range(count):
         number, size = _PART.unpack_from(body, at)
         at += _PART.size + size
@@ -291,4 +301,5 @@ def _write(fd: int, at: int, data: bytes | bytearray) -> None:
     view = memoryview(data)
     while view:
         done = os.pwrite(fd, view, at)
-        view, at = view[done:], at + done
+        view = view[done:]
+        at = at + done

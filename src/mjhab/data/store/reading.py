@@ -17,8 +17,22 @@ from h5py import h5r
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.locking import is_written
 from mjhab.core.names import check_name
-from mjhab.data.store.episode_data import RunInfo, episode_digest, from_bytes, record_problems, run_id, unnamed_actors
-from mjhab.data.store.hdf5 import check_format, dataset, dataset_paths, group, read_arrays, read_attributes
+from mjhab.data.store.episode_data import (
+    RunInfo,
+    episode_digest,
+    from_bytes,
+    record_problems,
+    run_id,
+    unnamed_actors,
+)
+from mjhab.data.store.hdf5 import (
+    check_format,
+    dataset,
+    dataset_paths,
+    group,
+    read_arrays,
+    read_attributes,
+)
 from mjhab.data.store.images import decode
 from mjhab.data.store.journal import Overlay, committed_length, read_journal
 from mjhab.data.store.locking import quiet
@@ -68,7 +82,8 @@ class Episode:
     """
 
     def __init__(self, shard: Shard, name: str) -> None:
-        self.shard, self.name = shard, name
+        self.shard = shard
+        self.name = name
         with self._telling():
             self._group = shard.open_group(name)
 
@@ -133,7 +148,9 @@ class Episode:
         run has acted all the time.
         """
         with self._reading():
-            return tuple(f.path for f in FIELDS if f.since > self.schema and f.path not in self._group)
+            return tuple(
+                f.path for f in FIELDS if f.since > self.schema and f.path not in self._group
+            )
 
     @property
     def actors(self) -> tuple[str, ...]:
@@ -206,7 +223,9 @@ class Episode:
 
     def table(self, path: str) -> dict[str, np.ndarray]:
         """A two-dimensional dataset as its columns, e.g. "signals/checks": (N+1,) each, or (N+1, n) for n columns."""
-        array, at, table = self.array(path), 0, {}
+        array = self.array(path)
+        at = 0
+        table = {}
         for name, width in self.columns(path).items():
             table[name] = array[:, at : at + width] if width else array[:, at]
             at += width or 1
@@ -227,7 +246,9 @@ class Episode:
             camera, output = _camera_output(key)
             if camera:
                 return np.stack([self.frame(camera, output, t) for t in range(self.steps + 1)])
-        raise unknown_name("observation", key, [*parts, *(p[4:] for p in self.paths if p.startswith("obs/"))])
+        raise unknown_name(
+            "observation", key, [*parts, *(p[4:] for p in self.paths if p.startswith("obs/"))]
+        )
 
     @property
     def images(self) -> list[tuple[str, str]]:
@@ -252,7 +273,9 @@ class Episode:
                 raise self._no_images(camera, output)
             ends = dataset(self._group, f"{place}/ends")
             start = int(ends[t - 1]) if t else 0
-            return decode(dataset(self._group, f"{place}/bytes")[start : int(ends[t])].tobytes(), output)
+            return decode(
+                dataset(self._group, f"{place}/bytes")[start : int(ends[t])].tobytes(), output
+            )
 
     def _no_images(self, camera: str, output: str) -> UsageError:
         had = ", ".join(f"{c} {o}" for c, o in self.images) or "none"
@@ -261,7 +284,9 @@ class Episode:
             how = "It was imported from data without states to draw them from."
         elif "states/qpos" not in self.paths:
             how = "It was recorded without states to draw them from; record it again: `mjhab generate --images`."
-        return UsageError(f"episode {self.name} has no {output} images of {camera} (it has: {had}). {how}")
+        return UsageError(
+            f"episode {self.name} has no {output} images of {camera} (it has: {had}). {how}"
+        )
 
     def frame_places(self, camera: str, output: str) -> tuple[int, np.ndarray] | None:
         """Offset of the first frame in the file and ends (N+1,) of all frames from there on [bytes].
@@ -284,16 +309,29 @@ class Episode:
         """Index in the plan of the k-th subtask that was reached, and its signals (T+1, 1) bool for `tasks.labels`."""
         starts = [*self.array("subtasks/step").tolist(), self.steps]
         first = self.array("subtasks/checks")[k : k + 1]
-        checks = np.concatenate([first, self.array("signals/checks")[starts[k] + 1 : starts[k + 1] + 1]])
+        checks = np.concatenate(
+            [first, self.array("signals/checks")[starts[k] + 1 : starts[k + 1] + 1]]
+        )
         fields = checks_by_name(checks)
-        return int(self.array("subtasks/index")[k]), History(**{n: fields[n] for n in History.__dataclass_fields__})
+        return int(self.array("subtasks/index")[k]), History(
+            **{n: fields[n] for n in History.__dataclass_fields__}
+        )
 
     def problems(self) -> list[str]:
         """What is wrong with it, in words: parts that are missing or do not fit, or bytes that have changed."""
         with self._reading():
             arrays = read_arrays(self._group)
-            widths = column_widths(self.run.layout, {path: self._column_names(path) for path in arrays})
-            wrong = problems(arrays, self.steps, others=True, schema=self.schema, widths=widths, absent=self.run.absent)
+            widths = column_widths(
+                self.run.layout, {path: self._column_names(path) for path in arrays}
+            )
+            wrong = problems(
+                arrays,
+                self.steps,
+                others=True,
+                schema=self.schema,
+                widths=widths,
+                absent=self.run.absent,
+            )
             wrong = wrong or unnamed_actors(arrays, self.actors)
             if not wrong and episode_digest(arrays) != self.attributes["digest"]:
                 wrong.append("its bytes are not those that were written (digest)")
@@ -307,7 +345,9 @@ class Episode:
         if run_id(self.shard.told[name]) != name:
             wrong.append("what made it (its run) is not what was written")
         if self.run.episode_name(self.record.seed, self.record.index) != self.name:
-            wrong.append(f"its record is that of episode {self.record.index} of seed {self.record.seed}")
+            wrong.append(
+                f"its record is that of episode {self.record.index} of seed {self.record.seed}"
+            )
         return wrong
 
     def refuse_damage(self) -> None:
@@ -348,7 +388,9 @@ class Shard:
     def _read_index(self) -> None:
         """Read all that a writer changes, so that nothing leads there later: where episodes lie, and the runs."""
         index = group(self.file, EPISODES)
-        self._places = {str(name): h5r.create(index.id, str(name).encode(), h5r.OBJECT) for name in index}
+        self._places = {
+            str(name): h5r.create(index.id, str(name).encode(), h5r.OBJECT) for name in index
+        }
         self.names = sorted(self._places)
         with suppress(*BROKEN):
             _ = self.told  # of a damaged one, whoever asks hears of it
@@ -377,7 +419,10 @@ class Shard:
     def runs(self) -> dict[str, RunInfo]:
         """What made the episodes, by name."""
         known = RunInfo.__dataclass_fields__
-        return {name: RunInfo(**{k: v for k, v in run.items() if k in known}) for name, run in self.told.items()}
+        return {
+            name: RunInfo(**{k: v for k, v in run.items() if k in known})
+            for name, run in self.told.items()
+        }
 
     def episode(self, name: str) -> Episode:
         """One episode by its name.
@@ -451,7 +496,8 @@ def _camera_output(key: str) -> tuple[str, str]:
 def _unreadable(path: Path, error: Exception) -> DamagedError:
     if is_written(path):
         return DamagedError(f"{path} is being written at this moment; try again.")
-    there, whole = path.stat().st_size, committed_length(path)
+    there = path.stat().st_size
+    whole = committed_length(path)
     if there < whole:
         return DamagedError(
             f"{path} cannot be read: it is cut off, {there:,} of its {whole:,} bytes are there. Copy it again from "

@@ -20,14 +20,31 @@ without: readers pass over names that they do not know.
 1: the first. 2: intended actions and who acted are stored; quaternions among the observations are canonical."""
 OLDEST = 1
 """Oldest schema that is read; `Episode` gives the contents of an older one as those of VERSION."""
-EPISODES, RUNS = "episodes", "runs"
+EPISODES = "episodes"
+RUNS = "runs"
 STEP_SECONDS = 0.05
 """One control step [s]: control at 20 Hz (MS-HAB paper Sec. 4.1)."""
 
 CHECKS: tuple[str, ...] = (
-    "is_grasped", "at_goal", "ee_rest", "robot_rest", "is_static", "force_ok", "opened", "closed", "slightly_opened",
-    "slightly_closed", "near", "oriented", "contact", "touch", "success", "placed_ok", "must_hold", "ee_contact",
-)  # fmt: skip
+    "is_grasped",
+    "at_goal",
+    "ee_rest",
+    "robot_rest",
+    "is_static",
+    "force_ok",
+    "opened",
+    "closed",
+    "slightly_opened",
+    "slightly_closed",
+    "near",
+    "oriented",
+    "contact",
+    "touch",
+    "success",
+    "placed_ok",
+    "must_hold",
+    "ee_contact",
+)
 """Columns of ``signals/checks``: the boolean fields of `tasks.measure.Signals`; labels need nothing else.
 Shards of versions without ``ee_contact`` have all columns but this last one, see ``checks_by_name``."""
 FORCES: tuple[str, ...] = ("robot_force", "target_force", "cumulative_force")
@@ -56,28 +73,140 @@ class Field:
 
 
 FIELDS: tuple[Field, ...] = (
-    Field("record", "", "bytes", "uint8", "JSON", "the `EpisodeRecord`: identity, plan, labels, events, forces, taint"),
+    Field(
+        "record",
+        "",
+        "bytes",
+        "uint8",
+        "JSON",
+        "the `EpisodeRecord`: identity, plan, labels, events, forces, taint",
+    ),
     Field("actions", "N", "(N, A)", "float32", "action table", "as executed, before clipping"),
-    Field("actions_intended", "N", "(N, A)", "float32", "action table", "what was intended: without noise", since=2),
+    Field(
+        "actions_intended",
+        "N",
+        "(N, A)",
+        "float32",
+        "action table",
+        "what was intended: without noise",
+        since=2,
+    ),
     Field("actor", "N", "(N,)", "uint8", "index in `actors`", "who acted", since=2),
-    Field("states/initial", "", "bytes", "uint8", "JSON", "`env.get_state` after the reset: the full first state"),
-    Field("states/qpos", "N+1", "(N+1, nq)", "float64", "m, rad, wxyz", "generalized positions", optional=True),
-    Field("states/qvel", "N+1", "(N+1, nv)", "float64", "m/s, rad/s", "generalized velocities", optional=True),
-    Field("signals/checks", "N+1", "(N+1, 18)", "uint8", "0 or 1", "CHECKS of the subtask that was active in the step"),
+    Field(
+        "states/initial",
+        "",
+        "bytes",
+        "uint8",
+        "JSON",
+        "`env.get_state` after the reset: the full first state",
+    ),
+    Field(
+        "states/qpos",
+        "N+1",
+        "(N+1, nq)",
+        "float64",
+        "m, rad, wxyz",
+        "generalized positions",
+        optional=True,
+    ),
+    Field(
+        "states/qvel",
+        "N+1",
+        "(N+1, nv)",
+        "float64",
+        "m/s, rad/s",
+        "generalized velocities",
+        optional=True,
+    ),
+    Field(
+        "signals/checks",
+        "N+1",
+        "(N+1, 18)",
+        "uint8",
+        "0 or 1",
+        "CHECKS of the subtask that was active in the step",
+    ),
     Field("signals/forces", "N+1", "(N+1, 3)", "float64", "N, N, N x steps", "FORCES, likewise"),
-    Field("signals/taint", "N+1", "(N+1,)", "uint8", "bit mask", "faults of the simulation since the reset"),
-    Field("subtasks/active", "N+1", "(N+1,)", "int16", "index in the plan", "subtask active after the step"),
-    Field("subtasks/step", "K", "(K,)", "int32", "control steps", "when each subtask that was reached began"),
+    Field(
+        "signals/taint",
+        "N+1",
+        "(N+1,)",
+        "uint8",
+        "bit mask",
+        "faults of the simulation since the reset",
+    ),
+    Field(
+        "subtasks/active",
+        "N+1",
+        "(N+1,)",
+        "int16",
+        "index in the plan",
+        "subtask active after the step",
+    ),
+    Field(
+        "subtasks/step",
+        "K",
+        "(K,)",
+        "int32",
+        "control steps",
+        "when each subtask that was reached began",
+    ),
     Field("subtasks/index", "K", "(K,)", "int16", "index in the plan", "which subtask it was"),
-    Field("subtasks/checks", "K", "(K, 18)", "uint8", "0 or 1", "CHECKS at its start: row 0 of its history"),
+    Field(
+        "subtasks/checks",
+        "K",
+        "(K, 18)",
+        "uint8",
+        "0 or 1",
+        "CHECKS at its start: row 0 of its history",
+    ),
     Field("reward/total", "N", "(N,)", "float64", "-", "what the environment returned"),
-    Field("reward/terms", "N", "(N, R)", "float64", "-", "terms of the dense reward, as named", optional=True),
+    Field(
+        "reward/terms",
+        "N",
+        "(N, R)",
+        "float64",
+        "-",
+        "terms of the dense reward, as named",
+        optional=True,
+    ),
     Field("reward/success", "N", "(N,)", "uint8", "0 or 1", "`info['success']` of every step"),
     Field("reward/fail", "N", "(N,)", "uint8", "0 or 1", "`info['fail']` of every step"),
-    Field("obs/state", "N+1", "(N+1, D)", "float32", "see columns", "all state observations, side by side"),
-    Field("obs/*", "N+1", "(N+1, ...)", "any", "see the observation table", "any other observation", optional=True),
-    Field("images/*/bytes", "", "bytes", "uint8", "PNG or JPEG", "encoded frames, one after another", optional=True),
-    Field("images/*/ends", "N+1", "(N+1,)", "int64", "bytes", "where each frame ends in them", optional=True),
+    Field(
+        "obs/state",
+        "N+1",
+        "(N+1, D)",
+        "float32",
+        "see columns",
+        "all state observations, side by side",
+    ),
+    Field(
+        "obs/*",
+        "N+1",
+        "(N+1, ...)",
+        "any",
+        "see the observation table",
+        "any other observation",
+        optional=True,
+    ),
+    Field(
+        "images/*/bytes",
+        "",
+        "bytes",
+        "uint8",
+        "PNG or JPEG",
+        "encoded frames, one after another",
+        optional=True,
+    ),
+    Field(
+        "images/*/ends",
+        "N+1",
+        "(N+1,)",
+        "int64",
+        "bytes",
+        "where each frame ends in them",
+        optional=True,
+    ),
 )
 """Every dataset of an episode group; N actions, N+1 states, K subtasks reached, A action size."""
 
@@ -116,7 +245,9 @@ def field_of(path: str) -> Field | None:
     return None
 
 
-def column_widths(layout: Mapping[str, Any], columns: Mapping[str, Sequence[str]]) -> dict[str, int]:
+def column_widths(
+    layout: Mapping[str, Any], columns: Mapping[str, Sequence[str]]
+) -> dict[str, int]:
     """Number of columns that datasets must have, by path.
 
     Args:
@@ -208,12 +339,18 @@ def _not_finite(path: str, array: np.ndarray) -> str:
 
 def _bad_values(arrays: Mapping[str, np.ndarray], steps: int) -> list[str]:
     found = []
-    for path, columns in (("signals/checks", CHECKS), ("signals/forces", FORCES), ("subtasks/checks", CHECKS)):
+    for path, columns in (
+        ("signals/checks", CHECKS),
+        ("signals/forces", FORCES),
+        ("subtasks/checks", CHECKS),
+    ):
         widths = (len(columns), len(columns) - 1) if columns is CHECKS else (len(columns),)
         if path in arrays and (arrays[path].ndim != 2 or arrays[path].shape[1] not in widths):
             found.append(f"{path} has shape {arrays[path].shape}, not {len(columns)} columns")
     if "actions_intended" in arrays and arrays["actions_intended"].shape != arrays["actions"].shape:
-        found.append(f"actions_intended is {arrays['actions_intended'].shape}, actions are {arrays['actions'].shape}")
+        found.append(
+            f"actions_intended is {arrays['actions_intended'].shape}, actions are {arrays['actions'].shape}"
+        )
     starts = arrays["subtasks/step"]
     if not len(starts) or starts[0] != 0 or (np.diff(starts) <= 0).any() or starts[-1] > steps:
         found.append(f"subtasks/step must begin with 0, grow, and not exceed N = {steps}")

@@ -16,8 +16,21 @@ from mjhab.core.cache import write_atomic
 from mjhab.core.errors import MjhabError, UsageError
 from mjhab.core.locking import WriteLock
 from mjhab.core.version import __version__
-from mjhab.data.store.episode_data import EpisodeData, RunInfo, episode_digest, record_bytes, to_bytes
-from mjhab.data.store.hdf5 import change_file, check_format, group, make_file, put_attributes, read_arrays
+from mjhab.data.store.episode_data import (
+    EpisodeData,
+    RunInfo,
+    episode_digest,
+    record_bytes,
+    to_bytes,
+)
+from mjhab.data.store.hdf5 import (
+    change_file,
+    check_format,
+    group,
+    make_file,
+    put_attributes,
+    read_arrays,
+)
 from mjhab.data.store.journal import recover, sync_folder
 from mjhab.data.store.schema import COLUMNS, EPISODES, FORMAT, RUNS, VERSION
 from mjhab.rollout.records import EpisodeRecord
@@ -51,7 +64,8 @@ class ShardWriter:
     """
 
     def __init__(self, path: Path) -> None:
-        self.path, self.recovered = path, False
+        self.path = path
+        self.recovered = False
         self._lock: WriteLock | None = None
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -191,7 +205,8 @@ def _batches(shard: Shard, names: Sequence[str]) -> Iterator[list[str]]:
         size += shard.episode(name).nbytes
         if size > _BATCH:
             yield batch
-            batch, size = [], 0
+            batch = []
+            size = 0
     if batch:
         yield batch
 
@@ -206,15 +221,26 @@ def _put_episode(parent: h5py.Group, data: EpisodeData) -> None:
         _put(parent, path, array, data.columns.get(path))
     record = data.record
     values = {
-        "seed": record.seed, "index": record.index, "run": data.run.id, "home": record.home, "model": data.model,
-        "label": last_label(record), "success": record.success_once, "steps": record.steps, "ending": data.ending,
-        "digest": episode_digest(arrays), "style": json.dumps(record.style) if record.style else "",
-        "actors": json.dumps(data.actors), "schema": data.schema,
-    }  # fmt: skip
+        "seed": record.seed,
+        "index": record.index,
+        "run": data.run.id,
+        "home": record.home,
+        "model": data.model,
+        "label": last_label(record),
+        "success": record.success_once,
+        "steps": record.steps,
+        "ending": data.ending,
+        "digest": episode_digest(arrays),
+        "style": json.dumps(record.style) if record.style else "",
+        "actors": json.dumps(data.actors),
+        "schema": data.schema,
+    }
     put_attributes(parent, values)
 
 
-def _put(parent: h5py.Group, path: str, array: np.ndarray, columns: tuple[str, ...] | None = None) -> None:
+def _put(
+    parent: h5py.Group, path: str, array: np.ndarray, columns: tuple[str, ...] | None = None
+) -> None:
     array = np.ascontiguousarray(array)
     plist = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
     plist.set_obj_track_times(False)
@@ -228,7 +254,8 @@ def _put(parent: h5py.Group, path: str, array: np.ndarray, columns: tuple[str, .
         plist.set_deflate(_GZIP)
     folder, _, name = path.rpartition("/")
     place = parent.require_group(folder) if folder else parent
-    space, kind = h5py.h5s.create_simple(array.shape), h5py.h5t.py_create(array.dtype, logical=True)
+    space = h5py.h5s.create_simple(array.shape)
+    kind = h5py.h5t.py_create(array.dtype, logical=True)
     dataset = h5py.Dataset(h5py.h5d.create(place.id, name.encode(), kind, space, plist))
     dataset[...] = array
     if columns:

@@ -63,15 +63,25 @@ class DeviceEnv(VectorEnv):
 
     def __init__(self, config: EnvConfig) -> None:
         if config.render_mode:
-            raise UsageError("backend 'warp' gives no human views; leave render_mode empty, or use backend='cpu'")
-        self.config, self.num_envs = config, config.num_envs
-        check_device_memory(config.num_envs, config.obs_mode, config.camera_size, config.device, config.cameras)
+            raise UsageError(
+                "backend 'warp' gives no human views; leave render_mode empty, or use backend='cpu'"
+            )
+        self.config = config
+        self.num_envs = config.num_envs
+        check_device_memory(
+            config.num_envs, config.obs_mode, config.camera_size, config.device, config.cameras
+        )
         alone = dataclasses.replace(config, num_envs=1, backend="cpu", autoreset="disabled")
-        self._host = SubtaskTrainEnv(alone) if isinstance(alone, TrainConfig) else SequentialTaskEnv(alone)
+        self._host = (
+            SubtaskTrainEnv(alone) if isinstance(alone, TrainConfig) else SequentialTaskEnv(alone)
+        )
         host = self._host
-        self.layout, self.task_config = host.layout, host.task_config
+        self.layout = host.layout
+        self.task_config = host.task_config
         drives = host.controller.drives
-        self.sim = WarpSimulator(self.layout, self.num_envs, config.device, drives, buffers=config.buffers)
+        self.sim = WarpSimulator(
+            self.layout, self.num_envs, config.device, drives, buffers=config.buffers
+        )
         self.device: torch.device = self.sim.qpos.device
         with self._room():
             self._make_parts(torch.zeros(1, dtype=torch.float32, device=self.device))
@@ -85,37 +95,55 @@ class DeviceEnv(VectorEnv):
 
     def _make_parts(self, like: Tensor) -> None:
         """What does the steps; it keeps arrays of the library and device of ``like``."""
-        config, count = self.config, self.num_envs
+        config = self.config
+        count = self.num_envs
         self.controller = make_controller(
             config.control_mode, count, base=config.base, stationary=config.stationary, like=like
         )
         self.sensing = Sensing(self.layout, self.sim.addresses, count, like, config.handle_points)
         self.observer = DeviceObserver(self.sim, self.sensing, self._host.observer)
         self.rewarder = Rewarder(
-            count, self.task_config, config.reward, config.reward_options, self.layout, self.sensing,
-            self._nav_distance, [SubtaskKind(kind) for kind in self._host.rewarder.dense.tables], like=like,
-        )  # fmt: skip
+            count,
+            self.task_config,
+            config.reward,
+            config.reward_options,
+            self.layout,
+            self.sensing,
+            self._nav_distance,
+            [SubtaskKind(kind) for kind in self._host.rewarder.dense.tables],
+            like=like,
+        )
         self.notes = DeviceNotes(count, max(self.task_config.horizons), self.device)
         self.teleporter = Teleporter(self.sim.addresses, self.device)
 
     def _set_spaces(self) -> None:
         autoreset = AutoresetMode[self.config.autoreset.upper()]
-        self.metadata = {"autoreset_mode": autoreset, "render_fps": 20, "render_modes": [], "tensors": True}
+        self.metadata = {
+            "autoreset_mode": autoreset,
+            "render_fps": 20,
+            "render_modes": [],
+            "tensors": True,
+        }
         self.render_mode = None
         self.single_observation_space: spaces.Space = self._host.single_observation_space
         self.single_action_space: spaces.Space = self._host.single_action_space
         self.observation_space = batched(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
-        self.action_table, self.taint_names = self.controller.table, TAINTS
+        self.action_table = self.controller.table
+        self.taint_names = TAINTS
 
     def _init_worlds(self) -> None:
-        worlds, device = self.num_envs, self.device
+        worlds = self.num_envs
+        device = self.device
         self._worlds = torch.arange(worlds, device=device)
         self._no = torch.zeros(worlds, dtype=torch.bool, device=device)
         self.fallback = self.success = self.fail = self.due = self._no
         """(W,): spawned where nothing better was found; outcome of the last step; reset due in the next step."""
         zero = torch.zeros_like(self._worlds)
-        self.count, self.start_row, self._judged_row, self.nan_resets = zero, zero, zero, zero
+        self.count = zero
+        self.start_row = zero
+        self._judged_row = zero
+        self.nan_resets = zero
         """(W,): episodes begun, start each world is at, start of the last step; times a world broke."""
         self.tainted = self.bad_actions = torch.zeros((), dtype=torch.int64, device=device)
         """Episodes that ended with a taint; actions of single worlds that were not finite."""
@@ -133,7 +161,9 @@ class DeviceEnv(VectorEnv):
 
     # -- reset -----------------------------------------------------------------------------------------------------
 
-    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[dict, dict]:
+    def reset(
+        self, *, seed: Any = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict, dict]:
         """Start episodes.
 
         Args:
@@ -153,19 +183,25 @@ class DeviceEnv(VectorEnv):
         if options:
             raise unknown_name("reset option", next(iter(options)), ("reset_mask", "episode"))
         if mask.shape != (self.num_envs,) or mask.dtype != torch.bool:
-            raise UsageError(f"reset_mask must be bool ({self.num_envs},), got {mask.dtype} {tuple(mask.shape)}")
+            raise UsageError(
+                f"reset_mask must be bool ({self.num_envs},), got {mask.dtype} {tuple(mask.shape)}"
+            )
         self._reseed(seed, mask)
         rows = self._next_rows()
         if wanted is not None:
             rows = self._chosen_rows(wanted, mask)
         self._renew(mask, self._no, rows)
-        return self._observe(), self._info(self._no_events(), self._no, torch.full_like(self._worlds, -1))
+        return self._observe(), self._info(
+            self._no_events(), self._no, torch.full_like(self._worlds, -1)
+        )
 
     def _reseed(self, seed: Any, mask: Tensor) -> None:
         if seed is None:
             return
         if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
-            raise UsageError(f"backend 'warp' takes one seed for all worlds, a number >= 0; got {seed!r}")
+            raise UsageError(
+                f"backend 'warp' takes one seed for all worlds, a number >= 0; got {seed!r}"
+            )
         if seed != self.pool.seed:
             if not bool(mask.all()):
                 raise UsageError("a new seed is for all worlds: leave out reset_mask")
@@ -174,10 +210,17 @@ class DeviceEnv(VectorEnv):
 
     def _chosen_rows(self, wanted: Any, mask: Tensor) -> Tensor:
         chosen = torch.as_tensor(wanted, device=self.device)
-        count, integral = int(mask.sum()), not (chosen.is_floating_point() or chosen.dtype == torch.bool)
-        if chosen.shape != (count,) or not integral or bool(((chosen < 0) | (chosen >= self.pool.count)).any()):
+        count = int(mask.sum())
+        integral = not (chosen.is_floating_point() or chosen.dtype == torch.bool)
+        if (
+            chosen.shape != (count,)
+            or not integral
+            or bool(((chosen < 0) | (chosen >= self.pool.count)).any())
+        ):
             need = f"options['episode'] must give {count} starts in [0, {self.pool.count}), one per reset world"
-            raise UsageError(f"{need}; got {to_numpy(chosen).tolist()}; option starts sets how many")
+            raise UsageError(
+                f"{need}; got {to_numpy(chosen).tolist()}; option starts sets how many"
+            )
         rows = self.start_row.clone()
         rows[mask] = chosen.to(rows.dtype)
         return rows
@@ -196,9 +239,13 @@ class DeviceEnv(VectorEnv):
         self.start_row = torch.where(fresh, rows, self.start_row)
         self.count = self.count + fresh
         self.tables = pool.rows(self.start_row)
-        self.progress = progress_rules.reset_rows(self.progress, fresh, self.tables.arrays, self.task_config)
+        self.progress = progress_rules.reset_rows(
+            self.progress, fresh, self.tables.arrays, self.task_config
+        )
         self.focus = look_up(self.tables, self.progress.pointer, self.task_config)
-        self.success, self.fail, self.due = self.success & ~fresh, self.fail & ~fresh, self.due & ~fresh
+        self.success = self.success & ~fresh
+        self.fail = self.fail & ~fresh
+        self.due = self.due & ~fresh
         held = self.tables.arrays.kind[:, 0] == int(SubtaskKind.PLACE)
         self.grip = torch.where(fresh, torch.where(held, -1.0, 1.0), self.grip)
         self.fallback = torch.where(fresh, pool.fallback[self.start_row], self.fallback)
@@ -210,15 +257,21 @@ class DeviceEnv(VectorEnv):
 
     def _place(self, fresh: Tensor, moved: Tensor) -> Tensor:
         """Put the worlds ``fresh`` at their starts; teleport those of ``moved`` that navigate, and return them."""
-        pool, row = self.pool, self.start_row
-        qpos, leaping = pool.qpos[row], self._no
+        pool = self.pool
+        row = self.start_row
+        qpos = pool.qpos[row]
+        leaping = self._no
         if self.config.teleports:
             leaping = moved & (self.focus.kind == int(SubtaskKind.NAVIGATE))
             at = self.focus.active.index
-            there = self.teleporter.moved(self.sim.qpos, self.state, pool.landings[row, at], self.focus.columns[:, 1])
+            there = self.teleporter.moved(
+                self.sim.qpos, self.state, pool.landings[row, at], self.focus.columns[:, 1]
+            )
             qpos = torch.where(fresh[:, None], qpos, there)
             self.fallback = self.fallback | (leaping & pool.landing_fallback[row, at])
-        self.sim.reset_masked(fresh, pool.home_rows[row], qpos, pool.ctrl[row], pool.rings[row], leaping)
+        self.sim.reset_masked(
+            fresh, pool.home_rows[row], qpos, pool.ctrl[row], pool.rings[row], leaping
+        )
         return leaping
 
     def _enter_subtask(self, mask: Tensor) -> None:
@@ -241,7 +294,8 @@ class DeviceEnv(VectorEnv):
         return RewardInputs(self.state, world, signals, self.focus, self.progress)
 
     def _nav_distance(self, inputs: RewardInputs) -> Tensor:
-        fields, at = self.pool.fields, self.pool.field_index[self.start_row, self.focus.active.index]
+        fields = self.pool.fields
+        at = self.pool.field_index[self.start_row, self.focus.active.index]
         xy = inputs.world.base_pose[:, :2]
         return torch.zeros_like(xy[:, 0]) if fields is None else fields.at(at, xy)
 
@@ -262,17 +316,24 @@ class DeviceEnv(VectorEnv):
         progress = progress_rules.accumulate(self.progress, world.robot_force)
         signals = self._measure(world, progress)
         # The time of worlds that broke is up, and nothing in them counts as success.
-        progress = dataclasses.replace(progress, steps_left=torch.where(broken, 0, progress.steps_left))
+        progress = dataclasses.replace(
+            progress, steps_left=torch.where(broken, 0, progress.steps_left)
+        )
         signals = dataclasses.replace(signals, success=signals.success & ~broken)
-        new, outcome = progress_rules.advance(progress, signals, self.tables.arrays, self.task_config)
+        new, outcome = progress_rules.advance(
+            progress, signals, self.tables.arrays, self.task_config
+        )
         self.progress = progress
         reward = self._reward(world, signals, new)
         events = self.notes.update(signals, progress)
         label = self.notes.end(signals, outcome, progress)
         self._judged_row = self.start_row
-        self.progress, self.signals, self.judged = new, signals, signals
+        self.progress = new
+        self.signals = signals
+        self.judged = signals
         self.focus = look_up(self.tables, new.pointer, self.task_config)
-        self.success, self.fail = outcome.success, outcome.fail
+        self.success = outcome.success
+        self.fail = outcome.fail
         self.tainted = self.tainted + ((self.sim.taint() != 0) & outcome.done).sum()
         return self._finish(events, label, reward, outcome)
 
@@ -283,7 +344,9 @@ class DeviceEnv(VectorEnv):
         actions = torch.as_tensor(actions, device=self.device).detach()
         need = (self.num_envs, len(self.action_table))
         if actions.dtype in (torch.bool, torch.complex64, torch.complex128):
-            raise UsageError(f"actions must be numbers (float32), got a tensor of type {actions.dtype}")
+            raise UsageError(
+                f"actions must be numbers (float32), got a tensor of type {actions.dtype}"
+            )
         if actions.shape != need:
             raise UsageError(f"actions must have shape {need}, got {tuple(actions.shape)}")
         finite = torch.isfinite(actions)
@@ -316,10 +379,13 @@ class DeviceEnv(VectorEnv):
         self, events: Tensor, label: Tensor, reward: Tensor, outcome: Outcome
     ) -> tuple[dict, Tensor, Tensor, Tensor, dict]:
         terminated: Tensor = outcome.place_broken
-        done, mode = outcome.done, self.config.autoreset
+        done = outcome.done
+        mode = self.config.autoreset
         if not self.config.runs_to_horizon:
             terminated = terminated | outcome.success | outcome.force_exceeded
-        truncated, moved, ended = done & ~terminated, outcome.advanced & ~done, outcome.ended
+        truncated = done & ~terminated
+        moved = outcome.advanced & ~done
+        ended = outcome.ended
         final: dict[str, Any] = {}
         changed: Tensor | None = None
         if mode == "same_step":
@@ -327,7 +393,9 @@ class DeviceEnv(VectorEnv):
             final |= {"_final_obs": done, "_final_info": done}
             changed = self._renew(done, moved, self._next_rows())
             # What happened belongs to the old episode; the new one begins with nothing.
-            events, ended, label = events & ~done[:, None], ended & ~done, torch.where(done, -1, label)
+            events = events & ~done[:, None]
+            ended = ended & ~done
+            label = torch.where(done, -1, label)
         elif mode == "next_step":
             # Gymnasium: the step after an episode's end is the reset, whatever the action; it brings no reward.
             reward = torch.where(self.due, 0.0, reward)
@@ -335,7 +403,13 @@ class DeviceEnv(VectorEnv):
             self.due = done
         elif not self.config.subtask:
             self._renew(self._no, moved, self.start_row)
-        return self._observe(changed), reward, terminated, truncated, self._info(events, ended, label) | final
+        return (
+            self._observe(changed),
+            reward,
+            terminated,
+            truncated,
+            self._info(events, ended, label) | final,
+        )
 
     def _observe(self, changed: Tensor | None = None) -> dict[str, Tensor]:
         """Observations; ``changed`` (W,) bool: worlds that are not as they were when last observed, None for all."""
@@ -347,15 +421,22 @@ class DeviceEnv(VectorEnv):
 
     def _info(self, events: Tensor, ended: Tensor, label: Tensor) -> dict[str, Any]:
         """Tensors (W,) that stay as they are; see `envs.parts.reporting.Reporter.info`."""
-        s, p = self.signals, self.progress
+        s = self.signals
+        p = self.progress
         assert s is not None
         info: dict[str, Any] = {
-            "pointer": p.pointer, "kind": self.focus.kind, "steps_left": p.steps_left,
-            "robot_force": s.robot_force, "cumulative_force": s.cumulative_force,
-            "success": self.success, "fail": self.fail,
-            "taint": self.sim.taint(), "nan_resets": self.nan_resets, "spawn_fallback": self.fallback,
+            "pointer": p.pointer,
+            "kind": self.focus.kind,
+            "steps_left": p.steps_left,
+            "robot_force": s.robot_force,
+            "cumulative_force": s.cumulative_force,
+            "success": self.success,
+            "fail": self.fail,
+            "taint": self.sim.taint(),
+            "nan_resets": self.nan_resets,
+            "spawn_fallback": self.fallback,
             "reward_terms": self.reward_terms,
-        }  # fmt: skip
+        }
         info |= {name: getattr(s, name) for name in CHECKERS}
         return info | {"event_flags": events, "ended": ended, "label": label}
 
@@ -379,4 +460,6 @@ class DeviceEnv(VectorEnv):
         """
         self.sim.check_overflow()
         if bad := int(self.bad_actions):
-            raise UsageError(f"actions must be finite; {bad} actions of single worlds were not, and counted as 0 there")
+            raise UsageError(
+                f"actions must be finite; {bad} actions of single worlds were not, and counted as 0 there"
+            )

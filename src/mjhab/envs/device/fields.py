@@ -48,8 +48,13 @@ class GoalFields:
         different = sorted(first, key=first.__getitem__)
         rows = {key: f for f, key in enumerate(different)}
         free = {home: maps(home) for home in dict.fromkeys(key[0] for key in different)}
-        table, tops = _fields([(free[goals[first[key]][0]], goals[first[key]][1]) for key in different])
-        places = [(*free[key[0]].origin, free[key[0]].cell, *free[key[0]].blocked.shape) for key in different]
+        table, tops = _fields(
+            [(free[goals[first[key]][0]], goals[first[key]][1]) for key in different]
+        )
+        places = [
+            (*free[key[0]].origin, free[key[0]].cell, *free[key[0]].blocked.shape)
+            for key in different
+        ]
         numbers = np.array(places or [(0.0, 0.0, 1.0, 1.0, 1.0)], np.float32)
         self.index = torch.as_tensor(np.array([rows[key] for key in keys], np.int64), device=device)
         self._table = torch.as_tensor(table, device=device)
@@ -64,15 +69,19 @@ class GoalFields:
         0 where the index is -1. Off the map it grows with the distance to it.
         """
         field = torch.clamp(index, min=0)
-        cell, last = self._cell[field], self._last[field]
+        cell = self._cell[field]
+        last = self._last[field]
         wanted = (xy - self._origin[field]) / cell[:, None] - 0.5
         inside = torch.minimum(torch.clamp(wanted, min=0.0), last)
         low = torch.minimum(torch.floor(inside), torch.clamp(last - 1.0, min=0.0))
         high = torch.minimum(low + 1.0, last)
-        (u, v), off = (inside - low).unbind(1), wanted - inside
-        (i, j), (k, m) = low.long().unbind(1), high.long().unbind(1)
+        (u, v) = (inside - low).unbind(1)
+        off = wanted - inside
+        (i, j) = low.long().unbind(1)
+        (k, m) = high.long().unbind(1)
         near, far = (
-            (1 - v) * self._table[field, row, j].to(xy.dtype) + v * self._table[field, row, m].to(xy.dtype)
+            (1 - v) * self._table[field, row, j].to(xy.dtype)
+            + v * self._table[field, row, m].to(xy.dtype)
             for row in (i, k)
         )
         beyond = torch.sqrt(off[:, 0] * off[:, 0] + off[:, 1] * off[:, 1]) * cell
@@ -90,7 +99,8 @@ def _fields(goals: Sequence[tuple[FreeMap, Sequence[float]]]) -> tuple[np.ndarra
             f"ways to {len(goals)} navigation goals need {needed / 2**30:.1f} GiB of the device, more than "
             f"{MAX_BYTES / 2**30:.0f}; take fewer starts (starts=), or a reward_mode that needs no ways"
         )
-    table, tops = np.zeros((max(len(goals), 1), *size), np.int16), np.ones(max(len(goals), 1), np.float32)
+    table = np.zeros((max(len(goals), 1), *size), np.int16)
+    tops = np.ones(max(len(goals), 1), np.float32)
     for f, (free, goal) in enumerate(goals):
         field = free.distances_to(np.asarray(goal, float)[:2])
         tops[f] = max(float(field.max()), 1e-3)

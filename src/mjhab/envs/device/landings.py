@@ -23,21 +23,26 @@ from mjhab.tasks.plan import SubtaskKind
 ROBOT_JOINTS = 15
 
 
-def find_landings(starts: StartMaker, episode: Episode, start: Start, length: int) -> tuple[np.ndarray, np.ndarray]:
+def find_landings(
+    starts: StartMaker, episode: Episode, start: Start, length: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Where the robot lands for every Navigate of a chain.
 
     Returns:
         Joints (length, 15) in FETCH_JOINTS order, zero where the subtask is no Navigate; and (length,) bool, whether
         no try was valid and the place is the best there is.
     """
-    joints, fallback = np.zeros((length, ROBOT_JOINTS)), np.zeros(length, bool)
+    joints = np.zeros((length, ROBOT_JOINTS))
+    fallback = np.zeros(length, bool)
     for position, subtask in enumerate(start.plan.subtasks):
         if subtask.kind == SubtaskKind.NAVIGATE:
             joints[position], fallback[position] = _land(starts, episode, start, position)
     return joints, fallback
 
 
-def _land(starts: StartMaker, episode: Episode, start: Start, position: int) -> tuple[np.ndarray, bool]:
+def _land(
+    starts: StartMaker, episode: Episode, start: Start, position: int
+) -> tuple[np.ndarray, bool]:
     qpos = starts.foresee(episode, start.plan, position)
     goal = starts.spawn_goal(start.plan, position, start.boxes)
     key = ("navigate", episode.task, episode.index, position)
@@ -64,7 +69,7 @@ class Teleporter:
 
     def moved(
         self, qpos: torch.Tensor, state: SimState, landing: torch.Tensor, carried: torch.Tensor
-    ) -> torch.Tensor:  # fmt: skip
+    ) -> torch.Tensor:
         """Positions (W, nq) of all worlds after a teleport.
 
         Args:
@@ -73,10 +78,12 @@ class Teleporter:
             landing: (W, 15) joints to land with; of a robot that holds what it shall carry only the base moves.
             carried: (W,) int64 slot of the object to carry, -1 for none.
         """
-        worlds, some = torch.arange(len(qpos), device=qpos.device), carried.clamp(min=0)
+        worlds = torch.arange(len(qpos), device=qpos.device)
+        some = carried.clamp(min=0)
         pressed = state.finger_force[worlds, :, some].square().sum(-1) > 0
         held = (carried >= 0) & pressed.all(-1)
-        base, robot = landing[:, :3], torch.where(held[:, None], state.robot_q, landing)
+        base = landing[:, :3]
+        robot = torch.where(held[:, None], state.robot_q, landing)
         robot = torch.cat([base, robot[:, 3:]], dim=1)
         along = _turned(state.object_pose, state.robot_q[:, :3], base)
         mine = held[:, None] & (self._slots == carried[:, None])
@@ -90,10 +97,18 @@ class Teleporter:
 def _turned(poses: torch.Tensor, before: torch.Tensor, after: torch.Tensor) -> torch.Tensor:
     """Poses (W, N, 7) moved as a base moves from ``before`` to ``after``, both (W, 3): x, y, yaw."""
     turn = after[:, 2] - before[:, 2]
-    cos, sin, zero = torch.cos(turn)[:, None], torch.sin(turn)[:, None], torch.zeros_like(poses[..., 0])
-    x, y = poses[..., 0] - before[:, None, 0], poses[..., 1] - before[:, None, 1]
+    cos = torch.cos(turn)[:, None]
+    sin = torch.sin(turn)[:, None]
+    zero = torch.zeros_like(poses[..., 0])
+    x = poses[..., 0] - before[:, None, 0]
+    y = poses[..., 1] - before[:, None, 1]
     moved = torch.stack(
-        [after[:, None, 0] + cos * x - sin * y, after[:, None, 1] + sin * x + cos * y, poses[..., 2]], dim=-1
+        [
+            after[:, None, 0] + cos * x - sin * y,
+            after[:, None, 1] + sin * x + cos * y,
+            poses[..., 2],
+        ],
+        dim=-1,
     )
     half = 0.5 * turn[:, None] + zero
     spin = torch.stack([torch.cos(half), zero, zero, torch.sin(half)], dim=-1)

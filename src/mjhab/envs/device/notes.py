@@ -51,7 +51,9 @@ class DeviceNotes:
 
     def __init__(self, num_worlds: int, longest: int, device: torch.device) -> None:
         self._history = torch.zeros((num_worlds, longest + 2), dtype=torch.int16, device=device)
-        self._weights = (2 ** torch.arange(len(lb.WATCHED), dtype=torch.int16, device=device))[:, None]
+        self._weights = (2 ** torch.arange(len(lb.WATCHED), dtype=torch.int16, device=device))[
+            :, None
+        ]
         self._start_step = torch.zeros(num_worlds, dtype=torch.int64, device=device)
         self._labels: lb.LabelState | None = None
         self._ended: _Ended | None = None
@@ -66,10 +68,13 @@ class DeviceNotes:
     def update(self, signals: Signals, progress: Progress) -> torch.Tensor:
         """Note one control step, before the pointer moves; returns its events, (W, E) bool, columns `EVENT_NAMES`."""
         assert self._labels is not None
-        before, live = self._labels, ~progress.done
+        before = self._labels
+        live = ~progress.done
         self._labels = lb.choose(live, lb.add(before, lb.watch(signals)), before)
         column = torch.clamp(progress.subtask_step, max=self._history.shape[1] - 1)[:, None]
-        bits = torch.where(live, self._pack(self._labels.now), self._history.gather(1, column)[:, 0])
+        bits = torch.where(
+            live, self._pack(self._labels.now), self._history.gather(1, column)[:, 0]
+        )
         self._history.scatter_(1, column, bits[:, None])
         kind = torch.where(live, signals.kind, PADDING)
         return ev.edge_events(kind, before.now, self._labels.now)
@@ -81,7 +86,8 @@ class DeviceNotes:
             (W,) int64 label of the subtask that ended, an index into `tasks.labels.LABELS` of its kind; -1 for none.
         """
         assert self._labels is not None
-        first, hold = self._history[:, 0].clone(), self._labels.must_hold
+        first = self._history[:, 0].clone()
+        hold = self._labels.must_hold
         self._ended = _Ended(signals, outcome, progress, first, hold, self._start_step)
         return lb.label(self._labels, torch.where(outcome.ended, signals.kind, PADDING))
 
@@ -92,7 +98,9 @@ class DeviceNotes:
             plans: those of that step, one per world.
         """
         records: list[dict[str, Any] | None] = [None] * len(plans)
-        worlds = np.flatnonzero(to_numpy(self._ended.outcome.ended)) if self._ended else np.zeros(0, int)
+        worlds = (
+            np.flatnonzero(to_numpy(self._ended.outcome.ended)) if self._ended else np.zeros(0, int)
+        )
         if self._ended is None or not len(worlds):
             return records
         written = self._replay(self._ended, worlds, [plans[w] for w in worlds.tolist()])
@@ -100,16 +108,21 @@ class DeviceNotes:
             records[w] = record
         return records
 
-    def _replay(self, ended: _Ended, worlds: np.ndarray, plans: list[TaskPlan]) -> list[dict[str, Any] | None]:
+    def _replay(
+        self, ended: _Ended, worlds: np.ndarray, plans: list[TaskPlan]
+    ) -> list[dict[str, Any] | None]:
         """Go through the kept steps of ``worlds`` (n,) again with the tracker of the cpu backend."""
         rows = torch.as_tensor(worlds, device=self._history.device)
 
         def chosen(values: torch.Tensor) -> np.ndarray:
             return to_numpy(values[rows])
 
-        signals, outcome = map_record(chosen, ended.signals), map_record(chosen, ended.outcome)
+        signals = map_record(chosen, ended.signals)
+        outcome = map_record(chosen, ended.outcome)
         progress = map_record(chosen, ended.progress)
-        start, first, hold = chosen(ended.start_step), chosen(ended.first), chosen(ended.must_hold)
+        start = chosen(ended.start_step)
+        first = chosen(ended.first)
+        hold = chosen(ended.must_hold)
         steps = progress.subtask_step
         bits = to_numpy(self._history[rows][:, : int(steps.max()) + 1]).copy()
         bits[:, 0] = first

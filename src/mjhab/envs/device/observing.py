@@ -4,7 +4,14 @@ from __future__ import annotations
 
 import torch
 
-from mjhab.envs.observations import CAMERA_OUTPUTS, POINTCLOUD, STATE_TABLE, Views, intrinsic_matrix, state_observation
+from mjhab.envs.observations import (
+    CAMERA_OUTPUTS,
+    POINTCLOUD,
+    STATE_TABLE,
+    Views,
+    intrinsic_matrix,
+    state_observation,
+)
 from mjhab.envs.parts.observing import Observer
 from mjhab.envs.parts.plan_tables import Focus
 from mjhab.envs.parts.sensing import Sensing

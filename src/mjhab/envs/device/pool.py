@@ -24,7 +24,9 @@ from mjhab.episodes.starts import Start
 from mjhab.sim.warp.simulator import WarpSimulator
 from mjhab.tasks.plan import SubtaskKind, TaskPlan
 
-LEAST, MOST, PER_WORLD = 256, 8192, 4
+LEAST = 256
+MOST = 8192
+PER_WORLD = 4
 """Starts of a pool unless the configuration says how many."""
 
 
@@ -64,17 +66,24 @@ class StartPool:
         config: says whether robots teleport, and what the reward is.
     """
 
-    def __init__(self, host: SequentialTaskEnv, sim: WarpSimulator, count: int, seed: int, config: EnvConfig) -> None:
-        self.seed, self.count = seed, count
-        self._host, self._config = host, config
+    def __init__(
+        self, host: SequentialTaskEnv, sim: WarpSimulator, count: int, seed: int, config: EnvConfig
+    ) -> None:
+        self.seed = seed
+        self.count = count
+        self._host = host
+        self._config = config
         made = self._make()
         self.episodes: list[Episode] = [m.episode for m in made]
         self.plans: list[TaskPlan] = [m.start.plan for m in made]
-        device, states = sim.qpos.device, np.stack([m.qpos for m in made])
+        device = sim.qpos.device
+        states = np.stack([m.qpos for m in made])
 
         def upload(values: Sequence[Any] | np.ndarray) -> torch.Tensor:
             array = np.asarray(values)
-            return torch.as_tensor(array.astype(np.float32) if array.dtype.kind == "f" else array, device=device)
+            return torch.as_tensor(
+                array.astype(np.float32) if array.dtype.kind == "f" else array, device=device
+            )
 
         self.qpos = upload(states)
         self.home_rows, self.ctrl, self.rings = sim.start_rows([m.start.home for m in made], states)
@@ -85,7 +94,9 @@ class StartPool:
         for row, m in enumerate(made):
             tables.set_row(row, m.start.plan, m.start.boxes)
         arrays = map_record(upload, tables.arrays)
-        self._tables = Rows(arrays, *map(upload, (tables.obj, tables.link, tables.target, tables.held)))
+        self._tables = Rows(
+            arrays, *map(upload, (tables.obj, tables.link, tables.target, tables.held))
+        )
         self.fields, self.field_index = self._find_fields(made, device)
 
     def rows(self, index: torch.Tensor) -> Rows:
@@ -101,17 +112,23 @@ class StartPool:
             starts = crew.map(self._make_one, range(self.count))
             return list(
                 track(
-                    starts, "starts of episodes", self.count, console=console, transient=True,
+                    starts,
+                    "starts of episodes",
+                    self.count,
+                    console=console,
+                    transient=True,
                     disable=not console.is_terminal,
                 )
-            )  # fmt: skip
+            )
 
     def _make_one(self, index: int) -> _Made:
-        host, length = self._host, self._host.tables.num_subtasks
+        host = self._host
+        length = self._host.tables.num_subtasks
         episode = host.make_episode(self.seed, index)
         start = host.start_of(episode)
         qpos = start.qpos
-        landings, fallback = np.zeros((length, ROBOT_JOINTS)), np.zeros(length, bool)
+        landings = np.zeros((length, ROBOT_JOINTS))
+        fallback = np.zeros(length, bool)
         if self._config.teleports:
             landings, fallback = find_landings(host.starts, episode, start, length)
             if start.plan.subtasks[0].kind == SubtaskKind.NAVIGATE:
@@ -119,8 +136,12 @@ class StartPool:
                 qpos[host.sim.addresses.robot_q] = landings[0]
         return _Made(episode, start, qpos, landings, fallback)
 
-    def _find_fields(self, made: list[_Made], device: torch.device) -> tuple[GoalFields | None, torch.Tensor]:
-        index = torch.full((self.count, self._host.tables.num_subtasks), -1, dtype=torch.int64, device=device)
+    def _find_fields(
+        self, made: list[_Made], device: torch.device
+    ) -> tuple[GoalFields | None, torch.Tensor]:
+        index = torch.full(
+            (self.count, self._host.tables.num_subtasks), -1, dtype=torch.int64, device=device
+        )
         where = [
             (p, s)
             for p, m in enumerate(made)
@@ -129,7 +150,9 @@ class StartPool:
         ]
         if not where or self._config.reward not in ("dense", "normalized_dense"):
             return None, index
-        goals = [(made[p].start.home, made[p].start.plan.subtasks[s].goal_pos[:2]) for p, s in where]
+        goals = [
+            (made[p].start.home, made[p].start.plan.subtasks[s].goal_pos[:2]) for p, s in where
+        ]
         fields = GoalFields(goals, self._host.starts.sampler.map, device)
         p, s = torch.as_tensor(where, device=device).unbind(1)
         index[p, s] = fields.index

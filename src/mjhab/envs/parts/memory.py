@@ -57,7 +57,9 @@ class Need:
         return max(0, int((free_mb - self.base_mb) / self.world_mb))
 
 
-def host_need(obs_mode: str = "state", camera_size: int | tuple[int, int] = 128, cameras: int = len(CAMERAS)) -> Need:
+def host_need(
+    obs_mode: str = "state", camera_size: int | tuple[int, int] = 128, cameras: int = len(CAMERAS)
+) -> Need:
     """What the worlds of backend cpu take of the machine's memory.
 
     Raises:
@@ -68,9 +70,12 @@ def host_need(obs_mode: str = "state", camera_size: int | tuple[int, int] = 128,
 
 
 def device_need(
-    obs_mode: str = "state", camera_size: int | tuple[int, int] = 128, cameras: int = len(CAMERAS),
-    copies: int = WARP_OBS_COPIES, world_mb: float = WARP_WORLD_MB,
-) -> Need:  # fmt: skip
+    obs_mode: str = "state",
+    camera_size: int | tuple[int, int] = 128,
+    cameras: int = len(CAMERAS),
+    copies: int = WARP_OBS_COPIES,
+    world_mb: float = WARP_WORLD_MB,
+) -> Need:
     """What the worlds of backend warp take of the device's memory.
 
     Args:
@@ -85,7 +90,9 @@ def device_need(
     if not pixels:
         return Need(WARP_BASE_MB, world_mb)
     wanted = mode_outputs(obs_mode)
-    drawn = [size for name, size in WARP_PIXEL_BYTES.items() if name in wanted or "pointcloud" in wanted]
+    drawn = [
+        size for name, size in WARP_PIXEL_BYTES.items() if name in wanted or "pointcloud" in wanted
+    ]
     # Scratch of a world: lists of what moves per tile of 16 x 16 pixels; with colours light by pixel and by 4 x 4 cell.
     scratch = pixels / 256 * (4 + 2 * WARP_MOVERS) + pixels * (8 + 12 / 16)
     poses = 48 * (WARP_MOVERS + cameras)
@@ -106,10 +113,13 @@ def _pictures(obs_mode: str, camera_size: int | tuple[int, int], cameras: int) -
 def available_mb() -> float | None:
     """Memory [MB] this process may still take: free memory, less if a container allows less; None if unknown."""
     found = [
-        int(line.split()[1]) / 1024 for line in _read("/proc/meminfo").splitlines() if line.startswith("MemAvailable:")
+        int(line.split()[1]) / 1024
+        for line in _read("/proc/meminfo").splitlines()
+        if line.startswith("MemAvailable:")
     ]
     for limit, used in _CGROUP:
-        top, now = _read(limit).strip(), _read(used).strip()
+        top = _read(limit).strip()
+        now = _read(used).strip()
         if top.isdigit() and now.isdigit():
             found.append((int(top) - int(now)) / 2**20)
     return min(found, default=None)
@@ -125,10 +135,14 @@ def check_memory(num_envs: int) -> None:
 
 
 def check_device_memory(
-    num_envs: int, obs_mode: str = "state", camera_size: int | tuple[int, int] = 128, device: str = "",
-    cameras: Sequence[str] = tuple(camera.name for camera in CAMERAS), copies: int = WARP_OBS_COPIES,
+    num_envs: int,
+    obs_mode: str = "state",
+    camera_size: int | tuple[int, int] = 128,
+    device: str = "",
+    cameras: Sequence[str] = tuple(camera.name for camera in CAMERAS),
+    copies: int = WARP_OBS_COPIES,
     world_mb: float = WARP_WORLD_MB,
-) -> None:  # fmt: skip
+) -> None:
     """Refuse a number of worlds of backend warp that does not fit into the device's memory; imports Warp.
 
     Args:
@@ -143,13 +157,22 @@ def check_device_memory(
 
     opened = open_device(device)
     free = free_mb(opened) if opened.is_cuda else available_mb()
-    _check(device_need(obs_mode, camera_size, len(cameras), copies, world_mb), num_envs, free, f"on {opened}")
+    _check(
+        device_need(obs_mode, camera_size, len(cameras), copies, world_mb),
+        num_envs,
+        free,
+        f"on {opened}",
+    )
 
 
 def _check(need: Need, num_envs: int, free: float | None, where: str) -> None:
     if free is not None and need.total_mb(num_envs) > free:
         most = need.most(free)
-        advice = f"At most {most:,} fit (--worlds, --num-envs): set num_envs={most}." if most else "Not even one fits."
+        advice = (
+            f"At most {most:,} fit (--worlds, --num-envs): set num_envs={most}."
+            if most
+            else "Not even one fits."
+        )
         raise UsageError(
             f"{num_envs} worlds need about {need.total_mb(num_envs):,.0f} MB, but {free:,.0f} MB are free {where}. "
             f"{advice}"

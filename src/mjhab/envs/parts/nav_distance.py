@@ -20,13 +20,16 @@ class NavDistance:
         maps: gives the free floor of a home by name, where somebody has it already (`SpawnSampler.map`).
     """
 
-    def __init__(self, layout: Layout, num_worlds: int, maps: Callable[[str], FreeMap] | None = None) -> None:
+    def __init__(
+        self, layout: Layout, num_worlds: int, maps: Callable[[str], FreeMap] | None = None
+    ) -> None:
         self._homes = {home.name: home for home in layout.pack.homes}
         self._pack = layout.pack
         self._maps: dict[str, FreeMap] = {}
         self._given = maps
         self._fields = np.zeros((num_worlds, 1, 1), np.float32)
-        self._origin, self._cell = np.zeros((num_worlds, 2)), np.ones(num_worlds)
+        self._origin = np.zeros((num_worlds, 2))
+        self._cell = np.ones(num_worlds)
         self._begun = np.zeros(num_worlds, bool)
         self._shape = np.ones((num_worlds, 2), np.int64)
 
@@ -44,7 +47,8 @@ class NavDistance:
             grown[:, :x, :y] = self._fields
             self._fields = grown
         self._fields[world, : field.shape[0], : field.shape[1]] = field
-        self._origin[world], self._cell[world] = found.origin, found.cell
+        self._origin[world] = found.origin
+        self._cell[world] = found.cell
         self._shape[world] = field.shape
         self._begun[world] = True
 
@@ -60,5 +64,7 @@ class NavDistance:
         if home not in self._maps:
             if home not in self._homes:
                 raise unknown_name("home", home, self._homes)
-            self._maps[home] = self._given(home) if self._given else free_map(self._homes[home], self._pack)
+            self._maps[home] = (
+                self._given(home) if self._given else free_map(self._homes[home], self._pack)
+            )
         return self._maps[home]

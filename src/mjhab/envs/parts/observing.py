@@ -60,7 +60,9 @@ class Observer:
         size: int | Sequence[int] = 128,
         threads: int = 0,
     ) -> None:
-        self._sim, self._sensing, self._threads = sim, sensing, threads
+        self._sim = sim
+        self._sensing = sensing
+        self._threads = threads
         self.outputs = mode_outputs(mode)
         self.cameras = camera_names(cameras)
         self.size = image_size(size)
@@ -112,7 +114,9 @@ class Observer:
             if known is None or changed is None:
                 return obs | self.draw(state, homes)
             worlds = np.flatnonzero(changed)
-            drawn = self.draw(map_record(lambda rows: rows[worlds], state), [homes[w] for w in worlds.tolist()])
+            drawn = self.draw(
+                map_record(lambda rows: rows[worlds], state), [homes[w] for w in worlds.tolist()]
+            )
             for key, rows in drawn.items():
                 obs[key] = known[key].copy()
                 obs[key][worlds] = rows

@@ -72,7 +72,17 @@ def look_up(tables: Tables, pointer: Array, config: TaskConfig) -> Focus:
     has_object = running & (obj >= 0) & (kind != int(SubtaskKind.CLOSE))
     shown = [kind == kind, has_object, running & (kind != int(SubtaskKind.PICK))]
     has_obj = (tables.obj >= 0)[..., None]
-    return Focus(kind, obj, link, columns, columns >= 0, link >= 0, xp.stack(shown)[..., None], has_obj, active)
+    return Focus(
+        kind,
+        obj,
+        link,
+        columns,
+        columns >= 0,
+        link >= 0,
+        xp.stack(shown)[..., None],
+        has_obj,
+        active,
+    )
 
 
 class PlanTables:
@@ -83,14 +93,22 @@ class PlanTables:
     link index, -1 for none. Place, Open and so on read their own.
     """
 
-    def __init__(self, layout: Layout, config: TaskConfig, num_worlds: int, num_subtasks: int) -> None:
-        self.layout, self.config, self.num_subtasks = layout, config, num_subtasks
+    def __init__(
+        self, layout: Layout, config: TaskConfig, num_worlds: int, num_subtasks: int
+    ) -> None:
+        self.layout = layout
+        self.config = config
+        self.num_subtasks = num_subtasks
         empty = TaskPlan("", ())
         self.plans: list[TaskPlan] = [empty] * num_worlds
-        self.arrays: PlanArrays = stack_plans([empty] * num_worlds, config, min_subtasks=num_subtasks)
+        self.arrays: PlanArrays = stack_plans(
+            [empty] * num_worlds, config, min_subtasks=num_subtasks
+        )
         shape = (num_worlds, num_subtasks)
-        self.target, self.held = np.full(shape, -1), np.full(shape, -1)
-        self.obj, self.link = np.full(shape, -1), np.full(shape, -1)
+        self.target = np.full(shape, -1)
+        self.held = np.full(shape, -1)
+        self.obj = np.full(shape, -1)
+        self.link = np.full(shape, -1)
 
     def set_row(self, world: int, plan: TaskPlan, boxes: dict[str, Box]) -> None:
         """Give a world a new plan."""
@@ -102,12 +120,14 @@ class PlanTables:
         self.plans[world] = plan
         for table in (self.target, self.held, self.obj, self.link):
             table[world] = -1
-        objects, links = self.layout.object_names, self.layout.link_ids
+        objects = self.layout.object_names
+        links = self.layout.link_ids
         for s, subtask in enumerate(plan.subtasks):
             slot = objects.index(subtask.obj) if subtask.obj else -1
             link = links.index(subtask.link) if subtask.link else -1
             jointed = subtask.kind in (SubtaskKind.OPEN, SubtaskKind.CLOSE)
-            self.obj[world, s], self.link[world, s] = slot, link
+            self.obj[world, s] = slot
+            self.link[world, s] = link
             self.target[world, s] = len(objects) + link if jointed else slot
             if subtask.must_hold:
                 self.held[world, s] = slot

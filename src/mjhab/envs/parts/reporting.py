@@ -11,9 +11,20 @@ from mjhab.episodes.generator import Episode
 from mjhab.tasks.plan import KIND_NAMES, TaskPlan
 
 CHECKERS = (
-    "is_grasped", "at_goal", "ee_rest", "robot_rest", "is_static", "force_ok", "opened", "closed", "near", "oriented",
-    "contact", "touch", "ee_contact",
-)  # fmt: skip
+    "is_grasped",
+    "at_goal",
+    "ee_rest",
+    "robot_rest",
+    "is_static",
+    "force_ok",
+    "opened",
+    "closed",
+    "near",
+    "oriented",
+    "contact",
+    "touch",
+    "ee_contact",
+)
 """Signals of the active subtask that info carries under their own names, (W,) bool."""
 
 
@@ -35,18 +46,26 @@ class Reporter:
         each world is in; not "episode", where Gymnasium's RecordEpisodeStatistics writes).
         """
         env = self._env
-        s, p = env.signals, env.progress
+        s = env.signals
+        p = env.progress
         assert s is not None
         info: dict[str, Any] = {
-            "pointer": p.pointer, "kind": env.focus.kind, "steps_left": p.steps_left,
-            "robot_force": s.robot_force, "cumulative_force": s.cumulative_force,
-            "success": env.success.copy(), "fail": env.fail.copy(),
-            "taint": env.sim.taint(), "nan_resets": env.nan_resets.copy(), "spawn_fallback": env.fallback.copy(),
+            "pointer": p.pointer,
+            "kind": env.focus.kind,
+            "steps_left": p.steps_left,
+            "robot_force": s.robot_force,
+            "cumulative_force": s.cumulative_force,
+            "success": env.success.copy(),
+            "fail": env.fail.copy(),
+            "taint": env.sim.taint(),
+            "nan_resets": env.nan_resets.copy(),
+            "spawn_fallback": env.fallback.copy(),
             "reward_terms": env.reward_terms,
-        }  # fmt: skip
+        }
         for name in CHECKERS:
             info[name] = getattr(s, name)
-        info["events"], info["ended"] = events, ended
+        info["events"] = events
+        info["ended"] = ended
         info["episode_spec"] = [self.describe(w) for w in range(env.num_envs)]
         return info
 
@@ -69,10 +88,18 @@ class Reporter:
 
 def describe_episode(episode: Episode, plan: TaskPlan, subtask: str) -> Mapping[str, Any]:
     """What `info` tells of an episode; ``subtask``: the kind that is done alone, or ""."""
-    entries = ({"kind": KIND_NAMES[s.kind], "target": s.target, "goal": s.goal_pos} for s in plan.subtasks)
+    entries = (
+        {"kind": KIND_NAMES[s.kind], "target": s.target, "goal": s.goal_pos} for s in plan.subtasks
+    )
     # The same object goes into every info until the next episode, so nobody may write into it.
-    return MappingProxyType({
-        "seed": episode.seed, "index": episode.index, "home": episode.home, "task": episode.task,
-        "split": episode.split, "subtask": subtask or None,
-        "plan": tuple(MappingProxyType(entry) for entry in entries),
-    })  # fmt: skip
+    return MappingProxyType(
+        {
+            "seed": episode.seed,
+            "index": episode.index,
+            "home": episode.home,
+            "task": episode.task,
+            "split": episode.split,
+            "subtask": subtask or None,
+            "plan": tuple(MappingProxyType(entry) for entry in entries),
+        }
+    )

@@ -18,7 +18,14 @@ from mjhab.sim.protocol import SimState
 from mjhab.tasks.measure import Signals, WorldState
 from mjhab.tasks.plan import SubtaskKind, TaskConfig
 from mjhab.tasks.progress import Progress
-from mjhab.tasks.rewards import IDEAL_SPEED, DenseReward, RewardOptions, RewardView, closed_near, kinds_at_hand
+from mjhab.tasks.rewards import (
+    IDEAL_SPEED,
+    DenseReward,
+    RewardOptions,
+    RewardView,
+    closed_near,
+    kinds_at_hand,
+)
 
 _JOINTED = (SubtaskKind.OPEN, SubtaskKind.CLOSE)
 _TORSO = FETCH_JOINTS.index("torso_lift_joint")
@@ -90,8 +97,10 @@ class Rewarder:
         self._worlds = count(num_worlds, like)
         # The last entry is for "no link", index -1.
         self._ideal = as_like([*(IDEAL_SPEED[ref.link.joint] for ref in layout.links), 0.0], like)
-        self._zero, self._zero6 = zeros((num_worlds,), like), zeros((num_worlds, 6), like)
-        self._low, self._high = as_like([0.0], like), as_like([1.0], like)
+        self._zero = zeros((num_worlds,), like)
+        self._zero6 = zeros((num_worlds, 6), like)
+        self._low = as_like([0.0], like)
+        self._high = as_like([1.0], like)
         self._closed_near = self._zero > 0
 
     def begin(self, mask: Array, inputs: RewardInputs) -> None:
@@ -111,14 +120,22 @@ class Rewarder:
             counted = inputs.signals.success if self.mode == "sparse" else inputs.progress.pointer
             return namespace(counted).astype(counted, self._zero.dtype), {}
         scored = self.dense.score(self._view(inputs))
-        reward = scored.total / scored.normaliser if self.mode == "normalized_dense" else scored.total
+        reward = (
+            scored.total / scored.normaliser if self.mode == "normalized_dense" else scored.total
+        )
         return reward, dict(zip(self.dense.names, scored.terms, strict=True))
 
     def _view(self, inputs: RewardInputs) -> RewardView:
         """Gather what the kinds at hand read; the rest is zero."""
-        state, world, focus, rows, zero = inputs.state, inputs.world, inputs.focus, self._worlds, self._zero
-        xp, kinds = namespace(rows), kinds_at_hand(inputs.signals.kind, self.dense.tables.keys())
-        jointed, distance = not kinds.isdisjoint(_JOINTED), zero
+        state = inputs.state
+        world = inputs.world
+        focus = inputs.focus
+        rows = self._worlds
+        zero = self._zero
+        xp = namespace(rows)
+        kinds = kinds_at_hand(inputs.signals.kind, self.dense.tables.keys())
+        jointed = not kinds.isdisjoint(_JOINTED)
+        distance = zero
         if jointed:
             some = xp.where(focus.link > 0, focus.link, 0)
             handle = self._sensing.handle_pos(state, rows, some)
@@ -132,7 +149,9 @@ class Rewarder:
             signals=inputs.signals,
             tcp_vel=state.tcp_vel,
             object_pos=state.object_pose[rows, focus.obj, :3],
-            object_vel=state.object_vel[rows, focus.obj] if SubtaskKind.PLACE in kinds else self._zero6,
+            object_vel=state.object_vel[rows, focus.obj]
+            if SubtaskKind.PLACE in kinds
+            else self._zero6,
             goal_pos=focus.active.goal_pos,
             torso_up=torso,
             handle_distance=distance,

@@ -41,13 +41,18 @@ class Sensing:
         self._opening = as_like([FINGER_OPEN_DIR[f] for f in FINGER_LINKS], like)
         self._tcp = addresses.robot_body[TCP_LINK]
         self._link_body = as_like(addresses.link_body, like, whole)
-        self._handles = as_like([ref.link.handle.point(handle_points) for ref in layout.links], like)
+        self._handles = as_like(
+            [ref.link.handle.point(handle_points) for ref in layout.links], like
+        )
         # The last row is for "no link", index -1.
         self._range = as_like([*(ref.link.range for ref in layout.links), (0.0, 0.0)], like)
 
-    def world_state(self, state: SimState, tables: Tables, focus: Focus, joint_start: Array) -> WorldState:
+    def world_state(
+        self, state: SimState, tables: Tables, focus: Focus, joint_start: Array
+    ) -> WorldState:
         """The input of `tasks.measure` for the subtasks in focus; ``joint_start`` (W,) of those with a joint."""
-        rows, column = self._rows, focus.columns
+        rows = self._rows
+        column = focus.columns
         force = state.finger_force[rows[:, None], :, column] * focus.has_columns[..., None, None]
         joint_range = self._range[focus.link]
         obj_pos = state.object_pose[rows[:, None], tables.obj, :3] * focus.has_obj
@@ -57,7 +62,9 @@ class Sensing:
             robot_qd=state.robot_qd,
             tcp_pos=(state.body_pos[:, self._left] + state.body_pos[:, self._right]) / 2,
             finger_force=force[:, 0],
-            finger_dir=namespace(force).einsum("wfij,fj->wfi", state.body_mat[:, self._fingers], self._opening),
+            finger_dir=namespace(force).einsum(
+                "wfij,fj->wfi", state.body_mat[:, self._fingers], self._opening
+            ),
             robot_force=state.link_force.sum(axis=1),
             target_contact=state.touch[rows, column[:, 0]] & focus.has_columns[:, 0],
             ee_contact=state.ee_contact[rows, column[:, 0]] & focus.has_columns[:, 0],
@@ -77,7 +84,9 @@ class Sensing:
         """World positions (n, 3) of the handle points of links (n,) in worlds (n,)."""
         body = self._link_body[link]
         rot = state.body_mat[world, body]
-        return state.body_pos[world, body] + namespace(rot).einsum("nij,nj->ni", rot, self._handles[link])
+        return state.body_pos[world, body] + namespace(rot).einsum(
+            "nij,nj->ni", rot, self._handles[link]
+        )
 
     def tcp_pose(self, state: SimState) -> Array:
         """(W, 7) world pose of gripper_link."""
@@ -86,7 +95,8 @@ class Sensing:
 
     def context(self, state: SimState, focus: Focus, signals: Signals) -> ObsContext:
         """The input of the observation table, masked by each world's active subtask."""
-        rows, goal = self._rows, focus.active.goal_pos
+        rows = self._rows
+        goal = focus.active.goal_pos
         jointed = focus.kind >= int(SubtaskKind.OPEN)
         if may_hold(jointed):
             where = namespace(jointed).where
@@ -99,4 +109,6 @@ class Sensing:
         poses[2, :, :3] = goal
         local = pose_in_base(state.robot_q[:, :3], poses) * focus.shown
         grasped = signals.is_grasped & (focus.active.kind >= 0)
-        return ObsContext(state.robot_q, state.robot_qd, local[0], local[1], local[2, :, :3], grasped)
+        return ObsContext(
+            state.robot_q, state.robot_qd, local[0], local[1], local[2, :, :3], grasped
+        )

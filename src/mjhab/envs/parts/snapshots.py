@@ -93,18 +93,24 @@ def restore(env: RestorableWorlds, world: int, state: dict[str, Any]) -> None:
     name = state["episode"]
     episode = env.make_episode(name["seed"], name["index"])
     if episode.home != name["home"]:
-        raise UsageError(f"the state is of home {name['home']!r}, but that episode is in {episode.home!r} here")
+        raise UsageError(
+            f"the state is of home {name['home']!r}, but that episode is in {episode.home!r} here"
+        )
     env.sim.set_world(world, episode.home, state["sim"])
     env.adopt(world, episode)
     env.sim.add_taint(world, state["taint"])
-    env.seeds[world], env.count[world] = state["next"]["seed"], state["next"]["count"]
+    env.seeds[world] = state["next"]["seed"]
+    env.count[world] = state["next"]["count"]
     for flag in _FLAGS:
         getattr(env, flag)[world] = state["flags"][flag]
     env.due[world] = False
-    env.joint_start[world], env.grip[world] = state["joint_start"], state["grip"]
+    env.joint_start[world] = state["joint_start"]
+    env.grip[world] = state["grip"]
     env.teleports.pending[world] = state["pending"]
     # States of versions without ``ee_contact``: any link that touched stands in for it, as in their labels.
-    env.signals = with_row(env.signals, world, {"ee_contact": state["signals"]["touch"], **state["signals"]})
+    env.signals = with_row(
+        env.signals, world, {"ee_contact": state["signals"]["touch"], **state["signals"]}
+    )
     env.follow(with_row(env.progress, world, state["progress"]))
     env.tracker.set_row(world, state["tracker"])
     env.state = env.sim.state()

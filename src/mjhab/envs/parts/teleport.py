@@ -46,11 +46,16 @@ class Teleports:
 
     def _move(self, world: int) -> None:
         env = self._env
-        plan, position = env.tables.plans[world], int(env.progress.pointer[world])
+        plan = env.tables.plans[world]
+        position = int(env.progress.pointer[world])
         goal = env.starts.spawn_goal(plan, position, env.boxes[world])
         slot = int(env.tables.held[world, position])
         qpos = env.sim.qpos[world]
-        held = Held(slot, self._held_pose(world, slot)) if slot >= 0 and self._is_held(world, slot) else None
+        held = (
+            Held(slot, self._held_pose(world, slot))
+            if slot >= 0 and self._is_held(world, slot)
+            else None
+        )
         episode = env.episode_of(world)
         found = None
         for _ in range(TRIES_PER_STEP):
@@ -72,4 +77,6 @@ class Teleports:
         return pose_mul(pose_inv(tcp), self._env.state.object_pose[world, slot])
 
     def _is_held(self, world: int, slot: int) -> bool:
-        return bool((np.linalg.norm(self._env.state.finger_force[world, :, slot], axis=-1) > 0).all())
+        return bool(
+            (np.linalg.norm(self._env.state.finger_force[world, :, slot], axis=-1) > 0).all()
+        )

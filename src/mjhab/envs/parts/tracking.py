@@ -55,7 +55,8 @@ class Tracker:
         assert self._notes is not None
         labels = self._notes.labels(signals.kind)
         for w in np.flatnonzero(outcome.ended).tolist():
-            kind, index = int(signals.kind[w]), int(progress.pointer[w])
+            kind = int(signals.kind[w])
+            index = int(progress.pointer[w])
             records[w] = {
                 "index": index,
                 "kind": KIND_NAMES[kind],

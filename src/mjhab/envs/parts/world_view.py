@@ -23,7 +23,8 @@ REST_QPOS = np.array(fetch.REST_QPOS)
 KINEMATIC_TREE = fetch.KINEMATIC_TREE
 FETCH_JOINTS = fetch.FETCH_JOINTS
 ROBOT_GEOMS = COLLISION
-TRUNK_LINKS, DISTAL_LINKS = fetch.TRUNK_LINKS, fetch.DISTAL_LINKS
+TRUNK_LINKS = fetch.TRUNK_LINKS
+DISTAL_LINKS = fetch.DISTAL_LINKS
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +92,8 @@ class WorldView:
     """Live privileged view of one world of an environment. Arrays are copies; read them anew every step."""
 
     def __init__(self, env: Worlds, world: int) -> None:
-        self._env, self.world = env, world
+        self._env = env
+        self.world = world
 
     @property
     def token(self) -> tuple[int, int, int]:
@@ -113,7 +115,8 @@ class WorldView:
     @property
     def subtask(self) -> Subtask | None:
         """The active subtask, None past the end of the plan."""
-        plan, pointer = self._env.tables.plans[self.world], int(self._env.progress.pointer[self.world])
+        plan = self._env.tables.plans[self.world]
+        pointer = int(self._env.progress.pointer[self.world])
         return plan.subtasks[pointer] if pointer < len(plan.subtasks) else None
 
     @property
@@ -165,7 +168,9 @@ class WorldView:
     def finger_forces(self, target: str) -> np.ndarray:
         """(2,) norm of the force [N] of an object or link on the [l, r] finger."""
         names = (*self.object_names, *self._env.layout.link_ids)
-        return np.linalg.norm(self._env.state.finger_force[self.world, :, names.index(target)], axis=-1)
+        return np.linalg.norm(
+            self._env.state.finger_force[self.world, :, names.index(target)], axis=-1
+        )
 
     def signal(self, name: str) -> Any:
         """One of the Signals of the active subtask, e.g. ``is_grasped``."""
@@ -186,8 +191,14 @@ class WorldView:
 
     def link_boxes(self, leave_out: tuple[str, ...] = ()) -> BoxArrays:
         """Collision boxes of all drawers and doors but some, at their present joints."""
-        parts = [link.boxes(self.link_q(name)) for name, link in self.home.links.items() if name not in leave_out]
-        return BoxArrays(*(np.concatenate([getattr(p, k) for p in parts]) for k in ("center", "half", "rot")))
+        parts = [
+            link.boxes(self.link_q(name))
+            for name, link in self.home.links.items()
+            if name not in leave_out
+        ]
+        return BoxArrays(
+            *(np.concatenate([getattr(p, k) for p in parts]) for k in ("center", "half", "rot"))
+        )
 
 
 @lru_cache(maxsize=256)
@@ -196,9 +207,14 @@ def home_shapes(layout: Layout, name: str) -> HomeShapes:
     home = next(h for h in layout.pack.homes if h.name == name)
     fmap = free_map(home, layout.pack)
     return HomeShapes(
-        name, _static_boxes(layout, home), _links(layout, home), placed_receptacles(layout, home),
-        np.asarray(fmap.origin, float), fmap.cell, fmap.clearance,
-    )  # fmt: skip
+        name,
+        _static_boxes(layout, home),
+        _links(layout, home),
+        placed_receptacles(layout, home),
+        np.asarray(fmap.origin, float),
+        fmap.cell,
+        fmap.clearance,
+    )
 
 
 def _static_boxes(layout: Layout, home: Home) -> BoxArrays:
@@ -210,7 +226,9 @@ def _static_boxes(layout: Layout, home: Home) -> BoxArrays:
     for articulation in layout.articulations:
         at = layout.articulation_placement(home, articulation.name)
         parts.append(_placed(articulation.geoms, at, layout.pack))
-    return BoxArrays(*(np.concatenate([getattr(p, k) for p in parts]) for k in ("center", "half", "rot")))
+    return BoxArrays(
+        *(np.concatenate([getattr(p, k) for p in parts]) for k in ("center", "half", "rot"))
+    )
 
 
 def _placed(geoms: tuple[Geom, ...], at: Placement, pack: Pack) -> BoxArrays:
@@ -223,7 +241,11 @@ def _boxes(geoms: list[Geom], pos: np.ndarray, rot: np.ndarray) -> BoxArrays:
     half = []
     for g in geoms:
         a, b, c = g.size
-        half.append({"box": (a, b, c), "cylinder": (a, a, b), "capsule": (a, a, a + b)}.get(g.shape, (a, a, a)))
+        half.append(
+            {"box": (a, b, c), "cylinder": (a, a, b), "capsule": (a, a, a + b)}.get(
+                g.shape, (a, a, a)
+            )
+        )
     local = np.array([g.pos for g in geoms], float).reshape(-1, 3)
     turn = mat_from_quat(np.array([g.quat for g in geoms], float).reshape(-1, 4))
     return BoxArrays(pos + local @ rot.T, np.array(half, float).reshape(-1, 3), rot @ turn)

@@ -8,4 +8,10 @@ from mjhab.envs.wrappers.flatten import FlattenStatePixels
 from mjhab.envs.wrappers.frame_stack import FrameStack
 from mjhab.envs.wrappers.normalize import NormalizeImages, denormalize_depth, normalize_depth
 
-__all__ = ["FlattenStatePixels", "FrameStack", "NormalizeImages", "denormalize_depth", "normalize_depth"]
+__all__ = [
+    "FlattenStatePixels",
+    "FrameStack",
+    "NormalizeImages",
+    "denormalize_depth",
+    "normalize_depth",
+]

@@ -35,10 +35,14 @@ def dict_space(env: VectorEnv, wrapper: str) -> spaces.Dict:
         UsageError: not a Dict, or observations that are tensors on a device.
     """
     if env.metadata.get("tensors"):
-        raise UsageError(f"{wrapper} works on numpy arrays, but {env} gives torch tensors; use backend='cpu'")
+        raise UsageError(
+            f"{wrapper} works on numpy arrays, but {env} gives torch tensors; use backend='cpu'"
+        )
     space = env.single_observation_space
     if not isinstance(space, spaces.Dict):
-        raise UsageError(f"{wrapper} needs observations that are a dict; those of {env} are {space}.")
+        raise UsageError(
+            f"{wrapper} needs observations that are a dict; those of {env} are {space}."
+        )
     return space
 
 
@@ -61,9 +65,13 @@ def require_images(env: VectorEnv, wrapper: str, flat: bool = False) -> tuple[Im
     """
     leaves = tuple(image_leaves(dict_space(env, wrapper)))
     if not leaves:
-        raise UsageError(f"{wrapper}: the observations have no images; make the environment with obs_mode='depth'.")
+        raise UsageError(
+            f"{wrapper}: the observations have no images; make the environment with obs_mode='depth'."
+        )
     if not flat and any(leaf.path[0] == PIXELS for leaf in leaves):
-        raise UsageError(f"{wrapper} must come before FlattenStatePixels, and FlattenStatePixels once only.")
+        raise UsageError(
+            f"{wrapper} must come before FlattenStatePixels, and FlattenStatePixels once only."
+        )
     return leaves
 
 
@@ -88,18 +96,30 @@ class ObservationMap(VectorWrapper, ABC):
     def observation(self, obs: dict[str, Any]) -> dict[str, Any]:
         """Transform an observation of all worlds."""
 
-    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[dict[str, Any], dict]:
+    def reset(
+        self, *, seed: Any = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict]:
         """Reset, and transform what is seen."""
         obs, info = self.env.reset(seed=seed, options=options)
         return self.observation(obs), info
 
-    def step(self, actions: np.ndarray) -> tuple[dict[str, Any], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+    def step(
+        self, actions: np.ndarray
+    ) -> tuple[dict[str, Any], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Step, and transform what is seen."""
         obs, reward, terminated, truncated, info = self.env.step(actions)
-        return self.observation(obs), reward, terminated, truncated, map_final(info, self.observation)
+        return (
+            self.observation(obs),
+            reward,
+            terminated,
+            truncated,
+            map_final(info, self.observation),
+        )
 
 
-def map_final(info: dict[str, Any], change: Callable[[dict[str, Any]], dict[str, Any]]) -> dict[str, Any]:
+def map_final(
+    info: dict[str, Any], change: Callable[[dict[str, Any]], dict[str, Any]]
+) -> dict[str, Any]:
     """``info`` with its final observation, if there is one, put through ``change``.
 
     Raises:
@@ -109,5 +129,7 @@ def map_final(info: dict[str, Any], change: Callable[[dict[str, Any]], dict[str,
         return info
     if not isinstance(info[FINAL], dict):
         need = f"info[{FINAL!r}] must be a dict of (num_envs, ...) arrays like the observation"
-        raise UsageError(f"{need}, as mjhab environments give it; got {type(info[FINAL]).__name__}.")
+        raise UsageError(
+            f"{need}, as mjhab environments give it; got {type(info[FINAL]).__name__}."
+        )
     return {**info, FINAL: change(info[FINAL])}

@@ -29,8 +29,12 @@ class FlattenStatePixels(ObservationMap):
         leaves = require_images(env, "FlattenStatePixels")
         check_key(STATE_KEY, space)
         self._names = {leaf.path[-1]: "_".join(leaf.path[-1].split("/")[1:]) for leaf in leaves}
-        pixels: dict[str, spaces.Space] = {name: _channels_first(space[key]) for key, name in self._names.items()}
-        super().__init__(env, ordered_dict({STATE_KEY: space[STATE_KEY], PIXELS: ordered_dict(pixels)}))
+        pixels: dict[str, spaces.Space] = {
+            name: _channels_first(space[key]) for key, name in self._names.items()
+        }
+        super().__init__(
+            env, ordered_dict({STATE_KEY: space[STATE_KEY], PIXELS: ordered_dict(pixels)})
+        )
 
     def observation(self, obs: dict[str, Any]) -> dict[str, Any]:
         """State and pixels of an observation."""
@@ -40,5 +44,6 @@ class FlattenStatePixels(ObservationMap):
 
 def _channels_first(space: spaces.Space) -> spaces.Box:
     assert isinstance(space, spaces.Box)
-    low, high = np.moveaxis(space.low, -1, -3), np.moveaxis(space.high, -1, -3)
+    low = np.moveaxis(space.low, -1, -3)
+    high = np.moveaxis(space.high, -1, -3)
     return spaces.Box(low, high, dtype=space.dtype)  # type: ignore[arg-type]

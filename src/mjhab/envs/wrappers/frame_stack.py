@@ -36,27 +36,35 @@ class FrameStack(VectorWrapper):
             unknown keys, no images and no keys, no autoreset mode.
     """
 
-    def __init__(self, env: VectorEnv, num_stack: int | None = None, keys: Sequence[str] | None = None) -> None:
+    def __init__(
+        self, env: VectorEnv, num_stack: int | None = None, keys: Sequence[str] | None = None
+    ) -> None:
         super().__init__(env)
         num_stack = _frames_of(env, num_stack)
         if num_stack < 1:
             raise UsageError(f"FrameStack: num_stack must be at least 1, got {num_stack}")
         mode = env.metadata.get("autoreset_mode")
         if not isinstance(mode, AutoresetMode):
-            raise UsageError(f"FrameStack: metadata['autoreset_mode'] of {env} must be an AutoresetMode, got {mode!r}.")
+            raise UsageError(
+                f"FrameStack: metadata['autoreset_mode'] of {env} must be an AutoresetMode, got {mode!r}."
+            )
         space = dict_space(env, "FrameStack")
         if keys is None:
             keys = [leaf.path[0] for leaf in require_images(env, "FrameStack")]
         for key in keys:
             check_key(key, space)
-        self.num_stack, self.keys, self._mode = num_stack, tuple(keys), mode
+        self.num_stack = num_stack
+        self.keys = tuple(keys)
+        self._mode = mode
         stacked = {key: _stacked(space[key], num_stack) for key in self.keys}
         self.single_observation_space = ordered_dict({**space.spaces, **stacked})
         self.observation_space = batched(self.single_observation_space, env.num_envs)
         self._frames: dict[str, np.ndarray] = {}
         self._ended = np.zeros(env.num_envs, bool)
 
-    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[dict[str, Any], dict]:
+    def reset(
+        self, *, seed: Any = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict]:
         """Reset worlds (all, or those in ``options["reset_mask"]``) and start their frames anew."""
         # Read before the call: a wrapper below may take the mask out of the options.
         mask = np.array((options or {}).get("reset_mask", np.ones(self.num_envs, bool)), bool)
@@ -64,11 +72,15 @@ class FrameStack(VectorWrapper):
         if self._frames:
             self._fill(mask, obs)
         else:
-            self._frames = {key: np.repeat(obs[key][:, None], self.num_stack, axis=1) for key in self.keys}
+            self._frames = {
+                key: np.repeat(obs[key][:, None], self.num_stack, axis=1) for key in self.keys
+            }
         self._ended[mask] = False
         return self._observation(obs), info
 
-    def step(self, actions: np.ndarray) -> tuple[dict[str, Any], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+    def step(
+        self, actions: np.ndarray
+    ) -> tuple[dict[str, Any], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """One step; see the class for what the frames are when an episode ends.
 
         Raises:
@@ -79,7 +91,9 @@ class FrameStack(VectorWrapper):
         obs, reward, terminated, truncated, info = self.env.step(actions)
         info = map_final(info, self._final)
         done = np.asarray(terminated) | np.asarray(truncated)
-        restart = {AutoresetMode.SAME_STEP: done, AutoresetMode.NEXT_STEP: self._ended}.get(self._mode)
+        restart = {AutoresetMode.SAME_STEP: done, AutoresetMode.NEXT_STEP: self._ended}.get(
+            self._mode
+        )
         self._shift(obs)
         if restart is not None and restart.any():
             self._fill(restart, obs)
@@ -98,7 +112,12 @@ class FrameStack(VectorWrapper):
     def _final(self, final: dict[str, Any]) -> dict[str, Any]:
         """The final observation behind the frames before it."""
         before = {key: self._frames[key][:, 1:] for key in self.keys}
-        return {**final, **{key: np.concatenate([before[key], final[key][:, None]], axis=1) for key in self.keys}}
+        return {
+            **final,
+            **{
+                key: np.concatenate([before[key], final[key][:, None]], axis=1) for key in self.keys
+            },
+        }
 
     def _shift(self, obs: dict[str, Any]) -> None:
         for key, frames in self._frames.items():

@@ -59,14 +59,18 @@ class NormalizeImages(ObservationMap):
         UsageError: unknown way, depth_clip not above 0, no images.
     """
 
-    def __init__(self, env: VectorEnv, depth: str = "tanh", rgb: str = "unit", depth_clip: float = DEPTH_CLIP) -> None:
+    def __init__(
+        self, env: VectorEnv, depth: str = "tanh", rgb: str = "unit", depth_clip: float = DEPTH_CLIP
+    ) -> None:
         if depth not in DEPTH_WAYS:
             raise unknown_name("depth normalization", depth, DEPTH_WAYS)
         if rgb not in RGB_WAYS:
             raise unknown_name("rgb normalization", rgb, RGB_WAYS)
         if not depth_clip > 0.0:
             raise UsageError(f"NormalizeImages: depth_clip must be above 0 m, got {depth_clip}")
-        self._depth, self._rgb, self._clip = depth, rgb, float(depth_clip)
+        self._depth = depth
+        self._rgb = rgb
+        self._clip = float(depth_clip)
         ways = {"depth": depth, "rgb": rgb, "seg": "raw"}
         leaves = require_images(env, "NormalizeImages", flat=True)
         self._leaves = tuple(leaf for leaf in leaves if ways[leaf.output] != "raw")
@@ -80,7 +84,9 @@ class NormalizeImages(ObservationMap):
         """The observation that `observation` turns into ``obs``: int16 millimetres and uint8 colours."""
         return self._changed(obs, self._backward)
 
-    def _changed(self, obs: dict[str, Any], change: Callable[[np.ndarray, ImageLeaf], np.ndarray]) -> dict[str, Any]:
+    def _changed(
+        self, obs: dict[str, Any], change: Callable[[np.ndarray, ImageLeaf], np.ndarray]
+    ) -> dict[str, Any]:
         out = dict(obs)
         for leaf in self._leaves:
             *above, key = leaf.path
@@ -110,11 +116,17 @@ class NormalizeImages(ObservationMap):
             return np.float32(0.0), np.float32(255.0)  # type: ignore[return-value]
         shape = [1] * ndim
         shape[leaf.channels] = 3
-        mean, std = (np.array(v, np.float32).reshape(shape) * np.float32(255.0) for v in (IMAGENET_MEAN, IMAGENET_STD))
+        mean, std = (
+            np.array(v, np.float32).reshape(shape) * np.float32(255.0)
+            for v in (IMAGENET_MEAN, IMAGENET_STD)
+        )
         return mean, std
 
     def _space(self, space: spaces.Dict) -> spaces.Dict:
-        boxes = {key: dict(value.spaces) if isinstance(value, spaces.Dict) else value for key, value in space.items()}
+        boxes = {
+            key: dict(value.spaces) if isinstance(value, spaces.Dict) else value
+            for key, value in space.items()
+        }
 
         def bounds(image: np.ndarray, leaf: ImageLeaf) -> Any:
             if leaf.output == "depth":
@@ -128,4 +140,6 @@ class NormalizeImages(ObservationMap):
             for name in above:
                 inner = inner[name]
             inner[key] = bounds(inner[key].low, leaf)
-        return ordered_dict({k: ordered_dict(v) if isinstance(v, dict) else v for k, v in boxes.items()})
+        return ordered_dict(
+            {k: ordered_dict(v) if isinstance(v, dict) else v for k, v in boxes.items()}
+        )

@@ -77,8 +77,10 @@ def grasp_candidates(
     Raises:
         UsageError: unknown kind of shape.
     """
-    gripper, options = gripper or Gripper(), options or Options()
-    pos, rot = np.asarray(pos, dtype=np.float64), mat_from_quat(np.asarray(quat, dtype=np.float64))
+    gripper = gripper or Gripper()
+    options = options or Options()
+    pos = np.asarray(pos, dtype=np.float64)
+    rot = mat_from_quat(np.asarray(quat, dtype=np.float64))
     holds = holds_of(shape, pos, rot, gripper, options)
     parts = [_place(hold, shape, pos, rot, support_z, gripper, options) for hold in holds]
     if not any(len(part[0]) for part in parts):
@@ -86,8 +88,10 @@ def grasp_candidates(
     tcp, turn, width, quality = (np.concatenate([part[i] for part in parts]) for i in range(4))
     # The gripper is the same turned by half a turn about its fingers: a second wrist angle to reach every grasp.
     flip = turn * np.array([1.0, -1.0, -1.0])
-    tcp, turn = np.tile(tcp, (2, 1)), np.concatenate([turn, flip])
-    width, quality = np.tile(width, 2), np.tile(quality, 2)
+    tcp = np.tile(tcp, (2, 1))
+    turn = np.concatenate([turn, flip])
+    width = np.tile(width, 2)
+    quality = np.tile(quality, 2)
     opening = np.minimum(width + options.spread, gripper.opening)
     pre = tcp - options.retreat * turn[:, :, 0]
     clear = approach_clearance(tcp, turn, opening, pre, neighbours, gripper)
@@ -108,16 +112,26 @@ def gripper_spheres(opening: Array, gripper: Gripper | None = None) -> tuple[Arr
     side = opening / 2 + gripper.thickness / 2
     fingers = np.zeros((len(opening), 10, 3))
     fingers[:, :, 0] = np.tile(along, 2)
-    fingers[:, :5, 1], fingers[:, 5:, 1] = side[:, None], -side[:, None]
-    x, y, z = np.meshgrid([-0.062, -0.093, -0.124], [-0.036, 0.0, 0.036], [-0.012, 0.012], indexing="ij")
+    fingers[:, :5, 1] = side[:, None]
+    fingers[:, 5:, 1] = -side[:, None]
+    x, y, z = np.meshgrid(
+        [-0.062, -0.093, -0.124], [-0.036, 0.0, 0.036], [-0.012, 0.012], indexing="ij"
+    )
     palm = np.stack([x, y, z], axis=-1).reshape(-1, 3)[:15]
     wrist = np.array([[-0.18, 0.0, 0.0], [-0.23, 0.0, 0.0], [-0.28, 0.0, 0.0]])
     hand = np.broadcast_to(np.concatenate([palm, wrist]), (len(opening), 18, 3))
-    return np.concatenate([fingers, hand], axis=1), np.array([0.0115] * 10 + [0.03] * 15 + [0.054] * 3)
+    return np.concatenate([fingers, hand], axis=1), np.array(
+        [0.0115] * 10 + [0.03] * 15 + [0.054] * 3
+    )
 
 
 def approach_clearance(
-    pos: Array, rot: Array, opening: Array, pre: Array, neighbours: Boxes | None, gripper: Gripper | None = None
+    pos: Array,
+    rot: Array,
+    opening: Array,
+    pre: Array,
+    neighbours: Boxes | None,
+    gripper: Gripper | None = None,
 ) -> Array:
     """Least room (G,) between the gripper and boxes on the straight way from ``pre`` (G, 3) to ``pos`` (G, 3)."""
     if neighbours is None or len(neighbours) == 0:
@@ -127,7 +141,11 @@ def approach_clearance(
     least = np.full(len(pos), np.inf)
     for share in (0.0, 0.25, 0.5, 1.0):
         points = (pos + share * (pre - pos))[:, None] + turned
-        gap = sphere_box_distance(points.reshape(-1, 3), neighbours).min(axis=1).reshape(points.shape[:2])
+        gap = (
+            sphere_box_distance(points.reshape(-1, 3), neighbours)
+            .min(axis=1)
+            .reshape(points.shape[:2])
+        )
         least = np.minimum(least, (gap - radius).min(axis=1))
     return least
 
@@ -143,7 +161,13 @@ def _extent(shape: ObjectShape, rot: Array, direction: Array) -> Array:
 
 
 def _place(
-    hold: Hold, shape: ObjectShape, pos: Array, rot: Array, support_z: float, gripper: Gripper, options: Options
+    hold: Hold,
+    shape: ObjectShape,
+    pos: Array,
+    rot: Array,
+    support_z: float,
+    gripper: Gripper,
+    options: Options,
 ) -> tuple[Array, Array, Array, Array]:
     """Tool centres for one way of closing: positions, rotations, widths and qualities of those that are possible."""
     approach = hold.approach
@@ -155,7 +179,8 @@ def _place(
     lowest = _lowest(turn, min(hold.width + options.spread, gripper.opening), gripper)
     room = support_z + options.floor_gap - lowest
     if hold.at is None:
-        reach, across = _extent(shape, rot, approach), _extent(shape, rot, turn[:, :, 2])
+        reach = _extent(shape, rot, approach)
+        across = _extent(shape, rot, turn[:, :, 2])
         shifts = np.maximum(across - 0.015, 0.0)[:, None] * np.array([0.0, -0.5, 0.5, -0.95, 0.95])
         at = pos + shifts[..., None] * turn[:, None, :, 2]
         deepest = -reach - gripper.palm_x[1] - options.palm_gap
@@ -165,29 +190,43 @@ def _place(
         deep = push[..., None] - np.array(options.shallower)
         at = (at[:, :, None] + deep[..., None] * approach[:, None, None]).reshape(-1, 3)
         count = shifts.shape[1] * len(options.shallower)
-        turn, room = np.repeat(turn, count, axis=0), np.repeat(room, count)
+        turn = np.repeat(turn, count, axis=0)
+        room = np.repeat(room, count)
     else:
         at = hold.at
     held, off = _overlap(hold, pos, at, turn, gripper)
     keep = (at[:, 2] >= room - 1e-6) & (held >= hold.least)
     # Narrow things forgive errors of the approach: at the widest the pads pass with 3 mm to spare on each side.
-    quality = hold.bonus + 6.0 * np.minimum(held, 0.03) - 4.0 * off - 0.3 * (hold.width / gripper.usable) ** 4
+    quality = (
+        hold.bonus
+        + 6.0 * np.minimum(held, 0.03)
+        - 4.0 * off
+        - 0.3 * (hold.width / gripper.usable) ** 4
+    )
     if hold.planar:
         quality = quality - options.scant * np.maximum(0.02 - held, 0.0)
     return at[keep], turn[keep], np.full(int(keep.sum()), hold.width), quality[keep]
 
 
-def _overlap(hold: Hold, center: Array, at: Array, turn: Array, gripper: Gripper) -> tuple[Array, Array]:
+def _overlap(
+    hold: Hold, center: Array, at: Array, turn: Array, gripper: Gripper
+) -> tuple[Array, Array]:
     """How much of the contact locus the pads cover (length or root of area) and how far its middle is from the
     object's centre, for tool centres ``at`` (A, 3)."""
     local = np.einsum("apj,ajk->apk", hold.locus - at[:, None], turn)
     edge = np.array(gripper.finger) - (0.007 if hold.point else -1e-6)
     blunt = gripper.blunt if hold.planar else 0.0
-    inside = (local[:, :, 0] >= -edge[0]) & (local[:, :, 0] <= edge[0] - blunt) & (np.abs(local[:, :, 2]) <= edge[1])
+    inside = (
+        (local[:, :, 0] >= -edge[0])
+        & (local[:, :, 0] <= edge[0] - blunt)
+        & (np.abs(local[:, :, 2]) <= edge[1])
+    )
     count = inside.sum(axis=1)
     middle = np.einsum("ap,pj->aj", inside / np.maximum(count, 1)[:, None], hold.locus)
     share = count / len(hold.locus)
-    held = 0.015 * share if hold.point else hold.measure * (np.sqrt(share) if hold.planar else share)
+    held = (
+        0.015 * share if hold.point else hold.measure * (np.sqrt(share) if hold.planar else share)
+    )
     return held, np.linalg.norm(middle - center, axis=1)
 
 
@@ -197,8 +236,12 @@ def _lowest(turn: Array, opening: float, gripper: Gripper) -> Array:
     corners = []
     for sy in (-1.0, 1.0):
         for sz in (-1.0, 1.0):
-            corners += [(sx * gripper.finger[0], sy * y, sz * gripper.finger[1]) for sx in (-1.0, 1.0)]
-            corners += [(px, sy * gripper.palm_half[0], sz * gripper.palm_half[1]) for px in gripper.palm_x]
+            corners += [
+                (sx * gripper.finger[0], sy * y, sz * gripper.finger[1]) for sx in (-1.0, 1.0)
+            ]
+            corners += [
+                (px, sy * gripper.palm_half[0], sz * gripper.palm_half[1]) for px in gripper.palm_x
+            ]
     return np.min(turn[:, 2, :] @ np.array(corners).T, axis=1)
 
 
@@ -208,7 +251,11 @@ def _score(
     approach = turn[:, :, 0]
     fall = np.degrees(np.arccos(np.clip(-approach[:, 2], -1.0, 1.0)))
     kind = np.where(fall <= 20.0, 0, np.where(fall < 70.0, 1, 2))
-    score = quality + np.array([options.preference[name] for name in KINDS])[kind] + 8.0 * np.clip(clear, -0.03, 0.03)
+    score = (
+        quality
+        + np.array([options.preference[name] for name in KINDS])[kind]
+        + 8.0 * np.clip(clear, -0.03, 0.03)
+    )
     if robot_xy is not None:
         away = pos[:2] - np.asarray(robot_xy, dtype=np.float64)[:2]
         away = away / max(float(np.linalg.norm(away)), 1e-6)
@@ -217,5 +264,8 @@ def _score(
 
 
 def _empty() -> Grasps:
-    none, points = np.zeros(0), np.zeros((0, 3))
-    return Grasps(points, np.zeros((0, 3, 3)), points, none, none, none, none.astype(np.int64), none)
+    none = np.zeros(0)
+    points = np.zeros((0, 3))
+    return Grasps(
+        points, np.zeros((0, 3, 3)), points, none, none, none, none.astype(np.int64), none
+    )

@@ -41,7 +41,8 @@ MAX_SLANT = np.radians(50.0)
 at rest: what it took from the side would lie on its side in it, as few picks leave it."""
 _UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
 _VERSION = 6
-_POSITION_SCALE, _CLOSING_WEIGHT = 0.05, 0.5
+_POSITION_SCALE = 0.05
+_CLOSING_WEIGHT = 0.5
 """What counts as far apart: 5 cm as much as a radian of approach or two of roll."""
 
 
@@ -58,8 +59,11 @@ def spread(candidates: Grasps, count: int) -> Iterator[int]:
     if not len(candidates):
         return
     closing = _CLOSING_WEIGHT * candidates.rot[:, :, 1]
-    features = np.concatenate([candidates.pos / _POSITION_SCALE, candidates.rot[:, :, 0], closing], axis=1)
-    apart, row = np.full(len(candidates), np.inf), 0
+    features = np.concatenate(
+        [candidates.pos / _POSITION_SCALE, candidates.rot[:, :, 0], closing], axis=1
+    )
+    apart = np.full(len(candidates), np.inf)
+    row = 0
     for _ in range(min(count, len(candidates))):
         yield row
         apart = np.minimum(apart, np.linalg.norm(features - features[row], axis=1))
@@ -85,8 +89,13 @@ class HeldStarts:
         harvested: `grasps` gives those that were added too, so that starts depend on what this machine has harvested.
     """
 
-    def __init__(self, sim: CpuSimulator, config: TaskConfig, scratch: Scratch, harvested: bool = False) -> None:
-        self.layout, self.config, self.scratch, self.harvested = sim.layout, config, scratch, harvested
+    def __init__(
+        self, sim: CpuSimulator, config: TaskConfig, scratch: Scratch, harvested: bool = False
+    ) -> None:
+        self.layout = sim.layout
+        self.config = config
+        self.scratch = scratch
+        self.harvested = harvested
         self._found: dict[str, list[HeldGrasp]] = {}
         self.lock = RLock()
 
@@ -119,14 +128,22 @@ class HeldStarts:
         """
         self._check(kind)
         pose = np.asarray(pose, dtype=np.float64)
-        if pose.shape != (7,) or not np.isfinite(pose).all() or abs(np.linalg.norm(pose[3:]) - 1.0) > 1e-3:
-            raise UsageError(f"a grasp needs the pose x, y, z, w, x, y, z of the object in the gripper, got {pose}")
+        if (
+            pose.shape != (7,)
+            or not np.isfinite(pose).all()
+            or abs(np.linalg.norm(pose[3:]) - 1.0) > 1e-3
+        ):
+            raise UsageError(
+                f"a grasp needs the pose x, y, z, w, x, y, z of the object in the gripper, got {pose}"
+            )
         if not 0.0 <= fingers <= FINGER_MAX:
             raise UsageError(f"fingers must be between 0 and {FINGER_MAX} m, got {fingers}")
         grasp = self._try(kind, pose_inv(pose), 2 * fingers)
         if grasp is None:
             return None
-        name = hashlib.sha256(grasp.pose.tobytes() + np.float64(grasp.fingers).tobytes()).hexdigest()[:16]
+        name = hashlib.sha256(
+            grasp.pose.tobytes() + np.float64(grasp.fingers).tobytes()
+        ).hexdigest()[:16]
         _save(below(self.folder, f"{kind}-added", f"{name}.npz"), [grasp])
         with self.lock:
             if self.harvested:
@@ -135,7 +152,11 @@ class HeldStarts:
 
     def added(self, kind: str) -> list[HeldGrasp]:
         """The grasps that were added for an object type, in the order of their hashes."""
-        return [g for file in sorted((self.folder / f"{kind}-added").glob("[!.]*.npz")) for g in _load(file)]
+        return [
+            g
+            for file in sorted((self.folder / f"{kind}-added").glob("[!.]*.npz"))
+            for g in _load(file)
+        ]
 
     def digest(self, kind: str) -> str:
         """Hash of the grasps of an object type: equal when the same draws give the same starts."""
@@ -201,19 +222,32 @@ class HeldStarts:
         slot = self.layout.roster.index(kind)
         state = self.scratch.holding(slot, _with_fingers(robot, held.fingers), pose_inv(held.pose))
         grip = (self.config.grasp_force, self.config.grasp_angle)
-        return held if self.scratch.collision_free(self.layout.pack.homes[0].name, state, slot, grip) else None
+        return (
+            held
+            if self.scratch.collision_free(self.layout.pack.homes[0].name, state, slot, grip)
+            else None
+        )
 
-    def _try(self, kind: str, tcp: np.ndarray, width: float, robot: np.ndarray | None = None) -> HeldGrasp | None:
+    def _try(
+        self, kind: str, tcp: np.ndarray, width: float, robot: np.ndarray | None = None
+    ) -> HeldGrasp | None:
         """Try a grasp: pose ``tcp`` (7,) of the tool centre in the object's frame, distance of the pads [m].
 
         ``robot``: (15,) joint positions, those of the fingers aside; at rest if None.
         """
         slot = self.layout.roster.index(kind)
-        force, angle = self.config.grasp_force, self.config.grasp_angle
+        force = self.config.grasp_force
+        angle = self.config.grasp_angle
         robot = parked_robot_qpos() if robot is None else robot
         open_hand = _with_fingers(robot, min(0.5 * width + 0.001, FINGER_MAX))
-        held = self.scratch.try_grasp(slot, tcp, open_hand, HOLD_SECONDS, force, STEADY_SHARE * angle)
-        return HeldGrasp(*held) if held is not None and np.linalg.norm(held[0][:3]) <= MAX_OFFSET else None
+        held = self.scratch.try_grasp(
+            slot, tcp, open_hand, HOLD_SECONDS, force, STEADY_SHARE * angle
+        )
+        return (
+            HeldGrasp(*held)
+            if held is not None and np.linalg.norm(held[0][:3]) <= MAX_OFFSET
+            else None
+        )
 
 
 def _with_fingers(robot: np.ndarray, fingers: float) -> np.ndarray:
@@ -224,10 +258,16 @@ def _with_fingers(robot: np.ndarray, fingers: float) -> np.ndarray:
 
 
 def _save(path: Path, grasps: list[HeldGrasp]) -> None:
-    arrays = {"pose": np.array([g.pose for g in grasps]), "fingers": np.array([g.fingers for g in grasps])}
+    arrays = {
+        "pose": np.array([g.pose for g in grasps]),
+        "fingers": np.array([g.fingers for g in grasps]),
+    }
     write_atomic(path, lambda temporary: np.savez(temporary, allow_pickle=False, **arrays))
 
 
 def _load(path: Path) -> list[HeldGrasp]:
     with np.load(path, allow_pickle=False) as data:
-        return [HeldGrasp(pose, float(fingers)) for pose, fingers in zip(data["pose"], data["fingers"], strict=True)]
+        return [
+            HeldGrasp(pose, float(fingers))
+            for pose, fingers in zip(data["pose"], data["fingers"], strict=True)
+        ]

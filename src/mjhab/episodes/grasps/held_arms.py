@@ -71,13 +71,18 @@ class HeldArms:
 
     def digest(self, kind: str) -> str:
         """Hash of the arms of an object type: equal when the same draws give the same starts."""
-        rows = [np.concatenate([one.arm, one.grasp.pose, [one.grasp.fingers]]) for one in self.arms(kind)]
+        rows = [
+            np.concatenate([one.arm, one.grasp.pose, [one.grasp.fingers]])
+            for one in self.arms(kind)
+        ]
         return hashlib.sha256(np.array(rows).tobytes()).hexdigest()[:16]
 
     def _path(self, kind: str) -> Path:
         config = self._held.config
         test = (config.ee_rest_pos, config.ee_rest_tol, config.arm_tol_grasped, MAX_ARMS, MAX_TRIES)
-        made = hashlib.sha256(repr((test, SOLVER_STEPS, REST_SHARE, _VERSION)).encode()).hexdigest()[:8]
+        made = hashlib.sha256(
+            repr((test, SOLVER_STEPS, REST_SHARE, _VERSION)).encode()
+        ).hexdigest()[:8]
         return self._held.folder / f"{kind}-arms-{made}.npz"
 
     def _make(self, kind: str) -> list[HeldArm]:
@@ -91,7 +96,9 @@ class HeldArms:
             if len(made) == MAX_ARMS:
                 break
         if not made:
-            raise MjhabError(f"no grasp of {kind} holds for {HOLD_SECONDS} s in a posture in which a Pick succeeds")
+            raise MjhabError(
+                f"no grasp of {kind} holds for {HOLD_SECONDS} s in a posture in which a Pick succeeds"
+            )
         return made
 
 
@@ -113,7 +120,11 @@ def rest_postures(rng: np.random.Generator, config: TaskConfig, count: int) -> n
     q[:, _COLUMNS] = rng.uniform(low, high, (count, len(rest)))
     allowed = REST_SHARE * config.ee_rest_tol
     offset = rng.normal(size=(count, 3))
-    offset *= allowed * rng.uniform(size=(count, 1)) ** (1 / 3) / np.linalg.norm(offset, axis=1, keepdims=True)
+    offset *= (
+        allowed
+        * rng.uniform(size=(count, 1)) ** (1 / 3)
+        / np.linalg.norm(offset, axis=1, keepdims=True)
+    )
     center = np.add(config.ee_rest_pos, (0.0, 0.0, config.base_height))
     nothing = np.zeros((count, len(rest)))
     for _ in range(SOLVER_STEPS):

@@ -16,10 +16,14 @@ from mjhab.core.errors import unknown_name
 from mjhab.scenes.builtin.objects import BOWL_FACETS
 
 Array = np.ndarray
-CORNER_YAWS, CORNER_TILTS = (-0.1, 0.0, 0.1), (0.0, 0.26, 0.44, 0.6)
+CORNER_YAWS = (-0.1, 0.0, 0.1)
+CORNER_TILTS = (0.0, 0.26, 0.44, 0.6)
 """Angles [rad] between the hand and the diagonal of a corner that it holds, and of the hand down from level. Faces
 lean from the line on which the pads close by 45 degrees and the former: less than the angle of their friction, 56."""
-CORNER_PLAY, CORNER_LEAST, CORNER_HEIGHT, CORNER_GAP = 0.003, 0.036, 0.018, 0.003
+CORNER_PLAY = 0.003
+CORNER_LEAST = 0.036
+CORNER_HEIGHT = 0.018
+CORNER_GAP = 0.003
 """Room left on both sides by fingers around a corner, how deep they get and how much of its edge they cover at least
 (else it slips out when the hand moves), and room between it and the palm."""
 CHORD_PLAY = 0.0015
@@ -84,7 +88,9 @@ class Options:
     cells: int = 15
     scant: float = 0.0
     corners: bool = False
-    preference: dict[str, float] = field(default_factory=lambda: {"top": 1.0, "tilted": 0.8, "side": 0.5})
+    preference: dict[str, float] = field(
+        default_factory=lambda: {"top": 1.0, "tilted": 0.8, "side": 0.5}
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,24 +117,34 @@ class Hold:
         return len(self.locus) == 1
 
 
-def holds_of(shape: ObjectShape, pos: Array, rot: Array, gripper: Gripper, options: Options) -> Iterator[Hold]:
+def holds_of(
+    shape: ObjectShape, pos: Array, rot: Array, gripper: Gripper, options: Options
+) -> Iterator[Hold]:
     """Ways to close on a shape at ``pos`` (3,), ``rot`` (3, 3).
 
     Raises:
         UsageError: unknown kind of shape.
     """
-    makers = {"box": _box_holds, "cylinder": _cylinder_holds, "sphere": _sphere_holds, "bowl": _bowl_holds}
+    makers = {
+        "box": _box_holds,
+        "cylinder": _cylinder_holds,
+        "sphere": _sphere_holds,
+        "bowl": _bowl_holds,
+    }
     if shape.kind not in makers:
         raise unknown_name("object shape", shape.kind, makers)
     return makers[shape.kind](shape, pos, rot, gripper, options)
 
 
-def _box_holds(shape: ObjectShape, pos: Array, rot: Array, gripper: Gripper, options: Options) -> Iterator[Hold]:
+def _box_holds(
+    shape: ObjectShape, pos: Array, rot: Array, gripper: Gripper, options: Options
+) -> Iterator[Hold]:
     for i in range(3):
         width = 2 * shape.half[i]
         if width > gripper.usable:
             continue
-        j, k = (i + 1) % 3, (i + 2) % 3
+        j = (i + 1) % 3
+        k = (i + 2) % 3
         cells = np.linspace(-1, 1, options.cells)
         u, v = np.meshgrid(cells * shape.half[j], cells * shape.half[k])
         face = pos + u.reshape(-1, 1) * rot[:, j] + v.reshape(-1, 1) * rot[:, k]
@@ -140,15 +156,21 @@ def _box_holds(shape: ObjectShape, pos: Array, rot: Array, gripper: Gripper, opt
             yield from _corner_holds(shape, pos, rot, int(k), gripper)
 
 
-def _corner_holds(shape: ObjectShape, pos: Array, rot: Array, k: int, gripper: Gripper) -> Iterator[Hold]:
+def _corner_holds(
+    shape: ObjectShape, pos: Array, rot: Array, k: int, gripper: Gripper
+) -> Iterator[Hold]:
     """A box by two sides that meet in an upright edge, axis ``k``: the hand comes along about their diagonal.
 
     The fingertips get as far beyond the edge as the open hand lets them; friction holds, see `CORNER_YAWS`.
     """
-    i, j = (k + 1) % 3, (k + 2) % 3
-    up, full = rot[:, k] * np.sign(rot[2, k]), gripper.opening - 2 * CORNER_PLAY
+    i = (k + 1) % 3
+    j = (k + 2) % 3
+    up = rot[:, k] * np.sign(rot[2, k])
+    full = gripper.opening - 2 * CORNER_PLAY
     for si, sj, yaw in itertools.product((-1.0, 1.0), (-1.0, 1.0), CORNER_YAWS):
-        first, second, angle = si * rot[:, i], sj * rot[:, j], np.pi / 4 + yaw
+        first = si * rot[:, i]
+        second = sj * rot[:, j]
+        angle = np.pi / 4 + yaw
         spread = np.tan(angle) + 1.0 / np.tan(angle)
         ends = 0.97 * 2.0 * min(shape.half[j] * np.sin(angle), shape.half[i] * np.cos(angle))
         depth = min(full / spread, ends)
@@ -162,7 +184,16 @@ def _corner_holds(shape: ObjectShape, pos: Array, rot: Array, k: int, gripper: G
         for tilt in CORNER_TILTS:
             at, line = _around_edge(edge, level, up, shape.half[k], depth, tilt, gripper)
             approach = np.tile(np.cos(tilt) * level - np.sin(tilt) * up, (len(at), 1))
-            yield Hold(closing, approach, line, depth * spread, at, bonus, CORNER_HEIGHT, measure=2 * shape.half[k])
+            yield Hold(
+                closing,
+                approach,
+                line,
+                depth * spread,
+                at,
+                bonus,
+                CORNER_HEIGHT,
+                measure=2 * shape.half[k],
+            )
 
 
 def _around_edge(
@@ -170,24 +201,34 @@ def _around_edge(
 ) -> tuple[Array, Array]:
     """Tool centres (A, 3) at several heights from which the tips of a hand tilted down get ``depth`` beyond an edge of
     height 2 ``half`` around ``edge`` (3,), and where about they meet the sides, (81, 3) in the middle between them."""
-    c, s, (tip, across) = np.cos(tilt), np.sin(tilt), gripper.finger
+    c = np.cos(tilt)
+    s = np.sin(tilt)
+    (tip, across) = gripper.finger
     heights = np.linspace(-1.0, 1.0, 9) * half + tip * s
     back = depth - tip * c - across * s
     # How far up the front of the palm comes to the edge: there the box must have ended.
     meets = (-back - CORNER_GAP - gripper.palm_x[1] * c) / max(s, 1e-9)
     if meets < gripper.palm_half[1]:
         heights = heights[heights - gripper.palm_x[1] * s + meets * c > half + CORNER_GAP]
-    line = edge + (depth - 2 * across * s - 0.001) * level + np.linspace(-half, half, 81)[:, None] * up
+    line = (
+        edge + (depth - 2 * across * s - 0.001) * level + np.linspace(-half, half, 81)[:, None] * up
+    )
     return edge + back * level + heights[:, None] * up, line
 
 
-def _cylinder_holds(shape: ObjectShape, pos: Array, rot: Array, gripper: Gripper, options: Options) -> Iterator[Hold]:
-    radius, half, axis = shape.half[0], shape.half[2], rot[:, 2]
+def _cylinder_holds(
+    shape: ObjectShape, pos: Array, rot: Array, gripper: Gripper, options: Options
+) -> Iterator[Hold]:
+    radius = shape.half[0]
+    half = shape.half[2]
+    axis = rot[:, 2]
     line = pos + np.linspace(-half, half, 81)[:, None] * axis
     for angle in np.arange(12) * np.pi / 12:
         closing = np.cos(angle) * rot[:, 0] + np.sin(angle) * rot[:, 1]
         if 2 * radius <= gripper.usable:
-            yield Hold(closing, _fan(closing, axis, options.fan), line, 2 * radius, measure=2 * half)
+            yield Hold(
+                closing, _fan(closing, axis, options.fan), line, 2 * radius, measure=2 * half
+            )
         else:
             yield from _chord_holds(radius, half, pos, axis, closing, line, gripper)
             yield from _tip_holds(radius, half, pos, axis, closing, line, gripper)
@@ -196,11 +237,25 @@ def _cylinder_holds(shape: ObjectShape, pos: Array, rot: Array, gripper: Gripper
         disk = np.stack([u.ravel(), v.ravel()], axis=1)
         disk = disk[np.linalg.norm(disk, axis=1) <= radius] @ rot[:, :2].T + pos
         size = np.sqrt(np.pi) * radius
-        yield Hold(axis, _fan(axis, rot[:, 0], options.fan), disk, 2 * half, least=0.014, measure=size, planar=True)
+        yield Hold(
+            axis,
+            _fan(axis, rot[:, 0], options.fan),
+            disk,
+            2 * half,
+            least=0.014,
+            measure=size,
+            planar=True,
+        )
 
 
 def _chord_holds(
-    radius: float, half: float, pos: Array, axis: Array, closing: Array, line: Array, gripper: Gripper
+    radius: float,
+    half: float,
+    pos: Array,
+    axis: Array,
+    closing: Array,
+    line: Array,
+    gripper: Gripper,
 ) -> Iterator[Hold]:
     """A can too wide to go around: coming along its axis, the pads' edges meet it on a chord beside the axis.
 
@@ -217,28 +272,43 @@ def _chord_holds(
         chord = line + side * offset * across
         for down in (-axis, axis):
             deep = min(half, gripper.finger[0] + 0.027)
-            at = pos - down * (half - deep + gripper.finger[0]) + side * (offset + gripper.finger[1]) * across
+            at = (
+                pos
+                - down * (half - deep + gripper.finger[0])
+                + side * (offset + gripper.finger[1]) * across
+            )
             yield Hold(closing, down[None], chord, width, at[None], bonus=-0.4, measure=2 * half)
 
 
 def _tip_holds(
-    radius: float, half: float, pos: Array, axis: Array, closing: Array, line: Array, gripper: Gripper
+    radius: float,
+    half: float,
+    pos: Array,
+    axis: Array,
+    closing: Array,
+    line: Array,
+    gripper: Gripper,
 ) -> Iterator[Hold]:
     """A can a little too wide to go around: coming from the side, the round edges of the fingertips hold it on a chord
     before the axis, as far back as the open hand gets. The more the tips miss the axis, the sooner it is lost."""
     width = gripper.opening - 2 * gripper.play
     if not 0.0 < radius - width / 2 < 0.004:
         return
-    offset, tip = float(np.sqrt(radius**2 - (width / 2) ** 2)), gripper.finger[0]
+    offset = float(np.sqrt(radius**2 - (width / 2) ** 2))
+    tip = gripper.finger[0]
     heights = np.linspace(-1.0, 1.0, 7)[:, None] * max(half - gripper.finger[1], 0.0) * axis
     for side in (-1.0, 1.0):
         approach = side * np.cross(axis, closing)
         at = pos + heights - (offset + tip) * approach
         chord = line - (offset + 1e-4) * approach
-        yield Hold(closing, np.tile(approach, (len(at), 1)), chord, width, at, bonus=-0.6, measure=2 * half)
+        yield Hold(
+            closing, np.tile(approach, (len(at), 1)), chord, width, at, bonus=-0.6, measure=2 * half
+        )
 
 
-def _sphere_holds(shape: ObjectShape, pos: Array, rot: Array, gripper: Gripper, options: Options) -> Iterator[Hold]:
+def _sphere_holds(
+    shape: ObjectShape, pos: Array, rot: Array, gripper: Gripper, options: Options
+) -> Iterator[Hold]:
     width = 2 * max(shape.half)
     if width > gripper.usable:
         return
@@ -247,9 +317,13 @@ def _sphere_holds(shape: ObjectShape, pos: Array, rot: Array, gripper: Gripper, 
         yield Hold(closing, _fan(closing, np.array([0.0, 0.0, 1.0]), options.fan), pos[None], width)
 
 
-def _bowl_holds(shape: ObjectShape, pos: Array, rot: Array, gripper: Gripper, options: Options) -> Iterator[Hold]:
+def _bowl_holds(
+    shape: ObjectShape, pos: Array, rot: Array, gripper: Gripper, options: Options
+) -> Iterator[Hold]:
     """One finger inside, one outside the wall, both about parallel to it; several leans of the hand at every place."""
-    axis, half, count = rot[:, 2], shape.half[2], shape.facets or BOWL_FACETS
+    axis = rot[:, 2]
+    half = shape.half[2]
+    count = shape.facets or BOWL_FACETS
     # The middle of a flat facet lies nearer to the axis than its corners.
     radius = (shape.half[0] - shape.wall / 2) * (np.cos(np.pi / count) if shape.facets else 1.0)
     for angle in np.arange(count) * 2 * np.pi / count:

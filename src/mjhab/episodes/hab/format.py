@@ -80,7 +80,8 @@ class HabEpisode:
     def types(self) -> tuple[str, ...]:
         """Object type of every rigid object."""
         return tuple(
-            name.replace("\\", "/").rsplit("/", 1)[-1].removesuffix(OBJECT_SUFFIX) for name, _ in self.rigid_objs
+            name.replace("\\", "/").rsplit("/", 1)[-1].removesuffix(OBJECT_SUFFIX)
+            for name, _ in self.rigid_objs
         )
 
     @property
@@ -121,7 +122,9 @@ def read_hab(path: Path) -> HabFile:
     """
     body = _load(path)
     if not isinstance(body, dict) or not isinstance(body.get("episodes"), list):
-        raise UsageError(f"{path}: field 'episodes' must be a list; this is not a file of rearrangement episodes.")
+        raise UsageError(
+            f"{path}: field 'episodes' must be a list; this is not a file of rearrangement episodes."
+        )
     if not body["episodes"]:
         raise UsageError(f"{path}: field 'episodes' is empty.")
     try:
@@ -140,7 +143,9 @@ def _load(path: Path) -> Any:
         try:
             raw = gzip.decompress(raw)
         except (EOFError, OSError, zlib.error) as error:
-            raise UsageError(f"{path}: the gzip data is cut off or damaged ({error}); fetch the file again.") from error
+            raise UsageError(
+                f"{path}: the gzip data is cut off or damaged ({error}); fetch the file again."
+            ) from error
     try:
         return json.loads(raw.decode("utf-8"))
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
@@ -149,7 +154,11 @@ def _load(path: Path) -> Any:
 
 def write_hab(path: Path, file: HabFile) -> None:
     """Write episodes; gzip when the name ends with ``.gz``. The file appears whole or not at all."""
-    write_rows(path, file.rest, (json.dumps(to_json(episode), allow_nan=False) for episode in file.episodes))
+    write_rows(
+        path,
+        file.rest,
+        (json.dumps(to_json(episode), allow_nan=False) for episode in file.episodes),
+    )
 
 
 def write_rows(path: Path, rest: Mapping[str, Any], rows: Iterable[str]) -> None:
@@ -169,7 +178,9 @@ def write_rows(path: Path, rest: Mapping[str, Any], rows: Iterable[str]) -> None
 
 def _compressed(raw: Any, path: Path) -> Any:
     # No name and no time stamp: the same episodes give the same bytes.
-    return gzip.GzipFile("", "wb", fileobj=raw, mtime=0) if path.suffix == ".gz" else nullcontext(raw)
+    return (
+        gzip.GzipFile("", "wb", fileobj=raw, mtime=0) if path.suffix == ".gz" else nullcontext(raw)
+    )
 
 
 def to_json(episode: HabEpisode) -> dict[str, Any]:
@@ -183,19 +194,31 @@ def to_json(episode: HabEpisode) -> dict[str, Any]:
         "rigid_objs": [[name, matrix.tolist()] for name, matrix in episode.rigid_objs],
         "targets": {name: matrix.tolist() for name, matrix in episode.targets.items()},
         "markers": [
-            {"name": m.name, "type": m.type,
-             "params": {"offset": list(m.offset), "link": m.link, "object": m.object}} for m in episode.markers
+            {
+                "name": m.name,
+                "type": m.type,
+                "params": {"offset": list(m.offset), "link": m.link, "object": m.object},
+            }
+            for m in episode.markers
         ],
         "target_receptacles": [list(pair) for pair in episode.target_receptacles],
         "goal_receptacles": [list(pair) for pair in episode.goal_receptacles],
         "name_to_receptacle": episode.name_to_receptacle,
-    }  # fmt: skip
+    }
 
 
 _FIELDS = (
-    "episode_id", "scene_id", "rigid_objs", "targets", "ao_states", "markers", "target_receptacles", "goal_receptacles",
-    "name_to_receptacle", "info",
-)  # fmt: skip
+    "episode_id",
+    "scene_id",
+    "rigid_objs",
+    "targets",
+    "ao_states",
+    "markers",
+    "target_receptacles",
+    "goal_receptacles",
+    "name_to_receptacle",
+    "info",
+)
 
 
 def from_json(row: Mapping[str, Any]) -> HabEpisode:
@@ -222,7 +245,9 @@ def _episode(row: Any, where: str) -> HabEpisode:
         if value is None and default is not None:
             return default
         if not isinstance(value, kind):
-            raise ValueError(f"{where}.{name}: expected {kind.__name__}, got {type(value).__name__}.")
+            raise ValueError(
+                f"{where}.{name}: expected {kind.__name__}, got {type(value).__name__}."
+            )
         return value
 
     objects = fitting("rigid_objs", list, None)
@@ -233,12 +258,22 @@ def _episode(row: Any, where: str) -> HabEpisode:
     episode = HabEpisode(
         episode_id=str(row.get("episode_id", "")),
         scene_id=fitting("scene_id", str, None),
-        rigid_objs=tuple(_rigid(entry, f"{where}.rigid_objs[{i}]") for i, entry in enumerate(objects)),
-        targets={name: _matrix(value, f"{where}.targets[{name!r}]") for name, value in targets.items()},
+        rigid_objs=tuple(
+            _rigid(entry, f"{where}.rigid_objs[{i}]") for i, entry in enumerate(objects)
+        ),
+        targets={
+            name: _matrix(value, f"{where}.targets[{name!r}]") for name, value in targets.items()
+        },
         ao_states=_states(fitting("ao_states", dict, {}), f"{where}.ao_states"),
-        markers=tuple(_marker(m, f"{where}.markers[{i}]") for i, m in enumerate(fitting("markers", list, []))),
-        target_receptacles=_receptacles(fitting("target_receptacles", list, []), f"{where}.target_receptacles"),
-        goal_receptacles=_receptacles(fitting("goal_receptacles", list, []), f"{where}.goal_receptacles"),
+        markers=tuple(
+            _marker(m, f"{where}.markers[{i}]") for i, m in enumerate(fitting("markers", list, []))
+        ),
+        target_receptacles=_receptacles(
+            fitting("target_receptacles", list, []), f"{where}.target_receptacles"
+        ),
+        goal_receptacles=_receptacles(
+            fitting("goal_receptacles", list, []), f"{where}.goal_receptacles"
+        ),
         name_to_receptacle=fitting("name_to_receptacle", dict, {}),
         info=info,
         rest={key: value for key, value in row.items() if key not in _FIELDS},
@@ -294,14 +329,18 @@ def _states(value: dict[str, Any], where: str) -> dict[str, dict[str, float]]:
     out: dict[str, dict[str, float]] = {}
     for handle, joints in value.items():
         if not isinstance(joints, dict):
-            raise ValueError(f"{where}[{handle!r}]: expected an object of link number and joint position.")
+            raise ValueError(
+                f"{where}[{handle!r}]: expected an object of link number and joint position."
+            )
         for number, position in joints.items():
             if (
                 isinstance(position, bool)
                 or not isinstance(position, int | float)
                 or not abs(position) <= MAX_JOINT_POSITION
             ):
-                raise ValueError(f"{where}[{handle!r}][{number!r}]: expected a number, got {position!r}.")
+                raise ValueError(
+                    f"{where}[{handle!r}][{number!r}]: expected a number, got {position!r}."
+                )
         out[handle] = dict(joints)
     return out
 
@@ -310,9 +349,17 @@ def _marker(value: Any, where: str) -> Marker:
     try:
         params = value["params"]
         x, y, z = (float(v) for v in params["offset"])
-        return Marker(str(value["name"]), str(params["object"]), str(params["link"]), (x, y, z), str(value["type"]))
+        return Marker(
+            str(value["name"]),
+            str(params["object"]),
+            str(params["link"]),
+            (x, y, z),
+            str(value["type"]),
+        )
     except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{where}: expected name, type and params with offset, link and object.") from error
+        raise ValueError(
+            f"{where}: expected name, type and params with offset, link and object."
+        ) from error
 
 
 def _receptacles(value: list[Any], where: str) -> tuple[Receptacle, ...]:

@@ -29,7 +29,8 @@ from mjhab.sim.mujoco.settle import settle
 from mjhab.tasks.plan import TARGETS_PER_TASK, Target
 
 SETTLE_SECONDS = 2.0
-MOVED, TIPPED = 0.02, np.radians(10.0)
+MOVED = 0.02
+TIPPED = np.radians(10.0)
 """An object is not at rest if it moves further [m] or leans further [rad] than this while it settles."""
 MARGIN = 0.05
 """How far beyond a receptacle's rectangle the middle of an object may lie and still be taken to stand on it [m]."""
@@ -73,7 +74,11 @@ class Rest:
     @property
     def fallen(self) -> tuple[str, ...]:
         """Names of the objects that did not stay where the file puts them."""
-        return tuple(n for n, m, t in zip(self.names, self.moved, self.tipped, strict=True) if m > MOVED or t > TIPPED)
+        return tuple(
+            n
+            for n, m, t in zip(self.names, self.moved, self.tipped, strict=True)
+            if m > MOVED or t > TIPPED
+        )
 
 
 class FileEpisodes:
@@ -91,8 +96,12 @@ class FileEpisodes:
             episode of it is wanted.
     """
 
-    def __init__(self, sim: CpuSimulator, file: HabFile, task: str, home: str = "", target: str = "") -> None:
-        self.sim, self.file, self.task = sim, file, task
+    def __init__(
+        self, sim: CpuSimulator, file: HabFile, task: str, home: str = "", target: str = ""
+    ) -> None:
+        self.sim = sim
+        self.file = file
+        self.task = task
         self.layout = sim.layout
         self._homes = {home.name: home for home in self.layout.pack.homes}
         self._settled: dict[int, tuple[Episode, Rest]] = {}
@@ -101,11 +110,16 @@ class FileEpisodes:
         self._rows = [
             i
             for i, episode in enumerate(self.file.episodes)
-            if fnmatchcase(episode.scene, home or "*") and any(n.startswith(target) for n in episode.target_names)
+            if fnmatchcase(episode.scene, home or "*")
+            and any(n.startswith(target) for n in episode.target_names)
         ]
         if not self._rows:
-            wanted = " ".join(filter(None, (home and f"in home {home!r}", target and f"with target {target!r}")))
-            raise UsageError(f"{file.path}: none of its {len(self.file.episodes)} episodes is {wanted}.")
+            wanted = " ".join(
+                filter(None, (home and f"in home {home!r}", target and f"with target {target!r}"))
+            )
+            raise UsageError(
+                f"{file.path}: none of its {len(self.file.episodes)} episodes is {wanted}."
+            )
 
     def __len__(self) -> int:
         return len(self._rows)
@@ -116,7 +130,16 @@ class FileEpisodes:
         The same episode under another index or seed has the same objects and another spawn of the robot.
         """
         found = self.settled(index)[0]
-        return Episode(found.task, found.split, seed, index, found.home, found.object_pose, found.link_q, found.targets)
+        return Episode(
+            found.task,
+            found.split,
+            seed,
+            index,
+            found.home,
+            found.object_pose,
+            found.link_q,
+            found.targets,
+        )
 
     def settled(self, index: int) -> tuple[Episode, Rest]:
         """An episode after `SETTLE_SECONDS` of simulation, and how its objects came to rest."""
@@ -126,9 +149,12 @@ class FileEpisodes:
         return self._settled[row]
 
     def _check(self, row: int) -> None:
-        episode, where = self.file.episodes[row], f"{self.file.path}: episodes[{row}]"
+        episode = self.file.episodes[row]
+        where = f"{self.file.path}: episodes[{row}]"
         if episode.scene not in self._homes:
-            near, _, _ = str(unknown_name("scene", episode.scene, self._homes)).partition(" Valid names")
+            near, _, _ = str(unknown_name("scene", episode.scene, self._homes)).partition(
+                " Valid names"
+            )
             raise UsageError(
                 f"{where}.scene_id: {near} `mjhab homes list` names those of {self.layout.pack.name!r}; scenes of "
                 "ReplicaCAD that are not staged are opened by name, as --assets FOLDER/apt_0."
@@ -137,12 +163,17 @@ class FileEpisodes:
             require_furniture(self._homes[episode.scene], self.task)
         except UsageError as error:
             raise UsageError(f"{where}.scene_id: {error}") from error
-        names, limit = episode.target_names, TARGETS_PER_TASK[self.task]
+        names = episode.target_names
+        limit = TARGETS_PER_TASK[self.task]
         if not 1 <= len(names) <= limit:
-            raise UsageError(f"{where}.targets: {self.task} handles 1 to {limit} targets, got {len(names)}.")
+            raise UsageError(
+                f"{where}.targets: {self.task} handles 1 to {limit} targets, got {len(names)}."
+            )
         for name in names:
             if name not in episode.instances:
-                raise UsageError(f"{where}.targets: {unknown_name('object', name, episode.instances)}")
+                raise UsageError(
+                    f"{where}.targets: {unknown_name('object', name, episode.instances)}"
+                )
         for name in episode.instances:
             if name not in self.layout.object_names:
                 raise UsageError(f"{where}.rigid_objs: the layout has no slot for {name!r}.")
@@ -168,19 +199,24 @@ class FileEpisodes:
 
     def _settle(self, row: int) -> tuple[Episode, Rest]:
         home, pose, link_q, root = self._read(row)
-        model, a = self.sim.model(home.name), self.sim.addresses
+        model = self.sim.model(home.name)
+        a = self.sim.addresses
         rows = a.object_q[:, None] + np.arange(7)
         qpos = model.qpos0.copy()
-        qpos[rows], qpos[a.link_q] = pose, link_q
+        qpos[rows] = pose
+        qpos[a.link_q] = link_q
         after, _ = settle(model, a, qpos, SETTLE_SECONDS)
-        hab, rested = self.file.episodes[row], after[rows]
+        hab = self.file.episodes[row]
+        rested = after[rows]
         slots = [self.layout.object_names.index(name) for name in hab.instances]
         moved = np.linalg.norm(rested[slots, :3] - pose[slots, :3], axis=1)
         axis_before, axis_after = (mat_from_quat(p[slots, 3:])[..., 2] for p in (pose, rested))
         upright = np.einsum("mi,mi->m", axis_before, axis_after)
         rest = Rest(hab.instances, moved, np.arccos(np.clip(upright, -1.0, 1.0)))
         targets = file_targets(self.layout, home, hab, rested, root)
-        return Episode(self.task, home.split, 0, row, home.name, rested, after[a.link_q], targets), rest
+        return Episode(
+            self.task, home.split, 0, row, home.name, rested, after[a.link_q], targets
+        ), rest
 
 
 def _check_inside(layout: Layout, home: Home, episode: HabEpisode, pose: np.ndarray) -> None:
@@ -189,9 +225,13 @@ def _check_inside(layout: Layout, home: Home, episode: HabEpisode, pose: np.ndar
     Raises:
         ValueError: names the field.
     """
-    goals = [(f"targets[{name!r}]", pose_from_hab(matrix)[:3]) for name, matrix in episode.targets.items()]
+    goals = [
+        (f"targets[{name!r}]", pose_from_hab(matrix)[:3])
+        for name, matrix in episode.targets.items()
+    ]
     starts = [
-        (f"rigid_objs[{k}]", pose[layout.object_names.index(name), :3]) for k, name in enumerate(episode.instances)
+        (f"rigid_objs[{k}]", pose[layout.object_names.index(name), :3])
+        for k, name in enumerate(episode.instances)
     ]
     x_min, y_min, x_max, y_max = home.floor
     low = np.array([x_min - OUTSIDE_M, y_min - OUTSIDE_M, LOWEST_M])
@@ -199,7 +239,9 @@ def _check_inside(layout: Layout, home: Home, episode: HabEpisode, pose: np.ndar
     for field, point in [*starts, *goals]:
         if ((point < low) | (point > high)).any():
             extent = f"{_shown(low)} to {_shown(high)} m (+z up)"
-            raise ValueError(f"{field}: {_shown(point)} m is not in {home.name!r}, which extends from {extent}.")
+            raise ValueError(
+                f"{field}: {_shown(point)} m is not in {home.name!r}, which extends from {extent}."
+            )
 
 
 def _shown(point: np.ndarray) -> str:
@@ -212,8 +254,12 @@ def _shown(point: np.ndarray) -> str:
 def object_poses(layout: Layout, episode: HabEpisode) -> np.ndarray:
     """Poses (N, 7) of all slots: those of the episode, the others parked."""
     pose = layout.parked_poses.copy()
-    for name, kind, (_, matrix) in zip(episode.instances, episode.types, episode.rigid_objs, strict=True):
-        pose[layout.object_names.index(name)] = pose_from_hab(matrix, layout.pack.objects[kind].scan_yaw)
+    for name, kind, (_, matrix) in zip(
+        episode.instances, episode.types, episode.rigid_objs, strict=True
+    ):
+        pose[layout.object_names.index(name)] = pose_from_hab(
+            matrix, layout.pack.objects[kind].scan_yaw
+        )
     return pose
 
 
@@ -242,9 +288,13 @@ def number_of_root(layout: Layout, home: Home, episode: HabEpisode, pose: np.nda
         known = link_names(layout, template_of(handle))
         if template_of(handle) not in jointed:
             continue  # welded shut: its numbers tell nothing
-        evidence += [(template_of(handle), int(n), known[2:]) for n in joints if n.lstrip("-").isdigit()]
+        evidence += [
+            (template_of(handle), int(n), known[2:]) for n in joints if n.lstrip("-").isdigit()
+        ]
     places = placed_receptacles(layout, home)
-    for name, (handle, number) in zip(episode.target_names, episode.target_receptacles, strict=False):
+    for name, (handle, number) in zip(
+        episode.target_names, episode.target_receptacles, strict=False
+    ):
         furniture = template_of(handle)
         if number is not None and furniture in jointed:
             found = receptacle_at(layout, places, name, pose[layout.object_names.index(name)])
@@ -254,11 +304,14 @@ def number_of_root(layout: Layout, home: Home, episode: HabEpisode, pose: np.nda
         if all(_link_name(layout, furniture, n, root) in valid for furniture, n, valid in evidence):
             return root
     told = ", ".join(f"{furniture} link {n}" for furniture, n, _ in evidence)
-    raise ValueError(f"ao_states: these numbers are not links of the furniture, however the root is counted: {told}.")
+    raise ValueError(
+        f"ao_states: these numbers are not links of the furniture, however the root is counted: {told}."
+    )
 
 
 def _link_name(layout: Layout, furniture: str, number: int, root: int) -> str:
-    names, k = link_names(layout, furniture), number - root
+    names = link_names(layout, furniture)
+    k = number - root
     return names[k] if 0 <= k < len(names) else ""
 
 
@@ -273,18 +326,28 @@ def joint_positions(layout: Layout, episode: HabEpisode, root: int) -> np.ndarra
         furniture = template_of(handle)
         for number, position in joints.items():
             where = f"ao_states[{handle!r}][{number!r}]"
-            name = _link_name(layout, furniture, int(number), root) if number.lstrip("-").isdigit() else number
+            name = (
+                _link_name(layout, furniture, int(number), root)
+                if number.lstrip("-").isdigit()
+                else number
+            )
             if f"{furniture}/{name}" not in layout.link_ids:
                 if position == 0.0:
                     continue
                 if furniture in layout.pack.props:
-                    raise ValueError(f"{where}: {furniture!r} is welded shut in this pack (--articulate lets it open).")
-                raise ValueError(f"{where}: {unknown_name('link', f'{furniture}/{name}', layout.link_ids)}")
+                    raise ValueError(
+                        f"{where}: {furniture!r} is welded shut in this pack (--articulate lets it open)."
+                    )
+                raise ValueError(
+                    f"{where}: {unknown_name('link', f'{furniture}/{name}', layout.link_ids)}"
+                )
             k = layout.link_ids.index(f"{furniture}/{name}")
             low, high = layout.links[k].link.range
             position = -position if layout.links[k].link.mirrored else position
             if not low - 0.05 <= position <= high + 0.05:
-                raise ValueError(f"{where}: {position:g} is outside the range {low:g} to {high:g} of the joint.")
+                raise ValueError(
+                    f"{where}: {position:g} is outside the range {low:g} to {high:g} of the joint."
+                )
             out[k] = min(max(position, low), high)
     return out
 
@@ -298,16 +361,20 @@ def receptacle_at(
     """
     half = np.array(layout.objects[layout.object_names.index(name)].half)
     lowest = pose[2] - np.abs(mat_from_quat(pose[3:])[2]) @ half
-    best, least = None, 0.10
+    best = None
+    least = 0.10
     for place in places:
         over = np.abs(place.local(pose[:2])) <= np.array(place.half) + MARGIN
         gap = abs(lowest - place.pos[2])
         if over.all() and gap < least and pose[2] > place.pos[2]:
-            best, least = place, gap
+            best = place
+            least = gap
     return best
 
 
-def file_targets(layout: Layout, home: Home, episode: HabEpisode, pose: np.ndarray, root: int) -> tuple[Target, ...]:
+def file_targets(
+    layout: Layout, home: Home, episode: HabEpisode, pose: np.ndarray, root: int
+) -> tuple[Target, ...]:
     """The targets of an episode in their order; receptacles that the file does not name are found by geometry.
 
     Args:

@@ -14,18 +14,22 @@ from mjhab.scenes.spec import Home
 
 _REPLICA_CAD = "replica_cad"
 _MARKERS = {
-    "kitchen_counter/drawer1_top": "cab_push_point_7", "kitchen_counter/drawer2_top": "cab_push_point_6",
-    "kitchen_counter/drawer3": "cab_push_point_5", "kitchen_counter/drawer4": "cab_push_point_4",
+    "kitchen_counter/drawer1_top": "cab_push_point_7",
+    "kitchen_counter/drawer2_top": "cab_push_point_6",
+    "kitchen_counter/drawer3": "cab_push_point_5",
+    "kitchen_counter/drawer4": "cab_push_point_4",
     FRIDGE_DOOR: "fridge_push_point",
-}  # fmt: skip
+}
 """Names that HAB gives to the handles."""
 
 
 def to_hab(layout: Layout, home: Home, episode: Episode) -> HabEpisode:
     """An episode in the format, links numbered with the root as 0. Its info names task, split, seed and index."""
     places = placed_receptacles(layout, home)
-    at = {name: receptacle_at(layout, places, name, pose) for name, pose in
-          zip(layout.object_names, episode.object_pose, strict=True)}  # fmt: skip
+    at = {
+        name: receptacle_at(layout, places, name, pose)
+        for name, pose in zip(layout.object_names, episode.object_pose, strict=True)
+    }
     kinds = dict(zip(layout.object_names, layout.objects, strict=True))
     goals = {t.obj: np.array([*t.goal_pos, 1.0, 0.0, 0.0, 0.0]) for t in episode.targets}
     there = {name: receptacle_at(layout, places, name, pose) for name, pose in goals.items()}
@@ -42,17 +46,23 @@ def to_hab(layout: Layout, home: Home, episode: Episode) -> HabEpisode:
         markers=_markers(layout),
         target_receptacles=tuple(_numbered(layout, at[name]) for name in names),
         goal_receptacles=tuple(_numbered(layout, there[name]) for name in names),
-        name_to_receptacle={name: f"{_handle(layout, p)}|{p.name}" for name, p in at.items() if p is not None},
+        name_to_receptacle={
+            name: f"{_handle(layout, p)}|{p.name}" for name, p in at.items() if p is not None
+        },
         info={
             "object_labels": {name: f"any_targets|{k}" for k, name in enumerate(names)},
-            "task": episode.task, "split": episode.split, "seed": episode.seed, "index": episode.index,
+            "task": episode.task,
+            "split": episode.split,
+            "seed": episode.seed,
+            "index": episode.index,
         },
         rest={
             "scene_dataset_config": f"data/{layout.pack.name}/{_dataset_config(layout)}",
             "additional_obj_config_paths": ["data/objects/ycb/configs/"],
-            "start_position": [0, 0, 0], "start_rotation": [0, 0, 0, 1],
+            "start_position": [0, 0, 0],
+            "start_rotation": [0, 0, 0, 1],
         },
-    )  # fmt: skip
+    )
 
 
 def _dataset_config(layout: Layout) -> str:
@@ -76,8 +86,14 @@ def _markers(layout: Layout) -> tuple[Marker, ...]:
     for ref in layout.links:
         if ref.id in _MARKERS:
             x, y, z = ref.link.handle.pos
-            found.append(Marker(_MARKERS[ref.id], f"{ref.articulation}_:0000", ref.link.name,
-                                (round(x, 6), round(z, 6), round(-y, 6))))  # fmt: skip
+            found.append(
+                Marker(
+                    _MARKERS[ref.id],
+                    f"{ref.articulation}_:0000",
+                    ref.link.name,
+                    (round(x, 6), round(z, 6), round(-y, 6)),
+                )
+            )
     return tuple(found)
 
 

@@ -21,7 +21,8 @@ from mjhab.robots.kinematics import Chain, Frames
 Array = np.ndarray
 FAR = 1e3
 """Distance [m] reported when there is nothing to be near to."""
-_THICK, _EDGE = 0.05, 0.03
+_THICK = 0.05
+_EDGE = 0.03
 """Boxes covered by larger spheres than the first get spheres of the second size along their edges [m]."""
 
 
@@ -59,20 +60,32 @@ class RobotSpheres:
             trunk: links kept as boxes for `self_clearance`.
             distal: links whose spheres `self_clearance` looks at.
         """
-        link, pos, radius = [], [], []
+        link = []
+        pos = []
+        radius = []
         for i, name in enumerate(chain.links):
             for geom in geoms.get(name, ()) if name not in skip else ():
                 for points, size in _cover(geom):
                     link += [i] * len(points)
                     pos.append(points)
                     radius += [size] * len(points)
-        pairs = [(chain.links.index(name), g) for name in trunk if name in chain.links for g in geoms.get(name, ())]
+        pairs = [
+            (chain.links.index(name), g)
+            for name in trunk
+            if name in chain.links
+            for g in geoms.get(name, ())
+        ]
         rows = np.array(link, dtype=np.int64)
         chosen = [i for i, name in enumerate(chain.links) if name in distal]
         return cls(
-            chain, rows, np.concatenate(pos), np.array(radius), _bounding([g for _, g in pairs]),
-            np.array([i for i, _ in pairs], dtype=np.int64), np.isin(rows, chosen),
-        )  # fmt: skip
+            chain,
+            rows,
+            np.concatenate(pos),
+            np.array(radius),
+            _bounding([g for _, g in pairs]),
+            np.array([i for i, _ in pairs], dtype=np.int64),
+            np.isin(rows, chosen),
+        )
 
     def with_held(self, pos: Array, radius: Array) -> RobotSpheres:
         """The same robot with spheres ``pos`` (H, 3), ``radius`` (H,) fixed to the tip: an object in the gripper."""
@@ -88,12 +101,18 @@ class RobotSpheres:
         """The spheres of some links, for cheaper or more specific tests."""
         keep = np.isin(self.link, [self.chain.links.index(name) for name in links])
         return dataclasses.replace(
-            self, link=self.link[keep], pos=self.pos[keep], radius=self.radius[keep], distal=self.distal[keep]
+            self,
+            link=self.link[keep],
+            pos=self.pos[keep],
+            radius=self.radius[keep],
+            distal=self.distal[keep],
         )
 
     def centers(self, frames: Frames) -> Array:
         """World centres (N, M, 3) at link frames from `Chain.forward`."""
-        return frames.pos[:, self.link] + np.einsum("nmij,mj->nmi", frames.rot[:, self.link], self.pos)
+        return frames.pos[:, self.link] + np.einsum(
+            "nmij,mj->nmi", frames.rot[:, self.link], self.pos
+        )
 
     def clearance(self, q: Array, boxes: Boxes) -> Array:
         """Least distance (N,) [m] of any sphere to any box at configurations ``q`` (N, Q); negative: they overlap."""
@@ -101,7 +120,10 @@ class RobotSpheres:
         if len(q) == 0 or len(boxes) == 0 or len(self.radius) == 0:
             return np.full(len(q), FAR)
         frames = self.chain.forward(q)
-        sides = [np.ascontiguousarray(side, dtype=np.float64) for side in (boxes.center, boxes.half, boxes.rot)]
+        sides = [
+            np.ascontiguousarray(side, dtype=np.float64)
+            for side in (boxes.center, boxes.half, boxes.rot)
+        ]
         return least_gaps(frames.pos, frames.rot, *self._bounds, *self._by_link, *sides)
 
     @cached_property
@@ -122,12 +144,15 @@ class RobotSpheres:
             low = (self.pos[mine] - self.radius[mine, None]).min(axis=0)
             high = (self.pos[mine] + self.radius[mine, None]).max(axis=0)
             middle[i] = (low + high) / 2
-            around[i] = (np.linalg.norm(self.pos[mine] - middle[i], axis=1) + self.radius[mine]).max()
+            around[i] = (
+                np.linalg.norm(self.pos[mine] - middle[i], axis=1) + self.radius[mine]
+            ).max()
         return links, middle, around
 
     def self_clearance(self, q: Array) -> Array:
         """Least distance (N,) [m] of the distal links to the trunk's boxes; negative: they overlap."""
-        frames, distal = self.chain.forward(q), self.distal
+        frames = self.chain.forward(q)
+        distal = self.distal
         if not distal.any() or not len(self.trunk_link):
             return np.full(len(q), FAR)
         sides = [
@@ -171,13 +196,16 @@ def _fill(geom: Any) -> tuple[Array, float]:
         small = max(float(half.min()), 0.7 * float(np.sort(half)[1]))
         local = _grid(np.maximum(half - small, 0.0), small)
     else:
-        radius, length = float(geom.size[0]), float(geom.size[1])
+        radius = float(geom.size[0])
+        length = float(geom.size[1])
         small = min(radius, max(length, 0.7 * radius))
         if small == radius:
             local = _grid(np.array([0.0, 0.0, length - small]), small)
         else:
             ring = radius - small
-            angle = np.linspace(0, 2 * np.pi, max(4, int(np.ceil(2 * np.pi * ring / small))), endpoint=False)
+            angle = np.linspace(
+                0, 2 * np.pi, max(4, int(np.ceil(2 * np.pi * ring / small))), endpoint=False
+            )
             local = np.stack([ring * np.cos(angle), ring * np.sin(angle), 0 * angle], axis=1)
             local = np.concatenate([np.zeros((1, 3)), local])
     rot = mat_from_quat(np.asarray(geom.quat, dtype=np.float64))
@@ -187,7 +215,9 @@ def _fill(geom: Any) -> tuple[Array, float]:
 def _grid(room: Array, radius: float) -> Array:
     """Points (P, 3) within ± ``room`` at most 1.2 radii apart."""
     count = [1 + int(np.ceil(2 * r / (1.2 * radius) - 1e-9)) for r in room]
-    axes = [np.linspace(-r, r, n) if n > 1 else np.zeros(1) for r, n in zip(room, count, strict=True)]
+    axes = [
+        np.linspace(-r, r, n) if n > 1 else np.zeros(1) for r, n in zip(room, count, strict=True)
+    ]
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
@@ -196,7 +226,9 @@ def _bounding(geoms: Sequence[Any]) -> Boxes:
     half = []
     for geom in geoms:
         size = np.asarray(geom.size, dtype=np.float64)
-        half.append(size if geom.shape == "box" else np.array([size[0], size[0], size[1] or size[0]]))
+        half.append(
+            size if geom.shape == "box" else np.array([size[0], size[0], size[1] or size[0]])
+        )
     center = np.array([geom.pos for geom in geoms], dtype=np.float64).reshape(-1, 3)
     quat = np.array([geom.quat for geom in geoms], dtype=np.float64).reshape(-1, 4)
     return Boxes(center, np.array(half).reshape(-1, 3), mat_from_quat(quat))

@@ -23,7 +23,9 @@ class Care(NamedTuple):
     spin: float
 
 
-FIRM, WEAK, BRISK = Care(0.12, 0.25, 0.25, 1.8), Care(0.12, 0.08, 0.16, 1.6), Care(0.12, 0.14, 0.2, 1.8)
+FIRM = Care(0.12, 0.25, 0.25, 1.8)
+WEAK = Care(0.12, 0.08, 0.16, 1.6)
+BRISK = Care(0.12, 0.14, 0.2, 1.8)
 WEIGHT = 0.02
 """Mass times distance from the pads [kg m] from which on the grip is weak: a sugar box of half a kilogram, held by
 a corner 51 mm off its centre, was lost in the first steps of a turn with `FIRM` and kept with `WEAK`. `BRISK` is
@@ -33,7 +35,9 @@ between the two, where time is short."""
 def care_for(view: WorldView, hurry: bool = False) -> Care:
     """What the object nearest to the hand asks for, less where there is reason to ``hurry``."""
     tcp = view.tcp_pose[:3]
-    far = {name: float(np.linalg.norm(view.object_pose(name)[:3] - tcp)) for name in view.object_names}
+    far = {
+        name: float(np.linalg.norm(view.object_pose(name)[:3] - tcp)) for name in view.object_names
+    }
     if not far:
         return FIRM
     held = min(far, key=lambda name: far[name])
@@ -42,7 +46,9 @@ def care_for(view: WorldView, hurry: bool = False) -> Care:
     return BRISK if hurry else WEAK
 
 
-def eased(wish: tuple[float, float], before: tuple[float, float], care: Care) -> tuple[float, float]:
+def eased(
+    wish: tuple[float, float], before: tuple[float, float], care: Care
+) -> tuple[float, float]:
     """Forward speed and yaw rate that are not far from those of the control step before."""
     forward = before[0] + float(np.clip(wish[0] - before[0], -care.rise, care.rise))
     more = float(np.clip(wish[1], -care.spin, care.spin)) - before[1]

@@ -19,9 +19,14 @@ Mode = Literal["pose", "approach", "closing", "position"]
 """Which orientation counts: all of it, only the gripper's x axis, only its y axis (the fingers' line), or none."""
 
 ARM = (
-    "shoulder_pan_joint", "shoulder_lift_joint", "upperarm_roll_joint", "elbow_flex_joint", "forearm_roll_joint",
-    "wrist_flex_joint", "wrist_roll_joint",
-)  # fmt: skip
+    "shoulder_pan_joint",
+    "shoulder_lift_joint",
+    "upperarm_roll_joint",
+    "elbow_flex_joint",
+    "forearm_roll_joint",
+    "wrist_flex_joint",
+    "wrist_roll_joint",
+)
 """Arm joints in the order of the action's first seven numbers."""
 TORSO = "torso_lift_joint"
 BASE = ("root_x_axis_joint", "root_y_axis_joint", "root_z_rotation_joint")
@@ -118,20 +123,32 @@ def solve(
     options = options or Options()
     seeds = np.asarray(seeds, dtype=np.float64)
     shape = (len(pos), seeds.shape[-2])
-    flat = chain.clip(np.broadcast_to(seeds, (*shape, seeds.shape[-1])).reshape(shape[0] * shape[1], -1))
+    flat = chain.clip(
+        np.broadcast_to(seeds, (*shape, seeds.shape[-1])).reshape(shape[0] * shape[1], -1)
+    )
     goal_pos = np.repeat(np.asarray(pos, dtype=np.float64), shape[1], axis=0)
     goal_rot = np.repeat(np.asarray(rot, dtype=np.float64), shape[1], axis=0)
     pos_err, rot_err = _iterate(chain, flat, goal_pos, goal_rot, dofs, rest, mode, options)
     ok = (pos_err <= 3 * options.pos_tolerance) & (rot_err <= 3 * options.rot_tolerance)
-    return Solutions(flat.reshape(*shape, -1), pos_err.reshape(shape), rot_err.reshape(shape), ok.reshape(shape))
+    return Solutions(
+        flat.reshape(*shape, -1), pos_err.reshape(shape), rot_err.reshape(shape), ok.reshape(shape)
+    )
 
 
 def _iterate(
-    chain: Chain, flat: Array, goal_pos: Array, goal_rot: Array, dofs: Array, rest: Array, mode: Mode, options: Options
+    chain: Chain,
+    flat: Array,
+    goal_pos: Array,
+    goal_rot: Array,
+    dofs: Array,
+    rest: Array,
+    mode: Mode,
+    options: Options,
 ) -> tuple[Array, Array]:
     """Move configurations ``flat`` (N, Q) in place towards their goals; returns what errors (N,), (N,) are left."""
     active = np.arange(len(flat))
-    pos_err, rot_err = np.full(len(flat), np.inf), np.full(len(flat), np.inf)
+    pos_err = np.full(len(flat), np.inf)
+    rot_err = np.full(len(flat), np.inf)
     for iteration in range(options.iterations + 1):
         now = flat[active]
         error, jac = _task(chain, now, goal_pos[active], goal_rot[active], mode)
@@ -139,14 +156,20 @@ def _iterate(
         rot_err[active] = np.linalg.norm(error[:, 3:], axis=1)
         if iteration == options.iterations:
             break
-        going = (pos_err[active] > options.pos_tolerance) | (rot_err[active] > options.rot_tolerance)
+        going = (pos_err[active] > options.pos_tolerance) | (
+            rot_err[active] > options.rot_tolerance
+        )
         if not going.any():
             break
-        active, now = active[going], now[going]
+        active = active[going]
+        now = now[going]
         gain = options.rest_gain * max(0.0, 1.0 - 1.5 * iteration / options.iterations)
         pull = (rest - now)[:, dofs] * gain
-        low, high = chain.lower[dofs] - now[:, dofs], chain.upper[dofs] - now[:, dofs]
-        now[:, dofs] += limited_step(error[going], jac[going][:, :, dofs], pull, low, high, options.max_step)
+        low = chain.lower[dofs] - now[:, dofs]
+        high = chain.upper[dofs] - now[:, dofs]
+        now[:, dofs] += limited_step(
+            error[going], jac[going][:, :, dofs], pull, low, high, options.max_step
+        )
         flat[active] = chain.clip(now)
     return pos_err, rot_err
 
@@ -191,7 +214,8 @@ def servo(
     if base_next is not None:
         ahead[:, chain.columns_of(BASE)] = base_next
     error, jac = _task(chain, ahead, pos, rot, mode)
-    low, high = chain.lower[dofs] - q[:, dofs], chain.upper[dofs] - q[:, dofs]
+    low = chain.lower[dofs] - q[:, dofs]
+    high = chain.upper[dofs] - q[:, dofs]
     pull = (rest - q)[:, dofs] * rest_gain
     step = limited_step(gain * error, jac[:, :, dofs], pull, low, high, step_limits(chain)[dofs])
     delta = np.zeros_like(q)
@@ -249,7 +273,8 @@ def _task(chain: Chain, q: Array, pos: Array, rot: Array, mode: Mode) -> tuple[A
         jac[:, 3:] = 0.0
     else:
         column = 0 if mode == "approach" else 1
-        axis, goal = turn[:, :, column], rot[:, :, column]
+        axis = turn[:, :, column]
+        goal = rot[:, :, column]
         spin = _axis_error(axis, goal)
         # Turning about the axis itself is free: take it out of the rows.
         jac[:, 3:] -= axis[:, :, None] * np.einsum("ni,niq->nq", axis, jac[:, 3:])[:, None]

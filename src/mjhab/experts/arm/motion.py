@@ -43,7 +43,8 @@ from mjhab.robots.kinematics import Chain
 Array = np.ndarray
 Motion = Generator[Array, None, bool]
 LIMITS = ActionLimits()
-OPEN, CLOSED = 1.0, -1.0
+OPEN = 1.0
+CLOSED = -1.0
 """Gripper commands."""
 ARM_DELAY = 1.0 - np.exp(-0.5)
 """Share of a commanded delta an arm joint covers in one control step (kp/kd = 10 per second, 50 ms)."""
@@ -65,7 +66,9 @@ def spheres() -> RobotSpheres:
     """Fetch's links covered by spheres, for clearances."""
     links = tuple(name for name in ROBOT_GEOMS if name not in ("base_link", "gripper_link"))
     full = Chain.from_tree(KINEMATIC_TREE, FETCH_JOINTS, extra=links)
-    return RobotSpheres.from_geoms(full, ROBOT_GEOMS, skip=("base_link",), trunk=TRUNK_LINKS, distal=DISTAL_LINKS)
+    return RobotSpheres.from_geoms(
+        full, ROBOT_GEOMS, skip=("base_link",), trunk=TRUNK_LINKS, distal=DISTAL_LINKS
+    )
 
 
 @lru_cache(maxsize=1)
@@ -85,7 +88,13 @@ def planner(home: HomeShapes) -> Planner:
     if found is None or found[0] is not home:
         # There is little time: a base that knows its way needs no wide berth.
         cells = Planner(
-            home.map_origin, home.map_cell, home.map_clearance, radius=0.29, comfort=0.12, caution=2.0, narrow=0.27
+            home.map_origin,
+            home.map_cell,
+            home.map_clearance,
+            radius=0.29,
+            comfort=0.12,
+            caution=2.0,
+            narrow=0.27,
         )
         found = (home, cells)
         _PLANNERS[home.name] = found
@@ -104,9 +113,13 @@ def tcp(view: WorldView) -> tuple[Array, Array]:
 
 
 def action(
-    view: WorldView, goal: Array | None = None, *, gripper: float, drive: tuple[float, float] = (0.0, 0.0),
+    view: WorldView,
+    goal: Array | None = None,
+    *,
+    gripper: float,
+    drive: tuple[float, float] = (0.0, 0.0),
     speed: float = 1.0,
-) -> Array:  # fmt: skip
+) -> Array:
     """The action that moves arm, head and torso towards the configuration ``goal`` (15,) and the base as told.
 
     ``drive``: forward speed [m/s], yaw rate [rad/s]. ``speed`` 0..1 bounds the joints; they arrive together.
@@ -119,7 +132,9 @@ def action(
         wish = (goal - view.q) / LIMITS.joint_delta
         arm = wish[_ARM]
         out[:7] = arm * min(1.0, speed / max(float(np.abs(arm).max()), 1e-9))
-        out[[TORSO, HEAD_PAN, HEAD_TILT]] = np.clip(wish[[_TORSO_Q, _HEAD_PAN_Q, _HEAD_TILT_Q]], -1.0, 1.0)
+        out[[TORSO, HEAD_PAN, HEAD_TILT]] = np.clip(
+            wish[[_TORSO_Q, _HEAD_PAN_Q, _HEAD_TILT_Q]], -1.0, 1.0
+        )
     return out
 
 
@@ -138,8 +153,14 @@ def hold(view: WorldView, steps: int, *, gripper: float, goal: Array | None = No
 
 
 def move_joints(
-    view: WorldView, goal: Array, *, gripper: float, tolerance: float = 0.03, max_steps: int = 80, speed: float = 1.0,
-) -> Motion:  # fmt: skip
+    view: WorldView,
+    goal: Array,
+    *,
+    gripper: float,
+    tolerance: float = 0.03,
+    max_steps: int = 80,
+    speed: float = 1.0,
+) -> Motion:
     """Bring arm, head and torso to ``goal`` (15,) in joint space; the base stands."""
     columns = [*_ARM, _TORSO_Q]
     for _ in range(max_steps):
@@ -150,9 +171,17 @@ def move_joints(
 
 
 def drive_to(
-    view: WorldView, goal: Array, *, gripper: float, arm: Array | None = None, arm_from: float = np.inf,
-    limits: DriveLimits | None = None, max_steps: int = 120, direction: int = 0, path: Array | None = None,
-) -> Motion:  # fmt: skip
+    view: WorldView,
+    goal: Array,
+    *,
+    gripper: float,
+    arm: Array | None = None,
+    arm_from: float = np.inf,
+    limits: DriveLimits | None = None,
+    max_steps: int = 120,
+    direction: int = 0,
+    path: Array | None = None,
+) -> Motion:
     """Drive the base to ``goal`` (3,) x, y, yaw around furniture.
 
     Args:
@@ -172,17 +201,34 @@ def drive_to(
     for _ in range(max_steps):
         step = follower.step(view.q[:3])
         near = np.linalg.norm(view.q[:2] - goal[:2]) <= arm_from
-        yield action(view, arm if arm is not None and near else start, gripper=gripper, drive=(step.v, step.w))
+        yield action(
+            view,
+            arm if arm is not None and near else start,
+            gripper=gripper,
+            drive=(step.v, step.w),
+        )
         if step.done:
             return True
     return False
 
 
 def move_tcp(
-    view: WorldView, pos: Array, rot: Array, *, gripper: float, speed: float = 0.25, turn: float = 1.0,
-    tolerance: float = 0.008, angle_tolerance: float = 0.1, max_steps: int = 80, rest: Array | None = None,
-    mode: ik.Mode = "pose", drive: tuple[float, float] = (0.0, 0.0), torso: bool = True, stop_on_force: float = np.inf,
-) -> Motion:  # fmt: skip
+    view: WorldView,
+    pos: Array,
+    rot: Array,
+    *,
+    gripper: float,
+    speed: float = 0.25,
+    turn: float = 1.0,
+    tolerance: float = 0.008,
+    angle_tolerance: float = 0.1,
+    max_steps: int = 80,
+    rest: Array | None = None,
+    mode: ik.Mode = "pose",
+    drive: tuple[float, float] = (0.0, 0.0),
+    torso: bool = True,
+    stop_on_force: float = np.inf,
+) -> Motion:
     """Move the tool centre on a straight line to a pose, by differential IK over arm and torso.
 
     Args:
@@ -193,10 +239,12 @@ def move_tcp(
         drive: forward speed and yaw rate of the base meanwhile; the arm makes up for it.
         stop_on_force: give up when the contact force on the arm exceeds this [N].
     """
-    robot, rest = chain(), view.q if rest is None else rest
+    robot = chain()
+    rest = view.q if rest is None else rest
     dofs = ik.columns(robot, torso=torso)
     now, now_rot = tcp(view)
-    carrot, carrot_rot = now[None], now_rot[None]
+    carrot = now[None]
+    carrot_rot = now_rot[None]
     for _ in range(max_steps):
         here, here_rot = tcp(view)
         off = np.linalg.norm(pos - here)
@@ -205,12 +253,16 @@ def move_tcp(
         if view.link_forces.sum() > stop_on_force:
             return False
         # The aim moves at the wanted speed but stays within reach of where the hand really is.
-        carrot, carrot_rot = ik.straight_line(carrot, pos[None], carrot_rot, rot[None], speed * 0.05, turn * 0.05)
+        carrot, carrot_rot = ik.straight_line(
+            carrot, pos[None], carrot_rot, rot[None], speed * 0.05, turn * 0.05
+        )
         lead = carrot[0] - here
         size = np.linalg.norm(lead)
         aim = here + lead * min(1.0, 0.06 / max(size, 1e-9))
         base_next = view.q[None, :3] + _base_motion(view.q[2], drive)
-        delta = ik.servo(robot, view.q, aim[None], carrot_rot, dofs, rest=rest, mode=mode, base_next=base_next)[0]
+        delta = ik.servo(
+            robot, view.q, aim[None], carrot_rot, dofs, rest=rest, mode=mode, base_next=base_next
+        )[0]
         yield action(view, view.q + delta / ARM_DELAY, gripper=gripper, drive=drive)
     return False
 
@@ -225,12 +277,22 @@ def still_tcp(view: WorldView, pos: Array, rot: Array, *, gripper: float, steps:
     return True
 
 
-def raise_tcp(view: WorldView, pos: Array, rot: Array, *, rest: Array, max_steps: int = 16) -> Motion:
+def raise_tcp(
+    view: WorldView, pos: Array, rot: Array, *, rest: Array, max_steps: int = 16
+) -> Motion:
     """Bring what the closed hand holds to a pose nearby; gently at first, a jerk would shift it between the pads."""
     near = min(0.02, 0.3 * float(np.linalg.norm(pos - tcp(view)[0])))
     for speed, steps in ((0.05, 1), (0.1, 1), (0.15, 1), (0.25, max_steps)):
         there = yield from move_tcp(
-            view, pos, rot, gripper=CLOSED, rest=rest, speed=speed, tolerance=near, max_steps=steps, torso=False
+            view,
+            pos,
+            rot,
+            gripper=CLOSED,
+            rest=rest,
+            speed=speed,
+            tolerance=near,
+            max_steps=steps,
+            torso=False,
         )
         if there:
             return True
@@ -251,14 +313,17 @@ def _angle(now: Array, goal: Array, mode: ik.Mode) -> float:
     return float(np.arccos(np.clip((np.trace(now.T @ goal) - 1) / 2, -1.0, 1.0)))
 
 
-def close_fingers(view: WorldView, target: str, *, steps: int = 12, settle: int = 3, rate: float = math.inf) -> Motion:
+def close_fingers(
+    view: WorldView, target: str, *, steps: int = 12, settle: int = 3, rate: float = math.inf
+) -> Motion:
     """Close the gripper until both fingers press ``target`` for ``settle`` steps. Returns whether they do.
 
     Args:
         rate: how far [m] the commanded position of the fingers moves per control step until both press, then three
             times as far; without it they close with full force at once, and meet the target at 0.3 m/s.
     """
-    goal, pressed = view.q, 0
+    goal = view.q
+    pressed = 0
     command = float(view.q[_FINGERS].mean())
     for _ in range(steps):
         command -= 3.0 * rate if pressed else rate
@@ -271,7 +336,11 @@ def close_fingers(view: WorldView, target: str, *, steps: int = 12, settle: int 
 
 def to_rest(view: WorldView, *, gripper: float, max_steps: int = 120) -> Motion:
     """Bring arm, torso and head to the rest pose."""
-    return (yield from move_joints(view, rest_goal(view), gripper=gripper, tolerance=0.02, max_steps=max_steps))
+    return (
+        yield from move_joints(
+            view, rest_goal(view), gripper=gripper, tolerance=0.02, max_steps=max_steps
+        )
+    )
 
 
 def rest_goal(view: WorldView) -> Array:

@@ -14,15 +14,18 @@ from mjhab.experts.arm import ik, motion
 from mjhab.experts.planning.reach import HAND_LINKS, surroundings
 
 Array = np.ndarray
-TIGHT, JAMMED = 0.008, 0.002
+TIGHT = 0.008
+JAMMED = 0.002
 """Fingers that can open by less than this each [m] brush against the object when the hand draws back. With still less
 they cannot leave it, and are pulled off it."""
-AWAY, AWAY_TIGHT = 0.3, 0.12
+AWAY = 0.3
+AWAY_TIGHT = 0.12
 """Speed [m/s] with which the hand draws back; the second where the fingers brush against the object: at the start of a
 quick motion the hand is millimetres beside its way."""
 WIDER = (0.03, 0.045, 0.06)
 """How much farther apart than now [m] the fingers let go: the farther, the less they drag along."""
-BACKS, BACK_ROOM = (0.04, 0.06, 0.08, 0.10, 0.12, 0.14), 0.01
+BACKS = (0.04, 0.06, 0.08, 0.10, 0.12, 0.14)
+BACK_ROOM = 0.01
 """How far [m] the hand draws back, and the room [m] that it and the arm keep then."""
 FREE = 0.025
 """Room [m] between the hand and what it let go of with which the arm may go where it wants."""
@@ -33,7 +36,8 @@ def tipped(shape: ObjectShape, rot: Array) -> Array:
     a level floor: it tips over that onto the side through which its weight pulls."""
     if shape.kind == "sphere":
         return np.zeros(3)
-    turn, half = rot, np.array(shape.half)
+    turn = rot
+    half = np.array(shape.half)
     if shape.kind in ("cylinder", "bowl"):
         # Its lowest line is on the x-z plane of a frame turned about its axis.
         yaw = np.arctan2(-rot[2, 1], -rot[2, 0])
@@ -41,7 +45,8 @@ def tipped(shape: ObjectShape, rot: Array) -> Array:
     down = -turn[2]
     down = np.where(np.abs(down) < 1e-9, 0.0, down)
     side = int(np.argmax(np.abs(down) / half))
-    lowest, normal = turn @ (np.sign(down) * half), turn[:, side] * np.sign(down[side])
+    lowest = turn @ (np.sign(down) * half)
+    normal = turn[:, side] * np.sign(down[side])
     axis = np.cross(normal, [0.0, 0.0, -1.0])
     swing = np.cross(axis, lowest) + np.cross(axis, np.cross(axis, lowest)) / (1.0 - normal[2])
     return -swing
@@ -59,9 +64,11 @@ def away_speed(view: WorldView) -> float:
 
 def let_go_width(view: WorldView, obj: str, pos: Array, rot: Array) -> float:
     """How far the fingers open [m] to let go: as far as there is room beside what they hold."""
-    near, now = surroundings(view, obj, pos)[0].near(pos, 0.3), 2.0 * float(view.q[13:15].mean())
+    near = surroundings(view, obj, pos)[0].near(pos, 0.3)
+    now = 2.0 * float(view.q[13:15].mean())
     widths = now + np.array([0.0, *WIDER])
-    at, turn = np.repeat(pos[None], len(widths), axis=0), np.repeat(rot[None], len(widths), axis=0)
+    at = np.repeat(pos[None], len(widths), axis=0)
+    turn = np.repeat(rot[None], len(widths), axis=0)
     room = approach_clearance(at, turn, widths, at, near)
     return float(widths[1:][room[1:] > min(BACK_ROOM, room[0] - 0.004)].max(initial=widths[1]))
 
@@ -72,8 +79,10 @@ def drawn_back(view: WorldView, obj: str, pos: Array, rot: Array, rest: Array) -
 
     Along the hand, or else straight up, or else towards the robot, but never across the fingers.
     """
-    robot, whole = motion.chain(), motion.spheres()
-    hand, arm = whole.only(HAND_LINKS), whole.only([name for name in whole.chain.links if name not in HAND_LINKS])
+    robot = motion.chain()
+    whole = motion.spheres()
+    hand = whole.only(HAND_LINKS)
+    arm = whole.only([name for name in whole.chain.links if name not in HAND_LINKS])
     near, target = surroundings(view, obj, pos)
     heading = float(view.q[2])
     ways = np.array([-rot[:, 0], [0.0, 0.0, 1.0], [-np.cos(heading), -np.sin(heading), 0.0]])
@@ -82,14 +91,20 @@ def drawn_back(view: WorldView, obj: str, pos: Array, rot: Array, rest: Array) -
     turns = np.repeat(rot[None], len(spots), axis=0)
     found = ik.solve(robot, spots, turns, view.q[None], ik.columns(robot, torso=False), rest=rest)
     q = np.concatenate([view.q[None], found.q[:, 0]])
-    room = np.minimum(np.minimum(whole.self_clearance(q), arm.clearance(q, near)), hand.clearance(q, near))
+    room = np.minimum(
+        np.minimum(whole.self_clearance(q), arm.clearance(q, near)), hand.clearance(q, near)
+    )
     gap = hand.clearance(q, target)
-    fine = found.ok[:, 0] & (room[1:] > min(BACK_ROOM, room[0] - 0.004)) & (gap[1:] > gap[0] - 0.004)
+    fine = (
+        found.ok[:, 0] & (room[1:] > min(BACK_ROOM, room[0] - 0.004)) & (gap[1:] > gap[0] - 0.004)
+    )
     fine = np.logical_and.accumulate(fine.reshape(len(ways), -1), axis=1)
     free = fine & (gap[1:].reshape(fine.shape) > FREE)
-    far, spots = fine.sum(axis=1) - 1, spots.reshape(len(ways), -1, 3)
+    far = fine.sum(axis=1) - 1
+    spots = spots.reshape(len(ways), -1, 3)
     if free.any():
-        far, way = free.argmax(axis=1), int(free.any(axis=1).argmax())
+        far = free.argmax(axis=1)
+        way = int(free.any(axis=1).argmax())
     else:
         way = int(far.argmax())
     return spots[way, max(int(far[way]), 0)]

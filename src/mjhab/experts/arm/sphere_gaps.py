@@ -11,8 +11,11 @@ Array = np.ndarray
 @njit(cache=True, nogil=True, error_model="numpy")
 def _gap(x: float, y: float, z: float, center: Array, half: Array, rot: Array) -> float:
     """Signed distance of a point to one box: negative inside, exact outside."""
-    dx, dy, dz = x - center[0], y - center[1], z - center[2]
-    outside, inside = 0.0, -np.inf
+    dx = x - center[0]
+    dy = y - center[1]
+    dz = z - center[2]
+    outside = 0.0
+    inside = -np.inf
     for axis in range(3):
         over = abs(dx * rot[0, axis] + dy * rot[1, axis] + dz * rot[2, axis]) - half[axis]
         inside = max(inside, over)
@@ -41,9 +44,18 @@ def _turned(rot: Array, local: Array) -> tuple[float, float, float]:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def least_gaps(
-    pos: Array, rot: Array, links: Array, middle: Array, around: Array, first: Array, points: Array, radius: Array,
-    center: Array, half: Array, turn: Array,
-) -> Array:  # fmt: skip
+    pos: Array,
+    rot: Array,
+    links: Array,
+    middle: Array,
+    around: Array,
+    first: Array,
+    points: Array,
+    radius: Array,
+    center: Array,
+    half: Array,
+    turn: Array,
+) -> Array:
     """Least distance (N,) [m] of any sphere to any box; negative: they overlap.
 
     Spheres around whole links tell which few pairs of link and box can be nearest; only their spheres are looked at.
@@ -78,9 +90,16 @@ def least_gaps(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def own_gaps(
-    pos: Array, rot: Array, link: Array, points: Array, radius: Array, trunk: Array, center: Array, half: Array,
+    pos: Array,
+    rot: Array,
+    link: Array,
+    points: Array,
+    radius: Array,
+    trunk: Array,
+    center: Array,
+    half: Array,
     turn: Array,
-) -> Array:  # fmt: skip
+) -> Array:
     """Least distance (N,) [m] of spheres on links to boxes on other links of the same robot; negative: they overlap.
 
     Args:
@@ -90,18 +109,25 @@ def own_gaps(
     """
     found = np.empty(len(pos))
     spheres = np.empty((len(link), 3))
-    middle, sides = np.empty(3), np.empty((3, 3))
+    middle = np.empty(3)
+    sides = np.empty((3, 3))
     for n in range(len(pos)):
         for m in range(len(link)):
             x, y, z = _place(pos[n, link[m]], rot[n, link[m]], points[m])
-            spheres[m, 0], spheres[m, 1], spheres[m, 2] = x, y, z
+            spheres[m, 0] = x
+            spheres[m, 1] = y
+            spheres[m, 2] = z
         best = np.inf
         for k in range(len(trunk)):
             x, y, z = _place(pos[n, trunk[k]], rot[n, trunk[k]], center[k])
-            middle[0], middle[1], middle[2] = x, y, z
+            middle[0] = x
+            middle[1] = y
+            middle[2] = z
             for axis in range(3):
                 x, y, z = _turned(rot[n, trunk[k]], turn[k, :, axis])
-                sides[0, axis], sides[1, axis], sides[2, axis] = x, y, z
+                sides[0, axis] = x
+                sides[1, axis] = y
+                sides[2, axis] = z
             for m in range(len(link)):
                 gap = _gap(spheres[m, 0], spheres[m, 1], spheres[m, 2], middle, half[k], sides)
                 best = min(best, gap - radius[m])

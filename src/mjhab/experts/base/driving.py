@@ -18,7 +18,8 @@ from mjhab.experts.base.route import BASE_LAG, Pilot
 from mjhab.robots.kinematics import wrap
 
 Array = np.ndarray
-SPARE, TOO_CLOSE = 0.02, 5000.0
+SPARE = 0.02
+TOO_CLOSE = 5000.0
 """Room a drive should leave, and the seconds per square metre that it costs when there is less."""
 PLENTY = 0.08
 """Room that is enough for a short cut."""
@@ -42,7 +43,8 @@ class Pace:
     jerk: float = 80.0
 
 
-BRISK, GENTLE = Pace(), Pace(0.7, 1.5, 0.5, 1.2, 3.0)
+BRISK = Pace()
+GENTLE = Pace(0.7, 1.5, 0.5, 1.2, 3.0)
 """With an empty hand, and with an object in it that must not slip."""
 
 
@@ -59,16 +61,23 @@ class Trip:
 class Driver:
     """Drives the legs of a trip, one after the other; ``leg`` is the present one, None at the end."""
 
-    def __init__(self, legs: Sequence[Leg], lookahead: float, pace: Pace, v: float = 0.0, w: float = 0.0) -> None:
-        self._legs, self._lookahead, self._pace = list(legs), lookahead, pace
-        self._v, self._w = v, w
+    def __init__(
+        self, legs: Sequence[Leg], lookahead: float, pace: Pace, v: float = 0.0, w: float = 0.0
+    ) -> None:
+        self._legs = list(legs)
+        self._lookahead = lookahead
+        self._pace = pace
+        self._v = v
+        self._w = w
         self.leg: Leg | None = None
         self._begin()
 
     def _begin(self) -> None:
         self.leg = leg = self._legs.pop(0) if self._legs else None
         if leg is not None:
-            self._pilot = Pilot(leg.points, leg.yaw, leg.direction, self._lookahead, self._pace.speed)
+            self._pilot = Pilot(
+                leg.points, leg.yaw, leg.direction, self._lookahead, self._pace.speed
+            )
             self._left = 60 + int(length(leg) / (0.2 * CONTROL_DT))
 
     def step(self, pose: Array) -> tuple[float, float]:
@@ -84,7 +93,8 @@ class Driver:
             self._begin()
             v = w = 0.0
         pace = self._pace
-        gain, change = pace.rise * CONTROL_DT, pace.jerk * CONTROL_DT
+        gain = pace.rise * CONTROL_DT
+        change = pace.jerk * CONTROL_DT
         self._v = towards(v, self._v, gain)
         w = float(np.clip(pace.turn * w, -pace.spin, pace.spin))
         self._w = float(np.clip(w, self._w - change, self._w + change))
@@ -138,7 +148,10 @@ def _split(legs: Sequence[Leg], near: Array) -> list[Leg] | None:
     leg = legs[i]
     way = leg.points[k + 1] - leg.points[k]
     yaw = float(wrap(np.arctan2(way[1], way[0]) + (0.0 if leg.direction > 0 else np.pi)))
-    parts = [Leg(leg.points[: k + 1], leg.direction, yaw), Leg(leg.points[k:], leg.direction, leg.yaw)]
+    parts = [
+        Leg(leg.points[: k + 1], leg.direction, yaw),
+        Leg(leg.points[k:], leg.direction, leg.yaw),
+    ]
     return [*legs[:i], *parts, *legs[i + 1 :]]
 
 
@@ -152,7 +165,12 @@ def _joined(legs: Sequence[Leg]) -> list[Leg]:
             continue
         last = out[-1] if out else None
         smooth = last is not None and length(last) and last.direction == leg.direction
-        if last is not None and smooth and abs(turn_between(last.yaw, leg.yaw)) < JOINED_TURN and len(pending) < 2:
+        if (
+            last is not None
+            and smooth
+            and abs(turn_between(last.yaw, leg.yaw)) < JOINED_TURN
+            and len(pending) < 2
+        ):
             out[-1] = Leg(np.concatenate([last.points, leg.points[1:]]), leg.direction, leg.yaw)
         else:
             out += [*pending, leg]
@@ -164,7 +182,8 @@ def _pulled(plan: Floorplan, legs: Sequence[Leg]) -> list[Leg]:
     """Legs without the points that a straight line with as much room (or plenty) makes needless."""
     out = []
     for leg in legs:
-        kept, back = [0], 0.0 if leg.direction > 0 else np.pi
+        kept = [0]
+        back = 0.0 if leg.direction > 0 else np.pi
         while kept[-1] < len(leg.points) - 1:
             kept.append(_farthest(plan, leg.points, kept[-1], back))
         out.append(Leg(leg.points[kept], leg.direction, leg.yaw))
@@ -174,7 +193,9 @@ def _pulled(plan: Floorplan, legs: Sequence[Leg]) -> list[Leg]:
 def _farthest(plan: Floorplan, points: Array, i: int, back: float) -> int:
     """The last of ``points`` (P, 2) that a straight line from the i-th one may lead to."""
     for j in range(len(points) - 1, i + 1, -1):
-        if _line_room(plan, points[[i, j]], back) >= min(PLENTY, _line_room(plan, points[i : j + 1], back)):
+        if _line_room(plan, points[[i, j]], back) >= min(
+            PLENTY, _line_room(plan, points[i : j + 1], back)
+        ):
             return j
     return i + 1
 
@@ -192,13 +213,18 @@ def _line_room(plan: Floorplan, points: Array, back: float) -> float:
 
 def simulate(pose: Array, legs: Sequence[Leg], lookahead: float, pace: Pace) -> Array:
     """Base poses (T, 3) that driving the legs should give."""
-    pose, speed, rate = pose.copy(), 0.0, 0.0
+    pose = pose.copy()
+    speed = 0.0
+    rate = 0.0
     share = 1.0 - np.exp(-CONTROL_DT / BASE_LAG)
-    poses, driver = [], Driver(legs, lookahead, pace)
+    poses = []
+    driver = Driver(legs, lookahead, pace)
     while driver.leg is not None:
         forward, turn = driver.step(pose)
         speed += share * (forward - speed)
         rate += share * (turn - rate)
-        pose = pose + CONTROL_DT * np.array([speed * np.cos(pose[2]), speed * np.sin(pose[2]), rate])
+        pose = pose + CONTROL_DT * np.array(
+            [speed * np.cos(pose[2]), speed * np.sin(pose[2]), rate]
+        )
         poses.append(pose)
     return np.array(poses).reshape(-1, 3)

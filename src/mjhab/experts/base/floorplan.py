@@ -30,7 +30,8 @@ NOTHING = 100.0
 """Distance where a slice of height is empty."""
 AT_REST = 0.05
 """Nearer than this [rad] the arm is where it shall be."""
-FALLEN, FALLEN_SIZE = 0.4, 0.15
+FALLEN = 0.4
+FALLEN_SIZE = 0.15
 """Objects below this height, and not larger than this, lie where the base may want to drive."""
 _STEP = 0.1
 
@@ -53,10 +54,15 @@ class Arm:
             robot = robot.with_held(*held_spheres(view, held))
         q = np.stack([posture, view.q][: 1 if motion.joint_gap(view, posture) < AT_REST else 2])
         q[:, :3] = 0.0
-        center, radius = robot.centers(robot.chain.forward(q)).reshape(-1, 3), np.tile(robot.radius, len(q))
+        center = robot.centers(robot.chain.forward(q)).reshape(-1, 3)
+        radius = np.tile(robot.radius, len(q))
         low = np.floor((center[:, 2] - radius - LEVELS[0]) / _STEP).astype(np.int64)
         high = np.floor((center[:, 2] + radius - LEVELS[0]) / _STEP).astype(np.int64)
-        out = (np.linalg.norm(center[:, :2], axis=1) + radius > BASE_NEED) & (high >= 0) & (low < len(LEVELS))
+        out = (
+            (np.linalg.norm(center[:, :2], axis=1) + radius > BASE_NEED)
+            & (high >= 0)
+            & (low < len(LEVELS))
+        )
         level = np.clip(np.stack([low, high], axis=1)[out], 0, len(LEVELS) - 1)
         return cls(center[out, :2], radius[out] + ARM_NEED, level)
 
@@ -77,7 +83,9 @@ class Floorplan:
     arm: Arm
 
     @classmethod
-    def of(cls, view: WorldView, arm: Arm, held: str = "", blocks: Array | None = None) -> Floorplan:
+    def of(
+        cls, view: WorldView, arm: Arm, held: str = "", blocks: Array | None = None
+    ) -> Floorplan:
         """The floor plan of a world.
 
         Args:
@@ -89,10 +97,18 @@ class Floorplan:
         sight = _solid(view.home)
         solid = sight.copy()
         objects = motion.as_boxes(view.object_boxes((held,)))
-        _draw(solid, Boxes.join([motion.as_boxes(view.link_boxes()), objects]), cells.origin, cells.cell)
-        base, height = cells.clearance, objects.center[:, 2]
+        _draw(
+            solid,
+            Boxes.join([motion.as_boxes(view.link_boxes()), objects]),
+            cells.origin,
+            cells.cell,
+        )
+        base = cells.clearance
+        height = objects.center[:, 2]
         # What an episode has no use for is parked below the floor.
-        low = objects.take((height > -0.1) & (height < FALLEN) & (objects.half.max(axis=1) < FALLEN_SIZE))
+        low = objects.take(
+            (height > -0.1) & (height < FALLEN) & (objects.half.max(axis=1) < FALLEN_SIZE)
+        )
         felt = np.zeros((0, 3)) if blocks is None else np.asarray(blocks, float).reshape(-1, 3)
         if len(low) or len(felt):
             fallen = np.column_stack([low.center[:, :2], low.half[:, :2].max(axis=1)])
@@ -113,7 +129,8 @@ class Floorplan:
         """Room (N,) that base and arm have to spare at base poses (N, 3); negative: they touch something."""
         poses = np.atleast_2d(poses)
         found = self._at(self.base, poses[:, :2], -BASE_NEED)
-        cos, sin = np.cos(poses[:, 2, None]), np.sin(poses[:, 2, None])
+        cos = np.cos(poses[:, 2, None])
+        sin = np.sin(poses[:, 2, None])
         x = poses[:, 0, None] + cos * self.arm.offset[:, 0] - sin * self.arm.offset[:, 1]
         y = poses[:, 1, None] + sin * self.arm.offset[:, 0] + cos * self.arm.offset[:, 1]
         points = np.stack([x, y], axis=-1)
@@ -125,23 +142,38 @@ class Floorplan:
     def turning(self, xy: Array, start: float, turn: float) -> float:
         """Least room while the base turns on the spot at ``xy`` (2,) from heading ``start`` by ``turn`` (signed)."""
         yaw = start + np.linspace(0.0, turn, 2 + int(abs(turn) / 0.1))
-        return float(self.room(np.column_stack([np.full(len(yaw), xy[0]), np.full(len(yaw), xy[1]), yaw])).min())
+        return float(
+            self.room(
+                np.column_stack([np.full(len(yaw), xy[0]), np.full(len(yaw), xy[1]), yaw])
+            ).min()
+        )
 
     def rooms(self, yaws: Array) -> Array:
         """Room (H, X, Y) at the centres of all cells for headings (H,)."""
-        pad = 1 + int(np.ceil(float(np.linalg.norm(self.arm.offset, axis=1).max(initial=0.0)) / self.cell))
+        pad = 1 + int(
+            np.ceil(float(np.linalg.norm(self.arm.offset, axis=1).max(initial=0.0)) / self.cell)
+        )
         nx, ny = self.base.shape
         out = np.repeat(self.base[None], len(yaws), axis=0)
         for rows, free in self._groups:
             padded = np.pad(free, pad)
             for layer, yaw in zip(out, yaws, strict=True):
-                cos, sin = np.cos(yaw), np.sin(yaw)
-                shift = np.rint(self.arm.offset[rows] @ np.array([[cos, sin], [-sin, cos]]) / self.cell).astype(int)
+                cos = np.cos(yaw)
+                sin = np.sin(yaw)
+                shift = np.rint(
+                    self.arm.offset[rows] @ np.array([[cos, sin], [-sin, cos]]) / self.cell
+                ).astype(int)
                 widest: dict[tuple[int, int], float] = {}
-                for (i, j), radius in zip(shift.tolist(), self.arm.radius[rows].tolist(), strict=True):
+                for (i, j), radius in zip(
+                    shift.tolist(), self.arm.radius[rows].tolist(), strict=True
+                ):
                     widest[i, j] = max(widest.get((i, j), 0.0), radius)
                 for (i, j), radius in widest.items():
-                    np.minimum(layer, padded[pad + i : pad + i + nx, pad + j : pad + j + ny] - radius, out=layer)
+                    np.minimum(
+                        layer,
+                        padded[pad + i : pad + i + nx, pad + j : pad + j + ny] - radius,
+                        out=layer,
+                    )
         return out
 
     def hidden(self, points: Array, goal: Array, near: float) -> Array:
@@ -150,7 +182,9 @@ class Floorplan:
         level = self.sight[int(np.clip((goal[2] + 0.15 - LEVELS[0]) / _STEP, 0, len(LEVELS) - 1))]
         way = goal[:2] - points
         far = np.linalg.norm(way, axis=1)
-        share = np.linspace(0.0, 1.0, 24)[:, None] * np.clip(1.0 - near / np.maximum(far, 1e-9), 0.0, 1.0)
+        share = np.linspace(0.0, 1.0, 24)[:, None] * np.clip(
+            1.0 - near / np.maximum(far, 1e-9), 0.0, 1.0
+        )
         i, j = self.cells(points + share[..., None] * way)
         return level[i, j].mean(axis=0)
 
@@ -166,7 +200,9 @@ class Floorplan:
         last = np.array(values.shape) - 1
         inside = ((at >= 0) & (at <= last)).all(axis=-1)
         low = np.clip(np.floor(at).astype(np.int64), 0, last - 1)
-        i, j, (u, v) = low[..., 0], low[..., 1], np.moveaxis(at - low, -1, 0)
+        i = low[..., 0]
+        j = low[..., 1]
+        (u, v) = np.moveaxis(at - low, -1, 0)
         near = (1 - v) * values[i, j] + v * values[i, j + 1]
         far = (1 - v) * values[i + 1, j] + v * values[i + 1, j + 1]
         return np.where(inside, (1 - u) * near + u * far, outside)
@@ -201,16 +237,23 @@ def _draw(solid: Array, boxes: Boxes, origin: Array, cell: float) -> None:
     """Mark the cells (L, X, Y) whose centres are inside of boxes or less than half a cell beside them."""
     reach = np.einsum("kij,kj->ki", np.abs(boxes.rot), boxes.half)
     low = np.floor((boxes.center - reach - [*origin, LEVELS[0]]) / [cell, cell, _STEP]).astype(int)
-    high = np.floor((boxes.center + reach - [*origin, LEVELS[0]]) / [cell, cell, _STEP]).astype(int) + 1
+    high = (
+        np.floor((boxes.center + reach - [*origin, LEVELS[0]]) / [cell, cell, _STEP]).astype(int)
+        + 1
+    )
     top = np.array([*solid.shape[1:], len(LEVELS)])
-    low, high = np.clip(low, 0, top), np.clip(high, 0, top)
+    low = np.clip(low, 0, top)
+    high = np.clip(high, 0, top)
     for k in np.flatnonzero((high > low).all(axis=1)):
-        (i, j, a), (m, n, b) = low[k], high[k]
+        (i, j, a) = low[k]
+        (m, n, b) = high[k]
         at = origin + (np.moveaxis(np.mgrid[i:m, j:n], 0, -1) + 0.5) * cell
         # Seen from above: what stands upright is turned about the vertical alone.
         local = (at - boxes.center[k, :2]) @ boxes.rot[k, :2, :2]
         leaning = abs(boxes.rot[k, 2, 2]) < 0.99
-        inside = (np.abs(local) <= (np.inf if leaning else boxes.half[k, :2] + cell / 2)).all(axis=-1)
+        inside = (np.abs(local) <= (np.inf if leaning else boxes.half[k, :2] + cell / 2)).all(
+            axis=-1
+        )
         solid[a:b, i:m, j:n] |= inside
 
 

@@ -25,9 +25,13 @@ MOVES = np.array(
 YAWS = np.arctan2(MOVES[:, 1], MOVES[:, 0])
 STRIDE = 2
 """Cells of the map between grid points."""
-SPEED, BACKWARDS, TURN_RATE, TURN_START = 0.8, 2.0, 1.8, 0.15
+SPEED = 0.8
+BACKWARDS = 2.0
+TURN_RATE = 1.8
+TURN_START = 0.15
 """What a way costs: [m/s], factor for backwards, [rad/s], [s] more for every turn to the next heading."""
-COMFORT, CAUTION = 0.15, 3.0
+COMFORT = 0.15
+CAUTION = 3.0
 """Room that is worth a detour; where there is none to spare, a metre costs 1 + `CAUTION` times as much."""
 STARTS = np.array([0.0, -0.1, -0.2, -0.3, -0.4, -0.5, -0.6, -0.7, -0.8, 0.1, 0.2, 0.3, 0.4])
 """How far straight on a way may begin before its first turn."""
@@ -56,7 +60,8 @@ class Lattice:
         self.plan = plan
         between = YAWS + 0.5 * (np.roll(YAWS, -1) - YAWS) % np.pi
         fine = plan.rooms(np.concatenate([YAWS, between]))
-        self._fine, self._between = fine[:16], fine[16:, ::STRIDE, ::STRIDE]
+        self._fine = fine[:16]
+        self._between = fine[16:, ::STRIDE, ::STRIDE]
         self.room = self._fine[:, ::STRIDE, ::STRIDE]
         self.shape = self.room.shape
         index = np.moveaxis(np.indices(self.shape[1:]), 0, -1)
@@ -80,10 +85,15 @@ class Lattice:
         nodes = np.array(list(entries))
         first = np.array([entry[0] for entry in entries.values()])
         graph = csr_matrix(
-            (np.concatenate([costs, first]),
-             (np.concatenate([starts, np.full(len(nodes), size)]), np.concatenate([ends, nodes]))),
+            (
+                np.concatenate([costs, first]),
+                (
+                    np.concatenate([starts, np.full(len(nodes), size)]),
+                    np.concatenate([ends, nodes]),
+                ),
+            ),
             shape=(size + 1, size + 1),
-        )  # fmt: skip
+        )
         cost, before = dijkstra(graph, indices=size, return_predecessors=True)
         total = np.asarray(cost)[:size] + price.ravel()
         best = int(np.argmin(total))
@@ -105,14 +115,25 @@ class Lattice:
         for h, (dx, dy) in enumerate(MOVES.tolist()):
             a, b = _windows(self.shape[1:], dx, dy)
             good = fits[h][a] & fits[h][b] & self._midway(h, a, dx, dy)
-            pay = 0.5 * (dear[h][a] + dear[h][b])[good] * np.hypot(dx, dy) * STRIDE * self.plan.cell / SPEED
-            start, end = number[h][a][good], number[h][b][good]
+            pay = (
+                0.5
+                * (dear[h][a] + dear[h][b])[good]
+                * np.hypot(dx, dy)
+                * STRIDE
+                * self.plan.cell
+                / SPEED
+            )
+            start = number[h][a][good]
+            end = number[h][b][good]
             parts += [(start, end, pay), (end, start, BACKWARDS * pay)]
             k = (h + 1) % 16
             good = fits[h] & fits[k] & (self._between[h] >= 0.0)
             angle = abs(turn_between(YAWS[h], YAWS[k]))
             pay = (angle / TURN_RATE + TURN_START) * 0.5 * (dear[h] + dear[k])[good]
-            parts += [(number[h][good], number[k][good], pay), (number[k][good], number[h][good], pay)]
+            parts += [
+                (number[h][good], number[k][good], pay),
+                (number[k][good], number[h][good], pay),
+            ]
         joined = [np.concatenate(column) for column in zip(*parts, strict=True)]
         return joined[0], joined[1], joined[2]
 
@@ -156,27 +177,40 @@ class Lattice:
         at = (xy - self.plan.origin) / self.plan.cell - 0.5
         low = np.floor(at / STRIDE).astype(int)
         x, y = np.meshgrid([low[0], low[0] + 1], [low[1], low[1] + 1], indexing="ij")
-        x, y = np.clip(x.ravel(), 0, self.shape[1] - 1), np.clip(y.ravel(), 0, self.shape[2] - 1)
+        x = np.clip(x.ravel(), 0, self.shape[1] - 1)
+        y = np.clip(y.ravel(), 0, self.shape[2] - 1)
         gap = np.linalg.norm(self.points[x, y] - xy, axis=1)
         gap = np.where(self.room[h, x, y] >= 0.0, gap, np.inf)
         best = int(np.argmin(gap))
-        return int((h * self.shape[1] + x[best]) * self.shape[2] + y[best]) if gap[best] <= ENTRY else -1
+        return (
+            int((h * self.shape[1] + x[best]) * self.shape[2] + y[best])
+            if gap[best] <= ENTRY
+            else -1
+        )
 
     def _legs(self, pose: Array, entry: tuple[float, float], way: Sequence[int]) -> list[Leg]:
         """Strict legs: a turn on the spot wherever the heading changes."""
         h, x, y = np.unravel_index(np.asarray(way), self.shape)
         far, turn = entry
-        here, yaw = pose[:2] + far * np.array([np.cos(pose[2]), np.sin(pose[2])]), float(pose[2])
+        here = pose[:2] + far * np.array([np.cos(pose[2]), np.sin(pose[2])])
+        yaw = float(pose[2])
         legs = [Leg(np.stack([pose[:2], here]), -1 if far < 0 else 1, yaw)] if far else []
         for k in range(1, len(way)):
             if h[k] != h[k - 1]:
                 turn += turn_between(float(YAWS[h[k - 1]]), float(YAWS[h[k]]))
                 continue
             legs += turns(here, yaw, turn)
-            there, yaw, turn = self.points[x[k], y[k]], float(YAWS[h[k]]), 0.0
+            there = self.points[x[k], y[k]]
+            yaw = float(YAWS[h[k]])
+            turn = 0.0
             direction = 1 if (x[k] - x[k - 1], y[k] - y[k - 1]) == tuple(MOVES[h[k]]) else -1
             last = legs[-1] if legs else None
-            if last is not None and length(last) and last.direction == direction and last.yaw == yaw:
+            if (
+                last is not None
+                and length(last)
+                and last.direction == direction
+                and last.yaw == yaw
+            ):
                 legs[-1] = Leg(np.stack([last.points[0], there]), direction, yaw)
             else:
                 legs.append(Leg(np.stack([here, there]), direction, yaw))
@@ -198,9 +232,12 @@ def length(leg: Leg) -> float:
     return float(np.linalg.norm(np.diff(leg.points, axis=0), axis=1).sum())
 
 
-def _windows(shape: Sequence[int], dx: int, dy: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+def _windows(
+    shape: Sequence[int], dx: int, dy: int
+) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
     """The grid points from which a step (dx, dy) stays on the grid, and where it leads."""
-    starts, ends = [], []
+    starts = []
+    ends = []
     for size, d in zip(shape, (dx, dy), strict=True):
         starts.append(slice(max(0, -d), size - max(0, d)))
         ends.append(slice(max(0, d), size - max(0, -d)))

@@ -39,16 +39,26 @@ class Planner:
     """
 
     def __init__(
-        self, origin: Sequence[float] | Array, cell: float, clearance: Array, radius: float = 0.3,
-        comfort: float = 0.25, caution: float = 4.0, narrow: float | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        origin: Sequence[float] | Array,
+        cell: float,
+        clearance: Array,
+        radius: float = 0.3,
+        comfort: float = 0.25,
+        caution: float = 4.0,
+        narrow: float | None = None,
+    ) -> None:
         self.origin = np.asarray(origin, dtype=np.float64)
-        self.cell, self.radius, self.comfort = float(cell), float(radius), float(comfort)
+        self.cell = float(cell)
+        self.radius = float(radius)
+        self.comfort = float(comfort)
         self.caution = caution
         self.clearance = np.asarray(clearance, dtype=np.float64)
         self.free = self.clearance >= radius
         if not self.free.any():
-            raise UsageError(f"no cell of the map has a clearance of {radius} m; give a smaller radius or another home")
+            raise UsageError(
+                f"no cell of the map has a clearance of {radius} m; give a smaller radius or another home"
+            )
         self.narrow = radius if narrow is None else narrow
         passable = self.clearance >= self.narrow
         lack = np.clip((radius + comfort - self.clearance) / comfort, 0.0, 1.0)
@@ -77,10 +87,14 @@ class Planner:
         A start too near to an obstacle first leads to the nearest free cell. A goal where the base does not fit is
         replaced by the nearest free cell: the last way point says where the way really ends.
         """
-        start, goal = np.asarray(start, dtype=np.float64)[:2], self.nearest_free(goal)
+        start = np.asarray(start, dtype=np.float64)[:2]
+        goal = self.nearest_free(goal)
         entry = self.nearest_free(start)
-        source, target = self._node(goal), self._node(entry)
-        cost, before = dijkstra(self._graph, directed=False, indices=source, return_predecessors=True)
+        source = self._node(goal)
+        target = self._node(entry)
+        cost, before = dijkstra(
+            self._graph, directed=False, indices=source, return_predecessors=True
+        )
         if not np.isfinite(cost[target]):
             return None
         nodes = [target]
@@ -95,7 +109,9 @@ class Planner:
     def distance(self, start: Array, goal: Array) -> float:
         """Length [m] of the planned way, infinite when there is none."""
         path = self.plan(start, goal)
-        return np.inf if path is None else float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+        return (
+            np.inf if path is None else float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+        )
 
     def costs(self, start: Array) -> Array:
         """Cost (nx, ny) of the ways from ``start`` (2,) to all cells [m, more where it is narrow], inf if no way."""
@@ -123,7 +139,9 @@ class Planner:
     def _pull(self, points: Array) -> Array:
         """Drop way points where a straight line keeps the clearance of what it replaces (up to the comfortable one)."""
         own = self.clearance_at(points)
-        kept, i, last = [0], 0, len(points) - 1
+        kept = [0]
+        i = 0
+        last = len(points) - 1
         while i < last:
             asked = np.minimum(np.minimum.accumulate(own[i:])[1:], self.radius + self.comfort)
             good = np.flatnonzero(self.line_clearance(points[i], points[i + 1 :]) >= asked - 1e-9)
@@ -173,10 +191,16 @@ class Follower:
     """
 
     def __init__(
-        self, path: Array, final_yaw: float | None = None, limits: DriveLimits | None = None, direction: int = 0
+        self,
+        path: Array,
+        final_yaw: float | None = None,
+        limits: DriveLimits | None = None,
+        direction: int = 0,
     ) -> None:
         self.path = np.asarray(path, dtype=np.float64)[:, :2]
-        self.final_yaw, self.limits, self.direction = final_yaw, limits or DriveLimits(), direction
+        self.final_yaw = final_yaw
+        self.limits = limits or DriveLimits()
+        self.direction = direction
         legs = np.linalg.norm(np.diff(self.path, axis=0), axis=1)
         self._along = np.concatenate([[0.0], np.cumsum(legs)])
         self._done_to = 0.0
@@ -197,7 +221,8 @@ class Follower:
         moved = np.inf if self._last is None else float(np.abs(motion).max())
         self._last = pose
         along = np.cos(pose[2]) * motion[0] + np.sin(pose[2]) * motion[1]
-        self._speed, self._rate = float(along) / CONTROL_DT, float(motion[2]) / CONTROL_DT
+        self._speed = float(along) / CONTROL_DT
+        self._rate = float(motion[2]) / CONTROL_DT
         if self.direction == 0:
             self.direction = self._choose_direction(pose)
         to_goal = self.path[-1] - pose[:2]
@@ -205,9 +230,15 @@ class Follower:
         turn = 0.0 if self.final_yaw is None else float(wrap(self.final_yaw - pose[2]))
         stuck = moved < 0.1 * CONTROL_DT and abs(turn) < self.limits.yaw_tolerance
         if self._arrived and gap > (1.0 if stuck else 2.0) * self.limits.pos_tolerance:
-            self._arrived, self._done_to, self.direction = False, self.length, 1 if self._ahead(pose) >= 0 else -1
+            self._arrived, self._done_to, self.direction = (
+                False,
+                self.length,
+                1 if self._ahead(pose) >= 0 else -1,
+            )
         else:
-            self._arrived = self._arrived or gap < 0.5 * self.limits.pos_tolerance or self._beside(pose, gap)
+            self._arrived = (
+                self._arrived or gap < 0.5 * self.limits.pos_tolerance or self._beside(pose, gap)
+            )
         if not self._arrived:
             return self._approach(pose, gap)
         done = bool(stuck and gap < self.limits.pos_tolerance)
@@ -245,7 +276,8 @@ class Follower:
     def _advance(self, point: Array) -> float:
         """Move the projection onto the way forward (never back) and return its arc length."""
         for i in range(len(self.path) - 1):
-            start, leg = self.path[i], self.path[i + 1] - self.path[i]
+            start = self.path[i]
+            leg = self.path[i + 1] - self.path[i]
             size = float(leg @ leg)
             share = float(np.clip((point - start) @ leg / size, 0.0, 1.0)) if size > 0 else 0.0
             at = self._along[i] + share * np.sqrt(size)
@@ -270,7 +302,10 @@ class Follower:
 
     def _beside(self, pose: Array, gap: float) -> bool:
         """The goal lies sideways within tolerance: driving on would not come nearer."""
-        return gap < self.limits.pos_tolerance and abs(self._ahead(pose)) < 0.3 * self.limits.pos_tolerance
+        return (
+            gap < self.limits.pos_tolerance
+            and abs(self._ahead(pose)) < 0.3 * self.limits.pos_tolerance
+        )
 
     def _choose_direction(self, pose: Array) -> int:
         if self.length > self.limits.reverse_below:
@@ -278,7 +313,11 @@ class Follower:
         first = self._point(self.limits.lookahead) - pose[:2]
         last = self.path[-1] - (self.path[-2] if len(self.path) > 1 else pose[:2])
         turn = abs(wrap(np.arctan2(first[1], first[0]) - pose[2]))
-        leave = 0.0 if self.final_yaw is None else abs(wrap(self.final_yaw - np.arctan2(last[1], last[0])))
+        leave = (
+            0.0
+            if self.final_yaw is None
+            else abs(wrap(self.final_yaw - np.arctan2(last[1], last[0])))
+        )
         back = (np.pi - turn) + (0.0 if self.final_yaw is None else np.pi - leave)
         return -1 if back < turn + leave - 0.3 else 1
 

@@ -31,22 +31,28 @@ LOWEST = 0.3
 """Lower things [m] concern the base alone, and the map keeps it clear of them."""
 BODY_SLIMMER = 0.05
 """Doors and drawers hang above the base; the body there is so much [m] slimmer."""
-BASE_LAG, TURN_LAG = 0.15, 0.02
+BASE_LAG = 0.15
+TURN_LAG = 0.02
 """Time constants [s] of the base's speed and of its yaw rate."""
 BLOCKED_FORCE = 60.0
-BLOCKED_STEPS, LOST_STEPS = 4, 3
-STALLED_STEPS, STALLED = 10, 0.02
+BLOCKED_STEPS = 4
+LOST_STEPS = 3
+STALLED_STEPS = 10
+STALLED = 0.02
 """Control steps, while the base stands, in which the arm comes nearer to its goal by so much [rad] or is stuck."""
 LOOKAHEADS = (0.30, 0.20, 0.10)
 """How far ahead [m] the base steers; short ones keep to the way at corners, long ones are quicker."""
 _SHARES = (0.35, 0.6, 0.8, 0.9)
 MAX_SPEED = 1.0
 _TORSO = FETCH_JOINTS.index(ik.TORSO)
-_TURN_RATE, _PREVIEW = 2.6, 0.1
-_NEAR, _TURNED = 0.02, 0.05
+_TURN_RATE = 2.6
+_PREVIEW = 0.1
+_NEAR = 0.02
+_TURNED = 0.05
 SETTLED = 0.01
 """How near [rad, m] to its goal the arm and the torso count as there."""
-TORSO_SPEED, TORSO_GAIN = 0.04, 0.18
+TORSO_SPEED = 0.04
+TORSO_GAIN = 0.18
 """Most [m] that the torso moves in a control step, and the part of a change of that which one step makes; measured."""
 PASSED = 0.08
 """How near [rad] the arm comes to a posture on its way before it goes on to the next."""
@@ -65,12 +71,17 @@ class Pilot:
 
     def __init__(
         self, path: Array, yaw: float, direction: int, lookahead: float, speed: float = MAX_SPEED
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._speed = speed
         legs = np.linalg.norm(np.diff(path, axis=0), axis=1)
         self._along = np.concatenate([[0.0], np.cumsum(legs)])
-        self._path, self._yaw, self._direction, self._lookahead = path, yaw, direction, lookahead
-        ending = path[-1] - np.array([np.interp(self._along[-1] - 0.25, self._along, path[:, k]) for k in range(2)])
+        self._path = path
+        self._yaw = yaw
+        self._direction = direction
+        self._lookahead = lookahead
+        ending = path[-1] - np.array(
+            [np.interp(self._along[-1] - 0.25, self._along, path[:, k]) for k in range(2)]
+        )
         self._ending = ending / max(float(np.linalg.norm(ending)), 1e-9)
         self._at, self._arrived = 0.0, bool(self._along[-1] < _NEAR)
         self._last: Array | None = None
@@ -83,13 +94,17 @@ class Pilot:
         if not self._arrived:
             self._at = self._progress(pose[:2])
             left = float(self._along[-1]) - self._at
-            to_end = self._direction * float((self._path[-1] - pose[:2]) @ [np.cos(pose[2]), np.sin(pose[2])])
+            to_end = self._direction * float(
+                (self._path[-1] - pose[:2]) @ [np.cos(pose[2]), np.sin(pose[2])]
+            )
             near = float(np.linalg.norm(self._path[-1] - pose[:2]))
             # Turning sideways for the last centimetres takes longer than reaching a little further.
             self._arrived = left < _NEAR or (near < 0.12 and to_end < 0.5 * near)
         if self._arrived:
             turn = float(wrap(self._yaw - pose[2]))
-            still = abs(turn) < _TURNED and abs(rate) < 0.4 and float(np.linalg.norm(moved[:2])) < 0.006
+            still = (
+                abs(turn) < _TURNED and abs(rate) < 0.4 and float(np.linalg.norm(moved[:2])) < 0.006
+            )
             return 0.0, _bounded(4.5 * (turn - _PREVIEW * rate), _TURN_RATE), still
         lookahead = float(np.clip(0.8 * left, 0.10, self._lookahead))
         aim = self._point(self._at + lookahead) - pose[:2]
@@ -98,7 +113,11 @@ class Pilot:
         speed = float(np.linalg.norm(moved[:2])) / CONTROL_DT
         pace = max(min(self._speed, 3.0 * (left - _PREVIEW * speed)), 0.04)
         ahead = 0.0 if abs(off) > 0.9 else max(np.cos(off), 0.0) ** 3
-        return self._direction * pace * ahead, _bounded(4.5 * (off - _PREVIEW * rate), _TURN_RATE), False
+        return (
+            self._direction * pace * ahead,
+            _bounded(4.5 * (off - _PREVIEW * rate), _TURN_RATE),
+            False,
+        )
 
     def _progress(self, point: Array) -> float:
         """Arc length of the way point nearest to ``point`` (2,), not far beyond the last one and never back."""
@@ -111,7 +130,9 @@ class Pilot:
     def _point(self, at: float) -> Array:
         """The point (2,) at an arc length; past the end straight on, so that the heading settles before it."""
         over = max(0.0, at - float(self._along[-1]))
-        return over * self._ending + np.array([np.interp(at, self._along, self._path[:, k]) for k in range(2)])
+        return over * self._ending + np.array(
+            [np.interp(at, self._along, self._path[:, k]) for k in range(2)]
+        )
 
 
 def _bounded(value: float, limit: float) -> float:
@@ -131,13 +152,24 @@ def _planner_with(home: HomeShapes, ajar: tuple[tuple[str, float], ...]) -> Plan
         return plain
     boxes = Boxes.join([motion.as_boxes(home.links[name].boxes(q)) for name, q in ajar])
     nx, ny = plain.clearance.shape
-    x, y = plain.origin[0] + (np.arange(nx) + 0.5) * plain.cell, plain.origin[1] + (np.arange(ny) + 0.5) * plain.cell
-    cells = np.stack([*np.meshgrid(x, y, indexing="ij"), np.zeros((nx, ny))], axis=-1).reshape(-1, 3)
+    x = plain.origin[0] + (np.arange(nx) + 0.5) * plain.cell
+    y = plain.origin[1] + (np.arange(ny) + 0.5) * plain.cell
+    cells = np.stack([*np.meshgrid(x, y, indexing="ij"), np.zeros((nx, ny))], axis=-1).reshape(
+        -1, 3
+    )
     # Seen from above: doors and drawers stand upright, so that height plays no part.
     flat = Boxes(boxes.center * [1.0, 1.0, 0.0], boxes.half, boxes.rot)
     gap = sphere_box_distance(cells, flat).min(axis=1).reshape(nx, ny) + BODY_SLIMMER
     clearance = np.minimum(plain.clearance, np.maximum(gap, 0.0))
-    return Planner(plain.origin, plain.cell, clearance, plain.radius, plain.comfort, plain.caution, plain.narrow)
+    return Planner(
+        plain.origin,
+        plain.cell,
+        clearance,
+        plain.radius,
+        plain.comfort,
+        plain.caution,
+        plain.narrow,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,9 +197,17 @@ class Route:
 
 
 def plan_route(
-    view: WorldView, goal: Array, arm: Array, robot: RobotSpheres, boxes: Boxes, *, margin: float = MARGIN,
-    direction: int = 0, straight: bool = False, care: Care | None = None,
-) -> Route | None:  # fmt: skip
+    view: WorldView,
+    goal: Array,
+    arm: Array,
+    robot: RobotSpheres,
+    boxes: Boxes,
+    *,
+    margin: float = MARGIN,
+    direction: int = 0,
+    straight: bool = False,
+    care: Care | None = None,
+) -> Route | None:
     """The quickest way to the base pose ``goal`` (3,) with the arm at ``arm`` (15,) that keeps clear of ``boxes``.
 
     The arm starts at once if there is room, otherwise later; when even the whole way with the arm as it is comes too
@@ -180,12 +220,14 @@ def plan_route(
         straight: do not plan around furniture.
         care: how gently the base drives. Something is in the hand then, and a base that bumps into things loses it.
     """
-    start, found = view.q, drive_of(view, goal, direction, straight, care)
+    start = view.q
+    found = drive_of(view, goal, direction, straight, care)
     if found is None:
         return None
     path, direction, lookahead, poses = found
     boxes = within_reach(boxes, np.stack([start[:2], goal[:2]]))
-    before, own = float(robot.clearance(start[None], boxes)[0]), _own_room(start, arm, robot)
+    before = float(robot.clearance(start[None], boxes)[0])
+    own = _own_room(start, arm, robot)
     if care and not straight:
         cells = planner(view).clearance_at(poses[:, :2])
         own = min(own, float(cells.min() - min(BASE_ROOM, cells[0], cells[-1])))
@@ -195,9 +237,13 @@ def plan_route(
         swept = _swept(start, poses, arm, delay)
         some = np.arange(0, len(swept), max(1, len(swept) // 40))
         # While the base drives, the robot is only about where it is expected to be.
-        asked = np.minimum(np.where(some < len(poses) - 1, margin + DRIVE_ERROR, margin), before - 0.004)
+        asked = np.minimum(
+            np.where(some < len(poses) - 1, margin + DRIVE_ERROR, margin), before - 0.004
+        )
         room = min(own, float((robot.clearance(swept[some], boxes) - asked).min()))
-        return Route(path, float(goal[2]), direction, lookahead, arm, delay, len(swept), room, care=care)
+        return Route(
+            path, float(goal[2]), direction, lookahead, arm, delay, len(swept), room, care=care
+        )
 
     early = at(0.0)
     if early.room >= 0.0 or len(poses) == 1:
@@ -209,8 +255,12 @@ def plan_route(
 
 
 def drive_of(
-    view: WorldView, goal: Array, direction: int = 0, straight: bool = False, care: Care | None = None
-) -> tuple[Array, int, float, Array] | None:  # fmt: skip
+    view: WorldView,
+    goal: Array,
+    direction: int = 0,
+    straight: bool = False,
+    care: Care | None = None,
+) -> tuple[Array, int, float, Array] | None:
     """How to drive to the base pose ``goal`` (3,), see `plan_route`: way points (P, 2), direction, look-ahead, and the
     base poses (T, 3) that this should give, one per control step. None when furniture cuts the goal off."""
     path = np.stack([view.q[:2], goal[:2]]) if straight else _way(view, goal[:2])
@@ -226,7 +276,8 @@ def drive_steps(now: Array, poses: Array, length: Array) -> Array:
     way = poses[:, :2] - now[:2]
     far = np.linalg.norm(way, axis=1)
     bearing = np.arctan2(way[:, 1], way[:, 0])
-    first, last = np.abs(wrap(bearing - now[2])), np.abs(wrap(poses[:, 2] - bearing))
+    first = np.abs(wrap(bearing - now[2]))
+    last = np.abs(wrap(poses[:, 2] - bearing))
     turn = np.where(far < 0.9, np.minimum(first + last, 2 * np.pi - first - last), first + last)
     turn = np.where(far < 0.03, np.abs(wrap(poses[:, 2] - now[2])), turn)
     length = np.where(np.isfinite(length), np.maximum(length, far), np.inf)
@@ -243,25 +294,39 @@ def _way(view: WorldView, goal: Array) -> Array | None:
 
 def follow(
     view: WorldView, route: Route, *, gripper: float, tolerance: float = 0.05, held: str = ""
-) -> Motion:  # fmt: skip
+) -> Motion:
     """Drive a route. Returns whether base and arm arrived; not when something is in the way.
 
     ``held``: the object in the hand. The drive ends when it is lost.
     """
     pilot = Pilot(route.path, route.yaw, route.direction, route.lookahead, route.speed)
-    arm, pressed, lost, arrived = _ArmWay(view.q, route), 0, 0, False
-    least, since, care = np.inf, 0, route.care
-    moving, before = motion.drives(view, route.path[-1], route.yaw), (0.0, 0.0)
-    began, last = 0, view.q
+    arm = _ArmWay(view.q, route)
+    pressed = 0
+    lost = 0
+    arrived = False
+    least = np.inf
+    since = 0
+    care = route.care
+    moving = motion.drives(view, route.path[-1], route.yaw)
+    before = (0.0, 0.0)
+    began = 0
+    last = view.q
     for step in range(route.steps + 40):
-        forward, turn, done = 0.0, 0.0, step >= route.lead
+        forward = 0.0
+        turn = 0.0
+        done = step >= route.lead
         if done and moving and not arrived:
             forward, turn, done = pilot.step(view.q[:3])
         arrived = arrived or done
-        goal, off = arm.goal(view, step, arrived), motion.joint_gap(view, route.arm)
+        goal = arm.goal(view, step, arrived)
+        off = motion.joint_gap(view, route.arm)
         if arrived and off <= tolerance:
             return True
-        least, since = (off, step) if off < least - STALLED or not arrived or goal is not route.arm else (least, since)
+        least, since = (
+            (off, step)
+            if off < least - STALLED or not arrived or goal is not route.arm
+            else (least, since)
+        )
         if step - since >= STALLED_STEPS:
             return False
         speed = (0.0, 0.0) if arrived else (forward, turn)
@@ -281,11 +346,14 @@ class _ArmWay:
     """Where the arm goes while a route is driven, from configuration ``start`` (15,)."""
 
     def __init__(self, start: Array, route: Route) -> None:
-        self._start, self._route, self._at = start, route, 0
+        self._start = start
+        self._route = route
+        self._at = 0
 
     def goal(self, view: WorldView, step: int, arrived: bool) -> Array:
         """The configuration (15,) to go to in a control step."""
-        via, on_time = self._route.via, step >= self._route.delay or arrived
+        via = self._route.via
+        on_time = step >= self._route.delay or arrived
         if via is None:
             return self._route.arm if on_time else self._start
         while self._at < len(via) and (on_time or self._at != self._route.carried):
@@ -302,7 +370,8 @@ def holds(view: WorldView, obj: str) -> bool:
 
 def _direction(pose: Array, path: Array, yaw: float) -> int:
     """Backwards only on short ways and when that takes less turning."""
-    way, last = path[1] - path[0], path[-1] - path[-2]
+    way = path[1] - path[0]
+    last = path[-1] - path[-2]
     length = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
     if length < 0.03:
         return 1
@@ -312,8 +381,13 @@ def _direction(pose: Array, path: Array, yaw: float) -> int:
 
 
 def _smoothest(
-    view: WorldView, path: Array, yaw: float, direction: int, care: Care | None, lookaheads: tuple[float, ...]
-) -> tuple[float, Array]:  # fmt: skip
+    view: WorldView,
+    path: Array,
+    yaw: float,
+    direction: int,
+    care: Care | None,
+    lookaheads: tuple[float, ...],
+) -> tuple[float, Array]:
     """The quickest steering that keeps the base clear of furniture: look-ahead and base poses (T, 3)."""
     cells = planner(view)
     best: tuple[float, float, Array] | None = None
@@ -330,10 +404,13 @@ def _smoothest(
 
 def simulate(
     pose: Array, path: Array, yaw: float, direction: int, lookahead: float, care: Care | None = None
-) -> Array:  # fmt: skip
+) -> Array:
     """Base poses (T, 3) that driving a way should give."""
     pilot = Pilot(path, yaw, direction, lookahead)
-    pose, speed, turn, asked = pose.copy(), np.zeros(2), 0.0, (0.0, 0.0)
+    pose = pose.copy()
+    speed = np.zeros(2)
+    turn = 0.0
+    asked = (0.0, 0.0)
     share, quick = 1.0 - np.exp(-CONTROL_DT / np.array([BASE_LAG, TURN_LAG]))
     poses = [pose.copy()]
     for _ in range(200):
@@ -355,7 +432,8 @@ def _swept(start: Array, poses: Array, arm: Array, delay: int) -> Array:
     way = arm - start
     way[:3] = 0.0
     columns = list(motion.ARM_JOINTS)
-    arm_share, torso_share = arm_gone(float(np.abs(way[columns]).max())), torso_gone(abs(float(way[_TORSO])))
+    arm_share = arm_gone(float(np.abs(way[columns]).max()))
+    torso_share = torso_gone(abs(float(way[_TORSO])))
     steps = np.arange(max(len(poses), delay + max(len(arm_share), len(torso_share))) + 1)
     gone = np.ones((len(steps), len(way)))
     gone[:, columns] = arm_share[np.clip(steps - delay, 0, len(arm_share) - 1), None]
@@ -371,7 +449,8 @@ def arm_gone(far: float) -> Array:
     It starts as `follow` lets it, and slows down before its end: with the base on the move, a tenth of a radian that it
     lags behind is a decimetre at the hand.
     """
-    gone, delta = [0.0], motion.LIMITS.joint_delta
+    gone = [0.0]
+    delta = motion.LIMITS.joint_delta
     while far - gone[-1] > SETTLED:
         gone.append(gone[-1] + ik.ARM_STEP * min(1.0, 0.25 * len(gone), (far - gone[-1]) / delta))
     return np.array([*gone, far]) / far if far > 0.0 else np.ones(1)
@@ -379,7 +458,9 @@ def arm_gone(far: float) -> Array:
 
 def torso_gone(far: float) -> Array:
     """The same for the torso, ``far`` [m]. It carries the arm and gathers speed slowly."""
-    gone, speed, delta = [0.0], 0.0, motion.LIMITS.joint_delta
+    gone = [0.0]
+    speed = 0.0
+    delta = motion.LIMITS.joint_delta
     while far - gone[-1] > SETTLED:
         speed += TORSO_GAIN * (TORSO_SPEED * min(1.0, (far - gone[-1]) / delta) - speed)
         gone.append(min(gone[-1] + speed, far))
@@ -388,7 +469,8 @@ def torso_gone(far: float) -> Array:
 
 def within_reach(boxes: Boxes, way: Array) -> Boxes:
     """The boxes that the robot can touch somewhere near a straight way (2, 2)."""
-    middle, far = way.mean(axis=0), float(np.linalg.norm(way[1] - way[0])) / 2
+    middle = way.mean(axis=0)
+    far = float(np.linalg.norm(way[1] - way[0])) / 2
     near = boxes.near(np.array([*middle, 0.9]), far + 1.35)
     return near.take(near.center[:, 2] + near.half.max(axis=1) > LOWEST)
 

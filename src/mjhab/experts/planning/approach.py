@@ -23,13 +23,19 @@ FOLD_ROOM = 0.005
 """Clearance [m] with which the arm folds."""
 FLOOR = 0.29
 """Clearance of the base when it backs away [m]."""
-ROUTES_TRIED, ROUTES_MOST = 5, 12
+ROUTES_TRIED = 5
+ROUTES_MOST = 12
 """Stances whose way is looked at; more only while none is free."""
 ARM_REACH = 1.3
 """Distance from the base beyond which nothing is in the way [m]."""
 ROUTE_LACK = 0.012
 """How much less clearance [m] than `plan_route` asks for may do: it allows for errors of the drive."""
-_HAND_LINKS = ("wrist_flex_link", "wrist_roll_link", "r_gripper_finger_link", "l_gripper_finger_link")
+_HAND_LINKS = (
+    "wrist_flex_link",
+    "wrist_roll_link",
+    "r_gripper_finger_link",
+    "l_gripper_finger_link",
+)
 AMBIGUOUS = 2.8
 """Turn at the end [rad] from which on the base might turn the other way round, where nobody looked."""
 DETOUR = 8.0
@@ -51,7 +57,7 @@ def obstacles(view: WorldView, goals: Array, shut: JointedLink | None = None) ->
 
 def best_route(
     view: WorldView, goals: Array, others: Array | None = None, link: JointedLink | None = None
-) -> tuple[int, Route] | None:  # fmt: skip
+) -> tuple[int, Route] | None:
     """The quickest way to one of some configurations (M, 15), most wanted first, that touches nothing.
 
     Args:
@@ -69,7 +75,10 @@ def best_route(
         if i >= ROUTES_TRIED and best is not None and best[0] < BLOCKED:
             break
         # Backing up to a place turns the hand less, but from the other side: then it rather comes straight in.
-        for direction, end, more in ((1, goal, 0.0), (-1, goal if others is None else others[i], DETOUR)):
+        for direction, end, more in (
+            (1, goal, 0.0),
+            (-1, goal if others is None else others[i], DETOUR),
+        ):
             found = plan_route(view, end[:3], end, motion.spheres(), boxes, direction=direction)
             if found is None:
                 continue
@@ -101,12 +110,16 @@ def _turn_at_end(route: Route) -> float:
 
 def _passed(view: WorldView, route: Route) -> Array:
     """Configurations (T, 15) expected on a route, two for every control step."""
-    poses = simulate(view.q[:3], route.path, route.yaw, route.direction, route.lookahead, route.care)
+    poses = simulate(
+        view.q[:3], route.path, route.yaw, route.direction, route.lookahead, route.care
+    )
     needed = float(ik.travel_steps(motion.chain(), view.q, route.arm, ik.columns(motion.chain())))
     steps = np.arange(0.0, route.steps + 0.25, 0.5)
     part = np.clip((steps - route.delay) / max(needed, 1.0), 0.0, 1.0)[:, None]
     out = view.q + part * (route.arm - view.q)
-    out[:, :3] = np.stack([np.interp(steps, np.arange(len(poses)), column) for column in np.array(poses).T], axis=1)
+    out[:, :3] = np.stack(
+        [np.interp(steps, np.arange(len(poses)), column) for column in np.array(poses).T], axis=1
+    )
     return out
 
 
@@ -121,7 +134,9 @@ def creep(view: WorldView, posture: Array, heading: float, speed: float, gripper
     return motion.action(view, posture, gripper=gripper, drive=(speed, turn))
 
 
-def let_go(view: WorldView, way: float, *, gripper: float = motion.OPEN, speed: float = 0.3) -> Motion:
+def let_go(
+    view: WorldView, way: float, *, gripper: float = motion.OPEN, speed: float = 0.3
+) -> Motion:
     """Open the hand, then draw it straight back [m] from what it held, base and arm together."""
     yield from motion.hold(view, 4, gripper=gripper)
     pos, rot = motion.tcp(view)
@@ -129,16 +144,25 @@ def let_go(view: WorldView, way: float, *, gripper: float = motion.OPEN, speed: 
     along = float(-rot[:2, 0] @ np.array([np.cos(view.q[2]), np.sin(view.q[2])]))
     return (
         yield from motion.move_tcp(
-            view, goal, rot, gripper=gripper, speed=speed, drive=(speed * min(along, 0.0), 0.0), tolerance=0.02,
-            angle_tolerance=0.5, max_steps=14,
+            view,
+            goal,
+            rot,
+            gripper=gripper,
+            speed=speed,
+            drive=(speed * min(along, 0.0), 0.0),
+            tolerance=0.02,
+            angle_tolerance=0.5,
+            max_steps=14,
         )
-    )  # fmt: skip
+    )
 
 
 def fold(
-    view: WorldView, ways: tuple[float, ...] = (0.0, 0.15, 0.3, 0.45, 0.6), shut: JointedLink | None = None,
+    view: WorldView,
+    ways: tuple[float, ...] = (0.0, 0.15, 0.3, 0.45, 0.6),
+    shut: JointedLink | None = None,
     gripper: float = motion.OPEN,
-) -> Motion:  # fmt: skip
+) -> Motion:
     """Bring the arm to rest, backing away first as far [m] as it needs to touch nothing.
 
     Args:
@@ -146,12 +170,16 @@ def fold(
         shut: a door that will be closed by then.
         gripper: open fingers might take hold of the edge of a door nearby.
     """
-    q, rest = view.q, motion.rest_goal(view)
-    boxes, floor = obstacles(view, q[None], shut), motion.planner(view.home)
+    q = view.q
+    rest = motion.rest_goal(view)
+    boxes = obstacles(view, q[None], shut)
+    floor = motion.planner(view.home)
     best: Route | None = None
     for way in ways:
         goal = q[:3] - way * np.array([np.cos(q[2]), np.sin(q[2]), 0.0])
-        if way > 0 and floor.line_clearance(q[:2], goal[None, :2])[0] < min(FLOOR, float(floor.clearance_at(q[:2]))):
+        if way > 0 and floor.line_clearance(q[:2], goal[None, :2])[0] < min(
+            FLOOR, float(floor.clearance_at(q[:2]))
+        ):
             break
         found = plan_route(view, goal, rest, motion.spheres(), boxes, direction=-1, straight=True)
         if found is not None and (best is None or found.room > best.room + 0.002):
@@ -165,7 +193,9 @@ def fold(
 
 def retreat(view: WorldView, way: float, speed: float = 0.4) -> Motion:
     """Drive ``way`` [m] backwards with the arm held."""
-    posture, start, heading = view.q, view.q[:2], float(view.q[2])
+    posture = view.q
+    start = view.q[:2]
+    heading = float(view.q[2])
     for _ in range(20):
         if np.linalg.norm(view.q[:2] - start) >= way:
             return True
@@ -174,9 +204,14 @@ def retreat(view: WorldView, way: float, speed: float = 0.4) -> Motion:
 
 
 def take(
-    view: WorldView, link: JointedLink, rot: Array, posture: Array, *, height: float | None = None,
+    view: WorldView,
+    link: JointedLink,
+    rot: Array,
+    posture: Array,
+    *,
+    height: float | None = None,
     gripper: float = motion.OPEN,
-) -> Motion:  # fmt: skip
+) -> Motion:
     """Put the open hand onto the handle and close it. Returns whether both fingers press.
 
     Args:
@@ -197,7 +232,7 @@ def take(
 
 def _funnel(
     view: WorldView, goal: Array, rot: Array, posture: Array, gripper: float, max_steps: int = 40
-) -> Motion:  # fmt: skip
+) -> Motion:
     """Bring the hand to ``goal``, forward only as far as it is in line: open fingers must not hit what they straddle.
 
     Along the bar (the hand's z axis) the place matters little.
@@ -224,7 +259,9 @@ def _funnel(
     return False
 
 
-def base_towards(view: WorldView, wish: Array, speed: float = 0.0, most: float = 0.5) -> tuple[float, float]:
+def base_towards(
+    view: WorldView, wish: Array, speed: float = 0.0, most: float = 0.5
+) -> tuple[float, float]:
     """Forward speed [m/s] and yaw rate [rad/s] that bring the base to a near pose ``wish`` (3+,), as far as it can go
     without turning aside; ``speed``: that of the pose itself along the heading."""
     q = view.q

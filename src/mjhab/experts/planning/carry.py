@@ -32,7 +32,8 @@ IN_SPEED = 0.35
 """Of the base while it comes straight in [m/s]."""
 OUT_SPEED = 0.5
 """Of the base while it comes straight out [m/s]."""
-HASTY_SPEED, HASTY_END = 0.7, (0.04, 0.025)
+HASTY_SPEED = 0.7
+HASTY_END = (0.04, 0.025)
 """Of the base where time is short: speed [m/s], and how far off [m] and how fast [m per control step] it may be in the
 end; what follows makes up for it."""
 STUCK_STEPS = 6
@@ -62,8 +63,15 @@ def inside_depth(view: WorldView, point: Array) -> float:
 
 
 def drive_in(
-    view: WorldView, goal: Array, pos: Array, rot: Array, boxes: Boxes, *, gripper: float, hasty: bool = False
-) -> Motion:  # fmt: skip
+    view: WorldView,
+    goal: Array,
+    pos: Array,
+    rot: Array,
+    boxes: Boxes,
+    *,
+    gripper: float,
+    hasty: bool = False,
+) -> Motion:
     """Drive straight on about to the base pose of the configuration ``goal`` (15,), the arm stretched out so that the
     hand comes to ``pos`` (3,), ``rot`` (3, 3). Returns whether it got there; not when it is stuck.
 
@@ -73,18 +81,26 @@ def drive_in(
     near, slow = HASTY_END if hasty else (0.02, 0.006)
     goal = _lined_up(view, goal, pos, rot, boxes)
     yield from motion.move_joints(view, goal, gripper=gripper, tolerance=0.05, max_steps=12)
-    heading, pressed, still, last = float(goal[2]), 0, 0, view.q
+    heading = float(goal[2])
+    pressed = 0
+    still = 0
+    last = view.q
     for step in range(80):
         q = view.q
         ahead = np.array([np.cos(heading), np.sin(heading)])
-        left, moved = float((goal[:2] - q[:2]) @ ahead), float((q[:2] - last[:2]) @ ahead)
+        left = float((goal[:2] - q[:2]) @ ahead)
+        moved = float((q[:2] - last[:2]) @ ahead)
         if left < near and abs(moved) < slow:
             return True
         pressed = pressed + 1 if view.link_forces.sum() > BLOCKED_FORCE else 0
         still = still + 1 if step > STUCK_STEPS and moved < 0.002 else 0
         if pressed >= BLOCKED_STEPS or still >= STUCK_STEPS:
             return False
-        wish = min(HASTY_SPEED, 5.0 * (left - 1.5 * moved)) if hasty else min(IN_SPEED, 3.0 * (left - 2.0 * moved))
+        wish = (
+            min(HASTY_SPEED, 5.0 * (left - 1.5 * moved))
+            if hasty
+            else min(IN_SPEED, 3.0 * (left - 2.0 * moved))
+        )
         pace = max(wish, 0.04 if left > 0.02 else 0.0)
         turn = float(np.clip(3.0 * wrap(heading - q[2]), -0.5, 0.5))
         last = q
@@ -94,7 +110,10 @@ def drive_in(
 
 def drive_out(view: WorldView, way: float, *, gripper: float, speed: float = OUT_SPEED) -> Motion:
     """Drive straight back over ``way`` [m], the arm held as it is. Returns whether it got there."""
-    goal, start, heading, pressed = view.q, view.q[:2], float(view.q[2]), 0
+    goal = view.q
+    start = view.q[:2]
+    heading = float(view.q[2])
+    pressed = 0
     for step in range(40):
         left = way - float(np.linalg.norm(view.q[:2] - start))
         if left < 0.04:
@@ -111,14 +130,17 @@ def drive_out(view: WorldView, way: float, *, gripper: float, speed: float = OUT
 def _lined_up(view: WorldView, goal: Array, pos: Array, rot: Array, boxes: Boxes) -> Array:
     """``goal`` (15,) with the base where straight on from here leads; where the arm so comes too near to something and
     with a small change does not, such that the hand is at ``pos``, ``rot`` there all the same."""
-    q, robot = view.q, motion.chain()
+    q = view.q
+    robot = motion.chain()
     ahead = np.array([np.cos(goal[2]), np.sin(goal[2])])
     way = float((goal[:2] - q[:2]) @ ahead)
     end = goal.copy()
     end[:2] = q[:2] + ahead * way
     if _room_in(end, way, boxes) > ROOM_IN:
         return end
-    found = ik.solve(robot, pos[None], rot[None], end[None, None], ik.columns(robot, torso=False), rest=goal)
+    found = ik.solve(
+        robot, pos[None], rot[None], end[None, None], ik.columns(robot, torso=False), rest=goal
+    )
     near = found.ok[0, 0] and np.abs(found.q[0, 0] - end)[3:].max() < MOST_SHIFT
     better = near and _room_in(found.q[0, 0], way, boxes) > _room_in(end, way, boxes)
     return ik.unwind(robot, found.q[0, 0], q) if better else end
@@ -134,7 +156,8 @@ def _room_in(goal: Array, way: float, boxes: Boxes) -> float:
 def held_spheres(view: WorldView, obj: str) -> tuple[Array, Array]:
     """Spheres that fill the box of an object in the hand: centres (H, 3) in the frame of the tool, radii (H,)."""
     pos, rot = motion.tcp(view)
-    pose, half = view.object_pose(obj), np.array(view.object_type(obj).half)
+    pose = view.object_pose(obj)
+    half = np.array(view.object_type(obj).half)
     radius = max(float(half.min()), 0.5 * float(np.sort(half)[1]))
     axes = []
     for size in half:
@@ -145,7 +168,8 @@ def held_spheres(view: WorldView, obj: str) -> tuple[Array, Array]:
     if shape_of(view.object_type(obj)).kind == "box":
         # Larger spheres leave corners bare, and those are what knocks an object out of the hand.
         corners = np.array(list(itertools.product((-1.0, 1.0), repeat=3))) * (half - CORNER)
-        grid, size = np.concatenate([grid, corners]), np.append(size, np.full(len(corners), CORNER))
+        grid = np.concatenate([grid, corners])
+        size = np.append(size, np.full(len(corners), CORNER))
     world = pose[:3] + grid @ mat_from_quat(pose[3:]).T
     return (world - pos) @ rot, size
 
@@ -158,7 +182,9 @@ def go_home(view: WorldView, obj: str, *, holding: bool = True) -> Motion:
         robot = robot.with_held(*held_spheres(view, obj))
     for _ in range(3):
         route = plan_home(view, obj, robot, holding=holding)
-        if route is None or (yield from follow(view, route, gripper=gripper, held=obj if holding else "")):
+        if route is None or (
+            yield from follow(view, route, gripper=gripper, held=obj if holding else "")
+        ):
             break
         if holding and not holds(view, obj):
             return False
@@ -169,14 +195,18 @@ def plan_home(view: WorldView, obj: str, robot: RobotSpheres, *, holding: bool) 
     """The quickest way to rest that keeps clear, straight back if need be; else the one with the most room."""
     others, target = surroundings(view, obj, view.tcp_pose[:3])
     boxes = others if holding else type(others).join([others, target])
-    now, goal, care = view.q, motion.rest_goal(view), care_for(view) if holding else None
+    now = view.q
+    goal = motion.rest_goal(view)
+    care = care_for(view) if holding else None
     cells = motion.planner(view.home)
     best: Route | None = None
     for back in BACK:
         end = now[:3] - back * np.array([np.cos(now[2]), np.sin(now[2]), 0.0])
         if back and cells.line_clearance(now[:2], end[None, :2])[0] < 0.26:
             break
-        route = plan_route(view, end, goal, robot, boxes, margin=0.01, direction=-1, straight=True, care=care)
+        route = plan_route(
+            view, end, goal, robot, boxes, margin=0.01, direction=-1, straight=True, care=care
+        )
         if route is None:
             continue
         if route.room >= 0.0:

@@ -24,7 +24,8 @@ Array = np.ndarray
 HAND_LINKS = ("gripper_link", "r_gripper_finger_link", "l_gripper_finger_link")
 NEARBY = 2.6
 """Furniture within this distance [m] of the work is looked at."""
-BASE_RADIUS, BASE_TOP = 0.285, 0.40
+BASE_RADIUS = 0.285
+BASE_TOP = 0.40
 ROOMS = (0.012, 0.006, 0.0)
 """Least clearance [m] of the arm at the work and of the whole robot just before it, at one attempt after the other."""
 TIGHTEST = -0.055
@@ -38,7 +39,10 @@ ARM_END = 0.05
 _STRETCHED = 60.0
 """Price in steps per radian that the elbow is nearly straight."""
 _ELBOW = FETCH_JOINTS.index("elbow_flex_joint")
-_BASES, _PER_BASE, _SEEDS, _KEPT = 24, 8, 5, 50
+_BASES = 24
+_PER_BASE = 8
+_SEEDS = 5
+_KEPT = 50
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,12 +83,18 @@ class Scene:
     @property
     def beside(self) -> Boxes:
         """Without what lies below the supporting surface."""
-        top = self.near.center[:, 2] + np.einsum("kj,kj->k", np.abs(self.near.rot[:, 2]), self.near.half)
+        top = self.near.center[:, 2] + np.einsum(
+            "kj,kj->k", np.abs(self.near.rot[:, 2]), self.near.half
+        )
         return self.near.take(top > self.support_z + 0.004)
 
     def robot(self) -> RobotSpheres:
         """The arm with what it holds."""
-        return motion.arm_spheres() if self.held is None else motion.arm_spheres().with_held(*self.held)
+        return (
+            motion.arm_spheres()
+            if self.held is None
+            else motion.arm_spheres().with_held(*self.held)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,10 +130,20 @@ def surroundings(view: WorldView, obj: str, point: Array) -> tuple[Boxes, Boxes]
 
 
 def stances(
-    view: WorldView, point: Array, goals: HandGoals, scene: Scene, *, drive_in: float = 0.0, avoid: Array | None = None,
-    count: int = 3, room: float = ROOMS[0], nearer: float = 0.0, blocked: list[Blocked] | None = None,
-    home: float = 0.0, far: bool = False,
-) -> list[Stance]:  # fmt: skip
+    view: WorldView,
+    point: Array,
+    goals: HandGoals,
+    scene: Scene,
+    *,
+    drive_in: float = 0.0,
+    avoid: Array | None = None,
+    count: int = 3,
+    room: float = ROOMS[0],
+    nearer: float = 0.0,
+    blocked: list[Blocked] | None = None,
+    home: float = 0.0,
+    far: bool = False,
+) -> list[Stance]:
     """Ways to bring the hand to one of ``goals`` around ``point`` (3,), quickest first; empty when there is none.
 
     Args:
@@ -144,15 +164,19 @@ def stances(
     if drive_in and len(scene.target):
         out = way_out(bases, scene, drive_in)
         rows = np.flatnonzero(out > min(OUT_ROOM, float(out.max()) - 0.005))
-        bases, drive = bases[rows], drive[rows]
+        bases = bases[rows]
+        drive = drive[rows]
     base, goal, score = _pairs(bases, point, goals)
     if not len(base):
         return []
     q, goal = _configurations(now, bases[base], goal, goals, drive[base] - 10.0 * score, home)
     rows = _clear_ones(q, scene, room)
-    q, goal = q[rows], goal[rows]
+    q = q[rows]
+    goal = goal[rows]
     pre, fine = _before(q, goals, goal, scene, drive_in, room, nearer)
-    q, pre, goal = q[fine], pre[fine], goal[fine]
+    q = q[fine]
+    pre = pre[fine]
+    goal = goal[fine]
     found = _routed(view, q, pre, goal, scene, drive_in, count, home)
     if blocked is not None and len(q) and not (found and found[0].route.room >= 0.0):
         blocked.append(Blocked(goals, goal, pre, q, scene, drive_in))
@@ -161,15 +185,21 @@ def stances(
 
 def way_out(bases: Array, scene: Scene, drive_in: float) -> Array:
     """Room (B,) of the object, a little lifted, while bases (B, 3) drive straight back with it."""
-    box, half = scene.target, scene.target.half[0]
+    box = scene.target
+    half = scene.target.half[0]
     size = float(half.min())
-    axes = [np.linspace(-h + size, h - size, 1 + int(np.ceil(2 * (h - size) / (1.3 * size)))) for h in half]
+    axes = [
+        np.linspace(-h + size, h - size, 1 + int(np.ceil(2 * (h - size) / (1.3 * size))))
+        for h in half
+    ]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     points = box.center[0] + grid @ box.rot[0].T + np.array([0.0, 0.0, 0.025])
     ahead = np.stack([np.cos(bases[:, 2]), np.sin(bases[:, 2]), np.zeros(len(bases))], axis=1)
     share = np.linspace(0.0, drive_in, 7)
     moved = points - share[None, :, None, None] * ahead[:, None, None]
-    gap = sphere_box_distance(moved.reshape(-1, 3), scene.beside.near(box.center[0], 0.9)).min(axis=1)
+    gap = sphere_box_distance(moved.reshape(-1, 3), scene.beside.near(box.center[0], 0.9)).min(
+        axis=1
+    )
     return gap.reshape(len(bases), -1).min(axis=1) - size
 
 
@@ -200,17 +230,26 @@ def hand_room(goals: HandGoals | Grasps, boxes: Boxes) -> Array:
 
 
 def base_poses(
-    view: WorldView, point: Array, scene: Scene, goals: HandGoals, drive_in: float, avoid: Array | None, far: bool
-) -> tuple[Array, Array]:  # fmt: skip
+    view: WorldView,
+    point: Array,
+    scene: Scene,
+    goals: HandGoals,
+    drive_in: float,
+    avoid: Array | None,
+    far: bool,
+) -> tuple[Array, Array]:
     """Base poses (B, 3) from which a goal at ``point`` may be reached, and the control steps (B,) to drive there."""
     r, angle, off = np.meshgrid(
         np.arange(0.5, 1.26, 0.075), np.arange(32) * np.pi / 16, (-0.35, 0.0, 0.35), indexing="ij"
     )
-    x, y = point[0] - r * np.cos(angle), point[1] - r * np.sin(angle)
+    x = point[0] - r * np.cos(angle)
+    y = point[1] - r * np.sin(angle)
     poses = np.stack([x, y, wrap(angle + off)], axis=-1).reshape(-1, 3)
     here = view.q[:3] - drive_in * np.array([np.cos(view.q[2]), np.sin(view.q[2]), 0.0])
     bearing = np.arctan2(point[1] - here[1], point[0] - here[0])
-    poses = np.concatenate([poses, [view.q[:3], *([here[0], here[1], bearing + k] for k in (-0.35, 0.0, 0.35))]])
+    poses = np.concatenate(
+        [poses, [view.q[:3], *([here[0], here[1], bearing + k] for k in (-0.35, 0.0, 0.35))]]
+    )
     far_off = np.append(r.ravel() > FAR_OFF, np.zeros(4, bool))
     cells = planner(view)
     back = poses[:, :2] - drive_in * np.stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])], axis=1)
@@ -221,9 +260,14 @@ def base_poses(
         gap = np.linalg.norm((poses[:, None] - avoid) * [1.0, 1.0, 0.3], axis=2).min(axis=1)
         good &= gap > 0.10
     good[good] = in_sight(poses[good], point, scene.near)
-    poses, back, far_off = poses[good], back[good], far_off[good]
+    poses = poses[good]
+    back = back[good]
+    far_off = far_off[good]
     way = cells.costs(view.q[:2])[cells.cells(back)]
-    steps = drive_steps(view.q[:3], np.concatenate([back, poses[:, 2:]], axis=1), way) + 6.0 * drive_in / 0.3
+    steps = (
+        drive_steps(view.q[:3], np.concatenate([back, poses[:, 2:]], axis=1), way)
+        + 6.0 * drive_in / 0.3
+    )
     # The nearest bases may all stand on the side from which nothing can be reached.
     reachable = np.isfinite(steps) & (_overreach(poses, goals) < ARM_END).any(axis=1)
     reachable &= ~far_off | far | ~(reachable & ~far_off).any()
@@ -239,16 +283,22 @@ def in_sight(poses: Array, point: Array, boxes: Boxes) -> Array:
     share = np.linspace(0.1, 0.9, 8)[:, None, None]
     line = poses[:, :2] + share * (point[:2] - poses[:, :2])
     height = np.full((*line.shape[:2], 1), point[2] + 0.15)
-    gap = sphere_box_distance(np.concatenate([line, height], axis=2).reshape(-1, 3), tall).min(axis=1)
+    gap = sphere_box_distance(np.concatenate([line, height], axis=2).reshape(-1, 3), tall).min(
+        axis=1
+    )
     return gap.reshape(len(share), len(poses)).min(axis=0) > 0.02
 
 
 def floor_room(poses: Array, boxes: Boxes) -> Array:
     """Room (B,) between the base at poses (B, 3) and boxes on the floor that no map knows: things that fell."""
-    low = boxes.take((boxes.center[:, 2] - boxes.half.max(axis=1) < BASE_TOP) & (boxes.half.max(axis=1) < 0.12))
+    low = boxes.take(
+        (boxes.center[:, 2] - boxes.half.max(axis=1) < BASE_TOP) & (boxes.half.max(axis=1) < 0.12)
+    )
     if not len(low):
         return np.ones(len(poses))
-    gap = np.linalg.norm(poses[:, None, :2] - low.center[:, :2], axis=2) - low.half[:, :2].max(axis=1)
+    gap = np.linalg.norm(poses[:, None, :2] - low.center[:, :2], axis=2) - low.half[:, :2].max(
+        axis=1
+    )
     return gap.min(axis=1) - BASE_RADIUS
 
 
@@ -310,7 +360,9 @@ def _configurations(
     seeds[:, :, :3] = bases[:, None]
     seeds[:, 0, 3:] = now[3:]
     options = ik.Options(iterations=25, pos_tolerance=2e-3, rot_tolerance=2e-2)
-    found = ik.solve(robot, goals.pos[goal], goals.rot[goal], seeds, dofs, rest=REST_QPOS, options=options)
+    found = ik.solve(
+        robot, goals.pos[goal], goals.rot[goal], seeds, dofs, rest=REST_QPOS, options=options
+    )
     q = ik.unwind(robot, found.q, now)
     q[..., :3] = bases[:, None]
     cost = price[:, None] + 0.6 * ik.travel_steps(robot, now, q, dofs)
@@ -328,7 +380,13 @@ def _configurations(
 
 
 def _before(
-    q: Array, goals: HandGoals, goal: Array, scene: Scene, drive_in: float, asked: float, nearer: float
+    q: Array,
+    goals: HandGoals,
+    goal: Array,
+    scene: Scene,
+    drive_in: float,
+    asked: float,
+    nearer: float,
 ) -> tuple[Array, Array]:
     """Configurations (N, 15) at the start of the straight approach, and where they and the way in are clear (N,).
 
@@ -336,13 +394,17 @@ def _before(
     """
     if not len(q):
         return q, np.zeros(0, bool)
-    robot, dofs = motion.chain(), ik.columns(motion.chain(), torso=False)
+    robot = motion.chain()
+    dofs = ik.columns(motion.chain(), torso=False)
     options = ik.Options(iterations=12, pos_tolerance=2e-3, rot_tolerance=2e-2, rest_gain=0.0)
-    found = ik.solve(robot, goals.pre[goal], goals.rot[goal], q[:, None], dofs, rest=REST_QPOS, options=options)
+    found = ik.solve(
+        robot, goals.pre[goal], goals.rot[goal], q[:, None], dofs, rest=REST_QPOS, options=options
+    )
     pre = found.q[:, 0]
     fine = found.ok[:, 0] & (np.abs(pre - q).max(axis=1) < 0.9)
     whole = scene.robot()
-    hand, arm = whole.only(HAND_LINKS), whole.only([n for n in whole.chain.links if n not in HAND_LINKS])
+    hand = whole.only(HAND_LINKS)
+    arm = whole.only([n for n in whole.chain.links if n not in HAND_LINKS])
     for back in np.arange(0.0, drive_in + 0.01, 0.12):
         shifted = pre[fine].copy()
         shifted[:, 0] -= back * np.cos(shifted[:, 2])
@@ -357,10 +419,18 @@ def _before(
 
 
 def _routed(
-    view: WorldView, q: Array, pre: Array, goal: Array, scene: Scene, drive_in: float, count: int, home: float
-) -> list[Stance]:  # fmt: skip
+    view: WorldView,
+    q: Array,
+    pre: Array,
+    goal: Array,
+    scene: Scene,
+    drive_in: float,
+    count: int,
+    home: float,
+) -> list[Stance]:
     """Stances with routes that are clear; ``q`` (N, 15) come cheapest first."""
-    robot, boxes = scene.robot(), scene.all
+    robot = scene.robot()
+    boxes = scene.all
     clear: list[Stance] = []
     tight: list[Stance] = []
     seen: list[Array] = []
@@ -376,7 +446,10 @@ def _routed(
         if len(clear) >= count or len(clear) + len(tight) >= 3 * count:
             break
     tight = sorted((s for s in tight if s.route.room > TIGHTEST), key=lambda s: -s.route.room)
-    return sorted(clear, key=lambda s: s.route.steps + home * float(motion.steps_home(s.at))) or tight[:1]
+    return (
+        sorted(clear, key=lambda s: s.route.steps + home * float(motion.steps_home(s.at)))
+        or tight[:1]
+    )
 
 
 def settle_reach(view: WorldView, stance: Stance, pos: Array, rot: Array) -> Array | None:
@@ -385,7 +458,8 @@ def settle_reach(view: WorldView, stance: Stance, pos: Array, rot: Array) -> Arr
 
     None when one of them is out of reach from here.
     """
-    robot, arm = motion.chain(), ik.columns(motion.chain(), torso=False)
+    robot = motion.chain()
+    arm = ik.columns(motion.chain(), torso=False)
     for free in (arm, ik.columns(robot)):
         seed = np.stack([stance.pre, stance.at])
         seed[:, :3] = view.q[:3]
@@ -393,7 +467,9 @@ def settle_reach(view: WorldView, stance: Stance, pos: Array, rot: Array) -> Arr
         for start in first.q[0, first.ok[0]]:
             seeds = np.concatenate([start[None], seed])
             seeds[:, 3] = start[3]
-            found = ik.solve(robot, pos, np.repeat(rot[None], len(pos), axis=0), seeds, arm, rest=start)
+            found = ik.solve(
+                robot, pos, np.repeat(rot[None], len(pos), axis=0), seeds, arm, rest=start
+            )
             if found.ok.any(axis=1).all():
                 gap = np.abs(found.q - start).max(axis=-1)
                 return ik.unwind(robot, found.best(gap)[0], view.q)

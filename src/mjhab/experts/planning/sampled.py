@@ -21,24 +21,40 @@ from mjhab.envs.parts.world_view import REST_QPOS, WorldView
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.arm.clearance import Boxes, RobotSpheres
 from mjhab.experts.arm.gentle import Care
-from mjhab.experts.base.route import DRIVE_ERROR, MARGIN, OWN_ROOM, Route, arm_gone, drive_of, torso_gone, within_reach
+from mjhab.experts.base.route import (
+    DRIVE_ERROR,
+    MARGIN,
+    OWN_ROOM,
+    Route,
+    arm_gone,
+    drive_of,
+    torso_gone,
+    within_reach,
+)
 from mjhab.experts.planning.reach import Blocked, HandGoals, Stance
 
 Array = np.ndarray
-POSTURES, LEGS = 1000, 80
+POSTURES = 1000
+LEGS = 80
 """Postures of the arm that are drawn, and how many of those with which the drive is clear are tried, quickest first."""
-EDGE, REACH = 1.5, 12.0
+EDGE = 1.5
+REACH = 12.0
 """Distance between configurations looked at, and longest edge of the trees, in control steps of the slowest joint."""
 ROUNDS = 300
 """Rounds after which RRT-Connect gives up; one takes about a millisecond."""
-TRIES, TIMED, SEARCHED = 3, 6, 1
+TRIES = 3
+TIMED = 6
+SEARCHED = 1
 """Base poses of one kind of reach for which a way is looked for, ways to each that are timed, and postures to or from
 which RRT-Connect looks for one where no straight motion of the arm leads there."""
 TOUCHES = -0.03
 """Straight ways with less room [m], see `Route`, are worse than ways around, which take longer."""
-LEAST, REST = 30, 70
+LEAST = 30
+REST = 70
 """Control steps that a way around and what follows it take at least."""
-_SEED, _PLACES, _PIECES = 1, 14, 10
+_SEED = 1
+_PLACES = 14
+_PIECES = 10
 
 
 Found = tuple[Stance, HandGoals, float]
@@ -55,7 +71,10 @@ def roomier(view: WorldView, found: Found | None, blocked: list[Blocked]) -> Fou
 def _way_around(view: WorldView, blocked: list[Blocked]) -> Found | None:
     """The quickest way to one kind of reach after the other, if it leaves enough time for the rest."""
     for reach in blocked:
-        robot, boxes, tried, best = reach.scene.robot(), reach.scene.all, [], None
+        robot = reach.scene.robot()
+        boxes = reach.scene.all
+        tried = []
+        best = None
         for goal, pre, at in zip(reach.goal, reach.pre, reach.at, strict=True):
             if len(tried) >= TRIES:
                 break
@@ -72,8 +91,14 @@ def _way_around(view: WorldView, blocked: list[Blocked]) -> Found | None:
 
 
 def plan_around(
-    view: WorldView, goal: Array, arm: Array, robot: RobotSpheres, boxes: Boxes, *, care: Care | None = None
-) -> Route | None:  # fmt: skip
+    view: WorldView,
+    goal: Array,
+    arm: Array,
+    robot: RobotSpheres,
+    boxes: Boxes,
+    *,
+    care: Care | None = None,
+) -> Route | None:
     """A way to the base pose ``goal`` (3,) with the arm at ``arm`` (15,) that passes other postures before and after.
 
     ``robot`` is what moves, the held object included; ``care`` as in `plan_route`. None when nothing is found: all of
@@ -83,9 +108,11 @@ def plan_around(
     if found is None:
         return None
     path, direction, lookahead, poses = found
-    start, end = view.q, np.concatenate([goal, arm[3:]])
+    start = view.q
+    end = np.concatenate([goal, arm[3:]])
     boxes = within_reach(boxes, np.stack([start[:2], goal[:2]]))
-    here, there = Free.near(start, robot, boxes), Free.near(end, robot, boxes)
+    here = Free.near(start, robot, boxes)
+    there = Free.near(end, robot, boxes)
     postures = _postures(start, end)
     postures = postures[_clear_drives(postures, poses, here)]
     best: tuple[int, int, int, Array, int] | None = None
@@ -97,9 +124,19 @@ def plan_around(
         return None
     steps, lead, delay, via, carried = best
     return Route(
-        path, float(goal[2]), direction, lookahead, arm, delay, steps, 0.0, via=via, carried=carried, lead=lead,
+        path,
+        float(goal[2]),
+        direction,
+        lookahead,
+        arm,
+        delay,
+        steps,
+        0.0,
+        via=via,
+        carried=carried,
+        lead=lead,
         care=care,
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,12 +153,17 @@ class Free:
     @classmethod
     def near(cls, q: Array, robot: RobotSpheres, boxes: Boxes) -> Free:
         """As clear as `plan_route` asks for or nearly as clear as the configuration ``q`` (15,)."""
-        room, own = float(robot.clearance(q, boxes)[0]) - 0.004, float(robot.self_clearance(q[None])[0]) - 0.004
-        return cls(robot, boxes, min(MARGIN, room), min(OWN_ROOM, own), min(MARGIN + DRIVE_ERROR, room))
+        room = float(robot.clearance(q, boxes)[0]) - 0.004
+        own = float(robot.self_clearance(q[None])[0]) - 0.004
+        return cls(
+            robot, boxes, min(MARGIN, room), min(OWN_ROOM, own), min(MARGIN + DRIVE_ERROR, room)
+        )
 
     def spare(self, q: Array) -> Array:
         """How much clearer (N,) [m] than asked configurations (N, 15) are while the base stands."""
-        return np.minimum(self.robot.clearance(q, self.boxes) - self.room, self.robot.self_clearance(q) - self.own)
+        return np.minimum(
+            self.robot.clearance(q, self.boxes) - self.room, self.robot.self_clearance(q) - self.own
+        )
 
     def likely(self, start: Array, ends: Array) -> Array:
         """Whether straight motions from ``start`` (15,) to ``ends`` (V, 15) are clear in a few places: (V,) bool."""
@@ -136,11 +178,15 @@ class Free:
         return bool((self.spare(start + share * (end - start)) >= 0.0).all())
 
 
-def _timed(first: Array, last: Array, poses: Array, here: Free, there: Free) -> tuple[int, int, int]:
+def _timed(
+    first: Array, last: Array, poses: Array, here: Free, there: Free
+) -> tuple[int, int, int]:
     """How soon base and arm may move at the same time, on ways of the arm (P, 15) before and after a drive over base
     poses (T, 3): steps of it all, steps that the base waits, and the step at which the arm goes on."""
-    before, after = _along(first), _along(last)
-    out, back = len(before), len(after)
+    before = _along(first)
+    after = _along(last)
+    out = len(before)
+    back = len(after)
     drive = len(poses)
     options = [
         (max(lead + drive, delay + back), lead, delay)
@@ -152,12 +198,17 @@ def _timed(first: Array, last: Array, poses: Array, here: Free, there: Free) -> 
         if (steps, lead, delay) >= late:
             break
         t = np.unique(np.linspace(0, steps, 40).astype(int))
-        arm = np.where((t < delay)[:, None], before[np.minimum(t, out - 1)], after[np.clip(t - delay, 0, back - 1)])
+        arm = np.where(
+            (t < delay)[:, None],
+            before[np.minimum(t, out - 1)],
+            after[np.clip(t - delay, 0, back - 1)],
+        )
         arm[:, :3] = poses[np.clip(t - lead, 0, drive - 1)]
         moving = (t > lead) & (t < lead + drive - 1)
         asked = np.where(moving, here.drive, np.where(t <= lead, here.room, there.room))
         gap = np.minimum(
-            here.robot.clearance(arm, here.boxes) - asked, here.robot.self_clearance(arm) - min(here.own, there.own)
+            here.robot.clearance(arm, here.boxes) - asked,
+            here.robot.self_clearance(arm) - min(here.own, there.own),
         )
         if (gap >= 0.0).all():
             return steps, lead, delay
@@ -166,7 +217,8 @@ def _timed(first: Array, last: Array, poses: Array, here: Free, there: Free) -> 
 
 def _along(way: Array) -> Array:
     """Configurations (N, 15) after so many control steps on a way (P, 15) of the arm."""
-    torso, arm = motion.chain().columns_of((ik.TORSO,))[0], list(motion.ARM_JOINTS)
+    torso = motion.chain().columns_of((ik.TORSO,))[0]
+    arm = list(motion.ARM_JOINTS)
     parts = []
     for start, end in pairwise(way):
         far = np.abs(end - start)
@@ -216,16 +268,20 @@ def _space(start: Array, end: Array, free: Free) -> Any:
         def checkMotion(self, s1: Any, s2: Any, *_: Any) -> bool:
             return free.edge(_joints(s1, start), _joints(s2, start))
 
-    dofs, robot = _dofs(), motion.chain()
+    dofs = _dofs()
+    robot = motion.chain()
     low = np.maximum(np.minimum(start, end) - np.pi, robot.lower)[dofs] / _scale()
     high = np.minimum(np.maximum(start, end) + np.pi, robot.upper)[dofs] / _scale()
-    space, bounds = base.RealVectorStateSpace(len(dofs)), base.RealVectorBounds(len(dofs))
+    space = base.RealVectorStateSpace(len(dofs))
+    bounds = base.RealVectorBounds(len(dofs))
     for i in range(len(dofs)):
         bounds.setLow(i, float(low[i]))
         bounds.setHigh(i, float(high[i]))
     space.setBounds(bounds)
     info = base.SpaceInformation(space)
-    info.setStateValidityChecker(lambda state: bool(free.spare(_joints(state, start)[None])[0] >= 0.0))
+    info.setStateValidityChecker(
+        lambda state: bool(free.spare(_joints(state, start)[None])[0] >= 0.0)
+    )
     info.setMotionValidator(Edges(info))
     info.setup()
     return info
@@ -233,7 +289,8 @@ def _space(start: Array, end: Array, free: Free) -> Any:
 
 def _joints(state: Any, like: Array) -> Array:
     """The configuration (15,) of a state of OMPL, ``like`` (15,) but for arm and torso."""
-    q, dofs = like.copy(), _dofs()
+    q = like.copy()
+    dofs = _dofs()
     q[dofs] = _scale() * [state[i] for i in range(len(dofs))]
     return q
 
@@ -249,20 +306,28 @@ def _state(info: Any, q: Array) -> Any:
 
 def _shortened(way: Array, free: Free) -> Array:
     """Without the configurations that a straight motion can leave out."""
-    kept, at = [way[0]], 0
+    kept = [way[0]]
+    at = 0
     while at < len(way) - 1:
-        at = next((i for i in range(len(way) - 1, at + 1, -1) if free.edge(way[at], way[i])), at + 1)
+        at = next(
+            (i for i in range(len(way) - 1, at + 1, -1) if free.edge(way[at], way[i])), at + 1
+        )
         kept.append(way[at])
     return np.array(kept)
 
 
-def _legs(start: Array, end: Array, postures: Array, here: Free, there: Free) -> list[tuple[Array, Array]]:
+def _legs(
+    start: Array, end: Array, postures: Array, here: Free, there: Free
+) -> list[tuple[Array, Array]]:
     """Ways of the arm from ``start`` (15,) to one of postures (V, 15), quickest first, and from there to ``end``."""
     if not len(postures):
         return []
-    before, after = postures.copy(), postures.copy()
-    before[:, :3], after[:, :3] = start[:3], end[:3]
-    out, back = here.likely(start, before), there.likely(end, after)
+    before = postures.copy()
+    after = postures.copy()
+    before[:, :3] = start[:3]
+    after[:, :3] = end[:3]
+    out = here.likely(start, before)
+    back = there.likely(end, after)
     found = []
     for i in np.flatnonzero(out & back):
         if here.edge(start, before[i]) and there.edge(after[i], end):
@@ -272,7 +337,13 @@ def _legs(start: Array, end: Array, postures: Array, here: Free, there: Free) ->
     # One leg by sampling, of postures for which the other is clear.
     for i in np.flatnonzero(out ^ back)[: 0 if found else SEARCHED]:
         first = _leg(start, before[i], here) if out[i] else arm_way(start, before[i], here)
-        last = None if first is None else _leg(after[i], end, there) if back[i] else arm_way(after[i], end, there)
+        last = (
+            None
+            if first is None
+            else _leg(after[i], end, there)
+            if back[i]
+            else arm_way(after[i], end, there)
+        )
         if first is not None and last is not None:
             return [(first, last)]
     return found
@@ -296,7 +367,9 @@ def _postures(start: Array, end: Array) -> Array:
 @lru_cache(maxsize=1)
 def _library() -> Array:
     """Postures (V, 15) around the one at rest that keep clear of the trunk."""
-    drawn = ik.random_seeds(motion.chain(), REST_QPOS, _dofs(), 4 * POSTURES, np.random.default_rng(_SEED), 1.0)
+    drawn = ik.random_seeds(
+        motion.chain(), REST_QPOS, _dofs(), 4 * POSTURES, np.random.default_rng(_SEED), 1.0
+    )
     return drawn[motion.spheres().self_clearance(drawn) > 2 * OWN_ROOM][:POSTURES]
 
 

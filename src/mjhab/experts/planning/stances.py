@@ -41,7 +41,9 @@ class Stances:
     @staticmethod
     def join(parts: Sequence[Stances]) -> Stances:
         """All of several sets with the same number of way points."""
-        return Stances(*(np.concatenate([getattr(p, k) for p in parts]) for k in ("q", "steps", "back")))
+        return Stances(
+            *(np.concatenate([getattr(p, k) for p in parts]) for k in ("q", "steps", "back"))
+        )
 
     def shifted(self, along: float) -> Stances:
         """The same ways for something that has moved outward [m]."""
@@ -64,12 +66,17 @@ class Frame:
 
     def point(self, xy: Array) -> Array:
         """Plan frame points (..., 2) in the world."""
-        c, s = np.cos(self.yaw), np.sin(self.yaw)
-        return self.origin + np.stack([c * xy[..., 0] - s * xy[..., 1], s * xy[..., 0] + c * xy[..., 1]], axis=-1)
+        c = np.cos(self.yaw)
+        s = np.sin(self.yaw)
+        return self.origin + np.stack(
+            [c * xy[..., 0] - s * xy[..., 1], s * xy[..., 0] + c * xy[..., 1]], axis=-1
+        )
 
     def base(self, q: Array) -> Array:
         """Configurations (..., Q) or base poses (..., 3) with the base columns moved to the world."""
-        return np.concatenate([self.point(q[..., :2]), wrap(q[..., 2:3] + self.yaw), q[..., 3:]], axis=-1)
+        return np.concatenate(
+            [self.point(q[..., :2]), wrap(q[..., 2:3] + self.yaw), q[..., 3:]], axis=-1
+        )
 
 
 _FOUND: dict[tuple[Hashable, str], Stances] = {}
@@ -79,7 +86,9 @@ def cached(link: JointedLink, job: str, search: Callable[[JointedLink], Stances]
     """The stances of a job on a link, searched for on first use with the link in its plan frame."""
     key = (link.spec, job)
     if key not in _FOUND:
-        _FOUND[key] = search(JointedLink(link.id, link.spec, np.array([0.0, 0.0, link.origin[2]]), np.eye(3)))
+        _FOUND[key] = search(
+            JointedLink(link.id, link.spec, np.array([0.0, 0.0, link.origin[2]]), np.eye(3))
+        )
     return _FOUND[key]
 
 
@@ -100,9 +109,16 @@ def seeds(count: int, number: int = 0) -> Array:
 
 
 def track(
-    base: Array, pos: Array, rot: Array, boxes: Sequence[BoxArrays] | None = None, *, tries: int = 12,
-    mode: ik.Mode = "pose", margin: float = 0.02, jump: float = 0.7,
-) -> Stances:  # fmt: skip
+    base: Array,
+    pos: Array,
+    rot: Array,
+    boxes: Sequence[BoxArrays] | None = None,
+    *,
+    tries: int = 12,
+    mode: ik.Mode = "pose",
+    margin: float = 0.02,
+    jump: float = 0.7,
+) -> Stances:
     """Arm motions along way points while the base moves, for many base paths at once.
 
     Args:
@@ -127,7 +143,8 @@ def track(
     row = np.repeat(np.arange(len(base)), tries)
     path[0][:, :3] = base[row, 0]
     ok = found.ok.reshape(-1)
-    path, row = [path[0][ok]], row[ok]
+    path = [path[0][ok]]
+    row = row[ok]
     travel = ik.travel_steps(robot, rest, path[0], dofs)
     path, row = _drop(path, row, _quickest(row, travel, FOLLOWED))
     path, row = _drop(path, row, _clear(path[0], boxes[0] if boxes else None, margin))
@@ -137,9 +154,15 @@ def track(
         now = path[-1].copy()
         now[:, :3] = base[row, k]
         step = ik.solve(
-            robot, pos[row, k], rot[row, k], now[:, None], dofs, rest=rest, mode=mode,
+            robot,
+            pos[row, k],
+            rot[row, k],
+            now[:, None],
+            dofs,
+            rest=rest,
+            mode=mode,
             options=ik.Options(iterations=15, rest_gain=0.0),
-        )  # fmt: skip
+        )
         near = np.abs(step.q[:, 0, 3:] - now[:, 3:]).max(axis=1, initial=0.0) < jump
         path, row = _drop([*path, step.q[:, 0]], row, step.ok[:, 0] & near)
         path, row = _drop(path, row, _clear(path[-1], boxes[k] if boxes else None, margin))
@@ -167,9 +190,16 @@ def _drop(path: list[Array], row: Array, keep: Array) -> tuple[list[Array], Arra
 
 
 _ARM_LINKS = (
-    "shoulder_pan_link", "shoulder_lift_link", "upperarm_roll_link", "elbow_flex_link", "forearm_roll_link",
-    "wrist_flex_link", "torso_lift_link", "head_pan_link", "head_tilt_link",
-)  # fmt: skip
+    "shoulder_pan_link",
+    "shoulder_lift_link",
+    "upperarm_roll_link",
+    "elbow_flex_link",
+    "forearm_roll_link",
+    "wrist_flex_link",
+    "torso_lift_link",
+    "head_pan_link",
+    "head_tilt_link",
+)
 
 
 def _clear(q: Array, boxes: BoxArrays | None, margin: float) -> Array:
@@ -190,7 +220,9 @@ def motion_steps(q: Array) -> Array:
     return share.max(axis=2).sum(axis=1)
 
 
-def rank(view: WorldView, frame: Frame, stances: Stances, also: Array | None = None) -> tuple[Array, Array]:
+def rank(
+    view: WorldView, frame: Frame, stances: Stances, also: Array | None = None
+) -> tuple[Array, Array]:
     """The stances with free floor, the ones soonest reached first.
 
     Args:
@@ -199,7 +231,9 @@ def rank(view: WorldView, frame: Frame, stances: Stances, also: Array | None = N
     Returns:
         Configurations (M, K, Q) with the base columns in the world, and the estimated steps (M,) to get there.
     """
-    places = stances.q[:, :, :2] if also is None else np.concatenate([stances.q[:, :, :2], also], axis=1)
+    places = (
+        stances.q[:, :, :2] if also is None else np.concatenate([stances.q[:, :, :2], also], axis=1)
+    )
     room = motion.planner(view.home).clearance_at(frame.point(places)).min(axis=1, initial=np.inf)
     first = frame.base(stances.q[:, 0])
     steps = np.maximum(stances.steps, drive_steps(view.q[:3], first[:, :3]))
@@ -215,6 +249,8 @@ def drive_steps(start: Array, goals: Array) -> Array:
     far = np.linalg.norm(way, axis=1)
     heading = np.arctan2(way[:, 1], way[:, 0])
     forward = np.abs(wrap(heading - start[2])) + np.abs(wrap(goals[:, 2] - heading))
-    backward = np.abs(wrap(heading + np.pi - start[2])) + np.abs(wrap(goals[:, 2] - heading - np.pi))
+    backward = np.abs(wrap(heading + np.pi - start[2])) + np.abs(
+        wrap(goals[:, 2] - heading - np.pi)
+    )
     turn = np.where(far > 0.02, np.minimum(forward, backward), np.abs(wrap(goals[:, 2] - start[2])))
     return 20.0 * (far / 0.55 + turn / 1.6) + 8.0

@@ -19,27 +19,33 @@ from mjhab.tasks.style import PUSH
 
 Array = np.ndarray
 Motion = motion.Motion
-AROUND, LOOSE = 0.045, 0.03
+AROUND = 0.045
+LOOSE = 0.03
 """Room [m] beside the bar in a hand that goes around it or frees it; opened wide, the inner finger would push the door.
 """
-ENOUGH, SPARE = 0.753, 0.008
+ENOUGH = 0.753
+SPARE = 0.008
 """Shares of the range: from which on a door is left alone, 0.75 counts as open, and how much farther than to `OPEN_TO`
 it is pulled: what brushes against it later must not close it that far."""
 STILL_STEPS = 3
 """Control steps for which the hand holds the bar at the end: it would hit it on its way if the door went on."""
-SHUT, AJAR = 0.006, 0.009
+SHUT = 0.006
+AJAR = 0.009
 """Shares of the range: to which a door is pressed, and from which on it is pressed anew; 0.01 counts as closed."""
-IN_LINE, ENTERED = 0.025, 0.04
+IN_LINE = 0.025
+ENTERED = 0.04
 """How far [m] the hand may be beside its way in behind the door, and before the end of it."""
 STRUCK = 0.15
 """How far the arm may push a door open on its way [rad] before the hand has to go elsewhere."""
-ENTER_PACE, ENTER_STEPS = 0.04, 22
+ENTER_PACE = 0.04
+ENTER_STEPS = 22
 """Way of the hand per control step [m], and control steps, to get in behind the door."""
 BEHIND = 0.25
 """Way the hand goes straight in behind an open door [m]."""
 STANCES_TRIED = 16
 """Stances whose surroundings are looked at."""
-JOINT_RATE, PULL_RATE = 0.037, 0.046
+JOINT_RATE = 0.037
+PULL_RATE = 0.046
 """Joint motion per control step at which the hand leads the door [rad]: pushed, it should not leave the hand."""
 SWING = 0.045
 """Most the hand's aim moves along the door's arc per control step [rad]."""
@@ -49,7 +55,8 @@ is open. By itself it slows down sooner, so that it does not leave the hand.
 """
 LATE = 12
 """Control steps the door may lag behind the end of the path before the hand gives up."""
-COAST_TIME, COAST_STOP = 1.4, 0.5
+COAST_TIME = 1.4
+COAST_STOP = 0.5
 """A door left alone slows down by (speed + COAST_STOP) / COAST_TIME [s, rad/s]: inertia, damping and friction of the
 doors here, which tell how far a thrown door goes."""
 COAST_SPARE = 0.1
@@ -70,11 +77,17 @@ def open_door(view: WorldView, link: JointedLink) -> Motion:
         path = _reachable(view, link, found, door_stances.pull_angles(link))
         if path is None:
             return False
-        around, loose = (motion.gripper_at(link.handle.thickness + room) for room in (AROUND, LOOSE))
+        around, loose = (
+            motion.gripper_at(link.handle.thickness + room) for room in (AROUND, LOOSE)
+        )
         yield from approach.go(view, path.route, around)
         rot = path.hand_at(path.angles[1])[1]
-        if (yield from approach.take(view, link, rot, path.q[1], height=path.height, gripper=around)):
-            yield from _follow_arc(view, link, path, (OPEN_TO + SPARE) * link.range[1], motion.CLOSED)
+        if (
+            yield from approach.take(view, link, rot, path.q[1], height=path.height, gripper=around)
+        ):
+            yield from _follow_arc(
+                view, link, path, (OPEN_TO + SPARE) * link.range[1], motion.CLOSED
+            )
         yield from motion.hold(view, STILL_STEPS, gripper=motion.CLOSED)
         yield from approach.let_go(view, 0.12, gripper=loose)
     return (yield from approach.fold(view, gripper=motion.CLOSED))
@@ -89,7 +102,9 @@ def close_door(view: WorldView, link: JointedLink) -> Motion:
         half = start < HALF_OPEN * link.range[1]
         search = door_stances.push_half_open if half else door_stances.push_open
         angles = door_stances.push_angles(link, half)
-        found, angles = _from_angle(stances.cached(link, search.__name__, search), angles, min(start, angles[0]))
+        found, angles = _from_angle(
+            stances.cached(link, search.__name__, search), angles, min(start, angles[0])
+        )
         path = _reachable(view, link, found, angles, BEHIND)
         if path is None:
             return False
@@ -97,7 +112,9 @@ def close_door(view: WorldView, link: JointedLink) -> Motion:
         if view.link_q(link.id) > start - PRESS_AHEAD + STRUCK:
             continue
         yield from _behind_edge(view, path)
-        while (yield from _follow_arc(view, link, path, SHUT * link.range[1], motion.CLOSED, throws)):
+        while (
+            yield from _follow_arc(view, link, path, SHUT * link.range[1], motion.CLOSED, throws)
+        ):
             if (yield from _leave_swinging(view, link)):
                 break
         else:
@@ -133,21 +150,31 @@ class ArcPath:
 
 
 def _follow_arc(
-    view: WorldView, link: JointedLink, path: ArcPath, goal: float, gripper: float, throws: bool = False
-) -> Motion:  # fmt: skip
+    view: WorldView,
+    link: JointedLink,
+    path: ArcPath,
+    goal: float,
+    gripper: float,
+    throws: bool = False,
+) -> Motion:
     """Move hand and base along the path until the door is at ``goal``, or gets there by itself where the hand
     ``throws`` it; False when the hand loses the door."""
     way = 1.0 if goal > view.link_q(link.id) else -1.0
-    aim, end = float(path.angles[1 if way > 0 else 0]), float(path.angles[-1])
+    aim = float(path.angles[1 if way > 0 else 0])
+    end = float(path.angles[-1])
     aim = aim if way > 0 else min(aim, view.link_q(link.id) + PRESS_AHEAD)
-    last, late, pressed, done = np.inf, 0, 0, 0
+    last = np.inf
+    late = 0
+    pressed = 0
+    done = 0
     for _ in range(110):
         now = view.link_q(link.id)
         if throws and _coasts(style_of(view).speed * (last - now) / CONTROL_DT) > now + COAST_SPARE:
             return True
         # A door that was thrown shut may swing back.
         there = way * (goal - now) <= 0 and (way > 0 or abs(now - last) < AT_REST)
-        done, last = done + 1 if there else 0, now
+        done = done + 1 if there else 0
+        last = now
         if done > (0 if way > 0 else PRESS_STEPS):
             return True
         pressed = pressed + 1 if view.link_forces.sum() > JAMMED else 0
@@ -160,7 +187,12 @@ def _follow_arc(
         late = late + 1 if aim == end else 0
         if pressed > 2 or late > LATE:
             return False
-        if way > 0 and not view.finger_forces(link.id).any() and now < 0.9 * goal and _far(view, link, path):
+        if (
+            way > 0
+            and not view.finger_forces(link.id).any()
+            and now < 0.9 * goal
+            and _far(view, link, path)
+        ):
             return False
         yield _arc_action(view, path, aim, way * pace, gripper)
     return False
@@ -188,7 +220,8 @@ def _coasts(speed: float) -> float:
 def _behind_edge(view: WorldView, path: ArcPath) -> Motion:
     """Bring the hand to the beginning of a path straight along its axis, and forward only as far as it is in line: with
     the base not quite in place it would meet the door's edge."""
-    robot, wish = motion.chain(), path.q[0]
+    robot = motion.chain()
+    wish = path.q[0]
     pos, rot = path.hand_at(float(path.angles[0]))
     for _ in range(ENTER_STEPS):
         here, turn = motion.tcp(view)
@@ -202,10 +235,19 @@ def _behind_edge(view: WorldView, path: ArcPath) -> Motion:
         aim_rot = ik.straight_line(here[None], pos[None], turn[None], rot[None], 1.0, 0.1)[1]
         v, w = approach.base_towards(view, wish)
         delta = ik.servo(
-            robot, view.q, goal[None], aim_rot, ik.columns(robot), rest=wish, mode="approach",
-            base_next=approach.next_base(view, v, w), rest_gain=0.1,
-        )[0]  # fmt: skip
-        yield motion.action(view, view.q + delta / motion.ARM_DELAY, gripper=motion.CLOSED, drive=(v, w))
+            robot,
+            view.q,
+            goal[None],
+            aim_rot,
+            ik.columns(robot),
+            rest=wish,
+            mode="approach",
+            base_next=approach.next_base(view, v, w),
+            rest_gain=0.1,
+        )[0]
+        yield motion.action(
+            view, view.q + delta / motion.ARM_DELAY, gripper=motion.CLOSED, drive=(v, w)
+        )
     return False
 
 
@@ -216,7 +258,8 @@ def _far(view: WorldView, link: JointedLink, path: ArcPath) -> bool:
 
 def _pace(path: ArcPath, angle: float, way: float) -> float:
     """Door motion per control step that the arm's joints can follow [rad]."""
-    here, there = path.at(angle), path.at(angle + way * 0.1)
+    here = path.at(angle)
+    there = path.at(angle + way * 0.1)
     most = float(np.abs(there - here)[list(motion.ARM_JOINTS)].max())
     return min(SWING, 0.1 * (PULL_RATE if way > 0 else JOINT_RATE) / max(most, 1e-6))
 
@@ -232,17 +275,28 @@ def _arc_action(view: WorldView, path: ArcPath, aim: float, step: float, gripper
     here, _ = motion.tcp(view)
     lead = pos - here
     pos = here + lead * min(1.0, 0.08 / max(float(np.linalg.norm(lead)), 1e-9))
-    delta = ik.servo(robot, q, pos[None], rot[None], ik.columns(robot), rest=wish, base_next=base_next, rest_gain=0.1)[
-        0
-    ]
+    delta = ik.servo(
+        robot,
+        q,
+        pos[None],
+        rot[None],
+        ik.columns(robot),
+        rest=wish,
+        base_next=base_next,
+        rest_gain=0.1,
+    )[0]
     return motion.action(view, q + delta / motion.ARM_DELAY, gripper=gripper, drive=(v, w))
 
 
-def _reachable(view: WorldView, link: JointedLink, found: Stances, angles: Array, back: float = 0.0) -> ArcPath | None:
+def _reachable(
+    view: WorldView, link: JointedLink, found: Stances, angles: Array, back: float = 0.0
+) -> ArcPath | None:
     """The soonest reached stance whose whole motion has room in this home; ``back`` [m]: how far from its beginning the
     hand comes straight in."""
     goals, _ = stances.rank(view, Frame.of(link), found)
-    walls = Boxes.join([motion.as_boxes(view.home.boxes), motion.as_boxes(view.link_boxes((link.id,)))])
+    walls = Boxes.join(
+        [motion.as_boxes(view.home.boxes), motion.as_boxes(view.link_boxes((link.id,)))]
+    )
     goals = goals[_distinct(goals[:, 0, :3])[:STANCES_TRIED]]
     free = np.array([g for g in goals if motion.spheres().clearance(g, walls).min() > 0.01])
     if not len(free):
@@ -263,11 +317,20 @@ def _withdrawn(q: Array, back: float) -> Array:
     robot = motion.chain()
     pos, rot = robot.tip_pose(q)
     found = ik.solve(
-        robot, pos - back * rot[:, :, 0], rot, q[:, None], ik.columns(robot), rest=q[0],
+        robot,
+        pos - back * rot[:, :, 0],
+        rot,
+        q[:, None],
+        ik.columns(robot),
+        rest=q[0],
         options=ik.Options(iterations=25, rest_gain=0.0),
-    )  # fmt: skip
+    )
     near = np.abs(found.q[:, 0, 3:] - q[:, 3:]).max(axis=1) < 1.2
-    good = found.ok[:, 0] & near & (motion.spheres().self_clearance(found.q[:, 0]) > stances.SELF_MARGIN)
+    good = (
+        found.ok[:, 0]
+        & near
+        & (motion.spheres().self_clearance(found.q[:, 0]) > stances.SELF_MARGIN)
+    )
     return np.where(good[:, None], found.q[:, 0], q)
 
 

@@ -19,7 +19,8 @@ ABOVE_MIDDLE = 0.13
 """Height over the middle of the bar at which it is taken, nearer to where the hand rests [m]."""
 THICK = 0.035
 """Thickness of a bar that the hand must take squarely and that hardly turns between the pads [m]."""
-PRESS_AHEAD, PRESS_PAST = 0.2, 0.02
+PRESS_AHEAD = 0.2
+PRESS_PAST = 0.02
 """How far from an open door the hand starts, and how far beyond the closed one it aims [rad]."""
 ABOVE_BAR = 0.13
 """Height over the end of the bar at which the door is pushed [m]: a lower hand catches the bar with its side."""
@@ -29,7 +30,8 @@ HALF_OPEN = 0.95
 """Share of the range up to which the hand need not start as far behind the door as for a wide open one."""
 OPEN_TO = 0.775
 """Share of the range to pull to; 0.75 counts as open."""
-TIP, FINGER_SIDE = 0.031, 0.0144
+TIP = 0.031
+FINGER_SIDE = 0.0144
 """Fingertip before the tool centre and half-width of the closed fingers [m]."""
 PUSH_YAWS = ((0.25, 0.4), (0.5, 0.4), (0.8, 0.4), (1.1, 0.4))
 """Yaws [rad] of the pushing hand on the open and on the closed door, 0 straight at the fridge. Behind a door open by
@@ -57,7 +59,8 @@ def _hand_side(link: JointedLink) -> float:
 
 def _inward(link: JointedLink) -> float:
     """Way along y [m] from the bar to where the door is pushed: 0 unless the bar is at the door's very edge."""
-    m, (low, high) = _hand_side(link), _panel(link)
+    m = _hand_side(link)
+    (low, high) = _panel(link)
     edge = (low if m > 0 else high)[1]
     lack = FROM_EDGE - abs(edge - link.handle.pos[1])
     return m * lack if lack > 0.001 else 0.0
@@ -65,12 +68,14 @@ def _inward(link: JointedLink) -> float:
 
 def _line(
     near: Array, side: Array, headings: Iterable[float], ways: tuple[float, ...], share: Array
-) -> Array:  # fmt: skip
+) -> Array:
     """Base paths (N, K, 3): from points of a grid backwards along a heading, ``share`` (K,) of the way."""
     out = []
     for x, y, heading, way in product(near, side, headings, ways):
         back = np.array([np.cos(heading), np.sin(heading)]) * way
-        out.append(np.c_[np.array([x, y]) + share[:, None] * back, np.full(len(share), np.pi + heading)])
+        out.append(
+            np.c_[np.array([x, y]) + share[:, None] * back, np.full(len(share), np.pi + heading)]
+        )
     return np.array(out)
 
 
@@ -93,12 +98,16 @@ def _panel(link: JointedLink) -> tuple[Array, Array]:
 def _carcass(link: JointedLink) -> BoxArrays:
     low, high = _panel(link)
     middle = np.array([low[0] - 0.006 - 0.31, (low[1] + high[1]) / 2, 0.975])
-    return BoxArrays(middle[None], np.array([[0.31, (high[1] - low[1]) / 2, 0.975]]), np.eye(3)[None])
+    return BoxArrays(
+        middle[None], np.array([[0.31, (high[1] - low[1]) / 2, 0.975]]), np.eye(3)[None]
+    )
 
 
 def _with_door(link: JointedLink, angle: float) -> BoxArrays:
     parts = (_carcass(link), link.boxes(max(angle, 0.0)))
-    return BoxArrays(*(np.concatenate([getattr(p, k) for p in parts]) for k in ("center", "half", "rot")))
+    return BoxArrays(
+        *(np.concatenate([getattr(p, k) for p in parts]) for k in ("center", "half", "rot"))
+    )
 
 
 def _level(yaw: Array) -> Array:
@@ -108,14 +117,24 @@ def _level(yaw: Array) -> Array:
 
 
 def _search(
-    link: JointedLink, base: Array, pos: Array, rot: Array, angles: Array, tries: int, mode: ik.Mode = "pose"
-) -> Stances:  # fmt: skip
+    link: JointedLink,
+    base: Array,
+    pos: Array,
+    rot: Array,
+    angles: Array,
+    tries: int,
+    mode: ik.Mode = "pose",
+) -> Stances:
     base = base[_in_reach(base, pos)]
     n = len(base)
     return stances.track(
-        base, np.broadcast_to(pos, (n, *pos.shape)), np.broadcast_to(rot, (n, *rot.shape)),
-        [_with_door(link, float(a)) for a in angles], tries=tries, mode=mode,
-    )  # fmt: skip
+        base,
+        np.broadcast_to(pos, (n, *pos.shape)),
+        np.broadcast_to(rot, (n, *rot.shape)),
+        [_with_door(link, float(a)) for a in angles],
+        tries=tries,
+        mode=mode,
+    )
 
 
 def pull_stances(link: JointedLink) -> Stances:
@@ -156,7 +175,9 @@ def _push_stances(link: JointedLink, half: bool) -> Stances:
     m = _hand_side(link)
     headings = m * np.array([0.2, 0.45, 0.7, 0.95, 1.2])
     base = _line(np.arange(0.8, 1.7, 0.1), m * np.arange(-0.1, 1.25, 0.1), headings, ways, share)
-    handle, face, inward = link.handle, _panel(link)[1][0], _inward(link)
+    handle = link.handle
+    face = _panel(link)[1][0]
+    inward = _inward(link)
     found = []
     for first, last in PUSH_YAWS if half else PUSH_YAWS[1:]:
         yaw = first + (last - first) * share
@@ -169,5 +190,9 @@ def _push_stances(link: JointedLink, half: bool) -> Stances:
             pos.append(at + more * out + inward * across + (handle.half_length + ABOVE_BAR) * bar)
         # Few stances reach behind a wide open door: a finer search there.
         tries = 5 if half else 8
-        found.append(_search(link, base, np.array(pos), _level(m * yaw), angles, tries=tries, mode="approach"))
+        found.append(
+            _search(
+                link, base, np.array(pos), _level(m * yaw), angles, tries=tries, mode="approach"
+            )
+        )
     return Stances.join(found)

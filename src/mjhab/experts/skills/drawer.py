@@ -43,7 +43,8 @@ def open_drawer(view: WorldView, link: JointedLink) -> Motion:
 
 def close_drawer(view: WorldView, link: JointedLink) -> Motion:
     """Push the handle with the closed fingers by driving forward; or hold it, where that is asked for and goes."""
-    goal, grasps = 0.4 * CLOSED * link.range[1], GRASPS if style_of(view).close == GRASP else 0
+    goal = 0.4 * CLOSED * link.range[1]
+    grasps = GRASPS if style_of(view).close == GRASP else 0
     while view.steps_left > 30 and view.link_q(link.id) > 0.8 * CLOSED * link.range[1]:
         if grasps > 0:
             grasps -= 1
@@ -86,15 +87,20 @@ def _around(link: JointedLink) -> float:
     return motion.gripper_at(link.handle.thickness + ROOM)
 
 
-def _drive_link(view: WorldView, link: JointedLink, goal: float, speed: float, press: int = 0) -> Motion:
+def _drive_link(
+    view: WorldView, link: JointedLink, goal: float, speed: float, press: int = 0
+) -> Motion:
     """Drive with the arm held until the link's joint has reached ``goal``; False when it stays where it is.
 
     Args:
         speed: forward [m/s]; negative pulls.
         press: control steps to go on at the goal, so that the link does not bounce.
     """
-    posture, heading, way = view.q, float(view.q[2]), -1.0 if speed > 0 else 1.0
-    last, still = view.link_q(link.id), 0
+    posture = view.q
+    heading = float(view.q[2])
+    way = -1.0 if speed > 0 else 1.0
+    last = view.link_q(link.id)
+    still = 0
     for _ in range(70):
         now = view.link_q(link.id)
         left = way * (goal - now)
@@ -133,12 +139,24 @@ def _push_stances(link: JointedLink) -> Stances:
     handle, _, out = link.handle_pose(0.0)
     base = _square(handle, np.arange(0.58, 0.92, 0.04), np.linspace(-0.24, 0.24, 9))
     pos = np.stack([handle + 0.09 * out, handle + 0.04 * out])
-    return _still(base, pos, stances.hand(-out, np.array([0.0, 0.0, 1.0])), [link.boxes(0.0)] * 2, mode="approach")
+    return _still(
+        base,
+        pos,
+        stances.hand(-out, np.array([0.0, 0.0, 1.0])),
+        [link.boxes(0.0)] * 2,
+        mode="approach",
+    )
 
 
-def _still(base: Array, pos: Array, rot: Array, boxes: list, mode: motion.ik.Mode = "pose") -> Stances:
-    n, k = len(base), len(pos)
+def _still(
+    base: Array, pos: Array, rot: Array, boxes: list, mode: motion.ik.Mode = "pose"
+) -> Stances:
+    n = len(base)
+    k = len(pos)
     return stances.track(
-        np.repeat(base[:, None], k, axis=1), np.broadcast_to(pos, (n, k, 3)), np.broadcast_to(rot, (n, k, 3, 3)),
-        boxes, mode=mode,
-    )  # fmt: skip
+        np.repeat(base[:, None], k, axis=1),
+        np.broadcast_to(pos, (n, k, 3)),
+        np.broadcast_to(rot, (n, k, 3, 3)),
+        boxes,
+        mode=mode,
+    )

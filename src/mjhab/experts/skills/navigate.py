@@ -23,7 +23,8 @@ from mjhab.experts.planning.reach import in_sight
 from mjhab.robots.kinematics import wrap
 
 Array = np.ndarray
-DISTANCE, NEAREST = 0.95, 0.65
+DISTANCE = 0.95
+NEAREST = 0.65
 """How far from its goal the robot would like to stand, so that the hand gets there without much driving."""
 WITHIN = 0.12
 """How far inside of the limits of success it shall end, in distance and for the edges of the area."""
@@ -35,10 +36,13 @@ SLIMMER = ((0.0, 0.0), (0.015, 0.02), (0.03, 0.05))
 """How much smaller base and arm are taken for, one after the other until there is a way."""
 DOOR_MOVED = 0.08
 """Change of a joint [m or rad] after which a way is planned anew."""
-STUCK_STEPS, STUCK = 15, 0.02
+STUCK_STEPS = 15
+STUCK = 0.02
 WORK = (0.5, 0.95)
 """How far the base may be from what the hand shall do."""
-FAR_WAY, LONGEST_WAY, DETOUR_PACE = 1.5, 20.0, 1.5
+FAR_WAY = 1.5
+LONGEST_WAY = 20.0
+DETOUR_PACE = 1.5
 """From which way [m] on it counts that the work cannot be done from where the robot ends, and its price [s/m]."""
 FELT = 0.12
 """Radius of what is assumed where the robot met something unknown."""
@@ -60,7 +64,9 @@ class Aim(NamedTuple):
         point = np.array(subtask.goal_pos)
         distance = DISTANCE + inside_depth(view, point)
         area = view.front_area(subtask.link) if subtask.link else None
-        return cls(point, distance, view.config.nav_distance, None if area is None else np.array(area))
+        return cls(
+            point, distance, view.config.nav_distance, None if area is None else np.array(area)
+        )
 
     def bearing(self, xy: Array) -> Array:
         """Heading (...,) that faces the goal from ``xy`` (..., 2)."""
@@ -70,7 +76,8 @@ class Aim(NamedTuple):
         """(...,) bool: near enough and in the area, by ``within`` [m]."""
         good = np.linalg.norm(xy - self.point[:2], axis=-1) <= self.reach - within
         if self.area is not None:
-            low, high = self.area[::2] + within, self.area[1::2] - within
+            low = self.area[::2] + within
+            high = self.area[1::2] - within
             good = good & ((xy >= low) & (xy <= high)).all(axis=-1)
         return good
 
@@ -124,7 +131,9 @@ def detours(view: WorldView, aim: Aim, points: Array) -> Array:
     """Way (X, Y) [m, more where it is narrow] from ``points`` (X, Y, 2) to where the hand gets at the goal, if that is
     far: a chair between table and wall may be near and yet a long way round. Zero for what stands in furniture."""
     cells = planner(view)
-    centres = cells.origin + (np.indices(cells.clearance.shape).transpose(1, 2, 0) + 0.5) * cells.cell
+    centres = (
+        cells.origin + (np.indices(cells.clearance.shape).transpose(1, 2, 0) + 0.5) * cells.cell
+    )
     far = np.linalg.norm(centres - aim.point[:2], axis=-1)
     work = (cells.clearance >= cells.radius) & (far >= WORK[0]) & (far <= WORK[1])
     if aim.area is not None or inside_depth(view, aim.point) or not work.any():
@@ -159,18 +168,26 @@ def _facing(plan: Floorplan, aim: Aim, pose: Array, legs: list[Leg]) -> list[Leg
     """Legs from ``pose`` (3,) that end with facing the goal, where there is room to."""
     end, yaw = (legs[-1].points[-1], legs[-1].yaw) if legs else (pose[:2], float(pose[2]))
     last = turn_between(yaw, float(aim.bearing(end)))
-    return [*legs, *turns(end, yaw, last)] if not legs or plan.turning(end, yaw, last) >= 0.0 else legs
+    return (
+        [*legs, *turns(end, yaw, last)] if not legs or plan.turning(end, yaw, last) >= 0.0 else legs
+    )
 
 
-def _drive(view: WorldView, trip: Trip, posture: Array, gripper: float) -> Generator[Array, None, Array | None]:
+def _drive(
+    view: WorldView, trip: Trip, posture: Array, gripper: float
+) -> Generator[Array, None, Array | None]:
     """Drive the legs; returns (1, 3) x, y, radius of what was met on the way, None if nothing was.
 
     It ends early when a door or drawer has moved since the trip was planned.
     """
-    pressed, track, tried, joints = 0, [view.q[:3]], 0, _joints(view)
+    pressed = 0
+    track = [view.q[:3]]
+    tried = 0
+    joints = _joints(view)
     driver = Driver(trip.legs, trip.lookahead, trip.pace, *_speeds(view))
     while driver.leg is not None:
-        leg, (forward, turn) = driver.leg, driver.step(view.q[:3])
+        leg = driver.leg
+        (forward, turn) = driver.step(view.q[:3])
         yield motion.action(view, posture, gripper=gripper, drive=(forward, turn))
         track.append(view.q[:3])
         pressed = pressed + 1 if view.link_forces.sum() > BLOCKED_FORCE else 0
@@ -184,7 +201,8 @@ def _drive(view: WorldView, trip: Trip, posture: Array, gripper: float) -> Gener
 
 def _speeds(view: WorldView) -> tuple[float, float]:
     """Forward speed and yaw rate of the base."""
-    q, qd = view.q, view.qd
+    q = view.q
+    qd = view.qd
     return float(np.cos(q[2]) * qd[0] + np.sin(q[2]) * qd[1]), float(qd[2])
 
 
@@ -198,7 +216,10 @@ def _ahead(view: WorldView, leg: Leg) -> Array:
     """Where something must be that stops the base on a leg: before it, or before the hand."""
     q = view.q
     ahead = leg.direction * np.array([np.cos(q[2]), np.sin(q[2])])
-    arm_felt = leg.direction > 0 and view.link_forces[len(TRUNK_LINKS) :].sum() > 0.5 * view.link_forces.sum()
+    arm_felt = (
+        leg.direction > 0
+        and view.link_forces[len(TRUNK_LINKS) :].sum() > 0.5 * view.link_forces.sum()
+    )
     at = view.tcp_pose[:2] + 0.15 * ahead if arm_felt else q[:2] + (0.3 + FELT) * ahead
     return np.array([[*at, FELT]])
 

@@ -28,9 +28,11 @@ from mjhab.robots.kinematics import wrap
 Array = np.ndarray
 Graspable = Callable[[Array, float], int]
 """Number of grasps with enough room, and some more [m], of the object at a pose (7,)."""
-TURNS, MORE = tuple(np.radians((20.0, 35.0, 50.0, 65.0))), np.radians(7.0)
+TURNS = tuple(np.radians((20.0, 35.0, 50.0, 65.0)))
+MORE = np.radians(7.0)
 """Turns that are looked at, and how much more is planned."""
-ENOUGH, TIGHTER = 8, -0.008
+ENOUGH = 8
+TIGHTER = -0.008
 """It has turned far enough with so many grasps, though with less room [m] than wished for."""
 UPRIGHT = 0.97
 """Least cosine between an axis of the box and the vertical."""
@@ -40,10 +42,14 @@ TILTS = (0.25, 0.4, 0.55)
 """Sines of how far the hand points down: low fingers do not topple the box, the wrist keeps off the shelf."""
 LESS = np.radians((0.0, 10.0, 20.0, 30.0))
 """How much straighter in the hand may point than the grasp afterwards."""
-SPEED, ASIDE = 0.35, 0.007
+SPEED = 0.35
+ASIDE = 0.007
 """Of the push: inwards [m/s], and most along the box [m] per control step."""
-MOST_STEPS, MOST_FORCE = 30, 200.0
-INSET, GAP, FLOOR_GAP = 0.012, 0.03, 0.008
+MOST_STEPS = 30
+MOST_FORCE = 200.0
+INSET = 0.012
+GAP = 0.03
+FLOOR_GAP = 0.008
 """Where to push from the end of the box, where to begin before it, room above the shelf."""
 HAND = Gripper()
 _SPIN = 0.52
@@ -91,19 +97,22 @@ class _Push:
         out = pose.copy()
         out[:2] += beyond * (np.sin(turn) * self.inward)
         sign = np.sign(self.outer[0] * self.inward[1] - self.outer[1] * self.inward[0])
-        out[3:] = quat_mul(quat_from_axis_angle(np.array([0.0, 0.0, 1.0]), np.array(sign * turn)), pose[3:])
+        out[3:] = quat_mul(
+            quat_from_axis_angle(np.array([0.0, 0.0, 1.0]), np.array(sign * turn)), pose[3:]
+        )
         return out
 
 
 def plan_nudge(
     view: WorldView, obj: str, scene: Scene, inward: Array, graspable: Graspable
-) -> Nudge | None:  # fmt: skip
+) -> Nudge | None:
     """The quickest push that turns a box on a shelf until it can be grasped; None where there is none.
 
     Args:
         inward: (2,) unit vector into the shelf.
     """
-    pose, shape = view.object_pose(obj), shape_of(view.object_type(obj))
+    pose = view.object_pose(obj)
+    shape = shape_of(view.object_type(obj))
     if shape.kind != "box" or np.abs(mat_from_quat(pose[3:])[2]).max() < UPRIGHT:
         return None
     for push in _pushes(pose, shape, scene, inward, graspable):
@@ -111,7 +120,9 @@ def plan_nudge(
         for room, nearer in ((ROOMS[0], 0.01), (ROOMS[2], 0.02)):
             best: tuple[float, Stance, float] | None = None
             for depth in DEPTHS if len(goals) else ():
-                for stance in stances(view, pose[:3], goals, scene, drive_in=depth, room=room, nearer=nearer):
+                for stance in stances(
+                    view, pose[:3], goals, scene, drive_in=depth, room=room, nearer=nearer
+                ):
                     steps = in_steps(depth) + stance.route.steps
                     if stance.route.room > _TIGHTEST and (best is None or steps < best[0]):
                         best = steps, stance, depth
@@ -128,7 +139,8 @@ def in_steps(depth: float) -> float:
 def outline(shape: ObjectShape, rot: Array) -> Array:
     """Outline (164, 2) of a box as it stands, seen from above, relative to its centre."""
     i, j = _level(rot)
-    a, b = rot[:2, i] * shape.half[i], rot[:2, j] * shape.half[j]
+    a = rot[:2, i] * shape.half[i]
+    b = rot[:2, j] * shape.half[j]
     share = np.linspace(-1.0, 1.0, 41)[:, None]
     return np.concatenate([a + share * b, -a + share * b, b + share * a, -b + share * a])
 
@@ -139,9 +151,13 @@ def _level(rot: Array) -> list[int]:
     return [k for k in range(3) if k != up]
 
 
-def _pushes(pose: Array, shape: ObjectShape, scene: Scene, inward: Array, graspable: Graspable) -> list[_Push]:
+def _pushes(
+    pose: Array, shape: ObjectShape, scene: Scene, inward: Array, graspable: Graspable
+) -> list[_Push]:
     """For either end the smallest turn after which it can be grasped, the smaller one first."""
-    line, across, found = outline(shape, mat_from_quat(pose[3:])), np.array([-inward[1], inward[0]]), []
+    line = outline(shape, mat_from_quat(pose[3:]))
+    across = np.array([-inward[1], inward[0]])
+    found = []
     spin = _SPIN * float(np.linalg.norm(line, axis=1).max())
     for outer in (-across, across):
         along = line @ outer
@@ -152,16 +168,29 @@ def _pushes(pose: Array, shape: ObjectShape, scene: Scene, inward: Array, graspa
             if _touches(shape, then, scene):
                 break
             if count := graspable(then, 0.0):
-                found.append(_Push(push.end, inward, outer, spin, turn + MORE, _angle(shape, then, inward), count))
+                found.append(
+                    _Push(
+                        push.end,
+                        inward,
+                        outer,
+                        spin,
+                        turn + MORE,
+                        _angle(shape, then, inward),
+                        count,
+                    )
+                )
                 break
     return sorted(found, key=lambda push: (push.turn, -push.grasps))
 
 
 def _touches(shape: ObjectShape, pose: Array, scene: Scene) -> bool:
     """Whether a box at a pose would be where something else is."""
-    boxes, half = scene.beside.near(pose[:3], 0.5), pose[2] - scene.support_z
+    boxes = scene.beside.near(pose[:3], 0.5)
+    half = pose[2] - scene.support_z
     edge = pose[:2] + 0.96 * outline(shape, mat_from_quat(pose[3:]))[::4]
-    points = [np.column_stack([edge, np.full(len(edge), pose[2] + h * half)]) for h in (-0.8, 0.0, 0.9)]
+    points = [
+        np.column_stack([edge, np.full(len(edge), pose[2] + h * half)]) for h in (-0.8, 0.0, 0.9)
+    ]
     return bool(len(boxes) and sphere_box_distance(np.concatenate(points), boxes).min() < 0.004)
 
 
@@ -184,7 +213,9 @@ def _goals(push: _Push, centre: Array, floor: float, height: float) -> HandGoals
     most = min(push.turn + 0.25, 1.2)
     way = (push.radius * np.sin(most) + 0.02) * push.inward
     way = way - 0.2 * push.radius * (1.0 - np.cos(most)) * push.outer
-    pos, rot, score = [], [], []
+    pos = []
+    rot = []
+    score = []
     for tilt in TILTS:
         level = np.sqrt(1.0 - tilt**2)
         fingers = -HAND.finger[0] * tilt - HAND.finger[1] * level
@@ -193,27 +224,39 @@ def _goals(push: _Push, centre: Array, floor: float, height: float) -> HandGoals
         share = (z - HAND.finger[0] * tilt - floor) / height
         for less in LESS if share < 0.9 else ():
             yaw = float(np.clip(push.after - less, 0.15, 0.9))
-            approach = np.array([*(level * (np.cos(yaw) * push.inward + np.sin(yaw) * push.outer)), -tilt])
+            approach = np.array(
+                [*(level * (np.cos(yaw) * push.inward + np.sin(yaw) * push.outer)), -tilt]
+            )
             aside = np.array([*(np.sin(yaw) * push.inward - np.cos(yaw) * push.outer), 0.0])
             for flip in (1.0, -1.0):
                 rot.append(frame_from_axes(approach, flip * aside))
                 pos.append([*(centre + push.end - _corner(rot[-1], push.inward)[:2]), z])
                 score.append(-2.0 * max(share - 0.2, 0.0) - 0.5 * less)
-    at, ahead = np.array(pos).reshape(-1, 3), np.array([*push.inward, 0.0])
+    at = np.array(pos).reshape(-1, 3)
+    ahead = np.array([*push.inward, 0.0])
     opening = np.full(len(at), HAND.opening)
     return HandGoals(
-        at + np.array([*way, 0.0]), np.array(rot).reshape(-1, 3, 3), at - GAP * ahead, opening, np.array(score)
+        at + np.array([*way, 0.0]),
+        np.array(rot).reshape(-1, 3, 3),
+        at - GAP * ahead,
+        opening,
+        np.array(score),
     )
 
 
 def nudge(view: WorldView, obj: str, plan: Nudge, boxes: Boxes, graspable: Graspable) -> Motion:
     """Drive there and push until the box can be grasped. Returns whether it turned."""
-    stance, goal = plan.stance, plan.stance.goal
-    pos, rot, pre = plan.goals.pos[goal], plan.goals.rot[goal], plan.goals.pre[goal]
+    stance = plan.stance
+    goal = plan.stance.goal
+    pos = plan.goals.pos[goal]
+    rot = plan.goals.rot[goal]
+    pre = plan.goals.pre[goal]
     arrived = yield from follow(view, stance.route, gripper=motion.OPEN)
     if not arrived and view.link_forces.sum() > BLOCKED_FORCE:
         return False
-    if plan.depth and not (yield from drive_in(view, stance.pre, pre, rot, boxes, gripper=motion.OPEN, hasty=True)):
+    if plan.depth and not (
+        yield from drive_in(view, stance.pre, pre, rot, boxes, gripper=motion.OPEN, hasty=True)
+    ):
         return False
     joints = settle_reach(view, stance, np.stack([pre, pos]), rot)
     rest = stance.at if joints is None else joints[1]
@@ -221,12 +264,21 @@ def nudge(view: WorldView, obj: str, plan: Nudge, boxes: Boxes, graspable: Grasp
 
 
 def _push(
-    view: WorldView, obj: str, plan: Nudge, rot: Array, height: float, rest: Array, graspable: Graspable
-) -> Motion:  # fmt: skip
+    view: WorldView,
+    obj: str,
+    plan: Nudge,
+    rot: Array,
+    height: float,
+    rest: Array,
+    graspable: Graspable,
+) -> Motion:
     """Push inwards at a ``height``, keeping to the end of the box as it turns; ``rest`` (15,): preferred posture."""
-    start, half = mat_from_quat(view.object_pose(obj)[3:]), view.object_type(obj).half
+    start = mat_from_quat(view.object_pose(obj)[3:])
+    half = view.object_type(obj).half
     front, along = sorted(_level(start), key=lambda k: -abs(float(start[:2, k] @ plan.inward)))
-    robot, corner, turn = motion.chain(), _corner(rot, plan.inward)[:2], 0.0
+    robot = motion.chain()
+    corner = _corner(rot, plan.inward)[:2]
+    turn = 0.0
     to_front = -np.sign(start[:2, front] @ plan.inward) * half[front]
     to_end = np.sign(start[:2, along] @ plan.outer) * (half[along] - INSET)
     for _ in range(MOST_STEPS):
@@ -237,7 +289,9 @@ def _push(
         aside = np.clip((end - here[:2] - corner) @ plan.outer, -ASIDE, ASIDE)
         aim = np.array([*(here[:2] + SPEED * 0.05 * plan.inward + aside * plan.outer), height])
         aim_rot = ik.straight_line(here[None], aim[None], here_rot[None], rot[None], 1.0, 0.05)[1]
-        delta = ik.servo(robot, view.q, aim[None], aim_rot, ik.columns(robot, torso=False), rest=rest)[0]
+        delta = ik.servo(
+            robot, view.q, aim[None], aim_rot, ik.columns(robot, torso=False), rest=rest
+        )[0]
         yield motion.action(view, view.q + delta / motion.ARM_DELAY, gripper=motion.OPEN)
         pose = view.object_pose(obj)
         turn = _turn(start[:, along], mat_from_quat(pose[3:])[:, along])

@@ -47,7 +47,8 @@ INSIDE = 0.06
 LIFT = 0.10
 """How far [m] an object is lifted off an open surface before it is carried."""
 SHELF_LIFT = 0.025
-LATE_IN, LATE_OUT = 130, 60
+LATE_IN = 130
+LATE_OUT = 60
 """With fewer control steps left the base hurries into a shelf, or out of it."""
 FINE_OPENING_M = 0.094
 """Around an object for which the hand opens wider than this there are less than 3 mm of room on either side."""
@@ -58,16 +59,21 @@ SHORT = 0.025
 WAITS = (5, 10, 20, 50)
 """Control steps to wait after one attempt after the other without a way: things may come to rest meanwhile."""
 MAX_GOALS = 60
-EVEN, LEVER = 0.015, 15.0
+EVEN = 0.015
+LEVER = 15.0
 """How far [m] beside the pads the centre of an object may be at no price, and the price in points per metre beyond: its
 weight turns such an object between the pads, and with less than a push on top it slips out."""
 OPTIONS = Options(palm_gap=0.012, floor_gap=0.008)
 # Little room: closer steps around the object, a short way in, and boxes nearly as wide as the hand opens. Below a low
 # shelf, where there is no way from above, bowls are taken by the rim from the front.
-SHELF_OPTIONS = replace(OPTIONS, fan=36, shallower=(0.0, 0.02), retreat=0.06, cells=31, scant=150.0, corners=True)
+SHELF_OPTIONS = replace(
+    OPTIONS, fan=36, shallower=(0.0, 0.02), retreat=0.06, cells=31, scant=150.0, corners=True
+)
 LOW_SHELF_OPTIONS = replace(SHELF_OPTIONS, leans=(0.4, 0.6, 0.8))
 SHELF_GRIPPER = Gripper(usable=0.0945, blunt=0.004)
-NUDGES, NUDGE_STEPS, NUDGE_BACK = 2, 115, 0.12
+NUDGES = 2
+NUDGE_STEPS = 115
+NUDGE_BACK = 0.12
 """How often an object is turned, control steps that must be left for it, and how far [m] to draw back from it."""
 INSIDE_WAYS = (0.0, 0.1, 0.2, SHELF_DEPTH)
 """How far [m] the base may come straight in where it just turned the object."""
@@ -90,7 +96,11 @@ def fetch(view: WorldView, obj: str, *, keep: bool = True) -> Motion:
 
     ``keep``: hold it there, and start again when it is lost; else end as soon as it is lifted.
     """
-    failed, attempt, short, nudges, inside = np.zeros((0, 3)), 0, False, 0, False
+    failed = np.zeros((0, 3))
+    attempt = 0
+    short = False
+    nudges = 0
+    inside = False
     while True:
         found = _planned(view, obj, failed, attempt, inside)
         attempt += 1
@@ -136,7 +146,7 @@ def _draw_back(view: WorldView, obj: str, stance: Stance, depth: float) -> Motio
 
 def _planned(
     view: WorldView, obj: str, failed: Array, attempt: int, inside: bool
-) -> tuple[Stance, HandGoals, float] | None:  # fmt: skip
+) -> tuple[Stance, HandGoals, float] | None:
     """`plan_pick` with the wished kind of grasp, else with any; ``inside``: from where the object was just turned."""
     if inside and (found := _plan_inside(view, obj, failed)) is not None:
         return found
@@ -153,7 +163,7 @@ def _planned(
 
 def plan_pick(
     view: WorldView, obj: str, failed: Array, attempt: int = 0, wish: str = ANY
-) -> tuple[Stance, HandGoals, float] | None:  # fmt: skip
+) -> tuple[Stance, HandGoals, float] | None:
     """The best way to grasp an object: stance, grasps it refers to, and how far the base comes straight in [m].
 
     Args:
@@ -161,30 +171,47 @@ def plan_pick(
         attempt: number of attempts before; later ones take what the first leave out.
         wish: the kind of grasp, a word of `tasks.style.Style.grasp`.
     """
-    pose, shape, scene = view.object_pose(obj), shape_of(view.object_type(obj)), scene_of(view, obj)
+    pose = view.object_pose(obj)
+    shape = shape_of(view.object_type(obj))
+    scene = scene_of(view, obj)
     depth = inside_depth(view, pose[:3])
     around = scene.beside.near(pose[:3], 0.5)
     if depth:
         every = _shelf_grasps(shape, pose, scene, _inward(view, pose), around, _CLEAR[-1][0])
     else:
         every = grasp_candidates(
-            shape, pose[:3], pose[3:], support_z=scene.support_z, neighbours=around, least_clear=_CLEAR[-1][0],
+            shape,
+            pose[:3],
+            pose[3:],
+            support_z=scene.support_z,
+            neighbours=around,
+            least_clear=_CLEAR[-1][0],
             options=OPTIONS,
-        )  # fmt: skip
+        )
     every = balanced(of_kind(every, wish), pose[:3])
-    room, best, tried = hand_room(every, around) if depth else None, None, 0
+    room = hand_room(every, around) if depth else None
+    best = None
+    tried = 0
     blocked: list[Blocked] = []
     for asked, hand, nearer in _CLEAR[min(attempt, 1) :]:
         keep = every.clear >= asked
         grasps = every.take(np.flatnonzero(keep if room is None else keep & (room > hand)))
         if len(grasps) <= tried:
             continue
-        tried, goals = len(grasps), _diverse(grasps)
+        tried = len(grasps)
+        goals = _diverse(grasps)
         for back in _ways_in(depth, attempt):
             found = stances(
-                view, pose[:3], goals, scene, drive_in=back, avoid=failed, room=ROOMS[min(attempt, 2)], nearer=nearer,
+                view,
+                pose[:3],
+                goals,
+                scene,
+                drive_in=back,
+                avoid=failed,
+                room=ROOMS[min(attempt, 2)],
+                nearer=nearer,
                 blocked=blocked,
-            )  # fmt: skip
+            )
             if found and (best is None or found[0].route.room > best[0].route.room):
                 best = found[0], goals, back
             if best is not None and (not depth or best[0].route.room >= 0.0):
@@ -193,25 +220,44 @@ def plan_pick(
 
 
 def _shelf_grasps(
-    shape: ObjectShape, pose: Array, scene: Scene, inward: tuple[float, float], around: Boxes, clear: float
+    shape: ObjectShape,
+    pose: Array,
+    scene: Scene,
+    inward: tuple[float, float],
+    around: Boxes,
+    clear: float,
 ) -> Grasps:
     """Grasps of an object on a shelf at ``pose`` (7,), best first, with some room to the boxes ``around``."""
     for options in (SHELF_OPTIONS, LOW_SHELF_OPTIONS):
         found = grasp_candidates(
-            shape, pose[:3], pose[3:], support_z=scene.support_z, neighbours=around, least_clear=clear,
-            options=replace(options, inward=inward), gripper=SHELF_GRIPPER,
-        )  # fmt: skip
+            shape,
+            pose[:3],
+            pose[3:],
+            support_z=scene.support_z,
+            neighbours=around,
+            least_clear=clear,
+            options=replace(options, inward=inward),
+            gripper=SHELF_GRIPPER,
+        )
         if len(found) or shape.kind != "bowl":
             break
     return found
 
 
-def _plan_inside(view: WorldView, obj: str, failed: Array) -> tuple[Stance, HandGoals, float] | None:
+def _plan_inside(
+    view: WorldView, obj: str, failed: Array
+) -> tuple[Stance, HandGoals, float] | None:
     """Like `plan_pick`, for an object on a shelf that was just turned: the quickest grasp counted to the way home."""
-    pose, scene = view.object_pose(obj), scene_of(view, obj)
-    around, shape = scene.beside.near(pose[:3], 0.5), shape_of(view.object_type(obj))
-    every = balanced(_shelf_grasps(shape, pose, scene, _inward(view, pose), around, _CLEAR[-1][0]), pose[:3])
-    room, best, least = hand_room(every, around), None, np.inf
+    pose = view.object_pose(obj)
+    scene = scene_of(view, obj)
+    around = scene.beside.near(pose[:3], 0.5)
+    shape = shape_of(view.object_type(obj))
+    every = balanced(
+        _shelf_grasps(shape, pose, scene, _inward(view, pose), around, _CLEAR[-1][0]), pose[:3]
+    )
+    room = hand_room(every, around)
+    best = None
+    least = np.inf
     for (asked, hand, nearer), arm in zip(_CLEAR, ROOMS, strict=True):
         rows = np.flatnonzero((every.clear >= asked) & (room > hand))
         if not len(rows):
@@ -219,12 +265,25 @@ def _plan_inside(view: WorldView, obj: str, failed: Array) -> tuple[Stance, Hand
         goals = _diverse(every.take(rows))
         for back in INSIDE_WAYS:
             for stance in stances(
-                view, pose[:3], goals, scene, drive_in=back, avoid=failed, room=arm, nearer=nearer, home=_HOME
+                view,
+                pose[:3],
+                goals,
+                scene,
+                drive_in=back,
+                avoid=failed,
+                room=arm,
+                nearer=nearer,
+                home=_HOME,
             ):
-                cost = stance.route.steps + in_steps(back) + _HOME * float(motion.steps_home(stance.at))
+                cost = (
+                    stance.route.steps
+                    + in_steps(back)
+                    + _HOME * float(motion.steps_home(stance.at))
+                )
                 cost += 1e4 * max(-stance.route.room, 0.0)
                 if cost < least:
-                    best, least = (stance, goals, back), cost
+                    best = (stance, goals, back)
+                    least = cost
         if best is not None and best[0].route.room >= 0.0:
             break
     return best
@@ -232,17 +291,20 @@ def _plan_inside(view: WorldView, obj: str, failed: Array) -> tuple[Stance, Hand
 
 def _nudge(view: WorldView, obj: str) -> Motion:
     """Turn an object on a shelf such that it can be grasped, and draw back a little. Returns whether it turned."""
-    pose, scene = view.object_pose(obj), scene_of(view, obj)
+    pose = view.object_pose(obj)
+    scene = scene_of(view, obj)
     if not inside_depth(view, pose[:3]):
         return False
     way = _inward(view, pose)
     place = min(
-        (p for p in view.home.receptacles if p.kind == "shelf"), key=lambda p: float(np.linalg.norm(pose[:3] - p.pos))
+        (p for p in view.home.receptacles if p.kind == "shelf"),
+        key=lambda p: float(np.linalg.norm(pose[:3] - p.pos)),
     )
     turns = np.round((np.arctan2(way[1], way[0]) - place.yaw) / (np.pi / 2))
     angle = place.yaw + turns * np.pi / 2
     inward = np.array([np.cos(angle), np.sin(angle)])
-    shape, around = shape_of(view.object_type(obj)), scene.beside.near(pose[:3], 0.5)
+    shape = shape_of(view.object_type(obj))
+    around = scene.beside.near(pose[:3], 0.5)
 
     def graspable(after: Array, more: float) -> int:
         straight = float(inward[0]), float(inward[1])
@@ -266,7 +328,8 @@ def balanced(grasps: Grasps, centre: Array) -> Grasps:
 
 def scene_of(view: WorldView, obj: str) -> Scene:
     """What is around an object that lies somewhere."""
-    pose, shape = view.object_pose(obj), shape_of(view.object_type(obj))
+    pose = view.object_pose(obj)
+    shape = shape_of(view.object_type(obj))
     near, target = surroundings(view, obj, pose[:3])
     return Scene(near, target, float(pose[2]) - height_below(shape, mat_from_quat(pose[3:])))
 
@@ -287,7 +350,8 @@ def _ways_in(depth: float, attempt: int) -> tuple[float, ...]:
 
 def height_below(shape: ObjectShape, rot: Array) -> float:
     """How far [m] an object turned by ``rot`` (3, 3) reaches below its centre."""
-    up, half = np.abs(rot[2]), np.array(shape.half)
+    up = np.abs(rot[2])
+    half = np.array(shape.half)
     if shape.kind == "box":
         return float(up @ half)
     if shape.kind == "sphere":
@@ -314,15 +378,20 @@ def _take(
 ) -> Generator[Array, None, bool | None]:
     """Drive there, reach, close, lift. Returns whether the object is in the hand; None where it is out of reach."""
     start = view.object_pose(obj)[:3]
-    pos, rot, pre = goals.pos[stance.goal], goals.rot[stance.goal], goals.pre[stance.goal]
+    pos = goals.pos[stance.goal]
+    rot = goals.rot[stance.goal]
+    pre = goals.pre[stance.goal]
     opening = grip(float(goals.opening[stance.goal]) + 0.004)
     arrived = yield from follow(view, stance.route, gripper=opening)
     if not arrived and view.link_forces.sum() > BLOCKED_FORCE:
         yield from go_home(view, obj, holding=False)
         return False
     if depth:
-        boxes, hasty = scene_of(view, obj).all, hasty or view.steps_left < LATE_IN
-        if not (yield from drive_in(view, stance.pre, pre, rot, boxes, gripper=opening, hasty=hasty)):
+        boxes = scene_of(view, obj).all
+        hasty = hasty or view.steps_left < LATE_IN
+        if not (
+            yield from drive_in(view, stance.pre, pre, rot, boxes, gripper=opening, hasty=hasty)
+        ):
             return False
     if np.linalg.norm(view.object_pose(obj)[:3] - start) > 0.02:
         return False
@@ -332,9 +401,17 @@ def _take(
     yield from motion.move_joints(view, joints[0], gripper=opening, tolerance=0.04, max_steps=20)
     # The torso is slow to stop: the last piece belongs to the arm alone.
     near = yield from motion.move_tcp(
-        view, pre, rot, gripper=opening, rest=joints[1], speed=0.3, tolerance=0.006, max_steps=20, stop_on_force=80.0,
+        view,
+        pre,
+        rot,
+        gripper=opening,
+        rest=joints[1],
+        speed=0.3,
+        tolerance=0.006,
+        max_steps=20,
+        stop_on_force=80.0,
         torso=False,
-    )  # fmt: skip
+    )
     if not near:
         return False
     fine = bool(goals.opening[stance.goal] > FINE_OPENING_M)
@@ -362,7 +439,9 @@ def _take(
     yield from motion.still_tcp(view, pos, rot, gripper=opening, steps=6 if fine else 4)
     up = pos + np.array([0.0, 0.0, SHELF_LIFT if depth else LIFT])
     closed = yield from (
-        motion.close_fingers(view, obj, steps=25, rate=FINE_CLOSING_M) if fine else motion.close_fingers(view, obj)
+        motion.close_fingers(view, obj, steps=25, rate=FINE_CLOSING_M)
+        if fine
+        else motion.close_fingers(view, obj)
     )
     if not closed:
         return False
@@ -374,7 +453,14 @@ def _lift(view: WorldView, obj: str, up: Array, rot: Array, rest: Array) -> Moti
     if not (yield from motion.raise_tcp(view, up, rot, rest=rest)):
         # The arm is at its limit; the torso is slower.
         yield from motion.move_tcp(
-            view, up, rot, gripper=motion.CLOSED, rest=rest, speed=0.15, tolerance=0.01, max_steps=15
+            view,
+            up,
+            rot,
+            gripper=motion.CLOSED,
+            rest=rest,
+            speed=0.15,
+            tolerance=0.01,
+            max_steps=15,
         )
     return bool((view.finger_forces(obj) > 0.3).all())
 
@@ -396,4 +482,8 @@ def _let_go(view: WorldView) -> Motion:
     pos, rot = motion.tcp(view)
     yield from motion.hold(view, 4, gripper=motion.OPEN)
     back = pos - 0.10 * rot[:, 0] + np.array([0.0, 0.0, 0.03])
-    return (yield from motion.move_tcp(view, back, rot, gripper=motion.OPEN, speed=0.3, tolerance=0.02, max_steps=15))
+    return (
+        yield from motion.move_tcp(
+            view, back, rot, gripper=motion.OPEN, speed=0.3, tolerance=0.02, max_steps=15
+        )
+    )

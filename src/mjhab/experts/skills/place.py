@@ -35,21 +35,34 @@ from mjhab.tasks.style import DROP as DROP_IT
 Array = np.ndarray
 DROP = 0.006
 """Height [m] above the surface at which an object is let go."""
-ABOVE, ABOVE_SHELF = 0.10, 0.035
+ABOVE = 0.10
+ABOVE_SHELF = 0.035
 """Where the straight way down begins [m]."""
-YAWS, SHELF_YAWS = 16, 8
+YAWS = 16
+SHELF_YAWS = 8
 OFFSETS = ((0.0, 0.0), (0.05, 0.0), (0.10, 0.0))
 LAST_OFFSETS = (*OFFSETS, (0.125, 0.0))
-SHELF_OFFSETS = (*OFFSETS, (0.05, 0.05), (0.05, -0.05), (0.0, 0.06), (0.0, -0.06), (0.08, 0.06), (0.08, -0.06))
+SHELF_OFFSETS = (
+    *OFFSETS,
+    (0.05, 0.05),
+    (0.05, -0.05),
+    (0.0, 0.06),
+    (0.0, -0.06),
+    (0.08, 0.06),
+    (0.08, -0.06),
+)
 """How far [m] nearer to the robot, and to its side, than the goal an object may be put; success asks for 0.15. The last
 ones are for later attempts."""
-TILTS, BALL_TILTS, SHELF_TILTS = (0.0, 0.3), (0.0, 0.35, 0.7, 1.0), (0.0, 0.35, 0.6, 0.85, 1.1)
+TILTS = (0.0, 0.3)
+BALL_TILTS = (0.0, 0.35, 0.7, 1.0)
+SHELF_TILTS = (0.0, 0.35, 0.6, 0.85, 1.1)
 """Leans of the hand [rad]: they reach further, and under a shelf a hand that comes from above has no room."""
 HAND_ROOM = -0.008
 """Least clearance [m] of the hand; the spheres that stand for it are up to so much too large."""
 HAND_NEARER = 0.014
 """How much nearer than the arm the hand may come to what is around it before it goes down [m]."""
-LEAN, LAID = 2.5, 2.6
+LEAN = 2.5
+LAID = 2.6
 """Price in points of a radian that an object leans when it is let go under a shelf, and of another side down: round
 things roll then, and only let go of still more aslant they surely fall over."""
 STUCK = 3.0
@@ -61,7 +74,8 @@ ENOUGH = 0.87
 """Part of the tolerance at the goal within which an object is put, where it comes to rest after it tipped over."""
 KNOCKS = -0.01
 """Ways with less room [m] may knock the object out of the hand: other ways to put it down are looked at first."""
-AFTER, AFTER_INSIDE = 35, 70
+AFTER = 35
+AFTER_INSIDE = 70
 """Control steps to put an object down and draw back; the second where the base has to come straight in before."""
 HOME = 0.6
 """Weight of the way back to rest, as that of the arm's way to the goal."""
@@ -77,7 +91,8 @@ def place(view: WorldView) -> Motion:
     """Put the held object to the active subtask's goal and return to rest."""
     subtask = view.subtask
     assert subtask is not None
-    obj, goal = subtask.obj, np.array(subtask.goal_pos)
+    obj = subtask.obj
+    goal = np.array(subtask.goal_pos)
     while True:
         if holds(view, obj):
             yield from _bring(view, obj, goal)
@@ -91,7 +106,10 @@ def place(view: WorldView) -> Motion:
 
 def _bring(view: WorldView, obj: str, goal: Array) -> Motion:
     """Put the held object to ``goal`` (3,). Returns whether the hand has let go of it."""
-    style, failed, hurry, nothing = style_of(view), np.zeros((0, 3)), False, 0
+    style = style_of(view)
+    failed = np.zeros((0, 3))
+    hurry = False
+    nothing = 0
     best: Found | None = None
     for attempt in range(20):
         if not holds(view, obj):
@@ -106,12 +124,15 @@ def _bring(view: WorldView, obj: str, goal: Array) -> Motion:
             hurry = True
             continue
         if best is None:
-            failed, nothing = failed[:0], nothing + 1
+            failed = failed[:0]
+            nothing += 1
             # In the open things can fall; inside there is only what has failed to be looked at once more.
             if nothing >= (2 if inside_depth(view, goal) else len(DROPS)):
                 yield from motion.hold(view, WAIT, gripper=motion.CLOSED)
             continue
-        (stance, goals, depth), best, hurry = best, None, False
+        (stance, goals, depth) = best
+        best = None
+        hurry = False
         if (yield from _put(view, obj, stance, goals, depth)):
             return True
         failed = np.concatenate([failed, stance.at[None, :3]])
@@ -127,7 +148,8 @@ def _worth(view: WorldView, found: Found) -> tuple[bool, float]:
 
 def _rest(view: WorldView) -> Motion:
     """Stay at rest with an open hand for as long as the object is at its goal. Returns when it is not."""
-    goal, off = motion.rest_goal(view), 0
+    goal = motion.rest_goal(view)
+    off = 0
     while off < 4:
         yield motion.action(view, goal, gripper=motion.OPEN)
         off = 0 if view.signal("at_goal") else off + 1
@@ -135,8 +157,14 @@ def _rest(view: WorldView) -> Motion:
 
 
 def plan_place(
-    view: WorldView, obj: str, goal: Array, failed: Array, attempt: int = 0, drop: float = 0.0, hurry: bool = False
-) -> Found | None:  # fmt: skip
+    view: WorldView,
+    obj: str,
+    goal: Array,
+    failed: Array,
+    attempt: int = 0,
+    drop: float = 0.0,
+    hurry: bool = False,
+) -> Found | None:
     """The best way to put an object near ``goal`` (3,): stance, hand poses it refers to, depth as in `plan_pick`.
 
     ``drop``: how high above its place in the open it is let go [m]. ``hurry``: drive faster and no farther than needed,
@@ -144,30 +172,56 @@ def plan_place(
     """
     near, _ = surroundings(view, obj, goal)
     support = float(goal[2]) - view.object_type(obj).half[2]
-    scene = Scene(near, near.take(np.zeros(0, np.int64)), support, held_spheres(view, obj), care_for(view, hurry))
+    scene = Scene(
+        near,
+        near.take(np.zeros(0, np.int64)),
+        support,
+        held_spheres(view, obj),
+        care_for(view, hurry),
+    )
     depth = inside_depth(view, goal)
-    goals = _roomy(view, obj, goal, near, shelf=depth > 0.0, attempt=attempt, drop=0.0 if depth else drop)
+    goals = _roomy(
+        view, obj, goal, near, shelf=depth > 0.0, attempt=attempt, drop=0.0 if depth else drop
+    )
     if not len(goals) and not depth:
         # A board above leaves no room to come from above, though nothing calls the place a shelf.
         goals = _roomy(view, obj, goal, near, shelf=True, attempt=attempt)
     blocked: list[Blocked] = []
     found = stances(
-        view, goal, goals, scene, drive_in=depth, avoid=failed, room=ROOMS[min(attempt, 2)], nearer=HAND_NEARER,
-        blocked=blocked, far=hurry, home=HOME,
-    )  # fmt: skip
+        view,
+        goal,
+        goals,
+        scene,
+        drive_in=depth,
+        avoid=failed,
+        room=ROOMS[min(attempt, 2)],
+        nearer=HAND_NEARER,
+        blocked=blocked,
+        far=hurry,
+        home=HOME,
+    )
     return roomier(view, (found[0], goals, depth) if found else None, blocked)
 
 
 def _roomy(
-    view: WorldView, obj: str, goal: Array, near: Boxes, *, shelf: bool, attempt: int, drop: float = 0.0
-) -> HandGoals:  # fmt: skip
+    view: WorldView,
+    obj: str,
+    goal: Array,
+    near: Boxes,
+    *,
+    shelf: bool,
+    attempt: int,
+    drop: float = 0.0,
+) -> HandGoals:
     """`hand_goals` with room for the hand among the boxes ``near``."""
     # Under a shelf the choice is often between one of its other sides and letting go of it at an angle.
     goals = hand_goals(view, obj, goal, shelf=shelf, any_side=shelf or attempt > 1, drop=drop)
     return goals.take(np.flatnonzero(hand_room(goals, near.near(goal, 0.8)) > HAND_ROOM))
 
 
-def hand_goals(view: WorldView, obj: str, goal: Array, *, shelf: bool, any_side: bool, drop: float = 0.0) -> HandGoals:
+def hand_goals(
+    view: WorldView, obj: str, goal: Array, *, shelf: bool, any_side: bool, drop: float = 0.0
+) -> HandGoals:
     """Hand poses that put the object, as it sits in the hand, upright near ``goal`` (3,).
 
     Args:
@@ -194,7 +248,9 @@ def hand_goals(view: WorldView, obj: str, goal: Array, *, shelf: bool, any_side:
     most = ENOUGH * view.config.goal_tol
     yaws = np.arange(SHELF_YAWS if shelf else YAWS) * 2 * np.pi / (SHELF_YAWS if shelf else YAWS)
     tilts = SHELF_TILTS if shelf else BALL_TILTS if ball else TILTS
-    pos, rot, score = [], [], []
+    pos = []
+    rot = []
+    score = []
     for (side, price), yaw, tilt in itertools.product(_sides(any_side), yaws, tilts):
         upright = ik.rotate(np.array([[0.0, 0.0, yaw]]))[0] @ side
         stand = ik.rotate(tilt * np.array([[*aside, 0.0]]))[0] @ upright
@@ -205,7 +261,9 @@ def hand_goals(view: WorldView, obj: str, goal: Array, *, shelf: bool, any_side:
             if np.linalg.norm(np.array([*spot, floor + low + tips[2]]) - goal) > most:
                 continue
             rot.append(stand @ turn.T)
-            pos.append(np.array([*(spot - tips[:2]), floor + low + max(DROP, drop)]) - rot[-1] @ offset)
+            pos.append(
+                np.array([*(spot - tips[:2]), floor + low + max(DROP, drop)]) - rot[-1] @ offset
+            )
             score.append(-price - upset * tilt - 6.0 * float(np.linalg.norm(spot - goal[:2])))
     at = np.array(pos)
     pre = at + np.array([0.0, 0.0, ABOVE_SHELF if shelf else ABOVE])
@@ -234,7 +292,9 @@ def _on_surface(view: WorldView, goal: Array, xy: Array) -> bool:
 
 def _put(view: WorldView, obj: str, stance: Stance, goals: HandGoals, depth: float) -> Motion:
     """Drive there, lower, let go, draw back. Returns whether the hand has let go."""
-    pos, rot, pre = goals.pos[stance.goal], goals.rot[stance.goal], goals.pre[stance.goal]
+    pos = goals.pos[stance.goal]
+    rot = goals.rot[stance.goal]
+    pre = goals.pre[stance.goal]
     closed = motion.CLOSED
     yield from follow(view, stance.route, gripper=closed, held=obj)
     if not holds(view, obj):
@@ -249,20 +309,39 @@ def _put(view: WorldView, obj: str, stance: Stance, goals: HandGoals, depth: flo
         if np.linalg.norm(pos - goals.pos[stance.goal]) > BESIDE:
             return False
     for speed in SOFT:
-        yield from motion.move_joints(view, joints[0], gripper=closed, tolerance=0.04, max_steps=1, speed=speed)
+        yield from motion.move_joints(
+            view, joints[0], gripper=closed, tolerance=0.04, max_steps=1, speed=speed
+        )
     yield from motion.move_joints(view, joints[0], gripper=closed, tolerance=0.04, max_steps=20)
     yield from motion.move_tcp(
         view, pre, rot, gripper=closed, rest=joints[1], tolerance=0.015, max_steps=20, torso=False
     )
     yield from motion.move_tcp(
-        view, pos, rot, gripper=closed, rest=joints[1], speed=0.2, tolerance=0.005, max_steps=25, torso=False
+        view,
+        pos,
+        rot,
+        gripper=closed,
+        rest=joints[1],
+        speed=0.2,
+        tolerance=0.005,
+        max_steps=25,
+        torso=False,
     )
     yield from motion.still_tcp(view, pos, rot, gripper=closed, steps=2)
-    opening, speed = grip(let_go_width(view, obj, pos, rot)), away_speed(view)
+    opening = grip(let_go_width(view, obj, pos, rot))
+    speed = away_speed(view)
     yield from motion.still_tcp(view, pos, rot, gripper=opening, steps=5)
     for back in (drawn_back(view, obj, pos, rot, joints[0]), pre):
         yield from motion.move_tcp(
-            view, back, rot, gripper=opening, rest=joints[0], speed=speed, tolerance=0.02, max_steps=14, torso=False
+            view,
+            back,
+            rot,
+            gripper=opening,
+            rest=joints[0],
+            speed=speed,
+            tolerance=0.02,
+            max_steps=14,
+            torso=False,
         )
         if not holds(view, obj):
             return True

@@ -9,7 +9,9 @@ from torch import Tensor
 from mjhab.learning.ms_hab.extractors import CnnSizes, Extractors
 from mjhab.learning.ms_hab.network import ACTION_SIZE, Network, Shapes, mlp, output_sizes
 
-_CNN = CnnSizes(channels=(24, 36, 48, 64, 64), kernels=(5, 5, 5, 3, 3), strides=(2, 2, 2, 1, 1), features=1024)
+_CNN = CnnSizes(
+    channels=(24, 36, 48, 64, 64), kernels=(5, 5, 5, 3, 3), strides=(2, 2, 2, 1, 1), features=1024
+)
 
 
 class Bc(Network):
@@ -20,7 +22,12 @@ class Bc(Network):
         self.extractors = Extractors(shapes, "extractors.", _CNN)
         self.cameras = self.extractors.cameras
         self.frames = self.extractors.frames
-        self.mlp = mlp([self.extractors.width, *output_sizes(shapes, "mlp.", 2, (2048, 1024, 512, ACTION_SIZE))])
+        self.mlp = mlp(
+            [
+                self.extractors.width,
+                *output_sizes(shapes, "mlp.", 2, (2048, 1024, 512, ACTION_SIZE)),
+            ]
+        )
 
     def plan(self, depth: Mapping[str, Tensor], state: Tensor, noise: Tensor) -> Tensor:
         """The action, (B, 1, 13)."""

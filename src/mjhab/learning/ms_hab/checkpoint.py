@@ -57,7 +57,9 @@ def load_network(path: Path) -> tuple[str, Network]:
     parameters = _parameters(path, _read(path))
     shapes = {key: tuple(value.shape) for key, value in parameters.items()}
     layout = _recognise(path, shapes)
-    used = {key: value for key, value in parameters.items() if not key.startswith(layout.training_only)}
+    used = {
+        key: value for key, value in parameters.items() if not key.startswith(layout.training_only)
+    }
     shapes = {key: shapes[key] for key in used}
     try:
         network = layout.build(shapes)
@@ -78,19 +80,25 @@ def load_network(path: Path) -> tuple[str, Network]:
 
 def _read(path: Path) -> Any:
     if not path.is_file():
-        raise UsageError(f"{path} does not exist or is no file; give a checkpoint of MS-HAB, such as policy.pt.")
+        raise UsageError(
+            f"{path} does not exist or is no file; give a checkpoint of MS-HAB, such as policy.pt."
+        )
     try:
         return torch.load(path, map_location="cpu", weights_only=True)
     except pickle.UnpicklingError as error:
         needed = _unsafe_names(path)
         if not needed:
-            raise UsageError(f"{path} cannot be read as a checkpoint of torch: {_first_line(error)}") from error
+            raise UsageError(
+                f"{path} cannot be read as a checkpoint of torch: {_first_line(error)}"
+            ) from error
         raise UsageError(
             f"{path} needs more than tensors and was refused; nothing in it was executed. It asks for: "
             f"{', '.join(needed)}. Save the parameters alone: torch.save({{'agent': agent.state_dict()}}, path)."
         ) from error
     except (RuntimeError, EOFError, OSError, ValueError, KeyError) as error:
-        raise UsageError(f"{path} cannot be read as a checkpoint of torch: {_first_line(error)}") from error
+        raise UsageError(
+            f"{path} cannot be read as a checkpoint of torch: {_first_line(error)}"
+        ) from error
 
 
 def _unsafe_names(path: Path) -> list[str]:
@@ -108,8 +116,14 @@ def _first_line(error: Exception) -> str:
 def _parameters(path: Path, content: Any) -> dict[str, Tensor]:
     """The parameters of the policy: under AGENT, or the whole file."""
     agent = content.get(AGENT, content) if isinstance(content, Mapping) else content
-    if not isinstance(agent, Mapping) or not agent or not all(isinstance(value, Tensor) for value in agent.values()):
-        held = ", ".join(map(str, content)) if isinstance(content, Mapping) else type(content).__name__
+    if (
+        not isinstance(agent, Mapping)
+        or not agent
+        or not all(isinstance(value, Tensor) for value in agent.values())
+    ):
+        held = (
+            ", ".join(map(str, content)) if isinstance(content, Mapping) else type(content).__name__
+        )
         raise UsageError(
             f"{path} holds no parameters of a policy: expected a dict of tensors under {AGENT!r}; it holds {held}."
         )
@@ -148,7 +162,9 @@ def _differences(expected: Shapes, given: Shapes) -> list[str]:
     missing = [key for key in expected if key not in given]
     extra = [key for key in given if key not in expected]
     other = [
-        f"{key} {given[key]} instead of {shape}" for key, shape in expected.items() if given.get(key, shape) != shape
+        f"{key} {given[key]} instead of {shape}"
+        for key, shape in expected.items()
+        if given.get(key, shape) != shape
     ]
     named = (("missing", missing), ("too many", extra), ("of another shape", other))
     return [_listed(what, keys) for what, keys in named if keys]

@@ -45,7 +45,10 @@ def sample(predict_noise: Callable[[Tensor, Tensor], Tensor], noise: Tensor) -> 
         clean = ((current - (1 - kept[t]).sqrt() * predicted) / kept[t].sqrt()).clamp(-1, 1)
         alpha = kept[t] / before
         beta = 1 - alpha
-        mean = before.sqrt() * beta / (1 - kept[t]) * clean + alpha.sqrt() * (1 - before) / (1 - kept[t]) * current
+        mean = (
+            before.sqrt() * beta / (1 - kept[t]) * clean
+            + alpha.sqrt() * (1 - before) / (1 - kept[t]) * current
+        )
         if t == 0:
             return mean
         variance = ((1 - before) / (1 - kept[t]) * beta).clamp(min=SMALLEST_VARIANCE)

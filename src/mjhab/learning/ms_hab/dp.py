@@ -14,7 +14,15 @@ import torch
 from torch import Tensor, nn
 
 from mjhab.learning.ms_hab import ddpm
-from mjhab.learning.ms_hab.network import ACTION_SIZE, CAMERAS, STATE_SIZE, Network, Shapes, size, squash_depth
+from mjhab.learning.ms_hab.network import (
+    ACTION_SIZE,
+    CAMERAS,
+    STATE_SIZE,
+    Network,
+    Shapes,
+    size,
+    squash_depth,
+)
 
 ACT_STEPS = 8
 """Actions of a plan that are carried out."""
@@ -34,7 +42,12 @@ class Dp(Network):
         super().__init__()
         features = size(shapes, "visual_encoder.fc.0.weight", 0, 256)
         step_size = size(shapes, f"{_NET}diffusion_step_encoder.3.weight", 0, 64)
-        condition = size(shapes, f"{_NET}mid_modules.0.cond_encoder.1.weight", 1, step_size + 2 * (256 + STATE_SIZE))
+        condition = size(
+            shapes,
+            f"{_NET}mid_modules.0.cond_encoder.1.weight",
+            1,
+            step_size + 2 * (256 + STATE_SIZE),
+        )
         self.frames = max(1, (condition - step_size) // (features + STATE_SIZE))
         self.visual_encoder = _VisualEncoder(shapes, len(self.cameras), features)
         self.noise_pred_net = _UNet(shapes, step_size, self.frames * (features + STATE_SIZE))
@@ -78,7 +91,10 @@ class _StepEmbedding(nn.Module):
 
     def forward(self, step: Tensor) -> Tensor:
         rate = math.log(10000) / (self.frequencies - 1)
-        angle = step[:, None] * torch.exp(-rate * torch.arange(self.frequencies, device=step.device))[None]
+        angle = (
+            step[:, None]
+            * torch.exp(-rate * torch.arange(self.frequencies, device=step.device))[None]
+        )
         return torch.cat([angle.sin(), angle.cos()], dim=-1)
 
 
@@ -97,7 +113,9 @@ class _ResidualBlock(nn.Module):
 
     def __init__(self, inputs: int, outputs: int, condition: int, kernel: int) -> None:
         super().__init__()
-        self.blocks = nn.ModuleList([_ConvBlock(inputs, outputs, kernel), _ConvBlock(outputs, outputs, kernel)])
+        self.blocks = nn.ModuleList(
+            [_ConvBlock(inputs, outputs, kernel), _ConvBlock(outputs, outputs, kernel)]
+        )
         self.cond_encoder = nn.Sequential(nn.Mish(), nn.Linear(condition, 2 * outputs))
         self.residual_conv = nn.Conv1d(inputs, outputs, 1) if inputs != outputs else nn.Identity()
 
@@ -140,13 +158,21 @@ class _UNet(nn.Module):
         for i, (above, width) in enumerate(zip([self.actions, *widths], widths, strict=False)):
             last = i == len(widths) - 1
             shrink = nn.Identity() if last else _Resample(nn.Conv1d(width, width, 3, 2, 1))
-            self.down_modules.append(nn.ModuleList([block(above, width), block(width, width), shrink]))
-        self.mid_modules = nn.ModuleList([block(widths[-1], widths[-1]), block(widths[-1], widths[-1])])
+            self.down_modules.append(
+                nn.ModuleList([block(above, width), block(width, width), shrink])
+            )
+        self.mid_modules = nn.ModuleList(
+            [block(widths[-1], widths[-1]), block(widths[-1], widths[-1])]
+        )
         self.up_modules = nn.ModuleList()
         for above, width in reversed(list(itertools.pairwise(widths))):
             grow = _Resample(nn.ConvTranspose1d(above, above, 4, 2, 1))
-            self.up_modules.append(nn.ModuleList([block(2 * width, above), block(above, above), grow]))
-        self.final_conv = nn.Sequential(_ConvBlock(widths[0], widths[0], kernel), nn.Conv1d(widths[0], self.actions, 1))
+            self.up_modules.append(
+                nn.ModuleList([block(2 * width, above), block(above, above), grow])
+            )
+        self.final_conv = nn.Sequential(
+            _ConvBlock(widths[0], widths[0], kernel), nn.Conv1d(widths[0], self.actions, 1)
+        )
 
     def forward(self, actions: Tensor, step: Tensor, observed: Tensor) -> Tensor:
         """Noise in (B, 16, 13) actions at the diffusion step (B,), given (B, C) observations."""

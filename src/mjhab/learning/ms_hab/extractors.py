@@ -46,7 +46,9 @@ class Extractors(nn.ModuleDict):
         self.frames = size(shapes, f"{prefix}{cameras[0]}.0.0.weight", 1, 3)
         self.width = 0
         for name in names:
-            module, width = self._make(shapes, f"{prefix}{name}.", published, is_state=name == STATE)
+            module, width = self._make(
+                shapes, f"{prefix}{name}.", published, is_state=name == STATE
+            )
             self[name] = module
             self.width += width
 
@@ -57,23 +59,32 @@ class Extractors(nn.ModuleDict):
 
     def features(self, depth: Mapping[str, Tensor], state: Tensor) -> Tensor:
         """All features (B, width) of depth images (B, F, H, W) [mm] and of a state (B, 42)."""
-        parts = [module(state) if name == STATE else module(squash_depth(depth[name])) for name, module in self.items()]
+        parts = [
+            module(state) if name == STATE else module(squash_depth(depth[name]))
+            for name, module in self.items()
+        ]
         return torch.cat(parts, dim=1)
 
-    def _make(self, shapes: Shapes, prefix: str, published: CnnSizes, is_state: bool) -> tuple[nn.Module, int]:
+    def _make(
+        self, shapes: Shapes, prefix: str, published: CnnSizes, is_state: bool
+    ) -> tuple[nn.Module, int]:
         """An extractor and the number of its features."""
         if is_state:
             width = size(shapes, f"{prefix}weight", 0, published.features)
             return nn.Linear(size(shapes, f"{prefix}weight", 1, STATE_SIZE), width), width
         cnn = _cnn(shapes, f"{prefix}0.", self.frames, published)
         width = size(shapes, f"{prefix}1.0.weight", 0, published.features)
-        return nn.Sequential(cnn, nn.Sequential(nn.Linear(flat_size(cnn, self.frames), width), nn.ReLU())), width
+        return nn.Sequential(
+            cnn, nn.Sequential(nn.Linear(flat_size(cnn, self.frames), width), nn.ReLU())
+        ), width
 
 
 def _cnn(shapes: Shapes, prefix: str, frames: int, published: CnnSizes) -> nn.Sequential:
     layers: list[nn.Module] = []
     channels = frames
-    widths: Sequence[int] = output_sizes(shapes, prefix, 2, published.channels)[: len(published.strides)]
+    widths: Sequence[int] = output_sizes(shapes, prefix, 2, published.channels)[
+        : len(published.strides)
+    ]
     for i, width in enumerate(widths):
         kernel = size(shapes, f"{prefix}{2 * i}.weight", 2, published.kernels[i])
         layers += [nn.Conv2d(channels, width, kernel, published.strides[i]), nn.ReLU()]

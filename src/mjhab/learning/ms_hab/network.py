@@ -58,16 +58,23 @@ def size(shapes: Shapes, key: str, axis: int, default: int) -> int:
 
 def names_below(shapes: Shapes, prefix: str, known: Sequence[str]) -> tuple[str, ...]:
     """Which ``known`` modules the ModuleDict ``prefix`` has, in the order of the checkpoint; all if it has none."""
-    found = dict.fromkeys(key.removeprefix(prefix).split(".")[0] for key in shapes if key.startswith(prefix))
+    found = dict.fromkeys(
+        key.removeprefix(prefix).split(".")[0] for key in shapes if key.startswith(prefix)
+    )
     return tuple(name for name in found if name in known) or tuple(known)
 
 
 def output_sizes(shapes: Shapes, prefix: str, stride: int, default: Sequence[int]) -> list[int]:
     """Output sizes of the layers with weights in an nn.Sequential ``prefix``, whose indices are ``stride`` apart."""
     indices = [key.removeprefix(prefix).split(".")[0] for key in shapes if key.startswith(prefix)]
-    last = max((int(index) for index in indices if index.isdigit()), default=stride * (len(default) - 1))
+    last = max(
+        (int(index) for index in indices if index.isdigit()), default=stride * (len(default) - 1)
+    )
     published = [*default, *itertools.repeat(default[-1], last // stride)]
-    return [size(shapes, f"{prefix}{stride * i}.weight", 0, published[i]) for i in range(last // stride + 1)]
+    return [
+        size(shapes, f"{prefix}{stride * i}.weight", 0, published[i])
+        for i in range(last // stride + 1)
+    ]
 
 
 def mlp(sizes: Sequence[int]) -> nn.Sequential:

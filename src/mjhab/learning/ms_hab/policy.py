@@ -71,7 +71,11 @@ def check_environment(config: Config) -> None:
     Raises:
         UsageError: the message names every option that differs.
     """
-    size = (config.camera_size,) * 2 if isinstance(config.camera_size, int) else tuple(config.camera_size)
+    size = (
+        (config.camera_size,) * 2
+        if isinstance(config.camera_size, int)
+        else tuple(config.camera_size)
+    )
     wrong = []
     if not {"depth", "rgbd"} & set(config.obs_mode.split("+")):
         wrong.append(f"obs_mode is {config.obs_mode!r}, not one with depth (such as 'depth')")
@@ -80,7 +84,9 @@ def check_environment(config: Config) -> None:
     if size != (IMAGE_SIDE_PX, IMAGE_SIDE_PX):
         wrong.append(f"camera_size is {size}, not {IMAGE_SIDE_PX}")
     if config.control_mode != ENV_OPTIONS["control_mode"]:
-        wrong.append(f"control_mode is {config.control_mode!r}, not {ENV_OPTIONS['control_mode']!r}")
+        wrong.append(
+            f"control_mode is {config.control_mode!r}, not {ENV_OPTIONS['control_mode']!r}"
+        )
     if wrong:
         raise UsageError(
             f"policies of MS-HAB see depth of two cameras and give joint deltas, but of this environment "
@@ -148,7 +154,9 @@ class MsHabPolicy:
         self._fresh[:] = False
 
     def _plan(self, worlds: list[int], info: Mapping[str, Any]) -> None:
-        depth = {camera: self._tensor(self._frames[camera][worlds]) for camera in self._network.cameras}
+        depth = {
+            camera: self._tensor(self._frames[camera][worlds]) for camera in self._network.cameras
+        }
         state = self._tensor(self._frames[_STATE][worlds])
         noise = self._tensor(np.stack([self._draw(w, info) for w in worlds]))
         with torch.inference_mode():
@@ -172,14 +180,20 @@ class MsHabPolicy:
         return torch.from_numpy(np.asarray(values, np.float32)).to(self._device)
 
 
-def _looked_at(obs: Mapping[str, Any], cameras: Sequence[str], worlds: int) -> dict[str, np.ndarray]:
+def _looked_at(
+    obs: Mapping[str, Any], cameras: Sequence[str], worlds: int
+) -> dict[str, np.ndarray]:
     """State (W, 42) and depth (W, 128, 128) [mm] by the original's names.
 
     Raises:
         UsageError: something is missing or has another shape.
     """
-    keys = {name: f"sensor_data/{name.removesuffix('_depth')}/depth" for name in cameras} | {_STATE: _STATE}
-    shapes = dict.fromkeys(cameras, (worlds, IMAGE_SIDE_PX, IMAGE_SIDE_PX, 1)) | {_STATE: (worlds, STATE_SIZE)}
+    keys = {name: f"sensor_data/{name.removesuffix('_depth')}/depth" for name in cameras} | {
+        _STATE: _STATE
+    }
+    shapes = dict.fromkeys(cameras, (worlds, IMAGE_SIDE_PX, IMAGE_SIDE_PX, 1)) | {
+        _STATE: (worlds, STATE_SIZE)
+    }
     missing = [key for key in keys.values() if key not in obs]
     if missing:
         raise UsageError(
@@ -190,6 +204,8 @@ def _looked_at(obs: Mapping[str, Any], cameras: Sequence[str], worlds: int) -> d
     for name, key in keys.items():
         values = to_numpy(obs[key])
         if values.shape != shapes[name]:
-            raise UsageError(f"observation {key} has shape {values.shape}; policies of MS-HAB need {shapes[name]}.")
+            raise UsageError(
+                f"observation {key} has shape {values.shape}; policies of MS-HAB need {shapes[name]}."
+            )
         seen[name] = values if name == _STATE else values[..., 0]
     return seen

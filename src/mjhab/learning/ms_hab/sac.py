@@ -54,7 +54,9 @@ class _Actor(nn.Module):
 class _Encoder(nn.Module):
     def __init__(self, shapes: Shapes, cameras: tuple[str, ...], frames: int) -> None:
         super().__init__()
-        self.cnns = nn.ModuleDict({camera: _Cnn(shapes, f"{_CNNS}{camera}.layers.", frames) for camera in cameras})
+        self.cnns = nn.ModuleDict(
+            {camera: _Cnn(shapes, f"{_CNNS}{camera}.layers.", frames) for camera in cameras}
+        )
         self.pixels_projections = nn.ModuleDict()
         for camera, cnn in self.cnns.items():
             width = size(shapes, f"{_PIXELS}{camera}.projection.0.weight", 0, 50)
@@ -66,7 +68,9 @@ class _Encoder(nn.Module):
         )
 
     def forward(self, depth: Mapping[str, Tensor], state: Tensor) -> Tensor:
-        pixels = [self.pixels_projections[camera](cnn(depth[camera])) for camera, cnn in self.cnns.items()]
+        pixels = [
+            self.pixels_projections[camera](cnn(depth[camera])) for camera, cnn in self.cnns.items()
+        ]
         return torch.cat([*pixels, self.state_projection(state)], dim=1)
 
 
@@ -88,7 +92,9 @@ class _Cnn(nn.Module):
 class _Projection(nn.Module):
     def __init__(self, inputs: int, outputs: int) -> None:
         super().__init__()
-        self.projection = nn.Sequential(nn.Linear(inputs, outputs), nn.LayerNorm(outputs), nn.Tanh())
+        self.projection = nn.Sequential(
+            nn.Linear(inputs, outputs), nn.LayerNorm(outputs), nn.Tanh()
+        )
 
     def forward(self, features: Tensor) -> Tensor:
         return self.projection(features)

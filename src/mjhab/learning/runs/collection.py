@@ -118,7 +118,11 @@ class Collector:
     """
 
     def __init__(self, scene: Scene, view: dict[str, Any], means: Means, seed: int, ray: str = "") -> None:
-        self._scene, self._view, self._means, self._seed, self._ray = scene, view, means, seed, ray
+        self._scene = scene
+        self._view = view
+        self._means = means
+        self._seed = seed
+        self._ray = ray
         self._keeper = StageKeeper()
 
     def collect(
@@ -201,5 +205,6 @@ class StageKeeper:
         """The stage of a round."""
         made_of = (scene, tuple(sorted(view.items())), means, collected.horizon, collected.hold_steps)
         if self._env is None or self._made_of != made_of:
-            self._env, self._made_of = make_env(scene, view, means, collected), made_of
+            self._env = make_env(scene, view, means, collected)
+            self._made_of = made_of
         return stage_in(self._env, collected)

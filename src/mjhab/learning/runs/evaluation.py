@@ -58,7 +58,8 @@ class _Counter(Sink):
     """Counts finished episodes."""
 
     def __init__(self, tell: Callable[[int], object]) -> None:
-        self._tell, self._done = tell, 0
+        self._tell = tell
+        self._done = 0
 
     def on_episode_end(self, env: Any, world: int, record: EpisodeRecord) -> None:
         """Tell of one more."""

@@ -17,7 +17,8 @@ from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.store import FILMS
 
 Figure = dict[str, Any]
-LINE, POINTS = "#14b8a6", "#f59e0b"
+LINE = "#14b8a6"
+POINTS = "#f59e0b"
 
 
 def render_training_report(

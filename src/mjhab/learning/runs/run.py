@@ -26,9 +26,16 @@ from rich.table import Table
 
 from mjhab.rollout.store import check_folder, write_text
 
-CONFIG, METRICS, TENSORBOARD, DATA = "config.json", "metrics.jsonl", "tensorboard", "data"
-TRAINING, STUDENT, ROUNDS = "training.safetensors", "student.safetensors", "rounds"
-EVALUATIONS, SUMMARY, REPORT = "evaluations", "summary.json", "report.html"
+CONFIG = "config.json"
+METRICS = "metrics.jsonl"
+TENSORBOARD = "tensorboard"
+DATA = "data"
+TRAINING = "training.safetensors"
+STUDENT = "student.safetensors"
+ROUNDS = "rounds"
+EVALUATIONS = "evaluations"
+SUMMARY = "summary.json"
+REPORT = "report.html"
 REFRESH_SECONDS = 0.5
 
 
@@ -36,7 +43,8 @@ class TrainingFolder:
     """An opened folder of a run. Make one with ``TrainingFolder.open``."""
 
     def __init__(self, path: Path, config: Mapping[str, Any]) -> None:
-        self.path, self.config = path, dict(config)
+        self.path = path
+        self.config = dict(config)
 
     @classmethod
     def open(cls, path: Path, config: Mapping[str, Any], *, resume: bool = False) -> TrainingFolder:

@@ -32,7 +32,8 @@ REPORT_EVERY = 50
 """Updates between reports of the loss."""
 CHECKPOINT_SECONDS = 60.0
 """Between checkpoints."""
-FIRST, LATEST = "first", "latest"
+FIRST = "first"
+LATEST = "latest"
 """Names of the evaluations that are kept."""
 LOAD_SHARE = "loading_share"
 
@@ -72,7 +73,8 @@ def layout_for(request: Request) -> Layout:
     Raises:
         UsageError: data or scene do not fit; nothing was written.
     """
-    inputs, scene = request.config.student.inputs, request.scene
+    inputs = request.config.student.inputs
+    scene = request.scene
     if request.data:
         layout = layout_of_data(request.data, inputs, request.filter)
         if scene.profile and scene.profile != layout.profile:
@@ -109,7 +111,9 @@ class Session:
     def __init__(self, request: Request, layout: Layout, folder: TrainingFolder, resume: bool) -> None:
         if request.torch_threads:
             torch.set_num_threads(request.torch_threads)
-        self.request, self.layout, self.folder = request, layout, folder
+        self.request = request
+        self.layout = layout
+        self.folder = folder
         self.scene = replace(request.scene, profile=layout.profile)
         self.config = request.config.student
         self.sources: list[Demonstrations] = []
@@ -189,7 +193,8 @@ class Session:
         """
         sampler = self.sampler(new_share)
         losses: list[float] = []
-        began, loading = time.perf_counter(), 0.0
+        began = time.perf_counter()
+        loading = 0.0
         while self.progress.round_step < updates:
             if self._out_of_time():
                 raise OutOfTime
@@ -209,7 +214,9 @@ class Session:
                 }
                 self.log.show({"phase": f"training, round {self.progress.round}"})
                 self.log.report(self.trainer.step, self.progress.samples, numbers)
-                losses, began, loading = [], time.perf_counter(), 0.0
+                losses = []
+                began = time.perf_counter()
+                loading = 0.0
             if time.perf_counter() - self._saved_at > CHECKPOINT_SECONDS:
                 self.save()
         self.save()

@@ -15,7 +15,8 @@ def train_supervised(session: Session) -> None:
     Raises:
         OutOfTime: the budget is spent.
     """
-    request, config = session.request, session.config
+    request = session.request
+    config = session.config
     if request.data:
         session.load(request.data, request.filter)
     else:

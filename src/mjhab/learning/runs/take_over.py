@@ -12,7 +12,8 @@ from mjhab.core.seeding import stream
 from mjhab.data.store.reading import Episode
 from mjhab.rollout.policy import ACTION_SIZE, Policy
 
-STUDENT, EXPERT = "student", "expert"
+STUDENT = "student"
+EXPERT = "expert"
 ACTORS = (STUDENT, EXPERT)
 """Names of who acts, as recorded with every control step."""
 
@@ -58,7 +59,9 @@ class TakeOver:
     def __init__(self, student: Policy | None, expert: Replanning, longest: int) -> None:
         if longest and student is None:
             raise ValueError("a prefix needs a student")
-        self._student, self._expert, self._longest = student, expert, longest
+        self._student = student
+        self._expert = expert
+        self._longest = longest
         self._prefix = np.zeros(0, np.int64)
         self._step = np.zeros(0, np.int64)
         self._fresh = np.zeros(0, bool)

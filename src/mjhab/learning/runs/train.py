@@ -54,7 +54,8 @@ def train(request: Request, out: Path, resume: bool = False) -> TrainingResult:
 
 def summarize(session: Session) -> dict[str, Any]:
     """What a run came to, for machines. ``episodes``: of the evaluation that ``success_once`` comes from."""
-    records, dagger = session.records, session.request.config.dagger
+    records = session.records
+    dagger = session.request.config.dagger
     low, high = wilson(sum(record.success_once for record in records), len(records))
     return {
         "algorithm": session.request.config.algorithm,

@@ -14,7 +14,10 @@ from mjhab.core.seeding import stream
 from mjhab.learning.configs import OptimizerConfig
 from mjhab.learning.students.student import Batch, Student
 
-WEIGHTS, AVERAGE, FIRST_MOMENT, SECOND_MOMENT = "weights", "average", "first_moment", "second_moment"
+WEIGHTS = "weights"
+AVERAGE = "average"
+FIRST_MOMENT = "first_moment"
+SECOND_MOMENT = "second_moment"
 
 
 class BrokenLossError(MjhabError):
@@ -41,7 +44,9 @@ class Trainer:
     """
 
     def __init__(self, student: Student, seed: int, updates: int) -> None:
-        self.student, self.seed, self.updates = student, seed, updates
+        self.student = student
+        self.seed = seed
+        self.updates = updates
         self.config: OptimizerConfig = student.config.optimizer
         self.average = copy.deepcopy(student).eval().requires_grad_(False)
         self.step = 0
@@ -118,7 +123,8 @@ class Trainer:
         """Take over what ``tensors`` gave after ``step`` updates."""
         self.student.load_state_dict(_part(tensors, WEIGHTS))
         self.average.load_state_dict(_part(tensors, AVERAGE))
-        first, second = _part(tensors, FIRST_MOMENT), _part(tensors, SECOND_MOMENT)
+        first = _part(tensors, FIRST_MOMENT)
+        second = _part(tensors, SECOND_MOMENT)
         for name, parameter in self.student.named_parameters():
             if name in first:
                 self.optimizer.state[parameter] = {

@@ -21,7 +21,8 @@ class ActionTransformer(Student):
 
     def __init__(self, config: StudentConfig, layout: Layout) -> None:
         super().__init__(config, layout)
-        width, layers = config.network.hidden, config.network.layers
+        width = config.network.hidden
+        layers = config.network.layers
         self.encoder = Encoder(config, layout)
         self.image_tokens = nn.ModuleList(
             nn.Linear(config.network.image_features, width) for _ in range(self.encoder.cameras)
@@ -32,10 +33,16 @@ class ActionTransformer(Student):
         self.chunk_places = nn.Parameter(0.02 * torch.randn(config.chunk, width))
         self.queries = nn.Parameter(0.02 * torch.randn(config.chunk, width))
         self.style_query = nn.Parameter(0.02 * torch.randn(1, width))
-        self.style_encoder = nn.TransformerEncoder(_encoder_layer(width), layers, enable_nested_tensor=False)
+        self.style_encoder = nn.TransformerEncoder(
+            _encoder_layer(width), layers, enable_nested_tensor=False
+        )
         self.style_head = nn.Linear(width, 2 * LATENT_WIDTH)
-        self.context = nn.TransformerEncoder(_encoder_layer(width), layers, enable_nested_tensor=False)
-        decoder = nn.TransformerDecoderLayer(width, HEADS, 4 * width, 0.0, batch_first=True, norm_first=True)
+        self.context = nn.TransformerEncoder(
+            _encoder_layer(width), layers, enable_nested_tensor=False
+        )
+        decoder = nn.TransformerDecoderLayer(
+            width, HEADS, 4 * width, 0.0, batch_first=True, norm_first=True
+        )
         self.decoder = nn.TransformerDecoder(decoder, 1)
         self.head = nn.Linear(width, len(layout.actions))
 
@@ -45,7 +52,9 @@ class ActionTransformer(Student):
 
     def predict(self, images: list[Tensor], vector: Tensor, latent: Tensor) -> Tensor:
         """Normalized actions (B, chunk, A) of features of the images, the vector and a latent."""
-        tokens = [to_token(image) for to_token, image in zip(self.image_tokens, images, strict=True)]
+        tokens = [
+            to_token(image) for to_token, image in zip(self.image_tokens, images, strict=True)
+        ]
         tokens += [self.vector_token(vector), self.latent_token(latent)]
         memory = self.context(torch.stack(tokens, dim=1))
         queries = self.queries.expand(len(vector), -1, -1)
@@ -78,4 +87,6 @@ class ActionTransformer(Student):
 
 
 def _encoder_layer(width: int) -> nn.TransformerEncoderLayer:
-    return nn.TransformerEncoderLayer(width, HEADS, 4 * width, 0.0, batch_first=True, norm_first=True)
+    return nn.TransformerEncoderLayer(
+        width, HEADS, 4 * width, 0.0, batch_first=True, norm_first=True
+    )

@@ -35,7 +35,9 @@ class DiffusionPolicy(Student):
         super().__init__(config, layout)
         inputs = config.inputs
         self.vector_normalizer = Normalizer(layout.width)
-        self.images = PoolingEncoder(len(layout.image_keys), config.network.channels, config.network.image_features)
+        self.images = PoolingEncoder(
+            len(layout.image_keys), config.network.channels, config.network.image_features
+        )
         seen = inputs.history * (config.network.image_features + layout.width)
         self.unet = UNet(len(layout.actions), seen, config.network.unet)
         self.register_buffer("kept", squared_cosine(config.sampling_steps), persistent=False)
@@ -62,7 +64,9 @@ class DiffusionPolicy(Student):
         step = torch.randint(0, len(self.kept), (len(target),), generator=random)
         kept = self.kept[step][:, None, None]
         noisy = kept.sqrt() * target + (1.0 - kept).sqrt() * noise
-        return self.error(self.unet(noisy, step, self.see(batch.vector, batch.images)), batch, noise)
+        return self.error(
+            self.unet(noisy, step, self.see(batch.vector, batch.images)), batch, noise
+        )
 
     def chunk(self, vector: Tensor, images: Tensor, noise: Tensor) -> Tensor:
         seen = self.see(vector, images)
@@ -96,7 +100,11 @@ class ConvBlock(nn.Sequential):
     """Convolution over time, group norm, Mish."""
 
     def __init__(self, before: int, after: int) -> None:
-        super().__init__(nn.Conv1d(before, after, KERNEL, padding=KERNEL // 2), nn.GroupNorm(GROUPS, after), nn.Mish())
+        super().__init__(
+            nn.Conv1d(before, after, KERNEL, padding=KERNEL // 2),
+            nn.GroupNorm(GROUPS, after),
+            nn.Mish(),
+        )
 
 
 class ResidualBlock(nn.Module):
@@ -104,7 +112,8 @@ class ResidualBlock(nn.Module):
 
     def __init__(self, before: int, after: int, condition: int) -> None:
         super().__init__()
-        self.first, self.second = ConvBlock(before, after), ConvBlock(after, after)
+        self.first = ConvBlock(before, after)
+        self.second = ConvBlock(after, after)
         self.film = nn.Sequential(nn.Mish(), nn.Linear(condition, 2 * after))
         self.past = nn.Conv1d(before, after, 1) if before != after else nn.Identity()
 
@@ -121,9 +130,13 @@ class UNet(nn.Module):
     def __init__(self, actions: int, seen: int, levels: Sequence[int]) -> None:
         super().__init__()
         half = STEP_FEATURES // 2
-        self.register_buffer("frequencies", torch.exp(-math.log(10_000.0) * torch.arange(half) / (half - 1)))
+        self.register_buffer(
+            "frequencies", torch.exp(-math.log(10_000.0) * torch.arange(half) / (half - 1))
+        )
         self.clock = nn.Sequential(
-            nn.Linear(STEP_FEATURES, 4 * STEP_FEATURES), nn.Mish(), nn.Linear(4 * STEP_FEATURES, STEP_FEATURES)
+            nn.Linear(STEP_FEATURES, 4 * STEP_FEATURES),
+            nn.Mish(),
+            nn.Linear(4 * STEP_FEATURES, STEP_FEATURES),
         )
         condition = STEP_FEATURES + seen
         widths = (actions, *levels)
@@ -132,18 +145,30 @@ class UNet(nn.Module):
         for level, (before, after) in enumerate(itertools.pairwise(widths)):
             last = level == len(levels) - 1
             shrink = nn.Identity() if last else nn.Conv1d(after, after, 3, 2, 1)
-            blocks = [ResidualBlock(before, after, condition), ResidualBlock(after, after, condition), shrink]
+            blocks = [
+                ResidualBlock(before, after, condition),
+                ResidualBlock(after, after, condition),
+                shrink,
+            ]
             self.down.append(nn.ModuleList(blocks))
-        self.middle = nn.ModuleList(ResidualBlock(widths[-1], widths[-1], condition) for _ in range(2))
+        self.middle = nn.ModuleList(
+            ResidualBlock(widths[-1], widths[-1], condition) for _ in range(2)
+        )
         for after, before in zip(widths[1:-1][::-1], widths[2:][::-1], strict=True):
             grow = nn.ConvTranspose1d(after, after, 4, 2, 1)
-            blocks = [ResidualBlock(2 * before, after, condition), ResidualBlock(after, after, condition), grow]
+            blocks = [
+                ResidualBlock(2 * before, after, condition),
+                ResidualBlock(after, after, condition),
+                grow,
+            ]
             self.up.append(nn.ModuleList(blocks))
         self.out = nn.Sequential(ConvBlock(levels[0], levels[0]), nn.Conv1d(levels[0], actions, 1))
 
     def forward(self, chunk: Tensor, step: Tensor, seen: Tensor) -> Tensor:
         angles = step[:, None] * self.frequencies
-        condition = torch.cat([self.clock(torch.cat([angles.sin(), angles.cos()], dim=1)), seen], dim=1)
+        condition = torch.cat(
+            [self.clock(torch.cat([angles.sin(), angles.cos()], dim=1)), seen], dim=1
+        )
         values = chunk.transpose(1, 2)
         passed = []
         for first, second, shrink in self.down:  # type: ignore[misc]

@@ -41,7 +41,9 @@ class FlowMatching(Student):
         """Velocity (B, chunk, A) at a point (B, chunk, A) and time (B,), 0 at the noise and 1 at the actions."""
         angles = time[:, None] * self.frequencies
         clock = torch.cat([angles.sin(), angles.cos()], dim=1)
-        return self.velocity(torch.cat([seen, point.flatten(1), clock], dim=1)).unflatten(1, point.shape[1:])
+        return self.velocity(torch.cat([seen, point.flatten(1), clock], dim=1)).unflatten(
+            1, point.shape[1:]
+        )
 
     def loss(self, batch: Batch, random: torch.Generator) -> Tensor:
         target = self.targets(batch)

@@ -40,7 +40,8 @@ class Student(nn.Module):
 
     def __init__(self, config: StudentConfig, layout: Layout) -> None:
         super().__init__()
-        self.config, self.layout = config, layout
+        self.config = config
+        self.layout = layout
         self.action_normalizer = Normalizer(len(layout.actions))
 
     @property
@@ -74,7 +75,9 @@ class Student(nn.Module):
     def error(self, predicted: Tensor, batch: Batch, target: Tensor) -> Tensor:
         """Mean error over what is valid, in normalized actions: Huber, or squared if the config says so."""
         if self.config.huber:
-            errors = nn.functional.huber_loss(predicted, target, reduction="none", delta=self.config.huber)
+            errors = nn.functional.huber_loss(
+                predicted, target, reduction="none", delta=self.config.huber
+            )
         else:
             errors = (predicted - target) ** 2
         weight = batch.valid[..., None].float()
@@ -83,5 +86,7 @@ class Student(nn.Module):
     @torch.no_grad()
     def act(self, vector: np.ndarray, images: np.ndarray, noise: np.ndarray) -> np.ndarray:
         """Chunks of actions (B, chunk, A) float32 in [-1, 1]."""
-        chunk = self.chunk(torch.from_numpy(vector), torch.from_numpy(images), torch.from_numpy(noise))
+        chunk = self.chunk(
+            torch.from_numpy(vector), torch.from_numpy(images), torch.from_numpy(noise)
+        )
         return chunk.clamp(-1.0, 1.0).numpy()

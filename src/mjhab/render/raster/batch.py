@@ -69,13 +69,21 @@ def draw_worlds(scenery, views, first, last, near, cull, cell, stride, room):
 
     ``cell``: pixels per cell of ambient occlusion; ``stride``: pixels between nodes of light.
     """
-    inverse, ids, poses, placing = room.inverse, room.ids, room.draw, scenery.placing
+    inverse = room.inverse
+    ids = room.ids
+    poses = room.draw
+    placing = scenery.placing
     height, width = inverse.shape
     for world in range(first, last):
         home = views.home[world]
         place_instances(placing, home, views.body_pos[world], views.body_mat[world], poses)
         for camera in range(views.cam_pos.shape[1]):
-            lens = Lens(views.cam_pos[world, camera], views.cam_mat[world, camera], views.focal[camera], near)
+            lens = Lens(
+                views.cam_pos[world, camera],
+                views.cam_mat[world, camera],
+                views.focal[camera],
+                near,
+            )
             for y in range(height):
                 for x in range(width):
                     inverse[y, x] = 0.0
@@ -88,6 +96,16 @@ def draw_worlds(scenery, views, first, last, near, cull, cell, stride, room):
                 ambient_occlusion(inverse, cell, lens.focal, room.raw, room.share, room.depths)
                 openness = Openness(room.share, room.depths, 1.0 / cell)
                 shade(
-                    scenery.surface, poses, scenery.lamps, home, lens, inverse, ids, openness, scenery.tone,
-                    room.shade, stride, views.rgb[world, camera],
-                )  # fmt: skip
+                    scenery.surface,
+                    poses,
+                    scenery.lamps,
+                    home,
+                    lens,
+                    inverse,
+                    ids,
+                    openness,
+                    scenery.tone,
+                    room.shade,
+                    stride,
+                    views.rgb[world, camera],
+                )

@@ -52,32 +52,58 @@ def _fill_rows(inverse, ids, tag, x0, y0, x1, y1, x2, y2, w0, gx, gy, left, righ
     b, db, side_b = _bound(x1, y1, x2, y2, y)
     c, dc, side_c = _bound(x2, y2, x0, y0, y)
     # At most two edges bound a row on each side.
-    low_a, low_b, high_a, high_b = -np.inf, -np.inf, np.inf, np.inf
-    dlow_a, dlow_b, dhigh_a, dhigh_b = 0.0, 0.0, 0.0, 0.0
+    low_a = -np.inf
+    low_b = -np.inf
+    high_a = np.inf
+    high_b = np.inf
+    dlow_a = 0.0
+    dlow_b = 0.0
+    dhigh_a = 0.0
+    dhigh_b = 0.0
     if side_a > 0:
-        high_a, dhigh_a = a, da
+        high_a = a
+        dhigh_a = da
     elif side_a < 0:
-        low_a, dlow_a = a, da
+        low_a = a
+        dlow_a = da
     if side_b > 0:
-        high_b, dhigh_b = b, db
+        high_b = b
+        dhigh_b = db
     elif side_b < 0:
-        low_b, dlow_b = b, db
+        low_b = b
+        dlow_b = db
     if side_c > 0:
         if side_a > 0:
-            high_b, dhigh_b = c, dc
+            high_b = c
+            dhigh_b = dc
         else:
-            high_a, dhigh_a = c, dc
+            high_a = c
+            dhigh_a = dc
     elif side_c < 0:
         if side_a < 0:
-            low_b, dlow_b = c, dc
+            low_b = c
+            dlow_b = dc
         else:
-            low_a, dlow_a = c, dc
+            low_a = c
+            dlow_a = dc
     start = w0 + gy * (y - y0) + gx * (0.5 - x0)
     for row in range(top, bottom + 1):
         first = int(max(low_a, low_b, left + 0.5) + (0.5 - EDGE_SLACK))
         last = int(min(high_a, high_b, right + 0.5) + (0.5 + EDGE_SLACK)) - 1
-        _fill_span(inverse, ids, tag, row, first, last - first + 1, np.float32(start + gx * first), np.float32(gx))
-        low_a, low_b, high_a, high_b = low_a + dlow_a, low_b + dlow_b, high_a + dhigh_a, high_b + dhigh_b
+        _fill_span(
+            inverse,
+            ids,
+            tag,
+            row,
+            first,
+            last - first + 1,
+            np.float32(start + gx * first),
+            np.float32(gx),
+        )
+        low_a = low_a + dlow_a
+        low_b = low_b + dlow_b
+        high_a = high_a + dhigh_a
+        high_b = high_b + dhigh_b
         start += gy
 
 
@@ -128,7 +154,8 @@ def fill_clipped(inverse, ids, tag, points, out, a, b, c, focal, near, keep):
     for k in range(3):
         p = a if k == 0 else (b if k == 1 else c)
         q = b if k == 0 else (c if k == 1 else a)
-        zp, zq = points[2, p], points[2, q]
+        zp = points[2, p]
+        zq = points[2, q]
         if zp >= near:
             for r in range(3):
                 out[count, r] = points[r, p]

@@ -26,7 +26,12 @@ _DIGEST = code_digest(*KERNEL_MODULES).hex()[:8]
 
 def _compiler(**extra: Any) -> Callable[[Callable[..., Any]], Any]:
     # ``_nrt`` off: the kernels make no arrays (see ``kernels.Scratch``), and counting references costs time.
-    options: dict[str, Any] = {"nogil": True, "cache": True, "error_model": "numpy", "_nrt": False} | extra
+    options: dict[str, Any] = {
+        "nogil": True,
+        "cache": True,
+        "error_model": "numpy",
+        "_nrt": False,
+    } | extra
 
     def decorate(function: Callable[..., Any]) -> Any:
         # Numba renews a compiled function only when its own file changes, not for helpers or constants of another one,

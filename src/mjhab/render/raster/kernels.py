@@ -92,16 +92,25 @@ def make_scratch(geometry: Geometry, instances: int) -> Scratch:
     """Scratch for one thread that draws ``geometry``."""
     points = np.empty((6, int(geometry.mesh_verts[:, 1].max(initial=1))))
     return Scratch(
-        np.empty((instances, 3, 3)), np.empty((instances, 3)), np.empty((instances, 3)), points, np.empty(instances),
-        np.empty(instances, np.int64), np.zeros(instances, np.int32), np.empty((3, 4)), np.empty(4, np.int64),
+        np.empty((instances, 3, 3)),
+        np.empty((instances, 3)),
+        np.empty((instances, 3)),
+        points,
+        np.empty(instances),
+        np.empty(instances, np.int64),
+        np.zeros(instances, np.int32),
+        np.empty((3, 4)),
+        np.empty(4, np.int64),
         np.empty((4, 3)),
-    )  # fmt: skip
+    )
 
 
 @kernel
 def place_instances(placing, home, body_pos, body_mat, scratch):
     """World poses of the instances in a home into the scratch: from the home, or from their bodies' poses."""
-    pos, rot, scale = scratch.pos, scratch.rot, scratch.scale
+    pos = scratch.pos
+    rot = scratch.rot
+    scale = scratch.scale
     for k in range(placing.present_start[home], placing.present_start[home + 1]):
         i = placing.present[k]
         b = placing.body[i]
@@ -125,13 +134,19 @@ def place_instances(placing, home, body_pos, body_mat, scratch):
 @kernel
 def _to_view(scratch, i, lens):
     """Write the map from mesh to view frame, (3, 4) with scale included."""
-    view, rot, scale = scratch.to_view, scratch.rot, scratch.scale
+    view = scratch.to_view
+    rot = scratch.rot
+    scale = scratch.scale
     for r in range(3):
         sign = 1.0 if r == 0 else -1.0
-        m0, m1, m2 = sign * lens.mat[0, r], sign * lens.mat[1, r], sign * lens.mat[2, r]
+        m0 = sign * lens.mat[0, r]
+        m1 = sign * lens.mat[1, r]
+        m2 = sign * lens.mat[2, r]
         for c in range(3):
             view[r, c] = (m0 * rot[i, 0, c] + m1 * rot[i, 1, c] + m2 * rot[i, 2, c]) * scale[i, c]
-        d0, d1, d2 = scratch.pos[i, 0] - lens.pos[0], scratch.pos[i, 1] - lens.pos[1], scratch.pos[i, 2] - lens.pos[2]
+        d0 = scratch.pos[i, 0] - lens.pos[0]
+        d1 = scratch.pos[i, 1] - lens.pos[1]
+        d2 = scratch.pos[i, 2] - lens.pos[2]
         view[r, 3] = m0 * d0 + m1 * d1 + m2 * d2
 
 
@@ -139,16 +154,22 @@ def _to_view(scratch, i, lens):
 def _ball_in_sight(geometry, mesh, scratch, i, lens, width, height):
     """False if the ball around an instance is out of the picture for sure."""
     s = scratch.scale
-    ball, rot, mat = geometry.mesh_ball, scratch.rot, lens.mat
+    ball = geometry.mesh_ball
+    rot = scratch.rot
+    mat = lens.mat
     radius = ball[mesh, 3] * max(abs(s[i, 0]), abs(s[i, 1]), abs(s[i, 2]))
-    p, q, u = ball[mesh, 0] * s[i, 0], ball[mesh, 1] * s[i, 1], ball[mesh, 2] * s[i, 2]
+    p = ball[mesh, 0] * s[i, 0]
+    q = ball[mesh, 1] * s[i, 1]
+    u = ball[mesh, 2] * s[i, 2]
     dx = scratch.pos[i, 0] - lens.pos[0] + rot[i, 0, 0] * p + rot[i, 0, 1] * q + rot[i, 0, 2] * u
     dy = scratch.pos[i, 1] - lens.pos[1] + rot[i, 1, 0] * p + rot[i, 1, 1] * q + rot[i, 1, 2] * u
     dz = scratch.pos[i, 2] - lens.pos[2] + rot[i, 2, 0] * p + rot[i, 2, 1] * q + rot[i, 2, 2] * u
     x = abs(mat[0, 0] * dx + mat[1, 0] * dy + mat[2, 0] * dz)
     y = abs(mat[0, 1] * dx + mat[1, 1] * dy + mat[2, 1] * dz)
     z = -(mat[0, 2] * dx + mat[1, 2] * dy + mat[2, 2] * dz)
-    f, cx, cy = lens.focal, 0.5 * width, 0.5 * height
+    f = lens.focal
+    cx = 0.5 * width
+    cy = 0.5 * height
     if z < -radius or x * f - z * cx > radius * np.sqrt(f * f + cx * cx):
         return False
     return y * f - z * cy <= radius * np.sqrt(f * f + cy * cy)
@@ -160,11 +181,22 @@ def _bounds(view, boxes, mesh, lens, width, height, rect):
 
     0 means that the box crosses the near plane; then ``rect`` is the whole image.
     """
-    cx, cy = 0.5 * width, 0.5 * height
-    left, right, top, bottom, behind = 0, 0, 0, 0, 0
-    x0, x1, y0, y1, nearest = np.inf, -np.inf, np.inf, -np.inf, np.inf
+    cx = 0.5 * width
+    cy = 0.5 * height
+    left = 0
+    right = 0
+    top = 0
+    bottom = 0
+    behind = 0
+    x0 = np.inf
+    x1 = -np.inf
+    y0 = np.inf
+    y1 = -np.inf
+    nearest = np.inf
     for k in range(8):
-        p, q, s = boxes[mesh, k & 1, 0], boxes[mesh, (k >> 1) & 1, 1], boxes[mesh, k >> 2, 2]
+        p = boxes[mesh, k & 1, 0]
+        q = boxes[mesh, (k >> 1) & 1, 1]
+        s = boxes[mesh, k >> 2, 2]
         x = view[0, 0] * p + view[0, 1] * q + view[0, 2] * s + view[0, 3]
         y = view[1, 0] * p + view[1, 1] * q + view[1, 2] * s + view[1, 3]
         z = view[2, 0] * p + view[2, 1] * q + view[2, 2] * s + view[2, 3]
@@ -175,15 +207,24 @@ def _bounds(view, boxes, mesh, lens, width, height, rect):
         behind += z < lens.near
         nearest = min(nearest, z)
         if z >= lens.near:
-            u, v = cx + lens.focal * x / z, cy + lens.focal * y / z
-            x0, x1, y0, y1 = min(x0, u), max(x1, u), min(y0, v), max(y1, v)
+            u = cx + lens.focal * x / z
+            v = cy + lens.focal * y / z
+            x0 = min(x0, u)
+            x1 = max(x1, u)
+            y0 = min(y0, v)
+            y1 = max(y1, v)
     if left == 8 or right == 8 or top == 8 or bottom == 8 or behind == 8:
         return -1.0
     if behind > 0:
-        rect[0], rect[1], rect[2], rect[3] = 0, width, 0, height
+        rect[0] = 0
+        rect[1] = width
+        rect[2] = 0
+        rect[3] = height
         return 0.0
-    rect[0], rect[1] = int(max(x0, 0.0)), int(min(x1 + 1.0, width))
-    rect[2], rect[3] = int(max(y0, 0.0)), int(min(y1 + 1.0, height))
+    rect[0] = int(max(x0, 0.0))
+    rect[1] = int(min(x1 + 1.0, width))
+    rect[2] = int(max(y0, 0.0))
+    rect[3] = int(min(y1 + 1.0, height))
     return nearest
 
 
@@ -201,11 +242,15 @@ def _hidden(inverse, rect, nearest):
 @kernel
 def _distance(geometry, mesh, scratch, i, lens):
     """Distance [m] from the camera to the box of an instance."""
-    rot, total = scratch.rot, 0.0
-    d0, d1, d2 = lens.pos[0] - scratch.pos[i, 0], lens.pos[1] - scratch.pos[i, 1], lens.pos[2] - scratch.pos[i, 2]
+    rot = scratch.rot
+    total = 0.0
+    d0 = lens.pos[0] - scratch.pos[i, 0]
+    d1 = lens.pos[1] - scratch.pos[i, 1]
+    d2 = lens.pos[2] - scratch.pos[i, 2]
     for k in range(3):
         x = rot[i, 0, k] * d0 + rot[i, 1, k] * d1 + rot[i, 2, k] * d2
-        a, b = geometry.mesh_box[mesh, 0, k] * scratch.scale[i, k], geometry.mesh_box[mesh, 1, k] * scratch.scale[i, k]
+        a = geometry.mesh_box[mesh, 0, k] * scratch.scale[i, k]
+        b = geometry.mesh_box[mesh, 1, k] * scratch.scale[i, k]
         out = max(min(a, b) - x, x - max(a, b), 0.0)
         total += out * out
     return np.sqrt(total)
@@ -219,7 +264,9 @@ def _level(geometry, mesh, scratch, i, lens, nearest):
         return mesh
     grow = max(abs(scale[i, 0]), abs(scale[i, 1]), abs(scale[i, 2]))
     # A box that reaches behind the camera can still be all at its side.
-    limit = LEVEL_ERROR / lens.focal * max(nearest, 0.5 * _distance(geometry, mesh, scratch, i, lens))
+    limit = (
+        LEVEL_ERROR / lens.focal * max(nearest, 0.5 * _distance(geometry, mesh, scratch, i, lens))
+    )
     while True:
         coarser = geometry.mesh_coarser[mesh]
         if coarser < 0 or geometry.mesh_error[coarser] * grow > limit:
@@ -230,20 +277,38 @@ def _level(geometry, mesh, scratch, i, lens, nearest):
 @kernel
 def _project(geometry, mesh, view, lens, width, height, points):
     """Fill ``points`` (6, >= count): view x, y, z, then column, row and inverse depth."""
-    first, count = geometry.mesh_verts[mesh, 0], geometry.mesh_verts[mesh, 1]
-    cx, cy, focal = 0.5 * width, 0.5 * height, lens.focal
-    a0, a1, a2, a3 = view[0, 0], view[0, 1], view[0, 2], view[0, 3]
-    b0, b1, b2, b3 = view[1, 0], view[1, 1], view[1, 2], view[1, 3]
-    c0, c1, c2, c3 = view[2, 0], view[2, 1], view[2, 2], view[2, 3]
+    first = geometry.mesh_verts[mesh, 0]
+    count = geometry.mesh_verts[mesh, 1]
+    cx = 0.5 * width
+    cy = 0.5 * height
+    focal = lens.focal
+    a0 = view[0, 0]
+    a1 = view[0, 1]
+    a2 = view[0, 2]
+    a3 = view[0, 3]
+    b0 = view[1, 0]
+    b1 = view[1, 1]
+    b2 = view[1, 2]
+    b3 = view[1, 3]
+    c0 = view[2, 0]
+    c1 = view[2, 1]
+    c2 = view[2, 2]
+    c3 = view[2, 3]
     for k in range(np.uint64(count)):
         at = np.uint64(first) + k
-        p, q, s = geometry.vertices[0, at], geometry.vertices[1, at], geometry.vertices[2, at]
+        p = geometry.vertices[0, at]
+        q = geometry.vertices[1, at]
+        s = geometry.vertices[2, at]
         x = a0 * p + a1 * q + a2 * s + a3
         y = b0 * p + b1 * q + b2 * s + b3
         z = c0 * p + c1 * q + c2 * s + c3
         w = 1.0 / z
-        points[0, k], points[1, k], points[2, k] = x, y, z
-        points[3, k], points[4, k], points[5, k] = cx + focal * x * w, cy + focal * y * w, w
+        points[0, k] = x
+        points[1, k] = y
+        points[2, k] = z
+        points[3, k] = cx + focal * x * w
+        points[4, k] = cy + focal * y * w
+        points[5, k] = w
 
 
 @kernel
@@ -251,27 +316,42 @@ def _draw_instance(geometry, i, mesh, lens, nearest, keep, inverse, ids, scratch
     """Project and fill all faces of one instance."""
     start = geometry.mesh_faces[mesh, 0]
     height, width = inverse.shape
-    points, near, faces = scratch.points, lens.near, geometry.faces
+    points = scratch.points
+    near = lens.near
+    faces = geometry.faces
     _project(geometry, mesh, scratch.to_view, lens, width, height, points)
     whole = nearest > 0.0
     base = i << FACE_BITS
     for k in range(geometry.mesh_faces[mesh, 1]):
         face = np.uint64(start + k)
-        a, b, c = np.uint64(faces[face, 0]), np.uint64(faces[face, 1]), np.uint64(faces[face, 2])
+        a = np.uint64(faces[face, 0])
+        b = np.uint64(faces[face, 1])
+        c = np.uint64(faces[face, 2])
         tag = np.int32(base | k)
         if not whole:
             behind = (points[2, a] < near) + (points[2, b] < near) + (points[2, c] < near)
             if behind == 3:
                 continue
             if behind > 0:
-                fill_clipped(inverse, ids, tag, points, scratch.polygon, a, b, c, lens.focal, near, keep)
+                fill_clipped(
+                    inverse, ids, tag, points, scratch.polygon, a, b, c, lens.focal, near, keep
+                )
                 continue
         fill(
-            inverse, ids, tag,
-            points[3, a], points[4, a], points[5, a],
-            points[3, b], points[4, b], points[5, b],
-            points[3, c], points[4, c], points[5, c], keep,
-        )  # fmt: skip
+            inverse,
+            ids,
+            tag,
+            points[3, a],
+            points[4, a],
+            points[5, a],
+            points[3, b],
+            points[4, b],
+            points[5, b],
+            points[3, c],
+            points[4, c],
+            points[5, c],
+            keep,
+        )
 
 
 @kernel
@@ -280,11 +360,14 @@ def _sort(keys, order, count):
     gap = count // 2
     while gap > 0:
         for i in range(gap, count):
-            key, item, j = keys[i], order[i], i
+            key = keys[i]
+            item = order[i]
+            j = i
             while j >= gap and keys[j - gap] > key:
                 keys[j], order[j] = keys[j - gap], order[j - gap]
                 j -= gap
-            keys[j], order[j] = key, item
+            keys[j] = key
+            order[j] = item
         gap //= 2
 
 
@@ -296,14 +379,20 @@ def draw(geometry, placing, home, which, lens, cull, inverse, ids, scratch):
     ``cull``: drop faces seen from behind.
     """
     height, width = inverse.shape
-    keys, order, view, rect, scale = scratch.keys, scratch.order, scratch.to_view, scratch.rect, scratch.scale
+    keys = scratch.keys
+    order = scratch.order
+    view = scratch.to_view
+    rect = scratch.rect
+    scale = scratch.scale
     count = 0
     for k in range(placing.present_start[home], placing.present_start[home + 1]):
         i = placing.present[k]
         if (which == 1 and placing.body[i] != 0) or (which == 2 and placing.body[i] == 0):
             continue
         mesh = placing.mesh[i]
-        if scratch.pos[i, 2] < PARKED_BELOW or not _ball_in_sight(geometry, mesh, scratch, i, lens, width, height):
+        if scratch.pos[i, 2] < PARKED_BELOW or not _ball_in_sight(
+            geometry, mesh, scratch, i, lens, width, height
+        ):
             continue
         _to_view(scratch, i, lens)
         nearest = _bounds(view, geometry.mesh_box, mesh, lens, width, height, rect)
@@ -317,7 +406,11 @@ def draw(geometry, placing, home, which, lens, cull, inverse, ids, scratch):
         mesh = placing.mesh[i]
         _to_view(scratch, i, lens)
         nearest = _bounds(view, geometry.mesh_box, mesh, lens, width, height, rect)
-        if nearest > 0.0 and geometry.mesh_faces[mesh, 1] > LOW_POLY and _hidden(inverse, rect, nearest):
+        if (
+            nearest > 0.0
+            and geometry.mesh_faces[mesh, 1] > LOW_POLY
+            and _hidden(inverse, rect, nearest)
+        ):
             continue
         keep = 0.0
         if cull:

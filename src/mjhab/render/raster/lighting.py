@@ -47,11 +47,14 @@ def _visible(shadow, k, x, y, z, nx, ny, nz):
         return UNMAPPED
     inv_focal = np.sqrt(1.0 - SHADOW_SLOPE * SHADOW_SLOPE) / (0.5 * size * SHADOW_SLOPE)
     w = 1.0 / depth
-    u, v = 0.5 * size + x * w / inv_focal - 0.5, 0.5 * size - y * w / inv_focal - 0.5
+    u = 0.5 * size + x * w / inv_focal - 0.5
+    v = 0.5 * size - y * w / inv_focal - 0.5
     if u < 1.0 or v < 1.0 or u > size - 3.0 or v > size - 3.0:
         return UNMAPPED
-    i, j = int(v), int(u)
-    fy, fx = v - i, u - j
+    i = int(v)
+    j = int(u)
+    fy = v - i
+    fx = u - j
     plane = min(x * nx + y * ny + z * nz, -0.02 * depth)
     steep = 0.5 * w
     gx = min(max(nx / plane * inv_focal, -steep), steep)
@@ -72,7 +75,9 @@ def _visible(shadow, k, x, y, z, nx, ny, nz):
 @color_inline
 def _highlight(nx, ny, nz, lx, ly, lz, vx, vy, vz, gloss):
     """Share of a lamp's light from direction l that a glossy surface throws towards v."""
-    hx, hy, hz = lx + vx, ly + vy, lz + vz
+    hx = lx + vx
+    hy = ly + vy
+    hz = lz + vz
     h = (nx * hx + ny * hy + nz * hz) / np.sqrt(hx * hx + hy * hy + hz * hz + 1e-9)
     h2 = h * h
     h4 = h2 * h2
@@ -86,30 +91,49 @@ def light_point(lamps, home, x, y, z, nx, ny, nz, vx, vy, vz, gloss, open_share)
 
     (nx, ny, nz) normal, (vx, vy, vz) direction to the camera, ``open_share`` ambient openness 0..1.
     """
-    dr, dg, db, sr, sg, sb = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    dr = 0.0
+    dg = 0.0
+    db = 0.0
+    sr = 0.0
+    sg = 0.0
+    sb = 0.0
     for k in range(lamps.pos.shape[1]):
-        r, g, b = lamps.color[home, k, 0], lamps.color[home, k, 1], lamps.color[home, k, 2]
-        lx, ly, lz = lamps.pos[home, k, 0] - x, lamps.pos[home, k, 1] - y, lamps.pos[home, k, 2] - z
+        r = lamps.color[home, k, 0]
+        g = lamps.color[home, k, 1]
+        b = lamps.color[home, k, 2]
+        lx = lamps.pos[home, k, 0] - x
+        ly = lamps.pos[home, k, 1] - y
+        lz = lamps.pos[home, k, 2] - z
         square = lx * lx + ly * ly + lz * lz
         facing = nx * lx + ny * ly + nz * lz
         if facing <= 0.0 or square > LAMP_RANGE * LAMP_RANGE or r + g + b == 0.0:
             continue
         inv = 1.0 / np.sqrt(square + 1e-9)
         fade = 1.0 - square * square * (1.0 / LAMP_RANGE**4)
-        power = LAMP_GAIN * facing * inv * fade / (0.35 + (0.65 / (LAMP_REACH * LAMP_REACH)) * square)
+        power = (
+            LAMP_GAIN * facing * inv * fade / (0.35 + (0.65 / (LAMP_REACH * LAMP_REACH)) * square)
+        )
         if lamps.shadow.shape[0] > 0:
-            power *= _visible(lamps.shadow, k, 0.01 * nx - lx, 0.01 * ny - ly, 0.01 * nz - lz, nx, ny, nz)
+            power *= _visible(
+                lamps.shadow, k, 0.01 * nx - lx, 0.01 * ny - ly, 0.01 * nz - lz, nx, ny, nz
+            )
         shine = 0.0
         if gloss > DULL:
             shine = power * _highlight(nx, ny, nz, lx * inv, ly * inv, lz * inv, vx, vy, vz, gloss)
-        dr, dg, db = dr + r * power, dg + g * power, db + b * power
-        sr, sg, sb = sr + r * shine, sg + g * shine, sb + b * shine
+        dr = dr + r * power
+        dg = dg + g * power
+        db = db + b * power
+        sr = sr + r * shine
+        sg = sg + g * shine
+        sb = sb + b * shine
     facing = max(nx * vx + ny * vy + nz * vz, 0.0)
     side = open_share * (1.0 + 0.10 * nx + 0.05 * ny)
     away = 1.0 - facing
     rim = gloss * 0.25 * away * away * away * away * open_share
-    up, down = (0.5 + 0.5 * nz) * side, (0.5 - 0.5 * nz) * side
-    head, direct = HEAD_LIGHT * facing, 0.35 + 0.65 * open_share
+    up = (0.5 + 0.5 * nz) * side
+    down = (0.5 - 0.5 * nz) * side
+    head = HEAD_LIGHT * facing
+    direct = 0.35 + 0.65 * open_share
     return (
         GROUND[0] * down + SKY[0] * up + dr * direct + head,
         GROUND[1] * down + SKY[1] * up + dg * direct + head,
@@ -126,20 +150,27 @@ def sky(lens, u, v, line, x):
     m = lens.mat
     dz = (m[2, 0] * u + m[2, 1] * v - m[2, 2]) / np.sqrt(1.0 + u * u + v * v)
     t = min(max(0.5 + 0.9 * dz, 0.0), 1.0)
-    line[0, x], line[1, x], line[2, x] = 0.30 + 0.28 * t, 0.34 + 0.32 * t, 0.40 + 0.38 * t
+    line[0, x] = 0.30 + 0.28 * t
+    line[1, x] = 0.34 + 0.32 * t
+    line[2, x] = 0.40 + 0.38 * t
 
 
 @color_inline
 def blended_share(share, depths, row, col, depth):
     """Ambient openness at a place (row, col in cells of ``share``): blend of four cells at like depth."""
     height, width = share.shape
-    fy, fx = max(row - 0.5, 0.0), max(col - 0.5, 0.0)
-    i, j = min(int(fy), height - 1), min(int(fx), width - 1)
-    fy, fx = fy - i, fx - j
-    total, weight = 0.0, 1e-9
+    fy = max(row - 0.5, 0.0)
+    fx = max(col - 0.5, 0.0)
+    i = min(int(fy), height - 1)
+    j = min(int(fx), width - 1)
+    fy = fy - i
+    fx = fx - j
+    total = 0.0
+    weight = 1e-9
     for r in range(2):
         for c in range(2):
-            y, x = min(i + r, height - 1), min(j + c, width - 1)
+            y = min(i + r, height - 1)
+            x = min(j + c, width - 1)
             w = (fy if r else 1.0 - fy) * (fx if c else 1.0 - fx) + 1e-3
             w *= 1e-4 + max(0.0, 1.0 - 20.0 * abs(depths[y, x] * depth - 1.0))
             total += w * share[y, x]

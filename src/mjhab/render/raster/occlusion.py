@@ -31,9 +31,12 @@ def _slope(inverse, y, x, dy, dx):
     """Change of inverse depth per pixel along (dy, dx): the flatter side, so that edges do not count."""
     height, width = inverse.shape
     w = inverse[y, x]
-    ya, xa = min(y + dy, height - 1), min(x + dx, width - 1)
-    yb, xb = max(y - dy, 0), max(x - dx, 0)
-    forward, backward = inverse[ya, xa] - w, w - inverse[yb, xb]
+    ya = min(y + dy, height - 1)
+    xa = min(x + dx, width - 1)
+    yb = max(y - dy, 0)
+    xb = max(x - dx, 0)
+    forward = inverse[ya, xa] - w
+    backward = w - inverse[yb, xb]
     if ya == y and xa == x:
         return backward
     if yb == y and xb == x:
@@ -45,23 +48,34 @@ def _slope(inverse, y, x, dy, dx):
 def _blocked(inverse, y, x, focal, turn):
     """Occlusion of one pixel, in 0..1 before ``STRENGTH``."""
     height, width = inverse.shape
-    cx, cy = 0.5 * width, 0.5 * height
+    cx = 0.5 * width
+    cy = 0.5 * height
     w = inverse[y, x]
-    gx, gy = _slope(inverse, y, x, 0, 1), _slope(inverse, y, x, 1, 0)
-    u, v = x + 0.5 - cx, y + 0.5 - cy
-    nx, ny, nz = -gx * focal, -gy * focal, -(w - gx * u - gy * v)
+    gx = _slope(inverse, y, x, 0, 1)
+    gy = _slope(inverse, y, x, 1, 0)
+    u = x + 0.5 - cx
+    v = y + 0.5 - cy
+    nx = -gx * focal
+    ny = -gy * focal
+    nz = -(w - gx * u - gy * v)
     inv = 1.0 / np.sqrt(nx * nx + ny * ny + nz * nz + 1e-20)
-    nx, ny, nz = nx * inv, ny * inv, nz * inv
+    nx = nx * inv
+    ny = ny * inv
+    nz = nz * inv
     z = 1.0 / w
-    px, py = u / focal * z, v / focal * z
+    px = u / focal * z
+    py = v / focal * z
     reach = min(RADIUS * focal * w, 0.2 * height)
     total = 0.0
     for k in range(TAPS):
-        col, row = int(x + 0.5 + reach * DISK[turn, k, 0]), int(y + 0.5 + reach * DISK[turn, k, 1])
+        col = int(x + 0.5 + reach * DISK[turn, k, 0])
+        row = int(y + 0.5 + reach * DISK[turn, k, 1])
         if col < 0 or row < 0 or col >= width or row >= height or inverse[row, col] <= 0.0:
             continue
         qz = 1.0 / inverse[row, col]
-        dx, dy, dz = (col + 0.5 - cx) / focal * qz - px, (row + 0.5 - cy) / focal * qz - py, qz - z
+        dx = (col + 0.5 - cx) / focal * qz - px
+        dy = (row + 0.5 - cy) / focal * qz - py
+        dz = qz - z
         square = dx * dx + dy * dy + dz * dz
         if square < RADIUS * RADIUS:
             rise = max(dx * nx + dy * ny + dz * nz - 0.004 * z, 0.0)
@@ -86,7 +100,8 @@ def ambient_occlusion(inverse, step, focal, raw, share, depths):
                 raw[i, j] = _blocked(inverse, y, x, focal, (i & 3) * 4 + (j & 3))
     for i in range(height):
         for j in range(width):
-            total, weight = 0.0, 1e-9
+            total = 0.0
+            weight = 1e-9
             for y in range(max(i - 2, 0), min(i + 2, height)):
                 for x in range(max(j - 2, 0), min(j + 2, width)):
                     if abs(depths[y, x] - depths[i, j]) < 0.05 * depths[i, j]:

@@ -37,9 +37,12 @@ NEAR = 0.01
 SHADOW_SIZE = 512
 SHADOW_MAPS_KEPT = 64
 """Shadow maps of still furniture kept in memory (1 MiB each)."""
-FAST_STRIDE, FAST_CELL = 8, 4
+FAST_STRIDE = 8
+FAST_CELL = 4
 """Fast pictures: light is computed at every 8th pixel of a face's run, ambient occlusion on cells of 4 x 4 pixels."""
-ALL, STILL, MOVING = 0, 1, 2
+ALL = 0
+STILL = 1
+MOVING = 2
 """Which instances ``draw`` draws."""
 SIZES_KEPT = 6
 """Sizes of pictures that a thread keeps buffers for."""
@@ -72,7 +75,9 @@ class Rasterizer:
         cull_backfaces: do not draw faces seen from behind (closed meshes need it off only for looks inside).
     """
 
-    def __init__(self, scene: RenderScene, num_threads: int = 0, cull_backfaces: bool = True) -> None:
+    def __init__(
+        self, scene: RenderScene, num_threads: int = 0, cull_backfaces: bool = True
+    ) -> None:
         self.scene = scene
         self.cull_backfaces = cull_backfaces
         self._scenery = _scenery(scene)
@@ -80,7 +85,9 @@ class Rasterizer:
         self._lock = threading.Lock()
         self._shadows: OrderedDict[tuple[int, int], np.ndarray] = OrderedDict()
         self.num_threads = num_threads or os.cpu_count() or 1
-        self._pool = ThreadPoolExecutor(self.num_threads, "raster") if self.num_threads > 1 else None
+        self._pool = (
+            ThreadPoolExecutor(self.num_threads, "raster") if self.num_threads > 1 else None
+        )
 
     def close(self) -> None:
         """Stop the threads."""
@@ -134,9 +141,13 @@ class Rasterizer:
         views = _views(home, (body_pos, body_mat, cam_pos, cam_mat), fovy, (height, width), outputs)
         if quality == "nice" or samples > 1:
             jobs = [(w, c) for w in range(len(home)) for c in range(cam_pos.shape[1])]
-            self._each(lambda job: self._draw(views, *job, height, width, quality == "nice", samples), jobs)
+            self._each(
+                lambda job: self._draw(views, *job, height, width, quality == "nice", samples), jobs
+            )
         else:
-            self._each(lambda job: self._draw_fast(views, *job, height, width), self._portions(len(home)))
+            self._each(
+                lambda job: self._draw_fast(views, *job, height, width), self._portions(len(home))
+            )
         return {name: getattr(views, name) for name in outputs}
 
     def _portions(self, worlds: int) -> list[tuple[int, int]]:
@@ -144,13 +155,25 @@ class Rasterizer:
         return [(first, min(first + size, worlds)) for first in range(0, worlds, size)]
 
     def _each(self, work: Callable[[tuple[int, int]], None], jobs: list[tuple[int, int]]) -> None:
-        for _ in map(work, jobs) if self._pool is None or len(jobs) == 1 else self._pool.map(work, jobs):
+        for _ in (
+            map(work, jobs) if self._pool is None or len(jobs) == 1 else self._pool.map(work, jobs)
+        ):
             pass
 
     def _draw_fast(self, views: Views, first: int, last: int, height: int, width: int) -> None:
         """Draw all cameras of the worlds ``first`` to ``last``."""
         room = self._room(height, width, FAST_CELL)
-        draw_worlds(self._scenery, views, first, last, NEAR, self.cull_backfaces, FAST_CELL, FAST_STRIDE, room)
+        draw_worlds(
+            self._scenery,
+            views,
+            first,
+            last,
+            NEAR,
+            self.cull_backfaces,
+            FAST_CELL,
+            FAST_STRIDE,
+            room,
+        )
 
     def _check(self, home: np.ndarray, bodies: int, width: int, height: int) -> None:
         homes = len(self.scene.home_pos)
@@ -158,16 +181,25 @@ class Rasterizer:
             raise UsageError(f"home must be in 0..{homes - 1}; got {home.min()}..{home.max()}.")
         needed = int(self.scene.instance_body.max(initial=0)) + 1
         if bodies < needed:
-            raise UsageError(f"body_pos must have at least {needed} bodies (the scene names body {needed - 1}).")
+            raise UsageError(
+                f"body_pos must have at least {needed} bodies (the scene names body {needed - 1})."
+            )
         if width < 1 or height < 1:
             raise UsageError(f"width and height must be positive; got {width} x {height}.")
 
-    def _draw(self, views: Views, w: int, c: int, height: int, width: int, nice: bool, samples: int) -> None:
+    def _draw(
+        self, views: Views, w: int, c: int, height: int, width: int, nice: bool, samples: int
+    ) -> None:
         """Draw one camera of one world with shadows (``nice``), its colours from samples x samples per pixel."""
-        placing, home = self._scenery.placing, int(views.home[w])
+        placing = self._scenery.placing
+        home = int(views.home[w])
         lens = Lens(views.cam_pos[w, c], views.cam_mat[w, c], float(views.focal[c]), NEAR)
         fine = views.rgb.shape[1] > 0 and samples > 1
-        room = self._room(height * samples, width * samples, 2 * samples) if fine else self._room(height, width, 2)
+        room = (
+            self._room(height * samples, width * samples, 2 * samples)
+            if fine
+            else self._room(height, width, 2)
+        )
         place_instances(placing, home, views.body_pos[w], views.body_mat[w], room.draw)
         if fine:
             lens = lens._replace(focal=lens.focal * samples)
@@ -193,10 +225,12 @@ class Rasterizer:
             count = len(self.scene.instance_mesh)
             cells = (-(-height // cell), -(-width // cell))
             rooms[key] = Room(
-                make_scratch(self._scenery.geometry, count), make_shade_scratch(count, width),
-                np.empty((height, width), np.float32), np.empty((height, width), np.int32),
+                make_scratch(self._scenery.geometry, count),
+                make_shade_scratch(count, width),
+                np.empty((height, width), np.float32),
+                np.empty((height, width), np.int32),
                 *(np.empty(cells, np.float32) for _ in range(3)),
-            )  # fmt: skip
+            )
             if len(rooms) > SIZES_KEPT:
                 rooms.popitem(last=False)
         return rooms[key]
@@ -205,24 +239,51 @@ class Rasterizer:
         """Inverse depth and ids of everything into the buffers."""
         room.inverse[:] = 0.0
         s = self._scenery
-        draw(s.geometry, s.placing, home, ALL, lens, self.cull_backfaces, room.inverse, room.ids, room.draw)
+        draw(
+            s.geometry,
+            s.placing,
+            home,
+            ALL,
+            lens,
+            self.cull_backfaces,
+            room.inverse,
+            room.ids,
+            room.draw,
+        )
 
-    def _shade(self, home: int, lens: Lens, room: Room, rgb: np.ndarray, nice: bool, samples: int) -> None:
-        s, cell = self._scenery, 2 * samples
-        lamps, stride = s.lamps, FAST_STRIDE * samples
+    def _shade(
+        self, home: int, lens: Lens, room: Room, rgb: np.ndarray, nice: bool, samples: int
+    ) -> None:
+        s = self._scenery
+        cell = 2 * samples
+        lamps = s.lamps
+        stride = FAST_STRIDE * samples
         openness = Openness(room.share, room.depths, 1.0 / cell)
         ambient_occlusion(room.inverse, cell, lens.focal, room.raw, room.share, room.depths)
         if nice:
             drawn = room.draw.drawn.copy()
-            lamps, stride = lamps._replace(shadow=self._lamp_maps(home, room)), 1
+            lamps = lamps._replace(shadow=self._lamp_maps(home, room))
+            stride = 1
             room.draw.drawn[:] = drawn
         shade(
-            s.surface, room.draw, lamps, home, lens, room.inverse, room.ids, openness, s.tone, room.shade, stride, rgb
+            s.surface,
+            room.draw,
+            lamps,
+            home,
+            lens,
+            room.inverse,
+            room.ids,
+            openness,
+            s.tone,
+            room.shade,
+            stride,
+            rgb,
         )
 
     def _lamp_maps(self, home: int, room: Room) -> np.ndarray:
         """Inverse depths (L, S, S) below every lamp: still furniture from the cache, moving bodies on top."""
-        scene, s = self.scene, self._scenery
+        scene = self.scene
+        s = self._scenery
         maps = np.zeros((scene.light_pos.shape[1], SHADOW_SIZE, SHADOW_SIZE), np.float32)
         ids = np.empty((SHADOW_SIZE, SHADOW_SIZE), np.int32)
         focal = 0.5 * SHADOW_SIZE * SHADOW_SLOPE / np.sqrt(1.0 - SHADOW_SLOPE**2)
@@ -257,7 +318,9 @@ def _array(value: np.ndarray, shape: tuple[int, ...], name: str) -> np.ndarray:
     array = np.asarray(value, np.float64)
     if array.ndim == len(shape) - 1 and shape[-2:] == (3, 3) and array.shape[-1] == 9:
         array = array.reshape(*array.shape[:-1], 3, 3)
-    if array.ndim != len(shape) or any(want not in (-1, got) for want, got in zip(shape, array.shape, strict=True)):
+    if array.ndim != len(shape) or any(
+        want not in (-1, got) for want, got in zip(shape, array.shape, strict=True)
+    ):
         raise UsageError(f"{name} must have shape {shape} (-1: any); got {array.shape}.")
     return np.ascontiguousarray(array)
 
@@ -278,7 +341,9 @@ def _views(
         for name, (kind, tail) in kinds.items()
     }
     body_pos, body_mat, cam_pos, cam_mat = given
-    return Views(home, body_pos, body_mat, cam_pos, cam_mat, 0.5 * height / np.tan(0.5 * fovy), **images)
+    return Views(
+        home, body_pos, body_mat, cam_pos, cam_mat, 0.5 * height / np.tan(0.5 * fovy), **images
+    )
 
 
 def _scenery(scene: RenderScene) -> Scenery:
@@ -287,10 +352,22 @@ def _scenery(scene: RenderScene) -> Scenery:
     extent = (geometry.mesh_box[:, 1] - geometry.mesh_box[:, 0])[scene.instance_mesh]
     smooth = np.ascontiguousarray(scene.face_normal[:, :, :3].any((1, 2)))
     surface = Surface(
-        scene.mesh_face_start, scene.face_material, scene.face_normal, scene.face_uv, scene.face_density, smooth,
-        scene.instance_material, extent, scene.mat_color, scene.mat_color2, scene.mat_texture, scene.mat_pattern,
-        scene.mat_size, scene.mat_gloss, scene.texels,
-    )  # fmt: skip
+        scene.mesh_face_start,
+        scene.face_material,
+        scene.face_normal,
+        scene.face_uv,
+        scene.face_density,
+        smooth,
+        scene.instance_material,
+        extent,
+        scene.mat_color,
+        scene.mat_color2,
+        scene.mat_texture,
+        scene.mat_pattern,
+        scene.mat_size,
+        scene.mat_gloss,
+        scene.texels,
+    )
     lamps = Lamps(scene.light_pos, scene.light_color, np.empty((0, 1, 1), np.float32))
     return Scenery(geometry, _placing(scene), surface, lamps, scene.instance_seg, tone_curve())
 
@@ -300,9 +377,16 @@ def _placing(scene: RenderScene) -> Placing:
     there &= (scene.instance_body != 0) | (scene.home_pos[:, :, 2] > PARKED_BELOW)
     start = np.concatenate([[0], np.cumsum(there.sum(axis=1))]).astype(np.int64)
     return Placing(
-        scene.instance_mesh, scene.instance_body, scene.instance_pos, scene.instance_mat,
-        scene.home_pos, scene.home_mat, scene.home_scale, np.nonzero(there)[1].astype(np.int32), start,
-    )  # fmt: skip
+        scene.instance_mesh,
+        scene.instance_body,
+        scene.instance_pos,
+        scene.instance_mat,
+        scene.home_pos,
+        scene.home_mat,
+        scene.home_scale,
+        np.nonzero(there)[1].astype(np.int32),
+        start,
+    )
 
 
 def _geometry(scene: RenderScene) -> Geometry:
@@ -318,8 +402,10 @@ def _geometry(scene: RenderScene) -> Geometry:
             f"mesh and {1 << (31 - FACE_BITS)} instances."
         )
     spans = np.stack([scene.mesh_face_start, scene.mesh_face_count], 1).astype(np.int32)
-    verts, faces = np.zeros_like(spans), scene.faces.copy()
-    box, ball = np.zeros((len(spans), 2, 3)), np.zeros((len(spans), 4))
+    verts = np.zeros_like(spans)
+    faces = scene.faces.copy()
+    box = np.zeros((len(spans), 2, 3))
+    ball = np.zeros((len(spans), 4))
     for k, (start, count) in enumerate(spans):
         if count == 0:
             continue

@@ -67,9 +67,11 @@ class ShadeScratch(NamedTuple):
 def make_shade_scratch(instances: int, width: int) -> ShadeScratch:
     """Scratch for one thread and rows up to ``width`` samples."""
     return ShadeScratch(
-        np.empty((3, width), np.float32), np.empty((3, width), np.float32), np.empty((instances, 15)),
+        np.empty((3, width), np.float32),
+        np.empty((3, width), np.float32),
+        np.empty((instances, 15)),
         np.zeros(instances + 1, np.int64),
-    )  # fmt: skip
+    )
 
 
 def tone_curve(entries: int = 16384) -> np.ndarray:
@@ -87,10 +89,16 @@ def _frame(poses, room, lens, i):
     if room.stamp[i] == room.stamp[-1]:
         return
     room.stamp[i] = room.stamp[-1]
-    f, rot, m = room.frames, poses.rot, lens.mat
-    d0, d1, d2 = lens.pos[0] - poses.pos[i, 0], lens.pos[1] - poses.pos[i, 1], lens.pos[2] - poses.pos[i, 2]
+    f = room.frames
+    rot = poses.rot
+    m = lens.mat
+    d0 = lens.pos[0] - poses.pos[i, 0]
+    d1 = lens.pos[1] - poses.pos[i, 1]
+    d2 = lens.pos[2] - poses.pos[i, 2]
     for r in range(3):
-        a, b, c = rot[i, 0, r], rot[i, 1, r], rot[i, 2, r]
+        a = rot[i, 0, r]
+        b = rot[i, 1, r]
+        c = rot[i, 2, r]
         f[i, r] = a * d0 + b * d1 + c * d2
         for k in range(3):
             f[i, 3 + 3 * r + k] = a * m[0, k] + b * m[1, k] + c * m[2, k]
@@ -110,14 +118,22 @@ def _place(f, i, u, v, depth):
 def _normal(surface, f, i, face, x, y, z):
     """Unit normal of a face at a point, both in the instance's axes."""
     n = surface.face_normal
-    sx, sy, sz = f[i, 12], f[i, 13], f[i, 14]
-    nx, ny, nz = float(n[face, 0, 3]), float(n[face, 1, 3]), float(n[face, 2, 3])
+    sx = f[i, 12]
+    sy = f[i, 13]
+    sz = f[i, 14]
+    nx = float(n[face, 0, 3])
+    ny = float(n[face, 1, 3])
+    nz = float(n[face, 2, 3])
     if surface.smooth[face]:
-        x, y, z = x * sx, y * sy, z * sz
+        x = x * sx
+        y = y * sy
+        z = z * sz
         nx += n[face, 0, 0] * x + n[face, 0, 1] * y + n[face, 0, 2] * z
         ny += n[face, 1, 0] * x + n[face, 1, 1] * y + n[face, 1, 2] * z
         nz += n[face, 2, 0] * x + n[face, 2, 1] * y + n[face, 2, 2] * z
-    nx, ny, nz = nx * sx, ny * sy, nz * sz
+    nx = nx * sx
+    ny = ny * sy
+    nz = nz * sz
     length = 1.0 / np.sqrt(nx * nx + ny * ny + nz * nz + 1e-30)
     return nx * length, ny * length, nz * length
 
@@ -126,7 +142,8 @@ def _normal(surface, f, i, face, x, y, z):
 def _node(surface, poses, lamps, home, lens, openness, room, i, face, gloss, u, v, w, col, row):
     """Light (6 numbers) at a pixel of inverse depth ``w``, and how much the face is turned to the camera."""
     depth = 1.0 / w
-    m, rot = lens.mat, poses.rot
+    m = lens.mat
+    rot = poses.rot
     rx = m[0, 0] * u + m[0, 1] * v - m[0, 2]
     ry = m[1, 0] * u + m[1, 1] * v - m[1, 2]
     rz = m[2, 0] * u + m[2, 1] * v - m[2, 2]
@@ -136,16 +153,26 @@ def _node(surface, poses, lamps, home, lens, openness, room, i, face, gloss, u, 
     ny = rot[i, 1, 0] * px + rot[i, 1, 1] * py + rot[i, 1, 2] * pz
     nz = rot[i, 2, 0] * px + rot[i, 2, 1] * py + rot[i, 2, 2] * pz
     inv = -1.0 / np.sqrt(rx * rx + ry * ry + rz * rz)
-    vx, vy, vz = rx * inv, ry * inv, rz * inv
+    vx = rx * inv
+    vy = ry * inv
+    vz = rz * inv
     facing = nx * vx + ny * vy + nz * vz
     if facing < 0.0 and not surface.smooth[face]:
-        nx, ny, nz, facing = -nx, -ny, -nz, -facing
+        nx = -nx
+        ny = -ny
+        nz = -nz
+        facing = -facing
     open_share = 1.0
     if openness.share.shape[0] > 0:
-        rows, cols = (row + 0.5) * openness.cells, (col + 0.5) * openness.cells
+        rows = (row + 0.5) * openness.cells
+        cols = (col + 0.5) * openness.cells
         open_share = blended_share(openness.share, openness.depths, rows, cols, depth)
-    x, y, z = lens.pos[0] + rx * depth, lens.pos[1] + ry * depth, lens.pos[2] + rz * depth
-    return light_point(lamps, home, x, y, z, nx, ny, nz, vx, vy, vz, gloss, open_share), max(facing, 0.05)
+    x = lens.pos[0] + rx * depth
+    y = lens.pos[1] + ry * depth
+    z = lens.pos[2] + rz * depth
+    return light_point(lamps, home, x, y, z, nx, ny, nz, vx, vy, vz, gloss, open_share), max(
+        facing, 0.05
+    )
 
 
 @color_inline
@@ -154,8 +181,12 @@ def _axes(surface, i, face, f, u, v, w):
     e = surface.extent
     x, y, z = _place(f, i, u, v, 1.0 / w)
     x, y, z = _normal(surface, f, i, face, x, y, z)
-    x, y, z = abs(x), abs(y), abs(z)
-    sx, sy, sz = e[i, 0] / abs(f[i, 12]), e[i, 1] / abs(f[i, 13]), e[i, 2] / abs(f[i, 14])
+    x = abs(x)
+    y = abs(y)
+    z = abs(z)
+    sx = e[i, 0] / abs(f[i, 12])
+    sy = e[i, 1] / abs(f[i, 13])
+    sz = e[i, 2] / abs(f[i, 14])
     if z >= x and z >= y:
         return (0, 1) if sx >= sy else (1, 0)
     if x >= y:
@@ -179,20 +210,24 @@ def _linear(level):
 def _textured(surface, f, i, face, m, first, second, level, u, v, w):
     """Colour, linear rgb, of a face with a texture at a pixel of inverse depth ``w``."""
     x, y, z = _place(f, i, u, v, 1.0 / w)
-    color, texture = surface.color, surface.texture[m]
+    color = surface.color
+    texture = surface.texture[m]
     if surface.pattern[m]:
         # Every piece starts elsewhere in the pattern.
         s = _pick(first, x, y, z) / surface.size[m, 0] + 0.37 * i
         t = _pick(second, x, y, z) / surface.size[m, 1] + 0.23 * i
         mix, shade, _ = sample(surface.texels, texture, level, s, t)
-        mix, shade = mix * (1.0 / 255.0), shade * (SHADE_TOP / 255.0)
+        mix = mix * (1.0 / 255.0)
+        shade = shade * (SHADE_TOP / 255.0)
         other = surface.color2
         return (
             shade * (color[m, 0] + mix * (other[m, 0] - color[m, 0])),
             shade * (color[m, 1] + mix * (other[m, 1] - color[m, 1])),
             shade * (color[m, 2] + mix * (other[m, 2] - color[m, 2])),
         )
-    x, y, z = x * f[i, 12], y * f[i, 13], z * f[i, 14]
+    x = x * f[i, 12]
+    y = y * f[i, 13]
+    z = z * f[i, 14]
     a = surface.face_uv
     s = a[face, 0, 0] * x + a[face, 0, 1] * y + a[face, 0, 2] * z + a[face, 0, 3]
     t = a[face, 1, 0] * x + a[face, 1, 1] * y + a[face, 1, 2] * z + a[face, 1, 3]
@@ -206,7 +241,8 @@ def _copy(surface, m, face, f, i, pixel):
     texture = surface.texture[m]
     if texture < 0:
         return 0
-    wide, high = 1 << surface.texels.bits[texture, 0], 1 << surface.texels.bits[texture, 1]
+    wide = 1 << surface.texels.bits[texture, 0]
+    high = 1 << surface.texels.bits[texture, 1]
     if surface.pattern[m]:
         return copy_for(pixel * max(wide / surface.size[m, 0], high / surface.size[m, 1]))
     grow = max(abs(f[i, 12]), abs(f[i, 13]), abs(f[i, 14]))
@@ -216,53 +252,88 @@ def _copy(surface, m, face, f, i, pixel):
 @color_inline
 def _fill_plain(line, left, count, r, g, b, p, d):
     """Pixels of one colour in light that changes by ``d`` per pixel from ``p``."""
-    r0, g0, b0 = np.float32(r * p[0] + p[3]), np.float32(g * p[1] + p[4]), np.float32(b * p[2] + p[5])
-    r1, g1, b1 = np.float32(r * d[0] + d[3]), np.float32(g * d[1] + d[4]), np.float32(b * d[2] + d[5])
+    r0 = np.float32(r * p[0] + p[3])
+    g0 = np.float32(g * p[1] + p[4])
+    b0 = np.float32(b * p[2] + p[5])
+    r1 = np.float32(r * d[0] + d[3])
+    g1 = np.float32(g * d[1] + d[4])
+    b1 = np.float32(b * d[2] + d[5])
     for k in range(np.uint64(count)):
-        t, x = np.float32(np.int32(k)), np.uint64(left) + k
+        t = np.float32(np.int32(k))
+        x = np.uint64(left) + k
         line[0, x] = r0 + t * r1
         line[1, x] = g0 + t * g1
         line[2, x] = b0 + t * b1
 
 
 @color_inline
-def _shade_run(surface, poses, lamps, home, lens, openness, room, i, face, row, start, stop, inverse, stride):
+def _shade_run(
+    surface, poses, lamps, home, lens, openness, room, i, face, row, start, stop, inverse, stride
+):
     """Shade the pixels ``start`` to ``stop`` of a row, all on one face, into the line."""
     height, width = inverse.shape
-    inv, cx, v = 1.0 / lens.focal, 0.5 * width - 0.5, (0.5 * height - row - 0.5) / lens.focal
-    f, line = room.frames, room.line
+    inv = 1.0 / lens.focal
+    cx = 0.5 * width - 0.5
+    v = (0.5 * height - row - 0.5) / lens.focal
+    f = room.frames
+    line = room.line
     _frame(poses, room, lens, i)
     m = surface.instance_material[home, i]
     if m < 0:
         m = surface.face_material[face]
-    plain, gloss = surface.texture[m] < 0, surface.gloss[m]
-    r, g, b = surface.color[m, 0], surface.color[m, 1], surface.color[m, 2]
+    plain = surface.texture[m] < 0
+    gloss = surface.gloss[m]
+    r = surface.color[m, 0]
+    g = surface.color[m, 1]
+    b = surface.color[m, 2]
     short = stop - start <= SHORT_RUN
-    at, left, begun = ((start + stop) // 2 if short else start), start, False
-    u, w = (at - cx) * inv, float(inverse[row, at])
+    at = (start + stop) // 2 if short else start
+    left = start
+    begun = False
+    u = (at - cx) * inv
+    w = float(inverse[row, at])
     first, second = _axes(surface, i, face, f, u, v, w) if surface.pattern[m] else (0, 1)
-    p, turned = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), 1.0
+    p = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    turned = 1.0
     while left < stop:
-        u, w = (at - cx) * inv, float(inverse[row, at])
-        q, facing = _node(surface, poses, lamps, home, lens, openness, room, i, face, gloss, u, v, w, at, row)
+        u = (at - cx) * inv
+        w = float(inverse[row, at])
+        q, facing = _node(
+            surface, poses, lamps, home, lens, openness, room, i, face, gloss, u, v, w, at, row
+        )
         if begun or short:
-            s, end = 1.0 / (at - left) if begun else 0.0, (stop if short or at == stop - 1 else at)
+            s = 1.0 / (at - left) if begun else 0.0
+            end = stop if short or at == stop - 1 else at
             if not begun:
-                p, turned = q, facing
-            d = ((q[0] - p[0]) * s, (q[1] - p[1]) * s, (q[2] - p[2]) * s,
-                 (q[3] - p[3]) * s, (q[4] - p[4]) * s, (q[5] - p[5]) * s)  # fmt: skip
-            level = _copy(surface, m, face, f, i, inv / (float(inverse[row, left]) * np.sqrt(turned)))
+                p = q
+                turned = facing
+            d = (
+                (q[0] - p[0]) * s,
+                (q[1] - p[1]) * s,
+                (q[2] - p[2]) * s,
+                (q[3] - p[3]) * s,
+                (q[4] - p[4]) * s,
+                (q[5] - p[5]) * s,
+            )
+            level = _copy(
+                surface, m, face, f, i, inv / (float(inverse[row, left]) * np.sqrt(turned))
+            )
             if plain:
                 _fill_plain(line, left, end - left, r, g, b, p, d)
             else:
                 for x in range(left, end):
-                    w, t = float(inverse[row, x]), float(x - left)
-                    r, g, b = _textured(surface, f, i, face, m, first, second, level, (x - cx) * inv, v, w)
+                    w = float(inverse[row, x])
+                    t = float(x - left)
+                    r, g, b = _textured(
+                        surface, f, i, face, m, first, second, level, (x - cx) * inv, v, w
+                    )
                     line[0, x] = r * (p[0] + t * d[0]) + p[3] + t * d[3]
                     line[1, x] = g * (p[1] + t * d[1]) + p[4] + t * d[4]
                     line[2, x] = b * (p[2] + t * d[2]) + p[5] + t * d[5]
             left = end
-        p, turned, begun = q, facing, True
+        p = q
+        turned = facing
+        begun = True
         at = min(at + stride, stop - 1)
 
 
@@ -294,20 +365,46 @@ def shade(surface, poses, lamps, home, lens, inverse, ids, openness, tone, room,
     ``poses``: the scratch ``place_instances`` and ``draw`` filled; ``stride``: samples between nodes of light.
     """
     rows, columns = inverse.shape
-    s, inv = rows // rgb.shape[0], 1.0 / lens.focal
+    s = rows // rgb.shape[0]
+    inv = 1.0 / lens.focal
     room.stamp[-1] += 1
     for row in range(rows):
         x = 0
         while x < columns:
-            start, seen, tag = x, inverse[row, x] > 0.0, ids[row, x]
+            start = x
+            seen = inverse[row, x] > 0.0
+            tag = ids[row, x]
             x += 1
-            while x < columns and (inverse[row, x] > 0.0) == seen and (ids[row, x] == tag or not seen):
+            while (
+                x < columns and (inverse[row, x] > 0.0) == seen and (ids[row, x] == tag or not seen)
+            ):
                 x += 1
             if seen:
                 i = tag >> FACE_BITS
                 face = surface.mesh_start[poses.drawn[i]] + (tag & ((1 << FACE_BITS) - 1))
-                _shade_run(surface, poses, lamps, home, lens, openness, room, i, face, row, start, x, inverse, stride)
+                _shade_run(
+                    surface,
+                    poses,
+                    lamps,
+                    home,
+                    lens,
+                    openness,
+                    room,
+                    i,
+                    face,
+                    row,
+                    start,
+                    x,
+                    inverse,
+                    stride,
+                )
                 continue
             for k in range(start, x):
-                sky(lens, (k + 0.5 - 0.5 * columns) * inv, (0.5 * rows - row - 0.5) * inv, room.line, k)
+                sky(
+                    lens,
+                    (k + 0.5 - 0.5 * columns) * inv,
+                    (0.5 * rows - row - 0.5) * inv,
+                    room.line,
+                    k,
+                )
         _store(room.line, room.total, s, row % s, tone, rgb, row // s)

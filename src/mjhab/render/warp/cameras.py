@@ -45,17 +45,25 @@ class WarpCameras:
     """
 
     def __init__(
-        self, sim: WarpSimulator, cameras: Sequence[str], size: tuple[int, int], outputs: Sequence[str]
+        self,
+        sim: WarpSimulator,
+        cameras: Sequence[str],
+        size: tuple[int, int],
+        outputs: Sequence[str],
     ) -> None:
         _check(cameras, size, outputs)
-        self._sim, self._cameras, self._size, self._outputs = sim, tuple(cameras), size, tuple(outputs)
+        self._sim = sim
+        self._cameras = tuple(cameras)
+        self._size = size
+        self._outputs = tuple(outputs)
         homes = sim.layout.pack.homes
         self._home_index = {home.name: i for i, home in enumerate(homes)}
         model = sim.model(homes[0].name)
         scene = build_render_scene(sim.layout, model)
         self.segmentation_names = scene.seg_names
         self._graphs = Graphs(sim.device)
-        self._rows, self._rows_known = wp.from_torch(sim.engine.homes.rows), 0
+        self._rows = wp.from_torch(sim.engine.homes.rows)
+        self._rows_known = 0
         with room_for(sim.num_worlds, sim.device), set_up(sim.device):
             self._scene = DeviceScene(scene)
             self._home_of_row = wp.zeros(len(homes), dtype=wp.int32)
@@ -103,7 +111,10 @@ class WarpCameras:
         "scene" without the trees of boxes of its meshes."""
         chunk = [self._frame, self._cells]
         return {
-            "pictures": sum(image.size * wp.types.type_size_in_bytes(image.dtype) for image in self._images.values()),
+            "pictures": sum(
+                image.size * wp.types.type_size_in_bytes(image.dtype)
+                for image in self._images.values()
+            ),
             "worlds": _bytes([self._worlds]),
             "chunk": _bytes(chunk),
             "scene": _bytes([self._scene.looks, self._scene.stills, self._scene.movers]),
@@ -114,46 +125,74 @@ class WarpCameras:
         bodies = np.array([model.body(mount.body).id for mount in mounts], np.int32)
         mats = mat_from_quat(np.array([mount.quat for mount in mounts]))
         self._mount_body = wp.array(bodies, dtype=wp.int32)
-        self._mount_pos = wp.array(np.array([mount.pos for mount in mounts], np.float32), dtype=wp.vec3)
+        self._mount_pos = wp.array(
+            np.array([mount.pos for mount in mounts], np.float32), dtype=wp.vec3
+        )
         self._mount_mat = wp.array(mats.astype(np.float32), dtype=wp.mat33)
         fovy = np.array([mount.fovy for mount in mounts])
-        self._focal = wp.array((0.5 * self._size[0] / np.tan(0.5 * fovy)).astype(np.float32), dtype=wp.float32)
+        self._focal = wp.array(
+            (0.5 * self._size[0] / np.tan(0.5 * fovy)).astype(np.float32), dtype=wp.float32
+        )
 
     def _make_worlds(self) -> Any:
-        worlds, count = warp_tracing.Worlds(), self._sim.num_worlds
-        movers, cameras = len(self._scene.movers.body), len(self._cameras)
-        worlds.home, worlds.sane = wp.zeros(count, dtype=wp.int32), wp.zeros(count, dtype=wp.bool)
+        worlds = warp_tracing.Worlds()
+        count = self._sim.num_worlds
+        movers = len(self._scene.movers.body)
+        cameras = len(self._cameras)
+        worlds.home = wp.zeros(count, dtype=wp.int32)
+        worlds.sane = wp.zeros(count, dtype=wp.bool)
         worlds.wanted = wp.ones(count, dtype=wp.bool)
-        worlds.pos, worlds.mat = (wp.zeros((count, movers), dtype=kind) for kind in (wp.vec3, wp.mat33))
-        worlds.cam_pos, worlds.cam_mat = (wp.zeros((count, cameras), dtype=kind) for kind in (wp.vec3, wp.mat33))
+        worlds.pos, worlds.mat = (
+            wp.zeros((count, movers), dtype=kind) for kind in (wp.vec3, wp.mat33)
+        )
+        worlds.cam_pos, worlds.cam_mat = (
+            wp.zeros((count, cameras), dtype=kind) for kind in (wp.vec3, wp.mat33)
+        )
         return worlds
 
     def _make_frame(self) -> Any:
-        frame, (height, width) = warp_tracing.Frame(), self._size
-        self._chunk, tile = min(WORLDS_AT_ONCE, self._sim.num_worlds), warp_tracing.TILE
-        rows, columns = -(-height // tile), -(-width // tile)
+        frame = warp_tracing.Frame()
+        (height, width) = self._size
+        self._chunk = min(WORLDS_AT_ONCE, self._sim.num_worlds)
+        tile = warp_tracing.TILE
+        rows = -(-height // tile)
+        columns = -(-width // tile)
         self._tiles = rows * columns
-        frame.focal, frame.width, frame.height, frame.columns = self._focal, width, height, columns
+        frame.focal = self._focal
+        frame.width = width
+        frame.height = height
+        frame.columns = columns
         frame.near = NEAR
         shape = (self._chunk, len(self._cameras), self._tiles)
         frame.listed = wp.zeros(shape, dtype=wp.int32)
         frame.movers = wp.zeros((*shape, max(1, len(self._scene.movers.body))), dtype=wp.int16)
         colored = (self._chunk, len(self._cameras) if "rgb" in self._outputs else 0, height * width)
-        frame.inverse, frame.ids = wp.zeros(colored, dtype=wp.float32), wp.zeros(colored, dtype=wp.int32)
+        frame.inverse = wp.zeros(colored, dtype=wp.float32)
+        frame.ids = wp.zeros(colored, dtype=wp.int32)
         return frame
 
     def _make_cells(self) -> Any:
-        cells, (height, width) = warp_shading.Cells(), self._size
-        cells.cell, cells.width, cells.height = FAST_CELL, -(-width // FAST_CELL), -(-height // FAST_CELL)
-        shape = (self._chunk, len(self._cameras) if "rgb" in self._outputs else 0, cells.width * cells.height)
+        cells = warp_shading.Cells()
+        (height, width) = self._size
+        cells.cell = FAST_CELL
+        cells.width = -(-width // FAST_CELL)
+        cells.height = -(-height // FAST_CELL)
+        shape = (
+            self._chunk,
+            len(self._cameras) if "rgb" in self._outputs else 0,
+            cells.width * cells.height,
+        )
         cells.raw, cells.share, cells.depths = (wp.zeros(shape, dtype=wp.float32) for _ in range(3))
         return cells
 
     def _make_images(self) -> dict[str, wp.array]:
         kinds = {"depth": wp.float32, "rgb": wp.vec3ub, "seg": wp.int32}
-        worlds, cameras = self._sim.num_worlds, len(self._cameras)
+        worlds = self._sim.num_worlds
+        cameras = len(self._cameras)
         return {
-            name: wp.zeros((worlds, cameras if name in self._outputs else 0, *self._size), dtype=kind)
+            name: wp.zeros(
+                (worlds, cameras if name in self._outputs else 0, *self._size), dtype=kind
+            )
             for name, kind in kinds.items()
         }
 
@@ -170,48 +209,69 @@ class WarpCameras:
         self._rows_known = len(names)
 
     def _place_cameras(self) -> None:
-        data, worlds = self._sim.engine.data, self._worlds
+        data = self._sim.engine.data
+        worlds = self._worlds
         wp.launch(
-            warp_tracing.place_cameras, dim=worlds.cam_pos.shape,
-            inputs=[self._mount_body, self._mount_pos, self._mount_mat, data.xpos, data.xmat, worlds],
-        )  # fmt: skip
+            warp_tracing.place_cameras,
+            dim=worlds.cam_pos.shape,
+            inputs=[
+                self._mount_body,
+                self._mount_pos,
+                self._mount_mat,
+                data.xpos,
+                data.xmat,
+                worlds,
+            ],
+        )
 
     def _draw(self) -> None:
-        engine, scene, worlds = self._sim.engine, self._scene, self._worlds
+        engine = self._sim.engine
+        scene = self._scene
+        worlds = self._worlds
         wp.launch(
-            warp_tracing.find_homes, dim=self._sim.num_worlds,
+            warp_tracing.find_homes,
+            dim=self._sim.num_worlds,
             inputs=[self._rows, self._home_of_row, engine.data.xpos, worlds],
-        )  # fmt: skip
+        )
         self._place_cameras()
         wp.launch(
-            warp_tracing.place_movers, dim=worlds.pos.shape,
+            warp_tracing.place_movers,
+            dim=worlds.pos.shape,
             inputs=[scene.movers, engine.data.xpos, engine.data.xmat, worlds],
-        )  # fmt: skip
+        )
         for first in range(0, self._sim.num_worlds, self._chunk):
             self._draw_chunk(first)
 
     def _draw_chunk(self, first: int) -> None:
-        scene, worlds, frame, cells = self._scene, self._worlds, self._frame, self._cells
+        scene = self._scene
+        worlds = self._worlds
+        frame = self._frame
+        cells = self._cells
         shape = (self._chunk, len(self._cameras))
         wp.launch(
-            warp_tracing.list_movers, dim=(*shape, self._tiles),
+            warp_tracing.list_movers,
+            dim=(*shape, self._tiles),
             inputs=[scene.stills, scene.movers, worlds, frame, first],
-        )  # fmt: skip
+        )
         wp.launch(
-            warp_tracing.trace, dim=(*shape, self._tiles * warp_tracing.TILE_PIXELS),
+            warp_tracing.trace,
+            dim=(*shape, self._tiles * warp_tracing.TILE_PIXELS),
             inputs=[scene.stills, scene.movers, worlds, frame, scene.seg, first],
             outputs=[self._images["depth"], self._images["seg"]],
-        )  # fmt: skip
+        )
         if "rgb" not in self._outputs:
             return
         spots = (*shape, cells.width * cells.height)
-        wp.launch(warp_shading.block_cells, dim=spots, inputs=[scene.looks, worlds, frame, cells, first])
+        wp.launch(
+            warp_shading.block_cells, dim=spots, inputs=[scene.looks, worlds, frame, cells, first]
+        )
         wp.launch(warp_shading.blur_cells, dim=spots, inputs=[worlds, cells, first])
         wp.launch(
-            warp_shading.shade, dim=(*shape, frame.width * frame.height),
+            warp_shading.shade,
+            dim=(*shape, frame.width * frame.height),
             inputs=[scene.looks, scene.stills, scene.movers, worlds, frame, cells, first],
             outputs=[self._images["rgb"]],
-        )  # fmt: skip
+        )
 
 
 def _check(cameras: Sequence[str], size: tuple[int, int], outputs: Sequence[str]) -> None:
@@ -227,5 +287,10 @@ def _check(cameras: Sequence[str], size: tuple[int, int], outputs: Sequence[str]
 
 def _bytes(structs: Sequence[object]) -> int:
     """Memory of the arrays in Warp structs."""
-    arrays = [value for struct in structs for value in vars(struct).values() if isinstance(value, wp.array)]
+    arrays = [
+        value
+        for struct in structs
+        for value in vars(struct).values()
+        if isinstance(value, wp.array)
+    ]
     return sum(array.size * wp.types.type_size_in_bytes(array.dtype) for array in arrays)

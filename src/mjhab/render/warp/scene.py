@@ -26,20 +26,32 @@ _LEAF = 4
 
 def choose_levels(scene: RenderScene, detail: float = DETAIL, budget: int = BUDGET) -> np.ndarray:
     """Mesh (I,) that stands for every instance at any distance, within the budget of faces if its levels allow."""
-    there, moving = present(scene), scene.instance_body > 0
+    there = present(scene)
+    moving = scene.instance_body > 0
     grow = np.abs(scene.home_scale).max(axis=(0, 2))
     before = None
     while True:
-        level = np.array([_level(scene, *pair, detail) for pair in zip(scene.instance_mesh, grow, strict=True)])
+        level = np.array(
+            [_level(scene, *pair, detail) for pair in zip(scene.instance_mesh, grow, strict=True)]
+        )
         faces = scene.mesh_face_count[level]
-        fits = max((there[:, ~moving] * faces[~moving]).sum(axis=1).max(initial=0), faces[moving].sum()) <= budget
+        fits = (
+            max(
+                (there[:, ~moving] * faces[~moving]).sum(axis=1).max(initial=0), faces[moving].sum()
+            )
+            <= budget
+        )
         if fits or (before is not None and (scene.mesh_coarser[level] < 0).all()):
             return level
-        before, detail = level, detail * _RELAX
+        before = level
+        detail = detail * _RELAX
 
 
 def _level(scene: RenderScene, mesh: int, grow: float, detail: float) -> int:
-    while scene.mesh_coarser[mesh] >= 0 and scene.mesh_error[scene.mesh_coarser[mesh]] * grow <= detail:
+    while (
+        scene.mesh_coarser[mesh] >= 0
+        and scene.mesh_error[scene.mesh_coarser[mesh]] * grow <= detail
+    ):
         mesh = int(scene.mesh_coarser[mesh])
     return mesh
 
@@ -67,39 +79,59 @@ class DeviceScene:
         self._there = present(scene) & (scene.instance_body == 0)
         self._meshes: dict[str, wp.Mesh] = {}
         self.seg = _ints(scene.instance_seg)
-        self.looks, self.movers, self.stills = self._make_looks(), self._make_movers(), self._make_stills()
+        self.looks, self.movers, self.stills = (
+            self._make_looks(),
+            self._make_movers(),
+            self._make_stills(),
+        )
 
     def _faces(self, instance: int) -> slice:
         start = int(self.scene.mesh_face_start[self._level[instance]])
         return slice(start, start + int(self.scene.mesh_face_count[self._level[instance]]))
 
     def _make_looks(self) -> Any:
-        scene, looks = self.scene, Looks()
+        scene = self.scene
+        looks = Looks()
         if len(scene.texels.pixels) >= 2**31:
-            raise UsageError("the pictures of this scene have more than 2^31 pixels; use smaller textures.")
-        looks.face_material, looks.face_density = _ints(scene.face_material), _floats(scene.face_density)
-        looks.face_normal, looks.face_uv = _rows(scene.face_normal, wp.vec4), _rows(scene.face_uv, wp.vec4)
+            raise UsageError(
+                "the pictures of this scene have more than 2^31 pixels; use smaller textures."
+            )
+        looks.face_material = _ints(scene.face_material)
+        looks.face_density = _floats(scene.face_density)
+        looks.face_normal = _rows(scene.face_normal, wp.vec4)
+        looks.face_uv = _rows(scene.face_uv, wp.vec4)
         looks.extent = _rows(self._extent(), wp.vec3)
         looks.instance_material = _ints(scene.instance_material)
-        looks.color, looks.color2 = _rows(scene.mat_color, wp.vec3), _rows(scene.mat_color2, wp.vec3)
-        looks.texture, looks.pattern = _ints(scene.mat_texture), _ints(scene.mat_pattern)
-        looks.size, looks.gloss = _rows(scene.mat_size, wp.vec2), _floats(scene.mat_gloss)
+        looks.color = _rows(scene.mat_color, wp.vec3)
+        looks.color2 = _rows(scene.mat_color2, wp.vec3)
+        looks.texture = _ints(scene.mat_texture)
+        looks.pattern = _ints(scene.mat_pattern)
+        looks.size = _rows(scene.mat_size, wp.vec2)
+        looks.gloss = _floats(scene.mat_gloss)
         looks.pixels = wp.array(scene.texels.pixels, dtype=wp.uint32)
-        looks.start, looks.bits = _ints(scene.texels.start), _ints(scene.texels.bits)
-        looks.tone, looks.disk = wp.array(tone_curve(), dtype=wp.uint8), _rows(DISK, wp.vec2)
-        looks.lamp_pos, looks.lamp_color = _rows(scene.light_pos, wp.vec3), _rows(scene.light_color, wp.vec3)
+        looks.start = _ints(scene.texels.start)
+        looks.bits = _ints(scene.texels.bits)
+        looks.tone = wp.array(tone_curve(), dtype=wp.uint8)
+        looks.disk = _rows(DISK, wp.vec2)
+        looks.lamp_pos = _rows(scene.light_pos, wp.vec3)
+        looks.lamp_color = _rows(scene.light_color, wp.vec3)
         return looks
 
     def _extent(self) -> np.ndarray:
         """(I, 3) size of the finest mesh of every instance, without its scale [m]."""
-        scene, sizes = self.scene, {}
+        scene = self.scene
+        sizes = {}
         for mesh in set(scene.instance_mesh.tolist()):
-            first, count = scene.mesh_face_start[mesh], scene.mesh_face_count[mesh]
-            sizes[mesh] = np.ptp(scene.vertices[scene.faces[first : first + count].reshape(-1)], axis=0)
+            first = scene.mesh_face_start[mesh]
+            count = scene.mesh_face_count[mesh]
+            sizes[mesh] = np.ptp(
+                scene.vertices[scene.faces[first : first + count].reshape(-1)], axis=0
+            )
         return np.stack([sizes[mesh] for mesh in scene.instance_mesh.tolist()])
 
     def _make_movers(self) -> Any:
-        scene, movers = self.scene, Movers()
+        scene = self.scene
+        movers = Movers()
         which = np.flatnonzero(scene.instance_body > 0)
         level = self._level[which]
         most = int(scene.mesh_face_count[level].max(initial=0))
@@ -117,39 +149,58 @@ class DeviceScene:
                 self._meshes[f"mesh {mesh}"] = _mesh(points, faces)
                 center = (points.min(axis=0) + points.max(axis=0)) / 2.0
                 # Float32 places must not fall out of it.
-                balls[mesh] = [*center, 1.0001 * np.linalg.norm(points - center, axis=1).max() + 1e-5]
-        movers.instance, movers.body = _ints(which), _ints(scene.instance_body[which])
-        movers.pos, movers.mat = _rows(scene.instance_pos[which], wp.vec3), _rows(scene.instance_mat[which], wp.mat33)
+                balls[mesh] = [
+                    *center,
+                    1.0001 * np.linalg.norm(points - center, axis=1).max() + 1e-5,
+                ]
+        movers.instance = _ints(which)
+        movers.body = _ints(scene.instance_body[which])
+        movers.pos = _rows(scene.instance_pos[which], wp.vec3)
+        movers.mat = _rows(scene.instance_mat[which], wp.mat33)
         ids = np.array([self._meshes[f"mesh {mesh}"].id for mesh in level.tolist()], np.uint64)
-        movers.mesh, movers.first_face = wp.array(ids, dtype=wp.uint64), _ints(scene.mesh_face_start[level])
-        movers.ball = _rows(np.array([balls[mesh] for mesh in level.tolist()]).reshape(-1, 4), wp.vec4)
+        movers.mesh = wp.array(ids, dtype=wp.uint64)
+        movers.first_face = _ints(scene.mesh_face_start[level])
+        movers.ball = _rows(
+            np.array([balls[mesh] for mesh in level.tolist()]).reshape(-1, 4), wp.vec4
+        )
         return movers
 
     def _make_stills(self) -> Any:
-        scene, stills = self.scene, Stills()
+        scene = self.scene
+        stills = Stills()
         counts = (self._there * scene.mesh_face_count[self._level]).sum(axis=1)
         self._face_start = np.concatenate([[0], np.cumsum(counts)])
         stills.face_start = _ints(self._face_start[:-1])
         stills.mesh = wp.zeros(len(counts), dtype=wp.uint64)
         total = int(self._face_start[-1])
         stills.instance, stills.face = (wp.zeros(total, dtype=wp.int32) for _ in range(2))
-        stills.pos, stills.mat = _rows(scene.home_pos, wp.vec3), _rows(scene.home_mat, wp.mat33)
+        stills.pos = _rows(scene.home_pos, wp.vec3)
+        stills.mat = _rows(scene.home_mat, wp.mat33)
         stills.scale = _rows(scene.home_scale, wp.vec3)
         return stills
 
     def add_home(self, home: int) -> None:
         """Build the mesh of a home, by its index in the scene; once built, nothing happens."""
-        key, scene = f"home {home}", self.scene
+        key = f"home {home}"
+        scene = self.scene
         if key in self._meshes:
             return
-        corners, sources, owners = [np.zeros((0, 3, 3))], [np.zeros(0, int)], [np.zeros(0, int)]
+        corners = [np.zeros((0, 3, 3))]
+        sources = [np.zeros(0, int)]
+        owners = [np.zeros(0, int)]
         for i in np.flatnonzero(self._there[home]).tolist():
-            scale, faces = scene.home_scale[home, i], self._faces(i)
-            points = scene.vertices[scene.faces[faces]] * scale @ scene.home_mat[home, i].T + scene.home_pos[home, i]
+            scale = scene.home_scale[home, i]
+            faces = self._faces(i)
+            points = (
+                scene.vertices[scene.faces[faces]] * scale @ scene.home_mat[home, i].T
+                + scene.home_pos[home, i]
+            )
             corners.append(points if scale.prod() > 0.0 else points[:, ::-1])
             sources.append(np.arange(faces.start, faces.stop))
             owners.append(np.full(len(points), i))
-        points, index = np.unique(np.concatenate(corners).reshape(-1, 3), axis=0, return_inverse=True)
+        points, index = np.unique(
+            np.concatenate(corners).reshape(-1, 3), axis=0, return_inverse=True
+        )
         mesh = self._meshes[key] = _mesh(points, index)
         span = slice(int(self._face_start[home]), int(self._face_start[home + 1]))
         self.stills.instance[span].assign(np.concatenate(owners).astype(np.int32))
@@ -158,7 +209,9 @@ class DeviceScene:
 
 
 def _mesh(points: np.ndarray, index: np.ndarray) -> wp.Mesh:
-    return wp.Mesh(_rows(points, wp.vec3), _ints(index.reshape(-1)), bvh_constructor="sah", bvh_leaf_size=_LEAF)
+    return wp.Mesh(
+        _rows(points, wp.vec3), _ints(index.reshape(-1)), bvh_constructor="sah", bvh_leaf_size=_LEAF
+    )
 
 
 def _ints(values: np.ndarray) -> wp.array:

@@ -16,19 +16,32 @@ from mjhab.render.patterns import SHADE_TOP
 from mjhab.render.raster import lighting, occlusion
 from mjhab.render.raster.shading import TONE_RANGE
 from mjhab.render.textures import LEVELS
-from mjhab.render.warp.tracing import Frame, Movers, Stills, Worlds, is_drawn, mover_of, pixel_slopes, still_of
+from mjhab.render.warp.tracing import (
+    Frame,
+    Movers,
+    Stills,
+    Worlds,
+    is_drawn,
+    mover_of,
+    pixel_slopes,
+    still_of,
+)
 
 wp.set_module_options({"enable_backward": False})
 
-SKY, GROUND = wp.constant(wp.vec3(*lighting.SKY)), wp.constant(wp.vec3(*lighting.GROUND))
-LAMP_GAIN, LAMP_RANGE = wp.constant(lighting.LAMP_GAIN), wp.constant(lighting.LAMP_RANGE)
+SKY = wp.constant(wp.vec3(*lighting.SKY))
+GROUND = wp.constant(wp.vec3(*lighting.GROUND))
+LAMP_GAIN = wp.constant(lighting.LAMP_GAIN)
+LAMP_RANGE = wp.constant(lighting.LAMP_RANGE)
 FALLOFF = wp.constant(0.65 / lighting.LAMP_REACH**2)
 FADE = wp.constant(1.0 / lighting.LAMP_RANGE**4)
-HEAD_LIGHT, DULL = wp.constant(lighting.HEAD_LIGHT), wp.constant(lighting.DULL)
-AO_RADIUS, AO_STRENGTH, AO_TAPS = (
-    wp.constant(occlusion.RADIUS), wp.constant(occlusion.STRENGTH), wp.constant(occlusion.TAPS)
-)  # fmt: skip
-SHADE_STEP, LAST_LEVEL = wp.constant(SHADE_TOP / 255.0), wp.constant(LEVELS - 1)
+HEAD_LIGHT = wp.constant(lighting.HEAD_LIGHT)
+DULL = wp.constant(lighting.DULL)
+AO_RADIUS = wp.constant(occlusion.RADIUS)
+AO_STRENGTH = wp.constant(occlusion.STRENGTH)
+AO_TAPS = wp.constant(occlusion.TAPS)
+SHADE_STEP = wp.constant(SHADE_TOP / 255.0)
+LAST_LEVEL = wp.constant(LEVELS - 1)
 TONE_TOP = wp.constant(TONE_RANGE)
 
 
@@ -78,7 +91,8 @@ class Cells:
 def _slope(inverse: wp.array3d[float], k: int, c: int, at: int, before: int, after: int):
     """Change of inverse depth per pixel: the flatter side, so that edges do not count."""
     w = inverse[k, c, at]
-    forward, backward = inverse[k, c, after] - w, w - inverse[k, c, before]
+    forward = inverse[k, c, after] - w
+    backward = w - inverse[k, c, before]
     if after == at:
         return backward
     if before == at:
@@ -92,7 +106,8 @@ def block_cells(looks: Looks, worlds: Worlds, frame: Frame, cells: Cells, first:
     k, c, at = wp.tid()
     if not is_drawn(worlds, first + k):
         return
-    i, j = at // cells.width, at % cells.width
+    i = at // cells.width
+    j = at % cells.width
     y = wp.min(i * cells.cell + cells.cell // 2, frame.height - 1)
     x = wp.min(j * cells.cell + cells.cell // 2, frame.width - 1)
     pixel = y * frame.width + x
@@ -101,12 +116,18 @@ def block_cells(looks: Looks, worlds: Worlds, frame: Frame, cells: Cells, first:
     cells.raw[k, c, at] = 0.0
     if w <= 0.0:
         return
-    focal, turn = frame.focal[c], (i & 3) * 4 + (j & 3)
-    cx, cy = 0.5 * float(frame.width), 0.5 * float(frame.height)
-    left, right = pixel - wp.min(x, 1), pixel + wp.min(frame.width - 1 - x, 1)
-    up, down = pixel - frame.width * wp.min(y, 1), pixel + frame.width * wp.min(frame.height - 1 - y, 1)
-    gx, gy = _slope(frame.inverse, k, c, pixel, left, right), _slope(frame.inverse, k, c, pixel, up, down)
-    u, v = float(x) + 0.5 - cx, float(y) + 0.5 - cy
+    focal = frame.focal[c]
+    turn = (i & 3) * 4 + (j & 3)
+    cx = 0.5 * float(frame.width)
+    cy = 0.5 * float(frame.height)
+    left = pixel - wp.min(x, 1)
+    right = pixel + wp.min(frame.width - 1 - x, 1)
+    up = pixel - frame.width * wp.min(y, 1)
+    down = pixel + frame.width * wp.min(frame.height - 1 - y, 1)
+    gx = _slope(frame.inverse, k, c, pixel, left, right)
+    gy = _slope(frame.inverse, k, c, pixel, up, down)
+    u = float(x) + 0.5 - cx
+    v = float(y) + 0.5 - cy
     n = wp.vec3(-gx * focal, -gy * focal, -(w - gx * u - gy * v))
     n = n / wp.sqrt(wp.dot(n, n) + 1.0e-20)
     z = 1.0 / w
@@ -115,14 +136,18 @@ def block_cells(looks: Looks, worlds: Worlds, frame: Frame, cells: Cells, first:
     total = float(0.0)
     for tap in range(AO_TAPS):
         offset = looks.disk[turn, tap]
-        col, row = int(float(x) + 0.5 + reach * offset[0]), int(float(y) + 0.5 + reach * offset[1])
+        col = int(float(x) + 0.5 + reach * offset[0])
+        row = int(float(y) + 0.5 + reach * offset[1])
         if col < 0 or row < 0 or col >= frame.width or row >= frame.height:
             continue
         other = frame.inverse[k, c, row * frame.width + col]
         if other <= 0.0:
             continue
         qz = 1.0 / other
-        d = wp.vec3((float(col) + 0.5 - cx) / focal * qz, (float(row) + 0.5 - cy) / focal * qz, qz) - p
+        d = (
+            wp.vec3((float(col) + 0.5 - cx) / focal * qz, (float(row) + 0.5 - cy) / focal * qz, qz)
+            - p
+        )
         square = wp.dot(d, d)
         if square < AO_RADIUS * AO_RADIUS:
             rise = wp.max(wp.dot(d, n) - 0.004 * z, 0.0)
@@ -136,9 +161,11 @@ def blur_cells(worlds: Worlds, cells: Cells, first: int):
     k, c, at = wp.tid()
     if not is_drawn(worlds, first + k):
         return
-    i, j = at // cells.width, at % cells.width
+    i = at // cells.width
+    j = at % cells.width
     depth = cells.depths[k, c, at]
-    total, weight = float(0.0), float(1.0e-9)
+    total = float(0.0)
+    weight = float(1.0e-9)
     for y in range(wp.max(i - 2, 0), wp.min(i + 2, cells.height)):
         for x in range(wp.max(j - 2, 0), wp.min(j + 2, cells.width)):
             near = y * cells.width + x
@@ -151,12 +178,17 @@ def blur_cells(worlds: Worlds, cells: Cells, first: int):
 @wp.func
 def _openness(cells: Cells, k: int, c: int, row: float, col: float, depth: float):
     """Openness at a place (row, col in cells): blend of four cells at like depth."""
-    y, x = wp.max(row - 0.5, 0.0), wp.max(col - 0.5, 0.0)
-    i, j = wp.min(int(y), cells.height - 1), wp.min(int(x), cells.width - 1)
-    fy, fx = y - float(i), x - float(j)
-    total, weight = float(0.0), float(1.0e-9)
+    y = wp.max(row - 0.5, 0.0)
+    x = wp.max(col - 0.5, 0.0)
+    i = wp.min(int(y), cells.height - 1)
+    j = wp.min(int(x), cells.width - 1)
+    fy = y - float(i)
+    fx = x - float(j)
+    total = float(0.0)
+    weight = float(1.0e-9)
     for corner in range(4):
-        r, q = corner // 2, corner % 2
+        r = corner // 2
+        q = corner % 2
         at = wp.min(i + r, cells.height - 1) * cells.width + wp.min(j + q, cells.width - 1)
         w = wp.where(r == 1, fy, 1.0 - fy) * wp.where(q == 1, fx, 1.0 - fx) + 1.0e-3
         w = w * (1.0e-4 + wp.max(0.0, 1.0 - 20.0 * wp.abs(cells.depths[k, c, at] * depth - 1.0)))
@@ -176,16 +208,33 @@ def _highlight(n: wp.vec3, to_lamp: wp.vec3, to_eye: wp.vec3, gloss: float):
 
 
 @wp.func
-def _light(looks: Looks, home: int, p: wp.vec3, n: wp.vec3, to_eye: wp.vec3, gloss: float, open_share: float):
+def _light(
+    looks: Looks,
+    home: int,
+    p: wp.vec3,
+    n: wp.vec3,
+    to_eye: wp.vec3,
+    gloss: float,
+    open_share: float,
+):
     """Light on a point: what its colour is multiplied with, and highlights."""
-    diffuse, shine = wp.vec3(0.0), wp.vec3(0.0)
+    diffuse = wp.vec3(0.0)
+    shine = wp.vec3(0.0)
     for lamp in range(looks.lamp_pos.shape[1]):
-        color, way = looks.lamp_color[home, lamp], looks.lamp_pos[home, lamp] - p
-        square, facing = wp.dot(way, way), wp.dot(n, way)
-        if facing <= 0.0 or square > LAMP_RANGE * LAMP_RANGE or color[0] + color[1] + color[2] == 0.0:
+        color = looks.lamp_color[home, lamp]
+        way = looks.lamp_pos[home, lamp] - p
+        square = wp.dot(way, way)
+        facing = wp.dot(n, way)
+        if (
+            facing <= 0.0
+            or square > LAMP_RANGE * LAMP_RANGE
+            or color[0] + color[1] + color[2] == 0.0
+        ):
             continue
         inv = 1.0 / wp.sqrt(square + 1.0e-9)
-        power = LAMP_GAIN * facing * inv * (1.0 - square * square * FADE) / (0.35 + FALLOFF * square)
+        power = (
+            LAMP_GAIN * facing * inv * (1.0 - square * square * FADE) / (0.35 + FALLOFF * square)
+        )
         diffuse += color * power
         if gloss > DULL:
             shine += color * (power * _highlight(n, way * inv, to_eye, gloss))
@@ -210,7 +259,11 @@ def _texel(looks: Looks, at: int):
     """Red, green and blue 0..255 of a pixel of the pool."""
     packed = looks.pixels[at]
     low = wp.uint32(255)
-    return wp.vec3(float(packed & low), float((packed >> wp.uint32(8)) & low), float((packed >> wp.uint32(16)) & low))
+    return wp.vec3(
+        float(packed & low),
+        float((packed >> wp.uint32(8)) & low),
+        float((packed >> wp.uint32(16)) & low),
+    )
 
 
 @wp.func
@@ -218,12 +271,19 @@ def _sample(looks: Looks, texture: int, level: int, u: float, v: float):
     """Red, green and blue 0..255 at (u, v) of a texture, blended from four texels; it repeats."""
     wide = wp.max(looks.bits[texture, 0] - level, 0)
     high = wp.max(looks.bits[texture, 1] - level, 0)
-    start, columns, rows = looks.start[texture, level], 1 << wide, 1 << high
-    x, y = (u - wp.floor(u)) * float(columns) - 0.5, (v - wp.floor(v)) * float(rows) - 0.5
-    i, j = int(wp.floor(x)), int(wp.floor(y))
-    a, b = x - wp.floor(x), y - wp.floor(y)
-    i0, i1 = i & (columns - 1), (i + 1) & (columns - 1)
-    j0, j1 = start + ((j & (rows - 1)) << wide), start + (((j + 1) & (rows - 1)) << wide)
+    start = looks.start[texture, level]
+    columns = 1 << wide
+    rows = 1 << high
+    x = (u - wp.floor(u)) * float(columns) - 0.5
+    y = (v - wp.floor(v)) * float(rows) - 0.5
+    i = int(wp.floor(x))
+    j = int(wp.floor(y))
+    a = x - wp.floor(x)
+    b = y - wp.floor(y)
+    i0 = i & (columns - 1)
+    i1 = (i + 1) & (columns - 1)
+    j0 = start + ((j & (rows - 1)) << wide)
+    j1 = start + (((j + 1) & (rows - 1)) << wide)
     above = _texel(looks, j0 + i0) * (1.0 - a) + _texel(looks, j0 + i1) * a
     below = _texel(looks, j1 + i0) * (1.0 - a) + _texel(looks, j1 + i1) * a
     return above * (1.0 - b) + below * b
@@ -232,7 +292,8 @@ def _sample(looks: Looks, texture: int, level: int, u: float, v: float):
 @wp.func
 def _copy_for(texels_per_pixel: float):
     """Level whose texels are about as large as a pixel."""
-    size, level = float(texels_per_pixel), int(0)
+    size = float(texels_per_pixel)
+    level = int(0)
     while size > 1.42 and level < LAST_LEVEL:
         size = size * 0.5
         level += 1
@@ -253,21 +314,27 @@ def _pattern(looks: Looks, m: int, i: int, q: wp.vec3, n: wp.vec3, scale: wp.vec
 
     The picture lies in the plane that the face is turned to; u runs along the longer side of the piece.
     """
-    a, e = wp.vec3(wp.abs(n[0]), wp.abs(n[1]), wp.abs(n[2])), wp.cw_mul(looks.extent[i], scale)
-    low, high = int(0), int(2)
+    a = wp.vec3(wp.abs(n[0]), wp.abs(n[1]), wp.abs(n[2]))
+    e = wp.cw_mul(looks.extent[i], scale)
+    low = int(0)
+    high = int(2)
     if a[2] >= a[0] and a[2] >= a[1]:
         high = 1
     elif a[0] >= a[1]:
         low = 1
     longer = e[low] >= e[high]
-    first, second = wp.where(longer, low, high), wp.where(longer, high, low)
-    size, texture = looks.size[m], looks.texture[m]
+    first = wp.where(longer, low, high)
+    second = wp.where(longer, high, low)
+    size = looks.size[m]
+    texture = looks.texture[m]
     texels = wp.vec2(float(1 << looks.bits[texture, 0]), float(1 << looks.bits[texture, 1]))
     level = _copy_for(pixel * wp.max(texels[0] / size[0], texels[1] / size[1]))
     # Every piece starts elsewhere in the pattern.
-    s, t = q[first] / size[0] + 0.37 * float(i), q[second] / size[1] + 0.23 * float(i)
+    s = q[first] / size[0] + 0.37 * float(i)
+    t = q[second] / size[1] + 0.23 * float(i)
     found = _sample(looks, texture, level, s, t)
-    mix, shade = found[0] / 255.0, found[1] * SHADE_STEP
+    mix = found[0] / 255.0
+    shade = found[1] * SHADE_STEP
     return (looks.color[m] + (looks.color2[m] - looks.color[m]) * mix) * shade
 
 
@@ -277,15 +344,28 @@ def _picture(looks: Looks, m: int, face: int, p: wp.vec4, grow: float, pixel: fl
     texture = looks.texture[m]
     texels = float(1 << looks.bits[texture, 0]) * float(1 << looks.bits[texture, 1])
     level = _copy_for(pixel * looks.face_density[face] * grow * wp.sqrt(texels))
-    s, t = wp.dot(looks.face_uv[face, 0], p), wp.dot(looks.face_uv[face, 1], p)
+    s = wp.dot(looks.face_uv[face, 0], p)
+    t = wp.dot(looks.face_uv[face, 1], p)
     return wp.cw_mul(looks.color[m], _linear(_sample(looks, texture, level, s, t)))
 
 
 @wp.func
 def _surface(
-    looks: Looks, cells: Cells, frame: Frame, home: int, i: int, face: int, pos: wp.vec3, rot: wp.mat33,
-    scale: wp.vec3, k: int, c: int, pixel: int, eye: wp.vec3, ray: wp.vec3,
-):  # fmt: skip
+    looks: Looks,
+    cells: Cells,
+    frame: Frame,
+    home: int,
+    i: int,
+    face: int,
+    pos: wp.vec3,
+    rot: wp.mat33,
+    scale: wp.vec3,
+    k: int,
+    c: int,
+    pixel: int,
+    eye: wp.vec3,
+    ray: wp.vec3,
+):
     """Linear colour of what a pixel shows: ``face`` of instance ``i`` at the pose ``pos``, ``rot``."""
     depth = 1.0 / frame.inverse[k, c, pixel]
     point = eye + ray * depth
@@ -303,7 +383,8 @@ def _surface(
     to_eye = -wp.normalize(ray)
     facing = wp.dot(normal, to_eye)
     if facing < 0.0 and wp.ddot(rows, rows) == 0.0:
-        normal, facing = -normal, -facing
+        normal = -normal
+        facing = -facing
     m = looks.instance_material[home, i]
     if m < 0:
         m = looks.face_material[face]
@@ -336,32 +417,61 @@ def shade(
     """Colour the pixels of the worlds from ``first`` on into ``rgb`` (W, C, h, w)."""
     k, c, pixel = wp.tid()
     world = first + k
-    y, x = pixel // frame.width, pixel % frame.width
+    y = pixel // frame.width
+    x = pixel % frame.width
     if not is_drawn(worlds, world):
         return
     if not worlds.sane[world]:
         rgb[world, c, y, x] = wp.vec3ub(wp.uint8(0), wp.uint8(0), wp.uint8(0))
         return
-    slopes, home = pixel_slopes(frame, c, pixel), worlds.home[world]
-    eye, ray = worlds.cam_pos[world, c], worlds.cam_mat[world, c] * wp.vec3(slopes[0], slopes[1], -1.0)
+    slopes = pixel_slopes(frame, c, pixel)
+    home = worlds.home[world]
+    eye = worlds.cam_pos[world, c]
+    ray = worlds.cam_mat[world, c] * wp.vec3(slopes[0], slopes[1], -1.0)
     light = wp.vec3(0.0)
     tag = frame.ids[k, c, pixel]
     if frame.inverse[k, c, pixel] <= 0.0:
         light = _sky(ray)
     elif tag >= 0:
         still = still_of(stills, home, tag)
-        i, face = still[0], still[1]
+        i = still[0]
+        face = still[1]
         light = _surface(
-            looks, cells, frame, home, i, face, stills.pos[home, i], stills.mat[home, i], stills.scale[home, i],
-            k, c, pixel, eye, ray,
-        )  # fmt: skip
+            looks,
+            cells,
+            frame,
+            home,
+            i,
+            face,
+            stills.pos[home, i],
+            stills.mat[home, i],
+            stills.scale[home, i],
+            k,
+            c,
+            pixel,
+            eye,
+            ray,
+        )
     else:
         mover = mover_of(movers, tag)
-        d, part = mover[0], movers.instance[mover[0]]
+        d = mover[0]
+        part = movers.instance[mover[0]]
         light = _surface(
-            looks, cells, frame, home, part, mover[1], worlds.pos[world, d], worlds.mat[world, d],
-            stills.scale[home, part], k, c, pixel, eye, ray,
-        )  # fmt: skip
+            looks,
+            cells,
+            frame,
+            home,
+            part,
+            mover[1],
+            worlds.pos[world, d],
+            worlds.mat[world, d],
+            stills.scale[home, part],
+            k,
+            c,
+            pixel,
+            eye,
+            ray,
+        )
     top = looks.tone.shape[0] - 1
     out = wp.vec3ub()
     for channel in range(3):

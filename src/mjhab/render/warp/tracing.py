@@ -20,7 +20,8 @@ wp.set_module_options({"enable_backward": False})
 TILE = wp.constant(16)
 """Side of a tile [px]."""
 TILE_PIXELS = wp.constant(256)
-TAG_BITS, TAG_FACES = wp.constant(FACE_BITS), wp.constant((1 << FACE_BITS) - 1)
+TAG_BITS = wp.constant(FACE_BITS)
+TAG_FACES = wp.constant((1 << FACE_BITS) - 1)
 BURIED = wp.constant(PARKED_BELOW)
 REACH = wp.constant(1000.0)
 """Nothing farther than this [m] is drawn."""
@@ -28,7 +29,8 @@ BACK_FACES = wp.constant(16)
 """Faces seen from behind that a ray passes through, at most."""
 TIE = wp.constant(5.0e-5)
 """Faces nearer to each other than this [m] along a ray lie on each other."""
-EDGE, ROUNDING = wp.constant(1.0e-4), wp.constant(2.0e-6)
+EDGE = wp.constant(1.0e-4)
+ROUNDING = wp.constant(2.0e-6)
 """Slack at the edges of faces, as a share of them, and of coordinates."""
 FAR_AWAY = wp.constant(1.0e4)
 """Bodies farther than this from the origin [m] have been thrown out of the world."""
@@ -105,7 +107,8 @@ def is_drawn(worlds: Worlds, world: int):
 @wp.func
 def pixel_slopes(frame: Frame, c: int, pixel: int):
     """Slopes (to the right, up) of the ray through the middle of a pixel."""
-    x, y = float(pixel % frame.width) + 0.5, float(pixel // frame.width) + 0.5
+    x = float(pixel % frame.width) + 0.5
+    y = float(pixel // frame.width) + 0.5
     return wp.vec2(x - 0.5 * float(frame.width), 0.5 * float(frame.height) - y) / frame.focal[c]
 
 
@@ -127,7 +130,7 @@ def mover_of(movers: Movers, tag: int):
 @wp.kernel
 def find_homes(
     row: wp.array[int], home_of_row: wp.array[int], body_pos: wp.array2d[wp.vec3], worlds: Worlds
-):  # fmt: skip
+):
     """Home of every world, and whether its bodies are where bodies can be."""
     world = wp.tid()
     worlds.home[world] = home_of_row[row[world]]
@@ -155,7 +158,9 @@ def place_cameras(
 
 
 @wp.kernel
-def place_movers(movers: Movers, body_pos: wp.array2d[wp.vec3], body_mat: wp.array2d[wp.mat33], worlds: Worlds):
+def place_movers(
+    movers: Movers, body_pos: wp.array2d[wp.vec3], body_mat: wp.array2d[wp.mat33], worlds: Worlds
+):
     """Poses of what hangs on bodies."""
     world, d = wp.tid()
     b = movers.body[d]
@@ -171,21 +176,31 @@ def list_movers(stills: Stills, movers: Movers, worlds: Worlds, frame: Frame, fi
     frame.listed[k, c, tile] = 0
     if not is_drawn(worlds, world):
         return
-    home, eye, axes = worlds.home[world], worlds.cam_pos[world, c], wp.transpose(worlds.cam_mat[world, c])
-    left, top = TILE * (tile % frame.columns), TILE * (tile // frame.columns)
-    f, cx, cy = frame.focal[c], 0.5 * float(frame.width), 0.5 * float(frame.height)
-    x0, x1 = (float(left) - cx) / f, (float(left + TILE) - cx) / f
-    y0, y1 = (cy - float(top + TILE)) / f, (cy - float(top)) / f
+    home = worlds.home[world]
+    eye = worlds.cam_pos[world, c]
+    axes = wp.transpose(worlds.cam_mat[world, c])
+    left = TILE * (tile % frame.columns)
+    top = TILE * (tile // frame.columns)
+    f = frame.focal[c]
+    cx = 0.5 * float(frame.width)
+    cy = 0.5 * float(frame.height)
+    x0 = (float(left) - cx) / f
+    x1 = (float(left + TILE) - cx) / f
+    y0 = (cy - float(top + TILE)) / f
+    y1 = (cy - float(top)) / f
     count = int(0)
     for d in range(movers.body.shape[0]):
-        scale, ball = stills.scale[home, movers.instance[d]], movers.ball[d]
+        scale = stills.scale[home, movers.instance[d]]
+        ball = movers.ball[d]
         at = worlds.pos[world, d]
         if scale[0] * scale[1] * scale[2] == 0.0 or not at[2] > BURIED:
             continue
         center = at + worlds.mat[world, d] * wp.cw_mul(scale, wp.vec3(ball[0], ball[1], ball[2]))
         radius = ball[3] * wp.max(wp.abs(scale))
         seen = axes * (center - eye)
-        x, y, z = seen[0], seen[1], -seen[2]
+        x = seen[0]
+        y = seen[1]
+        z = -seen[2]
         if (
             z > -radius
             and x - x0 * z > -radius * wp.sqrt(1.0 + x0 * x0)
@@ -209,7 +224,8 @@ class Hit:
 @wp.func
 def _front_at(mesh: wp.uint64, start: wp.vec3, ray: wp.vec3, depth: float):
     """Some face of a mesh, seen from its front, that a ray meets within TIE of a depth; -1 for none."""
-    at, front = start + ray * depth, int(-1)
+    at = start + ray * depth
+    front = int(-1)
     reach = wp.abs(ray) * (2.0 * TIE) + wp.vec3(ROUNDING * wp.max(wp.abs(at)))
     query = wp.mesh_query_aabb(mesh, at - reach, at + reach)
     face = int(0)
@@ -274,16 +290,21 @@ def trace(
     k, c, ray_index = wp.tid()
     world = first + k
     # Rays of a tile are neighbours, so that threads of a warp go the same way.
-    tile, within = ray_index // TILE_PIXELS, ray_index % TILE_PIXELS
+    tile = ray_index // TILE_PIXELS
+    within = ray_index % TILE_PIXELS
     x = TILE * (tile % frame.columns) + within % TILE
     y = TILE * (tile // frame.columns) + within // TILE
     if x >= frame.width or y >= frame.height or not is_drawn(worlds, world):
         return
-    pixel, home = y * frame.width + x, worlds.home[world]
-    tag, best, segment = int(0), float(0.0), int(0)
+    pixel = y * frame.width + x
+    home = worlds.home[world]
+    tag = int(0)
+    best = float(0.0)
+    segment = int(0)
     if worlds.sane[world]:
         slopes = pixel_slopes(frame, c, pixel)
-        eye, ray = worlds.cam_pos[world, c], worlds.cam_mat[world, c] * wp.vec3(slopes[0], slopes[1], -1.0)
+        eye = worlds.cam_pos[world, c]
+        ray = worlds.cam_mat[world, c] * wp.vec3(slopes[0], slopes[1], -1.0)
         hit = _cast(stills.mesh[home], eye, ray, frame.near, REACH)
         if hit.depth > 0.0:
             best = hit.depth
@@ -293,9 +314,14 @@ def trace(
         for n in range(frame.listed[k, c, tile]):
             d = int(frame.movers[k, c, tile, n])
             far = wp.where(best > 0.0, best, REACH)
-            scale, ball, rot = stills.scale[home, movers.instance[d]], movers.ball[d], worlds.mat[world, d]
-            center = worlds.pos[world, d] + rot * wp.cw_mul(scale, wp.vec3(ball[0], ball[1], ball[2]))
-            radius, along = ball[3] * wp.max(wp.abs(scale)), wp.dot(center - eye, ray) / length2
+            scale = stills.scale[home, movers.instance[d]]
+            ball = movers.ball[d]
+            rot = worlds.mat[world, d]
+            center = worlds.pos[world, d] + rot * wp.cw_mul(
+                scale, wp.vec3(ball[0], ball[1], ball[2])
+            )
+            radius = ball[3] * wp.max(wp.abs(scale))
+            along = wp.dot(center - eye, ray) / length2
             off = center - eye - ray * along
             room = radius * radius - wp.dot(off, off)
             if room < 0.0 or along - wp.sqrt(room / length2) > far:

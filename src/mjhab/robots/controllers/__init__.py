@@ -22,9 +22,16 @@ from mjhab.robots.controllers.end_effector import EndEffector
 from mjhab.robots.controllers.table import ActionEntry, ActionLimits
 
 __all__ = [
-    "BASES", "CONTROL_MODES", "DEFAULT_MODE", "STATIONARY", "ActionEntry", "ActionLimits", "Controller",
-    "check_actions", "make_controller",
-]  # fmt: skip
+    "BASES",
+    "CONTROL_MODES",
+    "DEFAULT_MODE",
+    "STATIONARY",
+    "ActionEntry",
+    "ActionLimits",
+    "Controller",
+    "check_actions",
+    "make_controller",
+]
 
 DEFAULT_MODE = "pd_joint_delta_pos"
 """The mode of MS-HAB: every policy and expert speaks it."""
@@ -74,7 +81,9 @@ def make_controller(
         raise unknown_name("control mode", mode, CONTROL_MODES)
     limits = limits or ActionLimits()
     arm = _ARMS[mode](num_worlds, limits, np.zeros(0) if like is None else like)
-    return Controller(mode, arm, limits, stiff_body=mode == _STIFF_BODY, base=base, stationary=stationary)
+    return Controller(
+        mode, arm, limits, stiff_body=mode == _STIFF_BODY, base=base, stationary=stationary
+    )
 
 
 def check_actions(actions: np.ndarray, table: Sequence[ActionEntry], num_worlds: int) -> np.ndarray:
@@ -87,7 +96,9 @@ def check_actions(actions: np.ndarray, table: Sequence[ActionEntry], num_worlds:
     if actions.dtype.kind not in "fiu":
         raise UsageError(f"actions must be numbers (float32), got an array of type {actions.dtype}")
     if actions.shape != (num_worlds, len(table)):
-        raise UsageError(f"actions must have shape ({num_worlds}, {len(table)}), got {actions.shape}")
+        raise UsageError(
+            f"actions must have shape ({num_worlds}, {len(table)}), got {actions.shape}"
+        )
     if not np.isfinite(actions).all():
         world, dim = (int(i) for i in np.argwhere(~np.isfinite(actions))[0])
         raise UsageError(

@@ -9,12 +9,27 @@ from mjhab.robots.controllers import ActionEntry, ActionLimits, make_controller
 from mjhab.robots.controllers.table import ARM_JOINTS
 
 __all__ = [
-    "ACTION_DIM", "ARM", "ARM_JOINTS", "BASE_FORWARD", "BASE_YAW", "GRIPPER", "HEAD_PAN", "HEAD_TILT", "TORSO",
-    "ActionEntry", "ActionLimits", "action_table",
-]  # fmt: skip
+    "ACTION_DIM",
+    "ARM",
+    "ARM_JOINTS",
+    "BASE_FORWARD",
+    "BASE_YAW",
+    "GRIPPER",
+    "HEAD_PAN",
+    "HEAD_TILT",
+    "TORSO",
+    "ActionEntry",
+    "ActionLimits",
+    "action_table",
+]
 
 ARM = slice(0, 7)
-GRIPPER, HEAD_PAN, HEAD_TILT, TORSO, BASE_FORWARD, BASE_YAW = 7, 8, 9, 10, 11, 12
+GRIPPER = 7
+HEAD_PAN = 8
+HEAD_TILT = 9
+TORSO = 10
+BASE_FORWARD = 11
+BASE_YAW = 12
 ACTION_DIM = 13
 
 

@@ -87,7 +87,9 @@ class JointDelta(Arm):
     """``pd_joint_delta_pos``: measured position + change, which the controller sums together with head and torso."""
 
     def __init__(self, num_worlds: int, limits: ActionLimits, like: Array) -> None:
-        super().__init__(num_worlds, delta_rows(ARM_NAMES, limits.joint_delta, "joint, from measured"), like)
+        super().__init__(
+            num_worlds, delta_rows(ARM_NAMES, limits.joint_delta, "joint, from measured"), like
+        )
 
 
 class JointTargetDelta(CommandedArm):
@@ -96,7 +98,11 @@ class JointTargetDelta(CommandedArm):
     remembers = True
 
     def __init__(self, num_worlds: int, limits: ActionLimits, like: Array) -> None:
-        super().__init__(num_worlds, delta_rows(ARM_NAMES, limits.joint_delta, "joint, from previous target"), like)
+        super().__init__(
+            num_worlds,
+            delta_rows(ARM_NAMES, limits.joint_delta, "joint, from previous target"),
+            like,
+        )
 
     def command(self, move: Array, q: Array) -> Array:
         self.target = between(self.target + move, self.low, self.high)
@@ -133,7 +139,9 @@ class JointPositionVelocity(CommandedArm):
 
     def __init__(self, num_worlds: int, limits: ActionLimits, like: Array, *, delta: bool) -> None:
         first = (
-            delta_rows(ARM_NAMES, limits.joint_delta, "joint, from measured") if delta else absolute_rows(ARM_JOINTS)
+            delta_rows(ARM_NAMES, limits.joint_delta, "joint, from measured")
+            if delta
+            else absolute_rows(ARM_JOINTS)
         )
         super().__init__(num_worlds, first + speed_rows(limits.joint_speed, normalized=delta), like)
         self._delta = delta

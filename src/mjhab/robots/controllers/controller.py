@@ -51,18 +51,38 @@ class Controller:
     """
 
     def __init__(
-        self, mode: str, arm: Arm, limits: ActionLimits, *, stiff_body: bool, base: str, stationary: Sequence[str]
+        self,
+        mode: str,
+        arm: Arm,
+        limits: ActionLimits,
+        *,
+        stiff_body: bool,
+        base: str,
+        stationary: Sequence[str],
     ) -> None:
         _check_options(base, stationary)
-        self.mode, self.limits = mode, limits
-        self._arm, self._stiff_body, self._holonomic = arm, stiff_body, base == "holonomic"
-        body = absolute_rows(BODY_JOINTS) if stiff_body else delta_rows(BODY_NAMES, limits.joint_delta, _MEASURED)
+        self.mode = mode
+        self.limits = limits
+        self._arm = arm
+        self._stiff_body = stiff_body
+        self._holonomic = base == "holonomic"
+        body = (
+            absolute_rows(BODY_JOINTS)
+            if stiff_body
+            else delta_rows(BODY_NAMES, limits.joint_delta, _MEASURED)
+        )
         self.table: tuple[ActionEntry, ...] = (
-            *arm.rows, gripper_row(limits), *body, *base_rows(limits, self._holonomic)
-        )  # fmt: skip
-        self.dim, self.gripper = len(self.table), len(arm.rows)
+            *arm.rows,
+            gripper_row(limits),
+            *body,
+            *base_rows(limits, self._holonomic),
+        )
+        self.dim = len(self.table)
+        self.gripper = len(arm.rows)
         self.low = np.array([-1.0 if row.normalized else row.low for row in self.table], np.float32)
-        self.high = np.array([1.0 if row.normalized else row.high for row in self.table], np.float32)
+        self.high = np.array(
+            [1.0 if row.normalized else row.high for row in self.table], np.float32
+        )
         self.drives = fetch.Drives(arm.drives.velocity, BODY_NAMES if stiff_body else ())
         self._place_columns(stationary)
         self._keep_arrays(arm.target)
@@ -72,25 +92,38 @@ class Controller:
         start = self.gripper + 1
         self._body = slice(start, start + len(BODY_JOINTS))
         self._base = self._body.stop
-        parts = {"head": (start, start + 1), "torso": (start + 2,), "base": range(self._base, self.dim)}
+        parts = {
+            "head": (start, start + 1),
+            "torso": (start + 2,),
+            "base": range(self._base, self.dim),
+        }
         self._zeroed = [column for part in stationary for column in parts[part]]
 
     def _keep_arrays(self, like: Array) -> None:
         """What the commands are made with, on the device of ``like``."""
-        start, whole = self.gripper + 1, namespace(like).int64
+        start = self.gripper + 1
+        whole = namespace(like).int64
         # Everything that moves from its measured position is one sum: in the default mode arm, head and torso.
         sums = not isinstance(self._arm, CommandedArm)
         moved = dict(zip(ARM_JOINTS, range(self.gripper), strict=True)) if sums else {}
         if not self._stiff_body:
             moved |= dict(zip(BODY_JOINTS, range(start, self._base), strict=True))
-        self._moved, self._deltas = as_like(list(moved), like, whole), as_like(list(moved.values()), like, whole)
+        self._moved = as_like(list(moved), like, whole)
+        self._deltas = as_like(list(moved.values()), like, whole)
         parts = (ARM_JOINTS, BODY_JOINTS, FINGER_JOINTS)
-        self._arm_columns, self._body_columns, self._finger_columns = (as_like(p, like, whole) for p in parts)
-        self._arm_units = as_like([row.high if row.normalized else 1.0 for row in self._arm.rows], like)
+        self._arm_columns, self._body_columns, self._finger_columns = (
+            as_like(p, like, whole) for p in parts
+        )
+        self._arm_units = as_like(
+            [row.high if row.normalized else 1.0 for row in self._arm.rows], like
+        )
         # The bounds are those of float32 actions, to the bit.
         self._low, self._high = as_like(self.low, like), as_like(self.high, like)
-        free = as_like([column not in self._zeroed for column in range(self.dim)], like, namespace(like).bool)
-        self._free, self._held_body = free, ~free[self._body]
+        free = as_like(
+            [column not in self._zeroed for column in range(self.dim)], like, namespace(like).bool
+        )
+        self._free = free
+        self._held_body = ~free[self._body]
         self._body_target = zeros((len(like), len(BODY_JOINTS)), like)
 
     def ctrl(self, actions: Array, state: JointState) -> Array:
@@ -107,17 +140,25 @@ class Controller:
         out[:, self._moved] = robot_q[:, self._moved] + self.limits.joint_delta * a[:, self._deltas]
         if isinstance(self._arm, CommandedArm):
             arm_q = robot_q[:, self._arm_columns]
-            out[:, self._arm_columns] = self._arm.command(a[:, : self.gripper] * self._arm_units, arm_q)
+            out[:, self._arm_columns] = self._arm.command(
+                a[:, : self.gripper] * self._arm_units, arm_q
+            )
         if self._stiff_body:
-            out[:, self._body_columns] = xp.where(self._held_body, self._body_target, a[:, self._body])
+            out[:, self._body_columns] = xp.where(
+                self._held_body, self._body_target, a[:, self._body]
+            )
         low, high = self.limits.gripper
-        out[:, self._finger_columns] = low + 0.5 * (a[:, self.gripper : self.gripper + 1] + 1.0) * (high - low)
+        out[:, self._finger_columns] = low + 0.5 * (a[:, self.gripper : self.gripper + 1] + 1.0) * (
+            high - low
+        )
         self._drive(out, a, robot_q[:, 2])
         return out
 
     def _drive(self, out: Array, a: Array, yaw: Array) -> None:
         xp = namespace(yaw)
-        speed, cos, sin = self.limits.forward * a[:, self._base], xp.cos(yaw), xp.sin(yaw)
+        speed = self.limits.forward * a[:, self._base]
+        cos = xp.cos(yaw)
+        sin = xp.sin(yaw)
         out[:, 0] = speed * cos
         out[:, 1] = speed * sin
         if self._holonomic:
@@ -128,7 +169,8 @@ class Controller:
 
     def still(self, state: JointState) -> Array:
         """Actions (W, dim) float32 that keep the robot where it is; the gripper's number is 0 (fingers at 2 cm)."""
-        xp, q = namespace(state.robot_q), state.robot_q
+        xp = namespace(state.robot_q)
+        q = state.robot_q
         actions = xp.zeros((len(q), self.dim), dtype=xp.float32, device=device_of(q))
         actions[:, : self.gripper] = self._arm.still(q[:, self._arm_columns]) / self._arm_units
         if self._stiff_body:
@@ -139,11 +181,15 @@ class Controller:
         """Previous targets := measured positions in the worlds of ``mask`` (W,) bool, after they were put elsewhere."""
         q = state.robot_q
         self._arm.reset(mask, q[:, self._arm_columns])
-        self._body_target = namespace(q).where(mask[:, None], q[:, self._body_columns], self._body_target)
+        self._body_target = namespace(q).where(
+            mask[:, None], q[:, self._body_columns], self._body_target
+        )
 
     def get_state(self, world: int) -> dict[str, np.ndarray]:
         """What the next command of one world depends on besides action and state; {} where that is nothing."""
-        body = {"body_target": to_numpy(self._body_target[world]).copy()} if self._stiff_body else {}
+        body = (
+            {"body_target": to_numpy(self._body_target[world]).copy()} if self._stiff_body else {}
+        )
         return self._arm.get_state(world) | body
 
     def set_state(self, world: int, state: dict[str, np.ndarray]) -> None:
@@ -164,7 +210,9 @@ def _check_options(base: str, stationary: Sequence[str]) -> None:
     if base not in BASES:
         raise unknown_name("base control", base, BASES)
     if isinstance(stationary, str):
-        raise UsageError(f"stationary must be a tuple of parts, got the text {stationary!r}; write ({stationary!r},)")
+        raise UsageError(
+            f"stationary must be a tuple of parts, got the text {stationary!r}; write ({stationary!r},)"
+        )
     for part in stationary:
         if part not in STATIONARY:
             raise unknown_name("stationary part", part, STATIONARY)

@@ -34,7 +34,9 @@ _WEIGHTS = (1.0, 1.0, 1.0, LEVER, LEVER, LEVER)
 @lru_cache(maxsize=1)
 def arm_chain() -> Chain:
     """The arm from the torso to the tool centre; columns are the seven arm joints in action order."""
-    return Chain.from_tree(fetch.KINEMATIC_TREE, ARM_NAMES, root=ROOT, root_height=0.0, moving_base=False)
+    return Chain.from_tree(
+        fetch.KINEMATIC_TREE, ARM_NAMES, root=ROOT, root_height=0.0, moving_base=False
+    )
 
 
 class EndEffector(CommandedArm):
@@ -58,7 +60,9 @@ class EndEffector(CommandedArm):
     ) -> None:
         super().__init__(num_worlds, _rows(limits, start, rotates, own_axes), like)
         self.remembers = start != "measured"
-        self._start, self._rotates, self._own_axes = start, rotates, own_axes
+        self._start = start
+        self._rotates = rotates
+        self._own_axes = own_axes
         self._turn = limits.ee_turn
         self._chain = arm_chain()
 
@@ -82,48 +86,71 @@ class EndEffector(CommandedArm):
             return pos + move, rot
         xp = namespace(move)
         length = xp.sqrt(xp.sum(move[:, 3:] ** 2, axis=1, keepdims=True))
-        turn = rotate(move[:, 3:] * (self._turn / xp.maximum(length, constant((self._turn,), length))))
+        turn = rotate(
+            move[:, 3:] * (self._turn / xp.maximum(length, constant((self._turn,), length)))
+        )
         if self._own_axes:
             return pos + (rot @ move[:, :3, None])[..., 0], rot @ turn
         return pos + move[:, :3], turn @ rot
 
     def _solve(self, pos: Array, rot: Array, q: Array) -> Array:
-        xp, rows = namespace(q), 6 if self._rotates else 3
+        xp = namespace(q)
+        rows = 6 if self._rotates else 3
         for _ in range(ITERATIONS):
             frames = self._chain.forward(q)
             jac = self._chain.jacobian(q, frames)[:, :rows]
             error = pos - frames.pos[:, self._chain.tip_index]
             if self._rotates:
                 spin = rotation_vector(rot @ frames.rot[:, self._chain.tip_index].swapaxes(1, 2))
-                error, jac = xp.concat([error, LEVER * spin], axis=1), jac * constant(_WEIGHTS, jac)[:, None]
-            low, high = self.low - q, self.high - q
+                error = xp.concat([error, LEVER * spin], axis=1)
+                jac = jac * constant(_WEIGHTS, jac)[:, None]
+            low = self.low - q
+            high = self.high - q
             step = limited_step(error, jac, zeros(q.shape, q), low, high, LARGEST_STEP, DAMPING)
             q = between(q + step, self.low, self.high)
         return q
 
 
-def _rows(limits: ActionLimits, start: Start, rotates: bool, own_axes: bool) -> tuple[ActionEntry, ...]:
+def _rows(
+    limits: ActionLimits, start: Start, rotates: bool, own_axes: bool
+) -> tuple[ActionEntry, ...]:
     link = fetch.TCP_LINK
     if start == "absolute":
         center, reach = _workspace()
         places = [
-            ActionEntry(f"ee_{axis}", link, c - reach, c + reach, "m", f"{ROOT}, absolute", normalized=False)
+            ActionEntry(
+                f"ee_{axis}", link, c - reach, c + reach, "m", f"{ROOT}, absolute", normalized=False
+            )
             for axis, c in zip(_AXES, center, strict=True)
         ]
         turns = [
-            ActionEntry(f"ee_r{axis}", link, -np.pi, np.pi, "rad", f"{ROOT}, rotation vector", normalized=False)
+            ActionEntry(
+                f"ee_r{axis}",
+                link,
+                -np.pi,
+                np.pi,
+                "rad",
+                f"{ROOT}, rotation vector",
+                normalized=False,
+            )
             for axis in _AXES
         ]
         return (*places, *turns)
     frame = f"{link if own_axes else ROOT} axes, from {'measured' if start == 'measured' else 'previous target'}"
-    move, turn = limits.ee_move, limits.ee_turn
+    move = limits.ee_move
+    turn = limits.ee_turn
     rows = [ActionEntry(f"ee_{axis}", link, -move, move, "m", frame) for axis in _AXES]
     if rotates:
-        rows += [ActionEntry(f"ee_r{axis}", link, -turn, turn, "rad", f"{frame}, norm-clipped") for axis in _AXES]
+        rows += [
+            ActionEntry(f"ee_r{axis}", link, -turn, turn, "rad", f"{frame}, norm-clipped")
+            for axis in _AXES
+        ]
     return tuple(rows)
 
 
 def _workspace() -> tuple[tuple[float, ...], float]:
     """Centre (3,) and radius [m] of the sphere about the shoulder that holds everything in reach."""
     origins = [np.array(joint.pos) for joint in arm_chain().joints]
-    return tuple(float(x) for x in origins[0]), float(sum(np.linalg.norm(origin) for origin in origins[1:]))
+    return tuple(float(x) for x in origins[0]), float(
+        sum(np.linalg.norm(origin) for origin in origins[1:])
+    )

@@ -76,7 +76,9 @@ def absolute_rows(joints: tuple[int, ...]) -> tuple[ActionEntry, ...]:
     """Rows of joints (indices in FETCH_JOINTS) that go to a position, not normalized."""
     names = [fetch.FETCH_JOINTS[joint] for joint in joints]
     return tuple(
-        ActionEntry(name, name, *joint_bounds(joint), unit_of(name), "joint, absolute", normalized=False)
+        ActionEntry(
+            name, name, *joint_bounds(joint), unit_of(name), "joint, absolute", normalized=False
+        )
         for joint, name in zip(joints, names, strict=True)
     )
 
@@ -84,18 +86,22 @@ def absolute_rows(joints: tuple[int, ...]) -> tuple[ActionEntry, ...]:
 def speed_rows(size: float, normalized: bool = True) -> tuple[ActionEntry, ...]:
     """Rows of the speeds of the arm joints."""
     return tuple(
-        ActionEntry(f"{name}_speed", name, -size, size, "rad/s", "joint", normalized=normalized) for name in ARM_NAMES
+        ActionEntry(f"{name}_speed", name, -size, size, "rad/s", "joint", normalized=normalized)
+        for name in ARM_NAMES
     )
 
 
 def gripper_row(limits: ActionLimits) -> ActionEntry:
     """Both fingers follow one number."""
-    return ActionEntry("gripper", "l_gripper_finger_joint", *limits.gripper, "m", "joint, absolute, both fingers")
+    return ActionEntry(
+        "gripper", "l_gripper_finger_joint", *limits.gripper, "m", "joint, absolute, both fingers"
+    )
 
 
 def base_rows(limits: ActionLimits, holonomic: bool) -> tuple[ActionEntry, ...]:
     """Speeds in the frame of the base at the start of the control step."""
-    v, w = limits.forward, limits.yaw_rate
+    v = limits.forward
+    w = limits.yaw_rate
     forward = ActionEntry("base_forward", "root_x_axis_joint", -v, v, "m/s", "base +x")
     left = ActionEntry("base_left", "root_y_axis_joint", -v, v, "m/s", "base +y")
     yaw = ActionEntry("base_yaw", "root_z_rotation_joint", -w, w, "rad/s", "base +z")

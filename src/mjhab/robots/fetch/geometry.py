@@ -28,35 +28,69 @@ class Inertial:
     inertia: tuple[float, float, float, float, float, float]
 
 
-def _inertial(mass: float, com: Vec3, xx: float, xy: float, xz: float, yy: float, yz: float, zz: float) -> Inertial:
+def _inertial(
+    mass: float, com: Vec3, xx: float, xy: float, xz: float, yy: float, yz: float, zz: float
+) -> Inertial:
     return Inertial(mass, com, (xx, yy, zz, xy, xz, yz))
 
 
 _WHEEL = _inertial(4.3542, (0.0, 0.0, 0.0), 0.0045, 0.0, 0.0, 0.005, 0.0, 0.0045)
-_BELLOWS = _inertial(0.169374, (0.019132, 0.0, -0.134862), 0.003312, 0.0, 0.0, 0.001744, 0.0, 0.001694)
+_BELLOWS = _inertial(
+    0.169374, (0.019132, 0.0, -0.134862), 0.003312, 0.0, 0.0, 0.001744, 0.0, 0.001694
+)
 # The description gives a finger xx = 0.002, which no body of yy = zz = 0.0002 can have; 0.0004 is the nearest possible.
 _FINGER = _inertial(0.0798, (-0.01, 0.0, 0.0), 0.0004, 0.0, 0.0, 0.0002, 0.0, 0.0002)
 
 INERTIALS: dict[str, Inertial] = {
-    "base_link": _inertial(70.1294, (-0.0036, 0.0, 0.0014), 1.225, 0.0099, 0.0062, 1.2853, -0.0034, 0.987),
+    "base_link": _inertial(
+        70.1294, (-0.0036, 0.0, 0.0014), 1.225, 0.0099, 0.0062, 1.2853, -0.0034, 0.987
+    ),
     "r_wheel_link": _WHEEL,
     "l_wheel_link": _WHEEL,
-    "estop_link": _inertial(0.001961, (0.00243, -0.00331, 0.00665), 3e-7, 0.0, 0.0, 3e-7, 0.0, 3e-7),
-    "laser_link": _inertial(0.008336, (-0.0306, 0.0007, 0.0552), 1.02e-6, 0.0, 0.0, 5.1e-7, 0.0, 1.27e-6),
-    "torso_fixed_link": _inertial(13.2775, (-0.0722, 0.0057, 0.2656), 0.3861, 0.0015, -0.0102, 0.3388, 0.0117, 0.1018),
-    "torso_lift_link": _inertial(10.7796, (-0.0013, -0.0009, 0.2935), 0.3354, 0.0, -0.0162, 0.3354, -0.0006, 0.0954),
+    "estop_link": _inertial(
+        0.001961, (0.00243, -0.00331, 0.00665), 3e-7, 0.0, 0.0, 3e-7, 0.0, 3e-7
+    ),
+    "laser_link": _inertial(
+        0.008336, (-0.0306, 0.0007, 0.0552), 1.02e-6, 0.0, 0.0, 5.1e-7, 0.0, 1.27e-6
+    ),
+    "torso_fixed_link": _inertial(
+        13.2775, (-0.0722, 0.0057, 0.2656), 0.3861, 0.0015, -0.0102, 0.3388, 0.0117, 0.1018
+    ),
+    "torso_lift_link": _inertial(
+        10.7796, (-0.0013, -0.0009, 0.2935), 0.3354, 0.0, -0.0162, 0.3354, -0.0006, 0.0954
+    ),
     "bellows_link": _BELLOWS,
     "bellows_link2": _BELLOWS,
-    "head_pan_link": _inertial(2.2556, (0.0321, 0.0161, 0.0390), 0.0129, 0.0002, 0.0007, 0.0095, 0.0, 0.0184),
-    "head_tilt_link": _inertial(0.9087, (0.0081, 0.0025, 0.0113), 0.0061, 0.0, 0.0002, 0.0014, -0.0001, 0.0061),
-    "shoulder_pan_link": _inertial(2.5587, (0.0927, -0.0056, 0.0564), 0.0043, -0.0001, 0.001, 0.0087, -0.0001, 0.0087),
-    "shoulder_lift_link": _inertial(2.6615, (0.1432, 0.0072, -0.0001), 0.0028, -0.0021, 0.0, 0.0111, 0.0, 0.0112),
-    "upperarm_roll_link": _inertial(2.3311, (0.1165, 0.0014, 0.0), 0.0019, -0.0001, 0.0, 0.0045, 0.0, 0.0047),
-    "elbow_flex_link": _inertial(2.1299, (0.1279, 0.0073, 0.0), 0.0024, -0.0016, 0.0, 0.0082, 0.0, 0.0084),
-    "forearm_roll_link": _inertial(1.6563, (0.1097, -0.0266, 0.0), 0.0016, -0.0003, 0.0, 0.003, 0.0, 0.0035),
-    "wrist_flex_link": _inertial(1.725, (0.0882, 0.0009, -0.0001), 0.0018, -0.0001, 0.0, 0.0042, 0.0, 0.0042),
-    "wrist_roll_link": _inertial(0.1354, (0.0095, 0.0004, -0.0002), 0.0001, 0.0, 0.0, 0.0001, 0.0, 0.0001),
-    "gripper_link": _inertial(1.5175, (-0.0900, -0.0001, -0.0017), 0.0013, 0.0, 0.0, 0.0019, 0.0, 0.0024),
+    "head_pan_link": _inertial(
+        2.2556, (0.0321, 0.0161, 0.0390), 0.0129, 0.0002, 0.0007, 0.0095, 0.0, 0.0184
+    ),
+    "head_tilt_link": _inertial(
+        0.9087, (0.0081, 0.0025, 0.0113), 0.0061, 0.0, 0.0002, 0.0014, -0.0001, 0.0061
+    ),
+    "shoulder_pan_link": _inertial(
+        2.5587, (0.0927, -0.0056, 0.0564), 0.0043, -0.0001, 0.001, 0.0087, -0.0001, 0.0087
+    ),
+    "shoulder_lift_link": _inertial(
+        2.6615, (0.1432, 0.0072, -0.0001), 0.0028, -0.0021, 0.0, 0.0111, 0.0, 0.0112
+    ),
+    "upperarm_roll_link": _inertial(
+        2.3311, (0.1165, 0.0014, 0.0), 0.0019, -0.0001, 0.0, 0.0045, 0.0, 0.0047
+    ),
+    "elbow_flex_link": _inertial(
+        2.1299, (0.1279, 0.0073, 0.0), 0.0024, -0.0016, 0.0, 0.0082, 0.0, 0.0084
+    ),
+    "forearm_roll_link": _inertial(
+        1.6563, (0.1097, -0.0266, 0.0), 0.0016, -0.0003, 0.0, 0.003, 0.0, 0.0035
+    ),
+    "wrist_flex_link": _inertial(
+        1.725, (0.0882, 0.0009, -0.0001), 0.0018, -0.0001, 0.0, 0.0042, 0.0, 0.0042
+    ),
+    "wrist_roll_link": _inertial(
+        0.1354, (0.0095, 0.0004, -0.0002), 0.0001, 0.0, 0.0, 0.0001, 0.0, 0.0001
+    ),
+    "gripper_link": _inertial(
+        1.5175, (-0.0900, -0.0001, -0.0017), 0.0013, 0.0, 0.0, 0.0019, 0.0, 0.0024
+    ),
     "r_gripper_finger_link": _FINGER,
     "l_gripper_finger_link": _FINGER,
 }
@@ -69,9 +103,12 @@ def _box(x: tuple[float, float], y: tuple[float, float], z: tuple[float, float])
     return Geom("box", (half[0], half[1], half[2]), (mid[0], mid[1], mid[2]), visual=False)
 
 
-def _cylinder(axis: str, radius: float, span: tuple[float, float], at: tuple[float, float] = (0.0, 0.0)) -> Geom:
+def _cylinder(
+    axis: str, radius: float, span: tuple[float, float], at: tuple[float, float] = (0.0, 0.0)
+) -> Geom:
     """A cylinder along ``axis`` over ``span``; ``at``: its place in the two other coordinates, in order."""
-    half, mid = 0.5 * (span[1] - span[0]), 0.5 * (span[0] + span[1])
+    half = 0.5 * (span[1] - span[0])
+    mid = 0.5 * (span[0] + span[1])
     if axis == "x":
         return Geom("cylinder", (radius, half, 0.0), (mid, *at), ALONG_X, visual=False)
     if axis == "y":
@@ -98,8 +135,13 @@ def finger_box(sign: float) -> Geom:
 
 def _finger(sign: float) -> tuple[Geom, ...]:
     """`finger_box` with a round edge at the end of the pad."""
-    (x, y, z), end = FINGER_HALF, 0.001 + FINGER_HALF[0]
-    box = _box((end - 2 * x, end - TIP_RADIUS - 0.001), (sign * _FINGER_Y - y, sign * _FINGER_Y + y), (-z, z))
+    (x, y, z) = FINGER_HALF
+    end = 0.001 + FINGER_HALF[0]
+    box = _box(
+        (end - 2 * x, end - TIP_RADIUS - 0.001),
+        (sign * _FINGER_Y - y, sign * _FINGER_Y + y),
+        (-z, z),
+    )
     edge = (end - TIP_RADIUS, sign * (_FINGER_Y - y + TIP_RADIUS), 0.0)
     return box, Geom("capsule", (TIP_RADIUS, z - TIP_RADIUS, 0.0), edge, visual=False)
 

@@ -19,10 +19,22 @@ from mjhab.scenes import contact_bits
 from mjhab.scenes.spec import Geom, Quat, Vec3
 
 FETCH_JOINTS: tuple[str, ...] = (
-    "root_x_axis_joint", "root_y_axis_joint", "root_z_rotation_joint", "torso_lift_joint", "head_pan_joint",
-    "shoulder_pan_joint", "head_tilt_joint", "shoulder_lift_joint", "upperarm_roll_joint", "elbow_flex_joint",
-    "forearm_roll_joint", "wrist_flex_joint", "wrist_roll_joint", "r_gripper_finger_joint", "l_gripper_finger_joint",
-)  # fmt: skip
+    "root_x_axis_joint",
+    "root_y_axis_joint",
+    "root_z_rotation_joint",
+    "torso_lift_joint",
+    "head_pan_joint",
+    "shoulder_pan_joint",
+    "head_tilt_joint",
+    "shoulder_lift_joint",
+    "upperarm_roll_joint",
+    "elbow_flex_joint",
+    "forearm_roll_joint",
+    "wrist_flex_joint",
+    "wrist_roll_joint",
+    "r_gripper_finger_joint",
+    "l_gripper_finger_joint",
+)
 """The 15 joints in the order of MS-HAB's qpos and qvel (breadth-first)."""
 
 ACTUATORS: tuple[str, ...] = FETCH_JOINTS
@@ -52,7 +64,9 @@ class TreeLink:
     quat: Quat = (1.0, 0.0, 0.0, 0.0)
 
 
-_X, _Y, _Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+_X = (1.0, 0.0, 0.0)
+_Y = (0.0, 1.0, 0.0)
+_Z = (0.0, 0.0, 1.0)
 
 KINEMATIC_TREE: tuple[TreeLink, ...] = (
     TreeLink("r_wheel_link", "base_link", "", (0.0012914, -0.18738, 0.055325)),
@@ -108,17 +122,31 @@ JOINT_LIMITS: tuple[tuple[float, float], ...] = tuple(_LIMITS_BY_JOINT[n] for n 
 LINKS: tuple[str, ...] = tuple(COLLISION)
 """Links that are bodies of the model: all with collision geometry. Others merge into their parents."""
 FINGER_LINKS: tuple[str, str] = ("l_gripper_finger_link", "r_gripper_finger_link")
-FINGER_OPEN_DIR: dict[str, Vec3] = {"l_gripper_finger_link": (0.0, -1.0, 0.0), "r_gripper_finger_link": (0.0, 1.0, 0.0)}
+FINGER_OPEN_DIR: dict[str, Vec3] = {
+    "l_gripper_finger_link": (0.0, -1.0, 0.0),
+    "r_gripper_finger_link": (0.0, 1.0, 0.0),
+}
 """Direction in which each finger opens, in its own link frame (which is parallel to gripper_link)."""
 FORCE_LINKS: tuple[str, ...] = tuple(n for n in LINKS if n not in FINGER_LINKS)
 """Links whose contact force counts against the robot: all that can touch, without the fingers."""
 TCP_LINK = "gripper_link"
 """Its origin is the tool centre point: midway between the finger pads."""
 
-TRUNK_LINKS = ("base_link", "torso_fixed_link", "torso_lift_link", "head_pan_link", "head_tilt_link")
+TRUNK_LINKS = (
+    "base_link",
+    "torso_fixed_link",
+    "torso_lift_link",
+    "head_pan_link",
+    "head_tilt_link",
+)
 DISTAL_LINKS = (
-    "elbow_flex_link", "forearm_roll_link", "wrist_flex_link", "wrist_roll_link", "gripper_link", *FINGER_LINKS,
-)  # fmt: skip
+    "elbow_flex_link",
+    "forearm_roll_link",
+    "wrist_flex_link",
+    "wrist_roll_link",
+    "gripper_link",
+    *FINGER_LINKS,
+)
 """Links that collide with the trunk. Other pairs of robot links do not collide."""
 
 
@@ -196,9 +224,11 @@ turns at rate w at radius r a held object drifts outwards by w^2 r (1/damping - 
 bench loses a box at 180."""
 
 _GEOM_TYPE = {
-    "box": mujoco.mjtGeom.mjGEOM_BOX, "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
-    "sphere": mujoco.mjtGeom.mjGEOM_SPHERE, "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,
-}  # fmt: skip
+    "box": mujoco.mjtGeom.mjGEOM_BOX,
+    "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
+    "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
+    "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,
+}
 
 
 def physics_options(spec: mujoco.MjSpec) -> None:
@@ -240,16 +270,20 @@ def add_fetch(spec: mujoco.MjSpec) -> None:
             _add_joint(body, entry.joint, kind, entry.axis)
     for mount in CAMERAS:
         bodies[mount.body].add_camera(
-            name=mount.name, pos=mount.pos, quat=mount.quat, fovy=math.degrees(mount.fovy),
+            name=mount.name,
+            pos=mount.pos,
+            quat=mount.quat,
+            fovy=math.degrees(mount.fovy),
             resolution=list(mount.resolution),
-        )  # fmt: skip
+        )
     _add_actuators(spec)
 
 
 def _add_base(spec: mujoco.MjSpec) -> mujoco.MjsBody:
     base = spec.worldbody.add_body(name="base_link", pos=[0.0, 0.0, BASE_HEIGHT])
     _fill_body(base, "base_link")
-    slide, hinge = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
+    slide = mujoco.mjtJoint.mjJNT_SLIDE
+    hinge = mujoco.mjtJoint.mjJNT_HINGE
     for name, kind, axis in zip(FETCH_JOINTS[:3], (slide, slide, hinge), (_X, _Y, _Z), strict=True):
         _add_joint(base, name, kind, axis)
     return base
@@ -258,9 +292,13 @@ def _add_base(spec: mujoco.MjSpec) -> mujoco.MjsBody:
 def _fill_body(body: mujoco.MjsBody, link: str) -> None:
     inertial = INERTIALS[link]
     body.explicitinertial = True
-    body.mass, body.ipos, body.fullinertia = inertial.mass, inertial.com, inertial.inertia
+    body.mass = inertial.mass
+    body.ipos = inertial.com
+    body.fullinertia = inertial.inertia
     body.gravcomp = 1.0  # the original switches gravity off for every robot link
-    body.fuse = link not in COLLISION  # gripper and torso_fixed have no joint but must stay bodies for their forces
+    body.fuse = (
+        link not in COLLISION
+    )  # gripper and torso_fixed have no joint but must stay bodies for their forces
     for i, geom in enumerate(COLLISION.get(link, ())):
         _add_collision(body, link, i, geom)
 
@@ -269,12 +307,21 @@ def _add_collision(body: mujoco.MjsBody, link: str, index: int, geom: Geom) -> N
     distal = contact_bits.DISTAL if link in DISTAL_LINKS else 0
     trunk = contact_bits.DISTAL if link in TRUNK_LINKS else 0
     added = body.add_geom(
-        name=f"{link}/{index}", type=_GEOM_TYPE[geom.shape], size=geom.size, pos=geom.pos, quat=geom.quat,
-        contype=contact_bits.ROBOT | distal, conaffinity=contact_bits.ROBOT_AFFINITY | trunk, group=3,
-    )  # fmt: skip
+        name=f"{link}/{index}",
+        type=_GEOM_TYPE[geom.shape],
+        size=geom.size,
+        pos=geom.pos,
+        quat=geom.quat,
+        contype=contact_bits.ROBOT | distal,
+        conaffinity=contact_bits.ROBOT_AFFINITY | trunk,
+        group=3,
+    )
     if link in FINGER_LINKS:
-        added.condim, added.friction, added.priority = 4, PAD_FRICTION, 1
-        added.solref, added.solimp = PAD_SOLREF, PAD_SOLIMP
+        added.condim = 4
+        added.friction = PAD_FRICTION
+        added.priority = 1
+        added.solref = PAD_SOLREF
+        added.solimp = PAD_SOLIMP
 
 
 def _add_joint(body: mujoco.MjsBody, name: str, kind: mujoco.mjtJoint, axis: Vec3) -> None:
@@ -282,10 +329,12 @@ def _add_joint(body: mujoco.MjsBody, name: str, kind: mujoco.mjtJoint, axis: Vec
     # The limit sits on the joint, not on the actuator: the integrator stops treating the damping of a servo
     # implicitly while the actuator's own force range clips it, and light joints would chatter between the limits.
     limit = _GAINS[name].force
-    joint.actfrclimited, joint.actfrcrange = mujoco.mjtLimited.mjLIMITED_TRUE, [-limit, limit]
+    joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_TRUE
+    joint.actfrcrange = [-limit, limit]
     low, high = _LIMITS_BY_JOINT[name]
     if math.isfinite(low):
-        joint.limited, joint.range = mujoco.mjtLimited.mjLIMITED_TRUE, [low, high]
+        joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+        joint.range = [low, high]
     else:
         joint.limited = mujoco.mjtLimited.mjLIMITED_FALSE
 
@@ -300,9 +349,12 @@ def _add_actuators(spec: mujoco.MjSpec) -> None:
             actuator.set_to_velocity(kv=gains.kd)
     # Both servos pull alike; the equality keeps the fingers symmetric, so a grasped object does not wander sideways.
     spec.add_equality(
-        name="finger_mimic", type=mujoco.mjtEq.mjEQ_JOINT, name1="r_gripper_finger_joint",
-        name2="l_gripper_finger_joint", data=[0.0, 1.0] + [0.0] * 10,
-    )  # fmt: skip
+        name="finger_mimic",
+        type=mujoco.mjtEq.mjEQ_JOINT,
+        name1="r_gripper_finger_joint",
+        name2="l_gripper_finger_joint",
+        data=[0.0, 1.0] + [0.0] * 10,
+    )
 
 
 def apply_drives(model: mujoco.MjModel, drives: Drives) -> None:

@@ -65,7 +65,9 @@ def robot_meshes() -> list[tuple[str, Mesh, str]]:
     for link, (file, material) in _PARTS.items():
         path = folder / file
         if not path.is_file():
-            raise MjhabError(f"Fetch mesh {file} is not in {folder}; install gymnasium-robotics>=1.3 again.")
+            raise MjhabError(
+                f"Fetch mesh {file} is not in {folder}; install gymnasium-robotics>=1.3 again."
+            )
         loaded = trimesh.load_mesh(path)
         body, offset, turn = _mount(link)
         vertices = np.asarray(loaded.vertices) @ turn.T + offset
@@ -92,16 +94,24 @@ def _mount(link: str) -> tuple[str, np.ndarray, np.ndarray]:
     entry = next(t for t in KINEMATIC_TREE if t.link == link)
     if entry.parent not in LINKS:
         raise MjhabError(f"link {link!r} hangs on {entry.parent!r}, which is not a body")
-    return entry.parent, np.array(entry.origin), trimesh.transformations.quaternion_matrix(entry.quat)[:3, :3]
+    return (
+        entry.parent,
+        np.array(entry.origin),
+        trimesh.transformations.quaternion_matrix(entry.quat)[:3, :3],
+    )
 
 
 def _simplified(vertices: np.ndarray, faces: np.ndarray, most: int) -> Mesh:
     """Merge vertices on a grid that is coarsened until ``most`` faces are left; smaller meshes stay as they are."""
     cell = _CELL
-    kept, triangles = vertices, faces
+    kept = vertices
+    triangles = faces
     while len(triangles) > most:
-        _, index, inverse = np.unique(np.round(vertices / cell), axis=0, return_index=True, return_inverse=True)
-        kept, triangles = vertices[index], inverse.ravel()[faces]
+        _, index, inverse = np.unique(
+            np.round(vertices / cell), axis=0, return_index=True, return_inverse=True
+        )
+        kept = vertices[index]
+        triangles = inverse.ravel()[faces]
         a, b, c = triangles.T
         triangles = np.unique(triangles[(a != b) & (b != c) & (a != c)], axis=0)
         cell *= 1.25
@@ -119,9 +129,16 @@ def _fingers() -> list[tuple[str, Mesh, str]]:
     pad = 0.0015
     for link, inward in (("r_gripper_finger_link", -1.0), ("l_gripper_finger_link", 1.0)):
         geom = finger_box(-inward)
-        (hx, hy, hz), (x, y, z) = geom.size, geom.pos
+        (hx, hy, hz) = geom.size
+        (x, y, z) = geom.pos
         out.append((link, _box((hx, hy - pad, hz), (x, y - inward * pad, z)), "fetch_grey"))
-        out.append((link, _box((hx - 0.002, pad, hz - 0.001), (x, y + inward * (hy - pad), z)), "fetch_dark"))
+        out.append(
+            (
+                link,
+                _box((hx - 0.002, pad, hz - 0.001), (x, y + inward * (hy - pad), z)),
+                "fetch_dark",
+            )
+        )
     return out
 
 
@@ -130,7 +147,15 @@ def _eyes() -> list[tuple[str, Mesh, str]]:
     lenses = []
     for y in (0.02, 0.065):
         lens = trimesh.creation.cylinder(0.012, 0.006, sections=20)
-        lens.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [0, 1, 0], [0, 0, 0]))
+        lens.apply_transform(
+            trimesh.transformations.rotation_matrix(np.pi / 2, [0, 1, 0], [0, 0, 0])
+        )
         vertices = lens.vertices + np.array([0.056, y, 0.0225])
-        lenses.append(("head_tilt_link", Mesh(vertices.astype(np.float32), lens.faces.astype(np.int32)), "fetch_dark"))
+        lenses.append(
+            (
+                "head_tilt_link",
+                Mesh(vertices.astype(np.float32), lens.faces.astype(np.int32)),
+                "fetch_dark",
+            )
+        )
     return lenses

@@ -33,7 +33,9 @@ def decor_meshes() -> dict[str, Mesh]:
         "plant_tall": foliage(1, 26, 0.34, 1.05, 0.10),
         "plant_bush": foliage(2, 34, 0.30, 0.50, 0.08),
         "plant_small": foliage(3, 18, 0.11, 0.17, 0.03),
-        "pot_tall": lathe([(0.0, 0.0), (0.12, 0.0), (0.16, 0.34), (0.14, 0.34), (0.14, 0.30), (0.0, 0.30)]),
+        "pot_tall": lathe(
+            [(0.0, 0.0), (0.12, 0.0), (0.16, 0.34), (0.14, 0.34), (0.14, 0.30), (0.0, 0.30)]
+        ),
         "pot_bush": lathe(
             [
                 (0.0, 0.0),
@@ -118,15 +120,34 @@ def _rug(name: str, depth: float, width: float, material: str) -> Prop:
     if depth > 1.0:
         rim = 0.07
         for sx in (-1.0, 1.0):
-            geoms.append(box((sx * (depth - rim) / 2, 0.0, 0.005), (rim, width, 0.010), "rug_border", collide=False))
-            geoms.append(box((0.0, sx * (width - rim) / 2, 0.005), (depth, rim, 0.010), "rug_border", collide=False))
+            geoms.append(
+                box(
+                    (sx * (depth - rim) / 2, 0.0, 0.005),
+                    (rim, width, 0.010),
+                    "rug_border",
+                    collide=False,
+                )
+            )
+            geoms.append(
+                box(
+                    (0.0, sx * (width - rim) / 2, 0.005),
+                    (depth, rim, 0.010),
+                    "rug_border",
+                    collide=False,
+                )
+            )
     return Prop(name, tuple(geoms), blocks_base=False)
 
 
 def _wall_shelf() -> Prop:
     """A narrow board high on the wall with cups, a plant and a vase; for the eye, above every arm's work."""
     geoms: list[Geom] = [box((0.0, 0.0, 1.62), (0.20, 1.40, 0.03), "oak", collide=False)]
-    for y, material in ((-0.55, "pot_white"), (-0.44, "cushion_mustard"), (-0.33, "sofa_fabric"), (-0.22, "pot_white")):
+    for y, material in (
+        (-0.55, "pot_white"),
+        (-0.44, "cushion_mustard"),
+        (-0.33, "sofa_fabric"),
+        (-0.22, "pot_white"),
+    ):
         geoms.append(rod((0.0, y, 1.68), 0.035, 0.09, material, collide=False))
     geoms += [
         look("vase", "terracotta", (0.0, 0.05, 1.635)),
@@ -144,28 +165,53 @@ def _picture(name: str) -> Prop:
     w, h, z = (0.9, 0.6, 1.6) if big else (0.5, 0.7, 1.6)
     geoms = [
         box((0.012, 0.0, z), (0.024, w, h), "walnut" if big else "black_metal", collide=False),
-        box((0.026, 0.0, z), (0.004, w - 0.06, h - 0.06), "picture_sky" if big else "picture_paper", collide=False),
+        box(
+            (0.026, 0.0, z),
+            (0.004, w - 0.06, h - 0.06),
+            "picture_sky" if big else "picture_paper",
+            collide=False,
+        ),
     ]
     if big:
-        geoms.append(box((0.029, 0.0, z - 0.16), (0.003, w - 0.06, h - 0.38), "picture_hill", collide=False))
-        geoms.append(rod((0.029, 0.22, z + 0.12), 0.08, 0.004, "picture_sun", axis="x", collide=False))
+        geoms.append(
+            box((0.029, 0.0, z - 0.16), (0.003, w - 0.06, h - 0.38), "picture_hill", collide=False)
+        )
+        geoms.append(
+            rod((0.029, 0.22, z + 0.12), 0.08, 0.004, "picture_sun", axis="x", collide=False)
+        )
     else:
-        geoms.append(rod((0.029, 0.0, z + 0.08), 0.13, 0.004, "cushion_coral", axis="x", collide=False))
+        geoms.append(
+            rod((0.029, 0.0, z + 0.08), 0.13, 0.004, "cushion_coral", axis="x", collide=False)
+        )
         geoms.append(box((0.029, 0.0, z - 0.16), (0.003, 0.30, 0.05), "book_blue", collide=False))
     return Prop(name, tuple(geoms), blocks_base=False)
 
 
 def _window() -> Prop:
     """A window on a wall with curtains; the back lies on the wall at x = 0."""
-    w, h, z, t = 1.4, 1.15, 1.62, 0.06
+    w = 1.4
+    h = 1.15
+    z = 1.62
+    t = 0.06
     geoms = [box((0.01, 0.0, z), (0.02, w, h), "window_glass", collide=False)]
     for s in (-1.0, 1.0):
         geoms.append(box((0.02, s * w / 2, z), (0.05, t, h + t), "trim_white", collide=False))
         geoms.append(box((0.02, 0.0, z + s * h / 2), (0.05, w, t), "trim_white", collide=False))
-        geoms.append(box((0.035, s * (w / 2 + 0.10), z - 0.05), (0.05, 0.26, h + 0.35), "curtain", collide=False))
+        geoms.append(
+            box(
+                (0.035, s * (w / 2 + 0.10), z - 0.05),
+                (0.05, 0.26, h + 0.35),
+                "curtain",
+                collide=False,
+            )
+        )
     geoms.append(box((0.02, 0.0, z), (0.04, 0.04, h), "trim_white", collide=False))
-    geoms.append(box((0.04, 0.0, z - h / 2 - 0.04), (0.10, w + 0.1, 0.03), "trim_white", collide=False))
-    geoms.append(rod((0.05, 0.0, z + h / 2 + 0.13), 0.012, w + 0.6, "brass", axis="y", collide=False))
+    geoms.append(
+        box((0.04, 0.0, z - h / 2 - 0.04), (0.10, w + 0.1, 0.03), "trim_white", collide=False)
+    )
+    geoms.append(
+        rod((0.05, 0.0, z + h / 2 + 0.13), 0.012, w + 0.6, "brass", axis="y", collide=False)
+    )
     return Prop("window_01", tuple(geoms), blocks_base=False)
 
 
@@ -192,7 +238,10 @@ def _bin() -> Prop:
 
 def _inner_frame() -> Prop:
     """Trim of a 1.0 m doorway in an inner wall of 0.12 m: the centre of the opening is the origin."""
-    geoms = [box((0.0, s * 0.49, 1.06), (0.16, 0.02, 2.12), "trim_white", collide=False) for s in (-1.0, 1.0)]
+    geoms = [
+        box((0.0, s * 0.49, 1.06), (0.16, 0.02, 2.12), "trim_white", collide=False)
+        for s in (-1.0, 1.0)
+    ]
     geoms.append(box((0.0, 0.0, 2.13), (0.16, 1.06, 0.06), "trim_white", collide=False))
     geoms.append(box((0.0, 0.0, 0.003), (0.13, 0.98, 0.006), "oak", collide=False))
     return Prop("door_frame", tuple(geoms), blocks_base=False)

@@ -59,7 +59,8 @@ def _link_z(z: tuple[float, float]) -> float:
 
 
 def _counter_body() -> list[Geom]:
-    top, back = (0.84, WORKTOP_TOP), (-0.325, -0.305)
+    top = (0.84, WORKTOP_TOP)
+    back = (-0.325, -0.305)
     x = (-0.325, 0.335)
     geoms = [
         span(x, (-1.42, -0.55), top, "worktop"),
@@ -70,16 +71,26 @@ def _counter_body() -> list[Geom]:
         span((-0.305, 0.24), (-1.39, 1.39), (0.0, 0.10), "cabinet_plinth"),
         span((0.283, FRONT_X + FRONT_THICK), (-0.595, -0.055), (0.115, 0.835), "cabinet_front"),
         span((-0.325, -0.315), (-1.42, 1.42), (WORKTOP_TOP, 1.36), "backsplash", collide=False),
-        box((FRONT_X + FRONT_THICK + 0.012, -0.12, 0.60), (0.012, 0.012, 0.18), "brass", collide=False),
+        box(
+            (FRONT_X + FRONT_THICK + 0.012, -0.12, 0.60),
+            (0.012, 0.012, 0.18),
+            "brass",
+            collide=False,
+        ),
     ]
     for y in (-1.40, -0.60, -0.05, 0.60, 1.40):
-        geoms.append(span((-0.305, FRONT_X), (y - 0.009, y + 0.009), (0.10, 0.84), "cabinet_carcass"))
+        geoms.append(
+            span((-0.305, FRONT_X), (y - 0.009, y + 0.009), (0.10, 0.84), "cabinet_carcass")
+        )
     return geoms
 
 
 def _sink() -> list[Geom]:
-    floor, rim = 0.78, 0.882
-    inner_x, inner_y, wall = (-0.19, 0.19), (-0.54, -0.11), 0.01
+    floor = 0.78
+    rim = 0.882
+    inner_x = (-0.19, 0.19)
+    inner_y = (-0.54, -0.11)
+    wall = 0.01
     x = (inner_x[0] - wall, inner_x[1] + wall)
     y = (inner_y[0] - wall, inner_y[1] + wall)
     return [
@@ -96,9 +107,13 @@ def _sink() -> list[Geom]:
     ]
 
 
-def _drawer(name: str, y: tuple[float, float], z: tuple[float, float], floor: float, mass: float) -> Link:
+def _drawer(
+    name: str, y: tuple[float, float], z: tuple[float, float], floor: float, mass: float
+) -> Link:
     """One drawer, open on top. The link frame sits on the closed front's height, above the template's origin."""
-    width, height, mid = y[1] - y[0], z[1] - z[0], _link_z(z)
+    width = y[1] - y[0]
+    height = z[1] - z[0]
+    mid = _link_z(z)
     surface = floor - mid
     side = min(0.10, height / 2 - 0.02)
     inner = width / 2 - 0.012
@@ -108,7 +123,12 @@ def _drawer(name: str, y: tuple[float, float], z: tuple[float, float], floor: fl
     out = FRONT_X + FRONT_THICK
     geoms = [
         span((back, FRONT_X), (-inner, inner), (low, surface), "drawer_inside"),
-        span((FRONT_X, out), (-width / 2 + 0.004, width / 2 - 0.004), (-height / 2, height / 2), "cabinet_front"),
+        span(
+            (FRONT_X, out),
+            (-width / 2 + 0.004, width / 2 - 0.004),
+            (-height / 2, height / 2),
+            "cabinet_front",
+        ),
         span((back, back + 0.012), (-inner, inner), (surface, side), "drawer_inside"),
         span((back, FRONT_X), (inner - 0.012, inner), (surface, side), "drawer_inside"),
         span((back, FRONT_X), (-inner, -inner + 0.012), (surface, side), "drawer_inside"),
@@ -118,10 +138,14 @@ def _drawer(name: str, y: tuple[float, float], z: tuple[float, float], floor: fl
     geoms += _bar((bar_x, 0.0, handle_z), (0.0, 1.0, 0.0), half, out, "brass")
     handle = Handle((bar_x, 0.0, handle_z), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0), half, BAR)
     pos = (0.0, (y[0] + y[1]) / 2, mid)
-    return Link(name, "slide", (1.0, 0.0, 0.0), (0.0, DRAWER_TRAVEL), pos, mass, tuple(geoms), handle)
+    return Link(
+        name, "slide", (1.0, 0.0, 0.0), (0.0, DRAWER_TRAVEL), pos, mass, tuple(geoms), handle
+    )
 
 
-def _bar(center: Vec3, along: Vec3, half: float, front: float, material: str, thick: float = BAR) -> list[Geom]:
+def _bar(
+    center: Vec3, along: Vec3, half: float, front: float, material: str, thick: float = BAR
+) -> list[Geom]:
     """A bar in front of a plate at x = ``front``, on two thin posts at its ends that keep its middle free."""
     reach = 2 * half + 0.02
     size = (thick, reach if along[1] else thick, reach if along[2] else thick)
@@ -133,9 +157,12 @@ def _bar(center: Vec3, along: Vec3, half: float, front: float, material: str, th
 
 
 # fridge: closed door's inner face, outer face, hinge line
-_INNER, _OUTER, _HINGE_Y = 0.290, 0.345, 0.345
+_INNER = 0.290
+_OUTER = 0.345
+_HINGE_Y = 0.345
 _WIDTH = 0.69
-_TOP_DOOR, _BOTTOM_DOOR = (0.84, 1.93), (0.07, 0.83)
+_TOP_DOOR = (0.84, 1.93)
+_BOTTOM_DOOR = (0.07, 0.83)
 _SHELVES = {"middle_bottom": 0.48, "middle_top": 1.16, "top": 1.53}
 _DECK = 0.86
 """Surface of the deck between the two compartments [m]."""
@@ -143,10 +170,17 @@ _DECK = 0.86
 
 def fridge() -> Articulation:
     """The fridge: 0.69 x 0.69 x 1.95 m; both doors hinge at y = +0.345 and open outward for positive angles."""
-    heights = {"bottom": 0.12, "middle_bottom": 0.48, "middle": _DECK, "middle_top": 1.16, "top": 1.53}
+    heights = {
+        "bottom": 0.12,
+        "middle_bottom": 0.48,
+        "middle": _DECK,
+        "middle_top": 1.16,
+        "top": 1.53,
+    }
     free = {"bottom": 0.34, "middle_bottom": 0.32, "middle": 0.28, "middle_top": 0.35, "top": 0.34}
     shelves = tuple(
-        Receptacle(name, (-0.01, -0.03, z), (0.165, 0.23), free[name], "shelf") for name, z in heights.items()
+        Receptacle(name, (-0.01, -0.03, z), (0.165, 0.23), free[name], "shelf")
+        for name, z in heights.items()
     )
     links = (
         _door("top_door", _TOP_DOOR, (0.0, 2.3), 8.0, 1.17, (0.95, 1.20, 1.56)),
@@ -156,7 +190,8 @@ def fridge() -> Articulation:
 
 
 def _carcass() -> list[Geom]:
-    x, y = (-0.345, _INNER), (-0.345, 0.345)
+    x = (-0.345, _INNER)
+    y = (-0.345, 0.345)
     geoms = [
         span((-0.345, -0.305), y, (0.0, 1.95), "fridge_body"),
         span(x, (-0.345, -0.315), (0.0, 1.95), "fridge_body"),
@@ -168,18 +203,28 @@ def _carcass() -> list[Geom]:
         box((0.10, 0.0, 1.893), (0.10, 0.16, 0.012), "lamp_shade", collide=False),
     ]
     for side in (-1.0, 1.0):
-        geoms.append(box((-0.01, side * 0.3125, 1.01), (0.58, 0.005, 1.78), "fridge_inside", collide=False))
+        geoms.append(
+            box((-0.01, side * 0.3125, 1.01), (0.58, 0.005, 1.78), "fridge_inside", collide=False)
+        )
     for z in _SHELVES.values():
         geoms.append(span((-0.305, 0.165), (-0.315, 0.315), (z - 0.018, z), "fridge_shelf"))
-        geoms.append(span((0.165, 0.171), (-0.315, 0.315), (z - 0.018, z + 0.004), "steel", collide=False))
+        geoms.append(
+            span((0.165, 0.171), (-0.315, 0.315), (z - 0.018, z + 0.004), "steel", collide=False)
+        )
     return geoms
 
 
 def _door(
-    name: str, z: tuple[float, float], limits: tuple[float, float], mass: float, grip: float, bins: tuple[float, ...]
+    name: str,
+    z: tuple[float, float],
+    limits: tuple[float, float],
+    mass: float,
+    grip: float,
+    bins: tuple[float, ...],
 ) -> Link:
     """A door. Its link frame lies on the hinge line at floor height, +x outward; the door extends along -y."""
-    inner, outer = _INNER - _OUTER, 0.0
+    inner = _INNER - _OUTER
+    outer = 0.0
     geoms = [
         span((inner, outer), (-_WIDTH, 0.0), z, "fridge_door"),
         span(
@@ -197,7 +242,9 @@ def _door(
     center = (outer + BAR_GAP + thick / 2, -_WIDTH + 0.06, grip)
     geoms += _bar(center, (0.0, 0.0, 1.0), half, outer, "steel", thick)
     handle = Handle(center, (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), half, thick)
-    return Link(name, "hinge", (0.0, 0.0, 1.0), limits, (_OUTER, _HINGE_Y, 0.0), mass, tuple(geoms), handle)
+    return Link(
+        name, "hinge", (0.0, 0.0, 1.0), limits, (_OUTER, _HINGE_Y, 0.0), mass, tuple(geoms), handle
+    )
 
 
 def _bin(inner: float, height: float) -> list[Geom]:

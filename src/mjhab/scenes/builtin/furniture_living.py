@@ -42,7 +42,9 @@ def living_meshes() -> dict[str, Mesh]:
     }
 
 
-def _legs(x: float, y: float, height: float, thick: float, material: str, collide: bool = True) -> list[Geom]:
+def _legs(
+    x: float, y: float, height: float, thick: float, material: str, collide: bool = True
+) -> list[Geom]:
     return [
         box((sx * x, sy * y, height / 2), (thick, thick, height), material, collide=collide)
         for sx in (-1.0, 1.0)
@@ -99,7 +101,9 @@ def _chair_01() -> Prop:
     for sy in (-1.0, 1.0):
         geoms.append(box((0.19, sy * 0.2, 0.2075), (0.034, 0.034, 0.415), "walnut"))
         geoms.append(box((-0.20, sy * 0.2, 0.43), (0.034, 0.034, 0.86), "walnut"))
-    return Prop("chair_01", tuple(geoms), (Receptacle("seat", (0.015, 0.0, 0.46), (0.175, 0.19), 0.6),))
+    return Prop(
+        "chair_01", tuple(geoms), (Receptacle("seat", (0.015, 0.0, 0.46), (0.175, 0.19), 0.6),)
+    )
 
 
 def _sofa() -> Prop:
@@ -128,13 +132,25 @@ def _sofa() -> Prop:
 
 def _tvstand() -> Prop:
     """A low stand, 0.45 x 1.60 m, top at 0.50 m; the screen hangs on the wall above."""
-    geoms = [box((0.0, 0.0, 0.28), (0.45, 1.60, 0.44), "oak"), *_legs(0.18, 0.74, 0.06, 0.04, "black_metal", False)]
+    geoms = [
+        box((0.0, 0.0, 0.28), (0.45, 1.60, 0.44), "oak"),
+        *_legs(0.18, 0.74, 0.06, 0.04, "black_metal", False),
+    ]
     for y in (-0.53, 0.53):
         geoms.append(box((0.227, y, 0.28), (0.008, 0.50, 0.38), "white_lacquer", collide=False))
-        geoms.append(box((0.236, y - 0.18 * (1 if y > 0 else -1), 0.38), (0.012, 0.06, 0.012), "brass", collide=False))
+        geoms.append(
+            box(
+                (0.236, y - 0.18 * (1 if y > 0 else -1), 0.38),
+                (0.012, 0.06, 0.012),
+                "brass",
+                collide=False,
+            )
+        )
     geoms.append(box((0.226, 0.0, 0.28), (0.006, 0.52, 0.38), "black_metal", collide=False))
     geoms.append(box((0.231, 0.0, 0.26), (0.008, 0.42, 0.06), "black_glass", collide=False))
-    return Prop("tvstand", tuple(geoms), (Receptacle("top", (0.01, 0.0, 0.50), (0.19, 0.74), 0.35),))
+    return Prop(
+        "tvstand", tuple(geoms), (Receptacle("top", (0.01, 0.0, 0.50), (0.19, 0.74), 0.35),)
+    )
 
 
 def _tv() -> Prop:
@@ -162,14 +178,23 @@ def _bed() -> Prop:
 
 
 def _fronts(
-    x: float, y: tuple[float, float], z: tuple[float, float], rows: int, columns: int, material: str, knob: str
+    x: float,
+    y: tuple[float, float],
+    z: tuple[float, float],
+    rows: int,
+    columns: int,
+    material: str,
+    knob: str,
 ) -> list[Geom]:
     """Door or drawer fronts drawn on a closed box, with small knobs."""
     geoms = []
-    dy, dz, gap = (y[1] - y[0]) / columns, (z[1] - z[0]) / rows, 0.008
+    dy = (y[1] - y[0]) / columns
+    dz = (z[1] - z[0]) / rows
+    gap = 0.008
     for r in range(rows):
         for c in range(columns):
-            y0, z0 = y[0] + c * dy, z[0] + r * dz
+            y0 = y[0] + c * dy
+            z0 = z[0] + r * dz
             geoms.append(
                 span(
                     (x, x + 0.012),
@@ -181,7 +206,14 @@ def _fronts(
             )
             toward = 0.5 if columns == 1 else (0.88 if c < columns / 2 else 0.12)
             height = 0.5 if rows > 1 else 0.55
-            geoms.append(box((x + 0.02, y0 + toward * dy, z0 + height * dz), (0.018, 0.03, 0.03), knob, collide=False))
+            geoms.append(
+                box(
+                    (x + 0.02, y0 + toward * dy, z0 + height * dz),
+                    (0.018, 0.03, 0.03),
+                    knob,
+                    collide=False,
+                )
+            )
     return geoms
 
 
@@ -222,7 +254,15 @@ def _bookshelf() -> Prop:
     ]
     for y in (-0.44, 0.44):
         geoms.append(box((0.0, y, 0.90), (0.30, 0.02, 1.80), "oak", collide=False))
-    colors = ("book_red", "book_blue", "book_green", "book_yellow", "picture_paper", "book_blue", "cushion_coral")
+    colors = (
+        "book_red",
+        "book_blue",
+        "book_green",
+        "book_yellow",
+        "picture_paper",
+        "book_blue",
+        "cushion_coral",
+    )
     for level in range(6):
         z = 0.05 + level * 0.348
         geoms.append(box((0.0, 0.0, z), (0.30, 0.88, 0.02), "oak", collide=False))
@@ -233,7 +273,8 @@ def _bookshelf() -> Prop:
 
 def _books(level: int, z: float, colors: tuple[str, ...]) -> list[Geom]:
     geoms: list[Geom] = []
-    y, k = -0.40 + 0.09 * (level % 3), level * 5
+    y = -0.40 + 0.09 * (level % 3)
+    k = level * 5
     while y < 0.36 - 0.14 * (level % 2):
         thick = 0.028 + 0.011 * ((k * 7) % 4)
         height = 0.20 + 0.018 * ((k * 5) % 5)
@@ -245,5 +286,6 @@ def _books(level: int, z: float, colors: tuple[str, ...]) -> list[Geom]:
                 collide=False,
             )
         )
-        y, k = y + thick, k + 1
+        y = y + thick
+        k += 1
     return geoms

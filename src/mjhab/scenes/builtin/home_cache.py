@@ -29,7 +29,10 @@ def _code_digest() -> bytes:
 
 
 def cached_homes(
-    pack: str, keys: Sequence[Key], bare: Callable[[int, int], Home], furnish: Callable[[int, int], Home]
+    pack: str,
+    keys: Sequence[Key],
+    bare: Callable[[int, int], Home],
+    furnish: Callable[[int, int], Home],
 ) -> tuple[Home, ...]:
     """Homes of a pack: from the cache when these keys were furnished before by the same code, else furnished.
 
@@ -54,7 +57,9 @@ def _read(path: Path, count: int) -> list[tuple[Placement, ...]] | None:
     """Props of every home, or None if there is no such file or it is not whole (a disk that filled up)."""
     try:
         rows = json.loads(path.read_text(encoding="utf-8"))
-        props = [tuple(Placement(name, (x, y, z), yaw) for name, (x, y, z), yaw in row) for row in rows]
+        props = [
+            tuple(Placement(name, (x, y, z), yaw) for name, (x, y, z), yaw in row) for row in rows
+        ]
     except (OSError, ValueError, TypeError):
         return None
     return props if len(props) == count else None

@@ -30,7 +30,9 @@ WALL_THICK = 0.12
 Key = tuple[int, int]
 VERSION_ONE: tuple[Key, ...] = ((0, 0), (0, 1), (1, 0), (2, 0), (3, 0), (4, 0))
 """(macro, micro) of six homes, enough to try things quickly."""
-EVERY: tuple[Key, ...] = tuple((macro, micro) for macro in range(len(PLANS)) for micro in range(MICROS))
+EVERY: tuple[Key, ...] = tuple(
+    (macro, micro) for macro in range(len(PLANS)) for micro in range(MICROS)
+)
 """(macro, micro) of all 105 homes."""
 LISTED = EVERY
 """(macro, micro) of the homes that the pack lists."""
@@ -94,10 +96,13 @@ def make_home(macro: int, micro: int) -> Home:
 
 def bare_home(macro: int, micro: int) -> Home:
     """One home with walls, kitchen and lamps but no props yet; arguments and errors as in `make_home`."""
-    plan, hard = plan_of(macro, micro), HARD.get((macro, micro))
+    plan = plan_of(macro, micro)
+    hard = HARD.get((macro, micro))
     width, depth = plan.size
     kitchen = tuple(_place(p) for p in plan.kitchen)
-    rooms = tuple(span(_x(r.extent), _y(r.extent), (-0.02, 0.001), r.floor, collide=False) for r in plan.rooms)
+    rooms = tuple(
+        span(_x(r.extent), _y(r.extent), (-0.02, 0.001), r.floor, collide=False) for r in plan.rooms
+    )
     note, limits = (hard.note, hard.limits) if hard else ("", ())
     return Home(
         f"builtin_m{macro}_{micro:02d}",
@@ -124,8 +129,11 @@ def plan_of(macro: int, micro: int) -> Plan:
         UsageError: out of range.
     """
     if not (0 <= macro < len(PLANS) and 0 <= micro < MICROS):
-        raise UsageError(f"no home ({macro}, {micro}): macro is 0..{len(PLANS) - 1}, micro 0..{MICROS - 1}.")
-    plan, hard = PLANS[macro], HARD.get((macro, micro))
+        raise UsageError(
+            f"no home ({macro}, {micro}): macro is 0..{len(PLANS) - 1}, micro 0..{MICROS - 1}."
+        )
+    plan = PLANS[macro]
+    hard = HARD.get((macro, micro))
     return replace(plan, kitchen=(plan.kitchen[0], hard.fridge)) if hard else plan
 
 
@@ -140,7 +148,8 @@ def _y(extent: tuple[float, float, float, float]) -> tuple[float, float]:
 def _lights(plan: Plan) -> tuple[Light, ...]:
     """One lamp under the ceiling of each room."""
     return tuple(
-        Light(((e[0] + e[2]) / 2, (e[1] + e[3]) / 2, 2.4), intensity=1.0) for e in (room.extent for room in plan.rooms)
+        Light(((e[0] + e[2]) / 2, (e[1] + e[3]) / 2, 2.4), intensity=1.0)
+        for e in (room.extent for room in plan.rooms)
     )
 
 
@@ -150,7 +159,8 @@ def _place(piece: Piece) -> Placement:
 
 def wall_geoms(plan: Plan) -> tuple[Geom, ...]:
     """Wall boxes of a plan: four outer walls around the floor, then inner walls split at their doorways."""
-    (w, d), t = plan.size, WALL_THICK
+    (w, d) = plan.size
+    t = WALL_THICK
     outer = [
         span((-t, w + t), (-t, 0.0), (0.0, WALL_HEIGHT), plan.outer_wall),
         span((-t, w + t), (d, d + t), (0.0, WALL_HEIGHT), plan.outer_wall),
@@ -192,7 +202,8 @@ def usable(home: Home, pack: Pack) -> bool:
     free = free_map(home, pack)
     share = free.navigable().sum() / max((free.clearance >= BASE_RADIUS).sum(), 1)
     return bool(share >= ONE_PIECE) and all(
-        r.center <= MAX_REACH_CENTER and r.farthest <= MAX_REACH_ANY for r in reach(home, pack, free)
+        r.center <= MAX_REACH_CENTER and r.farthest <= MAX_REACH_ANY
+        for r in reach(home, pack, free)
     )
 
 
@@ -202,7 +213,11 @@ def _try_furnish(
     order = np.arange(len(plan.spots)) if micro == 0 else rng.permutation(len(plan.spots))
     small = [_place((name, *plan.spots[k])) for name, k in zip(SMALL, order, strict=False)]
     result: list[Placement] = []
-    for group, tries in (([_place(p) for p in plan.fixed], 1), ([_place(p) for p in plan.loose], 12), (small, 12)):
+    for group, tries in (
+        ([_place(p) for p in plan.fixed], 1),
+        ([_place(p) for p in plan.loose], 12),
+        (small, 12),
+    ):
         for placement in group:
             spot = _settle(placement, taken, rng, 1 if micro == 0 else tries)
             if spot is None:
@@ -224,7 +239,8 @@ def _blocked(plan: Plan, clear: dict[str, Zone]) -> list[Footprint]:
     """Walls, kitchen and clear zones, as floor areas that props must not enter."""
     taken = []
     for wall in wall_geoms(plan):
-        (x, y, _), (hx, hy, hz) = wall.pos, wall.size
+        (x, y, _) = wall.pos
+        (hx, hy, hz) = wall.size
         corners = rectangle(Placement("wall", (x, y, 0.0)), (-hx, hx), (-hy, hy))
         taken.append(Footprint("wall", corners, (0.0, 2 * hz)))
     for piece in plan.kitchen:
@@ -246,7 +262,9 @@ def _template(name: str) -> Prop | Articulation:
     return pack.props.get(name) or pack.articulations[name]
 
 
-def _settle(placement: Placement, taken: list[Footprint], rng: np.random.Generator, tries: int) -> Placement | None:
+def _settle(
+    placement: Placement, taken: list[Footprint], rng: np.random.Generator, tries: int
+) -> Placement | None:
     """Try shifted poses until one is free, then take its floor; None if there is none."""
     movable = tries > 1
     for _ in range(tries):
@@ -264,6 +282,9 @@ def _shift(placement: Placement, rng: np.random.Generator) -> Placement:
     small = placement.template in SMALL
     across, along, turn = _SMALL_SHIFT if small else _SHIFTS.get(placement.template, _ALONG_WALL)
     a, b, yaw = (rng.uniform(-1.0, 1.0, 3) * (across, along, turn)).tolist()
-    c, s = math.cos(placement.yaw), math.sin(placement.yaw)
+    c = math.cos(placement.yaw)
+    s = math.sin(placement.yaw)
     x, y, z = placement.pos
-    return Placement(placement.template, (x + c * a - s * b, y + s * a + c * b, z), placement.yaw + yaw)
+    return Placement(
+        placement.template, (x + c * a - s * b, y + s * a + c * b, z), placement.yaw + yaw
+    )

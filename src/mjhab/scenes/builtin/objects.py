@@ -93,8 +93,12 @@ def builtin_objects() -> dict[str, ObjectType]:
         "004_sugar_box": lambda h: _carton(h, "sugar_yellow", "label_white", "sugar_blue"),
         "005_tomato_soup_can": lambda h: _can(h, "soup_red", "label_white", "tin", "soup_gold"),
         "007_tuna_fish_can": lambda h: _can(h, "tuna_blue", "label_white", "tin"),
-        "008_pudding_box": lambda h: _flat_carton(h, "pudding_brown", "label_white", "cracker_orange"),
-        "009_gelatin_box": lambda h: _flat_carton(h, "gelatin_red", "label_white", "cracker_orange"),
+        "008_pudding_box": lambda h: _flat_carton(
+            h, "pudding_brown", "label_white", "cracker_orange"
+        ),
+        "009_gelatin_box": lambda h: _flat_carton(
+            h, "gelatin_red", "label_white", "cracker_orange"
+        ),
         "010_potted_meat_can": lambda h: _meat_can(h),
         "013_apple": lambda h: _apple(),
         "024_bowl": lambda h: _bowl(),
@@ -103,7 +107,9 @@ def builtin_objects() -> dict[str, ObjectType]:
     for name, size in SIZES.items():
         half = (size[0] / 2, size[1] / 2, size[2] / 2)
         collision, visuals = makers[name](half)
-        types[name] = ObjectType(name, MASSES[name], half, tuple(collision), tuple(visuals), SCAN_YAW.get(name, 0.0))
+        types[name] = ObjectType(
+            name, MASSES[name], half, tuple(collision), tuple(visuals), SCAN_YAW.get(name, 0.0)
+        )
     return types
 
 
@@ -148,13 +154,39 @@ def _carton(half: Vec3, main: str, band: str, mark: str) -> tuple[list[Geom], li
     skin = 0.0005
     visuals = [
         box((0.0, 0.0, 0.0), (2 * (hx - skin), 2 * (hy - skin), 2 * hz), main, collide=False),
-        box((0.0, 0.0, -0.45 * hz), (2 * (hx - skin / 2), 2 * (hy - skin / 2), 0.45 * hz), band, collide=False),
+        box(
+            (0.0, 0.0, -0.45 * hz),
+            (2 * (hx - skin / 2), 2 * (hy - skin / 2), 0.45 * hz),
+            band,
+            collide=False,
+        ),
     ]
     for s in (-1.0, 1.0):
-        visuals.append(box((s * (hx - skin / 2), 0.0, 0.40 * hz), (skin, 1.5 * hy, 0.5 * hz), mark, collide=False))
-        visuals.append(box((0.0, s * (hy - skin / 2), 0.40 * hz), (1.3 * hx, skin, 0.3 * hz), mark, collide=False))
         visuals.append(
-            rod((s * (hx - skin), 0.0, -0.45 * hz), min(0.35 * hy, 0.2 * hz), 2 * skin, main, axis="x", collide=False)
+            box(
+                (s * (hx - skin / 2), 0.0, 0.40 * hz),
+                (skin, 1.5 * hy, 0.5 * hz),
+                mark,
+                collide=False,
+            )
+        )
+        visuals.append(
+            box(
+                (0.0, s * (hy - skin / 2), 0.40 * hz),
+                (1.3 * hx, skin, 0.3 * hz),
+                mark,
+                collide=False,
+            )
+        )
+        visuals.append(
+            rod(
+                (s * (hx - skin), 0.0, -0.45 * hz),
+                min(0.35 * hy, 0.2 * hz),
+                2 * skin,
+                main,
+                axis="x",
+                collide=False,
+            )
         )
     return [Geom("box", half, visual=False)], visuals
 
@@ -165,9 +197,20 @@ def _flat_carton(half: Vec3, main: str, mark: str, spot: str) -> tuple[list[Geom
     skin = 0.0005
     visuals = [box((0.0, 0.0, 0.0), (2 * hx, 2 * hy, 2 * (hz - skin)), main, collide=False)]
     for s in (-1.0, 1.0):
-        visuals.append(box((0.25 * hx, 0.0, s * (hz - skin)), (0.9 * hx, 1.6 * hy, skin), mark, collide=False))
-        visuals.append(rod((-0.45 * hx, 0.3 * hy, s * (hz - skin)), 0.3 * hx, skin, spot, collide=False))
-        visuals.append(box((-0.45 * hx, -0.45 * hy, s * (hz - skin)), (0.5 * hx, 0.5 * hy, skin), spot, collide=False))
+        visuals.append(
+            box((0.25 * hx, 0.0, s * (hz - skin)), (0.9 * hx, 1.6 * hy, skin), mark, collide=False)
+        )
+        visuals.append(
+            rod((-0.45 * hx, 0.3 * hy, s * (hz - skin)), 0.3 * hx, skin, spot, collide=False)
+        )
+        visuals.append(
+            box(
+                (-0.45 * hx, -0.45 * hy, s * (hz - skin)),
+                (0.5 * hx, 0.5 * hy, skin),
+                spot,
+                collide=False,
+            )
+        )
     return [Geom("box", half, visual=False)], visuals
 
 
@@ -179,14 +222,21 @@ def _meat_can(half: Vec3) -> tuple[list[Geom], list[Geom]]:
         box((0.0, 0.0, 0.0), (2 * hx, 2 * hy, 1.75 * hz), "meat_blue", collide=False),
     ]
     for s in (-1.0, 1.0):
-        visuals.append(box((s * hx, 0.0, 0.1 * hz), (0.001, 1.4 * hy, 0.7 * hz), "meat_yellow", collide=False))
-        visuals.append(box((0.0, s * hy, 0.1 * hz), (1.2 * hx, 0.001, 0.5 * hz), "label_white", collide=False))
+        visuals.append(
+            box((s * hx, 0.0, 0.1 * hz), (0.001, 1.4 * hy, 0.7 * hz), "meat_yellow", collide=False)
+        )
+        visuals.append(
+            box((0.0, s * hy, 0.1 * hz), (1.2 * hx, 0.001, 0.5 * hz), "label_white", collide=False)
+        )
     return [Geom("box", half, visual=False)], visuals
 
 
-def _can(half: Vec3, main: str, band: str, lid: str, dot: str = "") -> tuple[list[Geom], list[Geom]]:
+def _can(
+    half: Vec3, main: str, band: str, lid: str, dot: str = ""
+) -> tuple[list[Geom], list[Geom]]:
     """A round can: sleeve in two colours, rims and lid of its own."""
-    r, h = half[0], half[2]
+    r = half[0]
+    h = half[2]
     visuals = [
         rod((0.0, 0.0, 0.0), r - 0.0015, 2 * h, lid, collide=False),
         rod((0.0, 0.0, 0.0), r - 0.0003, 1.84 * h, main, collide=False),
@@ -195,7 +245,11 @@ def _can(half: Vec3, main: str, band: str, lid: str, dot: str = "") -> tuple[lis
     ]
     if dot:
         for s in (-1.0, 1.0):
-            visuals.append(rod((s * (r - 0.004), 0.0, 0.04 * h), 0.35 * r, 0.0082, dot, axis="x", collide=False))
+            visuals.append(
+                rod(
+                    (s * (r - 0.004), 0.0, 0.04 * h), 0.35 * r, 0.0082, dot, axis="x", collide=False
+                )
+            )
     return [Geom("cylinder", (r, h, 0.0), visual=False)], visuals
 
 
@@ -208,7 +262,14 @@ def _apple() -> tuple[list[Geom], list[Geom]]:
 def _bowl() -> tuple[list[Geom], list[Geom]]:
     """An open bowl: a ring of steep rim pieces, a ring of flat base pieces, a round floor."""
     foot_r, foot_z = _BOWL_PROFILE[0]
-    pieces = [Geom("cylinder", (foot_r, BOWL_WALL / 2, 0.0), (0.0, 0.0, foot_z + BOWL_WALL / 2), visual=False)]
+    pieces = [
+        Geom(
+            "cylinder",
+            (foot_r, BOWL_WALL / 2, 0.0),
+            (0.0, 0.0, foot_z + BOWL_WALL / 2),
+            visual=False,
+        )
+    ]
     for count, mesh in ((BOWL_FACETS, "bowl_rim_piece"), (_BASE_PIECES, "bowl_base_piece")):
         for i in range(count):
             turn = about_z(2 * math.pi * i / count)

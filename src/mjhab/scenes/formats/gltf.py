@@ -20,7 +20,14 @@ from mjhab.core.rotations import mat_from_quat
 from mjhab.scenes.pack_check import MAX_FILE_NUMBER
 from mjhab.scenes.shapes.meshes import MAX_TEXTURE
 
-_COMPONENT = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
+_COMPONENT = {
+    5120: np.int8,
+    5121: np.uint8,
+    5122: np.int16,
+    5123: np.uint16,
+    5125: np.uint32,
+    5126: np.float32,
+}
 _WIDTH = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _TRIANGLES = 4
 
@@ -57,7 +64,9 @@ def read_glb(path: Path, *, textures: bool = True) -> list[Primitive]:
     try:
         parts = reader.primitives(textures)
     except (KeyError, IndexError, TypeError, ValueError, struct.error, OSError) as error:
-        raise UsageError(f"{path}: broken glTF ({type(error).__name__}: {error}); fetch the file again.") from error
+        raise UsageError(
+            f"{path}: broken glTF ({type(error).__name__}: {error}); fetch the file again."
+        ) from error
     for part in parts:
         if not (np.abs(part.vertices) <= MAX_FILE_NUMBER).all():
             raise UsageError(
@@ -79,7 +88,9 @@ def read_hulls(path: Path) -> list[np.ndarray]:
         keys = np.unique(np.round(used, 6), axis=0, return_index=True)[1]
         points = used[np.sort(keys)]
         if len(points) < 4:
-            raise UsageError(f"{path}: mesh {part.mesh!r} has {len(points)} distinct points; a hull needs four.")
+            raise UsageError(
+                f"{path}: mesh {part.mesh!r} has {len(points)} distinct points; a hull needs four."
+            )
         hulls.append(points)
     return hulls
 
@@ -91,10 +102,14 @@ def _chunks(path: Path) -> tuple[dict[str, Any], bytes]:
     except OSError as error:
         raise UsageError(f"{path}: cannot be read ({error.strerror or error}).") from error
     if len(raw) < 20 or raw[:4] != b"glTF":
-        raise UsageError(f"{path}: not a binary glTF file (no 'glTF' header); fetch the file again.")
+        raise UsageError(
+            f"{path}: not a binary glTF file (no 'glTF' header); fetch the file again."
+        )
     length = struct.unpack_from("<I", raw, 8)[0]
     if length > len(raw):
-        raise UsageError(f"{path}: cut off: the header says {length} bytes, the file has {len(raw)}; fetch it again.")
+        raise UsageError(
+            f"{path}: cut off: the header says {length} bytes, the file has {len(raw)}; fetch it again."
+        )
     found: dict[bytes, bytes] = {}
     offset = 12
     while offset + 8 <= length:
@@ -108,13 +123,17 @@ def _chunks(path: Path) -> tuple[dict[str, Any], bytes]:
     try:
         document = json.loads(found[b"JSON"])
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise UsageError(f"{path}: the JSON chunk is broken ({error}); fetch the file again.") from error
+        raise UsageError(
+            f"{path}: the JSON chunk is broken ({error}); fetch the file again."
+        ) from error
     return document, found.get(b"BIN\0", b"")
 
 
 class _Reader:
     def __init__(self, path: Path, document: dict[str, Any], blob: bytes) -> None:
-        self.path, self.document, self.blob = path, document, blob
+        self.path = path
+        self.document = document
+        self.blob = blob
         self._images: dict[int, np.ndarray] = {}
 
     def primitives(self, textures: bool) -> list[Primitive]:
@@ -136,13 +155,19 @@ class _Reader:
             mesh = self.document["meshes"][node["mesh"]]
             for part in mesh["primitives"]:
                 if part.get("mode", _TRIANGLES) == _TRIANGLES:
-                    out.append(self._primitive(mesh.get("name", str(node["mesh"])), part, pose, textures))
+                    out.append(
+                        self._primitive(mesh.get("name", str(node["mesh"])), part, pose, textures)
+                    )
         for child in node.get("children", []):
             self._walk(child, pose, textures, out)
 
-    def _primitive(self, name: str, part: dict[str, Any], pose: np.ndarray, textures: bool) -> Primitive:
+    def _primitive(
+        self, name: str, part: dict[str, Any], pose: np.ndarray, textures: bool
+    ) -> Primitive:
         attributes = part["attributes"]
-        vertices = self._array(attributes["POSITION"]).astype(np.float64) @ pose[:3, :3].T + pose[:3, 3]
+        vertices = (
+            self._array(attributes["POSITION"]).astype(np.float64) @ pose[:3, :3].T + pose[:3, 3]
+        )
         if "indices" in part:
             faces = self._array(part["indices"]).reshape(-1, 3).astype(np.int32)
         else:
@@ -154,7 +179,11 @@ class _Reader:
         if not textures:
             return Primitive(name, vertices, faces, None, None, np.ones(3))
         color, texture, bend = self._look(part)
-        uv = self._array(attributes["TEXCOORD_0"]).astype(np.float64) if "TEXCOORD_0" in attributes else None
+        uv = (
+            self._array(attributes["TEXCOORD_0"]).astype(np.float64)
+            if "TEXCOORD_0" in attributes
+            else None
+        )
         if uv is not None:
             uv = np.c_[uv, np.ones(len(uv))] @ bend.T
         return Primitive(name, vertices, faces, uv, texture if uv is not None else None, color)
@@ -162,7 +191,9 @@ class _Reader:
     def _array(self, index: int) -> np.ndarray:
         accessor = self.document["accessors"][index]
         view = self.document["bufferViews"][accessor["bufferView"]]
-        kind, width, count = _COMPONENT[accessor["componentType"]], _WIDTH[accessor["type"]], accessor["count"]
+        kind = _COMPONENT[accessor["componentType"]]
+        width = _WIDTH[accessor["type"]]
+        count = accessor["count"]
         size = np.dtype(kind).itemsize
         start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
         stride = view.get("byteStride", size * width)
@@ -185,8 +216,10 @@ class _Reader:
         reference = surface["baseColorTexture"]
         moved = reference.get("extensions", {}).get("KHR_texture_transform")
         if moved:
-            (sx, sy), (ox, oy) = moved.get("scale", (1, 1)), moved.get("offset", (0, 0))
-            c, s = np.cos(moved.get("rotation", 0.0)), np.sin(moved.get("rotation", 0.0))
+            (sx, sy) = moved.get("scale", (1, 1))
+            (ox, oy) = moved.get("offset", (0, 0))
+            c = np.cos(moved.get("rotation", 0.0))
+            s = np.sin(moved.get("rotation", 0.0))
             bend = np.array([[c * sx, s * sy, ox], [-s * sx, c * sy, oy]])
         return color, self._image(self.document["textures"][reference["index"]]["source"]), bend
 
@@ -210,6 +243,8 @@ def _local(node: dict[str, Any]) -> np.ndarray:
         return np.asarray(node["matrix"], float).reshape(4, 4).T
     pose = np.eye(4)
     x, y, z, w = node.get("rotation", (0.0, 0.0, 0.0, 1.0))
-    pose[:3, :3] = mat_from_quat(np.array([w, x, y, z], float)) * np.asarray(node.get("scale", (1, 1, 1)), float)
+    pose[:3, :3] = mat_from_quat(np.array([w, x, y, z], float)) * np.asarray(
+        node.get("scale", (1, 1, 1)), float
+    )
     pose[:3, 3] = node.get("translation", (0.0, 0.0, 0.0))
     return pose

@@ -73,7 +73,8 @@ class Urdf:
         out = np.eye(4)
         while link != self.root:
             joint = self.joints[link]
-            out, link = joint.pose @ out, joint.parent
+            out = joint.pose @ out
+            link = joint.parent
         return out
 
     def moving(self, link: str) -> str:
@@ -101,18 +102,23 @@ def read_urdf(path: Path) -> Urdf:
         joint = _joint(path, element)
         for end in (joint.parent, joint.child):
             if end not in links:
-                raise UsageError(f"{path}: joint {joint.name!r} names the link {end!r}, which is not in the file.")
+                raise UsageError(
+                    f"{path}: joint {joint.name!r} names the link {end!r}, which is not in the file."
+                )
         joints[joint.child] = joint
     roots = [name for name in links if name not in joints]
     if len(roots) != 1:
-        raise UsageError(f"{path}: expected one root link, found {len(roots)} ({', '.join(roots) or 'none'}).")
+        raise UsageError(
+            f"{path}: expected one root link, found {len(roots)} ({', '.join(roots) or 'none'})."
+        )
     return Urdf(top.get("name", path.stem), links, joints, roots[0])
 
 
 def _link(path: Path, element: ElementTree.Element) -> UrdfLink:
     name = _need(path, element, "name")
     mass = element.find("inertial/mass")
-    boxes, visuals = [], []
+    boxes = []
+    visuals = []
     for part in element.findall("collision"):
         box = part.find("geometry/box")
         if box is None:
@@ -126,7 +132,11 @@ def _link(path: Path, element: ElementTree.Element) -> UrdfLink:
         scale = _numbers(path, f"link {name!r}: mesh scale", mesh.get("scale", "1 1 1"), 3)
         file = path.parent / _need(path, mesh, "filename")
         visuals.append(UrdfVisual(file, scale, _origin(path, part, f"link {name!r}")))
-    value = 0.0 if mass is None else float(_numbers(path, f"link {name!r}: mass", mass.get("value"), 1)[0])
+    value = (
+        0.0
+        if mass is None
+        else float(_numbers(path, f"link {name!r}: mass", mass.get("value"), 1)[0])
+    )
     return UrdfLink(name, value, tuple(boxes), tuple(visuals))
 
 
@@ -134,26 +144,35 @@ def _joint(path: Path, element: ElementTree.Element) -> UrdfJoint:
     name = _name(path, element, "name")
     kind = _need(path, element, "type")
     if kind not in JOINT_TYPES:
-        raise UsageError(f"{path}: joint {name!r}: unknown type {kind!r}; known are {', '.join(JOINT_TYPES)}.")
+        raise UsageError(
+            f"{path}: joint {name!r}: unknown type {kind!r}; known are {', '.join(JOINT_TYPES)}."
+        )
     ends = []
     for tag in ("parent", "child"):
         found = element.find(tag)
         if found is None:
             raise UsageError(f"{path}: joint {name!r}: no <{tag}>.")
         ends.append(_need(path, found, "link"))
-    axis, limits = np.array([1.0, 0.0, 0.0]), (0.0, 0.0)
+    axis = np.array([1.0, 0.0, 0.0])
+    limits = (0.0, 0.0)
     if kind != "fixed":
-        given, limit = element.find("axis"), element.find("limit")
+        given = element.find("axis")
+        limit = element.find("limit")
         if given is not None:
             axis = _numbers(path, f"joint {name!r}: axis", given.get("xyz"), 3)
         if limit is None or not np.linalg.norm(axis):
-            raise UsageError(f"{path}: joint {name!r}: needs a <limit> and an axis that is not zero.")
+            raise UsageError(
+                f"{path}: joint {name!r}: needs a <limit> and an axis that is not zero."
+            )
         axis = axis / np.linalg.norm(axis)
         low, high = (
-            float(_numbers(path, f"joint {name!r}: {k} limit", limit.get(k, "0"), 1)[0]) for k in ("lower", "upper")
+            float(_numbers(path, f"joint {name!r}: {k} limit", limit.get(k, "0"), 1)[0])
+            for k in ("lower", "upper")
         )
         limits = (low, high)
-    return UrdfJoint(name, kind, ends[0], ends[1], _origin(path, element, f"joint {name!r}"), axis, limits)
+    return UrdfJoint(
+        name, kind, ends[0], ends[1], _origin(path, element, f"joint {name!r}"), axis, limits
+    )
 
 
 def _origin(path: Path, element: ElementTree.Element, where: str) -> np.ndarray:
@@ -167,10 +186,15 @@ def _origin(path: Path, element: ElementTree.Element, where: str) -> np.ndarray:
 
 
 def _about(axis: int, angle: float) -> np.ndarray:
-    c, s = np.cos(angle), np.sin(angle)
-    i, j = (axis + 1) % 3, (axis + 2) % 3
+    c = np.cos(angle)
+    s = np.sin(angle)
+    i = (axis + 1) % 3
+    j = (axis + 2) % 3
     turn = np.eye(3)
-    turn[i, i], turn[i, j], turn[j, i], turn[j, j] = c, -s, s, c
+    turn[i, i] = c
+    turn[i, j] = -s
+    turn[j, i] = s
+    turn[j, j] = c
     return turn
 
 
@@ -183,7 +207,9 @@ def _need(path: Path, element: ElementTree.Element, attribute: str) -> str:
 
 def _name(path: Path, element: ElementTree.Element, attribute: str) -> str:
     try:
-        return check_name(f"<{element.tag}>, attribute {attribute!r}", _need(path, element, attribute))
+        return check_name(
+            f"<{element.tag}>, attribute {attribute!r}", _need(path, element, attribute)
+        )
     except ValueError as error:
         raise UsageError(f"{path}: {error}") from error
 
@@ -195,5 +221,7 @@ def _numbers(path: Path, where: str, text: str | None, count: int) -> np.ndarray
     except ValueError:
         numbers = np.zeros(0)
     if len(numbers) != count or not (np.abs(numbers) <= MAX_FILE_NUMBER).all():
-        raise UsageError(f"{path}: {where}: expected {count} numbers, got {text!r} (up to {MAX_FILE_NUMBER:g}).")
+        raise UsageError(
+            f"{path}: {where}: expected {count} numbers, got {text!r} (up to {MAX_FILE_NUMBER:g})."
+        )
     return numbers

@@ -39,7 +39,9 @@ def check_folder(folder: Path) -> None:
     """Raise a UsageError that names what a data set folder lacks."""
     missing = [name for name in FOLDERS if not (folder / name).is_dir()]
     if missing:
-        raise UsageError(f"'{folder}' is not a whole ReplicaCAD data set: {', '.join(missing)} missing; {FETCH}.")
+        raise UsageError(
+            f"'{folder}' is not a whole ReplicaCAD data set: {', '.join(missing)} missing; {FETCH}."
+        )
 
 
 def load_json(path: Path) -> dict[str, Any]:
@@ -107,7 +109,11 @@ def quat_of(rotation: np.ndarray) -> Quat:
 def placement(path: Path, record: dict[str, Any], template: str, where: str) -> Placement:
     """Where a scene puts a template, in our axes."""
     x, y, z = numbers(path, record, "translation", 3, where).tolist()
-    given = numbers(path, record, "rotation", 4, where) if "rotation" in record else np.array([1.0, 0.0, 0.0, 0.0])
+    given = (
+        numbers(path, record, "rotation", 4, where)
+        if "rotation" in record
+        else np.array([1.0, 0.0, 0.0, 0.0])
+    )
     if np.linalg.norm(given) < 0.5:
         raise UsageError(f"{path}: field {where}.rotation: not a quaternion: {given.tolist()}.")
     turn = TO_Z_UP @ mat_from_quat(given / np.linalg.norm(given)) @ TO_Z_UP.T

@@ -17,7 +17,15 @@ from mjhab.core.rotations import mat_from_quat
 from mjhab.scenes.formats.gltf import read_glb, read_hulls
 from mjhab.scenes.formats.urdf import Urdf, UrdfBox, UrdfJoint, UrdfLink, UrdfVisual, read_urdf
 from mjhab.scenes.replica_cad import handles
-from mjhab.scenes.replica_cad.files import FETCH, TO_Z_UP, load_json, place, point, quat_of, short_name
+from mjhab.scenes.replica_cad.files import (
+    FETCH,
+    TO_Z_UP,
+    load_json,
+    place,
+    point,
+    quat_of,
+    short_name,
+)
 from mjhab.scenes.replica_cad.looks import Looks
 from mjhab.scenes.replica_cad.receptacles import fit, spaces
 from mjhab.scenes.shapes.footprints import outline
@@ -27,7 +35,11 @@ from mjhab.scenes.spec import Articulation, Geom, Handle, Link, Placement, Prop,
 
 ARTICULATED = {"kitchen_counter": handles.drawer, "fridge": handles.door}
 """Furniture that opens; everything else that has joints in its URDF is welded shut, unless it is asked for."""
-OPTIONAL = {"kitchen_cupboards": "kitchenCupboard_01", "cabinet": "cabinet", "chest_of_drawers": "chestOfDrawers_01"}
+OPTIONAL = {
+    "kitchen_cupboards": "kitchenCupboard_01",
+    "cabinet": "cabinet",
+    "chest_of_drawers": "chestOfDrawers_01",
+}
 """Furniture that opens when it is asked for: folder of the URDF, and name of the template."""
 _FRONT = {"cabinet": (0.0, 0.0, 1.0)}
 """Axis of the links that points out of the front, where it is not x."""
@@ -96,13 +108,20 @@ class Furniture:
         body = load_json(path)
         look = _asset(path, body, "render_asset")
         if not body.get("use_bounding_box_for_collision") and "collision_asset" in body:
-            geoms = self._hulls(name, read_hulls(_asset(path, body, "collision_asset")), drawn=not look.is_file())
+            geoms = self._hulls(
+                name, read_hulls(_asset(path, body, "collision_asset")), drawn=not look.is_file()
+            )
         elif look.is_file():
-            points = np.concatenate([p.vertices for p in read_glb(look, textures=False)]) @ TO_Z_UP.T
-            low, high = points.min(0), points.max(0)
+            points = (
+                np.concatenate([p.vertices for p in read_glb(look, textures=False)]) @ TO_Z_UP.T
+            )
+            low = points.min(0)
+            high = points.max(0)
             geoms = [Geom("box", point((high - low) / 2), point((high + low) / 2), visual=False)]
         else:
-            raise UsageError(f"{path}: field 'render_asset' names {look}, which does not exist; {FETCH}.")
+            raise UsageError(
+                f"{path}: field 'render_asset' names {look}, which does not exist; {FETCH}."
+            )
         if look.is_file():
             geoms.append(self._look(name, f"{name}/look", [(look, _as_pose(TO_Z_UP))]))
         else:
@@ -132,7 +151,9 @@ class Furniture:
     def _urdf(self, name: str) -> tuple[Urdf, Path]:
         paths = sorted(self.folder.glob(f"urdf/*/{name}.urdf"))
         if not paths:
-            raise UsageError(f"{self.folder / 'urdf'} has no {name}.urdf, which a scene names; {FETCH}.")
+            raise UsageError(
+                f"{self.folder / 'urdf'} has no {name}.urdf, which a scene names; {FETCH}."
+            )
         return read_urdf(paths[0]), paths[0]
 
     def _frames(self, name: str, urdf: Urdf, scale: float) -> dict[str, np.ndarray]:
@@ -165,14 +186,26 @@ class Furniture:
             if joint.kind == "fixed":
                 continue
             if urdf.moving(joint.parent) != urdf.root:
-                raise UsageError(f"{path}: joint {joint.name!r}: joints on moving links are not supported.")
-            links.append(self._link(name, path, urdf.links[joint.child], joint, frames[joint.child], scale))
+                raise UsageError(
+                    f"{path}: joint {joint.name!r}: joints on moving links are not supported."
+                )
+            links.append(
+                self._link(name, path, urdf.links[joint.child], joint, frames[joint.child], scale)
+            )
         moved = {link.name: np.array(link.pos) for link in links}
         shapes = [*body, *(_shifted(g, link.pos) for link in links for g in link.geoms)]
         places = self._receptacles(path, frames, scale, shapes, moved)
         return Articulation(name, tuple(body), tuple(links), places)
 
-    def _link(self, name: str, path: Path, link: UrdfLink, joint: UrdfJoint, frame: np.ndarray, scale: float) -> Link:
+    def _link(
+        self,
+        name: str,
+        path: Path,
+        link: UrdfLink,
+        joint: UrdfJoint,
+        frame: np.ndarray,
+        scale: float,
+    ) -> Link:
         shapes, grip = self._grip(name, path, link, scale)
         origin = frame[:3, 3]
         local = frame.copy()
@@ -182,35 +215,58 @@ class Furniture:
         turn = frame[:3, :3]
         published = handles.PUBLISHED.get(link.name) if name in ARTICULATED else None
         handle = Handle(
-            point(turn @ grip.pos * scale), point(turn @ grip.bar), point(turn @ grip.out),
-            grip.half_length * scale, grip.thickness * scale,
+            point(turn @ grip.pos * scale),
+            point(turn @ grip.bar),
+            point(turn @ grip.out),
+            grip.half_length * scale,
+            grip.thickness * scale,
             point(turn @ np.array(published)) if published else None,
-        )  # fmt: skip
+        )
         slide = joint.kind == "prismatic"
         low, high = (limit * scale if slide else limit for limit in joint.limits)
         # Some doors of the data set open towards negative positions; ours open upwards.
         mirrored = high <= 0.0
-        axis, (low, high) = (-joint.axis, (0.0 - high, -low)) if mirrored else (joint.axis, (low, high))
+        axis, (low, high) = (
+            (-joint.axis, (0.0 - high, -low)) if mirrored else (joint.axis, (low, high))
+        )
         # Scaling a body by s scales its mass by s^3 (SAPIEN's convention, which ManiSkill uses for this data set).
         return Link(
-            link.name, "slide" if slide else "hinge", point(turn @ axis), (low, high), point(origin),
-            link.mass * scale**3, tuple(geoms), handle, mirrored,
-        )  # fmt: skip
+            link.name,
+            "slide" if slide else "hinge",
+            point(turn @ axis),
+            (low, high),
+            point(origin),
+            link.mass * scale**3,
+            tuple(geoms),
+            handle,
+            mirrored,
+        )
 
     @staticmethod
-    def _grip(name: str, path: Path, link: UrdfLink, scale: float) -> tuple[tuple[UrdfBox, ...], handles.Grip]:
+    def _grip(
+        name: str, path: Path, link: UrdfLink, scale: float
+    ) -> tuple[tuple[UrdfBox, ...], handles.Grip]:
         """Collision boxes of a link and its handle."""
         if not link.boxes:
             raise UsageError(f"{path}: link {link.name!r} of {name!r} has no collision boxes.")
         if name not in ARTICULATED:
-            return link.boxes, handles.plain(link.boxes, np.array(_FRONT.get(name, (1.0, 0.0, 0.0))), scale)
+            return link.boxes, handles.plain(
+                link.boxes, np.array(_FRONT.get(name, (1.0, 0.0, 0.0))), scale
+            )
         try:
             return ARTICULATED[name](link.name, link.boxes)
         except KeyError as error:
-            raise UsageError(f"{path}: link {link.name!r} of {name!r} has no known handle.") from error
+            raise UsageError(
+                f"{path}: link {link.name!r} of {name!r} has no known handle."
+            ) from error
 
     def _receptacles(
-        self, path: Path, frames: dict[str, np.ndarray], scale: float, geoms: list[Geom], moved: dict[str, np.ndarray]
+        self,
+        path: Path,
+        frames: dict[str, np.ndarray],
+        scale: float,
+        geoms: list[Geom],
+        moved: dict[str, np.ndarray],
     ) -> tuple[Receptacle, ...]:
         config = path.with_suffix(".ao_config.json")
         body: dict[str, Any] = load_json(config) if config.is_file() else {}
@@ -256,7 +312,9 @@ def _boxes(boxes: tuple[UrdfBox, ...], frame: np.ndarray, scale: float) -> list[
     for box in boxes:
         pos = frame[:3, :3] @ (scale * box.pose[:3, 3]) + frame[:3, 3]
         turn = quat_of(frame[:3, :3] @ box.pose[:3, :3])
-        out.append(Geom("box", point(scale * box.half), point(pos), turn, material=MATERIAL, visual=False))
+        out.append(
+            Geom("box", point(scale * box.half), point(pos), turn, material=MATERIAL, visual=False)
+        )
     return out
 
 
@@ -276,4 +334,13 @@ def _map(visual: UrdfVisual, frame: np.ndarray, scale: float) -> np.ndarray:
 
 def _shifted(geom: Geom, by: tuple[float, float, float]) -> Geom:
     x, y, z = (a + b for a, b in zip(geom.pos, by, strict=True))
-    return Geom(geom.shape, geom.size, (x, y, z), geom.quat, geom.material, geom.mesh, geom.collide, geom.visual)
+    return Geom(
+        geom.shape,
+        geom.size,
+        (x, y, z),
+        geom.quat,
+        geom.material,
+        geom.mesh,
+        geom.collide,
+        geom.visual,
+    )

@@ -31,10 +31,18 @@ class Front:
     block_z: Range
 
 
-_LEFT = Front(0.2707, (-0.1403, 0.1415), (-0.3890, 0.3900), 0.2961, (-0.0073, 0.0171), (-0.0393, 0.0584))
-_MIDDLE = Front(0.2763, (-0.0883, 0.0774), (-0.2464, 0.2451), 0.3013, (-0.0135, 0.0109), (-0.0470, 0.0508))
-_RIGHT = Front(0.2742, (-0.0651, 0.0703), (-0.3986, 0.3819), 0.2936, (-0.0085, 0.0159), (-0.0451, 0.0526))
-_LOW_RIGHT = Front(0.2709, (-0.1462, 0.1335), (-0.3900, 0.3872), 0.2906, (-0.0206, 0.0039), (-0.0404, 0.0573))
+_LEFT = Front(
+    0.2707, (-0.1403, 0.1415), (-0.3890, 0.3900), 0.2961, (-0.0073, 0.0171), (-0.0393, 0.0584)
+)
+_MIDDLE = Front(
+    0.2763, (-0.0883, 0.0774), (-0.2464, 0.2451), 0.3013, (-0.0135, 0.0109), (-0.0470, 0.0508)
+)
+_RIGHT = Front(
+    0.2742, (-0.0651, 0.0703), (-0.3986, 0.3819), 0.2936, (-0.0085, 0.0159), (-0.0451, 0.0526)
+)
+_LOW_RIGHT = Front(
+    0.2709, (-0.1462, 0.1335), (-0.3900, 0.3872), 0.2906, (-0.0206, 0.0039), (-0.0404, 0.0573)
+)
 FRONTS = {
     "drawer1_top": _LEFT,
     "drawer1_bottom": _LEFT,
@@ -60,8 +68,12 @@ class Rib:
 
 
 RIBS = {
-    "top_door": Rib(0.0627, (0.1082, 0.1007), (-0.6890, -0.6391), (-0.0660, 0.5120), (-0.0348, 0.4906)),
-    "bottom_door": Rib(0.0623, (0.1066, 0.0994), (-0.6900, -0.6396), (-0.3440, 0.0040), (-0.3127, -0.0170)),
+    "top_door": Rib(
+        0.0627, (0.1082, 0.1007), (-0.6890, -0.6391), (-0.0660, 0.5120), (-0.0348, 0.4906)
+    ),
+    "bottom_door": Rib(
+        0.0623, (0.1066, 0.0994), (-0.6900, -0.6396), (-0.3440, 0.0040), (-0.3127, -0.0170)
+    ),
 }
 _WALL = 0.008
 """Thickness of the walls of a door shelf [m]."""
@@ -118,16 +130,19 @@ def drawer(name: str, boxes: tuple[UrdfBox, ...]) -> tuple[tuple[UrdfBox, ...], 
         boxes: those of the URDF. With others than the five of the original, the file brings its own handle.
     """
     cut = FRONTS[name]
-    (y0, y1), (z0, z1) = cut.block_y, cut.block_z
+    (y0, y1) = cut.block_y
+    (z0, z1) = cut.block_z
     pos = np.array([cut.x + FINGERTIP, (y0 + y1) / 2, (z0 + z1) / 2])
     # The block's long side lies along z, across the drawer.
     grip = Grip(pos, np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]), (z1 - z0) / 2, y1 - y0)
     if len(boxes) != 5:
         return boxes, grip
     front = max(boxes, key=lambda b: float(b.pose[0, 3]))
-    low, high = front.pose[:3, 3] - front.half, front.pose[:3, 3] + front.half
+    low = front.pose[:3, 3] - front.half
+    high = front.pose[:3, 3] + front.half
     rim = (cut.x, float(high[0]))
-    y, z = (float(low[1]), float(high[1])), (float(low[2]), float(high[2]))
+    y = (float(low[1]), float(high[1]))
+    z = (float(low[2]), float(high[2]))
     new = (
         span((float(low[0]), cut.x), y, z),
         span(rim, (y[0], cut.y[0]), z),
@@ -147,7 +162,8 @@ def door(name: str, boxes: tuple[UrdfBox, ...]) -> tuple[tuple[UrdfBox, ...], Gr
         boxes: those of the URDF. With others than the one of the original, the file brings its own handle.
     """
     rib = RIBS[name]
-    (y0, y1), (z0, z1) = rib.y, rib.straight
+    (y0, y1) = rib.y
+    (z0, z1) = rib.straight
     pos = np.array([rib.door_x + 0.002 + FINGERTIP, (y0 + y1) / 2, (z0 + z1) / 2])
     # Up along the bar is against the link's z axis.
     grip = Grip(pos, np.array([0.0, 0.0, -1.0]), np.array([1.0, 0.0, 0.0]), (z1 - z0) / 2, y1 - y0)
@@ -171,11 +187,14 @@ def _rib(rib: Rib, inner: float) -> UrdfBox:
     lean = float(np.arctan2(rib.front[1] - rib.front[0], run))
     middle = sum(rib.z) / 2
     front = rib.front[0] + np.tan(lean) * (middle - rib.straight[0])
-    c, s = np.cos(lean), np.sin(lean)
+    c = np.cos(lean)
+    s = np.sin(lean)
     pose = np.eye(4)
     pose[:3, :3] = [[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]
     pose[:3, 3] = ((front + inner) / 2, sum(rib.y) / 2, middle)
-    return UrdfBox(np.array([(front - inner) / 2, (rib.y[1] - rib.y[0]) / 2, (rib.z[1] - rib.z[0]) / 2]), pose)
+    return UrdfBox(
+        np.array([(front - inner) / 2, (rib.y[1] - rib.y[0]) / 2, (rib.z[1] - rib.z[0]) / 2]), pose
+    )
 
 
 def plain(boxes: tuple[UrdfBox, ...], out: np.ndarray, scale: float) -> Grip:
@@ -189,9 +208,13 @@ def plain(boxes: tuple[UrdfBox, ...], out: np.ndarray, scale: float) -> Grip:
         out: (3,) axis of the link that points out of the front.
         scale: of the furniture; the gripper does not shrink with it.
     """
-    reach = [float(out @ box.pose[:3, 3] + np.abs(out @ box.pose[:3, :3]) @ box.half) for box in boxes]
+    reach = [
+        float(out @ box.pose[:3, 3] + np.abs(out @ box.pose[:3, :3]) @ box.half) for box in boxes
+    ]
     knob = boxes[int(np.argmax(reach))]
-    face = max((r for r, box in zip(reach, boxes, strict=True) if box is not knob), default=max(reach))
+    face = max(
+        (r for r, box in zip(reach, boxes, strict=True) if box is not knob), default=max(reach)
+    )
     half = np.where(np.abs(out) > 0.5, 0.0, np.abs(knob.pose[:3, :3]) @ knob.half)
     bar = np.eye(3)[int(half.argmax())]
     across = np.abs(np.cross(bar, out))

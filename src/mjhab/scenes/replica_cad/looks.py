@@ -49,12 +49,16 @@ class Looks:
         parts = []
         for file, pose in self.wanted[name]:
             for part in read_glb(file):
-                parts.append(dataclasses.replace(part, vertices=part.vertices @ pose[:3, :3].T + pose[:3, 3]))
+                parts.append(
+                    dataclasses.replace(part, vertices=part.vertices @ pose[:3, :3].T + pose[:3, 3])
+                )
         return parts
 
     def _digest(self) -> str:
         """Hash of what goes in: files by name, size and time, poses, and the code that reads."""
-        readers = code_digest("scenes.formats.gltf", "scenes.shapes.painting", "scenes.shapes.meshes")
+        readers = code_digest(
+            "scenes.formats.gltf", "scenes.shapes.painting", "scenes.shapes.meshes"
+        )
         digest = hashlib.sha256(readers)
         for name, parts in sorted(self.wanted.items()):
             for file, pose in parts:

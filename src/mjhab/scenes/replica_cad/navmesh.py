@@ -10,8 +10,10 @@ import numpy as np
 
 from mjhab.core.errors import UsageError
 
-_SET, _TILE = b"TESM", b"VAND"
-_HEADER, _POLYGON = 100, 32
+_SET = b"TESM"
+_TILE = b"VAND"
+_HEADER = 100
+_POLYGON = 32
 """Bytes of dtMeshHeader and dtPoly (Detour's DetourNavMesh.h)."""
 
 

@@ -45,7 +45,13 @@ STAGED = re.compile(r"v3_sc(\d+)_staging_(\d+)")
 FLOOR_MATERIAL = "floor_oak"
 _MARGIN = 1.0
 """Floor around the furniture where neither stage nor navigation mesh tells its extent [m]."""
-_LIGHTS = ((-1.1, 2.775, 2.3), (-0.5, -1.44, 2.3), (2.4, -1.6, 2.3), (2.5, -6.1, 2.3), (3.14, 3.24, 3.0))
+_LIGHTS = (
+    (-1.1, 2.775, 2.3),
+    (-0.5, -1.44, 2.3),
+    (2.4, -1.6, 2.3),
+    (2.5, -6.1, 2.3),
+    (3.14, 3.24, 3.0),
+)
 """Positions of the lamps [m] (ManiSkill's ReplicaCAD scene builder)."""
 _log = logging.getLogger("mjhab")
 _warned: set[str] = set()
@@ -67,17 +73,32 @@ def open_replica_cad(
         UsageError: the folder lacks something or a file is broken; the message names it.
     """
     check_folder(folder)
-    names = sorted(p.name.removesuffix(SCENE_SUFFIX) for p in (folder / "configs" / "scenes").glob("*" + SCENE_SUFFIX))
+    names = sorted(
+        p.name.removesuffix(SCENE_SUFFIX)
+        for p in (folder / "configs" / "scenes").glob("*" + SCENE_SUFFIX)
+    )
     chosen = _named(scene, names) if scene else [name for name in names if STAGED.fullmatch(name)]
     if not chosen:
-        raise UsageError(f"{folder / 'configs' / 'scenes'} has no staged scene (v3_sc*_staging_*); {FETCH}.")
+        raise UsageError(
+            f"{folder / 'configs' / 'scenes'} has no staged scene (v3_sc*_staging_*); {FETCH}."
+        )
     reader = _Scenes(folder, Furniture(folder, articulate), stage_mesh)
     homes = tuple(reader.home(name) for name in chosen)
     furniture = reader.furniture
     if reader.loose:
-        told = f"{len(reader.loose)} scenes ({reader.loose[0]}, ...)" if len(reader.loose) > 1 else reader.loose[0]
-        _warn_once(f"{folder}: objects that may move in {told} (motion_type DYNAMIC) stand fixed here, as furniture.")
-    _warn(folder, reader.missing, "homes have a floor but no walls (--stage-mesh FILE gives another stage)")
+        told = (
+            f"{len(reader.loose)} scenes ({reader.loose[0]}, ...)"
+            if len(reader.loose) > 1
+            else reader.loose[0]
+        )
+        _warn_once(
+            f"{folder}: objects that may move in {told} (motion_type DYNAMIC) stand fixed here, as furniture."
+        )
+    _warn(
+        folder,
+        reader.missing,
+        "homes have a floor but no walls (--stage-mesh FILE gives another stage)",
+    )
     _warn(folder, furniture.missing, "their collision shapes are drawn instead")
     objects, meshes = _objects(folder)
     pack = Pack(
@@ -93,7 +114,10 @@ def open_replica_cad(
 
 def _warn(folder: Path, missing: list[Path], meaning: str) -> None:
     """Log once per process that files are missing, and what it means."""
-    names = [str(file.relative_to(folder)) if file.is_relative_to(folder) else str(file) for file in missing]
+    names = [
+        str(file.relative_to(folder)) if file.is_relative_to(folder) else str(file)
+        for file in missing
+    ]
     if missing:
         _warn_once(f"{folder}: {', '.join(names)} missing: {meaning}.")
 
@@ -135,17 +159,23 @@ class _Scenes:
     """Stage meshes that are not there."""
     loose: list[str] = field(default_factory=list)
     """Scenes in which objects may move."""
-    _stages: dict[tuple[Any, ...], tuple[tuple[Geom, ...], Extent] | None] = field(default_factory=dict)
+    _stages: dict[tuple[Any, ...], tuple[tuple[Geom, ...], Extent] | None] = field(
+        default_factory=dict
+    )
 
     def home(self, name: str) -> Home:
         path = self.folder / "configs" / "scenes" / (name + SCENE_SUFFIX)
         body = load_json(path)
-        props, jointed = [], []
+        props = []
+        jointed = []
         for k, record in enumerate(_list(path, body, "object_instances")):
             where = f"object_instances[{k}]"
             template = self.furniture.rigid(_template(path, record, where))
             props.append(placement(path, record, template, where))
-        if any(record.get("motion_type") == "DYNAMIC" for record in _list(path, body, "object_instances")):
+        if any(
+            record.get("motion_type") == "DYNAMIC"
+            for record in _list(path, body, "object_instances")
+        ):
             self.loose.append(name)
         for k, record in enumerate(_list(path, body, "articulated_object_instances")):
             where = f"articulated_object_instances[{k}]"
@@ -158,16 +188,29 @@ class _Scenes:
             (jointed if at.template in self.furniture.articulations else props).append(at)
         for place in jointed:
             if sum(other.template == place.template for other in jointed) > 1:
-                raise UsageError(f"{path}: more than one {place.template!r}; a home may have one of each that opens.")
+                raise UsageError(
+                    f"{path}: more than one {place.template!r}; a home may have one of each that opens."
+                )
         walls, extent = self._stage(path, body) or ((), None)
         found = STAGED.fullmatch(name)
         macro, micro = (int(found[1]), int(found[2])) if found else (0, 0)
-        split: Literal["train", "val", "test"] = "train" if macro < 3 else "val" if macro == 3 else "test"
+        split: Literal["train", "val", "test"] = (
+            "train" if macro < 3 else "val" if macro == 3 else "test"
+        )
         extent = extent or self._extent(name, [*props, *jointed])
         return Home(
-            name, "replica_cad", split, macro, micro, walls, extent, FLOOR_MATERIAL, tuple(props), tuple(jointed),
+            name,
+            "replica_cad",
+            split,
+            macro,
+            micro,
+            walls,
+            extent,
+            FLOOR_MATERIAL,
+            tuple(props),
+            tuple(jointed),
             tuple(Light(pos) for pos in _LIGHTS),
-        )  # fmt: skip
+        )
 
     def _stage(self, path: Path, body: dict[str, Any]) -> tuple[tuple[Geom, ...], Extent] | None:
         """Walls and floor extent of a scene's stage; None, with one warning, when its mesh is not there."""
@@ -176,9 +219,12 @@ class _Scenes:
         if self.stage_mesh is not None:
             file = self.stage_mesh
         else:
-            config = self.folder / "configs" / "stages" / f"{given.rsplit('/', 1)[-1]}.stage_config.json"
+            config = (
+                self.folder / "configs" / "stages" / f"{given.rsplit('/', 1)[-1]}.stage_config.json"
+            )
             file = (config.parent / _text(config, load_json(config), "render_asset", "")).resolve()
-        shift, turn = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
+        shift = np.zeros(3)
+        turn = np.array([1.0, 0.0, 0.0, 0.0])
         if "translation" in record:
             shift = numbers(path, record, "translation", 3, "stage_instance")
         if "rotation" in record:
@@ -189,7 +235,9 @@ class _Scenes:
                 self.missing.append(file)
                 self._stages[key] = None
             else:
-                self._stages[key] = stage_shape(file, mat_from_quat(turn / np.linalg.norm(turn)), shift)
+                self._stages[key] = stage_shape(
+                    file, mat_from_quat(turn / np.linalg.norm(turn)), shift
+                )
         return self._stages[key]
 
     def _extent(self, name: str, placed: list[Placement]) -> Extent:
@@ -199,11 +247,16 @@ class _Scenes:
             return read_navmesh(mesh).bounds
         points = []
         for at in placed:
-            template = self.furniture.props.get(at.template) or self.furniture.articulations[at.template]
-            local = np.concatenate([outline(g, self.furniture.meshes) for g in template.geoms if g.collide])
+            template = (
+                self.furniture.props.get(at.template) or self.furniture.articulations[at.template]
+            )
+            local = np.concatenate(
+                [outline(g, self.furniture.meshes) for g in template.geoms if g.collide]
+            )
             points.append(local @ mat_from_quat(np.array(at.rotation)).T + np.array(at.pos))
         corners = np.concatenate(points)[:, :2] if points else np.array([[-3.0, -3.0], [3.0, 3.0]])
-        low, high = corners.min(0) - _MARGIN, corners.max(0) + _MARGIN
+        low = corners.min(0) - _MARGIN
+        high = corners.max(0) + _MARGIN
         return (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
 
 

@@ -41,7 +41,9 @@ class Space:
     link: str
 
 
-def spaces(path: Path, body: dict[str, Any], frames: dict[str, np.ndarray], scale: float = 1.0) -> list[Space]:
+def spaces(
+    path: Path, body: dict[str, Any], frames: dict[str, np.ndarray], scale: float = 1.0
+) -> list[Space]:
     """The receptacle boxes of a config.
 
     Args:
@@ -86,7 +88,10 @@ def fit(
     Returns:
         None when nothing flat is under the box.
     """
-    cells = [space.center[k] + space.half[k] * (2 * (np.arange(_CELLS) + 0.5) / _CELLS - 1) for k in (0, 1)]
+    cells = [
+        space.center[k] + space.half[k] * (2 * (np.arange(_CELLS) + 0.5) / _CELLS - 1)
+        for k in (0, 1)
+    ]
     xy = np.stack(np.meshgrid(*cells, indexing="ij"), axis=-1).reshape(-1, 2)
     surface, ceiling = _levels(space, pieces, xy)
     known = np.isfinite(surface)
@@ -108,15 +113,22 @@ def fit(
     center = np.append((low + high) / 2, level) - (np.zeros(3) if origin is None else origin)
     u, v = ((high - low) / 2).tolist()
     height = float(inside.min())
-    kind: Literal["open", "drawer", "shelf"] = "drawer" if link else "shelf" if height < MOST_HEIGHT else "open"
+    kind: Literal["open", "drawer", "shelf"] = (
+        "drawer" if link else "shelf" if height < MOST_HEIGHT else "open"
+    )
     return Receptacle(space.name, point(center), (u, v), height, kind, link)
 
 
-def _levels(space: Space, pieces: Sequence[np.ndarray], xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _levels(
+    space: Space, pieces: Sequence[np.ndarray], xy: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Height of the surface (N,) below the middle of the box (-inf: none) and of what is above (inf: nothing)."""
-    middle, bottom = space.center[2], space.center[2] - space.half[2]
-    surface, ceiling = np.full(len(xy), -np.inf), np.full(len(xy), np.inf)
-    first, last = xy.min(0), xy.max(0)
+    middle = space.center[2]
+    bottom = space.center[2] - space.half[2]
+    surface = np.full(len(xy), -np.inf)
+    ceiling = np.full(len(xy), np.inf)
+    first = xy.min(0)
+    last = xy.max(0)
     for piece in pieces:
         if np.any(piece[:, :2].max(0) < first) or np.any(piece[:, :2].min(0) > last):
             continue
@@ -138,7 +150,8 @@ def _usual(levels: np.ndarray) -> float:
 
 def largest_rectangle(mask: np.ndarray) -> tuple[int, int, int, int]:
     """Rows i0..i1 and columns j0..j1 (inclusive) of the largest rectangle of True cells of a (R, C) mask."""
-    best, found = 0, (0, mask.shape[0] - 1, 0, mask.shape[1] - 1)
+    best = 0
+    found = (0, mask.shape[0] - 1, 0, mask.shape[1] - 1)
     for i0 in range(mask.shape[0]):
         column = np.ones(mask.shape[1], bool)
         for i1 in range(i0, mask.shape[0]):

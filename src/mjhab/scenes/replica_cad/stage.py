@@ -15,7 +15,8 @@ THICKNESS = 0.05
 """Depth of a wall box behind its face [m], less where the other side of the wall is nearer."""
 UPRIGHT = 0.05
 """Largest vertical component of the normal of a wall face."""
-_SAME_ANGLE, _SAME_PLANE = np.cos(np.radians(2.0)), 0.015
+_SAME_ANGLE = np.cos(np.radians(2.0))
+_SAME_PLANE = 0.015
 _GRID = 0.015
 """Corners closer than this along a wall count as one [m]."""
 _SMALLEST = (0.03, 0.01)
@@ -54,8 +55,12 @@ def stage_shape(
     """
     turn = TO_Z_UP if rotation is None else TO_Z_UP @ rotation
     move = np.zeros(3) if shift is None else TO_Z_UP @ shift
-    triangles = np.concatenate([p.vertices[p.faces] for p in read_glb(path, textures=False)]) @ turn.T + move
-    low, high = triangles.reshape(-1, 3).min(0), triangles.reshape(-1, 3).max(0)
+    triangles = (
+        np.concatenate([p.vertices[p.faces] for p in read_glb(path, textures=False)]) @ turn.T
+        + move
+    )
+    low = triangles.reshape(-1, 3).min(0)
+    high = triangles.reshape(-1, 3).max(0)
     faces = wall_faces(triangles)
     walls = tuple(_box(face, _depth(face, faces)) for face in faces)
     return walls, (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
@@ -66,7 +71,8 @@ def wall_faces(triangles: Array) -> list[Face]:
     normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     size = np.linalg.norm(normal, axis=1)
     keep = (size > 1e-7) & (np.abs(normal[:, 2]) < UPRIGHT * size)
-    triangles, size = triangles[keep], size[keep]
+    triangles = triangles[keep]
+    size = size[keep]
     flat = normal[keep, :2] / np.linalg.norm(normal[keep, :2], axis=1, keepdims=True)
     offset = np.einsum("tk,tck->tc", flat, triangles[:, :, :2])
     left = np.ones(len(triangles), bool)
@@ -87,17 +93,22 @@ def _rectangles(triangles: Array, normal: Array, offset: float) -> list[Face]:
     """Rectangles that cover the union of triangles of one plane: cells of the grid of all corners, merged."""
     along = np.array([-normal[1], normal[0]])
     flat = np.stack([triangles[:, :, :2] @ along, triangles[:, :, 2]], axis=-1)
-    us, zs = _lines(flat[..., 0]), _lines(flat[..., 1])
+    us = _lines(flat[..., 0])
+    zs = _lines(flat[..., 1])
     if len(us) < 2 or len(zs) < 2:
         return []
-    middle = np.stack(np.meshgrid((us[1:] + us[:-1]) / 2, (zs[1:] + zs[:-1]) / 2, indexing="ij"), axis=-1)
+    middle = np.stack(
+        np.meshgrid((us[1:] + us[:-1]) / 2, (zs[1:] + zs[:-1]) / 2, indexing="ij"), axis=-1
+    )
     filled = np.zeros(middle.shape[:2], bool)
     for corners in flat:
         filled |= _inside(middle, corners)
     out = []
     for i0, i1, j0, j1 in merge_cells(filled):
-        u, z = (float(us[i0]), float(us[i1])), (float(zs[j0]), float(zs[j1]))
-        width, height = u[1] - u[0], z[1] - z[0]
+        u = (float(us[i0]), float(us[i1]))
+        z = (float(zs[j0]), float(zs[j1]))
+        width = u[1] - u[0]
+        height = z[1] - z[0]
         if min(width, height) >= _SMALLEST[0] and width * height >= _SMALLEST[1]:
             out.append(Face(normal, offset, u, z))
     return out
@@ -115,8 +126,10 @@ def _lines(values: Array) -> Array:
 
 def _inside(points: Array, corners: Array) -> Array:
     """Which points (..., 2) lie in a triangle (3, 2)."""
-    a, b = corners, np.roll(corners, -1, axis=0)
-    (dx, dy), off = (b - a).T, points[..., None, :] - a
+    a = corners
+    b = np.roll(corners, -1, axis=0)
+    (dx, dy) = (b - a).T
+    off = points[..., None, :] - a
     side = dx * off[..., 1] - dy * off[..., 0]
     return np.all(side >= -1e-9, axis=-1) | np.all(side <= 1e-9, axis=-1)
 
@@ -145,7 +158,9 @@ def _depth(face: Face, faces: list[Face]) -> float:
         behind = face.offset + other.offset
         # The other side runs along the wall the other way round.
         u = (-other.u[1], -other.u[0])
-        meets = min(face.u[1], u[1]) > max(face.u[0], u[0]) and min(face.z[1], other.z[1]) > max(face.z[0], other.z[0])
+        meets = min(face.u[1], u[1]) > max(face.u[0], u[0]) and min(face.z[1], other.z[1]) > max(
+            face.z[0], other.z[0]
+        )
         if meets and 0.004 < behind < depth:
             depth = behind
     return depth
@@ -157,4 +172,6 @@ def _box(face: Face, depth: float) -> Geom:
     yaw = float(np.arctan2(face.normal[1], face.normal[0]))
     size = (depth / 2, (face.u[1] - face.u[0]) / 2, (face.z[1] - face.z[0]) / 2)
     pos = (float(middle[0]), float(middle[1]), sum(face.z) / 2)
-    return Geom("box", size, pos, (float(np.cos(yaw / 2)), 0.0, 0.0, float(np.sin(yaw / 2))), MATERIAL)
+    return Geom(
+        "box", size, pos, (float(np.cos(yaw / 2)), 0.0, 0.0, float(np.sin(yaw / 2))), MATERIAL
+    )

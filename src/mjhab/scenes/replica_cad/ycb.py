@@ -32,7 +32,8 @@ OPEN_SHARE = 0.6
 HULL_DIRECTIONS = 160
 WALL = 0.0045
 """Thickness of the collision wall of a bowl [m]; the scanned wall is thinner, too thin for a stable grasp."""
-RIM_PIECES, BASE_PIECES = 16, 8
+RIM_PIECES = 16
+BASE_PIECES = 8
 _SAMPLE_EDGE = 0.006
 
 
@@ -95,7 +96,8 @@ def object_from_scan(name: str, scan: Scan) -> tuple[ObjectType, dict[str, Mesh]
         collision = [Geom("box", half, visual=False)]
     else:
         # Only boxes have a heading to look along.
-        yaw, half = 0.0, can_fit(scan.vertices, surface)
+        yaw = 0.0
+        half = can_fit(scan.vertices, surface)
         if primitive_share(surface, "cylinder", half) >= PRIMITIVE_SHARE:
             collision = [Geom("cylinder", (half[0], half[2], 0.0), visual=False)]
         else:
@@ -104,7 +106,9 @@ def object_from_scan(name: str, scan: Scan) -> tuple[ObjectType, dict[str, Mesh]
             collision, meshes = _bowl(name, scan) if _fill(scan) < OPEN_SHARE else _lump(name, scan)
     meshes[f"{name}_look"] = render_mesh(scan, -yaw)
     visuals = (look(f"{name}_look", "plain_white"),)
-    return ObjectType(name, MASSES[name], half, tuple(collision), visuals, scan_yaw=0.0 - yaw), meshes
+    return ObjectType(
+        name, MASSES[name], half, tuple(collision), visuals, scan_yaw=0.0 - yaw
+    ), meshes
 
 
 # -- primitives --------------------------------------------------------------------------------------------------------
@@ -122,15 +126,19 @@ class HullSurface:
     def of(vertices: np.ndarray) -> HullSurface:
         """Cut the hull of ``vertices`` (V, 3) into triangles no larger than `_SAMPLE_EDGE`."""
         hull = ConvexHull(vertices)
-        triangles, normals = vertices[hull.simplices], hull.equations[:, :3]
+        triangles = vertices[hull.simplices]
+        normals = hull.equations[:, :3]
         done: list[tuple[np.ndarray, np.ndarray]] = []
         while len(triangles):
             edge = np.linalg.norm(triangles - np.roll(triangles, -1, axis=1), axis=2)
             large = edge.max(axis=1) > _SAMPLE_EDGE
             done.append((triangles[~large], normals[~large]))
-            triangles, normals = _halve(triangles[large], edge[large]), np.repeat(normals[large], 2, axis=0)
+            triangles = _halve(triangles[large], edge[large])
+            normals = np.repeat(normals[large], 2, axis=0)
         corners = np.concatenate([part[0] for part in done])
-        a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+        a = corners[:, 0]
+        b = corners[:, 1]
+        c = corners[:, 2]
         areas = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
         return HullSurface(corners.mean(axis=1), np.concatenate([part[1] for part in done]), areas)
 
@@ -150,7 +158,11 @@ def box_fit(vertices: np.ndarray, surface: HullSurface) -> tuple[float, Vec3]:
     areas = [np.ptp(_turn(plan, -a), axis=0).prod() for a in angles]
     yaw = float(angles[int(np.argmin(areas))])
     turned = surface.turned(-yaw)
-    return yaw, (_face_distance(turned, 0), _face_distance(turned, 1), float(np.ptp(vertices[:, 2]) / 2))
+    return yaw, (
+        _face_distance(turned, 0),
+        _face_distance(turned, 1),
+        float(np.ptp(vertices[:, 2]) / 2),
+    )
 
 
 def _face_distance(surface: HullSurface, axis: int) -> float:
@@ -171,7 +183,11 @@ def can_fit(vertices: np.ndarray, surface: HullSurface) -> Vec3:
     """Best upright cylinder about the origin: (radius, radius, half-height) [m]."""
     side = np.abs(surface.normals[:, 2]) < 0.3
     radius = np.hypot(surface.points[side, 0], surface.points[side, 1])
-    mean = float(np.average(radius, weights=surface.areas[side])) if side.any() else float(np.ptp(vertices[:, 0]) / 2)
+    mean = (
+        float(np.average(radius, weights=surface.areas[side]))
+        if side.any()
+        else float(np.ptp(vertices[:, 0]) / 2)
+    )
     return (mean, mean, float(np.ptp(vertices[:, 2]) / 2))
 
 
@@ -190,9 +206,14 @@ def primitive_share(surface: HullSurface, shape: str, half: Vec3) -> float:
 def _halve(triangles: np.ndarray, edge: np.ndarray) -> np.ndarray:
     """Cut triangles (T, 3, 3) at the middle of their longest edge: (2 T, 3, 3)."""
     first = edge.argmax(axis=1)
-    a, b, c = (np.take_along_axis(triangles, ((first + k) % 3)[:, None, None], axis=1)[:, 0] for k in range(3))
+    a, b, c = (
+        np.take_along_axis(triangles, ((first + k) % 3)[:, None, None], axis=1)[:, 0]
+        for k in range(3)
+    )
     middle = (a + b) / 2
-    return np.stack([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)], axis=1).reshape(-1, 3, 3)
+    return np.stack(
+        [np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)], axis=1
+    ).reshape(-1, 3, 3)
 
 
 # -- other shapes ------------------------------------------------------------------------------------------------------
@@ -224,7 +245,8 @@ def hull_of(points: np.ndarray) -> Mesh:
 def _sphere(count: int) -> np.ndarray:
     """(count, 3) unit vectors spread evenly (Fibonacci lattice)."""
     k = np.arange(count) + 0.5
-    z, angle = 1 - 2 * k / count, np.pi * (1 + math.sqrt(5)) * k
+    z = 1 - 2 * k / count
+    angle = np.pi * (1 + math.sqrt(5)) * k
     r = np.sqrt(1 - z * z)
     return np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
 
@@ -239,8 +261,12 @@ def _bowl(name: str, scan: Scan) -> tuple[list[Geom], dict[str, Mesh]]:
     """A disk as floor and two rings of convex wedges along the outer profile; the inside stays open."""
     foot, knee, rim = bowl_profile(scan.vertices)
     floor = Geom("cylinder", (foot[0], WALL / 2, 0.0), (0.0, 0.0, foot[1] + WALL / 2), visual=False)
-    geoms, meshes = [floor], {}
-    for part, low, high, count in (("rim", knee, rim, RIM_PIECES), ("base", foot, knee, BASE_PIECES)):
+    geoms = [floor]
+    meshes = {}
+    for part, low, high, count in (
+        ("rim", knee, rim, RIM_PIECES),
+        ("base", foot, knee, BASE_PIECES),
+    ):
         mesh = f"{name}_{part}"
         meshes[mesh] = hull_of(_wedge(low, high, count))
         for i in range(count):
@@ -256,18 +282,23 @@ def bowl_profile(vertices: np.ndarray) -> tuple[tuple[float, float], ...]:
     that the straight wall from the knee leaves the outline as little as possible (a lip stands out, the wall below
     it stands back).
     """
-    low, high = float(vertices[:, 2].min()), float(vertices[:, 2].max())
+    low = float(vertices[:, 2].min())
+    high = float(vertices[:, 2].max())
     levels = np.linspace(low, high, 23)
     middles = (levels[:-1] + levels[1:]) / 2
     index = np.clip(np.searchsorted(levels, vertices[:, 2]) - 1, 0, len(middles) - 1)
     radius = np.hypot(vertices[:, 0], vertices[:, 1])
     outline = np.array([np.percentile(radius[index == k], 95) for k in range(len(middles))])
-    chord = outline[0] + (outline[-1] - outline[0]) * (middles - middles[0]) / (middles[-1] - middles[0])
+    chord = outline[0] + (outline[-1] - outline[0]) * (middles - middles[0]) / (
+        middles[-1] - middles[0]
+    )
     knee = int(np.argmax(outline - chord))
     wall = slice(knee, None)
     shares = (middles[wall] - middles[knee]) / (high - middles[knee])
     rims = np.linspace(outline[knee], outline[-1], 81)
-    off = np.abs(outline[knee] + shares[:, None] * (rims - outline[knee]) - outline[wall][:, None]).max(axis=0)
+    off = np.abs(
+        outline[knee] + shares[:, None] * (rims - outline[knee]) - outline[wall][:, None]
+    ).max(axis=0)
     return (
         (float(outline[0]), low),
         (float(outline[knee]), float(middles[knee])),
@@ -296,13 +327,17 @@ def _wedge(low: tuple[float, float], high: tuple[float, float], count: int) -> n
 
 def render_mesh(scan: Scan, yaw: float) -> Mesh:
     """What is seen of a scan, turned about z by ``yaw`` [rad]: every triangle, with the texture."""
-    part = Primitive("scan", _turn(scan.vertices, yaw), scan.faces, scan.uv, scan.texture, np.ones(3))
+    part = Primitive(
+        "scan", _turn(scan.vertices, yaw), scan.faces, scan.uv, scan.texture, np.ones(3)
+    )
     return textured_mesh([part])
 
 
 def _turn(points: np.ndarray, yaw: float) -> np.ndarray:
     """Points (P, 2 or 3) turned about z by ``yaw`` [rad]."""
-    c, s = math.cos(yaw), math.sin(yaw)
+    c = math.cos(yaw)
+    s = math.sin(yaw)
     turned = points.copy()
-    turned[:, 0], turned[:, 1] = c * points[:, 0] - s * points[:, 1], s * points[:, 0] + c * points[:, 1]
+    turned[:, 0] = c * points[:, 0] - s * points[:, 1]
+    turned[:, 1] = s * points[:, 0] + c * points[:, 1]
     return turned

@@ -30,10 +30,13 @@ class Footprint:
 
     def meets(self, other: Footprint) -> bool:
         """Whether the two share space: boxes and heights are compared first, which rules most pairs out."""
-        a, b = self.box, other.box
+        a = self.box
+        b = other.box
         if a[0] > b[2] or b[0] > a[2] or a[1] > b[3] or b[1] > a[3]:
             return False
-        return self.z[0] < other.z[1] and other.z[0] < self.z[1] and meet(self.corners, other.corners)
+        return (
+            self.z[0] < other.z[1] and other.z[0] < self.z[1] and meet(self.corners, other.corners)
+        )
 
 
 def outline(geom: Geom, meshes: Mapping[str, object] | None = None) -> np.ndarray:
@@ -49,7 +52,9 @@ def outline(geom: Geom, meshes: Mapping[str, object] | None = None) -> np.ndarra
         half = {"sphere": r, "cylinder": geom.size[1], "capsule": geom.size[1] + r}[geom.shape]
         angle = np.linspace(0.0, 2 * math.pi, 16, endpoint=False)
         ring = np.stack([np.cos(angle), np.sin(angle)], 1) * (r / math.cos(math.pi / 16))
-        points = np.concatenate([np.column_stack([ring, np.full(16, s * half)]) for s in (-1.0, 1.0)])
+        points = np.concatenate(
+            [np.column_stack([ring, np.full(16, s * half)]) for s in (-1.0, 1.0)]
+        )
     return points @ mat_from_quat(np.array(geom.quat)).T + np.array(geom.pos)
 
 
@@ -94,7 +99,8 @@ def all_geoms(template: Prop | Articulation) -> tuple[Geom, ...]:
 def rectangle(placement: Placement, x: tuple[float, float], y: tuple[float, float]) -> np.ndarray:
     """Corners (4, 2) [m] in the world of a rectangle given in the frame of a placed template."""
     local = np.array([[x[0], y[0]], [x[1], y[0]], [x[1], y[1]], [x[0], y[1]]])
-    c, s = math.cos(placement.yaw), math.sin(placement.yaw)
+    c = math.cos(placement.yaw)
+    s = math.sin(placement.yaw)
     return local @ np.array([[c, s], [-s, c]]) + np.array(placement.pos[:2])
 
 
@@ -121,7 +127,8 @@ def meet(a: np.ndarray, b: np.ndarray, gap: float = 0.0) -> bool:
         edges = np.roll(polygon, -1, axis=0) - polygon
         normals = np.stack([edges[:, 1], -edges[:, 0]], 1)
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-        pa, pb = a @ normals.T, b @ normals.T
+        pa = a @ normals.T
+        pb = b @ normals.T
         if np.any(np.maximum(pa.min(0) - pb.max(0), pb.min(0) - pa.max(0)) >= gap):
             return False
     return True

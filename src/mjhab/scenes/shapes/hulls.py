@@ -12,7 +12,9 @@ from mjhab.core.rotations import quat_from_mat, quat_mul, quat_rotate
 from mjhab.scenes.shapes.meshes import Mesh
 from mjhab.scenes.spec import Geom, Pack
 
-_BOXES: weakref.WeakKeyDictionary[Mesh, tuple[np.ndarray, np.ndarray, np.ndarray]] = weakref.WeakKeyDictionary()
+_BOXES: weakref.WeakKeyDictionary[Mesh, tuple[np.ndarray, np.ndarray, np.ndarray]] = (
+    weakref.WeakKeyDictionary()
+)
 
 
 def smallest_box(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -32,11 +34,17 @@ def smallest_box(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray
         x = np.cross(z, np.eye(3)[np.argmin(np.abs(z))])
         x /= np.linalg.norm(x)
         frame = np.stack([x, np.cross(z, x), z], axis=1)
-        local, flat = corners @ frame, edges @ frame[:, :2]
+        local = corners @ frame
+        flat = edges @ frame[:, :2]
         # A rectangle of least area lies along an edge of the outline, which is the shadow of an edge of the hull.
-        angles = np.unique(np.append(np.arctan2(flat[:, 1], flat[:, 0]) % (np.pi / 2), 0.0).round(6))
-        c, s = np.cos(angles)[:, None], np.sin(angles)[:, None]
-        area = np.ptp(local[:, 0] * c + local[:, 1] * s, axis=1) * np.ptp(local[:, 1] * c - local[:, 0] * s, axis=1)
+        angles = np.unique(
+            np.append(np.arctan2(flat[:, 1], flat[:, 0]) % (np.pi / 2), 0.0).round(6)
+        )
+        c = np.cos(angles)[:, None]
+        s = np.sin(angles)[:, None]
+        area = np.ptp(local[:, 0] * c + local[:, 1] * s, axis=1) * np.ptp(
+            local[:, 1] * c - local[:, 0] * s, axis=1
+        )
         k = int(area.argmin())
         volume = float(area[k] * np.ptp(local[:, 2]))
         if best is None or volume < best[0] * (1 - 1e-9):
@@ -45,7 +53,8 @@ def smallest_box(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray
     assert best is not None
     rot = best[1]
     local = corners @ rot
-    low, high = local.min(0), local.max(0)
+    low = local.min(0)
+    high = local.max(0)
     return rot @ ((low + high) / 2), (high - low) / 2, rot
 
 
@@ -61,7 +70,9 @@ def boxed_hull(geom: Geom, pack: Pack) -> Geom:
     quat = np.array(geom.quat, float)
     pos = (np.array(geom.pos) + quat_rotate(quat, center)).tolist()
     turn = quat_mul(quat, quat_from_mat(rot)).tolist()
-    return dataclasses.replace(geom, shape="box", size=tuple(half.tolist()), pos=tuple(pos), quat=tuple(turn), mesh="")
+    return dataclasses.replace(
+        geom, shape="box", size=tuple(half.tolist()), pos=tuple(pos), quat=tuple(turn), mesh=""
+    )
 
 
 def hull_mesh(points: np.ndarray) -> Mesh:

@@ -51,4 +51,6 @@ def mesh_from_arrays(name: str, arrays: Mapping[str, np.ndarray]) -> Mesh:
     textures: list[np.ndarray] = []
     while (key := f"{name}/texture{len(textures)}") in arrays:
         textures.append(arrays[key])
-    return Mesh(arrays[f"{name}/vertices"], arrays[f"{name}/faces"], **optional, textures=tuple(textures))
+    return Mesh(
+        arrays[f"{name}/vertices"], arrays[f"{name}/faces"], **optional, textures=tuple(textures)
+    )

@@ -83,7 +83,8 @@ def _moved(corners: np.ndarray, link: Link, at: Placement, q: float) -> np.ndarr
 
 
 def _turn(angle: float) -> np.ndarray:
-    c, s = np.cos(angle), np.sin(angle)
+    c = np.cos(angle)
+    s = np.sin(angle)
     return np.array([[c, s], [-s, c]])
 
 
@@ -93,14 +94,23 @@ def _solids(home: Home, pack: Pack, opening: Placement) -> list[Footprint]:
     solid = [_solid(g, here, pack, "wall") for g in home.walls if g.collide]
     near = 3.0
     for placement in (*home.props, *home.articulations):
-        if placement == opening or np.hypot(*np.subtract(placement.pos[:2], opening.pos[:2])) > near:
+        if (
+            placement == opening
+            or np.hypot(*np.subtract(placement.pos[:2], opening.pos[:2])) > near
+        ):
             continue
         template = pack.props.get(placement.template) or pack.articulations[placement.template]
-        solid += [_solid(g, placement, pack, placement.template) for g in template.geoms if g.collide]
+        solid += [
+            _solid(g, placement, pack, placement.template) for g in template.geoms if g.collide
+        ]
     return solid
 
 
 def _solid(geom: Geom, at: Placement, pack: Pack, name: str) -> Footprint:
     points = outline(geom, pack.meshes) @ mat_from_quat(np.array(at.rotation)).T + np.array(at.pos)
     flat = np.unique(points[:, :2].round(9), axis=0)
-    return Footprint(name, flat[ConvexHull(flat).vertices], (float(points[:, 2].min()), float(points[:, 2].max())))
+    return Footprint(
+        name,
+        flat[ConvexHull(flat).vertices],
+        (float(points[:, 2].min()), float(points[:, 2].max())),
+    )

@@ -43,14 +43,20 @@ def textured_mesh(parts: Sequence[Primitive]) -> Mesh:
         uv = np.concatenate([uv, uv[back][:, ::-1]])
         columns.append((part.vertices, both + start, color, uv, np.full(len(both), number)))
         start += len(part.vertices)
-    vertices, faces, color, uv, texture = (np.concatenate(column) for column in zip(*columns, strict=True))
+    vertices, faces, color, uv, texture = (
+        np.concatenate(column) for column in zip(*columns, strict=True)
+    )
     plain = Mesh(vertices.astype(np.float32), faces.astype(np.int32), color.astype(np.float32))
     if not textures:
         return plain
     return Mesh(
-        plain.vertices, plain.faces, plain.face_color, _near_zero(uv).astype(np.float32), texture.astype(np.int32),
+        plain.vertices,
+        plain.faces,
+        plain.face_color,
+        _near_zero(uv).astype(np.float32),
+        texture.astype(np.int32),
         tuple(textures),
-    )  # fmt: skip
+    )
 
 
 def fit_texture(image: Array, corners: Array, uv: Array) -> Array:
@@ -59,11 +65,16 @@ def fit_texture(image: Array, corners: Array, uv: Array) -> Array:
     Args:
         corners: (F, 3, 3) [m]. uv: (F, 3, 2).
     """
-    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    a = corners[:, 1] - corners[:, 0]
+    b = corners[:, 2] - corners[:, 0]
     surface = np.linalg.norm(np.cross(a, b), axis=1).sum() / 2
-    p, q = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
+    p = uv[:, 1] - uv[:, 0]
+    q = uv[:, 2] - uv[:, 0]
     covered = np.abs(p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]).sum() / 2
-    while min(image.shape[:2]) > 8 and covered * image.shape[0] * image.shape[1] > surface * TEXELS_PER_M**2:
+    while (
+        min(image.shape[:2]) > 8
+        and covered * image.shape[0] * image.shape[1] > surface * TEXELS_PER_M**2
+    ):
         quads = image.reshape(image.shape[0] // 2, 2, image.shape[1] // 2, 2, 3)
         image = np.round(quads.mean(axis=(1, 3))).astype(np.uint8)
     return image
@@ -84,12 +95,17 @@ def _open_faces(points: Array, faces: Array) -> Array:
     # Split seams share places.
     weld = np.unique(np.round(points, 5), axis=0, return_inverse=True)[1].reshape(-1)
     ends = np.sort(np.stack([weld[faces], weld[np.roll(faces, -1, axis=1)]], axis=-1), axis=-1)
-    keys = np.unique(ends[..., 0] * len(points) + ends[..., 1], return_inverse=True)[1].reshape(-1, 3)
+    keys = np.unique(ends[..., 0] * len(points) + ends[..., 1], return_inverse=True)[1].reshape(
+        -1, 3
+    )
     number = np.repeat(np.arange(len(faces)), 3)
     order = np.argsort(keys.ravel(), kind="stable")
-    key, owner = keys.ravel()[order], number[order]
+    key = keys.ravel()[order]
+    owner = number[order]
     same = key[1:] == key[:-1]
-    links = coo_matrix((np.ones(same.sum()), (owner[1:][same], owner[:-1][same])), shape=(len(faces),) * 2)
+    links = coo_matrix(
+        (np.ones(same.sum()), (owner[1:][same], owner[:-1][same])), shape=(len(faces),) * 2
+    )
     piece = connected_components(links, directed=False)[1]
     rim = np.bincount(keys.ravel())[keys] == 1
     open_pieces = np.unique(piece[rim.any(axis=1)])

@@ -11,7 +11,13 @@ from mjhab.scenes.spec import IDENTITY, Geom, Quat, Vec3
 
 
 def box(
-    center: Vec3, size: Vec3, material: str, *, quat: Quat = IDENTITY, collide: bool = True, visual: bool = True
+    center: Vec3,
+    size: Vec3,
+    material: str,
+    *,
+    quat: Quat = IDENTITY,
+    collide: bool = True,
+    visual: bool = True,
 ) -> Geom:
     """A box from its centre and its full edge lengths [m]."""
     half = (size[0] / 2, size[1] / 2, size[2] / 2)
@@ -46,12 +52,24 @@ def rod(
     """A cylinder from its centre, radius and full length [m] along a coordinate axis."""
     s = math.sqrt(0.5)
     quat = {"z": IDENTITY, "x": (s, 0.0, s, 0.0), "y": (s, s, 0.0, 0.0)}[axis]
-    return Geom("cylinder", (radius, length / 2, 0.0), center, quat, material, collide=collide, visual=visual)
+    return Geom(
+        "cylinder",
+        (radius, length / 2, 0.0),
+        center,
+        quat,
+        material,
+        collide=collide,
+        visual=visual,
+    )
 
 
-def ball(center: Vec3, radius: float, material: str, *, collide: bool = True, visual: bool = True) -> Geom:
+def ball(
+    center: Vec3, radius: float, material: str, *, collide: bool = True, visual: bool = True
+) -> Geom:
     """A sphere [m]."""
-    return Geom("sphere", (radius, 0.0, 0.0), center, IDENTITY, material, collide=collide, visual=visual)
+    return Geom(
+        "sphere", (radius, 0.0, 0.0), center, IDENTITY, material, collide=collide, visual=visual
+    )
 
 
 def look(mesh: str, material: str, pos: Vec3 = (0.0, 0.0, 0.0), quat: Quat = IDENTITY) -> Geom:
@@ -73,12 +91,17 @@ def lathe(profile: list[tuple[float, float]], segments: int = 24) -> Mesh:
         segments: number of steps around.
     """
     angles = np.linspace(0.0, 2 * math.pi, segments, endpoint=False)
-    rings = [np.stack([r * np.cos(angles), r * np.sin(angles), np.full(segments, z)], 1) for r, z in profile]
+    rings = [
+        np.stack([r * np.cos(angles), r * np.sin(angles), np.full(segments, z)], 1)
+        for r, z in profile
+    ]
     faces = []
     for i in range(len(profile) - 1):
         for j in range(segments):
-            a, b = i * segments + j, i * segments + (j + 1) % segments
-            c, d = a + segments, b + segments
+            a = i * segments + j
+            b = i * segments + (j + 1) % segments
+            c = a + segments
+            d = b + segments
             if profile[i][0] > 1e-9:
                 faces.append((a, b, d))
             if profile[i + 1][0] > 1e-9:
@@ -90,7 +113,8 @@ def rounded_box(size: Vec3, radius: float, steps: int = 2) -> Mesh:
     """A box of full edge lengths ``size`` [m] with edges rounded by ``radius``: cushions, pillows, seats."""
     half = np.array(size) / 2
     radius = min(radius, float(half.min()))
-    vertices, faces = [], []
+    vertices = []
+    faces = []
     for axis in range(3):
         for sign in (1.0, -1.0):
             v, f = _rounded_side(half, radius, steps, axis, sign)
@@ -99,8 +123,11 @@ def rounded_box(size: Vec3, radius: float, steps: int = 2) -> Mesh:
     return Mesh(np.concatenate(vertices).astype(np.float32), np.concatenate(faces).astype(np.int32))
 
 
-def _rounded_side(half: np.ndarray, radius: float, steps: int, axis: int, sign: float) -> tuple[np.ndarray, np.ndarray]:
-    u, v = (axis + 1) % 3, (axis + 2) % 3
+def _rounded_side(
+    half: np.ndarray, radius: float, steps: int, axis: int, sign: float
+) -> tuple[np.ndarray, np.ndarray]:
+    u = (axis + 1) % 3
+    v = (axis + 2) % 3
     core = half - radius
 
     def stops(k: int) -> np.ndarray:
@@ -110,7 +137,9 @@ def _rounded_side(half: np.ndarray, radius: float, steps: int, axis: int, sign: 
 
     grid_u, grid_v = np.meshgrid(stops(u), stops(v), indexing="ij")
     p = np.zeros((grid_u.size, 3))
-    p[:, axis], p[:, u], p[:, v] = sign * half[axis], grid_u.ravel(), grid_v.ravel()
+    p[:, axis] = sign * half[axis]
+    p[:, u] = grid_u.ravel()
+    p[:, v] = grid_v.ravel()
     inner = np.clip(p, -core, core)
     away = p - inner
     p = inner + radius * away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
@@ -130,13 +159,15 @@ def foliage(seed: int, leaves: int, reach: float, height: float, leaf: float) ->
         leaves: number of leaves. reach, height: size of the tuft [m]. leaf: width of a leaf [m].
     """
     rng = np.random.default_rng(seed)
-    vertices, faces = [], []
+    vertices = []
+    faces = []
     for i in range(leaves):
         turn = 2.399963 * i + rng.uniform(-0.2, 0.2)
         out = reach * rng.uniform(0.45, 1.0)
         top = height * rng.uniform(0.55, 1.0) * (1.15 - 0.5 * out / reach)
         blade = _blade(out, top, leaf * rng.uniform(0.7, 1.1))
-        c, s = math.cos(turn), math.sin(turn)
+        c = math.cos(turn)
+        s = math.sin(turn)
         blade = blade @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
         base = 8 * i
         vertices.append(blade)
@@ -149,6 +180,7 @@ def foliage(seed: int, leaves: int, reach: float, height: float, leaf: float) ->
 
 def _blade(out: float, top: float, width: float) -> np.ndarray:
     t = np.array([0.0, 0.35, 0.7, 1.0])
-    x, z = out * t**1.3, top * np.sin(t * 1.9) / math.sin(1.9 * 0.83)
+    x = out * t**1.3
+    z = top * np.sin(t * 1.9) / math.sin(1.9 * 0.83)
     w = width / 2 * np.array([0.25, 1.0, 0.9, 0.05])
     return np.stack([np.repeat(x, 2), np.stack([-w, w], 1).ravel(), np.repeat(z, 2)], 1)

@@ -35,18 +35,21 @@ def simplify(vertices: Array, faces: Array, max_faces: int) -> Simplified:
         vertices: (V, 3). faces: (F, 3) indices.
         max_faces: upper bound of the faces returned; with fewer the mesh itself comes back.
     """
-    vertices, faces = np.asarray(vertices, np.float64), np.asarray(faces, np.int64)
+    vertices = np.asarray(vertices, np.float64)
+    faces = np.asarray(faces, np.int64)
     if len(faces) <= max_faces:
         return Simplified(vertices, faces, np.arange(len(faces)))
     side = _sides(vertices, faces)
     size = float(np.ptp(vertices, axis=0).max())
-    fine, coarse = np.log(_CELLS[1] * size), np.log(_CELLS[0] * size)
+    fine = np.log(_CELLS[1] * size)
+    coarse = np.log(_CELLS[0] * size)
     best = _cluster(vertices, faces, side, float(np.exp(coarse)))
     for _ in range(_ROUNDS):
         middle = (fine + coarse) / 2
         found = _cluster(vertices, faces, side, float(np.exp(middle)))
         if len(found[1]) <= max_faces:
-            best, coarse = found, middle
+            best = found
+            coarse = middle
         else:
             fine = middle
     label, source = best
@@ -70,12 +73,16 @@ def _cluster(vertices: Array, faces: Array, side: Array, cell: float) -> tuple[A
     key = ((grid[:, 0] * width[1] + grid[:, 1]) * width[2] + grid[:, 2]) * 6 + side
     found, label = np.unique(key, return_inverse=True)
     new = label[faces]
-    kept = np.flatnonzero((new[:, 0] != new[:, 1]) & (new[:, 1] != new[:, 2]) & (new[:, 2] != new[:, 0]))
+    kept = np.flatnonzero(
+        (new[:, 0] != new[:, 1]) & (new[:, 1] != new[:, 2]) & (new[:, 2] != new[:, 0])
+    )
     new = new[kept]
     turn = new.argmin(axis=1)
     rolled = np.take_along_axis(new, (turn[:, None] + np.arange(3)) % 3, axis=1)
     count = len(found)
-    _, first = np.unique((rolled[:, 0] * count + rolled[:, 1]) * count + rolled[:, 2], return_index=True)
+    _, first = np.unique(
+        (rolled[:, 0] * count + rolled[:, 1]) * count + rolled[:, 2], return_index=True
+    )
     return label, kept[first]
 
 
@@ -83,13 +90,17 @@ def _merged(vertices: Array, faces: Array, label: Array) -> Array:
     """(v, 3) place of every cluster: the point nearest to all planes of its faces."""
     count = int(label.max()) + 1
     share = np.bincount(label, minlength=count)
-    mean = np.stack([np.bincount(label, vertices[:, k], count) for k in range(3)], axis=1) / share[:, None]
+    mean = (
+        np.stack([np.bincount(label, vertices[:, k], count) for k in range(3)], axis=1)
+        / share[:, None]
+    )
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     normal = np.cross(b - a, c - a)
     area = np.linalg.norm(normal, axis=1)
     normal = normal / np.maximum(area, 1e-30)[:, None]
     outer = area[:, None, None] * normal[:, :, None] * normal[:, None, :]
-    matrix, right = np.zeros((count, 3, 3)), np.zeros((count, 3))
+    matrix = np.zeros((count, 3, 3))
+    right = np.zeros((count, 3))
     for k in range(3):
         at = label[faces[:, k]]
         # Planes relative to the mean of the cell: the numbers stay small.
@@ -99,7 +110,8 @@ def _merged(vertices: Array, faces: Array, label: Array) -> Array:
     trace = np.maximum(np.trace(matrix, axis1=1, axis2=2), 1e-30)
     matrix = matrix / trace[:, None, None] + _STIFFNESS * np.eye(3)
     place = mean + np.linalg.solve(matrix, (right / trace[:, None])[..., None])[..., 0]
-    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+    low = np.full((count, 3), np.inf)
+    high = np.full((count, 3), -np.inf)
     np.minimum.at(low, label, vertices)
     np.maximum.at(high, label, vertices)
     # Planes that are nearly parallel meet far away.

@@ -21,7 +21,8 @@ from mjhab.sim.protocol import PENETRATION_LIMIT, TAINTS, SimState
 
 SUBSTEPS = 5
 """Simulation at 100 Hz, control at 20 Hz (MS-HAB paper Sec. 4.1)."""
-_STAGE_NONE, POSITION_STAGE = int(mujoco.mjtStage.mjSTAGE_NONE), int(mujoco.mjtStage.mjSTAGE_VEL)
+_STAGE_NONE = int(mujoco.mjtStage.mjSTAGE_NONE)
+POSITION_STAGE = int(mujoco.mjtStage.mjSTAGE_VEL)
 _WARNING = mujoco.mjtWarning
 _TAINT_WARNINGS = {
     "contact_overflow": (_WARNING.mjWARN_CONTACTFULL,),
@@ -48,7 +49,9 @@ class CpuSimulator:
         drives: servos of the robot, as the control mode needs them.
     """
 
-    def __init__(self, layout: Layout, num_worlds: int, num_threads: int = 0, drives: Drives | None = None) -> None:
+    def __init__(
+        self, layout: Layout, num_worlds: int, num_threads: int = 0, drives: Drives | None = None
+    ) -> None:
         if num_worlds < 1:
             raise UsageError(f"num_worlds must be at least 1, got {num_worlds}")
         mujoco.set_mju_user_warning(_log_warning)
@@ -65,14 +68,17 @@ class CpuSimulator:
         self.batch.set_models(self._world_models)
         # Live arrays, looked up once: the batch takes longer to find a field than numpy to read it.
         self._qpos, self._qvel, self._ctrl = (self.batch.bind(f) for f in ("qpos", "qvel", "ctrl"))
-        self._sensors, self._xpos, self._xquat = (self.batch.bind(f) for f in ("sensordata", "xpos", "xquat"))
+        self._sensors, self._xpos, self._xquat = (
+            self.batch.bind(f) for f in ("sensordata", "xpos", "xquat")
+        )
         self._warmstart, self._time = self.batch.bind("qacc_warmstart"), self.batch.bind("time")
         self._xmat = self.batch.bind("xmat").reshape(num_worlds, -1, 3, 3)
         # A batch with caller models shows a world its static poses only after that world's reset.
         self.batch.reset()
         a = self.addresses
         # The layout puts objects, link forces and target sensors in unbroken rows: the state is made of views.
-        self._object_q, self._object_v = _rows(a.object_q, 7), _rows(a.object_v, 6)
+        self._object_q = _rows(a.object_q, 7)
+        self._object_v = _rows(a.object_v, 6)
         self._touch_cols = _rows(a.touch, 1)
         self._palm_cols = _rows(a.palm, 1)
         # Force sensors: those of the links, then of the left and the right finger with every target. The first number
@@ -80,7 +86,8 @@ class CpuSimulator:
         self._force_starts = np.concatenate([a.link_force, a.finger_force.ravel()])
         self._force_block = np.arange(FORCE_SENSOR_WIDTH)
         self._depth_col = int(first.sensor("robot_depth").adr[0])
-        self._taint, self._broken = np.zeros(num_worlds, np.uint8), np.zeros(num_worlds, bool)
+        self._taint = np.zeros(num_worlds, np.uint8)
+        self._broken = np.zeros(num_worlds, bool)
         self._warned = np.zeros((num_worlds, self.batch.warning.shape[1]), np.int64)
         self._nan_warned = self._warned.copy()
 
@@ -150,7 +157,9 @@ class CpuSimulator:
         for name, row in rows.items():
             got = np.shape(saved[name])
             if got != row[world].shape:
-                raise UsageError(f"state of another layout: {name} has shape {got}, this one needs {row[world].shape}")
+                raise UsageError(
+                    f"state of another layout: {name} has shape {got}, this one needs {row[world].shape}"
+                )
         self._clear([world], [home])
         for name, row in rows.items():
             row[world] = saved[name]
@@ -158,8 +167,12 @@ class CpuSimulator:
 
     def _world_rows(self) -> dict[str, np.ndarray]:
         return {
-            "time": self._time, "qpos": self._qpos, "qvel": self._qvel, "ctrl": self._ctrl, "warmstart": self._warmstart
-        }  # fmt: skip
+            "time": self._time,
+            "qpos": self._qpos,
+            "qvel": self._qvel,
+            "ctrl": self._ctrl,
+            "warmstart": self._warmstart,
+        }
 
     def step(self, ctrl: np.ndarray) -> None:
         """Advance all worlds by one control step under ``ctrl`` (W, nu)."""
@@ -174,7 +187,9 @@ class CpuSimulator:
 
     def state(self) -> SimState:
         """The current state of all worlds; body arrays are views that the next step overwrites."""
-        a, qpos, worlds = self.addresses, self._qpos, self.num_worlds
+        a = self.addresses
+        qpos = self._qpos
+        worlds = self.num_worlds
         touched = self._sensors[:, self._force_starts] > 0
         force = self._normal_forces(touched)
         links = len(a.link_force)
@@ -190,7 +205,8 @@ class CpuSimulator:
             link_force=np.sqrt(squared[..., 0] + squared[..., 1] + squared[..., 2]),
             finger_force=force[:, links:].reshape(worlds, 2, -1, 3),
             touch=self._sensors[:, self._touch_cols] > 0,
-            ee_contact=(self._sensors[:, self._palm_cols] > 0) | touched[:, links:].reshape(worlds, 2, -1).any(axis=1),
+            ee_contact=(self._sensors[:, self._palm_cols] > 0)
+            | touched[:, links:].reshape(worlds, 2, -1).any(axis=1),
             body_pos=self._xpos,
             body_mat=self._xmat,
             body_quat=self._xquat,
@@ -246,5 +262,7 @@ def _rows(starts: np.ndarray, width: int) -> slice:
     if not len(starts):
         return slice(0, 0)
     if (np.diff(starts) != width).any():
-        raise ValueError(f"blocks of {width} columns do not adjoin: they start at {starts.tolist()}")
+        raise ValueError(
+            f"blocks of {width} columns do not adjoin: they start at {starts.tolist()}"
+        )
     return slice(int(starts[0]), int(starts[0]) + width * len(starts))

@@ -22,7 +22,9 @@ from mjhab.sim.mujoco.settle import CLOSED_FINGER, hold_robot
 CLOSING_STEPS = 30
 MOST_CREEP_M_S = 0.001
 """Speed [m/s] at which an object may creep out of a hand at rest: one held by its edge alone is lost within seconds."""
-TURN_RATE, TURN_STEPS, TURN_SLIP = 1.6, 20, 0.02
+TURN_RATE = 1.6
+TURN_STEPS = 20
+TURN_SLIP = 0.02
 """A held object must stay within this slip [m] while the base is jerked to either side at half its top speed [rad/s]:
 some grasps near an edge hold still for minutes and lose the object at the first turn."""
 FINGER_JOINTS = slice(13, 15)
@@ -41,7 +43,9 @@ class _World:
         self.data = mujoco.MjData(sim.model(sim.layout.pack.homes[0].name))
         self._models: dict[tuple[str, bool], mujoco.MjModel] = {}
 
-    def arrange(self, home: str, qpos: np.ndarray, carried: int = -1, *, plain: bool = False) -> mujoco.MjModel:
+    def arrange(
+        self, home: str, qpos: np.ndarray, carried: int = -1, *, plain: bool = False
+    ) -> mujoco.MjModel:
         """Go to the state ``qpos`` (nq,) at rest, all asleep but the robot, opened links and object slot ``carried``.
 
         Args:
@@ -50,7 +54,8 @@ class _World:
         Returns:
             The model the world is in now.
         """
-        model, a = self._model(home, plain), self._sim.addresses
+        model = self._model(home, plain)
+        a = self._sim.addresses
         # Trees that the model declares asleep lie at its qpos0 after a reset; what is moved from there wakes up.
         rows = (np.delete(a.object_q, carried) if carried >= 0 else a.object_q).astype(int)
         columns = rows[:, None] + np.arange(7)
@@ -115,7 +120,11 @@ class Scratch:
         return np.concatenate([data.xpos[self._tcp], data.xquat[self._tcp]])
 
     def collision_free(
-        self, home: str, qpos: np.ndarray, carried: int = -1, grip: tuple[float, float] | None = None
+        self,
+        home: str,
+        qpos: np.ndarray,
+        carried: int = -1,
+        grip: tuple[float, float] | None = None,
     ) -> bool:
         """Whether the robot touches nothing but object slot ``carried``, now and after one simulated control step.
 
@@ -124,7 +133,8 @@ class Scratch:
                 angle to the opening direction [rad].
         """
         with self._world() as world:
-            model, data = world.arrange(home, qpos, carried), world.data
+            model = world.arrange(home, qpos, carried)
+            data = world.data
             mujoco.mj_fwdPosition(model, data)
             if self._collides(data, carried):
                 return False
@@ -154,7 +164,8 @@ class Scratch:
             robot: (15,) joint positions.
             tcp_in_object: (7,) pose of the tool centre in the frame of the object.
         """
-        home, a = self.sim.layout.pack.homes[0].name, self.sim.addresses
+        home = self.sim.layout.pack.homes[0].name
+        a = self.sim.addresses
         qpos = self.sim.model(home).qpos0.copy()
         qpos[a.robot_q] = robot
         start = a.object_q[slot]
@@ -182,11 +193,13 @@ class Scratch:
         Returns:
             Object pose (7,) in the frame of the tool centre and finger position [m] at the end; None if it fails.
         """
-        home, a = self.sim.layout.pack.homes[0].name, self.sim.addresses
+        home = self.sim.layout.pack.homes[0].name
+        a = self.sim.addresses
         qpos = self.holding(slot, robot, tcp_in_object)
         start = a.object_q[slot]
         with self._world() as world:
-            model, data = world.arrange(home, qpos, slot, plain=True), world.data
+            model = world.arrange(home, qpos, slot, plain=True)
+            data = world.data
             hold_robot(model, data)
             data.ctrl[self._fingers] = CLOSED_FINGER
             mujoco.mj_step(model, data, CLOSING_STEPS)
@@ -202,7 +215,10 @@ class Scratch:
             for rate in (TURN_RATE, -TURN_RATE):
                 data.ctrl[self._turn] = rate
                 mujoco.mj_step(model, data, TURN_STEPS)
-                if np.linalg.norm(self._load_pose(model, data, start)[:3] - relative[:3]) > TURN_SLIP:
+                if (
+                    np.linalg.norm(self._load_pose(model, data, start)[:3] - relative[:3])
+                    > TURN_SLIP
+                ):
                     return None
             return relative, fingers
 
@@ -217,7 +233,9 @@ class Scratch:
             adr = a.finger_force[side, slot]
             force = -normal_force(data.sensordata[adr : adr + FORCE_SENSOR_WIDTH])
             size = np.linalg.norm(force)
-            opening = data.xmat[a.robot_body[finger]].reshape(3, 3) @ np.array(FINGER_OPEN_DIR[finger])
+            opening = data.xmat[a.robot_body[finger]].reshape(3, 3) @ np.array(
+                FINGER_OPEN_DIR[finger]
+            )
             if size < min_force or force @ opening < np.cos(max_angle) * size:
                 return False
         return True

@@ -22,7 +22,9 @@ def parked_robot_qpos() -> np.ndarray:
     return q
 
 
-def settle(model: mujoco.MjModel, a: Addresses, qpos: np.ndarray, seconds: float = 1.5) -> tuple[np.ndarray, float]:
+def settle(
+    model: mujoco.MjModel, a: Addresses, qpos: np.ndarray, seconds: float = 1.5
+) -> tuple[np.ndarray, float]:
     """Simulate from ``qpos`` (nq,) at rest with the robot parked.
 
     Returns:
@@ -46,7 +48,9 @@ def holding_ctrl(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
     """
     joints = model.actuator_trnid[:, 0]
     out = np.where(model.actuator_biasprm[:, 1] != 0.0, qpos[:, model.jnt_qposadr[joints]], 0.0)
-    out[:, [i for i, j in enumerate(joints) if model.joint(int(j)).name in _FINGERS]] = CLOSED_FINGER
+    out[:, [i for i, j in enumerate(joints) if model.joint(int(j)).name in _FINGERS]] = (
+        CLOSED_FINGER
+    )
     return out
 
 

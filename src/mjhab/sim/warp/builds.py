@@ -26,7 +26,8 @@ class BuildProgress:
 
     def __init__(self, clock: Callable[[], float] = time.perf_counter) -> None:
         self._clock = clock
-        self.count, self.seconds = 0, 0.0
+        self.count = 0
+        self.seconds = 0.0
         self._last_line = -LINE_EVERY
 
     def watch(self, compiler: Callable[..., Any], source: Callable[..., str]) -> Callable[..., Any]:

@@ -68,19 +68,33 @@ class Engine:
     """
 
     def __init__(
-        self, base: mujoco.MjModel, a: Addresses, num_worlds: int, num_homes: int, sizes: BufferSizes, device: wp.Device
+        self,
+        base: mujoco.MjModel,
+        a: Addresses,
+        num_worlds: int,
+        num_homes: int,
+        sizes: BufferSizes,
+        device: wp.Device,
     ) -> None:
-        self.device, self.num_worlds, self.sizes = device, num_worlds, sizes
+        self.device = device
+        self.num_worlds = num_worlds
+        self.sizes = sizes
         model = copy.copy(base)
         # Contact sensors match every sensor with every contact; our own kernel reads each contact once.
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR
         with set_up(device):
             self.model = mjw.put_model(model, batch_sizes=dict.fromkeys(HOME_FIELDS, num_worlds))
             self.data = mjw.make_data(
-                model, num_worlds, naconmax=sizes.contacts, naccdmax=min(sizes.ccd, sizes.contacts), njmax=sizes.rows,
+                model,
+                num_worlds,
+                naconmax=sizes.contacts,
+                naccdmax=min(sizes.ccd, sizes.contacts),
+                njmax=sizes.rows,
                 nvmax=sizes.awake,
-            )  # fmt: skip
-            self.model.opt.warn_overflow = 0  # printing from kernels is slow, and the bits say the same
+            )
+            self.model.opt.warn_overflow = (
+                0  # printing from kernels is slow, and the bits say the same
+            )
             # What the engine takes for large models sorts, which allocates: no graph may do that under a condition.
             self.model.opt.broadphase = mjw.BroadphaseType.NXN
             if not device.is_cuda:
@@ -92,7 +106,8 @@ class Engine:
         self._tensors()
 
     def _allocate(self, model: mujoco.MjModel, a: Addresses) -> None:
-        worlds, targets = self.num_worlds, len(a.object_body) + len(a.link_body)
+        worlds = self.num_worlds
+        targets = len(a.object_body) + len(a.link_body)
         self.link_net = wp.zeros((worlds, len(FORCE_LINKS)), dtype=wp.vec3)
         self.link_force = wp.zeros((worlds, len(FORCE_LINKS)), dtype=wp.float32)
         self.finger_force = wp.zeros((worlds, 2, targets), dtype=wp.vec3)
@@ -105,7 +120,8 @@ class Engine:
         self.pairs_peak = wp.zeros(1, dtype=wp.int32)
         self.overflow_seen = wp.zeros(1, dtype=wp.int32)
         self.update = wp.zeros(worlds, dtype=wp.bool)
-        self.fresh, self.moved = wp.zeros(worlds, dtype=wp.bool), wp.zeros(worlds, dtype=wp.bool)
+        self.fresh = wp.zeros(worlds, dtype=wp.bool)
+        self.moved = wp.zeros(worlds, dtype=wp.bool)
         self._due = wp.zeros(1, dtype=wp.int32)
         self.new_rows = wp.zeros(worlds, dtype=wp.int32)
         self.new_ctrl = wp.zeros((worlds, model.nu), dtype=wp.float32)
@@ -113,7 +129,10 @@ class Engine:
         self._everyone = wp.ones(worlds, dtype=wp.bool)
         self.new_qpos = wp.zeros((worlds, model.nq), dtype=wp.float32)
         self._qpos_before = wp.zeros_like(self.data.qpos)
-        self._asleep_before, self._slept = wp.zeros_like(self.data.tree_asleep), wp.zeros_like(self.data.tree_asleep)
+        self._asleep_before, self._slept = (
+            wp.zeros_like(self.data.tree_asleep),
+            wp.zeros_like(self.data.tree_asleep),
+        )
         overflow = [int(CONTACT_OVERFLOW), int(ROW_OVERFLOW), int(ENGINE_OVERFLOW)]
         self._overflow_bits = wp.array(overflow, dtype=wp.int32)
         self._tcp = a.robot_body[TCP_LINK]
@@ -131,15 +150,20 @@ class Engine:
         self._finger_of = numbered([a.robot_body[name] for name in FINGER_LINKS])
         self._target_of = numbered([*a.object_body.tolist(), *a.link_body.tolist()])
         end_effector = [a.robot_body[name] for name in (TCP_LINK, *FINGER_LINKS)]
-        self._is_end_effector = wp.array(np.isin(np.arange(model.nbody), end_effector), dtype=wp.bool)
+        self._is_end_effector = wp.array(
+            np.isin(np.arange(model.nbody), end_effector), dtype=wp.bool
+        )
         self._is_robot = wp.array(model.body_rootid == self._tcp_root, dtype=wp.bool)
 
     def _map_trees(self, model: mujoco.MjModel, a: Addresses) -> None:
-        spans_q, spans_v = np.zeros((model.ntree, 2), np.int32), np.zeros((model.ntree, 2), np.int32)
+        spans_q = np.zeros((model.ntree, 2), np.int32)
+        spans_v = np.zeros((model.ntree, 2), np.int32)
         for tree in range(model.ntree):
-            first, count = int(model.tree_dofadr[tree]), int(model.tree_dofnum[tree])
+            first = int(model.tree_dofadr[tree])
+            count = int(model.tree_dofnum[tree])
             spans_v[tree] = first, count
-            low, high = model.dof_jntid[first], model.dof_jntid[first + count - 1]
+            low = model.dof_jntid[first]
+            high = model.dof_jntid[first + count - 1]
             start = int(model.jnt_qposadr[low])
             end = int(model.jnt_qposadr[high + 1]) if high + 1 < model.njnt else model.nq
             spans_q[tree] = start, end - start
@@ -147,17 +171,24 @@ class Engine:
         stops = np.zeros(model.ntree, np.int32)
         stops[model.body_treeid[a.object_body]] = 1
         stops[model.body_treeid[self._tcp]] = 2
-        self._tree_q, self._tree_v = wp.array(spans_q, dtype=wp.vec2i), wp.array(spans_v, dtype=wp.vec2i)
+        self._tree_q = wp.array(spans_q, dtype=wp.vec2i)
+        self._tree_v = wp.array(spans_v, dtype=wp.vec2i)
         self._stops = wp.array(stops, dtype=wp.int32)
 
     def _tensors(self) -> None:
         data = self.data
-        self.qpos_t, self.qvel_t, self.ctrl_t = wp.to_torch(data.qpos), wp.to_torch(data.qvel), wp.to_torch(data.ctrl)
-        self.warmstart_t, self.time_t = wp.to_torch(data.qacc_warmstart), wp.to_torch(data.time)
-        self.asleep_t, self.overflow_t = wp.to_torch(data.tree_asleep), wp.to_torch(data.overflow)
+        self.qpos_t = wp.to_torch(data.qpos)
+        self.qvel_t = wp.to_torch(data.qvel)
+        self.ctrl_t = wp.to_torch(data.ctrl)
+        self.warmstart_t = wp.to_torch(data.qacc_warmstart)
+        self.time_t = wp.to_torch(data.time)
+        self.asleep_t = wp.to_torch(data.tree_asleep)
+        self.overflow_t = wp.to_torch(data.overflow)
         self.taint_t, self.broken_t = wp.to_torch(self.taint), wp.to_torch(self.broken)
         self.update_t, self.new_qpos_t = wp.to_torch(self.update), wp.to_torch(self.new_qpos)
-        self.fresh_t, self.moved_t, self.new_rows_t = map(wp.to_torch, (self.fresh, self.moved, self.new_rows))
+        self.fresh_t, self.moved_t, self.new_rows_t = map(
+            wp.to_torch, (self.fresh, self.moved, self.new_rows)
+        )
         self.new_ctrl_t, self.new_rings_t = wp.to_torch(self.new_ctrl), wp.to_torch(self.new_rings)
 
     def _record_peak(self, model: mjw.Model, data: mjw.Data) -> None:
@@ -189,9 +220,18 @@ class Engine:
         for _ in range(SUBSTEPS):
             mjw.step(self.model, data)
             wp.launch(
-                kernels.put_back_broken, dim=self.num_worlds, inputs=[self._qpos_before, self._slept],
-                outputs=[data.qpos, data.qvel, data.qacc_warmstart, data.tree_asleep, data.overflow, self.broken],
-            )  # fmt: skip
+                kernels.put_back_broken,
+                dim=self.num_worlds,
+                inputs=[self._qpos_before, self._slept],
+                outputs=[
+                    data.qpos,
+                    data.qvel,
+                    data.qacc_warmstart,
+                    data.tree_asleep,
+                    data.overflow,
+                    self.broken,
+                ],
+            )
         # The engine's poses are those before the last integration.
         smooth.kinematics(self.model, self.data)
         smooth.com_pos(self.model, self.data)
@@ -199,16 +239,25 @@ class Engine:
         smooth.com_vel(self.model, self.data)
         self._derive(self._everyone)
         wp.launch(
-            kernels.check_worlds, dim=self.num_worlds,
-            inputs=[data.overflow, self.pairs_peak, data.naconmax, self.depth, PENETRATION_LIMIT, self._overflow_bits,
-                    self.broken],
+            kernels.check_worlds,
+            dim=self.num_worlds,
+            inputs=[
+                data.overflow,
+                self.pairs_peak,
+                data.naconmax,
+                self.depth,
+                PENETRATION_LIMIT,
+                self._overflow_bits,
+                self.broken,
+            ],
             outputs=[self.taint],
-        )  # fmt: skip
+        )
         wp.launch(
-            kernels.note_overflow, dim=self.num_worlds,
+            kernels.note_overflow,
+            dim=self.num_worlds,
             inputs=[data.overflow, self.pairs_peak, data.naconmax, int(_OVERFLOW.BROADPHASE)],
             outputs=[self.overflow_seen],
-        )  # fmt: skip
+        )
 
     def renew(self) -> None:
         """Begin the worlds of ``fresh_t`` anew and teleport those of ``moved_t``, which are others, to ``new_qpos_t``.
@@ -226,7 +275,12 @@ class Engine:
             self.graphs.run("mend", self._mend_due)
 
     def _renew_due(self) -> None:
-        wp.launch(kernels.unite, dim=self.num_worlds, inputs=[self.fresh, self.moved], outputs=[self.update])
+        wp.launch(
+            kernels.unite,
+            dim=self.num_worlds,
+            inputs=[self.fresh, self.moved],
+            outputs=[self.update],
+        )
         self._if_due(self._renew)
 
     def _mend_due(self) -> None:
@@ -242,10 +296,18 @@ class Engine:
         data = self.data
         self.homes.put_masked(self.fresh, self.new_rows)
         wp.launch(
-            kernels.begin_worlds, dim=self.num_worlds,
+            kernels.begin_worlds,
+            dim=self.num_worlds,
             inputs=[self.fresh, self.new_qpos, self.new_ctrl, self.new_rings, AWAKE],
-            outputs=[data.qpos, data.qvel, data.ctrl, data.qacc_warmstart, data.time, data.tree_asleep],
-        )  # fmt: skip
+            outputs=[
+                data.qpos,
+                data.qvel,
+                data.ctrl,
+                data.qacc_warmstart,
+                data.time,
+                data.tree_asleep,
+            ],
+        )
         self._move(self.moved)
         self._refresh()
         flags = [data.overflow, self.taint, self.broken]
@@ -283,10 +345,11 @@ class Engine:
     def _move(self, mask: wp.array) -> None:
         data = self.data
         wp.launch(
-            kernels.teleport, dim=self.num_worlds,
+            kernels.teleport,
+            dim=self.num_worlds,
             inputs=[mask, self.new_qpos, self._tree_q, self._tree_v, self._stops, AWAKE],
             outputs=[data.qpos, data.qvel, data.tree_asleep],
-        )  # fmt: skip
+        )
 
     def _refresh(self) -> None:
         # The engine has no mask here. In other worlds this computes again what it had, but for two things: what a
@@ -300,24 +363,52 @@ class Engine:
         mjw.forward(self.model, data)
         self._derive(self.update)
         wp.launch(
-            kernels.restore_sleep, dim=data.tree_asleep.shape, inputs=[self.update, self._asleep_before],
+            kernels.restore_sleep,
+            dim=data.tree_asleep.shape,
+            inputs=[self.update, self._asleep_before],
             outputs=[data.tree_asleep],
-        )  # fmt: skip
+        )
         sleep.update_sleep(self.model, data)
 
     def _derive(self, update: wp.array) -> None:
-        data, contact = self.data, self.data.contact
+        data = self.data
+        contact = self.data.contact
         forces = [self.link_net, self.finger_force, self.touch, self.ee_contact, self.depth]
         wp.launch(kernels.clear_forces, dim=self.num_worlds, inputs=[update], outputs=forces)
         wp.launch(
-            kernels.add_contacts, dim=data.naconmax,
-            inputs=[data.nacon, contact.dist, contact.frame, contact.geom, contact.efc_address,
-                    contact.worldid, contact.type, data.efc.force, data.njmax, self.model.geom_bodyid, self._link_of,
-                    self._finger_of, self._target_of, self._is_robot, self._is_end_effector, update],
+            kernels.add_contacts,
+            dim=data.naconmax,
+            inputs=[
+                data.nacon,
+                contact.dist,
+                contact.frame,
+                contact.geom,
+                contact.efc_address,
+                contact.worldid,
+                contact.type,
+                data.efc.force,
+                data.njmax,
+                self.model.geom_bodyid,
+                self._link_of,
+                self._finger_of,
+                self._target_of,
+                self._is_robot,
+                self._is_end_effector,
+                update,
+            ],
             outputs=forces,
-        )  # fmt: skip
+        )
         wp.launch(
-            kernels.finish_state, dim=self.num_worlds,
-            inputs=[update, self.link_net, self._tcp, self._tcp_root, data.xpos, data.subtree_com, data.cvel],
+            kernels.finish_state,
+            dim=self.num_worlds,
+            inputs=[
+                update,
+                self.link_net,
+                self._tcp,
+                self._tcp_root,
+                data.xpos,
+                data.subtree_com,
+                data.cvel,
+            ],
             outputs=[self.link_force, self.tcp_vel],
-        )  # fmt: skip
+        )

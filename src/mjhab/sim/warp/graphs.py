@@ -96,7 +96,9 @@ class _Arena:
         free = self._free.setdefault(size_in_bytes, [])
         if not free:
             if self._closed:
-                raise RuntimeError(f"work that is captured takes {size_in_bytes} bytes that its first run did not take")
+                raise RuntimeError(
+                    f"work that is captured takes {size_in_bytes} bytes that its first run did not take"
+                )
             with self._allocating(None):
                 block = wp.empty(size_in_bytes, dtype=wp.uint8, device=self._device)  # type: ignore[arg-type]
             self._kept.append(block)
@@ -116,7 +118,8 @@ class _Arena:
                 yield
             return
         # Warp offers this for CUDA only.
-        before, device.default_allocator = device.default_allocator, allocator or self._plain
+        before = device.default_allocator
+        device.default_allocator = allocator or self._plain
         try:
             yield
         finally:

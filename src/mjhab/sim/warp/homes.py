@@ -13,8 +13,15 @@ import warp as wp
 from mjhab.sim.warp.kernels import copy_rows, keep_rows
 
 HOME_FIELDS = (
-    "body_pos", "body_quat", "geom_pos", "geom_quat", "geom_size", "geom_aabb", "geom_rbound", "jnt_range"
-)  # fmt: skip
+    "body_pos",
+    "body_quat",
+    "geom_pos",
+    "geom_quat",
+    "geom_size",
+    "geom_aabb",
+    "geom_rbound",
+    "jnt_range",
+)
 """Fields of a compiled model that homes of one layout may differ in."""
 STATIC_POSES = ("geom_xpos", "geom_xmat")
 """World poses of geoms. The engine computes those of static geoms once, from its base model, for all worlds."""
@@ -33,7 +40,9 @@ class HomeTables:
         capacity: number of homes, at most.
     """
 
-    def __init__(self, base: mujoco.MjModel, model: mjw.Model, data: mjw.Data, capacity: int) -> None:
+    def __init__(
+        self, base: mujoco.MjModel, model: mjw.Model, data: mjw.Data, capacity: int
+    ) -> None:
         self._base = base
         views = {name: wp.to_torch(getattr(model, name)) for name in HOME_FIELDS}
         views |= {name: wp.to_torch(getattr(data, name)) for name in STATIC_POSES}
@@ -68,7 +77,11 @@ class HomeTables:
             row = len(self._index)
             for name, values in _home_values(model).items():
                 table = self._tables[name]
-                table[row] = torch.as_tensor(values, dtype=table.dtype).reshape(table.shape[1:]).to(table.device)
+                table[row] = (
+                    torch.as_tensor(values, dtype=table.dtype)
+                    .reshape(table.shape[1:])
+                    .to(table.device)
+                )
             self._index[home] = row
         return self._index[home]
 
@@ -86,16 +99,21 @@ class HomeTables:
 
     def _require_same(self, home: str, model: mujoco.MjModel) -> None:
         for name in self._shared:
-            ours, theirs = getattr(self._base, name), getattr(model, name)
+            ours = getattr(self._base, name)
+            theirs = getattr(model, name)
             same = np.shape(ours) == np.shape(theirs)
             if not same or not np.allclose(ours, theirs, rtol=_ROUNDING, atol=_ROUNDING):
-                raise ValueError(f"home {home!r} differs from its layout in {name}, which all worlds of a batch share")
+                raise ValueError(
+                    f"home {home!r} differs from its layout in {name}, which all worlds of a batch share"
+                )
 
 
 def _shared_fields(base: mujoco.MjModel) -> list[str]:
     """Numbers of the engine's model that are copied from an MjModel and are one for all worlds."""
     names = {field.name for field in dataclasses.fields(mjw.Model)} - set(HOME_FIELDS)
-    return [name for name in sorted(names) if isinstance(getattr(base, name, None), (np.ndarray, int))]
+    return [
+        name for name in sorted(names) if isinstance(getattr(base, name, None), (np.ndarray, int))
+    ]
 
 
 def _home_values(model: mujoco.MjModel) -> dict[str, np.ndarray]:

@@ -21,9 +21,14 @@ class HostTwin:
     """
 
     def __init__(self, warp: Any, cpu: CpuSimulator) -> None:
-        self.warp, self.model, self.batch = warp, cpu.model, cpu.batch
-        self.layout, self.addresses, self.drives = cpu.layout, cpu.addresses, cpu.drives
-        self.num_worlds, self.num_threads = cpu.num_worlds, cpu.num_threads
+        self.warp = warp
+        self.model = cpu.model
+        self.batch = cpu.batch
+        self.layout = cpu.layout
+        self.addresses = cpu.addresses
+        self.drives = cpu.drives
+        self.num_worlds = cpu.num_worlds
+        self.num_threads = cpu.num_threads
 
     @property
     def qpos(self) -> np.ndarray:

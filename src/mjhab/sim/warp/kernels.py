@@ -289,7 +289,9 @@ def keep_rows(fresh: wp.array[bool], rows: wp.array[int], kept: wp.array[int]):
 
 
 @wp.kernel
-def copy_rows(fresh: wp.array[bool], rows: wp.array[int], table: wp.array2d[float], out: wp.array2d[float]):
+def copy_rows(
+    fresh: wp.array[bool], rows: wp.array[int], table: wp.array2d[float], out: wp.array2d[float]
+):
     """Row ``rows[world]`` of a table to the worlds that begin anew."""
     world, i = wp.tid()
     if fresh[world]:
@@ -330,7 +332,12 @@ def begin_worlds(
 
 
 @wp.kernel
-def clear_flags(fresh: wp.array[bool], overflow: wp.array[int], taint: wp.array[wp.uint8], broken: wp.array[bool]):
+def clear_flags(
+    fresh: wp.array[bool],
+    overflow: wp.array[int],
+    taint: wp.array[wp.uint8],
+    broken: wp.array[bool],
+):
     """Forget what went wrong in the worlds that begin anew."""
     world = wp.tid()
     if fresh[world]:
@@ -340,7 +347,9 @@ def clear_flags(fresh: wp.array[bool], overflow: wp.array[int], taint: wp.array[
 
 
 @wp.kernel
-def note_overflow(overflow: wp.array[int], peak: wp.array[int], naconmax: int, pairs_bit: int, seen: wp.array[int]):
+def note_overflow(
+    overflow: wp.array[int], peak: wp.array[int], naconmax: int, pairs_bit: int, seen: wp.array[int]
+):
     """Remember in ``seen`` which buffers have ever overflowed, as bits of the engine."""
     bits = overflow[wp.tid()]
     if peak[0] > naconmax:

@@ -29,7 +29,9 @@ class RestFinder:
         self._robot_tree = int(model.body_treeid[a.robot_body[TCP_LINK]])
         self._known: OrderedDict[tuple[str, bytes, bytes], np.ndarray] = OrderedDict()
 
-    def rings(self, home: str, model: mujoco.MjModel, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
+    def rings(
+        self, home: str, model: mujoco.MjModel, qpos: np.ndarray, qvel: np.ndarray
+    ) -> np.ndarray:
         """(ntree,) int32: -1 for a tree that is awake, else the next of those that sleep and wake together with it.
 
         Asleep are trees that have no velocity and hardly any acceleration, if the same holds for all that they touch.
@@ -50,10 +52,13 @@ class RestFinder:
     def _ask(self, model: mujoco.MjModel, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
         data = self._data
         mujoco.mj_resetData(model, data)
-        data.qpos[:], data.qvel[:] = qpos, qvel
+        data.qpos[:] = qpos
+        data.qvel[:] = qvel
         mujoco.mj_forward(model, data)
         # ``dof_length`` turns rotations into what they move at the rim of the body.
-        quiet = (np.abs(data.qacc) * model.dof_length < REST_ACCELERATION) & (np.asarray(qvel) == 0.0)
+        quiet = (np.abs(data.qacc) * model.dof_length < REST_ACCELERATION) & (
+            np.asarray(qvel) == 0.0
+        )
         still = np.logical_and.reduceat(quiet, model.tree_dofadr)
         still[self._robot_tree] = False
         rings = np.where(still, np.arange(model.ntree), -1).astype(np.int32)

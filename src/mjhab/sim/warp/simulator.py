@@ -27,7 +27,9 @@ try:
     from mjhab.sim.warp.rest import RestFinder
     from mjhab.sim.warp.sizes import buffer_sizes, changed_sizes
 except ModuleNotFoundError as error:
-    raise UsageError(f"backend 'warp' needs {error.name}, which is not installed; pip install 'mjhab[gpu]'") from error
+    raise UsageError(
+        f"backend 'warp' needs {error.name}, which is not installed; pip install 'mjhab[gpu]'"
+    ) from error
 
 
 class WarpSimulator:
@@ -48,12 +50,18 @@ class WarpSimulator:
     num_threads = 1
 
     def __init__(
-        self, layout: Layout, num_worlds: int, device: str = "", drives: Drives | None = None,
-        sizes: BufferSizes | None = None, buffers: Mapping[str, int] | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        layout: Layout,
+        num_worlds: int,
+        device: str = "",
+        drives: Drives | None = None,
+        sizes: BufferSizes | None = None,
+        buffers: Mapping[str, int] | None = None,
+    ) -> None:
         if num_worlds < 1:
             raise UsageError(f"num_worlds must be at least 1, got {num_worlds}")
-        self.layout, self.num_worlds = layout, num_worlds
+        self.layout = layout
+        self.num_worlds = num_worlds
         self.drives = drives or Drives()
         self.device = open_device(device)
         self.model = HomeModels(layout, self.drives)
@@ -64,17 +72,24 @@ class WarpSimulator:
         sizes = changed_sizes(sizes, buffers or {})
         self._rest = RestFinder(base, self.addresses)
         with room_for(num_worlds, self.device):
-            self.engine = Engine(base, self.addresses, num_worlds, len(layout.pack.homes), sizes, self.device)
+            self.engine = Engine(
+                base, self.addresses, num_worlds, len(layout.pack.homes), sizes, self.device
+            )
             self._begin(base)
 
     def _begin(self, base: mujoco.MjModel) -> None:
-        a, home = self.addresses, self.layout.pack.homes[0].name
+        a = self.addresses
+        home = self.layout.pack.homes[0].name
         self._robot_q, self._robot_v, self._link_q, self._link_v = map(
             self._indices, (a.robot_q, a.robot_v, a.link_q, a.link_v)
         )
         self._views = self._make_views()
         # The first refresh takes memory, too.
-        self.reset(range(self.num_worlds), [home] * self.num_worlds, np.tile(base.qpos0, (self.num_worlds, 1)))
+        self.reset(
+            range(self.num_worlds),
+            [home] * self.num_worlds,
+            np.tile(base.qpos0, (self.num_worlds, 1)),
+        )
 
     @property
     def qpos(self) -> torch.Tensor:
@@ -89,12 +104,19 @@ class WarpSimulator:
         self.engine.ctrl_t[worlds] = self._upload(holding_ctrl(self.model(homes[0]), qpos))
         self._make_current(worlds)
 
-    def _clear(self, ids: Sequence[int], homes: Sequence[str], qpos: np.ndarray, qvel: np.ndarray) -> torch.Tensor:
-        rows = [self.engine.homes.row(home, self.model(home)) for _, home in zip(ids, homes, strict=True)]
+    def _clear(
+        self, ids: Sequence[int], homes: Sequence[str], qpos: np.ndarray, qvel: np.ndarray
+    ) -> torch.Tensor:
+        rows = [
+            self.engine.homes.row(home, self.model(home))
+            for _, home in zip(ids, homes, strict=True)
+        ]
         states = zip(homes, qpos, qvel, strict=True)
         rings = [self._rest.rings(home, self.model(home), q, v) for home, q, v in states]
         worlds = self._indices(ids)
-        self.engine.clear(worlds, self._indices(rows), torch.as_tensor(np.stack(rings), device=self._torch_device))
+        self.engine.clear(
+            worlds, self._indices(rows), torch.as_tensor(np.stack(rings), device=self._torch_device)
+        )
         return worlds
 
     def _make_current(self, worlds: torch.Tensor) -> None:
@@ -110,7 +132,9 @@ class WarpSimulator:
         worlds = self._indices(ids)
         taint = self.engine.taint_t[worlds].clone()
         default = np.stack([self.model(home).qpos0 for home in homes])
-        self.reset(ids, homes, np.where(np.isfinite(given).all(axis=1, keepdims=True), given, default))
+        self.reset(
+            ids, homes, np.where(np.isfinite(given).all(axis=1, keepdims=True), given, default)
+        )
         self.engine.taint_t[worlds] = taint
 
     def broken(self) -> torch.Tensor:
@@ -127,7 +151,9 @@ class WarpSimulator:
         self.engine.new_qpos_t[worlds] = self._upload(qpos)
         self.engine.refresh(worlds, teleport=True)
 
-    def start_rows(self, homes: Sequence[str], qpos: np.ndarray) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    def start_rows(
+        self, homes: Sequence[str], qpos: np.ndarray
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """What `reset_masked` needs of starts at rest in the states ``qpos`` (n, nq) of ``homes``, on the device.
 
         Returns:
@@ -135,15 +161,26 @@ class WarpSimulator:
         """
         rows = np.array([self.engine.homes.row(home, self.model(home)) for home in homes], np.int32)
         still = np.zeros(self.engine.qvel_t.shape[1])
-        rings = [self._rest.rings(h, self.model(h), q, still) for h, q in zip(homes, qpos, strict=True)]
+        rings = [
+            self._rest.rings(h, self.model(h), q, still) for h, q in zip(homes, qpos, strict=True)
+        ]
         ctrl = holding_ctrl(self.model(homes[0]), qpos)
         device = self._torch_device
-        return torch.as_tensor(rows, device=device), self._upload(ctrl), torch.as_tensor(np.stack(rings), device=device)
+        return (
+            torch.as_tensor(rows, device=device),
+            self._upload(ctrl),
+            torch.as_tensor(np.stack(rings), device=device),
+        )
 
     def reset_masked(
-        self, mask: torch.Tensor, rows: torch.Tensor, qpos: torch.Tensor, ctrl: torch.Tensor, rings: torch.Tensor,
+        self,
+        mask: torch.Tensor,
+        rows: torch.Tensor,
+        qpos: torch.Tensor,
+        ctrl: torch.Tensor,
+        rings: torch.Tensor,
         moved: torch.Tensor | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Begin the worlds of ``mask`` (W,) bool at rest in ``qpos`` (W, nq); the others keep every bit.
 
         Nothing is copied to or from the host. All arguments are tensors on the device with a row per world, and rows
@@ -178,11 +215,14 @@ class WarpSimulator:
         Raises:
             UsageError: names the buffer, its size and a larger one.
         """
-        names, sizes = self.engine.overflown(), dataclasses.asdict(self.engine.sizes)
+        names = self.engine.overflown()
+        sizes = dataclasses.asdict(self.engine.sizes)
         if names:
             now = ", ".join(f"{name}={sizes[name]}" for name in names)
             more = ", ".join(f"{name!r}: {2 * (sizes[name] or 0)}" for name in names)
-            raise UsageError(f"buffers of the engine overflowed ({now}), episodes are tainted; set buffers={{{more}}}")
+            raise UsageError(
+                f"buffers of the engine overflowed ({now}), episodes are tainted; set buffers={{{more}}}"
+            )
 
     def get_world(self, world: int) -> dict[str, np.ndarray]:
         """Copies of everything the physics of one world depends on: "time", "qpos", "qvel", "ctrl", "warmstart".
@@ -199,9 +239,12 @@ class WarpSimulator:
         """
         rows = self._world_rows()
         for name, row in rows.items():
-            got, need = np.shape(saved[name]), tuple(row[world].shape)
+            got = np.shape(saved[name])
+            need = tuple(row[world].shape)
             if got != need:
-                raise UsageError(f"state of another layout: {name} has shape {got}, this one needs {need}")
+                raise UsageError(
+                    f"state of another layout: {name} has shape {got}, this one needs {need}"
+                )
         worlds = self._clear([world], [home], saved["qpos"][None], saved["qvel"][None])
         for name, row in rows.items():
             row[world] = self._upload(saved[name])
@@ -210,9 +253,12 @@ class WarpSimulator:
     def _world_rows(self) -> dict[str, torch.Tensor]:
         engine = self.engine
         return {
-            "time": engine.time_t, "qpos": engine.qpos_t, "qvel": engine.qvel_t, "ctrl": engine.ctrl_t,
+            "time": engine.time_t,
+            "qpos": engine.qpos_t,
+            "qvel": engine.qvel_t,
+            "ctrl": engine.ctrl_t,
             "warmstart": engine.warmstart_t,
-        }  # fmt: skip
+        }
 
     def step(self, ctrl: Any) -> None:
         """Advance all worlds by one control step under ``ctrl`` (W, nu), best a float32 tensor on the device."""
@@ -222,29 +268,43 @@ class WarpSimulator:
 
     def state(self) -> SimState:
         """The current state of all worlds; most arrays are views that the next step or reset overwrites."""
-        q, v = self.engine.qpos_t, self.engine.qvel_t
+        q = self.engine.qpos_t
+        v = self.engine.qvel_t
         return dataclasses.replace(
-            self._views, robot_q=q[:, self._robot_q], robot_qd=v[:, self._robot_v], link_q=q[:, self._link_q],
+            self._views,
+            robot_q=q[:, self._robot_q],
+            robot_qd=v[:, self._robot_v],
+            link_q=q[:, self._link_q],
             link_qd=v[:, self._link_v],
-        )  # fmt: skip
+        )
 
     def _make_views(self) -> SimState:
         # Everything that lies in one block; the joints of the robot do not, `state` gathers them.
-        a, engine = self.addresses, self.engine
+        a = self.addresses
+        engine = self.engine
         pose, velocity = (
             rows[:, start : start + width * len(a.object_q)].unflatten(1, (len(a.object_q), width))
             for rows, start, width in (
-                (engine.qpos_t, int(a.object_q[0]), 7), (engine.qvel_t, int(a.object_v[0]), 6),
+                (engine.qpos_t, int(a.object_q[0]), 7),
+                (engine.qvel_t, int(a.object_v[0]), 6),
             )
-        )  # fmt: skip
+        )
         return SimState(
-            robot_q=None, robot_qd=None, link_q=None, link_qd=None, object_pose=pose, object_vel=velocity,
-            tcp_vel=wp.to_torch(engine.tcp_vel), link_force=wp.to_torch(engine.link_force),
-            finger_force=wp.to_torch(engine.finger_force), touch=wp.to_torch(engine.touch),
+            robot_q=None,
+            robot_qd=None,
+            link_q=None,
+            link_qd=None,
+            object_pose=pose,
+            object_vel=velocity,
+            tcp_vel=wp.to_torch(engine.tcp_vel),
+            link_force=wp.to_torch(engine.link_force),
+            finger_force=wp.to_torch(engine.finger_force),
+            touch=wp.to_torch(engine.touch),
             ee_contact=wp.to_torch(engine.ee_contact),
-            body_pos=wp.to_torch(engine.data.xpos), body_mat=wp.to_torch(engine.data.xmat),
+            body_pos=wp.to_torch(engine.data.xpos),
+            body_mat=wp.to_torch(engine.data.xmat),
             body_quat=wp.to_torch(engine.data.xquat),
-        )  # fmt: skip
+        )
 
     def add_taint(self, world: int, mask: int) -> None:
         """Mark a world with the bits of ``mask``."""

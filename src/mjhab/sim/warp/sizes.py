@@ -29,7 +29,10 @@ from mjhab.sim.warp.engine import BufferSizes, Engine
 
 MARGIN = 1.25
 """Over the largest demand that the stress rollouts saw."""
-STRESS_HOMES, ROUNDS, STRESS_STEPS, HOLD_STEPS = 4, 6, 600, 40
+STRESS_HOMES = 4
+ROUNDS = 6
+STRESS_STEPS = 600
+HOLD_STEPS = 40
 """Homes driven through, how often, substeps [10 ms] each time, and substeps that one random command lasts."""
 HEAPS = 6
 """Receptacles on which all objects of a round lie: closer than in any task, so that the robot has much to push."""
@@ -37,11 +40,13 @@ LEAST = BufferSizes(contacts=24, ccd=16, rows=256, awake=64)
 """Per world, whatever was measured: the robot and eight objects in motion."""
 CROWD = 256
 """Contacts on top, so that one world in trouble does not take those of the others."""
-PLACES, REACH = 30, (0.6, 1.0)
+PLACES = 30
+REACH = (0.6, 1.0)
 """Random places at that distance [m] from random objects, of which the robot starts where it touches least."""
 TOP_SPEED = 1.5
 """Largest command [m/s or rad/s] of velocity servos, and angle [rad] of joints without limits."""
-WORST_STATES, OTHER_STATES = 1, 1
+WORST_STATES = 1
+OTHER_STATES = 1
 """Per round: states with most contacts, and random ones, whose demand is measured on the device."""
 SLEEP_STEPS = 30
 """Substeps [10 ms] after which what lies still sleeps in C MuJoCo."""
@@ -70,7 +75,9 @@ class Demand:
             spread = 2.0 * math.sqrt(worst * mean / num_worlds)
             return math.ceil(MARGIN * (worst + (num_worlds - 1) * min(worst, mean + spread)))
 
-        contacts = CROWD + max(LEAST.contacts * num_worlds, shared(self.contacts, self.mean_contacts))
+        contacts = CROWD + max(
+            LEAST.contacts * num_worlds, shared(self.contacts, self.mean_contacts)
+        )
         ccd = min(contacts, CROWD + max(LEAST.ccd * num_worlds, shared(self.ccd, self.mean_ccd)))
         rows = max(LEAST.rows, math.ceil(MARGIN * self.rows))
         awake = max(LEAST.awake or 0, AWAKE_STEP * math.ceil(MARGIN * self.awake / AWAKE_STEP))
@@ -87,11 +94,17 @@ class Stress:
 
 
 def buffer_sizes(
-    layout: Layout, model: Callable[[str], mujoco.MjModel], a: Addresses, num_worlds: int, device: wp.Device
+    layout: Layout,
+    model: Callable[[str], mujoco.MjModel],
+    a: Addresses,
+    num_worlds: int,
+    device: wp.Device,
 ) -> BufferSizes:
     """Sizes for a batch of worlds of a layout, from the cache when they were measured before."""
     homes = layout.pack.homes
-    chosen = [homes[i] for i in sorted({round(x) for x in np.linspace(0, len(homes) - 1, STRESS_HOMES)})]
+    chosen = [
+        homes[i] for i in sorted({round(x) for x in np.linspace(0, len(homes) - 1, STRESS_HOMES)})
+    ]
     digest = hashlib.sha256(repr((_FORMAT, mjw.__version__)).encode() + Path(__file__).read_bytes())
     for home in chosen:
         digest.update(home_hash(layout, home).encode())
@@ -121,7 +134,11 @@ def changed_sizes(sizes: BufferSizes, changes: Mapping[str, int]) -> BufferSizes
 
 
 def measure_demand(
-    layout: Layout, model: Callable[[str], mujoco.MjModel], a: Addresses, homes: list[Home], device: wp.Device
+    layout: Layout,
+    model: Callable[[str], mujoco.MjModel],
+    a: Addresses,
+    homes: list[Home],
+    device: wp.Device,
 ) -> Demand:
     """Drive through some homes on C MuJoCo and measure chosen states of them on the device, one by one."""
     engine = Engine(model(homes[0].name), a, 1, len(homes), _GENEROUS, device)
@@ -137,9 +154,13 @@ def measure_demand(
     contacts, ccd, rows = needs.T
     most_rows = max(int(rows.max()), *(run.rows for run in runs))
     return Demand(
-        int(contacts.max()), float(contacts.mean()), int(ccd.max()), float(ccd.mean()), most_rows,
+        int(contacts.max()),
+        float(contacts.mean()),
+        int(ccd.max()),
+        float(ccd.mean()),
+        most_rows,
         max(run.awake for run in runs),
-    )  # fmt: skip
+    )
 
 
 def stress(layout: Layout, home: Home, model: mujoco.MjModel, a: Addresses, index: int) -> Stress:
@@ -151,22 +172,29 @@ def stress(layout: Layout, home: Home, model: mujoco.MjModel, a: Addresses, inde
     low, high = model.jnt_range[model.actuator_trnid[:, 0]].T
     # A servo without stiffness is commanded a speed.
     is_speed = (model.actuator_biasprm[:, 1] == 0.0) | (high <= low)
-    low, high = np.where(is_speed, -TOP_SPEED, low), np.where(is_speed, TOP_SPEED, high)
+    low = np.where(is_speed, -TOP_SPEED, low)
+    high = np.where(is_speed, TOP_SPEED, high)
     mujoco.mj_step(model, data, SLEEP_STEPS)
-    counts, states, rows, awake = [], [], 0, 0
+    counts = []
+    states = []
+    rows = 0
+    awake = 0
     for step in range(STRESS_STEPS):
         if step % HOLD_STEPS == 0:
             data.ctrl[:] = rng.uniform(low, high)
         mujoco.mj_step(model, data)
         counts.append(data.ncon)
         states.append((data.qpos.copy(), data.tree_asleep.copy()))
-        rows, awake = max(rows, data.nefc), max(awake, data.nv_awake)
+        rows = max(rows, data.nefc)
+        awake = max(awake, data.nv_awake)
     order = np.argsort(counts, kind="stable")[-WORST_STATES:].tolist()
     order += rng.choice(STRESS_STEPS, OTHER_STATES, replace=False).tolist()
     return Stress([states[i] for i in order], rows, awake)
 
 
-def _strew(layout: Layout, home: Home, model: mujoco.MjModel, a: Addresses, rng: np.random.Generator) -> np.ndarray:
+def _strew(
+    layout: Layout, home: Home, model: mujoco.MjModel, a: Addresses, rng: np.random.Generator
+) -> np.ndarray:
     """(nq,) state with every object just above a random place of one of a few open receptacles."""
     qpos = model.qpos0.copy()
     surfaces = [r for r in placed_receptacles(layout, home) if not r.link and r.kind == "open"]
@@ -179,27 +207,44 @@ def _strew(layout: Layout, home: Home, model: mujoco.MjModel, a: Addresses, rng:
     return qpos
 
 
-def _stand_free(data: mujoco.MjData, model: mujoco.MjModel, a: Addresses, rng: np.random.Generator) -> None:
+def _stand_free(
+    data: mujoco.MjData, model: mujoco.MjModel, a: Addresses, rng: np.random.Generator
+) -> None:
     """Put the robot near an object, at that of some random places where it touches least."""
     robot_tree = model.body_treeid[a.robot_body[TCP_LINK]]
     data.qpos[a.robot_q] = REST_QPOS
-    best, least = np.zeros(3), math.inf
+    best = np.zeros(3)
+    least = math.inf
     for _ in range(PLACES):
-        yaw, distance = rng.uniform(-np.pi, np.pi), rng.uniform(*REACH)
-        thing = data.qpos[a.object_q[rng.integers(len(a.object_q))] :][:2] if len(a.object_q) else np.zeros(2)
+        yaw = rng.uniform(-np.pi, np.pi)
+        distance = rng.uniform(*REACH)
+        thing = (
+            data.qpos[a.object_q[rng.integers(len(a.object_q))] :][:2]
+            if len(a.object_q)
+            else np.zeros(2)
+        )
         place = np.array([*(thing - distance * np.array([np.cos(yaw), np.sin(yaw)])), yaw])
         data.qpos[a.robot_q[:3]] = place
         mujoco.mj_forward(model, data)
-        touching = (model.body_treeid[model.geom_bodyid[data.contact.geom]] == robot_tree).any(axis=1).sum()
+        touching = (
+            (model.body_treeid[model.geom_bodyid[data.contact.geom]] == robot_tree)
+            .any(axis=1)
+            .sum()
+        )
         if touching < least:
-            best, least = place, touching
+            best = place
+            least = touching
     data.qpos[a.robot_q[:3]] = best
 
 
-def _measure(engine: Engine, home_row: int, qpos: np.ndarray, asleep: np.ndarray) -> tuple[int, int, int]:
+def _measure(
+    engine: Engine, home_row: int, qpos: np.ndarray, asleep: np.ndarray
+) -> tuple[int, int, int]:
     """Demand of one state: contacts or candidate pairs, pairs in convex collision, constraint rows."""
-    data, device = engine.data, engine.qpos_t.device
-    world, row = torch.zeros(1, dtype=torch.int64, device=device), torch.as_tensor([home_row], device=device)
+    data = engine.data
+    device = engine.qpos_t.device
+    world = torch.zeros(1, dtype=torch.int64, device=device)
+    row = torch.as_tensor([home_row], device=device)
     contacts = rows = 0
     # The engine counts pairs in convex collision nowhere, but says when there are more than it may take.
     for allowed in _CCD_TRIES:

@@ -29,7 +29,8 @@ from mjhab.data.store.shard import last_label
 
 FPS = round(1 / STEP_SECONDS)
 ROBOT = "fetch"
-STATE, ACTION = "observation.state", "action"
+STATE = "observation.state"
+ACTION = "action"
 INTENDED = "intended_action"
 """Not "action.intended": LeRobot takes every feature whose name begins with "action" for what a policy must give."""
 Features = dict[str, dict[str, Any]]
@@ -91,7 +92,13 @@ def export_lerobot(
         raise nothing_passes()
     choice = choice or Choice()
     after = begin(len(found.matched)) if begin else None
-    job = {"format": "lerobot", "version": version, **vars(choice), **(options or {}), "episodes": found.fingerprint}
+    job = {
+        "format": "lerobot",
+        "version": version,
+        **vars(choice),
+        **(options or {}),
+        "episodes": found.fingerprint,
+    }
     with whole_folder(Target(out, "meta/info.json", overwrite, resume), job) as filling:
         pieces = Pieces(filling.work, FPS, films)
         export = _Export(filling.root, VERSIONS[version](filling.root, FPS), pieces, choice)
@@ -115,7 +122,10 @@ class _Export:
     """An export that is under way."""
 
     def __init__(self, root: Path, files: Files, pieces: Pieces, choice: Choice) -> None:
-        self._root, self._files, self._pieces, self._choice = root, files, pieces, choice
+        self._root = root
+        self._files = files
+        self._pieces = pieces
+        self._choice = choice
         self._features: Features = {}
         self._tasks: dict[str, int] = {}
         self._subtasks: dict[str, int] = {}
@@ -150,7 +160,11 @@ class _Export:
 
     def _make(self, number: int, episode: Episode) -> Made:
         record = episode.record
-        row: dict[str, Any] = {"episode_index": number, "tasks": [task_words(record)], "length": episode.steps}
+        row: dict[str, Any] = {
+            "episode_index": number,
+            "tasks": [task_words(record)],
+            "length": episode.steps,
+        }
         row |= {"source": episode.name, "home": record.home, "label": last_label(record)}
         row["lacks"] = ",".join(episode.lacks)
         plan = [subtask_words(entry.kind, entry.target) for entry in record.plan]
@@ -158,7 +172,9 @@ class _Export:
         columns = self._columns(episode, number, self._count(made))
         table = to_table(columns)
         self._pieces.add_table(number, table)
-        made.stats.update({key: _column_stats(values, self._features[key]) for key, values in columns.items()})
+        made.stats.update(
+            {key: _column_stats(values, self._features[key]) for key, values in columns.items()}
+        )
         for key in _films(self._features):
             samples: list[np.ndarray] = []
             camera = key.rpartition(".")[2]
@@ -191,7 +207,9 @@ class _Export:
         }
         for key, feature in self._features.items():
             if key.startswith("observation.depth."):
-                frames = [episode.frame(key.rpartition(".")[2], "depth", t)[..., 0] for t in range(count)]
+                frames = [
+                    episode.frame(key.rpartition(".")[2], "depth", t)[..., 0] for t in range(count)
+                ]
                 columns[key] = np.stack(frames).astype(feature["dtype"])
         return columns
 
@@ -218,8 +236,14 @@ class _Export:
             info["video_path"] = None
         write_json(self._root / "meta/info.json", info)
         licences = dict.fromkeys(made.licence for made in self._made)
-        (self._root / "README.md").write_text(_card(len(self._made), self._frames, licences), encoding="utf-8")
-        images = [key for key in self._features if key.startswith(("observation.images.", "observation.depth."))]
+        (self._root / "README.md").write_text(
+            _card(len(self._made), self._frames, licences), encoding="utf-8"
+        )
+        images = [
+            key
+            for key in self._features
+            if key.startswith(("observation.images.", "observation.depth."))
+        ]
         return Exported(len(self._made), self._frames, tuple(images))
 
 
@@ -227,7 +251,8 @@ def describe(episode: Episode, choice: Choice) -> Features:
     """The features of an episode as LeRobot names them."""
     names = state_names(episode.columns("obs/state"))
     actions = [str(name) for name in episode.run.layout.get("actions", [])]
-    state_size, action_size = episode.array("obs/state").shape[1], episode.array("actions").shape[1]
+    state_size = episode.array("obs/state").shape[1]
+    action_size = episode.array("actions").shape[1]
     action = _feature("float32", (action_size,), actions if len(actions) == action_size else None)
     features: Features = {
         STATE: _feature("float32", (state_size,), names if len(names) == state_size else None),
@@ -239,28 +264,42 @@ def describe(episode: Episode, choice: Choice) -> Features:
         "subtask_index": _feature("int64"),
         "actor_index": _feature("int64"),
         "timestamp": _feature("float32"),
-        **{key: _feature("int64") for key in ("frame_index", "episode_index", "index", "task_index")},
+        **{
+            key: _feature("int64")
+            for key in ("frame_index", "episode_index", "index", "task_index")
+        },
     }
     for camera, output in episode.images:
         height, width = episode.frame(camera, output, 0).shape[:2]
         if output == "depth" and choice.depth:
-            features[f"observation.depth.{camera}"] = _feature("int16", (height, width), ["height", "width"])
+            features[f"observation.depth.{camera}"] = _feature(
+                "int16", (height, width), ["height", "width"]
+            )
         if output == "rgb" and choice.rgb:
             features[f"observation.images.{camera}"] = _film_feature(height, width)
     return features
 
 
-def _feature(dtype: str, shape: tuple[int, ...] = (1,), names: list[str] | None = None) -> dict[str, Any]:
+def _feature(
+    dtype: str, shape: tuple[int, ...] = (1,), names: list[str] | None = None
+) -> dict[str, Any]:
     return {"dtype": dtype, "shape": list(shape), "names": names}
 
 
 def _film_feature(height: int, width: int) -> dict[str, Any]:
     # A film of 4:2:0 colour has even sides; the film writer repeats a row or a column.
-    height, width = height + height % 2, width + width % 2
+    height = height + height % 2
+    width = width + width % 2
     info = {
-        "video.height": height, "video.width": width, "video.codec": "h264", "video.pix_fmt": "yuv420p",
-        "video.is_depth_map": False, "video.fps": FPS, "video.channels": 3, "has_audio": False,
-    }  # fmt: skip
+        "video.height": height,
+        "video.width": width,
+        "video.codec": "h264",
+        "video.pix_fmt": "yuv420p",
+        "video.is_depth_map": False,
+        "video.fps": FPS,
+        "video.channels": 3,
+        "has_audio": False,
+    }
     return {**_feature("video", (height, width, 3), ["height", "width", "channels"]), "info": info}
 
 
@@ -294,7 +333,9 @@ def _array(values: np.ndarray) -> pa.Array:
     if values.ndim == 2:
         return pa.FixedSizeListArray.from_arrays(flat, values.shape[1])
     count, height, width = values.shape
-    rows = pa.ListArray.from_arrays(pa.array(np.arange(count * height + 1, dtype=np.int32) * width), flat)
+    rows = pa.ListArray.from_arrays(
+        pa.array(np.arange(count * height + 1, dtype=np.int32) * width), flat
+    )
     return pa.ListArray.from_arrays(pa.array(np.arange(count + 1, dtype=np.int32) * height), rows)
 
 
@@ -308,8 +349,18 @@ def _differs(episode: Episode, first: Features, other: Features) -> UsageError:
 
 def _card(episodes: int, frames: int, licences: dict[str, None]) -> str:
     lines = [
-        "---", "tags: [LeRobot, mjhab]", "task_categories: [robotics]", "configs:", "- config_name: default",
-        "  data_files: data/*/*.parquet", "---", "", f"{episodes} episodes, {frames} frames at {FPS} Hz of a simulated "
-        "Fetch robot in furnished homes, recorded by mjhab.", "", "Assets: " + "; ".join(licences), "",
-    ]  # fmt: skip
+        "---",
+        "tags: [LeRobot, mjhab]",
+        "task_categories: [robotics]",
+        "configs:",
+        "- config_name: default",
+        "  data_files: data/*/*.parquet",
+        "---",
+        "",
+        f"{episodes} episodes, {frames} frames at {FPS} Hz of a simulated "
+        "Fetch robot in furnished homes, recorded by mjhab.",
+        "",
+        "Assets: " + "; ".join(licences),
+        "",
+    ]
     return "\n".join(lines)

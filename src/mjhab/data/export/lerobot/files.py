@@ -19,7 +19,8 @@ from mjhab.data.export.lerobot.stats import QUANTILES, Stats, aggregate
 
 CHUNK = 1000
 """Files in a folder."""
-DATA_MB, VIDEO_MB = 100, 200
+DATA_MB = 100
+VIDEO_MB = 200
 """About the largest size of a file of tables and of films in v3.0 [MB]."""
 _MB = 1 << 20
 _COMPRESSION = "zstd"
@@ -38,7 +39,9 @@ class Files(Protocol):
         """
         ...
 
-    def describe(self, episodes: Sequence[dict[str, Any]], stats: Sequence[dict[str, Stats]]) -> None:
+    def describe(
+        self, episodes: Sequence[dict[str, Any]], stats: Sequence[dict[str, Stats]]
+    ) -> None:
         """Write the table of episodes and the statistics."""
         ...
 
@@ -53,7 +56,8 @@ class Files30:
     version = "v3.0"
 
     def __init__(self, root: Path, fps: int) -> None:
-        self.root, self._fps = root, fps
+        self.root = root
+        self._fps = fps
         self.paths: dict[str, Any] = {
             "chunks_size": CHUNK,
             "data_files_size_in_mb": DATA_MB,
@@ -78,15 +82,24 @@ class Files30:
 
     def _arrange_films(self, pieces: Pieces, made: Sequence[Made], key: str) -> None:
         for file, numbers in enumerate(_packed([each.films[key] for each in made], VIDEO_MB * _MB)):
-            place, first = _place(file), 0
-            pieces.join_films(numbers, key, below(self.root, self.paths["video_path"].format(video_key=key, **place)))
+            place = _place(file)
+            first = 0
+            pieces.join_films(
+                numbers,
+                key,
+                below(self.root, self.paths["video_path"].format(video_key=key, **place)),
+            )
             for number in numbers:
                 last = first + made[number].steps
                 times = {"from_timestamp": first / self._fps, "to_timestamp": last / self._fps}
-                made[number].row.update({f"videos/{key}/{name}": v for name, v in {**place, **times}.items()})
+                made[number].row.update(
+                    {f"videos/{key}/{name}": v for name, v in {**place, **times}.items()}
+                )
                 first = last
 
-    def describe(self, episodes: Sequence[dict[str, Any]], stats: Sequence[dict[str, Stats]]) -> None:
+    def describe(
+        self, episodes: Sequence[dict[str, Any]], stats: Sequence[dict[str, Stats]]
+    ) -> None:
         """See `Files`."""
         rows = [
             {**row, **_flat(each), "meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0}
@@ -98,9 +111,14 @@ class Files30:
 
     def write_names(self, what: str, names: Sequence[str]) -> None:
         """See `Files`."""
-        table = pa.table({f"{what}_index": pa.array(range(len(names)), pa.int64()), _INDEX: list(names)})
+        table = pa.table(
+            {f"{what}_index": pa.array(range(len(names)), pa.int64()), _INDEX: list(names)}
+        )
         meta = json.dumps(_pandas(f"{what}_index"))
-        pq.write_table(table.replace_schema_metadata({"pandas": meta}), _folder(self.root / f"meta/{what}s.parquet"))
+        pq.write_table(
+            table.replace_schema_metadata({"pandas": meta}),
+            _folder(self.root / f"meta/{what}s.parquet"),
+        )
 
 
 class Files21:
@@ -129,17 +147,28 @@ class Files21:
                 path = below(self.root, self.paths["video_path"].format(video_key=key, **place))
                 pieces.join_films([number], key, path)
 
-    def describe(self, episodes: Sequence[dict[str, Any]], stats: Sequence[dict[str, Stats]]) -> None:
+    def describe(
+        self, episodes: Sequence[dict[str, Any]], stats: Sequence[dict[str, Stats]]
+    ) -> None:
         """See `Files`."""
         write_lines(self.root / "meta/episodes.jsonl", episodes)
         # v2.1 knows no quantiles.
-        plain = [{k: {n: v for n, v in s.items() if n not in QUANTILES} for k, s in each.items()} for each in stats]
-        rows = [{"episode_index": number, "stats": stats_lists(each)} for number, each in enumerate(plain)]
+        plain = [
+            {k: {n: v for n, v in s.items() if n not in QUANTILES} for k, s in each.items()}
+            for each in stats
+        ]
+        rows = [
+            {"episode_index": number, "stats": stats_lists(each)}
+            for number, each in enumerate(plain)
+        ]
         write_lines(self.root / "meta/episodes_stats.jsonl", rows)
 
     def write_names(self, what: str, names: Sequence[str]) -> None:
         """See `Files`."""
-        write_lines(self.root / f"meta/{what}s.jsonl", [{f"{what}_index": i, what: n} for i, n in enumerate(names)])
+        write_lines(
+            self.root / f"meta/{what}s.jsonl",
+            [{f"{what}_index": i, what: n} for i, n in enumerate(names)],
+        )
 
 
 VERSIONS: dict[str, type[Files30] | type[Files21]] = {"3.0": Files30, "2.1": Files21}
@@ -166,7 +195,9 @@ def write_json(path: Path, value: Any) -> None:
 
 def write_lines(path: Path, rows: Iterable[Any]) -> None:
     """Write one line of JSON per row."""
-    _folder(path).write_text("".join(json.dumps(row, ensure_ascii=False) + "\n" for row in rows), encoding="utf-8")
+    _folder(path).write_text(
+        "".join(json.dumps(row, ensure_ascii=False) + "\n" for row in rows), encoding="utf-8"
+    )
 
 
 _INDEX = "__index_level_0__"
@@ -176,7 +207,13 @@ def _pandas(column: str) -> dict[str, Any]:
     """What pandas keeps in a file to know that texts are the index of its table: LeRobot reads them as that."""
 
     def entry(name: str | None, field: str, kind: str, numpy: str) -> dict[str, Any]:
-        return {"name": name, "field_name": field, "pandas_type": kind, "numpy_type": numpy, "metadata": None}
+        return {
+            "name": name,
+            "field_name": field,
+            "pandas_type": kind,
+            "numpy_type": numpy,
+            "metadata": None,
+        }
 
     return {
         "index_columns": [_INDEX],
@@ -189,7 +226,10 @@ def _pandas(column: str) -> dict[str, Any]:
                 "metadata": {"encoding": "UTF-8"},
             }
         ],
-        "columns": [entry(column, column, "int64", "int64"), entry(None, _INDEX, "unicode", "object")],
+        "columns": [
+            entry(column, column, "int64", "int64"),
+            entry(None, _INDEX, "unicode", "object"),
+        ],
         "creator": {"library": "pyarrow", "version": pa.__version__},
         "pandas_version": "2.0.0",
     }
@@ -206,8 +246,14 @@ def _folder(path: Path) -> Path:
 
 def stats_lists(stats: Mapping[str, Stats]) -> dict[str, dict[str, Any]]:
     """Statistics as plain data."""
-    return {key: {name: value.tolist() for name, value in each.items()} for key, each in stats.items()}
+    return {
+        key: {name: value.tolist() for name, value in each.items()} for key, each in stats.items()
+    }
 
 
 def _flat(stats: Mapping[str, Stats]) -> dict[str, Any]:
-    return {f"stats/{key}/{name}": value for key, each in stats_lists(stats).items() for name, value in each.items()}
+    return {
+        f"stats/{key}/{name}": value
+        for key, each in stats_lists(stats).items()
+        for name, value in each.items()
+    }

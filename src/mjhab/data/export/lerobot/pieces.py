@@ -63,7 +63,9 @@ class Pieces:
     """The pieces in a folder, by number of the episode."""
 
     def __init__(self, folder: Path, fps: int, films: FilmTools) -> None:
-        self._folder, self._fps, self._tools = folder, fps, films
+        self._folder = folder
+        self._fps = fps
+        self._tools = films
 
     def made(self, number: int) -> Made | None:
         """What was made of an episode; None if it is not done."""
@@ -72,7 +74,8 @@ class Pieces:
             return None
         plain = json.loads(path.read_text(encoding="utf-8"))
         plain["stats"] = {
-            key: {name: np.array(value) for name, value in each.items()} for key, each in plain["stats"].items()
+            key: {name: np.array(value) for name, value in each.items()}
+            for key, each in plain["stats"].items()
         }
         return Made(**plain)
 
@@ -98,15 +101,21 @@ class Pieces:
     def finish(self, number: int, made: Made) -> None:
         """Say that an episode is done."""
         plain = asdict(made)
-        plain["stats"] = {key: {name: v.tolist() for name, v in each.items()} for key, each in made.stats.items()}
+        plain["stats"] = {
+            key: {name: v.tolist() for name, v in each.items()} for key, each in made.stats.items()
+        }
         text = json.dumps(plain, ensure_ascii=False)
-        write_atomic(self._path(number, "json"), lambda path: path.write_text(text, encoding="utf-8"))
+        write_atomic(
+            self._path(number, "json"), lambda path: path.write_text(text, encoding="utf-8")
+        )
 
     def join_tables(self, numbers: Sequence[int], out: Path) -> None:
         """Make the rows of episodes one file, unless it is there; their pieces go."""
 
         def join(paths: Sequence[Path], whole: Path) -> None:
-            with pq.ParquetWriter(whole, pq.read_schema(paths[0]), compression=_COMPRESSION) as writer:
+            with pq.ParquetWriter(
+                whole, pq.read_schema(paths[0]), compression=_COMPRESSION
+            ) as writer:
                 for path in paths:
                     writer.write_table(pq.read_table(path))
 
@@ -117,7 +126,11 @@ class Pieces:
         self._join(numbers, f"{key}.mp4", out, self._tools.join)
 
     def _join(
-        self, numbers: Sequence[int], kind: str, out: Path, join: Callable[[Sequence[Path], Path], object]
+        self,
+        numbers: Sequence[int],
+        kind: str,
+        out: Path,
+        join: Callable[[Sequence[Path], Path], object],
     ) -> None:
         paths = [self._path(number, kind) for number in numbers]
         if not out.exists():

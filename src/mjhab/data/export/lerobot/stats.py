@@ -27,7 +27,9 @@ def map_stats(values: np.ndarray) -> Stats:
 def image_stats(images: np.ndarray) -> Stats:
     """Statistics of images (n, H, W, 3) uint8 per channel, in 0..1: arrays (3, 1, 1)."""
     stats = _stats(images.reshape(-1, 3) / 255.0, len(images))
-    return {name: value if name == "count" else value.reshape(3, 1, 1) for name, value in stats.items()}
+    return {
+        name: value if name == "count" else value.reshape(3, 1, 1) for name, value in stats.items()
+    }
 
 
 def sampled(count: int) -> frozenset[int]:
@@ -47,7 +49,10 @@ def aggregate(parts: Sequence[Mapping[str, Stats]]) -> dict[str, Stats]:
             return np.sum([w * stats[name] for w, stats in zip(weights, each, strict=True)], axis=0)
 
         centre = mean("mean")
-        spread = [w * (s["std"] ** 2 + (s["mean"] - centre) ** 2) for w, s in zip(weights, each, strict=True)]
+        spread = [
+            w * (s["std"] ** 2 + (s["mean"] - centre) ** 2)
+            for w, s in zip(weights, each, strict=True)
+        ]
         out[key] = {
             "min": np.min([stats["min"] for stats in each], axis=0),
             "max": np.max([stats["max"] for stats in each], axis=0),

@@ -11,20 +11,20 @@ from typing import Any
 
 import torch
 
-from mjhab.core.version import __version__
 from mjhab.core.errors import UsageError
+from mjhab.core.version import __version__
 from mjhab.data.record.generation import Standing
 from mjhab.data.select.query import Filter
 from mjhab.learning.checkpoint import load_checkpoint, save_student, save_training
-from mjhab.learning.runs.collection import Collector, Means, Round, Scene, make_env
 from mjhab.learning.configs import TrainConfig
 from mjhab.learning.demos import BatchSampler, Demonstrations, layout_of_data, load_demonstrations
-from mjhab.learning.runs.evaluation import Evaluations
-from mjhab.learning.students.heads import make_student
 from mjhab.learning.layout import Layout, layout_of
+from mjhab.learning.runs.collection import Collector, Means, Round, Scene, make_env
+from mjhab.learning.runs.evaluation import Evaluations
 from mjhab.learning.runs.run import Logbook, TrainingFolder
-from mjhab.learning.students.student import Batch
 from mjhab.learning.runs.training import Trainer
+from mjhab.learning.students.heads import make_student
+from mjhab.learning.students.student import Batch
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.store import check_folder
 

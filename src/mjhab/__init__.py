@@ -17,8 +17,20 @@ if TYPE_CHECKING:
     from mjhab.evaluation.generate import generate
     from mjhab.experts import make_expert
     from mjhab.scenes.packs import open_pack
+    from mjhab.tasks.household.registry import register_task
+    from mjhab.tasks.subtasks.registry import register_subtask
 
-__all__ = ["__version__", "evaluate", "generate", "make", "make_expert", "make_train", "open_pack"]
+__all__ = [
+    "__version__",
+    "evaluate",
+    "generate",
+    "make",
+    "make_expert",
+    "make_train",
+    "open_pack",
+    "register_subtask",
+    "register_task",
+]
 
 _LAZY = {
     "evaluate": "mjhab.evaluation.evaluate",
@@ -27,6 +39,8 @@ _LAZY = {
     "make_train": "mjhab.envs",
     "make_expert": "mjhab.experts",
     "open_pack": "mjhab.scenes.packs",
+    "register_subtask": "mjhab.tasks.subtasks.registry",
+    "register_task": "mjhab.tasks.household.registry",
 }
 _PACKAGES = frozenset(
     {

@@ -1,8 +1,6 @@
 """Episodes of the HAB tasks, each made from (task, split, seed, index) alone.
 
-Objects and goals follow the HAB task definitions (habitat-lab hab/*.yaml): TidyHouse draws starts and goals from the
-open receptacles, PrepareGroceries moves two objects from the fridge to the counter and one back, SetTable brings the
-bowl from a drawer and the apple from the fridge to the table.
+Which objects start where and go where says the `TaskSpec` of the task, by roles of receptacles (`roles`).
 """
 
 from __future__ import annotations
@@ -18,39 +16,31 @@ import numpy as np
 from mjhab.core.cache import cache_dir, write_atomic
 from mjhab.core.errors import MjhabError, UsageError, unknown_name
 from mjhab.core.paths import below
+from mjhab.core.plugins import source_digest
 from mjhab.core.seeding import stream
+from mjhab.episodes.roles import (
+    FRIDGE_SHELF,
+    ROLES,
+    opens,
+    receptacles_of,
+    require_furniture,
+)
 from mjhab.layout.compile import home_hash
 from mjhab.layout.layout import Layout, yaw_quat
 from mjhab.layout.receptacles import PlacedReceptacle, placed_receptacles
 from mjhab.scenes.spec import Home, Pack, Vec3
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.settle import settle
-from mjhab.tasks.plan import TARGETS_PER_TASK, Target
+from mjhab.tasks.household.registry import TASKS
+from mjhab.tasks.household.spec import TargetRule
+from mjhab.tasks.plan import Target
 
-OPEN_TEMPLATES = ("chair_01", "table_01", "table_02", "tvstand", "sofa")
-COUNTER_TOPS = ("counter_left", "counter_right", "sink")
-FRIDGE_SHELF = "fridge/middle_top"
-BOWL_DRAWER = "kitchen_counter/drawer3"
-SETTABLE_TABLE = "table_01"
-FRIDGE_DOOR = "fridge/top_door"
-NEEDED = {
-    "tidy_house": (),
-    "prepare_groceries": ("fridge", "kitchen_counter"),
-    "set_table": ("fridge", "kitchen_counter", SETTABLE_TABLE),
-}
-"""Furniture a home must have for a task."""
-FRIDGE_PREOPEN = 1.5
-"""Door angle [rad] of PrepareGroceries starts (HAB prepare_groceries, ao_states)."""
-REGION_RATIO = {"set_table": 0.5, "prepare_groceries": 0.9}
-"""Share of the fridge shelf, about its centre, in which objects stand. HAB's sample_region_ratio is 0.5; two targets
-and the goal of a third do not fit into half of our shelf without touching."""
 MIN_START_GOAL = 0.5
 """Smallest distance [m] between where an object starts and its goal (HAB generator constant)."""
 GAP = 0.03
 """Free space [m] between the bounding circles of neighbours; a finger is 14 mm thick."""
 TARGET_GAP = 0.06
 SHELF_GAP = 0.02
-MAX_SHELF_CLUTTER = {"tidy_house": 0, "prepare_groceries": 0, "set_table": 1}
 MAX_DRIFT = 0.02
 """An object that settles further than this [m] from where it was put makes the draw invalid."""
 MAX_SPEED = 0.05
@@ -100,6 +90,7 @@ class EpisodeMaker:
     ) -> None:
         self.sim = sim
         self.task = task
+        self.spec = TASKS[task]
         self.split = split
         self.target = target
         self.layout: Layout = sim.layout
@@ -151,8 +142,8 @@ class EpisodeMaker:
         qpos = self.sim.model(home.name).qpos0.copy()
         a = self.sim.addresses
         qpos[a.object_q[:, None] + np.arange(7)] = draw.pose
-        if self.task == "prepare_groceries":
-            qpos[a.link_q[self.layout.link_ids.index(FRIDGE_DOOR)]] = FRIDGE_PREOPEN
+        for role, position in self.spec.openings:
+            qpos[a.link_q[self.layout.link_ids.index(ROLES[role].link)]] = position
         settled, speed = settle(self.sim.model(home.name), a, qpos)
         pose = settled[a.object_q[:, None] + np.arange(7)]
         if (
@@ -176,66 +167,44 @@ class EpisodeMaker:
     def _slot(self, name: str) -> int:
         return self.layout.object_names.index(name)
 
-    def _open_receptacles(self, draw: _Draw, *, shelf: bool) -> list[PlacedReceptacle]:
-        things: set[str] = set()
-        out = []
-        for r in draw.receptacles.values():
-            # Of a piece of furniture with several boards the first counts, its top.
-            if r.template in OPEN_TEMPLATES and r.id.split("/")[0] not in things:
-                things.add(r.id.split("/")[0])
-                out.append(r)
-            elif (r.template == "kitchen_counter" and r.name in COUNTER_TOPS) or (
-                shelf and r.id == FRIDGE_SHELF
-            ):
-                out.append(r)
-        return out
+    def _clutter_places(self, draw: _Draw, *, shelf: bool) -> list[PlacedReceptacle]:
+        roles = ("open_surface", "fridge_shelf") if shelf else ("open_surface",)
+        return receptacles_of(roles, draw.receptacles.values())
 
     def _place_targets(self, rng: np.random.Generator, draw: _Draw) -> tuple[Target, ...] | None:
-        if self.task == "set_table":
-            return self._set_table(rng, draw)
-        if self.task == "prepare_groceries":
-            return self._groceries(rng, draw)
-        open_places = self._open_receptacles(draw, shelf=False)
-        return self._targets(rng, draw, [(s, open_places, open_places) for s in self._slots(rng)])
+        wanted = []
+        for rule, slot in zip(self.spec.targets, self._slots(rng), strict=True):
+            starts = receptacles_of(rule.start, draw.receptacles.values())
+            goals = receptacles_of(rule.goal, draw.receptacles.values())
+            wanted.append((slot, rule, starts, goals))
+        return self._targets(rng, draw, wanted)
 
     def _slots(self, rng: np.random.Generator) -> list[int]:
-        """Target slots at random; with a wanted object type, one of them is of that type."""
-        count = TARGETS_PER_TASK[self.task]
-        slots = [int(s) for s in rng.choice(self.layout.num_objects, count, replace=False)]
-        wanted = [i for i, kind in enumerate(self.layout.roster) if kind == self.target]
+        """Slots of the targets: where a rule names no object, at random; a wanted object type is then among them."""
+        rules = self.spec.targets
+        named = {rule.object for rule in rules if rule.object}
+        last = {kind: slot for slot, kind in enumerate(self.layout.roster)}
+        free = [s for s, kind in enumerate(self.layout.roster) if kind not in named]
+        count = sum(not rule.object for rule in rules)
+        drawn = self._drawn(rng, free, count) if count else []
+        return [last[rule.object] if rule.object else drawn.pop(0) for rule in rules]
+
+    def _drawn(self, rng: np.random.Generator, free: list[int], count: int) -> list[int]:
+        """``count`` different slots of ``free``; with a wanted object type, one of them is of that type."""
+        slots = [free[int(i)] for i in rng.choice(len(free), count, replace=False)]
+        wanted = [slot for slot in free if self.layout.roster[slot] == self.target]
         if wanted and not any(self.layout.roster[s] == self.target for s in slots):
             slots[int(rng.integers(count))] = int(rng.choice(wanted))
         return slots
-
-    def _set_table(self, rng: np.random.Generator, draw: _Draw) -> tuple[Target, ...] | None:
-        last = {kind: slot for slot, kind in enumerate(self.layout.roster)}
-        bowl = last["024_bowl"]
-        apple = last["013_apple"]
-        drawer = [r for r in draw.receptacles.values() if r.link == BOWL_DRAWER]
-        table = [r for r in draw.receptacles.values() if r.template == SETTABLE_TABLE]
-        shelf = [draw.receptacles[FRIDGE_SHELF]]
-        return self._targets(rng, draw, [(bowl, drawer, table), (apple, shelf, table)])
-
-    def _groceries(self, rng: np.random.Generator, draw: _Draw) -> tuple[Target, ...] | None:
-        slots = self._slots(rng)
-        shelf = [draw.receptacles[FRIDGE_SHELF]]
-        tops = [
-            r
-            for r in draw.receptacles.values()
-            if r.template == "kitchen_counter" and r.name in COUNTER_TOPS[:2]
-        ]
-        return self._targets(
-            rng, draw, [(slots[0], shelf, tops), (slots[1], shelf, tops), (slots[2], tops, shelf)]
-        )
 
     def _targets(
         self,
         rng: np.random.Generator,
         draw: _Draw,
-        wanted: list[tuple[int, list[PlacedReceptacle], list[PlacedReceptacle]]],
+        wanted: list[tuple[int, TargetRule, list[PlacedReceptacle], list[PlacedReceptacle]]],
     ) -> tuple[Target, ...] | None:
         starts: list[PlacedReceptacle] = []
-        for slot, places, _ in wanted:
+        for slot, _, places, _ in wanted:
             put = self._put(
                 rng, draw, slot, places, SHELF_GAP if places[0].id == FRIDGE_SHELF else TARGET_GAP
             )
@@ -244,7 +213,7 @@ class EpisodeMaker:
             starts.append(put)
         goals: list[tuple[np.ndarray, float]] = []
         targets = []
-        for (slot, _, places), start in zip(wanted, starts, strict=True):
+        for (slot, rule, _, places), start in zip(wanted, starts, strict=True):
             goal = self._goal(rng, draw, slot, places, goals)
             if goal is None:
                 return None
@@ -252,24 +221,26 @@ class EpisodeMaker:
             goals.append((pos, self._radius(slot)))
             # Goals stay free: clutter keeps away from them as from an object.
             draw.placed[-len(goals)] = goals[-1]
-            targets.append(self._target(draw, slot, start, where, pos))
+            targets.append(self._target(draw, slot, rule, (start, where), pos))
         return tuple(targets)
 
     def _target(
         self,
         draw: _Draw,
         slot: int,
-        start: PlacedReceptacle,
-        where: PlacedReceptacle,
+        rule: TargetRule,
+        places: tuple[PlacedReceptacle, PlacedReceptacle],
         goal: np.ndarray,
     ) -> Target:
-        link = opens(start)
+        """The target that starts on the first of the places, and whose ``goal`` (3,) [m] is on the second."""
+        start_link, goal_link = (opens(place) for place in places)
+        link = goal_link if rule.opens == "goal" else start_link
         return Target(
             obj=self.layout.object_names[slot],
             goal_pos=tuple(goal.tolist()),
             start_pos=tuple(draw.placed[slot][0].tolist()),
-            start_link=link,
-            goal_link=opens(where),
+            start_link=start_link,
+            goal_link=goal_link,
             handle_pos=self.layout.closed_handle(draw.home, link) if link else (0.0, 0.0, 0.0),
         )
 
@@ -281,7 +252,7 @@ class EpisodeMaker:
     ) -> np.ndarray | None:
         if 2 * half_z + 0.02 > place.height:
             return None
-        ratio = REGION_RATIO[self.task] if place.id == FRIDGE_SHELF else 1.0
+        ratio = self.spec.shelf_region if place.id == FRIDGE_SHELF else 1.0
         room = ratio * np.maximum(np.array(place.half) - radius - 0.01, 0.0)
         if min(place.half) < radius * 0.75:
             return None
@@ -345,8 +316,8 @@ class EpisodeMaker:
         for slot in range(self.layout.num_objects):
             if slot in targets:
                 continue
-            shelf = in_shelf < MAX_SHELF_CLUTTER[self.task]
-            put = self._put(rng, draw, slot, self._open_receptacles(draw, shelf=shelf), GAP)
+            shelf = in_shelf < self.spec.shelf_clutter
+            put = self._put(rng, draw, slot, self._clutter_places(draw, shelf=shelf), GAP)
             if put is None:
                 return False
             in_shelf += put.id == FRIDGE_SHELF
@@ -358,9 +329,10 @@ class EpisodeMaker:
     def digest(self) -> str:
         """Hash of everything an episode depends on besides its name: homes, objects, code that compiles them."""
         shared = home_hash(self.layout, self.homes[0])
-        return hashlib.sha256(
-            repr((_VERSION, shared, self.homes, self._in_turn)).encode()
-        ).hexdigest()[:16]
+        parts: tuple[object, ...] = (_VERSION, shared, self.homes, self._in_turn)
+        # The rules of a task from a plugin change without any change of ours.
+        own = source_digest(TASKS.source(self.task))
+        return hashlib.sha256(repr((*parts, own) if own else parts).encode()).hexdigest()[:16]
 
     def _path(self, seed: int, index: int) -> Path:
         name = f"{self.task}{self.target}-{self.split}-{seed}-{index}.npz"
@@ -423,25 +395,6 @@ def homes_named(pack: Pack, pattern: str) -> list[Home]:
     if not found:
         raise unknown_name("home", pattern, [home.name for home in pack.homes])
     return found
-
-
-def require_furniture(home: Home, task: str) -> None:
-    """Refuse a home that lacks furniture a task is about.
-
-    Raises:
-        UsageError: names home and furniture.
-    """
-    has = {p.template for p in (*home.articulations, *home.props)}
-    missing = [name for name in NEEDED[task] if name not in has]
-    if missing:
-        raise UsageError(
-            f"scene {home.name!r} of pack {home.pack!r} has no {missing[0]}, which {task} needs."
-        )
-
-
-def opens(place: PlacedReceptacle) -> str:
-    """The link that must be open to reach into a receptacle, or ""."""
-    return place.link or (FRIDGE_DOOR if place.id == FRIDGE_SHELF else "")
 
 
 def _point(row: np.ndarray) -> Vec3:

@@ -13,9 +13,10 @@ import numpy as np
 from mjhab.config.env import EnvConfig
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.seeding import stream
-from mjhab.episodes.generator import BOWL_DRAWER, FRIDGE_DOOR, Episode
+from mjhab.episodes.generator import Episode
 from mjhab.episodes.grasps.held import HeldStarts
 from mjhab.episodes.grasps.held_arms import HeldArms
+from mjhab.episodes.roles import ROLES
 from mjhab.episodes.spawn_sets import SpawnSet
 from mjhab.episodes.spawns import (
     MAX_TRIES,
@@ -31,16 +32,17 @@ from mjhab.robots.fetch.model import REST_QPOS
 from mjhab.scenes.spec import Home
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.settle import parked_robot_qpos
+from mjhab.tasks.household.registry import TASKS, chain
 from mjhab.tasks.plan import (
     FRONT_AREAS,
     Box,
     Subtask,
     SubtaskKind,
-    TaskConfig,
     TaskPlan,
-    chain,
     front_box,
 )
+from mjhab.tasks.subtasks.registry import SUBTASKS, number_of
+from mjhab.tasks.thresholds import TaskConfig
 
 TURN_SPARE = 0.02
 """By how much [rad] a teleport must face its goal better than success asks for: its noise is clipped at that very angle
@@ -78,20 +80,19 @@ def subtask_positions(plan: TaskPlan, layout: Layout, kind: str, target: str) ->
     """Positions in a plan of the subtasks of a kind about a target (object type, object name, link; "" for any)."""
 
     def matches(subtask: Subtask) -> bool:
-        about = subtask.obj if kind in ("pick", "place", "navigate") else subtask.link
+        about = subtask.link if SUBTASKS[kind].jointed else subtask.obj
         return not target or about == target or about.split("_:")[0] == target
 
-    wanted = SubtaskKind[kind.upper()]
+    wanted = number_of(kind)
     return [i for i, s in enumerate(plan.subtasks) if s.kind == wanted and matches(s)]
 
 
 def valid_targets(config: EnvConfig, layout: Layout) -> list[str]:
     """Object types or links that the task's subtask can be about."""
-    if config.subtask in ("open", "close"):
-        return [BOWL_DRAWER, FRIDGE_DOOR]
-    if config.task == "set_table":
-        return ["024_bowl", "013_apple"]
-    return sorted(set(layout.roster))
+    task = TASKS[config.task]
+    if config.subtask and SUBTASKS[config.subtask].jointed:
+        return [ROLES[role].link for role in task.opened_roles]
+    return list(task.object_types) or sorted(set(layout.roster))
 
 
 def check_target(config: EnvConfig, layout: Layout) -> None:
@@ -103,7 +104,7 @@ def check_target(config: EnvConfig, layout: Layout) -> None:
         raise unknown_name("target", config.target, valid)
     if not config.subtask:
         raise UsageError(
-            f"target {config.target!r} needs a subtask: add --subtask pick, place, open or close."
+            f"target {config.target!r} needs a subtask: add --subtask, one of {', '.join(TASKS[config.task].subtasks)}."
         )
 
 

@@ -41,6 +41,7 @@ from mjhab.evaluation.evaluate import (
 from mjhab.evaluation.resolve import PolicyFacts, full_spec
 from mjhab.rollout.loop import plain
 from mjhab.tasks.style import Styles
+from mjhab.tasks.subtasks.registry import SUBTASKS
 
 NO_IMAGES = "none"
 TRIES_PER_EPISODE = 20
@@ -325,7 +326,7 @@ def build_stage(spec: GenerateSpec) -> Stage:
     evaluation = spec.as_evaluation()
     env: Any = make_env(evaluation, recorded_env_options(spec, facts))
     targets = (ALL,)
-    if spec.subtask and spec.subtask != "navigate":
+    if spec.subtask and not SUBTASKS[spec.subtask].navigates:
         targets = (spec.target,) if spec.target else tuple(valid_targets(env.config, env.layout))
     policy = make_policy(evaluation, env)
     return Stage(env, policy, about_policy(spec, facts), targets, licence_of(spec.assets))

@@ -7,20 +7,9 @@ from collections.abc import Mapping
 
 from mjhab.data.select.facts import type_name
 from mjhab.rollout.records import EpisodeRecord
+from mjhab.tasks.household.registry import TASKS
+from mjhab.tasks.subtasks.registry import SUBTASKS
 
-TASK_WORDS: dict[str, str] = {
-    "tidy_house": "Tidy up the house.",
-    "prepare_groceries": "Put the groceries away.",
-    "set_table": "Set the table.",
-}
-"""What is asked for in a whole chain."""
-_KIND_WORDS: dict[str, str] = {
-    "pick": "Pick up {0}.",
-    "place": "Place {0} at its goal.",
-    "navigate": "Drive to {0}.",
-    "open": "Open {0}.",
-    "close": "Close {0}.",
-}
 _JOINTS: tuple[str, ...] = (
     "torso_lift",
     "head_pan",
@@ -56,14 +45,14 @@ def thing(target: str) -> str:
 
 def subtask_words(kind: str, target: str) -> str:
     """One subtask as an instruction: "Pick up the bowl."."""
-    return _KIND_WORDS[kind].format(thing(target))
+    return SUBTASKS[kind].words.format(thing(target))
 
 
 def task_words(record: EpisodeRecord) -> str:
     """What an episode is asked to do: the subtask that is done alone, or the whole task."""
     if record.subtask:
         return subtask_words(record.plan[0].kind, record.plan[0].target)
-    return TASK_WORDS[record.task]
+    return TASKS[record.task].words
 
 
 def state_names(columns: Mapping[str, int]) -> list[str]:

@@ -8,7 +8,7 @@ from typing import Any
 
 from mjhab.envs.parts.worlds import Worlds
 from mjhab.episodes.generator import Episode
-from mjhab.tasks.plan import KIND_NAMES, TaskPlan
+from mjhab.tasks.plan import TaskPlan
 
 CHECKERS = (
     "is_grasped",
@@ -88,9 +88,7 @@ class Reporter:
 
 def describe_episode(episode: Episode, plan: TaskPlan, subtask: str) -> Mapping[str, Any]:
     """What `info` tells of an episode; ``subtask``: the kind that is done alone, or ""."""
-    entries = (
-        {"kind": KIND_NAMES[s.kind], "target": s.target, "goal": s.goal_pos} for s in plan.subtasks
-    )
+    entries = ({"kind": s.name, "target": s.target, "goal": s.goal_pos} for s in plan.subtasks)
     # The same object goes into every info until the next episode, so nobody may write into it.
     return MappingProxyType(
         {

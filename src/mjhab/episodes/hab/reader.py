@@ -14,19 +14,21 @@ import numpy as np
 
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.rotations import mat_from_quat
-from mjhab.episodes.generator import Episode, opens, require_furniture
+from mjhab.episodes.generator import Episode
 from mjhab.episodes.hab.format import (
     HabEpisode,
     HabFile,
     pose_from_hab,
 )
 from mjhab.episodes.hab.format import Receptacle as NumberedLink
+from mjhab.episodes.roles import opens, require_furniture
 from mjhab.layout.layout import Layout
 from mjhab.layout.receptacles import PlacedReceptacle, placed_receptacles
 from mjhab.scenes.spec import Home, Pack, Vec3
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.settle import settle
-from mjhab.tasks.plan import TARGETS_PER_TASK, Target
+from mjhab.tasks.household.registry import TASKS
+from mjhab.tasks.plan import Target
 
 SETTLE_SECONDS = 2.0
 MOVED = 0.02
@@ -164,7 +166,7 @@ class FileEpisodes:
         except UsageError as error:
             raise UsageError(f"{where}.scene_id: {error}") from error
         names = episode.target_names
-        limit = TARGETS_PER_TASK[self.task]
+        limit = len(TASKS[self.task].targets)
         if not 1 <= len(names) <= limit:
             raise UsageError(
                 f"{where}.targets: {self.task} handles 1 to {limit} targets, got {len(names)}."
@@ -182,11 +184,13 @@ class FileEpisodes:
             _check_inside(self.layout, home, episode, pose)
         except ValueError as error:
             raise UsageError(f"{where}.{error}") from error
-        if self.task == "set_table":
-            for target in file_targets(self.layout, home, episode, pose, root):
-                if not target.start_link:
+        rules = TASKS[self.task].targets
+        if any(rule.opens for rule in rules):
+            targets = file_targets(self.layout, home, episode, pose, root)
+            for rule, target in zip(rules, targets, strict=False):
+                if rule.opens == "start" and not target.start_link:
                     raise UsageError(
-                        f"{where}.rigid_objs: {target.obj!r} starts in no drawer or fridge; set_table opens one."
+                        f"{where}.rigid_objs: {target.obj!r} starts in no drawer or fridge; {self.task} opens one."
                     )
 
     def _read(self, row: int) -> tuple[Home, np.ndarray, np.ndarray, int]:

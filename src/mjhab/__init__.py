@@ -16,11 +16,14 @@ if TYPE_CHECKING:
     from mjhab.evaluation.evaluate import evaluate
     from mjhab.evaluation.generate import generate
     from mjhab.experts import make_expert
+    from mjhab.scenes.pack_source import PackRequest, PackSource, register_pack
     from mjhab.scenes.packs import open_pack
     from mjhab.tasks.household.registry import register_task
     from mjhab.tasks.subtasks.registry import register_subtask
 
 __all__ = [
+    "PackRequest",
+    "PackSource",
     "__version__",
     "evaluate",
     "generate",
@@ -28,11 +31,14 @@ __all__ = [
     "make_expert",
     "make_train",
     "open_pack",
+    "register_pack",
     "register_subtask",
     "register_task",
 ]
 
 _LAZY = {
+    "PackRequest": "mjhab.scenes.pack_source",
+    "PackSource": "mjhab.scenes.pack_source",
     "evaluate": "mjhab.evaluation.evaluate",
     "generate": "mjhab.evaluation.generate",
     "make": "mjhab.envs",
@@ -41,6 +47,7 @@ _LAZY = {
     "open_pack": "mjhab.scenes.packs",
     "register_subtask": "mjhab.tasks.subtasks.registry",
     "register_task": "mjhab.tasks.household.registry",
+    "register_pack": "mjhab.scenes.pack_source",
 }
 _PACKAGES = frozenset(
     {

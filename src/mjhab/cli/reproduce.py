@@ -17,7 +17,7 @@ from mjhab.cli.profiles import profile_options
 from mjhab.config.env import SPLITS
 from mjhab.config.profiles import profile_named
 from mjhab.core.errors import unknown_name
-from mjhab.episodes.roles import BOWL_DRAWER, FRIDGE_DOOR
+from mjhab.episodes.generator import BOWL_DRAWER, FRIDGE_DOOR
 from mjhab.evaluation.evaluate import EvalSpec, run_evaluation
 from mjhab.learning.require import require_learn
 from mjhab.reports import parts

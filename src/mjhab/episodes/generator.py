@@ -1,11 +1,12 @@
 """Episodes of the HAB tasks, each made from (task, split, seed, index) alone.
 
-Which objects start where and go where says the `TaskSpec` of the task, by roles of receptacles (`roles`).
+Which objects start where and go where says the `TaskSpec` of the task, by roles of furniture (`scenes.roles`).
 """
 
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterable
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import cached_property
@@ -18,23 +19,25 @@ from mjhab.core.errors import MjhabError, UsageError, unknown_name
 from mjhab.core.paths import below
 from mjhab.core.plugins import source_digest
 from mjhab.core.seeding import stream
-from mjhab.episodes.roles import (
-    FRIDGE_SHELF,
-    ROLES,
-    opens,
-    receptacles_of,
-    require_furniture,
-)
 from mjhab.layout.compile import home_hash
 from mjhab.layout.layout import Layout, yaw_quat
-from mjhab.layout.receptacles import PlacedReceptacle, placed_receptacles
-from mjhab.scenes.spec import Home, Pack, Vec3
+from mjhab.layout.receptacles import (
+    PlacedReceptacle,
+    link_to_open,
+    placed_receptacles,
+    with_role,
+)
+from mjhab.scenes.roles import FRIDGE_SHELF, OPEN_SURFACE, link_with_role, require_roles, roles_of
+from mjhab.scenes.spec import Home, Pack, Roles, Vec3
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.settle import settle
 from mjhab.tasks.household.registry import TASKS
 from mjhab.tasks.household.spec import TargetRule
 from mjhab.tasks.plan import Target
 
+BOWL_DRAWER = "kitchen_counter/drawer3"
+FRIDGE_DOOR = "fridge/top_door"
+"""Links with the roles "kitchen_drawer" and "fridge_door" in the built-in pack and in ReplicaCAD."""
 MIN_START_GOAL = 0.5
 """Smallest distance [m] between where an object starts and its goal (HAB generator constant)."""
 GAP = 0.03
@@ -67,9 +70,22 @@ class _Draw:
     """Objects put so far: slot to (position, radius), in one home."""
 
     home: Home
-    receptacles: dict[str, PlacedReceptacle]
+    roles: Roles
+    receptacles: tuple[PlacedReceptacle, ...]
     placed: dict[int, tuple[np.ndarray, float]]
     pose: np.ndarray
+
+    def places(self, *names: str) -> list[PlacedReceptacle]:
+        """The receptacles of the home that play one of some roles."""
+        return with_role(self.receptacles, self.roles, *names)
+
+    def on_shelf(self, place: PlacedReceptacle) -> bool:
+        """Whether a receptacle is the fridge shelf, where there is little room."""
+        return bool(with_role((place,), self.roles, FRIDGE_SHELF))
+
+    def target_gap(self, place: PlacedReceptacle) -> float:
+        """Free space [m] between the bounding circles of a target and of its neighbours on a receptacle."""
+        return SHELF_GAP if self.on_shelf(place) else TARGET_GAP
 
 
 class EpisodeMaker:
@@ -98,8 +114,7 @@ class EpisodeMaker:
             homes_named(self.layout.pack, home) if home else homes_of(self.layout.pack, split)
         )
         self._in_turn = bool(home)
-        for chosen in self.homes:
-            require_furniture(chosen, task)
+        require_furniture(self.layout.pack, self.homes, task)
 
     def episode(self, seed: int, index: int) -> Episode:
         """The episode named by (seed, index); the same for everyone who asks.
@@ -132,8 +147,9 @@ class EpisodeMaker:
         # The home is drawn apart from the attempts: a home where placing is hard stays as likely as the others.
         home = self._home(seed, index)
         rng = stream(seed, "episode", self.task, self.split, index, attempt)
-        receptacles = {r.id: r for r in placed_receptacles(self.layout, home)}
-        draw = _Draw(home, receptacles, {}, self.layout.parked_poses.copy())
+        receptacles = placed_receptacles(self.layout, home)
+        roles = roles_of(self.layout.pack, home)
+        draw = _Draw(home, roles, receptacles, {}, self.layout.parked_poses.copy())
         targets = self._place_targets(rng, draw)
         if targets is None or not self._place_clutter(
             rng, draw, {self._slot(t.obj) for t in targets}
@@ -143,7 +159,8 @@ class EpisodeMaker:
         a = self.sim.addresses
         qpos[a.object_q[:, None] + np.arange(7)] = draw.pose
         for role, position in self.spec.openings:
-            qpos[a.link_q[self.layout.link_ids.index(ROLES[role].link)]] = position
+            link = link_with_role(roles, role)
+            qpos[a.link_q[self.layout.link_ids.index(link)]] = position
         settled, speed = settle(self.sim.model(home.name), a, qpos)
         pose = settled[a.object_q[:, None] + np.arange(7)]
         if (
@@ -167,16 +184,11 @@ class EpisodeMaker:
     def _slot(self, name: str) -> int:
         return self.layout.object_names.index(name)
 
-    def _clutter_places(self, draw: _Draw, *, shelf: bool) -> list[PlacedReceptacle]:
-        roles = ("open_surface", "fridge_shelf") if shelf else ("open_surface",)
-        return receptacles_of(roles, draw.receptacles.values())
-
     def _place_targets(self, rng: np.random.Generator, draw: _Draw) -> tuple[Target, ...] | None:
-        wanted = []
-        for rule, slot in zip(self.spec.targets, self._slots(rng), strict=True):
-            starts = receptacles_of(rule.start, draw.receptacles.values())
-            goals = receptacles_of(rule.goal, draw.receptacles.values())
-            wanted.append((slot, rule, starts, goals))
+        wanted = [
+            (slot, rule, draw.places(*rule.start), draw.places(*rule.goal))
+            for rule, slot in zip(self.spec.targets, self._slots(rng), strict=True)
+        ]
         return self._targets(rng, draw, wanted)
 
     def _slots(self, rng: np.random.Generator) -> list[int]:
@@ -184,7 +196,7 @@ class EpisodeMaker:
         rules = self.spec.targets
         named = {rule.object for rule in rules if rule.object}
         last = {kind: slot for slot, kind in enumerate(self.layout.roster)}
-        free = [s for s, kind in enumerate(self.layout.roster) if kind not in named]
+        free = [slot for slot, kind in enumerate(self.layout.roster) if kind not in named]
         count = sum(not rule.object for rule in rules)
         drawn = self._drawn(rng, free, count) if count else []
         return [last[rule.object] if rule.object else drawn.pop(0) for rule in rules]
@@ -205,9 +217,7 @@ class EpisodeMaker:
     ) -> tuple[Target, ...] | None:
         starts: list[PlacedReceptacle] = []
         for slot, _, places, _ in wanted:
-            put = self._put(
-                rng, draw, slot, places, SHELF_GAP if places[0].id == FRIDGE_SHELF else TARGET_GAP
-            )
+            put = self._put(rng, draw, slot, places, draw.target_gap(places[0]))
             if put is None:
                 return None
             starts.append(put)
@@ -233,7 +243,7 @@ class EpisodeMaker:
         goal: np.ndarray,
     ) -> Target:
         """The target that starts on the first of the places, and whose ``goal`` (3,) [m] is on the second."""
-        start_link, goal_link = (opens(place) for place in places)
+        start_link, goal_link = (link_to_open(place, draw.roles) for place in places)
         link = goal_link if rule.opens == "goal" else start_link
         return Target(
             obj=self.layout.object_names[slot],
@@ -248,11 +258,16 @@ class EpisodeMaker:
         return float(np.hypot(*self.layout.objects[slot].half[:2]))
 
     def _sample(
-        self, rng: np.random.Generator, place: PlacedReceptacle, radius: float, half_z: float
+        self,
+        rng: np.random.Generator,
+        draw: _Draw,
+        place: PlacedReceptacle,
+        radius: float,
+        half_z: float,
     ) -> np.ndarray | None:
         if 2 * half_z + 0.02 > place.height:
             return None
-        ratio = self.spec.shelf_region if place.id == FRIDGE_SHELF else 1.0
+        ratio = self.spec.shelf_region if draw.on_shelf(place) else 1.0
         room = ratio * np.maximum(np.array(place.half) - radius - 0.01, 0.0)
         if min(place.half) < radius * 0.75:
             return None
@@ -272,7 +287,7 @@ class EpisodeMaker:
         weights = np.array([4 * r.half[0] * r.half[1] for r in places])
         for _ in range(60):
             place = places[int(rng.choice(len(places), p=weights / weights.sum()))]
-            pos = self._sample(rng, place, radius, half_z)
+            pos = self._sample(rng, draw, place, radius, half_z)
             if pos is None or not self._is_free(draw, pos, radius, gap):
                 continue
             draw.placed[slot] = (pos, radius)
@@ -295,12 +310,10 @@ class EpisodeMaker:
         start = draw.placed[slot][0]
         for _ in range(100):
             place = places[int(rng.choice(len(places), p=weights / weights.sum()))]
-            pos = self._sample(rng, place, radius, half_z)
+            pos = self._sample(rng, draw, place, radius, half_z)
             if pos is None or np.linalg.norm(pos - start) < MIN_START_GOAL:
                 continue
-            if self._is_free(
-                draw, pos, radius, SHELF_GAP if place.id == FRIDGE_SHELF else TARGET_GAP
-            ):
+            if self._is_free(draw, pos, radius, draw.target_gap(place)):
                 return place, pos
         return None
 
@@ -316,11 +329,11 @@ class EpisodeMaker:
         for slot in range(self.layout.num_objects):
             if slot in targets:
                 continue
-            shelf = in_shelf < self.spec.shelf_clutter
-            put = self._put(rng, draw, slot, self._clutter_places(draw, shelf=shelf), GAP)
+            shelf = (FRIDGE_SHELF,) if in_shelf < self.spec.shelf_clutter else ()
+            put = self._put(rng, draw, slot, draw.places(OPEN_SURFACE, *shelf), GAP)
             if put is None:
                 return False
-            in_shelf += put.id == FRIDGE_SHELF
+            in_shelf += draw.on_shelf(put)
         return True
 
     # -- memory ----------------------------------------------------------------------------------------------------
@@ -395,6 +408,15 @@ def homes_named(pack: Pack, pattern: str) -> list[Home]:
     if not found:
         raise unknown_name("home", pattern, [home.name for home in pack.homes])
     return found
+
+
+def require_furniture(pack: Pack, homes: Iterable[Home], task: str) -> None:
+    """Refuse homes of a pack that lack furniture a task needs.
+
+    Raises:
+        UsageError: names the role of the furniture, and the homes that lack it.
+    """
+    require_roles(pack, homes, TASKS[task].roles, f"task {task!r}")
 
 
 def _point(row: np.ndarray) -> Vec3:

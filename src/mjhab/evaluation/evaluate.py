@@ -38,6 +38,7 @@ from mjhab.rollout.policy import Policy, RolloutEnv
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink
 from mjhab.rollout.store import REPORT, RunFolder, StoreSink, check_folder, read_records
+from mjhab.scenes.pack_source import Assets, pack_request
 from mjhab.tasks.household.registry import TASKS
 from mjhab.tasks.style import Styles
 from mjhab.tasks.subtasks.registry import SUBTASKS
@@ -82,7 +83,7 @@ class EvalSpec:
     worlds: int = 8
     seed: int = 0
     split: str = "train"
-    assets: str = "builtin"
+    assets: Assets = "builtin"
     episodes_file: str | None = None
     navigate: str = "teleport"
     spawns: str | None = None
@@ -100,6 +101,7 @@ class EvalSpec:
         TASKS.check(self.task)
         if self.subtask:
             SUBTASKS.check(self.subtask)
+        object.__setattr__(self, "assets", pack_request(self.assets).as_json())
         for kind, given, valid in (
             ("split", self.split, SPLITS),
             ("navigate mode", self.navigate, NAVIGATE_MODES),

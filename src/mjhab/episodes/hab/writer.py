@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from mjhab.episodes.generator import Episode
+from mjhab.episodes.generator import FRIDGE_DOOR, Episode
 from mjhab.episodes.hab.format import OBJECT_SUFFIX, SCENE_SUFFIX, HabEpisode, Marker, pose_to_hab
 from mjhab.episodes.hab.format import Receptacle as NumberedLink
 from mjhab.episodes.hab.reader import FIXED_LINKS, PREFIX, link_names, receptacle_at
-from mjhab.episodes.roles import FRIDGE_DOOR
 from mjhab.layout.layout import Layout
 from mjhab.layout.receptacles import PlacedReceptacle, placed_receptacles
 from mjhab.scenes.spec import Home

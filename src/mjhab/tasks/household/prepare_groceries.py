@@ -16,10 +16,10 @@ _IN = TargetRule(start=("counter_top",), goal=("fridge_shelf",))
 
 PREPARE_GROCERIES = TaskSpec(
     name="prepare_groceries",
-    words="Put the groceries away.",
+    words=("prepare the groceries", "sort the groceries", "put the groceries away"),
     targets=(_OUT, _OUT, _IN),
     objects=("003_cracker_box", "005_tomato_soup_can", "024_bowl"),
-    openings=(("fridge_shelf", FRIDGE_PREOPEN_RAD),),
+    openings=(("fridge_door", FRIDGE_PREOPEN_RAD),),
     shelf_region=SHELF_REGION,
     departs_from_last_goal=True,
 )

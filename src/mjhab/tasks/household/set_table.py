@@ -9,10 +9,22 @@ from mjhab.tasks.household.spec import TargetRule, TaskSpec
 
 SET_TABLE = TaskSpec(
     name="set_table",
-    words="Set the table.",
+    words=("set the table", "lay the table"),
     targets=(
-        TargetRule(("bowl_drawer",), ("dining_table",), object="024_bowl", opens="start"),
-        TargetRule(("fridge_shelf",), ("dining_table",), object="013_apple", opens="start"),
+        TargetRule(
+            start=("drawer",),
+            goal=("dining_table",),
+            object="024_bowl",
+            opens="start",
+            link="kitchen_drawer",
+        ),
+        TargetRule(
+            start=("fridge_shelf",),
+            goal=("dining_table",),
+            object="013_apple",
+            opens="start",
+            link="fridge_door",
+        ),
     ),
     objects=("024_bowl", "013_apple"),
     shelf_clutter=1,

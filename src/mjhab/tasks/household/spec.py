@@ -24,15 +24,18 @@ _SAMPLE = Target("object", (0.0, 0.0, 0.0), start_link="link", goal_link="link")
 class TargetRule:
     """How one target of a task is drawn, and what is done with it.
 
-    start, goal: roles of the receptacles that it starts on and goes to (`episodes.roles.ROLES`), drawn by their area.
-    object: its type; "" draws any object of the roster. opens: the plan opens the drawer or door of the "start" or of
-    the "goal" before and closes it after; "" leaves doors as they are. chain: other subtasks than these.
+    start, goal: roles of the receptacles that it starts on and goes to (`scenes.roles`), drawn by their area.
+    object: its type; "" draws any object of the roster.
+    opens: the plan opens the drawer or door of the "start" or of the "goal" before and closes it after; "" leaves doors
+    as they are. link: role of that drawer or door.
+    chain: other subtasks than these.
     """
 
     start: tuple[str, ...]
     goal: tuple[str, ...]
     object: str = ""
     opens: Opens = ""
+    link: str = ""
     chain: Chain | None = None
 
     def __post_init__(self) -> None:
@@ -40,6 +43,10 @@ class TargetRule:
             raise unknown_name("opens of a TargetRule", self.opens, get_args(Opens))
         if not self.start or not self.goal:
             raise UsageError("a TargetRule needs roles of receptacles for its start and its goal.")
+        if bool(self.opens) != bool(self.link):
+            raise UsageError(
+                "a TargetRule that opens something needs the role of the link, and no other does."
+            )
 
     def subtasks(self, target: Target) -> list[Subtask]:
         """What is done with a target."""
@@ -51,23 +58,21 @@ class TaskSpec:
     """A household task. Registering one (`mjhab.register_task`) makes it known to all of mjhab.
 
     Attributes:
-        name: lower case, as in ``task="set_table"``. words: what is asked for, as a sentence.
+        name: lower case, as in ``task="set_table"``. words: wordings of its name in instructions (`instructions`).
         targets: one rule per target, in the order in which they are handled.
         objects: types of the objects that the roster has beside the clutter. clutter_copies: how many of every clutter
             type it has.
-        furniture: templates of furniture that a home must have beside that of the roles.
-        openings: (role, joint position [rad or m]) of doors and drawers that stand open from the start.
+        openings: (role, joint position [rad or m]) of links that stand open from the start.
         shelf_region: share of a shelf behind a door, about its centre, in which objects stand; in HAB it is 0.5
             (sample_region_ratio). shelf_clutter: how many clutter objects may stand there.
         departs_from_last_goal: a Navigate done alone begins where the plan was before, not anywhere in the home.
     """
 
     name: str = ""
-    words: str = ""
+    words: tuple[str, ...] = ()
     targets: tuple[TargetRule, ...] = ()
     objects: tuple[str, ...] = ()
     clutter_copies: int = 3
-    furniture: tuple[str, ...] = ()
     openings: tuple[tuple[str, float], ...] = ()
     shelf_region: float = 0.5
     shelf_clutter: int = 0
@@ -86,15 +91,15 @@ class TaskSpec:
 
     @property
     def roles(self) -> tuple[str, ...]:
-        """Roles of the receptacles it uses, without repeats."""
-        named = (role for rule in self.targets for role in (*rule.start, *rule.goal))
-        return tuple(dict.fromkeys((*named, *(role for role, _ in self.openings))))
+        """Roles of the furniture it needs: of receptacles, then of links; without repeats."""
+        places = (role for rule in self.targets for role in (*rule.start, *rule.goal))
+        links = (*self.opened_links, *(role for role, _ in self.openings))
+        return tuple(dict.fromkeys((*places, *links)))
 
     @property
-    def opened_roles(self) -> tuple[str, ...]:
-        """Roles of the receptacles whose drawers and doors its plan opens, without repeats."""
-        found = (role for rule in self.targets if rule.opens for role in getattr(rule, rule.opens))
-        return tuple(dict.fromkeys(found))
+    def opened_links(self) -> tuple[str, ...]:
+        """Roles of the drawers and doors that its plan opens, without repeats."""
+        return tuple(dict.fromkeys(rule.link for rule in self.targets if rule.link))
 
     @property
     def object_types(self) -> tuple[str, ...]:

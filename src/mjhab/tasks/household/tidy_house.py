@@ -9,7 +9,7 @@ _ANYWHERE = ("open_surface",)
 
 TIDY_HOUSE = TaskSpec(
     name="tidy_house",
-    words="Tidy up the house.",
+    words=("tidy up the house", "tidy the house", "clean up the home"),
     targets=(TargetRule(start=_ANYWHERE, goal=_ANYWHERE),) * NUM_TARGETS,
     objects=("003_cracker_box", "005_tomato_soup_can", "024_bowl"),
 )

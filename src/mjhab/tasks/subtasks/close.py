@@ -159,7 +159,7 @@ PUBLISHED = PublishedLabels(
 
 CLOSE = SubtaskSpec(
     name="close",
-    words="Close {0}.",
+    words=("close {link}", "push {link} shut"),
     color="#14b8a6",
     about="link",
     limits=SubtaskConfig(200, 10000.0),

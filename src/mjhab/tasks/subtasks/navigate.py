@@ -136,7 +136,7 @@ PUBLISHED = PublishedLabels(
 
 NAVIGATE = SubtaskSpec(
     name="navigate",
-    words="Drive to {0}.",
+    words=("go to {destination}", "drive to {destination}", "move to {destination}"),
     color="#94a3b8",
     about="way",
     limits=SubtaskConfig(500, math.inf),

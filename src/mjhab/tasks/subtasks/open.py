@@ -139,7 +139,7 @@ PUBLISHED = PublishedLabels(
 
 OPEN = SubtaskSpec(
     name="open",
-    words="Open {0}.",
+    words=("open {link}", "pull {link} open"),
     color="#f59e0b",
     about="link",
     limits=SubtaskConfig(200, 10000.0),

@@ -151,7 +151,7 @@ PUBLISHED = PublishedLabels(
 
 PICK = SubtaskSpec(
     name="pick",
-    words="Pick up {0}.",
+    words=("pick up {object} {source}", "take {object} {source}", "grab {object} {source}"),
     color="#3b82f6",
     about="object",
     limits=SubtaskConfig(200, 5000.0),

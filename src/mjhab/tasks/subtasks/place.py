@@ -214,7 +214,7 @@ PUBLISHED = PublishedLabels(
 
 PLACE = SubtaskSpec(
     name="place",
-    words="Place {0} at its goal.",
+    words=("put {object} {goal}", "place {object} {goal}", "set {object} down {goal}"),
     color="#8b5cf6",
     about="object",
     limits=SubtaskConfig(200, 7500.0),

@@ -100,8 +100,9 @@ class SubtaskSpec:
     """A kind of subtask. Registering one (`mjhab.register_subtask`) makes it known to all of mjhab.
 
     Attributes:
-        name: lower case, as in ``subtask="pick"``. words: an instruction, with {0} for the target. color: in reports,
-            "#rrggbb".
+        name: lower case, as in ``subtask="pick"``. color: in reports, "#rrggbb".
+        words: wordings of its instruction, with {object}, {source}, {goal}, {link} or {destination}; see
+            `tasks.instructions`.
         about: "object", "link" (a drawer or door, whose handle is then observed and rewarded as the goal), or "way" (a
             place to drive to; with ``navigate="teleport"`` the environment does that).
         limits: horizon and force. train_horizon: horizon in `make_train`, None for the same.
@@ -122,7 +123,7 @@ class SubtaskSpec:
     """
 
     name: str = ""
-    words: str = ""
+    words: tuple[str, ...] = ()
     color: str = "#9ca3af"
     about: About = "object"
     limits: SubtaskConfig = USUAL_LIMITS
@@ -198,6 +199,21 @@ class SubtaskSpec:
     def jointed(self) -> bool:
         """It moves the joint of a drawer or door."""
         return self.about == "link"
+
+    @property
+    def opens_link(self) -> bool:
+        """It leaves a drawer or door open."""
+        return self.jointed and "opened" in self.conditions
+
+    @property
+    def closes_link(self) -> bool:
+        """It leaves a drawer or door closed."""
+        return self.jointed and "closed" in self.conditions
+
+    @property
+    def brings_to_goal(self) -> bool:
+        """It leaves its object at its goal."""
+        return "at_goal" in self.conditions
 
     @property
     def may_hold(self) -> bool:

@@ -38,8 +38,6 @@ from mjhab.tasks.plan import Target
 BOWL_DRAWER = "kitchen_counter/drawer3"
 FRIDGE_DOOR = "fridge/top_door"
 """Links with the roles "kitchen_drawer" and "fridge_door" in the built-in pack and in ReplicaCAD."""
-MIN_START_GOAL = 0.5
-"""Smallest distance [m] between where an object starts and its goal (HAB generator constant)."""
 GAP = 0.03
 """Free space [m] between the bounding circles of neighbours; a finger is 14 mm thick."""
 TARGET_GAP = 0.06
@@ -224,7 +222,7 @@ class EpisodeMaker:
         goals: list[tuple[np.ndarray, float]] = []
         targets = []
         for (slot, rule, _, places), start in zip(wanted, starts, strict=True):
-            goal = self._goal(rng, draw, slot, places, goals)
+            goal = self._goal(rng, draw, slot, places, rule.distance_m)
             if goal is None:
                 return None
             where, pos = goal
@@ -302,7 +300,7 @@ class EpisodeMaker:
         draw: _Draw,
         slot: int,
         places: list[PlacedReceptacle],
-        others: list[tuple[np.ndarray, float]],
+        distance_m: tuple[float, float],
     ) -> tuple[PlacedReceptacle, np.ndarray] | None:
         radius = self._radius(slot)
         half_z = self.layout.objects[slot].half[2]
@@ -311,7 +309,7 @@ class EpisodeMaker:
         for _ in range(100):
             place = places[int(rng.choice(len(places), p=weights / weights.sum()))]
             pos = self._sample(rng, draw, place, radius, half_z)
-            if pos is None or np.linalg.norm(pos - start) < MIN_START_GOAL:
+            if pos is None or not distance_m[0] <= np.linalg.norm(pos - start) <= distance_m[1]:
                 continue
             if self._is_free(draw, pos, radius, draw.target_gap(place)):
                 return place, pos

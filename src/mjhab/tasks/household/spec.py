@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -12,6 +13,9 @@ from mjhab.core.errors import UsageError, unknown_name
 from mjhab.tasks.household.steps import fetch_and_place, open_goal, open_start
 from mjhab.tasks.plan import Subtask, Target, TaskPlan
 from mjhab.tasks.subtasks.registry import subtask_names
+
+MIN_START_GOAL_M = 0.5
+"""Smallest distance between where an object starts and its goal (HAB generator constant)."""
 
 Opens = Literal["", "start", "goal"]
 Chain = Callable[[Target], list[Subtask]]
@@ -28,7 +32,7 @@ class TargetRule:
     object: its type; "" draws any object of the roster.
     opens: the plan opens the drawer or door of the "start" or of the "goal" before and closes it after; "" leaves doors
     as they are. link: role of that drawer or door.
-    chain: other subtasks than these.
+    chain: other subtasks than these. distance_m: smallest and largest distance between start and goal.
     """
 
     start: tuple[str, ...]
@@ -37,6 +41,7 @@ class TargetRule:
     opens: Opens = ""
     link: str = ""
     chain: Chain | None = None
+    distance_m: tuple[float, float] = (MIN_START_GOAL_M, math.inf)
 
     def __post_init__(self) -> None:
         if self.opens not in get_args(Opens):

@@ -80,6 +80,6 @@ def sphere_box_distance(points: Array, boxes: Boxes) -> Array:
 
 def nearest_box_distance(points: Array, boxes: Boxes) -> Array:
     """Signed distance (P,) of each of ``points`` (P, 3) to the box nearest to it; infinite without boxes."""
-    from mjhab.core.box_gaps import least_box_gaps  # loads numba
+    from mjhab.core.kernels.box_gaps import least_box_gaps  # loads numba
 
     return least_box_gaps(np.ascontiguousarray(points, dtype=np.float64), *boxes.contiguous())

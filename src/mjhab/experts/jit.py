@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from mjhab.core.jit import compiler
+from mjhab.core.kernels.jit import compiler
 
 KERNEL_MODULES = (
-    "core.box_gaps",
+    "core.kernels.box_gaps",
     "experts.jit",
     "experts.arm.gentle",
     "experts.arm.ik_kernels",

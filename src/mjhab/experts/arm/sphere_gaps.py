@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mjhab.core.box_gaps import box_gap
+from mjhab.core.kernels.box_gaps import box_gap
 from mjhab.experts.jit import inline, kernel
 
 Array = np.ndarray

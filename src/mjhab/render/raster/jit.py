@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 
-from mjhab.core.jit import compiler
+from mjhab.core.kernels.jit import compiler
 
 KERNEL_MODULES = (
     "render.raster.jit",

@@ -53,7 +53,7 @@ def compiler(*modules: str, **options: Any) -> Decorator:
         options: what `numba.njit` takes besides ``cache``, ``nogil`` and ``error_model``.
     """
     _announce()
-    digest = code_digest("core.jit", *modules).hex()[:8]
+    digest = code_digest("core.kernels.jit", *modules).hex()[:8]
     settings: dict[str, Any] = {"nogil": True, "cache": True, "error_model": "numpy"} | options
 
     def decorate(function: Callable[..., Any]) -> Any:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from mjhab.core.jit import compiler
+from mjhab.core.kernels.jit import compiler
 
 Array = np.ndarray
 
 
-@compiler("core.box_gaps", forceinline=True)
+@compiler("core.kernels.box_gaps", forceinline=True)
 def box_gap(x: float, y: float, z: float, center: Array, half: Array, rot: Array) -> float:
     """Signed distance of a point to one box: negative inside, exact outside."""
     dx = x - center[0]
@@ -25,7 +25,7 @@ def box_gap(x: float, y: float, z: float, center: Array, half: Array, rot: Array
     return np.sqrt(outside) + min(inside, 0.0)
 
 
-@compiler("core.box_gaps")
+@compiler("core.kernels.box_gaps")
 def least_box_gaps(points: Array, center: Array, half: Array, rot: Array) -> Array:
     """Distance (P,) of each of ``points`` (P, 3) to the nearest box; infinite when there is none.
 

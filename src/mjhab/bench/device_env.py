@@ -114,11 +114,6 @@ def profile(
     """Seconds per stage over the steps under ``actions``, and one reset of every world, and a world's reset [ms]."""
     watch = Stopwatch(wait)
     watch_env(watch, env)
-    watch.time(env.notes, "update", "labels")
-    watch.time(env.notes, "end", "labels")
-    if env.observer.cameras is not None:
-        watch.time(env.observer.cameras, "draw", "render")
-    watch.time(env, "_renew", "reset")
     wait()
     begun = time.perf_counter()
     env.reset()

@@ -17,7 +17,7 @@ from mjhab.envs.parts.memory import check_memory
 from mjhab.envs.parts.nav_distance import NavDistance
 from mjhab.envs.parts.observing import Observer
 from mjhab.envs.parts.plan_tables import PlanTables
-from mjhab.envs.parts.reporting import Reporter
+from mjhab.envs.parts.reporting import Reporter, active_instruction
 from mjhab.envs.parts.snapshots import restore, snapshot
 from mjhab.envs.parts.teleport import Teleports
 from mjhab.envs.parts.tracking import StepNotes, Tracker
@@ -43,7 +43,8 @@ class SequentialTaskEnv(TaskLoop):
 
     World i's k-th episode since its seed was set depends on (its seed, i, k) only. A seed of `reset` is one for all
     worlds or (W,) one each. Besides arrays `info` has lists of W: "events" of this step, "ended" (record of the subtask
-    that ended in this step, or None), "episode_spec" (the episode each world is in; not "episode", where Gymnasium's
+    that ended in this step, or None), "instruction" (what the active subtask asks for, as a sentence; the last subtask
+    once the plan is finished), "episode_spec" (the episode each world is in; not "episode", where Gymnasium's
     RecordEpisodeStatistics writes).
     """
 
@@ -72,7 +73,7 @@ class SequentialTaskEnv(TaskLoop):
         self.tables = PlanTables(self.layout, self.task_config, self.num_envs, length)
         self.tracker = Tracker(self.num_envs)
         self.teleports = Teleports(self.starts, self.sensing, self.tables)
-        self.reporter = Reporter(self.num_envs, config.subtask)
+        self.reporter = Reporter(self.num_envs, self.layout, config.subtask)
         self._set_spaces(self.observer.single_space, render_modes=["rgb_array"])
         self.episodes_now: list[Episode | None] = [None] * self.num_envs
         self.homes = [self.layout.pack.homes[0].name] * self.num_envs
@@ -205,7 +206,11 @@ class SequentialTaskEnv(TaskLoop):
 
     def _info(self, told: StepNotes) -> dict[str, Any]:
         specs = [self.episode_spec(world) for world in range(self.num_envs)]
-        return super()._info(told) | {"episode_spec": specs}
+        sentences = [
+            active_instruction(spec, pointer)
+            for spec, pointer in zip(specs, self.progress.pointer.tolist(), strict=True)
+        ]
+        return super()._info(told) | {"instruction": sentences, "episode_spec": specs}
 
     def timed_methods(self) -> dict[str, list[tuple[Any, str]]]:
         """See `TaskLoop.timed_methods`."""

@@ -24,6 +24,7 @@ from mjhab.envs.parts.memory import check_device_memory
 from mjhab.envs.parts.plan_tables import Rows
 from mjhab.envs.parts.reporting import describe_episode
 from mjhab.envs.parts.rewarding import RewardInputs
+from mjhab.episodes.narration import Narrator
 from mjhab.episodes.source import EpisodeSource, open_setting
 from mjhab.robots.controllers import make_controller
 from mjhab.sim.mujoco.cpu import CpuSimulator
@@ -83,6 +84,7 @@ class DeviceEnv(TaskLoop):
             )
             self.tracker = DeviceNotes(self.num_envs, max(self.task_config.horizons), self.device)
             self.teleporter = Teleporter(self.sim.addresses, self.device)
+            self._narrator = Narrator(self.layout)
             self._source = EpisodeSource(host, config, self.task_config, setting.file)
             self.pool = StartPool(self._source, self.sim, pool_size(config), config.seed)
             self._set_spaces(self.observer.single_space, render_modes=[], tensors=True)
@@ -249,9 +251,11 @@ class DeviceEnv(TaskLoop):
         return self.tracker.records([self.pool.plans[row] for row in rows])
 
     def episode_spec(self, world: int) -> Mapping[str, Any]:
-        """The episode a world is in: its name, home and plan, read-only."""
+        """The episode a world is in; see `describe_episode`. Its "instructions" stand in the order of the plan."""
         row = int(self.start_row[world])
-        return describe_episode(self.pool.episodes[row], self.pool.plans[row], self.config.subtask)
+        return describe_episode(
+            self.pool.episodes[row], self.pool.plans[row], self.config.subtask, self._narrator
+        )
 
     def check_taint(self) -> None:
         """For evaluation: complain if a buffer of the engine overflowed, or an action was not finite, at any time.

@@ -7,6 +7,8 @@ from types import MappingProxyType
 from typing import Any
 
 from mjhab.episodes.generator import Episode
+from mjhab.episodes.narration import Narrator
+from mjhab.layout.layout import Layout
 from mjhab.tasks.plan import KIND_NAMES, TaskPlan
 
 CHECKERS = (
@@ -32,10 +34,12 @@ class Reporter:
 
     Args:
         num_worlds: W.
+        layout: of the worlds.
         subtask: the kind that is done alone, or "".
     """
 
-    def __init__(self, num_worlds: int, subtask: str) -> None:
+    def __init__(self, num_worlds: int, layout: Layout, subtask: str) -> None:
+        self._narrator = Narrator(layout)
         self._subtask = subtask
         self._described: list[TaskPlan | None] = [None] * num_worlds
         self._descriptions: list[Mapping[str, Any]] = [{} for _ in range(num_worlds)]
@@ -43,20 +47,32 @@ class Reporter:
     def describe(
         self, world: int, episode: Episode | None, plan: TaskPlan
     ) -> Mapping[str, Any] | None:
-        """The episode a world is in: its name, home and plan, read-only; None for no episode."""
+        """The episode a world is in: see `describe_episode`; None for no episode."""
         if episode is None:
             return None
         if self._described[world] is not plan:
             self._described[world] = plan
-            self._descriptions[world] = describe_episode(episode, plan, self._subtask)
+            self._descriptions[world] = describe_episode(
+                episode, plan, self._subtask, self._narrator
+            )
         return self._descriptions[world]
 
 
-def describe_episode(episode: Episode, plan: TaskPlan, subtask: str) -> Mapping[str, Any]:
-    """What `info` tells of an episode; ``subtask``: the kind that is done alone, or ""."""
+def describe_episode(
+    episode: Episode, plan: TaskPlan, subtask: str, narrator: Narrator
+) -> Mapping[str, Any]:
+    """What `info` tells of an episode: its name, home, plan and instructions, read-only.
+
+    Args:
+        episode: which one.
+        plan: the subtasks that are asked for.
+        subtask: the kind that is done alone, or "".
+        narrator: gives "instruction", the sentence for the whole episode, and "instructions", one per subtask.
+    """
     entries = (
         {"kind": KIND_NAMES[s.kind], "target": s.target, "goal": s.goal_pos} for s in plan.subtasks
     )
+    sentences = narrator.instructions(episode, plan, alone=bool(subtask))
     # The same object goes into every info until the next episode, so nobody may write into it.
     return MappingProxyType(
         {
@@ -67,5 +83,15 @@ def describe_episode(episode: Episode, plan: TaskPlan, subtask: str) -> Mapping[
             "split": episode.split,
             "subtask": subtask or None,
             "plan": tuple(MappingProxyType(entry) for entry in entries),
+            "instruction": sentences.task,
+            "instructions": sentences.subtasks,
         }
     )
+
+
+def active_instruction(episode: Mapping[str, Any] | None, pointer: int) -> str:
+    """The instruction of the subtask at ``pointer`` of a described episode; "" without an episode."""
+    if episode is None:
+        return ""
+    sentences = episode["instructions"]
+    return sentences[min(pointer, len(sentences) - 1)]

@@ -364,7 +364,7 @@ class TaskLoop(VectorEnv, ABC):
     ) -> tuple[dict, Array, Array, Array, dict]:
         """Begin what comes next, episodes by the autoreset mode and subtasks, and observe."""
         mode = self.config.autoreset
-        terminated = outcome.place_broken
+        terminated: Array = outcome.place_broken
         if not self.config.runs_to_horizon:
             terminated = terminated | outcome.success | outcome.force_exceeded
         truncated = outcome.done & ~terminated

@@ -60,6 +60,7 @@ def records(out: Path) -> None:
 
 def uses(out: Path, capture: Any) -> None:
     """Recorded episodes are filtered, labelled anew, exported and reported."""
+    exported = out.with_name("exported")
     touched = capture("data", "query", str(out), "--where", "touched and subtask == 'push'")
     every = capture(
         "data",
@@ -71,13 +72,13 @@ def uses(out: Path, capture: Any) -> None:
     )
     assert len(touched.splitlines()) <= len(every.splitlines())
     assert main(["label", str(out)]) == 0
-    assert main(["export", "maniskill", str(out), "--out", str(out / "exported")]) == 0
-    found = list((out / "exported").rglob("*.h5"))
+    assert main(["export", "maniskill", str(out), "--out", str(exported)]) == 0
+    found = list(exported.rglob("*.h5"))
     assert found
     for path in found:
         with h5py.File(path) as file:
             assert len(file) > 0
-    page = out / "report.html"
+    page = exported / "report.html"
     assert main(["data", "report", str(out), "--out", str(page)]) == 0
     assert "push" in page.read_text(encoding="utf-8")
 

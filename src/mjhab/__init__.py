@@ -47,6 +47,7 @@ _PACKAGES = frozenset(
         "robots",
         "rollout",
         "scenes",
+        "serving",
         "sim",
         "tasks",
     }

@@ -37,7 +37,7 @@ class PolicyFault(MjhabError):
 class Connection:
     """A connection to a policy server.
 
-    ``metadata``: the greeting of the server, empty before the first request. ``latency_ms``: how long each request took.
+    ``metadata``: the greeting of the server, empty before the first request. ``latency_ms``: duration of each request.
 
     Args:
         address: which server, and how it is asked.

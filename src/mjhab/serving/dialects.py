@@ -279,8 +279,9 @@ def dialect_named(name: str) -> Dialect:
 def greeted_in(metadata: Mapping[str, Any]) -> str:
     """The dialect that a greeting tells of, "" if it does not."""
     own = metadata.get(OWN)
-    if isinstance(own, Mapping) and own.get("dialect") in DIALECTS:
-        return str(own["dialect"])
+    spoken = own.get("dialect") if isinstance(own, Mapping) else None
+    if isinstance(spoken, str) and spoken in DIALECTS:
+        return spoken
     return RoboArena.name if set(metadata) >= _ROBOARENA_KEYS else ""
 
 

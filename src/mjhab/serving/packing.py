@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import msgpack
 import numpy as np
 
 from mjhab.core.errors import MjhabError
@@ -30,6 +29,8 @@ def pack(value: Any) -> bytes:
     Raises:
         ProtocolError: it holds something that is neither plain data nor an array of numbers.
     """
+    import msgpack
+
     try:
         return msgpack.packb(value, default=_plain)
     except (TypeError, ValueError, OverflowError) as error:
@@ -42,6 +43,8 @@ def unpack(data: bytes) -> Any:
     Raises:
         ProtocolError: the bytes are no message, or an array in it does not fit its bytes.
     """
+    import msgpack
+
     try:
         return msgpack.unpackb(data, object_hook=_restore, strict_map_key=True)
     except ProtocolError:

@@ -27,7 +27,10 @@ MAX_CONNECTIONS = 64
 PORTS_TRIED = 50
 """Ports from the wanted one on that are tried before giving up."""
 INTERNAL_ERROR = 1011
-"""Close code of the websocket protocol."""
+GOING_AWAY = 1001
+"""Close codes of the websocket protocol."""
+CLOSE_TIMEOUT_S = 1.0
+"""Longest wait for the farewell of a client."""
 
 
 class Session(Protocol):
@@ -95,6 +98,7 @@ class PolicyServer:
         self._options = options
         self._slots = threading.BoundedSemaphore(MAX_CONNECTIONS)
         self._counting = threading.Lock()
+        self._connections: set[ServerConnection] = set()
         self.requests = 0
         self.refused = 0
         listening = free_socket(options.host, options.port)
@@ -106,6 +110,7 @@ class PolicyServer:
             max_size=options.max_message_bytes,
             process_request=self._admit,
             server_header=None,
+            close_timeout=CLOSE_TIMEOUT_S,
             logger=_quiet_logger(),
         )
 
@@ -116,6 +121,10 @@ class PolicyServer:
     def shutdown(self) -> None:
         """End `run` and all connections."""
         self._server.shutdown()
+        with self._counting:
+            connections = list(self._connections)
+        for connection in connections:
+            connection.close(GOING_AWAY, "the server ends")
 
     def _admit(self, connection: ServerConnection, request: Request) -> Response | None:
         if request.path == "/healthz":
@@ -132,6 +141,8 @@ class PolicyServer:
             connection.close(INTERNAL_ERROR, "too many connections")
             return
         session = self._responder.session()
+        with self._counting:
+            self._connections.add(connection)
         try:
             own = {**self._responder.metadata(), "dialect": self._dialect.name}
             connection.send(pack(self._dialect.greeting(own)))
@@ -151,6 +162,8 @@ class PolicyServer:
             self._count(refused=True)
             _farewell(connection, f"{type(error).__name__}: {error}")
         finally:
+            with self._counting:
+                self._connections.discard(connection)
             session.close()
             self._slots.release()
 

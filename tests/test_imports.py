@@ -34,6 +34,7 @@ ALLOWED: dict[str, frozenset[str]] = {
     "reports": frozenset({"core", "tasks", "rollout", "data"}),
     "serving": frozenset({"core"}),
     "evaluation": _ENV | {"assets", "experts", "rollout", "data", "reports", "serving"},
+    "integrations": frozenset({"core", "robots", "envs", "evaluation"}),
     "learning": frozenset({"core", "tasks", "config", "episodes", "envs", "experts"})
     | {"rollout", "data", "reports", "evaluation"},
     "viewer": _RUN,
@@ -50,6 +51,7 @@ HEAVY: dict[str, frozenset[str]] = {
     "safetensors": frozenset({"learning"}),
     "h5py": frozenset({"data"}),
     "msgpack": frozenset({"serving"}),
+    "vla_eval": frozenset({"integrations"}),
     "websockets": frozenset({"serving"}),
     "viser": frozenset({"viewer"}),
     "trimesh": frozenset({"scenes", "robots"}),

@@ -55,6 +55,7 @@ _PACKAGES = frozenset(
         "episodes",
         "evaluation",
         "experts",
+        "integrations",
         "layout",
         "learning",
         "render",

@@ -70,6 +70,8 @@ def unpacked_actions(text: str) -> np.ndarray:
     try:
         inflater = zlib.decompressobj()
         data = inflater.decompress(base64.b64decode(packed, validate=True), MAX_ACTIONS_BYTES)
+        if not inflater.eof:
+            raise ValueError("they end too early, or are too long")
         actions = np.frombuffer(data, "<f4").reshape(-1, int(width))
     except (ValueError, zlib.error, binascii.Error) as error:
         raise UsageError(f"the actions of an episode cannot be read: {error}.") from error

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mjhab.cli.main import main
 from mjhab.core.errors import UsageError
 from mjhab.evaluation.resolve import PolicyFacts
 from mjhab.evaluation.score import manifest as manifests
@@ -185,3 +186,19 @@ def test_the_profile_counts_what_tells_something() -> None:
         "navigate": None,
         "under force limit": 0.75,
     }
+
+
+def test_the_command_checks_and_tabulates(
+    result: tuple[Path, Result], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = str(result[0])
+    scored = read_result(result[0])
+    page = tmp_path / "page.md"
+    assert main(["score", "--table", path, "--page", str(page), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert told["results"][0]["digest"] == scored.digest
+    assert page.read_text() == leaderboard([scored])
+    assert main(["score", "--check", path, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert (told["checked"], told["exact"], told["wrong"]) == (3, 3, 0)
+    assert set(told) >= {"track", "score", "episodes", "digest"}

@@ -29,6 +29,7 @@ class BenchCommand:
         | Annotated[expert.BenchExpertsOptions, Sub("experts")]
         | Annotated[gpu.BenchInteractOptions, Sub("interact")]
         | Annotated[gpu.BenchParityOptions, Sub("parity")]
+        | Annotated[srv.BenchServingOptions, Sub("serving")]
     )
 
 
@@ -69,6 +70,7 @@ RUNNERS: dict[type, tuple[str, str]] = {
     expert.BenchExpertsOptions: ("bench.experts.run", "bench_experts"),
     gpu.BenchInteractOptions: ("bench.interact.run", "bench_interact"),
     gpu.BenchParityOptions: ("bench.parity.run", "bench_parity"),
+    srv.BenchServingOptions: ("bench.serving", "bench_serving"),
     sco.ScoreOptions: ("cli.score", "run_score"),
     srv.ServeOptions: ("cli.serve", "run_serve"),
     gen.GenerateOptions: ("cli.generate", "run_generate"),

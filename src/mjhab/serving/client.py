@@ -78,6 +78,7 @@ class Connection:
         for _ in range(MAX_ATTEMPTS):
             fresh = self._socket is None
             if fresh and not begins and self._dialect.remembers and self._asked:
+                self._asked = False
                 raise PolicyFault(
                     "the connection was lost in the middle of the episode, and with it what the server knew of it"
                 )

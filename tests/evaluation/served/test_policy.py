@@ -174,3 +174,18 @@ def test_a_server_of_mjhab_says_what_it_lacks() -> None:
         (record,) = rollout(env, served, [2], seed=0, max_steps=3)
         assert "mjhab eval --policy ws://" in record.error
         served.close()
+
+
+def test_a_student_acts_over_the_line_as_it_does_at_home() -> None:
+    spec_at_home = "student:set_table/close/kitchen_counter/drawer3"
+    with serving(TwinResponder(spec_at_home, PolicyOptions())) as server:
+        facts = inspect_policy(spec(server.port))
+        assert facts.name == "served-student" and facts.identity["server"]["policy_sha256"]
+        options = {**facts.env_options, "target": "kitchen_counter/drawer3"}
+        env = world(**options)
+        at_home = rollout(env, resolve_policy(spec_at_home, env), [0, 1], seed=0, max_steps=10)
+        served = resolve_policy(spec(server.port), env)
+        away = rollout(env, served, [0, 1], seed=0, max_steps=10)
+        served.close()  # type: ignore[attr-defined]
+    assert [record.error for record in away] == ["", ""]
+    assert [r.final_state for r in away] == [r.final_state for r in at_home]

@@ -45,3 +45,22 @@ class ServeOptions:
     """Largest message that is read [MiB]; who sends a larger one is cut off."""
     json: bool = False
     """Print one line of JSON at the end: port, requests answered, requests refused."""
+
+
+@dataclass(frozen=True)
+class BenchServingOptions:
+    """Measure what a policy behind a websocket costs, and what becomes of episodes whose server is killed.
+
+    Fails if an episode is lost, or if a request with two images takes more than 5 ms on this machine.
+    """
+
+    worlds: Number = 8
+    """Worlds that ask at the same time."""
+    requests: Number = 200
+    """Requests per dialect that are timed."""
+    steps: Number = 1000
+    """Control steps against a server that is killed; episodes are finished."""
+    restarts: Number = 2
+    """So often it is killed and started again."""
+    json: bool = False
+    """Print one line of JSON instead of tables."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
+from typing import Any
 
 from mjhab.core.errors import UsageError
 from mjhab.evaluation.resolve import PolicyFacts, PolicyOptions
@@ -31,14 +32,15 @@ def inspect_policy(spec: str) -> PolicyFacts:
     finally:
         connection.close()
     own = own_part(metadata)
-    digest = hashlib.sha256(json.dumps(plain(metadata), sort_keys=True).encode()).hexdigest()
+    told = _as_json(metadata)
+    digest = hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()
     identity = {
         "dialect": address.dialect,
         "execute": address.execute,
         "prompt": address.prompt,
         "actions": space_of(address, metadata),
         "server_metadata_sha256": digest,
-        "server": plain(own.get("identity", {})),
+        "server": _as_json(own.get("identity", {})),
     }
     name = str(own.get("policy") or metadata.get("model_name") or address.dialect)
     return PolicyFacts(
@@ -61,3 +63,8 @@ def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions) -> Policy:
     from mjhab.evaluation.served.policy import ServedPolicy
 
     return ServedPolicy(Address.parse(spec), env)
+
+
+def _as_json(value: Any) -> Any:
+    """What a server says as JSON data; what JSON does not know, such as bytes, as text."""
+    return json.loads(json.dumps(plain(value), default=repr))

@@ -106,7 +106,7 @@ class ServedPolicy:
 
     def close(self) -> None:
         """Close the connections."""
-        self._pool.shutdown(cancel_futures=True)
+        self._pool.shutdown(wait=False, cancel_futures=True)
         for connection in self._connections:
             connection.close()
 

@@ -71,6 +71,7 @@ _PACKAGES = frozenset(
         "episodes",
         "evaluation",
         "experts",
+        "integrations",
         "layout",
         "learning",
         "render",
@@ -78,6 +79,7 @@ _PACKAGES = frozenset(
         "robots",
         "rollout",
         "scenes",
+        "serving",
         "sim",
         "tasks",
     }

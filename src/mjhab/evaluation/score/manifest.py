@@ -14,7 +14,7 @@ import numpy as np
 
 from mjhab.config.env import SPLITS
 from mjhab.core.errors import unknown_name
-from mjhab.tasks.plan import TASKS
+from mjhab.tasks.household.registry import TASKS
 
 VERSION = 1
 """Changes when a row or a number of this file does: scores of two versions cannot be compared."""

@@ -86,6 +86,7 @@ class StartMaker:
     ) -> None:
         self.sim = sim
         self.config = config
+        self.task_config = task_config
         self.layout = sim.layout
         self.sampler = SpawnSampler(sim)
         self.held = HeldStarts(sim, task_config, self.sampler.scratch, harvested)

@@ -9,7 +9,6 @@ import torch
 from mjhab.learning.reinforcement.replay import ReplayBuffer
 from mjhab.learning.reinforcement.session import ReinforcementSession, training_env
 from mjhab.learning.reinforcement.sight import Sight
-from mjhab.learning.reinforcement.worlds import Worlds
 
 DEMONSTRATION_WORLDS = 16
 DEMONSTRATION_SEED = 3_000_000
@@ -45,7 +44,6 @@ def collect_demonstrations(
         DEMONSTRATION_SEED + session.seed,
     )
     sight = Sight(env, session.layout, session.config.privileged_critic)
-    worlds = Worlds(env, sight)
     expert = make_expert(env)
     obs, info = env.reset(seed=DEMONSTRATION_SEED + session.seed)
     every = torch.ones(worlds_count, dtype=torch.bool)
@@ -64,14 +62,14 @@ def collect_demonstrations(
             over = torch.from_numpy(terminated | truncated)
             following = sight.see(obs, info, actions, ~every)
             buffer.add(
-                _on(seen, device),
+                seen.to(device),
                 actions.to(device),
                 torch.from_numpy(reward).float().to(device),
                 torch.from_numpy(terminated).to(device),
             )
             seen = following
             ended = ended | over
-        buffer.close(torch.arange(worlds_count, device=device), _on(seen, device))
+        buffer.close(torch.arange(worlds_count, device=device), seen.to(device))
         finished += worlds_count
         tell(min(finished, episodes))
         if number + 1 < rounds:

@@ -59,10 +59,10 @@ class Ppo(nn.Module):
         self.config: PpoConfig = config.ppo
         self.actor = start or make_student(config.student, layout, seed)
         self.keeps_normalization = start is not None
-        if start is None:
-            _act_little(self.actor)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed + 1)
+            if start is None:
+                _act_little(self.actor)
             self.value = Value(config.student, layout, privileged)
         self.log_std = nn.Parameter(
             torch.full((len(layout.actions),), math.log(self.config.initial_std))
@@ -99,9 +99,7 @@ class PpoLearner:
         agent: on the device of the worlds. worlds: to act in. config: of the whole run. seed: of this process.
     """
 
-    def __init__(
-        self, agent: Ppo, worlds: Worlds, config: ReinforcementConfig, seed: int
-    ) -> None:
+    def __init__(self, agent: Ppo, worlds: Worlds, config: ReinforcementConfig, seed: int) -> None:
         assert config.ppo is not None
         self.agent = agent
         self.worlds = worlds

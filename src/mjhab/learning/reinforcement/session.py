@@ -92,9 +92,7 @@ def training_env(
 class ReinforcementSession:
     """State of a run. Make one with `open_reinforcement`."""
 
-    def __init__(
-        self, request: ReinforcementRequest, folder: TrainingFolder, resume: bool
-    ) -> None:
+    def __init__(self, request: ReinforcementRequest, folder: TrainingFolder, resume: bool) -> None:
         if request.threads:
             torch.set_num_threads(request.threads)
         self.request = request

@@ -10,7 +10,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from mjhab.core.arrays import to_numpy
 from mjhab.data.select.facts import type_name
 from mjhab.learning.demos import nearness
 from mjhab.learning.layout import Layout
@@ -48,6 +47,10 @@ class Seen:
     images: Tensor
     privileged: Tensor
 
+    def to(self, device: torch.device) -> Seen:
+        """The same on another device."""
+        return Seen(self.vector.to(device), self.images.to(device), self.privileged.to(device))
+
     def rows(self, index: Any) -> Seen:
         """The observations of some worlds."""
         return Seen(self.vector[index], self.images[index], self.privileged[index])
@@ -78,9 +81,7 @@ class Sight:
         self._images = torch.zeros(
             worlds, inputs.history, *frames, dtype=torch.uint8, device=self.device
         )
-        self._codes = torch.zeros(
-            worlds, layout.width - layout.measured_width, device=self.device
-        )
+        self._codes = torch.zeros(worlds, layout.width - layout.measured_width, device=self.device)
         self._horizon = float(max(env.task_config.horizons))
 
     def begin(self, fresh: Tensor, info: Mapping[str, Any]) -> None:
@@ -130,9 +131,7 @@ class Sight:
         else:
             self._vectors = _shifted(self._vectors, vector, fresh, again)
             self._images = _shifted(self._images, images, fresh, again)
-        return Seen(
-            self._vectors.flatten(1), self._images.flatten(1, 2), self._privileged_of(info)
-        )
+        return Seen(self._vectors.flatten(1), self._images.flatten(1, 2), self._privileged_of(info))
 
     def _frames(self, obs: Mapping[str, Any]) -> Tensor:
         """Images (W, C, H, W) uint8 of one step."""
@@ -170,7 +169,8 @@ class Sight:
         if not self._privileged:
             return 0
         state = self._env.state
-        joints = 2 * to_numpy(state.robot_q).shape[1] + 2 * to_numpy(state.link_q).shape[1]
+        parts = (state.robot_q, state.robot_qd, state.link_q, state.link_qd)
+        joints = sum(part.shape[1] for part in parts)
         return joints + 3 + len(CHECKS)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -332,9 +331,7 @@ class _SacRun(_Run):
         batch = self.learner.batch(self.online, self.shown)
         demonstrated = round(sac.demonstration_share * sac.batch) if self.shown else 0
         frozen = since < sac.frozen_actor_samples
-        told = self.learner.update(
-            batch, demonstrated, sac.imitation_coefficient * share, frozen
-        )
+        told = self.learner.update(batch, demonstrated, sac.imitation_coefficient * share, frozen)
         standing.updates = self.learner.updates
         return told
 
@@ -365,6 +362,3 @@ class _SacRun(_Run):
             statistics.fit(critics, privileged.shape[1])
         for part in [*encoders, *critics]:
             distributed.average([part.mean, part.scale])
-
-
-Tell = Callable[[int], object]

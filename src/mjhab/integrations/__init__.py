@@ -1,1 +1,1 @@
-"""Bridges to other people's packages, each of which is imported where it is used."""
+"""mjhab inside of other evaluation tools. Each module needs the library it is named after, or none at all."""

@@ -55,6 +55,7 @@ _PACKAGES = frozenset(
         "episodes",
         "evaluation",
         "experts",
+        "integrations",
         "layout",
         "learning",
         "render",
@@ -62,6 +63,7 @@ _PACKAGES = frozenset(
         "robots",
         "rollout",
         "scenes",
+        "serving",
         "sim",
         "tasks",
     }

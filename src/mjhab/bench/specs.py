@@ -98,6 +98,16 @@ class InteractSpec:
 
 
 @dataclass(frozen=True)
+class ServingSpec:
+    """`serving.measure_serving`: requests of ``worlds`` to a policy server, which is killed ``restarts`` times."""
+
+    worlds: int = 8
+    requests: int = 200
+    steps: int = 1000
+    restarts: int = 2
+
+
+@dataclass(frozen=True)
 class ParitySpec:
     """`parity.run.measure_parity`: both simulators beside each other; "all" for all tasks or subtasks."""
 

@@ -16,6 +16,7 @@ import numpy as np
 from mjhab.core.errors import MjhabError, UsageError
 from mjhab.core.version import __version__
 from mjhab.data.record.provenance import TRAIN_MAKER
+from mjhab.data.record.worlds import RecordedEnv
 from mjhab.evaluation.resolve import PolicyFacts, PolicyOptions, inspect_policy, resolve_policy
 from mjhab.rollout.loop import plain
 from mjhab.rollout.policy import Policy
@@ -32,7 +33,7 @@ BUILTIN = "builtin"
 class Twin:
     """An environment of one world, the policy that acts in it, and the episode and step it was last asked about."""
 
-    env: Any
+    env: RecordedEnv
     policy: Policy
     last: tuple[Any, ...] = ()
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import tyro
 
+from mjhab import register_all
 from mjhab.cli import commands
 from mjhab.core.errors import MjhabError, UsageError
 from mjhab.core.version import __version__
@@ -74,6 +75,7 @@ def staged(options: Any) -> Any:
 
 def run(command: Any) -> int:
     """Run a parsed command and return the exit code."""
+    register_all()
     command = staged(command)
     # In a group such as `homes`, the command chosen in it.
     chosen = getattr(command, "command", command)

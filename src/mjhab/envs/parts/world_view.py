@@ -14,7 +14,7 @@ from mjhab.layout.layout import Layout, compose
 from mjhab.layout.receptacles import PlacedReceptacle, placed_receptacles
 from mjhab.robots.fetch import model as fetch
 from mjhab.robots.fetch.geometry import COLLISION
-from mjhab.scenes.freespace import free_map
+from mjhab.scenes.freespace import shared_map
 from mjhab.scenes.shapes.hulls import boxed_hull
 from mjhab.scenes.spec import Geom, Handle, Home, Link, ObjectType, Pack, Placement
 from mjhab.tasks.plan import Subtask, TaskConfig
@@ -210,7 +210,7 @@ class WorldView:
 def home_shapes(layout: Layout, name: str) -> HomeShapes:
     """Shapes of a home of a layout, computed once."""
     home = next(h for h in layout.pack.homes if h.name == name)
-    fmap = free_map(home, layout.pack)
+    fmap = shared_map(home, layout.pack)
     return HomeShapes(
         name,
         _static_boxes(layout, home),

@@ -57,18 +57,24 @@ def measure_sps(env: SequentialTaskEnv, steps: int, rounds: int, seed: int) -> d
         seed: seed of the episodes and of the motions.
 
     Returns:
-        ``engine_sps``, ``env_sps`` [control steps/s over all worlds], ``ratio`` = env / engine, ``worlds``.
+        ``engine_sps``, ``env_sps`` [control steps/s over all worlds], ``ratio`` = env / engine, ``worlds``,
+        ``reset_ms``: time of one world's reset [ms] to an episode whose arrangement is in the cache.
     """
     worlds = env.num_envs
-    times: dict[str, list[float]] = {"engine": [], "env": []}
+    times: dict[str, list[float]] = {"engine": [], "env": [], "reset": []}
     for number in range(rounds):
         actions = sway(worlds, steps, seed + number)
         episodes = np.arange(number * worlds, (number + 1) * worlds)
 
-        def begin(episodes: np.ndarray = episodes) -> None:
-            env.reset(seed=seed, options={"episode": episodes, "reset_mask": np.ones(worlds, bool)})
+        def begin(episodes: np.ndarray = episodes) -> float:
+            """Start the episodes; seconds that the reset takes."""
+            options = {"episode": episodes, "reset_mask": np.ones(worlds, bool)}
+            started = time.perf_counter()
+            env.reset(seed=seed, options=options)
+            seconds = time.perf_counter() - started
             for _ in range(WARM_STEPS):
                 env.step(np.zeros((worlds, ACTION_SIZE), np.float32))
+            return seconds
 
         begin()
         commands = []
@@ -76,7 +82,7 @@ def measure_sps(env: SequentialTaskEnv, steps: int, rounds: int, seed: int) -> d
             env.step(action)
             commands.append(env.ctrl)
         for name in ("engine", "env") if number % 2 else ("env", "engine"):
-            begin()
+            times["reset"].append(begin())
             call, inputs = (env.step, actions) if name == "env" else (env.sim.bare_step, commands)
             times[name].append(_seconds(call, inputs))
     engine, whole = (worlds * steps / median(times[name]) for name in ("engine", "env"))
@@ -85,6 +91,7 @@ def measure_sps(env: SequentialTaskEnv, steps: int, rounds: int, seed: int) -> d
         "env_sps": round(whole, 1),
         "ratio": round(whole / engine, 4),
         "worlds": worlds,
+        "reset_ms": round(1000 * median(times["reset"]) / worlds, 3),
     }
 
 

@@ -16,10 +16,13 @@ if TYPE_CHECKING:
     from mjhab.evaluation.evaluate import evaluate
     from mjhab.evaluation.generate import generate
     from mjhab.experts import make_expert
+    from mjhab.scenes.object_glb import object_from_glb
+    from mjhab.scenes.objects import ObjectModel, register_object
     from mjhab.scenes.pack_source import PackRequest, PackSource, register_pack
     from mjhab.scenes.packs import open_pack
 
 __all__ = [
+    "ObjectModel",
     "PackRequest",
     "PackSource",
     "__version__",
@@ -28,11 +31,14 @@ __all__ = [
     "make",
     "make_expert",
     "make_train",
+    "object_from_glb",
     "open_pack",
+    "register_object",
     "register_pack",
 ]
 
 _LAZY = {
+    "ObjectModel": "mjhab.scenes.objects",
     "PackRequest": "mjhab.scenes.pack_source",
     "PackSource": "mjhab.scenes.pack_source",
     "evaluate": "mjhab.evaluation.evaluate",
@@ -41,6 +47,8 @@ _LAZY = {
     "make_train": "mjhab.envs",
     "make_expert": "mjhab.experts",
     "open_pack": "mjhab.scenes.packs",
+    "object_from_glb": "mjhab.scenes.object_glb",
+    "register_object": "mjhab.scenes.objects",
     "register_pack": "mjhab.scenes.pack_source",
 }
 _PACKAGES = frozenset(

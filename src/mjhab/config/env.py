@@ -44,7 +44,8 @@ class EnvConfig:
     target: restricts ``subtask`` (or the draw of targets) to an object type or a link; "" or "all" for any.
     split, home: homes to draw from, or one home by name (or a pattern such as ``v3_sc1_*``). assets: a pack by
     name or path, or a `PackRequest`; kept as what its ``as_json`` gives. seed: of the episodes. threads: 0 takes all
-    cores.
+    cores. extra_objects: types of further objects, one slot each behind those of the task's roster;
+    a target that is another object of the pack gets a slot, too.
     obs_mode: "state", or images too, see `observing.OBS_MODES`. cameras: of which of the robot's cameras; camera_size:
     pixels, one number or (height, width). frame_stack: frames that `wrappers.FrameStack` stacks; 1: what it is told.
     control_mode, base, stationary: see `controllers.make_controller`.
@@ -84,6 +85,7 @@ class EnvConfig:
     split: str = "train"
     home: str = ""
     assets: Assets = "builtin"
+    extra_objects: tuple[str, ...] = ()
     seed: int = 0
     threads: int = 0
     obs_mode: str = "state"

@@ -36,12 +36,12 @@ from mjhab.envs.spaces import batched
 from mjhab.episodes.generator import Episode, EpisodeMaker
 from mjhab.episodes.hab.format import read_hab
 from mjhab.episodes.hab.reader import FileEpisodes, file_roster
+from mjhab.episodes.roster import object_roster
 from mjhab.episodes.starts import Start, StartMaker, check_target
 from mjhab.episodes.zones import with_zones
 from mjhab.layout.layout import Layout
 from mjhab.robots.controllers import check_actions, make_controller
 from mjhab.robots.fetch.model import REST_QPOS
-from mjhab.scenes.builtin.objects import roster
 from mjhab.scenes.packs import open_pack
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.protocol import TAINTS, SimState
@@ -109,7 +109,7 @@ class SequentialTaskEnv(VectorEnv):
     def _open_world(self, config: EnvConfig) -> None:
         pack = open_pack(config.assets)
         file = read_hab(Path(config.episodes_file)) if config.episodes_file else None
-        self.layout = Layout(pack, file_roster(file, pack) if file else roster(config.task))
+        self.layout = Layout(pack, file_roster(file, pack) if file else object_roster(config, pack))
         check_target(config, self.layout)
         self.sim = CpuSimulator(
             self.layout, config.num_envs, config.threads, self.controller.drives

@@ -15,6 +15,7 @@ from mjhab.config.env import EnvConfig, task_config
 from mjhab.core.cache import write_atomic
 from mjhab.core.errors import UsageError
 from mjhab.episodes.generator import Episode, EpisodeMaker
+from mjhab.episodes.roster import object_roster
 from mjhab.episodes.spawn_sets import (
     SUFFIX,
     SpawnRecipe,
@@ -28,7 +29,6 @@ from mjhab.episodes.spawn_sets import (
 from mjhab.episodes.starts import StartMaker, check_target
 from mjhab.layout.layout import Layout
 from mjhab.robots.fetch.model import REST_QPOS
-from mjhab.scenes.builtin.objects import roster
 from mjhab.scenes.packs import open_pack
 from mjhab.sim.mujoco.cpu import CpuSimulator
 
@@ -55,7 +55,8 @@ class SpawnFactory:
             seed=recipe.seed,
             spawn_rule=recipe.spawn_rule,
         )
-        self.layout = Layout(open_pack(recipe.assets), roster(recipe.task))
+        pack = open_pack(recipe.assets)
+        self.layout = Layout(pack, object_roster(config, pack))
         check_target(config, self.layout)
         self.sim = CpuSimulator(self.layout, 1, 1)
         wanted = recipe.target if recipe.target in self.layout.roster else ""

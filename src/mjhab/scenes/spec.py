@@ -202,6 +202,9 @@ class ObjectType:
     visuals: tuple[Geom, ...]
     scan_yaw: float = 0.0
     """Heading [rad] in this frame of the x axis of the scan; HAB episodes give poses in the axes of the scan."""
+    grasp_shape: Literal["", "mesh"] = ""
+    """How grasps are found: "" by the primitive that the collision geoms are (several of them make a bowl), "mesh"
+    on the surface of the collision geoms, whatever shape they have."""
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ def test_candidates_fit_the_gripper_and_stay_off_the_support(name: str):
     pos = np.array([0.4, -0.2, 0.9])
     turn = quat_from_axis_angle(np.array([0.0, 0.0, 1.0]), np.array(0.7))
     floor = pos[2] - kind.half[2]
-    grasps = grasp_candidates(shape_of(kind), pos, turn, support_z=floor)
+    grasps = grasp_candidates(shape_of(kind, {}), pos, turn, support_z=floor)
     assert len(grasps) > 0
     gripper = Gripper()
     assert (grasps.width < gripper.opening).all()
@@ -58,7 +58,7 @@ def surface(half: tuple[float, float, float]) -> np.ndarray:
 
 @pytest.mark.parametrize("name", ["003_cracker_box", "008_pudding_box", "010_potted_meat_can"])
 def test_corners_of_boxes_fit_between_the_fingers(name: str):
-    shape = shape_of(builtin_objects()[name])
+    shape = shape_of(builtin_objects()[name], {})
     gripper = Gripper()
     plain = grasp_candidates(shape, np.zeros(3), UPRIGHT, support_z=-shape.half[2])
     every = grasp_candidates(
@@ -83,7 +83,7 @@ class CornerBench(GraspBench):
     """A pudding box by its corner in a moving hand."""
 
     def _grip(self, grasp: Grasp) -> None:
-        shape = shape_of(builtin_objects()["008_pudding_box"])
+        shape = shape_of(builtin_objects()["008_pudding_box"], {})
         every = grasp_candidates(
             shape, np.zeros(3), UPRIGHT, support_z=-0.1, options=Options(corners=True)
         )

@@ -53,7 +53,7 @@ def test_grasps_are_many_and_come_from_everywhere(sim: CpuSimulator, kind: str):
 
 
 def test_spread_takes_the_best_first_and_then_what_is_different():
-    shape = shape_of(open_pack("builtin").objects["005_tomato_soup_can"])
+    shape = shape_of(open_pack("builtin").objects["005_tomato_soup_can"], {})
     candidates = grasp_candidates(
         shape, np.zeros(3), np.array([1.0, 0, 0, 0]), support_z=-shape.half[2]
     )

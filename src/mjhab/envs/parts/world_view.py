@@ -10,6 +10,8 @@ import numpy as np
 
 from mjhab.core.rotations import mat_from_quat, quat_from_axis_angle
 from mjhab.envs.parts.worlds import Worlds
+from mjhab.episodes.grasps.held import shape_of
+from mjhab.episodes.grasps.holds import ObjectShape
 from mjhab.layout.layout import Layout, compose
 from mjhab.layout.receptacles import PlacedReceptacle, placed_receptacles
 from mjhab.robots.fetch import model as fetch
@@ -156,6 +158,10 @@ class WorldView:
     def object_type(self, name: str) -> ObjectType:
         """Shape, size and mass of an object."""
         return self._env.layout.objects[self.object_names.index(name)]
+
+    def object_shape(self, name: str) -> ObjectShape:
+        """What a gripper sees of an object."""
+        return shape_of(self.object_type(name), self._env.layout.pack.meshes)
 
     def link_q(self, link: str) -> float:
         """Joint position of a link by id [m or rad]."""

@@ -85,14 +85,16 @@ def grasp_candidates(
     parts = [_place(hold, shape, pos, rot, support_z, gripper, options) for hold in holds]
     if not any(len(part[0]) for part in parts):
         return _empty()
-    tcp, turn, width, quality = (np.concatenate([part[i] for part in parts]) for i in range(4))
+    tcp, turn, width, opening, quality = (
+        np.concatenate([part[i] for part in parts]) for i in range(5)
+    )
     # The gripper is the same turned by half a turn about its fingers: a second wrist angle to reach every grasp.
     flip = turn * np.array([1.0, -1.0, -1.0])
     tcp = np.tile(tcp, (2, 1))
     turn = np.concatenate([turn, flip])
     width = np.tile(width, 2)
     quality = np.tile(quality, 2)
-    opening = np.minimum(width + options.spread, gripper.opening)
+    opening = np.tile(opening, 2)
     pre = tcp - options.retreat * turn[:, :, 0]
     clear = approach_clearance(tcp, turn, opening, pre, neighbours, gripper)
     kind, score = _score(pos, turn, quality, clear, robot_xy, options)
@@ -168,15 +170,17 @@ def _place(
     support_z: float,
     gripper: Gripper,
     options: Options,
-) -> tuple[Array, Array, Array, Array]:
-    """Tool centres for one way of closing: positions, rotations, widths and qualities of those that are possible."""
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Tool centres for one way of closing, those that are possible: positions, rotations, widths, openings with which
+    to approach, qualities."""
     approach = hold.approach
     if options.inward is not None:
         kept = approach[:, :2] @ np.array(options.inward) > -0.25
         hold = replace(hold, approach=approach[kept], at=None if hold.at is None else hold.at[kept])
         approach = hold.approach
     turn = frame_from_axes(approach, np.broadcast_to(hold.closing, approach.shape))
-    lowest = _lowest(turn, min(hold.width + options.spread, gripper.opening), gripper)
+    opening = min(hold.width + options.spread, hold.most_open, gripper.opening)
+    lowest = _lowest(turn, opening, gripper)
     room = support_z + options.floor_gap - lowest
     if hold.at is None:
         reach = _extent(shape, rot, approach)
@@ -205,7 +209,10 @@ def _place(
     )
     if hold.planar:
         quality = quality - options.scant * np.maximum(0.02 - held, 0.0)
-    return at[keep], turn[keep], np.full(int(keep.sum()), hold.width), quality[keep]
+    count = int(keep.sum())
+    widths = np.full(count, hold.width)
+    openings = np.full(count, opening)
+    return at[keep], turn[keep], widths, openings, quality[keep]
 
 
 def _overlap(

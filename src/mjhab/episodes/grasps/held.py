@@ -8,7 +8,7 @@ base turns, are kept. They are spread over the ways in which a gripper can come,
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -22,6 +22,7 @@ from mjhab.core.paths import below
 from mjhab.core.rotations import pose_inv
 from mjhab.episodes.grasps.candidates import Grasps, ObjectShape, grasp_candidates
 from mjhab.layout.compile import home_hash
+from mjhab.scenes.shapes.footprints import outline
 from mjhab.scenes.spec import ObjectType
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.scratch import FINGER_JOINTS, FINGER_MAX, Scratch
@@ -46,12 +47,33 @@ _CLOSING_WEIGHT = 0.5
 """What counts as far apart: 5 cm as much as a radian of approach or two of roll."""
 
 
-def shape_of(kind: ObjectType) -> ObjectShape:
-    """What a gripper sees of an object type: a box, can, ball or bowl of its size."""
+def shape_of(kind: ObjectType, meshes: Mapping[str, object]) -> ObjectShape:
+    """What a gripper sees of an object type: a box, can, ball or bowl of its size, or grasps found on its surface.
+
+    Args:
+        kind: the object type.
+        meshes: by name, those that its geoms name (`Pack.meshes`).
+    """
+    if kind.grasp_shape == "mesh":
+        return _mesh_shape(kind, meshes)
     if len(kind.collision) > 1:
         return ObjectShape("bowl", kind.half)
     shape = next(iter(kind.collision)).shape
     return ObjectShape(shape if shape in ("box", "cylinder") else "sphere", kind.half)
+
+
+_mesh_shapes: dict[str, ObjectShape] = {}
+"""Shapes made so far, by the hash of what they are made of: looking for grasps takes about a second."""
+
+
+def _mesh_shape(kind: ObjectType, meshes: Mapping[str, object]) -> ObjectShape:
+    pieces = np.concatenate([outline(geom, meshes) for geom in kind.collision])
+    key = hashlib.sha256(repr(kind).encode() + pieces.tobytes()).hexdigest()
+    if key not in _mesh_shapes:
+        from mjhab.episodes.grasps.antipodal import surface_grasps
+
+        _mesh_shapes[key] = ObjectShape("mesh", kind.half, grasps=surface_grasps(kind, meshes))
+    return _mesh_shapes[key]
 
 
 def spread(candidates: Grasps, count: int) -> Iterator[int]:
@@ -193,7 +215,8 @@ class HeldStarts:
         return found
 
     def _search(self, kind: str) -> list[HeldGrasp]:
-        shape = shape_of(self.layout.pack.objects[kind])
+        pack = self.layout.pack
+        shape = shape_of(pack.objects[kind], pack.meshes)
         candidates = grasp_candidates(shape, np.zeros(3), _UPRIGHT, support_z=-shape.half[2])
         steep = candidates.rot[:, 2, 0] <= -np.cos(MAX_SLANT)
         if steep.any():

@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from mjhab.core.errors import unknown_name
+from mjhab.core.errors import UsageError, unknown_name
 from mjhab.scenes.builtin.objects import BOWL_FACETS
 
 Array = np.ndarray
@@ -28,6 +28,13 @@ CORNER_GAP = 0.003
 (else it slips out when the hand moves), and room between it and the palm."""
 CHORD_PLAY = 0.0015
 """Room [m] left on both sides by pads that come down around a chord of a can too wide to go around."""
+FROM_BELOW = 0.05
+"""Largest upward component of a unit direction of approach: hands do not come from below."""
+FULL_PATCH_M = 0.025
+PATCH_BONUS_PER_M = 40.0
+SLANT_COST = 4.0
+"""Points of a grasp on a mesh per metre of the root of the area that the pads press, up to the former, and price per
+radian between the closing line and the normals of the surface."""
 UPRIGHT = 0.97
 """Least cosine between an edge and the vertical."""
 
@@ -52,19 +59,49 @@ class Gripper:
     blunt: float = 0.0
 
 
+@dataclass(frozen=True, eq=False)
+class SurfaceGrasps:
+    """Grasps in the frame of the object.
+
+    ``pos`` (M, 3): tool centre; ``approach`` (M, 3): unit direction along the fingers; ``closing`` (M, 3): unit line
+    on which the pads close; ``contact`` (M, 3): middle between the two contacts; ``width`` (M,): distance of the
+    contacts; ``most_open`` (M,): widest opening with which the hand may come; ``slant`` (M,): larger angle [rad]
+    between the closing line and the normals of the surface; ``patch`` (M,): root of the area that the pads press, of
+    the side that has less.
+    """
+
+    pos: Array
+    approach: Array
+    closing: Array
+    contact: Array
+    width: Array
+    most_open: Array
+    slant: Array
+    patch: Array
+
+    def __len__(self) -> int:
+        return len(self.pos)
+
+    def take(self, rows: Array) -> SurfaceGrasps:
+        """Some of the grasps, by index or mask."""
+        return SurfaceGrasps(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+
+
 @dataclass(frozen=True)
 class ObjectShape:
     """What is to be grasped. ``half``: half-extents of its bounding box, cylinders and bowls stand along z.
 
     Bowls: ``wall`` thickness and ``lean``, the angle [rad] between the wall at the rim and the axis; ``facets``: flat
     pieces the collision wall is made of, the first centred on +x (0: round); pads fit them best in their middles.
+    Meshes: ``grasps``, found on their surface by `antipodal.surface_grasps`.
     """
 
-    kind: Literal["box", "cylinder", "sphere", "bowl"]
+    kind: Literal["box", "cylinder", "sphere", "bowl", "mesh"]
     half: tuple[float, float, float]
     wall: float = 0.0045
     lean: float = 0.197
     facets: int = BOWL_FACETS
+    grasps: SurfaceGrasps | None = field(default=None, compare=False)
 
 
 @dataclass(frozen=True)
@@ -110,6 +147,8 @@ class Hold:
     """Length (or root of the area) of the whole locus; 0 for a point."""
     planar: bool = False
     """The locus samples an area, not a line."""
+    most_open: float = np.inf
+    """Widest opening [m] with which the hand may come: beyond it a finger meets another part of the object."""
 
     @property
     def point(self) -> bool:
@@ -130,6 +169,7 @@ def holds_of(
         "cylinder": _cylinder_holds,
         "sphere": _sphere_holds,
         "bowl": _bowl_holds,
+        "mesh": _mesh_holds,
     }
     if shape.kind not in makers:
         raise unknown_name("object shape", shape.kind, makers)
@@ -339,10 +379,34 @@ def _bowl_holds(
             yield Hold(closing, down[None], wall, shape.wall, at, bonus=-abs(extra), measure=0.03)
 
 
+def _mesh_holds(
+    shape: ObjectShape, pos: Array, rot: Array, gripper: Gripper, options: Options
+) -> Iterator[Hold]:
+    """The grasps found on a mesh, those aside that come from below as it lies."""
+    grasps = shape.grasps
+    if grasps is None:
+        raise UsageError("a shape of kind 'mesh' needs the grasps that were found on it.")
+    approach = grasps.approach @ rot.T
+    closing = grasps.closing @ rot.T
+    tcp = pos + grasps.pos @ rot.T
+    contact = pos + grasps.contact @ rot.T
+    bonus = PATCH_BONUS_PER_M * np.minimum(grasps.patch, FULL_PATCH_M) - SLANT_COST * grasps.slant
+    for k in np.flatnonzero(approach[:, 2] <= FROM_BELOW):
+        yield Hold(
+            closing[k],
+            approach[k : k + 1],
+            contact[k : k + 1],
+            float(grasps.width[k]),
+            tcp[k : k + 1],
+            float(bonus[k]),
+            most_open=float(grasps.most_open[k]),
+        )
+
+
 def _fan(closing: Array, start: Array, count: int) -> Array:
     """Approach directions (A, 3) around a closing axis, without those that come from below."""
     u = start - closing * (start @ closing)
     u = u / np.linalg.norm(u)
     angle = np.arange(count) * 2 * np.pi / count
     fan = np.cos(angle)[:, None] * u + np.sin(angle)[:, None] * np.cross(closing, u)
-    return fan[fan[:, 2] <= 0.05]
+    return fan[fan[:, 2] <= FROM_BELOW]

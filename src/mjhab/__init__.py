@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from mjhab.evaluation.evaluate import evaluate
     from mjhab.evaluation.generate import generate
     from mjhab.experts import make_expert
+    from mjhab.scenes.home_files import home_pack
     from mjhab.scenes.object_glb import object_from_glb
     from mjhab.scenes.objects import ObjectModel, register_object
     from mjhab.scenes.pack_source import PackRequest, PackSource, register_pack
@@ -28,6 +29,7 @@ __all__ = [
     "__version__",
     "evaluate",
     "generate",
+    "home_pack",
     "make",
     "make_expert",
     "make_train",
@@ -47,6 +49,7 @@ _LAZY = {
     "make_train": "mjhab.envs",
     "make_expert": "mjhab.experts",
     "open_pack": "mjhab.scenes.packs",
+    "home_pack": "mjhab.scenes.home_files",
     "object_from_glb": "mjhab.scenes.object_glb",
     "register_object": "mjhab.scenes.objects",
     "register_pack": "mjhab.scenes.pack_source",

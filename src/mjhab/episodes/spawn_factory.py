@@ -55,12 +55,12 @@ class SpawnFactory:
             seed=recipe.seed,
             spawn_rule=recipe.spawn_rule,
         )
-        pack = open_pack(recipe.assets)
+        pack = open_pack(config.assets)
         self.layout = Layout(pack, object_roster(config, pack))
         check_target(config, self.layout)
         self.sim = CpuSimulator(self.layout, 1, 1)
         wanted = recipe.target if recipe.target in self.layout.roster else ""
-        self.episodes = EpisodeMaker(self.sim, recipe.task, recipe.split, recipe.home, wanted)
+        self.episodes = EpisodeMaker(self.sim, recipe.task, recipe.split, config.home, wanted)
         self.starts = StartMaker(self.sim, config, task_config(config, REST_QPOS), recipe.harvested)
 
     def episode(self, index: int) -> Episode:

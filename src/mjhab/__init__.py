@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from mjhab.scenes.objects import ObjectModel, register_object
     from mjhab.scenes.pack_source import PackRequest, PackSource, register_pack
     from mjhab.scenes.packs import open_pack
+    from mjhab.tasks.household.registry import register_task
+    from mjhab.tasks.subtasks.registry import register_subtask
 
 __all__ = [
     "ObjectModel",
@@ -37,6 +39,8 @@ __all__ = [
     "open_pack",
     "register_object",
     "register_pack",
+    "register_subtask",
+    "register_task",
 ]
 
 _LAZY = {
@@ -52,6 +56,8 @@ _LAZY = {
     "home_pack": "mjhab.scenes.home_files",
     "object_from_glb": "mjhab.scenes.object_glb",
     "register_object": "mjhab.scenes.objects",
+    "register_subtask": "mjhab.tasks.subtasks.registry",
+    "register_task": "mjhab.tasks.household.registry",
     "register_pack": "mjhab.scenes.pack_source",
 }
 _PACKAGES = frozenset(

@@ -12,9 +12,8 @@ import numpy as np
 from mjhab.cli.doctor import cores
 from mjhab.cli.options.common import BenchGraspOptions, BenchSimOptions
 from mjhab.cli.output import at_least, print_json, print_table
-from mjhab.core.errors import unknown_name
 from mjhab.rollout.policy import ACTION_SIZE
-from mjhab.tasks.plan import TASKS
+from mjhab.tasks.household.registry import TASKS
 
 WARM_STEPS = 8
 """Untimed control steps after each reset: teleports happen and things come to rest."""
@@ -22,8 +21,7 @@ WARM_STEPS = 8
 
 def bench_sim(options: BenchSimOptions) -> int:
     """Print control steps/s of the engine and of the environment, measured in the same run."""
-    if options.task not in TASKS:
-        raise unknown_name("task", options.task, TASKS)
+    TASKS.check(options.task)
     for name in ("worlds", "steps", "rounds"):
         at_least(name, getattr(options, name), 1)
     at_least("threads", options.threads, 0)

@@ -45,8 +45,8 @@ def soak(options: BenchSoakOptions) -> dict[str, Any]:
         ``steps`` and ``episodes`` done, ``seconds``, ``tainted`` episodes per kind of taint, ``nan_resets``,
         ``spawn_fallbacks``, ``rss_mb`` after each quarter, ``rss_growth`` (relative, over the second half).
     """
-    from mjhab.config.env import SUBTASKS_OF_TASK
     from mjhab.envs import make_train
+    from mjhab.tasks.household.registry import TASKS
 
     envs = [
         make_train(
@@ -57,7 +57,7 @@ def soak(options: BenchSoakOptions) -> dict[str, Any]:
             seed=options.seed + i,
             **profile_options(options),
         )
-        for i, kind in enumerate(SUBTASKS_OF_TASK[options.task])
+        for i, kind in enumerate(TASKS[options.task].subtasks)
     ]
     for env in envs:
         env.reset()

@@ -19,10 +19,10 @@ from mjhab.cli.options.train import (
 from mjhab.cli.output import at_least, print_json
 from mjhab.cli.profiles import profile_options
 from mjhab.config.profiles import DEFAULT_PROFILE, profile_named
-from mjhab.core.errors import unknown_name
 from mjhab.learning.require import require_learn
-from mjhab.tasks.plan import KIND_NAMES, TASKS
+from mjhab.tasks.household.registry import TASKS
 from mjhab.tasks.style import Styles
+from mjhab.tasks.subtasks.registry import SUBTASKS
 
 if TYPE_CHECKING:
     from mjhab.learning.configs import TrainConfig
@@ -69,12 +69,8 @@ def make_request(options: TrainOptions) -> Request:
     from mjhab.learning.runs.collection import Means, Scene
     from mjhab.learning.runs.session import Request
 
-    for kind, given, valid in (
-        ("task", options.task, TASKS),
-        ("subtask", options.subtask, KIND_NAMES),
-    ):
-        if given not in valid:
-            raise unknown_name(kind, given, valid)
+    TASKS.check(options.task)
+    SUBTASKS.check(options.subtask)
     for name in ("eval_episodes", "round_episodes", "films", "seed", "threads", "budget_minutes"):
         at_least(name.replace("_", "-"), getattr(options, name), 0)
     for name in ("worlds", "workers", "demos", "updates"):

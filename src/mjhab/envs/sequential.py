@@ -18,7 +18,7 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from mjhab.config.env import EnvConfig, task_config
+from mjhab.config.env import DENSE_MODES, EnvConfig, task_config
 from mjhab.core.arrays import where_rows
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.envs.parts.memory import check_memory
@@ -36,7 +36,7 @@ from mjhab.envs.spaces import batched
 from mjhab.episodes.generator import Episode, EpisodeMaker
 from mjhab.episodes.hab.format import read_hab
 from mjhab.episodes.hab.reader import FileEpisodes, file_roster
-from mjhab.episodes.roster import object_roster
+from mjhab.episodes.rosters import object_roster
 from mjhab.episodes.starts import Start, StartMaker, check_target
 from mjhab.episodes.zones import with_zones
 from mjhab.layout.layout import Layout
@@ -46,11 +46,12 @@ from mjhab.scenes.packs import open_pack
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.protocol import TAINTS, SimState
 from mjhab.tasks import progress as progress_rules
-from mjhab.tasks.measure import Signals, WorldState, measure
-from mjhab.tasks.plan import TARGETS_PER_TASK, SubtaskKind
+from mjhab.tasks.household.registry import TASKS
+from mjhab.tasks.measure import measure
 from mjhab.tasks.progress import Outcome, Progress
+from mjhab.tasks.signals import Signals, WorldState
+from mjhab.tasks.subtasks.registry import properties
 
-SUBTASKS_PER_TARGET = {"tidy_house": 4, "prepare_groceries": 4, "set_table": 8}
 INDEX_STRIDE = 1 << 20
 """Without explicit indices, the k-th episode of world i is number i * stride + k: it depends on nothing else."""
 
@@ -85,11 +86,7 @@ class SequentialTaskEnv(VectorEnv):
             config.camera_size,
             config.threads,
         )
-        length = (
-            1
-            if config.subtask
-            else TARGETS_PER_TASK[config.task] * SUBTASKS_PER_TARGET[config.task]
-        )
+        length = 1 if config.subtask else TASKS[config.task].length
         self.tables = PlanTables(self.layout, self.task_config, self.num_envs, length)
         self.tracker = Tracker(self.num_envs)
         self.nav = NavDistance(self.layout, self.num_envs, self.starts.sampler.map)
@@ -101,7 +98,7 @@ class SequentialTaskEnv(VectorEnv):
             self.layout,
             self.sensing,
             lambda inputs: self.nav.at(inputs.world.base_pose[:, :2]),
-            [SubtaskKind[config.subtask.upper()]] if config.subtask else list(SubtaskKind),
+            [config.subtask] if config.subtask else TASKS[config.task].subtasks,
         )
         self._set_spaces()
         self._init_worlds()
@@ -241,7 +238,7 @@ class SequentialTaskEnv(VectorEnv):
         mask[worlds] = True
         self.count[worlds] += 1
         self.success[worlds] = self.fail[worlds] = self.due[worlds] = False
-        held = self.tables.arrays.kind[:, 0] == SubtaskKind.PLACE
+        (held,) = properties(self.tables.arrays.kind[:, 0], "starts_holding")
         self.grip[worlds] = np.where(held[worlds], -1.0, 1.0)
         self.follow(
             progress_rules.reset_rows(self.progress, mask, self.tables.arrays, self.task_config)
@@ -272,7 +269,7 @@ class SequentialTaskEnv(VectorEnv):
     def _enter_subtask(self, mask: np.ndarray) -> None:
         """Begin the subtask at the pointer of the worlds in ``mask``: teleport if due, joint start, label state."""
         if self.config.teleports:
-            self.teleports.begin(mask, self.focus.kind)
+            self.teleports.begin(mask, self.focus.navigates)
             self._teleport()
         now = self.sensing.joint_now(self.state, self.focus)
         self.joint_start = np.where(mask, now, self.joint_start)
@@ -281,8 +278,8 @@ class SequentialTaskEnv(VectorEnv):
         self.signals = signals if self.signals is None else where_rows(mask, signals, self.signals)
         self.judged = self.signals if self.judged is None else self.judged
         self.tracker.begin(mask, self.signals, self.progress)
-        if self.config.reward in ("dense", "normalized_dense"):
-            for w in np.flatnonzero(mask & (self.focus.kind == SubtaskKind.NAVIGATE)).tolist():
+        if self.config.reward in DENSE_MODES:
+            for w in np.flatnonzero(mask & self.focus.navigates).tolist():
                 self.nav.begin(w, self.homes[w], self.focus.active.goal_pos[w, :2])
         self.rewarder.begin(mask, self._reward_inputs(world, signals))
 
@@ -347,7 +344,7 @@ class SequentialTaskEnv(VectorEnv):
 
     def _advance_physics(self, actions: np.ndarray) -> np.ndarray | None:
         """Step the worlds; returns (W,) bool, those that broke and have been put back, or None."""
-        teleporting = self.focus.kind == SubtaskKind.NAVIGATE
+        teleporting = self.focus.navigates
         if self.config.teleports and teleporting.any():
             # The teleport does the moving: the robot stands and keeps its grip.
             still = self.controller.still(self.state)

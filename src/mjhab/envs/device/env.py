@@ -37,10 +37,10 @@ from mjhab.sim.protocol import TAINTS, SimState
 from mjhab.sim.warp.device import room_for
 from mjhab.sim.warp.simulator import WarpSimulator
 from mjhab.tasks import progress as progress_rules
-from mjhab.tasks.events import EVENT_NAMES
-from mjhab.tasks.measure import Signals, WorldState, measure
-from mjhab.tasks.plan import SubtaskKind
+from mjhab.tasks.measure import measure
 from mjhab.tasks.progress import Outcome, Progress
+from mjhab.tasks.signals import Signals, WorldState
+from mjhab.tasks.subtasks.registry import event_columns, horizons, name_of, properties
 
 Tensor = torch.Tensor
 
@@ -53,9 +53,9 @@ class DeviceEnv(VectorEnv):
 
     * Episodes come from a pool of P starts: world w's k-th episode is start (w + k W) mod P, and start i is the episode
       (seed, i) of the cpu backend. A reset with another seed makes a new pool, which takes time.
-    * `info` holds tensors only. "event_flags" (W, E) bool has the columns `tasks.events.EVENT_NAMES`, "ended" (W,) bool
-      says whose subtask ended in this step and "label" (W,) its label, -1 for none. Records of them and descriptions
-      of episodes are made on the host when asked for: `records`, `episode_spec`.
+    * `info` holds tensors only. "event_flags" (W, E) bool has the columns `registry.event_columns`, "ended" (W,) bool
+      says whose subtask ended in this step and "label" (W,) its label, -1 for none. Records and descriptions of
+      episodes are made on the host when asked for: `records`, `episode_spec`.
     * A teleport never waits; see `landings`.
     * Numbers of an action that are not finite count as 0 and are told by `check_taint`.
     * With autoreset "same_step" pictures of the final observations are drawn in every step, whether an episode ends or
@@ -112,10 +112,10 @@ class DeviceEnv(VectorEnv):
             self.layout,
             self.sensing,
             self._nav_distance,
-            [SubtaskKind(kind) for kind in self._host.rewarder.dense.tables],
+            [name_of(kind) for kind in self._host.rewarder.dense.tables],
             like=like,
         )
-        self.notes = DeviceNotes(count, max(self.task_config.horizons), self.device)
+        self.notes = DeviceNotes(count, max(horizons(self.task_config)), self.device)
         self.teleporter = Teleporter(self.sim.addresses, self.device)
 
     def _set_spaces(self) -> None:
@@ -248,7 +248,7 @@ class DeviceEnv(VectorEnv):
         self.success = self.success & ~fresh
         self.fail = self.fail & ~fresh
         self.due = self.due & ~fresh
-        held = self.tables.arrays.kind[:, 0] == int(SubtaskKind.PLACE)
+        (held,) = properties(self.tables.arrays.kind[:, 0], "starts_holding")
         self.grip = torch.where(fresh, torch.where(held, -1.0, 1.0), self.grip)
         self.fallback = torch.where(fresh, pool.fallback[self.start_row], self.fallback)
         leaping = self._place(fresh, moved)
@@ -264,7 +264,7 @@ class DeviceEnv(VectorEnv):
         qpos = pool.qpos[row]
         leaping = self._no
         if self.config.teleports:
-            leaping = moved & (self.focus.kind == int(SubtaskKind.NAVIGATE))
+            leaping = moved & self.focus.navigates
             at = self.focus.active.index
             there = self.teleporter.moved(
                 self.sim.qpos, self.state, pool.landings[row, at], self.focus.columns[:, 1]
@@ -361,7 +361,7 @@ class DeviceEnv(VectorEnv):
             # The teleport does the moving: the robot stands and keeps its grip.
             still = self.controller.still(self.state).to(torch.float32).clone()
             still[:, self.controller.gripper] = self.grip
-            teleporting = self.focus.kind == int(SubtaskKind.NAVIGATE)
+            teleporting = self.focus.navigates
             actions = torch.where(teleporting[:, None], still, actions)
         self.grip = actions[:, self.controller.gripper].clone()
         self.sim.step(self.controller.ctrl(actions, self.state))
@@ -419,7 +419,9 @@ class DeviceEnv(VectorEnv):
         return self.observer.observe(self.state, self.focus, self.signals, changed)
 
     def _no_events(self) -> Tensor:
-        return torch.zeros((self.num_envs, len(EVENT_NAMES)), dtype=torch.bool, device=self.device)
+        return torch.zeros(
+            (self.num_envs, len(event_columns())), dtype=torch.bool, device=self.device
+        )
 
     def _info(self, events: Tensor, ended: Tensor, label: Tensor) -> dict[str, Any]:
         """Tensors (W,) that stay as they are; see `envs.parts.reporting.Reporter.info`."""

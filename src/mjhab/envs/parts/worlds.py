@@ -15,9 +15,9 @@ from mjhab.episodes.starts import StartMaker
 from mjhab.layout.layout import Layout
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.protocol import SimState
-from mjhab.tasks.measure import Signals
-from mjhab.tasks.plan import TaskConfig
 from mjhab.tasks.progress import Progress
+from mjhab.tasks.signals import Signals
+from mjhab.tasks.thresholds import TaskConfig
 
 
 class Worlds(Protocol):

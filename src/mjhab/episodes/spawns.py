@@ -18,7 +18,7 @@ from mjhab.core.rotations import mat_from_quat, pose_mul
 from mjhab.robots.controllers.actions import ARM_JOINTS
 from mjhab.robots.fetch.model import REST_QPOS
 from mjhab.robots.kinematics import wrap
-from mjhab.scenes.freespace import BASE_RADIUS, FreeMap, free_map
+from mjhab.scenes.freespace import NAVMESH_BASE_RADIUS_M, FreeMap, free_map
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.scratch import Scratch
 
@@ -92,7 +92,7 @@ class SpawnSampler:
     def __init__(self, sim: CpuSimulator) -> None:
         self.sim = sim
         self.scratch = Scratch(sim)
-        self._homes = {home.name: home for home in sim.layout.pack.homes}
+        self._homes = sim.layout.pack.homes_by_name
         self._maps: dict[str, FreeMap] = {}
         self._standing: dict[str, np.ndarray] = {}
         self._walls: dict[str, Boxes] = {}
@@ -107,7 +107,7 @@ class SpawnSampler:
         """(P, 2) centres [m] of the cells where the robot can stand."""
         if home not in self._standing:
             fmap = self.map(home)
-            self._standing[home] = fmap.to_xy(np.argwhere(fmap.navigable(BASE_RADIUS)))
+            self._standing[home] = fmap.to_xy(np.argwhere(fmap.navigable(NAVMESH_BASE_RADIUS_M)))
         return self._standing[home]
 
     def roomiest(self, home: str) -> np.ndarray:
@@ -209,7 +209,9 @@ class SpawnSampler:
             return None
         cell = candidates[int(rng.integers(len(candidates)))]
         xy = cell + noise
-        if self.map(home).clearance_at(xy) < BASE_RADIUS - 0.02 or not goal.allows(xy, goal.slack):
+        if self.map(home).clearance_at(xy) < NAVMESH_BASE_RADIUS_M - 0.02 or not goal.allows(
+            xy, goal.slack
+        ):
             return None
         if goal.face is None:
             return np.array([*xy, rng.uniform(*goal.yaw)])

@@ -9,9 +9,9 @@ import numpy as np
 
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.rotations import mat_from_quat
-from mjhab.scenes.builtin.homes import MAX_REACH_CENTER
+from mjhab.scenes.builtin.homes import MAX_REACH_TO_CENTER_M
 from mjhab.scenes.builtin.materials import MATERIALS
-from mjhab.scenes.freespace import BASE_RADIUS, free_map, reach
+from mjhab.scenes.freespace import NAVMESH_BASE_RADIUS_M, free_map, reach
 from mjhab.scenes.pack_check import check_range
 from mjhab.scenes.roles import plays, roles_of
 from mjhab.scenes.shapes.footprints import Footprint, footprint, outline
@@ -138,7 +138,7 @@ def _check_reach(source: Path, pack: Pack, home: Home) -> None:
     free = free_map(home, pack)
     if not free.navigable().any():
         raise UsageError(
-            f"{source}: furniture leaves no floor on which a base of radius {BASE_RADIUS} m can stand."
+            f"{source}: furniture leaves no floor on which a base of radius {NAVMESH_BASE_RADIUS_M} m can stand."
         )
     roles = roles_of(pack, home)
     for found in reach(home, pack, free):
@@ -147,9 +147,9 @@ def _check_reach(source: Path, pack: Pack, home: Home) -> None:
         playing = [
             r for r in roles.places if plays(roles, r, found.thing, found.receptacle, first=first)
         ]
-        if playing and found.center > MAX_REACH_CENTER:
+        if playing and found.center > MAX_REACH_TO_CENTER_M:
             raise UsageError(
                 f"{source}: receptacle {found.receptacle!r} of {found.thing!r}, which plays the role {playing[0]!r}, "
-                f"is {found.center:.2f} m from where a robot can stand; it reaches {MAX_REACH_CENTER} m. "
+                f"is {found.center:.2f} m from where a robot can stand; it reaches {MAX_REACH_TO_CENTER_M} m. "
                 "Make room before it, or give the role to another."
             )

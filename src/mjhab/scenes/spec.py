@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal
 
 Vec3 = tuple[float, float, float]
@@ -220,3 +221,8 @@ class Pack:
     """Name to ``scenes.shapes.meshes.Mesh`` for every mesh the geoms name."""
     roles: Roles = Roles()
     """Which pieces play the roles that tasks ask for, in every home that states none of its own."""
+
+    @cached_property
+    def homes_by_name(self) -> dict[str, Home]:
+        """The homes under their names."""
+        return {home.name: home for home in self.homes}

@@ -11,8 +11,8 @@ from mjhab.core.rotations import frame_from_axes
 from mjhab.episodes.grasps import antipodal
 from mjhab.episodes.grasps.antipodal import Solid, farthest_points, surface_grasps
 from mjhab.episodes.grasps.candidates import grasp_candidates
-from mjhab.episodes.grasps.held import shape_of
-from mjhab.episodes.grasps.holds import Gripper, SurfaceGrasps
+from mjhab.episodes.grasps.pinches import Gripper, SurfaceGrasps
+from mjhab.episodes.grasps.stable import shape_of
 from mjhab.scenes.spec import Geom, ObjectType
 
 HAND = Gripper()

@@ -10,7 +10,7 @@ from mjhab.bench.grasp import GRASPS, Grasp, GraspBench, shake_motion
 from mjhab.core.boxes import Boxes
 from mjhab.core.rotations import quat_from_axis_angle
 from mjhab.episodes.grasps.candidates import Gripper, ObjectShape, Options, grasp_candidates
-from mjhab.episodes.grasps.held import HeldStarts, shape_of
+from mjhab.episodes.grasps.stable import StableGrasps, shape_of
 from mjhab.layout.layout import Layout
 from mjhab.robots.fetch.model import REST_QPOS, TCP_LINK
 from mjhab.scenes.builtin.objects import SIZES, builtin_objects
@@ -113,14 +113,14 @@ def test_a_box_held_by_its_corner_stays_in_a_moving_hand(monkeypatch: pytest.Mon
 
 
 @pytest.fixture(scope="module")
-def held() -> HeldStarts:
+def held() -> StableGrasps:
     layout = Layout(open_pack("builtin"), tuple(sorted(SIZES)))
     sim = CpuSimulator(layout, 1, 1)
-    return HeldStarts(sim, TaskConfig(rest_qpos=REST_QPOS), Scratch(sim))
+    return StableGrasps(sim, TaskConfig(rest_qpos=REST_QPOS), Scratch(sim))
 
 
 @pytest.mark.parametrize("name", sorted(SIZES))
-def test_every_object_type_can_be_held_without_a_policy(held: HeldStarts, name: str):
+def test_every_object_type_can_be_held_without_a_policy(held: StableGrasps, name: str):
     grasps = held.grasps(name)
     assert grasps
     for grasp in grasps:

@@ -10,8 +10,8 @@ import numpy as np
 
 from mjhab.core.rotations import mat_from_quat, quat_from_axis_angle
 from mjhab.envs.parts.worlds import Worlds
-from mjhab.episodes.grasps.held import shape_of
-from mjhab.episodes.grasps.holds import ObjectShape
+from mjhab.episodes.grasps.pinches import ObjectShape
+from mjhab.episodes.grasps.stable import shape_of
 from mjhab.layout.layout import Layout, compose
 from mjhab.layout.receptacles import PlacedReceptacle, placed_receptacles
 from mjhab.robots.fetch import model as fetch
@@ -211,7 +211,7 @@ class WorldView:
 @lru_cache(maxsize=256)
 def home_shapes(layout: Layout, name: str) -> HomeShapes:
     """Shapes of a home of a layout, computed once."""
-    home = next(h for h in layout.pack.homes if h.name == name)
+    home = layout.pack.homes_by_name[name]
     fmap = free_map(home, layout.pack)
     return HomeShapes(
         name,

@@ -20,7 +20,7 @@ from scipy.spatial import ConvexHull
 
 from mjhab.core.rotations import frame_from_axes
 from mjhab.core.seeding import stream
-from mjhab.episodes.grasps.holds import Gripper, SurfaceGrasps
+from mjhab.episodes.grasps.pinches import Gripper, SurfaceGrasps
 from mjhab.robots.fetch.model import PAD_FRICTION
 from mjhab.scenes.shapes.footprints import outline
 from mjhab.scenes.spec import ObjectType

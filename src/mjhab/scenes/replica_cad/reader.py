@@ -70,9 +70,9 @@ ROLES = Roles(
     closed_by={"fridge/middle_top": "fridge/top_door"},
 )
 """Furniture and receptacles that the tasks of the Home Assistant Benchmark use (habitat-lab, hab/*.yaml)."""
-_MARGIN = 1.0
+_FLOOR_MARGIN_M = 1.0
 """Floor around the furniture where neither stage nor navigation mesh tells its extent [m]."""
-_LIGHTS = (
+_LAMP_POSITIONS_M = (
     (-1.1, 2.775, 2.3),
     (-0.5, -1.44, 2.3),
     (2.4, -1.6, 2.3),
@@ -243,7 +243,7 @@ class _Scenes:
             FLOOR_MATERIAL,
             tuple(props),
             tuple(jointed),
-            tuple(Light(pos) for pos in _LIGHTS),
+            tuple(Light(pos) for pos in _LAMP_POSITIONS_M),
         )
 
     def _stage(self, path: Path, body: dict[str, Any]) -> tuple[tuple[Geom, ...], Extent] | None:
@@ -289,8 +289,8 @@ class _Scenes:
             )
             points.append(local @ mat_from_quat(np.array(at.rotation)).T + np.array(at.pos))
         corners = np.concatenate(points)[:, :2] if points else np.array([[-3.0, -3.0], [3.0, 3.0]])
-        low = corners.min(0) - _MARGIN
-        high = corners.max(0) + _MARGIN
+        low = corners.min(0) - _FLOOR_MARGIN_M
+        high = corners.max(0) + _FLOOR_MARGIN_M
         return (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
 
 

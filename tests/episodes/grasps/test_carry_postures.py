@@ -13,8 +13,8 @@ from mjhab.config.env import EnvConfig, task_config
 from mjhab.core.errors import UsageError
 from mjhab.core.seeding import stream
 from mjhab.episodes.grasps import held_arms
-from mjhab.episodes.grasps.held import MAX_OFFSET, HeldStarts
-from mjhab.episodes.grasps.held_arms import MAX_ARMS, HeldArms, rest_postures
+from mjhab.episodes.grasps.carry_postures import MAX_ARMS, CarryPostures, rest_postures
+from mjhab.episodes.grasps.stable import MAX_OFFSET_M, StableGrasps
 from mjhab.episodes.rosters import roster
 from mjhab.episodes.starts import StartMaker
 from mjhab.layout.layout import Layout
@@ -40,8 +40,8 @@ def sim() -> CpuSimulator:
     return CpuSimulator(Layout(open_pack("builtin"), (APPLE, BOWL)), 1, 1)
 
 
-def library(sim: CpuSimulator) -> HeldArms:
-    return HeldArms(HeldStarts(sim, CONFIG, Scratch(sim)))
+def library(sim: CpuSimulator) -> CarryPostures:
+    return CarryPostures(StableGrasps(sim, CONFIG, Scratch(sim)))
 
 
 def hand_at(arms: np.ndarray) -> np.ndarray:
@@ -70,7 +70,7 @@ def test_arms_are_many_and_hold_their_object_near_the_hand(sim: CpuSimulator, ki
     arms = library(sim).arms(kind)
     assert len(arms) == MAX_ARMS
     check_postures(np.array([one.arm for one in arms]))
-    assert max(np.linalg.norm(one.grasp.pose[:3]) for one in arms) <= MAX_OFFSET
+    assert max(np.linalg.norm(one.grasp.pose[:3]) for one in arms) <= MAX_OFFSET_M
 
 
 def test_made_once_then_read_from_the_cache(

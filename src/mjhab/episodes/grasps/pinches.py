@@ -16,26 +16,26 @@ from mjhab.core.errors import UsageError, unknown_name
 from mjhab.scenes.builtin.objects import BOWL_FACETS
 
 Array = np.ndarray
-CORNER_YAWS = (-0.1, 0.0, 0.1)
-CORNER_TILTS = (0.0, 0.26, 0.44, 0.6)
+CORNER_YAWS_RAD = (-0.1, 0.0, 0.1)
+CORNER_TILTS_RAD = (0.0, 0.26, 0.44, 0.6)
 """Angles [rad] between the hand and the diagonal of a corner that it holds, and of the hand down from level. Faces
 lean from the line on which the pads close by 45 degrees and the former: less than the angle of their friction, 56."""
-CORNER_PLAY = 0.003
-CORNER_LEAST = 0.036
-CORNER_HEIGHT = 0.018
-CORNER_GAP = 0.003
+CORNER_PLAY_M = 0.003
+MIN_CORNER_DEPTH_M = 0.036
+MIN_CORNER_OVERLAP_M = 0.018
+CORNER_PALM_GAP_M = 0.003
 """Room left on both sides by fingers around a corner, how deep they get and how much of its edge they cover at least
 (else it slips out when the hand moves), and room between it and the palm."""
-CHORD_PLAY = 0.0015
+CHORD_PLAY_M = 0.0015
 """Room [m] left on both sides by pads that come down around a chord of a can too wide to go around."""
-FROM_BELOW = 0.05
+MAX_APPROACH_RISE = 0.05
 """Largest upward component of a unit direction of approach: hands do not come from below."""
 FULL_PATCH_M = 0.025
 PATCH_BONUS_PER_M = 40.0
-SLANT_COST = 4.0
+SLANT_COST_PER_RAD = 4.0
 """Points of a grasp on a mesh per metre of the root of the area that the pads press, up to the former, and price per
 radian between the closing line and the normals of the surface."""
-UPRIGHT = 0.97
+MIN_UPRIGHT_COSINE = 0.97
 """Least cosine between an edge and the vertical."""
 
 
@@ -131,7 +131,7 @@ class Options:
 
 
 @dataclass(frozen=True, eq=False)
-class Hold:
+class Pinch:
     """A way of closing: pads meet the object on ``locus`` (P, 3) when closing along ``closing`` (3,), coming along one
     of ``approach`` (A, 3). ``at`` (A, 3): the tool centre; None: as deep as palm and floor allow."""
 
@@ -156,29 +156,29 @@ class Hold:
         return len(self.locus) == 1
 
 
-def holds_of(
+def pinches_of(
     shape: ObjectShape, pos: Array, rot: Array, gripper: Gripper, options: Options
-) -> Iterator[Hold]:
+) -> Iterator[Pinch]:
     """Ways to close on a shape at ``pos`` (3,), ``rot`` (3, 3).
 
     Raises:
         UsageError: unknown kind of shape.
     """
     makers = {
-        "box": _box_holds,
-        "cylinder": _cylinder_holds,
-        "sphere": _sphere_holds,
-        "bowl": _bowl_holds,
-        "mesh": _mesh_holds,
+        "box": _box_pinches,
+        "cylinder": _cylinder_pinches,
+        "sphere": _sphere_pinches,
+        "bowl": _bowl_pinches,
+        "mesh": _mesh_pinches,
     }
     if shape.kind not in makers:
         raise unknown_name("object shape", shape.kind, makers)
     return makers[shape.kind](shape, pos, rot, gripper, options)
 
 
-def _box_holds(
+def _box_pinches(
     shape: ObjectShape, pos: Array, rot: Array, gripper: Gripper, options: Options
-) -> Iterator[Hold]:
+) -> Iterator[Pinch]:
     for i in range(3):
         width = 2 * shape.half[i]
         if width > gripper.usable:
@@ -190,48 +190,48 @@ def _box_holds(
         face = pos + u.reshape(-1, 1) * rot[:, j] + v.reshape(-1, 1) * rot[:, k]
         size = 2 * np.sqrt(shape.half[j] * shape.half[k])
         fan = _fan(rot[:, i], rot[:, j], options.fan)
-        yield Hold(rot[:, i], fan, face, width, least=0.014, measure=size, planar=True)
+        yield Pinch(rot[:, i], fan, face, width, least=0.014, measure=size, planar=True)
     if options.corners:
-        for k in np.flatnonzero(np.abs(rot[2]) > UPRIGHT):
-            yield from _corner_holds(shape, pos, rot, int(k), gripper)
+        for k in np.flatnonzero(np.abs(rot[2]) > MIN_UPRIGHT_COSINE):
+            yield from _corner_pinches(shape, pos, rot, int(k), gripper)
 
 
-def _corner_holds(
+def _corner_pinches(
     shape: ObjectShape, pos: Array, rot: Array, k: int, gripper: Gripper
-) -> Iterator[Hold]:
+) -> Iterator[Pinch]:
     """A box by two sides that meet in an upright edge, axis ``k``: the hand comes along about their diagonal.
 
-    The fingertips get as far beyond the edge as the open hand lets them; friction holds, see `CORNER_YAWS`.
+    The fingertips get as far beyond the edge as the open hand lets them; friction holds, see `CORNER_YAWS_RAD`.
     """
     i = (k + 1) % 3
     j = (k + 2) % 3
     up = rot[:, k] * np.sign(rot[2, k])
-    full = gripper.opening - 2 * CORNER_PLAY
-    for si, sj, yaw in itertools.product((-1.0, 1.0), (-1.0, 1.0), CORNER_YAWS):
+    full = gripper.opening - 2 * CORNER_PLAY_M
+    for si, sj, yaw in itertools.product((-1.0, 1.0), (-1.0, 1.0), CORNER_YAWS_RAD):
         first = si * rot[:, i]
         second = sj * rot[:, j]
         angle = np.pi / 4 + yaw
         spread = np.tan(angle) + 1.0 / np.tan(angle)
         ends = 0.97 * 2.0 * min(shape.half[j] * np.sin(angle), shape.half[i] * np.cos(angle))
         depth = min(full / spread, ends)
-        if depth < CORNER_LEAST:
+        if depth < MIN_CORNER_DEPTH_M:
             continue
         level = -np.cos(angle) * first - np.sin(angle) * second
         closing = np.sin(angle) * first - np.cos(angle) * second
         aside = 0.5 * depth * (1.0 / np.tan(angle) - np.tan(angle))
         edge = pos + shape.half[i] * first + shape.half[j] * second + aside * closing
         bonus = -0.8 - 20.0 * (full / spread - depth)
-        for tilt in CORNER_TILTS:
+        for tilt in CORNER_TILTS_RAD:
             at, line = _around_edge(edge, level, up, shape.half[k], depth, tilt, gripper)
             approach = np.tile(np.cos(tilt) * level - np.sin(tilt) * up, (len(at), 1))
-            yield Hold(
+            yield Pinch(
                 closing,
                 approach,
                 line,
                 depth * spread,
                 at,
                 bonus,
-                CORNER_HEIGHT,
+                MIN_CORNER_OVERLAP_M,
                 measure=2 * shape.half[k],
             )
 
@@ -247,18 +247,18 @@ def _around_edge(
     heights = np.linspace(-1.0, 1.0, 9) * half + tip * s
     back = depth - tip * c - across * s
     # How far up the front of the palm comes to the edge: there the box must have ended.
-    meets = (-back - CORNER_GAP - gripper.palm_x[1] * c) / max(s, 1e-9)
+    meets = (-back - CORNER_PALM_GAP_M - gripper.palm_x[1] * c) / max(s, 1e-9)
     if meets < gripper.palm_half[1]:
-        heights = heights[heights - gripper.palm_x[1] * s + meets * c > half + CORNER_GAP]
+        heights = heights[heights - gripper.palm_x[1] * s + meets * c > half + CORNER_PALM_GAP_M]
     line = (
         edge + (depth - 2 * across * s - 0.001) * level + np.linspace(-half, half, 81)[:, None] * up
     )
     return edge + back * level + heights[:, None] * up, line
 
 
-def _cylinder_holds(
+def _cylinder_pinches(
     shape: ObjectShape, pos: Array, rot: Array, gripper: Gripper, options: Options
-) -> Iterator[Hold]:
+) -> Iterator[Pinch]:
     radius = shape.half[0]
     half = shape.half[2]
     axis = rot[:, 2]
@@ -266,18 +266,18 @@ def _cylinder_holds(
     for angle in np.arange(12) * np.pi / 12:
         closing = np.cos(angle) * rot[:, 0] + np.sin(angle) * rot[:, 1]
         if 2 * radius <= gripper.usable:
-            yield Hold(
+            yield Pinch(
                 closing, _fan(closing, axis, options.fan), line, 2 * radius, measure=2 * half
             )
         else:
-            yield from _chord_holds(radius, half, pos, axis, closing, line, gripper)
-            yield from _tip_holds(radius, half, pos, axis, closing, line, gripper)
+            yield from _chord_pinches(radius, half, pos, axis, closing, line, gripper)
+            yield from _tip_pinches(radius, half, pos, axis, closing, line, gripper)
     if 2 * half <= gripper.usable:
         u, v = np.meshgrid(np.linspace(-1, 1, 15) * radius, np.linspace(-1, 1, 15) * radius)
         disk = np.stack([u.ravel(), v.ravel()], axis=1)
         disk = disk[np.linalg.norm(disk, axis=1) <= radius] @ rot[:, :2].T + pos
         size = np.sqrt(np.pi) * radius
-        yield Hold(
+        yield Pinch(
             axis,
             _fan(axis, rot[:, 0], options.fan),
             disk,
@@ -288,7 +288,7 @@ def _cylinder_holds(
         )
 
 
-def _chord_holds(
+def _chord_pinches(
     radius: float,
     half: float,
     pos: Array,
@@ -296,14 +296,14 @@ def _chord_holds(
     closing: Array,
     line: Array,
     gripper: Gripper,
-) -> Iterator[Hold]:
+) -> Iterator[Pinch]:
     """A can too wide to go around: coming along its axis, the pads' edges meet it on a chord beside the axis.
 
     The normals lean from the closing line by asin(offset / radius), 21 degrees for the widest can of the benchmark;
     the pads' friction (coefficient above tan of that) holds it. The grasp test allows 30 degrees, and as the can slips
-    along the pads its normals lean more: the chord is as wide as the hand opens but for CHORD_PLAY.
+    along the pads its normals lean more: the chord is as wide as the hand opens but for CHORD_PLAY_M.
     """
-    width = gripper.opening - 2 * CHORD_PLAY
+    width = gripper.opening - 2 * CHORD_PLAY_M
     if width / 2 >= radius or radius - width / 2 > 0.012:
         return
     offset = float(np.sqrt(radius**2 - (width / 2) ** 2))
@@ -317,10 +317,10 @@ def _chord_holds(
                 - down * (half - deep + gripper.finger[0])
                 + side * (offset + gripper.finger[1]) * across
             )
-            yield Hold(closing, down[None], chord, width, at[None], bonus=-0.4, measure=2 * half)
+            yield Pinch(closing, down[None], chord, width, at[None], bonus=-0.4, measure=2 * half)
 
 
-def _tip_holds(
+def _tip_pinches(
     radius: float,
     half: float,
     pos: Array,
@@ -328,7 +328,7 @@ def _tip_holds(
     closing: Array,
     line: Array,
     gripper: Gripper,
-) -> Iterator[Hold]:
+) -> Iterator[Pinch]:
     """A can a little too wide to go around: coming from the side, the round edges of the fingertips hold it on a chord
     before the axis, as far back as the open hand gets. The more the tips miss the axis, the sooner it is lost."""
     width = gripper.opening - 2 * gripper.play
@@ -341,25 +341,27 @@ def _tip_holds(
         approach = side * np.cross(axis, closing)
         at = pos + heights - (offset + tip) * approach
         chord = line - (offset + 1e-4) * approach
-        yield Hold(
+        yield Pinch(
             closing, np.tile(approach, (len(at), 1)), chord, width, at, bonus=-0.6, measure=2 * half
         )
 
 
-def _sphere_holds(
+def _sphere_pinches(
     shape: ObjectShape, pos: Array, rot: Array, gripper: Gripper, options: Options
-) -> Iterator[Hold]:
+) -> Iterator[Pinch]:
     width = 2 * max(shape.half)
     if width > gripper.usable:
         return
     for angle in np.arange(8) * np.pi / 8:
         closing = np.array([np.cos(angle), np.sin(angle), 0.0])
-        yield Hold(closing, _fan(closing, np.array([0.0, 0.0, 1.0]), options.fan), pos[None], width)
+        yield Pinch(
+            closing, _fan(closing, np.array([0.0, 0.0, 1.0]), options.fan), pos[None], width
+        )
 
 
-def _bowl_holds(
+def _bowl_pinches(
     shape: ObjectShape, pos: Array, rot: Array, gripper: Gripper, options: Options
-) -> Iterator[Hold]:
+) -> Iterator[Pinch]:
     """One finger inside, one outside the wall, both about parallel to it; several leans of the hand at every place."""
     axis = rot[:, 2]
     half = shape.half[2]
@@ -376,12 +378,12 @@ def _bowl_holds(
             wall = rim + np.linspace(0.0, 0.03, 16)[:, None] * down
             # The more the hand leans, the sooner the tip outside meets the wall below the rim.
             at = rim[None] + (0.002 - 0.02 * max(extra - 0.4, 0.0)) * down
-            yield Hold(closing, down[None], wall, shape.wall, at, bonus=-abs(extra), measure=0.03)
+            yield Pinch(closing, down[None], wall, shape.wall, at, bonus=-abs(extra), measure=0.03)
 
 
-def _mesh_holds(
+def _mesh_pinches(
     shape: ObjectShape, pos: Array, rot: Array, gripper: Gripper, options: Options
-) -> Iterator[Hold]:
+) -> Iterator[Pinch]:
     """The grasps found on a mesh, those aside that come from below as it lies."""
     grasps = shape.grasps
     if grasps is None:
@@ -390,9 +392,12 @@ def _mesh_holds(
     closing = grasps.closing @ rot.T
     tcp = pos + grasps.pos @ rot.T
     contact = pos + grasps.contact @ rot.T
-    bonus = PATCH_BONUS_PER_M * np.minimum(grasps.patch, FULL_PATCH_M) - SLANT_COST * grasps.slant
-    for k in np.flatnonzero(approach[:, 2] <= FROM_BELOW):
-        yield Hold(
+    bonus = (
+        PATCH_BONUS_PER_M * np.minimum(grasps.patch, FULL_PATCH_M)
+        - SLANT_COST_PER_RAD * grasps.slant
+    )
+    for k in np.flatnonzero(approach[:, 2] <= MAX_APPROACH_RISE):
+        yield Pinch(
             closing[k],
             approach[k : k + 1],
             contact[k : k + 1],
@@ -409,4 +414,4 @@ def _fan(closing: Array, start: Array, count: int) -> Array:
     u = u / np.linalg.norm(u)
     angle = np.arange(count) * 2 * np.pi / count
     fan = np.cos(angle)[:, None] * u + np.sin(angle)[:, None] * np.cross(closing, u)
-    return fan[fan[:, 2] <= FROM_BELOW]
+    return fan[fan[:, 2] <= MAX_APPROACH_RISE]

@@ -6,10 +6,10 @@
 `subtask` says what Push is, `start` how it begins, `expert` how it is done, `task` which household task has it.
 """
 
-import mjhab
+from mjhab import register_subtask, register_task
 
 from .subtask import PUSH
 from .task import PUSH_OBJECTS
 
-mjhab.register_subtask(PUSH)
-mjhab.register_task(PUSH_OBJECTS)
+register_subtask(PUSH)
+register_task(PUSH_OBJECTS)

@@ -1,4 +1,4 @@
-"""How Push is done: the closed hand, pointing down, comes down behind the object and sweeps it to its goal."""
+"""How Push is done: the closed hand comes down behind the object and sweeps it to its goal."""
 
 from __future__ import annotations
 
@@ -13,15 +13,17 @@ from mjhab.episodes.grasps.candidates import Gripper
 from mjhab.experts.arm import motion
 
 HAND = Gripper()
-STAND_OFF_M = 0.9
-"""How far from the middle of the way the base stands; it drives only if it is further away than this and a bit."""
-DRIVE_FROM_M = 1.15
+STAND_OFF_M = 0.75
+DRIVE_FROM_M = 0.9
+"""How far from the middle of the way the base stops; it drives only if it is further away than the second."""
+TILT_RAD = 0.5
+"""The fingers point so far outwards, away from the base: so they reach further."""
 GAP_M = 0.03
 """Room between the fingers and the object before the sweep."""
 FLOOR_GAP_M = 0.012
 LIFT_M = 0.12
 """How high over the table the hand comes and goes."""
-NEAR_ENOUGH_M = 0.04
+NEAR_ENOUGH_M = 0.06
 STROKES = 3
 SWEEP_SPEED = 0.15
 TRAVEL_SPEED = 0.4
@@ -66,22 +68,31 @@ def stroke(view: WorldView, obj: str, goal: np.ndarray) -> Script:
     half = np.array(view.object_type(obj).half)
     way = (goal - pos)[:2]
     ahead = np.array([*(way / np.linalg.norm(way)), 0.0])
-    aside = np.array([-ahead[1], ahead[0], 0.0])
-    _, rot_now = motion.tcp(view)
-    if aside @ rot_now[:, 1] < 0:
-        aside = -aside
-    rot = frame_from_axes(np.array([0.0, 0.0, -1.0]), aside)
+    rot = hand_rotation(view, pos, ahead)
     height = pos[2] - half[2] + HAND.finger[0] + FLOOR_GAP_M
     behind = float(np.hypot(half[0], half[1])) + HAND.finger[1]
     begin = np.array([*(pos - (behind + GAP_M) * ahead)[:2], height])
     end = np.array([*(goal - behind * ahead)[:2], height])
     lift = np.array([0.0, 0.0, LIFT_M])
     for point, speed, steps in (
-        (begin + lift, TRAVEL_SPEED, 70),
-        (begin, SWEEP_SPEED, 25),
-        (end, SWEEP_SPEED, 70),
-        (end + lift, TRAVEL_SPEED, 15),
+        (begin + lift, TRAVEL_SPEED, 50),
+        (begin, TRAVEL_SPEED, 20),
+        (end, SWEEP_SPEED, 50),
+        (end + lift, TRAVEL_SPEED, 10),
     ):
         yield from motion.move_tcp(
             view, point, rot, gripper=motion.CLOSED, speed=speed, max_steps=steps
         )
+
+
+def hand_rotation(view: WorldView, pos: np.ndarray, ahead: np.ndarray) -> np.ndarray:
+    """(3, 3) rotation of the hand: fingers down and outwards, both of them across the way ``ahead`` (3,)."""
+    outwards = pos[:2] - view.q[:2]
+    outwards = outwards / np.linalg.norm(outwards)
+    approach = np.array([*(np.sin(TILT_RAD) * outwards), -np.cos(TILT_RAD)])
+    aside = np.array([-ahead[1], ahead[0], 0.0])
+    _, rot = motion.tcp(view)
+    if aside @ rot[:, 1] < 0:
+        aside = -aside
+    aside = aside - (aside @ approach) * approach
+    return frame_from_axes(approach, aside / np.linalg.norm(aside))

@@ -7,7 +7,7 @@ import numpy as np
 from mjhab.episodes.spawns import SpawnGoal
 from mjhab.episodes.starts import Scene, SubtaskStart
 
-REACH_M = 1.1
+REACH_M = 0.85
 """The base stands at most so far from the middle of the way that the object is pushed."""
 
 

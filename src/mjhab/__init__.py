@@ -22,12 +22,18 @@ if TYPE_CHECKING:
     from mjhab.scenes.pack_source import PackRequest, PackSource, register_pack
     from mjhab.scenes.packs import open_pack
     from mjhab.tasks.household.registry import register_task
+    from mjhab.tasks.household.spec import TargetRule, TaskSpec
     from mjhab.tasks.subtasks.registry import register_subtask
+    from mjhab.tasks.subtasks.spec import LabelRule, SubtaskSpec
 
 __all__ = [
+    "LabelRule",
     "ObjectModel",
     "PackRequest",
     "PackSource",
+    "SubtaskSpec",
+    "TargetRule",
+    "TaskSpec",
     "__version__",
     "evaluate",
     "generate",
@@ -45,6 +51,10 @@ __all__ = [
 
 _LAZY = {
     "ObjectModel": "mjhab.scenes.objects",
+    "LabelRule": "mjhab.tasks.subtasks.spec",
+    "SubtaskSpec": "mjhab.tasks.subtasks.spec",
+    "TargetRule": "mjhab.tasks.household.spec",
+    "TaskSpec": "mjhab.tasks.household.spec",
     "PackRequest": "mjhab.scenes.pack_source",
     "PackSource": "mjhab.scenes.pack_source",
     "evaluate": "mjhab.evaluation.evaluate",

@@ -12,7 +12,7 @@ import numpy as np
 
 from mjhab.core.arrays import Array, Table, constant, count, namespace, to_numpy
 from mjhab.tasks.label_state import WATCHED, History, Watched, watch
-from mjhab.tasks.subtasks.registry import SUBTASKS, event_columns, spec_of
+from mjhab.tasks.subtasks.registry import SUBTASKS, check_kinds, event_columns, spec_of
 from mjhab.tasks.subtasks.spec import EDGES
 
 
@@ -52,6 +52,7 @@ def step_events(kind: Array, previous: Watched, current: Watched) -> Array:
 
 def edge_events(kind: Array, before: Array, now: Array) -> Array:
     """``step_events`` of two consecutive watched steps, (K, W) bool each with the rows ``WATCHED``."""
+    check_kinds(kind)
     changed = before ^ now
     rise = changed & now
     fall = changed & before

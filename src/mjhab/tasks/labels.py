@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from mjhab.core.arrays import Array, namespace, to_numpy
 from mjhab.tasks.label_state import History, LabelState, fold
-from mjhab.tasks.subtasks.registry import SUBTASKS, spec_of
+from mjhab.tasks.subtasks.registry import SUBTASKS, check_kinds, spec_of
 
 
 def label(state: LabelState, kind: Array) -> Array:
@@ -21,7 +21,11 @@ def label(state: LabelState, kind: Array) -> Array:
     Args:
         state: the steps seen so far.
         kind: (W,) int64 kinds of the subtasks; -1 gives code -1.
+
+    Raises:
+        UsageError: a kind that is not registered (numpy only, because asking a device would stall it).
     """
+    check_kinds(kind)
     xp = namespace(kind)
     codes = xp.zeros_like(kind) - 1
     for number, spec in enumerate(SUBTASKS.values()):

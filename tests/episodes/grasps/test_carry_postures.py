@@ -24,7 +24,7 @@ from mjhab.robots.kinematics import Chain
 from mjhab.scenes.packs import open_pack
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.scratch import Scratch
-from mjhab.tasks.plan import TaskConfig
+from mjhab.tasks.thresholds import TaskConfig
 
 APPLE = "013_apple"
 BOWL = "024_bowl"

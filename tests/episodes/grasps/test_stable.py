@@ -19,7 +19,7 @@ from mjhab.scenes.builtin.objects import SIZES
 from mjhab.scenes.packs import open_pack
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.scratch import Scratch
-from mjhab.tasks.plan import TaskConfig
+from mjhab.tasks.thresholds import TaskConfig
 
 APPLE = "013_apple"
 BOWL = "024_bowl"

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from functools import lru_cache
 
+import numpy as np
+
 from mjhab.core.arrays import Array, Table, constant
 from mjhab.core.errors import UsageError
 from mjhab.core.registry import Registry
@@ -66,6 +68,18 @@ def spec_of(kind: int) -> SubtaskSpec:
         UsageError: there is no such subtask.
     """
     return SUBTASKS[name_of(kind)]
+
+
+def check_kinds(kind: Array) -> None:
+    """Refuse kinds (W,) that are not registered; only of numpy, because asking a device would stall it.
+
+    Raises:
+        UsageError: names the number and the kinds there are.
+    """
+    if isinstance(kind, np.ndarray) and kind.size:
+        for strange in (int(kind.max()), int(kind.min())):
+            if strange != PADDING:
+                name_of(strange)
 
 
 def properties(kind: Array, *names: str) -> Array:

@@ -1,0 +1,104 @@
+"""What test_push runs in a process of its own: the example from its environment to its report."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import h5py
+import numpy as np
+
+import mjhab
+from mjhab.cli.main import main
+from mjhab.data.store.reading import episodes
+from mjhab.tasks.subtasks.registry import SUBTASKS
+
+ENV_ID = "mjhab/PushSubtaskTrain-v1"
+EPISODES = 3
+HORIZON = 60
+
+
+def trains() -> None:
+    """The environment of the id steps, with a dense reward between 0 and 1 that sums the terms of Push."""
+    env: Any = gymnasium.make_vec(ENV_ID, num_envs=2, threads=1, episode_pool=2).unwrapped
+    env.reset(seed=0)
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        action = rng.uniform(-1, 1, env.action_space.shape).astype(np.float32)
+        _, reward, *_, info = env.step(action)
+        terms = info["reward_terms"]
+        assert set(terms) == {"reach", "push", "in_zone", "rest", "force", "success"}
+        assert ((reward > 0) & (reward <= 1)).all()
+        total = sum(terms.values()) / env.rewarder.dense.tables[info["kind"][0]].attainable
+        np.testing.assert_allclose(reward, total)
+    assert [spec["plan"][0]["kind"] for spec in info["episode_spec"]] == ["push", "push"]
+    env.close()
+
+
+def records(out: Path) -> None:
+    """A worker process records episodes, which are labelled by the rules of Push."""
+    made = mjhab.generate(
+        "expert",
+        task="push_objects",
+        subtask="push",
+        episodes=EPISODES,
+        horizon=HORIZON,
+        workers=1,
+        worlds=EPISODES,
+        threads=1,
+        out=out,
+    )
+    assert made.summary["kept"] == EPISODES
+    assert set(made.summary["labels"]) <= set(SUBTASKS["push"].labels)
+    for episode in episodes(out):
+        (subtask,) = episode.record.subtasks
+        assert subtask.kind == "push" and subtask.legacy_label is None
+
+
+def uses(out: Path, capture: Any) -> None:
+    """Recorded episodes are filtered, labelled anew, exported and reported."""
+    touched = capture("data", "query", str(out), "--where", "touched and subtask == 'push'")
+    every = capture(
+        "data",
+        "query",
+        str(out),
+        "--where",
+        "label in ['push_success', 'short_of_zone_failure', "
+        "'didnt_touch_failure', 'too_slow_failure', 'left_zone_failure']",
+    )
+    assert len(touched.splitlines()) <= len(every.splitlines())
+    assert main(["label", str(out)]) == 0
+    assert main(["export", "maniskill", str(out), "--out", str(out / "exported")]) == 0
+    found = list((out / "exported").rglob("*.h5"))
+    assert found
+    for path in found:
+        with h5py.File(path) as file:
+            assert len(file) > 0
+    page = out / "report.html"
+    assert main(["data", "report", str(out), "--out", str(page)]) == 0
+    assert "push" in page.read_text(encoding="utf-8")
+
+
+def captured(*args: str) -> str:
+    import contextlib
+    import io
+
+    text = io.StringIO()
+    with contextlib.redirect_stdout(text):
+        assert main(args) == 0, text.getvalue()
+    return text.getvalue()
+
+
+if __name__ == "__main__":
+    folder = Path(sys.argv[1])
+    listed = json.loads(captured("envs", "list", "--json").splitlines()[-1])["envs"]
+    mine = next(env for env in listed if env["id"] == ENV_ID)
+    assert mine["subtask"] == "push" and mine["task"] == "push_objects"
+    assert mine["plugin"].endswith("examples/push")
+    trains()
+    records(folder / "push")
+    uses(folder / "push", captured)
+    print("all of Push works")

@@ -125,12 +125,10 @@ def home_pack(*files: Path | str, name: str = "") -> Pack:
         raise UsageError("a pack of homes needs at least one home file.")
     read = [(Path(file), read_home_file(Path(file))) for file in files]
     pack_name = name or read[0][1].name
-    articulations = builtin_articulations()
-    used = {piece.kind for _, stated in read for piece in stated.furniture}
     pack = Pack(
         pack_name,
         builtin_props(),
-        {kind: a for kind, a in articulations.items() if kind in used},
+        builtin_articulations(),
         (),
         builtin_objects(),
         {**furniture_meshes(), **object_meshes()},

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mjhab.envs.parts.world_view import REST_QPOS, BoxArrays, JointedLink, WorldView
+from mjhab.core.boxes import Boxes
+from mjhab.envs.parts.world_view import REST_QPOS, JointedLink, WorldView
 from mjhab.experts.arm import ik, motion
 from mjhab.robots.kinematics import wrap
 
@@ -112,7 +113,7 @@ def track(
     base: Array,
     pos: Array,
     rot: Array,
-    boxes: Sequence[BoxArrays] | None = None,
+    boxes: Sequence[Boxes] | None = None,
     *,
     tries: int = 12,
     mode: ik.Mode = "pose",
@@ -202,13 +203,13 @@ _ARM_LINKS = (
 )
 
 
-def _clear(q: Array, boxes: BoxArrays | None, margin: float) -> Array:
+def _clear(q: Array, boxes: Boxes | None, margin: float) -> Array:
     """Which configurations (N, Q) keep the arm clear of the trunk, and arm and trunk of the boxes."""
     if not len(q):
         return np.zeros(0, dtype=bool)
     keep = motion.spheres().self_clearance(q) > SELF_MARGIN
     if boxes is not None:
-        keep &= motion.spheres().only(_ARM_LINKS).clearance(q, motion.as_boxes(boxes)) > margin
+        keep &= motion.spheres().only(_ARM_LINKS).clearance(q, boxes) > margin
     return keep
 
 

@@ -9,9 +9,10 @@ import pytest
 
 from mjhab.core.rotations import frame_from_axes
 from mjhab.episodes.grasps import antipodal
-from mjhab.episodes.grasps.antipodal import Solid, farthest_points, surface_grasps
+from mjhab.episodes.grasps.antipodal import Solid, surface_grasps
 from mjhab.episodes.grasps.candidates import grasp_candidates
 from mjhab.episodes.grasps.pinches import Gripper, SurfaceGrasps
+from mjhab.episodes.grasps.spread import farthest_points
 from mjhab.episodes.grasps.stable import shape_of
 from mjhab.scenes.spec import Geom, ObjectType
 

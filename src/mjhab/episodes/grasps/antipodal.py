@@ -21,6 +21,7 @@ from scipy.spatial import ConvexHull
 from mjhab.core.rotations import frame_from_axes
 from mjhab.core.seeding import stream
 from mjhab.episodes.grasps.pinches import Gripper, SurfaceGrasps
+from mjhab.episodes.grasps.spread import farthest_points
 from mjhab.robots.fetch.model import PAD_FRICTION
 from mjhab.scenes.shapes.footprints import outline
 from mjhab.scenes.spec import ObjectType
@@ -272,16 +273,3 @@ def _pressed(local: Array, width: float, gripper: Gripper) -> Array:
         for side in (-1.0, 1.0)
     ]
     return np.minimum(*sides)
-
-
-def farthest_points(features: Array, count: int) -> Array:
-    """Rows (at most ``count``) of ``features`` (N, D): the first, then always the one farthest from those before it."""
-    apart = np.full(len(features), np.inf)
-    rows: list[int] = []
-    row = 0
-    for _ in range(min(count, len(features))):
-        rows.append(row)
-        apart = np.minimum(apart, np.linalg.norm(features - features[row], axis=1))
-        apart[row] = -1.0
-        row = int(np.argmax(apart))
-    return np.array(rows, np.int64)

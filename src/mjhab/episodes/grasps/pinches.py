@@ -1,6 +1,6 @@
-"""Ways in which a parallel gripper closes on a box, a can, a ball or a bowl: where the pads meet it, from where.
+"""Pinches: ways in which the two pads of a parallel gripper close on an object, and from where the hand comes.
 
-Gripper frame as in `grasps`. Lengths [m], world frame. Letters: A directions of approach, P points of contact.
+Gripper frame as in `candidates`. Lengths [m], world frame. Letters: A directions of approach, P points of contact.
 """
 
 from __future__ import annotations
@@ -17,24 +17,28 @@ from mjhab.scenes.builtin.objects import BOWL_FACETS
 
 Array = np.ndarray
 CORNER_YAWS_RAD = (-0.1, 0.0, 0.1)
+"""Angles between the hand and the diagonal of a corner that it holds. The normals of the two sides lean by 45 degrees,
+more or less this, from the line on which the pads close: about the angle of their friction, 49 degrees."""
 CORNER_TILTS_RAD = (0.0, 0.26, 0.44, 0.6)
-"""Angles [rad] between the hand and the diagonal of a corner that it holds, and of the hand down from level. Faces
-lean from the line on which the pads close by 45 degrees and the former: less than the angle of their friction, 56."""
+"""Angles of the hand down from level, around a corner."""
 CORNER_PLAY_M = 0.003
+"""Room between each open finger and the corner that it comes around."""
 MIN_CORNER_DEPTH_M = 0.036
+"""Smallest distance that the fingertips get beyond the edge of a corner; with less the box slips out in motion."""
 MIN_CORNER_OVERLAP_M = 0.018
+"""Smallest length of the edge of a corner that the pads cover."""
 CORNER_PALM_GAP_M = 0.003
-"""Room left on both sides by fingers around a corner, how deep they get and how much of its edge they cover at least
-(else it slips out when the hand moves), and room between it and the palm."""
+"""Room between the palm and the edge of a corner."""
 CHORD_PLAY_M = 0.0015
-"""Room [m] left on both sides by pads that come down around a chord of a can too wide to go around."""
+"""Room between each pad and a can too wide to go around, of which the pads hold a chord."""
 MAX_APPROACH_RISE = 0.05
 """Largest upward component of a unit direction of approach: hands do not come from below."""
 FULL_PATCH_M = 0.025
+"""Root of the pressed area beyond which more area makes a grasp on a mesh no better."""
 PATCH_BONUS_PER_M = 40.0
+"""Score of a grasp on a mesh per metre of the root of the area that its pads press."""
 SLANT_COST_PER_RAD = 4.0
-"""Points of a grasp on a mesh per metre of the root of the area that the pads press, up to the former, and price per
-radian between the closing line and the normals of the surface."""
+"""Score that a grasp on a mesh loses per radian between its closing line and the normals of the surface."""
 MIN_UPRIGHT_COSINE = 0.97
 """Least cosine between an edge and the vertical."""
 
@@ -106,43 +110,54 @@ class ObjectShape:
 
 @dataclass(frozen=True)
 class Options:
-    """``floor_gap``: room kept between gripper and support, ``palm_gap`` between palm and object; ``retreat``: how far
-    back the pre-grasp lies; ``spread``: room added to the opening while approaching; ``fan``: directions tried around
-    each closing line; ``shallower``: how much less deep than possible [m] the hand may come; ``leans``: of the hand
-    outwards over a bowl's rim, from along its wall [rad]; ``inward``: (2,) level direction into a shelf, the hand does
-    not come against it; ``cells``: points looked at along a side of a box; ``scant``: price in points per metre that
-    the root of the area on which pads hold flat sides lacks to 2 cm; ``corners``: hold boxes by two sides around a
-    corner, too; ``preference``: points for a `grasps.KINDS` of approach."""
+    """How grasps are looked for and scored. Lengths [m], angles [rad]."""
 
     floor_gap: float = 0.006
+    """Room kept between the gripper and the surface that the object rests on."""
     palm_gap: float = 0.005
+    """Room kept between the palm and the object."""
     retreat: float = 0.10
+    """Distance from the grasp at which the straight approach begins."""
     spread: float = 0.036
+    """How much farther than the width of the grasp the fingers are open on the approach."""
     fan: int = 24
+    """Directions of approach tried around each closing line."""
     shallower: tuple[float, ...] = (0.0,)
+    """Distances from the deepest possible place of the hand at which it may stop, too."""
     leans: tuple[float, ...] = (0.0, 0.2, -0.2, 0.4)
+    """Angles of the hand outwards over the rim of a bowl, from the direction along its wall."""
     inward: tuple[float, float] | None = None
+    """Level unit direction into a shelf: approaches against it are left out."""
     cells: int = 15
+    """Points sampled along each side of a face of a box."""
     scant: float = 0.0
+    """Score lost per metre that the root of the area which the pads press on flat sides lacks to 2 cm."""
     corners: bool = False
+    """Also hold boxes by two sides that meet in an upright edge."""
     preference: dict[str, float] = field(
         default_factory=lambda: {"top": 1.0, "tilted": 0.8, "side": 0.5}
     )
+    """Score of each of `candidates.KINDS` of approach."""
 
 
 @dataclass(frozen=True, eq=False)
 class Pinch:
-    """A way of closing: pads meet the object on ``locus`` (P, 3) when closing along ``closing`` (3,), coming along one
-    of ``approach`` (A, 3). ``at`` (A, 3): the tool centre; None: as deep as palm and floor allow."""
+    """A line on which the pads close on an object, and the directions from which the hand may come for it."""
 
     closing: Array
+    """(3,) unit direction in which the pads close."""
     approach: Array
+    """(A, 3) unit directions along the fingers."""
     locus: Array
+    """(P, 3) points in the middle between the places where the two pads can meet the object."""
     width: float
+    """Distance [m] between the pads in contact."""
     at: Array | None = None
+    """(A, 3) tool centre of each approach; None: as deep as palm and support allow."""
     bonus: float = 0.0
+    """Added to the score."""
     least: float = 0.010
-    """Wanted length of the locus (or root of its area) within the pads."""
+    """Smallest length of the locus (or root of its area) [m] that must lie within the pads."""
     measure: float = 0.0
     """Length (or root of the area) of the whole locus; 0 for a point."""
     planar: bool = False

@@ -1,4 +1,4 @@
-"""Starts with an object in the gripper, found by physics and not by a policy.
+"""Grasps that hold in simulation, for starts with an object in the gripper.
 
 Antipodal grasp candidates on the object's geometry are tried in an empty corner of the world: the gripper at rest, the
 object between the fingers, closing; those that pass the grasp test for half a second, and keep the object while the
@@ -21,6 +21,7 @@ from mjhab.core.errors import MjhabError, UsageError, unknown_name
 from mjhab.core.paths import below
 from mjhab.core.rotations import pose_inv
 from mjhab.episodes.grasps.candidates import Grasps, ObjectShape, grasp_candidates
+from mjhab.episodes.grasps.spread import farthest_points
 from mjhab.layout.compile import home_hash
 from mjhab.scenes.shapes.footprints import outline
 from mjhab.scenes.spec import ObjectType
@@ -30,10 +31,13 @@ from mjhab.sim.mujoco.settle import parked_robot_qpos
 from mjhab.tasks.thresholds import TaskConfig
 
 HOLD_TIME_S = 0.5
+"""How long an object must be held still."""
 STEADY_SHARE = 0.8
 """Share of the grasp test's angle that a stored grasp may use: near the limit it flickers once the robot moves."""
 MAX_GRASPS = 32
+"""Stable grasps kept of an object type."""
 MAX_TRIES = 256
+"""Candidates tried for them."""
 MAX_OFFSET_M = 0.15
 """An object whose origin is further [m] from the tool centre counts as badly held (MS-HAB's
 mshab/utils/gen/gen_spawn_positions.py leaves such grasps out)."""
@@ -43,8 +47,9 @@ at rest: what it took from the side would lie on its side in it, as few picks le
 _UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
 _VERSION = 6
 _POSITION_SCALE_M = 0.05
+"""Distance between grasps that makes them as different as a radian between their approaches does."""
 _CLOSING_WEIGHT = 0.5
-"""What counts as far apart: 5 cm as much as a radian of approach or two of roll."""
+"""How different a radian between the closing lines makes grasps, compared to one between their approaches."""
 
 
 def shape_of(kind: ObjectType, meshes: Mapping[str, object]) -> ObjectShape:
@@ -84,13 +89,7 @@ def spread(candidates: Grasps, count: int) -> Iterator[int]:
     features = np.concatenate(
         [candidates.pos / _POSITION_SCALE_M, candidates.rot[:, :, 0], closing], axis=1
     )
-    apart = np.full(len(candidates), np.inf)
-    row = 0
-    for _ in range(min(count, len(candidates))):
-        yield row
-        apart = np.minimum(apart, np.linalg.norm(features - features[row], axis=1))
-        apart[row] = -1.0
-        row = int(np.argmax(apart))
+    yield from farthest_points(features, count).tolist()
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ from scipy.spatial import QhullError
 
 from mjhab.core.errors import UsageError
 from mjhab.core.names import check_name
-from mjhab.scenes.formats.gltf import Primitive, read_glb
+from mjhab.scenes.formats.gltf import TO_Z_UP, Primitive, read_glb
 from mjhab.scenes.objects import ObjectModel
 from mjhab.scenes.pack_check import MAX_MASS_KG, MIN_MASS_KG, check_range
 from mjhab.scenes.shapes.hulls import hull_mesh
@@ -26,7 +26,6 @@ MAX_PIECES = 64
 MIN_EXTENT_M = 0.002
 MAX_EXTENT_M = 0.6
 """Extents of an object along its axes; what lies beyond was probably drawn in another unit."""
-_Y_UP_TO_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 
 def object_from_glb(name: str, path: Path | str, mass: float, scale: float = 1.0) -> ObjectModel:
@@ -85,7 +84,7 @@ def object_from_glb(name: str, path: Path | str, mass: float, scale: float = 1.0
 
 
 def _upright(part: Primitive, scale: float) -> Primitive:
-    return dataclasses.replace(part, vertices=scale * part.vertices @ _Y_UP_TO_Z_UP.T)
+    return dataclasses.replace(part, vertices=scale * part.vertices @ TO_Z_UP.T)
 
 
 def _hull(path: Path, part: Primitive) -> Mesh:

@@ -14,6 +14,7 @@ import numpy as np
 
 from mjhab.core.errors import UsageError
 from mjhab.core.rotations import mat_from_quat, quat_from_mat
+from mjhab.scenes.formats.gltf import TO_Z_UP
 from mjhab.scenes.pack_check import MAX_FILE_NUMBER
 from mjhab.scenes.spec import Placement, Quat, Vec3
 
@@ -22,8 +23,6 @@ PREFIX = "frl_apartment_"
 """What most names of the data set begin with and ours do not."""
 FOLDERS = ("configs/scenes", "configs/objects", "objects", "urdf")
 FETCH = "`mjhab assets fetch replica_cad` gets it"
-TO_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-"""Turns a vector of the data set into ours."""
 _MAX_LEVEL_TILT_RAD = 1e-4
 """Rotations that tilt by less than about this [rad] are headings."""
 

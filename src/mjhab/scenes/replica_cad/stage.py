@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mjhab.scenes.formats.gltf import read_glb
-from mjhab.scenes.replica_cad.files import TO_Z_UP
+from mjhab.scenes.formats.gltf import TO_Z_UP, read_glb
 from mjhab.scenes.spec import Geom
 
 WALL_DEPTH_M = 0.05
@@ -19,8 +18,9 @@ _MIN_PARALLEL_COSINE = np.cos(np.radians(2.0))
 _MAX_PLANE_OFFSET_M = 0.015
 _GRID_STEP_M = 0.015
 """Corners closer than this along a wall count as one [m]."""
-_SMALLEST = (0.03, 0.01)
-"""Faces narrower [m] or smaller [m^2] than this are left out."""
+_MIN_FACE_WIDTH_M = 0.03
+_MIN_FACE_AREA_M2 = 0.01
+"""Faces that are narrower or smaller are left out."""
 MATERIAL = "wall_white"
 
 Array = np.ndarray
@@ -109,7 +109,7 @@ def _rectangles(triangles: Array, normal: Array, offset: float) -> list[Face]:
         z = (float(zs[j0]), float(zs[j1]))
         width = u[1] - u[0]
         height = z[1] - z[0]
-        if min(width, height) >= _SMALLEST[0] and width * height >= _SMALLEST[1]:
+        if min(width, height) >= _MIN_FACE_WIDTH_M and width * height >= _MIN_FACE_AREA_M2:
             out.append(Face(normal, offset, u, z))
     return out
 

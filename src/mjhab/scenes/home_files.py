@@ -33,6 +33,8 @@ FORMAT = "mjhab-home-1"
 PYTHON_NAME = "HOME"
 """Variable of a Python file that holds what a JSON file would."""
 LAMP_HEIGHT_M = 2.4
+MIN_WALL_PIECE_M = 0.01
+"""Pieces of wall shorter than this, between a doorway and the end of the wall, are left out."""
 
 
 @dataclass(frozen=True)
@@ -312,10 +314,6 @@ def _inner_wall(wall: FileWall, walls: FileWalls, where: str) -> list[Geom]:
         half = ((b - a) / 2, walls.thickness / 2, walls.height / 2)
         pieces.append(Geom("box", half, center, quat, walls.inner_material))
     return pieces
-
-
-MIN_WALL_PIECE_M = 0.01
-"""Pieces of wall shorter than this, between a doorway and the end of the wall, are left out."""
 
 
 @lru_cache(maxsize=8)

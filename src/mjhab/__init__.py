@@ -82,6 +82,7 @@ _PACKAGES = frozenset(
         "episodes",
         "evaluation",
         "experts",
+        "integrations",
         "layout",
         "learning",
         "render",
@@ -89,6 +90,7 @@ _PACKAGES = frozenset(
         "robots",
         "rollout",
         "scenes",
+        "serving",
         "sim",
         "tasks",
     }

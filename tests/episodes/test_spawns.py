@@ -24,7 +24,8 @@ from mjhab.episodes.spawns import (
     SpawnGoal,
     SpawnSampler,
 )
-from mjhab.episodes.starts import DOORSTEP_REACH, Start, StartMaker
+from mjhab.episodes.starts import Start, StartMaker
+from mjhab.episodes.starts.navigate import DOORSTEP_REACH
 from mjhab.layout.contact_sensors import FORCE_SENSOR_WIDTH
 from mjhab.layout.layout import Layout
 from mjhab.robots.controllers.table import ARM_JOINTS

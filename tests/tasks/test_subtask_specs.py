@@ -113,7 +113,7 @@ def test_tables_grow_and_shrink_with_the_registry() -> None:
     spec = register_subtask(SubtaskSpec(name="stare", **SPARE))
     assert properties(np.array([5]), "jointed").shape == (1, 1) and spec.name in SUBTASKS
     SUBTASKS.remove("stare")
-    with pytest.raises(IndexError):
+    with pytest.raises(UsageError, match="no subtask with the number 5"):
         properties(np.array([5]), "jointed")
 
 

@@ -10,7 +10,7 @@ from functools import lru_cache
 
 from mjhab.core.arrays import Array, Table, constant
 from mjhab.tasks.signals import CHECKS
-from mjhab.tasks.subtasks.registry import SUBTASKS
+from mjhab.tasks.subtasks.registry import SUBTASKS, check_kinds
 from mjhab.tasks.subtasks.spec import COMMON_CHECKS
 
 _NEVER_TRUE = "at_goal"
@@ -44,6 +44,7 @@ def masks(kind: Array, ignore_arm: bool) -> tuple[Array, Array]:
         applies, optional: (K, W) bool, rows ``CHECKS``. Checks count as ``checks & applies``; the subtask is done
         where all of ``checks | optional`` hold.
     """
+    check_kinds(kind)
     no = kind < kind
     applies = constant(_applies(SUBTASKS.version), no)
     optional = constant(_optional(SUBTASKS.version, ignore_arm), no)

@@ -87,6 +87,7 @@ class StartMaker:
     ) -> None:
         self.sim = sim
         self.config = config
+        self.task_config = task_config
         self.layout = sim.layout
         self.sampler = SpawnSampler(sim)
         self.held = StableGrasps(sim, task_config, self.sampler.scratch, harvested)

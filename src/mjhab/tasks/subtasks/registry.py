@@ -91,7 +91,11 @@ def properties(kind: Array, *names: str) -> Array:
 
     Returns:
         (len(names), ...) bool.
+
+    Raises:
+        UsageError: a kind that is not registered, see `check_kinds`.
     """
+    check_kinds(kind)
     return constant(_property_table(names, SUBTASKS.version), kind < kind)[:, kind]
 
 
@@ -104,6 +108,7 @@ def _property_table(names: tuple[str, ...], version: int) -> Table:
 
 def shown(kind: Array) -> Array:
     """(2, W) bool: the observation of the kinds (W,) has an object, a goal; kind -1 has neither."""
+    check_kinds(kind)
     return constant(_shown_table(SUBTASKS.version), kind < kind)[:, kind]
 
 

@@ -8,11 +8,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import mjhab
+from mjhab.scenes.spec import Pack
 
 FOLDER = Path(__file__).parent
 
 
-def open_village(request: mjhab.PackRequest) -> object:
+def open_village(request: mjhab.PackRequest) -> Pack:
     """The pack; made once, since what is derived from a pack is kept for the object."""
     if not _village:
         files = (FOLDER / "cottage.json", FOLDER / "hut.py")
@@ -20,5 +21,5 @@ def open_village(request: mjhab.PackRequest) -> object:
     return _village[0]
 
 
-_village: list[object] = []
+_village: list[Pack] = []
 mjhab.register_pack(mjhab.PackSource("village", open_village))

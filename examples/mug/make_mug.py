@@ -11,6 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
+from trimesh.exchange.gltf import export_glb
+from trimesh.visual import TextureVisuals
+from trimesh.visual.material import PBRMaterial
 
 OUT = Path(__file__).with_name("mug.glb")
 RADIUS_M = 0.040
@@ -84,8 +87,8 @@ def seen() -> trimesh.Trimesh:
     body = trimesh.creation.revolve(profile, sections=32)
     handle = [trimesh.Trimesh(corners).convex_hull for corners in handle_pieces()]
     mug = trimesh.util.concatenate([body, *handle])
-    surface = trimesh.visual.material.PBRMaterial(baseColorFactor=BLUE)
-    mug.visual = trimesh.visual.TextureVisuals(material=surface)
+    assert isinstance(mug, trimesh.Trimesh)
+    mug.visual = TextureVisuals(material=PBRMaterial(baseColorFactor=BLUE))
     return mug
 
 
@@ -97,7 +100,7 @@ def main() -> None:
     for k, corners in enumerate(pieces()):
         hull = trimesh.Trimesh(corners).convex_hull.apply_transform(y_up)
         scene.add_geometry(hull, geom_name=f"collision_{k}")
-    OUT.write_bytes(trimesh.exchange.gltf.export_glb(scene))
+    OUT.write_bytes(export_glb(scene))
     print(f"{OUT}: {OUT.stat().st_size} bytes")
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from trimesh.exchange.gltf import export_glb
 
 from mjhab.core.errors import UsageError
 from mjhab.scenes.builtin.pack import builtin_pack
@@ -22,7 +23,7 @@ def glb(path: Path, **meshes: trimesh.Trimesh) -> Path:
     scene = trimesh.Scene()
     for name, mesh in meshes.items():
         scene.add_geometry(mesh, geom_name=name)
-    path.write_bytes(trimesh.exchange.gltf.export_glb(scene))
+    path.write_bytes(export_glb(scene))
     return path
 
 
@@ -94,7 +95,7 @@ def test_bad_files(tmp_path: Path) -> None:
 def test_registered_objects_join_every_pack(tmp_path: Path) -> None:
     assert open_pack() is builtin_pack()
     model = register_object(
-        object_from_glb("cube", glb(tmp_path / "a.glb", a=box((0.05,) * 3)), 0.1)
+        object_from_glb("cube", glb(tmp_path / "a.glb", a=box((0.05, 0.05, 0.05))), 0.1)
     )
     pack = open_pack()
     assert pack.objects["cube"] is model.kind and "cube/look" in pack.meshes

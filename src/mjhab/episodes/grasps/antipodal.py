@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 import trimesh
 from scipy.spatial import ConvexHull
+from trimesh.sample import sample_surface
 
 from mjhab.core.rotations import frame_from_axes
 from mjhab.core.seeding import stream
@@ -74,10 +75,9 @@ class Solid:
         """The collision pieces of an object type; curved primitives as prisms around them."""
         hulls = [ConvexHull(outline(geom, meshes)) for geom in kind.collision]
         surfaces = [trimesh.Trimesh(h.points, h.simplices).convex_hull for h in hulls]
-        return Solid(
-            tuple(np.unique(h.equations.round(9), axis=0) for h in hulls),
-            trimesh.util.concatenate(surfaces),
-        )
+        surface = trimesh.util.concatenate(surfaces)
+        assert isinstance(surface, trimesh.Trimesh)
+        return Solid(tuple(np.unique(h.equations.round(9), axis=0) for h in hulls), surface)
 
     def inside(self, points: Array) -> Array:
         """Which points (N, 3) lie within a piece."""
@@ -135,8 +135,7 @@ def surface_grasps(
     if not len(pairs):
         return pairs
     pairs = pairs.take(farthest_points(pairs.contact / _POSITION_SCALE_M, PAIRS_KEPT))
-    points, _ = trimesh.sample.sample_surface(solid.surface, SURFACE_POINTS, seed=rng)
-    points = np.asarray(points)
+    points = np.asarray(sample_surface(solid.surface, SURFACE_POINTS, seed=rng)[0])
     points = points[~solid.inside(points)]
     grasps = _approachable(pairs, points, solid.surface.area / SURFACE_POINTS, gripper)
     features = np.concatenate(
@@ -149,9 +148,9 @@ def _contact_pairs(
     solid: Solid, gripper: Gripper, friction: float, rng: np.random.Generator
 ) -> SurfaceGrasps:
     """Pairs of contacts, without any approach yet: ``pos``, ``approach`` and ``patch`` are placeholders."""
-    points, faces = trimesh.sample.sample_surface(solid.surface, SAMPLES, seed=rng)
-    origins = np.repeat(np.asarray(points), RAYS_PER_SAMPLE, axis=0)
-    normals = np.repeat(solid.surface.face_normals[faces], RAYS_PER_SAMPLE, axis=0)
+    sampled = sample_surface(solid.surface, SAMPLES, seed=rng)
+    origins = np.repeat(np.asarray(sampled[0]), RAYS_PER_SAMPLE, axis=0)
+    normals = np.repeat(solid.surface.face_normals[sampled[1]], RAYS_PER_SAMPLE, axis=0)
     cone = min(float(np.arctan(friction)), MAX_SLANT_RAD)
     ways = -_within_cone(normals, cone, rng)
     ways[::RAYS_PER_SAMPLE] = -normals[::RAYS_PER_SAMPLE]
@@ -244,10 +243,16 @@ def _approaches(
         pressed = _pressed(shifted[fresh], float(pair.width[0]), gripper)
         patch[fresh] = np.sqrt(point_area * pressed)
     rows = np.flatnonzero(~np.isnan(found))
-    same = [np.repeat(getattr(pair, n), len(rows), axis=0) for n in ("closing", "contact")]
-    flat = [np.repeat(getattr(pair, n), len(rows)) for n in ("width", "most_open", "slant")]
-    pos = pair.contact - found[rows, None] * ways[rows]
-    return SurfaceGrasps(pos, ways[rows], *same, *flat, patch[rows])
+    return SurfaceGrasps(
+        pos=pair.contact - found[rows, None] * ways[rows],
+        approach=ways[rows],
+        closing=np.repeat(pair.closing, len(rows), axis=0),
+        contact=np.repeat(pair.contact, len(rows), axis=0),
+        width=np.repeat(pair.width, len(rows)),
+        most_open=np.repeat(pair.most_open, len(rows)),
+        slant=np.repeat(pair.slant, len(rows)),
+        patch=patch[rows],
+    )
 
 
 def _touches(local: Array, opening: float, gripper: Gripper) -> Array:
@@ -260,7 +265,7 @@ def _touches(local: Array, opening: float, gripper: Gripper) -> Array:
     fingers &= (y > opening / 2) & (y < opening / 2 + gripper.thickness + CLEARANCE_M)
     palm = (x < gripper.palm_x[1] + CLEARANCE_M) & (x > gripper.palm_x[0] - APPROACH_LENGTH_M)
     palm &= (y < gripper.palm_half[0] + CLEARANCE_M) & (z < gripper.palm_half[1] + CLEARANCE_M)
-    return (fingers | palm).any(axis=1)
+    return np.asarray((fingers | palm).any(axis=1))
 
 
 def _pressed(local: Array, width: float, gripper: Gripper) -> Array:

@@ -12,7 +12,7 @@ import mjhab.envs as envs
 from mjhab.config.env import EnvConfig, task_config
 from mjhab.core.errors import UsageError
 from mjhab.core.seeding import stream
-from mjhab.episodes.grasps import held_arms
+from mjhab.episodes.grasps import carry_postures
 from mjhab.episodes.grasps.carry_postures import MAX_ARMS, CarryPostures, rest_postures
 from mjhab.episodes.grasps.stable import MAX_OFFSET_M, StableGrasps
 from mjhab.episodes.rosters import roster
@@ -77,7 +77,7 @@ def test_made_once_then_read_from_the_cache(
     sim: CpuSimulator, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("MJHAB_CACHE", str(tmp_path))
-    monkeypatch.setattr(held_arms, "MAX_ARMS", 3)
+    monkeypatch.setattr(carry_postures, "MAX_ARMS", 3)
     first = library(sim)
     made = first.arms(APPLE)
     assert len(list(tmp_path.rglob(f"{APPLE}-arms-*.npz"))) == 1

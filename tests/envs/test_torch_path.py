@@ -27,6 +27,7 @@ from mjhab.tasks import progress as progress_rules
 from mjhab.tasks.measure import measure
 from mjhab.tasks.plan import SubtaskKind
 from mjhab.tasks.rewards import RewardOptions
+from mjhab.tasks.subtasks.registry import name_of
 from tests.no_sync import NoSync
 
 WORLDS = 8
@@ -144,7 +145,14 @@ class Follower:
         )
         self.sensing = Sensing(layout, addresses, WORLDS, like)
         self.rewarder = Rewarder(
-            WORLDS, self.config, mode, options, layout, self.sensing, kinds=kinds, like=like
+            WORLDS,
+            self.config,
+            mode,
+            options,
+            layout,
+            self.sensing,
+            kinds=[name_of(kind) for kind in kinds],
+            like=like,
         )
         self.notes: labels.LabelState | None = None
 

@@ -19,8 +19,8 @@ from mjhab.data.store.reading import episodes
 from mjhab.tasks.subtasks.registry import SUBTASKS
 
 ENV_ID = "mjhab/PushSubtaskTrain-v1"
-EPISODES = 3
-HORIZON = 60
+EPISODES = 2
+HORIZON = 150
 
 
 def captured(*args: str) -> str:
@@ -62,6 +62,7 @@ def records(out: Path) -> None:
     )
     assert made.summary["kept"] == EPISODES
     assert set(made.summary["labels"]) <= set(SUBTASKS["push"].labels)
+    assert made.summary["labels"]["push_success"] >= 1, made.summary
     for episode in episodes(out):
         (subtask,) = episode.record.subtasks
         assert subtask.kind == "push" and subtask.legacy_label is None

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 
 from mjhab.core.arrays import (
     Array,
@@ -25,6 +26,7 @@ from mjhab.core.errors import UsageError
 from mjhab.tasks.plan import PlanArrays
 from mjhab.tasks.signals import CHECKS, SIGNAL_CHECKS, Active, Signals, Standing, WorldState
 from mjhab.tasks.subtasks.registry import PADDING, SUBTASKS, force_limits, properties
+from mjhab.tasks.subtasks.spec import Measure
 from mjhab.tasks.success import masks
 from mjhab.tasks.thresholds import TaskConfig
 
@@ -226,18 +228,24 @@ def measure(
     )
 
 
+@lru_cache(maxsize=8)
+def _measures(version: int) -> tuple[tuple[int, int, Measure], ...]:
+    """(kind, row of CHECKS, function) of kinds that measure a check in a way of their own."""
+    return tuple(
+        (number, CHECKS.index(name), function)
+        for number, spec in enumerate(SUBTASKS.values())
+        for name, function in spec.measures.items()
+    )
+
+
 def _own_measures(
     rows: Sequence[Array], state: WorldState, active: Active, config: TaskConfig
 ) -> list[Array]:
-    """The checks in the order of CHECKS, with those of kinds that measure one of them in a way of their own."""
+    """The checks in the order of CHECKS, with those that the kinds at hand measure in a way of their own."""
     out = list(rows)
-    for number, spec in enumerate(SUBTASKS.values()):
-        if not spec.measures:
-            continue
+    for number, row, function in _measures(SUBTASKS.version):
         mine = active.kind == number
         if may_hold(mine):
-            for name, function in spec.measures.items():
-                row = CHECKS.index(name)
-                own = function(state, active, config)
-                out[row] = namespace(own).where(mine, own, out[row])
+            own = function(state, active, config)
+            out[row] = namespace(own).where(mine, own, out[row])
     return out

@@ -32,6 +32,9 @@ from mjhab.tasks.plan import FRONT_AREAS, Box, Subtask, TaskPlan, front_box
 from mjhab.tasks.subtasks.registry import SUBTASKS, number_of, spec_of
 from mjhab.tasks.thresholds import TaskConfig
 
+ROAM_RADIUS_M = 0.5
+"""Room around the place where the robot of a chain begins."""
+
 
 def subtask_positions(plan: TaskPlan, layout: Layout, kind: str, target: str) -> list[int]:
     """Positions in a plan of the subtasks of a kind about a target (object type, object name, link; "" for any)."""
@@ -211,9 +214,8 @@ class StartMaker:
 
     def _roam(self, episode: Episode, qpos: np.ndarray) -> tuple[np.ndarray, bool, int]:
         """A chain begins with the robot somewhere in the home; its first Navigate brings it to work."""
-        fmap = self.sampler.map(episode.home)
         rng = stream(episode.seed, "roam", episode.task, episode.index)
-        cells = fmap.to_xy(np.argwhere(fmap.navigable(0.5)))
+        cells = self.sampler.walkable(episode.home, ROAM_RADIUS_M)
         for attempt in range(MAX_TRIES):
             xy = cells[int(rng.integers(len(cells)))]
             heading = rng.uniform(-np.pi, np.pi)

@@ -78,7 +78,8 @@ class LabelRule:
 
     def holds(self, state: LabelState) -> Array:
         """(W,) bool: the rule gives its label if no earlier one does."""
-        return state.holds("success") | True if self.when is None else self.when(state)
+        now = state.holds("success")
+        return now | ~now if self.when is None else self.when(state)
 
 
 @dataclass(frozen=True)

@@ -54,7 +54,7 @@ HEAVY: dict[str, frozenset[str]] = {
     "vla_eval": frozenset({"integrations"}),
     "websockets": frozenset({"serving"}),
     "viser": frozenset({"viewer"}),
-    "trimesh": frozenset({"scenes", "robots"}),
+    "trimesh": frozenset({"scenes", "robots", "episodes"}),
 }
 """Library to the packages that may import it."""
 

@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from mjhab.evaluation.evaluate import evaluate
     from mjhab.evaluation.generate import generate
     from mjhab.experts import make_expert
+    from mjhab.scenes.home_files import home_pack
+    from mjhab.scenes.object_glb import object_from_glb
+    from mjhab.scenes.objects import ObjectModel, register_object
     from mjhab.scenes.pack_source import PackRequest, PackSource, register_pack
     from mjhab.scenes.packs import open_pack
     from mjhab.tasks.household.registry import register_task
@@ -27,6 +30,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "LabelRule",
+    "ObjectModel",
     "PackRequest",
     "PackSource",
     "SubtaskSpec",
@@ -35,16 +39,20 @@ __all__ = [
     "__version__",
     "evaluate",
     "generate",
+    "home_pack",
     "make",
     "make_expert",
     "make_train",
+    "object_from_glb",
     "open_pack",
+    "register_object",
     "register_pack",
     "register_subtask",
     "register_task",
 ]
 
 _LAZY = {
+    "ObjectModel": "mjhab.scenes.objects",
     "LabelRule": "mjhab.tasks.subtasks.spec",
     "SubtaskSpec": "mjhab.tasks.subtasks.spec",
     "TargetRule": "mjhab.tasks.household.spec",
@@ -57,6 +65,9 @@ _LAZY = {
     "make_train": "mjhab.envs",
     "make_expert": "mjhab.experts",
     "open_pack": "mjhab.scenes.packs",
+    "home_pack": "mjhab.scenes.home_files",
+    "object_from_glb": "mjhab.scenes.object_glb",
+    "register_object": "mjhab.scenes.objects",
     "register_subtask": "mjhab.tasks.subtasks.registry",
     "register_task": "mjhab.tasks.household.registry",
     "register_pack": "mjhab.scenes.pack_source",

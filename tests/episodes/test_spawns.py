@@ -30,7 +30,7 @@ from mjhab.layout.contact_sensors import FORCE_SENSOR_WIDTH
 from mjhab.layout.layout import Layout
 from mjhab.robots.controllers.table import ARM_JOINTS
 from mjhab.robots.fetch.model import REST_QPOS
-from mjhab.scenes.freespace import BASE_RADIUS
+from mjhab.scenes.freespace import NAVMESH_BASE_RADIUS_M
 from mjhab.scenes.packs import open_pack
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.settle import hold_robot, parked_robot_qpos
@@ -403,7 +403,7 @@ def test_published_picks_at_a_link_start_all_around_the_object(set_table: Bench)
         slot = set_table.sim.layout.object_names.index(subtask.obj)
         away = base[:2] - start.qpos[a.object_q[slot] : a.object_q[slot] + 2]
         far = max(far, float(np.hypot(*away)))
-        assert maker.sampler.map(start.home).clearance_at(base[:2]) >= BASE_RADIUS - 0.02
+        assert maker.sampler.map(start.home).clearance_at(base[:2]) >= NAVMESH_BASE_RADIUS_M - 0.02
         assert maker.sampler.scratch.collision_free(start.home, start.qpos)
         x_min, x_max, y_min, y_max = start.boxes[subtask.link]
         outside += not (x_min <= base[0] <= x_max and y_min <= base[1] <= y_max)

@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 
 from mjhab.core.errors import unknown_name
+from mjhab.core.names import copy_name
 from mjhab.core.seeding import stream
 from mjhab.layout.contact_sensors import normal_force
 from mjhab.layout.layout import Layout, build_spec
@@ -97,7 +98,7 @@ class GraspBench:
         self.model = bench_model(name)
         self.data = mujoco.MjData(self.model)
         self.qpos = np.array([self.model.joint(n).qposadr[0] for n in fetch.FETCH_JOINTS])
-        self.object = f"{name}_:0000"
+        self.object = copy_name(name, 0)
         self.rest = np.array(fetch.REST_QPOS)
         self._grip(GRASPS[name])
 

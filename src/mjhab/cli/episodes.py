@@ -15,6 +15,7 @@ from mjhab.cli.options.common import EpisodesCheckOptions, EpisodesMakeOptions
 from mjhab.cli.output import at_least, print_json, print_table
 from mjhab.core.errors import MjhabError, UsageError, unknown_name
 from mjhab.core.machine import cores
+from mjhab.core.names import kind_of
 from mjhab.tasks.household.registry import TASKS
 
 if TYPE_CHECKING:
@@ -83,10 +84,10 @@ def check(options: EpisodesCheckOptions) -> int:
     with _bar() as bar, ThreadPoolExecutor(options.threads or cores()) as pool:
         line = bar.add_task("settling", total=len(episodes), note="")
         for _, rest in pool.map(episodes.settled, range(len(episodes))):
-            total.update(name.split("_:")[0] for name in rest.names)
-            fallen.update(name.split("_:")[0] for name in rest.fallen)
+            total.update(kind_of(name) for name in rest.names)
+            fallen.update(kind_of(name) for name in rest.fallen)
             for name, moved in zip(rest.names, rest.moved.tolist(), strict=True):
-                kind = name.split("_:")[0]
+                kind = kind_of(name)
                 worst[kind] = max(worst.get(kind, 0.0), moved)
             bar.advance(line)
     share = 1.0 - fallen.total() / max(total.total(), 1)

@@ -7,11 +7,12 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, ClassVar
 
 from mjhab.config.profiles import DEFAULT_PROFILE, SPAWN_RULES, Profile, profile_named
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.scenes.pack_source import Assets, pack_request
+from mjhab.scenes.pack_source import HOME_SUFFIXES, Assets, pack_request
 from mjhab.scenes.spec import HANDLE_POINTS
 from mjhab.sim.backends import BACKENDS
 from mjhab.tasks.household.registry import TASKS
@@ -40,9 +41,11 @@ class EnvConfig:
     "ms_hab" they may not be given other values. Once the configuration is made they have their values.
     task: HAB task. subtask: "" for the whole chain, or one kind of it, done alone to its horizon.
     target: restricts ``subtask`` (or the draw of targets) to an object type or a link; "" or "all" for any.
-    split, home: homes to draw from, or one home by name (or a pattern such as ``v3_sc1_*``). assets: a pack by
+    split, home: homes to draw from, or one home by name (or a pattern such as ``v3_sc1_*``), or
+    a home file. assets: a pack by
     name or path, or a `PackRequest`; kept as what its ``as_json`` gives. seed: of the episodes. threads: 0 takes all
-    cores.
+    cores. extra_objects: types of further objects, one slot each behind those of the task's roster;
+    a target that is another object of the pack gets a slot, too.
     obs_mode: "state", or images too, see `observing.OBS_MODES`. cameras: of which of the robot's cameras; camera_size:
     pixels, one number or (height, width). frame_stack: frames that `wrappers.FrameStack` stacks; 1: what it is told.
     control_mode, base, stationary: see `controllers.make_controller`.
@@ -82,6 +85,7 @@ class EnvConfig:
     split: str = "train"
     home: str = ""
     assets: Assets = "builtin"
+    extra_objects: tuple[str, ...] = ()
     seed: int = 0
     threads: int = 0
     obs_mode: str = "state"
@@ -117,6 +121,7 @@ class EnvConfig:
     def __post_init__(self) -> None:
         if self.target == "all":
             object.__setattr__(self, "target", "")
+        self._take_home_file()
         object.__setattr__(self, "assets", pack_request(self.assets).as_json())
         self._take_profile(profile_named(self.profile))
         _known("split", self.split, SPLITS)
@@ -143,6 +148,21 @@ class EnvConfig:
         """The profile's name and the values in force of the options that depend on it, for the record of a run."""
         names = profile_named(self.profile).options(self.subtask, trains=self.trains)
         return {name: getattr(self, name) for name in ("profile", *names)}
+
+    def _take_home_file(self) -> None:
+        """Turn a home that is a file into the pack of that file, all homes of which are used.
+
+        Raises:
+            UsageError: assets are given, too.
+        """
+        if Path(self.home).suffix not in HOME_SUFFIXES:
+            return
+        if self.assets != "builtin":
+            raise UsageError(
+                f"home {self.home!r} is a file, which is a pack of its own: leave out assets (got {self.assets!r})."
+            )
+        object.__setattr__(self, "assets", self.home)
+        object.__setattr__(self, "home", "*")
 
     def _take_profile(self, profile: Profile) -> None:
         """Give the options that depend on the profile their values.

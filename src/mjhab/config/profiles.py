@@ -27,7 +27,7 @@ class Profile:
     name: what ``profile`` is set to. binding: an option that is given with another value is an error.
     stillness: see `TaskConfig.stillness`.
     spawn_rule: "front_box": Pick and Place at a link begin in the area in front of it, Place with the arm at rest;
-        "published": anywhere within 2 m, Place with the arm of a successful Pick, see `starts` and `held_arms`.
+        "published": anywhere within 2 m, Place with the arm of a successful Pick, see `starts` and `carry_postures`.
     stationary: parts of the robot that do not follow their actions (mshab/envs/wrappers/action.py: the head).
     force_limits: whether the limits on the cumulative force are in force; they are those of the paper.
     reward_formula, reward_normaliser: see `tasks.rewards.RewardOptions`.

@@ -77,7 +77,7 @@ class Factory:
         self.recipe = recipe
         layout = Layout(open_pack(recipe.assets), roster(recipe.task))
         self.maker = EpisodeMaker(CpuSimulator(layout, 1, 1), recipe.task, recipe.split)
-        self._homes = {home.name: home for home in layout.pack.homes}
+        self._homes = layout.pack.homes_by_name
 
     def row(self, index: int) -> Row:
         """Make one episode.

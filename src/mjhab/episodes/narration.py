@@ -20,7 +20,7 @@ class Narrator:
 
     def __init__(self, layout: Layout) -> None:
         self._layout = layout
-        self._homes = {home.name: home for home in layout.pack.homes}
+        self._homes = layout.pack.homes_by_name
         self._receptacles = cache(self._receptacles_of)
 
     def instructions(self, episode: Episode, plan: TaskPlan, alone: bool) -> Instructions:

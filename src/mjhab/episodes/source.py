@@ -11,7 +11,7 @@ from mjhab.core.seeding import stream
 from mjhab.episodes.generator import Episode, EpisodeMaker
 from mjhab.episodes.hab.format import HabFile, read_hab
 from mjhab.episodes.hab.reader import FileEpisodes, file_roster
-from mjhab.episodes.rosters import roster
+from mjhab.episodes.rosters import object_roster
 from mjhab.episodes.starts import Start, StartMaker, check_target
 from mjhab.episodes.zones import with_zones
 from mjhab.layout.layout import Layout
@@ -40,7 +40,7 @@ def open_setting(config: EnvConfig) -> Setting:
     """
     pack = open_pack(config.assets)
     file = read_hab(Path(config.episodes_file)) if config.episodes_file else None
-    layout = Layout(pack, file_roster(file, pack) if file else roster(config.task))
+    layout = Layout(pack, file_roster(file, pack) if file else object_roster(config, pack))
     check_target(config, layout)
     return Setting(layout, file)
 

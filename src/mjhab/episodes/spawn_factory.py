@@ -15,7 +15,7 @@ from mjhab.config.env import EnvConfig, task_config
 from mjhab.core.cache import write_atomic
 from mjhab.core.errors import UsageError
 from mjhab.episodes.generator import Episode, EpisodeMaker
-from mjhab.episodes.rosters import roster
+from mjhab.episodes.rosters import object_roster
 from mjhab.episodes.spawn_sets import (
     SUFFIX,
     SpawnRecipe,
@@ -56,11 +56,12 @@ class SpawnFactory:
             seed=recipe.seed,
             spawn_rule=recipe.spawn_rule,
         )
-        self.layout = Layout(open_pack(recipe.assets), roster(recipe.task))
+        pack = open_pack(config.assets)
+        self.layout = Layout(pack, object_roster(config, pack))
         check_target(config, self.layout)
         self.sim = CpuSimulator(self.layout, 1, 1)
         wanted = recipe.target if recipe.target in self.layout.roster else ""
-        self.episodes = EpisodeMaker(self.sim, recipe.task, recipe.split, recipe.home, wanted)
+        self.episodes = EpisodeMaker(self.sim, recipe.task, recipe.split, config.home, wanted)
         self.starts = StartMaker(self.sim, config, task_config(config, REST_QPOS), recipe.harvested)
 
     def episode(self, index: int) -> Episode:

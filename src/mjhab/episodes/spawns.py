@@ -18,7 +18,7 @@ from mjhab.core.rotations import mat_from_quat, pose_mul
 from mjhab.robots.controllers.actions import ARM_JOINTS
 from mjhab.robots.fetch.model import REST_QPOS
 from mjhab.robots.kinematics import wrap
-from mjhab.scenes.freespace import BASE_RADIUS, FreeMap, shared_map
+from mjhab.scenes.freespace import NAVMESH_BASE_RADIUS_M, FreeMap, shared_map
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.scratch import Scratch
 
@@ -92,7 +92,7 @@ class SpawnSampler:
     def __init__(self, sim: CpuSimulator) -> None:
         self.sim = sim
         self.scratch = Scratch(sim)
-        self._homes = {home.name: home for home in sim.layout.pack.homes}
+        self._homes = sim.layout.pack.homes_by_name
         self._standing: dict[tuple[str, float], np.ndarray] = {}
         self._walls: dict[str, Boxes] = {}
 
@@ -100,7 +100,7 @@ class SpawnSampler:
         """Free-space map of a home."""
         return shared_map(self._homes[home], self.sim.layout.pack)
 
-    def walkable(self, home: str, radius: float = BASE_RADIUS) -> np.ndarray:
+    def walkable(self, home: str, radius: float = NAVMESH_BASE_RADIUS_M) -> np.ndarray:
         """(P, 2) centres [m] of the cells where a robot of a ``radius`` [m] can stand."""
         key = (home, radius)
         if key not in self._standing:
@@ -207,7 +207,9 @@ class SpawnSampler:
             return None
         cell = candidates[int(rng.integers(len(candidates)))]
         xy = cell + noise
-        if self.map(home).clearance_at(xy) < BASE_RADIUS - 0.02 or not goal.allows(xy, goal.slack):
+        if self.map(home).clearance_at(xy) < NAVMESH_BASE_RADIUS_M - 0.02 or not goal.allows(
+            xy, goal.slack
+        ):
             return None
         if goal.face is None:
             return np.array([*xy, rng.uniform(*goal.yaw)])

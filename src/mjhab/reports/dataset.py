@@ -9,7 +9,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from mjhab.data.select.facts import type_name
+from mjhab.core.names import kind_of
 from mjhab.data.select.query import Filter
 from mjhab.data.select.sets import Place, nothing_passes, select
 from mjhab.data.store.reading import open_shard, shard_paths
@@ -209,7 +209,7 @@ def _pairs(names: Sequence[str]) -> str:
 
 
 def _counts(records: Sequence[EpisodeRecord]) -> str:
-    targets = Counter((s.kind, type_name(s.target)) for record in records for s in record.subtasks)
+    targets = Counter((s.kind, kind_of(s.target)) for record in records for s in record.subtasks)
     homes = Counter(record.home for record in records)
     rows = [(f"{kind} {target}", count) for (kind, target), count in sorted(targets.items())]
     return _list("subtask", rows) + _list("home", sorted(homes.items()))

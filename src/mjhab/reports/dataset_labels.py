@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 
-from mjhab.data.select.facts import type_name
+from mjhab.core.names import kind_of
 from mjhab.reports.metrics import wilson
 from mjhab.reports.paper import POLICIES, paper_row
 from mjhab.reports.plots import tone
@@ -38,7 +38,7 @@ def grouped(records: Iterable[EpisodeRecord]) -> dict[Group, list[SubtaskRecord]
         for subtask in record.subtasks:
             way = "" if record.subtask else CHAINS
             groups[
-                Group(subtask.kind, record.task, record.split, way, type_name(subtask.target))
+                Group(subtask.kind, record.task, record.split, way, kind_of(subtask.target))
             ].append(subtask)
     together: dict[Group, list[SubtaskRecord]] = defaultdict(list)
     several: Counter[Group] = Counter()

@@ -7,7 +7,7 @@ import functools
 from dataclasses import dataclass
 from importlib.resources import files
 
-from mjhab.data.select.facts import type_name
+from mjhab.core.names import kind_of
 from mjhab.tasks.subtasks.registry import SUBTASKS
 
 _COLUMNS = ("i", "ii", "iii", "iv", "v", "vi", "vii", "viii", "ix", "x", "xi", "xii")
@@ -76,7 +76,7 @@ def paper_success(task: str, subtask: str, split: str, target: str) -> dict[str,
 
 
 def _paper_target(target: str) -> str:
-    furniture, _, link = type_name(target).rpartition("/")
+    furniture, _, link = kind_of(target).rpartition("/")
     if furniture:
         return "drawer" if "drawer" in link else furniture
     return target.partition("_")[0]

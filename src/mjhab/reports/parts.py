@@ -8,7 +8,8 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from mjhab.reports.metrics import SubtaskRow, target_type, wilson
+from mjhab.core.names import kind_of
+from mjhab.reports.metrics import SubtaskRow, wilson
 from mjhab.reports.plots import kind_color, tone
 from mjhab.rollout.films import FILM_EVERY, FILM_FPS
 from mjhab.rollout.records import EpisodeRecord, SubtaskRecord
@@ -160,7 +161,7 @@ def _timeline(record: EpisodeRecord) -> str:
 def _span(subtask: SubtaskRecord, steps: int) -> str:
     left = 100 * subtask.start_step / steps
     width = 100 * (subtask.end_step - subtask.start_step) / steps
-    title = f"{subtask.index + 1}. {subtask.kind} {target_type(subtask.target)}"
+    title = f"{subtask.index + 1}. {subtask.kind} {kind_of(subtask.target)}"
     label = (subtask.label or ("success" if subtask.success_once else "no success")).replace(
         "_", " "
     )
@@ -180,7 +181,7 @@ def _event_list(record: EpisodeRecord) -> str:
     rows = []
     for step, name in record.events:
         owner = next((s for s in record.subtasks if s.start_step < step <= s.end_step), None)
-        where = f"{owner.kind} {target_type(owner.target)}" if owner else ""
+        where = f"{owner.kind} {kind_of(owner.target)}" if owner else ""
         rows.append(
             f'<tr data-step="{step}"><td class="n">{step / CONTROL_HZ:.1f} s</td><td class="n">{step}</td>'
             f"<td>{escape(where)}</td><td>{escape(name.replace('_', ' '))}</td></tr>"
@@ -224,7 +225,7 @@ def _episode_row(record: EpisodeRecord) -> str:
         f'<tr><td class="n">{record.index}</td><td>{escape(record.home)}</td>'
         f'<td class="n" data-value="{record.completed}">{record.completed} / {len(record.plan)}</td>'
         f'<td><span class="dot {css}"></span>{success}</td>'
-        f"<td>{escape(f'{last.kind} {target_type(last.target)}' if last else '')}</td>"
+        f"<td>{escape(f'{last.kind} {kind_of(last.target)}' if last else '')}</td>"
         f'<td><span class="dot {tone(label)}"></span>{escape(label.replace("_", " "))}</td>'
         f'<td class="n">{record.steps}</td>'
         f'<td class="n" data-value="{record.peak_force}">{record.peak_force:.0f} N</td>'

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mjhab.core.names import kind_of
 from mjhab.tasks.household.registry import TASKS
 from mjhab.tasks.plan import GOAL_OF
 from mjhab.tasks.subtasks.registry import SUBTASKS
@@ -159,7 +160,7 @@ def task_instruction(task: str, requests: Sequence[Request], draw: Draw = first_
 
 def target_words(target: str, draw: Draw = first_wording) -> str:
     """A target in words: "the bowl" for "024_bowl_:0003", "drawer 3 of the kitchen counter" for a link."""
-    kind = target.partition("_:")[0]
+    kind = kind_of(target)
     if "/" in kind:
         return _link_words(kind)
     names = OBJECT_WORDS.get(kind) or (_plain_words(kind),)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
+from mjhab.core.names import kind_of
 from mjhab.data.store.episode_data import RunInfo
 from mjhab.data.store.schema import STEP_SECONDS
 from mjhab.rollout.records import EpisodeRecord
@@ -31,14 +32,9 @@ class Fact:
     choices: tuple[str, ...] = ()
 
 
-def type_name(target: str) -> str:
-    """The kind of object without the number of the copy: "024_bowl" for "024_bowl_:0000"."""
-    return target.partition("_:")[0]
-
-
 def target_of(record: EpisodeRecord) -> str:
     """Object type or link of the last subtask that ended; of the first of the plan if none did."""
-    return type_name(record.subtasks[-1].target if record.subtasks else record.plan[0].target)
+    return kind_of(record.subtasks[-1].target if record.subtasks else record.plan[0].target)
 
 
 def events_of(record: EpisodeRecord) -> list[str]:
@@ -98,7 +94,7 @@ def _base() -> tuple[Fact, ...]:
             "targets",
             TEXTS,
             "object types and links of the plan",
-            lambda r, _: [type_name(e.target) for e in r.plan],
+            lambda r, _: [kind_of(e.target) for e in r.plan],
         ),
         Fact(
             "label",

@@ -13,6 +13,7 @@ from fnmatch import fnmatchcase
 import numpy as np
 
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.names import kind_of
 from mjhab.core.rotations import mat_from_quat
 from mjhab.episodes.generator import Episode, require_furniture
 from mjhab.episodes.hab.format import (
@@ -105,7 +106,7 @@ class FileEpisodes:
         self.file = file
         self.task = task
         self.layout = sim.layout
-        self._homes = {home.name: home for home in self.layout.pack.homes}
+        self._homes = self.layout.pack.homes_by_name
         self._furnished: set[str] = set()
         self._settled: dict[int, tuple[Episode, Rest]] = {}
         for i in range(len(self.file.episodes)):
@@ -277,7 +278,7 @@ def link_names(layout: Layout, furniture: str) -> tuple[str, ...]:
 
 def template_of(handle: str) -> str:
     """Our template name of a handle such as ``"frl_apartment_table_01_:0000"``."""
-    return handle.split("_:")[0].removeprefix(PREFIX)
+    return kind_of(handle).removeprefix(PREFIX)
 
 
 def number_of_root(layout: Layout, home: Home, episode: HabEpisode, pose: np.ndarray) -> int:

@@ -10,8 +10,8 @@ import numpy as np
 from mjhab.config.env import EnvConfig
 from mjhab.core.arrays import Array
 from mjhab.episodes.generator import Episode
-from mjhab.episodes.grasps.held import HeldStarts
-from mjhab.episodes.grasps.held_arms import HeldArms
+from mjhab.episodes.grasps.carry_postures import CarryPostures
+from mjhab.episodes.grasps.stable import StableGrasps
 from mjhab.episodes.spawns import Held, SpawnSampler
 from mjhab.layout.layout import Layout, LinkRef
 from mjhab.robots.controllers.table import ARM_JOINTS
@@ -39,8 +39,8 @@ class HomeState:
     task_config: TaskConfig
     sim: CpuSimulator
     sampler: SpawnSampler
-    held: HeldStarts
-    arms: HeldArms
+    held: StableGrasps
+    arms: CarryPostures
     homes: Mapping[str, Home]
 
     @property

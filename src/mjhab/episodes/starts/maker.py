@@ -12,11 +12,12 @@ import numpy as np
 
 from mjhab.config.env import EnvConfig
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.names import kind_of
 from mjhab.core.plugins import resolved
 from mjhab.core.seeding import stream
 from mjhab.episodes.generator import Episode
-from mjhab.episodes.grasps.held import HeldStarts
-from mjhab.episodes.grasps.held_arms import HeldArms
+from mjhab.episodes.grasps.carry_postures import CarryPostures
+from mjhab.episodes.grasps.stable import StableGrasps
 from mjhab.episodes.spawn_sets import SpawnSet
 from mjhab.episodes.spawns import MAX_TRIES, Held, SpawnGoal, SpawnSampler
 from mjhab.episodes.starts.home_state import HomeState
@@ -40,7 +41,7 @@ def subtask_positions(plan: TaskPlan, layout: Layout, kind: str, target: str) ->
 
     def matches(subtask: Subtask) -> bool:
         about = subtask.link if SUBTASKS[kind].jointed else subtask.obj
-        return not target or about == target or about.split("_:")[0] == target
+        return not target or about == target or kind_of(about) == target
 
     wanted = number_of(kind)
     return [i for i, s in enumerate(plan.subtasks) if s.kind == wanted and matches(s)]
@@ -92,15 +93,15 @@ class StartMaker:
         self.task_config = task_config
         self.layout = sim.layout
         self.sampler = SpawnSampler(sim)
-        self.held = HeldStarts(sim, task_config, self.sampler.scratch, harvested)
+        self.held = StableGrasps(sim, task_config, self.sampler.scratch, harvested)
         self.published = config.spawn_rule == "published"
         if self.published and harvested:
             raise UsageError("the published spawn rule has arms of its own; leave out harvested.")
-        self.arms = HeldArms(self.held)
+        self.arms = CarryPostures(self.held)
         self.spawn_set = SpawnSet.load(Path(config.spawns), self.layout) if config.spawns else None
         if self.spawn_set is not None:
             self.spawn_set.check(config)
-        self._homes = {home.name: home for home in self.layout.pack.homes}
+        self._homes = self.layout.pack.homes_by_name
         self._boxes: dict[str, dict[str, Box]] = {}
         self._state = HomeState(
             config, task_config, sim, self.sampler, self.held, self.arms, self._homes

@@ -20,12 +20,11 @@ from mjhab.envs.parts.world_view import (
     REST_QPOS,
     ROBOT_GEOMS,
     TRUNK_LINKS,
-    BoxArrays,
     HomeShapes,
     WorldView,
 )
 from mjhab.experts.arm import ik
-from mjhab.experts.arm.clearance import Boxes, RobotSpheres
+from mjhab.experts.arm.clearance import RobotSpheres
 from mjhab.experts.base.navigation import DriveLimits, Follower, Planner
 from mjhab.robots.controllers.actions import (
     ACTION_DIM,
@@ -99,11 +98,6 @@ def planner(home: HomeShapes) -> Planner:
         found = (home, cells)
         _PLANNERS[home.name] = found
     return found[1]
-
-
-def as_boxes(arrays: BoxArrays) -> Boxes:
-    """Boxes of the privileged view as the clearance module takes them."""
-    return Boxes(arrays.center, arrays.half, arrays.rot)
 
 
 def tcp(view: WorldView) -> tuple[Array, Array]:

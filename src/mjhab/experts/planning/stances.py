@@ -16,9 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
+from mjhab.core.boxes import Boxes
 from mjhab.core.cache import cache_dir, write_atomic
 from mjhab.core.code_digest import code_digest
-from mjhab.envs.parts.world_view import REST_QPOS, BoxArrays, JointedLink, WorldView
+from mjhab.envs.parts.world_view import REST_QPOS, JointedLink, WorldView
 from mjhab.experts.arm import ik, motion
 from mjhab.robots.kinematics import wrap
 
@@ -145,7 +146,7 @@ def track(
     base: Array,
     pos: Array,
     rot: Array,
-    boxes: Sequence[BoxArrays] | None = None,
+    boxes: Sequence[Boxes] | None = None,
     *,
     tries: int = 12,
     mode: ik.Mode = "pose",
@@ -235,13 +236,13 @@ _ARM_LINKS = (
 )
 
 
-def _clear(q: Array, boxes: BoxArrays | None, margin: float) -> Array:
+def _clear(q: Array, boxes: Boxes | None, margin: float) -> Array:
     """Which configurations (N, Q) keep the arm clear of the trunk, and arm and trunk of the boxes."""
     if not len(q):
         return np.zeros(0, dtype=bool)
     keep = motion.spheres().self_clearance(q) > SELF_MARGIN
     if boxes is not None:
-        keep &= motion.spheres().only(_ARM_LINKS).clearance(q, motion.as_boxes(boxes)) > margin
+        keep &= motion.spheres().only(_ARM_LINKS).clearance(q, boxes) > margin
     return keep
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from mjhab.data.select.facts import type_name
+from mjhab.core.names import kind_of
 from mjhab.learning.demos import nearness
 from mjhab.learning.layout import Layout
 from mjhab.tasks.subtasks.registry import horizons
@@ -91,7 +91,7 @@ class Sight:
             return
         for world in torch.nonzero(fresh).flatten().tolist():
             plan = self._episode(info, world)["plan"]
-            code = layout.condition(plan[0]["kind"], type_name(plan[0]["target"]))
+            code = layout.condition(plan[0]["kind"], kind_of(plan[0]["target"]))
             self._codes[world] = torch.from_numpy(code).to(self.device)
 
     def _episode(self, info: Mapping[str, Any], world: int) -> Mapping[str, Any]:

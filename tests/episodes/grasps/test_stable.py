@@ -11,7 +11,7 @@ import mjhab.envs as envs
 from mjhab.core.errors import UsageError
 from mjhab.core.rotations import mat_from_quat
 from mjhab.episodes.grasps.candidates import grasp_candidates
-from mjhab.episodes.grasps.held import MAX_GRASPS, MAX_OFFSET, HeldStarts, shape_of, spread
+from mjhab.episodes.grasps.stable import MAX_GRASPS, MAX_OFFSET_M, StableGrasps, shape_of, spread
 from mjhab.episodes.rosters import roster
 from mjhab.layout.layout import Layout
 from mjhab.robots.fetch.model import REST_QPOS
@@ -30,8 +30,8 @@ def sim() -> CpuSimulator:
     return CpuSimulator(Layout(open_pack("builtin"), (APPLE, BOWL)), 1, 1)
 
 
-def library(sim: CpuSimulator, harvested: bool = False) -> HeldStarts:
-    return HeldStarts(sim, TaskConfig(rest_qpos=REST_QPOS), Scratch(sim), harvested)
+def library(sim: CpuSimulator, harvested: bool = False) -> StableGrasps:
+    return StableGrasps(sim, TaskConfig(rest_qpos=REST_QPOS), Scratch(sim), harvested)
 
 
 @pytest.fixture
@@ -46,7 +46,7 @@ def test_grasps_are_many_and_come_from_everywhere(sim: CpuSimulator, kind: str):
     assert len(grasps) == MAX_GRASPS
     approach = np.array([mat_from_quat(g.pose[3:]).T[:, 0] for g in grasps])
     assert np.linalg.norm(approach.mean(axis=0)[:2]) < 0.4
-    assert (np.linalg.norm([g.pose[:3] for g in grasps], axis=1) <= MAX_OFFSET).all()
+    assert (np.linalg.norm([g.pose[:3] for g in grasps], axis=1) <= MAX_OFFSET_M).all()
     if kind == BOWL:
         # The rim: the middle of the bowl is a radius away from the fingers, which are almost closed.
         assert min(np.linalg.norm(g.pose[:3]) for g in grasps) > 0.05
@@ -54,7 +54,7 @@ def test_grasps_are_many_and_come_from_everywhere(sim: CpuSimulator, kind: str):
 
 
 def test_spread_takes_the_best_first_and_then_what_is_different():
-    shape = shape_of(open_pack("builtin").objects["005_tomato_soup_can"])
+    shape = shape_of(open_pack("builtin").objects["005_tomato_soup_can"], {})
     candidates = grasp_candidates(
         shape, np.zeros(3), np.array([1.0, 0, 0, 0]), support_z=-shape.half[2]
     )

@@ -1,4 +1,4 @@
-"""Starts with an object in the gripper, found by physics and not by a policy.
+"""Grasps that hold in simulation, for starts with an object in the gripper.
 
 Antipodal grasp candidates on the object's geometry are tried in an empty corner of the world: the gripper at rest, the
 object between the fingers, closing; those that pass the grasp test for half a second, and keep the object while the
@@ -8,7 +8,7 @@ base turns, are kept. They are spread over the ways in which a gripper can come,
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -21,37 +21,64 @@ from mjhab.core.errors import MjhabError, UsageError, unknown_name
 from mjhab.core.names import below
 from mjhab.core.rotations import pose_inv
 from mjhab.episodes.grasps.candidates import Grasps, ObjectShape, grasp_candidates
+from mjhab.episodes.grasps.spread import farthest_points
 from mjhab.layout.compile import home_hash
+from mjhab.scenes.shapes.footprints import outline
 from mjhab.scenes.spec import ObjectType
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.scratch import FINGER_JOINTS, FINGER_MAX, Scratch
 from mjhab.sim.mujoco.settle import parked_robot_qpos
 from mjhab.tasks.thresholds import TaskConfig
 
-HOLD_SECONDS = 0.5
+HOLD_TIME_S = 0.5
+"""How long an object must be held still."""
 STEADY_SHARE = 0.8
 """Share of the grasp test's angle that a stored grasp may use: near the limit it flickers once the robot moves."""
 MAX_GRASPS = 32
+"""Stable grasps kept of an object type."""
 MAX_TRIES = 256
-MAX_OFFSET = 0.15
+"""Candidates tried for them."""
+MAX_OFFSET_M = 0.15
 """An object whose origin is further [m] from the tool centre counts as badly held (MS-HAB's
 mshab/utils/gen/gen_spawn_positions.py leaves such grasps out)."""
-MAX_SLANT = np.radians(50.0)
+MAX_APPROACH_SLANT_RAD = np.radians(50.0)
 """Largest angle [rad] between the approach and straight down, where the object has grasps within. The hand points down
 at rest: what it took from the side would lie on its side in it, as few picks leave it."""
 _UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
 _VERSION = 6
-_POSITION_SCALE = 0.05
+_POSITION_SCALE_M = 0.05
+"""Distance between grasps that makes them as different as a radian between their approaches does."""
 _CLOSING_WEIGHT = 0.5
-"""What counts as far apart: 5 cm as much as a radian of approach or two of roll."""
+"""How different a radian between the closing lines makes grasps, compared to one between their approaches."""
 
 
-def shape_of(kind: ObjectType) -> ObjectShape:
-    """What a gripper sees of an object type: a box, can, ball or bowl of its size."""
+def shape_of(kind: ObjectType, meshes: Mapping[str, object]) -> ObjectShape:
+    """What a gripper sees of an object type: a box, can, ball or bowl of its size, or grasps found on its surface.
+
+    Args:
+        kind: the object type.
+        meshes: by name, those that its geoms name (`Pack.meshes`).
+    """
+    if kind.grasp_shape == "mesh":
+        return _mesh_shape(kind, meshes)
     if len(kind.collision) > 1:
         return ObjectShape("bowl", kind.half)
     shape = next(iter(kind.collision)).shape
     return ObjectShape(shape if shape in ("box", "cylinder") else "sphere", kind.half)
+
+
+_mesh_shapes: dict[str, ObjectShape] = {}
+"""Shapes made so far, by the hash of what they are made of: looking for grasps takes about a second."""
+
+
+def _mesh_shape(kind: ObjectType, meshes: Mapping[str, object]) -> ObjectShape:
+    pieces = np.concatenate([outline(geom, meshes) for geom in kind.collision])
+    key = hashlib.sha256(repr(kind).encode() + pieces.tobytes()).hexdigest()
+    if key not in _mesh_shapes:
+        from mjhab.episodes.grasps.antipodal import surface_grasps
+
+        _mesh_shapes[key] = ObjectShape("mesh", kind.half, grasps=surface_grasps(kind, meshes))
+    return _mesh_shapes[key]
 
 
 def spread(candidates: Grasps, count: int) -> Iterator[int]:
@@ -60,26 +87,20 @@ def spread(candidates: Grasps, count: int) -> Iterator[int]:
         return
     closing = _CLOSING_WEIGHT * candidates.rot[:, :, 1]
     features = np.concatenate(
-        [candidates.pos / _POSITION_SCALE, candidates.rot[:, :, 0], closing], axis=1
+        [candidates.pos / _POSITION_SCALE_M, candidates.rot[:, :, 0], closing], axis=1
     )
-    apart = np.full(len(candidates), np.inf)
-    row = 0
-    for _ in range(min(count, len(candidates))):
-        yield row
-        apart = np.minimum(apart, np.linalg.norm(features - features[row], axis=1))
-        apart[row] = -1.0
-        row = int(np.argmax(apart))
+    yield from farthest_points(features, count).tolist()
 
 
 @dataclass(frozen=True, eq=False)
-class HeldGrasp:
+class StableGrasp:
     """A stable grasp: object pose (7,) in the frame of gripper_link, finger position [m]."""
 
     pose: np.ndarray
     fingers: float
 
 
-class HeldStarts:
+class StableGrasps:
     """Stable grasps per object type: found once per layout, kept in the cache.
 
     Args:
@@ -96,10 +117,10 @@ class HeldStarts:
         self.config = config
         self.scratch = scratch
         self.harvested = harvested
-        self._found: dict[str, list[HeldGrasp]] = {}
+        self._found: dict[str, list[StableGrasp]] = {}
         self.lock = RLock()
 
-    def grasps(self, kind: str) -> list[HeldGrasp]:
+    def grasps(self, kind: str) -> list[StableGrasp]:
         """Stable grasps of an object type, the most sensible one first, then as different ones as possible.
 
         Raises:
@@ -111,7 +132,7 @@ class HeldStarts:
                 self._found[kind] = self.found(kind) + (self.added(kind) if self.harvested else [])
             return self._found[kind]
 
-    def add(self, kind: str, pose: np.ndarray, fingers: float) -> HeldGrasp | None:
+    def add(self, kind: str, pose: np.ndarray, fingers: float) -> StableGrasp | None:
         """Add a grasp, e.g. from a successful episode, if it passes the test that the found ones passed.
 
         Args:
@@ -150,7 +171,7 @@ class HeldStarts:
                 self._found.pop(kind, None)
         return grasp
 
-    def added(self, kind: str) -> list[HeldGrasp]:
+    def added(self, kind: str) -> list[StableGrasp]:
         """The grasps that were added for an object type, in the order of their hashes."""
         return [
             g
@@ -169,10 +190,10 @@ class HeldStarts:
         test = (
             self.config.grasp_force,
             self.config.grasp_angle,
-            HOLD_SECONDS,
+            HOLD_TIME_S,
             MAX_GRASPS,
             MAX_TRIES,
-            MAX_SLANT,
+            MAX_APPROACH_SLANT_RAD,
             _VERSION,
         )
         name = repr((home_hash(self.layout, self.layout.pack.homes[0]), test))
@@ -182,7 +203,7 @@ class HeldStarts:
         if kind not in self.layout.roster:
             raise unknown_name("object", kind, set(self.layout.roster))
 
-    def found(self, kind: str) -> list[HeldGrasp]:
+    def found(self, kind: str) -> list[StableGrasp]:
         """As `grasps`, without those that were added."""
         self._check(kind)
         path = below(self.folder, f"{kind}.npz")
@@ -192,13 +213,14 @@ class HeldStarts:
         _save(path, found)
         return found
 
-    def _search(self, kind: str) -> list[HeldGrasp]:
-        shape = shape_of(self.layout.pack.objects[kind])
+    def _search(self, kind: str) -> list[StableGrasp]:
+        pack = self.layout.pack
+        shape = shape_of(pack.objects[kind], pack.meshes)
         candidates = grasp_candidates(shape, np.zeros(3), _UPRIGHT, support_z=-shape.half[2])
-        steep = candidates.rot[:, 2, 0] <= -np.cos(MAX_SLANT)
+        steep = candidates.rot[:, 2, 0] <= -np.cos(MAX_APPROACH_SLANT_RAD)
         if steep.any():
             candidates = candidates.take(steep)
-        found: list[HeldGrasp] = []
+        found: list[StableGrasp] = []
         for row in spread(candidates, MAX_TRIES):
             tcp = np.concatenate([candidates.pos[row], candidates.quat[row]])
             grasp = self._try(kind, tcp, float(candidates.width[row]))
@@ -207,10 +229,10 @@ class HeldStarts:
             if len(found) == MAX_GRASPS:
                 break
         if not found:
-            raise MjhabError(f"no grasp of {kind} holds for {HOLD_SECONDS} s")
+            raise MjhabError(f"no grasp of {kind} holds for {HOLD_TIME_S} s")
         return found
 
-    def hold_in(self, kind: str, grasp: HeldGrasp, robot: np.ndarray) -> HeldGrasp | None:
+    def hold_in(self, kind: str, grasp: StableGrasp, robot: np.ndarray) -> StableGrasp | None:
         """A stable grasp as it settles in another posture; None if it does not hold there or the robot touches itself.
 
         Args:
@@ -230,7 +252,7 @@ class HeldStarts:
 
     def _try(
         self, kind: str, tcp: np.ndarray, width: float, robot: np.ndarray | None = None
-    ) -> HeldGrasp | None:
+    ) -> StableGrasp | None:
         """Try a grasp: pose ``tcp`` (7,) of the tool centre in the object's frame, distance of the pads [m].
 
         ``robot``: (15,) joint positions, those of the fingers aside; at rest if None.
@@ -241,11 +263,11 @@ class HeldStarts:
         robot = parked_robot_qpos() if robot is None else robot
         open_hand = _with_fingers(robot, min(0.5 * width + 0.001, FINGER_MAX))
         held = self.scratch.try_grasp(
-            slot, tcp, open_hand, HOLD_SECONDS, force, STEADY_SHARE * angle
+            slot, tcp, open_hand, HOLD_TIME_S, force, STEADY_SHARE * angle
         )
         return (
-            HeldGrasp(*held)
-            if held is not None and np.linalg.norm(held[0][:3]) <= MAX_OFFSET
+            StableGrasp(*held)
+            if held is not None and np.linalg.norm(held[0][:3]) <= MAX_OFFSET_M
             else None
         )
 
@@ -257,7 +279,7 @@ def _with_fingers(robot: np.ndarray, fingers: float) -> np.ndarray:
     return out
 
 
-def _save(path: Path, grasps: list[HeldGrasp]) -> None:
+def _save(path: Path, grasps: list[StableGrasp]) -> None:
     arrays = {
         "pose": np.array([g.pose for g in grasps]),
         "fingers": np.array([g.fingers for g in grasps]),
@@ -265,9 +287,9 @@ def _save(path: Path, grasps: list[HeldGrasp]) -> None:
     write_atomic(path, lambda temporary: np.savez(temporary, allow_pickle=False, **arrays))
 
 
-def _load(path: Path) -> list[HeldGrasp]:
+def _load(path: Path) -> list[StableGrasp]:
     with np.load(path, allow_pickle=False) as data:
         return [
-            HeldGrasp(pose, float(fingers))
+            StableGrasp(pose, float(fingers))
             for pose, fingers in zip(data["pose"], data["fingers"], strict=True)
         ]

@@ -12,9 +12,9 @@ import mjhab.envs as envs
 from mjhab.config.env import EnvConfig, task_config
 from mjhab.core.errors import UsageError
 from mjhab.core.seeding import stream
-from mjhab.episodes.grasps import held_arms
-from mjhab.episodes.grasps.held import MAX_OFFSET, HeldStarts
-from mjhab.episodes.grasps.held_arms import MAX_ARMS, HeldArms, rest_postures
+from mjhab.episodes.grasps import carry_postures
+from mjhab.episodes.grasps.carry_postures import MAX_ARMS, CarryPostures, rest_postures
+from mjhab.episodes.grasps.stable import MAX_OFFSET_M, StableGrasps
 from mjhab.episodes.rosters import roster
 from mjhab.episodes.starts import StartMaker
 from mjhab.layout.layout import Layout
@@ -40,8 +40,8 @@ def sim() -> CpuSimulator:
     return CpuSimulator(Layout(open_pack("builtin"), (APPLE, BOWL)), 1, 1)
 
 
-def library(sim: CpuSimulator) -> HeldArms:
-    return HeldArms(HeldStarts(sim, CONFIG, Scratch(sim)))
+def library(sim: CpuSimulator) -> CarryPostures:
+    return CarryPostures(StableGrasps(sim, CONFIG, Scratch(sim)))
 
 
 def hand_at(arms: np.ndarray) -> np.ndarray:
@@ -70,14 +70,14 @@ def test_arms_are_many_and_hold_their_object_near_the_hand(sim: CpuSimulator, ki
     arms = library(sim).arms(kind)
     assert len(arms) == MAX_ARMS
     check_postures(np.array([one.arm for one in arms]))
-    assert max(np.linalg.norm(one.grasp.pose[:3]) for one in arms) <= MAX_OFFSET
+    assert max(np.linalg.norm(one.grasp.pose[:3]) for one in arms) <= MAX_OFFSET_M
 
 
 def test_made_once_then_read_from_the_cache(
     sim: CpuSimulator, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("MJHAB_CACHE", str(tmp_path))
-    monkeypatch.setattr(held_arms, "MAX_ARMS", 3)
+    monkeypatch.setattr(carry_postures, "MAX_ARMS", 3)
     first = library(sim)
     made = first.arms(APPLE)
     assert len(list(tmp_path.rglob(f"{APPLE}-arms-*.npz"))) == 1

@@ -17,7 +17,7 @@ import numpy as np
 from mjhab.core.cache import write_atomic
 from mjhab.core.errors import MjhabError
 from mjhab.core.seeding import stream
-from mjhab.episodes.grasps.held import HOLD_SECONDS, HeldGrasp, HeldStarts
+from mjhab.episodes.grasps.stable import HOLD_TIME_S, StableGrasp, StableGrasps
 from mjhab.robots.controllers.table import ARM_JOINTS
 from mjhab.robots.fetch.model import FETCH_JOINTS, KINEMATIC_TREE, REST_QPOS
 from mjhab.robots.kinematics import Chain, damped_step
@@ -36,25 +36,25 @@ _VERSION = 1
 
 
 @dataclass(frozen=True, eq=False)
-class HeldArm:
+class CarryPosture:
     """``arm`` (7,) joint positions [rad] in the order of `controllers.table.ARM_JOINTS`, and what it holds."""
 
     arm: np.ndarray
-    grasp: HeldGrasp
+    grasp: StableGrasp
 
 
-class HeldArms:
+class CarryPostures:
     """Arms of successful Picks per object type: made once per layout, kept in the cache.
 
     Args:
         held: the grasps that the arms hold; those that were added on this machine are left out.
     """
 
-    def __init__(self, held: HeldStarts) -> None:
+    def __init__(self, held: StableGrasps) -> None:
         self._held = held
-        self._arms: dict[str, list[HeldArm]] = {}
+        self._arms: dict[str, list[CarryPosture]] = {}
 
-    def arms(self, kind: str) -> list[HeldArm]:
+    def arms(self, kind: str) -> list[CarryPosture]:
         """Arms that hold an object of a type.
 
         Raises:
@@ -85,19 +85,19 @@ class HeldArms:
         ).hexdigest()[:8]
         return self._held.folder / f"{kind}-arms-{made}.npz"
 
-    def _make(self, kind: str) -> list[HeldArm]:
+    def _make(self, kind: str) -> list[CarryPosture]:
         grasps = self._held.found(kind)
         postures = rest_postures(stream(0, "held arms", kind), self._held.config, MAX_TRIES)
-        made: list[HeldArm] = []
+        made: list[CarryPosture] = []
         for number, arm in enumerate(postures):
             grasp = self._held.hold_in(kind, grasps[number % len(grasps)], _robot(arm))
             if grasp is not None:
-                made.append(HeldArm(arm, grasp))
+                made.append(CarryPosture(arm, grasp))
             if len(made) == MAX_ARMS:
                 break
         if not made:
             raise MjhabError(
-                f"no grasp of {kind} holds for {HOLD_SECONDS} s in a posture in which a Pick succeeds"
+                f"no grasp of {kind} holds for {HOLD_TIME_S} s in a posture in which a Pick succeeds"
             )
         return made
 
@@ -147,7 +147,7 @@ def _robot(arm: np.ndarray) -> np.ndarray:
     return robot
 
 
-def _save(path: Path, arms: list[HeldArm]) -> None:
+def _save(path: Path, arms: list[CarryPosture]) -> None:
     arrays = {
         "arm": np.array([one.arm for one in arms]),
         "pose": np.array([one.grasp.pose for one in arms]),
@@ -156,7 +156,7 @@ def _save(path: Path, arms: list[HeldArm]) -> None:
     write_atomic(path, lambda temporary: np.savez(temporary, allow_pickle=False, **arrays))
 
 
-def _load(path: Path) -> list[HeldArm]:
+def _load(path: Path) -> list[CarryPosture]:
     with np.load(path, allow_pickle=False) as data:
         rows = zip(data["arm"], data["pose"], data["fingers"], strict=True)
-        return [HeldArm(arm, HeldGrasp(pose, float(fingers))) for arm, pose, fingers in rows]
+        return [CarryPosture(arm, StableGrasp(pose, float(fingers))) for arm, pose, fingers in rows]

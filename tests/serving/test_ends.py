@@ -29,7 +29,7 @@ def address(port: int, dialect: str = "openpi", **options: object) -> Address:
 
 
 @contextmanager
-def scripted(handler: Callable[[ServerConnection], object]) -> Iterator[int]:
+def scripted(handler: Callable[[ServerConnection], None]) -> Iterator[int]:
     """A server that does what ``handler`` does; gives its port."""
     listening = free_socket("127.0.0.1", 0)
     server = serve(handler, sock=listening, compression=None)

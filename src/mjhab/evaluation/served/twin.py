@@ -134,17 +134,7 @@ class TwinSession:
         Raises:
             UsageError: the request lacks the worlds' states, or they do not belong here.
         """
-        parts = request.get(OWN)
-        parts = parts if batch is not None else [parts]
-        if not isinstance(parts, list) or not all(isinstance(part, Mapping) for part in parts):
-            raise UsageError(
-                f"this server serves policies of mjhab, which need the state of the worlds (key {OWN!r}); ask it with: "
-                "mjhab eval --policy ws://..."
-            )
-        if batch is not None and len(parts) != batch:
-            raise UsageError(
-                f"the request is about {batch} worlds and has the state of {len(parts)}"
-            )
+        parts = _own_parts(request, batch)
         config = _mapping(parts[0].get("config"), "config")
         if config != self._config:
             self.close()
@@ -184,6 +174,25 @@ def _act(twin: Twin, part: Mapping[str, Any]) -> np.ndarray:
     action = twin.policy.act(obs, info)[0]
     twin.last = (*name, "then", step + 1 if isinstance(step, int) else None)
     return action
+
+
+def _own_parts(request: Mapping[str, Any], batch: int | None) -> list[Mapping[str, Any]]:
+    """What clients of mjhab say of each world of a request.
+
+    Raises:
+        UsageError: the request comes from another client, or is about another number of worlds.
+    """
+    given = request.get(OWN)
+    given = [given] if batch is None else given
+    parts = [part for part in given if isinstance(part, Mapping)] if isinstance(given, list) else []
+    if not parts:
+        raise UsageError(
+            f"this server serves policies of mjhab, which need the state of the worlds (key {OWN!r}); ask it with: "
+            "mjhab eval --policy ws://..."
+        )
+    if len(parts) != (batch or 1):
+        raise UsageError(f"the request is about {batch} worlds and has the state of {len(parts)}")
+    return parts
 
 
 def _mapping(value: Any, name: str) -> Mapping[str, Any]:

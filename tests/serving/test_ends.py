@@ -16,7 +16,7 @@ from websockets.sync.server import ServerConnection, serve
 from mjhab.core.errors import UsageError
 from mjhab.serving.address import TOKEN_VARIABLE, Address
 from mjhab.serving.client import Connection, PolicyFault
-from mjhab.serving.dialects import DIALECTS
+from mjhab.serving.dialects.names import DIALECTS
 from mjhab.serving.packing import pack, unpack
 from mjhab.serving.server import PolicyServer, ServerOptions, free_socket
 from tests.serving.constant import Constant, an_ask, serving

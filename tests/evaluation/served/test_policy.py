@@ -25,7 +25,7 @@ def world(**options: Any) -> Any:
 
 
 def spec(port: int, options: str = "") -> str:
-    return f"ws://127.0.0.1:{port}?timeout=5&first_timeout=5&reconnect=5{options}"
+    return f"ws://127.0.0.1:{port}?timeout=30&first_timeout=60&reconnect=5{options}"
 
 
 class Whimsical(Constant):

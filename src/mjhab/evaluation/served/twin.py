@@ -20,7 +20,7 @@ from mjhab.data.record.provenance import TRAIN_MAKER
 from mjhab.evaluation.resolve import PolicyFacts, PolicyOptions, inspect_policy, resolve_policy
 from mjhab.rollout.loop import plain
 from mjhab.rollout.policy import Policy
-from mjhab.serving.dialects import OWN
+from mjhab.serving.dialects.dialect import OWN
 
 NEEDS = ("world", "observation")
 """What clients are asked to send of every world."""

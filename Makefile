@@ -9,7 +9,7 @@ DEMO_OUT := runs/demo
 DEMO_STUDENT_OUT := runs/demo-student
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo demo-student test test-generate test-lerobot test-lerobot-env test-vla-eval test-ray check format bench gpu-report clean distclean
+.PHONY: help setup demo demo-student test test-generate test-lerobot test-lerobot-env test-vla-eval test-ray test-sb3 test-rsl-rl check format bench gpu-report clean distclean
 
 help:  ## show this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-16s %s\n", $$1, $$2}'
@@ -107,6 +107,28 @@ $(RAY)/.ready: $(SETUP_FILES) | $(BIN)/python
 
 test-ray: $(RAY)/.ready  ## generation on a local Ray cluster, with workers killed in the middle
 	PYTHONPATH=src:. $(RAY)/bin/python -m pytest tests/data/record/ray_cluster.py $(PYTEST_ARGS)
+
+SB3 := .venv-sb3
+$(SB3)/.ready: $(SETUP_FILES) | $(BIN)/python
+	@echo "mjhab: installing stable-baselines3 into $(SB3), once"
+	@"$(PYTHON)" -m venv $(SB3)
+	@$(SB3)/bin/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[learn]' pytest \
+	  stable-baselines3==2.9.2
+	@touch $@
+
+test-sb3: $(SB3)/.ready  ## stable-baselines3 trains in our environments
+	$(SB3)/bin/python -m pytest tests/adapters/check_sb3.py $(PYTEST_ARGS)
+
+RSL_RL := .venv-rsl-rl
+$(RSL_RL)/.ready: $(SETUP_FILES) | $(BIN)/python
+	@echo "mjhab: installing rsl_rl into $(RSL_RL), once"
+	@"$(PYTHON)" -m venv $(RSL_RL)
+	@$(RSL_RL)/bin/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[learn]' pytest \
+	  rsl-rl-lib==5.5.1
+	@touch $@
+
+test-rsl-rl: $(RSL_RL)/.ready  ## rsl_rl trains in our environments
+	$(RSL_RL)/bin/python -m pytest tests/adapters/check_rsl_rl.py $(PYTEST_ARGS)
 
 check: $(VENV)/.dev  ## lint, format, types and the import rule
 	$(BIN)/ruff check .

@@ -47,7 +47,7 @@ HEAVY: dict[str, frozenset[str]] = {
     "mujoco": frozenset({"robots", "layout", "sim", "render", "viewer", "bench"}),
     "warp": frozenset({"sim", "render"}),
     "mujoco_warp": frozenset({"sim", "render"}),
-    "torch": frozenset({"sim", "render", "envs", "data", "learning", "bench"}),
+    "torch": frozenset({"sim", "render", "envs", "data", "learning", "integrations", "bench"}),
     "safetensors": frozenset({"learning"}),
     "h5py": frozenset({"data"}),
     "msgpack": frozenset({"serving"}),

@@ -218,3 +218,11 @@ def test_progress_chart_has_a_point_per_subtask(records: list[EpisodeRecord]) ->
     assert [len(set(trace["x"])) for trace in figure["data"]] == [16, 16], (
         "names must differ or points merge"
     )
+
+
+def test_episodes_that_the_policy_could_not_finish_are_shown(records: list[EpisodeRecord]) -> None:
+    assert "could not finish" not in render_report(records, CONFIG, 1.0)
+    broken = [replace(records[0], error="no answer <in> 30 s"), *records[1:]]
+    page = render_report(broken, CONFIG, 1.0)
+    assert "episodes that the policy could not finish" in page
+    assert "no answer &lt;in&gt; 30 s" in page

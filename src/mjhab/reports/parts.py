@@ -66,6 +66,10 @@ def cards(records: Sequence[EpisodeRecord], summary: Mapping[str, Any]) -> str:
         ("tainted episodes", f"{summary['tainted']}", "flagged by the simulation"),
         ("wall time", f"{seconds:,.0f} s", speed),
     ]
+    if summary["errors"]:
+        values.append(
+            ("errors", f"{summary['errors']}", "episodes that the policy could not finish")
+        )
     tiles = (
         f'<div class="card"><div class="name">{escape(name)}</div><div class="value">{escape(value)}</div>'
         f'<div class="more">{escape(more)}</div></div>'
@@ -229,7 +233,7 @@ def _episode_row(record: EpisodeRecord) -> str:
         f'<td><span class="dot {tone(label)}"></span>{escape(label.replace("_", " "))}</td>'
         f'<td class="n">{record.steps}</td>'
         f'<td class="n" data-value="{record.peak_force}">{record.peak_force:.0f} N</td>'
-        f"<td>{escape(', '.join(record.taint))}</td></tr>"
+        f"<td>{escape(', '.join(filter(None, (*record.taint, record.error))))}</td></tr>"
     )
 
 

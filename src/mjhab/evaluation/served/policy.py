@@ -20,7 +20,7 @@ from mjhab.robots.controllers.table import ARM_JOINTS, FINGER_JOINTS, ActionLimi
 from mjhab.robots.kinematics import rotation_vector
 from mjhab.serving.address import Address
 from mjhab.serving.client import Connection, PolicyFault
-from mjhab.serving.dialects import Ask
+from mjhab.serving.dialects.dialect import Ask
 
 MAX_FAULT_CHARACTERS = 300
 TCP_POSE = "extra/tcp_pose_wrt_base"

@@ -49,7 +49,7 @@ HEAVY: dict[str, frozenset[str]] = {
     "safetensors": frozenset({"learning"}),
     "h5py": frozenset({"data"}),
     "viser": frozenset({"viewer"}),
-    "trimesh": frozenset({"scenes", "robots"}),
+    "trimesh": frozenset({"scenes", "robots", "viewer"}),
 }
 """Library to the packages that may import it."""
 

@@ -10,6 +10,7 @@ from mjhab.cli.options import data, env, expert, export, gpu, spawn
 from mjhab.cli.options import generate as gen
 from mjhab.cli.options import reproduce as rep
 from mjhab.cli.options import train as learn
+from mjhab.cli.options import view as look
 from mjhab.cli.options.common import Sub
 
 
@@ -40,6 +41,7 @@ Command = (
     | Annotated[BenchCommand, Sub("bench")]
     | Annotated[gen.GenerateOptions, Sub("generate")]
     | Annotated[gen.ReplayOptions, Sub("replay")]
+    | Annotated[look.ViewOptions, Sub("view")]
     | Annotated[learn.TrainCommand, Sub("train")]
     | Annotated[rep.ReproduceOptions, Sub("reproduce")]
     | Annotated[data.DataCommand, Sub("data")]
@@ -67,6 +69,7 @@ RUNNERS: dict[type, tuple[str, str]] = {
     gpu.BenchParityOptions: ("bench.parity.run", "bench_parity"),
     gen.GenerateOptions: ("cli.generate", "run_generate"),
     gen.ReplayOptions: ("cli.replay", "run_replay"),
+    look.ViewOptions: ("cli.view", "run_view"),
     learn.TrainCommand: ("cli.train", "run_train"),
     rep.ReproduceOptions: ("cli.reproduce", "run_reproduce"),
     data.DataCommand: ("cli.data", "run_data"),

@@ -18,8 +18,8 @@ from mjhab.render.build_scene import SceneBuilder, box_mesh
 from mjhab.render.raster.rasterizer import NEAR, Rasterizer
 from mjhab.robots.fetch import model as fetch
 from mjhab.scenes.builtin.objects import roster
+from mjhab.scenes.builtin.pack import builtin_pack
 from mjhab.scenes.freespace import free_map
-from mjhab.scenes.packs import builtin_pack
 from mjhab.scenes.shapes.meshes import Mesh
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.settle import parked_robot_qpos

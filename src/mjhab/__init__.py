@@ -64,6 +64,7 @@ _PACKAGES = frozenset(
         "scenes",
         "sim",
         "tasks",
+        "viewer",
     }
 )
 

@@ -86,7 +86,9 @@ class Browser:
         if message.get("method") in ("Runtime.exceptionThrown", "Log.entryAdded"):
             self.console.append(json.dumps(message["params"])[:2000])
         elif message.get("method") == "Runtime.consoleAPICalled":
-            words = [str(arg.get("value", arg.get("description"))) for arg in message["params"]["args"]]
+            words = [
+                str(arg.get("value", arg.get("description"))) for arg in message["params"]["args"]
+            ]
             self.console.append(" ".join(words))
 
     def run(self, script: str) -> Any:

@@ -11,9 +11,9 @@ import trimesh
 from mjhab.core.rotations import mat_from_quat
 from mjhab.render.home_scene import build_render_scene
 from mjhab.render.render_scene import RenderScene
-from mjhab.viewer import glb as glb_file
-from mjhab.viewer.models import MAX_TEXTURE_SIDE, HomeModels, Model, home_models
-from mjhab.viewer.posing import MAX_JUMP_M, Pose, Poser, between
+from mjhab.viewer.drawn import glb as glb_file
+from mjhab.viewer.drawn.models import MAX_TEXTURE_SIDE, HomeModels, Model, home_models
+from mjhab.viewer.drawn.posing import MAX_JUMP_M, Pose, Poser, between
 
 
 @pytest.fixture(scope="module")

@@ -16,9 +16,9 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from mjhab.core.errors import UsageError
-from mjhab.viewer.app import Viewer
-from mjhab.viewer.gateway import HAND_PATH
-from mjhab.viewer.replay import Replay
+from mjhab.viewer.pages.app import Viewer
+from mjhab.viewer.pages.gateway import HAND_PATH
+from mjhab.viewer.sources.replay import Replay
 from tests.viewer.conftest import STEPS
 
 

@@ -14,10 +14,10 @@ from mjhab.cli.profiles import profile_options
 from mjhab.core.errors import UsageError
 from mjhab.evaluation.evaluate import EvalSpec
 from mjhab.evaluation.resolve import inspect_policy
-from mjhab.viewer.hand import HUMAN
+from mjhab.viewer.sources.hand import HUMAN
 
 if TYPE_CHECKING:
-    from mjhab.viewer.sources import Source
+    from mjhab.viewer.sources.source import Source
 
 
 def run_view(options: ViewOptions) -> int:
@@ -45,8 +45,8 @@ def _check_choice(options: ViewOptions) -> None:
 
 
 def _export(options: ViewOptions) -> int:
-    from mjhab.viewer.export import export_page
-    from mjhab.viewer.replay import Replay
+    from mjhab.viewer.export.page import export_page
+    from mjhab.viewer.sources.replay import Replay
 
     assert options.export is not None
     replay = Replay(options.places, read_filter(options.where, options.preset))
@@ -66,7 +66,7 @@ def _export(options: ViewOptions) -> int:
 
 
 def _serve(options: ViewOptions) -> int:
-    from mjhab.viewer.app import Viewer
+    from mjhab.viewer.pages.app import Viewer
 
     ended = threading.Event()
     before = signal.signal(signal.SIGTERM, lambda *_: ended.set())
@@ -90,11 +90,11 @@ def _serve(options: ViewOptions) -> int:
 
 def _source(options: ViewOptions) -> Source:
     if options.places:
-        from mjhab.viewer.replay import Replay
+        from mjhab.viewer.sources.replay import Replay
 
         return Replay(options.places, read_filter(options.where, options.preset))
-    from mjhab.viewer.live import LiveSession
-    from mjhab.viewer.pace import Pace
+    from mjhab.viewer.sources.live import LiveSession
+    from mjhab.viewer.sources.pace import Pace
 
     for spec in (options.policy, *options.policies):
         if spec != HUMAN:

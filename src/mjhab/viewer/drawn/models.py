@@ -6,6 +6,7 @@ model per shape with the bodies that look so, and a body pose places it.
 
 from __future__ import annotations
 
+import dataclasses
 from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -66,13 +67,16 @@ class HomeModels:
     lamp_color: np.ndarray
 
 
-def home_models(scene: RenderScene, home: int) -> HomeModels:
+def home_models(scene: RenderScene, home: int, max_faces: int | None = None) -> HomeModels:
     """Take the models of one home out of a render scene.
 
     Args:
         scene: of the layout.
         home: index of the home in its pack.
+        max_faces: meshes with more faces are replaced by coarser ones, as far as there are any; None replaces none.
     """
+    if max_faces is not None:
+        scene = _coarser(scene, max_faces)
     shown = np.flatnonzero((scene.home_scale[home] != 0.0).all(axis=1))
     by_body: dict[int, list[int]] = defaultdict(list)
     for instance in shown.tolist():
@@ -90,6 +94,16 @@ def home_models(scene: RenderScene, home: int) -> HomeModels:
     return HomeModels(
         still, movable, tuple(looks.found), scene.light_pos[home, lit], scene.light_color[home, lit]
     )
+
+
+def _coarser(scene: RenderScene, max_faces: int) -> RenderScene:
+    """The scene with the finest meshes of at most so many faces, or the coarsest there are."""
+    mesh = scene.instance_mesh.copy()
+    while True:
+        more = (scene.mesh_face_count[mesh] > max_faces) & (scene.mesh_coarser[mesh] >= 0)
+        if not more.any():
+            return dataclasses.replace(scene, instance_mesh=mesh)
+        mesh[more] = scene.mesh_coarser[mesh[more]]
 
 
 def _shape_key(scene: RenderScene, home: int, instances: list[int]) -> bytes:

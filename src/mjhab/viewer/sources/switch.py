@@ -10,7 +10,7 @@ import numpy as np
 from mjhab.core.action_notes import ActionNotes
 from mjhab.evaluation.resolve import PolicyOptions, resolve_policy
 from mjhab.rollout.policy import Annotated, Policy
-from mjhab.viewer.hand import HUMAN, HandControl
+from mjhab.viewer.sources.hand import HUMAN, HandControl
 
 
 class Switch:

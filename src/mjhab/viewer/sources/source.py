@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Protocol
 
 from mjhab.sim.mujoco.cpu import CpuSimulator
-from mjhab.viewer.pace import Pace
-from mjhab.viewer.plan_marks import PlanMarks
-from mjhab.viewer.track import Track
+from mjhab.viewer.drawn.plan_marks import PlanMarks
+from mjhab.viewer.sources.pace import Pace
+from mjhab.viewer.sources.track import Track
 
 
 class Source(Protocol):

@@ -12,8 +12,8 @@ from mjhab.data.store.episode_data import RunInfo
 from mjhab.data.store.reading import Episode, open_shard, shard_paths
 from mjhab.evaluation.recorded import recorded_env
 from mjhab.sim.mujoco.cpu import CpuSimulator
-from mjhab.viewer.pace import Pace
-from mjhab.viewer.track import Track, recorded_track
+from mjhab.viewer.sources.pace import Pace
+from mjhab.viewer.sources.track import Track, recorded_track
 
 MAX_LISTED = 2000
 

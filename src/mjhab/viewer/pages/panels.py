@@ -12,9 +12,9 @@ import viser
 from viser import uplot
 
 from mjhab.data.store.schema import CHECKS, STEP_SECONDS
-from mjhab.viewer.cameras import CAMERA_SIDE_PX
-from mjhab.viewer.timeline import TONE_COLORS, gauge_html, plan_html, terms_html, timeline_svg
-from mjhab.viewer.track import Track
+from mjhab.viewer.drawn.cameras import CAMERA_SIDE_PX
+from mjhab.viewer.pages.timeline import TONE_COLORS, gauge_html, plan_html, terms_html, timeline_svg
+from mjhab.viewer.sources.track import Track
 
 SPEEDS = {
     "0.1×": 0.1,
@@ -93,7 +93,9 @@ class Panels:
         gui.add_button("Next episode", icon=viser.Icon.ARROW_RIGHT).on_click(
             lambda _: self._on["next"]()
         )
-        plan = gui.add_checkbox("Expert plan", False, hint="way, stance and grasps that the expert plans")
+        plan = gui.add_checkbox(
+            "Expert plan", False, hint="way, stance and grasps that the expert plans"
+        )
         _when_changed(plan, self._on["expert_plan"])
         self._build_hand()
 

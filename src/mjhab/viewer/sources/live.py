@@ -21,12 +21,12 @@ from mjhab.rollout.loop import rollout
 from mjhab.rollout.records import EpisodeRecord, PlanEntry
 from mjhab.rollout.sinks import Sink, StepView
 from mjhab.sim.mujoco.cpu import CpuSimulator
-from mjhab.viewer.hand import HUMAN, HandControl
-from mjhab.viewer.pace import Pace
-from mjhab.viewer.plan_marks import PlanMarks, plan_marks
-from mjhab.viewer.switch import Switch
-from mjhab.viewer.takes import Cuttable, TakeRecorder
-from mjhab.viewer.track import Moment, Track, force_limits
+from mjhab.viewer.drawn.plan_marks import PlanMarks, plan_marks
+from mjhab.viewer.sources.hand import HUMAN, HandControl
+from mjhab.viewer.sources.pace import Pace
+from mjhab.viewer.sources.switch import Switch
+from mjhab.viewer.sources.takes import Cuttable, TakeRecorder
+from mjhab.viewer.sources.track import Moment, Track, force_limits
 
 CUT_SECONDS = 10.0
 CLOSE_SECONDS = 30.0
@@ -288,7 +288,9 @@ class LiveSession:
         self.problem = ""
         assert self.switch is not None
         episodes = range(wish.first, wish.first + EPISODES_AHEAD)
-        rollout(self.env, self.switch, episodes, self.spec.seed, [_Follower(self), *self._record()])
+        # The follower waits, at the end of an episode too: by then it is recorded.
+        sinks = [*self._record(), _Follower(self)]
+        rollout(self.env, self.switch, episodes, self.spec.seed, sinks)
 
     def _needs(self, policy: str) -> tuple[str, dict[str, Any]]:
         """The full specification of a policy, and the options of the environment that it needs."""

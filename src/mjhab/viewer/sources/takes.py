@@ -14,7 +14,7 @@ from mjhab.data.record.recorder import Appends, Recorder
 from mjhab.data.store.episode_data import RunInfo
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import StepView
-from mjhab.viewer.hand import HUMAN
+from mjhab.viewer.sources.hand import HUMAN
 
 
 class Cuttable:

@@ -18,17 +18,17 @@ from mjhab.data.store.schema import CHECKS
 from mjhab.render.home_scene import build_render_scene
 from mjhab.robots.fetch import model as fetch
 from mjhab.sim.mujoco.cpu import CpuSimulator
-from mjhab.viewer.cameras import Cameras
-from mjhab.viewer.gateway import Gateway
-from mjhab.viewer.glb import HomeFiles, home_files
-from mjhab.viewer.hand import GRIPPER_KEY, KEYS
-from mjhab.viewer.models import HomeModels, home_models
-from mjhab.viewer.panels import Panels
-from mjhab.viewer.playhead import Playhead
-from mjhab.viewer.posing import Pose, Poser, between
-from mjhab.viewer.sources import Source
-from mjhab.viewer.stage import MIN_MOVE, Stage
-from mjhab.viewer.track import Track
+from mjhab.viewer.drawn.cameras import Cameras
+from mjhab.viewer.drawn.glb import HomeFiles, home_files
+from mjhab.viewer.drawn.models import HomeModels, home_models
+from mjhab.viewer.drawn.posing import Pose, Poser, between
+from mjhab.viewer.drawn.stage import MIN_MOVE, Stage
+from mjhab.viewer.pages.gateway import Gateway
+from mjhab.viewer.pages.panels import Panels
+from mjhab.viewer.pages.playhead import Playhead
+from mjhab.viewer.sources.hand import GRIPPER_KEY, KEYS
+from mjhab.viewer.sources.source import Source
+from mjhab.viewer.sources.track import Track
 
 FRAME_SECONDS = 1.0 / 40.0
 PANEL_SECONDS = 0.12

@@ -11,7 +11,7 @@ import numpy as np
 from mjhab.core.rotations import mat_from_quat
 from mjhab.render.home_scene import CAMERA_NAMES, HomeRenderer
 from mjhab.sim.mujoco.cpu import CpuSimulator
-from mjhab.viewer.posing import Pose
+from mjhab.viewer.drawn.posing import Pose
 
 CAMERA_SIDE_PX = 192
 
@@ -29,12 +29,16 @@ class Cameras:
 
     Args:
         show: called with the pictures (h, w, 3) uint8 by the name of the camera.
+        side: of the pictures [px].
     """
 
-    def __init__(self, show: Callable[[dict[str, np.ndarray]], object]) -> None:
+    def __init__(
+        self, show: Callable[[dict[str, np.ndarray]], object], side: int = CAMERA_SIDE_PX
+    ) -> None:
         self.problem = ""
         self.drawn = 0
         self._show = show
+        self._side = side
         self._sim: CpuSimulator | None = None
         self._renderer: HomeRenderer | None = None
         self._newest: tuple[CpuSimulator, str, Pose] | None = None
@@ -77,5 +81,5 @@ class Cameras:
             self._renderer = HomeRenderer(sim, 1)
             self._sim = sim
         poses = _Poses(pose.pos[None], mat_from_quat(pose.quat)[None])
-        views = self._renderer.robot_views(poses, [home], CAMERA_SIDE_PX, ("rgb",))["rgb"]
+        views = self._renderer.robot_views(poses, [home], self._side, ("rgb",))["rgb"]
         return dict(zip(CAMERA_NAMES, views[0], strict=True))

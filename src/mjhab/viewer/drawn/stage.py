@@ -9,10 +9,10 @@ import numpy as np
 import viser
 
 from mjhab.core.rotations import quat_from_mat
-from mjhab.viewer.glb import HomeFiles
-from mjhab.viewer.models import linear_to_srgb
-from mjhab.viewer.plan_marks import PlanMarks
-from mjhab.viewer.posing import Pose
+from mjhab.viewer.drawn.glb import HomeFiles
+from mjhab.viewer.drawn.models import linear_to_srgb
+from mjhab.viewer.drawn.plan_marks import PlanMarks
+from mjhab.viewer.drawn.posing import Pose
 
 MIN_MOVE = 1e-4
 """Smaller changes of a position [m] or of a quaternion's entry are not sent."""

@@ -6,8 +6,8 @@ import math
 from collections.abc import Callable
 
 from mjhab.data.store.schema import STEP_SECONDS
-from mjhab.viewer.sources import Source
-from mjhab.viewer.track import Track
+from mjhab.viewer.sources.source import Source
+from mjhab.viewer.sources.track import Track
 
 MAX_LAG_STEPS = 2.0
 """A page that follows a running world is no farther behind it than so many control steps."""

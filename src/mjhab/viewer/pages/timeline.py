@@ -9,7 +9,7 @@ from itertools import groupby
 from mjhab.data.store.schema import STEP_SECONDS
 from mjhab.reports.parts import event_tone
 from mjhab.reports.plots import KIND_COLORS, OTHER_COLOR
-from mjhab.viewer.track import Track
+from mjhab.viewer.sources.track import Track
 
 WIDTH = 1000
 BAR_HEIGHT = 22

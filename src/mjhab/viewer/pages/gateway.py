@@ -32,7 +32,7 @@ PORTS_TO_TRY = 20
 MAX_HAND_MESSAGE_BYTES = 4096
 MAX_MESSAGE_BYTES = 1 << 26
 START_SECONDS = 10.0
-_QUIET = logging.getLogger("mjhab.viewer.gateway")
+_QUIET = logging.getLogger("mjhab.viewer.pages.gateway")
 _QUIET.setLevel(logging.CRITICAL)
 """Browsers open connections that they do not use; each would be told with a traceback."""
 
@@ -210,5 +210,5 @@ def _first_subprotocol(
 
 def with_script(page: bytes) -> bytes:
     """A page of viser with the script `hand.js` at its end."""
-    code = importlib.resources.files("mjhab.viewer").joinpath("hand.js").read_bytes()
+    code = importlib.resources.files("mjhab.viewer.pages").joinpath("hand.js").read_bytes()
     return page + b"\n<script>" + code + b"</script>\n"

@@ -9,7 +9,7 @@ DEMO_OUT := runs/demo
 DEMO_STUDENT_OUT := runs/demo-student
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo demo-student test test-generate test-lerobot test-ray check format bench gpu-report clean distclean
+.PHONY: help setup demo demo-student test test-generate test-lerobot test-ray test-browser check format bench gpu-report clean distclean
 
 help:  ## show this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
@@ -86,6 +86,10 @@ $(RAY)/.ready: $(SETUP_FILES) | $(BIN)/python
 
 test-ray: $(RAY)/.ready  ## generation on a local Ray cluster, with workers killed in the middle
 	PYTHONPATH=src:. $(RAY)/bin/python -m pytest tests/data/record/ray_cluster.py $(PYTEST_ARGS)
+
+BROWSER_OUT := runs/browser
+test-browser: $(VENV)/.dev  ## the viewer in headless Chromium (must be installed); pictures in runs/browser
+	PYTHONPATH=src:. $(BIN)/python tests/viewer/check_browser.py $(BROWSER_OUT)
 
 check: $(VENV)/.dev  ## lint, format, types and the import rule
 	$(BIN)/ruff check .

@@ -17,6 +17,7 @@ from mjhab.cli.output import print_json, print_table
 from mjhab.cli.profiles import profile_options
 from mjhab.evaluation.evaluate import EvalSpec, EvaluationInterrupted, Run, run_evaluation
 from mjhab.reports.metrics import SubtaskRow, rows_by_kind, rows_by_position
+from mjhab.rollout.policy import RolloutEnv
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink, StepView
 
@@ -89,7 +90,7 @@ def sigterm_interrupts() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-class ProgressSink(Sink):
+class ProgressSink(Sink[RolloutEnv]):
     """Shows episodes done, control steps per second and the success rate so far."""
 
     REFRESH = 0.25
@@ -113,7 +114,7 @@ class ProgressSink(Sink):
         self._done = 0
         self._won = 0
 
-    def on_begin(self, env: Any, episodes: Sequence[int]) -> None:
+    def on_begin(self, env: RolloutEnv, episodes: Sequence[int]) -> None:
         """Show the bar, which starts behind the episodes of earlier starts."""
         self._started = time.perf_counter()
         self._bar.start()
@@ -124,7 +125,7 @@ class ProgressSink(Sink):
         """Leave the bar as it is."""
         self._bar.stop()
 
-    def on_step(self, env: Any, step: StepView) -> None:
+    def on_step(self, env: RolloutEnv, step: StepView) -> None:
         """Count control steps and show the rate now and then."""
         self._steps += int(step.active.sum())
         now = time.perf_counter()
@@ -132,7 +133,7 @@ class ProgressSink(Sink):
             self._shown = now
             self._bar.update(self._task, rate=f"{self._steps / (now - self._started):,.0f} steps/s")
 
-    def on_episode_end(self, env: Any, world: int, record: EpisodeRecord) -> None:
+    def on_episode_end(self, env: RolloutEnv, world: int, record: EpisodeRecord) -> None:
         """Move the bar."""
         self._done += 1
         self._won += record.success_once

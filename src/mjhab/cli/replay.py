@@ -11,6 +11,7 @@ from mjhab.cli.options.generate import ReplayOptions
 from mjhab.cli.output import at_least, print_json, print_table, progress_bar
 from mjhab.core.errors import UsageError
 from mjhab.data.record.replay import FOLLOW, render, verify
+from mjhab.data.record.worlds import RecordedEnv
 from mjhab.data.store.episode_data import RunInfo
 from mjhab.data.store.images import ImageFormat
 from mjhab.data.store.reading import open_shard, shard_paths
@@ -99,7 +100,7 @@ def _count(options: ReplayOptions) -> int:
     return count
 
 
-def _maker(options: ReplayOptions) -> Callable[[RunInfo], Any]:
+def _maker(options: ReplayOptions) -> Callable[[RunInfo], RecordedEnv]:
     """What makes an environment like that of a recorded run, with the cameras that are asked for."""
     robot_cameras = tuple(name for name in options.cameras if name != FOLLOW)
     size = options.camera_size[0] if len(options.camera_size) == 1 else tuple(options.camera_size)
@@ -109,7 +110,7 @@ def _maker(options: ReplayOptions) -> Callable[[RunInfo], Any]:
         if robot_cameras:
             sight["cameras"] = robot_cameras
 
-    def make_env(run: RunInfo) -> Any:
+    def make_env(run: RunInfo) -> RecordedEnv:
         return recorded_env(run, **sight, num_envs=options.worlds, threads=options.threads)
 
     return make_env

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from mjhab.config.env import NAVIGATE_MODES, SPLITS, EnvConfig
 from mjhab.core.errors import UsageError, unknown_name
@@ -41,6 +41,9 @@ from mjhab.rollout.store import REPORT, RunFolder, StoreSink, check_folder, read
 from mjhab.scenes.pack_source import Assets, pack_request
 from mjhab.tasks.plan import KIND_NAMES, TASKS
 from mjhab.tasks.style import Styles
+
+if TYPE_CHECKING:
+    from mjhab.envs.sequential import SequentialTaskEnv
 
 PolicyLike = str | Policy | Callable[..., Policy]
 """A specification for `resolve_policy`, a policy, or what makes one: a class or function of the environment or nothing.
@@ -295,7 +298,7 @@ def env_options(spec: EvalSpec, facts: PolicyFacts) -> dict[str, Any]:
     return {**facts.env_options, **spec.env}
 
 
-def make_env(spec: EvalSpec, options: Mapping[str, Any]) -> RolloutEnv:
+def make_env(spec: EvalSpec, options: Mapping[str, Any]) -> SequentialTaskEnv:
     """Build the environment of an evaluation, with further ``options``; no more worlds than episodes."""
     from mjhab.envs import make
 

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mjhab.core.errors import UsageError
 from mjhab.data.record.provenance import TRAIN_MAKER
 from mjhab.data.store.episode_data import RunInfo
 
+if TYPE_CHECKING:
+    from mjhab.envs.sequential import SequentialTaskEnv
 
-def recorded_env(run: RunInfo, **options: Any) -> Any:
+
+def recorded_env(run: RunInfo, **options: Any) -> SequentialTaskEnv:
     """An environment (autoreset "disabled") in which the episodes of a run happen again.
 
     Args:

@@ -18,15 +18,15 @@ from mjhab.core.action_notes import ActionNotes
 from mjhab.core.errors import UsageError
 from mjhab.rollout.policy import Annotated, Policy, RolloutEnv, Styled
 from mjhab.rollout.records import EpisodeRecord, Event, PlanEntry, SubtaskRecord
-from mjhab.rollout.sinks import Sink, StepView
+from mjhab.rollout.sinks import EnvT, Sink, StepView
 
 
 def rollout(
-    env: RolloutEnv,
+    env: EnvT,
     policy: Policy,
     episodes: Sequence[int],
     seed: int,
-    sinks: Sequence[Sink] = (),
+    sinks: Sequence[Sink[EnvT]] = (),
     max_steps: int | None = None,
 ) -> list[EpisodeRecord]:
     """Run the named episodes and return their records, sorted by index.

@@ -31,8 +31,47 @@ from mjhab.sim.protocol import SimState
 from mjhab.tasks.measure import Signals
 
 
-class Observer:
-    """Computes the rows of the observation table for all worlds.
+class ObservedRows:
+    """The observation table of a mode: what observers on all backends compute.
+
+    Args:
+        mode: parts of OBS_MODES joined by "+", e.g. "state", "rgbd+seg".
+        cameras: names of CAMERA_KEYS, one or several; the order is that of the points in a point cloud.
+        size: side of the images [px], or (height, width). The vertical field of view stays as it is.
+
+    Attributes:
+        outputs: what is drawn or derived of pictures.
+        drawn: what a renderer must draw for that.
+        cameras, size: names; (height, width) [px].
+        table: the rows; camera_rows: those that need pictures.
+        single_space: observation space of one world.
+
+    Raises:
+        UsageError: unknown mode or camera, size below 8 pixels.
+    """
+
+    def __init__(
+        self,
+        mode: str = "state",
+        cameras: str | Sequence[str] = CAMERA_KEYS,
+        size: int | Sequence[int] = 128,
+    ) -> None:
+        self.outputs = mode_outputs(mode)
+        # A point cloud is made of all three.
+        self.drawn = CAMERA_OUTPUTS if POINTCLOUD in self.outputs else self.outputs
+        self.cameras = camera_names(cameras)
+        self.size = image_size(size)
+        self.table = observation_table(self.outputs, self.cameras, self.size)
+        self.camera_rows = self.table[len(STATE_TABLE) :]
+        self.single_space = table_space(self.table)
+
+    def describe(self) -> list[dict[str, Any]]:
+        """Rows of the table: key, shape, dtype, unit, frame, meaning."""
+        return describe(self.table)
+
+
+class Observer(ObservedRows):
+    """Computes the rows of the observation table for all worlds on the host.
 
     Segmentation ids are the same in every home and world of a layout: id i is ``segmentation_names[i]``, one of
     "background" (0, nothing hit), "floor", "wall", a piece of furniture by its name, "<articulation>/<link>" for its
@@ -40,12 +79,8 @@ class Observer:
 
     Args:
         sim: worlds to look into. sensing: of the same layout.
-        mode: parts of OBS_MODES joined by "+", e.g. "state", "rgbd+seg".
-        cameras: names of CAMERA_KEYS, one or several; the order is that of the points in a point cloud.
-        size: side of the images [px], or (height, width). The vertical field of view stays as it is.
+        mode, cameras, size: see `ObservedRows`.
         threads: of the renderer, over images; 0 takes every core.
-
-    ``single_space``: observation space of one world; ``table``: its rows; ``outputs``: what is drawn or derived.
 
     Raises:
         UsageError: unknown mode or camera, size below 8 pixels.
@@ -60,17 +95,10 @@ class Observer:
         size: int | Sequence[int] = 128,
         threads: int = 0,
     ) -> None:
+        super().__init__(mode, cameras, size)
         self._sim = sim
         self._sensing = sensing
         self._threads = threads
-        self.outputs = mode_outputs(mode)
-        self.cameras = camera_names(cameras)
-        self.size = image_size(size)
-        self.table = observation_table(self.outputs, self.cameras, self.size)
-        self.single_space = table_space(self.table)
-        self._camera_rows = self.table[len(STATE_TABLE) :]
-        # A point cloud is made of all three.
-        self._drawn = CAMERA_OUTPUTS if POINTCLOUD in self.outputs else self.outputs
         self._intrinsic = np.stack([intrinsic_matrix(name, self.size) for name in self.cameras])
         self._renderer: HomeRenderer | None = None
 
@@ -85,10 +113,6 @@ class Observer:
     def segmentation_names(self) -> tuple[str, ...]:
         """Name of every segmentation id, index = id."""
         return self.renderer.scene.seg_names
-
-    def describe(self) -> list[dict[str, Any]]:
-        """Rows of the table: key, shape, dtype, unit, frame, meaning."""
-        return describe(self.table)
 
     def observe(
         self,
@@ -125,6 +149,6 @@ class Observer:
     def draw(self, state: SimState, homes: Sequence[str]) -> dict[str, np.ndarray]:
         """What cameras see, and what is made of it, in the worlds of ``state``."""
         pos, mat = self.renderer.camera_poses(state, self.cameras)
-        images = self.renderer.robot_views(state, homes, self.size, self._drawn, self.cameras)
+        images = self.renderer.robot_views(state, homes, self.size, self.drawn, self.cameras)
         views = Views(images, pos, mat, state.robot_q[:, :3], self._intrinsic)
-        return {entry.key: entry.compute(views) for entry in self._camera_rows}
+        return {entry.key: entry.compute(views) for entry in self.camera_rows}

@@ -6,11 +6,11 @@ import json
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
 from mjhab.core.errors import UsageError
+from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.robots.controllers import DEFAULT_MODE, make_controller
 from mjhab.robots.fetch.model import FETCH_JOINTS
 
@@ -167,7 +167,7 @@ class HandControl:
         """Nothing is held any more."""
         self._input = HandInput()
 
-    def begin(self, env: Any, world: int) -> None:
+    def begin(self, env: SequentialTaskEnv, world: int) -> None:
         """Take over a world: the arm stays where it is, and so do the fingers.
 
         Raises:
@@ -182,7 +182,7 @@ class HandControl:
         self._arm.reset(np.ones(1, bool), state)
         self.gripper = 1.0 if env.grip[world] >= 0.0 else -1.0
 
-    def action(self, env: Any, world: int) -> np.ndarray:
+    def action(self, env: SequentialTaskEnv, world: int) -> np.ndarray:
         """The action (A,) float32 for the present state of a world."""
         held = self._input if self._clock() - self._heard < SILENCE_SECONDS else HandInput()
         wish = {name: SHARES[name] * held.motions.get(name, 0.0) for name in MOTIONS}

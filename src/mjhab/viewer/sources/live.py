@@ -15,9 +15,11 @@ import numpy as np
 
 from mjhab.data.record.recorder import signal_rows
 from mjhab.data.store.shard import ShardWriter
+from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.evaluation.evaluate import EvalSpec, describe_policy, env_options, make_env
 from mjhab.experts.policy import ExpertPolicy
 from mjhab.rollout.loop import rollout
+from mjhab.rollout.policy import RolloutEnv
 from mjhab.rollout.records import EpisodeRecord, PlanEntry
 from mjhab.rollout.sinks import Sink, StepView
 from mjhab.sim.mujoco.cpu import CpuSimulator
@@ -85,7 +87,8 @@ class LiveSession:
         self.problem = ""
         self.watched = 0
         self.hold_at_end = hold_at_end
-        self.env: Any = None
+        self.env: SequentialTaskEnv | None = None
+        self._cuttable: Cuttable | None = None
         self.switch: Switch | None = None
         self.steps = 0
         self._shard = shard
@@ -120,6 +123,7 @@ class LiveSession:
     @property
     def sim(self) -> CpuSimulator:
         """The worlds' physics."""
+        assert self.env is not None, "there are no worlds before there is a track"
         return self.env.sim
 
     @property
@@ -182,9 +186,9 @@ class LiveSession:
 
     def finish_episode(self) -> None:
         """End the watched episode with the next control step."""
-        if self.env is not None:
+        if self._cuttable is not None:
             self._cut_done.clear()
-            self.env.cut[self.watched] = True
+            self._cuttable.cut[self.watched] = True
             if not self.pace.playing:
                 self.pace.step_once()
 
@@ -240,14 +244,14 @@ class LiveSession:
 
     def _note_plan(self) -> None:
         """Keep what the expert plans in the watched world; if it does not act there, it plans when a subtask begins."""
-        assert self.switch is not None
+        assert self.switch is not None and self.env is not None
         world = self.watched
         acting = self.switch.policy(self.switch.chosen)
         if isinstance(acting, ExpertPolicy) and not self.hand_drives:
             script = acting.script(world)
         else:
             if self._adviser is None:
-                self._adviser = ExpertPolicy(self.env.inner)
+                self._adviser = ExpertPolicy(self.env)
             token = self.env.view(world).token
             if token != self._plan_token:
                 mask = np.arange(self.env.num_envs) == world
@@ -286,11 +290,11 @@ class LiveSession:
     def _run_episodes(self, wish: Wish) -> None:
         self._prepare(wish.policy)
         self.problem = ""
-        assert self.switch is not None
+        assert self.switch is not None and self._cuttable is not None
         episodes = range(wish.first, wish.first + EPISODES_AHEAD)
         # The follower waits, at the end of an episode too: by then it is recorded.
         sinks = [*self._record(), _Follower(self)]
-        rollout(self.env, self.switch, episodes, self.spec.seed, sinks)
+        rollout(self._cuttable.as_env(), self.switch, episodes, self.spec.seed, sinks)
 
     def _needs(self, policy: str) -> tuple[str, dict[str, Any]]:
         """The full specification of a policy, and the options of the environment that it needs."""
@@ -305,10 +309,11 @@ class LiveSession:
             if self.env is not None:
                 self.env.close()
             spec = dataclasses.replace(self.spec, episodes=self.spec.worlds)
-            self.env = Cuttable(make_env(spec, options))
+            self.env = make_env(spec, options)
+            self._cuttable = Cuttable(self.env)
             self._options = options
             self._adviser = None
-            self.switch = Switch(self.env.inner, self.spec.seed)
+            self.switch = Switch(self.env, self.spec.seed)
         assert self.switch is not None
         self.switch.choose(full)
         if policy == HUMAN:
@@ -320,9 +325,10 @@ class LiveSession:
             return []
         if self._writer is None:
             self._writer = ShardWriter(self._shard)
+        assert self.env is not None
         facts = describe_policy(self._needs(self._wish.policy)[0])
         about = {"name": facts.name, **facts.identity}
-        return [TakeRecorder(self._writer, self.env.inner, about, self._writer.has), _Counter(self)]
+        return [TakeRecorder(self._writer, self.env, about, self._writer.has), _Counter(self)]
 
     def note_kept(self) -> None:
         """Count the recorded episodes."""
@@ -350,23 +356,23 @@ class LiveSession:
             raise _Interrupt
 
 
-class _Counter(Sink):
+class _Counter(Sink[RolloutEnv]):
     """Comes after the recorder, and tells the session that an episode is written."""
 
     def __init__(self, session: LiveSession) -> None:
         self._session = session
 
-    def on_episode_end(self, env: Any, world: int, record: EpisodeRecord) -> None:
+    def on_episode_end(self, env: RolloutEnv, world: int, record: EpisodeRecord) -> None:
         self._session.note_kept()
 
 
-class _Follower(Sink):
+class _Follower(Sink[SequentialTaskEnv]):
     """Keeps the tracks of a session, and its pace."""
 
     def __init__(self, session: LiveSession) -> None:
         self._session = session
 
-    def on_reset(self, env: Any, info: Mapping[str, Any], mask: np.ndarray) -> None:
+    def on_reset(self, env: SequentialTaskEnv, info: Mapping[str, Any], mask: np.ndarray) -> None:
         checks, _ = signal_rows(env.signals)
         for w in np.flatnonzero(mask).tolist():
             track = _new_track(env, info["episode_spec"][w])
@@ -374,7 +380,7 @@ class _Follower(Sink):
             self._session.tracks[w] = track
         self._wait()
 
-    def on_step(self, env: Any, step: StepView) -> None:
+    def on_step(self, env: SequentialTaskEnv, step: StepView) -> None:
         session = self._session
         checks, _ = signal_rows(env.judged)
         for w in np.flatnonzero(step.active).tolist():
@@ -398,7 +404,7 @@ class _Follower(Sink):
         if not step.done[session.watched]:
             self._wait()
 
-    def on_episode_end(self, env: Any, world: int, record: EpisodeRecord) -> None:
+    def on_episode_end(self, env: SequentialTaskEnv, world: int, record: EpisodeRecord) -> None:
         session = self._session
         track = session.tracks[world]
         if track is not None:
@@ -411,7 +417,7 @@ class _Follower(Sink):
         self._session.pace.wait(self._session._between)
 
 
-def _new_track(env: Any, episode: Mapping[str, Any]) -> Track:
+def _new_track(env: SequentialTaskEnv, episode: Mapping[str, Any]) -> Track:
     plan = tuple(
         PlanEntry(str(entry["kind"]), str(entry["target"]), entry["goal"])
         for entry in episode["plan"]
@@ -422,7 +428,9 @@ def _new_track(env: Any, episode: Mapping[str, Any]) -> Track:
     return Track(title, str(episode["home"]), int(episode["index"]), plan, limits)
 
 
-def _moment(env: Any, info: Mapping[str, Any], world: int, checks: np.ndarray) -> Moment:
+def _moment(
+    env: SequentialTaskEnv, info: Mapping[str, Any], world: int, checks: np.ndarray
+) -> Moment:
     return Moment(
         env.sim.qpos[world].copy(),
         int(info["pointer"][world]),

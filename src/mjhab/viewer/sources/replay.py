@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from mjhab.core.errors import MjhabError, UsageError
 from mjhab.data.select.query import Filter
 from mjhab.data.store.episode_data import RunInfo
 from mjhab.data.store.reading import Episode, open_shard, shard_paths
+from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.evaluation.recorded import recorded_env
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.viewer.sources.pace import Pace
@@ -43,7 +43,7 @@ class Replay:
         self.expert_plan = None
         self.track: Track | None = None
         self._episodes: dict[str, Episode] = {}
-        self._envs: dict[str, Any] = {}
+        self._envs: dict[str, SequentialTaskEnv] = {}
         self._chosen = ""
         skipped = 0
         for path in shard_paths(places):
@@ -81,7 +81,7 @@ class Replay:
         """
         return recorded_track(self._episodes[title], self.env(title).task_config)
 
-    def env(self, title: str) -> Any:
+    def env(self, title: str) -> SequentialTaskEnv:
         """An environment of one world like the one an episode was recorded in, made once per configuration.
 
         Raises:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from mjhab.core.action_notes import ActionNotes
+from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.evaluation.resolve import PolicyOptions, resolve_policy
 from mjhab.rollout.policy import Annotated, Policy
 from mjhab.viewer.sources.hand import HUMAN, HandControl
@@ -25,7 +26,7 @@ class Switch:
 
     name = "viewer"
 
-    def __init__(self, env: Any, seed: int) -> None:
+    def __init__(self, env: SequentialTaskEnv, seed: int) -> None:
         self.hand: HandControl | None = None
         self.hand_world: int | None = None
         self._env = env

@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import secrets
 import time
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, cast
 
 import numpy as np
 
 from mjhab.data.record.provenance import describe_run
 from mjhab.data.record.recorder import Appends, Recorder
+from mjhab.data.record.worlds import RecordedEnv
 from mjhab.data.store.episode_data import RunInfo
+from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import StepView
 from mjhab.viewer.sources.hand import HUMAN
+
+Known = Callable[[RunInfo, int, int], bool]
+"""Whether an episode of a run, by seed and index, is in a shard."""
 
 
 class Cuttable:
@@ -23,12 +28,16 @@ class Cuttable:
     cut: (W,) bool, the worlds to end. inner: the environment.
     """
 
-    def __init__(self, inner: Any) -> None:
+    def __init__(self, inner: SequentialTaskEnv) -> None:
         self.inner = inner
         self.cut = np.zeros(inner.num_envs, bool)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.inner, name)
+
+    def as_env(self) -> SequentialTaskEnv:
+        """This object, which has all that the environment has."""
+        return cast(SequentialTaskEnv, self)
 
     def step(self, actions: np.ndarray) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """One control step, see the environment."""
@@ -52,7 +61,9 @@ class TakeRecorder(Recorder):
         known: whether the writer has an episode already.
     """
 
-    def __init__(self, writer: Appends, env: Any, policy: Mapping[str, Any], known: Any) -> None:
+    def __init__(
+        self, writer: Appends, env: RecordedEnv, policy: Mapping[str, Any], known: Known
+    ) -> None:
         super().__init__(writer, env, policy, keep=lambda record, run: not self._is_known(record))
         self._env = env
         self._policy = dict(policy)
@@ -60,19 +71,19 @@ class TakeRecorder(Recorder):
         self._alone = self.run
         self._acted: dict[int, set[str]] = {}
 
-    def on_reset(self, env: Any, info: Mapping[str, Any], mask: np.ndarray) -> None:
+    def on_reset(self, env: RecordedEnv, info: Mapping[str, Any], mask: np.ndarray) -> None:
         """See `Recorder`."""
         super().on_reset(env, info, mask)
         for w in np.flatnonzero(mask).tolist():
             self._acted[w] = set()
 
-    def on_step(self, env: Any, step: StepView) -> None:
+    def on_step(self, env: RecordedEnv, step: StepView) -> None:
         """See `Recorder`."""
         super().on_step(env, step)
         for w in np.flatnonzero(step.active).tolist():
             self._acted[w].add(step.notes.actors[int(step.notes.actor[w])])
 
-    def on_episode_end(self, env: Any, world: int, record: EpisodeRecord) -> None:
+    def on_episode_end(self, env: RecordedEnv, world: int, record: EpisodeRecord) -> None:
         """See `Recorder`."""
         self.run = self._run_of(self._acted.pop(world))
         super().on_episode_end(env, world, record)

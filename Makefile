@@ -9,7 +9,7 @@ DEMO_OUT := runs/demo
 DEMO_STUDENT_OUT := runs/demo-student
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo demo-student test test-generate test-lerobot test-ray test-browser check format bench gpu-report clean distclean
+.PHONY: help setup demo demo-student test test-generate test-lerobot test-ray test-browser docs check format bench gpu-report clean distclean
 
 help:  ## show this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
@@ -91,6 +91,17 @@ BROWSER_OUT := runs/browser
 test-browser: $(VENV)/.dev  ## the viewer in headless Chromium (must be installed); pictures in runs/browser
 	PYTHONPATH=src:. $(BIN)/python tests/viewer/check_browser.py $(BROWSER_OUT)
 
+DOCS := .venv-docs
+$(DOCS)/.ready: docs/requirements.txt
+	@echo "mjhab: installing mkdocs into $(DOCS), once"
+	@"$(PYTHON)" -m venv $(DOCS)
+	@$(DOCS)/bin/python -m pip install -q --disable-pip-version-check -r docs/requirements.txt
+	@touch $@
+
+docs: $(DOCS)/.ready  ## the documentation as a site, with a reference made of docstrings, in runs/site
+	$(DOCS)/bin/mkdocs build --clean
+	@echo "Open in a browser (no network needed): $(CURDIR)/runs/site/index.html"
+
 check: $(VENV)/.dev  ## lint, format, types and the import rule
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -112,4 +123,4 @@ clean:  ## remove caches and build products (runs and .venv stay)
 	find src tests -name __pycache__ -type d -prune -exec rm -rf {} +
 
 distclean: clean  ## also remove .venv
-	rm -rf $(VENV) $(LEROBOT) $(RAY) src/*.egg-info
+	rm -rf $(VENV) $(LEROBOT) $(RAY) $(DOCS) src/*.egg-info

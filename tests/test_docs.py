@@ -76,7 +76,7 @@ def test_commands_exist(page: Path) -> None:
     for words in commands(page):
         program = Path(words[0]).name
         if program == "make":
-            assert [word for word in words[1:] if "=" not in word][0] in targets
+            assert next(word for word in words[1:] if "=" not in word) in targets
         elif program == "pip":
             for extra in re.findall(r"mjhab\[([\w,]+)\]", " ".join(words)):
                 assert set(extra.split(",")) <= set(extras)

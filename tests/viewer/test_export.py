@@ -12,9 +12,9 @@ import pytest
 
 from mjhab.cli.main import main
 from mjhab.core.errors import MjhabError
-from mjhab.viewer import export
 from mjhab.viewer.drawn.posing import Poser
-from mjhab.viewer.replay import Replay
+from mjhab.viewer.export import page as export
+from mjhab.viewer.sources.replay import Replay
 from tests.viewer.conftest import STEPS
 
 

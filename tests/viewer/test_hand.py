@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mjhab.core.errors import UsageError
-from mjhab.viewer.hand import (
+from mjhab.viewer.sources.hand import (
     BUTTONS,
     GRIPPER_BUTTON,
     GRIPPER_KEY,

@@ -13,9 +13,9 @@ import pytest
 
 from mjhab.data.store.reading import open_shard
 from mjhab.evaluation.evaluate import EvalSpec
-from mjhab.viewer.hand import HUMAN
-from mjhab.viewer.live import LiveSession
-from mjhab.viewer.pace import Pace
+from mjhab.viewer.sources.hand import HUMAN
+from mjhab.viewer.sources.live import LiveSession
+from mjhab.viewer.sources.pace import Pace
 from tests.viewer.test_pages import until
 
 HORIZON = 8

@@ -150,9 +150,11 @@ def check_hand(out: Path) -> None:
     with browser:
         wait_for_picture(viewer, browser)
         wait_for(lambda: session.hand_drives, 10.0)
-        yaw = session.env.view(0).q[2]
+        assert session.env is not None
+        view = session.env.view(0)
+        yaw = view.q[2]
         browser.press("KeyA", "a", down=True)
-        wait_for(lambda: abs(session.env.view(0).q[2] - yaw) > 0.3, 20.0)
+        wait_for(lambda: abs(view.q[2] - yaw) > 0.3, 20.0)
         browser.press("KeyA", "a", down=False)
         shoot(browser, out / "by_hand.png")
     wait_for(lambda: not session.pace.playing, 10.0)

@@ -21,6 +21,9 @@ from mjhab.viewer.sources.hand import (
     read_input,
 )
 
+SETTLING_STEPS = 10
+"""Episodes begin with a posture that is not at rest."""
+
 
 def keys(*held: str) -> str:
     return json.dumps({"keys": list(held), "axes": [], "buttons": []})
@@ -63,6 +66,8 @@ def drive(env: Any, *held: str, steps: int = 15) -> tuple[np.ndarray, np.ndarray
     hand = HandControl()
     hand.begin(env, 0)
     view = env.view(0)
+    for _ in range(SETTLING_STEPS):
+        env.step(hand.action(env, 0)[None])
     start, base = view.tcp_pose[:3], view.q[:3]
     for _ in range(steps):
         hand.hear(keys(*held))

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from mjhab.data.store.reading import open_shard
+from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.evaluation.evaluate import EvalSpec
 from mjhab.viewer.sources.hand import HUMAN
 from mjhab.viewer.sources.live import LiveSession
@@ -45,6 +46,15 @@ def steps(made: LiveSession) -> int:
     return made.track.last if made.track is not None else -1
 
 
+def is_over(made: LiveSession) -> bool:
+    return made.track is not None and bool(made.track.over)
+
+
+def env_of(made: LiveSession) -> SequentialTaskEnv:
+    assert made.env is not None
+    return made.env
+
+
 def until_step(made: LiveSession, step: int) -> None:
     until(lambda: steps(made) >= step or made.problem, 20.0)
     assert not made.problem
@@ -52,14 +62,14 @@ def until_step(made: LiveSession, step: int) -> None:
 
 def test_it_runs_to_the_end_and_waits_there() -> None:
     with session() as made:
-        until(lambda: made.track is not None and made.track.over, 20.0)
+        until(lambda: is_over(made), 20.0)
         track = made.track
         assert track is not None and track.last == HORIZON and not made.pace.playing
         assert track.moments[1].terms and track.moments[1].actor == "random"
-        assert track.force_limits[0] == made.env.task_config.pick.force_limit
+        assert track.force_limits[0] == env_of(made).task_config.pick.force_limit
         assert not np.array_equal(track.moments[0].qpos, track.moments[-1].qpos)
         made.pace.play(True)
-        until(lambda: made.track is not track and made.track.over, 10.0)
+        until(lambda: made.track is not track and is_over(made), 10.0)
         assert made.track is not None and made.track.index == 1
 
 
@@ -89,7 +99,7 @@ def test_a_person_takes_over_and_gives_back(tmp_path: Path) -> None:
                 until(lambda step=step: made.hand_drives == (step == 3))
             made.pace.step_once()
             until_step(made, step)
-        until(lambda: made.track is not None and made.track.over)
+        until(lambda: is_over(made))
         assert "as human" in made.recording
         until(lambda: "1 episodes" in made.recording)
     with open_shard(shard) as found:
@@ -107,9 +117,9 @@ def test_human_from_the_first_step_and_an_early_end(tmp_path: Path) -> None:
         made.pace.step_once()
         until_step(made, 1)
         made.finish_episode()
-        until(lambda: made.track is not None and made.track.over)
+        until(lambda: is_over(made))
         made.restart()
-        until(lambda: made.track is not None and not made.track.over)
+        until(lambda: not is_over(made))
         until_step(made, 2)
         # A browser that is closed in the middle: the robot waits; ending the viewer keeps the episode.
         made.hand_gone()
@@ -124,10 +134,10 @@ def test_human_from_the_first_step_and_an_early_end(tmp_path: Path) -> None:
 def test_the_same_episode_of_a_policy_is_kept_once(tmp_path: Path) -> None:
     shard = tmp_path / "mine.h5"
     with session("zero", shard) as made:
-        until(lambda: made.track is not None and made.track.over, 20.0)
+        until(lambda: is_over(made), 20.0)
         first = made.track
         made.restart()
-        until(lambda: made.track is not first and made.track.over, 10.0)
+        until(lambda: made.track is not first and is_over(made), 10.0)
     with open_shard(shard) as found:
         (episode,) = found
         assert episode.run.policy == "zero"
@@ -188,10 +198,12 @@ def test_the_expert_tells_its_plan() -> None:
         until(lambda: made.expert_plan is not None or made.problem, 60.0)
         plan = made.expert_plan
         assert plan is not None, made.problem
-        base = made.env.view(0).q
+        view = env_of(made).view(0)
+        base = view.q
         np.testing.assert_allclose(plan.path[0], base[:2], atol=0.05)
         assert plan.stance is not None and len(plan.hands) and plan.chosen is not None
-        goal = made.env.view(0).object_pose(made.env.view(0).subtask.obj)[:3]
+        assert view.subtask is not None
+        goal = view.object_pose(view.subtask.obj)[:3]
         assert np.linalg.norm(plan.hands[:, :3, 3] - goal, axis=1).max() < 0.5
         made.show_expert_plan(False)
         until(lambda: made.expert_plan is None)

@@ -51,6 +51,7 @@ class Poser:
             self._home = home
             self._robot = _robot_bodies(model)
         data = self._data
+        assert data is not None
         data.qpos[:] = qpos
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)

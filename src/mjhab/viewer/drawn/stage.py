@@ -26,6 +26,7 @@ GRASP_COLOR = (40, 200, 90)
 GOAL_COLOR = (60, 130, 240)
 PATH_COLOR = (250, 190, 40)
 PATH_HEIGHT_M = 0.03
+PATH_WIDTH_M = 0.02
 STANCE_RADIUS_M = 0.28
 CONTACT_RADIUS_M = 0.012
 _HIDDEN = (0.0, 0.0, -100.0)
@@ -129,7 +130,7 @@ class Stage:
         if len(plan.path) > 1:
             points = np.insert(plan.path, 2, PATH_HEIGHT_M, axis=1)
             lines = np.stack([points[:-1], points[1:]], axis=1)
-            yield scene.add_line_segments("/plan/path", lines, PATH_COLOR, line_width=4.0)
+            yield scene.add_line_segments("/plan/path", lines, PATH_COLOR, thickness=PATH_WIDTH_M)
         if plan.stance is not None:
             x, y, yaw = plan.stance.tolist()
             turn = (np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2))

@@ -239,5 +239,7 @@ class _PoseCache:
             known[key] = found or self._poser.pose(track.home, track.moments[step].qpos)
         self._known = known
         share = now - first
-        poses = [known[id(track), step] for step in (first, second)]
-        return poses[0] if share <= 0.0 or first == second else between(*poses, share)
+        here = known[id(track), first]
+        if share <= 0.0 or first == second:
+            return here
+        return between(here, known[id(track), second], share)

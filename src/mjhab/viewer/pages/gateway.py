@@ -14,7 +14,7 @@ import threading
 import urllib.error
 import urllib.parse
 import urllib.request
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -58,8 +58,8 @@ class Gateway:
         inner: int,
         host: str,
         port: int,
-        on_hand: Callable[[str], None],
-        on_hand_gone: Callable[[], None] = bool,
+        on_hand: Callable[[str], object],
+        on_hand_gone: Callable[[], object] = bool,
     ) -> None:
         self.port = port
         self._inner = inner
@@ -203,7 +203,7 @@ def _from_our_page(request: Request) -> bool:
 
 
 def _first_subprotocol(
-    connection: ServerConnection, offered: list[Subprotocol] | tuple[Subprotocol, ...]
+    connection: ServerConnection, offered: Sequence[Subprotocol]
 ) -> Subprotocol | None:
     return offered[0] if offered else None
 

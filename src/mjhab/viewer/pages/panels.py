@@ -54,7 +54,7 @@ class Panels:
         server: viser.ViserServer,
         choices: Sequence[str],
         policies: Sequence[str],
-        on: dict[str, Callable[..., object]],
+        on: dict[str, Callable[..., None]],
     ) -> None:
         self._gui = server.gui
         self._on = on

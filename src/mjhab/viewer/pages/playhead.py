@@ -93,7 +93,7 @@ class Playhead:
         self.following = self._source.is_live
         self.play(True)
 
-    def callbacks(self) -> dict[str, Callable[..., object]]:
+    def callbacks(self) -> dict[str, Callable[..., None]]:
         """What the panels call."""
         source = self._source
         return {

@@ -116,7 +116,7 @@ def read_input(message: str) -> HandInput:
     keys, axes, buttons = (told.get(name, []) for name in ("keys", "axes", "buttons"))
     if not all(isinstance(part, list) for part in (keys, axes, buttons)):
         raise ValueError("keys, axes and buttons of the hand are lists")
-    sums = dict.fromkeys(MOTIONS, 0.0)
+    sums: dict[str, float] = {name: 0.0 for name in MOTIONS}
     for key in keys:
         if key in KEYS:
             motion, direction = KEYS[key]

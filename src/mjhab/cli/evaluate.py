@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 import time
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -20,6 +21,7 @@ from mjhab.reports.metrics import SubtaskRow, rows_by_kind, rows_by_position
 from mjhab.rollout.policy import RolloutEnv
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink, StepView
+from mjhab.serving.address import with_options
 
 
 def run_eval(options: EvalOptions) -> int:
@@ -49,7 +51,7 @@ def eval_spec(options: EvalOptions) -> EvalSpec:
     }
     given = {name: value for name, value in asked.items() if value is not None}
     return EvalSpec(
-        policy=options.policy,
+        policy=with_options(options.policy, options.served),
         task=options.task,
         subtask=options.subtask,
         target=options.target,
@@ -152,6 +154,13 @@ def _tell(options: EvalOptions, run: Run, interrupted: bool) -> None:
             "The same command with --resume (and without --overwrite) continues.",
             file=sys.stderr,
         )
+    if summary["errors"]:
+        reasons = Counter(record.error for record in run.records if record.error)
+        reason, count = reasons.most_common(1)[0]
+        print(
+            f"mjhab: the policy could not finish {summary['errors']} episodes; {count} of them: {reason}",
+            file=sys.stderr,
+        )
     if options.json:
         print_json(summary)
         return
@@ -163,6 +172,9 @@ def _tell(options: EvalOptions, run: Run, interrupted: bool) -> None:
         f"{summary['episodes']} episodes: success once {100 * summary['success_once']:.1f} %, at end "
         f"{100 * summary['success_at_end']:.1f} %, tainted {summary['tainted']}, {summary['seconds']:.0f} s"
     )
+    if "latency_ms" in summary:
+        latency = summary["latency_ms"]
+        print(f"answers of the policy: median {latency['p50']} ms, 99 % within {latency['p99']} ms")
     print(f"report: {run.report}")
 
 

@@ -104,7 +104,8 @@ class StudentPolicy:
             rows = np.resize(some, INFERENCE_ROWS)
             vector = self._vectors[rows].reshape(INFERENCE_ROWS, -1)
             images = self._images[rows]
-            images = images.reshape(INFERENCE_ROWS, -1, *images.shape[3:])
+            channels = images.shape[1] * images.shape[2]
+            images = images.reshape(INFERENCE_ROWS, channels, *images.shape[3:])
             chunks = self.student.act(vector, images, self._noise(rows, info))
             self._chunks[some] = chunks[: len(some)]
 

@@ -52,7 +52,7 @@ HEAVY: dict[str, frozenset[str]] = {
     "h5py": frozenset({"data"}),
     "msgpack": frozenset({"serving"}),
     "vla_eval": frozenset({"integrations"}),
-    "websockets": frozenset({"serving"}),
+    "websockets": frozenset({"serving", "viewer"}),
     "viser": frozenset({"viewer"}),
     "trimesh": frozenset({"scenes", "robots", "viewer"}),
 }

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import socket
 import time
 import urllib.error
@@ -16,6 +17,7 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from mjhab.core.errors import UsageError
+from mjhab.data.store.shard import ShardWriter
 from mjhab.viewer.pages.app import Viewer
 from mjhab.viewer.pages.gateway import HAND_PATH
 from mjhab.viewer.sources.replay import Replay
@@ -142,6 +144,16 @@ def test_pages_of_other_sites_cannot_connect(viewer: Viewer) -> None:
         connect(url, origin="http://elsewhere.example")  # type: ignore[arg-type]
     with connect(url, origin=f"http://localhost:{viewer.port}") as page:  # type: ignore[arg-type]
         assert isinstance(json.loads(page.recv(timeout=5.0)), dict)
+
+
+def test_a_shard_that_is_being_written_shows_what_it_has(shard: Path, tmp_path: Path) -> None:
+    (found,) = shard.glob("*.h5")
+    copy = tmp_path / "copy.h5"
+    shutil.copy(found, copy)
+    with ShardWriter(copy):
+        replay = Replay(copy)
+        assert replay.load(replay.choices[0]).last == STEPS
+        replay.close()
 
 
 def test_a_port_in_use_gives_way_to_the_next(shard: Path) -> None:

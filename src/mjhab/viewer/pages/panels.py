@@ -69,7 +69,7 @@ class Panels:
     def _build_main(self, choices: Sequence[str], policies: Sequence[str]) -> None:
         gui = self._gui
         self._problem = gui.add_html("", visible=False)
-        self._title = gui.add_html("")
+        self._title = gui.add_html('<i style="padding:0 8px">The home is being made ready.</i>')
         choice = gui.add_dropdown("World" if self._live else "Episode", tuple(choices))
         _when_changed(choice, self._on["choose"])
         if policies:

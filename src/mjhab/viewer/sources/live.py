@@ -97,6 +97,7 @@ class LiveSession:
         self._wish = Wish(spec.policy, first)
         self._asked: Wish | None = self._wish
         self._options: dict[str, Any] = {}
+        self._failed = False
         self._plan_wanted = False
         self._plan_token: tuple[int, int, int] | None = None
         self._adviser: ExpertPolicy | None = None
@@ -113,7 +114,8 @@ class LiveSession:
 
     def close(self) -> None:
         """End the run. An episode in which a person acted ends here and is kept, if episodes are recorded."""
-        if self._writer is not None and self._human_acted(self.watched) and not self.problem:
+        runs = self.track is not None and not self.track.over and not self._failed
+        if self._writer is not None and runs and self._human_acted(self.watched):
             self.finish_episode()
             self._cut_done.wait(CUT_SECONDS)
         self._closing = True
@@ -215,10 +217,11 @@ class LiveSession:
         if self.switch is not None:
             self.switch.give_back()
         full, options = self._needs(spec)
-        if self.switch is None or self.problem or options != self._options:
+        if self.switch is None or self._failed or options != self._options:
             self.ask(policy=spec, first=self._index())
             return
         self.switch.choose(full)
+        self.problem = ""
         self._wish = dataclasses.replace(self._wish, policy=spec)
 
     def hand_over(self, driving: bool) -> None:
@@ -285,11 +288,13 @@ class LiveSession:
             return
         except Exception as error:
             self.problem = _told(error)
+            self._failed = True
             self.pace.play(False)
 
     def _run_episodes(self, wish: Wish) -> None:
         self._prepare(wish.policy)
         self.problem = ""
+        self._failed = False
         assert self.switch is not None and self._cuttable is not None
         episodes = range(wish.first, wish.first + EPISODES_AHEAD)
         # The follower waits, at the end of an episode too: by then it is recorded.

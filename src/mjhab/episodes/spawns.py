@@ -18,7 +18,7 @@ from mjhab.core.rotations import mat_from_quat, pose_mul
 from mjhab.robots.controllers.actions import ARM_JOINTS
 from mjhab.robots.fetch.model import REST_QPOS
 from mjhab.robots.kinematics import wrap
-from mjhab.scenes.freespace import BASE_RADIUS, FreeMap, free_map
+from mjhab.scenes.freespace import BASE_RADIUS, FreeMap, shared_map
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.scratch import Scratch
 
@@ -93,22 +93,20 @@ class SpawnSampler:
         self.sim = sim
         self.scratch = Scratch(sim)
         self._homes = {home.name: home for home in sim.layout.pack.homes}
-        self._maps: dict[str, FreeMap] = {}
-        self._standing: dict[str, np.ndarray] = {}
+        self._standing: dict[tuple[str, float], np.ndarray] = {}
         self._walls: dict[str, Boxes] = {}
 
     def map(self, home: str) -> FreeMap:
         """Free-space map of a home."""
-        if home not in self._maps:
-            self._maps[home] = free_map(self._homes[home], self.sim.layout.pack)
-        return self._maps[home]
+        return shared_map(self._homes[home], self.sim.layout.pack)
 
-    def walkable(self, home: str) -> np.ndarray:
-        """(P, 2) centres [m] of the cells where the robot can stand."""
-        if home not in self._standing:
+    def walkable(self, home: str, radius: float = BASE_RADIUS) -> np.ndarray:
+        """(P, 2) centres [m] of the cells where a robot of a ``radius`` [m] can stand."""
+        key = (home, radius)
+        if key not in self._standing:
             fmap = self.map(home)
-            self._standing[home] = fmap.to_xy(np.argwhere(fmap.navigable(BASE_RADIUS)))
-        return self._standing[home]
+            self._standing[key] = fmap.to_xy(np.argwhere(fmap.navigable(radius)))
+        return self._standing[key]
 
     def roomiest(self, home: str) -> np.ndarray:
         """(2,) the cell [m] of the floor that is farthest from everything."""

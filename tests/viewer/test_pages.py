@@ -30,7 +30,6 @@ def viewer(shard: Path) -> Iterator[Viewer]:
     made = Viewer(Replay(shard), port=0, cameras=False)
     made.source.start()
     yield made
-    made._thread.start()
     made.close()
 
 
@@ -163,7 +162,6 @@ def test_a_port_in_use_gives_way_to_the_next(shard: Path) -> None:
         try:
             assert port < made.port <= port + 20
         finally:
-            made._thread.start()
             made.close()
 
 

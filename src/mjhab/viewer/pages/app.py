@@ -100,7 +100,8 @@ class Viewer:
     def close(self) -> None:
         """Stop everything."""
         self._closing = True
-        self._thread.join(timeout=5.0)
+        if self._thread.is_alive():
+            self._thread.join(timeout=5.0)
         self.source.close()
         if self._cameras is not None:
             self._cameras.close()

@@ -120,7 +120,8 @@ class LiveSession:
             self._cut_done.wait(CUT_SECONDS)
         self._closing = True
         self.pace.wake()
-        self._thread.join(timeout=CLOSE_SECONDS)
+        if self._thread.is_alive():
+            self._thread.join(timeout=CLOSE_SECONDS)
 
     @property
     def sim(self) -> CpuSimulator:

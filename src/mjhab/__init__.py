@@ -95,6 +95,7 @@ _PACKAGES = frozenset(
         "serving",
         "sim",
         "tasks",
+        "viewer",
     }
 )
 

@@ -92,6 +92,10 @@ class ExpertPolicy:
         """The actions of the last ``act`` without the noise of the style."""
         return ActionNotes.plain(self._intended.copy(), self.name)
 
+    def script(self, world: int) -> Script | None:
+        """The script that runs in a world; None before the first ``act`` of its episode."""
+        return self._scripts[world]
+
     def _next(self, w: int, view: StyledView) -> tuple[np.ndarray, np.ndarray]:
         """The intended and the executed action (13,) of a world."""
         subtask = view.subtask

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import Any, Literal, Protocol
 
 import mujoco
 import numpy as np
@@ -44,6 +44,20 @@ INSIDE_HEIGHT = 2.0
 FAR = 1e4
 """Bodies farther than this from the origin [m] have been thrown out of the world."""
 CAMERA_NAMES = tuple(camera.name for camera in fetch.CAMERAS)
+
+
+class BodyPoses(Protocol):
+    """Where the bodies of W worlds are; a `SimState` tells it."""
+
+    @property
+    def body_pos(self) -> Any:
+        """(W, B, 3) positions in the world [m]."""
+        ...
+
+    @property
+    def body_mat(self) -> Any:
+        """(W, B, 3, 3) orientations in the world."""
+        ...
 
 
 def build_render_scene(layout: Layout, model: mujoco.MjModel) -> RenderScene:
@@ -152,7 +166,7 @@ class HomeRenderer:
 
     def robot_views(
         self,
-        state: SimState,
+        state: BodyPoses,
         homes: Sequence[str],
         size: int | tuple[int, int],
         outputs: Sequence[str],
@@ -196,7 +210,7 @@ class HomeRenderer:
         return images
 
     def camera_poses(
-        self, state: SimState, cameras: Sequence[str] = CAMERA_NAMES
+        self, state: BodyPoses, cameras: Sequence[str] = CAMERA_NAMES
     ) -> tuple[np.ndarray, np.ndarray]:
         """World positions (W, C, 3) [m] and orientations (W, C, 3, 3) (x right, y up, z backwards) of robot cameras.
 

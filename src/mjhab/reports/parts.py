@@ -30,6 +30,13 @@ _BAD_EVENTS = frozenset(
 )
 
 
+def event_tone(name: str) -> str:
+    """Return ``"good"``, ``"bad"`` or ``"none"`` for the name of an event."""
+    if name in _GOOD_EVENTS:
+        return "good"
+    return "bad" if name in _BAD_EVENTS else "none"
+
+
 def section(title: str, hint: str, body: str) -> str:
     """A titled block with one sentence that says how to read it."""
     return f'<section><h2>{escape(title)}</h2><p class="hint">{escape(hint)}</p>{body}</section>'
@@ -152,7 +159,7 @@ def _timeline(record: EpisodeRecord) -> str:
     steps = max(record.steps, 1)
     parts = [_span(subtask, steps) for subtask in record.subtasks]
     for step, name in record.events:
-        css = "good" if name in _GOOD_EVENTS else "bad" if name in _BAD_EVENTS else "none"
+        css = event_tone(name)
         title = f"{name.replace('_', ' ')} at {step / CONTROL_HZ:.1f} s (step {step})"
         place = f"left:{100 * step / steps:.2f}%"
         parts.append(

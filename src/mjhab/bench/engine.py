@@ -1,4 +1,4 @@
-"""``mjhab bench``: how fast this machine is, and whether grasps hold."""
+"""``mjhab bench sim``: how fast this machine is."""
 
 from __future__ import annotations
 
@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mjhab.cli.doctor import cores
-from mjhab.cli.options.common import BenchGraspOptions, BenchSimOptions
-from mjhab.cli.output import at_least, print_json, print_table
+from mjhab.bench.specs import EngineSpec
 from mjhab.core.errors import unknown_name
+from mjhab.core.machine import cores
 from mjhab.rollout.policy import ACTION_SIZE
 from mjhab.tasks.plan import TASKS
 
@@ -23,40 +22,26 @@ WARM_STEPS = 8
 """Untimed control steps after each reset: teleports happen and things come to rest."""
 
 
-def bench_sim(options: BenchSimOptions) -> int:
-    """Print control steps/s of the engine and of the environment, measured in the same run."""
-    if options.task not in TASKS:
-        raise unknown_name("task", options.task, TASKS)
-    for name in ("worlds", "steps", "rounds"):
-        at_least(name, getattr(options, name), 1)
-    at_least("threads", options.threads, 0)
-    at_least("seed", options.seed, 0)
+def measure_engine(spec: EngineSpec) -> dict[str, Any]:
+    """Control steps/s of the engine and of the environment, measured in the same run: `measure_sps`, and "threads".
+
+    Raises:
+        UsageError: unknown task.
+    """
+    if spec.task not in TASKS:
+        raise unknown_name("task", spec.task, TASKS)
     from mjhab.envs import make
 
     env = make(
-        task=options.task,
-        num_envs=options.worlds,
-        assets=options.assets,
-        seed=options.seed,
-        threads=options.threads,
+        task=spec.task,
+        num_envs=spec.worlds,
+        assets=spec.assets,
+        seed=spec.seed,
+        threads=spec.threads,
         autoreset="disabled",
     )
-    result = measure_sps(env, options.steps, options.rounds, options.seed)
-    result["threads"] = options.threads or cores()
-    if options.json:
-        print_json(result)
-    else:
-        rows = [
-            ("bare engine", result["engine_sps"]),
-            ("env.step without cameras", result["env_sps"]),
-        ]
-        title = f"{options.task}, {options.worlds} worlds, {result['threads']} threads"
-        print_table(title, ("what", "control steps/s over all worlds"), rows)
-        print(
-            f"the environment runs at {100 * result['ratio']:.0f} % of the bare engine; "
-            f"resetting a world takes {result['reset_ms']:.1f} ms"
-        )
-    return 0
+    found = measure_sps(env, spec.steps, spec.rounds, spec.seed)
+    return found | {"threads": spec.threads or cores()}
 
 
 def measure_sps(env: SequentialTaskEnv, steps: int, rounds: int, seed: int) -> dict[str, Any]:
@@ -124,22 +109,3 @@ def _seconds(call: Callable[[Any], object], inputs: Iterable[Any]) -> float:
     for item in inputs:
         call(item)
     return time.perf_counter() - start
-
-
-def bench_grasp(options: BenchGraspOptions) -> int:
-    """Print how far objects slip in the moving gripper; fails if one is dropped."""
-    at_least("seed", options.seed, 0)
-    at_least("seconds", options.seconds, 0.1)
-    from mjhab.bench.grasp import grasp_table
-
-    rows = grasp_table(seconds=options.seconds, seed=options.seed)
-    if options.json:
-        print_json({"grasps": rows})
-    else:
-        columns = list(rows[0])
-        print_table(
-            f"{options.seconds:g} s of base and arm motion",
-            columns,
-            [[row[key] for key in columns] for row in rows],
-        )
-    return 1 if any(row["dropped"] for row in rows) else 0

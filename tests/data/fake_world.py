@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
@@ -92,8 +93,10 @@ class FakeEnv:
         self.tracker: SubtaskTracker | None = None
         self._settle(np.zeros(num_envs, bool))
 
-    def render_world(self, world: int, width: int = 480, height: int = 360) -> np.ndarray:
-        return np.zeros((height, width, 3), np.uint8)
+    def render_worlds(
+        self, worlds: Sequence[int], width: int = 480, height: int = 360
+    ) -> np.ndarray:
+        return np.zeros((len(worlds), height, width, 3), np.uint8)
 
     def reset(self, seed: int, options: dict[str, Any]) -> tuple[dict, dict]:
         mask = options["reset_mask"]

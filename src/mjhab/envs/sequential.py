@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -232,15 +232,18 @@ class SequentialTaskEnv(TaskLoop):
 
     def render_world(self, world: int, width: int = 480, height: int = 360) -> np.ndarray:
         """Human view (H, W, 3) uint8 of one world."""
-        return self.observer.renderer.follow_view(
-            self.state, self.homes[world], world, width, height
-        )
+        return self.render_worlds([world], width, height)[0]
+
+    def render_worlds(
+        self, worlds: Sequence[int], width: int = 480, height: int = 360
+    ) -> np.ndarray:
+        """Human views (n, H, W, 3) uint8 of n worlds, drawn by several threads."""
+        homes = [self.homes[world] for world in worlds]
+        return self.observer.renderer.follow_views(self.state, homes, worlds, width, height)
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """Human views (H, W, 3) uint8 of all worlds, or None without a render mode."""
-        return (
-            tuple(self.render_world(w) for w in range(self.num_envs)) if self.render_mode else None
-        )
+        return tuple(self.render_worlds(range(self.num_envs))) if self.render_mode else None
 
     def view(self, world: int) -> WorldView:
         """Privileged live view of one world, for scripted experts."""

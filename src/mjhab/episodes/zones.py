@@ -5,8 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 
-import numpy as np
-
 from mjhab.layout.layout import Layout
 from mjhab.layout.receptacles import PlacedReceptacle, placed_receptacles
 from mjhab.scenes.spec import Home
@@ -54,9 +52,9 @@ def receptacle_below(
     best = None
     gap = _ABOVE
     for r in receptacles:
-        inside = (np.abs(r.local(np.array(point[:2]))) <= np.array(r.half)).all()
         above = point[2] - r.pos[2]
-        if inside and -0.02 <= above < gap:
+        # Few surfaces are at the right height: that is asked first.
+        if -0.02 <= above < gap and r.holds(point[0], point[1]):
             best = r
             gap = above
     return best

@@ -226,25 +226,42 @@ class HomeRenderer:
     def follow_view(
         self, state: SimState, home: str, world: int, width: int, height: int
     ) -> np.ndarray:
-        """RGB (height, width, 3) from behind the robot of one world, looking over its shoulder at its work."""
-        x, y, yaw = state.robot_q[world, :3]
+        """One of `follow_views`: RGB (height, width, 3)."""
+        return self.follow_views(state, [home], [world], width, height)[0]
+
+    def follow_views(
+        self, state: SimState, homes: Sequence[str], worlds: Sequence[int], width: int, height: int
+    ) -> np.ndarray:
+        """RGB (n, height, width, 3) from behind the robots of some worlds, looking over their shoulders at their work.
+
+        ``homes``: names (n,) of the homes they are in.
+        """
+        looks = [
+            self._follow(home, state.robot_q[world, :3])
+            for home, world in zip(homes, worlds, strict=True)
+        ]
+        images = self.rasterizer.render(
+            np.array([self._home_index[home] for home in homes], np.int64),
+            state.body_pos[list(worlds)],
+            state.body_mat[list(worlds)],
+            np.stack([eye for eye, _ in looks])[:, None],
+            np.stack([look_at(eye.tolist(), target.tolist()) for eye, target in looks])[:, None],
+            FOLLOW_FOVY,
+            width,
+            height,
+            ("rgb",),
+        )
+        return images["rgb"][:, 0]
+
+    def _follow(self, home: str, base: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Eye (3,) and what it looks at (3,) to follow a robot whose base is at (3,) x, y, yaw."""
+        x, y, yaw = base
         forward = np.array([np.cos(yaw), np.sin(yaw)])
         left = np.array([-np.sin(yaw), np.cos(yaw)])
         here = np.array([x, y])
         target = np.append(here + FOLLOW_TARGET[0] * forward, FOLLOW_TARGET[1])
         eyes = [np.append(here + f * forward + s * left, h) for f, s, h in FOLLOW_EYES]
-        eye = next((e for e in eyes if self._in_view(home, e, target)), eyes[-1])
-        return self._picture(
-            home,
-            state.body_pos[[world]],
-            state.body_mat[[world]],
-            eye,
-            target,
-            FOLLOW_FOVY,
-            width,
-            height,
-            "fast",
-        )
+        return next((e for e in eyes if self._in_view(home, e, target)), eyes[-1]), target
 
     def _in_view(self, home: str, eye: np.ndarray, target: np.ndarray) -> bool:
         """Whether nothing tall stands between the eye and the space before the robot."""

@@ -26,7 +26,7 @@ from mjhab.core.errors import MjhabError
 from mjhab.data.store.schema import CHECKS, STEP_SECONDS
 from mjhab.render.home_scene import CAMERA_NAMES, build_render_scene
 from mjhab.reports.parts import event_tone
-from mjhab.reports.plots import KIND_COLORS, OTHER_COLOR
+from mjhab.reports.plots import kind_color
 from mjhab.robots.fetch import model as fetch
 from mjhab.viewer.drawn.cameras import Cameras
 from mjhab.viewer.drawn.models import HomeModels, Look, Model, home_models
@@ -152,7 +152,7 @@ def _header(track: Track, models: HomeModels, block: _Block) -> dict[str, Any]:
         "plan": [
             {
                 "name": track.describe(index),
-                "color": KIND_COLORS.get(entry.kind, OTHER_COLOR),
+                "color": kind_color(entry.kind),
                 "ended": track.ended.get(index, ""),
             }
             for index, entry in enumerate(track.plan)

@@ -8,7 +8,7 @@ from itertools import groupby
 
 from mjhab.data.store.schema import STEP_SECONDS
 from mjhab.reports.parts import event_tone
-from mjhab.reports.plots import KIND_COLORS, OTHER_COLOR
+from mjhab.reports.plots import kind_color
 from mjhab.viewer.sources.track import Track
 
 WIDTH = 1000
@@ -17,6 +17,7 @@ EVENT_HEIGHT = 14
 ACTOR_HEIGHT = 6
 HEIGHT = EVENT_HEIGHT + BAR_HEIGHT + ACTOR_HEIGHT
 TONE_COLORS = {"good": "#16a34a", "bad": "#dc2626", "none": "#64748b"}
+GAUGE_COLOR = "#3b82f6"
 ACTOR_COLORS = ("#cbd5e1", "#f472b6", "#38bdf8", "#a3e635", "#fb923c")
 MIN_NAMED_SHARE = 0.06
 """Subtasks that take less of the time line carry no name in it."""
@@ -60,7 +61,7 @@ def subtask_spans(track: Track) -> list[tuple[int, int, int]]:
 def _subtasks(track: Track, scale: float) -> list[str]:
     parts = []
     for index, start, end in subtask_spans(track):
-        color = KIND_COLORS.get(track.plan[index].kind, OTHER_COLOR)
+        color = kind_color(track.plan[index].kind)
         name = track.describe(index)
         width = max((end - start + 1) * scale, 1.0)
         told = f"{name}: {track.ended.get(index, 'running').replace('_', ' ')}"
@@ -101,7 +102,7 @@ def plan_html(track: Track, step: int) -> str:
     active = track.moments[step].active
     rows = []
     for index, entry in enumerate(track.plan):
-        color = KIND_COLORS.get(entry.kind, OTHER_COLOR)
+        color = kind_color(entry.kind)
         sign = "✓" if index < active else "▶" if index == active else "·"
         weight = "700" if index == active else "400"
         fade = "" if index <= active else "opacity:.6;"
@@ -119,7 +120,7 @@ def plan_html(track: Track, step: int) -> str:
 def gauge_html(name: str, value: float, limit: float, unit: str) -> str:
     """A bar that shows a value against its limit."""
     share = 0.0 if math.isinf(limit) else min(value / max(limit, 1e-9), 1.0)
-    color = TONE_COLORS["bad"] if share > 0.8 else KIND_COLORS["pick"]
+    color = TONE_COLORS["bad"] if share > 0.8 else GAUGE_COLOR
     of = "no limit" if math.isinf(limit) else f"of {limit:,.0f}"
     return (
         f'<div style="font-size:12px;margin:3px 0">{escape(name)}: <b>{value:,.0f}</b> {of} {escape(unit)}'

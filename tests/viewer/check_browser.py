@@ -31,6 +31,8 @@ WORLDS = (1, 4, 16)
 MEASURE_SECONDS = 8.0
 MIN_CHANGED_PX = 500
 COLORS_OF_A_PICTURE = 200
+COLORS_OF_A_HOME = 2000
+PATIENCE_SECONDS = 180.0
 
 
 def main(out: Path) -> int:
@@ -97,8 +99,16 @@ def opened(source: Source) -> tuple[Viewer, Browser]:
 
 
 def wait_for_picture(viewer: Viewer, browser: Browser) -> None:
-    wait_for(lambda: viewer.clients and viewer.frames > 10, 60.0)
-    wait_for(lambda: len(np.unique(browser.picture().reshape(-1, 3), axis=0)) > 2000, 60.0)
+    """Wait until the home is drawn; on a busy processor without a GPU that takes a while."""
+
+    def drawn() -> bool:
+        assert not viewer.problem and not viewer.source.problem, (
+            viewer.problem or viewer.source.problem
+        )
+        colors = len(np.unique(browser.picture().reshape(-1, 3), axis=0))
+        return bool(viewer.clients) and viewer.frames > 10 and colors > COLORS_OF_A_HOME
+
+    wait_for(drawn, PATIENCE_SECONDS)
 
 
 def check_replay(shards: Path, out: Path) -> None:

@@ -7,11 +7,11 @@ import signal
 import threading
 from typing import TYPE_CHECKING
 
-from mjhab.cli.data import read_filter
 from mjhab.cli.options.view import ViewOptions
 from mjhab.cli.output import at_least, print_json
-from mjhab.cli.profiles import profile_options
+from mjhab.config.profile_choice import profile_options
 from mjhab.core.errors import UsageError
+from mjhab.data.select.query import read_filter
 from mjhab.evaluation.evaluate import EvalSpec
 from mjhab.evaluation.resolve import inspect_policy
 from mjhab.viewer.sources.hand import HUMAN

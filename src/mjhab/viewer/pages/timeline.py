@@ -17,6 +17,7 @@ EVENT_HEIGHT = 14
 ACTOR_HEIGHT = 6
 HEIGHT = EVENT_HEIGHT + BAR_HEIGHT + ACTOR_HEIGHT
 TONE_COLORS = {"good": "#16a34a", "bad": "#dc2626", "none": "#64748b"}
+GAUGE_COLOR = "#3b82f6"
 ACTOR_COLORS = ("#cbd5e1", "#f472b6", "#38bdf8", "#a3e635", "#fb923c")
 MIN_NAMED_SHARE = 0.06
 """Subtasks that take less of the time line carry no name in it."""
@@ -119,7 +120,7 @@ def plan_html(track: Track, step: int) -> str:
 def gauge_html(name: str, value: float, limit: float, unit: str) -> str:
     """A bar that shows a value against its limit."""
     share = 0.0 if math.isinf(limit) else min(value / max(limit, 1e-9), 1.0)
-    color = TONE_COLORS["bad"] if share > 0.8 else kind_color("pick")
+    color = TONE_COLORS["bad"] if share > 0.8 else GAUGE_COLOR
     of = "no limit" if math.isinf(limit) else f"of {limit:,.0f}"
     return (
         f'<div style="font-size:12px;margin:3px 0">{escape(name)}: <b>{value:,.0f}</b> {of} {escape(unit)}'

@@ -11,7 +11,8 @@ import numpy as np
 from mjhab.data.store.reading import Episode
 from mjhab.data.store.schema import CHECKS, FORCES
 from mjhab.rollout.records import Event, PlanEntry
-from mjhab.tasks.plan import TaskConfig
+from mjhab.tasks.subtasks.registry import limits_of
+from mjhab.tasks.thresholds import TaskConfig
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +76,7 @@ class Track:
 
 def force_limits(plan: Sequence[PlanEntry], config: TaskConfig) -> tuple[float, ...]:
     """Limit of the cumulative force of every subtask of a plan [N x control steps]."""
-    return tuple(float(getattr(config, entry.kind).force_limit) for entry in plan)
+    return tuple(float(limits_of(config, entry.kind).force_limit) for entry in plan)
 
 
 def recorded_track(episode: Episode, config: TaskConfig) -> Track:

@@ -203,7 +203,7 @@ def _place_of(part: Mapping[str, Any]) -> Place:
     world = _mapping(part.get("world"), "world")
     episode = _mapping(world.get("episode"), "episode")
     numbers = (episode.get("seed"), episode.get("index"), part.get("step"))
-    if not all(isinstance(number, int) for number in numbers):
+    if not all(isinstance(number, int | np.integer) for number in numbers):
         raise UsageError(f"seed, index and step of an episode are whole numbers, got {numbers}")
     seed, index, step = (int(number) for number in numbers if number is not None)
     return Place(seed, index, step)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from pathlib import Path
 
 import pytest
@@ -83,7 +84,10 @@ def test_homes_that_lack_a_role_are_named() -> None:
     ],
 )
 def test_roles_that_name_nothing_are_refused(tmp_path: Path, stated: Roles, message: str) -> None:
-    save_pack(pack_with(roles=stated), tmp_path)
+    save_pack(pack_with(), tmp_path)
+    body = json.loads((tmp_path / "pack.json").read_text())
+    body["roles"] = dataclasses.asdict(stated)
+    (tmp_path / "pack.json").write_text(json.dumps(body))
     with pytest.raises(UsageError, match=message):
         load_pack(tmp_path)
 

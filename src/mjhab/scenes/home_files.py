@@ -200,8 +200,8 @@ def _with_receptacles(pack: Pack, stated: HomeFile, file: Path) -> Pack:
     for k, record in enumerate(stated.receptacles):
         where = f"{file}: receptacles[{k}]"
         templates: dict[str, Any] = props if record.furniture in props else articulations
-        if record.furniture not in templates:
-            known = sorted({piece.kind for piece in stated.furniture})
+        known = sorted({piece.kind for piece in stated.furniture})
+        if record.furniture not in known or record.furniture not in templates:
             raise UsageError(
                 f"{where}.furniture: {record.furniture!r} is no furniture of this home; it has {', '.join(known)}."
             )

@@ -13,7 +13,7 @@ from mjhab.core.errors import UsageError
 from mjhab.scenes.pack_check import check_pack
 from mjhab.scenes.pack_source import PackRequest, PackSource
 from mjhab.scenes.records import read_record
-from mjhab.scenes.roles import check_roles
+from mjhab.scenes.roles import check_roles, present_roles
 from mjhab.scenes.shapes.meshes import Mesh, mesh_arrays, mesh_from_arrays
 from mjhab.scenes.spec import Articulation, Home, ObjectType, Pack, Prop, Roles
 
@@ -24,6 +24,8 @@ _MESHES = "meshes.npz"
 
 def save_pack(pack: Pack, folder: Path) -> None:
     """Write a pack into ``folder`` (made if missing); ``load_pack`` gives an equal pack back.
+
+    Roles of furniture that the pack does not have are left out.
 
     ``pack.json`` is written last and put in place by a rename, so a folder that has it is complete.
     """
@@ -41,7 +43,7 @@ def save_pack(pack: Pack, folder: Path) -> None:
         "articulations": [dataclasses.asdict(a) for a in pack.articulations.values()],
         "homes": [dataclasses.asdict(h) for h in pack.homes],
         "objects": [dataclasses.asdict(o) for o in pack.objects.values()],
-        "roles": dataclasses.asdict(pack.roles),
+        "roles": dataclasses.asdict(present_roles(pack, pack.roles)),
     }
     partial = folder / (_JSON + ".part")
     partial.write_text(json.dumps(body))

@@ -13,6 +13,7 @@ from mjhab.learning.configs import (
     BC,
     DIFFUSION,
     FLOW,
+    GAUSSIAN,
     InputConfig,
     NetworkConfig,
     OptimizerConfig,
@@ -40,6 +41,7 @@ def config(algorithm: str = BC, inputs: InputConfig = INPUTS, **changes: Any) ->
         BC: NetworkConfig(channels=(4, 8), image_features=8, hidden=16, layers=2),
         FLOW: NetworkConfig(channels=(4, 8), image_features=8, hidden=16, layers=2),
         ACT: NetworkConfig(channels=(4, 8), image_features=8, hidden=16, layers=1),
+        GAUSSIAN: NetworkConfig(channels=(4, 8), image_features=8, hidden=16, layers=2),
         DIFFUSION: NetworkConfig("paper_dp", channels=(4, 8), image_features=8, unet=(8, 16)),
     }
     steps = {FLOW: 3, DIFFUSION: 4}.get(algorithm, 0)
@@ -49,8 +51,8 @@ def config(algorithm: str = BC, inputs: InputConfig = INPUTS, **changes: Any) ->
         inputs=inputs,
         network=networks[algorithm],
         optimizer=OptimizerConfig(batch=8, learning_rate=1e-2, warmup=2),
-        chunk=4,
-        execute=2,
+        chunk=1 if algorithm == GAUSSIAN else 4,
+        execute=1 if algorithm == GAUSSIAN else 2,
         hold_steps=3,
         huber=0.0 if steps else 0.5,
         sampling_steps=steps,

@@ -34,7 +34,7 @@ KEYS = [
     "labels",
     "legacy_labels",
 ]
-KEYS += ["tainted", "seconds"]
+KEYS += ["tainted", "errors", "seconds"]
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,6 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from mjhab.core.errors import unknown_name
-from mjhab.tasks.subtasks.registry import SUBTASKS
 
 DEFAULT_PROFILE = "mjhab"
 SPAWN_RULES = ("front_box", "published")
@@ -66,6 +65,9 @@ class Profile:
             if field.name not in apart
         }
         # One number for all kinds would be Navigate's, too, which has more time.
+        # Here: the command line names profiles in its help, which waits for no numpy.
+        from mjhab.tasks.subtasks.registry import SUBTASKS
+
         alone = bool(subtask) and not SUBTASKS[subtask].navigates
         horizon = self.train_horizon if trains else self.horizon
         return {**values, "horizon": horizon if alone else OF_PAPER}

@@ -10,6 +10,7 @@ import numpy as np
 from mjhab.learning.configs import InputConfig, NetworkConfig
 from mjhab.learning.layout import Layout
 from mjhab.learning.reinforcement.configs import PPO, SAC, PpoConfig, ReinforcementConfig, SacConfig
+from mjhab.tasks.subtasks.registry import SUBTASKS
 
 HORIZON = 8
 INPUTS = InputConfig(
@@ -43,7 +44,8 @@ class Toy:
     def __init__(self, worlds: int, terminates: bool = False) -> None:
         self.num_envs = worlds
         self.config = SimpleNamespace(autoreset="disabled")
-        self.task_config = SimpleNamespace(horizons=(HORIZON,))
+        limits = {name: SimpleNamespace(horizon=HORIZON) for name in SUBTASKS}
+        self.task_config = SimpleNamespace(limits=limits)
         self.single_action_space = SimpleNamespace(shape=(1,))
         self.terminates = terminates
         self._random = np.random.default_rng(0)

@@ -162,7 +162,8 @@ def test_warmup_compiles_all_of_a_device_env(monkeypatch: pytest.MonkeyPatch) ->
         DeviceEnv, "step", lambda env, actions: stepped.append(env.num_envs) or step(env, actions)
     )
     seconds = warmup.warmup(WarmupOptions(task="set_table", device="cpu"), "warp")
-    assert list(seconds) == ["2 homes", "rasterizer", "MuJoCo Warp"] and stepped == [warmup.WORLDS]
+    parts = ["2 homes", "rasterizer", "planning of the experts", "MuJoCo Warp"]
+    assert list(seconds) == parts and stepped == [warmup.WORLDS]
 
 
 def test_grasps_hold_alike(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -31,11 +31,11 @@ def record(
     **options: Any,
 ) -> tuple[list[EpisodeRecord], Recorder]:
     """Roll out episodes of a fake env into a shard; returns their records and the recorder."""
-    env = env or FakeEnv()
+    world: Any = env or FakeEnv()
     max_steps = options.pop("max_steps", None)
     with ShardWriter(path) as writer:
-        recorder = Recorder(writer, env, POLICY, **options)
-        records = rollout(env, RandomPolicy(0), list(episodes), seed, [recorder], max_steps)
+        recorder = Recorder(writer, world, POLICY, **options)
+        records = rollout(world, RandomPolicy(0), list(episodes), seed, [recorder], max_steps)
     return records, recorder
 
 

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import gymnasium
 import numpy as np
@@ -263,9 +263,8 @@ def test_what_is_held_leaps_along() -> None:
     )
     addresses = SimpleNamespace(robot_q=np.arange(15), object_q=np.array([15, 22]))
     landing = torch.as_tensor(rng.uniform(-1, 1, (3, 15)))
-    moved = Teleporter(addresses, torch.device("cpu")).moved(
-        qpos, state, landing, torch.tensor([1, 1, -1])
-    )  # type: ignore[arg-type]
+    teleporter = Teleporter(cast("Any", addresses), torch.device("cpu"))
+    moved = teleporter.moved(qpos, cast("Any", state), landing, torch.tensor([1, 1, -1]))
     np.testing.assert_array_equal(moved[0, 3:22], qpos[0, 3:22])
     np.testing.assert_array_equal(moved[:, :3], landing[:, :3])
     before, after = (pose_mul(pose_inv(_base(q[0, :3])), q[0, 22:].numpy()) for q in (qpos, moved))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -91,10 +93,8 @@ def snapshot(env: SequentialTaskEnv, world: int) -> list[bytes]:
         for f in ("pointer", "steps_left", "cumulative_force", "peak_force")
     ]
     rows += [env.state.robot_q, env.state.object_pose, env.tracker._start_step, env.joint_start]
-    rows += [
-        getattr(env.tracker._notes._labels, f)
-        for f in env.tracker._notes._labels.__dataclass_fields__
-    ]  # type: ignore[union-attr]
+    labels: Any = env.tracker._notes._labels
+    rows += [getattr(labels, name) for name in labels.__dataclass_fields__]
     return [np.ascontiguousarray(r[world]).tobytes() for r in rows if r is not None]
 
 

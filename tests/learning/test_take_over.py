@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -122,7 +122,7 @@ def test_a_worker_in_this_process_makes_what_a_job_asks_for(tmp_path: Path) -> N
     policy, _, _ = make(2, 5)
 
     def build() -> Stage:
-        return Stage(FakeEnv(2, subtask="pick"), policy, {"name": policy.name})
+        return Stage(cast("Any", FakeEnv(2, subtask="pick")), policy, {"name": policy.name})
 
     job = Job(WorkerSpec(build, 1), {"a": 1}, tmp_path / "out", 6, chunk=2)
     done = generate(job, InlineCrew())

@@ -146,9 +146,9 @@ def test_a_mosaic_shows_the_episodes_side_by_side(tmp_path: Path) -> None:
 def test_the_page_is_whole(tmp_path: Path) -> None:
     record(tmp_path / "a.h5", range(6), FakeEnv(subtask="pick", images=True), images=ImageFormat())
     page = render_data_report(tmp_path, FilmWriter)
-    data = json.loads(
-        re.search(r'id="page-data">(.*?)</script>', page, re.S)[1].replace("<\\/", "</")
-    )  # type: ignore[index]
+    found = re.search(r'id="page-data">(.*?)</script>', page, re.S)
+    assert found is not None
+    data = json.loads(found[1].replace("<\\/", "</"))
     assert set(data["plots"]) == {"peak-pick", "sum-pick"}
     labels = {episode.attributes["label"] for episode in episodes(tmp_path)}
     assert (

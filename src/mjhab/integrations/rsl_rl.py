@@ -24,8 +24,8 @@ def to_rsl_rl(env: VectorEnv) -> Any:
         UsageError: rsl-rl-lib is not installed, or the environment does not reset itself.
     """
     try:
-        from rsl_rl.env import VecEnv
-        from tensordict import TensorDict
+        from rsl_rl.env import VecEnv  # pyright: ignore[reportMissingImports]
+        from tensordict import TensorDict  # pyright: ignore[reportMissingImports]
     except ImportError as error:
         raise UsageError("to_rsl_rl needs rsl_rl: pip install rsl-rl-lib") from error
     if env.metadata.get("autoreset_mode") != AutoresetMode.SAME_STEP:

@@ -29,7 +29,7 @@ def to_sb3(env: VectorEnv, keys: Sequence[str] = ("state",)) -> Any:
         UsageError: stable-baselines3 is not installed, the environment does not reset itself, or a key is unknown.
     """
     try:
-        from stable_baselines3.common.vec_env import VecEnv
+        from stable_baselines3.common.vec_env import VecEnv  # pyright: ignore[reportMissingImports]
     except ImportError as error:
         raise UsageError("to_sb3 needs stable-baselines3: pip install stable-baselines3") from error
     if env.metadata.get("autoreset_mode") != AutoresetMode.SAME_STEP:
@@ -56,7 +56,8 @@ def to_sb3(env: VectorEnv, keys: Sequence[str] = ("state",)) -> Any:
 
         def reset(self) -> Any:
             seeds = [seed for seed in self._seeds if seed is not None]
-            obs, _ = env.reset(seed=seeds if len(seeds) == env.num_envs else None)
+            chosen: Any = seeds if len(seeds) == env.num_envs else None
+            obs, _ = env.reset(seed=chosen)
             self._reset_seeds()
             self._reset_options()
             self._succeeded[:] = False

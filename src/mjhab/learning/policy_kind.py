@@ -7,11 +7,15 @@ from __future__ import annotations
 
 import hashlib
 from pathlib import Path
+from typing import TYPE_CHECKING, cast
 
 from mjhab.core.errors import UsageError
 from mjhab.evaluation.resolve import PolicyFacts, PolicyOptions
 from mjhab.learning.require import require_learn
 from mjhab.rollout.policy import Policy, RolloutEnv
+
+if TYPE_CHECKING:
+    from mjhab.learning.layout import ActingEnv
 
 
 def inspect_policy(spec: str) -> PolicyFacts:
@@ -45,4 +49,4 @@ def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions) -> Policy:
     from mjhab.learning.checkpoint import load_student
     from mjhab.learning.policy import StudentPolicy
 
-    return StudentPolicy(load_student(Path(spec)), env, options.seed)
+    return StudentPolicy(load_student(Path(spec)), cast("ActingEnv", env), options.seed)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import h5py
 import numpy as np
@@ -80,7 +80,9 @@ def check(group: Any, episode: Episode, number: int, info: dict[str, Any]) -> No
     assert info["success_once"] == record_.success_once
     assert info["legacy_label"] == record_.subtasks[-1].legacy_label
     theirs = {"excessive_collisions": "exceeded_cumulative_force_limit"}
-    counted = [theirs.get(e, e) for _, e in record_.events if e in PICK.published.events]
+    published = PICK.published
+    assert published is not None
+    counted = [theirs.get(e, e) for _, e in record_.events if e in published.events]
     assert info["events"] == [e for e, _ in itertools.groupby(counted)]
     verbose = [[step - 1, theirs.get(e, e), None] for step, e in record_.events]
     assert [each for each in info["events_verbose"] if each[1] != "collision"] == verbose
@@ -111,7 +113,7 @@ def test_groups_keep_the_order_of_the_state(source: Path, tmp_path: Path) -> Non
     record(tmp_path / "a.h5", [0], env)
     done = export_maniskill(tmp_path / "a.h5", tmp_path / "out")
     with h5py.File(done.files[0]) as file:
-        assert list(file["traj_0/obs/extra"]) == [
+        assert list(cast("h5py.Group", file["traj_0/obs/extra"])) == [
             "tcp_pose_wrt_base",
             "goal_pos_wrt_base",
             "is_grasped",

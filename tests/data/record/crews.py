@@ -7,7 +7,7 @@ import random
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from mjhab.data.record.crew import (
     Gone,
@@ -29,7 +29,7 @@ KEEP = "label != 'cant_close_failure' and steps > 6"
 
 def build(worlds: int = 2, subtask: str = "") -> Stage:
     """A stage without physics."""
-    return Stage(FakeEnv(worlds, subtask), RandomPolicy(0), {"name": "random"})
+    return Stage(cast("Any", FakeEnv(worlds, subtask)), RandomPolicy(0), {"name": "random"})
 
 
 def job(out: Path, keep: str = "", worlds: int = 2, **options: Any) -> Job:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -58,7 +58,7 @@ class Witness(Sink):
 
 
 def test_everything_is_stored_as_it_was(tmp_path: Path) -> None:
-    env = FakeEnv(3, images=True)
+    env: Any = FakeEnv(3, images=True)
     witness = Witness()
     path = tmp_path / "a.h5"
     with ShardWriter(path) as writer:
@@ -232,7 +232,7 @@ def test_plain_data_comes_back_as_it_was() -> None:
 
 
 def test_provenance() -> None:
-    run = describe_run(FakeEnv(3, "pick"), POLICY)
+    run = describe_run(cast("Any", FakeEnv(3, "pick")), POLICY)
     assert re.fullmatch(r"([0-9a-f]{40}(\+changes)?)?", run.commit)
     assert (
         run.versions["mujoco"]
@@ -244,9 +244,11 @@ def test_provenance() -> None:
     for view in ("obs_mode", "handle_points"):
         assert view in run.options and view not in run.config["env"]
     assert run.layout["actions"][:2] == ["a0", "a1"] and run.layout["columns"]["robot_q"] == [0, 1]
-    again = describe_run(FakeEnv(1, "pick", images=True), POLICY)
+    again = describe_run(cast("Any", FakeEnv(1, "pick", images=True)), POLICY)
     assert again == run and again.id == run.id
-    other = describe_run(FakeEnv(3, "pick"), {"name": "random", "noise": 0.1}, licence="CC BY 4.0")
+    other = describe_run(
+        cast("Any", FakeEnv(3, "pick")), {"name": "random", "noise": 0.1}, licence="CC BY 4.0"
+    )
     assert other.config_id != run.config_id and other.licence == "CC BY 4.0"
     a, b = (model_hash(FakeEnv(1).sim.model(home)) for home in ("builtin_m0_00", "builtin_m0_000"))
     assert a != b and a == model_hash(FakeEnv(2).sim.model("builtin_m0_00"))

@@ -56,7 +56,7 @@ class Takeover(RandomPolicy):
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("source") / "takeover.h5"
-    env = FakeEnv(2)
+    env: Any = FakeEnv(2)
     with ShardWriter(path) as writer:
         rollout(env, Takeover(0), range(6), 3, [Recorder(writer, env, {"name": "takeover"})])
     return path

@@ -247,9 +247,10 @@ def test_episodes_may_be_kept_longer_than_their_shard_is_open(tmp_path: Path) ->
         )
         for key in ("state", "agent/qpos", "sensor_data/fetch_head/depth"):
             np.testing.assert_array_equal(episode.observation(key), now.observation(key))
-        assert (
-            episode.frame_places("fetch_head", "rgb")[0] == now.frame_places("fetch_head", "rgb")[0]
-        )  # type: ignore[index]
+        before_places = episode.frame_places("fetch_head", "rgb")
+        places = now.frame_places("fetch_head", "rgb")
+        assert before_places is not None and places is not None
+        assert before_places[0] == places[0]
         np.testing.assert_array_equal(episode.history(0)[1].success, now.history(0)[1].success)
     kept[0].shard.path.unlink()
     with pytest.raises(UsageError, match="does not exist"):

@@ -194,7 +194,7 @@ def test_a_student_acts_over_the_line_as_it_does_at_home() -> None:
 def test_twins_follow_their_episodes_as_worlds_of_a_batch_come_and_go() -> None:
     class Lender:
         def borrow(self, config: Mapping[str, Any]) -> Twin:
-            return Twin(None, resolve_policy("zero", cast(Any, None)))
+            return Twin(cast(Any, None), resolve_policy("zero", cast(Any, None)))
 
     def part(index: int, step: int) -> dict[str, Any]:
         return {"world": {"episode": {"seed": 0, "index": index}}, "step": step}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any, cast
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -192,5 +194,8 @@ def test_what_cannot_be_grasped_gives_no_candidates_and_unknown_shapes_are_named
     )
     with pytest.raises(UsageError, match="cylinder"):
         grasp_candidates(
-            ObjectShape("cilinder", (1, 1, 1)), np.zeros(3), np.array([1.0, 0, 0, 0]), support_z=0.0
-        )  # type: ignore[arg-type]
+            ObjectShape(cast("Any", "cilinder"), (1, 1, 1)),
+            np.zeros(3),
+            np.array([1.0, 0, 0, 0]),
+            support_z=0.0,
+        )

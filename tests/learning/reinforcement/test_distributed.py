@@ -6,7 +6,7 @@ import tempfile
 from pathlib import Path
 
 import torch
-import torch.multiprocessing as mp
+from torch.multiprocessing.spawn import spawn
 
 from mjhab.learning.reinforcement import distributed
 from mjhab.learning.reinforcement.configs import changed
@@ -54,7 +54,7 @@ def process(number: int, folder: str) -> None:
 def test_two_processes_learn_what_one_learns_from_all() -> None:
     assert distributed.processes() == 1
     with tempfile.TemporaryDirectory() as folder:
-        mp.spawn(process, (folder,), nprocs=2)
+        spawn(process, (folder,), nprocs=2)
         first, second = (
             torch.load(Path(folder) / f"{number}.pt", weights_only=True) for number in range(2)
         )

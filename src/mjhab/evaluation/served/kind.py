@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from typing import Any
+from typing import Any, cast
 
 from mjhab.core.errors import UsageError
 from mjhab.evaluation.resolve import PolicyFacts, PolicyOptions
@@ -62,7 +62,7 @@ def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions) -> Policy:
     require_serving()
     from mjhab.evaluation.served.policy import ServedPolicy
 
-    return ServedPolicy(Address.parse(spec), env)
+    return ServedPolicy(Address.parse(spec), cast("Any", env))
 
 
 def _as_json(value: Any) -> Any:

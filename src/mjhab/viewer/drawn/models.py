@@ -179,8 +179,8 @@ def _parts(
 def _corners(scene: RenderScene, home: int, instance: int) -> list[tuple[int, np.ndarray]]:
     """By material the corners (3 F, 8) of the faces of an instance: position, normal, place in the texture."""
     mesh = scene.instance_mesh[instance]
-    start = scene.mesh_face_start[mesh]
-    faces = np.arange(start, start + scene.mesh_face_count[mesh])
+    start = int(scene.mesh_face_start[mesh])
+    faces = np.arange(start, start + int(scene.mesh_face_count[mesh]))
     points = scene.vertices[scene.faces[faces]].astype(np.float64)
     scale = scene.home_scale[home, instance]
     normals = np.einsum("fij,fkj->fki", scene.face_normal[faces], _with_one(points)) / scale

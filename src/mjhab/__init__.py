@@ -20,10 +20,18 @@ if TYPE_CHECKING:
     from mjhab.experts import make_expert
     from mjhab.scenes.pack_source import PackRequest, PackSource, register_pack
     from mjhab.scenes.packs import open_pack
+    from mjhab.tasks.household.registry import register_task
+    from mjhab.tasks.household.spec import TargetRule, TaskSpec
+    from mjhab.tasks.subtasks.registry import register_subtask
+    from mjhab.tasks.subtasks.spec import LabelRule, SubtaskSpec
 
 __all__ = [
+    "LabelRule",
     "PackRequest",
     "PackSource",
+    "SubtaskSpec",
+    "TargetRule",
+    "TaskSpec",
     "__version__",
     "evaluate",
     "generate",
@@ -32,9 +40,15 @@ __all__ = [
     "make_train",
     "open_pack",
     "register_pack",
+    "register_subtask",
+    "register_task",
 ]
 
 _LAZY = {
+    "LabelRule": "mjhab.tasks.subtasks.spec",
+    "SubtaskSpec": "mjhab.tasks.subtasks.spec",
+    "TargetRule": "mjhab.tasks.household.spec",
+    "TaskSpec": "mjhab.tasks.household.spec",
     "PackRequest": "mjhab.scenes.pack_source",
     "PackSource": "mjhab.scenes.pack_source",
     "evaluate": "mjhab.evaluation.evaluate",
@@ -43,6 +57,8 @@ _LAZY = {
     "make_train": "mjhab.envs",
     "make_expert": "mjhab.experts",
     "open_pack": "mjhab.scenes.packs",
+    "register_subtask": "mjhab.tasks.subtasks.registry",
+    "register_task": "mjhab.tasks.household.registry",
     "register_pack": "mjhab.scenes.pack_source",
 }
 _PACKAGES = frozenset(

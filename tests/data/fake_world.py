@@ -11,8 +11,8 @@ from gymnasium.vector import AutoresetMode
 
 from mjhab.core.seeding import stream
 from mjhab.data.store.schema import CHECKS
-from mjhab.tasks.measure import Signals
-from mjhab.tasks.plan import KIND_NAMES
+from mjhab.tasks.signals import Signals
+from mjhab.tasks.subtasks.registry import name_of, number_of
 from mjhab.tasks.tracker import SubtaskTracker
 
 CHAIN = (
@@ -119,7 +119,7 @@ class FakeEnv:
 
     def step(self, actions: np.ndarray) -> tuple[dict, np.ndarray, np.ndarray, np.ndarray, dict]:
         live = np.array([not w.done for w in self.worlds])
-        kind = np.array([KIND_NAMES.index(self.plan[w.pointer][0]) for w in self.worlds])
+        kind = np.array([number_of(self.plan[w.pointer][0]) for w in self.worlds])
         for w, world in enumerate(self.worlds):
             if live[w]:
                 world.step(actions[w])
@@ -148,7 +148,7 @@ class FakeEnv:
         world = self.worlds[w]
         return {
             "index": world.pointer,
-            "kind": KIND_NAMES[kind],
+            "kind": name_of(kind),
             "target": self.plan[world.pointer][1],
             "label": label,
             "legacy_label": self.tracker.legacy_label(w, kind),

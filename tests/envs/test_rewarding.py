@@ -14,9 +14,10 @@ from mjhab.core.errors import UsageError
 from mjhab.envs.parts.rewarding import GoalDistance, Rewarder, RewardInputs, straight_distance
 from mjhab.robots.fetch.model import FETCH_JOINTS, JOINT_LIMITS, REST_QPOS
 from mjhab.tasks.measure import active_entries, measure
-from mjhab.tasks.plan import Subtask, SubtaskKind, TaskConfig, TaskPlan, stack_plans
+from mjhab.tasks.plan import Subtask, SubtaskKind, TaskPlan, stack_plans
 from mjhab.tasks.progress import start
 from mjhab.tasks.rewards import RewardOptions
+from mjhab.tasks.thresholds import TaskConfig
 from tests.tasks.build import resting, squeeze
 
 PICK, PLACE, NAVIGATE, OPEN, CLOSE = range(5)
@@ -201,6 +202,6 @@ def test_results_outlive_the_next_step() -> None:
 
 
 def test_only_the_kinds_at_hand_are_reported() -> None:
-    _, terms = rewarder(1, kinds=(SubtaskKind.CLOSE,)).step(inputs_of([CLOSE]))
+    _, terms = rewarder(1, kinds=("close",)).step(inputs_of([CLOSE]))
     assert "posture_closed" in terms and "hold" not in terms
     assert {"posture_closed", "hold", "arrived"} <= set(rewarder(1).step(inputs_of([CLOSE]))[1])

@@ -13,6 +13,7 @@ from mjhab.config.env import EnvConfig, task_config
 from mjhab.core.rotations import pose_inv, pose_mul, quat_from_yaw
 from mjhab.core.seeding import stream
 from mjhab.episodes.generator import BOWL_DRAWER, FRIDGE_DOOR, Episode, EpisodeMaker
+from mjhab.episodes.rosters import roster
 from mjhab.episodes.spawns import (
     ARM_NOISE,
     MAX_DISTANCE,
@@ -23,17 +24,18 @@ from mjhab.episodes.spawns import (
     SpawnGoal,
     SpawnSampler,
 )
-from mjhab.episodes.starts import DOORSTEP_REACH, Start, StartMaker
+from mjhab.episodes.starts import Start, StartMaker
+from mjhab.episodes.starts.navigate import DOORSTEP_REACH
 from mjhab.layout.contact_sensors import FORCE_SENSOR_WIDTH
 from mjhab.layout.layout import Layout
 from mjhab.robots.controllers.table import ARM_JOINTS
 from mjhab.robots.fetch.model import REST_QPOS
-from mjhab.scenes.builtin.objects import roster
 from mjhab.scenes.freespace import BASE_RADIUS
 from mjhab.scenes.packs import open_pack
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.settle import hold_robot, parked_robot_qpos
-from mjhab.tasks.plan import SubtaskKind, chain, front_box
+from mjhab.tasks.household.registry import chain
+from mjhab.tasks.plan import SubtaskKind, front_box
 
 
 @pytest.fixture(scope="module")

@@ -9,9 +9,10 @@ import numpy as np
 import torch
 
 from mjhab.core.arrays import map_record
-from mjhab.tasks.labels import History
-from mjhab.tasks.measure import Signals, WorldState
-from mjhab.tasks.plan import PlanArrays, Subtask, SubtaskKind, TaskConfig, TaskPlan, stack_plans
+from mjhab.tasks.label_state import History
+from mjhab.tasks.plan import PlanArrays, Subtask, SubtaskKind, TaskPlan, stack_plans
+from mjhab.tasks.signals import Signals, WorldState
+from mjhab.tasks.thresholds import TaskConfig
 
 REST = (0, 0, 0, 0.386, 0, -0.370, 0.562, -1.032, 0.695, 0.955, -0.1, 2.077, 0, 0.015, 0.015)
 CONFIG = TaskConfig(rest_qpos=REST)

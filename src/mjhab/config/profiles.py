@@ -11,12 +11,13 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from mjhab.core.errors import unknown_name
+from mjhab.tasks.subtasks.registry import SUBTASKS
 
 DEFAULT_PROFILE = "mjhab"
 SPAWN_RULES = ("front_box", "published")
 """Where the robot starts and with which arm, see `Profile.spawn_rule`."""
 OF_PAPER = 0
-"""Horizon that stands for those of `tasks.plan.TaskConfig`: 200 control steps, Navigate 500, or 1,000 in training."""
+"""Horizon that stands for those of the `SubtaskSpec`: 200 control steps, Navigate 500, or 1,000 in training."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,7 @@ class Profile:
             if field.name not in apart
         }
         # One number for all kinds would be Navigate's, too, which has more time.
-        alone = subtask not in ("", "navigate")
+        alone = bool(subtask) and not SUBTASKS[subtask].navigates
         horizon = self.train_horizon if trains else self.horizon
         return {**values, "horizon": horizon if alone else OF_PAPER}
 

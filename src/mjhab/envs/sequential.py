@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mjhab.config.env import EnvConfig
+from mjhab.config.env import DENSE_MODES, EnvConfig
 from mjhab.core.arrays import Array
 from mjhab.core.errors import UsageError
 from mjhab.envs.loop import TaskLoop
@@ -27,9 +27,8 @@ from mjhab.episodes.source import EpisodeSource, open_setting
 from mjhab.episodes.starts import Start
 from mjhab.robots.controllers import check_actions
 from mjhab.sim.mujoco.cpu import CpuSimulator
-from mjhab.tasks.measure import Signals, WorldState
-from mjhab.tasks.plan import SubtaskKind
 from mjhab.tasks.progress import Outcome, Progress
+from mjhab.tasks.signals import Signals, WorldState
 
 INDEX_STRIDE = 1 << 20
 """Without explicit indices, the k-th episode of world i is number i * stride + k: it depends on nothing else."""
@@ -147,7 +146,7 @@ class SequentialTaskEnv(TaskLoop):
     def _place(self, fresh: np.ndarray, moved: np.ndarray) -> np.ndarray:
         if not self.config.teleports:
             return fresh
-        self.teleports.begin(fresh | moved, self.focus.kind)
+        self.teleports.begin(fresh | moved, self.focus.navigates)
         changed = fresh
         if self.teleports.waiting.any():
             pointer = self.progress.pointer
@@ -162,8 +161,8 @@ class SequentialTaskEnv(TaskLoop):
         return changed
 
     def _enter_subtask(self, mask: np.ndarray) -> None:
-        if self.config.reward in ("dense", "normalized_dense"):
-            for w in np.flatnonzero(mask & (self.focus.kind == SubtaskKind.NAVIGATE)).tolist():
+        if self.config.reward in DENSE_MODES:
+            for w in np.flatnonzero(mask & self.focus.navigates).tolist():
                 self.nav.begin(w, self.homes[w], self.focus.active.goal_pos[w, :2])
         super()._enter_subtask(mask)
 

@@ -12,7 +12,7 @@ from mjhab.layout.layout import Layout
 from mjhab.layout.receptacles import PlacedReceptacle, placed_receptacles
 from mjhab.scenes.spec import Vec3
 from mjhab.tasks.instructions import Instructions, Request, Spot, instructions, seeded_draw
-from mjhab.tasks.plan import KIND_NAMES, Subtask, TaskPlan
+from mjhab.tasks.plan import Subtask, TaskPlan
 
 
 class Narrator:
@@ -43,7 +43,7 @@ class Narrator:
             x, y, z = episode.object_pose[slot, :3].tolist()
             source = _spot((x, y, z), places)
         goal = _spot(subtask.goal_pos, places)
-        return Request(KIND_NAMES[subtask.kind], subtask.target, source, goal)
+        return Request(subtask.name, subtask.target, source, goal)
 
     def _receptacles_of(self, home: str) -> tuple[PlacedReceptacle, ...]:
         return placed_receptacles(self._layout, self._homes[home])

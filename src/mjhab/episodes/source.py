@@ -11,15 +11,14 @@ from mjhab.core.seeding import stream
 from mjhab.episodes.generator import Episode, EpisodeMaker
 from mjhab.episodes.hab.format import HabFile, read_hab
 from mjhab.episodes.hab.reader import FileEpisodes, file_roster
+from mjhab.episodes.rosters import roster
 from mjhab.episodes.starts import Start, StartMaker, check_target
 from mjhab.episodes.zones import with_zones
 from mjhab.layout.layout import Layout
-from mjhab.scenes.builtin.objects import roster
 from mjhab.scenes.packs import open_pack
 from mjhab.sim.mujoco.cpu import CpuSimulator
-from mjhab.tasks.plan import TARGETS_PER_TASK, TaskConfig
-
-SUBTASKS_PER_TARGET = {"tidy_house": 4, "prepare_groceries": 4, "set_table": 8}
+from mjhab.tasks.household.registry import TASKS
+from mjhab.tasks.thresholds import TaskConfig
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,8 +79,7 @@ class EpisodeSource:
             else EpisodeMaker(sim, config.task, config.split, config.home, wanted)
         )
         self.starts = StartMaker(sim, config, task_config)
-        whole = TARGETS_PER_TASK[config.task] * SUBTASKS_PER_TARGET[config.task]
-        self.plan_length = 1 if config.subtask else whole
+        self.plan_length = 1 if config.subtask else TASKS[config.task].length
         # Settling an arrangement takes longer than a whole episode of control steps: training draws from a few.
         given = file is not None or self.starts.spawn_set is not None
         self._pool_size = config.episode_pool if config.trains and not given else 0

@@ -22,7 +22,7 @@ from mjhab.reports.mosaics import Mosaic, OpenFilm, mosaic
 from mjhab.reports.plots import tone
 from mjhab.reports.run import render_page
 from mjhab.rollout.records import EpisodeRecord
-from mjhab.tasks.plan import KIND_NAMES
+from mjhab.tasks.subtasks.registry import SUBTASKS, number_of
 
 _LABEL_HINT = (
     "Percent of subtasks of this data set, of which only some labels may have been kept. Published rules: the labels "
@@ -145,7 +145,7 @@ def _cards(records: Sequence[EpisodeRecord], size: float) -> str:
 def _labels(records: Sequence[EpisodeRecord]) -> str:
     groups = grouped(records)
     tables = []
-    for kind in KIND_NAMES:
+    for kind in SUBTASKS:
         members = {group: subtasks for group, subtasks in groups.items() if group.kind == kind}
         if members:
             tables.append(
@@ -185,7 +185,7 @@ def _films(
 
 def _place_of_label(key: tuple[str, str]) -> tuple[int, int]:
     kind, label = key
-    return KIND_NAMES.index(kind), label_order(kind).index(label)
+    return number_of(kind), label_order(kind).index(label)
 
 
 def _figure(kind: str, label: str, made: Mosaic, what: str) -> str:

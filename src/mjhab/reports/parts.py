@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from mjhab.reports.metrics import SubtaskRow, target_type, wilson
-from mjhab.reports.plots import KIND_COLORS, OTHER_COLOR, tone
+from mjhab.reports.plots import kind_color, tone
 from mjhab.rollout.films import FILM_EVERY, FILM_FPS
 from mjhab.rollout.records import EpisodeRecord, SubtaskRecord
 
@@ -78,7 +78,7 @@ def cards(records: Sequence[EpisodeRecord], summary: Mapping[str, Any]) -> str:
 
 
 def _kind(kind: str) -> str:
-    return f'<span class="kind" style="background:{KIND_COLORS.get(kind, OTHER_COLOR)}"></span>{escape(kind)}'
+    return f'<span class="kind" style="background:{kind_color(kind)}"></span>{escape(kind)}'
 
 
 def _rate_bar(row: SubtaskRow) -> str:

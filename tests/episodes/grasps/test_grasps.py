@@ -17,7 +17,7 @@ from mjhab.scenes.builtin.objects import SIZES, builtin_objects
 from mjhab.scenes.packs import open_pack
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.scratch import Scratch
-from mjhab.tasks.plan import TaskConfig
+from mjhab.tasks.thresholds import TaskConfig
 
 UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
 

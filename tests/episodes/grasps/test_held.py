@@ -12,13 +12,14 @@ from mjhab.core.errors import UsageError
 from mjhab.core.rotations import mat_from_quat
 from mjhab.episodes.grasps.candidates import grasp_candidates
 from mjhab.episodes.grasps.held import MAX_GRASPS, MAX_OFFSET, HeldStarts, shape_of, spread
+from mjhab.episodes.rosters import roster
 from mjhab.layout.layout import Layout
 from mjhab.robots.fetch.model import REST_QPOS
-from mjhab.scenes.builtin.objects import SIZES, roster
+from mjhab.scenes.builtin.objects import SIZES
 from mjhab.scenes.packs import open_pack
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.scratch import Scratch
-from mjhab.tasks.plan import TaskConfig
+from mjhab.tasks.thresholds import TaskConfig
 
 APPLE = "013_apple"
 BOWL = "024_bowl"

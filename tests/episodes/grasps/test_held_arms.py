@@ -15,16 +15,16 @@ from mjhab.core.seeding import stream
 from mjhab.episodes.grasps import held_arms
 from mjhab.episodes.grasps.held import MAX_OFFSET, HeldStarts
 from mjhab.episodes.grasps.held_arms import MAX_ARMS, HeldArms, rest_postures
+from mjhab.episodes.rosters import roster
 from mjhab.episodes.starts import StartMaker
 from mjhab.layout.layout import Layout
 from mjhab.robots.controllers.table import ARM_JOINTS
 from mjhab.robots.fetch.model import FETCH_JOINTS, KINEMATIC_TREE, REST_QPOS
 from mjhab.robots.kinematics import Chain
-from mjhab.scenes.builtin.objects import roster
 from mjhab.scenes.packs import open_pack
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.scratch import Scratch
-from mjhab.tasks.plan import TaskConfig
+from mjhab.tasks.thresholds import TaskConfig
 
 APPLE = "013_apple"
 BOWL = "024_bowl"

@@ -18,7 +18,7 @@ from mjhab.episodes.spawns import MAX_TRIES
 from mjhab.episodes.starts import Start, StartMaker
 from mjhab.layout.layout import Addresses
 from mjhab.sim.protocol import SimState
-from mjhab.tasks.plan import SubtaskKind
+from mjhab.tasks.subtasks.registry import spec_of
 
 ROBOT_JOINTS = 15
 
@@ -35,7 +35,7 @@ def find_landings(
     joints = np.zeros((length, ROBOT_JOINTS))
     fallback = np.zeros(length, bool)
     for position, subtask in enumerate(start.plan.subtasks):
-        if subtask.kind == SubtaskKind.NAVIGATE:
+        if spec_of(subtask.kind).navigates:
             joints[position], fallback[position] = _land(starts, episode, start, position)
     return joints, fallback
 

@@ -17,7 +17,8 @@ from mjhab.robots.fetch.geometry import COLLISION
 from mjhab.scenes.freespace import shared_map
 from mjhab.scenes.shapes.hulls import boxed_hull
 from mjhab.scenes.spec import Geom, Handle, Home, Link, ObjectType, Pack, Placement
-from mjhab.tasks.plan import Subtask, TaskConfig
+from mjhab.tasks.plan import Subtask
+from mjhab.tasks.thresholds import TaskConfig
 
 REST_QPOS = np.array(fetch.REST_QPOS)
 KINEMATIC_TREE = fetch.KINEMATIC_TREE

@@ -26,7 +26,7 @@ from mjhab.scenes.spec import ObjectType
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.scratch import FINGER_JOINTS, FINGER_MAX, Scratch
 from mjhab.sim.mujoco.settle import parked_robot_qpos
-from mjhab.tasks.plan import TaskConfig
+from mjhab.tasks.thresholds import TaskConfig
 
 HOLD_SECONDS = 0.5
 STEADY_SHARE = 0.8

@@ -22,7 +22,7 @@ from mjhab.robots.controllers.table import ARM_JOINTS
 from mjhab.robots.fetch.model import FETCH_JOINTS, KINEMATIC_TREE, REST_QPOS
 from mjhab.robots.kinematics import Chain, damped_step
 from mjhab.sim.mujoco.settle import parked_robot_qpos
-from mjhab.tasks.plan import TaskConfig
+from mjhab.tasks.thresholds import TaskConfig
 
 MAX_ARMS = 32
 """Arms of an object type."""

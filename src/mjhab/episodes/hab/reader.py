@@ -27,7 +27,8 @@ from mjhab.scenes.roles import roles_of
 from mjhab.scenes.spec import Home, Pack, Vec3
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.settle import settle
-from mjhab.tasks.plan import TARGETS_PER_TASK, Target
+from mjhab.tasks.household.registry import TASKS
+from mjhab.tasks.plan import Target
 
 SETTLE_SECONDS = 2.0
 MOVED = 0.02
@@ -168,7 +169,7 @@ class FileEpisodes:
                 raise UsageError(f"{where}.scene_id: {error}") from error
             self._furnished.add(episode.scene)
         names = episode.target_names
-        limit = TARGETS_PER_TASK[self.task]
+        limit = len(TASKS[self.task].targets)
         if not 1 <= len(names) <= limit:
             raise UsageError(
                 f"{where}.targets: {self.task} handles 1 to {limit} targets, got {len(names)}."
@@ -186,11 +187,13 @@ class FileEpisodes:
             _check_inside(self.layout, home, episode, pose)
         except ValueError as error:
             raise UsageError(f"{where}.{error}") from error
-        if self.task == "set_table":
-            for target in file_targets(self.layout, home, episode, pose, root):
-                if not target.start_link:
+        rules = TASKS[self.task].targets
+        if any(rule.opens for rule in rules):
+            targets = file_targets(self.layout, home, episode, pose, root)
+            for rule, target in zip(rules, targets, strict=False):
+                if rule.opens == "start" and not target.start_link:
                     raise UsageError(
-                        f"{where}.rigid_objs: {target.obj!r} starts in no drawer or fridge; set_table opens one."
+                        f"{where}.rigid_objs: {target.obj!r} starts in no drawer or fridge; {self.task} opens one."
                     )
 
     def _read(self, row: int) -> tuple[Home, np.ndarray, np.ndarray, int]:

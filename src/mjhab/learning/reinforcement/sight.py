@@ -13,6 +13,7 @@ from torch import Tensor
 from mjhab.data.select.facts import type_name
 from mjhab.learning.demos import nearness
 from mjhab.learning.layout import Layout
+from mjhab.tasks.subtasks.registry import horizons
 
 PRIVILEGED = (
     "position and velocity of every joint of the robot, the base among them",
@@ -81,7 +82,7 @@ class Sight:
             worlds, inputs.history, *frames, dtype=torch.uint8, device=self.device
         )
         self._codes = torch.zeros(worlds, layout.width - layout.measured_width, device=self.device)
-        self._horizon = float(max(env.task_config.horizons))
+        self._horizon = float(max(horizons(env.task_config)))
 
     def begin(self, fresh: Tensor, info: Mapping[str, Any]) -> None:
         """Take note of what the worlds in ``fresh`` (W,) bool are to do from now on."""

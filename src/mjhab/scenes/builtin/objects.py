@@ -12,7 +12,6 @@ import math
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from mjhab.core.errors import unknown_name
 from mjhab.scenes.shapes.meshes import Mesh
 from mjhab.scenes.shapes.shapes import about_z, box, lathe, look, rod
 from mjhab.scenes.spec import Geom, ObjectType, Vec3
@@ -64,25 +63,6 @@ BOWL_FACETS = 12
 """Flat pieces of the bowl's wall. A finger pad (26 mm wide) has 7 mm of room on either side of a piece's middle: beyond
 it, its side would meet the edge of the next piece."""
 _BASE_PIECES = 8
-
-
-def roster(task: str) -> tuple[str, ...]:
-    """Object type of every slot that a task's generated episodes use, in slot order.
-
-    HAB's counts: 30 objects in TidyHouse and PrepareGroceries; SetTable has 27 clutter objects, a bowl and an apple.
-
-    Raises:
-        UsageError: ``task`` is none of the three.
-    """
-    clutter = tuple(name for name in CLUTTER_TYPES for _ in range(3))
-    extra = {
-        "tidy_house": ("003_cracker_box", "005_tomato_soup_can", "024_bowl"),
-        "prepare_groceries": ("003_cracker_box", "005_tomato_soup_can", "024_bowl"),
-        "set_table": ("024_bowl", "013_apple"),
-    }
-    if task not in extra:
-        raise unknown_name("task", task, extra)
-    return clutter + extra[task]
 
 
 def builtin_objects() -> dict[str, ObjectType]:

@@ -1,9 +1,15 @@
-"""Dense reward of Navigate (mshab/envs/navigate.py)."""
+"""The subtask Navigate: drive to where the next subtask is done, with or without an object.
+
+MS-HAB paper App. A.2; mshab/envs/navigate.py.
+"""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+
 from mjhab.core.arrays import Array, namespace, norm3
-from mjhab.tasks.plan import SubtaskKind, TaskConfig
+from mjhab.tasks.label_state import LabelState
 from mjhab.tasks.reward_table import (
     ALWAYS,
     RewardTable,
@@ -16,9 +22,14 @@ from mjhab.tasks.reward_table import (
     posture_error,
     rest_distance,
 )
+from mjhab.tasks.subtasks.event_lists import EXCESS
+from mjhab.tasks.subtasks.spec import AT_REST, LabelRule, PublishedLabels, SubtaskSpec
+from mjhab.tasks.thresholds import SubtaskConfig, TaskConfig
 
 FORCE_PER_NEWTON = 0.005
 """Contact forces below 40 N cost nothing."""
+TRAIN_HORIZON_STEPS = 1000
+"""Navigation is trained over more control steps than it is judged over (mshab/envs/navigate.py)."""
 
 NAVIGATE_TERMS = (
     Term("ready", 2.0, "ready", "what must be carried is grasped, or nothing has to be"),
@@ -81,8 +92,7 @@ def _navigate(view: RewardView, config: TaskConfig) -> tuple[dict[str, Array], d
     return when, raw
 
 
-NAVIGATE = RewardTable(
-    SubtaskKind.NAVIGATE,
+REWARD = RewardTable(
     NAVIGATE_TERMS,
     cases=(
         ("ready", "far"),
@@ -91,4 +101,52 @@ NAVIGATE = RewardTable(
     ),
     published=28.0,
     raw=_navigate,
+    reads=("nav_distance",),
+)
+
+
+def _has_lost(s: LabelState) -> Array:
+    """(W,) bool: the object to carry is not held."""
+    return s.must_hold & ~s.holds("is_grasped")
+
+
+LABEL_RULES = (
+    LabelRule("success_then_excessive_collisions", lambda s: s.ever("success") & s.ever("excess")),
+    LabelRule("success_then_dropped", lambda s: s.ever("success") & _has_lost(s)),
+    LabelRule("navigation_success", lambda s: s.ever("success")),
+    LabelRule("excessive_collision_failure", lambda s: s.ever("excess")),
+    LabelRule("dropped_failure", lambda s: _has_lost(s)),
+    LabelRule("navigation_failure"),
+)
+
+
+def _published_label(events: Sequence[str], success: bool, at_goal_first: bool) -> str:
+    """The rule for Navigate of mshab/utils/label_dataset.py."""
+    if EXCESS in events:
+        return "success_then_excessive_collisions" if success else "excessive_collision_failure"
+    if "dropped" in events:
+        return "success_then_dropped" if success else "dropped_failure"
+    return "navigation_success" if success else "navigation_failure"
+
+
+PUBLISHED = PublishedLabels(
+    events=("navigated_close", "grasped", "dropped", "success", EXCESS),
+    label=_published_label,
+)
+
+NAVIGATE = SubtaskSpec(
+    name="navigate",
+    words=("go to {destination}", "drive to {destination}", "move to {destination}"),
+    color="#94a3b8",
+    about="way",
+    limits=SubtaskConfig(500, math.inf),
+    train_horizon=TRAIN_HORIZON_STEPS,
+    conditions=("near", "oriented", "hold_ok", *AT_REST),
+    arm_conditions=("hold_ok", "ee_rest", "robot_rest"),
+    label_rules=LABEL_RULES,
+    published=PUBLISHED,
+    events=(*PUBLISHED.events, "lost_navigated_close", "lost_success"),
+    reward=REWARD,
+    start="mjhab.episodes.starts.navigate:START",
+    expert="mjhab.experts.skills.navigate:navigate",
 )

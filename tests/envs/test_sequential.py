@@ -93,7 +93,8 @@ def snapshot(env: SequentialTaskEnv, world: int) -> list[bytes]:
         for f in ("pointer", "steps_left", "cumulative_force", "peak_force")
     ]
     rows += [env.state.robot_q, env.state.object_pose, env.tracker._start_step, env.joint_start]
-    labels: Any = env.tracker._notes._labels
+    notes: Any = env.tracker._notes
+    labels = notes._labels
     rows += [getattr(labels, name) for name in labels.__dataclass_fields__]
     return [np.ascontiguousarray(r[world]).tobytes() for r in rows if r is not None]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from typing import Any
 
 import numpy as np
 
@@ -253,7 +254,8 @@ def hand_goals(
     rot = []
     score = []
     leaning = list(zip(tilts, leans, strict=True))
-    for (side, price), about, (tilt, lean) in itertools.product(_sides(any_side), turns, leaning):
+    ways: Any = itertools.product(_sides(any_side), turns, leaning)
+    for (side, price), about, (tilt, lean) in ways:
         stand = lean @ (about @ side)
         low = height_below(shape, stand)
         tips = tipped(shape, stand)

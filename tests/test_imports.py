@@ -25,7 +25,7 @@ ALLOWED: dict[str, frozenset[str]] = {
     "layout": frozenset({"core", "scenes", "robots"}),
     "sim": frozenset({"core", "scenes", "robots", "layout"}),
     "render": frozenset({"core", "scenes", "robots", "layout", "sim"}),
-    "config": frozenset({"core", "scenes", "tasks", "sim"}),
+    "config": frozenset({"core", "scenes", "tasks", "robots", "sim"}),
     "episodes": _WORLD | {"config"},
     "envs": _WORLD | {"render", "config", "episodes"},
     "experts": frozenset({"core", "tasks", "robots", "episodes", "envs"}),

@@ -11,6 +11,8 @@ from typing import Any, ClassVar
 
 from mjhab.config.profiles import DEFAULT_PROFILE, SPAWN_RULES, Profile, profile_named
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.robots.registry import DEFAULT_ROBOT, robot_named
+from mjhab.robots.robot import Robot
 from mjhab.scenes.spec import HANDLE_POINTS
 from mjhab.sim.backends import BACKENDS
 from mjhab.tasks.plan import KIND_NAMES, STILLNESS, TASKS, SubtaskConfig, TaskConfig
@@ -39,6 +41,7 @@ class EnvConfig:
 
     profile: which values the options have whose default is OF_PROFILE, and ``horizon`` 0; see `profiles.Profile`. With
     "ms_hab" they may not be given other values. Once the configuration is made they have their values.
+    robot: name of a robot, see `mjhab robots list`.
     task: HAB task. subtask: "" for the whole chain, or one kind of it, done alone to its horizon.
     target: restricts ``subtask`` (or the draw of targets) to an object type or a link; "" or "all" for any.
     split, home: homes to draw from, or one home by name (or a pattern such as ``v3_sc1_*``). assets: "builtin" or a
@@ -75,6 +78,7 @@ class EnvConfig:
     """Whether it is a configuration of `make_train`."""
 
     profile: str = DEFAULT_PROFILE
+    robot: str = DEFAULT_ROBOT
     task: str = "set_table"
     subtask: str = ""
     target: str = ""
@@ -117,7 +121,8 @@ class EnvConfig:
     def __post_init__(self) -> None:
         if self.target == "all":
             object.__setattr__(self, "target", "")
-        self._take_profile(profile_named(self.profile))
+        robot = robot_named(self.robot)
+        self._take_profile(profile_named(self.profile), robot)
         _known("task", self.task, TASKS)
         _known("split", self.split, SPLITS)
         _known("autoreset mode", self.autoreset, AUTORESET_MODES)
@@ -144,13 +149,15 @@ class EnvConfig:
         names = profile_named(self.profile).options(self.subtask, trains=self.trains)
         return {name: getattr(self, name) for name in ("profile", *names)}
 
-    def _take_profile(self, profile: Profile) -> None:
+    def _take_profile(self, profile: Profile, robot: Robot) -> None:
         """Give the options that depend on the profile their values.
 
         Raises:
             UsageError: one was given a value that contradicts a binding profile.
         """
-        for name, value in profile.options(self.subtask, trains=self.trains).items():
+        values = profile.options(self.subtask, trains=self.trains)
+        values["cameras"] = robot.camera_names if profile.cameras is None else profile.cameras
+        for name, value in values.items():
             given = getattr(self, name)
             missing = given is OF_PROFILE or (name == "horizon" and given == 0)
             if missing:
@@ -239,14 +246,17 @@ class TrainConfig(EnvConfig):
             raise UsageError(f"a SubtaskTrain environment needs a subtask: {', '.join(KIND_NAMES)}")
 
 
-def task_config(config: EnvConfig, rest_qpos: tuple[float, ...]) -> TaskConfig:
-    """The thresholds in force: those of the paper, changed by the options of ``config``.
+def task_config(config: EnvConfig, robot: Robot) -> TaskConfig:
+    """The thresholds in force for a robot: those of the paper, changed by the options of ``config``.
 
     Raises:
         UsageError: an override names no threshold, or its value has the wrong type.
     """
     base = TaskConfig(
-        rest_qpos=rest_qpos,
+        rest_qpos=robot.rest_qpos,
+        joints=robot.columns,
+        ee_rest_pos=robot.ee_rest_pos,
+        base_height=robot.base_height,
         continuous=config.runs_to_horizon,
         ignore_arm=config.teleports,
         stillness=config.stillness,
@@ -272,7 +282,7 @@ def _override(base: TaskConfig, changes: dict[str, Any], name: str, value: Any) 
     """Put one override into ``changes``, checked against the type of the present value."""
     group, _, part = name.partition(".")
     owner: Any = changes.get(group) if part else base
-    apart = (*KIND_NAMES, "rest_qpos", "continuous", "stillness")
+    apart = (*KIND_NAMES, "rest_qpos", "joints", "continuous", "stillness")
     plain = [f.name for f in dataclasses.fields(base) if f.name not in apart]
     nested = [f"{kind}.{f.name}" for kind in KIND_NAMES for f in dataclasses.fields(SubtaskConfig)]
     if name == "stillness":

@@ -21,6 +21,7 @@ from gymnasium.vector.utils import batch_space
 from mjhab.config.env import EnvConfig, task_config
 from mjhab.core.arrays import where_rows
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.joints import BASE_XY
 from mjhab.envs.parts.memory import check_memory
 from mjhab.envs.parts.nav_distance import NavDistance
 from mjhab.envs.parts.observing import Observer
@@ -40,7 +41,7 @@ from mjhab.episodes.starts import Start, StartMaker, check_target
 from mjhab.episodes.zones import with_zones
 from mjhab.layout.layout import Layout
 from mjhab.robots.controllers import check_actions, make_controller
-from mjhab.robots.fetch.model import REST_QPOS
+from mjhab.robots.registry import robot_named
 from mjhab.scenes.builtin.objects import roster
 from mjhab.scenes.packs import open_pack
 from mjhab.sim.mujoco.cpu import CpuSimulator
@@ -58,7 +59,7 @@ INDEX_STRIDE = 1 << 20
 class SequentialTaskEnv(VectorEnv):
     """HAB tasks on the CPU simulator. Build it with `mjhab.envs.make`.
 
-    Observations: the rows of `observer.table`, among them ``state`` (W, 42). Actions: (W, A), see ``action_table``.
+    Observations: the rows of `observer.table`, among them ``state``. Actions: (W, A), see ``action_table``.
     Reward: by ``config.reward``; "pointer" is the subtask pointer, as in MS-HAB.
 
     For reading: ``state``, ``signals``, ``progress``, ``focus`` are the present ones; ``judged`` are the signals that
@@ -69,9 +70,14 @@ class SequentialTaskEnv(VectorEnv):
         self.config = config
         self.num_envs = config.num_envs
         check_memory(config.num_envs)
-        self.task_config = task_config(config, REST_QPOS)
+        self.robot = robot_named(config.robot)
+        self.task_config = task_config(config, self.robot)
         self.controller = make_controller(
-            config.control_mode, config.num_envs, base=config.base, stationary=config.stationary
+            config.control_mode,
+            config.num_envs,
+            robot=self.robot,
+            base=config.base,
+            stationary=config.stationary,
         )
         self._open_world(config)
         self.starts = StartMaker(self.sim, config, self.task_config)
@@ -100,7 +106,7 @@ class SequentialTaskEnv(VectorEnv):
             config.reward_options,
             self.layout,
             self.sensing,
-            lambda inputs: self.nav.at(inputs.world.base_pose[:, :2]),
+            lambda inputs: self.nav.at(inputs.world.base_pose[:, BASE_XY]),
             [SubtaskKind[config.subtask.upper()]] if config.subtask else list(SubtaskKind),
         )
         self._set_spaces()
@@ -109,7 +115,8 @@ class SequentialTaskEnv(VectorEnv):
     def _open_world(self, config: EnvConfig) -> None:
         pack = open_pack(config.assets)
         file = read_hab(Path(config.episodes_file)) if config.episodes_file else None
-        self.layout = Layout(pack, file_roster(file, pack) if file else roster(config.task))
+        objects = file_roster(file, pack) if file else roster(config.task)
+        self.layout = Layout(pack, objects, self.robot)
         check_target(config, self.layout)
         self.sim = CpuSimulator(
             self.layout, config.num_envs, config.threads, self.controller.drives

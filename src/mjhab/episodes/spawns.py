@@ -14,11 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from mjhab.core.boxes import Boxes, sphere_box_distance
+from mjhab.core.joints import BASE
 from mjhab.core.rotations import mat_from_quat, pose_mul
-from mjhab.robots.controllers.actions import ARM_JOINTS
-from mjhab.robots.fetch.model import REST_QPOS
 from mjhab.robots.kinematics import wrap
-from mjhab.scenes.freespace import BASE_RADIUS, FreeMap, free_map
+from mjhab.scenes.freespace import FreeMap, free_map
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.scratch import Scratch
 
@@ -76,7 +75,7 @@ class SpawnGoal:
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """An object in the gripper: its slot and its pose (7,) in the frame of gripper_link.
+    """An object in the gripper: its slot and its pose (7,) in the frame of the tool centre.
 
     With ``grip``, a start counts only if the object passes this grasp test: see `Scratch.collision_free`.
     """
@@ -92,6 +91,9 @@ class SpawnSampler:
     def __init__(self, sim: CpuSimulator) -> None:
         self.sim = sim
         self.scratch = Scratch(sim)
+        self._robot = sim.layout.robot
+        self._radius = self._robot.footprint.spawn
+        self._arm = list(self._robot.arm_columns)
         self._homes = {home.name: home for home in sim.layout.pack.homes}
         self._maps: dict[str, FreeMap] = {}
         self._standing: dict[str, np.ndarray] = {}
@@ -107,7 +109,7 @@ class SpawnSampler:
         """(P, 2) centres [m] of the cells where the robot can stand."""
         if home not in self._standing:
             fmap = self.map(home)
-            self._standing[home] = fmap.to_xy(np.argwhere(fmap.navigable(BASE_RADIUS)))
+            self._standing[home] = fmap.to_xy(np.argwhere(fmap.navigable(self._radius)))
         return self._standing[home]
 
     def roomiest(self, home: str) -> np.ndarray:
@@ -150,7 +152,9 @@ class SpawnSampler:
         for rng in rngs:
             tries += 1
             base = self._sample_base(home, goal, candidates, rng)
-            arm_noise = np.clip(rng.normal(0, ARM_NOISE[0], 7), -ARM_NOISE[1], ARM_NOISE[1])
+            arm_noise = np.clip(
+                rng.normal(0, ARM_NOISE[0], len(self._arm)), -ARM_NOISE[1], ARM_NOISE[1]
+            )
             found = None if base is None else self._apply(home, qpos, base, arm_noise, held)
             if found is not None:
                 return found, tries
@@ -160,7 +164,9 @@ class SpawnSampler:
         self, home: str, qpos: np.ndarray, xy: np.ndarray, goal: SpawnGoal, held: Held | None = None
     ) -> np.ndarray | None:
         """The state with the robot at ``xy`` (2,) in its rest pose, facing the goal; None when it touches something."""
-        return self._apply(home, qpos, np.array([*xy, self._heading(xy, goal)]), np.zeros(7), held)
+        return self._apply(
+            home, qpos, np.array([*xy, self._heading(xy, goal)]), np.zeros(len(self._arm)), held
+        )
 
     def fallback(
         self, home: str, qpos: np.ndarray, goal: SpawnGoal, held: Held | None = None
@@ -209,7 +215,7 @@ class SpawnSampler:
             return None
         cell = candidates[int(rng.integers(len(candidates)))]
         xy = cell + noise
-        if self.map(home).clearance_at(xy) < BASE_RADIUS - 0.02 or not goal.allows(xy, goal.slack):
+        if self.map(home).clearance_at(xy) < self._radius - 0.02 or not goal.allows(xy, goal.slack):
             return None
         if goal.face is None:
             return np.array([*xy, rng.uniform(*goal.yaw)])
@@ -245,9 +251,9 @@ class SpawnSampler:
     ) -> np.ndarray:
         a = self.sim.addresses
         out = qpos.copy()
-        robot = out[a.robot_q].copy() if held else np.array(REST_QPOS, dtype=np.float64)
-        robot[:3] = base
-        robot[list(ARM_JOINTS)] += arm_noise
+        robot = out[a.robot_q].copy() if held else self._robot.rest.copy()
+        robot[BASE] = base
+        robot[self._arm] += arm_noise
         out[a.robot_q] = robot
         if held is not None:
             start = a.object_q[held.slot]

@@ -26,8 +26,6 @@ from mjhab.episodes.spawns import (
     SpawnSampler,
 )
 from mjhab.layout.layout import Layout
-from mjhab.robots.controllers.table import ARM_JOINTS
-from mjhab.robots.fetch.model import REST_QPOS
 from mjhab.scenes.spec import Home
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.settle import parked_robot_qpos
@@ -258,7 +256,7 @@ class StartMaker:
     def _episode_qpos(self, episode: Episode) -> np.ndarray:
         a = self.sim.addresses
         qpos = self.sim.model(episode.home).qpos0.copy()
-        qpos[a.robot_q] = parked_robot_qpos()
+        qpos[a.robot_q] = parked_robot_qpos(self.layout.robot)
         qpos[a.object_q[:, None] + np.arange(7)] = episode.object_pose
         qpos[a.link_q] = episode.link_q
         return qpos
@@ -418,16 +416,16 @@ class StartMaker:
     def _hold(self, rng: np.random.Generator, subtask: Subtask, qpos: np.ndarray) -> Held:
         slot = self.layout.object_names.index(subtask.obj)
         kind = self.layout.roster[slot]
-        robot = np.array(REST_QPOS, dtype=np.float64)
+        robot = self.layout.robot.rest.copy()
         if self.published:
             arms = self.arms.arms(kind)
             chosen = arms[int(rng.integers(len(arms)))]
-            robot[list(ARM_JOINTS)] = chosen.arm
+            robot[list(self.layout.robot.arm_columns)] = chosen.arm
             grasp = chosen.grasp
         else:
             grasps = self.held.grasps(kind)
             grasp = grasps[int(rng.integers(len(grasps)))]
-        robot[13:15] = grasp.fingers
+        robot[self.layout.robot.columns.fingers] = grasp.fingers
         qpos[self.sim.addresses.robot_q] = robot
         return Held(slot, grasp.pose, (self.task_config.grasp_force, self.task_config.grasp_angle))
 

@@ -17,7 +17,6 @@ from mjhab.experts.skills.navigate import navigate
 from mjhab.experts.skills.pick import pick
 from mjhab.experts.skills.place import place
 from mjhab.experts.style import Manner, StyledView
-from mjhab.robots.controllers.actions import ACTION_DIM
 from mjhab.tasks.plan import SubtaskKind
 from mjhab.tasks.style import Styles, recorded
 
@@ -42,7 +41,7 @@ SCRIPTS: dict[SubtaskKind, Callable[[WorldView], Script]] = {
 
 
 class ExpertPolicy:
-    """Scripted whole-body experts for every subtask, with privileged state, acting through the 13-D action."""
+    """Scripted whole-body experts for every subtask, with privileged state, in the default control mode."""
 
     name = "expert"
 
@@ -53,7 +52,8 @@ class ExpertPolicy:
         self._manners: list[Manner | None] = [None] * env.num_envs
         self._scripts: list[Script | None] = [None] * env.num_envs
         self._tokens: list[tuple[int, int, int] | None] = [None] * env.num_envs
-        self._last = np.zeros((env.num_envs, ACTION_DIM), np.float32)
+        self._columns = env.layout.robot.action
+        self._last = np.zeros((env.num_envs, self._columns.dim), np.float32)
         self._wished = self._last.copy()
         self._intended = self._last.copy()
 
@@ -67,7 +67,7 @@ class ExpertPolicy:
         return {} if self._styles.plain else recorded(self._views[world].style)
 
     def act(self, obs: Any, info: Mapping[str, Any], mask: np.ndarray | None = None) -> np.ndarray:
-        """Actions (W, 13) for the present state of the environment; those of worlds outside ``mask`` (W,) are old."""
+        """Actions (W, A) for the present state of the environment; those of worlds outside ``mask`` (W,) are old."""
         for w, view in enumerate(self._views):
             if mask is None or mask[w]:
                 self._intended[w], self._last[w] = self._next(w, view)
@@ -78,10 +78,10 @@ class ExpertPolicy:
         return ActionNotes.plain(self._intended.copy(), self.name)
 
     def _next(self, w: int, view: StyledView) -> tuple[np.ndarray, np.ndarray]:
-        """The intended and the executed action (13,) of a world."""
+        """The intended and the executed action (A,) of a world."""
         subtask = view.subtask
         if subtask is None or view.done:
-            still = np.zeros(ACTION_DIM, np.float32)
+            still = np.zeros(self._columns.dim, np.float32)
             return still, still
         manner = self._manner(w, view)
         token = view.token
@@ -107,7 +107,9 @@ class ExpertPolicy:
         if manner is None:
             seed, index, _ = view.token
             view.style = self._styles.draw(seed, index)
-            self._manners[w] = manner = Manner(view.style, stream(seed, "style", "actions", index))
+            self._manners[w] = manner = Manner(
+                view.style, self._columns, stream(seed, "style", "actions", index)
+            )
         return manner
 
     def _from_script(self, w: int, view: StyledView) -> np.ndarray:
@@ -117,6 +119,6 @@ class ExpertPolicy:
             return next(script)
         except StopIteration:
             # A script that ends has nothing better to do than to stay at rest with its grip unchanged.
-            rest = motion.stay_at_rest(view, gripper=float(self._last[w, 7]))
+            rest = motion.stay_at_rest(view, gripper=float(self._last[w, self._columns.gripper]))
             self._scripts[w] = rest
             return next(rest)

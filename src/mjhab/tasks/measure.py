@@ -13,6 +13,7 @@ from typing import Protocol
 
 from mjhab.core.arrays import Array, constant, count, dot3, namespace, norm3, pick_column, pile
 from mjhab.core.errors import UsageError
+from mjhab.core.joints import BASE, BASE_XY, BASE_YAW
 from mjhab.tasks.plan import PADDING, PlanArrays, SubtaskKind, TaskConfig
 from mjhab.tasks.success import CHECKS, masks
 
@@ -40,9 +41,9 @@ class WorldState:
     base_pose: Array
     """(W, 3) x, y [m] and yaw [rad] of the base."""
     robot_q: Array
-    """(W, 15) joint positions in the order of ``FETCH_JOINTS``."""
+    """(W, J) joint positions: base, posture, fingers."""
     robot_qd: Array
-    """(W, 15) joint velocities."""
+    """(W, J) joint velocities."""
     tcp_pos: Array
     """(W, 3) tool centre between the fingers."""
     finger_force: Array
@@ -54,7 +55,7 @@ class WorldState:
     target_contact: Array
     """(W,) bool: any robot link touches the active target."""
     ee_contact: Array
-    """(W,) bool: the end effector (fingers or gripper_link) touches the active target."""
+    """(W,) bool: the end effector (fingers or hand) touches the active target."""
     plan_obj_pos: Array
     """(W, S, 3) position of the object of every subtask of the plan, zeros if it has none."""
     joint_q: Array
@@ -94,7 +95,7 @@ class Signals:
     touch: Array
     """Any robot link touches the target."""
     ee_contact: Array
-    """The end effector (fingers or gripper_link) touches the target: ``F_ee,a`` of MS-HAB paper App. A.6."""
+    """The end effector (fingers or hand) touches the target: ``F_ee,a`` of MS-HAB paper App. A.6."""
     robot_force: Array
     """(W,) [N]."""
     target_force: Array
@@ -135,7 +136,7 @@ class Active:
     must_hold: Array
     """(W,) bool: a Navigate that carries an object."""
     rest_tol: Array
-    """(W, 10) how far torso, head and arm may be from rest: with an object in the hand they may give way."""
+    """(W, P) how far torso, head and arm may be from rest: with an object in the hand they may give way."""
     force_limit: Array
     """(W,) [N x control steps], infinite once the plan is finished."""
     unfinished: Array
@@ -154,7 +155,7 @@ def active_entries(plan: PlanArrays, pointer: Array, config: TaskConfig) -> Acti
     must_hold = pick_column(plan.must_hold, index) & navigate
     goal_pos = pick_column(plan.goal_pos, index)
     loose = (kind == int(SubtaskKind.PICK)) | must_hold
-    tight = constant((config.torso_tol,) + (config.arm_tol,) * 9, goal_pos)
+    tight = constant(config.rest_tolerances, goal_pos)
     order = count(plan.kind.shape[1], pointer)
     # A finished plan has kind -1, which reads the last entry: no limit.
     limits = constant((*config.force_limits, math.inf), goal_pos)
@@ -241,15 +242,19 @@ def _rest(state: WorldState, cos: Array, sin: Array, config: TaskConfig) -> Arra
 def _stillness(state: WorldState, tolerance: Array, config: TaskConfig) -> tuple[Array, Array]:
     """Torso, head and arm near rest; and base, torso, head and arm not moving. Returns two (W,) bool.
 
-    ``tolerance`` (W, 10): how far the joints may be from rest.
+    ``tolerance`` (W, P): how far the joints of the posture may be from rest.
     """
     xp = namespace(tolerance)
+    posture = config.joints.posture
+    count = posture.stop - posture.start
     near_rest = (
-        xp.abs(state.robot_q[:, 3:13] - constant(config.rest_qpos[3:13], state.robot_q))
+        xp.abs(state.robot_q[:, posture] - constant(config.rest_qpos[posture], state.robot_q))
         <= tolerance
     )
-    limits = constant((config.static_base_speed,) * 3 + (config.static_speed,) * 10, state.robot_qd)
-    speed = state.robot_qd[:, :13]
+    limits = constant(
+        (config.static_base_speed,) * BASE.stop + (config.static_speed,) * count, state.robot_qd
+    )
+    speed = state.robot_qd[:, config.joints.body]
     if config.stillness == "absolute":
         speed = xp.abs(speed)
     slow = speed <= limits
@@ -261,7 +266,7 @@ def _arrival(
 ) -> tuple[Array, Array]:
     """Near the navigation goal (and inside its box), and facing it. Returns two (W,) bool."""
     xp = namespace(state.base_pose)
-    position = state.base_pose[:, :2]
+    position = state.base_pose[:, BASE_XY]
     to_goal = active.goal_pos[:, :2] - position
     dx = to_goal[:, 0]
     dy = to_goal[:, 1]
@@ -308,7 +313,7 @@ def measure(
     if active is None:
         active = active_entries(plan, progress.pointer, config)
     xp = namespace(state.base_pose)
-    yaw = state.base_pose[:, 2]
+    yaw = state.base_pose[:, BASE_YAW]
     cumulative = progress.cumulative_force
     cos = xp.cos(yaw)
     sin = xp.sin(yaw)

@@ -53,7 +53,7 @@ def _open(
         "reach": view.handle_distance,
         "posture": posture_error(world, config),
         "rest": rest_distance(world, config),
-        "still": joint_speed(world),
+        "still": joint_speed(world, config),
     }
     raw = near(_OPEN_SHARPNESS, distances)
     way = view.open_frac * (world.joint_max - world.joint_min)
@@ -138,7 +138,7 @@ def _close(
         "posture_far": posture,
         "rest": rest,
         "rest_near": rest,
-        "still": joint_speed(world),
+        "still": joint_speed(world, config),
     }
     raw = near(_CLOSE_SHARPNESS, distances)
     raw["posture"] = raw["posture_closed"] = (raw["posture"] + raw["posture_far"]) / 2

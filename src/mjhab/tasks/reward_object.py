@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from mjhab.core.arrays import Array, namespace
+from mjhab.core.joints import BASE
 from mjhab.tasks.plan import SubtaskKind, TaskConfig
 from mjhab.tasks.reward_table import (
     ALWAYS,
@@ -16,6 +17,7 @@ from mjhab.tasks.reward_table import (
     near,
     posture_error,
     rest_distance,
+    torso_speed,
 )
 
 FORCE_PER_NEWTON = 0.001
@@ -63,7 +65,7 @@ def _pick(view: RewardView, config: TaskConfig) -> tuple[dict[str, Array], dict[
     signals = view.signals
     xp = namespace(world.tcp_pos)
     delta = world.tcp_pos - view.object_pos
-    distance, hand_speed, base_speed = lengths(delta, view.tcp_vel, world.robot_qd[:, :3])
+    distance, hand_speed, base_speed = lengths(delta, view.tcp_vel, world.robot_qd[:, BASE])
     x = delta[:, 0]
     y = delta[:, 1]
     distances = {
@@ -71,11 +73,13 @@ def _pick(view: RewardView, config: TaskConfig) -> tuple[dict[str, Array], dict[
         "slow_hand": hand_speed,
         "posture": posture_error(world, config),
         "force": force_excess(signals.robot_force, FORCE_PER_NEWTON),
-        "torso_still": xp.where(distance < TORSO_FREE_RANGE, 0.0, xp.abs(world.robot_qd[:, 3])),
+        "torso_still": xp.where(
+            distance < TORSO_FREE_RANGE, 0.0, xp.abs(torso_speed(world, config))
+        ),
         "above": xp.sqrt(x * x + y * y),
         "rest": rest_distance(world, config),
         "base_still": base_speed,
-        "still": joint_speed(world),
+        "still": joint_speed(world, config),
     }
     raw = near(_PICK_SHARPNESS, distances)
     raw["posture_holding"] = raw["posture"]
@@ -160,20 +164,20 @@ def _place(view: RewardView, config: TaskConfig) -> tuple[dict[str, Array], dict
         from_goal,
         hand,
         view.tcp_vel,
-        world.robot_qd[:, :3],
+        world.robot_qd[:, BASE],
     )
     distances = {
         "slow_hand": hand_speed,
         "slow_object": xp.where(signals.is_grasped, 0.0, linear + angular),
         "force": force_excess(signals.robot_force, FORCE_PER_NEWTON),
-        "torso_not_sinking": above_zero(-world.robot_qd[:, 3]),
+        "torso_not_sinking": above_zero(-torso_speed(world, config)),
         "transport": object_way,
         "hand": hand_way,
         "height": xp.abs(from_goal[:, 2] - GOAL_RISE) + xp.abs(hand[:, 2] - GOAL_RISE),
         "rest": rest_distance(world, config),
         "posture": posture_error(world, config),
         "base_still": base_speed,
-        "still": joint_speed(world),
+        "still": joint_speed(world, config),
     }
     raw = near(_PLACE_SHARPNESS, distances)
     raw["transport"] = (raw["transport"] + raw["hand"]) / 2

@@ -18,7 +18,7 @@ from mjhab.scenes.builtin.objects import SIZES, roster
 from mjhab.scenes.packs import open_pack
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.scratch import Scratch
-from mjhab.tasks.plan import TaskConfig
+from tests.tasks.build import config_of
 
 APPLE = "013_apple"
 BOWL = "024_bowl"
@@ -30,7 +30,7 @@ def sim() -> CpuSimulator:
 
 
 def library(sim: CpuSimulator, harvested: bool = False) -> HeldStarts:
-    return HeldStarts(sim, TaskConfig(rest_qpos=REST_QPOS), Scratch(sim), harvested)
+    return HeldStarts(sim, config_of(REST_QPOS), Scratch(sim), harvested)
 
 
 @pytest.fixture

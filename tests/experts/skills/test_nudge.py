@@ -17,6 +17,7 @@ from mjhab.experts.arm import motion
 from mjhab.experts.planning.reach import Scene
 from mjhab.experts.skills import pick
 from mjhab.experts.skills.nudge import HAND, Graspable, _goals, _pushes, outline, plan_nudge
+from mjhab.robots.fetch.robot import ROBOT
 
 BOX = ObjectShape("box", (0.036, 0.082, 0.107))
 INWARD = np.array([1.0, 0.0])
@@ -27,7 +28,7 @@ ACROSS = np.array([0.0, 0.0, 0.107, 1.0, 0.0, 0.0, 0.0])
 def shelf(*others: tuple[float, float, float]) -> Scene:
     """A bare shelf with cubes of 6 cm at some places."""
     boxes = Boxes.of(np.array(others).reshape(-1, 3), np.full((len(others), 3), 0.03))
-    return Scene(boxes, Boxes.of(np.zeros((0, 3)), np.zeros((0, 3))), 0.0)
+    return Scene(boxes, Boxes.of(np.zeros((0, 3)), np.zeros((0, 3))), 0.0, ROBOT)
 
 
 def turned_by(least: float) -> Graspable:

@@ -69,7 +69,7 @@ class DeviceEnv(VectorEnv):
         self.config = config
         self.num_envs = config.num_envs
         check_device_memory(
-            config.num_envs, config.obs_mode, config.camera_size, config.device, config.cameras
+            config.num_envs, config.obs_mode, config.camera_size, config.device, len(config.cameras)
         )
         alone = dataclasses.replace(config, num_envs=1, backend="cpu", autoreset="disabled")
         self._host = (
@@ -98,7 +98,12 @@ class DeviceEnv(VectorEnv):
         config = self.config
         count = self.num_envs
         self.controller = make_controller(
-            config.control_mode, count, base=config.base, stationary=config.stationary, like=like
+            config.control_mode,
+            count,
+            robot=self.layout.robot,
+            base=config.base,
+            stationary=config.stationary,
+            like=like,
         )
         self.sensing = Sensing(self.layout, self.sim.addresses, count, like, config.handle_points)
         self.observer = DeviceObserver(self.sim, self.sensing, self._host.observer)

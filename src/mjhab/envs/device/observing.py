@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import torch
 
+from mjhab.core.joints import BASE
 from mjhab.envs.observations import (
     CAMERA_OUTPUTS,
     POINTCLOUD,
-    STATE_TABLE,
     Views,
     intrinsic_matrix,
     state_observation,
+    state_table,
 )
 from mjhab.envs.parts.observing import Observer
 from mjhab.envs.parts.plan_tables import Focus
@@ -33,14 +34,18 @@ class DeviceObserver:
 
     def __init__(self, sim: WarpSimulator, sensing: Sensing, host: Observer) -> None:
         self._sensing = sensing
-        self._rows = host.table[len(STATE_TABLE) :]
+        robot = sim.layout.robot
+        self._robot = robot
+        self._rows = host.table[len(state_table(robot)) :]
         self.cameras = None
         if host.outputs:
             from mjhab.render.warp.cameras import WarpCameras
 
             drawn = CAMERA_OUTPUTS if POINTCLOUD in host.outputs else host.outputs
             self.cameras = WarpCameras(sim, host.cameras, host.size, drawn)
-            matrices = [torch.as_tensor(intrinsic_matrix(name, host.size)) for name in host.cameras]
+            matrices = [
+                torch.as_tensor(intrinsic_matrix(robot, name, host.size)) for name in host.cameras
+            ]
             self._intrinsic = torch.stack(matrices).to(sim.qpos)
 
     def observe(
@@ -52,11 +57,11 @@ class DeviceObserver:
             state, focus, signals: of the present.
             changed: (W,) bool, worlds whose state is another than in the last call; None where all may have moved.
         """
-        obs = state_observation(self._sensing.context(state, focus, signals))
+        obs = state_observation(self._robot, self._sensing.context(state, focus, signals))
         if self.cameras is None:
             return obs
         images = self.cameras.draw(changed)
         pos, mat = self.cameras.poses()
-        views = Views(images, pos, mat, state.robot_q[:, :3], self._intrinsic)
+        views = Views(self._robot, images, pos, mat, state.robot_q[:, BASE], self._intrinsic)
         # The renderer draws into the same memory again.
         return obs | {entry.key: entry.compute(views).clone() for entry in self._rows}

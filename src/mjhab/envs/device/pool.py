@@ -37,7 +37,7 @@ def pool_size(config: EnvConfig) -> int:
 
 @dataclass(frozen=True, eq=False)
 class _Made:
-    """One start on the host: landing joints (S, 15), and whether each was for want of a better place (S,)."""
+    """One start on the host: landing joints (S, J), and whether each was for want of a better place (S,)."""
 
     episode: Episode
     start: Start
@@ -54,7 +54,7 @@ class StartPool:
         qpos: (P, nq) states; where a chain begins with a teleport, those after it.
         ctrl, rings, home_rows: (P, ...) commands, sleep and homes, see `WarpSimulator.reset_masked`.
         fallback: (P,) bool, the robot stands where nothing better was found.
-        landings, landing_fallback: (P, S, 15) and (P, S) of `find_landings`.
+        landings, landing_fallback: (P, S, J) and (P, S) of `find_landings`.
         field_index: (P, S) int64, field of ``fields`` that leads to the goal of the subtask, -1 for none.
         fields: way to the goals of Navigate, None where no reward asks for it.
 

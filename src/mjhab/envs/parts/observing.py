@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 
 from mjhab.core.arrays import map_record
+from mjhab.core.joints import BASE
 from mjhab.envs.observations import (
-    CAMERA_KEYS,
     CAMERA_OUTPUTS,
     POINTCLOUD,
-    STATE_TABLE,
     Views,
     camera_names,
     describe,
@@ -21,6 +20,7 @@ from mjhab.envs.observations import (
     mode_outputs,
     observation_table,
     state_observation,
+    state_table,
     table_space,
 )
 from mjhab.envs.parts.plan_tables import Focus
@@ -41,7 +41,8 @@ class Observer:
     Args:
         sim: worlds to look into. sensing: of the same layout.
         mode: parts of OBS_MODES joined by "+", e.g. "state", "rgbd+seg".
-        cameras: names of CAMERA_KEYS, one or several; the order is that of the points in a point cloud.
+        cameras: names of the robot's cameras, one or several, all if None; the order is that of the
+            points in a point cloud.
         size: side of the images [px], or (height, width). The vertical field of view stays as it is.
         threads: of the renderer, over images; 0 takes every core.
 
@@ -56,22 +57,26 @@ class Observer:
         sim: CpuSimulator,
         sensing: Sensing,
         mode: str = "state",
-        cameras: str | Sequence[str] = CAMERA_KEYS,
+        cameras: str | Sequence[str] | None = None,
         size: int | Sequence[int] = 128,
         threads: int = 0,
     ) -> None:
+        robot = sim.layout.robot
         self._sim = sim
+        self._robot = robot
         self._sensing = sensing
         self._threads = threads
         self.outputs = mode_outputs(mode)
-        self.cameras = camera_names(cameras)
+        self.cameras = camera_names(robot, robot.camera_names if cameras is None else cameras)
         self.size = image_size(size)
-        self.table = observation_table(self.outputs, self.cameras, self.size)
-        self.single_space = table_space(self.table)
-        self._camera_rows = self.table[len(STATE_TABLE) :]
+        self.table = observation_table(robot, self.outputs, self.cameras, self.size)
+        self.single_space = table_space(robot, self.table)
+        self._camera_rows = self.table[len(state_table(robot)) :]
         # A point cloud is made of all three.
         self._drawn = CAMERA_OUTPUTS if POINTCLOUD in self.outputs else self.outputs
-        self._intrinsic = np.stack([intrinsic_matrix(name, self.size) for name in self.cameras])
+        self._intrinsic = np.stack(
+            [intrinsic_matrix(robot, name, self.size) for name in self.cameras]
+        )
         self._renderer: HomeRenderer | None = None
 
     @property
@@ -88,7 +93,7 @@ class Observer:
 
     def describe(self) -> list[dict[str, Any]]:
         """Rows of the table: key, shape, dtype, unit, frame, meaning."""
-        return describe(self.table)
+        return describe(self._robot, self.table)
 
     def observe(
         self,
@@ -109,7 +114,7 @@ class Observer:
             known: observations made before of all worlds but those in ``changed`` (W,) bool, for which alone pictures
                 are drawn.
         """
-        obs = state_observation(self._sensing.context(state, focus, signals))
+        obs = state_observation(self._robot, self._sensing.context(state, focus, signals))
         if self.outputs:
             if known is None or changed is None:
                 return obs | self.draw(state, homes)
@@ -126,5 +131,5 @@ class Observer:
         """What cameras see, and what is made of it, in the worlds of ``state``."""
         pos, mat = self.renderer.camera_poses(state, self.cameras)
         images = self.renderer.robot_views(state, homes, self.size, self._drawn, self.cameras)
-        views = Views(images, pos, mat, state.robot_q[:, :3], self._intrinsic)
+        views = Views(self._robot, images, pos, mat, state.robot_q[:, BASE], self._intrinsic)
         return {entry.key: entry.compute(views) for entry in self._camera_rows}

@@ -12,19 +12,11 @@ from mjhab.core.rotations import mat_from_quat, quat_from_axis_angle
 from mjhab.envs.parts.worlds import Worlds
 from mjhab.layout.layout import Layout, compose
 from mjhab.layout.receptacles import PlacedReceptacle, placed_receptacles
-from mjhab.robots.fetch import model as fetch
-from mjhab.robots.fetch.geometry import COLLISION
+from mjhab.robots.robot import Robot
 from mjhab.scenes.freespace import free_map
 from mjhab.scenes.shapes.hulls import boxed_hull
 from mjhab.scenes.spec import Geom, Handle, Home, Link, ObjectType, Pack, Placement
 from mjhab.tasks.plan import Subtask, TaskConfig
-
-REST_QPOS = np.array(fetch.REST_QPOS)
-KINEMATIC_TREE = fetch.KINEMATIC_TREE
-FETCH_JOINTS = fetch.FETCH_JOINTS
-ROBOT_GEOMS = COLLISION
-TRUNK_LINKS = fetch.TRUNK_LINKS
-DISTAL_LINKS = fetch.DISTAL_LINKS
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,9 +69,12 @@ class JointedLink:
 
 @dataclass(frozen=True, eq=False)
 class HomeShapes:
-    """Static shapes of a home: boxes that collide (floor left out), links, receptacles, free-space map arrays."""
+    """Static shapes of a home: boxes that collide (floor left out), links, receptacles, free-space map arrays.
+
+    ``robot``: who works in it."""
 
     name: str
+    robot: Robot
     boxes: BoxArrays
     links: dict[str, JointedLink]
     receptacles: tuple[PlacedReceptacle, ...]
@@ -130,18 +125,23 @@ class WorldView:
         return home_shapes(self._env.layout, self._env.homes[self.world])
 
     @property
+    def robot(self) -> Robot:
+        """The robot of this world."""
+        return self._env.layout.robot
+
+    @property
     def q(self) -> np.ndarray:
-        """(15,) joint positions, FETCH_JOINTS order; the first three are base x, y, yaw in the world."""
+        """(J,) joint positions: base x, y, yaw in the world, then posture and fingers."""
         return self._env.state.robot_q[self.world].copy()
 
     @property
     def qd(self) -> np.ndarray:
-        """(15,) joint velocities."""
+        """(J,) joint velocities."""
         return self._env.state.robot_qd[self.world].copy()
 
     @property
     def tcp_pose(self) -> np.ndarray:
-        """(7,) world pose of gripper_link."""
+        """(7,) world pose of the tool centre."""
         return self._env.sensing.tcp_pose(self._env.state)[self.world]
 
     @property
@@ -179,7 +179,7 @@ class WorldView:
 
     @property
     def link_forces(self) -> np.ndarray:
-        """(K,) contact force [N] on each robot link without fingers (fetch.FORCE_LINKS)."""
+        """(K,) contact force [N] on each robot link without fingers (`Robot.force_links`)."""
         return self._env.state.link_force[self.world].copy()
 
     def object_boxes(self, leave_out: tuple[str, ...] = ()) -> BoxArrays:
@@ -208,6 +208,7 @@ def home_shapes(layout: Layout, name: str) -> HomeShapes:
     fmap = free_map(home, layout.pack)
     return HomeShapes(
         name,
+        layout.robot,
         _static_boxes(layout, home),
         _links(layout, home),
         placed_receptacles(layout, home),

@@ -24,7 +24,7 @@ from mjhab.episodes.grasps.candidates import Grasps, ObjectShape, grasp_candidat
 from mjhab.layout.compile import home_hash
 from mjhab.scenes.spec import ObjectType
 from mjhab.sim.mujoco.cpu import CpuSimulator
-from mjhab.sim.mujoco.scratch import FINGER_JOINTS, FINGER_MAX, Scratch
+from mjhab.sim.mujoco.scratch import Scratch
 from mjhab.sim.mujoco.settle import parked_robot_qpos
 from mjhab.tasks.plan import TaskConfig
 
@@ -73,7 +73,7 @@ def spread(candidates: Grasps, count: int) -> Iterator[int]:
 
 @dataclass(frozen=True, eq=False)
 class HeldGrasp:
-    """A stable grasp: object pose (7,) in the frame of gripper_link, finger position [m]."""
+    """A stable grasp: object pose (7,) in the frame of the tool centre, finger position [m]."""
 
     pose: np.ndarray
     fingers: float
@@ -93,6 +93,7 @@ class HeldStarts:
         self, sim: CpuSimulator, config: TaskConfig, scratch: Scratch, harvested: bool = False
     ) -> None:
         self.layout = sim.layout
+        self.robot = sim.layout.robot
         self.config = config
         self.scratch = scratch
         self.harvested = harvested
@@ -116,7 +117,7 @@ class HeldStarts:
 
         Args:
             kind: object type.
-            pose: (7,) object pose in the frame of gripper_link.
+            pose: (7,) object pose in the frame of the tool centre.
             fingers: finger position [m].
 
         Returns:
@@ -136,8 +137,9 @@ class HeldStarts:
             raise UsageError(
                 f"a grasp needs the pose x, y, z, w, x, y, z of the object in the gripper, got {pose}"
             )
-        if not 0.0 <= fingers <= FINGER_MAX:
-            raise UsageError(f"fingers must be between 0 and {FINGER_MAX} m, got {fingers}")
+        most = self.robot.finger_max
+        if not 0.0 <= fingers <= most:
+            raise UsageError(f"fingers must be between 0 and {most} m, got {fingers}")
         grasp = self._try(kind, pose_inv(pose), 2 * fingers)
         if grasp is None:
             return None
@@ -194,7 +196,9 @@ class HeldStarts:
 
     def _search(self, kind: str) -> list[HeldGrasp]:
         shape = shape_of(self.layout.pack.objects[kind])
-        candidates = grasp_candidates(shape, np.zeros(3), _UPRIGHT, support_z=-shape.half[2])
+        candidates = grasp_candidates(
+            shape, np.zeros(3), _UPRIGHT, support_z=-shape.half[2], gripper=self.robot.gripper
+        )
         steep = candidates.rot[:, 2, 0] <= -np.cos(MAX_SLANT)
         if steep.any():
             candidates = candidates.take(steep)
@@ -214,13 +218,15 @@ class HeldStarts:
         """A stable grasp as it settles in another posture; None if it does not hold there or the robot touches itself.
 
         Args:
-            robot: (15,) joint positions, those of the fingers aside; the base away from every home.
+            robot: (J,) joint positions, those of the fingers aside; the base away from every home.
         """
         held = self._try(kind, pose_inv(grasp.pose), 2 * grasp.fingers, robot)
         if held is None:
             return None
         slot = self.layout.roster.index(kind)
-        state = self.scratch.holding(slot, _with_fingers(robot, held.fingers), pose_inv(held.pose))
+        state = self.scratch.holding(
+            slot, self._with_fingers(robot, held.fingers), pose_inv(held.pose)
+        )
         grip = (self.config.grasp_force, self.config.grasp_angle)
         return (
             held
@@ -228,18 +234,24 @@ class HeldStarts:
             else None
         )
 
+    def _with_fingers(self, robot: np.ndarray, fingers: float) -> np.ndarray:
+        """Joint positions (J,) with both fingers at a position [m]."""
+        out = robot.copy()
+        out[self.robot.columns.fingers] = fingers
+        return out
+
     def _try(
         self, kind: str, tcp: np.ndarray, width: float, robot: np.ndarray | None = None
     ) -> HeldGrasp | None:
         """Try a grasp: pose ``tcp`` (7,) of the tool centre in the object's frame, distance of the pads [m].
 
-        ``robot``: (15,) joint positions, those of the fingers aside; at rest if None.
+        ``robot``: (J,) joint positions, those of the fingers aside; at rest if None.
         """
         slot = self.layout.roster.index(kind)
         force = self.config.grasp_force
         angle = self.config.grasp_angle
-        robot = parked_robot_qpos() if robot is None else robot
-        open_hand = _with_fingers(robot, min(0.5 * width + 0.001, FINGER_MAX))
+        robot = parked_robot_qpos(self.robot) if robot is None else robot
+        open_hand = self._with_fingers(robot, min(0.5 * width + 0.001, self.robot.finger_max))
         held = self.scratch.try_grasp(
             slot, tcp, open_hand, HOLD_SECONDS, force, STEADY_SHARE * angle
         )
@@ -248,13 +260,6 @@ class HeldStarts:
             if held is not None and np.linalg.norm(held[0][:3]) <= MAX_OFFSET
             else None
         )
-
-
-def _with_fingers(robot: np.ndarray, fingers: float) -> np.ndarray:
-    """Joint positions (15,) with both fingers at a position [m]."""
-    out = robot.copy()
-    out[FINGER_JOINTS] = fingers
-    return out
 
 
 def _save(path: Path, grasps: list[HeldGrasp]) -> None:

@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 
 from mjhab.core.errors import unknown_name
+from mjhab.robots.parts import Gripper
 from mjhab.scenes.builtin.objects import BOWL_FACETS
 
 Array = np.ndarray
@@ -30,26 +31,6 @@ CHORD_PLAY = 0.0015
 """Room [m] left on both sides by pads that come down around a chord of a can too wide to go around."""
 UPRIGHT = 0.97
 """Least cosine between an edge and the vertical."""
-
-
-@dataclass(frozen=True)
-class Gripper:
-    """Sizes of Fetch's gripper (mani_skill/assets/robots/fetch, bounds of its meshes).
-
-    Fingers reach ``finger`` (x, z) to both sides of the origin and are ``thickness`` thick; the hand's body lies
-    between ``palm_x``; ``palm_half`` are its half-extents (y, z). ``usable``: widest object taken between the pads,
-    somewhat less than their widest opening ``opening``; ``play``: room left on both sides by fingertips that come to
-    meet something wider; ``blunt``: end of the pads that is round and does not count where they lie on flat sides.
-    """
-
-    finger: tuple[float, float] = (0.030, 0.0132)
-    thickness: float = 0.0144
-    palm_x: tuple[float, float] = (-0.154, -0.032)
-    palm_half: tuple[float, float] = (0.063, 0.040)
-    opening: float = 0.0985
-    usable: float = 0.092
-    play: float = 0.0007
-    blunt: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -12,24 +12,13 @@ from typing import Literal
 
 import numpy as np
 
+from mjhab.core.joints import BASE
 from mjhab.robots.kinematics import Chain, limited_step, rotate, rotation_vector, wrap
 
 Array = np.ndarray
 Mode = Literal["pose", "approach", "closing", "position"]
 """Which orientation counts: all of it, only the gripper's x axis, only its y axis (the fingers' line), or none."""
 
-ARM = (
-    "shoulder_pan_joint",
-    "shoulder_lift_joint",
-    "upperarm_roll_joint",
-    "elbow_flex_joint",
-    "forearm_roll_joint",
-    "wrist_flex_joint",
-    "wrist_roll_joint",
-)
-"""Arm joints in the order of the action's first seven numbers."""
-TORSO = "torso_lift_joint"
-BASE = ("root_x_axis_joint", "root_y_axis_joint", "root_z_rotation_joint")
 ARM_STEP = 0.038
 """Joint motion of one control step at a full arm command [rad]: a target 0.1 rad ahead for 50 ms with
 kp 1e3, kd 1e2 covers 0.1 (1 - exp(-0.5)) of it."""
@@ -72,8 +61,8 @@ class Solutions:
 
 def columns(chain: Chain, *, torso: bool = True, base: bool = False) -> Array:
     """Columns (D,) of the arm and, if asked for, of the torso and of the base."""
-    names = (*ARM, *((TORSO,) if torso else ()), *(BASE if base else ()))
-    return chain.columns_of(names)
+    groups = ("arm", *(("torso",) if torso else ()), *(("base",) if base else ()))
+    return chain.columns_of([name for group in groups for name in chain.groups.get(group, ())])
 
 
 def random_seeds(
@@ -212,7 +201,7 @@ def servo(
     q = np.atleast_2d(np.asarray(q, dtype=np.float64))
     ahead = q.copy()
     if base_next is not None:
-        ahead[:, chain.columns_of(BASE)] = base_next
+        ahead[:, BASE] = base_next
     error, jac = _task(chain, ahead, pos, rot, mode)
     low = chain.lower[dofs] - q[:, dofs]
     high = chain.upper[dofs] - q[:, dofs]
@@ -226,7 +215,7 @@ def servo(
 def step_limits(chain: Chain) -> Array:
     """Largest change (Q,) of every column in one control step: `ARM_STEP`, for the torso `TORSO_STEP`."""
     limits = np.full(chain.size, ARM_STEP)
-    limits[chain.columns_of((TORSO,))] = TORSO_STEP
+    limits[chain.columns_of(chain.groups.get("torso", ()))] = TORSO_STEP
     return limits
 
 

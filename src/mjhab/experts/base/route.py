@@ -11,13 +11,15 @@ from functools import lru_cache
 import numpy as np
 
 from mjhab.core.boxes import sphere_box_distance
-from mjhab.envs.parts.world_view import FETCH_JOINTS, HomeShapes, WorldView
+from mjhab.core.joints import BASE
+from mjhab.envs.parts.world_view import HomeShapes, WorldView
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.arm.clearance import Boxes, RobotSpheres
 from mjhab.experts.arm.gentle import Care, eased
 from mjhab.experts.arm.motion import Motion
 from mjhab.experts.base.navigation import CONTROL_DT, Planner
 from mjhab.robots.kinematics import wrap
+from mjhab.robots.robot import Robot
 
 Array = np.ndarray
 MARGIN = 0.015
@@ -44,7 +46,6 @@ LOOKAHEADS = (0.30, 0.20, 0.10)
 """How far ahead [m] the base steers; short ones keep to the way at corners, long ones are quicker."""
 _SHARES = (0.35, 0.6, 0.8, 0.9)
 MAX_SPEED = 1.0
-_TORSO = FETCH_JOINTS.index(ik.TORSO)
 _TURN_RATE = 2.6
 _PREVIEW = 0.1
 _NEAR = 0.02
@@ -234,7 +235,7 @@ def plan_route(
 
     def at(share: float) -> Route:
         delay = round(share * len(poses))
-        swept = _swept(start, poses, arm, delay)
+        swept = _swept(view.robot, start, poses, arm, delay)
         some = np.arange(0, len(swept), max(1, len(swept) // 40))
         # While the base drives, the robot is only about where it is expected to be.
         asked = np.minimum(
@@ -427,40 +428,41 @@ def simulate(
     return np.array(poses)
 
 
-def _swept(start: Array, poses: Array, arm: Array, delay: int) -> Array:
+def _swept(robot: Robot, start: Array, poses: Array, arm: Array, delay: int) -> Array:
     """Configurations (T, Q), one per control step, until base and arm have arrived."""
     way = arm - start
-    way[:3] = 0.0
-    columns = list(motion.ARM_JOINTS)
-    arm_share = arm_gone(float(np.abs(way[columns]).max()))
-    torso_share = torso_gone(abs(float(way[_TORSO])))
+    way[BASE] = 0.0
+    columns = list(robot.arm_columns)
+    torso = list(robot.torso_columns)
+    delta = robot.limits.joint_delta
+    arm_share = arm_gone(float(np.abs(way[columns]).max()), delta)
+    torso_share = torso_gone(float(np.abs(way[torso]).max(initial=0.0)), delta)
     steps = np.arange(max(len(poses), delay + max(len(arm_share), len(torso_share))) + 1)
     gone = np.ones((len(steps), len(way)))
     gone[:, columns] = arm_share[np.clip(steps - delay, 0, len(arm_share) - 1), None]
-    gone[:, _TORSO] = torso_share[np.clip(steps - delay, 0, len(torso_share) - 1)]
+    gone[:, torso] = torso_share[np.clip(steps - delay, 0, len(torso_share) - 1), None]
     out = start + gone * way
-    out[:, :3] = poses[np.minimum(steps, len(poses) - 1)]
+    out[:, BASE] = poses[np.minimum(steps, len(poses) - 1)]
     return out
 
 
-def arm_gone(far: float) -> Array:
+def arm_gone(far: float, delta: float) -> Array:
     """Share (T,) of its way that the arm has gone after so many control steps, ``far`` [rad] the longest of a joint.
 
-    It starts as `follow` lets it, and slows down before its end: with the base on the move, a tenth of a radian that it
-    lags behind is a decimetre at the hand.
+    ``delta``: change of a joint that an action of 1 asks for. It starts as `follow` lets it, and
+    slows down before its end: with the base on the move, a tenth of a radian that it lags behind is a decimetre at the
+    hand.
     """
     gone = [0.0]
-    delta = motion.LIMITS.joint_delta
     while far - gone[-1] > SETTLED:
         gone.append(gone[-1] + ik.ARM_STEP * min(1.0, 0.25 * len(gone), (far - gone[-1]) / delta))
     return np.array([*gone, far]) / far if far > 0.0 else np.ones(1)
 
 
-def torso_gone(far: float) -> Array:
+def torso_gone(far: float, delta: float) -> Array:
     """The same for the torso, ``far`` [m]. It carries the arm and gathers speed slowly."""
     gone = [0.0]
     speed = 0.0
-    delta = motion.LIMITS.joint_delta
     while far - gone[-1] > SETTLED:
         speed += TORSO_GAIN * (TORSO_SPEED * min(1.0, (far - gone[-1]) / delta) - speed)
         gone.append(min(gone[-1] + speed, far))

@@ -7,9 +7,11 @@ import numpy as np
 from mjhab.core.boxes import Boxes, sphere_box_distance
 from mjhab.envs.parts.world_view import JointedLink, WorldView
 from mjhab.experts.arm import ik, motion
+from mjhab.experts.arm.clearance import RobotSpheres
 from mjhab.experts.base.navigation import CONTROL_DT
 from mjhab.experts.base.route import Route, follow, plan_route, simulate
 from mjhab.robots.kinematics import wrap
+from mjhab.robots.robot import Robot
 
 Array = np.ndarray
 Motion = motion.Motion
@@ -30,12 +32,6 @@ ARM_REACH = 1.3
 """Distance from the base beyond which nothing is in the way [m]."""
 ROUTE_LACK = 0.012
 """How much less clearance [m] than `plan_route` asks for may do: it allows for errors of the drive."""
-_HAND_LINKS = (
-    "wrist_flex_link",
-    "wrist_roll_link",
-    "r_gripper_finger_link",
-    "l_gripper_finger_link",
-)
 AMBIGUOUS = 2.8
 """Turn at the end [rad] from which on the base might turn the other way round, where nobody looked."""
 DETOUR = 8.0
@@ -79,7 +75,9 @@ def best_route(
             (1, goal, 0.0),
             (-1, goal if others is None else others[i], DETOUR),
         ):
-            found = plan_route(view, end[:3], end, motion.spheres(), boxes, direction=direction)
+            found = plan_route(
+                view, end[:3], end, motion.spheres(view.robot), boxes, direction=direction
+            )
             if found is None:
                 continue
             cost = _cost(view, found, door) + (0.0 if others is None else more)
@@ -92,11 +90,16 @@ def _cost(view: WorldView, route: Route, door: Boxes | None) -> float:
     """Steps a route takes, and a lot more where it is blocked."""
     lack = max(-route.room, 0.0)
     if door is not None and lack < ROUTE_LACK:
-        gap = motion.spheres().only(_HAND_LINKS).clearance(_passed(view, route), door).min()
+        gap = _hand(view.robot).clearance(_passed(view, route), door).min()
         lack += max(ROUTE_LACK - float(gap), 0.0)
     if _turn_at_end(route) > AMBIGUOUS:
         lack += ROUTE_LACK
     return route.steps + 400.0 * lack + (0.0 if lack < ROUTE_LACK else BLOCKED + 1e4 * lack)
+
+
+def _hand(robot: Robot) -> RobotSpheres:
+    """Spheres of wrist and fingers."""
+    return motion.spheres(robot).only([*robot.wrist_links, *robot.finger_links])
 
 
 def _turn_at_end(route: Route) -> float:
@@ -113,7 +116,8 @@ def _passed(view: WorldView, route: Route) -> Array:
     poses = simulate(
         view.q[:3], route.path, route.yaw, route.direction, route.lookahead, route.care
     )
-    needed = float(ik.travel_steps(motion.chain(), view.q, route.arm, ik.columns(motion.chain())))
+    robot = view.robot.chain
+    needed = float(ik.travel_steps(robot, view.q, route.arm, ik.columns(robot)))
     steps = np.arange(0.0, route.steps + 0.25, 0.5)
     part = np.clip((steps - route.delay) / max(needed, 1.0), 0.0, 1.0)[:, None]
     out = view.q + part * (route.arm - view.q)
@@ -181,7 +185,9 @@ def fold(
             FLOOR, float(floor.clearance_at(q[:2]))
         ):
             break
-        found = plan_route(view, goal, rest, motion.spheres(), boxes, direction=-1, straight=True)
+        found = plan_route(
+            view, goal, rest, motion.spheres(view.robot), boxes, direction=-1, straight=True
+        )
         if found is not None and (best is None or found.room > best.room + 0.002):
             best = found
         if found is not None and found.room > FOLD_ROOM:
@@ -237,7 +243,7 @@ def _funnel(
 
     Along the bar (the hand's z axis) the place matters little.
     """
-    robot = motion.chain()
+    robot = view.robot.chain
     dofs = ik.columns(robot)
     for step in range(max_steps):
         here, turn = motion.tcp(view)

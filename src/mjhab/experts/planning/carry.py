@@ -18,6 +18,7 @@ from mjhab.experts.base.route import BLOCKED_FORCE, BLOCKED_STEPS, Route, follow
 from mjhab.experts.planning.reach import surroundings
 from mjhab.experts.planning.sampled import TOUCHES, plan_around
 from mjhab.robots.kinematics import wrap
+from mjhab.robots.robot import Robot
 
 Array = np.ndarray
 BACK = (0.0, 0.2, 0.4, 0.6, 0.8)
@@ -46,9 +47,9 @@ MOST_SHIFT = 0.5
 """Largest change of a joint [rad] that makes up for errors of the drive."""
 
 
-def grip(opening: float) -> float:
+def grip(robot: Robot, opening: float) -> float:
     """Gripper action for a distance between the pads [m]."""
-    low, high = motion.LIMITS.gripper
+    low, high = robot.limits.gripper
     return float(np.clip(2.0 * (opening / 2 - low) / (high - low) - 1.0, -1.0, 1.0))
 
 
@@ -131,26 +132,28 @@ def _lined_up(view: WorldView, goal: Array, pos: Array, rot: Array, boxes: Boxes
     """``goal`` (15,) with the base where straight on from here leads; where the arm so comes too near to something and
     with a small change does not, such that the hand is at ``pos``, ``rot`` there all the same."""
     q = view.q
-    robot = motion.chain()
+    robot = view.robot.chain
     ahead = np.array([np.cos(goal[2]), np.sin(goal[2])])
     way = float((goal[:2] - q[:2]) @ ahead)
     end = goal.copy()
     end[:2] = q[:2] + ahead * way
-    if _room_in(end, way, boxes) > ROOM_IN:
+    if _room_in(view.robot, end, way, boxes) > ROOM_IN:
         return end
     found = ik.solve(
         robot, pos[None], rot[None], end[None, None], ik.columns(robot, torso=False), rest=goal
     )
     near = found.ok[0, 0] and np.abs(found.q[0, 0] - end)[3:].max() < MOST_SHIFT
-    better = near and _room_in(found.q[0, 0], way, boxes) > _room_in(end, way, boxes)
+    better = near and _room_in(view.robot, found.q[0, 0], way, boxes) > _room_in(
+        view.robot, end, way, boxes
+    )
     return ik.unwind(robot, found.q[0, 0], q) if better else end
 
 
-def _room_in(goal: Array, way: float, boxes: Boxes) -> float:
+def _room_in(robot: Robot, goal: Array, way: float, boxes: Boxes) -> float:
     """Least clearance [m] on the straight ``way`` [m] of the base to ``goal`` (15,), the arm held."""
     q = np.repeat(goal[None], 6, axis=0)
     q[:, :2] -= np.linspace(0.0, way, 6)[:, None] * np.array([np.cos(goal[2]), np.sin(goal[2])])
-    return float(motion.spheres().clearance(q, boxes).min())
+    return float(motion.spheres(robot).clearance(q, boxes).min())
 
 
 def held_spheres(view: WorldView, obj: str) -> tuple[Array, Array]:
@@ -177,7 +180,7 @@ def held_spheres(view: WorldView, obj: str) -> tuple[Array, Array]:
 def go_home(view: WorldView, obj: str, *, holding: bool = True) -> Motion:
     """Bring the arm to rest, driving back as far as the room around asks for. Returns whether it arrived."""
     gripper = motion.CLOSED if holding else motion.OPEN
-    robot = motion.spheres()
+    robot = motion.spheres(view.robot)
     if holding:
         robot = robot.with_held(*held_spheres(view, obj))
     for _ in range(3):

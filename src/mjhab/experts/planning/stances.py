@@ -2,7 +2,7 @@
 
 Everything here lives in the furniture's own frame ("plan frame"): origin on the floor below the link's origin at joint
 0, +x outward. Furniture is the same in every home, so the searches are cached; a home only decides which of the
-stances have free floor. Letters: N stances, K way points, Q robot columns (FETCH_JOINTS order).
+stances have free floor. Letters: N stances, K way points, Q joint columns.
 """
 
 from __future__ import annotations
@@ -12,9 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mjhab.envs.parts.world_view import REST_QPOS, BoxArrays, JointedLink, WorldView
+from mjhab.core.joints import BASE
+from mjhab.envs.parts.world_view import BoxArrays, JointedLink, WorldView
 from mjhab.experts.arm import ik, motion
-from mjhab.robots.kinematics import wrap
+from mjhab.robots.kinematics import Chain, wrap
+from mjhab.robots.robot import Robot
 
 Array = np.ndarray
 SELF_MARGIN = 0.02
@@ -79,15 +81,17 @@ class Frame:
         )
 
 
-_FOUND: dict[tuple[Hashable, str], Stances] = {}
+_FOUND: dict[tuple[str, Hashable, str], Stances] = {}
 
 
-def cached(link: JointedLink, job: str, search: Callable[[JointedLink], Stances]) -> Stances:
+def cached(
+    robot: Robot, link: JointedLink, job: str, search: Callable[[Robot, JointedLink], Stances]
+) -> Stances:
     """The stances of a job on a link, searched for on first use with the link in its plan frame."""
-    key = (link.spec, job)
+    key = (robot.name, link.spec, job)
     if key not in _FOUND:
         _FOUND[key] = search(
-            JointedLink(link.id, link.spec, np.array([0.0, 0.0, link.origin[2]]), np.eye(3))
+            robot, JointedLink(link.id, link.spec, np.array([0.0, 0.0, link.origin[2]]), np.eye(3))
         )
     return _FOUND[key]
 
@@ -100,15 +104,16 @@ def hand(forward: Array, closing: Array) -> Array:
     return np.stack([x, y, np.cross(x, y)], axis=-1)
 
 
-def seeds(count: int, number: int = 0) -> Array:
+def seeds(robot: Robot, count: int, number: int = 0) -> Array:
     """Start configurations (count, Q) around the rest pose, the same on every call."""
-    robot = motion.chain()
-    rest = REST_QPOS.copy()
-    rest[:3] = 0.0
-    return ik.random_seeds(robot, rest, ik.columns(robot), count, np.random.default_rng(number))
+    rest = robot.rest.copy()
+    rest[BASE] = 0.0
+    dofs = ik.columns(robot.chain)
+    return ik.random_seeds(robot.chain, rest, dofs, count, np.random.default_rng(number))
 
 
 def track(
+    body: Robot,
     base: Array,
     pos: Array,
     rot: Array,
@@ -122,6 +127,7 @@ def track(
     """Arm motions along way points while the base moves, for many base paths at once.
 
     Args:
+        body: the robot.
         base: (N, K, 3) base poses in the plan frame.
         pos, rot: (N, K, 3), (N, K, 3, 3) hand poses.
         boxes: obstacles at every way point.
@@ -133,26 +139,26 @@ def track(
     Returns:
         The stances that reach every way point, for each base path the one the arm gets to soonest from rest.
     """
-    robot = motion.chain()
+    robot = body.chain
     dofs = ik.columns(robot)
-    rest = REST_QPOS.copy()
-    start = np.repeat(seeds(tries)[None], len(base), axis=0)
-    start[:, :, :3] = base[:, None, 0]
+    rest = body.rest.copy()
+    start = np.repeat(seeds(body, tries)[None], len(base), axis=0)
+    start[:, :, BASE] = base[:, None, 0]
     found = ik.solve(robot, pos[:, 0], rot[:, 0], start, dofs, rest=rest, mode=mode)
     path = [ik.unwind(robot, found.q, rest).reshape(-1, robot.size)]
     row = np.repeat(np.arange(len(base)), tries)
-    path[0][:, :3] = base[row, 0]
+    path[0][:, BASE] = base[row, 0]
     ok = found.ok.reshape(-1)
     path = [path[0][ok]]
     row = row[ok]
     travel = ik.travel_steps(robot, rest, path[0], dofs)
     path, row = _drop(path, row, _quickest(row, travel, FOLLOWED))
-    path, row = _drop(path, row, _clear(path[0], boxes[0] if boxes else None, margin))
+    path, row = _drop(path, row, _clear(body, path[0], boxes[0] if boxes else None, margin))
     for k in range(1, base.shape[1]):
         if not len(row):
             break
         now = path[-1].copy()
-        now[:, :3] = base[row, k]
+        now[:, BASE] = base[row, k]
         step = ik.solve(
             robot,
             pos[row, k],
@@ -163,9 +169,11 @@ def track(
             mode=mode,
             options=ik.Options(iterations=15, rest_gain=0.0),
         )
-        near = np.abs(step.q[:, 0, 3:] - now[:, 3:]).max(axis=1, initial=0.0) < jump
+        near = (
+            np.abs(step.q[:, 0, BASE.stop :] - now[:, BASE.stop :]).max(axis=1, initial=0.0) < jump
+        )
         path, row = _drop([*path, step.q[:, 0]], row, step.ok[:, 0] & near)
-        path, row = _drop(path, row, _clear(path[-1], boxes[k] if boxes else None, margin))
+        path, row = _drop(path, row, _clear(body, path[-1], boxes[k] if boxes else None, margin))
     if not len(row):
         return Stances(np.zeros((0, base.shape[1], robot.size)), np.zeros(0), np.zeros(0))
     travel = ik.travel_steps(robot, rest, path[0], dofs)
@@ -189,32 +197,19 @@ def _drop(path: list[Array], row: Array, keep: Array) -> tuple[list[Array], Arra
     return [p[keep] for p in path], row[keep]
 
 
-_ARM_LINKS = (
-    "shoulder_pan_link",
-    "shoulder_lift_link",
-    "upperarm_roll_link",
-    "elbow_flex_link",
-    "forearm_roll_link",
-    "wrist_flex_link",
-    "torso_lift_link",
-    "head_pan_link",
-    "head_tilt_link",
-)
-
-
-def _clear(q: Array, boxes: BoxArrays | None, margin: float) -> Array:
+def _clear(robot: Robot, q: Array, boxes: BoxArrays | None, margin: float) -> Array:
     """Which configurations (N, Q) keep the arm clear of the trunk, and arm and trunk of the boxes."""
     if not len(q):
         return np.zeros(0, dtype=bool)
-    keep = motion.spheres().self_clearance(q) > SELF_MARGIN
+    whole = motion.spheres(robot)
+    keep = whole.self_clearance(q) > SELF_MARGIN
     if boxes is not None:
-        keep &= motion.spheres().only(_ARM_LINKS).clearance(q, motion.as_boxes(boxes)) > margin
+        keep &= whole.only(robot.arm_links).clearance(q, motion.as_boxes(boxes)) > margin
     return keep
 
 
-def motion_steps(q: Array) -> Array:
+def motion_steps(robot: Chain, q: Array) -> Array:
     """Control steps (N,) the arm needs along the way points of configurations (N, K, Q)."""
-    robot = motion.chain()
     dofs = ik.columns(robot)
     share = np.abs(np.diff(q, axis=1))[..., dofs] / ik.step_limits(robot)[dofs]
     return share.max(axis=2).sum(axis=1)
@@ -236,8 +231,13 @@ def rank(
     )
     room = motion.planner(view.home).clearance_at(frame.point(places)).min(axis=1, initial=np.inf)
     first = frame.base(stances.q[:, 0])
-    steps = np.maximum(stances.steps, drive_steps(view.q[:3], first[:, :3]))
-    cost = steps + motion_steps(stances.q) + stances.back + 300.0 * np.maximum(COMFORT - room, 0.0)
+    steps = np.maximum(stances.steps, drive_steps(view.q[BASE], first[:, BASE]))
+    cost = (
+        steps
+        + motion_steps(view.robot.chain, stances.q)
+        + stances.back
+        + 300.0 * np.maximum(COMFORT - room, 0.0)
+    )
     order = np.argsort(cost, kind="stable")
     order = order[room[order] >= FLOOR_MARGIN]
     return frame.base(stances.q[order]), cost[order]

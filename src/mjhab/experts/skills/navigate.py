@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mjhab.envs.parts.world_view import TRUNK_LINKS, WorldView
+from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts.arm import motion
 from mjhab.experts.arm.motion import Motion
 from mjhab.experts.base.driving import BRISK, GENTLE, Driver, Trip, plan_drive, towards
@@ -218,7 +218,7 @@ def _ahead(view: WorldView, leg: Leg) -> Array:
     ahead = leg.direction * np.array([np.cos(q[2]), np.sin(q[2])])
     arm_felt = (
         leg.direction > 0
-        and view.link_forces[len(TRUNK_LINKS) :].sum() > 0.5 * view.link_forces.sum()
+        and view.link_forces[list(view.robot.arm_force_rows)].sum() > 0.5 * view.link_forces.sum()
     )
     at = view.tcp_pose[:2] + 0.15 * ahead if arm_felt else q[:2] + (0.3 + FELT) * ahead
     return np.array([[*at, FELT]])

@@ -74,4 +74,11 @@ def _register() -> None:
     register_envs()
 
 
+def _load_plugins() -> None:
+    from mjhab.core.plugins import load_plugins
+
+    load_plugins()
+
+
+_load_plugins()
 _register()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import subprocess
 import sys
 import warnings
@@ -18,6 +19,7 @@ import mjhab.envs as envs
 from mjhab.config.env import AUTORESET_MODES
 from mjhab.core.errors import UsageError
 from mjhab.envs.catalog import ENV_IDS, TRAIN_IDS
+from mjhab.envs.parts.reporting import active_instruction
 from mjhab.envs.sequential import INDEX_STRIDE, SequentialTaskEnv
 from mjhab.envs.wrappers import FlattenStatePixels, FrameStack
 from mjhab.episodes.spawn_factory import make_set
@@ -80,6 +82,23 @@ def test_ids_are_known_after_import_mjhab_alone():
         "assert not {'mujoco', 'torch', 'numba', 'warp'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+
+
+def test_info_tells_the_instruction_of_the_active_subtask():
+    env = envs.make(task="set_table", num_envs=2, autoreset="disabled", threads=1)
+    assert isinstance(env, SequentialTaskEnv)
+    _, info = env.reset(seed=0)
+    spec = info["episode_spec"][1]
+    assert len(spec["instructions"]) == len(spec["plan"])
+    assert info["instruction"][1] == spec["instructions"][info["pointer"][1]]
+    assert spec["instruction"] not in spec["instructions"]
+    env.follow(dataclasses.replace(env.progress, pointer=np.array([3, 7])))
+    info = env.step(actions(env, 0))[4]
+    assert info["instruction"][0] == info["episode_spec"][0]["instructions"][3]
+    assert info["instruction"][1] == spec["instructions"][7]
+    assert active_instruction(spec, 16) == spec["instructions"][-1]
+    _, alone = build(num_envs=1).reset(seed=0)
+    assert alone["instruction"][0] == alone["episode_spec"][0]["instruction"]
 
 
 def test_same_step_autoreset_step_by_step():

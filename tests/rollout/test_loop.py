@@ -252,3 +252,14 @@ def test_what_are_no_actions_is_told(given: Any, message: str) -> None:
 
 def test_idle_worlds_may_be_given_anything() -> None:
     rollout(FakeEnv(2), Broken(2, spoilt(np.nan)), [0], 0, max_steps=6)
+
+
+def test_records_keep_sentences_and_refuse_what_is_none() -> None:
+    data = rollout(FakeEnv(1), ZeroPolicy(), [0], 0)[0].to_dict()
+    assert "instruction" not in data
+    told = {**data, "instruction": "set the table", "instructions": ["go to the fridge"]}
+    record = EpisodeRecord.from_dict(told)
+    assert (record.instruction, record.instructions) == ("set the table", ("go to the fridge",))
+    for bad in ("two\nlines", "x" * 2000, 7):
+        with pytest.raises(ValueError, match="an instruction is"):
+            EpisodeRecord.from_dict({**data, "instruction": bad})

@@ -38,16 +38,24 @@ def zone(
     goal: tuple[float, float, float], receptacles: Sequence[PlacedReceptacle], tolerance: float
 ) -> tuple[tuple[float, float], ...]:
     """Four corners (x, y) [m, world], in order around the rectangle, of the zone of a goal."""
-    best = None
-    gap = _ABOVE
-    for r in receptacles:
-        inside = (np.abs(r.local(np.array(goal[:2]))) <= np.array(r.half)).all()
-        above = goal[2] - r.pos[2]
-        if inside and -0.02 <= above < gap:
-            best = r
-            gap = above
+    best = receptacle_below(goal, receptacles)
     signs = ((-1, -1), (1, -1), (1, 1), (-1, 1))
     if best is None:
         return tuple((goal[0] + tolerance * u, goal[1] + tolerance * v) for u, v in signs)
     corners = (best.point(u * best.half[0], v * best.half[1]) for u, v in signs)
     return tuple((float(c[0]), float(c[1])) for c in corners)
+
+
+def receptacle_below(
+    point: tuple[float, float, float], receptacles: Sequence[PlacedReceptacle]
+) -> PlacedReceptacle | None:
+    """The receptacle with the nearest surface below a point [m, world], None if there is none."""
+    best = None
+    gap = _ABOVE
+    for r in receptacles:
+        inside = (np.abs(r.local(np.array(point[:2]))) <= np.array(r.half)).all()
+        above = point[2] - r.pos[2]
+        if inside and -0.02 <= above < gap:
+            best = r
+            gap = above
+    return best

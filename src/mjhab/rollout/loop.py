@@ -266,6 +266,8 @@ class _Trace:
             final_state=str(env.state_digest(world)),
             seconds=round(time.perf_counter() - self.started, 3),
             style=dict(style),
+            instruction=str(episode.get("instruction", "")),
+            instructions=tuple(episode.get("instructions", ())),
         )
 
 

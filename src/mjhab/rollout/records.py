@@ -7,9 +7,10 @@ from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 from mjhab.core.names import check_name
+from mjhab.tasks.instructions import MAX_INSTRUCTION_CHARACTERS
 from mjhab.tasks.plan import GOAL_OF
 
-OPTIONAL = ("style", "config_hash")
+OPTIONAL = ("style", "instruction", "instructions", "config_hash")
 """Fields of `EpisodeRecord` that are left out of a file where they are empty; older files lack them."""
 Event = tuple[int, str]
 """Control step (the first step of an episode is 1) and the name of what happened in it."""
@@ -72,9 +73,11 @@ class EpisodeRecord:
     simulation flagged (then the episode's physics cannot be trusted). ``spawn_fallback``: no random start was valid and
     the nearest valid one was taken. ``final_state`` is a hash of the last state, bit by bit. ``seconds`` is wall time
     and takes no part in comparisons: everything else is a function of (seed, index). ``style``: how the policy was
-    asked to act in this episode (fields of `tasks.style.Style`), empty where nothing was asked. ``config_hash`` names
-    the configuration of the run folder that the record belongs to (`store.config_hash`); it is empty outside of a run
-    folder and in those of older versions, and takes no part in comparisons.
+    asked to act in this episode (fields of `tasks.style.Style`), empty where nothing was asked. ``instruction``: what
+    the episode asks for as a sentence, ``instructions`` the same for each subtask of the plan (`tasks.instructions`);
+    empty in records of older versions. ``config_hash`` names the configuration of the run folder that the record
+    belongs to (`store.config_hash`); it is empty outside of a run folder and in those of older versions, and takes no
+    part in comparisons.
     """
 
     seed: int
@@ -99,6 +102,8 @@ class EpisodeRecord:
     final_state: str
     seconds: float = field(default=0.0, compare=False)
     style: Mapping[str, Any] = field(default_factory=dict)
+    instruction: str = ""
+    instructions: tuple[str, ...] = ()
     config_hash: str = field(default="", compare=False)
 
     def to_dict(self) -> dict[str, Any]:
@@ -119,6 +124,8 @@ class EpisodeRecord:
         """
         values = {f.name: data[f.name] for f in fields(cls) if f.name not in OPTIONAL}
         values["style"] = dict(data.get("style", {}))
+        values["instruction"] = _sentence(data.get("instruction", ""))
+        values["instructions"] = tuple(_sentence(text) for text in data.get("instructions", ()))
         values["config_hash"] = str(data.get("config_hash", ""))
         values["plan"] = tuple(PlanEntry(**entry) for entry in data["plan"])
         values["subtasks"] = tuple(SubtaskRecord.from_dict(entry) for entry in data["subtasks"])
@@ -128,6 +135,17 @@ class EpisodeRecord:
         record = cls(**values)
         _check_names(record)
         return record
+
+
+def _sentence(text: Any) -> str:
+    """An instruction that was read from a file, if it is one: others go into pages and into the names of tasks."""
+    if not isinstance(text, str) or len(text) > MAX_INSTRUCTION_CHARACTERS:
+        raise ValueError(
+            f"an instruction is a text of at most {MAX_INSTRUCTION_CHARACTERS} characters, not {str(text)[:60]!r}."
+        )
+    if text and not text.isprintable():
+        raise ValueError(f"an instruction is one line of printable text, not {text[:60]!r}.")
+    return text
 
 
 def _check_names(record: EpisodeRecord) -> None:

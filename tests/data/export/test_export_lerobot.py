@@ -15,7 +15,7 @@ from mjhab.core.errors import UsageError
 from mjhab.data.export.lerobot.export import FPS, Choice, Exported, export_lerobot
 from mjhab.data.export.lerobot.pieces import FilmTools
 from mjhab.data.export.lerobot.stats import aggregate, image_stats, vector_stats
-from mjhab.data.select.describing import state_names, subtask_words, thing
+from mjhab.data.select.describing import state_names, subtask_words
 from mjhab.data.select.query import Filter
 from mjhab.data.store.reading import Episode, episodes
 from mjhab.render.film import FilmWriter, join_films
@@ -102,15 +102,18 @@ def test_v30_tables_hold_the_source(source: Path, exported: Path) -> None:
 
 def test_v30_tasks_and_subtasks_are_named(source: Path, exported: Path) -> None:
     tasks = pq.read_table(exported / "meta/tasks.parquet")
-    assert tasks["__index_level_0__"].to_pylist() == ["Set the table.", "Pick up the bowl."]
+    assert tasks["__index_level_0__"].to_pylist() == [
+        "set the table: put the bowl at its goal",
+        "pick up the bowl",
+    ]
     pandas = json.loads(tasks.schema.metadata[b"pandas"])
     assert pandas["index_columns"] == ["__index_level_0__"]
     names = pq.read_table(exported / "meta/subtasks.parquet")["__index_level_0__"].to_pylist()
-    assert names[:2] == ["Open the drawer 3 of the kitchen counter.", "Pick up the bowl."]
+    assert names[:2] == ["open drawer 3 of the kitchen counter", "pick up the bowl"]
     data = pq.read_table(exported / "data/chunk-000/file-000.parquet")
     said = [names[i] for i in data["subtask_index"].to_pylist()]
     for episode in episodes(source):
-        plan = [subtask_words(entry.kind, entry.target) for entry in episode.record.plan]
+        plan = subtask_words(episode.record)
         active = episode.array("subtasks/active")[: episode.steps]
         mine = said[: episode.steps]
         said = said[episode.steps :]
@@ -153,7 +156,7 @@ def test_v21_has_a_file_per_episode(source: Path, tmp_path: Path) -> None:
         name: (tmp_path / f"set/meta/{name}.jsonl").read_text().splitlines()
         for name in ("tasks", "subtasks", "episodes", "episodes_stats")
     }
-    assert json.loads(lines["tasks"][1]) == {"task_index": 1, "task": "Pick up the bowl."}
+    assert json.loads(lines["tasks"][1]) == {"task_index": 1, "task": "pick up the bowl"}
     stats = json.loads(lines["episodes_stats"][4])["stats"]
     assert set(stats["action"]) == {"min", "max", "mean", "std", "count"} and np.shape(
         stats[RGB]["mean"]
@@ -216,10 +219,6 @@ def test_statistics_of_parts_are_those_of_the_whole() -> None:
 
 
 def test_words_and_names() -> None:
-    assert (
-        thing("024_bowl_:0003") == "the bowl"
-        and thing("fridge/top_door") == "the top door of the fridge"
-    )
     names = state_names(
         {"agent/qpos": 12, "extra/tcp_pose_wrt_base": 7, "extra/is_grasped": 1, "other/new": 2}
     )

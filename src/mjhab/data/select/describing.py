@@ -2,25 +2,11 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 
-from mjhab.data.select.facts import type_name
 from mjhab.rollout.records import EpisodeRecord
+from mjhab.tasks.instructions import Request, subtask_instruction, task_instruction
 
-TASK_WORDS: dict[str, str] = {
-    "tidy_house": "Tidy up the house.",
-    "prepare_groceries": "Put the groceries away.",
-    "set_table": "Set the table.",
-}
-"""What is asked for in a whole chain."""
-_KIND_WORDS: dict[str, str] = {
-    "pick": "Pick up {0}.",
-    "place": "Place {0} at its goal.",
-    "navigate": "Drive to {0}.",
-    "open": "Open {0}.",
-    "close": "Close {0}.",
-}
 _JOINTS: tuple[str, ...] = (
     "torso_lift",
     "head_pan",
@@ -46,24 +32,21 @@ _PARTS: dict[str, tuple[str, ...]] = {
 """Names of the numbers of an observation, in the order of the joints without the base (breadth-first, as MS-HAB)."""
 
 
-def thing(target: str) -> str:
-    """A target in words: "the bowl" for "024_bowl_:0003", "the drawer 3 of the kitchen counter" for a link."""
-    furniture, _, part = type_name(target).rpartition("/")
-    words = re.sub(r"^\d+_", "", part).replace("_", " ")
-    words = re.sub(r"(?<=[a-z])(?=\d)", " ", words)
-    return f"the {words} of the {furniture.replace('_', ' ')}" if furniture else f"the {words}"
-
-
-def subtask_words(kind: str, target: str) -> str:
-    """One subtask as an instruction: "Pick up the bowl."."""
-    return _KIND_WORDS[kind].format(thing(target))
+def subtask_words(record: EpisodeRecord) -> list[str]:
+    """The instruction of every subtask of an episode; made from the plan where the record is too old to have them."""
+    if record.instructions:
+        return list(record.instructions)
+    return [subtask_instruction(Request(entry.kind, entry.target)) for entry in record.plan]
 
 
 def task_words(record: EpisodeRecord) -> str:
     """What an episode is asked to do: the subtask that is done alone, or the whole task."""
+    if record.instruction:
+        return record.instruction
     if record.subtask:
-        return subtask_words(record.plan[0].kind, record.plan[0].target)
-    return TASK_WORDS[record.task]
+        return subtask_words(record)[0]
+    requests = [Request(entry.kind, entry.target) for entry in record.plan]
+    return task_instruction(record.task, requests)
 
 
 def state_names(columns: Mapping[str, int]) -> list[str]:

@@ -31,6 +31,7 @@ from mjhab.envs.parts.sensing import Sensing
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.envs.spaces import batched
 from mjhab.envs.subtask_train import SubtaskTrainEnv
+from mjhab.episodes.narration import Narrator
 from mjhab.robots.controllers import make_controller
 from mjhab.sim.protocol import TAINTS, SimState
 from mjhab.sim.warp.device import room_for
@@ -77,6 +78,7 @@ class DeviceEnv(VectorEnv):
         )
         host = self._host
         self.layout = host.layout
+        self._narrator = Narrator(host.layout)
         self.task_config = host.task_config
         drives = host.controller.drives
         self.sim = WarpSimulator(
@@ -453,9 +455,11 @@ class DeviceEnv(VectorEnv):
         return self.notes.records([self.pool.plans[row] for row in rows])
 
     def episode_spec(self, world: int) -> Mapping[str, Any]:
-        """The episode a world is in: its name, home and plan, read-only."""
+        """The episode a world is in; see `describe_episode`. Its "instructions" stand in the order of the plan."""
         row = int(self.start_row[world])
-        return describe_episode(self.pool.episodes[row], self.pool.plans[row], self.config.subtask)
+        return describe_episode(
+            self.pool.episodes[row], self.pool.plans[row], self.config.subtask, self._narrator
+        )
 
     def check_taint(self) -> None:
         """For evaluation: complain if a buffer of the engine overflowed, or an action was not finite, at any time.

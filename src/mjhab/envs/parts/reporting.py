@@ -8,6 +8,7 @@ from typing import Any
 
 from mjhab.envs.parts.worlds import Worlds
 from mjhab.episodes.generator import Episode
+from mjhab.episodes.narration import Narrator
 from mjhab.tasks.plan import KIND_NAMES, TaskPlan
 
 CHECKERS = (
@@ -33,6 +34,7 @@ class Reporter:
 
     def __init__(self, env: Worlds) -> None:
         self._env = env
+        self._narrator = Narrator(env.layout)
         self._described: list[TaskPlan | None] = [None] * env.num_envs
         self._descriptions: list[Mapping[str, Any]] = [{} for _ in range(env.num_envs)]
 
@@ -42,8 +44,9 @@ class Reporter:
         "pointer", "kind" of the active subtask, "steps_left", "robot_force" [N], "cumulative_force" [N x steps],
         "success", "fail", "taint" (bits of `taint_names`), "nan_resets" so far, "spawn_fallback", the CHECKERS,
         "reward_terms" (name to (W,)); and lists of W: "events" of this step, "ended" (record of the subtask that
-        ended in this step, or None), "episode_spec" (the episode
-        each world is in; not "episode", where Gymnasium's RecordEpisodeStatistics writes).
+        ended in this step, or None), "instruction" (what the active subtask asks for, as a sentence; the last subtask
+        once the plan is finished), "episode_spec" (the episode each world is in; not "episode", where Gymnasium's
+        RecordEpisodeStatistics writes).
         """
         env = self._env
         s = env.signals
@@ -67,6 +70,10 @@ class Reporter:
         info["events"] = events
         info["ended"] = ended
         info["episode_spec"] = [self.describe(w) for w in range(env.num_envs)]
+        info["instruction"] = [
+            active_instruction(episode, pointer)
+            for episode, pointer in zip(info["episode_spec"], p.pointer.tolist(), strict=True)
+        ]
         return info
 
     def nothing(self) -> tuple[list[list[str]], list[dict[str, Any] | None]]:
@@ -74,7 +81,7 @@ class Reporter:
         return [[] for _ in range(self._env.num_envs)], [None] * self._env.num_envs
 
     def describe(self, world: int) -> Mapping[str, Any] | None:
-        """The episode a world is in: its name, home and plan, read-only; None before the first reset."""
+        """The episode a world is in: see `describe_episode`; None before the first reset."""
         env = self._env
         episode = env.episodes_now[world]
         if episode is None:
@@ -82,15 +89,27 @@ class Reporter:
         plan = env.tables.plans[world]
         if self._described[world] is not plan:
             self._described[world] = plan
-            self._descriptions[world] = describe_episode(episode, plan, env.config.subtask)
+            self._descriptions[world] = describe_episode(
+                episode, plan, env.config.subtask, self._narrator
+            )
         return self._descriptions[world]
 
 
-def describe_episode(episode: Episode, plan: TaskPlan, subtask: str) -> Mapping[str, Any]:
-    """What `info` tells of an episode; ``subtask``: the kind that is done alone, or ""."""
+def describe_episode(
+    episode: Episode, plan: TaskPlan, subtask: str, narrator: Narrator
+) -> Mapping[str, Any]:
+    """What `info` tells of an episode: its name, home, plan and instructions, read-only.
+
+    Args:
+        episode: which one.
+        plan: the subtasks that are asked for.
+        subtask: the kind that is done alone, or "".
+        narrator: gives "instruction", the sentence for the whole episode, and "instructions", one per subtask.
+    """
     entries = (
         {"kind": KIND_NAMES[s.kind], "target": s.target, "goal": s.goal_pos} for s in plan.subtasks
     )
+    sentences = narrator.instructions(episode, plan, alone=bool(subtask))
     # The same object goes into every info until the next episode, so nobody may write into it.
     return MappingProxyType(
         {
@@ -101,5 +120,15 @@ def describe_episode(episode: Episode, plan: TaskPlan, subtask: str) -> Mapping[
             "split": episode.split,
             "subtask": subtask or None,
             "plan": tuple(MappingProxyType(entry) for entry in entries),
+            "instruction": sentences.task,
+            "instructions": sentences.subtasks,
         }
     )
+
+
+def active_instruction(episode: Mapping[str, Any] | None, pointer: int) -> str:
+    """The instruction of the subtask at ``pointer`` of a described episode; "" without an episode."""
+    if episode is None:
+        return ""
+    sentences = episode["instructions"]
+    return sentences[min(pointer, len(sentences) - 1)]

@@ -79,7 +79,9 @@ class Means:
     threads: int = 0
 
 
-def make_env(scene: Scene, view: dict[str, Any], means: Means, collected: Round | None = None) -> Any:
+def make_env(
+    scene: Scene, view: dict[str, Any], means: Means, collected: Round | None = None
+) -> Any:
     """The environment of a scene, as a student sees it.
 
     Args:
@@ -91,7 +93,9 @@ def make_env(scene: Scene, view: dict[str, Any], means: Means, collected: Round 
 
     options = {**scene.env_options(), **view}
     if collected is not None:
-        options = longer(options, collected.horizon) | {"overrides": {"hold_steps": collected.hold_steps}}
+        options = longer(options, collected.horizon) | {
+            "overrides": {"hold_steps": collected.hold_steps}
+        }
     return make(**options, num_envs=means.worlds, threads=means.threads, autoreset="disabled")
 
 
@@ -117,7 +121,9 @@ class Collector:
         ray: address of a Ray cluster whose actors are the workers; "" for processes of this machine.
     """
 
-    def __init__(self, scene: Scene, view: dict[str, Any], means: Means, seed: int, ray: str = "") -> None:
+    def __init__(
+        self, scene: Scene, view: dict[str, Any], means: Means, seed: int, ray: str = ""
+    ) -> None:
         self._scene = scene
         self._view = view
         self._means = means
@@ -203,7 +209,13 @@ class StageKeeper:
 
     def stage(self, scene: Scene, view: dict[str, Any], means: Means, collected: Round) -> Stage:
         """The stage of a round."""
-        made_of = (scene, tuple(sorted(view.items())), means, collected.horizon, collected.hold_steps)
+        made_of = (
+            scene,
+            tuple(sorted(view.items())),
+            means,
+            collected.horizon,
+            collected.hold_steps,
+        )
         if self._env is None or self._made_of != made_of:
             self._env = make_env(scene, view, means, collected)
             self._made_of = made_of

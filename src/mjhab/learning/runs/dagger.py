@@ -7,8 +7,8 @@ succeed is added. The network is kept; a share of every batch comes from the new
 
 from __future__ import annotations
 
-from mjhab.learning.runs.collection import Round
 from mjhab.learning.configs import DaggerConfig
+from mjhab.learning.runs.collection import Round
 from mjhab.learning.runs.session import Session
 
 

@@ -36,25 +36,50 @@ def render_training_report(
     plots = {
         "loss-plot": curve(rows, "samples", "loss", "samples", "loss", lines=True),
         "samples-plot": curve(rows, "samples", "success_once", "samples", "success once"),
-        "time-plot": curve([_minutes(row) for row in rows], "minutes", "success_once", "minutes", "success once"),
+        "time-plot": curve(
+            [_minutes(row) for row in rows], "minutes", "success_once", "minutes", "success once"
+        ),
     }
-    body.append(parts.section("Loss", "Mean over the updates between two reports.", '<div id="loss-plot"></div>'))
+    body.append(
+        parts.section(
+            "Loss", "Mean over the updates between two reports.", '<div id="loss-plot"></div>'
+        )
+    )
     hint = "Share of the evaluated episodes that succeed at least once."
     body.append(parts.section("Success over samples", hint, '<div id="samples-plot"></div>'))
-    body.append(parts.section("Success over time", "Wall time, collection included.", '<div id="time-plot"></div>'))
+    body.append(
+        parts.section(
+            "Success over time", "Wall time, collection included.", '<div id="time-plot"></div>'
+        )
+    )
     if records:
-        body.append(parts.section("Last evaluation", "By target.", parts.success_table(rows_by_kind(records))))
+        body.append(
+            parts.section(
+                "Last evaluation", "By target.", parts.success_table(rows_by_kind(records))
+            )
+        )
         counts = labels_by_kind(records)
         if counts:
             plots["labels-plot"] = labels_figure(counts)
             body.append(parts.section("Labels", "Of its episodes.", '<div id="labels-plot"></div>'))
     body.append(_rounds(rows))
     body.append(_films(folder))
-    body.append(parts.section("Run", "The config this run resolved to.", parts.config_list(flat(folder.config))))
+    body.append(
+        parts.section(
+            "Run", "The config this run resolved to.", parts.config_list(flat(folder.config))
+        )
+    )
     return render_page(_title(folder), "\n".join(filter(None, body)), {"plots": plots})
 
 
-def curve(rows: Sequence[Mapping[str, Any]], x: str, y: str, x_title: str, y_title: str, lines: bool = False) -> Figure:
+def curve(
+    rows: Sequence[Mapping[str, Any]],
+    x: str,
+    y: str,
+    x_title: str,
+    y_title: str,
+    lines: bool = False,
+) -> Figure:
     """One number over another one, of the rows that have both."""
     points = [(row[x], row[y]) for row in rows if x in row and y in row]
     trace = {
@@ -64,8 +89,13 @@ def curve(rows: Sequence[Mapping[str, Any]], x: str, y: str, x_title: str, y_tit
         "mode": "lines" if lines else "lines+markers",
         "line": {"color": LINE if lines else POINTS, "width": 2},
     }
-    y_axis = {"title": {"text": y_title}} if lines else {"title": {"text": y_title}, "range": [0, 1]}
-    return {"data": [trace], "layout": {"height": 320, "xaxis": {"title": {"text": x_title}}, "yaxis": y_axis}}
+    y_axis = (
+        {"title": {"text": y_title}} if lines else {"title": {"text": y_title}, "range": [0, 1]}
+    )
+    return {
+        "data": [trace],
+        "layout": {"height": 320, "xaxis": {"title": {"text": x_title}}, "yaxis": y_axis},
+    }
 
 
 def flat(values: Mapping[str, Any], before: str = "") -> dict[str, Any]:
@@ -91,8 +121,14 @@ def _title(folder: TrainingFolder) -> str:
 
 
 def _header(folder: TrainingFolder, summary: Mapping[str, Any]) -> str:
-    shown = [("preset", summary["preset"]), ("seed", folder.config["seed"]), ("split", folder.config["scene"]["split"])]
-    chips = "".join(f'<span class="chip">{escape(k)} <b>{escape(str(v))}</b></span>' for k, v in shown)
+    shown = [
+        ("preset", summary["preset"]),
+        ("seed", folder.config["seed"]),
+        ("split", folder.config["scene"]["split"]),
+    ]
+    chips = "".join(
+        f'<span class="chip">{escape(k)} <b>{escape(str(v))}</b></span>' for k, v in shown
+    )
     return f'<header><h1>{escape(_title(folder))}</h1><div class="chips">{chips}</div></header>'
 
 
@@ -100,10 +136,18 @@ def _cards(summary: Mapping[str, Any]) -> str:
     low, high = summary["interval"]
     success = "-" if summary["success_once"] is None else parts.percent(summary["success_once"])
     values = [
-        ("success once", success, f"{100 * low:.0f} to {100 * high:.0f} % (95 % CI), {summary['episodes']} episodes"),
+        (
+            "success once",
+            success,
+            f"{100 * low:.0f} to {100 * high:.0f} % (95 % CI), {summary['episodes']} episodes",
+        ),
         ("time", f"{summary['seconds'] / 60:.1f} min", "collection and evaluation included"),
         ("updates", f"{summary['steps']:,}", f"{summary['samples']:,} samples"),
-        ("demonstrations", f"{summary['demonstrations']:,}", f"{summary['rounds']} rounds after the first"),
+        (
+            "demonstrations",
+            f"{summary['demonstrations']:,}",
+            f"{summary['rounds']} rounds after the first",
+        ),
     ]
     tiles = "".join(
         f'<div class="card"><div class="name">{escape(name)}</div><div class="value">{escape(value)}</div>'

@@ -146,7 +146,10 @@ class Logbook:
         self._file.flush()
         for name, value in numbers.items():
             self._board.add_scalar(name, value, step)
-        self.show({"updates": f"{step:,}", "samples": f"{samples:,}"} | {k: f"{v:.4g}" for k, v in numbers.items()})
+        self.show(
+            {"updates": f"{step:,}", "samples": f"{samples:,}"}
+            | {k: f"{v:.4g}" for k, v in numbers.items()}
+        )
 
     def show(self, words: Mapping[str, str]) -> None:
         """Change lines of the table in the terminal."""
@@ -168,7 +171,10 @@ class Logbook:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self._live.update(self._table(), refresh=True)
         self._live.__exit__(kind, error, trace)

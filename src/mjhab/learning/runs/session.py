@@ -11,20 +11,20 @@ from typing import Any
 
 import torch
 
-from mjhab.core.version import __version__
 from mjhab.core.errors import UsageError
+from mjhab.core.version import __version__
 from mjhab.data.record.generation import Standing
 from mjhab.data.select.query import Filter
 from mjhab.learning.checkpoint import load_checkpoint, save_student, save_training
-from mjhab.learning.runs.collection import Collector, Means, Round, Scene, make_env
 from mjhab.learning.configs import TrainConfig
 from mjhab.learning.demos import BatchSampler, Demonstrations, layout_of_data, load_demonstrations
-from mjhab.learning.runs.evaluation import Evaluations
-from mjhab.learning.students.heads import make_student
 from mjhab.learning.layout import Layout, layout_of
+from mjhab.learning.runs.collection import Collector, Means, Round, Scene, make_env
+from mjhab.learning.runs.evaluation import Evaluations
 from mjhab.learning.runs.run import Logbook, TrainingFolder
-from mjhab.learning.students.student import Batch
 from mjhab.learning.runs.training import Trainer
+from mjhab.learning.students.heads import make_student
+from mjhab.learning.students.student import Batch
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.store import check_folder
 
@@ -108,7 +108,9 @@ class OutOfTime(Exception):
 class Session:
     """State of a run. Make one with `open_session`."""
 
-    def __init__(self, request: Request, layout: Layout, folder: TrainingFolder, resume: bool) -> None:
+    def __init__(
+        self, request: Request, layout: Layout, folder: TrainingFolder, resume: bool
+    ) -> None:
         if request.torch_threads:
             torch.set_num_threads(request.torch_threads)
         self.request = request
@@ -123,11 +125,15 @@ class Session:
         if saved is not None:
             known = {name: saved.about[name] for name in Progress.__dataclass_fields__}
             self.progress = Progress(**known)
-        self.trainer = Trainer(make_student(self.config, layout, request.seed), request.seed, self.config.updates)
+        self.trainer = Trainer(
+            make_student(self.config, layout, request.seed), request.seed, self.config.updates
+        )
         if saved is not None:
             self.trainer.restore(dict(saved.tensors), int(saved.about["step"]))
         self.fitted = saved is not None
-        self.collector = Collector(self.scene, layout.env_options(), request.means, request.seed, request.ray)
+        self.collector = Collector(
+            self.scene, layout.env_options(), request.means, request.seed, request.ray
+        )
         self.log = Logbook(folder, self.progress.seconds, self.trainer.step)
         self._saved_at = time.perf_counter()
         self._eval_seconds = 0.0
@@ -154,7 +160,9 @@ class Session:
         began = time.perf_counter()
 
         def tell(now: Standing) -> None:
-            self.log.show({"phase": f"collecting round {wanted.number}: {now.tried}/{wanted.episodes}"})
+            self.log.show(
+                {"phase": f"collecting round {wanted.number}: {now.tried}/{wanted.episodes}"}
+            )
 
         self.log.show({"phase": f"collecting round {wanted.number}"})
         standing = self.collector.collect(wanted, out, tell, self._out_of_time)
@@ -223,7 +231,9 @@ class Session:
 
     def _batch(self, sampler: BatchSampler) -> Batch:
         config = self.config
-        chunks = sampler.batch(self.trainer.step, config.chunk, config.inputs.history, config.inputs.shift)
+        chunks = sampler.batch(
+            self.trainer.step, config.chunk, config.inputs.history, config.inputs.shift
+        )
         return Batch.of(chunks)
 
     def _out_of_time(self) -> bool:
@@ -241,7 +251,11 @@ class Session:
     def save(self) -> None:
         """Write both checkpoints."""
         self.progress.seconds = self.log.seconds
-        about = {**vars(self.progress), "algorithm": self.request.config.algorithm, "preset": self.config.preset}
+        about = {
+            **vars(self.progress),
+            "algorithm": self.request.config.algorithm,
+            "preset": self.config.preset,
+        }
         save_training(self.folder.training, self.trainer, about)
         self.save_student(self.folder.student)
         self._saved_at = time.perf_counter()
@@ -279,7 +293,11 @@ class Session:
         self._eval_seconds = (time.perf_counter() - began) / episodes
         success = sum(record.success_once for record in self.records) / episodes
         self.progress.evaluated.append(self.trainer.step)
-        numbers = {"success_once": success, "evaluated_episodes": episodes, "round": self.progress.round}
+        numbers = {
+            "success_once": success,
+            "evaluated_episodes": episodes,
+            "round": self.progress.round,
+        }
         self.log.report(self.trainer.step, self.progress.samples, numbers)
         return success
 

@@ -109,7 +109,9 @@ class TakeOver:
         for w in np.flatnonzero(self._fresh).tolist():
             episode = info["episode_spec"][w]
             if episode is not None:
-                self._prefix[w] = prefix_length(int(episode["seed"]), int(episode["index"]), self._longest)
+                self._prefix[w] = prefix_length(
+                    int(episode["seed"]), int(episode["index"]), self._longest
+                )
         self._fresh[:] = False
 
 

@@ -48,7 +48,9 @@ def train(request: Request, out: Path, resume: bool = False) -> TrainingResult:
             summary = summarize(session)
             folder = session.folder
             folder.write_summary(summary)
-            report = folder.write_report(render_training_report(folder, session.log.rows, session.records, summary))
+            report = folder.write_report(
+                render_training_report(folder, session.log.rows, session.records, summary)
+            )
     return TrainingResult(summary, report, interrupted)
 
 

@@ -64,7 +64,9 @@ class Trainer:
             BrokenLossError: the loss is not finite; nothing was changed.
         """
         config = self.config
-        random = torch.Generator().manual_seed(int(stream(self.seed, "update", self.step).integers(1 << 62)))
+        random = torch.Generator().manual_seed(
+            int(stream(self.seed, "update", self.step).integers(1 << 62))
+        )
         self.student.train()
         loss = self.student.loss(batch, random)
         value = float(loss.detach())
@@ -72,7 +74,9 @@ class Trainer:
             raise self._broken(f"the loss became {value}")
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()
-        norm = torch.nn.utils.clip_grad_norm_(self.student.parameters(), config.clip_norm or math.inf)
+        norm = torch.nn.utils.clip_grad_norm_(
+            self.student.parameters(), config.clip_norm or math.inf
+        )
         if not math.isfinite(float(norm)):
             raise self._broken(f"the gradient became {float(norm)}")
         for group in self.optimizer.param_groups:
@@ -136,4 +140,8 @@ class Trainer:
 
 
 def _part(tensors: dict[str, Tensor], part: str) -> dict[str, Tensor]:
-    return {name.removeprefix(f"{part}/"): value for name, value in tensors.items() if name.startswith(f"{part}/")}
+    return {
+        name.removeprefix(f"{part}/"): value
+        for name, value in tensors.items()
+        if name.startswith(f"{part}/")
+    }

@@ -167,7 +167,7 @@ class _Export:
         }
         row |= {"source": episode.name, "home": record.home, "label": last_label(record)}
         row["lacks"] = ",".join(episode.lacks)
-        plan = [subtask_words(entry.kind, entry.target) for entry in record.plan]
+        plan = subtask_words(record)
         made = Made(row, {}, 0, {}, plan, list(episode.actors), episode.run.licence)
         columns = self._columns(episode, number, self._count(made))
         table = to_table(columns)

@@ -1,0 +1,54 @@
+"""The instructions of an episode: where things lie and belong in its home, and the words for it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+
+from mjhab.core.seeding import stream
+from mjhab.episodes.generator import Episode
+from mjhab.episodes.zones import receptacle_below
+from mjhab.layout.layout import Layout
+from mjhab.layout.receptacles import PlacedReceptacle, placed_receptacles
+from mjhab.scenes.spec import Vec3
+from mjhab.tasks.instructions import Instructions, Request, Spot, instructions, seeded_draw
+from mjhab.tasks.plan import KIND_NAMES, Subtask, TaskPlan
+
+
+class Narrator:
+    """Puts the plans of episodes on a layout into words."""
+
+    def __init__(self, layout: Layout) -> None:
+        self._layout = layout
+        self._homes = {home.name: home for home in layout.pack.homes}
+        self._receptacles = cache(self._receptacles_of)
+
+    def instructions(self, episode: Episode, plan: TaskPlan, alone: bool) -> Instructions:
+        """The sentences of an episode: a function of the episode, its plan and ``alone`` only.
+
+        Args:
+            episode: whose seed and index draw the wordings.
+            plan: the subtasks that it asks for.
+            alone: one subtask is done alone.
+        """
+        requests = [self._request(episode, subtask) for subtask in plan.subtasks]
+        draw = seeded_draw(stream(episode.seed, "instruction", episode.index))
+        return instructions(episode.task, requests, alone, draw)
+
+    def _request(self, episode: Episode, subtask: Subtask) -> Request:
+        places = self._receptacles(episode.home)
+        source = Spot()
+        if subtask.obj:
+            slot = self._layout.object_names.index(subtask.obj)
+            x, y, z = episode.object_pose[slot, :3].tolist()
+            source = _spot((x, y, z), places)
+        goal = _spot(subtask.goal_pos, places)
+        return Request(KIND_NAMES[subtask.kind], subtask.target, source, goal)
+
+    def _receptacles_of(self, home: str) -> tuple[PlacedReceptacle, ...]:
+        return placed_receptacles(self._layout, self._homes[home])
+
+
+def _spot(point: Vec3, places: Sequence[PlacedReceptacle]) -> Spot:
+    found = receptacle_below(point, places)
+    return Spot() if found is None else Spot(found.template, found.kind != "open")

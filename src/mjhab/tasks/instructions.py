@@ -1,0 +1,203 @@
+"""Instructions: what a subtask or a whole task asks for, as a sentence such as "put the soup can on the coffee table".
+
+THE place of the words. Every sentence has several wordings; which one an episode gets is drawn from its stream of
+random numbers, so that it is a function of the episode's name. Sentences are in lower case and without a full stop,
+like the prompts that vision-language-action models are trained with.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mjhab.core.errors import unknown_name
+from mjhab.tasks.plan import GOAL_OF
+
+MAX_INSTRUCTION_CHARACTERS = 1000
+"""Longest instruction that is read from a file."""
+
+OBJECT_WORDS: dict[str, tuple[str, ...]] = {
+    "002_master_chef_can": ("coffee can", "master chef can"),
+    "003_cracker_box": ("cracker box", "box of crackers"),
+    "004_sugar_box": ("sugar box", "box of sugar"),
+    "005_tomato_soup_can": ("soup can", "tomato soup can"),
+    "007_tuna_fish_can": ("tuna can", "tuna fish can"),
+    "008_pudding_box": ("pudding box", "box of pudding"),
+    "009_gelatin_box": ("gelatin box", "box of gelatin"),
+    "010_potted_meat_can": ("meat can", "potted meat can"),
+}
+"""Names of object types; one that is not here is called by its id, "024_bowl" by "bowl"."""
+FURNITURE_WORDS: dict[str, str] = {
+    "chair_01": "chair",
+    "table_01": "dining table",
+    "table_02": "coffee table",
+    "tvstand": "TV stand",
+}
+"""Names of furniture; one that is not here is called by its id, "kitchen_counter" by "kitchen counter"."""
+LINK_WORDS: dict[str, str] = {
+    "fridge/top_door": "fridge",
+    "fridge/bottom_door": "lower door of the fridge",
+}
+"""Names of links that open; another one is called like "drawer 3 of the kitchen counter"."""
+
+SUBTASK_WORDINGS: dict[str, tuple[str, ...]] = {
+    "pick": ("pick up {object} {source}", "take {object} {source}", "grab {object} {source}"),
+    "place": ("put {object} {goal}", "place {object} {goal}", "set {object} down {goal}"),
+    "navigate": ("go to {destination}", "drive to {destination}", "move to {destination}"),
+    "open": ("open {link}", "pull {link} open"),
+    "close": ("close {link}", "push {link} shut"),
+}
+"""Kind of subtask to its wordings."""
+CARRY_WORDINGS: tuple[str, ...] = (
+    "carry {object} to {destination}",
+    "bring {object} to {destination}",
+)
+"""Wordings of a navigation with an object in the hand."""
+TASK_WORDINGS: dict[str, tuple[str, ...]] = {
+    "tidy_house": ("tidy up the house", "tidy the house", "clean up the home"),
+    "prepare_groceries": ("prepare the groceries", "sort the groceries", "put the groceries away"),
+    "set_table": ("set the table", "lay the table"),
+}
+"""Household task to the wordings of its name; what goes where follows after a colon."""
+
+Draw = Callable[[int], int]
+"""Chooses one of n wordings by its number, 0 to n - 1."""
+
+
+@dataclass(frozen=True)
+class Spot:
+    """Where an object lies or belongs: the id of the furniture, "" if unknown, and whether it is inside of it."""
+
+    furniture: str = ""
+    inside: bool = False
+
+    @property
+    def words(self) -> str:
+        """The furniture in words: "the coffee table"."""
+        return f"the {furniture_words(self.furniture)}" if self.furniture else ""
+
+    def phrase(self, unknown: str = "") -> str:
+        """ "on the coffee table", "in the fridge"; ``unknown`` where the furniture is not known."""
+        if not self.furniture:
+            return unknown
+        return f"{'in' if self.inside else 'on'} {self.words}"
+
+
+@dataclass(frozen=True)
+class Request:
+    """What a subtask is about: ``kind``; ``target`` as in a plan; where its object lies and where it belongs."""
+
+    kind: str
+    target: str
+    source: Spot = Spot()
+    goal: Spot = Spot()
+
+
+@dataclass(frozen=True)
+class Instructions:
+    """The sentences of an episode: ``task`` for all of it, ``subtasks`` one per subtask of the plan."""
+
+    task: str
+    subtasks: tuple[str, ...]
+
+
+def first_wording(count: int) -> int:
+    """The `Draw` that always takes the first wording."""
+    return 0
+
+
+def seeded_draw(random: np.random.Generator) -> Draw:
+    """A `Draw` from a stream of random numbers."""
+    return lambda count: int(random.integers(count))
+
+
+def instructions(task: str, requests: Sequence[Request], alone: bool, draw: Draw) -> Instructions:
+    """The sentences of an episode.
+
+    Args:
+        task: household task.
+        requests: the subtasks of the plan, in order.
+        alone: the first of them is all that is asked for.
+        draw: chooses the wordings.
+
+    Raises:
+        UsageError: an unknown task, or an unknown kind of subtask.
+    """
+    subtasks = tuple(subtask_instruction(request, draw) for request in requests)
+    return Instructions(subtasks[0] if alone else task_instruction(task, requests, draw), subtasks)
+
+
+def subtask_instruction(request: Request, draw: Draw = first_wording) -> str:
+    """One subtask as a sentence.
+
+    Raises:
+        UsageError: an unknown kind.
+    """
+    if request.kind not in SUBTASK_WORDINGS:
+        raise unknown_name("subtask", request.kind, SUBTASK_WORDINGS)
+    carries = request.target.startswith(GOAL_OF)
+    wordings = CARRY_WORDINGS if carries else SUBTASK_WORDINGS[request.kind]
+    target = request.target.removeprefix(GOAL_OF)
+    thing = target_words(target, draw)
+    destination = f"{thing} {request.source.phrase()}"
+    if carries:
+        destination = request.goal.words or "its goal"
+    source = f"from {request.source.words}" if request.source.furniture else ""
+    sentence = wordings[draw(len(wordings))].format(
+        object=thing,
+        link=thing,
+        destination=destination,
+        source=source,
+        goal=request.goal.phrase("at its goal"),
+    )
+    return " ".join(sentence.split())
+
+
+def task_instruction(task: str, requests: Sequence[Request], draw: Draw = first_wording) -> str:
+    """A whole task as a sentence: "set the table: put the bowl on the dining table, then ...".
+
+    Raises:
+        UsageError: an unknown task.
+    """
+    if task not in TASK_WORDINGS:
+        raise unknown_name("task", task, TASK_WORDINGS)
+    wordings = TASK_WORDINGS[task]
+    name = wordings[draw(len(wordings))]
+    moves = [
+        f"put {target_words(request.target, draw)} {request.goal.phrase('at its goal')}"
+        for request in requests
+        if request.kind == "place"
+    ]
+    return f"{name}: {', then '.join(moves)}" if moves else name
+
+
+def target_words(target: str, draw: Draw = first_wording) -> str:
+    """A target in words: "the bowl" for "024_bowl_:0003", "drawer 3 of the kitchen counter" for a link."""
+    kind = target.partition("_:")[0]
+    if "/" in kind:
+        return _link_words(kind)
+    names = OBJECT_WORDS.get(kind) or (_plain_words(kind),)
+    return f"the {names[draw(len(names))]}"
+
+
+def furniture_words(furniture: str) -> str:
+    """A piece of furniture in words, without an article."""
+    return FURNITURE_WORDS.get(furniture) or _plain_words(furniture)
+
+
+def _link_words(link: str) -> str:
+    if link in LINK_WORDS:
+        return f"the {LINK_WORDS[link]}"
+    furniture, _, part = link.rpartition("/")
+    words = _plain_words(part)
+    article = "" if words[-1:].isdigit() else "the "
+    return f"{article}{words} of the {furniture_words(furniture)}"
+
+
+def _plain_words(name: str) -> str:
+    """An id as words: "drawer3" as "drawer 3", "024_bowl" as "bowl"."""
+    words = re.sub(r"^\d+_", "", name).replace("_", " ")
+    return re.sub(r"(?<=[a-z])(?=\d)", " ", words)

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-import importlib
-
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.registry import Registry
 from mjhab.robots.robot import Robot
 
 DEFAULT_ROBOT = "fetch"
-_BUILTIN = {"fetch": "mjhab.robots.fetch.robot"}
-"""Name to the module whose ``ROBOT`` it is; imported when the robot is first asked for."""
-_REGISTERED: dict[str, Robot] = {}
+ROBOTS: Registry[Robot] = Registry(
+    "robot",
+    {
+        "fetch": "mjhab.robots.fetch.robot:ROBOT",
+        "panda_omron": "mjhab.robots.panda_omron.robot:ROBOT",
+    },
+)
+"""All robots; a module of mjhab's own is imported when its robot is first asked for."""
 
 
 def register_robot(robot: Robot) -> Robot:
@@ -20,19 +23,9 @@ def register_robot(robot: Robot) -> Robot:
         The robot, so that it can be registered where it is made.
 
     Raises:
-        UsageError: its name is taken.
+        UsageError: its name is taken; the message says by whom.
     """
-    if robot.name in robot_names():
-        raise UsageError(
-            f"robot {robot.name!r} is registered already; give the second one another name."
-        )
-    _REGISTERED[robot.name] = robot
-    return robot
-
-
-def robot_names() -> tuple[str, ...]:
-    """Names of all robots, those that ship with mjhab first."""
-    return tuple(dict.fromkeys((*_BUILTIN, *_REGISTERED)))
+    return ROBOTS.add(robot.name, robot)
 
 
 def robot_named(name: str = DEFAULT_ROBOT) -> Robot:
@@ -41,8 +34,4 @@ def robot_named(name: str = DEFAULT_ROBOT) -> Robot:
     Raises:
         UsageError: there is none; the message lists the names.
     """
-    if name not in _REGISTERED:
-        if name not in _BUILTIN:
-            raise unknown_name("robot", name, robot_names())
-        _REGISTERED[name] = importlib.import_module(_BUILTIN[name]).ROBOT
-    return _REGISTERED[name]
+    return ROBOTS[name]

@@ -42,7 +42,7 @@ def free(boxes: Boxes) -> Free:
 
 
 def view_of(q: np.ndarray) -> WorldView:
-    return SimpleNamespace(q=q, steps_left=200)  # type: ignore[return-value]
+    return SimpleNamespace(robot=ROBOT, q=q, steps_left=200)  # type: ignore[return-value]
 
 
 def spare(way: np.ndarray, what: Free) -> float:

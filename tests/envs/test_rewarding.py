@@ -26,10 +26,11 @@ GOAL = (1.0, 0.0, 0.5)
 HANDLE = np.array([0.5, 0.4, 1.27])
 """0.4 m from the tool centre at rest."""
 LAYOUT: Any = SimpleNamespace(
+    robot=ROBOT,
     links=[
         SimpleNamespace(link=SimpleNamespace(joint="hinge")),
         SimpleNamespace(link=SimpleNamespace(joint="slide")),
-    ]
+    ],
 )
 SENSING: Any = SimpleNamespace(handle_pos=lambda state, world, link: state.handles[world, link])
 

@@ -251,7 +251,17 @@ class StartMaker:
             raise UsageError(
                 f"no {self.config.subtask} of {self.config.target!r} in task {self.config.task!r}"
             )
-        return found[int(stream(episode.seed, "subtask", episode.index).integers(len(found)))]
+        first = int(stream(episode.seed, "subtask", episode.index).integers(len(found)))
+        if self.config.subtask != "place":
+            return found[first]
+        # A narrow hand cannot hold everything: then it is the turn of the next object.
+        for position in (*found[first:], *found[:first]):
+            slot = self.layout.object_names.index(plan.subtasks[position].obj)
+            if self.held.holds(self.layout.roster[slot]):
+                return position
+        raise MjhabError(
+            f"robot {self.layout.robot.name!r} cannot hold any object of episode {episode.index} of {episode.task}"
+        )
 
     def _episode_qpos(self, episode: Episode) -> np.ndarray:
         a = self.sim.addresses

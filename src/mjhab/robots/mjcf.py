@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 
 import mujoco
@@ -31,7 +32,7 @@ SURFACE_STEP_M = 0.015
 
 @dataclass(frozen=True)
 class MeshGeom:
-    """A mesh of a link: its file, its pose in the frame of the link (rotation (3, 3), position (3,)), its colour rgba."""
+    """A mesh of a link: its file, its pose in the frame of the link (rotation (3, 3), position (3,)), its colour."""
 
     link: str
     file: Path
@@ -103,7 +104,7 @@ class MjcfLinks:
         return self._turn @ (self._data.body(link).xpos - self._data.body(self.root).xpos)
 
     def tree(self, parent: str, origin: Vec3) -> tuple[TreeLink, ...]:
-        """The links as rows of a robot's tree; the root is fixed to ``parent`` at ``origin`` [m], unless it has a joint.
+        """The links as rows of a robot's tree; the root hangs on ``parent`` at ``origin`` [m].
 
         Raises:
             MjhabError: a link has several joints, or one that is not at its origin or not along x, y or z.
@@ -181,7 +182,7 @@ def boxes_around(mesh: MeshGeom, pieces: int) -> tuple[Geom, ...]:
     long = int(np.argmax(high - low))
     cuts = np.linspace(low[long], high[long], pieces + 1)
     boxes = []
-    for start, end in zip(cuts[:-1], cuts[1:], strict=True):
+    for start, end in pairwise(cuts):
         inside = points[(points[:, long] >= start - 1e-9) & (points[:, long] <= end + 1e-9)]
         least = inside.min(axis=0)
         most = inside.max(axis=0)

@@ -107,7 +107,7 @@ def test_a_box_held_by_its_corner_stays_in_a_moving_hand(monkeypatch: pytest.Mon
         bench.step(bench.rest, 0.0, 0.0)
     start, _ = bench.pose_in_hand()
     for k in range(60):
-        bench.step(*shake_motion(k * 0.05, bench.rest, np.zeros(7)))
+        bench.step(*shake_motion(ROBOT, k * 0.05, bench.rest, np.zeros(7)))
     end, _ = bench.pose_in_hand()
     assert (bench.finger_forces()[0] > 20.0).all()
     assert np.linalg.norm(end - start) < 0.02

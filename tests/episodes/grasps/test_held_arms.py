@@ -59,7 +59,7 @@ def check_postures(arms: np.ndarray) -> None:
 
 
 def test_postures_are_those_that_pick_accepts() -> None:
-    arms = rest_postures(stream(0, "test"), CONFIG, 200)
+    arms = rest_postures(ROBOT, stream(0, "test"), CONFIG, 200)
     assert len(arms) > 150
     check_postures(arms)
 

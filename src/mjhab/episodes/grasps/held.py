@@ -46,6 +46,10 @@ _CLOSING_WEIGHT = 0.5
 """What counts as far apart: 5 cm as much as a radian of approach or two of roll."""
 
 
+class NoGraspError(MjhabError):
+    """No grasp of an object type holds in the robot's hand."""
+
+
 def shape_of(kind: ObjectType) -> ObjectShape:
     """What a gripper sees of an object type: a box, can, ball or bowl of its size."""
     if len(kind.collision) > 1:
@@ -98,6 +102,7 @@ class HeldStarts:
         self.scratch = scratch
         self.harvested = harvested
         self._found: dict[str, list[HeldGrasp]] = {}
+        self._held: dict[str, bool] = {}
         self.lock = RLock()
 
     def grasps(self, kind: str) -> list[HeldGrasp]:
@@ -105,12 +110,25 @@ class HeldStarts:
 
         Raises:
             UsageError: the layout has no object of this type.
-            MjhabError: no candidate holds.
+            NoGraspError: no candidate holds.
         """
         with self.lock:
             if kind not in self._found:
                 self._found[kind] = self.found(kind) + (self.added(kind) if self.harvested else [])
             return self._found[kind]
+
+    def holds(self, kind: str) -> bool:
+        """Whether the hand can hold an object type at all.
+
+        Raises:
+            UsageError: the layout has no object of this type.
+        """
+        if kind not in self._held:
+            try:
+                self._held[kind] = bool(self.grasps(kind))
+            except NoGraspError:
+                self._held[kind] = False
+        return self._held[kind]
 
     def add(self, kind: str, pose: np.ndarray, fingers: float) -> HeldGrasp | None:
         """Add a grasp, e.g. from a successful episode, if it passes the test that the found ones passed.
@@ -211,7 +229,9 @@ class HeldStarts:
             if len(found) == MAX_GRASPS:
                 break
         if not found:
-            raise MjhabError(f"no grasp of {kind} holds for {HOLD_SECONDS} s")
+            raise NoGraspError(
+                f"no grasp of {kind} by robot {self.robot.name!r} holds for {HOLD_SECONDS} s"
+            )
         return found
 
     def hold_in(self, kind: str, grasp: HeldGrasp, robot: np.ndarray) -> HeldGrasp | None:

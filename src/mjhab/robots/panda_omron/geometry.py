@@ -1,7 +1,8 @@
 """Links, masses and collision shapes of the Panda on the Omron base, read from the MJCF files of robosuite 1.5.2.
 
-Files: ``models/assets/bases/omron_mobile_base.xml``, ``robots/panda/robot.xml``, ``grippers/panda_gripper.xml``. Base and
-lifting column are primitives in the files; the arm's collision meshes become boxes that cover them slice by slice.
+Files below ``models/assets``: ``bases/omron_mobile_base.xml``, ``robots/panda/robot.xml`` and
+``grippers/panda_gripper.xml``. Base and lifting column are primitives in the files; the arm's collision meshes become
+boxes that cover them slice by slice.
 Lengths [m], angles [rad].
 """
 
@@ -24,7 +25,7 @@ WRIST_ZERO = {"joint6": np.pi / 2, "joint7": np.pi / 4}
 """Joint values of robosuite [rad] that are 0 here: the hand then points forward with its fingers side by side, and all
 joint axes are along x, y or z. All other joints count as there."""
 CENTER_X = 0.21
-"""How far [m] the origin of the file's base lies before the axis about which the base turns, which is the origin here."""
+"""How far [m] the origin of the file's base lies before the axis about which the base turns, the origin here."""
 COLUMN_POS: Vec3 = (CENTER_X, 0.0, 0.70)
 """Where the arm stands while the column is down."""
 COLUMN_TRAVEL = (0.0, 0.34)
@@ -34,8 +35,8 @@ SLICES = {"leftfinger": 2, "rightfinger": 2, "right_gripper": 1, "link7": 1}
 """Boxes per collision mesh, 2 for all others."""
 _BASE_MASS = Inertial(60.0, (0.01, 0.0, 0.15), (2.0, 3.0, 4.0, 0.0, 0.0, 0.0))
 _COLUMN_MASS = Inertial(10.0, (-0.05, 0.0, -0.2), (0.2, 0.2, 0.1, 0.0, 0.0, 0.0))
-"""The files give densities that make base and column lighter than their joints' friction asks for. Masses here are those
-of the real platform (Omron LD-60: 62 kg) and of a steel column; the base is driven in speed and never tips."""
+"""Estimates: the files have the density 10 kg/m^3 for the platform, whose real model (Omron LD-60) weighs about 60 kg.
+The base is driven in speed and never tips."""
 
 
 @dataclass(frozen=True, eq=False)

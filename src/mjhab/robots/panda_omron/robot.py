@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
+from mjhab.core.rotations import quat_from_axis_angle, quat_mul
 from mjhab.robots.panda_omron.geometry import BASE, COLUMN, TCP, load_body
 from mjhab.robots.parts import (
     LOOK_FORWARD,
@@ -22,6 +25,14 @@ ARM_JOINTS = tuple(f"joint{k}" for k in range(1, 8))
 ARM_LINKS = tuple(f"link{k}" for k in range(1, 8))
 FINGERS = (Finger("leftfinger", (0.0, -1.0, 0.0)), Finger("rightfinger", (0.0, 1.0, 0.0)))
 COLUMN_AT_REST_M = 0.1
+_PITCH = 0.5
+_LOOK_DOWN = tuple(
+    float(x)
+    for x in quat_mul(
+        quat_from_axis_angle(np.array([0.0, 1.0, 0.0]), np.array(_PITCH)), np.array(LOOK_FORWARD)
+    )
+)
+"""Forward and half a radian down."""
 READY = (0.0, -math.pi / 4, 0.0, -3 * math.pi / 4, 0.0, 0.0, 0.0)
 """Franka's ready posture: the hand points straight down before the base."""
 FINGERS_AT_REST_M = 0.015
@@ -39,8 +50,8 @@ GRIPPER = Gripper(
     palm_x=(-0.112, -0.0268),
     palm_half=(0.104, 0.032),
     opening=0.0795,
-    usable=0.074,
-    shelf_usable=0.0765,
+    usable=0.0785,
+    shelf_usable=0.0785,
     hand=_HAND + _WRIST,
 )
 """Bounds of the meshes of ``grippers/panda_gripper.xml``; the fingers open by 4 cm each."""
@@ -90,8 +101,8 @@ ROBOT = Robot(
     arm_links=(COLUMN, "link0", "link1", "link2", "link3", "link4", "link5", "link6"),
     wrist_links=("link6", "link7", "right_gripper"),
     cameras=(
-        CameraMount("panda_omron_head", COLUMN, (-0.10, 0.0, 0.75), LOOK_FORWARD, 2.0),
-        CameraMount("panda_omron_hand", "right_gripper", (0.0, 0.0, 0.07), LOOK_FORWARD, 2.0),
+        CameraMount("panda_omron_head", COLUMN, (-0.35, 0.0, 0.95), _LOOK_DOWN, 1.6),
+        CameraMount("panda_omron_hand", "right_gripper", (0.02, 0.0, 0.10), LOOK_FORWARD, 1.6),
     ),
     gains={
         "base": Gains(kp=0.0, kd=1e3, force=600.0, armature=0.0),

@@ -16,17 +16,32 @@ if TYPE_CHECKING:
     from mjhab.evaluation.evaluate import evaluate
     from mjhab.evaluation.generate import generate
     from mjhab.experts import make_expert
+    from mjhab.scenes.pack_source import PackRequest, PackSource, register_pack
     from mjhab.scenes.packs import open_pack
 
-__all__ = ["__version__", "evaluate", "generate", "make", "make_expert", "make_train", "open_pack"]
+__all__ = [
+    "PackRequest",
+    "PackSource",
+    "__version__",
+    "evaluate",
+    "generate",
+    "make",
+    "make_expert",
+    "make_train",
+    "open_pack",
+    "register_pack",
+]
 
 _LAZY = {
+    "PackRequest": "mjhab.scenes.pack_source",
+    "PackSource": "mjhab.scenes.pack_source",
     "evaluate": "mjhab.evaluation.evaluate",
     "generate": "mjhab.evaluation.generate",
     "make": "mjhab.envs",
     "make_train": "mjhab.envs",
     "make_expert": "mjhab.experts",
     "open_pack": "mjhab.scenes.packs",
+    "register_pack": "mjhab.scenes.pack_source",
 }
 _PACKAGES = frozenset(
     {

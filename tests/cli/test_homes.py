@@ -14,10 +14,12 @@ import pytest
 from PIL import Image
 
 from mjhab.cli.main import main
+from mjhab.core.registry import Registry
 from mjhab.reports.contact_sheet import Tile, _cells, save_html, save_png
-from mjhab.scenes import packs
+from mjhab.scenes import pack_source, packs
 from mjhab.scenes.builtin.homes import make_home
-from mjhab.scenes.packs import builtin_pack
+from mjhab.scenes.builtin.pack import builtin_pack
+from mjhab.scenes.pack_source import PackRequest, PackSource
 from mjhab.scenes.spec import Geom, Pack
 
 KEYS = ["homes", "ok", "failed", "layout", "ngeom", "nv", "compile_s"]
@@ -169,16 +171,18 @@ def test_one_real_sheet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     assert len(np.unique(pixels.reshape(-1, 3), axis=0)) > 500
 
 
-def test_options_of_a_real_pack_go_into_its_name(
+def test_options_of_a_real_pack_go_into_its_request(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    asked: list[str] = []
+    asked: list[PackRequest] = []
 
-    def opened(name: str) -> Pack:
-        asked.append(name)
+    def opened(request: PackRequest) -> Pack:
+        asked.append(request)
         return pack_of((0, 0))
 
-    monkeypatch.setattr(packs, "open_pack", opened)
+    source = PackSource("data", opened, options=frozenset({"articulate", "stage_mesh"}))
+    monkeypatch.setattr(pack_source, "PACK_SOURCES", Registry("asset pack"))
+    pack_source.register_pack(source)
     (stage := tmp_path / "stage.glb").touch()
     options = [
         "--assets",
@@ -190,8 +194,7 @@ def test_options_of_a_real_pack_go_into_its_name(
         "--json",
     ]
     assert main(["homes", "show", "builtin_m0_00", *options]) == 0
-    assert asked == [f"data?articulate=cabinet,chest_of_drawers?stage={stage}"]
-    assert (
-        main(["homes", "show", "builtin_m0_00", "--assets", "data", "--articulate", "fridge"]) == 2
-    )
-    assert "unknown furniture to articulate 'fridge'" in capsys.readouterr().err
+    assert asked == [PackRequest("data", ("cabinet", "chest_of_drawers"), str(stage))]
+    monkeypatch.undo()
+    assert main(["homes", "show", "builtin_m0_00", "--articulate", "cabinet"]) == 2
+    assert "takes no option 'articulate'" in capsys.readouterr().err

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from mjhab.envs import make
-from mjhab.scenes.packs import with_joints
+from mjhab.scenes.pack_source import PackRequest
 from tests.real_data import real_data
 
 
 def test_a_task_runs_beside_furniture_that_it_does_not_use() -> None:
     folder = real_data("replica_cad")
-    assets = with_joints(
-        f"{folder}/v3_sc2_staging_00", "kitchen_cupboards,cabinet,chest_of_drawers"
+    assets = PackRequest(
+        f"{folder}/v3_sc2_staging_00", ("kitchen_cupboards", "cabinet", "chest_of_drawers")
     )
     env = make(
         task="set_table",

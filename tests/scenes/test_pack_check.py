@@ -13,8 +13,9 @@ import pytest
 from mjhab.core.errors import UsageError
 from mjhab.layout.compile import model_path
 from mjhab.layout.layout import Layout
+from mjhab.scenes.builtin.pack import builtin_pack
 from mjhab.scenes.pack_check import check_pack
-from mjhab.scenes.packs import builtin_pack, load_pack, save_pack
+from mjhab.scenes.pack_folder import load_pack, save_pack
 
 
 @pytest.fixture(scope="module")

@@ -122,9 +122,9 @@ def licence_of(assets: str) -> str:
     """Terms of an asset pack that is one of the public data sets; "" for any other.
 
     Args:
-        assets: "builtin", or the folder of a pack, with "?" and options behind it or without.
+        assets: "builtin", or the folder of a pack.
     """
-    folder = Path(assets.partition("?")[0])
+    folder = Path(assets)
     parts = (folder, folder / "replica_cad", folder.parent, folder.parent / "replica_cad")
     if assets == "builtin" or not any(SOURCES["replica_cad"].complete(part) for part in parts):
         return ""

@@ -58,23 +58,27 @@ def parse(args: Sequence[str] | None) -> Any:
     )
 
 
-def staged(options: Any) -> Any:
-    """Options whose ``articulate`` and ``stage_mesh`` went into the name of their asset pack, where the rest looks."""
+def with_pack_request(options: Any) -> Any:
+    """Options whose ``assets`` hold their ``articulate`` and ``stage_mesh``, too, as plain data of a `PackRequest`."""
     if hasattr(options, "command"):
-        return dataclasses.replace(options, command=staged(options.command))
-    joints = getattr(options, "articulate", None)
+        return dataclasses.replace(options, command=with_pack_request(options.command))
+    furniture = getattr(options, "articulate", None)
     stage = getattr(options, "stage_mesh", None)
-    if joints is None and stage is None:
+    if furniture is None and stage is None:
         return options
-    from mjhab.scenes.packs import with_joints, with_stage
+    from mjhab.scenes.pack_source import PackRequest
 
-    assets = with_stage(with_joints(options.assets, joints), stage)
-    return dataclasses.replace(options, assets=assets, stage_mesh=None, articulate=None)
+    request = PackRequest(
+        options.assets,
+        articulate=tuple(furniture.split(",")) if furniture else (),
+        stage_mesh=str(stage) if stage else "",
+    )
+    return dataclasses.replace(options, assets=request.as_json(), stage_mesh=None, articulate=None)
 
 
 def run(command: Any) -> int:
     """Run a parsed command and return the exit code."""
-    command = staged(command)
+    command = with_pack_request(command)
     # In a group such as `homes`, the command chosen in it.
     chosen = getattr(command, "command", command)
     module, function = commands.RUNNERS.get(type(chosen)) or commands.RUNNERS[type(command)]

@@ -13,6 +13,7 @@ from mjhab.config.profiles import DEFAULT_PROFILE, SPAWN_RULES, Profile, profile
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.robots.registry import DEFAULT_ROBOT, robot_named
 from mjhab.robots.robot import Robot
+from mjhab.scenes.pack_source import Assets, pack_request
 from mjhab.scenes.spec import HANDLE_POINTS
 from mjhab.sim.backends import BACKENDS
 from mjhab.tasks.plan import KIND_NAMES, STILLNESS, TASKS, SubtaskConfig, TaskConfig
@@ -44,8 +45,9 @@ class EnvConfig:
     robot: name of a robot, see `mjhab robots list`.
     task: HAB task. subtask: "" for the whole chain, or one kind of it, done alone to its horizon.
     target: restricts ``subtask`` (or the draw of targets) to an object type or a link; "" or "all" for any.
-    split, home: homes to draw from, or one home by name (or a pattern such as ``v3_sc1_*``). assets: "builtin" or a
-    folder. seed: of the episodes. threads: 0 takes every core.
+    split, home: homes to draw from, or one home by name (or a pattern such as ``v3_sc1_*``). assets: a pack by
+    name or path, or a `PackRequest`; kept as what its ``as_json`` gives. seed: of the episodes. threads: 0 takes all
+    cores.
     obs_mode: "state", or images too, see `observing.OBS_MODES`. cameras: of which of the robot's cameras; camera_size:
     pixels, one number or (height, width). frame_stack: frames that `wrappers.FrameStack` stacks; 1: what it is told.
     control_mode, base, stationary: see `controllers.make_controller`.
@@ -85,7 +87,7 @@ class EnvConfig:
     num_envs: int = 1
     split: str = "train"
     home: str = ""
-    assets: str = "builtin"
+    assets: Assets = "builtin"
     seed: int = 0
     threads: int = 0
     obs_mode: str = "state"
@@ -121,6 +123,7 @@ class EnvConfig:
     def __post_init__(self) -> None:
         if self.target == "all":
             object.__setattr__(self, "target", "")
+        object.__setattr__(self, "assets", pack_request(self.assets).as_json())
         robot = robot_named(self.robot)
         self._take_profile(profile_named(self.profile), robot)
         _known("task", self.task, TASKS)

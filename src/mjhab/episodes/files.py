@@ -37,7 +37,7 @@ class Recipe:
     task: str
     split: str
     seed: int
-    assets: str
+    assets: str | dict[str, Any]
     first: int
     count: int
 

@@ -8,6 +8,7 @@ bowl from a drawer and the apple from the fridge to the table.
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterable
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import cached_property
@@ -21,24 +22,38 @@ from mjhab.core.paths import below
 from mjhab.core.seeding import stream
 from mjhab.layout.compile import home_hash
 from mjhab.layout.layout import Layout, yaw_quat
-from mjhab.layout.receptacles import PlacedReceptacle, placed_receptacles
-from mjhab.scenes.spec import Home, Pack, Vec3
+from mjhab.layout.receptacles import (
+    PlacedReceptacle,
+    link_to_open,
+    placed_receptacles,
+    with_role,
+)
+from mjhab.scenes.roles import (
+    COUNTER_TOP,
+    DINING_TABLE,
+    DRAWER,
+    FRIDGE_DOOR_LINK,
+    FRIDGE_SHELF,
+    KITCHEN_DRAWER_LINK,
+    OPEN_SURFACE,
+    link_with_role,
+    require_roles,
+    roles_of,
+)
+from mjhab.scenes.spec import Home, Pack, Roles, Vec3
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.settle import settle
 from mjhab.tasks.plan import TARGETS_PER_TASK, Target
 
-OPEN_TEMPLATES = ("chair_01", "table_01", "table_02", "tvstand", "sofa")
-COUNTER_TOPS = ("counter_left", "counter_right", "sink")
-FRIDGE_SHELF = "fridge/middle_top"
 BOWL_DRAWER = "kitchen_counter/drawer3"
-SETTABLE_TABLE = "table_01"
 FRIDGE_DOOR = "fridge/top_door"
-NEEDED = {
-    "tidy_house": (),
-    "prepare_groceries": ("fridge", "kitchen_counter"),
-    "set_table": ("fridge", "kitchen_counter", SETTABLE_TABLE),
+"""Links that play the roles `KITCHEN_DRAWER_LINK` and `FRIDGE_DOOR_LINK` in the built-in pack and in ReplicaCAD."""
+NEEDED_ROLES = {
+    "tidy_house": (OPEN_SURFACE,),
+    "prepare_groceries": (FRIDGE_SHELF, FRIDGE_DOOR_LINK, COUNTER_TOP),
+    "set_table": (FRIDGE_SHELF, FRIDGE_DOOR_LINK, DRAWER, KITCHEN_DRAWER_LINK, DINING_TABLE),
 }
-"""Furniture a home must have for a task."""
+"""Roles of furniture for which a home must have a piece, by task."""
 FRIDGE_PREOPEN = 1.5
 """Door angle [rad] of PrepareGroceries starts (HAB prepare_groceries, ao_states)."""
 REGION_RATIO = {"set_table": 0.5, "prepare_groceries": 0.9}
@@ -77,9 +92,22 @@ class _Draw:
     """Objects put so far: slot to (position, radius), in one home."""
 
     home: Home
-    receptacles: dict[str, PlacedReceptacle]
+    roles: Roles
+    receptacles: tuple[PlacedReceptacle, ...]
     placed: dict[int, tuple[np.ndarray, float]]
     pose: np.ndarray
+
+    def places(self, *names: str) -> list[PlacedReceptacle]:
+        """The receptacles of the home that play one of some roles."""
+        return with_role(self.receptacles, self.roles, *names)
+
+    def on_shelf(self, place: PlacedReceptacle) -> bool:
+        """Whether a receptacle is the fridge shelf, where there is little room."""
+        return bool(with_role((place,), self.roles, FRIDGE_SHELF))
+
+    def target_gap(self, place: PlacedReceptacle) -> float:
+        """Free space [m] between the bounding circles of a target and of its neighbours on a receptacle."""
+        return SHELF_GAP if self.on_shelf(place) else TARGET_GAP
 
 
 class EpisodeMaker:
@@ -107,8 +135,7 @@ class EpisodeMaker:
             homes_named(self.layout.pack, home) if home else homes_of(self.layout.pack, split)
         )
         self._in_turn = bool(home)
-        for chosen in self.homes:
-            require_furniture(chosen, task)
+        require_furniture(self.layout.pack, self.homes, task)
 
     def episode(self, seed: int, index: int) -> Episode:
         """The episode named by (seed, index); the same for everyone who asks.
@@ -141,8 +168,9 @@ class EpisodeMaker:
         # The home is drawn apart from the attempts: a home where placing is hard stays as likely as the others.
         home = self._home(seed, index)
         rng = stream(seed, "episode", self.task, self.split, index, attempt)
-        receptacles = {r.id: r for r in placed_receptacles(self.layout, home)}
-        draw = _Draw(home, receptacles, {}, self.layout.parked_poses.copy())
+        receptacles = placed_receptacles(self.layout, home)
+        roles = roles_of(self.layout.pack, home)
+        draw = _Draw(home, roles, receptacles, {}, self.layout.parked_poses.copy())
         targets = self._place_targets(rng, draw)
         if targets is None or not self._place_clutter(
             rng, draw, {self._slot(t.obj) for t in targets}
@@ -152,7 +180,8 @@ class EpisodeMaker:
         a = self.sim.addresses
         qpos[a.object_q[:, None] + np.arange(7)] = draw.pose
         if self.task == "prepare_groceries":
-            qpos[a.link_q[self.layout.link_ids.index(FRIDGE_DOOR)]] = FRIDGE_PREOPEN
+            door = link_with_role(roles, FRIDGE_DOOR_LINK)
+            qpos[a.link_q[self.layout.link_ids.index(door)]] = FRIDGE_PREOPEN
         settled, speed = settle(self.sim.model(home.name), a, qpos)
         pose = settled[a.object_q[:, None] + np.arange(7)]
         if (
@@ -176,26 +205,12 @@ class EpisodeMaker:
     def _slot(self, name: str) -> int:
         return self.layout.object_names.index(name)
 
-    def _open_receptacles(self, draw: _Draw, *, shelf: bool) -> list[PlacedReceptacle]:
-        things: set[str] = set()
-        out = []
-        for r in draw.receptacles.values():
-            # Of a piece of furniture with several boards the first counts, its top.
-            if r.template in OPEN_TEMPLATES and r.id.split("/")[0] not in things:
-                things.add(r.id.split("/")[0])
-                out.append(r)
-            elif (r.template == "kitchen_counter" and r.name in COUNTER_TOPS) or (
-                shelf and r.id == FRIDGE_SHELF
-            ):
-                out.append(r)
-        return out
-
     def _place_targets(self, rng: np.random.Generator, draw: _Draw) -> tuple[Target, ...] | None:
         if self.task == "set_table":
             return self._set_table(rng, draw)
         if self.task == "prepare_groceries":
             return self._groceries(rng, draw)
-        open_places = self._open_receptacles(draw, shelf=False)
+        open_places = draw.places(OPEN_SURFACE)
         return self._targets(rng, draw, [(s, open_places, open_places) for s in self._slots(rng)])
 
     def _slots(self, rng: np.random.Generator) -> list[int]:
@@ -211,19 +226,15 @@ class EpisodeMaker:
         last = {kind: slot for slot, kind in enumerate(self.layout.roster)}
         bowl = last["024_bowl"]
         apple = last["013_apple"]
-        drawer = [r for r in draw.receptacles.values() if r.link == BOWL_DRAWER]
-        table = [r for r in draw.receptacles.values() if r.template == SETTABLE_TABLE]
-        shelf = [draw.receptacles[FRIDGE_SHELF]]
+        drawer = draw.places(DRAWER)
+        table = draw.places(DINING_TABLE)
+        shelf = draw.places(FRIDGE_SHELF)
         return self._targets(rng, draw, [(bowl, drawer, table), (apple, shelf, table)])
 
     def _groceries(self, rng: np.random.Generator, draw: _Draw) -> tuple[Target, ...] | None:
         slots = self._slots(rng)
-        shelf = [draw.receptacles[FRIDGE_SHELF]]
-        tops = [
-            r
-            for r in draw.receptacles.values()
-            if r.template == "kitchen_counter" and r.name in COUNTER_TOPS[:2]
-        ]
+        shelf = draw.places(FRIDGE_SHELF)
+        tops = draw.places(COUNTER_TOP)
         return self._targets(
             rng, draw, [(slots[0], shelf, tops), (slots[1], shelf, tops), (slots[2], tops, shelf)]
         )
@@ -236,9 +247,7 @@ class EpisodeMaker:
     ) -> tuple[Target, ...] | None:
         starts: list[PlacedReceptacle] = []
         for slot, places, _ in wanted:
-            put = self._put(
-                rng, draw, slot, places, SHELF_GAP if places[0].id == FRIDGE_SHELF else TARGET_GAP
-            )
+            put = self._put(rng, draw, slot, places, draw.target_gap(places[0]))
             if put is None:
                 return None
             starts.append(put)
@@ -263,13 +272,13 @@ class EpisodeMaker:
         where: PlacedReceptacle,
         goal: np.ndarray,
     ) -> Target:
-        link = opens(start)
+        link = link_to_open(start, draw.roles)
         return Target(
             obj=self.layout.object_names[slot],
             goal_pos=tuple(goal.tolist()),
             start_pos=tuple(draw.placed[slot][0].tolist()),
             start_link=link,
-            goal_link=opens(where),
+            goal_link=link_to_open(where, draw.roles),
             handle_pos=self.layout.closed_handle(draw.home, link) if link else (0.0, 0.0, 0.0),
         )
 
@@ -277,11 +286,16 @@ class EpisodeMaker:
         return float(np.hypot(*self.layout.objects[slot].half[:2]))
 
     def _sample(
-        self, rng: np.random.Generator, place: PlacedReceptacle, radius: float, half_z: float
+        self,
+        rng: np.random.Generator,
+        draw: _Draw,
+        place: PlacedReceptacle,
+        radius: float,
+        half_z: float,
     ) -> np.ndarray | None:
         if 2 * half_z + 0.02 > place.height:
             return None
-        ratio = REGION_RATIO[self.task] if place.id == FRIDGE_SHELF else 1.0
+        ratio = REGION_RATIO[self.task] if draw.on_shelf(place) else 1.0
         room = ratio * np.maximum(np.array(place.half) - radius - 0.01, 0.0)
         if min(place.half) < radius * 0.75:
             return None
@@ -301,7 +315,7 @@ class EpisodeMaker:
         weights = np.array([4 * r.half[0] * r.half[1] for r in places])
         for _ in range(60):
             place = places[int(rng.choice(len(places), p=weights / weights.sum()))]
-            pos = self._sample(rng, place, radius, half_z)
+            pos = self._sample(rng, draw, place, radius, half_z)
             if pos is None or not self._is_free(draw, pos, radius, gap):
                 continue
             draw.placed[slot] = (pos, radius)
@@ -324,12 +338,10 @@ class EpisodeMaker:
         start = draw.placed[slot][0]
         for _ in range(100):
             place = places[int(rng.choice(len(places), p=weights / weights.sum()))]
-            pos = self._sample(rng, place, radius, half_z)
+            pos = self._sample(rng, draw, place, radius, half_z)
             if pos is None or np.linalg.norm(pos - start) < MIN_START_GOAL:
                 continue
-            if self._is_free(
-                draw, pos, radius, SHELF_GAP if place.id == FRIDGE_SHELF else TARGET_GAP
-            ):
+            if self._is_free(draw, pos, radius, draw.target_gap(place)):
                 return place, pos
         return None
 
@@ -345,11 +357,11 @@ class EpisodeMaker:
         for slot in range(self.layout.num_objects):
             if slot in targets:
                 continue
-            shelf = in_shelf < MAX_SHELF_CLUTTER[self.task]
-            put = self._put(rng, draw, slot, self._open_receptacles(draw, shelf=shelf), GAP)
+            shelf = (FRIDGE_SHELF,) if in_shelf < MAX_SHELF_CLUTTER[self.task] else ()
+            put = self._put(rng, draw, slot, draw.places(OPEN_SURFACE, *shelf), GAP)
             if put is None:
                 return False
-            in_shelf += put.id == FRIDGE_SHELF
+            in_shelf += draw.on_shelf(put)
         return True
 
     # -- memory ----------------------------------------------------------------------------------------------------
@@ -425,23 +437,13 @@ def homes_named(pack: Pack, pattern: str) -> list[Home]:
     return found
 
 
-def require_furniture(home: Home, task: str) -> None:
-    """Refuse a home that lacks furniture a task is about.
+def require_furniture(pack: Pack, homes: Iterable[Home], task: str) -> None:
+    """Refuse homes of a pack that lack furniture a task needs.
 
     Raises:
-        UsageError: names home and furniture.
+        UsageError: names the role of the furniture, and the homes that lack it.
     """
-    has = {p.template for p in (*home.articulations, *home.props)}
-    missing = [name for name in NEEDED[task] if name not in has]
-    if missing:
-        raise UsageError(
-            f"scene {home.name!r} of pack {home.pack!r} has no {missing[0]}, which {task} needs."
-        )
-
-
-def opens(place: PlacedReceptacle) -> str:
-    """The link that must be open to reach into a receptacle, or ""."""
-    return place.link or (FRIDGE_DOOR if place.id == FRIDGE_SHELF else "")
+    require_roles(pack, homes, NEEDED_ROLES[task], f"task {task!r}")
 
 
 def _point(row: np.ndarray) -> Vec3:

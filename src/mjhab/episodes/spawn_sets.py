@@ -77,7 +77,7 @@ class SpawnRecipe:
     split: str
     seed: int
     count: int
-    assets: str = "builtin"
+    assets: str | dict[str, Any] = "builtin"
     home: str = ""
     pool: int = 0
     harvested: bool = False

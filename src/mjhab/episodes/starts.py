@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from mjhab.config.env import EnvConfig
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import MjhabError, UsageError, unknown_name
 from mjhab.core.seeding import stream
-from mjhab.episodes.generator import BOWL_DRAWER, FRIDGE_DOOR, Episode
+from mjhab.episodes.generator import Episode
 from mjhab.episodes.grasps.held import HeldStarts
 from mjhab.episodes.grasps.held_arms import HeldArms
 from mjhab.episodes.spawn_sets import SpawnSet
@@ -26,6 +26,7 @@ from mjhab.episodes.spawns import (
     SpawnSampler,
 )
 from mjhab.layout.layout import Layout
+from mjhab.scenes.roles import FRIDGE_DOOR_LINK, KITCHEN_DRAWER_LINK, link_with_role
 from mjhab.scenes.spec import Home
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.settle import parked_robot_qpos
@@ -86,7 +87,8 @@ def subtask_positions(plan: TaskPlan, layout: Layout, kind: str, target: str) ->
 def valid_targets(config: EnvConfig, layout: Layout) -> list[str]:
     """Object types or links that the task's subtask can be about."""
     if config.subtask in ("open", "close"):
-        return [BOWL_DRAWER, FRIDGE_DOOR]
+        roles = layout.pack.roles
+        return [link_with_role(roles, name) for name in (KITCHEN_DRAWER_LINK, FRIDGE_DOOR_LINK)]
     if config.task == "set_table":
         return ["024_bowl", "013_apple"]
     return sorted(set(layout.roster))

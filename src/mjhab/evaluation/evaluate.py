@@ -38,6 +38,7 @@ from mjhab.rollout.policy import Policy, RolloutEnv
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink
 from mjhab.rollout.store import REPORT, RunFolder, StoreSink, check_folder, read_records
+from mjhab.scenes.pack_source import Assets, pack_request
 from mjhab.tasks.plan import KIND_NAMES, TASKS
 from mjhab.tasks.style import Styles
 
@@ -81,7 +82,7 @@ class EvalSpec:
     worlds: int = 8
     seed: int = 0
     split: str = "train"
-    assets: str = "builtin"
+    assets: Assets = "builtin"
     episodes_file: str | None = None
     navigate: str = "teleport"
     spawns: str | None = None
@@ -96,6 +97,7 @@ class EvalSpec:
     alone: tuple[Path, ...] = ()
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "assets", pack_request(self.assets).as_json())
         for kind, given, valid in (
             ("task", self.task, TASKS),
             ("subtask", self.subtask or None, KIND_NAMES),

@@ -40,6 +40,7 @@ from mjhab.evaluation.evaluate import (
 )
 from mjhab.evaluation.resolve import PolicyFacts, full_spec
 from mjhab.rollout.loop import plain
+from mjhab.scenes.pack_source import Assets, pack_request
 from mjhab.tasks.style import Styles
 
 NO_IMAGES = "none"
@@ -105,7 +106,7 @@ class GenerateSpec:
     seed: int = 0
     split: str = "train"
     home: str | None = None
-    assets: str = "builtin"
+    assets: Assets = "builtin"
     navigate: str = "teleport"
     env: Mapping[str, Any] = field(default_factory=dict)
     per_target: int = 0
@@ -126,6 +127,7 @@ class GenerateSpec:
     resume: bool = False
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "assets", pack_request(self.assets).as_json())
         if isinstance(self.policy, str):
             object.__setattr__(
                 self, "policy", full_spec(self.policy, self.task, self.subtask, self.target)
@@ -328,7 +330,9 @@ def build_stage(spec: GenerateSpec) -> Stage:
     if spec.subtask and spec.subtask != "navigate":
         targets = (spec.target,) if spec.target else tuple(valid_targets(env.config, env.layout))
     policy = make_policy(evaluation, env)
-    return Stage(env, policy, about_policy(spec, facts), targets, licence_of(spec.assets))
+    return Stage(
+        env, policy, about_policy(spec, facts), targets, licence_of(pack_request(spec.assets).place)
+    )
 
 
 def about_policy(spec: GenerateSpec, facts: PolicyFacts) -> dict[str, Any]:

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
 from mjhab.layout.layout import Layout, compose
-from mjhab.scenes.spec import Home, Placement, Receptacle, Vec3
+from mjhab.scenes.roles import plays
+from mjhab.scenes.spec import Home, Placement, Receptacle, Roles, Vec3
 
 
 @dataclass(frozen=True)
 class PlacedReceptacle:
     """A receptacle of a home, with all joints closed. ``id`` is ``<thing>/<receptacle>``.
 
-    ``template`` is the prop or articulation it belongs to; ``link`` the moving link id that carries it, or "".
+    ``template`` is the prop or articulation it belongs to, of whose receptacles it is number ``rank``; ``link`` the
+    moving link id that carries it, or "".
     ``pos`` the world centre of its supporting rectangle, ``yaw`` its heading, ``half`` its half-extents [m].
     """
 
@@ -27,6 +30,7 @@ class PlacedReceptacle:
     yaw: float
     half: tuple[float, float]
     height: float
+    rank: int = 0
 
     def point(self, u: float, v: float) -> np.ndarray:
         """World position (3,) of the point at (u, v) [m] from the centre in the receptacle's own axes."""
@@ -49,19 +53,20 @@ def placed_receptacles(layout: Layout, home: Home) -> tuple[PlacedReceptacle, ..
         if placement is not None:
             prop = layout.pack.props[slot.template]
             out += [
-                _place(slot.name, slot.template, r, placement, (0.0, 0.0, 0.0))
-                for r in prop.receptacles
+                _place(slot.name, slot.template, k, r, placement, (0.0, 0.0, 0.0))
+                for k, r in enumerate(prop.receptacles)
             ]
     for articulation in layout.articulations:
         placement = layout.articulation_placement(home, articulation.name)
         if placement not in home.articulations:
             continue
         origin = {link.name: link.pos for link in articulation.links}
-        for r in articulation.receptacles:
+        for k, r in enumerate(articulation.receptacles):
             out.append(
                 _place(
                     articulation.name,
                     articulation.name,
+                    k,
                     r,
                     placement,
                     origin.get(r.link, (0.0, 0.0, 0.0)),
@@ -70,12 +75,28 @@ def placed_receptacles(layout: Layout, home: Home) -> tuple[PlacedReceptacle, ..
     return tuple(out)
 
 
+def with_role(
+    receptacles: Iterable[PlacedReceptacle], roles: Roles, *names: str
+) -> list[PlacedReceptacle]:
+    """The receptacles that play one of the roles ``names``, in the given order."""
+    return [
+        r
+        for r in receptacles
+        if any(plays(roles, name, r.template, r.name, first=r.rank == 0) for name in names)
+    ]
+
+
+def link_to_open(place: PlacedReceptacle, roles: Roles) -> str:
+    """Id of the link that must be open to reach into a receptacle, or ""."""
+    return place.link or roles.closed_by.get(f"{place.template}/{place.name}", "")
+
+
 def _place(
-    thing: str, template: str, r: Receptacle, at: Placement, origin: Vec3
+    thing: str, template: str, rank: int, r: Receptacle, at: Placement, origin: Vec3
 ) -> PlacedReceptacle:
     local = (origin[0] + r.pos[0], origin[1] + r.pos[1], origin[2] + r.pos[2])
     pos, _ = compose(at.pos, at.rotation, local)
     link = f"{thing}/{r.link}" if r.link else ""
     return PlacedReceptacle(
-        f"{thing}/{r.name}", r.name, template, r.kind, link, pos, at.yaw, r.half, r.height
+        f"{thing}/{r.name}", r.name, template, r.kind, link, pos, at.yaw, r.half, r.height, rank
     )

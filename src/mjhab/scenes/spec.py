@@ -110,7 +110,7 @@ class Link:
 
 @dataclass(frozen=True)
 class Articulation:
-    """Furniture with joints: a static body and links that open. Tasks use "kitchen_counter" and "fridge"."""
+    """Furniture with joints: a static body and links that open."""
 
     name: str
     geoms: tuple[Geom, ...]
@@ -147,6 +147,21 @@ class Light:
 
 
 @dataclass(frozen=True)
+class Roles:
+    """Which pieces of furniture play the roles that tasks ask for (names in `mjhab.scenes.roles`).
+
+    ``places``: role to the receptacles that play it, each as ``"<template>/<receptacle>"``, as ``"<template>"`` for the
+    first receptacle of every such piece (its top), or as ``"<template>/*"`` for all of them. ``links``: role to the id
+    ``"<articulation>/<link>"`` of the link that plays it. ``closed_by``: receptacle ``"<template>/<receptacle>"`` to
+    the id of the link that must be open to reach it, where it does not move with that link.
+    """
+
+    places: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    links: dict[str, str] = field(default_factory=dict)
+    closed_by: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class Home:
     """One furnished apartment. ``walls`` are boxes in world coordinates (collide and block the base)."""
 
@@ -168,6 +183,8 @@ class Home:
     """What a person should know about this home: a hard case, or empty."""
     open_limits: tuple[tuple[str, float], ...] = ()
     """(link id, joint position [m] or [rad]) of links that meet a wall before the end of their range."""
+    roles: Roles | None = None
+    """Roles that hold in this home instead of those of its pack; None for those of the pack."""
 
 
 @dataclass(frozen=True)
@@ -189,7 +206,7 @@ class ObjectType:
 
 @dataclass(frozen=True)
 class Pack:
-    """An asset pack: templates, homes, objects. ``builtin`` is made by code; others are read from a folder."""
+    """An asset pack: templates, homes, objects, and which pieces play which roles."""
 
     name: str
     props: dict[str, Prop]
@@ -198,3 +215,5 @@ class Pack:
     objects: dict[str, ObjectType]
     meshes: dict[str, object] = field(default_factory=dict)
     """Name to ``scenes.shapes.meshes.Mesh`` for every mesh the geoms name."""
+    roles: Roles = Roles()
+    """Which pieces play the roles that tasks ask for, in every home that states none of its own."""

@@ -26,7 +26,8 @@ from mjhab.episodes.hab.reader import (
 from mjhab.episodes.hab.writer import to_hab
 from mjhab.layout.layout import Layout
 from mjhab.scenes.builtin.objects import roster
-from mjhab.scenes.packs import open_pack, with_joints
+from mjhab.scenes.pack_source import PackRequest
+from mjhab.scenes.packs import open_pack
 from mjhab.scenes.spec import Home
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from tests.real_data import real_data
@@ -230,18 +231,21 @@ def test_a_home_without_a_fridge_is_refused_for_set_table() -> None:
     )
     with pytest.raises(
         UsageError,
-        match=f"scene '{bare.name}' of pack 'builtin' has no fridge, which set_table needs",
+        match=(
+            "task 'set_table' needs furniture with the role 'fridge_shelf', which these homes of pack "
+            f"'builtin' lack: '{bare.name}'"
+        ),
     ):
-        require_furniture(bare, "set_table")
-    require_furniture(bare, "tidy_house")
+        require_furniture(pack, [pack.homes[0], bare], "set_table")
+    require_furniture(pack, [bare], "tidy_house")
     sim = CpuSimulator(
         Layout(replace(pack, homes=(pack.homes[0], bare)), roster("set_table")), 1, 1
     )
-    with pytest.raises(UsageError, match="has no fridge"):
+    with pytest.raises(UsageError, match="role 'fridge_shelf'"):
         EpisodeMaker(sim, "set_table", bare.split, home=bare.name)
     episode = replace(hab("set_table"), scene_id=f"{bare.name}.scene_instance.json")
     with pytest.raises(
-        UsageError, match=r"some\.json\.gz: episodes\[0\]\.scene_id: .*has no fridge"
+        UsageError, match=r"some\.json\.gz: episodes\[0\]\.scene_id: .*role 'fridge_shelf'"
     ):
         FileEpisodes(sim, HabFile((episode,), path=PATH), "set_table")
 
@@ -311,7 +315,7 @@ def test_states_of_furniture_that_is_welded_unless_asked_for() -> None:
     episode = replace(file.episodes[0], ao_states=states)
     welded, opening = (
         Layout(open_pack(name), file_roster(file, open_pack(name)))
-        for name in (folder, with_joints(folder, "kitchen_cupboards,chest_of_drawers"))
+        for name in (folder, PackRequest(folder, ("kitchen_cupboards", "chest_of_drawers")))
     )
     with pytest.raises(
         ValueError,

@@ -20,8 +20,8 @@ from mjhab.robots.fetch import model as fetch
 from mjhab.robots.fetch.robot import ROBOT
 from mjhab.robots.parts import CameraMount
 from mjhab.scenes.builtin.objects import roster
+from mjhab.scenes.builtin.pack import builtin_pack
 from mjhab.scenes.freespace import free_map
-from mjhab.scenes.packs import builtin_pack
 from mjhab.scenes.shapes.meshes import Mesh
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.settle import parked_robot_qpos

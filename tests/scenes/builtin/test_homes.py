@@ -28,7 +28,8 @@ from mjhab.scenes.builtin.homes import (
 )
 from mjhab.scenes.builtin.materials import MATERIALS
 from mjhab.scenes.freespace import free_map, reach
-from mjhab.scenes.packs import load_pack, open_pack, save_pack
+from mjhab.scenes.pack_folder import load_pack, save_pack
+from mjhab.scenes.packs import open_pack
 from mjhab.scenes.shapes.footprints import all_geoms, footprint, meet, outline, rectangle
 from mjhab.scenes.shapes.meshes import Mesh
 from mjhab.scenes.shapes.openings import free_travel, stuck_links

@@ -15,7 +15,9 @@ from mjhab.core.rotations import quat_rotate
 from mjhab.layout.compile import compile_home
 from mjhab.layout.layout import Layout
 from mjhab.layout.receptacles import placed_receptacles
-from mjhab.scenes.packs import load_pack, open_pack, save_pack, with_joints, with_stage
+from mjhab.scenes.pack_folder import load_pack, save_pack
+from mjhab.scenes.pack_source import PackRequest, pack_request
+from mjhab.scenes.packs import open_pack
 from mjhab.scenes.replica_cad.reader import open_replica_cad
 from mjhab.scenes.shapes.footprints import outline
 from mjhab.scenes.spec import Pack
@@ -140,24 +142,40 @@ def test_stage_mesh_of_the_data_set_or_of_the_user(
         not caplog.records and len(home.walls) == 4 and home.floor == pytest.approx((-4, -3, 4, 3))
     )
     other = box_glb(folder.parent / "other.glb", (5.0, 1.5, 3.0), at=((0, 1.5, 0),))
-    assert open_pack(with_stage(str(folder), other)).homes[0].floor == pytest.approx((-5, -3, 5, 3))
+    staged = open_pack(PackRequest(str(folder), stage_mesh=str(other)))
+    assert staged.homes[0].floor == pytest.approx((-5, -3, 5, 3))
     with pytest.raises(UsageError, match=r"stage mesh '.*none\.glb' does not exist"):
-        with_stage(str(folder), folder / "none.glb")
-    with pytest.raises(UsageError, match="not a ReplicaCAD folder"):
-        open_pack(with_stage("builtin", other))
+        open_pack(PackRequest(str(folder), stage_mesh=str(folder / "none.glb")))
+    with pytest.raises(UsageError, match="kind 'builtin', which takes no option 'stage_mesh'"):
+        open_pack(PackRequest(stage_mesh=str(other)))
 
 
-def test_furniture_to_articulate_is_part_of_the_name_of_a_pack(folder: Path) -> None:
+def test_options_of_a_pack_travel_as_a_dataclass_and_through_files(folder: Path) -> None:
     stage = box_glb(folder.parent / "stage.glb", (5.0, 1.5, 3.0), at=((0, 1.5, 0),))
-    name = with_stage(with_joints(str(folder), "cabinet,kitchen_cupboards"), stage)
-    assert open_pack(name).homes[0].floor == pytest.approx((-5, -3, 5, 3))
-    assert with_joints("builtin", None) == "builtin"
+    request = PackRequest(str(folder), ("kitchen_cupboards", "cabinet"), str(stage), (SCENE,))
+    assert open_pack(request).homes[0].floor == pytest.approx((-5, -3, 5, 3))
+    assert open_pack(json.loads(json.dumps(request.as_json()))) is open_pack(request)
+    assert pack_request(f"{folder}?articulate=cabinet?stage={stage}") == PackRequest(
+        str(folder), ("cabinet",), str(stage)
+    )
+    assert PackRequest("builtin").as_json() == "builtin"
     with pytest.raises(
         UsageError, match=r"unknown furniture to articulate 'cabinets'\. Did you mean 'cabinet'\?"
     ):
-        with_joints(str(folder), "cabinets")
-    with pytest.raises(UsageError, match="not a ReplicaCAD folder: furniture to articulate"):
-        open_pack(with_joints("builtin", "cabinet"))
+        open_pack(PackRequest(str(folder), ("cabinets",)))
+    with pytest.raises(
+        UsageError, match="takes no option 'articulate'; kinds that do: replica_cad"
+    ):
+        open_pack(PackRequest("builtin", ("cabinet",)))
+    with pytest.raises(UsageError, match="unknown field of assets 'stage'"):
+        open_pack({"place": str(folder), "stage": str(stage)})
+
+
+def test_scenes_may_be_an_option(folder: Path) -> None:
+    scenes = folder / "configs" / "scenes"
+    shutil.copy(scenes / f"{SCENE}.scene_instance.json", scenes / "apt_0.scene_instance.json")
+    (home,) = open_pack(PackRequest(str(folder), scenes=("apt_*",))).homes
+    assert home.name == "apt_0"
 
 
 def test_other_scenes_by_their_file(folder: Path) -> None:
@@ -167,7 +185,7 @@ def test_other_scenes_by_their_file(folder: Path) -> None:
     (home,) = open_pack(str(scenes / "apt_0.scene_instance.json")).homes
     assert (home.name, home.split) == ("apt_0", "train")
     with pytest.raises(UsageError, match=r"unknown scene 'apt_1'\. Did you mean 'apt_0'\?"):
-        open_replica_cad(folder, "apt_1")
+        open_replica_cad(folder, ("apt_1",))
 
 
 def test_other_scenes_by_their_names(folder: Path) -> None:

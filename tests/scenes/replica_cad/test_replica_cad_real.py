@@ -22,7 +22,8 @@ from mjhab.robots.fetch.model import BASE_HEIGHT
 from mjhab.scenes.formats.gltf import read_glb, read_hulls
 from mjhab.scenes.formats.urdf import read_urdf
 from mjhab.scenes.freespace import free_map, reach
-from mjhab.scenes.packs import open_pack, with_joints, with_stage
+from mjhab.scenes.pack_source import PackRequest
+from mjhab.scenes.packs import open_pack
 from mjhab.scenes.replica_cad.navmesh import read_navmesh
 from mjhab.scenes.replica_cad.stage import stage_shape
 from mjhab.scenes.shapes.footprints import all_geoms, outline
@@ -30,6 +31,7 @@ from mjhab.scenes.shapes.hulls import vertical_extent
 from mjhab.scenes.spec import Pack
 from tests.real_data import real_data
 
+EVERYTHING = ("kitchen_cupboards", "cabinet", "chest_of_drawers")
 EVERY_MACRO = ("v3_sc0_staging_00", "v3_sc1_staging_01", "v3_sc2_staging_10", "v3_sc3_staging_20")
 
 
@@ -357,7 +359,7 @@ def test_doors_and_drawers_move_through_their_whole_range(pack: Pack, layout: La
 def test_cupboards_cabinet_and_chest_open_when_asked_for(
     folder: Path, pack: Pack, layout: Layout
 ) -> None:
-    more = open_pack(with_joints(str(folder), "kitchen_cupboards,cabinet,chest_of_drawers"))
+    more = open_pack(PackRequest(str(folder), EVERYTHING))
     opening = Layout(more, ())
     closed = compile_home(layout, pack.homes[0])
     model = compile_home(opening, more.homes[0])
@@ -385,7 +387,7 @@ def test_cupboards_cabinet_and_chest_open_when_asked_for(
 
 
 def test_optional_links_keep_the_numbers_of_the_data_set(folder: Path) -> None:
-    pack = open_pack(with_joints(str(folder), "kitchen_cupboards,cabinet,chest_of_drawers"))
+    pack = open_pack(PackRequest(str(folder), EVERYTHING))
     links = {f"{a.name}/{k.name}": k for a in pack.articulations.values() for k in a.links}
     left, right = (links[f"kitchenCupboard_01/kitchencupboard_doorWhole_1{side}"] for side in "LR")
     # Hinges open outwards: the left one counts downwards in the data set, both upwards here. uniform_scale 0.38.
@@ -427,7 +429,7 @@ def test_walls_of_the_stage_mesh(folder: Path, pack: Pack) -> None:
     assert len(walls) < 150
     # No wall crosses the walkable area, and walkable places with the clearance of the mesh's agent are free.
     name = str(folder / "configs" / "scenes" / "empty_stage.scene_instance.json")
-    staged = open_pack(with_stage(name, file))
+    staged = open_pack(PackRequest(name, stage_mesh=str(file)))
     assert staged.homes[0].walls == walls
     free = free_map(staged.homes[0], staged)
     points = np.concatenate(

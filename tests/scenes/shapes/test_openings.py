@@ -12,7 +12,7 @@ from mjhab.layout.compile import compile_home
 from mjhab.layout.layout import Layout
 from mjhab.robots.fetch.model import FETCH_JOINTS
 from mjhab.scenes.builtin.homes import make_home
-from mjhab.scenes.packs import builtin_pack
+from mjhab.scenes.builtin.pack import builtin_pack
 from mjhab.scenes.shapes.openings import free_travel
 from mjhab.scenes.spec import Geom
 

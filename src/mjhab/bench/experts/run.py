@@ -159,9 +159,8 @@ def _config(options: BenchExpertsOptions) -> dict[str, Any]:
 
 
 def _short(assets: str) -> str:
-    """Names of folder and stage, without where they lie on this machine; generation.json of a row has that."""
-    place, _, more = assets.partition("?")
-    return " with ".join(filter(None, (Path(place).name, Path(more).name)))
+    """Name of a pack's folder, without where it lies on this machine; generation.json of a row has that."""
+    return Path(assets).name
 
 
 def _open_folder(options: BenchExpertsOptions) -> None:

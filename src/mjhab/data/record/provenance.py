@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import json
 import platform
 import subprocess
 from collections.abc import Mapping
@@ -89,7 +90,7 @@ def describe_run(env: Any, policy: Mapping[str, Any], licence: str = "") -> RunI
             "actions": [entry.name for entry in env.action_table],
             "taints": list(env.taint_names),
         },
-        assets=env.config.assets,
+        assets=_text(env.config.assets),
         licence=licence
         or (BUILTIN_LICENCE if env.config.assets == "builtin" else "unknown: see the asset pack"),
     )
@@ -142,6 +143,11 @@ def _columns(addresses: Any) -> dict[str, list[int]]:
     """Where qpos and qvel hold what: robot joints, then the first column of each object and of each link."""
     names = ("robot_q", "robot_v", "object_q", "object_v", "link_q")
     return {name: np.asarray(getattr(addresses, name)).astype(int).tolist() for name in names}
+
+
+def _text(assets: Any) -> str:
+    """A pack by its place, or a pack with options as JSON."""
+    return assets if isinstance(assets, str) else json.dumps(assets, sort_keys=True)
 
 
 def _plain(value: Any) -> Any:

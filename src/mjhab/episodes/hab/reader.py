@@ -14,7 +14,7 @@ import numpy as np
 
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.rotations import mat_from_quat
-from mjhab.episodes.generator import Episode, opens, require_furniture
+from mjhab.episodes.generator import Episode, require_furniture
 from mjhab.episodes.hab.format import (
     HabEpisode,
     HabFile,
@@ -22,7 +22,8 @@ from mjhab.episodes.hab.format import (
 )
 from mjhab.episodes.hab.format import Receptacle as NumberedLink
 from mjhab.layout.layout import Layout
-from mjhab.layout.receptacles import PlacedReceptacle, placed_receptacles
+from mjhab.layout.receptacles import PlacedReceptacle, link_to_open, placed_receptacles
+from mjhab.scenes.roles import roles_of
 from mjhab.scenes.spec import Home, Pack, Vec3
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.settle import settle
@@ -104,6 +105,7 @@ class FileEpisodes:
         self.task = task
         self.layout = sim.layout
         self._homes = {home.name: home for home in self.layout.pack.homes}
+        self._furnished: set[str] = set()
         self._settled: dict[int, tuple[Episode, Rest]] = {}
         for i in range(len(self.file.episodes)):
             self._check(i)
@@ -159,10 +161,12 @@ class FileEpisodes:
                 f"{where}.scene_id: {near} `mjhab homes list` names those of {self.layout.pack.name!r}; scenes of "
                 "ReplicaCAD that are not staged are opened by name, as --assets FOLDER/apt_0."
             )
-        try:
-            require_furniture(self._homes[episode.scene], self.task)
-        except UsageError as error:
-            raise UsageError(f"{where}.scene_id: {error}") from error
+        if episode.scene not in self._furnished:
+            try:
+                require_furniture(self.layout.pack, [self._homes[episode.scene]], self.task)
+            except UsageError as error:
+                raise UsageError(f"{where}.scene_id: {error}") from error
+            self._furnished.add(episode.scene)
         names = episode.target_names
         limit = TARGETS_PER_TASK[self.task]
         if not 1 <= len(names) <= limit:
@@ -386,30 +390,30 @@ def file_targets(
     for k, name in enumerate(episode.target_names):
         slot = layout.object_names.index(name)
         goal = pose_from_hab(episode.targets[name], layout.objects[slot].scan_yaw)
-        start_link = _behind(layout, places, name, pose[slot], episode.target_receptacles, k, root)
-        goal_link = _behind(layout, places, name, goal, episode.goal_receptacles, k, root)
+        starts = _listed_link(layout, episode.target_receptacles, k, root)
+        ends = _listed_link(layout, episode.goal_receptacles, k, root)
+        start_link = starts or _link_around(layout, home, places, name, pose[slot])
+        goal_link = ends or _link_around(layout, home, places, name, goal)
         handle = layout.closed_handle(home, start_link) if start_link else (0.0, 0.0, 0.0)
         out.append(Target(name, _point(goal), _point(pose[slot]), start_link, goal_link, handle))
     return tuple(out)
 
 
-def _behind(
-    layout: Layout,
-    places: tuple[PlacedReceptacle, ...],
-    name: str,
-    pose: np.ndarray,
-    listed: tuple[NumberedLink, ...],
-    k: int,
-    root: int,
+def _listed_link(layout: Layout, listed: tuple[NumberedLink, ...], k: int, root: int) -> str:
+    """Id of the link that a file lists for target ``k``, or "" if it lists none that is here."""
+    if k >= len(listed) or listed[k][1] is None:
+        return ""
+    furniture = template_of(listed[k][0])
+    link = f"{furniture}/{_link_name(layout, furniture, int(listed[k][1] or 0), root)}"
+    return link if link in layout.link_ids else ""
+
+
+def _link_around(
+    layout: Layout, home: Home, places: tuple[PlacedReceptacle, ...], name: str, pose: np.ndarray
 ) -> str:
-    """The link to open before an object at ``pose`` (7,) can be reached, or ""."""
-    if k < len(listed) and listed[k][1] is not None:
-        furniture = template_of(listed[k][0])
-        link = f"{furniture}/{_link_name(layout, furniture, int(listed[k][1] or 0), root)}"
-        if link in layout.link_ids:
-            return link
+    """Id of the link to open before an object at ``pose`` (7,) can be reached, or ""."""
     found = receptacle_at(layout, places, name, pose)
-    return opens(found) if found is not None else ""
+    return link_to_open(found, roles_of(layout.pack, home)) if found is not None else ""
 
 
 def _point(pose: np.ndarray) -> Vec3:

@@ -33,7 +33,7 @@ class Scene:
     subtask: str = "close"
     target: str = ""
     split: str = "train"
-    assets: str = "builtin"
+    assets: str | dict[str, Any] = "builtin"
     home: str = ""
     profile: str = ""
     spawn_rule: str = ""

@@ -13,7 +13,7 @@ from __future__ import annotations
 import fnmatch
 import logging
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -22,6 +22,7 @@ import numpy as np
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.names import check_name
 from mjhab.core.rotations import mat_from_quat
+from mjhab.scenes import roles
 from mjhab.scenes.builtin.objects import builtin_objects, object_meshes
 from mjhab.scenes.pack_check import check_pack
 from mjhab.scenes.replica_cad.files import (
@@ -35,14 +36,40 @@ from mjhab.scenes.replica_cad.files import (
     short_name,
 )
 from mjhab.scenes.replica_cad.files import field as entry
-from mjhab.scenes.replica_cad.furniture import Furniture
+from mjhab.scenes.replica_cad.furniture import OPTIONAL, Furniture
 from mjhab.scenes.replica_cad.navmesh import read_navmesh
 from mjhab.scenes.replica_cad.stage import Extent, stage_shape
+from mjhab.scenes.roles import present_roles
 from mjhab.scenes.shapes.footprints import outline
-from mjhab.scenes.spec import Geom, Home, Light, ObjectType, Pack, Placement
+from mjhab.scenes.spec import Geom, Home, Light, ObjectType, Pack, Placement, Roles
 
 STAGED = re.compile(r"v3_sc(\d+)_staging_(\d+)")
 FLOOR_MATERIAL = "floor_oak"
+ROLES = Roles(
+    places={
+        roles.OPEN_SURFACE: (
+            "chair_01",
+            "table_01",
+            "table_02",
+            "tvstand",
+            "sofa",
+            "kitchen_counter/counter_left",
+            "kitchen_counter/counter_right",
+            "kitchen_counter/sink",
+        ),
+        roles.COUNTER_TOP: ("kitchen_counter/counter_left", "kitchen_counter/counter_right"),
+        roles.SINK: ("kitchen_counter/sink",),
+        roles.DINING_TABLE: ("table_01/*",),
+        roles.DRAWER: ("kitchen_counter/drawer_right_top",),
+        roles.FRIDGE_SHELF: ("fridge/middle_top",),
+    },
+    links={
+        roles.KITCHEN_DRAWER_LINK: "kitchen_counter/drawer3",
+        roles.FRIDGE_DOOR_LINK: "fridge/top_door",
+    },
+    closed_by={"fridge/middle_top": "fridge/top_door"},
+)
+"""Furniture and receptacles that the tasks of the Home Assistant Benchmark use (habitat-lab, hab/*.yaml)."""
 _MARGIN = 1.0
 """Floor around the furniture where neither stage nor navigation mesh tells its extent [m]."""
 _LIGHTS = (
@@ -58,26 +85,33 @@ _warned: set[str] = set()
 
 
 def open_replica_cad(
-    folder: Path, scene: str = "", stage_mesh: Path | None = None, articulate: tuple[str, ...] = ()
+    folder: Path,
+    scenes: tuple[str, ...] = (),
+    stage_mesh: Path | None = None,
+    articulate: tuple[str, ...] = (),
 ) -> Pack:
     """Read the data set.
 
     Args:
         folder: of the data set; objects are those of a folder ``ycb`` in it or beside it, else the built-in ones.
-        scene: names of scenes to make a pack of, or patterns such as ``apt_*``, with commas between them; "" for all
-            staged ones.
+        scenes: names of scenes to make a pack of, or patterns such as ``apt_*``; () for all staged ones.
         stage_mesh: a ``.glb`` to take as the stage of every scene, instead of those its configs name.
         articulate: furniture that opens besides kitchen counter and fridge: keys of ``OPTIONAL``.
 
     Raises:
-        UsageError: the folder lacks something or a file is broken; the message names it.
+        UsageError: the folder lacks something, a file is broken or missing, or a name is unknown; the message names it.
     """
+    if stage_mesh is not None and not stage_mesh.is_file():
+        raise UsageError(f"stage mesh {str(stage_mesh)!r} does not exist.")
+    for name in articulate:
+        if name not in OPTIONAL:
+            raise unknown_name("furniture to articulate", name, OPTIONAL)
     check_folder(folder)
     names = sorted(
         p.name.removesuffix(SCENE_SUFFIX)
         for p in (folder / "configs" / "scenes").glob("*" + SCENE_SUFFIX)
     )
-    chosen = _named(scene, names) if scene else [name for name in names if STAGED.fullmatch(name)]
+    chosen = _named(scenes, names) if scenes else [name for name in names if STAGED.fullmatch(name)]
     if not chosen:
         raise UsageError(
             f"{folder / 'configs' / 'scenes'} has no staged scene (v3_sc*_staging_*); {FETCH}."
@@ -109,7 +143,7 @@ def open_replica_cad(
         objects,
         {**furniture.meshes, **furniture.looks.meshes(), **meshes},
     )
-    return check_pack(pack, folder)
+    return check_pack(replace(pack, roles=present_roles(pack, ROLES)), folder)
 
 
 def _warn(folder: Path, missing: list[Path], meaning: str) -> None:
@@ -128,10 +162,10 @@ def _warn_once(text: str) -> None:
         _log.warning(text)
 
 
-def _named(wanted: str, names: list[str]) -> list[str]:
-    """Scenes that fit names or patterns with commas between them, in the order of ``names``."""
+def _named(wanted: tuple[str, ...], names: list[str]) -> list[str]:
+    """Scenes that fit names or patterns, in the order of ``names``."""
     found: set[str] = set()
-    for pattern in wanted.split(","):
+    for pattern in wanted:
         fitting = fnmatch.filter(names, pattern)
         if not fitting:
             raise unknown_name("scene", pattern, names)

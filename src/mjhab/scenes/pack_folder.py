@@ -1,0 +1,221 @@
+"""Packs kept in a folder: ``pack.json`` (templates, homes, objects) and ``meshes.npz`` (arrays, no pickles)."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import types
+import typing
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mjhab.core.errors import UsageError
+from mjhab.scenes.pack_check import check_pack
+from mjhab.scenes.pack_source import PackRequest, PackSource
+from mjhab.scenes.roles import check_roles
+from mjhab.scenes.shapes.meshes import Mesh, mesh_arrays, mesh_from_arrays
+from mjhab.scenes.spec import Articulation, Home, ObjectType, Pack, Prop, Roles
+
+PACK_FORMAT = "mjhab-pack-1"
+_JSON = "pack.json"
+_MESHES = "meshes.npz"
+
+
+def save_pack(pack: Pack, folder: Path) -> None:
+    """Write a pack into ``folder`` (made if missing); ``load_pack`` gives an equal pack back.
+
+    ``pack.json`` is written last and put in place by a rename, so a folder that has it is complete.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    arrays: dict[str, np.ndarray] = {}
+    for name, mesh in pack.meshes.items():
+        assert isinstance(mesh, Mesh)
+        arrays |= mesh_arrays(name, mesh)
+    np.savez_compressed(folder / _MESHES, **arrays)  # type: ignore[arg-type]
+    body = {
+        "format": PACK_FORMAT,
+        "name": pack.name,
+        "meshes": sorted(pack.meshes),
+        "props": [dataclasses.asdict(p) for p in pack.props.values()],
+        "articulations": [dataclasses.asdict(a) for a in pack.articulations.values()],
+        "homes": [dataclasses.asdict(h) for h in pack.homes],
+        "objects": [dataclasses.asdict(o) for o in pack.objects.values()],
+        "roles": dataclasses.asdict(pack.roles),
+    }
+    partial = folder / (_JSON + ".part")
+    partial.write_text(json.dumps(body))
+    partial.replace(folder / _JSON)
+
+
+def load_pack(folder: Path) -> Pack:
+    """Read a pack folder.
+
+    Raises:
+        UsageError: a file is missing, broken or of another format, or holds names or numbers that no home can be made
+            of (`check_pack`); names the file and the field.
+    """
+    for needed in (_JSON, _MESHES):
+        if not (folder / needed).is_file():
+            raise UsageError(
+                f"asset folder '{folder}' has no {needed}; a pack folder must hold {_JSON} and {_MESHES} "
+                "as written by mjhab.scenes.pack_folder.save_pack. It is no ReplicaCAD data set either (no "
+                "configs/scenes, configs/objects); `mjhab assets fetch replica_cad` gets one."
+            )
+    path = folder / _JSON
+    try:
+        body = json.loads(path.read_text(encoding="utf-8"))
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise UsageError(f"{path}: not valid JSON ({error}); write the pack again.") from error
+    if not isinstance(body, dict) or body.get("format") != PACK_FORMAT:
+        raise UsageError(
+            f"{path}: field 'format' must be {PACK_FORMAT!r}; this is not a pack of this version."
+        )
+    try:
+        props = {p.name: p for p in _read(tuple[Prop, ...], body["props"], "props")}
+        articulations = {
+            a.name: a
+            for a in _read(tuple[Articulation, ...], body["articulations"], "articulations")
+        }
+        objects = {o.name: o for o in _read(tuple[ObjectType, ...], body["objects"], "objects")}
+        homes = _read(tuple[Home, ...], body["homes"], "homes")
+        names = _read(tuple[str, ...], body["meshes"], "meshes")
+        pack = Pack(
+            _read(str, body["name"], "name"),
+            props,
+            articulations,
+            homes,
+            objects,
+            _read_meshes(folder / _MESHES, names),
+            _read(Roles, body.get("roles", {}), "roles"),
+        )
+    except KeyError as error:
+        raise UsageError(f"{path}: field {error} is missing.") from error
+    except ValueError as error:
+        raise UsageError(f"{path}: {error}") from error
+    _check_names(pack, path)
+    try:
+        check_roles(pack)
+    except ValueError as error:
+        raise UsageError(f"{path}: {error}") from error
+    return check_pack(pack, path)
+
+
+def _read_meshes(path: Path, names: tuple[str, ...]) -> dict[str, object]:
+    meshes: dict[str, object] = {}
+    try:
+        with np.load(path, allow_pickle=False) as arrays:
+            for name in names:
+                for part in ("vertices", "faces"):
+                    if f"{name}/{part}" not in arrays:
+                        raise UsageError(f"{path}: array '{name}/{part}' is missing.")
+                meshes[name] = mesh_from_arrays(name, arrays)
+    except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
+        raise UsageError(f"{path}: cannot be read ({error}); write the pack again.") from error
+    return meshes
+
+
+def _check_names(pack: Pack, path: Path) -> None:
+    """Every name that a home or a geom uses must exist in the pack."""
+    for home in pack.homes:
+        for what, placed, known in (
+            ("props", home.props, pack.props),
+            ("articulations", home.articulations, pack.articulations),
+        ):
+            for p in placed:
+                if p.template not in known:
+                    raise UsageError(
+                        f"{path}: home {home.name!r}, {what}: template {p.template!r} is not in the pack."
+                    )
+    links = [link for a in pack.articulations.values() for link in a.links]
+    groups = [
+        *(t.geoms for t in pack.props.values()),
+        *(t.geoms for t in pack.articulations.values()),
+        *(link.geoms for link in links),
+        *(o.collision + o.visuals for o in pack.objects.values()),
+        *(h.walls + h.floor_patches for h in pack.homes),
+    ]
+    for geom in (g for group in groups for g in group):
+        if geom.shape == "mesh" and geom.mesh not in pack.meshes:
+            raise UsageError(
+                f"{path}: a geom names the mesh {geom.mesh!r}, which is not in the pack."
+            )
+
+
+def _read(kind: Any, value: Any, where: str) -> Any:
+    """Turn JSON into ``kind``: dataclasses, tuples, literals, numbers, strings.
+
+    Raises:
+        ValueError: the value does not fit; the message names the field.
+    """
+    origin = typing.get_origin(kind)
+    args = typing.get_args(kind)
+    if dataclasses.is_dataclass(kind):
+        return _read_record(kind, value, where)
+    if origin is types.UnionType:
+        return None if value is None else _read(args[0], value, where)
+    if origin is tuple:
+        if not isinstance(value, list) or (Ellipsis not in args and len(value) != len(args)):
+            raise ValueError(
+                f"{where}: expected a list of {'any' if Ellipsis in args else len(args)} entries."
+            )
+        kinds = [args[0]] * len(value) if Ellipsis in args else list(args)
+        return tuple(
+            _read(k, v, f"{where}[{i}]") for i, (k, v) in enumerate(zip(kinds, value, strict=True))
+        )
+    if origin is dict:
+        if not isinstance(value, dict):
+            raise ValueError(f"{where}: expected an object.")
+        return {key: _read(args[1], entry, f"{where}[{key!r}]") for key, entry in value.items()}
+    if origin is typing.Literal:
+        if value not in args:
+            raise ValueError(f"{where}: {value!r} is not one of {', '.join(map(str, args))}.")
+        return value
+    if kind is float:
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise ValueError(f"{where}: expected a number, got {value!r}.")
+        number = _float(value)
+        if not math.isfinite(number):
+            raise ValueError(f"{where}: expected a finite number, got {number}.")
+        return number
+    if not isinstance(value, kind) or (kind is int and isinstance(value, bool)):
+        raise ValueError(f"{where}: expected {kind.__name__}, got {value!r}.")
+    return value
+
+
+def _float(value: int | float) -> float:
+    try:
+        return float(value)
+    except OverflowError:  # an integer of hundreds of digits
+        return math.inf
+
+
+def _read_record(kind: Any, value: Any, where: str) -> Any:
+    if not isinstance(value, dict):
+        raise ValueError(f"{where}: expected an object with the fields of {kind.__name__}.")
+    hints = typing.get_type_hints(kind)
+    fields = {f.name: f for f in dataclasses.fields(kind)}
+    unknown = sorted(set(value) - set(fields))
+    if unknown:
+        raise ValueError(f"{where}: unknown field {unknown[0]!r}; fields are {', '.join(fields)}.")
+    read = {}
+    for name, f in fields.items():
+        if name in value:
+            read[name] = _read(hints[name], value[name], f"{where}.{name}")
+        elif f.default is dataclasses.MISSING and f.default_factory is dataclasses.MISSING:
+            raise ValueError(f"{where}: field {name!r} is missing.")
+    return kind(**read)
+
+
+def _open(request: PackRequest) -> Pack:
+    return load_pack(Path(request.place))
+
+
+def _finds(place: str) -> bool:
+    return any((Path(place) / name).is_file() for name in (_JSON, _MESHES))
+
+
+SOURCE = PackSource("folder", _open, _finds)

@@ -1,0 +1,162 @@
+"""Asset packs by name or place: what a caller asks for, and the registry of those who can open it."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.registry import Registry
+from mjhab.scenes.spec import Pack
+
+
+@dataclass(frozen=True)
+class PackRequest:
+    """Which pack to open, and how.
+
+    ``place``: name of a registered pack such as ``"builtin"``, or a path that one of the registered sources opens.
+    ``articulate``: names of furniture that opens although it is welded shut by default. ``stage_mesh``: path of a
+    ``.glb`` that replaces walls and floor of every home, "" for none. ``scenes``: names of homes, or patterns such as
+    ``apt_*``, to restrict the pack to; () for those that the pack lists. Every source says in `PackSource.options`
+    which of these it takes.
+    """
+
+    place: str = "builtin"
+    articulate: tuple[str, ...] = ()
+    stage_mesh: str = ""
+    scenes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "articulate", tuple(sorted(set(self.articulate))))
+        object.__setattr__(self, "scenes", tuple(self.scenes))
+
+    def __str__(self) -> str:
+        """For people: the place, and in brackets what differs from the pack as it is."""
+        parts = [f"articulate: {', '.join(self.articulate)}"] if self.articulate else []
+        parts += [f"stage: {self.stage_mesh}"] if self.stage_mesh else []
+        parts += [f"scenes: {', '.join(self.scenes)}"] if self.scenes else []
+        return f"{self.place} ({'; '.join(parts)})" if parts else self.place
+
+    def given(self) -> tuple[str, ...]:
+        """Names of the options that differ from their defaults."""
+        return tuple(
+            f.name
+            for f in dataclasses.fields(self)
+            if f.name != "place" and getattr(self, f.name) != f.default
+        )
+
+    def as_json(self) -> str | dict[str, Any]:
+        """Plain data for files, which `pack_request` reads: the place alone, or a mapping if there are options."""
+        given = self.given()
+        if not given:
+            return self.place
+        options = {name: getattr(self, name) for name in given}
+        plain = {k: list(v) if isinstance(v, tuple) else v for k, v in options.items()}
+        return {"place": self.place, **plain}
+
+
+Assets = str | Mapping[str, Any] | PackRequest
+"""How a pack may be asked for: by name or path, by what `PackRequest.as_json` gives, or by the request itself."""
+
+
+def pack_request(assets: Assets) -> PackRequest:
+    """The request that a caller or a file states.
+
+    Raises:
+        UsageError: a mapping with other keys than the fields of `PackRequest`.
+    """
+    if isinstance(assets, PackRequest):
+        return assets
+    if isinstance(assets, str):
+        return _from_text(assets)
+    names = [f.name for f in dataclasses.fields(PackRequest)]
+    for key in assets:
+        if key not in names:
+            raise unknown_name("field of assets", str(key), names)
+    return PackRequest(**assets)
+
+
+def _from_text(text: str) -> PackRequest:
+    """A place. Earlier data sets have options behind it: ``FOLDER?articulate=a,b?stage=FILE``."""
+    place, _, stage = text.partition("?stage=")
+    place, _, furniture = place.partition("?articulate=")
+    return PackRequest(place, tuple(filter(None, furniture.split(","))), stage)
+
+
+@dataclass(frozen=True)
+class PackSource:
+    """Opens packs of one kind.
+
+    ``name``: of the kind; a source without ``finds`` is asked for by it. ``open``: makes the pack of a request; asked
+    again for an equal request it should return the same object, since what is derived from a pack is kept for it.
+    ``finds``: whether a place on disk is one that this source opens; it reads no more than it needs to tell, and
+    raises nothing. ``options``: fields of `PackRequest` that the source takes besides ``place``.
+    """
+
+    name: str
+    open: Callable[[PackRequest], Pack]
+    finds: Callable[[str], bool] | None = None
+    options: frozenset[str] = frozenset()
+
+
+PACK_SOURCES: Registry[PackSource] = Registry(
+    "asset pack",
+    {
+        "builtin": "mjhab.scenes.builtin.pack:SOURCE",
+        "replica_cad": "mjhab.scenes.replica_cad.pack:SOURCE",
+        "folder": "mjhab.scenes.pack_folder:SOURCE",
+    },
+)
+
+
+def register_pack(source: PackSource) -> PackSource:
+    """Register a pack, or a kind of packs on disk; ``assets`` of every environment and command then finds it.
+
+    Raises:
+        UsageError: a pack of that name is registered already, or the source takes options that do not exist.
+    """
+    known = {f.name for f in dataclasses.fields(PackRequest)} - {"place"}
+    for option in source.options:
+        if option not in known:
+            raise unknown_name(f"option of pack {source.name!r}", option, known)
+    return PACK_SOURCES.add(source.name, source)
+
+
+def source_of(request: PackRequest) -> PackSource | None:
+    """The source that opens a request, None if none does.
+
+    Raises:
+        UsageError: the source does not take an option of the request.
+    """
+    found = _named_source(request.place) or next(
+        (s for s in PACK_SOURCES.values() if s.finds is not None and s.finds(request.place)), None
+    )
+    if found is not None:
+        _check_options(found, request)
+    return found
+
+
+def _named_source(name: str) -> PackSource | None:
+    """The source whose one pack has that name."""
+    if name not in PACK_SOURCES:
+        return None
+    source = PACK_SOURCES[name]
+    return source if source.finds is None else None
+
+
+def pack_names() -> tuple[str, ...]:
+    """Names of the packs that are opened by name."""
+    return tuple(source.name for source in PACK_SOURCES.values() if source.finds is None)
+
+
+def _check_options(source: PackSource, request: PackRequest) -> None:
+    for name in request.given():
+        if name in source.options:
+            continue
+        taking = [other.name for other in PACK_SOURCES.values() if name in other.options]
+        raise UsageError(
+            f"{request.place!r} is a pack of kind {source.name!r}, which takes no option {name!r}; "
+            f"kinds that do: {', '.join(taking) or 'none'}."
+        )

@@ -1,0 +1,61 @@
+"""ReplicaCAD as a source of packs: which paths name the data set, and the scenes behind them."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+
+from mjhab.core.errors import UsageError
+from mjhab.scenes.pack_source import PackRequest, PackSource
+from mjhab.scenes.replica_cad.files import SCENE_SUFFIX, is_replica_cad
+from mjhab.scenes.spec import Pack
+
+_SUBFOLDER = "replica_cad"
+"""Folder of the data set in the folder of all data sets (`mjhab assets where`)."""
+
+
+def locate(place: str) -> tuple[Path, tuple[str, ...]] | None:
+    """Folder of the data set, and names of scenes, that a path means; None if it means no ReplicaCAD.
+
+    The path is the data set, the folder that holds it as ``replica_cad``, a ``*.scene_instance.json`` of it, or one of
+    the former with names or patterns of scenes behind it, separated by commas: ``replica_cad/apt_0,apt_1``.
+    """
+    path = Path(place)
+    if place.endswith(SCENE_SUFFIX) and path.is_file():
+        return path.resolve().parents[2], (path.name.removesuffix(SCENE_SUFFIX),)
+    folder = _data_set(path)
+    if folder is not None:
+        return folder, ()
+    folder = None if path.exists() else _data_set(path.parent)
+    return (folder, tuple(path.name.split(","))) if folder is not None else None
+
+
+def _data_set(folder: Path) -> Path | None:
+    """The folder itself, or the one in it, if that looks like the data set."""
+    return next((f for f in (folder, folder / _SUBFOLDER) if is_replica_cad(f)), None)
+
+
+def _open(request: PackRequest) -> Pack:
+    found = locate(request.place)
+    if found is None:
+        raise UsageError(f"{request.place!r} is no ReplicaCAD data set.")
+    folder, scenes = found
+    stage = Path(request.stage_mesh) if request.stage_mesh else None
+    return _read(folder.resolve(), (*scenes, *request.scenes), stage, request.articulate)
+
+
+@lru_cache(maxsize=4)
+def _read(
+    folder: Path, scenes: tuple[str, ...], stage_mesh: Path | None, articulate: tuple[str, ...]
+) -> Pack:
+    from mjhab.scenes.replica_cad.reader import open_replica_cad
+
+    return open_replica_cad(folder, scenes, stage_mesh, articulate)
+
+
+SOURCE = PackSource(
+    "replica_cad",
+    _open,
+    lambda place: locate(place) is not None,
+    frozenset({"articulate", "stage_mesh", "scenes"}),
+)

@@ -21,7 +21,9 @@ def run(capsys: pytest.CaptureFixture[str], *args: str) -> tuple[int, dict]:
 
 
 def test_envs_list_and_describe(capsys: pytest.CaptureFixture[str]):
-    assert run(capsys, "envs", "list") == (0, {"envs": list(ENV_IDS)})
+    code, found = run(capsys, "envs", "list")
+    assert code == 0 and [env["id"] for env in found["envs"]] == list(ENV_IDS)
+    assert {env["robot"] for env in found["envs"]} == {"fetch"}
     code, found = run(
         capsys,
         "envs",

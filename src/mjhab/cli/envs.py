@@ -17,9 +17,14 @@ def run_envs(options: EnvsListOptions | EnvsDescribeOptions) -> int:
 def list_envs(options: EnvsListOptions) -> int:
     """Print the ids."""
     from mjhab.envs.catalog import ENV_IDS
+    from mjhab.robots.registry import DEFAULT_ROBOT
 
     if options.json:
-        print_json({"envs": list(ENV_IDS)})
+        found = [
+            {"id": env_id, "robot": DEFAULT_ROBOT, "subtask": None, **chosen}
+            for env_id, chosen in ENV_IDS.items()
+        ]
+        print_json({"envs": found})
     else:
         rows = [
             (env_id, o["task"], o.get("subtask", "the whole chain"))

@@ -1,4 +1,4 @@
-"""What ``--profile``, ``--starts`` and ``--stillness`` make of the environments that a command builds."""
+"""What ``--profile``, ``--robot``, ``--starts`` and ``--stillness`` make of the environments that a command builds."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ def profile_options(options: ProfileOptions) -> dict[str, Any]:
     """What `mjhab.envs.make` and `make_train` are told of the profile, and of what is given beside it."""
     given = {
         "profile": options.profile or None,
+        "robot": options.robot,
         "spawn_rule": options.starts,
         "stillness": options.stillness,
     }

@@ -22,6 +22,22 @@ from mjhab.cli.options.common import (
     Sub,
 )
 
+
+@dataclass(frozen=True)
+class RobotsListOptions:
+    """List the robots: joints that move, numbers in an action of the default control mode and in `state`."""
+
+    json: bool = False
+    """Print one line of JSON instead of a table."""
+
+
+@dataclass(frozen=True)
+class RobotsCommand:
+    """What robots there are."""
+
+    command: Annotated[RobotsListOptions, Sub("list")]
+
+
 EnvId = Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ID")]
 
 

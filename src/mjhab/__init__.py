@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from mjhab.evaluation.evaluate import evaluate
     from mjhab.evaluation.generate import generate
     from mjhab.experts import make_expert
+    from mjhab.robots.registry import register_robot
     from mjhab.scenes.pack_source import PackRequest, PackSource, register_pack
     from mjhab.scenes.packs import open_pack
 
@@ -30,6 +31,7 @@ __all__ = [
     "make_train",
     "open_pack",
     "register_pack",
+    "register_robot",
 ]
 
 _LAZY = {
@@ -39,6 +41,7 @@ _LAZY = {
     "generate": "mjhab.evaluation.generate",
     "make": "mjhab.envs",
     "make_train": "mjhab.envs",
+    "register_robot": "mjhab.robots.registry",
     "make_expert": "mjhab.experts",
     "open_pack": "mjhab.scenes.packs",
     "register_pack": "mjhab.scenes.pack_source",

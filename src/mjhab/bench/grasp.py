@@ -36,7 +36,7 @@ MAX_ANGLE = np.deg2rad(30.0)
 
 @dataclass(frozen=True)
 class Grasp:
-    """How an object sits in the hand: its height axis points along -x of gripper_link (up, at the rest pose).
+    """How an object sits in the hand: its height axis points along -x of the tool centre (up, at the rest pose).
 
     ``width`` [m] of what is between the fingers; ``depth`` [m]: object centre beyond the tool centre along +x;
     ``side`` [m]: object centre along +y; ``turn`` [rad]: about the height axis.

@@ -28,6 +28,8 @@ SUBTASKS_OF_TASK = {
     "set_table": ("pick", "place", "navigate", "open", "close"),
 }
 REWARD_MODES = ("pointer", "sparse", "dense", "normalized_dense", "none")
+JOINT_GROUPS = ("base", "arm", "fingers")
+"""Groups of joints that a robot must have for any task: to get there, to reach and to hold."""
 NAVIGATE_MODES = ("teleport", "drive")
 OF_PROFILE: Any = None
 """Default of the options that the profile gives a value, where no other is given."""

@@ -18,7 +18,7 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from mjhab.config.env import EnvConfig, task_config
+from mjhab.config.env import JOINT_GROUPS, EnvConfig, task_config
 from mjhab.core.arrays import where_rows
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.joints import BASE_XY
@@ -71,6 +71,8 @@ class SequentialTaskEnv(VectorEnv):
         self.num_envs = config.num_envs
         check_memory(config.num_envs)
         self.robot = robot_named(config.robot)
+        purpose = f"subtask {config.subtask!r}" if config.subtask else f"task {config.task!r}"
+        self.robot.require(JOINT_GROUPS, purpose)
         self.task_config = task_config(config, self.robot)
         self.controller = make_controller(
             config.control_mode,

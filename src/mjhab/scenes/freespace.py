@@ -22,9 +22,9 @@ from mjhab.scenes.shapes.footprints import all_geoms, outline, rectangle
 from mjhab.scenes.spec import IDENTITY, Articulation, Geom, Home, Pack, Placement, Prop
 
 BASE_RADIUS = 0.3
-"""Radius [m] that HAB's navigation meshes use for Fetch."""
+"""Radius [m] of the robot for which HAB makes its navigation meshes."""
 ROBOT_HEIGHT = 1.4
-"""What hangs above this [m] does not block the base; Fetch's head camera at rest is at 1.41 m."""
+"""What hangs above this [m] does not block the base; the head camera of the benchmark's robot is at 1.41 m."""
 MAX_FIELDS = 4
 """Distance fields a map remembers; one of an apartment takes about 0.2 MB."""
 _MARGIN = 0.3

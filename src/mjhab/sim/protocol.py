@@ -26,7 +26,7 @@ class SimState:
     link_q, link_qd (W, L) [m or rad, per s]; link_force (W, K) norm of the net contact force on each robot link without
     fingers [N];
     finger_force (W, 2, N + L, 3) force by each target (objects, then links) on the [l, r] finger, world frame [N];
-    touch (W, N + L) bool: some robot link touches the target; ee_contact (W, N + L) bool: fingers or gripper_link do;
+    touch (W, N + L) bool: some robot link touches the target; ee_contact (W, N + L) bool: fingers or hand do;
     body_pos (W, B, 3), body_mat (W, B, 3, 3), body_quat
     (W, B, 4) wxyz world.
     Forces are those of the last substep. Arrays may be views that the next step overwrites.

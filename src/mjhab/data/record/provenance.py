@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from mjhab.core.joints import BASE
 from mjhab.core.version import __version__
 from mjhab.data.store.episode_data import RunInfo
 
@@ -87,6 +88,8 @@ def describe_run(env: Any, policy: Mapping[str, Any], licence: str = "") -> RunI
                 "ctrl": len(first["ctrl"]),
             },
             "columns": _columns(env.sim.addresses),
+            "robot": layout.robot.name,
+            "joints": [joint.removesuffix("_joint") for joint in layout.robot.joints[BASE.stop :]],
             "actions": [entry.name for entry in env.action_table],
             "taints": list(env.taint_names),
         },

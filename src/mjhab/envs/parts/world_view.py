@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from mjhab.core.joints import BASE
 from mjhab.core.rotations import mat_from_quat, quat_from_axis_angle
 from mjhab.envs.parts.worlds import Worlds
 from mjhab.layout.layout import Layout, compose
@@ -133,6 +134,11 @@ class WorldView:
     def q(self) -> np.ndarray:
         """(J,) joint positions: base x, y, yaw in the world, then posture and fingers."""
         return self._env.state.robot_q[self.world].copy()
+
+    @property
+    def base(self) -> np.ndarray:
+        """(3,) x, y [m] and yaw [rad] of the base in the world."""
+        return self._env.state.robot_q[self.world, BASE].copy()
 
     @property
     def qd(self) -> np.ndarray:

@@ -164,7 +164,7 @@ def drive_to(
         path: way points (P, 2) to follow instead of planned ones.
     """
     if path is None:
-        path = planner(view.home).plan(view.q[BASE_XY], goal[BASE_XY])
+        path = planner(view.home).plan(view.base[:2], goal[BASE_XY])
         if path is None:
             return False
         if np.linalg.norm(path[-1] - goal[:2]) > 1e-6:
@@ -172,8 +172,8 @@ def drive_to(
     follower = Follower(path, float(goal[2]), limits, direction)
     start = view.q
     for _ in range(max_steps):
-        step = follower.step(view.q[:3])
-        near = np.linalg.norm(view.q[:2] - goal[:2]) <= arm_from
+        step = follower.step(view.base)
+        near = np.linalg.norm(view.base[:2] - goal[:2]) <= arm_from
         yield action(
             view,
             arm if arm is not None and near else start,
@@ -232,7 +232,7 @@ def move_tcp(
         lead = carrot[0] - here
         size = np.linalg.norm(lead)
         aim = here + lead * min(1.0, 0.06 / max(size, 1e-9))
-        base_next = view.q[None, :3] + _base_motion(view.q[2], drive)
+        base_next = view.base[None] + _base_motion(view.base[2], drive)
         delta = ik.servo(
             robot, view.q, aim[None], carrot_rot, dofs, rest=rest, mode=mode, base_next=base_next
         )[0]
@@ -350,5 +350,5 @@ def _arm_and_torso(robot: Robot) -> list[int]:
 
 def drives(view: WorldView, xy: Array, yaw: float) -> bool:
     """Whether the base has to move to stand at ``xy`` (2,) with heading ``yaw``."""
-    turn = (yaw - view.q[2] + np.pi) % (2 * np.pi) - np.pi
-    return bool(np.linalg.norm(xy - view.q[:2]) > 0.015 or abs(turn) > 0.03)
+    turn = (yaw - view.base[2] + np.pi) % (2 * np.pi) - np.pi
+    return bool(np.linalg.norm(xy - view.base[:2]) > 0.015 or abs(turn) > 0.03)

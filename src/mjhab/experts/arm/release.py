@@ -86,7 +86,7 @@ def drawn_back(view: WorldView, obj: str, pos: Array, rot: Array, rest: Array) -
     hand = whole.only(hand_links)
     arm = whole.only([name for name in whole.chain.links if name not in hand_links])
     near, target = surroundings(view, obj, pos)
-    heading = float(view.q[2])
+    heading = float(view.base[2])
     ways = np.array([-rot[:, 0], [0.0, 0.0, 1.0], [-np.cos(heading), -np.sin(heading), 0.0]])
     ways = ways - (ways @ rot[:, 1])[:, None] * rot[:, 1]
     spots = (pos + np.array(BACKS)[:, None] * ways[:, None]).reshape(-1, 3)

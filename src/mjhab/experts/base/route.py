@@ -264,10 +264,10 @@ def drive_of(
 ) -> tuple[Array, int, float, Array] | None:
     """How to drive to the base pose ``goal`` (3,), see `plan_route`: way points (P, 2), direction, look-ahead, and the
     base poses (T, 3) that this should give, one per control step. None when furniture cuts the goal off."""
-    path = np.stack([view.q[:2], goal[:2]]) if straight else _way(view, goal[:2])
+    path = np.stack([view.base[:2], goal[:2]]) if straight else _way(view, goal[:2])
     if path is None:
         return None
-    direction = direction or _direction(view.q[:3], path, float(goal[2]))
+    direction = direction or _direction(view.base, path, float(goal[2]))
     few = LOOKAHEADS[:1] if len(path) == 2 and (straight or not care) else LOOKAHEADS
     return path, direction, *_smoothest(view, path, float(goal[2]), direction, care, few)
 
@@ -287,7 +287,7 @@ def drive_steps(now: Array, poses: Array, length: Array) -> Array:
 
 def _way(view: WorldView, goal: Array) -> Array | None:
     """Way points (P, 2) to ``goal`` (2,) around furniture and what stands open."""
-    path = planner(view).plan(view.q[:2], goal)
+    path = planner(view).plan(view.base[:2], goal)
     if path is not None and np.linalg.norm(path[-1] - goal) > 1e-6:
         path = np.concatenate([path, goal[None]])
     return path
@@ -317,7 +317,7 @@ def follow(
         turn = 0.0
         done = step >= route.lead
         if done and moving and not arrived:
-            forward, turn, done = pilot.step(view.q[:3])
+            forward, turn, done = pilot.step(view.base)
         arrived = arrived or done
         goal = arm.goal(view, step, arrived)
         off = motion.joint_gap(view, route.arm)
@@ -393,7 +393,7 @@ def _smoothest(
     cells = planner(view)
     best: tuple[float, float, Array] | None = None
     for lookahead in lookaheads:
-        poses = simulate(view.q[:3], path, yaw, direction, lookahead, care)
+        poses = simulate(view.base, path, yaw, direction, lookahead, care)
         room = float(cells.clearance_at(poses[:, :2]).min())
         if best is None or room > best[0]:
             best = (room, lookahead, poses)

@@ -45,7 +45,7 @@ def obstacles(view: WorldView, goals: Array, shut: JointedLink | None = None) ->
     for ``shut``, which counts as closed."""
     links = [view.link_boxes()] if shut is None else [view.link_boxes((shut.id,)), shut.boxes(0.0)]
     boxes = Boxes.join([motion.as_boxes(view.home.boxes), *map(motion.as_boxes, links)])
-    places = np.concatenate([view.q[None, :2], goals[:, :2]])
+    places = np.concatenate([view.base[None, :2], goals[:, :2]])
     heights = np.array([0.3, 1.0, 1.6])
     points = np.array([[*place, z] for place in places for z in heights])
     return boxes.take(np.flatnonzero(sphere_box_distance(points, boxes).min(axis=0) < ARM_REACH))
@@ -113,9 +113,7 @@ def _turn_at_end(route: Route) -> float:
 
 def _passed(view: WorldView, route: Route) -> Array:
     """Configurations (T, 15) expected on a route, two for every control step."""
-    poses = simulate(
-        view.q[:3], route.path, route.yaw, route.direction, route.lookahead, route.care
-    )
+    poses = simulate(view.base, route.path, route.yaw, route.direction, route.lookahead, route.care)
     robot = view.robot.chain
     needed = float(ik.travel_steps(robot, view.q, route.arm, ik.columns(robot)))
     steps = np.arange(0.0, route.steps + 0.25, 0.5)
@@ -134,7 +132,7 @@ def go(view: WorldView, route: Route, gripper: float) -> Motion:
 
 def creep(view: WorldView, posture: Array, heading: float, speed: float, gripper: float) -> Array:
     """One action: drive at ``speed`` [m/s] along ``heading``, the arm held."""
-    turn = float(np.clip(3.0 * wrap(heading - view.q[2]), -0.5, 0.5))
+    turn = float(np.clip(3.0 * wrap(heading - view.base[2]), -0.5, 0.5))
     return motion.action(view, posture, gripper=gripper, drive=(speed, turn))
 
 
@@ -145,7 +143,7 @@ def let_go(
     yield from motion.hold(view, 4, gripper=gripper)
     pos, rot = motion.tcp(view)
     goal = pos - way * rot[:, 0]
-    along = float(-rot[:2, 0] @ np.array([np.cos(view.q[2]), np.sin(view.q[2])]))
+    along = float(-rot[:2, 0] @ np.array([np.cos(view.base[2]), np.sin(view.base[2])]))
     return (
         yield from motion.move_tcp(
             view,
@@ -200,10 +198,10 @@ def fold(
 def retreat(view: WorldView, way: float, speed: float = 0.4) -> Motion:
     """Drive ``way`` [m] backwards with the arm held."""
     posture = view.q
-    start = view.q[:2]
-    heading = float(view.q[2])
+    start = view.base[:2]
+    heading = float(view.base[2])
     for _ in range(20):
-        if np.linalg.norm(view.q[:2] - start) >= way:
+        if np.linalg.norm(view.base[:2] - start) >= way:
             return True
         yield creep(view, posture, heading, -speed, motion.CLOSED)
     return False

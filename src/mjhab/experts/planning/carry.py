@@ -112,17 +112,17 @@ def drive_in(
 def drive_out(view: WorldView, way: float, *, gripper: float, speed: float = OUT_SPEED) -> Motion:
     """Drive straight back over ``way`` [m], the arm held as it is. Returns whether it got there."""
     goal = view.q
-    start = view.q[:2]
-    heading = float(view.q[2])
+    start = view.base[:2]
+    heading = float(view.base[2])
     pressed = 0
     for step in range(40):
-        left = way - float(np.linalg.norm(view.q[:2] - start))
+        left = way - float(np.linalg.norm(view.base[:2] - start))
         if left < 0.04:
             return True
         pressed = pressed + 1 if view.link_forces.sum() > BLOCKED_FORCE else 0
         if pressed >= BLOCKED_STEPS:
             return False
-        turn = float(np.clip(3.0 * wrap(heading - view.q[2]), -0.5, 0.5))
+        turn = float(np.clip(3.0 * wrap(heading - view.base[2]), -0.5, 0.5))
         pace = min(speed, 0.15 + 0.1 * step, 0.1 + 3.0 * left)
         yield motion.action(view, goal, gripper=gripper, drive=(-pace, turn))
     return False

@@ -248,10 +248,10 @@ def base_poses(
     x = point[0] - r * np.cos(angle)
     y = point[1] - r * np.sin(angle)
     poses = np.stack([x, y, wrap(angle + off)], axis=-1).reshape(-1, 3)
-    here = view.q[:3] - drive_in * np.array([np.cos(view.q[2]), np.sin(view.q[2]), 0.0])
+    here = view.base - drive_in * np.array([np.cos(view.base[2]), np.sin(view.base[2]), 0.0])
     bearing = np.arctan2(point[1] - here[1], point[0] - here[0])
     poses = np.concatenate(
-        [poses, [view.q[:3], *([here[0], here[1], bearing + k] for k in (-0.35, 0.0, 0.35))]]
+        [poses, [view.base, *([here[0], here[1], bearing + k] for k in (-0.35, 0.0, 0.35))]]
     )
     far_off = np.append(r.ravel() > FAR_OFF, np.zeros(4, bool))
     cells = planner(view)
@@ -266,9 +266,9 @@ def base_poses(
     poses = poses[good]
     back = back[good]
     far_off = far_off[good]
-    way = cells.costs(view.q[:2])[cells.cells(back)]
+    way = cells.costs(view.base[:2])[cells.cells(back)]
     steps = (
-        drive_steps(view.q[:3], np.concatenate([back, poses[:, 2:]], axis=1), way)
+        drive_steps(view.base, np.concatenate([back, poses[:, 2:]], axis=1), way)
         + 6.0 * drive_in / 0.3
     )
     # The nearest bases may all stand on the side from which nothing can be reached.
@@ -486,7 +486,7 @@ def settle_reach(view: WorldView, stance: Stance, pos: Array, rot: Array) -> Arr
     arm = ik.columns(robot, torso=False)
     for free in (arm, ik.columns(robot)):
         seed = np.stack([stance.pre, stance.at])
-        seed[:, BASE] = view.q[BASE]
+        seed[:, BASE] = view.base
         first = ik.solve(robot, pos[:1], rot[None], seed, free, rest=stance.at)
         for start in first.q[0, first.ok[0]]:
             seeds = np.concatenate([start[None], seed])

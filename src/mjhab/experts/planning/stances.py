@@ -231,7 +231,7 @@ def rank(
     )
     room = motion.planner(view.home).clearance_at(frame.point(places)).min(axis=1, initial=np.inf)
     first = frame.base(stances.q[:, 0])
-    steps = np.maximum(stances.steps, drive_steps(view.q[BASE], first[:, BASE]))
+    steps = np.maximum(stances.steps, drive_steps(view.base, first[:, BASE]))
     cost = (
         steps
         + motion_steps(view.robot.chain, stances.q)

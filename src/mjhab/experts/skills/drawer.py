@@ -98,7 +98,7 @@ def _drive_link(
         press: control steps to go on at the goal, so that the link does not bounce.
     """
     posture = view.q
-    heading = float(view.q[2])
+    heading = float(view.base[2])
     way = -1.0 if speed > 0 else 1.0
     last = view.link_q(link.id)
     still = 0

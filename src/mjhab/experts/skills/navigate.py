@@ -157,10 +157,10 @@ def plan_trip(view: WorldView, aim: Aim, posture: Array, held: str, felt: Array)
     for base, less in SLIMMER:
         plan = whole.slimmer(base, less)
         lattice = Lattice(plan)
-        found = lattice.search(view.q[:3], aim.price(lattice, detours(view, aim, lattice.points)))
+        found = lattice.search(view.base, aim.price(lattice, detours(view, aim, lattice.points)))
         if found is not None:
-            legs = _facing(plan, aim, view.q[:3], found[1])
-            return plan_drive(plan, view.q[:3], legs, GENTLE if held else BRISK)
+            legs = _facing(plan, aim, view.base, found[1])
+            return plan_drive(plan, view.base, legs, GENTLE if held else BRISK)
     return None
 
 
@@ -181,15 +181,15 @@ def _drive(
     It ends early when a door or drawer has moved since the trip was planned.
     """
     pressed = 0
-    track = [view.q[:3]]
+    track = [view.base]
     tried = 0
     joints = _joints(view)
     driver = Driver(trip.legs, trip.lookahead, trip.pace, *_speeds(view))
     while driver.leg is not None:
         leg = driver.leg
-        (forward, turn) = driver.step(view.q[:3])
+        (forward, turn) = driver.step(view.base)
         yield motion.action(view, posture, gripper=gripper, drive=(forward, turn))
-        track.append(view.q[:3])
+        track.append(view.base)
         pressed = pressed + 1 if view.link_forces.sum() > BLOCKED_FORCE else 0
         tried = tried + 1 if abs(forward) > 0.05 or abs(turn) > 0.2 else 0
         if pressed >= BLOCKED_STEPS or (tried > STUCK_STEPS and _still(track[-STUCK_STEPS:])):

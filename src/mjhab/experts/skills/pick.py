@@ -138,7 +138,10 @@ def _draw_back(view: WorldView, obj: str, stance: Stance, depth: float) -> Motio
     # A hand that presses against something inside is not drawn back before the base is.
     if not (depth and view.link_forces.sum() > BLOCKED_FORCE):
         yield from _let_go(view)
-    if not depth or (come_in := depth - float(np.linalg.norm(view.q[:2] - stance.at[:2]))) < INSIDE:
+    if (
+        not depth
+        or (come_in := depth - float(np.linalg.norm(view.base[:2] - stance.at[:2]))) < INSIDE
+    ):
         return True
     # From inside the next way in can hardly be found.
     yield from drive_out(view, come_in, gripper=motion.OPEN)
@@ -341,7 +344,7 @@ def scene_of(view: WorldView, obj: str) -> Scene:
 
 def _inward(view: WorldView, pose: Array) -> tuple[float, float]:
     """Level unit vector from the robot to an object at ``pose`` (7,)."""
-    way = pose[:2] - view.q[:2]
+    way = pose[:2] - view.base[:2]
     x, y = way / max(float(np.linalg.norm(way)), 1e-6)
     return float(x), float(y)
 

@@ -243,7 +243,7 @@ def hand_goals(
     ball = shape.kind == "sphere"
     upset = 0.2 if ball else LEAN if shelf else 2.0 + 2.0 * shape.half[2] / min(shape.half)
     upset *= STUCK if not ball and play(view) < TIGHT else 1.0
-    back = view.q[:2] - goal[:2]
+    back = view.base[:2] - goal[:2]
     back = back / max(float(np.linalg.norm(back)), 1e-6)
     aside = np.array([-back[1], back[0]])
     offsets = SHELF_OFFSETS if shelf else LAST_OFFSETS if any_side else OFFSETS
@@ -357,7 +357,7 @@ def _beside(view: WorldView, stance: Stance, goals: HandGoals) -> tuple[Array, A
     """The planned postures of the arm (2, 15) from where the base really stands, before and at the end of the way down,
     and where they bring the hand: at and before (2, 3), rotation (3, 3)."""
     q = np.stack([stance.pre, stance.at])
-    q[:, BASE] = view.q[BASE]
+    q[:, BASE] = view.base
     chain = view.robot.chain
     frames = chain.forward(q)
     tip = chain.tip_index

@@ -16,7 +16,7 @@ FRONT_THICK = 0.02
 BAR = 0.02
 """Thickness of a handle bar [m]."""
 BAR_GAP = 0.05
-"""Free space between bar and front: Fetch's fingers are 14 mm thick and reach 31 mm past the grasp point [m]."""
+"""Free space between bar and front: fingers are 14 mm thick and reach 31 mm past the grasp point [m]."""
 WORKTOP_TOP = 0.88
 DRAWER_TRAVEL = 0.5
 

@@ -260,7 +260,7 @@ def task_config(config: EnvConfig, robot: Robot) -> TaskConfig:
     base = TaskConfig(
         rest_qpos=robot.rest_qpos,
         joints=robot.columns,
-        ee_rest_pos=robot.ee_rest_pos,
+        ee_rest_pos=robot.tool_at_rest,
         base_height=robot.base_height,
         continuous=config.runs_to_horizon,
         ignore_arm=config.teleports,

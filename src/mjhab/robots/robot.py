@@ -92,7 +92,8 @@ class Robot:
         gains: servos of every group of joints. stiff_gains: torso and head under a stiff control mode.
         limits: what an action of ±1 means.
         gripper: sizes of hand and fingers.
-        ee_rest_pos: where the tool centre is at rest, in the frame of base_link [m].
+        ee_rest_pos: where success wants the tool centre at rest, in the frame of base_link [m]; None for where
+            ``rest_qpos`` brings it.
         arm_links: links that keep clear of furniture where the hand works: those of the arm without the last ones, and
             what the torso carries. wrist_links: the last ones before the hand.
         footprint, reach: room that base and arm need.
@@ -119,11 +120,11 @@ class Robot:
     gains: Mapping[str, Gains]
     stiff_gains: Gains
     gripper: Gripper
-    ee_rest_pos: Vec3
     footprint: Footprint
     reach: ArmReach
     elbow: str
     visuals: Visuals
+    ee_rest_pos: Vec3 | None = None
     limits: ActionLimits = field(default_factory=ActionLimits)
     materials: Mapping[str, Material] = field(default_factory=dict)
 
@@ -311,6 +312,14 @@ class Robot:
         rest = np.array(self.rest_qpos, dtype=np.float64)
         rest.flags.writeable = False
         return rest
+
+    @cached_property
+    def tool_at_rest(self) -> Vec3:
+        """Where success wants the tool centre at rest, in the frame of base_link [m]."""
+        if self.ee_rest_pos is not None:
+            return self.ee_rest_pos
+        x, y, z = self.chain.tip_pose(self.rest)[0][0]
+        return (float(x), float(y), float(z) - self.base_height)
 
     @cached_property
     def chain(self) -> Chain:

@@ -112,7 +112,6 @@ ROBOT = Robot(
     },
     stiff_gains=Gains(kp=1e5, kd=1e5, force=1e5, armature=1.0),
     gripper=GRIPPER,
-    ee_rest_pos=(0.517, 0.0, 1.298),
     footprint=Footprint(radius=0.40, spawn=0.36, wide=0.38, narrow=0.31, top=0.39),
     reach=ArmReach(
         ahead=0.21, out=0.0, low=1.033, high=1.373, length=0.62, hand=0.20, level=(0.30, 0.80)

@@ -254,16 +254,20 @@ class StartMaker:
                 f"no {self.config.subtask} of {self.config.target!r} in task {self.config.task!r}"
             )
         first = int(stream(episode.seed, "subtask", episode.index).integers(len(found)))
-        if self.config.subtask != "place":
-            return found[first]
         # A narrow hand cannot hold everything: then it is the turn of the next object.
         for position in (*found[first:], *found[:first]):
-            slot = self.layout.object_names.index(plan.subtasks[position].obj)
-            if self.held.holds(self.layout.roster[slot]):
+            if self._holdable(plan.subtasks[position]):
                 return position
         raise MjhabError(
             f"robot {self.layout.robot.name!r} cannot hold any object of episode {episode.index} of {episode.task}"
         )
+
+    def _holdable(self, subtask: Subtask) -> bool:
+        """Whether the hand can hold what a subtask begins with in it."""
+        if subtask.kind != SubtaskKind.PLACE and not subtask.must_hold:
+            return True
+        slot = self.layout.object_names.index(subtask.obj)
+        return self.held.holds(self.layout.roster[slot])
 
     def _episode_qpos(self, episode: Episode) -> np.ndarray:
         a = self.sim.addresses

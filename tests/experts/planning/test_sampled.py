@@ -42,7 +42,7 @@ def free(boxes: Boxes) -> Free:
 
 
 def view_of(q: np.ndarray) -> WorldView:
-    return SimpleNamespace(robot=ROBOT, q=q, steps_left=200)  # type: ignore[return-value]
+    return SimpleNamespace(robot=ROBOT, q=q, base=q[:3], steps_left=200)  # type: ignore[return-value]
 
 
 def spare(way: np.ndarray, what: Free) -> float:
@@ -149,6 +149,10 @@ class Arm:
         self.q = q.copy()
         self.link_forces = np.zeros(1)
         self.passed = [q.copy()]
+
+    @property
+    def base(self) -> np.ndarray:
+        return self.q[:3]
 
     def obey(self, action: np.ndarray) -> None:
         self.q = self.q.copy()

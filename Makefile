@@ -9,10 +9,10 @@ DEMO_OUT := runs/demo
 DEMO_STUDENT_OUT := runs/demo-student
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo demo-student test test-generate test-lerobot test-ray check format bench gpu-report clean distclean
+.PHONY: help setup demo demo-student test test-generate test-lerobot test-lerobot-env test-vla-eval test-ray check format bench gpu-report clean distclean
 
 help:  ## show this list
-	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-16s %s\n", $$1, $$2}'
 
 $(BIN)/python:
 	@command -v "$(PYTHON)" >/dev/null 2>&1 || { \
@@ -77,6 +77,27 @@ test-lerobot: $(VENV)/.dev $(LEROBOT)/.ready  ## load exported data sets with th
 	HF_HUB_OFFLINE=1 HF_DATASETS_CACHE=$(LEROBOT_OUT)/cache21 PYTHONPATH=$(LEROBOT)/v21 \
 	  $(LEROBOT)/bin/python tests/lerobot/check_export.py $(LEROBOT_OUT)/v21 $(LEROBOT_OUT)/shards
 
+VLA := .venv-vla-eval
+$(VLA)/.ready: $(SETUP_FILES)
+	@echo "mjhab: installing vla-eval into $(VLA), once"
+	@"$(PYTHON)" -m venv $(VLA)
+	@$(VLA)/bin/python -m pip install -q --disable-pip-version-check -e '.[serve]' vla-eval==0.8.0
+	@touch $@
+
+test-vla-eval: $(VLA)/.ready  ## run episodes with the real vla-eval package
+	$(VLA)/bin/python tests/integrations/check_vla_eval.py
+
+# lerobot 0.6 needs Python 3.12: make PYTHON=python3.12 test-lerobot-env
+LEROBOT_ENV := .venv-lerobot-env
+$(LEROBOT_ENV)/.ready: $(SETUP_FILES) plugins/lerobot_env_mjhab/pyproject.toml
+	@echo "mjhab: installing lerobot into $(LEROBOT_ENV), once (8 GB)"
+	@"$(PYTHON)" -m venv $(LEROBOT_ENV)
+	@$(LEROBOT_ENV)/bin/python -m pip install -q --disable-pip-version-check -e . -e plugins/lerobot_env_mjhab lerobot==0.6.1
+	@touch $@
+
+test-lerobot-env: $(LEROBOT_ENV)/.ready  ## run episodes with the real lerobot package (8 GB to install, Python 3.12)
+	$(LEROBOT_ENV)/bin/python tests/integrations/check_lerobot_env.py
+
 RAY := .venv-ray
 $(RAY)/.ready: $(SETUP_FILES) | $(BIN)/python
 	@echo "mjhab: installing Ray into $(RAY), once"
@@ -86,6 +107,28 @@ $(RAY)/.ready: $(SETUP_FILES) | $(BIN)/python
 
 test-ray: $(RAY)/.ready  ## generation on a local Ray cluster, with workers killed in the middle
 	PYTHONPATH=src:. $(RAY)/bin/python -m pytest tests/data/record/ray_cluster.py $(PYTEST_ARGS)
+
+SB3 := .venv-sb3
+$(SB3)/.ready: $(SETUP_FILES) | $(BIN)/python
+	@echo "mjhab: installing stable-baselines3 into $(SB3), once"
+	@"$(PYTHON)" -m venv $(SB3)
+	@$(SB3)/bin/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[learn]' pytest \
+	  stable-baselines3==2.9.2
+	@touch $@
+
+test-sb3: $(SB3)/.ready  ## stable-baselines3 trains in our environments
+	$(SB3)/bin/python -m pytest tests/adapters/check_sb3.py $(PYTEST_ARGS)
+
+RSL_RL := .venv-rsl-rl
+$(RSL_RL)/.ready: $(SETUP_FILES) | $(BIN)/python
+	@echo "mjhab: installing rsl_rl into $(RSL_RL), once"
+	@"$(PYTHON)" -m venv $(RSL_RL)
+	@$(RSL_RL)/bin/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[learn]' pytest \
+	  rsl-rl-lib==5.5.1
+	@touch $@
+
+test-rsl-rl: $(RSL_RL)/.ready  ## rsl_rl trains in our environments
+	$(RSL_RL)/bin/python -m pytest tests/adapters/check_rsl_rl.py $(PYTEST_ARGS)
 
 check: $(VENV)/.dev  ## lint, format, types and the import rule
 	$(BIN)/ruff check .
@@ -108,4 +151,4 @@ clean:  ## remove caches and build products (runs and .venv stay)
 	find src tests -name __pycache__ -type d -prune -exec rm -rf {} +
 
 distclean: clean  ## also remove .venv
-	rm -rf $(VENV) $(LEROBOT) $(RAY) src/*.egg-info
+	rm -rf $(VENV) $(LEROBOT) $(LEROBOT_ENV) $(VLA) $(RAY) src/*.egg-info

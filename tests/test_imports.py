@@ -15,7 +15,7 @@ SOURCE = Path(__file__).parents[1] / "src" / "mjhab"
 
 _WORLD = frozenset({"core", "scenes", "tasks", "robots", "layout", "sim"})
 _ENV = _WORLD | {"render", "config", "episodes", "envs"}
-_RUN = _ENV | {"experts", "rollout", "data", "reports", "evaluation"}
+_RUN = _ENV | {"experts", "rollout", "data", "reports", "serving", "evaluation"}
 ALLOWED: dict[str, frozenset[str]] = {
     "core": frozenset(),
     "assets": frozenset({"core"}),
@@ -32,7 +32,9 @@ ALLOWED: dict[str, frozenset[str]] = {
     "rollout": frozenset({"core", "tasks"}),
     "data": frozenset({"core", "tasks", "rollout"}),
     "reports": frozenset({"core", "tasks", "rollout", "data"}),
-    "evaluation": _ENV | {"assets", "experts", "rollout", "data", "reports"},
+    "serving": frozenset({"core"}),
+    "evaluation": _ENV | {"assets", "experts", "rollout", "data", "reports", "serving"},
+    "integrations": frozenset({"core", "robots", "envs", "evaluation"}),
     "learning": frozenset({"core", "tasks", "config", "episodes", "envs", "experts"})
     | {"rollout", "data", "reports", "evaluation"},
     "viewer": _RUN,
@@ -45,9 +47,12 @@ HEAVY: dict[str, frozenset[str]] = {
     "mujoco": frozenset({"robots", "layout", "sim", "render", "viewer", "bench"}),
     "warp": frozenset({"sim", "render"}),
     "mujoco_warp": frozenset({"sim", "render"}),
-    "torch": frozenset({"sim", "render", "envs", "data", "learning", "bench"}),
+    "torch": frozenset({"sim", "render", "envs", "data", "learning", "integrations", "bench"}),
     "safetensors": frozenset({"learning"}),
     "h5py": frozenset({"data"}),
+    "msgpack": frozenset({"serving"}),
+    "vla_eval": frozenset({"integrations"}),
+    "websockets": frozenset({"serving"}),
     "viser": frozenset({"viewer"}),
     "trimesh": frozenset({"scenes", "robots"}),
 }

@@ -58,6 +58,7 @@ _PACKAGES = frozenset(
         "episodes",
         "evaluation",
         "experts",
+        "integrations",
         "layout",
         "learning",
         "render",
@@ -65,6 +66,7 @@ _PACKAGES = frozenset(
         "robots",
         "rollout",
         "scenes",
+        "serving",
         "sim",
         "tasks",
     }

@@ -28,6 +28,7 @@ KEYS = [
     "labels",
     "legacy_labels",
     "tainted",
+    "errors",
     "seconds",
 ]
 

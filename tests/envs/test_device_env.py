@@ -98,7 +98,7 @@ def test_episodes_are_those_of_the_cpu_backend(task: str, subtask: str) -> None:
     theirs, _ = cpu.reset(options={"episode": [0, 1]})
     ours, info = dev.reset()
     np.testing.assert_array_equal(dev.sim.qpos.numpy(), cpu.sim.qpos.astype(np.float32))
-    assert dev.episode_spec(1) == cpu.reporter.describe(1)
+    assert dev.episode_spec(1) == cpu.episode_spec(1)
     compare(ours, theirs)
     records: list[Any] = []
     for step in range(HORIZON):
@@ -219,7 +219,7 @@ def test_a_chain_teleports_to_where_it_does_on_the_cpu() -> None:
 def test_landings_are_tried_in_the_state_that_is_to_be_expected() -> None:
     env = make(task="set_table", threads=1)
     episode = env.make_episode(0, 0)
-    plan = env.start_of(episode).plan
+    plan = env.source.start(episode).plan
     a = env.sim.addresses
     bowl = env.layout.object_names.index(plan.subtasks[3].obj)
     link = env.layout.link_ids.index(plan.subtasks[1].link)

@@ -82,7 +82,7 @@ def test_worlds_can_be_in_different_subtasks():
     for _ in range(4):
         env.step(still(env))
     env.reset(options={"reset_mask": np.array([True, False, False, False])})
-    kinds = env.reporter.info(*env.reporter.nothing())["kind"]
+    kinds = env.focus.kind
     assert kinds[0] == SubtaskKind.NAVIGATE and (kinds[1:] == SubtaskKind.PICK).any()
 
 

@@ -261,5 +261,5 @@ def test_records_keep_sentences_and_refuse_what_is_none() -> None:
     record = EpisodeRecord.from_dict(told)
     assert (record.instruction, record.instructions) == ("set the table", ("go to the fridge",))
     for bad in ("two\nlines", "x" * 2000, 7):
-        with pytest.raises(ValueError, match="an instruction is"):
+        with pytest.raises(ValueError, match="an instruction or an error is"):
             EpisodeRecord.from_dict({**data, "instruction": bad})

@@ -5,13 +5,16 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from statistics import median
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mjhab.bench.engine import sway
 from mjhab.bench.memory_sampler import MemorySampler
 from mjhab.bench.stages import Stopwatch, resident_mb, stage_seconds, watch_env
 from mjhab.cli.options.env import BenchEnvOptions
 from mjhab.cli.profiles import profile_options
+
+if TYPE_CHECKING:
+    from mjhab.envs.device.env import DeviceEnv
 
 WARM_STEPS = 3
 """Untimed steps: kernels load, graphs are captured."""
@@ -67,7 +70,7 @@ def measure_device_env(options: BenchEnvOptions, worlds: int) -> dict[str, Any]:
     }
 
 
-def _make(options: BenchEnvOptions, worlds: int) -> tuple[Any, Callable[[], None]]:
+def _make(options: BenchEnvOptions, worlds: int) -> tuple[DeviceEnv, Callable[[], None]]:
     """The environment, and what waits for its device."""
     from mjhab.envs import make_by_id
     from mjhab.sim.warp.probe import synchronize
@@ -88,7 +91,7 @@ def _make(options: BenchEnvOptions, worlds: int) -> tuple[Any, Callable[[], None
     return env, lambda: synchronize(env.sim.device)
 
 
-def used_mb(env: Any) -> float | None:
+def used_mb(env: DeviceEnv) -> float | None:
     """Memory of the GPU that is in use, by anybody [MB]; None without a GPU."""
     device = env.sim.device
     return (device.total_memory - device.free_memory) / 2**20 if device.is_cuda else None
@@ -109,16 +112,11 @@ def _rate(
 
 
 def profile(
-    env: Any, actions: list[Any], wait: Callable[[], None]
+    env: DeviceEnv, actions: list[Any], wait: Callable[[], None]
 ) -> tuple[dict[str, float], float]:
     """Seconds per stage over the steps under ``actions``, and one reset of every world, and a world's reset [ms]."""
     watch = Stopwatch(wait)
     watch_env(watch, env)
-    watch.time(env.notes, "update", "labels")
-    watch.time(env.notes, "end", "labels")
-    if env.observer.cameras is not None:
-        watch.time(env.observer.cameras, "draw", "render")
-    watch.time(env, "_renew", "reset")
     wait()
     begun = time.perf_counter()
     env.reset()

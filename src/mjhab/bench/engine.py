@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable
 from statistics import median
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from mjhab.cli.output import at_least, print_json, print_table
 from mjhab.core.errors import unknown_name
 from mjhab.rollout.policy import ACTION_SIZE
 from mjhab.tasks.plan import TASKS
+
+if TYPE_CHECKING:
+    from mjhab.envs.sequential import SequentialTaskEnv
 
 WARM_STEPS = 8
 """Untimed control steps after each reset: teleports happen and things come to rest."""
@@ -53,7 +56,7 @@ def bench_sim(options: BenchSimOptions) -> int:
     return 0
 
 
-def measure_sps(env: Any, steps: int, rounds: int, seed: int) -> dict[str, Any]:
+def measure_sps(env: SequentialTaskEnv, steps: int, rounds: int, seed: int) -> dict[str, Any]:
     """Time ``env.step`` and the bare engine on the same physics: same starts, same commands, moving robots.
 
     Every round takes ``num_envs`` fresh episodes. The environment runs them once untimed, which records the actuator

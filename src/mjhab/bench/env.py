@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gc
 import time
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,6 +14,10 @@ from mjhab.cli.options.env import BenchEnvOptions
 from mjhab.cli.output import at_least, print_json, print_table
 from mjhab.cli.profiles import profile_options
 from mjhab.sim.backends import resolve
+
+if TYPE_CHECKING:
+    from mjhab.envs.loop import TaskLoop
+    from mjhab.envs.sequential import SequentialTaskEnv
 
 
 def bench_env(options: BenchEnvOptions) -> int:
@@ -120,14 +124,10 @@ def measure_env(options: BenchEnvOptions, worlds: int) -> dict[str, Any]:
     }
 
 
-def profile(env: Any, actions: np.ndarray) -> tuple[dict[str, float], float]:
+def profile(env: TaskLoop, actions: np.ndarray) -> tuple[dict[str, float], float]:
     """Seconds per stage over the steps under ``actions`` (T, W, A) and one reset, and a world's reset [ms]."""
     watch = Stopwatch()
     watch_env(watch, env)
-    watch.time(env.tracker, "update", "labels")
-    watch.time(env.tracker, "ended", "labels")
-    watch.time(env.observer, "draw", "render")
-    watch.time(env, "_begin", "reset")
     begun = time.perf_counter()
     env.reset()
     for action in actions:
@@ -135,7 +135,7 @@ def profile(env: Any, actions: np.ndarray) -> tuple[dict[str, float], float]:
     return stage_seconds(watch, time.perf_counter() - begun, env.num_envs)
 
 
-def world_mb(env: Any) -> float:
+def world_mb(env: SequentialTaskEnv) -> float:
     """What one more world takes [MB], from a second simulator of 64 worlds of the same layout."""
     from mjhab.sim.mujoco.cpu import CpuSimulator
 

@@ -16,6 +16,7 @@ from mjhab.reports.parts import section
 from mjhab.reports.plots import Figure
 from mjhab.reports.run import render_page
 from mjhab.rollout.loop import rollout
+from mjhab.rollout.policy import RolloutEnv
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink, StepView
 from mjhab.tasks.plan import KIND_NAMES
@@ -24,7 +25,7 @@ EXPERT_KINDS = tuple(kind for kind in KIND_NAMES if kind != "navigate")
 COLORS = {"success": "#16a34a", "failure": "#dc2626"}
 
 
-class RewardSink(Sink):
+class RewardSink(Sink[RolloutEnv]):
     """Keeps the rewards of every episode: ``curves`` of (successful, (T,) rewards)."""
 
     def __init__(self, num_envs: int, advance: Any) -> None:
@@ -32,12 +33,12 @@ class RewardSink(Sink):
         self._running: list[list[float]] = [[] for _ in range(num_envs)]
         self._advance = advance
 
-    def on_step(self, env: Any, step: StepView) -> None:
+    def on_step(self, env: RolloutEnv, step: StepView) -> None:
         """Note the rewards of the worlds in which an episode runs."""
         for world in np.flatnonzero(step.active):
             self._running[world].append(float(step.reward[world]))
 
-    def on_episode_end(self, env: Any, world: int, record: EpisodeRecord) -> None:
+    def on_episode_end(self, env: RolloutEnv, world: int, record: EpisodeRecord) -> None:
         """Close the curve of a world."""
         self.curves.append((record.success_once, np.array(self._running[world])))
         self._running[world] = []

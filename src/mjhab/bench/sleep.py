@@ -14,6 +14,7 @@ import numpy as np
 
 from mjhab.bench.parity.episodes import KINDS, Leg, difference
 from mjhab.core.arrays import map_record, to_numpy
+from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.protocol import SimState
 
@@ -22,7 +23,7 @@ from mjhab.sim.protocol import SimState
 class Recording:
     """What every variant runs: homes and states (W, nq) at the start, commands (T, W, nu) of the expert."""
 
-    env: Any
+    env: SequentialTaskEnv
     homes: list[str]
     qpos: np.ndarray
     commands: np.ndarray

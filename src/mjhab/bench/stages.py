@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from mjhab.envs.loop import TaskLoop
 
 STAGES = ("physics", "measure", "reward", "labels", "render", "observe", "reset", "other")
 
 
-def watch_env(watch: Stopwatch, env: Any) -> None:
-    """Count the stages that are the same on every backend."""
-    watch.time(env.sim, "step", "physics")
-    watch.time(env, "_sense", "measure")
-    watch.time(env, "_measure", "measure")
-    watch.time(env.rewarder, "step", "reward")
-    watch.time(env.observer, "observe", "observe")
+def watch_env(watch: Stopwatch, env: TaskLoop) -> None:
+    """Count the stages of a control step of an environment."""
+    for stage, methods in env.timed_methods().items():
+        for owner, method in methods:
+            watch.time(owner, method, stage)
 
 
 def stage_seconds(watch: Stopwatch, total: float, num_envs: int) -> tuple[dict[str, float], float]:

@@ -9,6 +9,8 @@ from mjhab.cli.options import common as opt
 from mjhab.cli.options import data, env, expert, export, gpu, spawn
 from mjhab.cli.options import generate as gen
 from mjhab.cli.options import reproduce as rep
+from mjhab.cli.options import score as sco
+from mjhab.cli.options import serve as srv
 from mjhab.cli.options import train as learn
 from mjhab.cli.options.common import Sub
 
@@ -27,6 +29,7 @@ class BenchCommand:
         | Annotated[expert.BenchExpertsOptions, Sub("experts")]
         | Annotated[gpu.BenchInteractOptions, Sub("interact")]
         | Annotated[gpu.BenchParityOptions, Sub("parity")]
+        | Annotated[srv.BenchServingOptions, Sub("serving")]
     )
 
 
@@ -39,6 +42,8 @@ Command = (
     | Annotated[opt.EpisodesCommand, Sub("episodes")]
     | Annotated[spawn.SpawnsCommand, Sub("spawns")]
     | Annotated[BenchCommand, Sub("bench")]
+    | Annotated[sco.ScoreOptions, Sub("score")]
+    | Annotated[srv.ServeOptions, Sub("serve")]
     | Annotated[gen.GenerateOptions, Sub("generate")]
     | Annotated[gen.ReplayOptions, Sub("replay")]
     | Annotated[learn.TrainCommand, Sub("train")]
@@ -67,6 +72,9 @@ RUNNERS: dict[type, tuple[str, str]] = {
     expert.BenchExpertsOptions: ("bench.experts.run", "bench_experts"),
     gpu.BenchInteractOptions: ("bench.interact.run", "bench_interact"),
     gpu.BenchParityOptions: ("bench.parity.run", "bench_parity"),
+    srv.BenchServingOptions: ("bench.serving", "bench_serving"),
+    sco.ScoreOptions: ("cli.score", "run_score"),
+    srv.ServeOptions: ("cli.serve", "run_serve"),
     gen.GenerateOptions: ("cli.generate", "run_generate"),
     gen.ReplayOptions: ("cli.replay", "run_replay"),
     learn.TrainCommand: ("cli.train", "run_train"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 import time
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -17,8 +18,10 @@ from mjhab.cli.output import print_json, print_table
 from mjhab.cli.profiles import profile_options
 from mjhab.evaluation.evaluate import EvalSpec, EvaluationInterrupted, Run, run_evaluation
 from mjhab.reports.metrics import SubtaskRow, rows_by_kind, rows_by_position
+from mjhab.rollout.policy import RolloutEnv
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink, StepView
+from mjhab.serving.address import with_options
 
 
 def run_eval(options: EvalOptions) -> int:
@@ -48,7 +51,7 @@ def eval_spec(options: EvalOptions) -> EvalSpec:
     }
     given = {name: value for name, value in asked.items() if value is not None}
     return EvalSpec(
-        policy=options.policy,
+        policy=with_options(options.policy, options.served),
         task=options.task,
         subtask=options.subtask,
         target=options.target,
@@ -89,7 +92,7 @@ def sigterm_interrupts() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-class ProgressSink(Sink):
+class ProgressSink(Sink[RolloutEnv]):
     """Shows episodes done, control steps per second and the success rate so far."""
 
     REFRESH = 0.25
@@ -113,7 +116,7 @@ class ProgressSink(Sink):
         self._done = 0
         self._won = 0
 
-    def on_begin(self, env: Any, episodes: Sequence[int]) -> None:
+    def on_begin(self, env: RolloutEnv, episodes: Sequence[int]) -> None:
         """Show the bar, which starts behind the episodes of earlier starts."""
         self._started = time.perf_counter()
         self._bar.start()
@@ -124,7 +127,7 @@ class ProgressSink(Sink):
         """Leave the bar as it is."""
         self._bar.stop()
 
-    def on_step(self, env: Any, step: StepView) -> None:
+    def on_step(self, env: RolloutEnv, step: StepView) -> None:
         """Count control steps and show the rate now and then."""
         self._steps += int(step.active.sum())
         now = time.perf_counter()
@@ -132,7 +135,7 @@ class ProgressSink(Sink):
             self._shown = now
             self._bar.update(self._task, rate=f"{self._steps / (now - self._started):,.0f} steps/s")
 
-    def on_episode_end(self, env: Any, world: int, record: EpisodeRecord) -> None:
+    def on_episode_end(self, env: RolloutEnv, world: int, record: EpisodeRecord) -> None:
         """Move the bar."""
         self._done += 1
         self._won += record.success_once
@@ -151,6 +154,13 @@ def _tell(options: EvalOptions, run: Run, interrupted: bool) -> None:
             "The same command with --resume (and without --overwrite) continues.",
             file=sys.stderr,
         )
+    if summary["errors"]:
+        reasons = Counter(record.error for record in run.records if record.error)
+        reason, count = reasons.most_common(1)[0]
+        print(
+            f"mjhab: the policy could not finish {summary['errors']} episodes; {count} of them: {reason}",
+            file=sys.stderr,
+        )
     if options.json:
         print_json(summary)
         return
@@ -162,6 +172,9 @@ def _tell(options: EvalOptions, run: Run, interrupted: bool) -> None:
         f"{summary['episodes']} episodes: success once {100 * summary['success_once']:.1f} %, at end "
         f"{100 * summary['success_at_end']:.1f} %, tainted {summary['tainted']}, {summary['seconds']:.0f} s"
     )
+    if "latency_ms" in summary:
+        latency = summary["latency_ms"]
+        print(f"answers of the policy: median {latency['p50']} ms, 99 % within {latency['p99']} ms")
     print(f"report: {run.report}")
 
 

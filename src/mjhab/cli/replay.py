@@ -13,6 +13,7 @@ from mjhab.cli.output import at_least, print_json, print_table, progress_bar
 from mjhab.core.errors import UsageError
 from mjhab.data.record.provenance import TRAIN_MAKER
 from mjhab.data.record.replay import FOLLOW, render, verify
+from mjhab.data.record.worlds import RecordedEnv
 from mjhab.data.store.episode_data import RunInfo
 from mjhab.data.store.images import ImageFormat
 from mjhab.data.store.reading import open_shard, shard_paths
@@ -100,7 +101,7 @@ def _count(options: ReplayOptions) -> int:
     return count
 
 
-def _maker(options: ReplayOptions) -> Callable[[RunInfo], Any]:
+def _maker(options: ReplayOptions) -> Callable[[RunInfo], RecordedEnv]:
     """What makes an environment like that of a recorded run, with the cameras that are asked for."""
     # None stands for all cameras of the robot, which the environment knows.
     robot_cameras = None
@@ -114,7 +115,7 @@ def _maker(options: ReplayOptions) -> Callable[[RunInfo], Any]:
         if robot_cameras:
             sight["cameras"] = robot_cameras
 
-    def make_env(run: RunInfo) -> Any:
+    def make_env(run: RunInfo) -> RecordedEnv:
         from mjhab.envs import make, make_train
 
         # Shards tell lists, configurations hold tuples.

@@ -9,12 +9,17 @@ from typing import TYPE_CHECKING, Any
 from mjhab.cli.doctor import cores
 from mjhab.cli.evaluate import sigterm_interrupts
 from mjhab.cli.options.train import (
+    ReinforcementOptions,
+    RunOptions,
     TrainActOptions,
     TrainBcOptions,
     TrainDaggerOptions,
     TrainDiffusionOptions,
     TrainFlowOptions,
     TrainOptions,
+    TrainPpoOptions,
+    TrainRlpdOptions,
+    TrainSacOptions,
 )
 from mjhab.cli.output import at_least, print_json
 from mjhab.cli.profiles import profile_options
@@ -26,6 +31,8 @@ from mjhab.tasks.style import Styles
 
 if TYPE_CHECKING:
     from mjhab.learning.configs import TrainConfig
+    from mjhab.learning.reinforcement.session import ReinforcementRequest
+    from mjhab.learning.runs.collection import Scene
     from mjhab.learning.runs.session import Request
     from mjhab.learning.runs.train import TrainingResult
 
@@ -35,6 +42,11 @@ ALGORITHMS: dict[type[TrainOptions], str] = {
     TrainActOptions: "act",
     TrainDiffusionOptions: "diffusion",
     TrainDaggerOptions: "dagger",
+}
+REINFORCEMENT: dict[type[ReinforcementOptions], str] = {
+    TrainPpoOptions: "ppo",
+    TrainSacOptions: "sac",
+    TrainRlpdOptions: "rlpd",
 }
 DAGGER_NUMBERS = {
     "rounds": ("rounds", 0),
@@ -48,26 +60,33 @@ DAGGER_NUMBERS = {
 SECONDS_PER_MINUTE = 60.0
 
 
-def run_train(options: TrainOptions) -> int:
+def run_train(options: RunOptions) -> int:
     """Run the command; returns 0, or 130 after Ctrl-C or SIGTERM (the last checkpoint is kept)."""
     require_learn()
-    request = make_request(options)
-    from mjhab.learning.runs.train import train
-
     with sigterm_interrupts():
-        result = train(request, options.out, options.resume)
+        result = _train(options)
     _tell(options, result)
     return 130 if result.interrupted else 0
 
 
-def make_request(options: TrainOptions) -> Request:
-    """Check the options and turn them into a request.
+def _train(options: RunOptions) -> TrainingResult:
+    if isinstance(options, ReinforcementOptions):
+        from mjhab.learning.reinforcement.train import train_reinforcement
+
+        return train_reinforcement(reinforcement_request(options), options.out, options.resume)
+    assert isinstance(options, TrainOptions)
+    from mjhab.learning.runs.train import train
+
+    return train(make_request(options), options.out, options.resume)
+
+
+def make_scene(options: RunOptions) -> Scene:
+    """Check what all algorithms have in common, and turn it into a scene.
 
     Raises:
         UsageError: an unknown name, or a number out of range.
     """
-    from mjhab.learning.runs.collection import Means, Scene
-    from mjhab.learning.runs.session import Request
+    from mjhab.learning.runs.collection import Scene
 
     for kind, given, valid in (
         ("task", options.task, TASKS),
@@ -77,11 +96,8 @@ def make_request(options: TrainOptions) -> Request:
             raise unknown_name(kind, given, valid)
     for name in ("eval_episodes", "round_episodes", "films", "seed", "threads", "budget_minutes"):
         at_least(name.replace("_", "-"), getattr(options, name), 0)
-    for name in ("worlds", "workers", "demos", "updates"):
-        if getattr(options, name) is not None:
-            at_least(name, getattr(options, name), 1)
     profile_named(options.profile or DEFAULT_PROFILE)
-    scene = Scene(
+    return Scene(
         task=options.task,
         subtask=options.subtask,
         target=options.target or "",
@@ -90,6 +106,52 @@ def make_request(options: TrainOptions) -> Request:
         home=options.home or "",
         **profile_options(options),
     )
+
+
+def reinforcement_request(options: ReinforcementOptions) -> ReinforcementRequest:
+    """Check the options and turn them into a request.
+
+    Raises:
+        UsageError: an unknown name, or a number out of range.
+    """
+    from mjhab.learning.reinforcement.configs import changed, reinforcement_preset
+    from mjhab.learning.reinforcement.session import ReinforcementRequest
+
+    scene = make_scene(options)
+    preset = reinforcement_preset(REINFORCEMENT[type(options)], options.preset)
+    names = ("samples", "worlds", "privileged_critic", "capacity", "demonstrations")
+    values = {name: getattr(options, name, None) for name in names}
+    for name, value in values.items():
+        if value is not None and name != "privileged_critic":
+            at_least(name, value, 1)
+    return ReinforcementRequest(
+        config=changed(preset, values),
+        scene=scene,
+        seed=options.seed,
+        start=str(options.start or ""),
+        threads=options.threads or cores(),
+        budget_seconds=SECONDS_PER_MINUTE * options.budget_minutes,
+        eval_episodes=options.eval_episodes,
+        round_episodes=options.round_episodes,
+        films=options.films,
+        backend=options.backend,
+        device=options.device,
+    )
+
+
+def make_request(options: TrainOptions) -> Request:
+    """Check the options and turn them into a request.
+
+    Raises:
+        UsageError: an unknown name, or a number out of range.
+    """
+    from mjhab.learning.runs.collection import Means
+    from mjhab.learning.runs.session import Request
+
+    scene = make_scene(options)
+    for name in ("worlds", "workers", "demos", "updates"):
+        if getattr(options, name) is not None:
+            at_least(name, getattr(options, name), 1)
     return Request(
         config=resolved(options),
         scene=scene,
@@ -133,7 +195,7 @@ def _changed(config: Any, **values: Any) -> Any:
     )
 
 
-def _tell(options: TrainOptions, result: TrainingResult) -> None:
+def _tell(options: RunOptions, result: TrainingResult) -> None:
     summary = result.summary
     if result.interrupted:
         print(

@@ -57,6 +57,11 @@ def warmup(options: WarmupOptions, backend: str) -> dict[str, float]:
         sim = simulators[0]
         HomeRenderer(sim, 1).robot_views(sim.state(), homes[:1], 16, CAMERA_OUTPUTS)
 
+    def experts() -> None:
+        from mjhab.experts.warmup import compile_kernels
+
+        compile_kernels()
+
     def warp() -> None:
         from mjhab.envs import make_train
 
@@ -83,6 +88,7 @@ def warmup(options: WarmupOptions, backend: str) -> dict[str, float]:
     parts: dict[str, Callable[[], None]] = {
         f"{len(homes)} homes": compile_homes,
         "rasterizer": rasterizer,
+        "planning of the experts": experts,
     }
     if config.spawn_rule == "published":
         parts["arms that hold objects"] = arms

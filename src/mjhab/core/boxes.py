@@ -42,6 +42,14 @@ class Boxes:
             *(np.concatenate([getattr(s, k) for s in sets]) for k in ("center", "half", "rot"))
         )
 
+    def contiguous(self) -> tuple[Array, Array, Array]:
+        """``center``, ``half`` and ``rot`` as compiled kernels take them."""
+        return (
+            np.ascontiguousarray(self.center, dtype=np.float64),
+            np.ascontiguousarray(self.half, dtype=np.float64),
+            np.ascontiguousarray(self.rot, dtype=np.float64),
+        )
+
     def take(self, keep: Array) -> Boxes:
         """The boxes picked by an index or mask."""
         return Boxes(self.center[keep], self.half[keep], self.rot[keep])
@@ -68,3 +76,10 @@ def sphere_box_distance(points: Array, boxes: Boxes) -> Array:
     outside = np.maximum(local, 0.0)
     inside = np.minimum(np.max(local, axis=2), 0.0)
     return np.sqrt(np.einsum("pkc,pkc->pk", outside, outside)) + inside
+
+
+def nearest_box_distance(points: Array, boxes: Boxes) -> Array:
+    """Signed distance (P,) of each of ``points`` (P, 3) to the box nearest to it; infinite without boxes."""
+    from mjhab.core.kernels.box_gaps import least_box_gaps  # loads numba
+
+    return least_box_gaps(np.ascontiguousarray(points, dtype=np.float64), *boxes.contiguous())

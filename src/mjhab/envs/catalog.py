@@ -14,7 +14,7 @@ from mjhab.sim.backends import resolve
 if TYPE_CHECKING:
     from gymnasium.vector import VectorEnv
 
-    from mjhab.envs.device.env import DeviceEnv
+    from mjhab.envs.loop import TaskLoop
     from mjhab.envs.single import SingleEnv
 
 CHAIN_IDS: dict[str, dict[str, Any]] = {
@@ -46,12 +46,7 @@ def make(**options: Any) -> Any:
     Raises:
         UsageError: unknown option or value; the message lists the valid ones.
     """
-    config = EnvConfig(**_known(options, EnvConfig))
-    if resolve(config.backend) == "warp":
-        return _on_device(config)
-    from mjhab.envs.sequential import SequentialTaskEnv
-
-    return SequentialTaskEnv(config)
+    return _build(EnvConfig(**_known(options, EnvConfig)))
 
 
 def make_train(**options: Any) -> Any:
@@ -61,23 +56,22 @@ def make_train(**options: Any) -> Any:
         **options: fields of `TrainConfig`.
 
     Returns:
-        A `SubtaskTrainEnv`, with backend warp a `DeviceEnv`.
+        A `SequentialTaskEnv`, with backend warp a `DeviceEnv`.
 
     Raises:
         UsageError: unknown option or value; the message lists the valid ones.
     """
-    config = TrainConfig(**_known(options, TrainConfig))
+    return _build(TrainConfig(**_known(options, TrainConfig)))
+
+
+def _build(config: EnvConfig) -> TaskLoop:
     if resolve(config.backend) == "warp":
-        return _on_device(config)
-    from mjhab.envs.subtask_train import SubtaskTrainEnv
+        from mjhab.envs.device.env import DeviceEnv
 
-    return SubtaskTrainEnv(config)
+        return DeviceEnv(config)
+    from mjhab.envs.sequential import SequentialTaskEnv
 
-
-def _on_device(config: EnvConfig) -> DeviceEnv:
-    from mjhab.envs.device.env import DeviceEnv
-
-    return DeviceEnv(config)
+    return SequentialTaskEnv(config)
 
 
 def make_by_id(env_id: str, **options: Any) -> Any:

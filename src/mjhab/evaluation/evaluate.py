@@ -12,7 +12,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any, TypeVar, cast
+
+import numpy as np
 
 from mjhab.config.env import NAVIGATE_MODES, SPLITS, EnvConfig
 from mjhab.core.errors import UsageError, unknown_name
@@ -34,13 +36,16 @@ from mjhab.reports.metrics import AloneRates, alone_rates, rows_by_kind, rows_by
 from mjhab.reports.run import render_report
 from mjhab.rollout.films import Film, FilmSink
 from mjhab.rollout.loop import plain, rollout
-from mjhab.rollout.policy import Policy, RolloutEnv
+from mjhab.rollout.policy import Policy, RolloutEnv, Timed
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink
 from mjhab.rollout.store import REPORT, RunFolder, StoreSink, check_folder, read_records
 from mjhab.scenes.pack_source import Assets, pack_request
 from mjhab.tasks.plan import KIND_NAMES, TASKS
 from mjhab.tasks.style import Styles
+
+if TYPE_CHECKING:
+    from mjhab.envs.sequential import SequentialTaskEnv
 
 PolicyLike = str | Policy | Callable[..., Policy]
 """A specification for `resolve_policy`, a policy, or what makes one: a class or function of the environment or nothing.
@@ -216,11 +221,13 @@ def run_evaluation(spec: EvalSpec, sinks: Sequence[Sink] = ()) -> Run:
         with RunFolder.open(path, config, resume=spec.resume) as folder:
             return finish(folder, folder.earlier_seconds(), None, alone)
     env = make_env(spec, env_options(spec, facts))
+    policy = None
     try:
         policy = make_policy(spec, env)
         with RunFolder.open(path, config, resume=spec.resume, overwrite=spec.overwrite) as folder:
             return _run(spec, env, policy, folder, sinks, alone)
     finally:
+        close_policy(policy)
         env.close()
 
 
@@ -242,14 +249,32 @@ def _run(
             policy,
             folder.missing(spec.episodes),
             spec.seed,
-            [films, StoreSink(folder), *sinks],
+            # The record comes last: what has one is finished in all other sinks, too.
+            [films, *sinks, StoreSink(folder)],
         )
     except KeyboardInterrupt:
         interrupted = True
-    run = finish(folder, earlier + time.perf_counter() - started, films.problem, alone)
+    run = finish(
+        folder, earlier + time.perf_counter() - started, films.problem, alone, latency(policy)
+    )
     if interrupted:
         raise EvaluationInterrupted(run)
     return run
+
+
+def close_policy(policy: Policy | None) -> None:
+    """Let a policy free what it holds, if it has a method for that: ``close``, without arguments."""
+    close = getattr(policy, "close", None)
+    if callable(close):
+        close()
+
+
+def latency(policy: Policy) -> dict[str, float] | None:
+    """Median and 99th percentile of the duration of a policy's requests [ms]; None if it made or measures none."""
+    if not isinstance(policy, Timed) or not policy.latency_ms:
+        return None
+    p50, p99 = np.percentile(policy.latency_ms, [50, 99])
+    return {"p50": round(float(p50), 3), "p99": round(float(p99), 3)}
 
 
 def describe_policy(policy: PolicyLike) -> PolicyFacts:
@@ -295,7 +320,7 @@ def env_options(spec: EvalSpec, facts: PolicyFacts) -> dict[str, Any]:
     return {**facts.env_options, **spec.env}
 
 
-def make_env(spec: EvalSpec, options: Mapping[str, Any]) -> RolloutEnv:
+def make_env(spec: EvalSpec, options: Mapping[str, Any]) -> SequentialTaskEnv:
     """Build the environment of an evaluation, with further ``options``; no more worlds than episodes."""
     from mjhab.envs import make
 
@@ -362,11 +387,17 @@ def read_alone(folders: Sequence[Path]) -> dict[tuple[str, str], float]:
 
 
 def finish(
-    folder: RunFolder, seconds: float, film_problem: str | None, alone: AloneRates | None
+    folder: RunFolder,
+    seconds: float,
+    film_problem: str | None,
+    alone: AloneRates | None,
+    latency_ms: Mapping[str, float] | None = None,
 ) -> Run:
-    """Write summary.json and report.html from the records in the folder."""
+    """Write summary.json and report.html from the records in the folder; ``latency_ms``: see `latency`."""
     records = folder.records
     summary = {"profile": folder.config.get("profile"), **summarize(records, seconds, alone)}
+    if latency_ms is not None:
+        summary["latency_ms"] = dict(latency_ms)
     rows = {"along_the_plan": rows_by_position(records), "by_kind": rows_by_kind(records)}
     folder.write_summary(
         {**summary, **{name: [asdict(row) for row in table] for name, table in rows.items()}}

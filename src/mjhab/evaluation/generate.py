@@ -329,7 +329,7 @@ def build_stage(spec: GenerateSpec) -> Stage:
     """Build the environment and the policy of a worker; called in the worker's process."""
     facts = describe_policy(spec.policy)
     evaluation = spec.as_evaluation()
-    env: Any = make_env(evaluation, recorded_env_options(spec, facts))
+    env = make_env(evaluation, recorded_env_options(spec, facts))
     targets = (ALL,)
     if spec.subtask and spec.subtask != "navigate":
         targets = (spec.target,) if spec.target else tuple(valid_targets(env.config, env.layout))

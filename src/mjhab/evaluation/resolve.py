@@ -94,6 +94,11 @@ POLICY_KINDS: list[PolicyKind] = [
         "mjhab.learning.ms_hab.policy_kind",
     ),
     PolicyKind(
+        "ws://HOST:PORT",
+        lambda spec: spec.startswith(("ws://", "wss://")),
+        "mjhab.evaluation.served.kind",
+    ),
+    PolicyKind(
         "CHECKPOINT.safetensors",
         lambda spec: spec.endswith(".safetensors"),
         "mjhab.learning.policy_kind",

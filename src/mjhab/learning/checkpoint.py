@@ -41,12 +41,12 @@ class Checkpoint:
 
 def save_student(path: Path, student: Student, about: Mapping[str, Any]) -> None:
     """Write the weights of a student, whole or not at all."""
-    _save(path, student, student.state_dict(), about)
+    save_tensors(path, student, student.state_dict(), about)
 
 
 def save_training(path: Path, trainer: Trainer, about: Mapping[str, Any]) -> None:
     """Write all that training needs to go on, whole or not at all."""
-    _save(path, trainer.student, trainer.tensors(), {**about, "step": trainer.step})
+    save_tensors(path, trainer.student, trainer.tensors(), {**about, "step": trainer.step})
 
 
 def load_checkpoint(path: Path) -> Checkpoint:
@@ -88,9 +88,10 @@ def load_student(path: Path) -> Student:
     return student.eval().requires_grad_(False)
 
 
-def _save(
+def save_tensors(
     path: Path, student: Student, tensors: Mapping[str, Tensor], about: Mapping[str, Any]
 ) -> None:
+    """Write tensors with the config and layout of the student they belong to, whole or not at all."""
     head = {
         "format": FORMAT,
         "version": __version__,

@@ -18,8 +18,9 @@ FLOW = "flow"
 ACT = "act"
 DIFFUSION = "diffusion"
 DAGGER = "dagger"
-HEADS = (BC, FLOW, ACT, DIFFUSION)
-"""Algorithms that turn what a student sees into a chunk of actions."""
+GAUSSIAN = "gaussian"
+HEADS = (BC, FLOW, ACT, DIFFUSION, GAUSSIAN)
+"""Ways to turn what a student sees into a chunk of actions."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +28,8 @@ class InputConfig:
     """What a student sees.
 
     cameras, image_size: square depth images, rendered at that size [px]; no cameras for the state alone.
-    history: observations that it sees, the present one and those before it.
+    history: observations that it sees, the present one and those before it. stack_state: False for images alone; of the
+    state it then sees the present one only.
     previous_action: the executed action of the control step before.
     base_velocity: forward speed [m/s] and turning rate [rad/s] of the base. The 42-D state of the paper has none.
     condition: one-hot of the active subtask and of the type of its target.
@@ -38,6 +40,7 @@ class InputConfig:
     cameras: tuple[str, ...] = ("fetch_head", "fetch_hand")
     image_size: int = 32
     history: int = 1
+    stack_state: bool = True
     previous_action: bool = True
     base_velocity: bool = False
     condition: bool = True
@@ -47,9 +50,12 @@ class InputConfig:
 
 @dataclass(frozen=True)
 class NetworkConfig:
-    """Sizes of the networks. ``encoder``: "small" (strided convolutions with layer norm), "paper" or "paper_dp".
+    """Sizes of the networks.
 
-    unet: channels of the levels of a diffusion's UNet.
+    encoder: of images, a name of `networks.CAMERA_ENCODERS`, or "paper_dp". image_features: numbers per camera.
+
+    state_features: numbers that the state is turned into before it is joined with the images', 0 to join it as it is.
+    norm: layer norm between the fully connected layers. unet: channels of the levels of a diffusion's UNet.
     """
 
     encoder: str = "small"
@@ -57,6 +63,8 @@ class NetworkConfig:
     image_features: int = 128
     hidden: int = 384
     layers: int = 3
+    state_features: int = 0
+    norm: bool = True
     unet: tuple[int, ...] = (64, 128, 256)
 
 

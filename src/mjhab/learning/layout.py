@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -17,6 +17,53 @@ STATE_IMAGE_PREFIX = "sensor_data/"
 BASE_VELOCITY = (("base/forward_speed", 1), ("base/turning_rate", 1))
 Entry = tuple[str, int]
 """Name and width of a part of a vector."""
+
+
+class ObservationTable(Protocol):
+    """What is observed; `envs.parts.observing.ObservedRows` is one."""
+
+    @property
+    def table(self) -> Sequence[Any]:
+        """Entries with ``key`` and ``shape``, those of the state first."""
+        ...
+
+
+class StudentEnv(Protocol):
+    """What decides whether a student fits an environment."""
+
+    @property
+    def config(self) -> Any:
+        """An `EnvConfig`."""
+        ...
+
+    @property
+    def single_observation_space(self) -> Any:
+        """A Dict space with a Box "state"."""
+        ...
+
+    @property
+    def observer(self) -> ObservationTable:
+        """What is observed."""
+        ...
+
+    @property
+    def action_table(self) -> Sequence[Any]:
+        """One entry with a ``name`` per number of an action."""
+        ...
+
+
+class ActingEnv(StudentEnv, Protocol):
+    """An environment of W worlds that a student can act in."""
+
+    @property
+    def num_envs(self) -> int:
+        """W."""
+        ...
+
+    @property
+    def state(self) -> Any:
+        """State of all worlds, with ``robot_q`` and ``robot_qd`` (W, 15)."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -103,7 +150,7 @@ class Layout:
         one_hot[len(KIND_NAMES) + self.targets.index(target)] = 1.0
         return one_hot
 
-    def check_env(self, env: Any) -> None:
+    def check_env(self, env: StudentEnv) -> None:
         """Refuse an environment that shows or takes something else than what the student was trained with.
 
         Raises:
@@ -142,13 +189,13 @@ class Layout:
         return options
 
 
-def layout_of(env: Any, inputs: InputConfig, targets: Sequence[str]) -> Layout:
+def layout_of(env: StudentEnv, inputs: InputConfig, targets: Sequence[str]) -> Layout:
     """The layout of a student that is trained in an environment."""
     profile = profile_of(vars(env.config))
     return Layout(inputs, state_of(env), actions_of(env), tuple(targets), control_of(env), profile)
 
 
-def state_of(env: Any) -> tuple[Entry, ...]:
+def state_of(env: StudentEnv) -> tuple[Entry, ...]:
     """Entries of the state of an environment, in order."""
     entries: list[Entry] = []
     left = env.single_observation_space["state"].shape[0]
@@ -160,12 +207,12 @@ def state_of(env: Any) -> tuple[Entry, ...]:
     return tuple(entries)
 
 
-def actions_of(env: Any) -> tuple[str, ...]:
+def actions_of(env: StudentEnv) -> tuple[str, ...]:
     """Names of the numbers of an action of an environment."""
     return tuple(entry.name for entry in env.action_table)
 
 
-def control_of(env: Any) -> tuple[str, ...]:
+def control_of(env: StudentEnv) -> tuple[str, ...]:
     """What the actions of an environment mean: control mode, kind of base, and what is held still."""
     return (env.config.control_mode, env.config.base, *env.config.stationary)
 

@@ -109,6 +109,55 @@ class PaperCamera(nn.Module):
         return self.head(self.convolutions(image))
 
 
+class NatureCamera(nn.Module):
+    """The image encoder of the published PPO: k8 s4, k4 s2, k3 s1, a linear layer (mshab/agents/ppo)."""
+
+    KERNELS_AND_STRIDES = ((8, 4), (4, 2), (3, 1))
+
+    def __init__(self, frames: int, size: int, channels: Sequence[int], features: int) -> None:
+        super().__init__()
+        layers: list[nn.Module] = []
+        before = frames
+        for (kernel, stride), after in zip(self.KERNELS_AND_STRIDES, channels, strict=True):
+            layers += [nn.Conv2d(before, after, kernel, stride), nn.ReLU()]
+            before = after
+            size = (size - kernel) // stride + 1
+        self.convolutions = nn.Sequential(*layers, nn.Flatten())
+        self.head = nn.Sequential(nn.Linear(before * size * size, features), nn.ReLU())
+
+    def forward(self, image: Tensor) -> Tensor:
+        return self.head(self.convolutions(image))
+
+
+class StridedCamera(nn.Module):
+    """The image encoder of the published SAC: k3 s2 throughout, a linear layer, layer norm, tanh (mshab/agents/sac)."""
+
+    def __init__(self, frames: int, size: int, channels: Sequence[int], features: int) -> None:
+        super().__init__()
+        layers: list[nn.Module] = []
+        before = frames
+        for after in channels:
+            layers += [nn.Conv2d(before, after, 3, 2), nn.ReLU()]
+            before = after
+            size = (size - 3) // 2 + 1
+        self.convolutions = nn.Sequential(*layers[:-1], nn.Flatten())
+        self.head = nn.Sequential(
+            nn.Linear(before * size * size, features), nn.LayerNorm(features), nn.Tanh()
+        )
+
+    def forward(self, image: Tensor) -> Tensor:
+        return self.head(self.convolutions(image))
+
+
+CAMERA_ENCODERS: dict[str, type[nn.Module]] = {
+    "small": CameraEncoder,
+    "paper": PaperCamera,
+    "nature": NatureCamera,
+    "strided": StridedCamera,
+}
+"""Image encoders by name."""
+
+
 class PoolingEncoder(nn.Module):
     """The published encoder of the diffusion policy: all images at once, k3 with pooling (mshab/agents/dp/agent.py)."""
 
@@ -140,15 +189,31 @@ class Encoder(nn.Module):
         self.history = inputs.history
         self.cameras = len(layout.image_keys)
         self.normalizer = Normalizer(layout.width, MOST_SPREADS if inputs.normalize else math.inf)
-        build = PaperCamera if network.encoder == "paper" else CameraEncoder
+        build = CAMERA_ENCODERS.get(network.encoder, CameraEncoder)
         self.encoders = nn.ModuleList(
             build(inputs.history, inputs.image_size, network.channels, network.image_features)
             for _ in range(self.cameras)
         )
-        self.vector_width = inputs.history * layout.width
+        self.stack_state = inputs.stack_state
+        self.vector_width = (inputs.history if inputs.stack_state else 1) * layout.width
+        self.state = nn.Identity()
+        state_width = self.vector_width
+        if network.state_features:
+            state_width = network.state_features
+            self.state = nn.Linear(self.vector_width, state_width)
+            if network.encoder == "strided":
+                self.state = nn.Sequential(self.state, nn.LayerNorm(state_width), nn.Tanh())
+        self.width = self.cameras * network.image_features + state_width
+
+    def joined(self, vector: Tensor, images: Tensor) -> Tensor:
+        """All features side by side, (B, width)."""
+        features, normalized = self(vector, images)
+        return torch.cat([*features, self.state(normalized)], dim=1)
 
     def forward(self, vector: Tensor, images: Tensor) -> tuple[list[Tensor], Tensor]:
         split = vector.unflatten(1, (self.history, -1))
+        if not self.stack_state:
+            split = split[:, -1:]
         normalized = self.normalizer(split).flatten(1)
         if not self.cameras:
             return [], normalized
@@ -164,8 +229,8 @@ class Trunk(nn.Module):
         super().__init__()
         network = config.network
         self.encoder = Encoder(config, layout)
-        joined = self.encoder.cameras * network.image_features + self.encoder.vector_width
-        self.layers = mlp([joined, *[network.hidden] * network.layers], norm=True)
+        hidden = [network.hidden] * network.layers
+        self.layers = mlp([self.encoder.width, *hidden], norm=network.norm)
         self.width = network.hidden
 
     @property
@@ -174,5 +239,4 @@ class Trunk(nn.Module):
         return self.encoder.normalizer
 
     def forward(self, vector: Tensor, images: Tensor) -> Tensor:
-        features, normalized = self.encoder(vector, images)
-        return self.layers(torch.cat([*features, normalized], dim=1))
+        return self.layers(self.encoder.joined(vector, images))

@@ -10,6 +10,7 @@ import numpy as np
 from mjhab.core.seeding import stream
 from mjhab.data.select.facts import type_name
 from mjhab.learning.demos import base_velocity, nearness
+from mjhab.learning.layout import ActingEnv
 from mjhab.learning.students.student import Student
 
 INFERENCE_ROWS = 16
@@ -31,7 +32,7 @@ class StudentPolicy:
 
     name = "student"
 
-    def __init__(self, student: Student, env: Any, seed: int = 0) -> None:
+    def __init__(self, student: Student, env: ActingEnv, seed: int = 0) -> None:
         student.layout.check_env(env)
         self.student = student
         self._env = env
@@ -103,7 +104,8 @@ class StudentPolicy:
             rows = np.resize(some, INFERENCE_ROWS)
             vector = self._vectors[rows].reshape(INFERENCE_ROWS, -1)
             images = self._images[rows]
-            images = images.reshape(INFERENCE_ROWS, -1, *images.shape[3:])
+            channels = images.shape[1] * images.shape[2]
+            images = images.reshape(INFERENCE_ROWS, channels, *images.shape[3:])
             chunks = self.student.act(vector, images, self._noise(rows, info))
             self._chunks[some] = chunks[: len(some)]
 

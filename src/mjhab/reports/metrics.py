@@ -105,7 +105,8 @@ def summarize(
         ``episodes``; ``success_once`` and ``success_at_end`` of whole episodes; ``progressive``: fraction of episodes
         that completed at least k+1 subtasks; ``upper_bound``: the same if every subtask started well; ``labels``: count
         of every trajectory label; ``legacy_labels``: likewise by the rules of the published code; ``tainted``: number
-        of episodes whose simulation raised a flag (they are counted in all rates); ``seconds``.
+        of episodes whose simulation raised a flag (they are counted in all rates); ``errors``: number of episodes that
+        the policy could not finish, likewise counted; ``seconds``.
     """
     curve, bound = progress_curves(records, alone)
     subtasks = [subtask for record in records for subtask in record.subtasks]
@@ -118,6 +119,7 @@ def summarize(
         "labels": label_counts(subtask.label for subtask in subtasks),
         "legacy_labels": label_counts(subtask.legacy_label for subtask in subtasks),
         "tainted": sum(bool(record.taint) for record in records),
+        "errors": sum(bool(record.error) for record in records),
         "seconds": round(seconds, 2),
     }
 

@@ -34,6 +34,8 @@ from mjhab.core.rotations import quat_from_mat
 
 DAMPING = 1e-4
 """Least damping of the normal equations; more is added far from the goal, where the linear model is poor."""
+DAMPING_PER_ERROR = 0.03
+"""Damping that is added per squared length of the error, which counts up to a length of 1."""
 _EYES = {
     n: Table(tuple(tuple(float(i == k) for k in range(n)) for i in range(n))) for n in range(1, 7)
 }
@@ -333,9 +335,9 @@ def damped_step(error: Array, jac: Array, pull: Array, damping: float = DAMPING)
     """
     xp = namespace(error)
     size = xp.minimum(xp.sum(error * error, axis=1), constant((1.0,), error))
-    square = jac @ jac.swapaxes(1, 2) + (damping + 0.03 * size)[:, None, None] * constant(
-        _EYES[error.shape[1]], error
-    )
+    square = jac @ jac.swapaxes(1, 2) + (damping + DAMPING_PER_ERROR * size)[
+        :, None, None
+    ] * constant(_EYES[error.shape[1]], error)
     wanted = error - xp.einsum("nij,nj->ni", jac, pull)
     return xp.einsum("nij,ni->nj", jac, _solve(square, wanted)) + pull
 

@@ -8,6 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from mjhab.rollout.policy import RolloutEnv
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink, StepView
 
@@ -32,7 +33,7 @@ class Film(Protocol):
         ...
 
 
-class FilmSink(Sink):
+class FilmSink(Sink[RolloutEnv]):
     """Films the episodes in ``indices`` through ``env.render_world``.
 
     A renderer or encoder that fails stops the films, not the evaluation: ``problem`` then says why.
@@ -63,7 +64,7 @@ class FilmSink(Sink):
         self._size = (width, height)
         self._films: dict[int, Film] = {}
 
-    def on_reset(self, env: Any, info: Mapping[str, Any], mask: np.ndarray) -> None:
+    def on_reset(self, env: RolloutEnv, info: Mapping[str, Any], mask: np.ndarray) -> None:
         """Open films of wanted episodes; their first frame shows the start state."""
         for world in np.flatnonzero(mask):
             index = int(info["episode_spec"][world]["index"])
@@ -71,13 +72,13 @@ class FilmSink(Sink):
                 self._films[int(world)] = self._open_film(self._path_of(index), FILM_FPS)
                 self._shoot(env, int(world))
 
-    def on_step(self, env: Any, step: StepView) -> None:
+    def on_step(self, env: RolloutEnv, step: StepView) -> None:
         """Shoot every ``every``-th step of the filmed worlds."""
         for world in list(self._films):
             if step.steps[world] % self._every == 0:
                 self._shoot(env, world)
 
-    def on_episode_end(self, env: Any, world: int, record: EpisodeRecord) -> None:
+    def on_episode_end(self, env: RolloutEnv, world: int, record: EpisodeRecord) -> None:
         """Finish the film."""
         film = self._films.pop(world, None)
         if film is not None:
@@ -92,7 +93,7 @@ class FilmSink(Sink):
             film.abort()
         self._films.clear()
 
-    def _shoot(self, env: Any, world: int) -> None:
+    def _shoot(self, env: RolloutEnv, world: int) -> None:
         film = self._films.get(world)
         if film is None:
             return

@@ -5,6 +5,7 @@ Training-time evaluation, evaluation, data generation and viewers differ in thei
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections import deque
 from collections.abc import Mapping, Sequence
@@ -16,17 +17,17 @@ from gymnasium.vector import AutoresetMode
 
 from mjhab.core.action_notes import ActionNotes
 from mjhab.core.errors import UsageError
-from mjhab.rollout.policy import Annotated, Policy, RolloutEnv, Styled
+from mjhab.rollout.policy import Annotated, Fallible, Policy, RolloutEnv, Styled
 from mjhab.rollout.records import EpisodeRecord, Event, PlanEntry, SubtaskRecord
-from mjhab.rollout.sinks import Sink, StepView
+from mjhab.rollout.sinks import EnvT, Sink, StepView
 
 
 def rollout(
-    env: RolloutEnv,
+    env: EnvT,
     policy: Policy,
     episodes: Sequence[int],
     seed: int,
-    sinks: Sequence[Sink] = (),
+    sinks: Sequence[Sink[EnvT]] = (),
     max_steps: int | None = None,
 ) -> list[EpisodeRecord]:
     """Run the named episodes and return their records, sorted by index.
@@ -117,12 +118,16 @@ class _Run:
     def step(self) -> None:
         """Take one control step in all worlds, then give finished worlds their next episode."""
         actions = self._checked(self.policy.act(self.obs, self.info))
+        faults = self._faults()
         notes = self._notes(actions)
         actions = np.where(self.active[:, None], actions, np.float32(0.0))
         self.obs, reward, terminated, truncated, self.info = self.env.step(actions)
         self.steps[self.active] += 1
         done = self.active & (
-            np.asarray(terminated) | np.asarray(truncated) | (self.steps >= self.max_steps)
+            np.asarray(terminated)
+            | np.asarray(truncated)
+            | (self.steps >= self.max_steps)
+            | np.array([bool(fault) for fault in faults])
         )
         for w in np.flatnonzero(self.active):
             self._trace(int(w)).add(int(w), int(self.steps[w]), self.info)
@@ -132,9 +137,16 @@ class _Run:
         for sink in self.sinks:
             sink.on_step(self.env, view)
         for w in np.flatnonzero(done):
-            self._finish(int(w))
+            self._finish(int(w), faults[w])
         if done.any():
             self._fill()
+
+    def _faults(self) -> list[str]:
+        """Why the episode of each world cannot go on, "" where it can."""
+        worlds = range(len(self.active))
+        if not isinstance(self.policy, Fallible):
+            return [""] * len(worlds)
+        return [self.policy.fault(w) for w in worlds]
 
     def _notes(self, actions: np.ndarray) -> ActionNotes:
         if not isinstance(self.policy, Annotated):
@@ -174,11 +186,12 @@ class _Run:
         assert trace is not None, f"world {world} is active without an episode"
         return trace
 
-    def _finish(self, world: int) -> None:
+    def _finish(self, world: int, fault: str) -> None:
         style = self.policy.style(world) if isinstance(self.policy, Styled) else {}
         record = self._trace(world).record(
             int(self.steps[world]), world, self.info, self.env, style
         )
+        record = dataclasses.replace(record, error=fault)
         self.active[world] = False
         self.traces[world] = None
         self.records.append(record)

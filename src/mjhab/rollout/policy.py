@@ -86,6 +86,25 @@ class Styled(Protocol):
         ...
 
 
+@runtime_checkable
+class Fallible(Protocol):
+    """A policy that can fail in one episode and go on in the others, for instance one that is asked over a network."""
+
+    def fault(self, world: int) -> str:
+        """Why the episode in a world cannot go on, one line of text; "" if it can. Asked after every ``act``."""
+        ...
+
+
+@runtime_checkable
+class Timed(Protocol):
+    """A policy that measures how long it takes to get actions."""
+
+    @property
+    def latency_ms(self) -> Sequence[float]:
+        """Duration of every request for actions so far [ms]."""
+        ...
+
+
 class ZeroPolicy:
     """Stands still: the all-zero action keeps every joint target and lets the gripper half open."""
 

@@ -10,7 +10,7 @@ from mjhab.core.names import check_name
 from mjhab.tasks.instructions import MAX_INSTRUCTION_CHARACTERS
 from mjhab.tasks.plan import GOAL_OF
 
-OPTIONAL = ("style", "instruction", "instructions", "config_hash")
+OPTIONAL = ("style", "instruction", "instructions", "error", "config_hash")
 """Fields of `EpisodeRecord` that are left out of a file where they are empty; older files lack them."""
 Event = tuple[int, str]
 """Control step (the first step of an episode is 1) and the name of what happened in it."""
@@ -75,7 +75,8 @@ class EpisodeRecord:
     and takes no part in comparisons: everything else is a function of (seed, index). ``style``: how the policy was
     asked to act in this episode (fields of `tasks.style.Style`), empty where nothing was asked. ``instruction``: what
     the episode asks for as a sentence, ``instructions`` the same for each subtask of the plan (`tasks.instructions`);
-    empty in records of older versions. ``config_hash`` names the configuration of the run folder that the record
+    empty in records of older versions. ``error``: why the policy could not go on (`rollout.policy.Fallible`) and the
+    episode ended, empty where it could. ``config_hash`` names the configuration of the run folder that the record
     belongs to (`store.config_hash`); it is empty outside of a run folder and in those of older versions, and takes no
     part in comparisons.
     """
@@ -104,6 +105,7 @@ class EpisodeRecord:
     style: Mapping[str, Any] = field(default_factory=dict)
     instruction: str = ""
     instructions: tuple[str, ...] = ()
+    error: str = ""
     config_hash: str = field(default="", compare=False)
 
     def to_dict(self) -> dict[str, Any]:
@@ -126,6 +128,7 @@ class EpisodeRecord:
         values["style"] = dict(data.get("style", {}))
         values["instruction"] = _sentence(data.get("instruction", ""))
         values["instructions"] = tuple(_sentence(text) for text in data.get("instructions", ()))
+        values["error"] = _sentence(data.get("error", ""))
         values["config_hash"] = str(data.get("config_hash", ""))
         values["plan"] = tuple(PlanEntry(**entry) for entry in data["plan"])
         values["subtasks"] = tuple(SubtaskRecord.from_dict(entry) for entry in data["subtasks"])
@@ -138,13 +141,16 @@ class EpisodeRecord:
 
 
 def _sentence(text: Any) -> str:
-    """An instruction that was read from a file, if it is one: others go into pages and into the names of tasks."""
+    """A line of text that was read from a file, if it is one: others go into pages and into the names of tasks."""
     if not isinstance(text, str) or len(text) > MAX_INSTRUCTION_CHARACTERS:
         raise ValueError(
-            f"an instruction is a text of at most {MAX_INSTRUCTION_CHARACTERS} characters, not {str(text)[:60]!r}."
+            f"an instruction or an error is a text of at most {MAX_INSTRUCTION_CHARACTERS} characters, "
+            f"not {str(text)[:60]!r}."
         )
     if text and not text.isprintable():
-        raise ValueError(f"an instruction is one line of printable text, not {text[:60]!r}.")
+        raise ValueError(
+            f"an instruction or an error is one line of printable text, not {text[:60]!r}."
+        )
     return text
 
 

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
 from mjhab.core.action_notes import ActionNotes
+from mjhab.rollout.policy import RolloutEnv
 from mjhab.rollout.records import EpisodeRecord
+
+EnvT = TypeVar("EnvT", bound=RolloutEnv, contravariant=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,22 +35,22 @@ class StepView:
     notes: ActionNotes
 
 
-class Sink:
-    """Base of all sinks: every method does nothing.
+class Sink(Generic[EnvT]):
+    """Base of all sinks: every method does nothing. A sink that asks more of the environment names it as ``EnvT``.
 
     ``on_begin`` comes once; then the loop calls the others in this order for each episode.
     """
 
-    def on_begin(self, env: Any, episodes: Sequence[int]) -> None:
+    def on_begin(self, env: EnvT, episodes: Sequence[int]) -> None:
         """The rollout begins; these episodes will be run. Called once, before all others."""
 
-    def on_reset(self, env: Any, info: Mapping[str, Any], mask: np.ndarray) -> None:
+    def on_reset(self, env: EnvT, info: Mapping[str, Any], mask: np.ndarray) -> None:
         """New episodes began in the worlds of ``mask`` (W,) bool."""
 
-    def on_step(self, env: Any, step: StepView) -> None:
+    def on_step(self, env: EnvT, step: StepView) -> None:
         """A control step was taken; finished worlds are not reset yet."""
 
-    def on_episode_end(self, env: Any, world: int, record: EpisodeRecord) -> None:
+    def on_episode_end(self, env: EnvT, world: int, record: EpisodeRecord) -> None:
         """The episode in ``world`` is over."""
 
     def close(self) -> None:

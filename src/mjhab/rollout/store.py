@@ -19,6 +19,7 @@ from typing import Any
 from mjhab.core.cache import write_atomic
 from mjhab.core.errors import UsageError
 from mjhab.core.locking import WriteLock, lock_path, refuse_if_written
+from mjhab.rollout.policy import RolloutEnv
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink
 
@@ -129,13 +130,13 @@ class RunFolder:
         return self.path / REPORT
 
 
-class StoreSink(Sink):
+class StoreSink(Sink[RolloutEnv]):
     """Puts every finished episode into the run folder at once."""
 
     def __init__(self, folder: RunFolder) -> None:
         self._folder = folder
 
-    def on_episode_end(self, env: Any, world: int, record: EpisodeRecord) -> None:
+    def on_episode_end(self, env: RolloutEnv, world: int, record: EpisodeRecord) -> None:
         """Append the record."""
         self._folder.add(record)
 

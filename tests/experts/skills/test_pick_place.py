@@ -18,7 +18,8 @@ from mjhab.episodes.grasps.candidates import ObjectShape, Options, grasp_candida
 from mjhab.experts import make_expert
 from mjhab.experts.arm import motion
 from mjhab.experts.arm.ik import rotate
-from mjhab.experts.base.route import LOOKAHEADS, LOST_STEPS, Pilot, follow, plan_route, planner
+from mjhab.experts.base.pilot import Pilot
+from mjhab.experts.base.route import LOOKAHEADS, LOST_STEPS, follow, plan_route, planner
 from mjhab.experts.planning.carry import grip, held_spheres, inside_depth
 from mjhab.experts.planning.reach import Scene, surroundings, way_out
 from mjhab.experts.skills.pick import EVEN, balanced, height_below, plan_pick

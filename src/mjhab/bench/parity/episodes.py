@@ -11,7 +11,9 @@ from typing import Any
 import numpy as np
 
 from mjhab.core.errors import UsageError
+from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.rollout.loop import rollout
+from mjhab.rollout.policy import RolloutEnv
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink, StepView
 from mjhab.sim.protocol import SimState
@@ -44,7 +46,7 @@ class Leg:
     device: str = "cpu"
     whole: bool = False
 
-    def make_env(self) -> Any:
+    def make_env(self) -> SequentialTaskEnv:
         """Its environment on the cpu backend."""
         from mjhab.envs import make
 
@@ -59,7 +61,7 @@ class Leg:
             continuous=self.whole,
         )
 
-    def make_twin(self) -> Any:
+    def make_twin(self) -> SequentialTaskEnv:
         """Its environment on the warp backend; what tries out states before a reset stays on the CPU."""
         from mjhab.sim.warp.simulator import WarpSimulator
 
@@ -152,7 +154,7 @@ def run_own(leg: Leg, episodes: Sequence[int], done: Callable[[int, Row], None])
     rollout(env, make_expert(env), episodes, leg.seed, [_Alone(env.num_envs, done)])
 
 
-class Twin(Sink):
+class Twin(Sink[SequentialTaskEnv]):
     """Runs a second environment through what the first one goes through, and compares the two.
 
     Args:
@@ -160,12 +162,12 @@ class Twin(Sink):
         done: gets the index and the row of every finished episode, see `run_equal`.
     """
 
-    def __init__(self, twin: Any, done: Callable[[int, Row], None]) -> None:
+    def __init__(self, twin: SequentialTaskEnv, done: Callable[[int, Row], None]) -> None:
         self._twin = twin
         self._done = done
         self._runs: list[_Run] = [_Run() for _ in range(twin.num_envs)]
 
-    def on_reset(self, env: Any, info: Mapping[str, Any], mask: np.ndarray) -> None:
+    def on_reset(self, env: SequentialTaskEnv, info: Mapping[str, Any], mask: np.ndarray) -> None:
         """Begin the same episodes in the twin."""
         worlds = np.flatnonzero(mask)
         specs = [info["episode_spec"][w] for w in worlds]
@@ -174,7 +176,7 @@ class Twin(Sink):
         for w in worlds:
             self._runs[w] = _Run()
 
-    def on_step(self, env: Any, step: StepView) -> None:
+    def on_step(self, env: SequentialTaskEnv, step: StepView) -> None:
         """Take the same step in the twin."""
         _, reward, _, _, info = self._twin.step(step.actions)
         drift = None
@@ -188,7 +190,7 @@ class Twin(Sink):
                     kind: float(f"{rows[w]:.4g}") for kind, rows in drift.items()
                 }
 
-    def on_episode_end(self, env: Any, world: int, record: EpisodeRecord) -> None:
+    def on_episode_end(self, env: SequentialTaskEnv, world: int, record: EpisodeRecord) -> None:
         """Hand on the row of the episode."""
         self._done(record.index, self._runs[world].row(record.steps))
 
@@ -224,18 +226,18 @@ class _Run:
         }
 
 
-class _Alone(Sink):
+class _Alone(Sink[RolloutEnv]):
     """Hands on the row of every episode, see `run_own`."""
 
     def __init__(self, num_envs: int, done: Callable[[int, Row], None]) -> None:
         self._sum = np.zeros(num_envs)
         self._done = done
 
-    def on_step(self, env: Any, step: StepView) -> None:
+    def on_step(self, env: RolloutEnv, step: StepView) -> None:
         """Add the rewards of the worlds in which an episode runs."""
         self._sum += np.where(step.active, step.reward, 0.0)
 
-    def on_episode_end(self, env: Any, world: int, record: EpisodeRecord) -> None:
+    def on_episode_end(self, env: RolloutEnv, world: int, record: EpisodeRecord) -> None:
         """Hand on the row."""
         self._done(
             record.index,

@@ -8,11 +8,13 @@ from typing import Annotated
 
 import tyro
 
+from mjhab.cli.options.served import ServedOptions
+
 Sub = tyro.conf.subcommand
 Number = Annotated[int, tyro.conf.arg(metavar="N")]
 Name = Annotated[str, tyro.conf.arg(metavar="NAME")]
 MaybeName = Annotated[str | None, tyro.conf.arg(metavar="NAME")]
-PolicyName = Annotated[str, tyro.conf.arg(metavar="NAME|FILE.py:CLASS")]
+PolicyName = Annotated[str, tyro.conf.arg(metavar="NAME|FILE.py:CLASS|ws://HOST:PORT")]
 Numbers = Annotated[tuple[int, ...], tyro.conf.arg(metavar="N ...")]
 Backend = Annotated[str, tyro.conf.arg(metavar="auto|cpu|warp")]
 Device = Annotated[str, tyro.conf.arg(metavar="DEVICE")]
@@ -46,7 +48,7 @@ class PolicyProfileOptions(ProfileOptions):
 
 
 @dataclass(frozen=True)
-class EvalOptions(PolicyProfileOptions):
+class EvalOptions(ServedOptions, PolicyProfileOptions):
     """Run a policy in furnished homes; write records, numbers, films and a report.
 
     A whole task: `mjhab eval --task set_table --policy expert --episodes 20 --out runs/table`
@@ -54,6 +56,8 @@ class EvalOptions(PolicyProfileOptions):
     One subtask: `mjhab eval --subtask pick --target 024_bowl --episodes 50 --out runs/pick_bowl`
 
     A policy of your own: `mjhab eval --policy my_policy.py:MyPolicy --subtask pick --out runs/mine`
+
+    A policy that runs elsewhere: `mjhab eval --policy ws://host:8000 --dialect openpi --subtask pick --out runs/vla`
 
     Ctrl-C and SIGTERM keep the finished episodes; the same command with `--resume` continues.
     """
@@ -66,8 +70,8 @@ class EvalOptions(PolicyProfileOptions):
     """With --subtask: the object or link to act on, e.g. 024_bowl or kitchen_counter/drawer3. All of them if absent."""
     policy: PolicyName = "expert"
     """What acts: expert (scripted, knows the state), student (a learned one of the package, with --subtask and
-    --target), random, zero (stands still), a CHECKPOINT.safetensors, or your own: FILE.py:CLASS (see
-    docs/evaluation.md)."""
+    --target), random, zero (stands still), a CHECKPOINT.safetensors, your own: FILE.py:CLASS (see
+    docs/evaluation.md), or one that is served elsewhere: ws://host:port (see docs/serving.md)."""
     style: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = ()
     """How the expert acts, e.g. speed=0.5..1.0 grasp=side release=drop noise=0.05; of a range or a list (a,b) every
     episode draws its own. Names: speed, grasp, release, drop_height, close, noise, base_noise, noise_kind,

@@ -95,7 +95,8 @@ class BenchParityOptions:
 
 @dataclass(frozen=True)
 class WarmupOptions(ProfileOptions):
-    """Compile what is compiled at first use, and keep it: kernels of the rasterizer, and those of MuJoCo Warp.
+    """Compile what is compiled at first use, and keep it: kernels of the rasterizer and of the experts' planning, and
+    those of MuJoCo Warp.
 
     With `--profile ms_hab` the arms that hold objects are made, too, in which Place then begins.
 
@@ -103,7 +104,7 @@ class WarmupOptions(ProfileOptions):
     """
 
     backend: Backend = "auto"
-    """cpu: only the rasterizer; warp: also MuJoCo Warp; auto: warp where there is a CUDA device."""
+    """cpu: rasterizer and planning; warp: also MuJoCo Warp; auto: warp where there is a CUDA device."""
     task: Name = "tidy_house"
     """Whose objects the layout has: buffers of the warp backend are measured for it, too."""
     device: Device = ""

@@ -26,8 +26,8 @@ MaybeNumber = Annotated[int | None, tyro.conf.arg(metavar="N")]
 
 
 @dataclass(frozen=True)
-class TrainOptions(PolicyProfileOptions):
-    """What all algorithms of ``mjhab train`` have in common."""
+class RunOptions(PolicyProfileOptions):
+    """What all of ``mjhab train`` have in common."""
 
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
     """Folder of the run: checkpoints, collected data, curves, report."""
@@ -38,19 +38,7 @@ class TrainOptions(PolicyProfileOptions):
     subtask: Name = "close"
     """What to learn: pick, place, navigate, open or close."""
     target: MaybeName = None
-    """The object or link to act on, e.g. 024_bowl or kitchen_counter/drawer3; one student for all of them if absent."""
-    data: DataPlaces = ()
-    """Learn from these demonstrations: shards or folders of them, with images of the preset's size. If absent, the
-    expert makes demonstrations first."""
-    where: Where = None
-    """With --data: which episodes, as in `mjhab data query`; those that succeed if absent."""
-    demos: MaybeNumber = None
-    """Without --data: episodes that the expert tries; as the preset says if absent."""
-    style: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = ()
-    """How the expert acts that is learned from, as in `mjhab generate`; with noise=0..0.2 it acts with noise, and what
-    it intended is learned."""
-    updates: MaybeNumber = None
-    """Updates of the network (of dagger: in the first round); as the preset says if absent."""
+    """The object or link to act on, e.g. 024_bowl or kitchen_counter/drawer3; one policy for all of them if absent."""
     budget_minutes: Minutes = 0.0
     """Stop in time for the last evaluation to be over after so many minutes; 0 for no limit."""
     eval_episodes: Number = 100
@@ -71,18 +59,81 @@ class TrainOptions(PolicyProfileOptions):
     """With a ReplicaCAD folder: walls and floor for every home, in place of the stages its scenes name."""
     articulate: Joints = None
     """With a ReplicaCAD folder: what opens besides counter and fridge: kitchen_cupboards, cabinet, chest_of_drawers."""
-    worlds: Number = 16
-    """Episodes that run at the same time in a process. Changes the speed, never what is collected."""
-    workers: Number = 1
-    """Processes that collect; 1 collects in this one. Changes the speed, never what is collected."""
-    ray: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS")] = None
-    """Let actors on this Ray cluster collect ("local" starts one here); --out must be a folder all can see."""
     threads: Number = 0
     """Threads of physics and network; 0 takes all cores. The last bits of what is learned depend on it."""
     resume: bool = False
     """Go on with the run in --out, exactly where its last checkpoint is."""
     json: bool = False
     """Print one line of JSON at the end."""
+
+
+@dataclass(frozen=True)
+class TrainOptions(RunOptions):
+    """What all algorithms of imitation have in common."""
+
+    data: DataPlaces = ()
+    """Learn from these demonstrations: shards or folders of them, with images of the preset's size. If absent, the
+    expert makes demonstrations first."""
+    where: Where = None
+    """With --data: which episodes, as in `mjhab data query`; those that succeed if absent."""
+    demos: MaybeNumber = None
+    """Without --data: episodes that the expert tries; as the preset says if absent."""
+    style: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = ()
+    """How the expert acts that is learned from, as in `mjhab generate`; with noise=0..0.2 it acts with noise, and what
+    it intended is learned."""
+    updates: MaybeNumber = None
+    """Updates of the network (of dagger: in the first round); as the preset says if absent."""
+    worlds: Number = 16
+    """Episodes that run at the same time in a process. Changes the speed, never what is collected."""
+    workers: Number = 1
+    """Processes that collect; 1 collects in this one. Changes the speed, never what is collected."""
+    ray: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS")] = None
+    """Let actors on this Ray cluster collect ("local" starts one here); --out must be a folder all can see."""
+
+
+@dataclass(frozen=True)
+class ReinforcementOptions(RunOptions):
+    """What all algorithms of reinforcement have in common."""
+
+    samples: MaybeNumber = None
+    """Control steps of single worlds to learn from, in all; as the preset says if absent."""
+    worlds: MaybeNumber = None
+    """Episodes that run at the same time; part of what is learned. As the preset says if absent."""
+    start: Annotated[Path | None, tyro.conf.arg(metavar="CHECKPOINT")] = None
+    """Let the actor begin from this checkpoint of `mjhab train`, e.g. a student to polish."""
+    privileged_critic: bool | None = None
+    """Whether the critic sees forces, velocities and time left, which no robot knows; the policy never does."""
+    backend: Name = "cpu"
+    """Engine of the environment: cpu, warp (on a GPU), or auto."""
+    device: Name = ""
+    """With backend warp: cuda:0, cuda:1, ...; the first one if absent."""
+
+
+@dataclass(frozen=True)
+class TrainPpoOptions(ReinforcementOptions):
+    """Proximal policy optimization. Presets: fast (states), depth, polish (of a student), paper.
+
+    `mjhab train ppo --task set_table --subtask close --target kitchen_counter/drawer3 --preset fast
+    --budget-minutes 20 --out runs/ppo`
+
+    `torchrun --nproc-per-node 2 -m mjhab.cli.main train ppo ...` lets two processes learn together.
+    """
+
+
+@dataclass(frozen=True)
+class TrainSacOptions(ReinforcementOptions):
+    """Soft actor-critic with distributional critics. Presets: fast (32 px depth), state, paper."""
+
+    capacity: MaybeNumber = None
+    """Control steps in the replay buffer; as the preset says if absent."""
+
+
+@dataclass(frozen=True)
+class TrainRlpdOptions(TrainSacOptions):
+    """Soft actor-critic of which half of every batch are demonstrations by the expert. Presets: demos, state."""
+
+    demonstrations: MaybeNumber = None
+    """Episodes by the expert; as the preset says if absent."""
 
 
 @dataclass(frozen=True)
@@ -145,4 +196,7 @@ class TrainCommand:
         | Annotated[TrainActOptions, Sub("act")]
         | Annotated[TrainDiffusionOptions, Sub("diffusion")]
         | Annotated[TrainDaggerOptions, Sub("dagger")]
+        | Annotated[TrainPpoOptions, Sub("ppo")]
+        | Annotated[TrainSacOptions, Sub("sac")]
+        | Annotated[TrainRlpdOptions, Sub("rlpd")]
     )

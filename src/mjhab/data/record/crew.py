@@ -15,13 +15,14 @@ from typing import Any, Protocol
 from mjhab.core.errors import UsageError
 from mjhab.data.record.quotas import Outcome, Surety
 from mjhab.data.record.recorder import Recorder
+from mjhab.data.record.worlds import RecordedEnv
 from mjhab.data.select.facts import target_of
 from mjhab.data.select.query import Filter
 from mjhab.data.store.episode_data import EpisodeData, RunInfo
 from mjhab.data.store.images import ImageFormat
 from mjhab.data.store.shard import ShardWriter, StorageError, last_label
 from mjhab.rollout.loop import rollout
-from mjhab.rollout.policy import Policy
+from mjhab.rollout.policy import Policy, RolloutEnv
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink, StepView
 
@@ -38,7 +39,7 @@ class Stage:
     ``targets``: all that quotas count by; ``licence``: terms of the assets, see `provenance.describe_run`.
     """
 
-    env: Any
+    env: RecordedEnv
     policy: Policy
     about: Mapping[str, Any]
     targets: tuple[str, ...] = (ALL,)
@@ -138,13 +139,13 @@ class Stopped(Exception):
     """A worker was asked to stop in the middle of its work."""
 
 
-class _StopSink(Sink):
+class _StopSink(Sink[RolloutEnv]):
     """Looks after every control step whether to go on."""
 
     def __init__(self, stopped: Callable[[], bool]) -> None:
         self._stopped = stopped
 
-    def on_step(self, env: Any, step: StepView) -> None:
+    def on_step(self, env: RolloutEnv, step: StepView) -> None:
         """Leave the rollout if somebody asked for it."""
         if self._stopped():
             raise Stopped

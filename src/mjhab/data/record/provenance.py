@@ -17,6 +17,7 @@ import numpy as np
 
 from mjhab.core.joints import BASE
 from mjhab.core.version import __version__
+from mjhab.data.record.worlds import RecordedEnv
 from mjhab.data.store.episode_data import RunInfo
 
 _LIBRARIES = ("mujoco", "mujoco-warp", "numpy", "h5py")
@@ -54,7 +55,7 @@ TRAIN_MAKER = "make_train"
 BUILTIN_LICENCE = "Apache-2.0: homes, furniture and objects made by the code of mjhab"
 
 
-def describe_run(env: Any, policy: Mapping[str, Any], licence: str = "") -> RunInfo:
+def describe_run(env: RecordedEnv, policy: Mapping[str, Any], licence: str = "") -> RunInfo:
     """Describe what is about to make episodes.
 
     Args:

@@ -10,6 +10,7 @@ import numpy as np
 
 from mjhab.core.errors import MjhabError
 from mjhab.data.record.provenance import describe_run, model_hash
+from mjhab.data.record.worlds import RecordedEnv
 from mjhab.data.store.episode_data import EpisodeData, RunInfo, to_bytes
 from mjhab.data.store.images import ImageFormat, encode
 from mjhab.data.store.schema import CHECKS, FORCES
@@ -29,7 +30,7 @@ class Appends(Protocol):
         ...
 
 
-class Recorder(Sink):
+class Recorder(Sink[RecordedEnv]):
     """Records the episodes of an environment with autoreset "disabled" into an open shard.
 
     Args:
@@ -47,7 +48,7 @@ class Recorder(Sink):
     def __init__(
         self,
         writer: Appends,
-        env: Any,
+        env: RecordedEnv,
         policy: Mapping[str, Any],
         *,
         keep: Callable[[EpisodeRecord, RunInfo], bool] | None = None,
@@ -65,7 +66,7 @@ class Recorder(Sink):
         self._open: dict[int, _Buffer] = {}
         self._models: dict[str, str] = {}
 
-    def on_reset(self, env: Any, info: Mapping[str, Any], mask: np.ndarray) -> None:
+    def on_reset(self, env: RecordedEnv, info: Mapping[str, Any], mask: np.ndarray) -> None:
         """Begin buffers with the first states of the worlds in ``mask``."""
         obs = env.observer.observe(env.state, env.focus, env.signals, env.homes)
         checks, forces = signal_rows(env.signals)
@@ -76,7 +77,7 @@ class Recorder(Sink):
             buffer.add_obs(obs, w, self._images)
             self._open[w] = buffer
 
-    def on_step(self, env: Any, step: StepView) -> None:
+    def on_step(self, env: RecordedEnv, step: StepView) -> None:
         """Add one action and one state to the buffer of every running episode."""
         checks, forces = signal_rows(env.judged)
         begun, _ = signal_rows(env.signals)
@@ -91,7 +92,7 @@ class Recorder(Sink):
             if now != before and now < buffer.length:
                 buffer.enter(int(step.steps[w]), now, begun[w])
 
-    def on_episode_end(self, env: Any, world: int, record: EpisodeRecord) -> None:
+    def on_episode_end(self, env: RecordedEnv, world: int, record: EpisodeRecord) -> None:
         """Write the episode, if it is to be kept.
 
         Raises:
@@ -120,7 +121,7 @@ class Recorder(Sink):
         """Forget the episodes that were cut short."""
         self._open.clear()
 
-    def _physics(self, env: Any, world: int) -> tuple[np.ndarray, np.ndarray] | None:
+    def _physics(self, env: RecordedEnv, world: int) -> tuple[np.ndarray, np.ndarray] | None:
         if not self._states:
             return None
         state = env.sim.get_world(world)
@@ -240,13 +241,15 @@ def joined_parts(obs: Mapping[str, np.ndarray]) -> dict[str, int]:
     return parts if np.array_equal(joined, obs[STATE], equal_nan=True) else {}
 
 
-def _ending(env: Any, world: int) -> str:
+def _ending(env: RecordedEnv, world: int) -> str:
     if not env.progress.done[world]:
         return "cut"
     if env.config.runs_to_horizon:
         return "timeout"
     if env.success[world]:
         return "success"
-    if not env.judged.placed_ok[world]:
+    judged = env.judged
+    assert judged is not None, "an episode has ended, so there was a step"
+    if not judged.placed_ok[world]:
         return "place_broken"
-    return "timeout" if env.judged.force_ok[world] else "force_exceeded"
+    return "timeout" if judged.force_ok[world] else "force_exceeded"

@@ -7,13 +7,13 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from mjhab.core.errors import UsageError
 from mjhab.core.version import __version__
 from mjhab.data.record.provenance import model_hash
+from mjhab.data.record.worlds import RecordedEnv
 from mjhab.data.select.query import Filter
 from mjhab.data.store.episode_data import EpisodeData, RunInfo
 from mjhab.data.store.images import ImageFormat, encode
@@ -24,7 +24,7 @@ from mjhab.data.store.shard import ShardWriter
 FOLLOW = "follow"
 """The camera that looks over the robot's shoulder."""
 _IMAGE = "sensor_data/"
-MakeEnv = Callable[[RunInfo], Any]
+MakeEnv = Callable[[RunInfo], RecordedEnv]
 """Makes an environment (autoreset "disabled") like the one that a run was recorded in."""
 
 
@@ -88,9 +88,9 @@ def verify(
 
 def _batches(
     places: Path | Sequence[Path], make_env: MakeEnv, where: Filter | None
-) -> Iterator[tuple[Any, list[Episode]]]:
+) -> Iterator[tuple[RecordedEnv, list[Episode]]]:
     """Episodes of one shard and one config, no more than the environment has worlds, with the environment."""
-    envs: dict[str, Any] = {}
+    envs: dict[str, RecordedEnv] = {}
     for path in shard_paths(places):
         # An episode can be read while its shard is open.
         with open_shard(path) as shard:
@@ -167,7 +167,7 @@ def _same_bits(a: np.ndarray, b: np.ndarray) -> bool:
     return a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes()
 
 
-def _verify_batch(env: Any, batch: list[Episode]) -> list[tuple[Episode, str, float, bool]]:
+def _verify_batch(env: RecordedEnv, batch: list[Episode]) -> list[tuple[Episode, str, float, bool]]:
     """Of each of at most W episodes of one config what is wrong ("" if nothing), the largest difference, and whether
     it begins elsewhere here."""
     compared = [_Comparison(episode) for episode in batch]
@@ -188,7 +188,7 @@ def _verify_batch(env: Any, batch: list[Episode]) -> list[tuple[Episode, str, fl
     ]
 
 
-def _begin(env: Any, batch: list[Episode], compared: list[_Comparison]) -> list[bool]:
+def _begin(env: RecordedEnv, batch: list[Episode], compared: list[_Comparison]) -> list[bool]:
     """Reset worlds to episodes; where the start has another state here, take the recorded one, and say True."""
     mask = np.arange(env.num_envs) < len(batch)
     seeds = [episode.record.seed for episode in batch] + [None] * (env.num_envs - len(batch))
@@ -253,7 +253,9 @@ def render(
     return Rendered(written, frames, size, present)
 
 
-def _draw(env: Any, episode: Episode, follow: bool, images: ImageFormat) -> dict[str, np.ndarray]:
+def _draw(
+    env: RecordedEnv, episode: Episode, follow: bool, images: ImageFormat
+) -> dict[str, np.ndarray]:
     """Datasets of an episode's images, and what else the observer makes of them, by path."""
     qpos = episode.array("states/qpos")
     home = episode.record.home
@@ -288,7 +290,7 @@ def _draw(env: Any, episode: Episode, follow: bool, images: ImageFormat) -> dict
 
 
 def _with_images(
-    episode: Episode, drawn: dict[str, np.ndarray], env: Any, cameras: Sequence[str]
+    episode: Episode, drawn: dict[str, np.ndarray], env: RecordedEnv, cameras: Sequence[str]
 ) -> EpisodeData:
     """The episode with other images; its run tells what they are and which version has drawn them."""
     arrays = {path: episode.array(path) for path in episode.paths if path != "record"}

@@ -38,6 +38,31 @@ class _Ended:
     start_step: torch.Tensor
 
 
+@dataclass(frozen=True)
+class DeviceStepNotes:
+    """What a control step tells, as tensors that stay as they are.
+
+    ``event_flags`` (W, E) bool, columns `EVENT_NAMES`; ``ended`` (W,) bool, whose subtask ended; ``label`` (W,) int64
+    of that subtask, -1 for none.
+    """
+
+    event_flags: torch.Tensor
+    ended: torch.Tensor
+    label: torch.Tensor
+
+    def without(self, mask: torch.Tensor) -> DeviceStepNotes:
+        """The same with nothing in the worlds of ``mask`` (W,)."""
+        return DeviceStepNotes(
+            self.event_flags & ~mask[:, None],
+            self.ended & ~mask,
+            torch.where(mask, -1, self.label),
+        )
+
+    def entries(self) -> dict[str, torch.Tensor]:
+        """Entries of `info`."""
+        return {"event_flags": self.event_flags, "ended": self.ended, "label": self.label}
+
+
 class DeviceNotes:
     """Notes on the active subtask of W worlds. Nothing in `begin`, `update` and `end` waits for the device.
 

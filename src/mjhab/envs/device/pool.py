@@ -18,8 +18,8 @@ from mjhab.core.arrays import map_record
 from mjhab.envs.device.fields import GoalFields
 from mjhab.envs.device.landings import ROBOT_JOINTS, find_landings
 from mjhab.envs.parts.plan_tables import PlanTables, Rows
-from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.episodes.generator import Episode
+from mjhab.episodes.source import EpisodeSource
 from mjhab.episodes.starts import Start
 from mjhab.sim.warp.simulator import WarpSimulator
 from mjhab.tasks.plan import SubtaskKind, TaskPlan
@@ -59,20 +59,17 @@ class StartPool:
         fields: way to the goals of Navigate, None where no reward asks for it.
 
     Args:
-        host: an environment on the cpu that makes the episodes of the same configuration.
+        source: makes the episodes on the host; its configuration says whether robots teleport, and what the reward is.
         sim: on whose device the tensors are; the homes of the starts are uploaded to it.
         count: P.
         seed: of the episodes.
-        config: says whether robots teleport, and what the reward is.
     """
 
-    def __init__(
-        self, host: SequentialTaskEnv, sim: WarpSimulator, count: int, seed: int, config: EnvConfig
-    ) -> None:
+    def __init__(self, source: EpisodeSource, sim: WarpSimulator, count: int, seed: int) -> None:
         self.seed = seed
         self.count = count
-        self._host = host
-        self._config = config
+        self._source = source
+        self._config = source.config
         made = self._make()
         self.episodes: list[Episode] = [m.episode for m in made]
         self.plans: list[TaskPlan] = [m.start.plan for m in made]
@@ -90,7 +87,7 @@ class StartPool:
         self.fallback = upload([m.start.fallback or bool(m.fallback[0]) for m in made])
         self.landings = upload(np.stack([m.landings for m in made]))
         self.landing_fallback = upload(np.stack([m.fallback for m in made]))
-        tables = PlanTables(host.layout, host.task_config, count, host.tables.num_subtasks)
+        tables = PlanTables(source.layout, source.task_config, count, source.plan_length)
         for row, m in enumerate(made):
             tables.set_row(row, m.start.plan, m.start.boxes)
         arrays = map_record(upload, tables.arrays)
@@ -122,25 +119,25 @@ class StartPool:
             )
 
     def _make_one(self, index: int) -> _Made:
-        host = self._host
-        length = self._host.tables.num_subtasks
-        episode = host.make_episode(self.seed, index)
-        start = host.start_of(episode)
+        source = self._source
+        length = source.plan_length
+        episode = source.episode(self.seed, index)
+        start = source.start(episode)
         qpos = start.qpos
         landings = np.zeros((length, ROBOT_JOINTS))
         fallback = np.zeros(length, bool)
         if self._config.teleports:
-            landings, fallback = find_landings(host.starts, episode, start, length)
+            landings, fallback = find_landings(source.starts, episode, start, length)
             if start.plan.subtasks[0].kind == SubtaskKind.NAVIGATE:
                 qpos = qpos.copy()
-                qpos[host.sim.addresses.robot_q] = landings[0]
+                qpos[source.starts.sim.addresses.robot_q] = landings[0]
         return _Made(episode, start, qpos, landings, fallback)
 
     def _find_fields(
         self, made: list[_Made], device: torch.device
     ) -> tuple[GoalFields | None, torch.Tensor]:
         index = torch.full(
-            (self.count, self._host.tables.num_subtasks), -1, dtype=torch.int64, device=device
+            (self.count, self._source.plan_length), -1, dtype=torch.int64, device=device
         )
         where = [
             (p, s)
@@ -153,7 +150,7 @@ class StartPool:
         goals = [
             (made[p].start.home, made[p].start.plan.subtasks[s].goal_pos[:2]) for p, s in where
         ]
-        fields = GoalFields(goals, self._host.starts.sampler.map, device)
+        fields = GoalFields(goals, self._source.starts.sampler.map, device)
         p, s = torch.as_tensor(where, device=device).unbind(1)
         index[p, s] = fields.index
         return fields, index

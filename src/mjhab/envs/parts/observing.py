@@ -26,13 +26,56 @@ from mjhab.envs.observations import (
 from mjhab.envs.parts.plan_tables import Focus
 from mjhab.envs.parts.sensing import Sensing
 from mjhab.render.home_scene import HomeRenderer
+from mjhab.robots.robot import Robot
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.protocol import SimState
 from mjhab.tasks.measure import Signals
 
 
-class Observer:
-    """Computes the rows of the observation table for all worlds.
+class ObservedRows:
+    """The observation table of a mode: what observers on all backends compute.
+
+    Args:
+        robot: who observes.
+        mode: parts of OBS_MODES joined by "+", e.g. "state", "rgbd+seg".
+        cameras: names of its cameras, one or several, all if None; the order is that of the points in a point cloud.
+        size: side of the images [px], or (height, width). The vertical field of view stays as it is.
+
+    Attributes:
+        outputs: what is drawn or derived of pictures.
+        drawn: what a renderer must draw for that.
+        cameras, size: names; (height, width) [px].
+        table: the rows; camera_rows: those that need pictures.
+        single_space: observation space of one world.
+
+    Raises:
+        UsageError: unknown mode or camera, size below 8 pixels.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        mode: str = "state",
+        cameras: str | Sequence[str] | None = None,
+        size: int | Sequence[int] = 128,
+    ) -> None:
+        self.robot = robot
+        self.outputs = mode_outputs(mode)
+        # A point cloud is made of all three.
+        self.drawn = CAMERA_OUTPUTS if POINTCLOUD in self.outputs else self.outputs
+        self.cameras = camera_names(robot, robot.camera_names if cameras is None else cameras)
+        self.size = image_size(size)
+        self.table = observation_table(robot, self.outputs, self.cameras, self.size)
+        self.camera_rows = self.table[len(state_table(robot)) :]
+        self.single_space = table_space(robot, self.table)
+
+    def describe(self) -> list[dict[str, Any]]:
+        """Rows of the table: key, shape, dtype, unit, frame, meaning."""
+        return describe(self.robot, self.table)
+
+
+class Observer(ObservedRows):
+    """Computes the rows of the observation table for all worlds on the host.
 
     Segmentation ids are the same in every home and world of a layout: id i is ``segmentation_names[i]``, one of
     "background" (0, nothing hit), "floor", "wall", a piece of furniture by its name, "<articulation>/<link>" for its
@@ -40,13 +83,8 @@ class Observer:
 
     Args:
         sim: worlds to look into. sensing: of the same layout.
-        mode: parts of OBS_MODES joined by "+", e.g. "state", "rgbd+seg".
-        cameras: names of the robot's cameras, one or several, all if None; the order is that of the
-            points in a point cloud.
-        size: side of the images [px], or (height, width). The vertical field of view stays as it is.
+        mode, cameras, size: see `ObservedRows`.
         threads: of the renderer, over images; 0 takes every core.
-
-    ``single_space``: observation space of one world; ``table``: its rows; ``outputs``: what is drawn or derived.
 
     Raises:
         UsageError: unknown mode or camera, size below 8 pixels.
@@ -61,21 +99,12 @@ class Observer:
         size: int | Sequence[int] = 128,
         threads: int = 0,
     ) -> None:
-        robot = sim.layout.robot
+        super().__init__(sim.layout.robot, mode, cameras, size)
         self._sim = sim
-        self._robot = robot
         self._sensing = sensing
         self._threads = threads
-        self.outputs = mode_outputs(mode)
-        self.cameras = camera_names(robot, robot.camera_names if cameras is None else cameras)
-        self.size = image_size(size)
-        self.table = observation_table(robot, self.outputs, self.cameras, self.size)
-        self.single_space = table_space(robot, self.table)
-        self._camera_rows = self.table[len(state_table(robot)) :]
-        # A point cloud is made of all three.
-        self._drawn = CAMERA_OUTPUTS if POINTCLOUD in self.outputs else self.outputs
         self._intrinsic = np.stack(
-            [intrinsic_matrix(robot, name, self.size) for name in self.cameras]
+            [intrinsic_matrix(self.robot, name, self.size) for name in self.cameras]
         )
         self._renderer: HomeRenderer | None = None
 
@@ -90,10 +119,6 @@ class Observer:
     def segmentation_names(self) -> tuple[str, ...]:
         """Name of every segmentation id, index = id."""
         return self.renderer.scene.seg_names
-
-    def describe(self) -> list[dict[str, Any]]:
-        """Rows of the table: key, shape, dtype, unit, frame, meaning."""
-        return describe(self._robot, self.table)
 
     def observe(
         self,
@@ -114,7 +139,7 @@ class Observer:
             known: observations made before of all worlds but those in ``changed`` (W,) bool, for which alone pictures
                 are drawn.
         """
-        obs = state_observation(self._robot, self._sensing.context(state, focus, signals))
+        obs = state_observation(self.robot, self._sensing.context(state, focus, signals))
         if self.outputs:
             if known is None or changed is None:
                 return obs | self.draw(state, homes)
@@ -130,6 +155,6 @@ class Observer:
     def draw(self, state: SimState, homes: Sequence[str]) -> dict[str, np.ndarray]:
         """What cameras see, and what is made of it, in the worlds of ``state``."""
         pos, mat = self.renderer.camera_poses(state, self.cameras)
-        images = self.renderer.robot_views(state, homes, self.size, self._drawn, self.cameras)
-        views = Views(self._robot, images, pos, mat, state.robot_q[:, BASE], self._intrinsic)
-        return {entry.key: entry.compute(views) for entry in self._camera_rows}
+        images = self.renderer.robot_views(state, homes, self.size, self.drawn, self.cameras)
+        views = Views(self.robot, images, pos, mat, state.robot_q[:, BASE], self._intrinsic)
+        return {entry.key: entry.compute(views) for entry in self.camera_rows}

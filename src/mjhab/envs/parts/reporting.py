@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
-from mjhab.envs.parts.worlds import Worlds
 from mjhab.episodes.generator import Episode
 from mjhab.episodes.narration import Narrator
+from mjhab.layout.layout import Layout
 from mjhab.tasks.plan import KIND_NAMES, TaskPlan
 
 CHECKERS = (
@@ -30,67 +30,30 @@ CHECKERS = (
 
 
 class Reporter:
-    """Builds the info of an environment; descriptions of episodes are made once per episode."""
+    """Describes the episodes of W worlds, each once.
 
-    def __init__(self, env: Worlds) -> None:
-        self._env = env
-        self._narrator = Narrator(env.layout)
-        self._described: list[TaskPlan | None] = [None] * env.num_envs
-        self._descriptions: list[Mapping[str, Any]] = [{} for _ in range(env.num_envs)]
+    Args:
+        num_worlds: W.
+        layout: of the worlds.
+        subtask: the kind that is done alone, or "".
+    """
 
-    def info(self, events: list[list[str]], ended: list[dict[str, Any] | None]) -> dict[str, Any]:
-        """Arrays (W,) that stay as they are, whatever the environment does next.
+    def __init__(self, num_worlds: int, layout: Layout, subtask: str) -> None:
+        self._narrator = Narrator(layout)
+        self._subtask = subtask
+        self._described: list[TaskPlan | None] = [None] * num_worlds
+        self._descriptions: list[Mapping[str, Any]] = [{} for _ in range(num_worlds)]
 
-        "pointer", "kind" of the active subtask, "steps_left", "robot_force" [N], "cumulative_force" [N x steps],
-        "success", "fail", "taint" (bits of `taint_names`), "nan_resets" so far, "spawn_fallback", the CHECKERS,
-        "reward_terms" (name to (W,)); and lists of W: "events" of this step, "ended" (record of the subtask that
-        ended in this step, or None), "instruction" (what the active subtask asks for, as a sentence; the last subtask
-        once the plan is finished), "episode_spec" (the episode each world is in; not "episode", where Gymnasium's
-        RecordEpisodeStatistics writes).
-        """
-        env = self._env
-        s = env.signals
-        p = env.progress
-        assert s is not None
-        info: dict[str, Any] = {
-            "pointer": p.pointer,
-            "kind": env.focus.kind,
-            "steps_left": p.steps_left,
-            "robot_force": s.robot_force,
-            "cumulative_force": s.cumulative_force,
-            "success": env.success.copy(),
-            "fail": env.fail.copy(),
-            "taint": env.sim.taint(),
-            "nan_resets": env.nan_resets.copy(),
-            "spawn_fallback": env.fallback.copy(),
-            "reward_terms": env.reward_terms,
-        }
-        for name in CHECKERS:
-            info[name] = getattr(s, name)
-        info["events"] = events
-        info["ended"] = ended
-        info["episode_spec"] = [self.describe(w) for w in range(env.num_envs)]
-        info["instruction"] = [
-            active_instruction(episode, pointer)
-            for episode, pointer in zip(info["episode_spec"], p.pointer.tolist(), strict=True)
-        ]
-        return info
-
-    def nothing(self) -> tuple[list[list[str]], list[dict[str, Any] | None]]:
-        """Events and ended subtasks of a step in which none came."""
-        return [[] for _ in range(self._env.num_envs)], [None] * self._env.num_envs
-
-    def describe(self, world: int) -> Mapping[str, Any] | None:
-        """The episode a world is in: see `describe_episode`; None before the first reset."""
-        env = self._env
-        episode = env.episodes_now[world]
+    def describe(
+        self, world: int, episode: Episode | None, plan: TaskPlan
+    ) -> Mapping[str, Any] | None:
+        """The episode a world is in: see `describe_episode`; None for no episode."""
         if episode is None:
             return None
-        plan = env.tables.plans[world]
         if self._described[world] is not plan:
             self._described[world] = plan
             self._descriptions[world] = describe_episode(
-                episode, plan, env.config.subtask, self._narrator
+                episode, plan, self._subtask, self._narrator
             )
         return self._descriptions[world]
 

@@ -36,6 +36,9 @@ class RestorableWorlds(Protocol):
     teleports: Teleports
     seeds: np.ndarray
     count: np.ndarray
+    fallback: np.ndarray
+    success: np.ndarray
+    fail: np.ndarray
     due: np.ndarray
     joint_start: np.ndarray
     grip: np.ndarray
@@ -100,12 +103,13 @@ def restore(env: RestorableWorlds, world: int, state: dict[str, Any]) -> None:
     env.adopt(world, episode)
     env.sim.add_taint(world, state["taint"])
     env.seeds[world] = state["next"]["seed"]
-    env.count[world] = state["next"]["count"]
-    for flag in _FLAGS:
-        getattr(env, flag)[world] = state["flags"][flag]
-    env.due[world] = False
-    env.joint_start[world] = state["joint_start"]
-    env.grip[world] = state["grip"]
+    env.count = _with_entry(env.count, world, state["next"]["count"])
+    env.fallback = _with_entry(env.fallback, world, state["flags"]["fallback"])
+    env.success = _with_entry(env.success, world, state["flags"]["success"])
+    env.fail = _with_entry(env.fail, world, state["flags"]["fail"])
+    env.due = _with_entry(env.due, world, False)
+    env.joint_start = _with_entry(env.joint_start, world, state["joint_start"])
+    env.grip = _with_entry(env.grip, world, state["grip"])
     env.teleports.pending[world] = state["pending"]
     # States of versions without ``ee_contact``: any link that touched stands in for it, as in their labels.
     env.signals = with_row(
@@ -116,3 +120,10 @@ def restore(env: RestorableWorlds, world: int, state: dict[str, Any]) -> None:
     env.state = env.sim.state()
     env.controller.set_state(world, state["controller"])
     env.rewarder.set_state(world, state["rewarder"])
+
+
+def _with_entry(values: np.ndarray, world: int, value: float) -> np.ndarray:
+    """A copy with another value for one world: arrays that were given out stay as they are."""
+    changed = values.copy()
+    changed[world] = value
+    return changed

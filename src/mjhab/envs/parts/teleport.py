@@ -6,27 +6,49 @@ world with a hard spawn waits, alone.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
 import numpy as np
 
 from mjhab.core.rotations import pose_inv, pose_mul
 from mjhab.core.seeding import stream
-from mjhab.envs.parts.worlds import Worlds
+from mjhab.envs.parts.plan_tables import PlanTables
+from mjhab.envs.parts.sensing import Sensing
+from mjhab.episodes.generator import Episode
 from mjhab.episodes.spawns import MAX_TRIES, Held
+from mjhab.episodes.starts import StartMaker
+from mjhab.sim.protocol import SimState
 from mjhab.tasks.plan import SubtaskKind
 
 TRIES_PER_STEP = 3
 """Tries of one world in one control step."""
 
 
+@dataclass(frozen=True, eq=False)
+class Landing:
+    """Where a world goes: its state ``qpos`` (nq,), and whether it is only the best of places that are not valid."""
+
+    world: int
+    qpos: np.ndarray
+    fallback: bool
+
+
 class Teleports:
     """Which worlds wait for a teleport, and how often each has tried.
+
+    Args:
+        starts: tries places.
+        sensing, tables: of the worlds.
 
     ``pending`` (W,): tries done for the active Navigate, -1 when none is due.
     """
 
-    def __init__(self, env: Worlds) -> None:
-        self._env = env
-        self.pending = np.full(env.num_envs, -1)
+    def __init__(self, starts: StartMaker, sensing: Sensing, tables: PlanTables) -> None:
+        self._starts = starts
+        self._sensing = sensing
+        self._tables = tables
+        self.pending = np.full(len(tables.plans), -1)
 
     @property
     def waiting(self) -> np.ndarray:
@@ -37,46 +59,54 @@ class Teleports:
         """Note for the worlds in ``mask`` (W,) whether their new subtask, of ``kind`` (W,), begins with a teleport."""
         self.pending = np.where(mask, np.where(kind == SubtaskKind.NAVIGATE, 0, -1), self.pending)
 
-    def run(self) -> np.ndarray:
-        """Try to move the worlds that wait; returns (W,) bool, those that have been moved."""
-        before = self.waiting
-        for world in np.flatnonzero(before):
-            self._move(int(world))
-        return before & ~self.waiting
+    def run(
+        self,
+        qpos: np.ndarray,
+        state: SimState,
+        pointer: np.ndarray,
+        episodes: Sequence[Episode | None],
+    ) -> Iterator[Landing]:
+        """Try to find places for the worlds that wait; yields those that have one, which wait no longer.
 
-    def _move(self, world: int) -> None:
-        env = self._env
-        plan = env.tables.plans[world]
-        position = int(env.progress.pointer[world])
-        goal = env.starts.spawn_goal(plan, position, env.boxes[world])
-        slot = int(env.tables.held[world, position])
-        qpos = env.sim.qpos[world]
-        held = (
-            Held(slot, self._held_pose(world, slot))
-            if slot >= 0 and self._is_held(world, slot)
-            else None
-        )
-        episode = env.episode_of(world)
-        found = None
+        Args:
+            qpos: (W, nq) positions of the worlds.
+            state: of the worlds, at ``qpos``.
+            pointer: (W,) positions of the active subtasks in their plans.
+            episodes: (W,) those the worlds are in.
+        """
+        for world in np.flatnonzero(self.waiting).tolist():
+            episode = episodes[world]
+            assert episode is not None, f"world {world} has not been reset"
+            held = self._held(state, world, int(pointer[world]))
+            landing = self._try(world, int(pointer[world]), episode, qpos[world], held)
+            if landing is not None:
+                self.pending[world] = -1
+                yield landing
+
+    def _try(
+        self, world: int, position: int, episode: Episode, qpos: np.ndarray, held: Held | None
+    ) -> Landing | None:
+        boxes = self._starts.boxes(self._starts.home(episode.home))
+        goal = self._starts.spawn_goal(self._tables.plans[world], position, boxes)
+        sampler = self._starts.sampler
         for _ in range(TRIES_PER_STEP):
             key = ("navigate", episode.task, episode.index, position, int(self.pending[world]))
             rng = stream(episode.seed, *key)
-            found = env.starts.sampler.try_once(episode.home, qpos, goal, rng, held)
+            found = sampler.try_once(episode.home, qpos, goal, rng, held)
             self.pending[world] += 1
             if found is not None:
-                break
-        if found is None and self.pending[world] >= MAX_TRIES:
-            found = env.starts.sampler.fallback(episode.home, qpos, goal, held)
-            env.fallback[world] = True
-        if found is not None:
-            env.sim.write_qpos(world, found)
-            self.pending[world] = -1
+                return Landing(world, found, fallback=False)
+        if self.pending[world] < MAX_TRIES:
+            return None
+        return Landing(world, sampler.fallback(episode.home, qpos, goal, held), fallback=True)
 
-    def _held_pose(self, world: int, slot: int) -> np.ndarray:
-        tcp = self._env.sensing.tcp_pose(self._env.state)[world]
-        return pose_mul(pose_inv(tcp), self._env.state.object_pose[world, slot])
-
-    def _is_held(self, world: int, slot: int) -> bool:
-        return bool(
-            (np.linalg.norm(self._env.state.finger_force[world, :, slot], axis=-1) > 0).all()
-        )
+    def _held(self, state: SimState, world: int, position: int) -> Held | None:
+        """What the robot carries to the Navigate at ``position``, if it has it between both fingers."""
+        slot = int(self._tables.held[world, position])
+        if slot < 0:
+            return None
+        force = np.linalg.norm(state.finger_force[world, :, slot], axis=-1)
+        if not (force > 0).all():
+            return None
+        tcp = self._sensing.tcp_pose(state)[world]
+        return Held(slot, pose_mul(pose_inv(tcp), state.object_pose[world, slot]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,26 @@ from mjhab.tasks.measure import Signals
 from mjhab.tasks.plan import KIND_NAMES, TaskPlan
 from mjhab.tasks.progress import Outcome, Progress
 from mjhab.tasks.tracker import SubtaskTracker
+
+
+@dataclass(frozen=True)
+class StepNotes:
+    """What a control step tells of every world: names of its events, and the record of a subtask that ended."""
+
+    events: list[list[str]]
+    ended: list[dict[str, Any] | None]
+
+    def without(self, mask: np.ndarray) -> StepNotes:
+        """The same with nothing in the worlds of ``mask`` (W,)."""
+        gone = mask.tolist()
+        return StepNotes(
+            [[] if old else names for names, old in zip(self.events, gone, strict=True)],
+            [None if old else record for record, old in zip(self.ended, gone, strict=True)],
+        )
+
+    def entries(self) -> dict[str, Any]:
+        """Entries of `info`."""
+        return {"events": self.events, "ended": self.ended}
 
 
 class Tracker:

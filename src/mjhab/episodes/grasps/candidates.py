@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mjhab.core.boxes import Boxes, sphere_box_distance
+from mjhab.core.boxes import Boxes, nearest_box_distance
 from mjhab.core.rotations import frame_from_axes, mat_from_quat, quat_from_mat
 from mjhab.episodes.grasps.holds import Hold, ObjectShape, Options, holds_of
 from mjhab.robots.parts import Gripper
@@ -142,11 +142,7 @@ def approach_clearance(
     least = np.full(len(pos), np.inf)
     for share in (0.0, 0.25, 0.5, 1.0):
         points = (pos + share * (pre - pos))[:, None] + turned
-        gap = (
-            sphere_box_distance(points.reshape(-1, 3), neighbours)
-            .min(axis=1)
-            .reshape(points.shape[:2])
-        )
+        gap = nearest_box_distance(points.reshape(-1, 3), neighbours).reshape(points.shape[:2])
         least = np.minimum(least, (gap - radius).min(axis=1))
     return least
 

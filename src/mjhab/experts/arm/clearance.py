@@ -15,6 +15,7 @@ import numpy as np
 
 from mjhab.core.boxes import Boxes
 from mjhab.core.rotations import mat_from_quat
+from mjhab.experts.arm.ik_kernels import link_frames, tree_of
 from mjhab.experts.arm.sphere_gaps import least_gaps, own_gaps
 from mjhab.robots.kinematics import Chain, Frames
 
@@ -119,12 +120,12 @@ class RobotSpheres:
         q = np.atleast_2d(q)
         if len(q) == 0 or len(boxes) == 0 or len(self.radius) == 0:
             return np.full(len(q), FAR)
-        frames = self.chain.forward(q)
-        sides = [
-            np.ascontiguousarray(side, dtype=np.float64)
-            for side in (boxes.center, boxes.half, boxes.rot)
-        ]
-        return least_gaps(frames.pos, frames.rot, *self._bounds, *self._by_link, *sides)
+        pos, rot = self._frames(q)
+        return least_gaps(pos, rot, *self._bounds, *self._by_link, *boxes.contiguous())
+
+    def _frames(self, q: Array) -> tuple[Array, Array]:
+        """World positions (N, L, 3) and rotations (N, L, 3, 3) of the chain's links."""
+        return link_frames(tree_of(self.chain), np.ascontiguousarray(q, dtype=np.float64))
 
     @cached_property
     def _by_link(self) -> tuple[Array, Array, Array]:
@@ -151,16 +152,21 @@ class RobotSpheres:
 
     def self_clearance(self, q: Array) -> Array:
         """Least distance (N,) [m] of the distal links to the trunk's boxes; negative: they overlap."""
-        frames = self.chain.forward(q)
-        distal = self.distal
-        if not distal.any() or not len(self.trunk_link):
+        q = np.atleast_2d(q)
+        link, points, radius = self._distal
+        if not len(link) or not len(self.trunk_link):
             return np.full(len(q), FAR)
-        sides = [
-            np.ascontiguousarray(side, dtype=np.float64)
-            for side in (self.trunk.center, self.trunk.half, self.trunk.rot)
-        ]
-        rows = self.link[distal], self.pos[distal], self.radius[distal]
-        return own_gaps(frames.pos, frames.rot, *rows, self.trunk_link, *sides)
+        pos, rot = self._frames(q)
+        return own_gaps(pos, rot, link, points, radius, self.trunk_link, *self._trunk_sides)
+
+    @cached_property
+    def _distal(self) -> tuple[Array, Array, Array]:
+        """Link, position and radius of the spheres that `self_clearance` looks at."""
+        return self.link[self.distal], self.pos[self.distal], self.radius[self.distal]
+
+    @cached_property
+    def _trunk_sides(self) -> tuple[Array, Array, Array]:
+        return self.trunk.contiguous()
 
     def path_clearance(self, start: Array, ends: Array, boxes: Boxes, pieces: int = 8) -> Array:
         """Least clearance (N,) to boxes and to the own trunk on the straight joint paths from ``start`` (Q,) or (N, Q)

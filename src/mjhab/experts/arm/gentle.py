@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mjhab.envs.parts.world_view import WorldView
+from mjhab.experts.jit import kernel
 
 
 class Care(NamedTuple):
@@ -46,11 +47,12 @@ def care_for(view: WorldView, hurry: bool = False) -> Care:
     return BRISK if hurry else WEAK
 
 
+@kernel
 def eased(
     wish: tuple[float, float], before: tuple[float, float], care: Care
 ) -> tuple[float, float]:
     """Forward speed and yaw rate that are not far from those of the control step before."""
-    forward = before[0] + float(np.clip(wish[0] - before[0], -care.rise, care.rise))
-    more = float(np.clip(wish[1], -care.spin, care.spin)) - before[1]
+    forward = before[0] + min(max(wish[0] - before[0], -care.rise), care.rise)
+    more = min(max(wish[1], -care.spin), care.spin) - before[1]
     change = care.change if more * before[1] >= 0.0 else care.fall
-    return forward, before[1] + float(np.clip(more, -change, change))
+    return forward, before[1] + min(max(more, -change), change)

@@ -13,7 +13,8 @@ from typing import Literal
 import numpy as np
 
 from mjhab.core.joints import BASE
-from mjhab.robots.kinematics import Chain, limited_step, rotate, rotation_vector, wrap
+from mjhab.experts.arm import ik_kernels
+from mjhab.robots.kinematics import Chain, rotate, rotation_vector, wrap
 
 Array = np.ndarray
 Mode = Literal["pose", "approach", "closing", "position"]
@@ -115,52 +116,24 @@ def solve(
     flat = chain.clip(
         np.broadcast_to(seeds, (*shape, seeds.shape[-1])).reshape(shape[0] * shape[1], -1)
     )
-    goal_pos = np.repeat(np.asarray(pos, dtype=np.float64), shape[1], axis=0)
-    goal_rot = np.repeat(np.asarray(rot, dtype=np.float64), shape[1], axis=0)
-    pos_err, rot_err = _iterate(chain, flat, goal_pos, goal_rot, dofs, rest, mode, options)
+    pos_err, rot_err = ik_kernels.reach(
+        ik_kernels.tree_of(chain),
+        flat,
+        _floats(pos),
+        _floats(rot),
+        ik_kernels.MODES[mode],
+        dofs,
+        _floats(rest),
+        options.iterations,
+        options.rest_gain,
+        options.max_step,
+        options.pos_tolerance,
+        options.rot_tolerance,
+    )
     ok = (pos_err <= 3 * options.pos_tolerance) & (rot_err <= 3 * options.rot_tolerance)
     return Solutions(
         flat.reshape(*shape, -1), pos_err.reshape(shape), rot_err.reshape(shape), ok.reshape(shape)
     )
-
-
-def _iterate(
-    chain: Chain,
-    flat: Array,
-    goal_pos: Array,
-    goal_rot: Array,
-    dofs: Array,
-    rest: Array,
-    mode: Mode,
-    options: Options,
-) -> tuple[Array, Array]:
-    """Move configurations ``flat`` (N, Q) in place towards their goals; returns what errors (N,), (N,) are left."""
-    active = np.arange(len(flat))
-    pos_err = np.full(len(flat), np.inf)
-    rot_err = np.full(len(flat), np.inf)
-    for iteration in range(options.iterations + 1):
-        now = flat[active]
-        error, jac = _task(chain, now, goal_pos[active], goal_rot[active], mode)
-        pos_err[active] = np.linalg.norm(error[:, :3], axis=1)
-        rot_err[active] = np.linalg.norm(error[:, 3:], axis=1)
-        if iteration == options.iterations:
-            break
-        going = (pos_err[active] > options.pos_tolerance) | (
-            rot_err[active] > options.rot_tolerance
-        )
-        if not going.any():
-            break
-        active = active[going]
-        now = now[going]
-        gain = options.rest_gain * max(0.0, 1.0 - 1.5 * iteration / options.iterations)
-        pull = (rest - now)[:, dofs] * gain
-        low = chain.lower[dofs] - now[:, dofs]
-        high = chain.upper[dofs] - now[:, dofs]
-        now[:, dofs] += limited_step(
-            error[going], jac[going][:, :, dofs], pull, low, high, options.max_step
-        )
-        flat[active] = chain.clip(now)
-    return pos_err, rot_err
 
 
 def servo(
@@ -198,18 +171,24 @@ def servo(
         Changes of the columns, zero outside ``dofs``; scaled together so that no joint exceeds `ARM_STEP` or
         `TORSO_STEP`, and kept inside the joint limits.
     """
-    q = np.atleast_2d(np.asarray(q, dtype=np.float64))
-    ahead = q.copy()
+    q = np.atleast_2d(_floats(q))
+    ahead = q
     if base_next is not None:
+        ahead = q.copy()
         ahead[:, BASE] = base_next
-    error, jac = _task(chain, ahead, pos, rot, mode)
-    low = chain.lower[dofs] - q[:, dofs]
-    high = chain.upper[dofs] - q[:, dofs]
-    pull = (rest - q)[:, dofs] * rest_gain
-    step = limited_step(gain * error, jac[:, :, dofs], pull, low, high, step_limits(chain)[dofs])
-    delta = np.zeros_like(q)
-    delta[:, dofs] = np.clip(step, np.minimum(low, 0.0), np.maximum(high, 0.0))
-    return delta
+    return ik_kernels.servo_steps(
+        ik_kernels.tree_of(chain),
+        ahead,
+        q,
+        _floats(pos),
+        _floats(rot),
+        ik_kernels.MODES[mode],
+        dofs,
+        _floats(rest),
+        rest_gain,
+        gain,
+        step_limits(chain),
+    )
 
 
 def step_limits(chain: Chain) -> Array:
@@ -249,34 +228,6 @@ def straight_line(
     return pos + share[:, None] * way, rotate(share[:, None] * spin) @ rot
 
 
-def _task(chain: Chain, q: Array, pos: Array, rot: Array, mode: Mode) -> tuple[Array, Array]:
-    """Error (N, 6) in world axes and the Jacobian (N, 6, Q) of what counts in ``mode``."""
-    frames = chain.forward(q)
-    jac = chain.jacobian(q, frames)
-    tip = frames.pos[:, chain.tip_index]
-    turn = frames.rot[:, chain.tip_index]
-    if mode == "pose":
-        spin = rotation_vector(rot @ turn.swapaxes(-1, -2))
-    elif mode == "position":
-        spin = np.zeros_like(tip)
-        jac[:, 3:] = 0.0
-    else:
-        column = 0 if mode == "approach" else 1
-        axis = turn[:, :, column]
-        goal = rot[:, :, column]
-        spin = _axis_error(axis, goal)
-        # Turning about the axis itself is free: take it out of the rows.
-        jac[:, 3:] -= axis[:, :, None] * np.einsum("ni,niq->nq", axis, jac[:, 3:])[:, None]
-    return np.concatenate([pos - tip, spin], axis=1), jac
-
-
-def _axis_error(axis: Array, goal: Array) -> Array:
-    normal = np.cross(axis, goal)
-    sine = np.linalg.norm(normal, axis=1)
-    angle = np.arctan2(sine, np.sum(axis * goal, axis=1))
-    # Opposite axes: any perpendicular direction leads out.
-    other = np.cross(axis, np.where(np.abs(axis[:, :1]) < 0.9, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]))
-    lost = (sine < 1e-9) & (angle > 1.0)
-    direction = np.where(lost[:, None], other, normal)
-    length = np.maximum(np.linalg.norm(direction, axis=1), 1e-12)
-    return direction * (angle / length)[:, None]
+def _floats(values: Array) -> Array:
+    """An array as the kernels take it."""
+    return np.ascontiguousarray(values, dtype=np.float64)

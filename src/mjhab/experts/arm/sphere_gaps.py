@@ -3,28 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from mjhab.core.kernels.box_gaps import box_gap
+from mjhab.experts.jit import inline, kernel
 
 Array = np.ndarray
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _gap(x: float, y: float, z: float, center: Array, half: Array, rot: Array) -> float:
-    """Signed distance of a point to one box: negative inside, exact outside."""
-    dx = x - center[0]
-    dy = y - center[1]
-    dz = z - center[2]
-    outside = 0.0
-    inside = -np.inf
-    for axis in range(3):
-        over = abs(dx * rot[0, axis] + dy * rot[1, axis] + dz * rot[2, axis]) - half[axis]
-        inside = max(inside, over)
-        if over > 0.0:
-            outside += over * over
-    return np.sqrt(outside) + min(inside, 0.0)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
+@inline
 def _place(pos: Array, rot: Array, local: Array) -> tuple[float, float, float]:
     """A point of a link in the world."""
     x = pos[0] + rot[0, 0] * local[0] + rot[0, 1] * local[1] + rot[0, 2] * local[2]
@@ -33,7 +19,7 @@ def _place(pos: Array, rot: Array, local: Array) -> tuple[float, float, float]:
     return x, y, z
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inline
 def _turned(rot: Array, local: Array) -> tuple[float, float, float]:
     """A direction of a link in the world."""
     x = rot[0, 0] * local[0] + rot[0, 1] * local[1] + rot[0, 2] * local[2]
@@ -42,7 +28,7 @@ def _turned(rot: Array, local: Array) -> tuple[float, float, float]:
     return x, y, z
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def least_gaps(
     pos: Array,
     rot: Array,
@@ -73,7 +59,7 @@ def least_gaps(
         for i, link in enumerate(links):
             x, y, z = _place(pos[n, link], rot[n, link], middle[i])
             for k in range(len(center)):
-                gap = _gap(x, y, z, center[k], half[k], turn[k])
+                gap = box_gap(x, y, z, center[k], half[k], turn[k])
                 least[i, k] = gap - around[i]
                 nearest = min(nearest, gap + around[i])
         best = np.inf
@@ -83,12 +69,12 @@ def least_gaps(
                     continue
                 for m in range(first[i], first[i + 1]):
                     x, y, z = _place(pos[n, link], rot[n, link], points[m])
-                    best = min(best, _gap(x, y, z, center[k], half[k], turn[k]) - radius[m])
+                    best = min(best, box_gap(x, y, z, center[k], half[k], turn[k]) - radius[m])
         found[n] = best
     return found
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def own_gaps(
     pos: Array,
     rot: Array,
@@ -129,7 +115,7 @@ def own_gaps(
                 sides[1, axis] = y
                 sides[2, axis] = z
             for m in range(len(link)):
-                gap = _gap(spheres[m, 0], spheres[m, 1], spheres[m, 2], middle, half[k], sides)
+                gap = box_gap(spheres[m, 0], spheres[m, 1], spheres[m, 2], middle, half[k], sides)
                 best = min(best, gap - radius[m])
         found[n] = best
     return found

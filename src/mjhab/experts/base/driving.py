@@ -14,7 +14,7 @@ import numpy as np
 from mjhab.experts.base.floorplan import Floorplan, turn_between
 from mjhab.experts.base.lattice import Leg, length
 from mjhab.experts.base.navigation import CONTROL_DT
-from mjhab.experts.base.route import BASE_LAG, Pilot
+from mjhab.experts.base.pilot import BASE_LAG, Pilot
 from mjhab.robots.kinematics import wrap
 
 Array = np.ndarray

@@ -20,6 +20,8 @@ from mjhab.robots.kinematics import wrap
 Array = np.ndarray
 CONTROL_DT = 0.05
 """Seconds per control step."""
+KEPT_SOURCES = 4
+"""Number of starts whose ways to everywhere a `Planner` keeps."""
 NARROW_PRICE = 20.0
 """What a metre costs where it is narrower than it should be: no detour through a home is as long."""
 
@@ -64,6 +66,7 @@ class Planner:
         lack = np.clip((radius + comfort - self.clearance) / comfort, 0.0, 1.0)
         price = np.where(self.free, 1.0 + caution * lack**2, NARROW_PRICE)
         self._graph = grid_graph(passable, self.cell, price=price)
+        self._ways: dict[int, tuple[Array, Array]] = {}
 
     def clearance_at(self, points: Array) -> Array:
         """Clearance (...,) of the cells that hold world points (..., 2); 0 outside the map."""
@@ -90,17 +93,15 @@ class Planner:
         start = np.asarray(start, dtype=np.float64)[:2]
         goal = self.nearest_free(goal)
         entry = self.nearest_free(start)
-        source = self._node(goal)
-        target = self._node(entry)
-        cost, before = dijkstra(
-            self._graph, directed=False, indices=source, return_predecessors=True
-        )
+        source = self._node(entry)
+        target = self._node(goal)
+        cost, before = self._ways_from(source)
         if not np.isfinite(cost[target]):
             return None
         nodes = [target]
         while nodes[-1] != source:
             nodes.append(int(before[nodes[-1]]))
-        cells = np.stack(np.unravel_index(nodes, self.clearance.shape), axis=1)
+        cells = np.stack(np.unravel_index(nodes[::-1], self.clearance.shape), axis=1)
         points = self.origin + (cells + 0.5) * self.cell
         points = np.concatenate([entry[None], points[1:-1], goal[None]])
         path = self._pull(points)
@@ -115,8 +116,8 @@ class Planner:
 
     def costs(self, start: Array) -> Array:
         """Cost (nx, ny) of the ways from ``start`` (2,) to all cells [m, more where it is narrow], inf if no way."""
-        found = dijkstra(self._graph, directed=False, indices=self._node(self.nearest_free(start)))
-        return np.asarray(found).reshape(self.clearance.shape)
+        cost, _ = self._ways_from(self._node(self.nearest_free(start)))
+        return cost.reshape(self.clearance.shape)
 
     def costs_to(self, cells: Array) -> Array:
         """Cost (nx, ny) of the ways from all cells to the nearest of ``cells`` (nx, ny) bool, inf if no way."""
@@ -148,6 +149,18 @@ class Planner:
             i += 1 + (int(good[-1]) if len(good) else 0)
             kept.append(i)
         return points[kept]
+
+    def _ways_from(self, source: int) -> tuple[Array, Array]:
+        """Cost of the ways from a node to all nodes, and the node before each of them.
+
+        The last ones are kept: many goals are compared from where the robot stands.
+        """
+        if source not in self._ways:
+            found = dijkstra(self._graph, directed=False, indices=source, return_predecessors=True)
+            while len(self._ways) >= KEPT_SOURCES:
+                self._ways.pop(next(iter(self._ways)))
+            self._ways[source] = (np.asarray(found[0]), np.asarray(found[1]))
+        return self._ways[source]
 
     def _node(self, point: Array) -> int:
         x, y = np.floor((point - self.origin) / self.cell).astype(np.int64)

@@ -10,14 +10,15 @@ from functools import lru_cache
 
 import numpy as np
 
-from mjhab.core.boxes import sphere_box_distance
+from mjhab.core.boxes import nearest_box_distance
 from mjhab.core.joints import BASE
 from mjhab.envs.parts.world_view import HomeShapes, WorldView
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.arm.clearance import Boxes, RobotSpheres
 from mjhab.experts.arm.gentle import Care, eased
 from mjhab.experts.arm.motion import Motion
-from mjhab.experts.base.navigation import CONTROL_DT, Planner
+from mjhab.experts.base.navigation import Planner
+from mjhab.experts.base.pilot import MAX_SPEED, Pilot, simulate
 from mjhab.robots.kinematics import wrap
 from mjhab.robots.robot import Robot
 
@@ -33,9 +34,6 @@ LOWEST = 0.3
 """Lower things [m] concern the base alone, and the map keeps it clear of them."""
 BODY_SLIMMER = 0.05
 """Doors and drawers hang above the base; the body there is so much [m] slimmer."""
-BASE_LAG = 0.15
-TURN_LAG = 0.02
-"""Time constants [s] of the base's speed and of its yaw rate."""
 BLOCKED_FORCE = 60.0
 BLOCKED_STEPS = 4
 LOST_STEPS = 3
@@ -45,11 +43,6 @@ STALLED = 0.02
 LOOKAHEADS = (0.30, 0.20, 0.10)
 """How far ahead [m] the base steers; short ones keep to the way at corners, long ones are quicker."""
 _SHARES = (0.35, 0.6, 0.8, 0.9)
-MAX_SPEED = 1.0
-_TURN_RATE = 2.6
-_PREVIEW = 0.1
-_NEAR = 0.02
-_TURNED = 0.05
 SETTLED = 0.01
 """How near [rad, m] to its goal the arm and the torso count as there."""
 TORSO_SPEED = 0.04
@@ -57,87 +50,6 @@ TORSO_GAIN = 0.18
 """Most [m] that the torso moves in a control step, and the part of a change of that which one step makes; measured."""
 PASSED = 0.08
 """How near [rad] the arm comes to a posture on its way before it goes on to the next."""
-
-
-class Pilot:
-    """Steers the base quickly along a way, then turns it; ends within centimetres, the arm makes up for them.
-
-    Args:
-        path: (P, 2) way points from where the base is.
-        yaw: heading at the end.
-        direction: 1 forwards, -1 backwards.
-        lookahead: how far ahead it steers.
-        speed: bound [m/s].
-    """
-
-    def __init__(
-        self, path: Array, yaw: float, direction: int, lookahead: float, speed: float = MAX_SPEED
-    ) -> None:
-        self._speed = speed
-        legs = np.linalg.norm(np.diff(path, axis=0), axis=1)
-        self._along = np.concatenate([[0.0], np.cumsum(legs)])
-        self._path = path
-        self._yaw = yaw
-        self._direction = direction
-        self._lookahead = lookahead
-        ending = path[-1] - np.array(
-            [np.interp(self._along[-1] - 0.25, self._along, path[:, k]) for k in range(2)]
-        )
-        self._ending = ending / max(float(np.linalg.norm(ending)), 1e-9)
-        self._at, self._arrived = 0.0, bool(self._along[-1] < _NEAR)
-        self._last: Array | None = None
-
-    def step(self, pose: Array) -> tuple[float, float, bool]:
-        """Forward speed, yaw rate, and whether it has arrived, for the base at ``pose`` (3,)."""
-        moved = np.zeros(3) if self._last is None else pose - self._last
-        self._last = pose.copy()
-        rate = float(wrap(moved[2])) / CONTROL_DT
-        if not self._arrived:
-            self._at = self._progress(pose[:2])
-            left = float(self._along[-1]) - self._at
-            to_end = self._direction * float(
-                (self._path[-1] - pose[:2]) @ [np.cos(pose[2]), np.sin(pose[2])]
-            )
-            near = float(np.linalg.norm(self._path[-1] - pose[:2]))
-            # Turning sideways for the last centimetres takes longer than reaching a little further.
-            self._arrived = left < _NEAR or (near < 0.12 and to_end < 0.5 * near)
-        if self._arrived:
-            turn = float(wrap(self._yaw - pose[2]))
-            still = (
-                abs(turn) < _TURNED and abs(rate) < 0.4 and float(np.linalg.norm(moved[:2])) < 0.006
-            )
-            return 0.0, _bounded(4.5 * (turn - _PREVIEW * rate), _TURN_RATE), still
-        lookahead = float(np.clip(0.8 * left, 0.10, self._lookahead))
-        aim = self._point(self._at + lookahead) - pose[:2]
-        back = 0.0 if self._direction > 0 else np.pi
-        off = float(wrap(np.arctan2(aim[1], aim[0]) - pose[2] - back))
-        speed = float(np.linalg.norm(moved[:2])) / CONTROL_DT
-        pace = max(min(self._speed, 3.0 * (left - _PREVIEW * speed)), 0.04)
-        ahead = 0.0 if abs(off) > 0.9 else max(np.cos(off), 0.0) ** 3
-        return (
-            self._direction * pace * ahead,
-            _bounded(4.5 * (off - _PREVIEW * rate), _TURN_RATE),
-            False,
-        )
-
-    def _progress(self, point: Array) -> float:
-        """Arc length of the way point nearest to ``point`` (2,), not far beyond the last one and never back."""
-        ahead = np.arange(self._at, min(self._at + 0.3, float(self._along[-1])) + 1e-9, 0.01)
-        if not len(ahead):
-            return self._at
-        x, y = (np.interp(ahead, self._along, self._path[:, k]) for k in range(2))
-        return float(ahead[np.argmin((x - point[0]) ** 2 + (y - point[1]) ** 2)])
-
-    def _point(self, at: float) -> Array:
-        """The point (2,) at an arc length; past the end straight on, so that the heading settles before it."""
-        over = max(0.0, at - float(self._along[-1]))
-        return over * self._ending + np.array(
-            [np.interp(at, self._along, self._path[:, k]) for k in range(2)]
-        )
-
-
-def _bounded(value: float, limit: float) -> float:
-    return float(np.clip(value, -limit, limit))
 
 
 def planner(view: WorldView) -> Planner:
@@ -160,7 +72,7 @@ def _planner_with(home: HomeShapes, ajar: tuple[tuple[str, float], ...]) -> Plan
     )
     # Seen from above: doors and drawers stand upright, so that height plays no part.
     flat = Boxes(boxes.center * [1.0, 1.0, 0.0], boxes.half, boxes.rot)
-    gap = sphere_box_distance(cells, flat).min(axis=1).reshape(nx, ny) + BODY_SLIMMER
+    gap = nearest_box_distance(cells, flat).reshape(nx, ny) + BODY_SLIMMER
     clearance = np.minimum(plain.clearance, np.maximum(gap, 0.0))
     return Planner(
         plain.origin,
@@ -401,31 +313,6 @@ def _smoothest(
             break
     assert best is not None
     return best[1], best[2]
-
-
-def simulate(
-    pose: Array, path: Array, yaw: float, direction: int, lookahead: float, care: Care | None = None
-) -> Array:
-    """Base poses (T, 3) that driving a way should give."""
-    pilot = Pilot(path, yaw, direction, lookahead)
-    pose = pose.copy()
-    speed = np.zeros(2)
-    turn = 0.0
-    asked = (0.0, 0.0)
-    share, quick = 1.0 - np.exp(-CONTROL_DT / np.array([BASE_LAG, TURN_LAG]))
-    poses = [pose.copy()]
-    for _ in range(200):
-        forward, rate, done = pilot.step(pose)
-        if done:
-            break
-        if care:
-            forward, rate = asked = eased((forward, rate), asked, care)
-        # The base moves along two axes of the world: in a bend it slides on the way that it was heading before.
-        speed += share * (forward * np.array([np.cos(pose[2]), np.sin(pose[2])]) - speed)
-        turn += quick * (rate - turn)
-        pose = pose + CONTROL_DT * np.array([*speed, turn])
-        poses.append(pose.copy())
-    return np.array(poses)
 
 
 def _swept(robot: Robot, start: Array, poses: Array, arm: Array, delay: int) -> Array:

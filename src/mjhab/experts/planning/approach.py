@@ -9,7 +9,8 @@ from mjhab.envs.parts.world_view import JointedLink, WorldView
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.arm.clearance import RobotSpheres
 from mjhab.experts.base.navigation import CONTROL_DT
-from mjhab.experts.base.route import Route, follow, plan_route, simulate
+from mjhab.experts.base.pilot import simulate
+from mjhab.experts.base.route import Route, follow, plan_route
 from mjhab.robots.kinematics import wrap
 from mjhab.robots.robot import Robot
 

@@ -11,7 +11,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from mjhab.core.boxes import Boxes, sphere_box_distance
+from mjhab.core.boxes import Boxes, nearest_box_distance
 from mjhab.core.joints import BASE
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.episodes.grasps.candidates import Grasps, approach_clearance
@@ -197,9 +197,7 @@ def way_out(bases: Array, scene: Scene, drive_in: float) -> Array:
     ahead = np.stack([np.cos(bases[:, 2]), np.sin(bases[:, 2]), np.zeros(len(bases))], axis=1)
     share = np.linspace(0.0, drive_in, 7)
     moved = points - share[None, :, None, None] * ahead[:, None, None]
-    gap = sphere_box_distance(moved.reshape(-1, 3), scene.beside.near(box.center[0], 0.9)).min(
-        axis=1
-    )
+    gap = nearest_box_distance(moved.reshape(-1, 3), scene.beside.near(box.center[0], 0.9))
     return gap.reshape(len(bases), -1).min(axis=1) - size
 
 
@@ -288,9 +286,7 @@ def in_sight(poses: Array, point: Array, boxes: Boxes) -> Array:
     share = np.linspace(0.1, 0.9, 8)[:, None, None]
     line = poses[:, :2] + share * (point[:2] - poses[:, :2])
     height = np.full((*line.shape[:2], 1), point[2] + 0.15)
-    gap = sphere_box_distance(np.concatenate([line, height], axis=2).reshape(-1, 3), tall).min(
-        axis=1
-    )
+    gap = nearest_box_distance(np.concatenate([line, height], axis=2).reshape(-1, 3), tall)
     return gap.reshape(len(share), len(poses)).min(axis=0) > 0.02
 
 

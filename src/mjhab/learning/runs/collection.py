@@ -9,7 +9,7 @@ import functools
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mjhab.config.profiles import DEFAULT_PROFILE, profile_named
 from mjhab.core.errors import UsageError
@@ -20,6 +20,9 @@ from mjhab.evaluation.generate import make_crew
 from mjhab.learning.demos import SUCCESSES
 from mjhab.learning.runs.take_over import TakeOver
 from mjhab.tasks.style import Styles
+
+if TYPE_CHECKING:
+    from mjhab.envs.sequential import SequentialTaskEnv
 
 
 @dataclass(frozen=True)
@@ -81,7 +84,7 @@ class Means:
 
 def make_env(
     scene: Scene, view: dict[str, Any], means: Means, collected: Round | None = None
-) -> Any:
+) -> SequentialTaskEnv:
     """The environment of a scene, as a student sees it.
 
     Args:
@@ -181,7 +184,7 @@ def build_stage(scene: Scene, view: dict[str, Any], means: Means, collected: Rou
     return stage_in(env, collected)
 
 
-def stage_in(env: Any, collected: Round) -> Stage:
+def stage_in(env: SequentialTaskEnv, collected: Round) -> Stage:
     """The stage of a round in an environment."""
     from mjhab.experts import make_expert
 
@@ -204,7 +207,7 @@ class StageKeeper:
     """Makes the stages of rounds one after another in this process, all in the same environment."""
 
     def __init__(self) -> None:
-        self._env: Any = None
+        self._env: SequentialTaskEnv | None = None
         self._made_of: Any = None
 
     def stage(self, scene: Scene, view: dict[str, Any], means: Means, collected: Round) -> Stage:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from mjhab.evaluation.evaluate import EvalSpec, Run, run_evaluation
 from mjhab.learning.runs.collection import Means, Scene
+from mjhab.rollout.policy import RolloutEnv
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink
 
@@ -54,14 +54,14 @@ class Evaluations:
         return run_evaluation(spec, [_Counter(self.tell)])
 
 
-class _Counter(Sink):
+class _Counter(Sink[RolloutEnv]):
     """Counts finished episodes."""
 
     def __init__(self, tell: Callable[[int], object]) -> None:
         self._tell = tell
         self._done = 0
 
-    def on_episode_end(self, env: Any, world: int, record: EpisodeRecord) -> None:
+    def on_episode_end(self, env: RolloutEnv, world: int, record: EpisodeRecord) -> None:
         """Tell of one more."""
         self._done += 1
         self._tell(self._done)

@@ -1,13 +1,10 @@
-"""How the kernels of the rasterizer are compiled, and kept on disk."""
+"""How the kernels of the rasterizer are compiled."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+from functools import partial
 
-from numba import njit
-
-from mjhab.core.code_digest import code_digest
+from mjhab.core.kernels.jit import compiler
 
 KERNEL_MODULES = (
     "render.raster.jit",
@@ -21,27 +18,8 @@ KERNEL_MODULES = (
     "render.textures",
 )
 """Modules whose code or constants go into kernels."""
-_DIGEST = code_digest(*KERNEL_MODULES).hex()[:8]
-
-
-def _compiler(**extra: Any) -> Callable[[Callable[..., Any]], Any]:
-    # ``_nrt`` off: the kernels make no arrays (see ``kernels.Scratch``), and counting references costs time.
-    options: dict[str, Any] = {
-        "nogil": True,
-        "cache": True,
-        "error_model": "numpy",
-        "_nrt": False,
-    } | extra
-
-    def decorate(function: Callable[..., Any]) -> Any:
-        # Numba renews a compiled function only when its own file changes, not for helpers or constants of another one,
-        # and fails on files of older code whose types are gone. The name is part of the file's name.
-        function.__qualname__ = f"{function.__qualname__}_{_DIGEST}"
-        return njit(**options)(function)
-
-    return decorate
-
-
+# ``_nrt`` off: the kernels make no arrays (see ``kernels.Scratch``), and counting references costs time.
+_compiler = partial(compiler, *KERNEL_MODULES, _nrt=False)
 kernel = _compiler()
 inline = _compiler(forceinline=True)
 """For helpers called per triangle or per pixel: a call would copy every array descriptor it is given."""

@@ -1,0 +1,80 @@
+"""mjhab in LeRobot: ``lerobot-eval --env.type=mjhab --env.task=set_table --env.subtask=pick ...``.
+
+LeRobot imports this package by its name; importing it registers the environment.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import gymnasium
+from lerobot.configs.types import FeatureType, PolicyFeature
+from lerobot.envs.configs import EnvConfig
+from lerobot.utils.constants import ACTION, OBS_IMAGES, OBS_STATE
+
+from mjhab.integrations.lerobot import CAMERAS, FPS, LeRobotEnv, LeRobotOptions
+
+
+@EnvConfig.register_subclass("mjhab")
+@dataclass
+class MjhabEnvConfig(EnvConfig):
+    """Options of `mjhab.integrations.lerobot.LeRobotOptions`."""
+
+    task: str | None = "set_table"
+    fps: int = FPS
+    subtask: str = "pick"
+    target: str = ""
+    split: str = "val"
+    actions: str = "joint"
+    image_size: int = 128
+    seed: int = 0
+    features: dict[str, PolicyFeature] = field(default_factory=dict)
+    features_map: dict[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        from mjhab.envs.observations import STATE_DIM
+        from mjhab.evaluation.served.action_spaces import ActionReader, space_named
+        from mjhab.robots.controllers import make_controller
+
+        table = make_controller(space_named(self.actions).control_mode).table
+        width = len(ActionReader(self.actions, table).names)
+        shape = (self.image_size, self.image_size, 3)
+        self.features = {
+            ACTION: PolicyFeature(type=FeatureType.ACTION, shape=(width,)),
+            "agent_pos": PolicyFeature(type=FeatureType.STATE, shape=(STATE_DIM,)),
+        }
+        self.features_map = {ACTION: ACTION, "agent_pos": OBS_STATE}
+        for camera in CAMERAS:
+            key = f"pixels/{camera}"
+            self.features[key] = PolicyFeature(type=FeatureType.VISUAL, shape=shape)
+            self.features_map[key] = f"{OBS_IMAGES}.{camera}"
+
+    @property
+    def gym_kwargs(self) -> dict[str, Any]:
+        """Options of one environment."""
+        options = LeRobotOptions(
+            task=self.task or "set_table",
+            subtask=self.subtask,
+            target=self.target,
+            split=self.split,
+            actions=self.actions,
+            image_size=self.image_size,
+            seed=self.seed,
+        )
+        return {"options": options}
+
+    def create_envs(
+        self, n_envs: int, use_async_envs: bool = False
+    ) -> dict[str, dict[int, gymnasium.vector.VectorEnv]]:
+        """``n_envs`` worlds side by side, in processes of their own with ``use_async_envs``."""
+        kwargs = self.gym_kwargs
+        makers = [lambda: LeRobotEnv(**kwargs)] * n_envs
+        mode = gymnasium.vector.AutoresetMode.SAME_STEP
+        if use_async_envs and n_envs > 1:
+            worlds: Any = gymnasium.vector.AsyncVectorEnv(
+                makers, autoreset_mode=mode, context="forkserver"
+            )
+        else:
+            worlds = gymnasium.vector.SyncVectorEnv(makers, autoreset_mode=mode)
+        return {"mjhab": {0: worlds}}

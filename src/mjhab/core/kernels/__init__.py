@@ -1,0 +1,1 @@
+"""Kernels compiled by numba, and how they are compiled; whoever imports them loads numba."""

@@ -1,0 +1,39 @@
+"""Distances of points to oriented boxes, compiled. Lengths [m]. Letters: P points, K boxes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mjhab.core.kernels.jit import compiler
+
+Array = np.ndarray
+
+
+@compiler("core.kernels.box_gaps", forceinline=True)
+def box_gap(x: float, y: float, z: float, center: Array, half: Array, rot: Array) -> float:
+    """Signed distance of a point to one box: negative inside, exact outside."""
+    dx = x - center[0]
+    dy = y - center[1]
+    dz = z - center[2]
+    outside = 0.0
+    inside = -np.inf
+    for axis in range(3):
+        over = abs(dx * rot[0, axis] + dy * rot[1, axis] + dz * rot[2, axis]) - half[axis]
+        inside = max(inside, over)
+        if over > 0.0:
+            outside += over * over
+    return np.sqrt(outside) + min(inside, 0.0)
+
+
+@compiler("core.kernels.box_gaps")
+def least_box_gaps(points: Array, center: Array, half: Array, rot: Array) -> Array:
+    """Distance (P,) of each of ``points`` (P, 3) to the nearest box; infinite when there is none.
+
+    ``center``, ``half``, ``rot``: (K, 3), (K, 3), (K, 3, 3) the boxes.
+    """
+    found = np.full(len(points), np.inf)
+    for p in range(len(points)):
+        for k in range(len(center)):
+            gap = box_gap(points[p, 0], points[p, 1], points[p, 2], center[k], half[k], rot[k])
+            found[p] = min(found[p], gap)
+    return found

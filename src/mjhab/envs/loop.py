@@ -1,0 +1,432 @@
+"""The control step of the HAB tasks in W worlds, the same for numpy on the host and torch on a device.
+
+Order of one control step: action, controllers, 5 substeps, measure, success, progress, reward, label events, finished
+worlds (final observation, reset), next subtasks, observe. Measuring changes nothing; a reset of some worlds leaves
+every bit of the others.
+
+Worlds that move on, end or break are told apart by masks. On numpy, work that no world needs is skipped
+(`core.arrays.may_hold`); on a device everything is done in every step, because asking would wait for the device.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from abc import ABC, abstractmethod
+from typing import Any, Protocol, TypeVar
+
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from mjhab.config.env import JOINT_GROUPS, EnvConfig, task_config
+from mjhab.core.arrays import Array, as_like, count, device_of, may_hold, namespace, where_rows
+from mjhab.core.errors import UsageError, unknown_name
+from mjhab.envs.parts.plan_tables import Focus, Tables, look_up
+from mjhab.envs.parts.reporting import CHECKERS
+from mjhab.envs.parts.rewarding import GoalDistance, Rewarder, RewardInputs
+from mjhab.envs.parts.sensing import Sensing
+from mjhab.envs.spaces import batched
+from mjhab.robots.controllers import make_controller
+from mjhab.robots.controllers.controller import Controller
+from mjhab.robots.registry import robot_named
+from mjhab.sim.protocol import TAINTS, SimState
+from mjhab.tasks import progress as progress_rules
+from mjhab.tasks.measure import Signals, WorldState, measure
+from mjhab.tasks.plan import SubtaskKind
+from mjhab.tasks.progress import Outcome, Progress
+
+ToldT = TypeVar("ToldT", bound="Told")
+
+
+class Told(Protocol):
+    """What one control step tells in `info` beside the present state: events, and subtasks that ended."""
+
+    def without(self: ToldT, mask: Array) -> ToldT:
+        """The same with nothing in the worlds of ``mask`` (W,) bool: what happened there belongs to a past episode."""
+        ...
+
+    def entries(self) -> dict[str, Any]:
+        """Entries of `info`."""
+        ...
+
+
+class SubtaskNotes(Protocol):
+    """Notes on the active subtask of every world, from which labels and events come."""
+
+    def begin(self, mask: Any, signals: Signals, progress: Progress) -> None:
+        """Start new notes in the worlds of ``mask`` (W,) from the signals at the start of their subtask."""
+        ...
+
+
+class TaskLoop(VectorEnv, ABC):
+    """W worlds of the HAB tasks, stepped together: what the environments of all backends share.
+
+    A backend says where arrays are and how worlds begin: it sets ``sim``, ``tables`` and ``tracker``, and fills in the
+    abstract methods. Arrays (W, ...) are never written into once they were given out.
+
+    For reading: ``state``, ``signals``, ``progress``, ``focus`` are the present ones; ``judged`` are the signals that
+    decided the last step, which in worlds where a subtask began are those of the one before.
+
+    Args:
+        config: what was asked for.
+        like: an array of the library, device and float type of the simulator's.
+    """
+
+    sim: Any
+    """The worlds' physics: a `sim.protocol.Simulator`, on a device a `WarpSimulator`."""
+    tables: Tables
+    tracker: SubtaskNotes
+
+    def __init__(self, config: EnvConfig, like: Array) -> None:
+        self.config = config
+        self.num_envs = config.num_envs
+        robot = robot_named(config.robot)
+        purpose = f"subtask {config.subtask!r}" if config.subtask else f"task {config.task!r}"
+        robot.require(JOINT_GROUPS, purpose)
+        self.task_config = task_config(config, robot)
+        self.controller: Controller = make_controller(
+            config.control_mode,
+            config.num_envs,
+            robot=robot,
+            base=config.base,
+            stationary=config.stationary,
+            like=like,
+        )
+        self._like = like
+        self._xp = namespace(like)
+        self._worlds = count(self.num_envs, like)
+        self._no = self._worlds < 0
+        """(W,) bool: no world."""
+
+    def _make_parts(self, nav_distance: GoalDistance) -> None:
+        """Make what measures and rewards; ``sim`` must be there.
+
+        Args:
+            nav_distance: way to the goal of Navigate.
+        """
+        config = self.config
+        self.layout = self.sim.layout
+        self.sensing = Sensing(
+            self.layout, self.sim.addresses, self.num_envs, self._like, config.handle_points
+        )
+        alone = config.subtask
+        self.rewarder = Rewarder(
+            self.num_envs,
+            self.task_config,
+            config.reward,
+            config.reward_options,
+            self.layout,
+            self.sensing,
+            nav_distance,
+            [SubtaskKind[alone.upper()]] if alone else list(SubtaskKind),
+            like=self._like,
+        )
+
+    def _set_spaces(self, observation: spaces.Space, **metadata: Any) -> None:
+        """Set the attributes that Gymnasium asks for; ``observation``: space of one world."""
+        autoreset = AutoresetMode[self.config.autoreset.upper()]
+        self.metadata = {"autoreset_mode": autoreset, "render_fps": 20, **metadata}
+        self.render_mode = self.config.render_mode or None
+        self.single_observation_space = observation
+        self.observation_space = batched(observation, self.num_envs)
+        low = self.controller.low
+        high = self.controller.high
+        self.single_action_space = spaces.Box(low, high, dtype=np.float32)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self.action_table = self.controller.table
+        self.taint_names = TAINTS
+
+    def _init_worlds(self) -> None:
+        """Begin with worlds that nobody has reset; ``sim`` and ``tables`` must be there."""
+        whole = self._xp.int64
+        # Each has memory of its own: on numpy a restored state is written into them.
+        self.count = as_like([0] * self.num_envs, self._like, whole)
+        self.nan_resets = as_like([0] * self.num_envs, self._like, whole)
+        """(W,): episodes begun; times that the state of a world became NaN or infinite."""
+        self.fallback = self._no
+        self.success = self._no
+        self.fail = self._no
+        self.due = self._no
+        """(W,): spawned where nothing better was found; outcome of the last step; reset due in the next step."""
+        self.reward_terms: dict[str, Array] = {}
+        self.joint_start = as_like([0.0] * self.num_envs, self._like)
+        self.grip = as_like([1.0] * self.num_envs, self._like, self._xp.float32)
+        """(W,): joint of the active link when its subtask began; the gripper's number in the last action."""
+        self.signals: Signals | None = None
+        self.judged: Signals | None = None
+        self.state: SimState = self.sim.state()
+        # A world that nobody has reset is like one whose episode is over.
+        begun = progress_rules.start(self.tables.arrays, self.task_config)
+        self.follow(dataclasses.replace(begun, done=~self._no))
+
+    def follow(self, progress: Progress) -> None:
+        """Take over progress whose pointers, or the plans they point into, have changed."""
+        self.progress: Progress = progress
+        self.focus: Focus = look_up(self.tables, progress.pointer, self.task_config)
+
+    def timed_methods(self) -> dict[str, list[tuple[Any, str]]]:
+        """What `mjhab bench env` times: stage of a control step to the (object, method name) that do it."""
+        return {
+            "physics": [(self.sim, "step")],
+            "measure": [(self, "_sense"), (self, "_measure")],
+            "reward": [(self.rewarder, "step")],
+        }
+
+    # -- what differs between backends -----------------------------------------------------------------------------
+
+    @abstractmethod
+    def _reseed(self, seed: Any, mask: Array) -> None:
+        """Let the worlds of ``mask`` (W,) begin anew under another seed; None keeps the present one."""
+
+    @abstractmethod
+    def _next_episodes(self) -> Array:
+        """(W,) int64: the episode that every world would begin next."""
+
+    @abstractmethod
+    def _chosen_episodes(self, wanted: Any, mask: Array) -> Array:
+        """(W,) int64 with ``wanted``, one entry for each world of ``mask``, in its place; checks them."""
+
+    @abstractmethod
+    def _adopt(self, fresh: Array, episodes: Array) -> None:
+        """Give the worlds ``fresh`` (W,) their ``episodes`` (W,): rows of ``tables``, ``fallback``, and what else
+        belongs to an episode."""
+
+    @abstractmethod
+    def _place(self, fresh: Array, moved: Array) -> Array:
+        """Put worlds where their subtask begins.
+
+        Args:
+            fresh: (W,) bool, worlds that begin an episode.
+            moved: (W,) bool, worlds that begin the next subtask of their episode, none of them ``fresh``.
+
+        Returns:
+            (W,) bool, worlds whose physics is in another state now.
+        """
+
+    @abstractmethod
+    def _checked(self, actions: Any) -> Array:
+        """Actions (W, A) float32, with memory of their own."""
+
+    @abstractmethod
+    def _simulate(self, ctrl: Array) -> Array:
+        """Advance physics under ``ctrl`` (W, nu); returns (W,) bool, worlds that broke and have been put back."""
+
+    @abstractmethod
+    def _note(self, signals: Signals, outcome: Outcome, progress: Progress) -> Told:
+        """Note a step whose ``outcome`` is known; ``progress`` is the one before the pointer moves."""
+
+    @abstractmethod
+    def _nothing(self) -> Told:
+        """What a step tells in which nothing happened."""
+
+    @abstractmethod
+    def _observe(self, known: dict[str, Array] | None = None, changed: Array | None = None) -> dict:
+        """Observations of the present.
+
+        Args:
+            known: observations made before in this step.
+            changed: (W,) bool, worlds whose physics is in another state since; only these need new pictures.
+        """
+
+    # -- reset -----------------------------------------------------------------------------------------------------
+
+    def reset(
+        self, *, seed: Any = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict, dict]:
+        """Start episodes; see the backends for what seeds and episodes are.
+
+        Args:
+            seed: of the episodes from now on; None keeps the present one.
+            options: "reset_mask" (W,) bool: worlds to reset (default all); "episode": numbers of the episodes that
+                the worlds in the mask get, in order of worlds.
+
+        Raises:
+            UsageError: unknown option, or shapes that do not fit.
+        """
+        options = dict(options or {})
+        mask = self._array(options.pop("reset_mask", ~self._no))
+        wanted = options.pop("episode", None)
+        if options:
+            raise unknown_name("reset option", next(iter(options)), ("reset_mask", "episode"))
+        if tuple(mask.shape) != (self.num_envs,) or mask.dtype != self._no.dtype:
+            raise UsageError(
+                f"reset_mask must be bool ({self.num_envs},), got {mask.dtype} {tuple(mask.shape)}"
+            )
+        self._reseed(seed, mask)
+        episodes = self._next_episodes() if wanted is None else self._chosen_episodes(wanted, mask)
+        self._renew(mask, self._no, episodes)
+        return self._observe(), self._info(self._nothing())
+
+    def _array(self, values: Any) -> Array:
+        """Values as an array of the backend's library and device, their type as it is."""
+        return self._xp.asarray(values, device=device_of(self._like))
+
+    def _renew(self, fresh: Array, moved: Array, episodes: Array) -> Array:
+        """Begin ``episodes`` (W,) in the worlds ``fresh``, and the next subtask in the worlds ``moved``.
+
+        Returns:
+            (W,) bool, worlds whose physics is in another state now.
+        """
+        moved = moved & ~fresh
+        if may_hold(fresh):
+            self._restart(fresh, episodes)
+        changed = self._place(fresh, moved)
+        if may_hold(changed):
+            self.state = self.sim.state()
+            self.controller.reset(changed, self.state)
+        entering = fresh | moved
+        if may_hold(entering):
+            self._enter_subtask(entering)
+        return changed
+
+    def _restart(self, fresh: Array, episodes: Array) -> None:
+        """Let the worlds ``fresh`` stand at the beginning of their ``episodes``; physics is still where it was."""
+        xp = self._xp
+        self._adopt(fresh, episodes)
+        self.count = self.count + fresh
+        tables = self.tables.arrays
+        self.follow(progress_rules.reset_rows(self.progress, fresh, tables, self.task_config))
+        self.success = self.success & ~fresh
+        self.fail = self.fail & ~fresh
+        self.due = self.due & ~fresh
+        # Place begins with the object in the closed hand (-1), everything else with an open one (1).
+        held = xp.astype(tables.kind[:, 0] == int(SubtaskKind.PLACE), self.grip.dtype)
+        self.grip = xp.where(fresh, 1.0 - 2.0 * held, self.grip)
+
+    def _enter_subtask(self, mask: Array) -> None:
+        """Begin the subtask at the pointer of the worlds in ``mask``: joint start, signals, labels, reward memory."""
+        now = self.sensing.joint_now(self.state, self.focus)
+        self.joint_start = self._xp.where(mask, now, self.joint_start)
+        world = self._sense()
+        signals = self._measure(world, self.progress)
+        self.signals = signals if self.signals is None else where_rows(mask, signals, self.signals)
+        self.judged = self.signals if self.judged is None else self.judged
+        self.tracker.begin(mask, self.signals, self.progress)
+        self.rewarder.begin(mask, self._reward_inputs(world, signals, self.progress))
+
+    # -- step ------------------------------------------------------------------------------------------------------
+
+    def step(self, actions: Any) -> tuple[dict, Any, Any, Any, dict]:
+        """One control step of 50 ms in every world. ``actions`` (W, A), clipped to the action space.
+
+        Raises:
+            UsageError: wrong shape or type.
+        """
+        broken = self._advance_physics(self._checked(actions))
+        world = self._sense()
+        progress = progress_rules.accumulate(self.progress, world.robot_force)
+        signals = self._measure(world, progress)
+        if may_hold(broken):
+            progress, signals = _give_up(broken, progress, signals)
+        tables = self.tables.arrays
+        new, outcome = progress_rules.advance(progress, signals, tables, self.task_config)
+        inputs = self._reward_inputs(world, signals, new)
+        reward, self.reward_terms = self.rewarder.step(inputs)
+        told = self._note(signals, outcome, progress)
+        self.progress = new
+        if may_hold(outcome.advanced):
+            self.follow(new)
+        self.signals = signals
+        self.judged = signals
+        self.success = outcome.success
+        self.fail = outcome.fail
+        return self._finish(told, reward, outcome)
+
+    def _advance_physics(self, actions: Array) -> Array:
+        """Step the worlds; returns (W,) bool, those that broke and have been put back."""
+        if self.config.teleports:
+            actions = self._held_still(actions)
+        self.grip = actions[:, self.controller.gripper]
+        broken = self._simulate(self.controller.ctrl(actions, self.state))
+        self.nan_resets = self.nan_resets + broken
+        self.state = self.sim.state()
+        return broken
+
+    def _held_still(self, actions: Array) -> Array:
+        """``actions``, but in Navigate, where a teleport does the moving: there the robot stands and keeps its grip."""
+        teleporting = self.focus.kind == int(SubtaskKind.NAVIGATE)
+        if not may_hold(teleporting):
+            return actions
+        still = self.controller.still(self.state)
+        still[:, self.controller.gripper] = self.grip
+        return self._xp.where(teleporting[:, None], still, actions)
+
+    def _sense(self) -> WorldState:
+        return self.sensing.world_state(self.state, self.tables, self.focus, self.joint_start)
+
+    def _measure(self, world: WorldState, progress: Progress) -> Signals:
+        return measure(world, self.tables.arrays, progress, self.task_config, self.focus.active)
+
+    def _reward_inputs(
+        self, world: WorldState, signals: Signals, progress: Progress
+    ) -> RewardInputs:
+        return RewardInputs(self.state, world, signals, self.focus, progress)
+
+    def _finish(
+        self, told: Told, reward: Array, outcome: Outcome
+    ) -> tuple[dict, Array, Array, Array, dict]:
+        """Begin what comes next, episodes by the autoreset mode and subtasks, and observe."""
+        mode = self.config.autoreset
+        terminated: Array = outcome.place_broken
+        if not self.config.runs_to_horizon:
+            terminated = terminated | outcome.success | outcome.force_exceeded
+        truncated = outcome.done & ~terminated
+        fresh = self._no
+        seen: dict[str, Array] | None = None
+        final: dict[str, Any] = {}
+        if mode == "same_step" and may_hold(outcome.done):
+            fresh = outcome.done
+            seen = self._observe()
+            final = {"final_obs": seen, "final_info": self._info(told)}
+            final |= {"_final_obs": fresh, "_final_info": fresh}
+            # What happened belongs to the old episode; the new one begins with nothing.
+            told = told.without(fresh)
+        elif mode == "next_step":
+            # Gymnasium: the step after an episode's end is the reset, whatever the action; it brings no reward.
+            fresh = self.due
+            reward = self._xp.where(fresh, 0.0, reward)
+        if mode != "disabled" or not self.config.subtask:
+            moved = outcome.advanced & ~outcome.done
+            changed = self._renew(fresh, moved, self._next_episodes())
+        else:
+            changed = fresh
+        if mode == "next_step":
+            self.due = outcome.done
+        obs = self._observe() if seen is None else self._observe(seen, changed)
+        return obs, reward, terminated, truncated, self._info(told) | final
+
+    def _info(self, told: Told) -> dict[str, Any]:
+        """Arrays (W,) that stay as they are, whatever the environment does next, and what a step tells.
+
+        "pointer", "kind" of the active subtask, "steps_left", "robot_force" [N], "cumulative_force" [N x steps],
+        "success", "fail", "taint" (bits of `taint_names`), "nan_resets" so far, "spawn_fallback", the CHECKERS,
+        "reward_terms" (name to (W,)).
+        """
+        signals = self.signals
+        progress = self.progress
+        assert signals is not None
+        info: dict[str, Any] = {
+            "pointer": progress.pointer,
+            "kind": self.focus.kind,
+            "steps_left": progress.steps_left,
+            "robot_force": signals.robot_force,
+            "cumulative_force": signals.cumulative_force,
+            "success": self.success,
+            "fail": self.fail,
+            "taint": self.sim.taint(),
+            "nan_resets": self.nan_resets,
+            "spawn_fallback": self.fallback,
+            "reward_terms": self.reward_terms,
+        }
+        info |= {name: getattr(signals, name) for name in CHECKERS}
+        return info | told.entries()
+
+
+def _give_up(broken: Array, progress: Progress, signals: Signals) -> tuple[Progress, Signals]:
+    """Let the time of worlds that broke be up, and nothing in them count as success."""
+    left = namespace(broken).where(broken, 0, progress.steps_left)
+    success = signals.success & ~broken
+    return dataclasses.replace(progress, steps_left=left), dataclasses.replace(
+        signals, success=success
+    )

@@ -1,0 +1,129 @@
+"""The actions of episodes: kept while they run, and played again."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import zlib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mjhab.core.cache import write_atomic
+from mjhab.core.errors import UsageError
+from mjhab.evaluation.score.manifest import start_digest
+from mjhab.rollout.records import EpisodeRecord
+from mjhab.rollout.sinks import Sink, StepView
+
+MAX_ACTIONS_BYTES = 64 << 20
+"""Of one episode, unpacked."""
+NO_MORE = "the recorded actions end here"
+
+
+class ActionKeeper(Sink):
+    """Writes the actions of every finished episode, and the digest of its start, to a file of its own in a folder."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._starts: dict[int, str] = {}
+        self._actions: dict[int, list[np.ndarray]] = {}
+
+    def on_reset(self, env: Any, info: Mapping[str, Any], mask: np.ndarray) -> None:
+        """Begin to listen to the worlds in ``mask``."""
+        for w in np.flatnonzero(mask).tolist():
+            self._starts[w] = start_digest(env, w)
+            self._actions[w] = []
+
+    def on_step(self, env: Any, step: StepView) -> None:
+        """Keep the actions that were applied."""
+        for w in np.flatnonzero(step.active).tolist():
+            self._actions[w].append(np.array(step.actions[w], np.float32))
+
+    def on_episode_end(self, env: Any, world: int, record: EpisodeRecord) -> None:
+        """Write them."""
+        text = f"{self._starts[world]} {packed_actions(np.stack(self._actions[world]))}"
+        path = kept_path(self._folder, record.index)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomic(path, lambda temporary: temporary.write_text(text, encoding="ascii"))
+
+
+def kept_path(folder: Path, index: int) -> Path:
+    """Where an episode's actions are kept."""
+    return folder / f"{index:06d}.actions"
+
+
+def packed_actions(actions: np.ndarray) -> str:
+    """Actions (N, A) as text: their width, and compressed float32."""
+    packed = zlib.compress(np.asarray(actions, "<f4").tobytes(), 9)
+    return f"{actions.shape[1]}:{base64.b64encode(packed).decode('ascii')}"
+
+
+def unpacked_actions(text: str) -> np.ndarray:
+    """Actions (N, A) float32 of `packed_actions`.
+
+    Raises:
+        UsageError: it is no such text.
+    """
+    width, _, packed = text.partition(":")
+    try:
+        inflater = zlib.decompressobj()
+        data = inflater.decompress(base64.b64decode(packed, validate=True), MAX_ACTIONS_BYTES)
+        if not inflater.eof:
+            raise ValueError("they end too early, or are too long")
+        actions = np.frombuffer(data, "<f4").reshape(-1, int(width))
+    except (ValueError, zlib.error, binascii.Error) as error:
+        raise UsageError(f"the actions of an episode cannot be read: {error}.") from error
+    if not np.isfinite(actions).all():
+        raise UsageError("the actions of an episode hold numbers that are not finite.")
+    return actions.astype(np.float32)
+
+
+class Replayed:
+    """A policy that plays recorded actions again.
+
+    Args:
+        worlds: W.
+        width: A.
+        actions: by index of the episode.
+        errors: by index, why an episode ended with its last action; of the others nothing is said.
+    """
+
+    name = "replayed"
+
+    def __init__(
+        self,
+        worlds: int,
+        width: int,
+        actions: Mapping[int, np.ndarray],
+        errors: Mapping[int, str],
+    ) -> None:
+        self._width = width
+        self._actions = actions
+        self._errors = errors
+        self._step = np.zeros(worlds, np.int64)
+        self._faults = [""] * worlds
+
+    def reset(self, mask: np.ndarray) -> None:
+        """Begin at the first action in the worlds of ``mask`` (W,)."""
+        self._step[mask] = 0
+
+    def fault(self, world: int) -> str:
+        """The recorded error with the last action; or that there is none left."""
+        return self._faults[world]
+
+    def act(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:
+        """The next actions (W, A)."""
+        acted = np.zeros((len(self._step), self._width), np.float32)
+        for w, spec in enumerate(info["episode_spec"]):
+            index = -1 if spec is None else int(spec["index"])
+            actions: Sequence[np.ndarray] = self._actions.get(index, ())
+            step = int(self._step[w])
+            self._faults[w] = NO_MORE if step >= len(actions) else ""
+            if step < len(actions):
+                acted[w] = actions[step]
+            if step == len(actions) - 1:
+                self._faults[w] = self._errors.get(index, "")
+        self._step += 1
+        return acted

@@ -1,0 +1,287 @@
+"""Score a policy on the episodes of the manifest, and check a score by replay of its actions."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import platform
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from mjhab.core.errors import UsageError
+from mjhab.core.seeding import stream
+from mjhab.data.record.provenance import source_commit, versions
+from mjhab.evaluation.evaluate import EvalSpec, Run, describe_policy, make_env, run_evaluation
+from mjhab.evaluation.resolve import STUDENT, PolicyFacts, full_spec
+from mjhab.evaluation.score.actions import ActionKeeper, Replayed, kept_path, unpacked_actions
+from mjhab.evaluation.score.manifest import Manifest, Row, manifest
+from mjhab.evaluation.score.result import Result, Scored, write_result
+from mjhab.rollout.loop import plain, rollout
+from mjhab.rollout.records import EpisodeRecord
+from mjhab.rollout.sinks import Sink
+
+FREE_OPTIONS = frozenset(
+    {"obs_mode", "cameras", "camera_size", "control_mode", "base", "stationary", "profile"}
+)
+"""Options of the environment that a policy may choose: what it sees, and how it moves. The rest is the benchmark."""
+PROFILES = ("", "mjhab")
+"""Profiles that leave the rules as they are."""
+RESULT_FILE = "result.json"
+CHECKED_EPISODES = 100
+
+
+@dataclass(frozen=True)
+class ScoreSpec:
+    """What to score, on what, and where the results go.
+
+    policy: a specification as for `resolve_policy`. track, split: see `manifest`. out: folder of the runs and of the
+    result file; runs that are there already go on. worlds, threads: of every run. episodes: at most so many of each
+    row; None for all. Fewer give a score that is marked as incomplete.
+
+    Raises:
+        UsageError: a number out of range.
+    """
+
+    policy: str
+    track: str
+    split: str
+    out: Path
+    worlds: int = 8
+    threads: int = 0
+    episodes: int | None = None
+
+    def __post_init__(self) -> None:
+        for name, value in (("worlds", self.worlds), ("episodes", self.episodes)):
+            if value is not None and value < 1:
+                raise UsageError(f"{name} must be at least 1, got {value}.")
+
+
+@dataclass
+class Checked:
+    """Outcome of a check: how many episodes were played again; those that went another way, by row and index, and why;
+    those that went the same way but for the last bits of their states."""
+
+    episodes: int = 0
+    wrong: dict[str, str] = field(default_factory=dict)
+    inexact: list[str] = field(default_factory=list)
+
+
+def score(spec: ScoreSpec, sinks: Callable[[EvalSpec], Sequence[Sink]] = lambda _: ()) -> Result:
+    """Run what is missing of a score and write its result file, ``out/result.json``.
+
+    Args:
+        spec: what.
+        sinks: further listeners, by the run they listen to.
+
+    Raises:
+        UsageError: unknown names; a policy that asks for other rules; a folder that holds something else.
+    """
+    asked = manifest(spec.track, spec.split)
+    started = time.perf_counter()
+    episodes: list[Scored] = []
+    policies: dict[str, Any] = {}
+    for row in asked.rows:
+        facts = facts_for(spec.policy, row)
+        if facts is None:
+            continue
+        policies[row.name] = {"name": facts.name, **plain(facts.identity)}
+        policies[row.name]["env_options"] = plain(dict(facts.env_options))
+        evaluation = evaluation_of(spec, asked, row)
+        kept = spec.out / "actions" / row.name
+        run = run_evaluation(evaluation, [ActionKeeper(kept), *sinks(evaluation)])
+        episodes += [_scored(row, record, kept) for record in _wanted(run, evaluation)]
+    if not policies:
+        raise UsageError(f"{spec.policy} does none of the rows of the track {spec.track}.")
+    seconds = time.perf_counter() - started
+    return write_result(spec.out / RESULT_FILE, facts_of(spec, asked, policies, seconds), episodes)
+
+
+def evaluation_of(spec: ScoreSpec, asked: Manifest, row: Row) -> EvalSpec:
+    """The evaluation of a row; it goes on where an earlier one ended."""
+    out = spec.out / "runs" / row.name
+    return EvalSpec(
+        policy=spec.policy,
+        task=row.task,
+        subtask=row.subtask or None,
+        target=row.target or None,
+        episodes=min(row.episodes, spec.episodes or row.episodes),
+        worlds=spec.worlds,
+        seed=asked.seed,
+        split=asked.split,
+        threads=spec.threads,
+        films=0,
+        out=out,
+        resume=out.exists(),
+    )
+
+
+def facts_for(policy: str, row: Row) -> PolicyFacts | None:
+    """What is known of a policy that does a row; None where the package has no student for it.
+
+    Raises:
+        UsageError: there is no such policy, or it asks for other rules than those of the benchmark.
+    """
+    try:
+        facts = describe_policy(
+            full_spec(policy, row.task, row.subtask or None, row.target or None)
+        )
+    except UsageError:
+        if policy == STUDENT:
+            return None
+        raise
+    check_rules(facts)
+    return facts
+
+
+def check_rules(facts: PolicyFacts) -> None:
+    """Refuse a policy that asks for an environment with other rules.
+
+    Raises:
+        UsageError: it does.
+    """
+    others = set(facts.env_options) - FREE_OPTIONS
+    if others or facts.env_options.get("profile", "") not in PROFILES:
+        asked = {
+            name: facts.env_options[name]
+            for name in sorted(others | {"profile"} & set(facts.env_options))
+        }
+        raise UsageError(
+            f"the policy {facts.name} asks for {asked}; scores are taken by the rules of the profile mjhab, and a "
+            f"policy chooses no more than {', '.join(sorted(FREE_OPTIONS - {'profile'}))}."
+        )
+
+
+def facts_of(
+    spec: ScoreSpec, asked: Manifest, policies: Mapping[str, Any], seconds: float
+) -> dict[str, Any]:
+    """Who was scored, where and with what."""
+    first = next(iter(policies.values()))
+    return {
+        "track": asked.track,
+        "split": asked.split,
+        "manifest": asked.digest,
+        "policy": first["name"],
+        "policies": dict(policies),
+        "versions": versions(),
+        "commit": source_commit(),
+        "hardware": hardware(),
+        "seconds": round(seconds, 1),
+    }
+
+
+def hardware() -> dict[str, Any]:
+    """The machine: processor, cores, system, and the GPU if torch is loaded and sees one."""
+    found: dict[str, Any] = {
+        "processor": _processor(),
+        "cores": os.cpu_count(),
+        "system": f"{platform.system()} {platform.machine()}",
+    }
+    torch = sys.modules.get("torch")
+    if torch is not None and torch.cuda.is_available():
+        found["gpu"] = torch.cuda.get_device_name(0)
+    return found
+
+
+def check(result: Result, tell: Callable[[], object] = bool) -> Checked:
+    """Play the actions of a hundred of its episodes again, drawn by its digest, and compare what happens.
+
+    Raises:
+        UsageError: its actions cannot be read.
+    """
+    random = stream(int(result.digest[:8], 16), "score", "check")
+    count = min(CHECKED_EPISODES, len(result.episodes))
+    chosen = random.choice(len(result.episodes), count, replace=False)
+    found = Checked()
+    asked = result.manifest
+    for row in asked.rows:
+        some = [
+            result.episodes[k]
+            for k in sorted(chosen.tolist())
+            if result.episodes[k].row == row.name
+        ]
+        if some:
+            _check_row(result, asked, row, some, found)
+        for _ in some:
+            tell()
+    return found
+
+
+def _check_row(
+    result: Result, asked: Manifest, row: Row, episodes: Sequence[Scored], found: Checked
+) -> None:
+    options = {
+        name: tuple(value) if isinstance(value, list) else value
+        for name, value in result.facts["policies"][row.name]["env_options"].items()
+        if name not in ("obs_mode", "cameras", "camera_size", "profile")
+    }
+    check_rules(PolicyFacts(str(result.facts["policy"]), env_options=options))
+    spec = EvalSpec(
+        policy="zero",
+        task=row.task,
+        subtask=row.subtask or None,
+        target=row.target or None,
+        episodes=row.episodes,
+        worlds=min(len(episodes), 8),
+        seed=asked.seed,
+        split=asked.split,
+        films=0,
+    )
+    env: Any = make_env(spec, options)
+    try:
+        actions = {e.record.index: unpacked_actions(e.actions) for e in episodes}
+        width = len(env.action_table)
+        if any(array.shape[1] != width for array in actions.values()):
+            raise UsageError(f"the actions of {row.name} have another width than {width}.")
+        errors = {e.record.index: e.record.error for e in episodes}
+        policy = Replayed(env.num_envs, width, actions, errors)
+        records = rollout(env, policy, sorted(actions), asked.seed)
+    finally:
+        env.close()
+    told = {e.record.index: e.record for e in episodes}
+    for record in records:
+        _compare(f"{row.name} {record.index}", told[record.index], record, found)
+
+
+def _compare(name: str, told: EpisodeRecord, seen: EpisodeRecord, found: Checked) -> None:
+    found.episodes += 1
+    told = dataclasses.replace(told, style={})
+    if told == seen:
+        return
+    if _outcome(told) == _outcome(seen):
+        found.inexact.append(name)
+    else:
+        found.wrong[name] = f"told {_outcome(told)}, seen {_outcome(seen)}"
+
+
+def _outcome(record: EpisodeRecord) -> tuple[Any, ...]:
+    """What a score counts of an episode."""
+    labels = tuple((s.index, s.kind, s.label, s.success_once) for s in record.subtasks)
+    return (record.success_once, record.completed, bool(record.error), bool(record.taint), labels)
+
+
+def _wanted(run: Run, evaluation: EvalSpec) -> list[EpisodeRecord]:
+    return [record for record in run.records if record.index < evaluation.episodes]
+
+
+def _scored(row: Row, record: EpisodeRecord, kept: Path) -> Scored:
+    path = kept_path(kept, record.index)
+    if not path.is_file():
+        raise UsageError(
+            f"{path} is gone, and with it the actions of an episode; score into another --out."
+        )
+    start, _, actions = path.read_text(encoding="ascii").partition(" ")
+    return Scored(row.name, dataclasses.replace(record, config_hash=""), start, actions)
+
+
+def _processor() -> str:
+    """Name of the processor, as the system tells it."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor()
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor()

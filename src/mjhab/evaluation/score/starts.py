@@ -1,0 +1,53 @@
+"""Writing the digests of the starts of a track: done once, by those who change where episodes begin."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+
+from mjhab.core.cache import write_atomic
+from mjhab.evaluation.evaluate import EvalSpec, make_env
+from mjhab.evaluation.score.manifest import STARTS_FILE, Row, manifest, start_digest
+
+
+def write_starts(track: str, split: str, worlds: int, threads: int) -> int:
+    """Write the digests of all starts of a track on a split into the package; returns how many.
+
+    Raises:
+        UsageError: an unknown track or split.
+    """
+    asked = manifest(track, split)
+    found = {row.name: starts_of(row, split, asked.seed, worlds, threads) for row in asked.rows}
+    content = json.loads(STARTS_FILE.read_text(encoding="utf-8")) if STARTS_FILE.exists() else {}
+    content[f"{track}/{split}"] = found
+    text = json.dumps(content, indent=0, sort_keys=True) + "\n"
+    write_atomic(STARTS_FILE, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    return sum(map(len, found.values()))
+
+
+def starts_of(row: Row, split: str, seed: int, worlds: int, threads: int) -> list[str]:
+    """Digests of the starts of a row, by index."""
+    spec = EvalSpec(
+        policy="zero",
+        task=row.task,
+        subtask=row.subtask or None,
+        target=row.target or None,
+        episodes=row.episodes,
+        worlds=worlds,
+        seed=seed,
+        split=split,
+        threads=threads,
+    )
+    env: Any = make_env(spec, {})
+    digests = []
+    try:
+        for first in range(0, row.episodes, env.num_envs):
+            indices = np.arange(first, min(first + env.num_envs, row.episodes))
+            mask = np.arange(env.num_envs) < len(indices)
+            env.reset(seed=seed, options={"episode": indices, "reset_mask": mask})
+            digests += [start_digest(env, w) for w in range(len(indices))]
+    finally:
+        env.close()
+    return digests

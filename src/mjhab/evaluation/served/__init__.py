@@ -1,0 +1,1 @@
+"""Policies behind a websocket: those of others acting here, and ours acting elsewhere."""

@@ -1,0 +1,70 @@
+"""Policies served elsewhere: ``--policy ws://host:port`` of every command. See `evaluation.resolve.PolicyModule`."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from typing import Any
+
+from mjhab.core.errors import UsageError
+from mjhab.evaluation.resolve import PolicyFacts, PolicyOptions
+from mjhab.evaluation.served.metadata import env_options_of, own_part, space_of
+from mjhab.rollout.loop import plain
+from mjhab.rollout.policy import Policy, RolloutEnv
+from mjhab.serving import require_serving
+from mjhab.serving.address import Address
+
+
+def inspect_policy(spec: str) -> PolicyFacts:
+    """Ask the server who it is.
+
+    Raises:
+        UsageError: there is no server, it wants a token, or it speaks another dialect.
+    """
+    require_serving()
+    from mjhab.serving.client import Connection
+
+    address = Address.parse(spec)
+    connection = Connection(address)
+    try:
+        metadata = connection.greet()
+    finally:
+        connection.close()
+    own = own_part(metadata)
+    told = _as_json(metadata)
+    digest = hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()
+    identity = {
+        "dialect": address.dialect,
+        "execute": address.execute,
+        "prompt": address.prompt,
+        "actions": space_of(address, metadata),
+        "server_metadata_sha256": digest,
+        "server": _as_json(own.get("identity", {})),
+    }
+    name = str(own.get("policy") or metadata.get("model_name") or address.dialect)
+    return PolicyFacts(
+        f"served-{re.sub(r'[^A-Za-z0-9_.-]', '-', name)[:60]}",
+        identity,
+        env_options_of(address, metadata),
+    )
+
+
+def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions) -> Policy:
+    """Connect to the server.
+
+    Raises:
+        UsageError: as `inspect_policy`; the environment has other actions than the policy sends; or a style was asked
+            for.
+    """
+    if options.style:
+        raise UsageError(f"a style is for the policy expert; give it to its server, not to {spec}.")
+    require_serving()
+    from mjhab.evaluation.served.policy import ServedPolicy
+
+    return ServedPolicy(Address.parse(spec), env)
+
+
+def _as_json(value: Any) -> Any:
+    """What a server says as JSON data; what JSON does not know, such as bytes, as text."""
+    return json.loads(json.dumps(plain(value), default=repr))

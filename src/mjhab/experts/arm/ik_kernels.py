@@ -1,0 +1,472 @@
+"""Compiled inverse kinematics: forward kinematics, task errors and damped steps of one configuration after the other.
+
+The numbers are those of `mjhab.robots.kinematics`, which computes whole batches in numpy or torch; here every
+configuration stops as soon as it is done, and nothing is allocated in the loops. Letters: N configurations, Q joint
+columns, L links, J joints from the root to the tip, D columns that may move. Lengths [m], angles [rad], world frame.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from mjhab.experts.jit import inline, kernel
+from mjhab.robots.kinematics import DAMPING, DAMPING_PER_ERROR, Chain
+
+Array = np.ndarray
+POSE = 0
+APPROACH = 1
+CLOSING = 2
+POSITION = 3
+"""Which part of the orientation counts, see `ik.Mode`."""
+MODES = {"pose": POSE, "approach": APPROACH, "closing": CLOSING, "position": POSITION}
+FIXED = 0
+SLIDE = 1
+HINGE = 2
+
+
+class Tree(NamedTuple):
+    """A chain as arrays. Joint j leads from link ``parent[j]`` to link j + 1; link 0 is the root.
+
+    parent, kind, axis, column (L - 1,) i64: kind is `FIXED`, `SLIDE` or `HINGE`, column -1 where the joint is fixed;
+    sign (L - 1,); offset (L - 1, 3) of the joint in its parent's frame; path (J,) i64: the joints from the root to
+    the tip; height of the root; lower, upper (Q,): joint limits.
+    """
+
+    parent: Array
+    kind: Array
+    axis: Array
+    column: Array
+    sign: Array
+    offset: Array
+    path: Array
+    height: float
+    lower: Array
+    upper: Array
+
+
+class Space(NamedTuple):
+    """What one configuration needs while it is worked on; made once per call, so that the loops allocate nothing.
+
+    pos, rot: (L, 3), (L, 3, 3) link frames; turn (3, 3), axis (3,): the error's rotation and a direction; error (6,),
+    jac (D, 6): task error and transposed Jacobian; pull, low, high, largest, step (D,): what `kinematics.limited_step`
+    takes and gives; stopped (D,), free (D,) bool, remaining, wanted (6,), square (6, 6): its intermediate values.
+    """
+
+    pos: Array
+    rot: Array
+    turn: Array
+    axis: Array
+    error: Array
+    jac: Array
+    pull: Array
+    low: Array
+    high: Array
+    largest: Array
+    step: Array
+    stopped: Array
+    free: Array
+    remaining: Array
+    wanted: Array
+    square: Array
+
+
+@inline
+def _space(tree: Tree, columns: int) -> Space:
+    links = len(tree.parent) + 1
+    return Space(
+        np.empty((links, 3)),
+        np.empty((links, 3, 3)),
+        np.empty((3, 3)),
+        np.empty(3),
+        np.empty(6),
+        np.zeros((columns, 6)),
+        np.empty(columns),
+        np.empty(columns),
+        np.empty(columns),
+        np.empty(columns),
+        np.empty(columns),
+        np.empty(columns),
+        np.empty(columns, np.bool_),
+        np.empty(6),
+        np.empty(6),
+        np.empty((6, 6)),
+    )
+
+
+@lru_cache(maxsize=16)
+def tree_of(chain: Chain) -> Tree:
+    """The arrays of a chain."""
+    path: list[int] = []
+    link = chain.tip_index
+    while link > 0:
+        path.append(link - 1)
+        link = chain.parent[link - 1]
+    kinds = {"fixed": FIXED, "slide": SLIDE, "hinge": HINGE}
+    return Tree(
+        np.array(chain.parent, np.int64),
+        np.array([kinds[joint.kind] for joint in chain.joints], np.int64),
+        np.array([joint.axis for joint in chain.joints], np.int64),
+        np.array(chain.column, np.int64),
+        np.array([joint.sign for joint in chain.joints]),
+        np.array([joint.pos for joint in chain.joints], np.float64),
+        np.array(path[::-1], np.int64),
+        float(chain.root_height),
+        np.ascontiguousarray(chain.lower, np.float64),
+        np.ascontiguousarray(chain.upper, np.float64),
+    )
+
+
+@inline
+def _place_link(tree: Tree, j: int, q: Array, pos: Array, rot: Array) -> None:
+    """Write the frame of the link behind joint ``j`` into ``pos`` (L, 3) and ``rot`` (L, 3, 3), links as rows."""
+    up = tree.parent[j]
+    link = j + 1
+    offset = tree.offset[j]
+    for i in range(3):
+        pos[link, i] = (
+            pos[up, i]
+            + offset[0] * rot[up, i, 0]
+            + offset[1] * rot[up, i, 1]
+            + offset[2] * rot[up, i, 2]
+        )
+        for k in range(3):
+            rot[link, i, k] = rot[up, i, k]
+    kind = tree.kind[j]
+    axis = tree.axis[j]
+    if kind == SLIDE:
+        for i in range(3):
+            pos[link, i] += tree.sign[j] * q[tree.column[j]] * rot[up, i, axis]
+    elif kind == HINGE:
+        c = np.cos(q[tree.column[j]])
+        s = tree.sign[j] * np.sin(q[tree.column[j]])
+        a = (axis + 1) % 3
+        b = (axis + 2) % 3
+        for i in range(3):
+            rot[link, i, a] = c * rot[up, i, a] + s * rot[up, i, b]
+            rot[link, i, b] = c * rot[up, i, b] - s * rot[up, i, a]
+
+
+@inline
+def _place_root(tree: Tree, pos: Array, rot: Array) -> None:
+    for i in range(3):
+        pos[0, i] = 0.0
+        for k in range(3):
+            rot[0, i, k] = 1.0 if i == k else 0.0
+    pos[0, 2] = tree.height
+
+
+@kernel
+def link_frames(tree: Tree, q: Array) -> tuple[Array, Array]:
+    """World positions (N, L, 3) and rotations (N, L, 3, 3) of all links at configurations ``q`` (N, Q)."""
+    links = len(tree.parent) + 1
+    pos = np.empty((len(q), links, 3))
+    rot = np.empty((len(q), links, 3, 3))
+    for n in range(len(q)):
+        _place_root(tree, pos[n], rot[n])
+        for j in range(links - 1):
+            _place_link(tree, j, q[n], pos[n], rot[n])
+    return pos, rot
+
+
+@inline
+def _rotation_error(wish: Array, now: Array, m: Array, out: Array) -> None:
+    """Write into ``out[3:]`` the rotation vector that turns rotation matrix ``now`` (3, 3) into ``wish``.
+
+    ``m`` (3, 3): space.
+    """
+    for i in range(3):
+        for k in range(3):
+            m[i, k] = wish[i, 0] * now[k, 0] + wish[i, 1] * now[k, 1] + wish[i, 2] * now[k, 2]
+    # Shepperd's method: of four forms of the quaternion the one with the largest pivot.
+    trace = m[0, 0] + m[1, 1] + m[2, 2]
+    xy = m[1, 0] + m[0, 1]
+    xz = m[0, 2] + m[2, 0]
+    yz = m[2, 1] + m[1, 2]
+    w = 1.0 + trace
+    x = m[2, 1] - m[1, 2]
+    y = m[0, 2] - m[2, 0]
+    z = m[1, 0] - m[0, 1]
+    twist_x = x
+    twist_y = y
+    twist_z = z
+    best = w
+    if 1.0 + 2.0 * m[0, 0] - trace > best:
+        best = 1.0 + 2.0 * m[0, 0] - trace
+        w, x, y, z = twist_x, best, xy, xz
+    if 1.0 + 2.0 * m[1, 1] - trace > best:
+        best = 1.0 + 2.0 * m[1, 1] - trace
+        w, x, y, z = twist_y, xy, best, yz
+    if 1.0 + 2.0 * m[2, 2] - trace > best:
+        best = 1.0 + 2.0 * m[2, 2] - trace
+        w, x, y, z = twist_z, xz, yz, best
+    vector = np.sqrt(x * x + y * y + z * z)
+    size = np.sqrt(w * w + vector * vector)
+    sine = vector / size
+    scale = 2.0 if sine <= 1e-9 else 2.0 * np.arctan2(sine, abs(w) / size) / sine
+    if w < 0.0:
+        scale = -scale
+    out[3] = x / size * scale
+    out[4] = y / size * scale
+    out[5] = z / size * scale
+
+
+@inline
+def _axis_error(rot: Array, wish: Array, column: int, axis: Array, out: Array) -> None:
+    """Write into ``out[3:]`` the rotation vector that turns a column of ``rot`` (3, 3) into that of ``wish``.
+
+    ``axis`` (3,) becomes the column of ``rot``.
+    """
+    for i in range(3):
+        axis[i] = rot[i, column]
+    cosine = 0.0
+    for i in range(3):
+        a = (i + 1) % 3
+        b = (i + 2) % 3
+        out[3 + i] = axis[a] * wish[b, column] - axis[b] * wish[a, column]
+        cosine += axis[i] * wish[i, column]
+    sine = np.sqrt(out[3] * out[3] + out[4] * out[4] + out[5] * out[5])
+    angle = np.arctan2(sine, cosine)
+    if sine < 1e-9 and angle > 1.0:
+        # Opposite axes: any perpendicular direction leads out.
+        if abs(axis[0]) < 0.9:
+            out[3] = 0.0
+            out[4] = axis[2]
+            out[5] = -axis[1]
+        else:
+            out[3] = -axis[2]
+            out[4] = 0.0
+            out[5] = axis[0]
+        sine = np.sqrt(out[3] * out[3] + out[4] * out[4] + out[5] * out[5])
+    scale = angle / max(sine, 1e-12)
+    for i in range(3, 6):
+        out[i] *= scale
+
+
+@kernel
+def _task(
+    tree: Tree, q: Array, goal_pos: Array, goal_rot: Array, mode: int, slot: Array, s: Space
+) -> None:
+    """Set error and Jacobian of one configuration (Q,), of what counts in ``mode``.
+
+    ``slot`` (L - 1,): place of each joint's column among the D that may move, -1: it may not.
+    """
+    _place_root(tree, s.pos, s.rot)
+    for j in tree.path:
+        _place_link(tree, j, q, s.pos, s.rot)
+    tip = tree.path[-1] + 1
+    for i in range(3):
+        s.error[i] = goal_pos[i] - s.pos[tip, i]
+        s.error[3 + i] = 0.0
+    if mode == POSE:
+        _rotation_error(goal_rot, s.rot[tip], s.turn, s.error)
+    elif mode != POSITION:
+        _axis_error(s.rot[tip], goal_rot, mode - APPROACH, s.axis, s.error)
+    for j in tree.path:
+        d = slot[j]
+        if d < 0:
+            continue
+        link = j + 1
+        row = s.jac[d]
+        k = tree.axis[j]
+        x = tree.sign[j] * s.rot[link, 0, k]
+        y = tree.sign[j] * s.rot[link, 1, k]
+        z = tree.sign[j] * s.rot[link, 2, k]
+        if tree.kind[j] == SLIDE:
+            row[0] = x
+            row[1] = y
+            row[2] = z
+            row[3:] = 0.0
+            continue
+        dx = s.pos[tip, 0] - s.pos[link, 0]
+        dy = s.pos[tip, 1] - s.pos[link, 1]
+        dz = s.pos[tip, 2] - s.pos[link, 2]
+        row[0] = y * dz - z * dy
+        row[1] = z * dx - x * dz
+        row[2] = x * dy - y * dx
+        about = 0.0
+        if mode in (APPROACH, CLOSING):
+            # Turning about the axis itself is free: take it out.
+            about = x * s.axis[0] + y * s.axis[1] + z * s.axis[2]
+        counts = 0.0 if mode == POSITION else 1.0
+        row[3] = counts * (x - about * s.axis[0])
+        row[4] = counts * (y - about * s.axis[1])
+        row[5] = counts * (z - about * s.axis[2])
+
+
+@inline
+def _solve(square: Array, x: Array) -> None:
+    """Replace ``x`` (6,) by the solution of ``square`` (6, 6) times it; ``square`` is positive definite and is lost."""
+    for i in range(6):
+        for k in range(i + 1):
+            value = square[i, k]
+            for m in range(k):
+                value -= square[i, m] * square[k, m]
+            square[i, k] = np.sqrt(value) if i == k else value / square[k, k]
+    for i in range(6):
+        for m in range(i):
+            x[i] -= square[i, m] * x[m]
+        x[i] /= square[i, i]
+    for i in range(5, -1, -1):
+        for m in range(i + 1, 6):
+            x[i] -= square[m, i] * x[m]
+        x[i] /= square[i, i]
+
+
+@inline
+def _damped(s: Space) -> None:
+    """Set the damped step of the free columns for the remaining error, see `kinematics.damped_step`."""
+    size = 0.0
+    for i in range(6):
+        size += s.remaining[i] * s.remaining[i]
+        s.wanted[i] = s.remaining[i]
+        for k in range(i + 1):
+            s.square[i, k] = 0.0
+    for d in range(len(s.step)):
+        if not s.free[d]:
+            continue
+        row = s.jac[d]
+        for i in range(6):
+            s.wanted[i] -= row[i] * s.pull[d]
+            for k in range(i + 1):
+                s.square[i, k] += row[i] * row[k]
+    for i in range(6):
+        s.square[i, i] += DAMPING + DAMPING_PER_ERROR * min(size, 1.0)
+    _solve(s.square, s.wanted)
+    for d in range(len(s.step)):
+        s.step[d] = 0.0
+        if s.free[d]:
+            s.step[d] = s.pull[d]
+            for i in range(6):
+                s.step[d] += s.jac[d, i] * s.wanted[i]
+
+
+@inline
+def _limited(s: Space) -> None:
+    """Set the step that keeps to the room ``low``, ``high``, see `kinematics.limited_step`."""
+    columns = len(s.step)
+    s.stopped[:] = 0.0
+    s.free[:] = True
+    for attempt in range(3):
+        for i in range(6):
+            s.remaining[i] = s.error[i]
+            for d in range(columns):
+                s.remaining[i] -= s.jac[d, i] * s.stopped[d]
+        _damped(s)
+        share = 1.0
+        for d in range(columns):
+            s.step[d] += s.stopped[d]
+            share = max(share, abs(s.step[d]) / s.largest[d])
+        over = False
+        for d in range(columns):
+            s.step[d] /= share
+            over = over or (s.free[d] and (s.step[d] < s.low[d] or s.step[d] > s.high[d]))
+        if attempt == 2 or not over:
+            break
+        for d in range(columns):
+            if s.free[d] and (s.step[d] < s.low[d] or s.step[d] > s.high[d]):
+                s.stopped[d] = min(max(s.step[d], s.low[d]), s.high[d])
+                s.free[d] = False
+
+
+@kernel
+def _one_step(tree: Tree, q: Array, rest: Array, rest_gain: float, dofs: Array, s: Space) -> None:
+    """Set the step that takes out the error of configuration ``q`` (Q,) and keeps it in its limits."""
+    for d in range(len(dofs)):
+        column = dofs[d]
+        s.pull[d] = (rest[column] - q[column]) * rest_gain
+        s.low[d] = tree.lower[column] - q[column]
+        s.high[d] = tree.upper[column] - q[column]
+    _limited(s)
+
+
+@inline
+def _slots(tree: Tree, dofs: Array) -> Array:
+    """Place (L - 1,) of each joint's column among ``dofs`` (D,), -1 where it is not there."""
+    slot = np.full(len(tree.parent), -1)
+    for j in range(len(tree.parent)):
+        for d in range(len(dofs)):
+            if tree.column[j] == dofs[d]:
+                slot[j] = d
+    return slot
+
+
+@kernel
+def reach(
+    tree: Tree,
+    q: Array,
+    goal_pos: Array,
+    goal_rot: Array,
+    mode: int,
+    dofs: Array,
+    rest: Array,
+    iterations: int,
+    rest_gain: float,
+    max_step: float,
+    pos_tolerance: float,
+    rot_tolerance: float,
+) -> tuple[Array, Array]:
+    """Move configurations ``q`` (N, Q) in place towards goals (M, 3), (M, 3, 3); N / M of them share each goal.
+
+    Returns:
+        The errors that are left: (N,) [m] and (N,) [rad].
+    """
+    pos_err = np.empty(len(q))
+    rot_err = np.empty(len(q))
+    slot = _slots(tree, dofs)
+    s = _space(tree, len(dofs))
+    s.largest[:] = max_step
+    shared = len(q) // max(len(goal_pos), 1)
+    for n in range(len(q)):
+        now = q[n]
+        goal = n // shared
+        for iteration in range(iterations + 1):
+            _task(tree, now, goal_pos[goal], goal_rot[goal], mode, slot, s)
+            pos_err[n] = np.sqrt(s.error[0] ** 2 + s.error[1] ** 2 + s.error[2] ** 2)
+            rot_err[n] = np.sqrt(s.error[3] ** 2 + s.error[4] ** 2 + s.error[5] ** 2)
+            there = pos_err[n] <= pos_tolerance and rot_err[n] <= rot_tolerance
+            if there or iteration == iterations:
+                break
+            gain = rest_gain * max(0.0, 1.0 - 1.5 * iteration / iterations)
+            _one_step(tree, now, rest, gain, dofs, s)
+            for d in range(len(dofs)):
+                column = dofs[d]
+                moved = now[column] + s.step[d]
+                now[column] = min(max(moved, tree.lower[column]), tree.upper[column])
+    return pos_err, rot_err
+
+
+@kernel
+def servo_steps(
+    tree: Tree,
+    ahead: Array,
+    q: Array,
+    goal_pos: Array,
+    goal_rot: Array,
+    mode: int,
+    dofs: Array,
+    rest: Array,
+    rest_gain: float,
+    gain: float,
+    largest: Array,
+) -> Array:
+    """Changes (N, Q) of one control step for configurations ``q`` (N, Q) that will be at ``ahead`` (N, Q).
+
+    See `ik.servo`. ``largest`` (Q,): most that a column changes.
+    """
+    delta = np.zeros(q.shape)
+    slot = _slots(tree, dofs)
+    s = _space(tree, len(dofs))
+    for d in range(len(dofs)):
+        s.largest[d] = largest[dofs[d]]
+    for n in range(len(q)):
+        _task(tree, ahead[n], goal_pos[n], goal_rot[n], mode, slot, s)
+        for i in range(6):
+            s.error[i] *= gain
+        _one_step(tree, q[n], rest, rest_gain, dofs, s)
+        for d in range(len(dofs)):
+            step = min(max(s.step[d], min(s.low[d], 0.0)), max(s.high[d], 0.0))
+            delta[n, dofs[d]] = step
+    return delta

@@ -1,0 +1,211 @@
+"""Steering the base along a way, compiled: what drives it also tells beforehand where it will be.
+
+Lengths [m], angles [rad], world frame. Letters: P way points, T control steps.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from mjhab.experts.arm.gentle import Care, eased
+from mjhab.experts.base.navigation import CONTROL_DT
+from mjhab.experts.jit import inline, kernel
+
+Array = np.ndarray
+MAX_SPEED = 1.0
+BASE_LAG = 0.15
+TURN_LAG = 0.02
+"""Time constants [s] of the base's speed and of its yaw rate."""
+MAX_SIMULATED_STEPS = 200
+_TURN_RATE = 2.6
+_PREVIEW = 0.1
+_NEAR = 0.02
+_TURNED = 0.05
+_ENDING = 0.25
+"""Length of the way whose direction counts as that of its end."""
+_PROGRESS_REACH = 0.3
+_PROGRESS_STEP = 0.01
+"""How far beyond the last place, and in which steps, the nearest place on the way is looked for."""
+
+
+class Way(NamedTuple):
+    """What the base drives along: ``path`` (P, 2), arc length ``along`` (P,), direction ``ending`` (2,) of its end.
+
+    ``yaw``: heading at the end; ``direction``: 1 forwards, -1 backwards; ``lookahead``: how far ahead it steers;
+    ``speed``: bound [m/s].
+    """
+
+    path: Array
+    along: Array
+    ending: Array
+    yaw: float
+    direction: float
+    lookahead: float
+    speed: float
+
+
+class Pilot:
+    """Steers the base quickly along a way, then turns it; ends within centimetres, the arm makes up for them.
+
+    Args:
+        path: (P, 2) way points from where the base is.
+        yaw: heading at the end.
+        direction: 1 forwards, -1 backwards.
+        lookahead: how far ahead it steers.
+        speed: bound [m/s].
+    """
+
+    def __init__(
+        self, path: Array, yaw: float, direction: int, lookahead: float, speed: float = MAX_SPEED
+    ) -> None:
+        self._way = _way_along(path, yaw, direction, lookahead, speed)
+        self._state = _fresh_state(self._way)
+
+    def step(self, pose: Array) -> tuple[float, float, bool]:
+        """Forward speed, yaw rate, and whether it has arrived, for the base at ``pose`` (3,)."""
+        return _steer(self._way, self._state, float(pose[0]), float(pose[1]), float(pose[2]))
+
+
+def simulate(
+    pose: Array, path: Array, yaw: float, direction: int, lookahead: float, care: Care | None = None
+) -> Array:
+    """Base poses (T, 3), one per control step, that a `Pilot` at ``pose`` (3,) should lead through."""
+    way = _way_along(path, yaw, direction, lookahead, MAX_SPEED)
+    start = np.array(pose[:3], dtype=np.float64)
+    return _drive(way, _fresh_state(way), start, care or _NO_CARE, care is not None)
+
+
+_NO_CARE = Care(np.inf, np.inf, np.inf, np.inf)
+
+
+def _way_along(path: Array, yaw: float, direction: int, lookahead: float, speed: float) -> Way:
+    path = np.ascontiguousarray(path, dtype=np.float64)
+    legs = np.linalg.norm(np.diff(path, axis=0), axis=1)
+    along = np.concatenate([[0.0], np.cumsum(legs)])
+    ending = path[-1] - [np.interp(along[-1] - _ENDING, along, path[:, k]) for k in range(2)]
+    ending = ending / max(float(np.linalg.norm(ending)), 1e-9)
+    return Way(path, along, ending, float(yaw), float(direction), float(lookahead), float(speed))
+
+
+def _fresh_state(way: Way) -> Array:
+    """State (6,) of `_steer` before its first step: arc length, arrived, last pose (3,), whether there is one."""
+    state = np.zeros(6)
+    state[1] = way.along[-1] < _NEAR
+    return state
+
+
+@inline
+def _wrapped(angle: float) -> float:
+    return (angle + np.pi) % (2 * np.pi) - np.pi
+
+
+@inline
+def _clipped(value: float, low: float, high: float) -> float:
+    return min(max(value, low), high)
+
+
+@inline
+def _point(way: Way, at: float) -> tuple[float, float]:
+    """The point at an arc length; past the end straight on, so that the heading settles before it."""
+    last = len(way.along) - 1
+    over = at - way.along[last]
+    if over >= 0.0:
+        x = way.path[last, 0] + over * way.ending[0]
+        return x, way.path[last, 1] + over * way.ending[1]
+    k = 0
+    while way.along[k + 1] <= at:
+        k += 1
+    share = max(at - way.along[k], 0.0) / (way.along[k + 1] - way.along[k])
+    x = way.path[k, 0] + share * (way.path[k + 1, 0] - way.path[k, 0])
+    return x, way.path[k, 1] + share * (way.path[k + 1, 1] - way.path[k, 1])
+
+
+@inline
+def _progress(way: Way, at: float, x: float, y: float) -> float:
+    """Arc length of the place nearest to a point, not far beyond the last one and never back."""
+    length = way.along[len(way.along) - 1]
+    count = int(np.ceil((min(at + _PROGRESS_REACH, length) + 1e-9 - at) / _PROGRESS_STEP))
+    best = at
+    nearest = np.inf
+    for k in range(count):
+        place = at + k * _PROGRESS_STEP
+        px, py = _point(way, min(place, length))
+        gap = (px - x) ** 2 + (py - y) ** 2
+        if gap < nearest:
+            nearest = gap
+            best = place
+    return best
+
+
+@kernel
+def _steer(way: Way, state: Array, x: float, y: float, yaw: float) -> tuple[float, float, bool]:
+    """Forward speed, yaw rate and arrival of one control step; renews ``state`` (6,)."""
+    dx = 0.0
+    dy = 0.0
+    rate = 0.0
+    if state[5] > 0.0:
+        dx = x - state[2]
+        dy = y - state[3]
+        rate = _wrapped(yaw - state[4]) / CONTROL_DT
+    state[2] = x
+    state[3] = y
+    state[4] = yaw
+    state[5] = 1.0
+    moved = np.sqrt(dx * dx + dy * dy)
+    last = len(way.along) - 1
+    left = 0.0
+    if state[1] == 0.0:
+        state[0] = _progress(way, state[0], x, y)
+        left = way.along[last] - state[0]
+        gap_x = way.path[last, 0] - x
+        gap_y = way.path[last, 1] - y
+        near = np.sqrt(gap_x * gap_x + gap_y * gap_y)
+        to_end = way.direction * (gap_x * np.cos(yaw) + gap_y * np.sin(yaw))
+        # Turning sideways for the last centimetres takes longer than reaching a little further.
+        if left < _NEAR or (near < 0.12 and to_end < 0.5 * near):
+            state[1] = 1.0
+    if state[1] > 0.0:
+        turn = _wrapped(way.yaw - yaw)
+        still = abs(turn) < _TURNED and abs(rate) < 0.4 and moved < 0.006
+        return 0.0, _clipped(4.5 * (turn - _PREVIEW * rate), -_TURN_RATE, _TURN_RATE), still
+    lookahead = min(max(0.8 * left, 0.10), way.lookahead)
+    aim_x, aim_y = _point(way, state[0] + lookahead)
+    back = 0.0 if way.direction > 0 else np.pi
+    off = _wrapped(np.arctan2(aim_y - y, aim_x - x) - yaw - back)
+    pace = max(min(way.speed, 3.0 * (left - _PREVIEW * moved / CONTROL_DT)), 0.04)
+    ahead = 0.0 if abs(off) > 0.9 else max(np.cos(off), 0.0) ** 3
+    turn_rate = _clipped(4.5 * (off - _PREVIEW * rate), -_TURN_RATE, _TURN_RATE)
+    return way.direction * pace * ahead, turn_rate, False
+
+
+@kernel
+def _drive(way: Way, state: Array, pose: Array, care: Care, careful: bool) -> Array:
+    """The poses (T, 3) of `simulate`, from ``pose`` (3,) on."""
+    poses = np.empty((MAX_SIMULATED_STEPS + 1, 3))
+    poses[0] = pose
+    speed_share = 1.0 - np.exp(-CONTROL_DT / BASE_LAG)
+    turn_share = 1.0 - np.exp(-CONTROL_DT / TURN_LAG)
+    speed_x = 0.0
+    speed_y = 0.0
+    turn = 0.0
+    asked = (0.0, 0.0)
+    for k in range(MAX_SIMULATED_STEPS):
+        x = poses[k, 0]
+        y = poses[k, 1]
+        yaw = poses[k, 2]
+        forward, rate, done = _steer(way, state, x, y, yaw)
+        if done:
+            return poses[: k + 1]
+        if careful:
+            asked = eased((forward, rate), asked, care)
+            forward, rate = asked
+        # The base moves along two axes of the world: in a bend it slides on the way that it was heading before.
+        speed_x += speed_share * (forward * np.cos(yaw) - speed_x)
+        speed_y += speed_share * (forward * np.sin(yaw) - speed_y)
+        turn += turn_share * (rate - turn)
+        poses[k + 1, 0] = x + CONTROL_DT * speed_x
+        poses[k + 1, 1] = y + CONTROL_DT * speed_y
+        poses[k + 1, 2] = yaw + CONTROL_DT * turn
+    return poses

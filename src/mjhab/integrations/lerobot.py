@@ -1,0 +1,127 @@
+"""mjhab as LeRobot sees environments; the package lerobot_env_mjhab registers it there. Needs no lerobot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+
+import mjhab.envs as envs
+from mjhab.core.errors import UsageError
+from mjhab.envs.observations import STATE_KEY, camera_key, state_dim
+from mjhab.evaluation.served.action_spaces import ActionReader, space_named
+
+CAMERAS = ("head", "wrist")
+"""Names of the images, in the order of the robot's cameras."""
+FPS = 20
+MAX_SUBTASK_STEPS = 500
+MAX_CHAIN_STEPS = 8000
+"""Bounds [control steps] that no episode reaches: the environment ends each at its own horizon."""
+
+
+@dataclass(frozen=True)
+class LeRobotOptions:
+    """What to do, and where; see `config.env.EnvConfig`. ``subtask`` "" is the whole task. ``actions``: an action space
+    of `evaluation.served.action_spaces`. ``image_size`` [px]. ``seed``: of the episodes; the seed that a reset is given
+    is the index of its episode."""
+
+    task: str = "set_table"
+    subtask: str = "pick"
+    target: str = ""
+    split: str = "val"
+    actions: str = "joint"
+    image_size: int = 128
+    seed: int = 0
+
+
+class LeRobotEnv(gymnasium.Env):
+    """One world with the observations, attributes and info that LeRobot's evaluation reads.
+
+    Observations: ``pixels`` with the images "head" and "wrist" (H, W, 3) uint8, and ``agent_pos`` (42,). ``info``:
+    ``is_success``, whether the episode succeeded so far. ``task_description`` is the instruction of the active subtask.
+
+    Raises:
+        UsageError: an unknown name among the options.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": FPS}  # type: ignore[misc]
+
+    def __init__(self, options: LeRobotOptions | None = None) -> None:
+        options = options or LeRobotOptions()
+        self.options = options
+        self.render_mode = "rgb_array"
+        self._env: Any = envs.make(
+            task=options.task,
+            subtask=options.subtask,
+            target=options.target,
+            split=options.split,
+            num_envs=1,
+            threads=1,
+            obs_mode="rgb",
+            camera_size=options.image_size,
+            control_mode=space_named(options.actions).control_mode,
+            autoreset="disabled",
+        )
+        self._reader = ActionReader(options.actions, self._env.action_table)
+        self._index = -1
+        self._success = False
+        self._max_episode_steps = MAX_SUBTASK_STEPS if options.subtask else MAX_CHAIN_STEPS
+        self.task_description = ""
+        self.task = f"{options.task} {options.subtask}".strip()
+        shape = (options.image_size, options.image_size, 3)
+        image = spaces.Box(0, 255, shape, np.uint8)
+        self.observation_space = spaces.Dict(
+            {
+                "pixels": spaces.Dict(dict.fromkeys(CAMERAS, image)),
+                "agent_pos": spaces.Box(
+                    -np.inf, np.inf, (state_dim(self._env.layout.robot),), np.float32
+                ),
+            }
+        )
+        self.action_space = spaces.Box(-np.inf, np.inf, (len(self._reader.names),), np.float32)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Begin the episode whose index is ``seed``; the next one without a seed."""
+        super().reset(seed=seed)
+        self._index = self._index + 1 if seed is None else seed
+        chosen = {"episode": np.array([self._index]), "reset_mask": np.ones(1, bool)}
+        obs, info = self._env.reset(seed=self.options.seed, options=chosen)
+        self._success = False
+        return self._told(obs, info)
+
+    def step(self, action: np.ndarray) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
+        """One control step of 50 ms.
+
+        Raises:
+            UsageError: another number of values than the action space has, or numbers that are not finite.
+        """
+        sent = np.asarray(action, np.float32).reshape(1, -1)
+        problem = self._reader.problem(sent)
+        if problem:
+            raise UsageError(problem)
+        obs, reward, terminated, truncated, info = self._env.step(self._reader.read(sent))
+        self._success |= bool(info["success"][0])
+        seen, told = self._told(obs, info)
+        return seen, float(reward[0]), bool(terminated[0]), bool(truncated[0]), told
+
+    def render(self) -> np.ndarray:
+        """A view over the robot's shoulder, (H, W, 3) uint8."""
+        return self._env.render_world(0)
+
+    def close(self) -> None:
+        """Close the world."""
+        self._env.close()
+
+    def _told(self, obs: Any, info: Any) -> tuple[dict[str, Any], dict[str, Any]]:
+        self.task_description = info["instruction"][0]
+        images = {
+            name: obs[camera_key(camera, "rgb")][0]
+            for name, camera in zip(CAMERAS, self._env.layout.robot.camera_names, strict=True)
+        }
+        seen = {"pixels": images, "agent_pos": np.asarray(obs[STATE_KEY][0], np.float32)}
+        return seen, {"is_success": self._success}

@@ -1,0 +1,78 @@
+"""Training environments for rsl_rl, the learner of Isaac Lab, mjlab and MuJoCo Playground, on both backends."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from gymnasium.vector import AutoresetMode, VectorEnv
+
+from mjhab.core.errors import UsageError
+
+
+def to_rsl_rl(env: VectorEnv) -> Any:
+    """Wrap a vector environment as a ``rsl_rl.env.VecEnv``.
+
+    Observations are TensorDicts: group "state" (W, 42), and one group per image, "fetch_head/depth" and so on, with the
+    channel first. ``extras["time_outs"]`` marks episodes that ended by time; rsl_rl adds the value of what would have
+    followed to their last reward.
+
+    Args:
+        env: of `mjhab.make_train` or `mjhab.make`, with ``autoreset="same_step"``.
+
+    Raises:
+        UsageError: rsl-rl-lib is not installed, or the environment does not reset itself.
+    """
+    try:
+        from rsl_rl.env import VecEnv
+        from tensordict import TensorDict
+    except ImportError as error:
+        raise UsageError("to_rsl_rl needs rsl_rl: pip install rsl-rl-lib") from error
+    if env.metadata.get("autoreset_mode") != AutoresetMode.SAME_STEP:
+        raise UsageError(
+            "rsl_rl needs an environment that resets itself; make it with autoreset='same_step'."
+        )
+    numpy = not env.metadata.get("tensors", False)
+
+    class Worlds(VecEnv):
+        """The worlds of one mjhab environment."""
+
+        def __init__(self) -> None:
+            self.num_envs = env.num_envs
+            self.num_actions = int(env.single_action_space.shape[0])  # type: ignore[index]
+            self.max_episode_length = int(max(env.unwrapped.task_config.horizons))  # type: ignore[attr-defined]
+            obs, _ = env.reset(seed=env.unwrapped.config.seed)  # type: ignore[attr-defined]
+            self.device = torch.as_tensor(obs["state"]).device
+            self.episode_length_buf = torch.zeros(
+                self.num_envs, dtype=torch.long, device=self.device
+            )
+            self.cfg = {}
+            self._obs = self._grouped(obs)
+
+        def get_observations(self) -> Any:
+            return self._obs
+
+        def step(self, actions: torch.Tensor) -> tuple[Any, torch.Tensor, torch.Tensor, dict]:
+            given = actions.detach().cpu().numpy() if numpy else actions
+            obs, reward, terminated, truncated, info = env.step(given)
+            self._obs = self._grouped(obs)
+            terminated = torch.as_tensor(terminated)
+            truncated = torch.as_tensor(truncated)
+            done = terminated | truncated
+            self.episode_length_buf = torch.where(done, 0, self.episode_length_buf + 1)
+            happened = torch.as_tensor(info.get("final_info", info)["success"]).float()
+            extras = {
+                "time_outs": truncated & ~terminated,
+                "log": {"/success": happened.mean()},
+            }
+            return self._obs, torch.as_tensor(reward).float(), done, extras
+
+        def _grouped(self, obs: dict[str, Any]) -> Any:
+            groups = {"state": torch.as_tensor(obs["state"]).float()}
+            for key, value in obs.items():
+                if key.startswith("sensor_data/") and not key.endswith("pointcloud"):
+                    image = torch.as_tensor(value).float().movedim(-1, 1)
+                    groups[key.removeprefix("sensor_data/")] = image
+            return TensorDict(groups, batch_size=[self.num_envs], device=self.device)
+
+    return Worlds()

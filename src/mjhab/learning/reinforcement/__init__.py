@@ -1,0 +1,1 @@
+"""Reinforcement learning: PPO, SAC, and SAC with demonstrations (RLPD), on both backends."""

@@ -1,0 +1,293 @@
+"""What reinforcement trains and how: frozen dataclasses, and the presets that have a name.
+
+Sources: "paper" is the MS-HAB paper (ICLR 2025) with its published configurations (mshab/configs, mshab/train_ppo.py,
+mshab/train_sac.py). "squint" is arXiv 2602.21203, "rlpd" is arXiv 2302.02948, "rainbow" is arXiv 2603.27400.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from mjhab.core.errors import UsageError, unknown_name
+from mjhab.learning.configs import BC, GAUSSIAN, InputConfig, NetworkConfig, StudentConfig
+
+PPO = "ppo"
+SAC = "sac"
+RLPD = "rlpd"
+ALGORITHMS = (PPO, SAC, RLPD)
+
+
+@dataclass(frozen=True)
+class PpoConfig:
+    """Proximal policy optimization (arXiv 1707.06347).
+
+    rollout_steps: control steps of every world between updates. minibatches, epochs: of one update.
+    finite_horizon: average the returns of all lengths, as the original does, in place of GAE's infinite sum.
+    target_kl: an update ends early beyond it; 0 for never. initial_std: of the actions [share of full scale].
+    learning_rate_end: share of the learning rate that is left when all samples are used.
+    critic_updates: first updates in which only the critic learns, for an actor that begins from a checkpoint.
+    """
+
+    rollout_steps: int = 32
+    minibatches: int = 8
+    epochs: int = 5
+    gamma: float = 0.97
+    gae_lambda: float = 0.95
+    finite_horizon: bool = False
+    clip: float = 0.2
+    value_coefficient: float = 0.5
+    entropy_coefficient: float = 0.0
+    target_kl: float = 0.05
+    clip_norm: float = 0.5
+    learning_rate: float = 3e-4
+    learning_rate_end: float = 1.0
+    adam_epsilon: float = 1e-5
+    initial_std: float = 0.6
+    critic_updates: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("rollout_steps", "minibatches", "epochs"):
+            if getattr(self, name) < 1:
+                raise UsageError(f"{name} must be at least 1, got {getattr(self, name)}.")
+
+
+@dataclass(frozen=True)
+class SacConfig:
+    """Soft actor-critic (arXiv 1812.05905), with what makes it quick today.
+
+    updates_per_step: updates of the critics per control step of one world (update-to-data ratio); "per_vector_step"
+    of the original is 1 / worlds, written as 0.
+    capacity: transitions in the replay buffer. warm_up: samples that are drawn at random before the first update.
+    atoms: of a distributional critic (C51) over [value_low, value_high]; 0 for one number and the squared error.
+    policy_delay: updates of the critics per update of the actor and of the target networks.
+    share_encoder: the actor reads the features that the critics train.
+    demonstrations: episodes by the expert that are in a buffer of their own; demonstration_share: of every batch that
+    comes from them. imitation_coefficient: weight of the actor's distance to demonstrated actions, which falls to zero
+    over imitation_samples. frozen_actor_samples: samples in which only the critics learn, for an actor that begins
+    from a checkpoint.
+    """
+
+    gamma: float = 0.95
+    tau: float = 0.01
+    batch: int = 256
+    updates_per_step: float = 0.25
+    capacity: int = 300_000
+    warm_up: int = 4000
+    learning_rate: float = 3e-4
+    adam_beta: float = 0.9
+    initial_alpha: float = 0.1
+    critics: int = 2
+    atoms: int = 101
+    value_low: float = 0.0
+    value_high: float = 20.0
+    policy_delay: int = 2
+    share_encoder: bool = True
+    demonstrations: int = 0
+    demonstration_share: float = 0.5
+    imitation_coefficient: float = 0.0
+    imitation_samples: int = 300_000
+    frozen_actor_samples: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.gamma < 1.0:
+            raise UsageError(f"gamma must lie between 0 and 1, got {self.gamma}.")
+        if self.batch < 2 or self.capacity < self.batch:
+            raise UsageError(
+                f"the replay buffer ({self.capacity}) must hold a batch ({self.batch}) of at least 2."
+            )
+        if self.updates_per_step < 0:
+            raise UsageError(f"updates_per_step must be at least 0, got {self.updates_per_step}.")
+
+
+@dataclass(frozen=True)
+class ReinforcementConfig:
+    """An agent and its training.
+
+    samples: control steps of single worlds, in all. worlds: that run at the same time; part of what is learned.
+    privileged_critic: the critic sees, besides what the actor sees, the robot's velocities, the base's pose, the pose
+    and the velocity of the target, the forces and the time that is left: see `sight.PRIVILEGED`.
+    checkpoint_samples: samples between checkpoints; at each one all worlds begin new episodes, so that a run that is
+    resumed is the same as one that was not interrupted. eval_samples: between evaluations.
+    """
+
+    algorithm: str
+    preset: str
+    inputs: InputConfig = field(default_factory=InputConfig)
+    network: NetworkConfig = field(default_factory=NetworkConfig)
+    ppo: PpoConfig | None = None
+    sac: SacConfig | None = None
+    samples: int = 1_000_000
+    worlds: int = 32
+    privileged_critic: bool = True
+    checkpoint_samples: int = 50_000
+    eval_samples: int = 100_000
+
+    def __post_init__(self) -> None:
+        if self.algorithm not in ALGORITHMS:
+            raise unknown_name("algorithm", self.algorithm, ALGORITHMS)
+        if (self.ppo is None) == (self.sac is None):
+            raise UsageError("a config of reinforcement has either ppo or sac.")
+        if self.ppo is not None:
+            rows = self.worlds * self.ppo.rollout_steps
+            if rows % self.ppo.minibatches:
+                raise UsageError(
+                    f"{self.worlds} worlds x {self.ppo.rollout_steps} steps are {rows} samples, which "
+                    f"{self.ppo.minibatches} minibatches do not divide; change --worlds."
+                )
+
+    @property
+    def student(self) -> StudentConfig:
+        """The actor as a student: what a checkpoint holds and `mjhab eval` runs."""
+        return StudentConfig(
+            algorithm=BC if self.ppo is not None else GAUSSIAN,
+            preset=self.preset,
+            inputs=self.inputs,
+            network=self.network,
+            chunk=1,
+            execute=1,
+        )
+
+
+STATE_INPUTS = InputConfig(
+    cameras=(), image_size=0, previous_action=False, base_velocity=True, condition=True, shift=0
+)
+"""The 42-D state and the velocity of the base; no images."""
+DEPTH_INPUTS = InputConfig(
+    image_size=32, previous_action=False, base_velocity=True, condition=True, shift=0
+)
+"""The same with two depth images of 32 px."""
+PAPER_INPUTS = InputConfig(
+    image_size=128, previous_action=False, condition=False, normalize=False, shift=0, history=3
+)
+"""Inputs of the published agents: two depth images of 128 px, three frames, and the 42-D state as it is."""
+
+STATE_NETWORK = NetworkConfig(hidden=256, layers=3)
+
+FAST_PPO = ReinforcementConfig(PPO, "fast", STATE_INPUTS, STATE_NETWORK, ppo=PpoConfig(), worlds=64)
+
+PAPER_PPO = ReinforcementConfig(
+    PPO,
+    "paper",
+    PAPER_INPUTS,
+    NetworkConfig("nature", (32, 64, 64), 256, 512, 1, state_features=256, norm=False),
+    ppo=PpoConfig(
+        rollout_steps=100,
+        minibatches=16,
+        epochs=8,
+        gamma=0.95,
+        gae_lambda=0.9,
+        finite_horizon=True,
+        target_kl=0.2,
+        initial_std=0.6065,  # exp(-0.5)
+    ),
+    samples=15_000_000,
+    worlds=192,  # 189 in the original, which its 16 minibatches do not divide
+    privileged_critic=False,
+    eval_samples=500_000,
+)
+
+FAST_SAC = ReinforcementConfig(
+    SAC, "fast", DEPTH_INPUTS, NetworkConfig(hidden=256, layers=3), sac=SacConfig(), worlds=32
+)
+
+PAPER_SAC = ReinforcementConfig(
+    SAC,
+    "paper",
+    PAPER_INPUTS,
+    NetworkConfig("strided", (32, 64, 128, 256), 50, 256, 3, state_features=50, norm=False),
+    sac=SacConfig(
+        gamma=0.95,
+        tau=0.005,
+        batch=512,
+        updates_per_step=0.0,
+        capacity=1_000_000,
+        warm_up=5000,
+        atoms=0,
+        policy_delay=2,
+    ),
+    samples=25_000_000,
+    worlds=63,
+    privileged_critic=False,
+    eval_samples=500_000,
+)
+
+DEMOS = dataclasses.replace(
+    FAST_SAC,
+    algorithm=RLPD,
+    preset="demos",
+    sac=SacConfig(
+        demonstrations=200,
+        imitation_coefficient=2.5,
+        warm_up=1000,
+        frozen_actor_samples=5000,
+        share_encoder=False,
+    ),
+)
+
+PRESETS: dict[str, dict[str, ReinforcementConfig]] = {
+    PPO: {
+        "fast": FAST_PPO,
+        "depth": dataclasses.replace(
+            FAST_PPO, preset="depth", inputs=DEPTH_INPUTS, network=NetworkConfig(hidden=256)
+        ),
+        "paper": PAPER_PPO,
+        "polish": dataclasses.replace(
+            FAST_PPO,
+            preset="polish",
+            inputs=DEPTH_INPUTS,
+            ppo=PpoConfig(
+                initial_std=0.12, learning_rate=1e-4, target_kl=0.02, critic_updates=10, epochs=3
+            ),
+            worlds=32,
+        ),
+    },
+    SAC: {
+        "fast": FAST_SAC,
+        "state": dataclasses.replace(
+            FAST_SAC, preset="state", inputs=STATE_INPUTS, network=STATE_NETWORK
+        ),
+        "paper": PAPER_SAC,
+    },
+    RLPD: {
+        "demos": DEMOS,
+        "state": dataclasses.replace(
+            DEMOS, preset="state", inputs=STATE_INPUTS, network=STATE_NETWORK
+        ),
+    },
+}
+"""Presets by algorithm; the first one is the default."""
+
+
+def reinforcement_preset(algorithm: str, name: str = "") -> ReinforcementConfig:
+    """A preset of an algorithm, its first one if no name is given.
+
+    Raises:
+        UsageError: no such algorithm, or it has no such preset.
+    """
+    if algorithm not in PRESETS:
+        raise unknown_name("algorithm", algorithm, PRESETS)
+    presets = PRESETS[algorithm]
+    if not name:
+        return next(iter(presets.values()))
+    if name not in presets:
+        raise unknown_name(f"preset of {algorithm}", name, presets)
+    return presets[name]
+
+
+def changed(config: ReinforcementConfig, values: Mapping[str, Any]) -> ReinforcementConfig:
+    """A config with other values; names that belong to ``ppo`` or ``sac`` are changed there, None changes nothing.
+
+    Raises:
+        UsageError: a value is out of range.
+    """
+    own = {part.name for part in dataclasses.fields(config)}
+    given = {name: value for name, value in values.items() if value is not None}
+    outer = {name: value for name, value in given.items() if name in own}
+    inner = {name: value for name, value in given.items() if name not in own}
+    if inner:
+        part = "ppo" if config.ppo is not None else "sac"
+        outer[part] = dataclasses.replace(getattr(config, part), **inner)
+    return dataclasses.replace(config, **outer)

@@ -1,0 +1,82 @@
+"""Demonstrations for reinforcement: the scripted expert acts in the training environment, with its rewards."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+
+from mjhab.learning.reinforcement.replay import ReplayBuffer
+from mjhab.learning.reinforcement.session import ReinforcementSession, training_env
+from mjhab.learning.reinforcement.sight import Sight
+
+DEMONSTRATION_WORLDS = 16
+DEMONSTRATION_SEED = 3_000_000
+"""Seeds of demonstrations begin here: no episode of training or evaluation is one of them."""
+
+
+def collect_demonstrations(
+    session: ReinforcementSession,
+    episodes: int,
+    make: Callable[[int], ReplayBuffer],
+    tell: Callable[[int], object],
+) -> ReplayBuffer:
+    """Let the expert act for ``episodes`` whole episodes, or read what an earlier start of the run has collected.
+
+    Failures are kept, too: their rewards say what they are worth.
+
+    Args:
+        session: of the run. make: makes the buffer for so many worlds. tell: called with the finished episodes.
+    """
+    from mjhab.experts import make_expert
+
+    worlds_count = min(DEMONSTRATION_WORLDS, episodes)
+    buffer = make(worlds_count)
+    done = session.folder.path / "demonstrations" / "complete"
+    if done.is_file():
+        buffer.position.fill_(int(done.read_text(encoding="ascii")))
+        return buffer
+    env = training_env(
+        session.request.scene,
+        session.config.inputs,
+        worlds_count,
+        session.request.threads,
+        DEMONSTRATION_SEED + session.seed,
+    )
+    sight = Sight(env, session.layout, session.config.privileged_critic)
+    expert = make_expert(env)
+    obs, info = env.reset(seed=DEMONSTRATION_SEED + session.seed)
+    every = torch.ones(worlds_count, dtype=torch.bool)
+    expert.reset(every.numpy())
+    still = torch.zeros(worlds_count, len(session.layout.actions))
+    sight.begin(every, info)
+    seen = sight.see(obs, info, still, every)
+    finished = 0
+    device = session.worlds.device
+    rounds = -(-episodes // worlds_count)
+    for number in range(rounds):
+        ended = torch.zeros(worlds_count, dtype=torch.bool)
+        while not bool(ended.all()):
+            actions = torch.from_numpy(expert.act(obs, info).copy())
+            obs, reward, terminated, truncated, info = env.step(actions.numpy())
+            over = torch.from_numpy(terminated | truncated)
+            following = sight.see(obs, info, actions, ~every)
+            buffer.add(
+                seen.to(device),
+                actions.to(device),
+                torch.from_numpy(reward).float().to(device),
+                torch.from_numpy(terminated).to(device),
+            )
+            seen = following
+            ended = ended | over
+        buffer.close(torch.arange(worlds_count, device=device), seen.to(device))
+        finished += worlds_count
+        tell(min(finished, episodes))
+        if number + 1 < rounds:
+            obs, info = env.reset()
+            expert.reset(every.numpy())
+            sight.begin(every, info)
+            seen = sight.see(obs, info, still, every)
+    if done.parent.is_dir():
+        done.write_text(str(int(buffer.position[0])), encoding="ascii")
+    return buffer

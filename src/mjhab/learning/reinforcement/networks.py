@@ -1,0 +1,77 @@
+"""Critics: what an observation, or an action in it, is worth."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from mjhab.learning.configs import StudentConfig
+from mjhab.learning.layout import Layout
+from mjhab.learning.networks import Encoder, Normalizer, mlp
+from mjhab.learning.reinforcement.configs import SacConfig
+from mjhab.learning.reinforcement.sight import Seen
+
+MOST_SPREADS = 8.0
+
+
+class Value(nn.Module):
+    """The value of an observation, with an encoder of its own and what only the critic sees."""
+
+    def __init__(self, config: StudentConfig, layout: Layout, privileged: int) -> None:
+        super().__init__()
+        self.encoder = Encoder(config, layout)
+        self.privileged = Normalizer(privileged, MOST_SPREADS)
+        network = config.network
+        widths = [self.encoder.width + privileged, *[network.hidden] * network.layers, 1]
+        self.layers = mlp(widths, norm=network.norm, last=False)
+
+    def forward(self, seen: Seen) -> Tensor:
+        """(B,) values."""
+        features = self.encoder.joined(seen.vector, seen.images)
+        return self.layers(torch.cat([features, self.privileged(seen.privileged)], dim=1))[:, 0]
+
+
+class Critics(nn.Module):
+    """Several critics of an action, each with one number or the probabilities of ``atoms`` returns (arXiv 1707.06887).
+
+    Layer norm keeps what they say of unseen actions bounded (arXiv 2302.02948).
+    """
+
+    support: Tensor
+
+    def __init__(
+        self, config: StudentConfig, sac: SacConfig, features: int, privileged: int, actions: int
+    ) -> None:
+        super().__init__()
+        network = config.network
+        outputs = max(sac.atoms, 1)
+        widths = [features + privileged + actions, *[network.hidden] * network.layers, outputs]
+        self.privileged = Normalizer(privileged, MOST_SPREADS)
+        self.heads = nn.ModuleList(mlp(widths, norm=True, last=False) for _ in range(sac.critics))
+        self.atoms = sac.atoms
+        support = torch.linspace(sac.value_low, sac.value_high, outputs)
+        self.register_buffer("support", support)
+
+    def forward(self, features: Tensor, privileged: Tensor, actions: Tensor) -> Tensor:
+        """What every critic says: (critics, B, atoms) logits, or (critics, B, 1) values."""
+        joined = torch.cat([features, self.privileged(privileged), actions], dim=1)
+        return torch.stack([head(joined) for head in self.heads])
+
+    def values(self, said: Tensor) -> Tensor:
+        """Expected returns (critics, B) of what ``forward`` gave."""
+        if not self.atoms:
+            return said[..., 0]
+        return (said.softmax(dim=-1) * self.support).sum(dim=-1)
+
+    def project(self, probabilities: Tensor, targets: Tensor) -> Tensor:
+        """Probabilities (B, atoms) of the returns ``targets`` (B, atoms), put onto the support."""
+        low = self.support[0]
+        width = self.support[1] - low
+        places = ((targets - low) / width).clamp(0, self.atoms - 1)
+        below = places.floor()
+        share = places - below
+        found = torch.zeros_like(probabilities)
+        found.scatter_add_(1, below.long(), probabilities * (1.0 - share))
+        above = (below + 1).clamp(max=self.atoms - 1).long()
+        found.scatter_add_(1, above, probabilities * share)
+        return found

@@ -1,0 +1,218 @@
+"""The replay buffer: one ring of control steps per world, with every observation stored once.
+
+The observation after a step is the next entry of the same ring, so images are not kept twice. At the end of an episode
+an entry with its last observation follows, from which no transition begins.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from mjhab.core.errors import UsageError
+from mjhab.envs.parts.memory import available_mb
+from mjhab.learning.reinforcement.sight import Seen
+
+MEMORY_SHARE = 0.8
+"""Share of the memory that is free which a buffer may take."""
+
+
+@dataclass(frozen=True)
+class ReplayShape:
+    """Sizes of what is stored. images: (channels, height, width) of one observation, history included."""
+
+    worlds: int
+    steps: int
+    vector: int
+    images: tuple[int, int, int]
+    privileged: int
+    actions: int
+
+    @property
+    def row_bytes(self) -> int:
+        """Bytes of one control step of one world."""
+        floats = self.vector + self.privileged + self.actions + 1
+        return 4 * floats + int(np.prod(self.images)) + 2
+
+    @property
+    def total_bytes(self) -> int:
+        """Bytes of the whole buffer."""
+        return self.worlds * self.steps * self.row_bytes
+
+    @property
+    def words(self) -> str:
+        """Size in words."""
+        count = self.worlds * self.steps
+        return f"replay buffer: {count:,} control steps, {self.total_bytes / 2**30:.2f} GiB"
+
+    def check(self, device: torch.device) -> None:
+        """Refuse a buffer that does not fit into memory.
+
+        Raises:
+            UsageError: how much it takes, what there is, and which capacity fits.
+        """
+        if device.type == "cuda":
+            free = torch.cuda.mem_get_info(device)[0]
+        else:
+            megabytes = available_mb()
+            free = sys.maxsize if megabytes is None else int(megabytes * 1e6)
+        most = int(MEMORY_SHARE * free)
+        if self.total_bytes > most:
+            fitting = most // self.row_bytes
+            raise UsageError(
+                f"the {self.words} does not fit: {free / 2**30:.2f} GiB are free. A capacity of "
+                f"{fitting:,} fits (--capacity {fitting}), or smaller images."
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class Transitions:
+    """B samples: what was seen, done (B, A) and earned (B,), what was seen then, and whether nothing followed (B,)."""
+
+    seen: Seen
+    actions: Tensor
+    reward: Tensor
+    next_seen: Seen
+    terminated: Tensor
+
+
+class ReplayBuffer:
+    """Rings of the last control steps of every world.
+
+    Args:
+        shape: sizes. device: where it is kept.
+        folder: on the CPU, where its arrays are files that outlive the process; None keeps them in memory.
+        reserve: entries of each ring that are kept but not drawn: what is written between two checkpoints must not
+            reach what the older one says is there.
+    """
+
+    _ARRAYS = ("vector", "images", "privileged", "actions", "reward", "terminated", "begins")
+
+    def __init__(
+        self,
+        shape: ReplayShape,
+        device: torch.device,
+        folder: Path | None = None,
+        reserve: int = 0,
+    ) -> None:
+        if shape.steps - reserve < 2:
+            raise UsageError(
+                f"a replay buffer of {shape.steps} control steps per world is too small; it needs more than "
+                f"{reserve + 2}. Raise --capacity."
+            )
+        shape.check(device)
+        self.shape = shape
+        self.device = device
+        self._reserve = reserve
+        self._folder = folder
+        self.position = torch.zeros(shape.worlds, dtype=torch.int64, device=device)
+        """Entries written to each ring since the beginning (W,)."""
+        kinds = {
+            "vector": (torch.float32, (shape.vector,)),
+            "images": (torch.uint8, shape.images),
+            "privileged": (torch.float32, (shape.privileged,)),
+            "actions": (torch.float32, (shape.actions,)),
+            "reward": (torch.float32, ()),
+            "terminated": (torch.bool, ()),
+            "begins": (torch.bool, ()),
+        }
+        self._rows = torch.arange(shape.worlds, device=device)
+        self._data = {
+            name: self._allocate(name, kind, (shape.worlds, shape.steps, *size))
+            for name, (kind, size) in kinds.items()
+        }
+
+    def _allocate(self, name: str, kind: torch.dtype, size: tuple[int, ...]) -> Tensor:
+        if self._folder is None or not np.prod(size):
+            return torch.zeros(size, dtype=kind, device=self.device)
+        self._folder.mkdir(parents=True, exist_ok=True)
+        path = self._folder / f"{name}.npy"
+        dtype = torch.zeros(0, dtype=kind).numpy().dtype
+        if path.is_file():
+            array = np.lib.format.open_memmap(path, mode="r+")
+            if array.shape != size or array.dtype != dtype:
+                raise UsageError(
+                    f"{path} holds {array.shape} {array.dtype} instead of {size} {dtype}: another run's buffer."
+                )
+        else:
+            array = np.lib.format.open_memmap(path, mode="w+", dtype=dtype, shape=size)
+        return torch.from_numpy(array)
+
+    def __len__(self) -> int:
+        """Transitions that can be drawn, in about: entries at the end of episodes are counted, too."""
+        kept = self.position.clamp(max=self.shape.steps - self._reserve)
+        return int((kept - 1).clamp(min=0).sum())
+
+    def add(self, seen: Seen, actions: Tensor, reward: Tensor, terminated: Tensor) -> None:
+        """Append a control step of every world: what was seen before it, what was done, and what it brought."""
+        self._write(self._rows, seen, actions, reward, terminated, True)
+
+    def close(self, worlds: Tensor, last: Seen) -> None:
+        """Append the last observations (n rows) of the worlds (n,) whose episodes ended."""
+        nothing = torch.zeros(len(worlds), self.shape.actions, device=self.device)
+        zero = torch.zeros(len(worlds), device=self.device)
+        self._write(worlds, last, nothing, zero, zero.bool(), False)
+
+    def _write(
+        self,
+        worlds: Tensor,
+        seen: Seen,
+        actions: Tensor,
+        reward: Tensor,
+        terminated: Tensor,
+        begins: bool,
+    ) -> None:
+        at = (worlds, self.position[worlds] % self.shape.steps)
+        data = self._data
+        data["vector"][at] = seen.vector
+        if seen.images.numel():
+            data["images"][at] = seen.images
+        data["privileged"][at] = seen.privileged
+        data["actions"][at] = actions
+        data["reward"][at] = reward
+        data["terminated"][at] = terminated
+        data["begins"][at] = begins
+        self.position[worlds] += 1
+
+    def draw(self, count: int, random: torch.Generator) -> Transitions:
+        """Draw ``count`` transitions, each as likely as any other."""
+        kept = self.position.clamp(max=self.shape.steps - self._reserve)
+        ready = torch.nonzero(kept >= 2).flatten()
+        if not len(ready):
+            raise ValueError("the replay buffer holds no transition yet")
+        found: list[Tensor] = []
+        lacking = count
+        while lacking:
+            # Ends of episodes are drawn and thrown away: few, and the rest stay equally likely.
+            more = 2 * lacking + 8
+            places = torch.rand(more, 2, generator=random, dtype=torch.float64).to(self.device)
+            lengths = (kept[ready] - 1).cumsum(0)
+            number = (places[:, 0] * lengths[-1]).long()
+            which = torch.searchsorted(lengths, number, right=True)
+            world = ready[which]
+            back = (places[:, 1] * (kept[world] - 1)).long()
+            step = self.position[world] - 2 - back
+            rows = torch.stack([world, step % self.shape.steps], dim=1)
+            rows = rows[self._data["begins"][rows[:, 0], rows[:, 1]]][:lacking]
+            found.append(rows)
+            lacking -= len(rows)
+        rows = torch.cat(found)
+        here = (rows[:, 0], rows[:, 1])
+        there = (rows[:, 0], (rows[:, 1] + 1) % self.shape.steps)
+        data = self._data
+        return Transitions(
+            self._seen(here),
+            data["actions"][here],
+            data["reward"][here],
+            self._seen(there),
+            data["terminated"][here],
+        )
+
+    def _seen(self, at: tuple[Tensor, Tensor]) -> Seen:
+        data = self._data
+        return Seen(data["vector"][at], data["images"][at], data["privileged"][at])

@@ -1,0 +1,249 @@
+"""Soft actor-critic with distributional critics, and with demonstrations (RLPD, arXiv 2302.02948)."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import torch
+from torch import Tensor, nn
+
+from mjhab.core.seeding import stream
+from mjhab.learning.layout import Layout
+from mjhab.learning.networks import Encoder
+from mjhab.learning.reinforcement import distributed
+from mjhab.learning.reinforcement.configs import ReinforcementConfig, SacConfig
+from mjhab.learning.reinforcement.networks import Critics
+from mjhab.learning.reinforcement.replay import ReplayBuffer, Transitions
+from mjhab.learning.reinforcement.sight import Seen
+from mjhab.learning.runs.training import BrokenLossError
+from mjhab.learning.students.gaussian import LARGEST_ACTION, SquashedGaussian
+from mjhab.learning.students.heads import make_student
+
+
+class Judge(nn.Module):
+    """The critics and the encoder that feeds them. The encoder is the actor's where that is shared."""
+
+    def __init__(
+        self,
+        config: ReinforcementConfig,
+        layout: Layout,
+        privileged: int,
+        shared: Encoder | None,
+    ) -> None:
+        super().__init__()
+        assert config.sac is not None
+        self.encoder = shared or Encoder(config.student, layout)
+        actions = len(layout.actions)
+        width = self.encoder.width
+        self.critics = Critics(config.student, config.sac, width, privileged, actions)
+
+    def forward(self, seen: Seen, actions: Tensor) -> Tensor:
+        """What every critic says of actions (B, A): (critics, B, atoms or 1)."""
+        features = self.encoder.joined(seen.vector, seen.images)
+        return self.critics(features, seen.privileged, actions)
+
+
+class Sac(nn.Module):
+    """Actor, critics, the slow copies of the critics, and the price of entropy.
+
+    Args:
+        config: of the whole run. layout: what the actor sees and does. privileged: numbers that only the critics see.
+        seed: of the weights. start: an actor to begin from.
+    """
+
+    def __init__(
+        self,
+        config: ReinforcementConfig,
+        layout: Layout,
+        privileged: int,
+        seed: int,
+        start: SquashedGaussian | None = None,
+    ) -> None:
+        super().__init__()
+        assert config.sac is not None
+        made = start or make_student(config.student, layout, seed)
+        assert isinstance(made, SquashedGaussian)
+        self.actor = made
+        shared = self.actor.trunk.encoder if config.sac.share_encoder else None
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed + 1)
+            self.judge = Judge(config, layout, privileged, shared)
+        self.target = copy.deepcopy(self.judge).requires_grad_(False)
+        self.log_alpha = nn.Parameter(torch.tensor(math.log(config.sac.initial_alpha)))
+        self.target_entropy = -float(len(layout.actions))
+
+
+class SacLearner:
+    """Updates an agent from replay buffers. Update k depends on the weights, the buffers, the seed and k alone.
+
+    Args:
+        agent: on the device of the buffers. config: of the whole run. seed: of this process.
+    """
+
+    def __init__(self, agent: Sac, config: ReinforcementConfig, seed: int) -> None:
+        assert config.sac is not None
+        self.agent = agent
+        self.config: SacConfig = config.sac
+        self.seed = seed
+        self.updates = 0
+        actor = agent.actor
+        acting = [*actor.trunk.layers.parameters(), *actor.mean.parameters()]
+        acting += actor.log_std.parameters()
+        if not self.config.share_encoder:
+            acting += actor.trunk.encoder.parameters()
+        rate = self.config.learning_rate
+        betas = (self.config.adam_beta, 0.999)
+        self.acting = acting
+        self.judging = list(agent.judge.parameters())
+        self.optimizers = {
+            "actor": torch.optim.Adam(acting, lr=rate, betas=betas),
+            "judge": torch.optim.Adam(self.judging, lr=rate, betas=betas),
+            "alpha": torch.optim.Adam([agent.log_alpha], lr=rate, betas=betas),
+        }
+
+    def random(self, what: str) -> torch.Generator:
+        """What update ``updates`` draws from."""
+        drawn = stream(self.seed, f"sac-{what}", self.updates).integers(1 << 62)
+        return torch.Generator().manual_seed(int(drawn))
+
+    def batch(self, online: ReplayBuffer, demonstrations: ReplayBuffer | None) -> Transitions:
+        """A batch: demonstrations first, if there are any, then what the agent did."""
+        random = self.random("batch")
+        count = self.config.batch
+        if demonstrations is None:
+            return online.draw(count, random)
+        shown = round(self.config.demonstration_share * count)
+        return _joined(demonstrations.draw(shown, random), online.draw(count - shown, random))
+
+    def update(
+        self, batch: Transitions, demonstrated: int, imitation: float, frozen: bool
+    ) -> dict[str, float]:
+        """One update of the critics and, every ``policy_delay`` of them, of actor and targets.
+
+        Args:
+            batch: of which the first ``demonstrated`` rows are demonstrations.
+            imitation: weight of the actor's distance to them.
+            frozen: the actor only imitates, since the critics know nothing yet.
+
+        Raises:
+            BrokenLossError: the loss is not finite.
+        """
+        random = self.random("update")
+        told = {"critic_loss": self._judge(batch, random)}
+        if self.updates % self.config.policy_delay == 0:
+            told |= self._act(batch, demonstrated, imitation, frozen, random)
+            self._follow()
+        self.updates += 1
+        return told
+
+    def _judge(self, batch: Transitions, random: torch.Generator) -> float:
+        agent = self.agent
+        critics = agent.judge.critics
+        goes_on = (~batch.terminated).float()
+        with torch.no_grad():
+            following = batch.next_seen
+            features = agent.actor.features(following.vector, following.images)
+            actions, density = agent.actor.sample(features, random)
+            said = agent.target(following, actions)
+            worth = agent.target.critics.values(said)
+            entropy = agent.log_alpha.exp() * density
+            least = worth.argmin(dim=0)
+            if self.config.atoms:
+                index = least[None, :, None].expand(1, -1, self.config.atoms)
+                probabilities = said.softmax(dim=-1).gather(0, index)[0]
+                value = critics.support[None] - entropy[:, None]
+                returns = batch.reward[:, None] + self.config.gamma * goes_on[:, None] * value
+                wanted = critics.project(probabilities, returns)
+            else:
+                value = worth.min(dim=0).values - entropy
+                wanted = batch.reward + self.config.gamma * goes_on * value
+        said = agent.judge(batch.seen, batch.actions)
+        if self.config.atoms:
+            loss = -(wanted[None] * said.log_softmax(dim=-1)).sum(dim=-1).mean(dim=1).sum()
+        else:
+            loss = ((said[..., 0] - wanted[None]) ** 2).mean(dim=1).sum()
+        self._step("judge", loss, self.judging)
+        return float(loss.detach())
+
+    def _act(
+        self,
+        batch: Transitions,
+        demonstrated: int,
+        imitation: float,
+        frozen: bool,
+        random: torch.Generator,
+    ) -> dict[str, float]:
+        agent = self.agent
+        features = agent.actor.features(batch.seen.vector, batch.seen.images)
+        if self.config.share_encoder:
+            features = features.detach()
+        actions, density = agent.actor.sample(features, random)
+        loss = torch.zeros((), device=actions.device)
+        alpha = agent.log_alpha.exp()
+        if not frozen:
+            with _frozen(self.judging):
+                worth = agent.judge.critics.values(agent.judge(batch.seen, actions))
+            loss = (alpha.detach() * density - worth.min(dim=0).values).mean()
+        if imitation and demonstrated:
+            mean, _ = agent.actor.distribution(features[:demonstrated])
+            wanted = batch.actions[:demonstrated].clamp(-LARGEST_ACTION, LARGEST_ACTION)
+            loss = loss + imitation * ((torch.tanh(mean) - wanted) ** 2).mean()
+        self._step("actor", loss, self.acting)
+        told = {"actor_loss": float(loss.detach())}
+        if not frozen:
+            surplus = (density.detach() + agent.target_entropy).mean()
+            self._step("alpha", -alpha * surplus, [agent.log_alpha])
+            told["alpha"] = float(alpha.detach())
+        return told
+
+    def _step(self, name: str, loss: Tensor, parameters: list[nn.Parameter]) -> None:
+        if not math.isfinite(float(loss.detach())):
+            raise BrokenLossError(
+                f"the loss of the {name} became {float(loss.detach())} in update {self.updates + 1}. The last good "
+                "checkpoint is kept; a smaller learning rate may help."
+            )
+        if not loss.requires_grad:
+            return
+        self.optimizers[name].zero_grad(set_to_none=True)
+        loss.backward()
+        distributed.average_gradients(parameters)
+        self.optimizers[name].step()
+
+    @torch.no_grad()
+    def _follow(self) -> None:
+        """Move the slow copies towards the critics."""
+        pairs = zip(self.agent.target.parameters(), self.agent.judge.parameters(), strict=True)
+        for kept, new in pairs:
+            kept.lerp_(new, self.config.tau)
+
+
+@contextmanager
+def _frozen(parameters: list[nn.Parameter]) -> Iterator[None]:
+    """Within it, parameters take no gradient."""
+    for parameter in parameters:
+        parameter.requires_grad_(False)
+    try:
+        yield
+    finally:
+        for parameter in parameters:
+            parameter.requires_grad_(True)
+
+
+def _joined(first: Transitions, second: Transitions) -> Transitions:
+    def seen(a: Seen, b: Seen) -> Seen:
+        return Seen(
+            torch.cat([a.vector, b.vector]),
+            torch.cat([a.images, b.images]),
+            torch.cat([a.privileged, b.privileged]),
+        )
+
+    return Transitions(
+        seen(first.seen, second.seen),
+        torch.cat([first.actions, second.actions]),
+        torch.cat([first.reward, second.reward]),
+        seen(first.next_seen, second.next_seen),
+        torch.cat([first.terminated, second.terminated]),
+    )

@@ -1,0 +1,181 @@
+"""What agents see of an environment, as tensors where the environment has its arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from mjhab.data.select.facts import type_name
+from mjhab.learning.demos import nearness
+from mjhab.learning.layout import Layout
+from mjhab.sim.protocol import SimState
+
+PRIVILEGED = (
+    "position and velocity of every joint of the robot, the base among them",
+    "position and velocity of every joint of the furniture",
+    "time that is left, as a share of the horizon",
+    "norm of the forces on the robot [kN], and their sum over the steps so far, in units of 5,000 N x steps",
+    "the checks of the active subtask, 0 or 1",
+)
+"""What a privileged critic sees besides what the actor sees, in this order."""
+CHECKS = ("is_grasped", "at_goal", "ee_rest", "is_static", "opened", "closed", "touch")
+FORCE_SCALE_N = 1000.0
+CUMULATIVE_FORCE_SCALE = 5000.0
+FARTHEST_MM = 32_767
+"""Largest depth that an image holds."""
+
+
+class SteppedEnv(Protocol):
+    """What agents need of an environment."""
+
+    num_envs: int
+    state: SimState
+    config: Any
+    task_config: Any
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """Observations of W worlds: vector (W, history * V), images (W, history * C, H, W) uint8, privileged (W, P)."""
+
+    vector: Tensor
+    images: Tensor
+    privileged: Tensor
+
+    def to(self, device: torch.device) -> Seen:
+        """The same on another device."""
+        return Seen(self.vector.to(device), self.images.to(device), self.privileged.to(device))
+
+    def rows(self, index: Any) -> Seen:
+        """The observations of some worlds."""
+        return Seen(self.vector[index], self.images[index], self.privileged[index])
+
+
+class Sight:
+    """Turns observations of an environment into what an agent takes.
+
+    Args:
+        env: of either backend.
+        layout: what the agent sees.
+        privileged: whether its critic sees more, see PRIVILEGED.
+    """
+
+    def __init__(self, env: SteppedEnv, layout: Layout, privileged: bool) -> None:
+        self._env = env
+        self._layout = layout
+        self._privileged = privileged
+        like = torch.as_tensor(env.state.robot_q)
+        self.device = like.device
+        self._near = torch.from_numpy(nearness(np.arange(FARTHEST_MM + 1, dtype=np.int16)))
+        self._near = self._near.to(self.device)
+        worlds = env.num_envs
+        inputs = layout.inputs
+        size = inputs.image_size if layout.image_keys else 0
+        frames = (len(layout.image_keys), size, size)
+        self._vectors = torch.zeros(worlds, inputs.history, layout.width, device=self.device)
+        self._images = torch.zeros(
+            worlds, inputs.history, *frames, dtype=torch.uint8, device=self.device
+        )
+        self._codes = torch.zeros(worlds, layout.width - layout.measured_width, device=self.device)
+        self._horizon = float(max(env.task_config.horizons))
+
+    def begin(self, fresh: Tensor, info: Mapping[str, Any]) -> None:
+        """Take note of what the worlds in ``fresh`` (W,) bool are to do from now on."""
+        layout = self._layout
+        if not layout.inputs.condition:
+            return
+        for world in torch.nonzero(fresh).flatten().tolist():
+            plan = self._episode(info, world)["plan"]
+            code = layout.condition(plan[0]["kind"], type_name(plan[0]["target"]))
+            self._codes[world] = torch.from_numpy(code).to(self.device)
+
+    def _episode(self, info: Mapping[str, Any], world: int) -> Mapping[str, Any]:
+        described = info.get("episode_spec")
+        if described is None:
+            return self._env.episode_spec(world)  # type: ignore[attr-defined]
+        return described[world]
+
+    def see(
+        self,
+        obs: Mapping[str, Any],
+        info: Mapping[str, Any],
+        last: Tensor,
+        fresh: Tensor,
+        again: bool = False,
+    ) -> Seen:
+        """What is seen now.
+
+        Args:
+            obs: observations. info: of the same step.
+            last: (W, A) actions of the step before. fresh: (W,) bool worlds whose episodes begin.
+            again: only the fresh worlds have changed since the last call.
+        """
+        parts = [torch.as_tensor(obs["state"]).float()]
+        inputs = self._layout.inputs
+        if inputs.base_velocity:
+            parts.append(self._base_velocity())
+        if inputs.previous_action:
+            parts.append(last)
+        if inputs.condition:
+            parts.append(self._codes)
+        vector = torch.cat(parts, dim=1)[:, None]
+        images = self._frames(obs)[:, None]
+        if inputs.history == 1:
+            self._vectors = vector
+            self._images = images
+        else:
+            self._vectors = _shifted(self._vectors, vector, fresh, again)
+            self._images = _shifted(self._images, images, fresh, again)
+        return Seen(self._vectors.flatten(1), self._images.flatten(1, 2), self._privileged_of(info))
+
+    def _frames(self, obs: Mapping[str, Any]) -> Tensor:
+        """Images (W, C, H, W) uint8 of one step."""
+        keys = self._layout.image_keys
+        if not keys:
+            return self._images[:, -1]
+        depths = [torch.as_tensor(obs[key])[..., 0] for key in keys]
+        return torch.stack([self._near[depth.clamp(min=0).long()] for depth in depths], dim=1)
+
+    def _base_velocity(self) -> Tensor:
+        """Forward speed [m/s] and turning rate [rad/s], (W, 2)."""
+        q = torch.as_tensor(self._env.state.robot_q)
+        qd = torch.as_tensor(self._env.state.robot_qd)
+        forward = torch.cos(q[:, 2]) * qd[:, 0] + torch.sin(q[:, 2]) * qd[:, 1]
+        return torch.stack([forward, qd[:, 2]], dim=1).float()
+
+    def _privileged_of(self, info: Mapping[str, Any]) -> Tensor:
+        worlds = self._env.num_envs
+        if not self._privileged:
+            return torch.zeros(worlds, 0, device=self.device)
+        state = self._env.state
+        parts = [state.robot_q, state.robot_qd, state.link_q, state.link_qd]
+        columns = [torch.as_tensor(part).float() for part in parts]
+        numbers = [
+            torch.as_tensor(info["steps_left"]).float() / self._horizon,
+            torch.as_tensor(info["robot_force"]).float() / FORCE_SCALE_N,
+            torch.as_tensor(info["cumulative_force"]).float() / CUMULATIVE_FORCE_SCALE,
+            *(torch.as_tensor(info[name]).float() for name in CHECKS),
+        ]
+        return torch.cat([*columns, torch.stack(numbers, dim=1)], dim=1)
+
+    @property
+    def privileged_width(self) -> int:
+        """Numbers that the critic sees more."""
+        if not self._privileged:
+            return 0
+        state = self._env.state
+        parts = (state.robot_q, state.robot_qd, state.link_q, state.link_qd)
+        joints = sum(part.shape[1] for part in parts)
+        return joints + 3 + len(CHECKS)
+
+
+def _shifted(history: Tensor, now: Tensor, fresh: Tensor, again: bool) -> Tensor:
+    """A history (W, H, ...) with the present (W, 1, ...) at its end; fresh worlds have nothing else."""
+    moved = history if again else torch.cat([history[:, 1:], now], dim=1)
+    mask = fresh.view(-1, *[1] * (now.dim() - 1))
+    return torch.where(mask, now.expand_as(moved), moved)

@@ -1,0 +1,98 @@
+"""Stepping the worlds of a training environment, with what was really seen at the end of an episode."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from mjhab.core.errors import UsageError
+from mjhab.learning.reinforcement.sight import Seen, Sight
+
+
+@dataclass(frozen=True, eq=False)
+class Transition:
+    """What one control step brought, in every world.
+
+    reward (W,). next_seen: after the step; at the end of an episode that is its last observation. terminated (W,)
+    bool: nothing follows. ended (W,) bool: that, or out of time. succeeded (W,) bool: of an episode that ended,
+    whether it succeeded at least once.
+    """
+
+    reward: Tensor
+    next_seen: Seen
+    terminated: Tensor
+    ended: Tensor
+    succeeded: Tensor
+
+
+class Worlds:
+    """The worlds of an environment with ``autoreset="disabled"``: finished ones are reset here, after they were seen.
+
+    So the last observation of an episode, with what only the simulator knows, is there for the value of what would
+    have followed: a vector environment that resets by itself gives no more of it than ``info["final_obs"]``.
+
+    Args:
+        env: of either backend. sight: of the same environment.
+
+    Raises:
+        UsageError: the environment resets by itself.
+    """
+
+    def __init__(self, env: Any, sight: Sight) -> None:
+        if env.config.autoreset != "disabled":
+            raise UsageError(
+                f"agents reset the worlds themselves; make the environment with autoreset='disabled', not "
+                f"{env.config.autoreset!r}."
+            )
+        self.env = env
+        self.sight = sight
+        self.count: int = env.num_envs
+        self.device = sight.device
+        self._none = torch.zeros(self.count, dtype=torch.bool, device=self.device)
+        self._succeeded = self._none
+        self.seen: Seen = self.begin(0)
+
+    def begin(self, seed: int) -> Seen:
+        """Begin new episodes in all worlds; which ones depends on ``seed`` alone."""
+        obs, info = self.env.reset(seed=seed)
+        every = ~self._none
+        self._succeeded = self._none
+        self.sight.begin(every, info)
+        width = self.env.single_action_space.shape[0]
+        still = torch.zeros(self.count, width, device=self.device)
+        self.seen = self.sight.see(obs, info, still, every)
+        return self.seen
+
+    def step(self, actions: Tensor) -> Transition:
+        """One control step; worlds whose episodes end begin new ones, see ``seen``."""
+        taken = actions.clamp(-1.0, 1.0)
+        given = taken.numpy() if self.device.type == "cpu" and self._numpy else taken
+        obs, reward, terminated, truncated, info = self.env.step(given)
+        ended = torch.as_tensor(terminated) | torch.as_tensor(truncated)
+        succeeded = self._succeeded | torch.as_tensor(info["success"])
+        following = self.sight.see(obs, info, taken, self._none)
+        self.seen = following
+        if bool(ended.any()):
+            obs, info = self.env.reset(options={"reset_mask": self._mask(ended)})
+            self.sight.begin(ended, info)
+            taken = torch.where(ended[:, None], 0.0, taken)
+            self.seen = self.sight.see(obs, info, taken, ended, again=True)
+        self._succeeded = succeeded & ~ended
+        return Transition(
+            torch.as_tensor(reward).float(),
+            following,
+            torch.as_tensor(terminated),
+            ended,
+            succeeded,
+        )
+
+    @property
+    def _numpy(self) -> bool:
+        return isinstance(self.env.state.robot_q, np.ndarray)
+
+    def _mask(self, ended: Tensor) -> Any:
+        return ended.numpy() if self._numpy else ended

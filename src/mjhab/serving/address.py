@@ -1,0 +1,113 @@
+"""Where a served policy is, and how to talk to it: ``ws://host:port?dialect=openpi&execute=8``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from urllib.parse import parse_qsl, urlencode, urlsplit, urlunsplit
+
+from mjhab.core.errors import UsageError, unknown_name
+from mjhab.serving.dialects import dialect_named
+
+SCHEMES = ("ws://", "wss://")
+PROMPTS = ("subtask", "task")
+TOKEN_VARIABLE = "MJHAB_POLICY_TOKEN"
+"""Environment variable with the token that a server asks for, at both ends."""
+
+
+@dataclass(frozen=True)
+class Address:
+    """A policy server and how it is asked.
+
+    uri: where it is. dialect: see `dialects`. execute: actions of a chunk that are executed before it is asked again.
+    prompt: the instruction of the active "subtask", or of the whole "task". actions: name of an action space; "" for
+    the one that the server names. timeout: longest wait for an answer [s]. first_timeout: the same for the first answer
+    over a connection, before which servers compile. reconnect: how long a lost server is looked for [s]. batch: one
+    request for all worlds, where the dialect has that.
+
+    Raises:
+        UsageError: an unknown name or a number out of range.
+    """
+
+    uri: str
+    dialect: str = "openpi"
+    execute: int = 8
+    prompt: str = "subtask"
+    actions: str = ""
+    timeout: float = 30.0
+    first_timeout: float = 300.0
+    reconnect: float = 20.0
+    batch: bool = False
+
+    def __post_init__(self) -> None:
+        dialect = dialect_named(self.dialect)
+        if self.prompt not in PROMPTS:
+            raise unknown_name("prompt", self.prompt, PROMPTS)
+        if self.execute < 1:
+            raise UsageError(f"execute must be at least 1, got {self.execute}.")
+        for name in ("timeout", "first_timeout", "reconnect"):
+            value = getattr(self, name)
+            if not 0.0 < value < float("inf"):
+                raise UsageError(f"{name} must be a number of seconds above 0, got {value}.")
+        if self.batch and not dialect.batches:
+            raise UsageError(f"the dialect {self.dialect} has no batches; leave batch away.")
+
+    @classmethod
+    def parse(cls, spec: str) -> Address:
+        """Read ``ws://host:port?name=value&...``; the names are those of the fields.
+
+        Raises:
+            UsageError: it is no such address, or see the class.
+        """
+        parts = urlsplit(spec)
+        try:
+            port = parts.port
+        except ValueError as error:
+            raise UsageError(f"--policy {spec}: {error}; write ws://host:port.") from error
+        if not spec.startswith(SCHEMES) or not parts.hostname or port is None:
+            raise UsageError(f"--policy {spec}: write ws://host:port, as in ws://localhost:8000.")
+        values: dict[str, object] = {}
+        for name, text in parse_qsl(parts.query, keep_blank_values=True):
+            if name not in _READERS:
+                raise unknown_name("option of a served policy", name, _READERS)
+            try:
+                values[name] = _READERS[name](text)
+            except ValueError as error:
+                raise UsageError(f"--policy {spec}: {name} cannot be {text!r}.") from error
+        uri = urlunsplit((parts.scheme, parts.netloc, parts.path, "", ""))
+        return cls(uri, **values)  # type: ignore[arg-type]
+
+
+def with_options(spec: str, options: Mapping[str, object]) -> str:
+    """The address with options written into it; they replace those that it has.
+
+    Raises:
+        UsageError: it is no address of a server.
+    """
+    if not options:
+        return spec
+    if not spec.startswith(SCHEMES):
+        names = ", ".join(f"--{name.replace('_', '-')}" for name in options)
+        raise UsageError(f"{names}: for a served policy, --policy ws://host:port; got {spec}.")
+    parts = urlsplit(spec)
+    given = dict(parse_qsl(parts.query))
+    given.update({name: str(value) for name, value in options.items()})
+    return urlunsplit(parts._replace(query=urlencode(given)))
+
+
+def _truth(text: str) -> bool:
+    if text.lower() not in ("yes", "no", "true", "false", "1", "0"):
+        raise ValueError(text)
+    return text.lower() in ("yes", "true", "1")
+
+
+_READERS = {
+    "dialect": str,
+    "execute": int,
+    "prompt": str,
+    "actions": str,
+    "timeout": float,
+    "first_timeout": float,
+    "reconnect": float,
+    "batch": _truth,
+}

@@ -1,0 +1,55 @@
+"""`mjhab serve` and `mjhab eval --policy ws://...`: what they print, what they refuse, how they end."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from mjhab.cli.main import main
+from mjhab.serving.address import Address
+from mjhab.serving.client import Connection
+
+
+def test_the_first_line_is_the_port_and_ctrl_c_ends_it() -> None:
+    command = [sys.executable, "-m", "mjhab.cli.main", "serve", "zero", "--port", "0", "--json"]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as server:
+        assert server.stdout is not None and server.stderr is not None
+        port = int(server.stdout.readline())
+        metadata = Connection(Address(f"ws://127.0.0.1:{port}")).greet()
+        assert metadata["mjhab"]["policy"] == "zero"
+        server.send_signal(signal.SIGINT)
+        out = server.stdout.read()
+        told = server.stderr.read()
+        assert server.wait(20) == 0
+    assert json.loads(out.splitlines()[-1]) == {"port": port, "requests": 0, "refused": 0}
+    assert f"zero at ws://127.0.0.1:{port}, dialect openpi" in told
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["serve", "expret"], "Did you mean 'expert'"),
+        (["serve", "expert", "--dialect", "grpc"], "unknown dialect 'grpc'"),
+        (["serve", "expert", "--port", "70000"], "--port must be below 65536"),
+        (["serve", "expert", "--max-message-mb", "0"], "max-message-mb must be at least 1"),
+        (["serve", "ws://localhost:1"], "is served already"),
+        (["eval", "--policy", "ws://127.0.0.1:1"], "no policy server at ws://127.0.0.1:1"),
+        (["eval", "--policy", "expert", "--dialect", "openpi"], "--dialect: for a served policy"),
+        (["eval", "--policy", "ws://127.0.0.1:1", "--batch"], "the dialect openpi has no batches"),
+        (["score", "--check", "nowhere.json"], "there is no file nowhere.json"),
+        (["score", "--track", "subtask"], "Did you mean 'subtasks'"),
+        (["score", "--page", "x.md"], "--page is for --table"),
+        (["score", "--episodes", "0"], "episodes must be at least 1"),
+    ],
+)
+def test_bad_input_is_told(
+    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(arguments) == 2
+    assert message in capsys.readouterr().err

@@ -1,0 +1,191 @@
+"""Served policies in an environment: what they are sent, what is done with their answers, and what befalls whom."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mjhab.envs as envs
+from mjhab.core.errors import UsageError
+from mjhab.evaluation.resolve import PolicyOptions, inspect_policy, resolve_policy
+from mjhab.evaluation.served.twin import TwinResponder
+from mjhab.rollout.loop import rollout
+from mjhab.serving.server import ServerOptions
+from tests.serving.constant import Constant, serving
+
+STEPS = 8
+
+
+def world(**options: Any) -> Any:
+    defaults = {"task": "set_table", "subtask": "close", "num_envs": 2, "threads": 1}
+    return envs.make(autoreset="disabled", **{**defaults, **options})
+
+
+def spec(port: int, options: str = "") -> str:
+    return f"ws://127.0.0.1:{port}?timeout=5&first_timeout=5&reconnect=5{options}"
+
+
+class Whimsical(Constant):
+    """Sends to every other session what is no action, after two good chunks."""
+
+    def __init__(self, bad: Any) -> None:
+        super().__init__(np.zeros((1, 13)))
+        self.bad = bad
+
+    def session(self) -> Any:
+        self.sessions += 1
+        return _Mood(self, self.sessions % 2 == 0)
+
+
+class _Mood:
+    def __init__(self, policy: Whimsical, spoils: bool) -> None:
+        self.policy = policy
+        self.spoils = spoils
+        self.asked = 0
+
+    def infer(self, request: Mapping[str, Any], batch: int | None) -> np.ndarray:
+        self.asked += 1
+        good = self.policy.infer(request, batch)
+        return np.asarray(self.policy.bad)[None] if self.spoils and self.asked > 2 else good
+
+    def reset(self) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.mark.parametrize(
+    ("bad", "error"),
+    [
+        (np.full((1, 13), np.nan), "has nan for shoulder_pan_joint"),
+        (np.zeros((1, 7)), "actions have 7 numbers, not 13"),
+    ],
+    ids=["nan", "size"],
+)
+def test_a_wrong_answer_ends_its_episode_alone(bad: np.ndarray, error: str) -> None:
+    policy = Whimsical(bad)
+    with serving(policy) as server:
+        env = world()
+        served = resolve_policy(spec(server.port, "&execute=1"), env)
+        records = rollout(env, served, [0, 1], seed=0, max_steps=STEPS)
+        served.close()  # type: ignore[attr-defined]
+    # The first connection is that of world 0.
+    assert [record.steps for record in records] == [STEPS, 3]
+    assert not records[0].error and error in records[1].error
+    assert not records[1].success_once
+
+
+def test_a_policy_sees_images_state_and_the_instruction_and_its_chunks_are_executed() -> None:
+    chunk = np.linspace(-0.3, 0.3, 4 * 9).reshape(4, 9)
+    policy = Constant(chunk)
+    with serving(policy) as server:
+        address = spec(server.port, "&execute=3&actions=ee&prompt=task")
+        facts = inspect_policy(address)
+        assert facts.env_options["control_mode"] == "pd_ee_delta_pose"
+        env = world(num_envs=1, **{**facts.env_options, "camera_size": 16})
+        served = resolve_policy(address, env)
+        obs, info = env.reset(seed=0, options={"episode": [0], "reset_mask": np.ones(1, bool)})
+        served.reset(np.ones(1, bool))
+        acted = np.stack([served.act(obs, info)[0] for _ in range(6)])
+        served.close()  # type: ignore[attr-defined]
+    assert len(policy.seen) == 2
+    names = [entry.name for entry in env.action_table]
+    sent = [
+        "ee_x",
+        "ee_y",
+        "ee_z",
+        "ee_rx",
+        "ee_ry",
+        "ee_rz",
+        "gripper",
+        "base_forward",
+        "base_yaw",
+    ]
+    columns = [names.index(name) for name in sent]
+    np.testing.assert_allclose(acted[:, columns], np.concatenate([chunk[:3]] * 2), rtol=1e-6)
+    assert not np.delete(acted, columns, axis=1).any()
+    request = policy.seen[0]
+    np.testing.assert_array_equal(
+        request["observation/image"], obs["sensor_data/fetch_head/rgb"][0]
+    )
+    np.testing.assert_array_equal(
+        request["observation/wrist_image"], obs["sensor_data/fetch_hand/rgb"][0]
+    )
+    np.testing.assert_array_equal(request["observation/state"], obs["state"][0])
+    assert request["prompt"] == info["episode_spec"][0]["instruction"]
+
+
+def test_the_action_space_of_a_server_is_taken_and_a_wrong_control_mode_refused() -> None:
+    with serving(Constant()) as server:
+        with pytest.raises(UsageError, match="needs control mode pd_ee_delta_pose"):
+            resolve_policy(spec(server.port, "&actions=ee"), world(num_envs=1))
+        with pytest.raises(UsageError, match="unknown action space 'jiont'"):
+            inspect_policy(spec(server.port, "&actions=jiont"))
+        with pytest.raises(UsageError, match="give it to its server"):
+            options = PolicyOptions(style=("speed=0.5",))
+            resolve_policy(spec(server.port), world(num_envs=1), options)
+
+
+def test_a_server_that_is_killed_and_started_again_loses_no_episode() -> None:
+    env = world()
+    policy = Constant(np.zeros((1, 13)))
+    episodes = [0, 1, 2, 3]
+    with serving(policy) as first:
+        port = first.port
+        served = resolve_policy(spec(port, "&execute=1"), env)
+        some = rollout(env, served, episodes[:2], seed=0, max_steps=STEPS)
+    with serving(policy, options=ServerOptions(port=port)):
+        more = rollout(env, served, episodes[2:], seed=0, max_steps=STEPS)
+    served.close()  # type: ignore[attr-defined]
+    records = [*some, *more]
+    assert [record.index for record in records] == episodes
+    assert all(record.steps == STEPS and not record.error for record in records)
+
+
+@pytest.mark.parametrize("dialect", ["openpi", "roboarena", "behavior"])
+def test_the_expert_acts_over_the_line_as_it_does_at_home(dialect: str) -> None:
+    episodes = [0, 1]
+    env = world()
+    at_home = rollout(env, resolve_policy("expert", env), episodes, seed=0, max_steps=25)
+    with serving(TwinResponder("expert", PolicyOptions()), dialect) as server:
+        options = f"&dialect={dialect}" + ("&batch=yes" if dialect == "behavior" else "")
+        served = resolve_policy(spec(server.port, options), env)
+        away = rollout(env, served, episodes, seed=0, max_steps=25)
+        served.close()  # type: ignore[attr-defined]
+    assert [record.error for record in away] == ["", ""]
+    assert [r.final_state for r in away] == [r.final_state for r in at_home]
+
+
+def test_a_server_of_mjhab_says_what_it_lacks() -> None:
+    with serving(TwinResponder("zero", PolicyOptions())) as server:
+        env = world(num_envs=1, spawns="")
+        served: Any = resolve_policy(spec(server.port), env)
+        served._config = {"env": {"assets": "/some/folder"}}
+        (record,) = rollout(env, served, [0], seed=0, max_steps=3)
+        assert "this server has the asset pack 'builtin'" in record.error
+        served._config = {"env": {"episodes_file": "/etc/passwd"}}
+        (record,) = rollout(env, served, [1], seed=0, max_steps=3)
+        assert "opens no files that clients name" in record.error
+        served._needs = set()
+        (record,) = rollout(env, served, [2], seed=0, max_steps=3)
+        assert "mjhab eval --policy ws://" in record.error
+        served.close()
+
+
+def test_a_student_acts_over_the_line_as_it_does_at_home() -> None:
+    spec_at_home = "student:set_table/close/kitchen_counter/drawer3"
+    with serving(TwinResponder(spec_at_home, PolicyOptions())) as server:
+        facts = inspect_policy(spec(server.port))
+        assert facts.name == "served-student" and facts.identity["server"]["policy_sha256"]
+        options = {**facts.env_options, "target": "kitchen_counter/drawer3"}
+        env = world(**options)
+        at_home = rollout(env, resolve_policy(spec_at_home, env), [0, 1], seed=0, max_steps=10)
+        served = resolve_policy(spec(server.port), env)
+        away = rollout(env, served, [0, 1], seed=0, max_steps=10)
+        served.close()  # type: ignore[attr-defined]
+    assert [record.error for record in away] == ["", ""]
+    assert [r.final_state for r in away] == [r.final_state for r in at_home]

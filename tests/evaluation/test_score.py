@@ -1,0 +1,204 @@
+"""Scores: fixed episodes, a file that cannot be edited, a check by replay, a table."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mjhab.cli.main import main
+from mjhab.core.errors import UsageError
+from mjhab.evaluation.resolve import PolicyFacts
+from mjhab.evaluation.score import manifest as manifests
+from mjhab.evaluation.score import run as runs
+from mjhab.evaluation.score.actions import Replayed, packed_actions, unpacked_actions
+from mjhab.evaluation.score.capabilities import CAPABILITIES, profile
+from mjhab.evaluation.score.leaderboard import leaderboard
+from mjhab.evaluation.score.manifest import DRAWER, Row, manifest
+from mjhab.evaluation.score.result import Result, digest_of, read_result, write_result
+from mjhab.evaluation.score.run import ScoreSpec, check, check_rules, score
+from mjhab.rollout.records import SubtaskRecord
+
+ROWS = (Row("set_table", "close", DRAWER, 2), Row("tidy_house", "navigate", episodes=1))
+
+
+@pytest.fixture(scope="module")
+def small() -> Any:
+    """A track of three episodes."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(manifests.TRACKS, "subtasks", ROWS)
+        yield
+
+
+@pytest.fixture(scope="module")
+def result(small: Any, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Result]:
+    out = tmp_path_factory.mktemp("score")
+    spec = ScoreSpec("random", "subtasks", "test", out, worlds=2, threads=1)
+    return out / "result.json", score(spec)
+
+
+def test_a_score_is_made_of_the_episodes_of_the_manifest(result: tuple[Path, Result]) -> None:
+    path, scored = result
+    assert scored.facts["policy"] == "random" and scored.facts["split"] == "test"
+    assert {(e.row, e.record.index) for e in scored.episodes} == {
+        (row.name, index) for row in ROWS for index in range(row.episodes)
+    }
+    assert all(e.record.seed == manifests.SEED for e in scored.episodes)
+    summary = scored.summary
+    assert summary["episodes"] == 3 and not summary["errors"]
+    assert set(summary["capabilities"]) == set(CAPABILITIES)
+    assert {"processor", "cores"} <= set(scored.facts["hardware"])
+    assert "mujoco" in scored.facts["versions"]
+    # Nothing is left to do: the second call reads what the first one left.
+    again = score(ScoreSpec("random", "subtasks", "test", path.parent, worlds=2, threads=1))
+    assert again.summary == summary
+    assert [e.record for e in again.episodes] == [e.record for e in scored.episodes]
+
+
+def test_a_check_plays_the_actions_again(result: tuple[Path, Result], tmp_path: Path) -> None:
+    path, scored = result
+    found = check(read_result(path))
+    assert (found.episodes, found.wrong, found.inexact) == (3, {}, [])
+
+    # Episodes that were claimed, not done: the digest is right, the replay tells.
+    content = json.loads(path.read_text())
+    for entry in content["episodes"]:
+        entry["record"]["success_once"] = True
+    claimed = tmp_path / "claimed.json"
+    episodes = [runs.Scored(e.row, _won(e.record), e.start, e.actions) for e in scored.episodes]
+    write_result(claimed, scored.facts, episodes)
+    assert len(check(read_result(claimed)).wrong) == 3
+
+
+def _won(record: Any) -> Any:
+    from dataclasses import replace
+
+    return replace(record, success_once=True, completed=1)
+
+
+@pytest.mark.parametrize("what", ["score", "record", "digest", "row", "manifest", "twice"])
+def test_an_edited_file_is_refused(result: tuple[Path, Result], tmp_path: Path, what: str) -> None:
+    path, _ = result
+    content = json.loads(path.read_text())
+    sealed = what in ("row", "manifest", "twice")
+    if what == "score":
+        content["summary"]["score"] = 1.0
+    elif what == "record":
+        content["episodes"][0]["record"]["success_once"] ^= True
+    elif what == "digest":
+        content["digest"] = "0" * 64
+    elif what == "row":
+        content["episodes"][0]["row"] = "set_table.pick"
+    elif what == "manifest":
+        content["facts"]["manifest"] = "older"
+    else:
+        content["episodes"].append(content["episodes"][0])
+    if sealed:
+        content["digest"] = digest_of(content)
+    edited = tmp_path / "edited.json"
+    edited.write_text(json.dumps(content))
+    expected = "not in the manifest|cannot be compared" if sealed else "was edited"
+    with pytest.raises(UsageError, match=expected):
+        read_result(edited)
+
+
+def test_numbers_that_are_not_those_of_the_episodes_are_refused(
+    result: tuple[Path, Result], tmp_path: Path
+) -> None:
+    content = json.loads(result[0].read_text())
+    content["summary"]["score"] = 0.99
+    content["digest"] = digest_of(content)
+    edited = tmp_path / "sealed.json"
+    edited.write_text(json.dumps(content))
+    with pytest.raises(UsageError, match="its numbers are not those of its episodes"):
+        read_result(edited)
+    for text in ("", "[]", "{}", "[" * 100_000):
+        edited.write_text(text)
+        with pytest.raises(UsageError, match="no result file"):
+            read_result(edited)
+
+
+def test_a_table_has_policies_rows_and_capabilities(result: tuple[Path, Result]) -> None:
+    page = leaderboard([result[1]])
+    assert "| random | test |" in page and "(incomplete)" in page
+    assert all(f"| {row.name} |" in page for row in ROWS)
+    assert "| policy | reach | grasp | carry | articulate | navigate | under force limit |" in page
+
+
+def test_starts_tell_episodes_from_others(small: Any, result: tuple[Path, Result]) -> None:
+    from mjhab.evaluation.score.starts import starts_of
+
+    row = ROWS[0]
+    digests = starts_of(row, "test", manifests.SEED, 1, 1)
+    assert digests == [e.start for e in result[1].episodes if e.row == row.name]
+    assert len(set(digests)) == row.episodes
+
+
+def test_actions_come_back_and_are_played_to_their_end() -> None:
+    actions = np.random.default_rng(0).uniform(-1, 1, (5, 13)).astype(np.float32)
+    np.testing.assert_array_equal(unpacked_actions(packed_actions(actions)), actions)
+    for text in ("", "13:!!", "13:eJw=", "0:", packed_actions(np.full((1, 2), np.nan))):
+        with pytest.raises(UsageError, match="actions of an episode"):
+            unpacked_actions(text)
+    player = Replayed(2, 13, {4: actions}, {4: "no answer"})
+    player.reset(np.ones(2, bool))
+    info = {"episode_spec": [{"index": 4}, {"index": 9}]}
+    for step in range(5):
+        acted = player.act(None, info)
+        np.testing.assert_array_equal(acted[0], actions[step])
+        assert player.fault(0) == ("no answer" if step == 4 else "")
+        assert "end here" in player.fault(1)
+
+
+def test_other_rules_are_refused() -> None:
+    check_rules(PolicyFacts("fine", env_options={"obs_mode": "rgb", "profile": "mjhab"}))
+    for options in ({"profile": "ms_hab"}, {"force_limits": False}):
+        with pytest.raises(UsageError, match="by the rules of the profile mjhab"):
+            check_rules(PolicyFacts("sly", env_options=options))
+    with pytest.raises(UsageError, match="unknown track"):
+        manifest("subtask", "test")
+    with pytest.raises(UsageError, match="unknown split"):
+        manifest("subtasks", "tset")
+
+
+def test_the_profile_counts_what_tells_something() -> None:
+    def record(kind: str, label: str, *events: str, good: bool = False) -> SubtaskRecord:
+        told = tuple((step, name) for step, name in enumerate(events))
+        return SubtaskRecord(0, kind, "x", label, None, good, good, 0, 9, 0.0, 0.0, told)
+
+    found = profile(
+        [
+            record("pick", "cant_grasp_failure", "contact"),
+            record("pick", "excessive_collision_failure", "contact", "grasped"),
+            record("open", "open_success", "contact", good=True),
+            record("place", "drop_to_goal_failure", "at_goal"),
+        ]
+    )
+    rates = {name: entry["rate"] for name, entry in found.items()}
+    assert rates == {
+        "reach": 1.0,
+        "grasp": 0.5,
+        "carry": 1.0,
+        "articulate": 1.0,
+        "navigate": None,
+        "under force limit": 0.75,
+    }
+
+
+def test_the_command_checks_and_tabulates(
+    result: tuple[Path, Result], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = str(result[0])
+    scored = read_result(result[0])
+    page = tmp_path / "page.md"
+    assert main(["score", "--table", path, "--page", str(page), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert told["results"][0]["digest"] == scored.digest
+    assert page.read_text() == leaderboard([scored])
+    assert main(["score", "--check", path, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert (told["checked"], told["exact"], told["wrong"]) == (3, 3, 0)
+    assert set(told) >= {"track", "score", "episodes", "digest"}

@@ -1,0 +1,135 @@
+"""PPO and SAC learn a toy problem, and their critics say what is right."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from mjhab.core.errors import UsageError
+from mjhab.learning.reinforcement.configs import SacConfig, changed, reinforcement_preset
+from mjhab.learning.reinforcement.networks import Critics
+from mjhab.learning.reinforcement.ppo import Ppo, PpoLearner
+from mjhab.learning.reinforcement.replay import ReplayBuffer, ReplayShape
+from mjhab.learning.reinforcement.sac import Sac, SacLearner
+from mjhab.learning.reinforcement.sight import Sight
+from mjhab.learning.reinforcement.worlds import Worlds
+from tests.learning.reinforcement.toy import HORIZON, LAYOUT, PPO_TOY, SAC_TOY, Toy
+
+WORLDS = 16
+torch.set_num_threads(1)
+
+
+def worlds(privileged: bool = False, terminates: bool = False) -> tuple[Worlds, int]:
+    """The toy's worlds, and the numbers that only a critic sees."""
+    env = Toy(WORLDS, terminates)
+    sight = Sight(env, LAYOUT, privileged)
+    return Worlds(env, sight), sight.privileged_width
+
+
+def reward_of(policy: object, steps: int = 5 * HORIZON) -> float:
+    """Mean reward of a policy that takes what is seen and gives actions."""
+    place, _ = worlds()
+    total = 0.0
+    for _ in range(steps):
+        with torch.no_grad():
+            total += float(place.step(policy(place.seen)).reward.mean())  # type: ignore[operator]
+    return total / steps
+
+
+@pytest.mark.parametrize("privileged", [False, True])
+def test_ppo_learns_the_toy(privileged: bool) -> None:
+    place, width = worlds(privileged)
+    agent = Ppo(PPO_TOY, LAYOUT, width, seed=0)
+    learner = PpoLearner(agent, place, PPO_TOY, seed=0)
+    before = reward_of(agent.mean)
+    for number in range(25):
+        rollout, _ = learner.collect()
+        learner.update(rollout, number / 25)
+        learner.normalize(rollout.seen)
+    assert before < 0.65
+    assert reward_of(agent.mean) > 0.8
+
+
+@pytest.mark.parametrize("atoms", [0, 31])
+def test_sac_learns_the_toy(atoms: int) -> None:
+    config = changed(SAC_TOY, {"atoms": atoms})
+    place, width = worlds()
+    agent = Sac(config, LAYOUT, width, seed=0)
+    learner = SacLearner(agent, config, seed=0)
+    seen = place.seen
+    shape = ReplayShape(WORLDS, 256, seen.vector.shape[1], (0, 0, 0), width, 1)
+    buffer = ReplayBuffer(shape, place.device)
+    random = torch.Generator().manual_seed(0)
+    for step in range(110):
+        with torch.no_grad():
+            features = agent.actor.features(place.seen.vector, place.seen.images)
+            actions, _ = agent.actor.sample(features, random)
+        seen = place.seen
+        happened = place.step(actions)
+        buffer.add(seen, actions, happened.reward, happened.terminated)
+        ended = torch.nonzero(happened.ended).flatten()
+        if len(ended):
+            buffer.close(ended, happened.next_seen.rows(ended))
+        if step > 4:
+            for _ in range(4):
+                learner.update(learner.batch(buffer, None), 0, 0.0, False)
+    act = lambda now: agent.actor.chunk(now.vector, now.images, now.vector)[:, 0]  # noqa: E731
+    assert reward_of(act) > 0.8
+
+
+def test_the_last_observation_of_an_episode_is_what_follows_its_last_step() -> None:
+    place, _ = worlds()
+    for step in range(HORIZON):
+        before = place.seen.vector.clone()
+        happened = place.step(torch.full((WORLDS, 1), 0.5))
+        assert torch.allclose(happened.next_seen.vector, before + 0.15, atol=1e-6)
+        assert bool(happened.ended.all()) == (step == HORIZON - 1)
+    assert not torch.allclose(place.seen.vector, happened.next_seen.vector)
+
+
+def test_a_shifted_distribution_keeps_its_mean() -> None:
+    sac = SacConfig(atoms=21, value_low=0.0, value_high=10.0)
+    critics = Critics(SAC_TOY.student, sac, 1, 0, 1)
+    probabilities = torch.softmax(torch.randn(5, 21, generator=torch.Generator().manual_seed(0)), 1)
+    targets = 1.3 + 0.7 * critics.support[None].expand(5, -1)
+    projected = critics.project(probabilities, targets)
+    assert torch.allclose(projected.sum(dim=1), torch.ones(5), atol=1e-5)
+    wanted = (probabilities * targets).sum(dim=1)
+    assert torch.allclose((projected * critics.support).sum(dim=1), wanted, atol=1e-4)
+
+
+def test_actions_are_as_likely_as_the_actor_says() -> None:
+    agent = Sac(SAC_TOY, LAYOUT, 0, seed=0)
+    features = torch.zeros(200_000, agent.actor.trunk.encoder.width)
+    random = torch.Generator().manual_seed(0)
+    with torch.no_grad():
+        actions, density = agent.actor.sample(features, random)
+    near = (actions[:, 0] - actions.median()).abs() < 0.005
+    share = float(near.float().mean()) / 0.01
+    assert float(density[near].exp().mean()) == pytest.approx(share, rel=0.05)
+
+
+def test_an_environment_that_resets_itself_is_refused() -> None:
+    env = Toy(2)
+    env.config.autoreset = "same_step"
+    with pytest.raises(UsageError, match="autoreset='disabled'"):
+        Worlds(env, Sight(env, LAYOUT, False))
+
+
+def test_worlds_that_do_not_divide_into_minibatches_are_refused() -> None:
+    with pytest.raises(UsageError, match="minibatches do not divide"):
+        changed(reinforcement_preset("ppo", "paper"), {"worlds": 7})
+
+
+def test_unknown_presets_are_told() -> None:
+    with pytest.raises(UsageError, match="fast"):
+        reinforcement_preset("ppo", "fst")
+
+
+def test_the_published_presets_have_the_published_numbers() -> None:
+    ppo = reinforcement_preset("ppo", "paper").ppo
+    sac = reinforcement_preset("sac", "paper").sac
+    assert ppo is not None and sac is not None
+    assert (ppo.rollout_steps, ppo.minibatches, ppo.clip, ppo.target_kl) == (100, 16, 0.2, 0.2)
+    assert (sac.batch, sac.tau, sac.capacity, sac.atoms) == (512, 0.005, 1_000_000, 0)
+    assert sac.updates_per_step == 0.0

@@ -1,0 +1,110 @@
+"""Whole runs in the real environment: what they leave, and that a killed one resumes to the same weights."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import pytest
+import torch
+
+from mjhab.core.errors import UsageError
+from mjhab.learning.checkpoint import load_checkpoint, load_student
+from mjhab.learning.configs import InputConfig, NetworkConfig
+from mjhab.learning.reinforcement import session as sessions
+from mjhab.learning.reinforcement.configs import (
+    PPO,
+    RLPD,
+    PpoConfig,
+    ReinforcementConfig,
+    SacConfig,
+)
+from mjhab.learning.reinforcement.session import ReinforcementRequest
+from mjhab.learning.reinforcement.train import train_reinforcement
+from mjhab.learning.runs.collection import Scene
+
+SCENE = Scene(
+    "set_table", "close", "kitchen_counter/drawer3", home="builtin_m0_00", profile="ms_hab"
+)
+INPUTS = InputConfig(cameras=(), image_size=0, previous_action=True, base_velocity=True, shift=0)
+NETWORK = NetworkConfig(hidden=16, layers=1)
+TINY = ReinforcementConfig(
+    PPO,
+    "tiny",
+    INPUTS,
+    NETWORK,
+    ppo=PpoConfig(rollout_steps=8, minibatches=2, epochs=1),
+    samples=64,
+    worlds=2,
+    checkpoint_samples=32,
+)
+TINY_RLPD = dataclasses.replace(
+    TINY,
+    algorithm=RLPD,
+    ppo=None,
+    sac=SacConfig(
+        batch=8, warm_up=8, capacity=96, updates_per_step=0.25, demonstrations=1, critics=2
+    ),
+)
+
+
+class Killed(Exception):
+    """What stands for kill -9: nothing is saved after it."""
+
+
+def request(config: ReinforcementConfig) -> ReinforcementRequest:
+    """A run without evaluations."""
+    torch.set_num_threads(1)
+    return ReinforcementRequest(config, SCENE, threads=1, eval_episodes=0, round_episodes=0)
+
+
+@pytest.mark.parametrize("config", [TINY, TINY_RLPD], ids=["ppo", "rlpd"])
+def test_a_killed_run_ends_with_the_weights_of_one_that_was_not(
+    config: ReinforcementConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = train_reinforcement(request(config), tmp_path / "whole")
+    assert whole.summary["samples"] == config.samples
+    check = sessions.ReinforcementSession.check_time
+
+    def killed(self: sessions.ReinforcementSession) -> None:
+        if self.standing.samples >= 40:
+            raise Killed
+        check(self)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(sessions.ReinforcementSession, "check_time", killed)
+        with pytest.raises(Killed):
+            train_reinforcement(request(config), tmp_path / "killed")
+    saved = load_checkpoint(tmp_path / "killed" / "training.safetensors").about["samples"]
+    assert 0 < saved < 40
+    train_reinforcement(request(config), tmp_path / "killed", resume=True)
+    wanted = load_checkpoint(tmp_path / "whole" / "training.safetensors").tensors
+    found = load_checkpoint(tmp_path / "killed" / "training.safetensors").tensors
+    assert set(wanted) == set(found)
+    for name, value in wanted.items():
+        assert torch.equal(value, found[name]), name
+
+
+def test_a_run_leaves_a_policy_that_eval_takes_and_a_report(tmp_path: Path) -> None:
+    told = dataclasses.replace(
+        request(dataclasses.replace(TINY, samples=16)), eval_episodes=1, budget_seconds=600.0
+    )
+    result = train_reinforcement(told, tmp_path / "run")
+    assert result.summary["episodes"] == 1 and result.summary["algorithm"] == "ppo"
+    assert load_student(tmp_path / "run" / "student.safetensors").layout.profile == "ms_hab"
+    judged = tmp_path / "run" / "evaluations" / "latest" / "config.json"
+    assert json.loads(judged.read_text(encoding="utf-8"))["profile"] == "ms_hab"
+    page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
+    assert 'id="loss-plot"' in page
+    # What PPO has left another run may begin from; another algorithm may not.
+    start = str(tmp_path / "run" / "student.safetensors")
+    polished = train_reinforcement(
+        dataclasses.replace(request(dataclasses.replace(TINY, samples=16)), start=start),
+        tmp_path / "polished",
+    )
+    assert polished.summary["samples"] == 16
+    with pytest.raises(UsageError, match="gaussian"):
+        train_reinforcement(
+            dataclasses.replace(request(TINY_RLPD), start=start), tmp_path / "other"
+        )

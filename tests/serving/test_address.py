@@ -1,0 +1,41 @@
+"""Addresses of policy servers: what they hold, and what is refused."""
+
+from __future__ import annotations
+
+import pytest
+
+from mjhab.core.errors import UsageError
+from mjhab.serving.address import Address, with_options
+
+
+def test_options_stand_behind_the_address() -> None:
+    spec = with_options("ws://host:8000?execute=2", {"dialect": "behavior", "batch": "yes"})
+    address = Address.parse(spec)
+    assert address == Address("ws://host:8000", "behavior", execute=2, batch=True)
+    assert Address.parse("wss://host:1/path").uri == "wss://host:1/path"
+
+
+@pytest.mark.parametrize(
+    ("spec", "message"),
+    [
+        ("ws://host", "write ws://host:port"),
+        ("ws://host:99999", "write ws://host:port"),
+        ("ws://:8000", "write ws://host:port"),
+        ("ws://h:1?dialect=openpie", "Did you mean 'openpi'"),
+        ("ws://h:1?execut=2", "Did you mean 'execute'"),
+        ("ws://h:1?execute=0", "at least 1"),
+        ("ws://h:1?execute=two", "cannot be 'two'"),
+        ("ws://h:1?timeout=nan", "seconds above 0"),
+        ("ws://h:1?prompt=poem", "Valid names: subtask, task"),
+        ("ws://h:1?batch=yes", "openpi has no batches"),
+    ],
+)
+def test_bad_addresses_are_refused(spec: str, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        Address.parse(spec)
+
+
+def test_options_are_for_served_policies() -> None:
+    with pytest.raises(UsageError, match="--dialect: for a served policy"):
+        with_options("expert", {"dialect": "openpi"})
+    assert with_options("expert", {}) == "expert"

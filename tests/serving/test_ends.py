@@ -1,0 +1,243 @@
+"""Both ends of the line: they understand each other in every dialect, and neither falls with the other."""
+
+from __future__ import annotations
+
+import threading
+import urllib.request
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+
+import numpy as np
+import pytest
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+from websockets.sync.server import ServerConnection, serve
+
+from mjhab.core.errors import UsageError
+from mjhab.serving.address import TOKEN_VARIABLE, Address
+from mjhab.serving.client import Connection, PolicyFault
+from mjhab.serving.dialects import DIALECTS
+from mjhab.serving.packing import pack, unpack
+from mjhab.serving.server import PolicyServer, ServerOptions, free_socket
+from tests.serving.constant import Constant, an_ask, serving
+
+QUICK = {"timeout": 0.3, "first_timeout": 0.3, "reconnect": 0.3}
+
+
+def address(port: int, dialect: str = "openpi", **options: object) -> Address:
+    return Address(f"ws://127.0.0.1:{port}", dialect, **{**QUICK, **options})  # type: ignore[arg-type]
+
+
+@contextmanager
+def scripted(handler: Callable[[ServerConnection], object]) -> Iterator[int]:
+    """A server that does what ``handler`` does; gives its port."""
+    listening = free_socket("127.0.0.1", 0)
+    server = serve(handler, sock=listening, compression=None)
+    thread = threading.Thread(target=server.serve_forever, daemon=True)
+    thread.start()
+    try:
+        yield int(listening.getsockname()[1])
+    finally:
+        server.shutdown()
+        thread.join(5.0)
+
+
+@pytest.mark.parametrize("dialect", sorted(DIALECTS))
+def test_an_answer_is_what_was_sent(dialect: str) -> None:
+    chunk = np.random.default_rng(0).normal(size=(4, 13)).astype(np.float32)
+    policy = Constant(chunk)
+    with serving(policy, dialect) as server:
+        connection = Connection(address(server.port, dialect))
+        assert connection.greet()["mjhab"] == {"policy": "constant", "dialect": dialect}
+        for begins in (True, False):
+            (got,) = connection.ask([an_ask()], begins)
+            np.testing.assert_array_equal(got, chunk)
+        connection.close()
+    assert len(connection.latency_ms) == len(policy.seen) == 2
+    assert policy.resets == (1 if DIALECTS[dialect].remembers else 0)
+    assert policy.seen[0]["prompt"] == "pick up the bowl"
+    images = [v for v in policy.seen[0].values() if isinstance(v, np.ndarray) and v.ndim == 3]
+    assert len(images) == 2 and all((image == 7).all() for image in images)
+
+
+def test_a_batch_holds_all_worlds() -> None:
+    policy = Constant(np.ones((4, 13)))
+    with serving(policy, "behavior") as server:
+        connection = Connection(address(server.port, "behavior", batch=True))
+        got = connection.ask([an_ask(), an_ask(), an_ask()], True)
+        assert got.shape == (3, 4, 13)
+        assert connection.ask([an_ask()], False).shape == (1, 4, 13)
+        connection.close()
+    assert policy.seen[0]["robot_fetch::fetch_head::rgb"].shape == (3, 32, 32, 3)
+
+
+@pytest.mark.parametrize("spoken", sorted(DIALECTS))
+def test_another_dialect_is_named(spoken: str) -> None:
+    asked = "behavior" if spoken == "openpi" else "openpi"
+    said = f"speaks {spoken}, not {asked}"
+    with serving(Constant(), spoken) as server, pytest.raises(UsageError, match=said):
+        Connection(address(server.port, asked)).greet()
+
+
+@pytest.mark.parametrize(
+    ("answer", "spoken"),
+    [
+        (np.zeros((1, 13), np.float32), "roboarena"),
+        ({"action": np.zeros(13, np.float32)}, "behavior"),
+    ],
+)
+def test_a_dialect_is_known_by_its_answers(answer: object, spoken: str) -> None:
+    def handle(connection: ServerConnection) -> None:
+        connection.send(pack({}))
+        connection.recv()
+        connection.send(pack(answer))
+
+    with scripted(handle) as port, pytest.raises(UsageError, match=f"speaks {spoken}, not openpi"):
+        Connection(address(port)).ask([an_ask()], True)
+
+
+def test_no_server_and_no_policy_server_are_told() -> None:
+    with free_socket("127.0.0.1", 0) as listening:
+        port = listening.getsockname()[1]
+    with pytest.raises(UsageError, match=r"no policy server at .* mjhab serve expert"):
+        Connection(address(port)).greet()
+    for greeting, message in (
+        ("hello, I speak JSON", "does not speak openpi: it says hello"),
+        (b"\xc1\xc1", "no msgpack message"),
+    ):
+
+        def greet(connection: ServerConnection, greeting: str | bytes = greeting) -> None:
+            connection.send(greeting)
+
+        with scripted(greet) as port, pytest.raises(UsageError, match=message):
+            Connection(address(port)).greet()
+
+
+def test_late_answers_errors_and_odd_answers_are_faults() -> None:
+    with serving(Constant(delay_s=1.0)) as server:
+        connection = Connection(address(server.port))
+        with pytest.raises(PolicyFault, match=r"no answer within 0\.3 s"):
+            connection.ask([an_ask()], True)
+    with serving(Constant(error=RuntimeError("out of memory"))) as server:
+        connection = Connection(address(server.port))
+        with pytest.raises(PolicyFault, match="reports an error: RuntimeError: out of memory"):
+            connection.ask([an_ask()], True)
+    for answer in (b"\xc1", pack([1]), pack({"actions": "left"}), pack({"actions": np.zeros(0)})):
+
+        def handle(connection: ServerConnection, answer: bytes = answer) -> None:
+            connection.send(pack({}))
+            connection.recv()
+            connection.send(answer)
+
+        with scripted(handle) as port, pytest.raises(PolicyFault):
+            Connection(address(port)).ask([an_ask()], True)
+
+
+@pytest.mark.parametrize("dialect", sorted(DIALECTS))
+def test_a_server_that_comes_back_is_found_again(dialect: str) -> None:
+    with serving(Constant(), dialect) as server:
+        connection = Connection(address(server.port, dialect, reconnect=1.0))
+        connection.ask([an_ask()], True)
+        port = server.port
+    policy = Constant(np.ones((4, 13)))
+    with serving(policy, dialect, ServerOptions(port=port)):
+        if DIALECTS[dialect].remembers:
+            # What the server knew of the running episode is gone.
+            with pytest.raises(PolicyFault, match="lost in the middle of the episode"):
+                connection.ask([an_ask()], False)
+            assert connection.ask([an_ask()], True).all()
+        else:
+            assert connection.ask([an_ask()], False).all()
+        connection.close()
+    with pytest.raises(PolicyFault, match="no policy server"):
+        connection.ask([an_ask()], True)
+
+
+def test_only_the_token_opens_a_server(monkeypatch: pytest.MonkeyPatch) -> None:
+    with serving(Constant(), options=ServerOptions(port=0, token="secret")) as server:
+        with pytest.raises(UsageError, match=TOKEN_VARIABLE):
+            Connection(address(server.port)).greet()
+        monkeypatch.setenv(TOKEN_VARIABLE, "wrong")
+        with pytest.raises(UsageError, match="wants a token"):
+            Connection(address(server.port)).greet()
+        monkeypatch.setenv(TOKEN_VARIABLE, "secret")
+        connection = Connection(address(server.port))
+        assert connection.ask([an_ask()], True).shape == (1, 4, 13)
+        connection.close()
+        with urllib.request.urlopen(f"http://127.0.0.1:{server.port}/healthz") as answer:
+            assert answer.read() == b"OK\n"
+    with pytest.raises(UsageError, match="needs a token"):
+        PolicyServer(Constant(), DIALECTS["openpi"], ServerOptions("0.0.0.0", 0))
+
+
+def test_a_port_in_use_gives_way_to_the_next() -> None:
+    with serving(Constant()) as first:
+        taken = ServerOptions(port=first.port)
+        with serving(Constant(), options=taken) as second:
+            assert second.port > first.port
+
+
+def malformed(random: np.random.Generator) -> bytes | str:
+    """A message that is broken in one of many ways."""
+    good = bytearray(pack({"observation/state": np.zeros(42, np.float32), "endpoint": "infer"}))
+    choice = int(random.integers(6))
+    if choice == 0:
+        return random.bytes(int(random.integers(0, 300)))
+    if choice == 1:
+        return bytes(good[: int(random.integers(len(good)))])
+    if choice == 2:
+        for place in random.integers(len(good), size=5).tolist():
+            good[place] = int(random.integers(256))
+        return bytes(good)
+    if choice == 3:
+        return "a text " * int(random.integers(1, 20))
+    if choice == 4:
+        values = [7, [1, 2], "infer", None, {"endpoint": 3}, {"reset": 1}, {b"x": {}}]
+        return pack(values[int(random.integers(len(values)))])
+    return b"\x81" * int(random.integers(1, 3000))
+
+
+@pytest.mark.parametrize("dialect", sorted(DIALECTS))
+def test_no_malformed_message_stops_the_server(dialect: str) -> None:
+    random = np.random.default_rng(1)
+    with serving(Constant(), dialect, ServerOptions(port=0, max_message_bytes=1 << 16)) as server:
+        uri = f"ws://127.0.0.1:{server.port}"
+        for _ in range(200):
+            with connect(uri, compression=None, proxy=None, close_timeout=0.1) as stranger:
+                stranger.recv(5.0)
+                with suppress(TimeoutError, ConnectionClosed):
+                    stranger.send(malformed(random))
+                    stranger.recv(0.02)
+        with connect(uri, compression=None, proxy=None) as stranger:
+            stranger.recv(5.0)
+            stranger.send(b"\0" * (1 << 17))
+            with pytest.raises(ConnectionClosed):
+                stranger.recv(5.0)
+        connection = Connection(address(server.port, dialect, timeout=5.0, first_timeout=5.0))
+        assert connection.ask([an_ask(image=False)], True).shape == (1, 4, 13)
+        connection.close()
+
+
+@pytest.mark.parametrize("dialect", sorted(DIALECTS))
+def test_no_malformed_answer_stops_the_client(dialect: str) -> None:
+    random = np.random.default_rng(2)
+
+    def handle(connection: ServerConnection) -> None:
+        connection.send(pack(DIALECTS[dialect].greeting({"dialect": dialect})))
+        for message in connection:
+            asked = unpack(message) if isinstance(message, bytes) else {}
+            if dialect == "behavior" and "reset" in asked:
+                continue
+            connection.send(malformed(random))
+
+    outcomes = []
+    with scripted(handle) as port:
+        connection = Connection(address(port, dialect))
+        for _ in range(200):
+            try:
+                connection.ask([an_ask(image=False)], True)
+                outcomes.append("answer")
+            except (PolicyFault, UsageError) as error:
+                outcomes.append(type(error).__name__)
+        connection.close()
+    assert len(outcomes) == 200 and outcomes.count("PolicyFault") > 150

@@ -23,7 +23,7 @@ FETCH_WORDS = re.compile(
 )
 """What only the robot Fetch has: its modules, its name and its joints."""
 JOINT_NUMBERS = re.compile(
-    r"(robot_q|robot_qd|view\.q|rest_qpos|REST_QPOS)\[[^\]]*\d|slice\(13|\b(3:13|13:15|13:)\b"
+    r"(robot_qd?|rest_qpos|REST_QPOS)\[[^\]]*[:\s]\d|(view\.q|rest_qpos)\[[^\]]*\d|\b(3:13|13:15|13:)\]"
 )
 """A number where a column of joint positions belongs."""
 OTHERS = ("data/imports/ms_hab.py", "data/select/describing.py", "learning/ms_hab")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mjhab.core.boxes import Boxes, sphere_box_distance
+from mjhab.core.joints import BASE, BASE_XY, BASE_YAW
 from mjhab.envs.parts.world_view import JointedLink, WorldView
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.arm.clearance import RobotSpheres
@@ -179,9 +180,9 @@ def fold(
     floor = motion.planner(view.home)
     best: Route | None = None
     for way in ways:
-        goal = q[:3] - way * np.array([np.cos(q[2]), np.sin(q[2]), 0.0])
-        if way > 0 and floor.line_clearance(q[:2], goal[None, :2])[0] < min(
-            FLOOR, float(floor.clearance_at(q[:2]))
+        goal = q[BASE] - way * np.array([np.cos(q[BASE_YAW]), np.sin(q[BASE_YAW]), 0.0])
+        if way > 0 and floor.line_clearance(q[BASE_XY], goal[None, :2])[0] < min(
+            FLOOR, float(floor.clearance_at(q[BASE_XY]))
         ):
             break
         found = plan_route(
@@ -270,12 +271,15 @@ def base_towards(
     """Forward speed [m/s] and yaw rate [rad/s] that bring the base to a near pose ``wish`` (3+,), as far as it can go
     without turning aside; ``speed``: that of the pose itself along the heading."""
     q = view.q
-    ahead = float((wish[:2] - q[:2]) @ np.array([np.cos(q[2]), np.sin(q[2])]))
+    ahead = float((wish[:2] - q[BASE_XY]) @ np.array([np.cos(q[BASE_YAW]), np.sin(q[BASE_YAW])]))
     v = float(np.clip(speed + 1.5 * ahead, -most, most))
-    return v, float(np.clip(3.0 * wrap(wish[2] - q[2]), -0.6, 0.6))
+    return v, float(np.clip(3.0 * wrap(wish[2] - q[BASE_YAW]), -0.6, 0.6))
 
 
 def next_base(view: WorldView, v: float, w: float) -> Array:
     """Where the base will be (1, 3) after a control step."""
     q = view.q
-    return q[None, :3] + np.array([[v * np.cos(q[2]), v * np.sin(q[2]), w]]) * CONTROL_DT
+    return (
+        q[None, BASE]
+        + np.array([[v * np.cos(q[BASE_YAW]), v * np.sin(q[BASE_YAW]), w]]) * CONTROL_DT
+    )

@@ -7,6 +7,7 @@ import itertools
 import numpy as np
 
 from mjhab.core.boxes import Boxes
+from mjhab.core.joints import BASE, BASE_XY, BASE_YAW
 from mjhab.core.rotations import mat_from_quat
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.episodes.grasps.held import shape_of
@@ -89,8 +90,8 @@ def drive_in(
     for step in range(80):
         q = view.q
         ahead = np.array([np.cos(heading), np.sin(heading)])
-        left = float((goal[:2] - q[:2]) @ ahead)
-        moved = float((q[:2] - last[:2]) @ ahead)
+        left = float((goal[:2] - q[BASE_XY]) @ ahead)
+        moved = float((q[BASE_XY] - last[:2]) @ ahead)
         if left < near and abs(moved) < slow:
             return True
         pressed = pressed + 1 if view.link_forces.sum() > BLOCKED_FORCE else 0
@@ -103,7 +104,7 @@ def drive_in(
             else min(IN_SPEED, 3.0 * (left - 2.0 * moved))
         )
         pace = max(wish, 0.04 if left > 0.02 else 0.0)
-        turn = float(np.clip(3.0 * wrap(heading - q[2]), -0.5, 0.5))
+        turn = float(np.clip(3.0 * wrap(heading - q[BASE_YAW]), -0.5, 0.5))
         last = q
         yield motion.action(view, goal, gripper=gripper, drive=(pace, turn))
     return False
@@ -134,15 +135,15 @@ def _lined_up(view: WorldView, goal: Array, pos: Array, rot: Array, boxes: Boxes
     q = view.q
     robot = view.robot.chain
     ahead = np.array([np.cos(goal[2]), np.sin(goal[2])])
-    way = float((goal[:2] - q[:2]) @ ahead)
+    way = float((goal[:2] - q[BASE_XY]) @ ahead)
     end = goal.copy()
-    end[:2] = q[:2] + ahead * way
+    end[:2] = q[BASE_XY] + ahead * way
     if _room_in(view.robot, end, way, boxes) > ROOM_IN:
         return end
     found = ik.solve(
         robot, pos[None], rot[None], end[None, None], ik.columns(robot, torso=False), rest=goal
     )
-    near = found.ok[0, 0] and np.abs(found.q[0, 0] - end)[3:].max() < MOST_SHIFT
+    near = found.ok[0, 0] and np.abs(found.q[0, 0] - end)[BASE.stop :].max() < MOST_SHIFT
     better = near and _room_in(view.robot, found.q[0, 0], way, boxes) > _room_in(
         view.robot, end, way, boxes
     )
@@ -152,7 +153,9 @@ def _lined_up(view: WorldView, goal: Array, pos: Array, rot: Array, boxes: Boxes
 def _room_in(robot: Robot, goal: Array, way: float, boxes: Boxes) -> float:
     """Least clearance [m] on the straight ``way`` [m] of the base to ``goal`` (15,), the arm held."""
     q = np.repeat(goal[None], 6, axis=0)
-    q[:, :2] -= np.linspace(0.0, way, 6)[:, None] * np.array([np.cos(goal[2]), np.sin(goal[2])])
+    q[:, BASE_XY] -= np.linspace(0.0, way, 6)[:, None] * np.array(
+        [np.cos(goal[2]), np.sin(goal[2])]
+    )
     return float(motion.spheres(robot).clearance(q, boxes).min())
 
 

@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 
 from mjhab.core.boxes import Boxes, nearest_box_distance
-from mjhab.core.joints import BASE
+from mjhab.core.joints import BASE, BASE_YAW
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.episodes.grasps.candidates import Grasps, approach_clearance
 from mjhab.experts.arm import ik, motion
@@ -452,11 +452,11 @@ def _routed(
     tight: list[Stance] = []
     seen: list[Array] = []
     for i in range(len(q)):
-        if sum(np.array_equal(q[i, :3], base) for base in seen) >= 2:
+        if sum(np.array_equal(q[i, BASE], base) for base in seen) >= 2:
             continue
-        seen.append(q[i, :3])
-        back = drive_in * np.array([np.cos(pre[i, 2]), np.sin(pre[i, 2]), 0.0])
-        route = plan_route(view, pre[i, :3] - back, pre[i], robot, boxes, care=scene.care)
+        seen.append(q[i, BASE])
+        back = drive_in * np.array([np.cos(pre[i, BASE_YAW]), np.sin(pre[i, BASE_YAW]), 0.0])
+        route = plan_route(view, pre[i, BASE] - back, pre[i], robot, boxes, care=scene.care)
         if route is None:
             continue
         (clear if route.room >= 0.0 else tight).append(Stance(int(goal[i]), pre[i], q[i], route))

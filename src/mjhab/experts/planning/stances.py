@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mjhab.core.joints import BASE
+from mjhab.core.joints import BASE, BASE_XY, BASE_YAW
 from mjhab.envs.parts.world_view import BoxArrays, JointedLink, WorldView
 from mjhab.experts.arm import ik, motion
 from mjhab.robots.kinematics import Chain, wrap
@@ -77,7 +77,8 @@ class Frame:
     def base(self, q: Array) -> Array:
         """Configurations (..., Q) or base poses (..., 3) with the base columns moved to the world."""
         return np.concatenate(
-            [self.point(q[..., :2]), wrap(q[..., 2:3] + self.yaw), q[..., 3:]], axis=-1
+            [self.point(q[..., BASE_XY]), wrap(q[..., [BASE_YAW]] + self.yaw), q[..., BASE.stop :]],
+            axis=-1,
         )
 
 
@@ -227,7 +228,9 @@ def rank(
         Configurations (M, K, Q) with the base columns in the world, and the estimated steps (M,) to get there.
     """
     places = (
-        stances.q[:, :, :2] if also is None else np.concatenate([stances.q[:, :, :2], also], axis=1)
+        stances.q[:, :, BASE_XY]
+        if also is None
+        else np.concatenate([stances.q[:, :, BASE_XY], also], axis=1)
     )
     room = motion.planner(view.home).clearance_at(frame.point(places)).min(axis=1, initial=np.inf)
     first = frame.base(stances.q[:, 0])

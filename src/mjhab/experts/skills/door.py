@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mjhab.core.boxes import Boxes
-from mjhab.core.joints import BASE
+from mjhab.core.joints import BASE, BASE_YAW
 from mjhab.envs.parts.world_view import JointedLink, WorldView
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.base.navigation import CONTROL_DT
@@ -274,7 +274,9 @@ def _arc_action(view: WorldView, path: ArcPath, aim: float, step: float, gripper
     wish = path.at(aim)
     pos, rot = path.hand_at(aim)
     q = view.q
-    ahead = (path.at(aim + step)[:2] - wish[:2]) @ np.array([np.cos(q[2]), np.sin(q[2])])
+    ahead = (path.at(aim + step)[:2] - wish[:2]) @ np.array(
+        [np.cos(q[BASE_YAW]), np.sin(q[BASE_YAW])]
+    )
     v, w = approach.base_towards(view, wish, float(ahead) / CONTROL_DT)
     base_next = approach.next_base(view, v, w)
     robot = view.robot.chain

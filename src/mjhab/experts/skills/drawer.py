@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from mjhab.core.joints import BASE_XY
 from mjhab.envs.parts.world_view import JointedLink, WorldView
 from mjhab.experts.arm import motion
 from mjhab.experts.planning import approach, stances
@@ -56,7 +57,7 @@ def close_drawer(view: WorldView, link: JointedLink) -> Motion:
             continue
         found = stances.cached(view.robot, link, "push", _push_stances)
         moved = found.shifted(view.link_q(link.id))
-        goals, _ = stances.rank(view, stances.Frame.of(link), moved, found.q[:, :1, :2])
+        goals, _ = stances.rank(view, stances.Frame.of(link), moved, found.q[:, :1, BASE_XY])
         best = approach.best_route(view, goals[:, 0])
         if best is None:
             return False
@@ -70,7 +71,7 @@ def _take_handle(view: WorldView, link: JointedLink, goal: float) -> Motion:
     """Hold the bar from where the base can move with it until the drawer is open by ``goal`` [m]."""
     found = stances.cached(view.robot, link, "pull", _pull_stances)
     q = view.link_q(link.id)
-    end = found.q[:, :1, :2] + np.array([goal, 0.0])
+    end = found.q[:, :1, BASE_XY] + np.array([goal, 0.0])
     goals, _ = stances.rank(view, stances.Frame.of(link), found.shifted(q), end)
     best = approach.best_route(view, goals[:, 0])
     if best is None:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mjhab.core.joints import BASE_X, BASE_XY, BASE_Y, BASE_YAW
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts.arm import motion
 from mjhab.experts.arm.motion import Motion
@@ -203,7 +204,9 @@ def _speeds(view: WorldView) -> tuple[float, float]:
     """Forward speed and yaw rate of the base."""
     q = view.q
     qd = view.qd
-    return float(np.cos(q[2]) * qd[0] + np.sin(q[2]) * qd[1]), float(qd[2])
+    return float(np.cos(q[BASE_YAW]) * qd[BASE_X] + np.sin(q[BASE_YAW]) * qd[BASE_Y]), float(
+        qd[BASE_YAW]
+    )
 
 
 def _still(track: Sequence[Array]) -> bool:
@@ -215,23 +218,27 @@ def _still(track: Sequence[Array]) -> bool:
 def _ahead(view: WorldView, leg: Leg) -> Array:
     """Where something must be that stops the base on a leg: before it, or before the hand."""
     q = view.q
-    ahead = leg.direction * np.array([np.cos(q[2]), np.sin(q[2])])
+    ahead = leg.direction * np.array([np.cos(q[BASE_YAW]), np.sin(q[BASE_YAW])])
     arm_felt = (
         leg.direction > 0
         and view.link_forces[list(view.robot.arm_force_rows)].sum() > 0.5 * view.link_forces.sum()
     )
-    at = view.tcp_pose[:2] + 0.15 * ahead if arm_felt else q[:2] + (0.3 + FELT) * ahead
+    at = view.tcp_pose[:2] + 0.15 * ahead if arm_felt else q[BASE_XY] + (0.3 + FELT) * ahead
     return np.array([[*at, FELT]])
 
 
 def _back_off(view: WorldView, posture: Array, gripper: float, trip: Trip) -> Motion:
     """Drive a little way back to where the trip came from."""
     q = view.q
-    gap = np.linalg.norm(trip.poses[:, :2] - q[:2], axis=1)
+    gap = np.linalg.norm(trip.poses[:, :2] - q[BASE_XY], axis=1)
     passed = trip.poses[: int(np.argmin(gap)) + 1] if len(gap) else trip.poses
-    away = passed[np.linalg.norm(passed[:, :2] - q[:2], axis=1) > 0.2]
-    origin = away[-1, :2] if len(away) else q[:2] - 0.2 * np.array([np.cos(q[2]), np.sin(q[2])])
-    ahead = float((origin - q[:2]) @ np.array([np.cos(q[2]), np.sin(q[2])]))
+    away = passed[np.linalg.norm(passed[:, :2] - q[BASE_XY], axis=1) > 0.2]
+    origin = (
+        away[-1, :2]
+        if len(away)
+        else q[BASE_XY] - 0.2 * np.array([np.cos(q[BASE_YAW]), np.sin(q[BASE_YAW])])
+    )
+    ahead = float((origin - q[BASE_XY]) @ np.array([np.cos(q[BASE_YAW]), np.sin(q[BASE_YAW])]))
     speed, _ = _speeds(view)
     for _ in range(14):
         speed = towards(float(np.copysign(0.3, ahead)), speed, trip.pace.rise * CONTROL_DT)
@@ -246,8 +253,10 @@ def _joints(view: WorldView) -> Array:
 
 def _arrived(view: WorldView, aim: Aim) -> bool:
     q = view.q
-    facing = abs(float(wrap(aim.bearing(q[:2]) - q[2]))) <= view.config.nav_bearing - 0.05
-    return bool(facing and aim.allows(q[:2], 0.0))
+    facing = (
+        abs(float(wrap(aim.bearing(q[BASE_XY]) - q[BASE_YAW]))) <= view.config.nav_bearing - 0.05
+    )
+    return bool(facing and aim.allows(q[BASE_XY], 0.0))
 
 
 def _stand(view: WorldView, aim: Aim, posture: Array, gripper: float) -> Motion:

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from mjhab.core.boxes import Boxes
+from mjhab.core.joints import BASE, BASE_XY
 from mjhab.core.rotations import mat_from_quat
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.episodes.grasps.candidates import Grasps, ObjectShape, Options, grasp_candidates
@@ -129,7 +130,7 @@ def fetch(view: WorldView, obj: str, *, keep: bool = True) -> Motion:
                 return True
             yield from go_home(view, obj)
             yield from _keep(view, obj)
-        failed = np.concatenate([failed, stance.at[None, :3]])
+        failed = np.concatenate([failed, stance.at[None, BASE]])
         yield from _draw_back(view, obj, stance, depth)
 
 
@@ -140,7 +141,7 @@ def _draw_back(view: WorldView, obj: str, stance: Stance, depth: float) -> Motio
         yield from _let_go(view)
     if (
         not depth
-        or (come_in := depth - float(np.linalg.norm(view.base[:2] - stance.at[:2]))) < INSIDE
+        or (come_in := depth - float(np.linalg.norm(view.base[:2] - stance.at[BASE_XY]))) < INSIDE
     ):
         return True
     # From inside the next way in can hardly be found.

@@ -136,7 +136,7 @@ def _bring(view: WorldView, obj: str, goal: Array) -> Motion:
         hurry = False
         if (yield from _put(view, obj, stance, goals, depth)):
             return True
-        failed = np.concatenate([failed, stance.at[None, :3]])
+        failed = np.concatenate([failed, stance.at[None, BASE]])
     return False
 
 

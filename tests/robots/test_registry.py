@@ -102,6 +102,15 @@ def test_robots_are_listed_for_machines(capsys: pytest.CaptureFixture[str]) -> N
     assert [robot["name"] for robot in found] == list(ROBOTS)
 
 
+def test_a_robot_is_shown(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["robots", "show", "fetch", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert found["cameras"] == ["fetch_head", "fetch_hand"] and len(found["joints"]) == 15
+    torso = found["joints"][3]
+    assert torso["group"] == "torso" and torso["unit"] == "m" and torso["high"] == 0.38615
+    assert main(["robots", "show", "fecth"]) == 2
+
+
 def code_lines() -> Iterator[tuple[str, int, str]]:
     """File, number and text of every line of source outside `robots`."""
     for file in sorted(SOURCE.rglob("*.py")):

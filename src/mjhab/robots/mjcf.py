@@ -136,7 +136,8 @@ class MjcfLinks:
             axis = -axis
             low, high = -high, -low
         slide = model.jnt_type[first] == mujoco.mjtJoint.mjJNT_SLIDE
-        limits = (float(low), float(high))
+        # Adding zero turns -0.0 into 0.0.
+        limits = (round(float(low), 6) + 0.0, round(float(high), 6) + 0.0)
         return TreeLink(link, parent, name, origin, _vec3(np.round(axis)), slide, limits)
 
     def inertials(self) -> dict[str, Inertial]:

@@ -60,7 +60,7 @@ HEAVY: dict[str, frozenset[str]] = {
 
 MOST_FILES = 16
 """Files beside the subfolders of a folder."""
-MORE_FILES = {"cli": 24, "core": 20}
+MORE_FILES = {"cli": 26, "core": 20}
 """Files of `cli`, one per command, and of `core`, one per small tool."""
 FILES = sorted(path for path in SOURCE.rglob("*.py") if path.parent != SOURCE)
 

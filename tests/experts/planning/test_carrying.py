@@ -216,7 +216,7 @@ def test_bases_are_only_where_something_can_be_reached():
     for wanted, far in itertools.product((goals, shifted), (False, True)):
         bases, steps = base_poses(view, goal, scene, wanted, 0.0, None, far)
         assert len(bases) and np.isfinite(steps).all()
-        assert (_overreach(bases, wanted).min(axis=1) < ARM_END).all()
+        assert (_overreach(ROBOT.reach, bases, wanted).min(axis=1) < ARM_END).all()
     # Far off only where there is no other way, or to save one.
     near_by = base_poses(view, goal, scene, goals, 0.0, None, False)
     anywhere = base_poses(view, goal, scene, goals, 0.0, None, True)

@@ -13,7 +13,6 @@ from torch import Tensor
 from mjhab.data.select.facts import type_name
 from mjhab.learning.demos import nearness
 from mjhab.learning.layout import Layout
-from mjhab.sim.protocol import SimState
 
 PRIVILEGED = (
     "position and velocity of every joint of the robot, the base among them",
@@ -31,10 +30,10 @@ FARTHEST_MM = 32_767
 
 
 class SteppedEnv(Protocol):
-    """What agents need of an environment."""
+    """What agents need of an environment; ``state`` is a `sim.protocol.SimState`."""
 
     num_envs: int
-    state: SimState
+    state: Any
     config: Any
     task_config: Any
 

@@ -183,7 +183,7 @@ def test_frame_round_trip(env: SequentialTaskEnv) -> None:
 
 def test_withdrawn_hand_moves_straight_back(env: SequentialTaskEnv) -> None:
     q = stances.cached(ROBOT, plan_link(env, DRAWER), "pull", drawer._pull_stances).q[:, 1]
-    moved = door._withdrawn(q, 0.05)
+    moved = door._withdrawn(ROBOT, q, 0.05)
     (start, rot) = ROBOT.chain.tip_pose(q)
     (end, _) = ROBOT.chain.tip_pose(moved)
     done = np.abs(moved - q).max(axis=1) > 0

@@ -38,8 +38,8 @@ ALLOWED: dict[str, frozenset[str]] = {
     "learning": frozenset({"core", "tasks", "config", "episodes", "envs", "experts"})
     | {"rollout", "data", "reports", "evaluation"},
     "viewer": _RUN,
-    "cli": _RUN | {"assets", "learning", "viewer"},
-    "bench": _RUN | {"assets", "learning", "cli"},
+    "bench": _RUN | {"assets", "learning"},
+    "cli": _RUN | {"assets", "learning", "viewer", "bench"},
 }
 """Package to the packages it may import, besides itself."""
 

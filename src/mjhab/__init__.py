@@ -7,6 +7,8 @@ below are looked up when they are first used.
 from __future__ import annotations
 
 import importlib
+import sys
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mjhab.core.version import __version__
@@ -88,17 +90,20 @@ def __dir__() -> list[str]:
     return sorted({*globals(), *_LAZY, *_PACKAGES})
 
 
-def _register() -> None:
+def register_all() -> None:
+    """Load plugins and make the ids known to Gymnasium: done when ``mjhab`` is imported, done once."""
+    from mjhab.core.plugins import load_plugins
     from mjhab.envs.catalog import register_envs
 
+    load_plugins()
     register_envs()
 
 
-def _load_plugins() -> None:
-    from mjhab.core.plugins import load_plugins
+def _is_command() -> bool:
+    """Whether the process is the ``mjhab`` command, which registers when it runs something: ``--help`` is quick."""
+    # Not sys.argv: worker processes of the command are given it, too.
+    return "mjhab.cli.main" in sys.orig_argv or Path(*sys.orig_argv[1:2]).stem == "mjhab"
 
-    load_plugins()
 
-
-_load_plugins()
-_register()
+if not _is_command():
+    register_all()

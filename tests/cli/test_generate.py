@@ -13,7 +13,8 @@ from typing import Any
 import pytest
 
 import mjhab
-from mjhab.cli.generate import generate_spec, stop_signals
+from mjhab.cli.generate import generate_spec
+from mjhab.cli.interrupts import stop_signals
 from mjhab.cli.main import main
 from mjhab.cli.options.generate import GenerateOptions
 from mjhab.core.errors import UsageError

@@ -15,10 +15,10 @@ import pytest
 from mjhab.bench import gpu_report
 from mjhab.bench.parity import run as bench_parity
 from mjhab.bench.parity.episodes import KINDS, Leg, Log, difference
-from mjhab.cli import estimate, warmup
+from mjhab.cli import warmup
 from mjhab.cli.main import main
-from mjhab.cli.options.common import DoctorOptions
 from mjhab.core.errors import UsageError
+from mjhab.envs import estimate
 from mjhab.envs.parts import memory
 from mjhab.layout.layout import Layout
 from mjhab.scenes.packs import open_pack
@@ -76,9 +76,9 @@ def test_the_cpu_simulator_is_opened_by_name() -> None:
 def test_estimate_grows_with_worlds_and_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(estimate, "available_mb", lambda: 20_000.0)
     monkeypatch.setattr(estimate, "gpu_free_mb", lambda: 8_000.0)
-    state = estimate.estimate_rows(DoctorOptions(num_envs=100))
-    images = estimate.estimate_rows(DoctorOptions(num_envs=100, obs="rgbd"))
-    large = estimate.estimate_rows(DoctorOptions(num_envs=100, obs="rgbd", camera_size=256))
+    state = estimate.estimate_rows(100)
+    images = estimate.estimate_rows(100, "rgbd")
+    large = estimate.estimate_rows(100, "rgbd", 256)
     for a, b, c in zip(state, images, large, strict=True):
         assert a["memory_mb"] < b["memory_mb"] < c["memory_mb"]
         assert c["world_mb"] - a["world_mb"] == pytest.approx(
@@ -86,7 +86,7 @@ def test_estimate_grows_with_worlds_and_pictures(monkeypatch: pytest.MonkeyPatch
         )
         assert a["most"] > b["most"] > c["most"] and a["fits"]
     # The number named fits, one more does not.
-    room = estimate.rooms(DoctorOptions(obs="rgbd"))[1]
+    room = estimate.rooms("rgbd")[1]
     assert room.most is not None
     assert room.need.total_mb(room.most) <= 8_000.0 < room.need.total_mb(room.most + 1)
 

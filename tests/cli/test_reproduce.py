@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from mjhab.cli.main import main
-from mjhab.cli.reproduce import table_rows
 from mjhab.learning import configs
 from mjhab.learning.configs import DaggerConfig, InputConfig, TrainConfig
+from mjhab.learning.reproduce import table_rows
 from mjhab.reports.paper import paper_success
 from tests.learning.small import config
 

@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mjhab.core.errors import UsageError
-from mjhab.core.names import MAX_NAME_CHARACTERS, check_name
-from mjhab.core.paths import below
+from mjhab.core.names import MAX_NAME_CHARACTERS, below, check_name
 
 GOOD = (
     "v3_sc0_staging_00",

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 from mjhab.bench.engine import sway
 from mjhab.bench.memory_sampler import MemorySampler
+from mjhab.bench.specs import EnvBenchSpec
 from mjhab.bench.stages import Stopwatch, resident_mb, stage_seconds, watch_env
-from mjhab.cli.options.env import BenchEnvOptions
-from mjhab.cli.profiles import profile_options
+from mjhab.config.profile_choice import profile_options
 
 if TYPE_CHECKING:
     from mjhab.envs.device.env import DeviceEnv
@@ -20,7 +20,7 @@ WARM_STEPS = 3
 """Untimed steps: kernels load, graphs are captured."""
 
 
-def measure_device_env(options: BenchEnvOptions, worlds: int) -> dict[str, Any]:
+def measure_device_env(spec: EnvBenchSpec, worlds: int) -> dict[str, Any]:
     """The like of `env.measure_env` for a `DeviceEnv`, whose finished worlds begin anew within the step.
 
     Returns:
@@ -31,9 +31,9 @@ def measure_device_env(options: BenchEnvOptions, worlds: int) -> dict[str, Any]:
         ``cold_start_s``: to the first observation of a step; ``tainted``: worlds.
     """
     begun = time.perf_counter()
-    env, wait = _make(options, worlds)
-    env.reset(seed=options.seed)
-    given = sway(worlds, options.steps, options.seed, len(env.action_table))
+    env, wait = _make(spec, worlds)
+    env.reset(seed=spec.seed)
+    given = sway(worlds, spec.steps, spec.seed, len(env.action_table))
     actions = [env.sim.qpos.new_tensor(row) for row in given]
     env.step(actions[0])
     wait()
@@ -50,10 +50,10 @@ def measure_device_env(options: BenchEnvOptions, worlds: int) -> dict[str, Any]:
             env.sim.step(commands)
 
     with MemorySampler(resident_mb, lambda: used_mb(env)) as memory:
-        whole = _rate(block, options, worlds, wait)
+        whole = _rate(block, spec, worlds, wait)
     stages, reset_ms = profile(env, actions, wait)
     commands = env.sim.engine.ctrl_t.clone()
-    bare = _rate(engine, options, worlds, wait)
+    bare = _rate(engine, spec, worlds, wait)
     return {
         "env_sps": whole,
         "engine_sps": bare,
@@ -70,23 +70,23 @@ def measure_device_env(options: BenchEnvOptions, worlds: int) -> dict[str, Any]:
     }
 
 
-def _make(options: BenchEnvOptions, worlds: int) -> tuple[DeviceEnv, Callable[[], None]]:
+def _make(spec: EnvBenchSpec, worlds: int) -> tuple[DeviceEnv, Callable[[], None]]:
     """The environment, and what waits for its device."""
     from mjhab.envs import make_by_id
     from mjhab.sim.warp.probe import synchronize
 
-    extra = {"reward_mode": options.reward, "task": options.task}
+    extra = {"reward_mode": spec.reward, "task": spec.task}
     env = make_by_id(
-        options.env,
+        spec.env,
         backend="warp",
-        device=options.device,
+        device=spec.device,
         num_envs=worlds,
-        obs_mode=options.obs,
-        camera_size=options.camera_size,
-        assets=options.assets,
-        seed=options.seed,
+        obs_mode=spec.obs,
+        camera_size=spec.camera_size,
+        assets=spec.assets,
+        seed=spec.seed,
         **{k: v for k, v in extra.items() if v is not None},
-        **profile_options(options),
+        **profile_options(spec),
     )
     return env, lambda: synchronize(env.sim.device)
 
@@ -98,17 +98,17 @@ def used_mb(env: DeviceEnv) -> float | None:
 
 
 def _rate(
-    work: Callable[[], None], options: BenchEnvOptions, worlds: int, wait: Callable[[], None]
+    work: Callable[[], None], spec: EnvBenchSpec, worlds: int, wait: Callable[[], None]
 ) -> float:
     """Control steps/s over all worlds: the median of the rounds."""
     times = []
-    for _ in range(options.rounds):
+    for _ in range(spec.rounds):
         wait()
         begun = time.perf_counter()
         work()
         wait()
         times.append(time.perf_counter() - begun)
-    return round(worlds * options.steps / median(times), 1)
+    return round(worlds * spec.steps / median(times), 1)
 
 
 def profile(

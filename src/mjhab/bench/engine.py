@@ -1,4 +1,4 @@
-"""``mjhab bench``: how fast this machine is, and whether grasps hold."""
+"""``mjhab bench sim``: how fast this machine is."""
 
 from __future__ import annotations
 
@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mjhab.cli.doctor import cores
-from mjhab.cli.options.common import BenchGraspOptions, BenchSimOptions
-from mjhab.cli.output import at_least, print_json, print_table
+from mjhab.bench.specs import EngineSpec
 from mjhab.core.errors import unknown_name
+from mjhab.core.machine import cores
 from mjhab.rollout.policy import ACTION_SIZE
 from mjhab.tasks.plan import TASKS
 
@@ -23,37 +22,26 @@ WARM_STEPS = 8
 """Untimed control steps after each reset: teleports happen and things come to rest."""
 
 
-def bench_sim(options: BenchSimOptions) -> int:
-    """Print control steps/s of the engine and of the environment, measured in the same run."""
-    if options.task not in TASKS:
-        raise unknown_name("task", options.task, TASKS)
-    for name in ("worlds", "steps", "rounds"):
-        at_least(name, getattr(options, name), 1)
-    at_least("threads", options.threads, 0)
-    at_least("seed", options.seed, 0)
+def measure_engine(spec: EngineSpec) -> dict[str, Any]:
+    """Control steps/s of the engine and of the environment, measured in the same run: `measure_sps`, and "threads".
+
+    Raises:
+        UsageError: unknown task.
+    """
+    if spec.task not in TASKS:
+        raise unknown_name("task", spec.task, TASKS)
     from mjhab.envs import make
 
     env = make(
-        task=options.task,
-        num_envs=options.worlds,
-        assets=options.assets,
-        seed=options.seed,
-        threads=options.threads,
+        task=spec.task,
+        num_envs=spec.worlds,
+        assets=spec.assets,
+        seed=spec.seed,
+        threads=spec.threads,
         autoreset="disabled",
     )
-    result = measure_sps(env, options.steps, options.rounds, options.seed)
-    result["threads"] = options.threads or cores()
-    if options.json:
-        print_json(result)
-    else:
-        rows = [
-            ("bare engine", result["engine_sps"]),
-            ("env.step without cameras", result["env_sps"]),
-        ]
-        title = f"{options.task}, {options.worlds} worlds, {result['threads']} threads"
-        print_table(title, ("what", "control steps/s over all worlds"), rows)
-        print(f"the environment runs at {100 * result['ratio']:.0f} % of the bare engine")
-    return 0
+    found = measure_sps(env, spec.steps, spec.rounds, spec.seed)
+    return found | {"threads": spec.threads or cores()}
 
 
 def measure_sps(env: SequentialTaskEnv, steps: int, rounds: int, seed: int) -> dict[str, Any]:
@@ -69,18 +57,24 @@ def measure_sps(env: SequentialTaskEnv, steps: int, rounds: int, seed: int) -> d
         seed: seed of the episodes and of the motions.
 
     Returns:
-        ``engine_sps``, ``env_sps`` [control steps/s over all worlds], ``ratio`` = env / engine, ``worlds``.
+        ``engine_sps``, ``env_sps`` [control steps/s over all worlds], ``ratio`` = env / engine, ``worlds``,
+        ``reset_ms``: time of one world's reset [ms] to an episode whose arrangement is in the cache.
     """
     worlds = env.num_envs
-    times: dict[str, list[float]] = {"engine": [], "env": []}
+    times: dict[str, list[float]] = {"engine": [], "env": [], "reset": []}
     for number in range(rounds):
         actions = sway(worlds, steps, seed + number)
         episodes = np.arange(number * worlds, (number + 1) * worlds)
 
-        def begin(episodes: np.ndarray = episodes) -> None:
-            env.reset(seed=seed, options={"episode": episodes, "reset_mask": np.ones(worlds, bool)})
+        def begin(episodes: np.ndarray = episodes) -> float:
+            """Start the episodes; seconds that the reset takes."""
+            options = {"episode": episodes, "reset_mask": np.ones(worlds, bool)}
+            started = time.perf_counter()
+            env.reset(seed=seed, options=options)
+            seconds = time.perf_counter() - started
             for _ in range(WARM_STEPS):
                 env.step(np.zeros((worlds, ACTION_SIZE), np.float32))
+            return seconds
 
         begin()
         commands = []
@@ -88,7 +82,7 @@ def measure_sps(env: SequentialTaskEnv, steps: int, rounds: int, seed: int) -> d
             env.step(action)
             commands.append(env.ctrl)
         for name in ("engine", "env") if number % 2 else ("env", "engine"):
-            begin()
+            times["reset"].append(begin())
             call, inputs = (env.step, actions) if name == "env" else (env.sim.bare_step, commands)
             times[name].append(_seconds(call, inputs))
     engine, whole = (worlds * steps / median(times[name]) for name in ("engine", "env"))
@@ -97,6 +91,7 @@ def measure_sps(env: SequentialTaskEnv, steps: int, rounds: int, seed: int) -> d
         "env_sps": round(whole, 1),
         "ratio": round(whole / engine, 4),
         "worlds": worlds,
+        "reset_ms": round(1000 * median(times["reset"]) / worlds, 3),
     }
 
 
@@ -114,22 +109,3 @@ def _seconds(call: Callable[[Any], object], inputs: Iterable[Any]) -> float:
     for item in inputs:
         call(item)
     return time.perf_counter() - start
-
-
-def bench_grasp(options: BenchGraspOptions) -> int:
-    """Print how far objects slip in the moving gripper; fails if one is dropped."""
-    at_least("seed", options.seed, 0)
-    at_least("seconds", options.seconds, 0.1)
-    from mjhab.bench.grasp import grasp_table
-
-    rows = grasp_table(seconds=options.seconds, seed=options.seed)
-    if options.json:
-        print_json({"grasps": rows})
-    else:
-        columns = list(rows[0])
-        print_table(
-            f"{options.seconds:g} s of base and arm motion",
-            columns,
-            [[row[key] for key in columns] for row in rows],
-        )
-    return 1 if any(row["dropped"] for row in rows) else 0

@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mjhab.bench.engine import measure_sps, sway
-from mjhab.bench.stages import STAGES, Stopwatch, resident_mb, stage_seconds, watch_env
-from mjhab.cli.options.env import BenchEnvOptions
-from mjhab.cli.output import at_least, print_json, print_table
-from mjhab.cli.profiles import profile_options
+from mjhab.bench.specs import EnvBenchSpec
+from mjhab.bench.stages import Stopwatch, resident_mb, stage_seconds, watch_env
+from mjhab.config.profile_choice import profile_options
 from mjhab.sim.backends import resolve
 
 if TYPE_CHECKING:
@@ -20,65 +19,26 @@ if TYPE_CHECKING:
     from mjhab.envs.sequential import SequentialTaskEnv
 
 
-def bench_env(options: BenchEnvOptions) -> int:
-    """Print what `measure` finds."""
-    for name in ("steps", "rounds", "camera-size"):
-        at_least(name, getattr(options, name.replace("-", "_")), 1)
-    at_least("worlds", min(options.worlds, default=0), 1)
-    at_least("threads", options.threads, 0)
-    at_least("seed", options.seed, 0)
-    found = measure(options)
-    if options.json:
-        print_json(found)
-        return 0
-    for point in found["points"]:
-        _print(options, found["backend"], point)
-    return 0
-
-
-def measure(options: BenchEnvOptions) -> dict[str, Any]:
+def measure(spec: EnvBenchSpec) -> dict[str, Any]:
     """Measure every number of worlds, see `measure_env` and, for backend warp, `device_env.measure_device_env`.
 
     Returns:
         The fastest point, "backend", and all "points".
     """
-    backend = resolve(options.backend)
+    backend = resolve(spec.backend)
     if backend == "warp":
         from mjhab.bench.device_env import measure_device_env as work
     else:
         work = measure_env
     points = []
-    for worlds in options.worlds:
-        points.append(work(options, worlds))
+    for worlds in spec.worlds:
+        points.append(work(spec, worlds))
         gc.collect()  # the worlds of this point make room for the next
     best = max(points, key=lambda point: point["env_sps"])
-    return best | {"backend": backend, "profile": options.profile, "points": points}
+    return best | {"backend": backend, "profile": spec.profile, "points": points}
 
 
-def _print(options: BenchEnvOptions, backend: str, point: dict[str, Any]) -> None:
-    names = {
-        "env_sps": "environment [control steps/s]",
-        "engine_sps": "bare engine [control steps/s]",
-        "ratio": "environment / engine",
-        "reset_ms": "one reset [ms]",
-        "rss_mb": "memory [MB]",
-        "world_mb": "memory per world [MB]",
-        "device_mb": "memory of the GPU [MB]",
-        "cold_start_s": "cold start [s]",
-        "tainted": "tainted worlds",
-    }
-    rows = [(told, point[name]) for name, told in names.items() if point.get(name) is not None]
-    print_table(
-        f"{options.env}, {options.obs}, {point['worlds']} worlds, {backend}",
-        ("what", "value"),
-        rows,
-    )
-    steps = point["profiled_steps"]
-    stages = [(stage, round(1000 * point["stages"][stage] / steps, 3)) for stage in STAGES]
-    print_table("where the time of a step of all worlds goes", ("stage", "ms"), stages)
-
-
-def measure_env(options: BenchEnvOptions, worlds: int) -> dict[str, Any]:
+def measure_env(spec: EnvBenchSpec, worlds: int) -> dict[str, Any]:
     """Build an environment, time it against its engine, and split the time of its steps into stages.
 
     Returns:
@@ -90,24 +50,24 @@ def measure_env(options: BenchEnvOptions, worlds: int) -> dict[str, Any]:
     begun = time.perf_counter()
     from mjhab.envs import make_by_id
 
-    extra = {"reward_mode": options.reward, "task": options.task}
+    extra = {"reward_mode": spec.reward, "task": spec.task}
     env = make_by_id(
-        options.env,
+        spec.env,
         num_envs=worlds,
-        obs_mode=options.obs,
-        camera_size=options.camera_size,
-        assets=options.assets,
-        seed=options.seed,
-        threads=options.threads,
+        obs_mode=spec.obs,
+        camera_size=spec.camera_size,
+        assets=spec.assets,
+        seed=spec.seed,
+        threads=spec.threads,
         autoreset="disabled",
         **{k: v for k, v in extra.items() if v is not None},
-        **profile_options(options),
+        **profile_options(spec),
     )
-    env.reset(seed=options.seed)
-    actions = sway(worlds, options.steps, options.seed, len(env.action_table))
+    env.reset(seed=spec.seed)
+    actions = sway(worlds, spec.steps, spec.seed, len(env.action_table))
     env.step(actions[0])
     cold = time.perf_counter() - begun
-    sps = measure_sps(env, options.steps, options.rounds, options.seed)
+    sps = measure_sps(env, spec.steps, spec.rounds, spec.seed)
     stages, reset_ms = profile(env, actions)
     full = resident_mb()
     return {

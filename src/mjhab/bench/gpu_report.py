@@ -20,13 +20,11 @@ from mjhab.bench.interact.run import measure_interact
 from mjhab.bench.parity.episodes import Leg
 from mjhab.bench.parity.run import measure_parity
 from mjhab.bench.sleep import sleep_cost
-from mjhab.cli.doctor import cores, gpu_name, installed
-from mjhab.cli.estimate import estimate_rows
-from mjhab.cli.options.common import DoctorOptions
-from mjhab.cli.options.env import BenchEnvOptions
-from mjhab.cli.options.gpu import BenchInteractOptions, BenchParityOptions
+from mjhab.bench.specs import EnvBenchSpec, InteractSpec, ParitySpec
 from mjhab.core.cache import write_atomic
 from mjhab.core.errors import MjhabError, unknown_name
+from mjhab.core.machine import cores, gpu_name, installed
+from mjhab.envs.estimate import estimate_rows
 from mjhab.sim.backends import cuda_devices, resolve
 
 NO_GPU = "no GPU at hand: these numbers come from Warp's CPU device and say nothing about a GPU"
@@ -58,7 +56,7 @@ def memory_results(has_gpu: bool) -> dict[str, Any]:
             {
                 "num_envs": count,
                 "obs": obs,
-                "backends": estimate_rows(DoctorOptions(num_envs=count, obs=obs)),
+                "backends": estimate_rows(count, obs),
             }
             for count in (1024, 4096)
             for obs in ("state", "rgbd")
@@ -68,8 +66,8 @@ def memory_results(has_gpu: bool) -> dict[str, Any]:
 
 def interact_results(has_gpu: bool) -> dict[str, Any]:
     """The Interact benchmark on both backends; a number of worlds that does not fit gives its error."""
-    cpu = BenchInteractOptions(backend="cpu", seeds=3)
-    warp = BenchInteractOptions(backend="warp")
+    cpu = InteractSpec(backend="cpu", seeds=3)
+    warp = InteractSpec(backend="warp")
     counts = GPU_WORLDS if has_gpu else (2,)
     if not has_gpu:
         warp = dataclasses.replace(warp, device="cpu", seeds=2, steps=40)
@@ -86,13 +84,13 @@ def interact_results(has_gpu: bool) -> dict[str, Any]:
     }
 
 
-def _words(plan: BenchInteractOptions) -> str:
+def _words(plan: InteractSpec) -> str:
     return f"interact {plan.backend}, {plan.worlds[0]} worlds, {'no cameras' if plan.no_render else 'RGB-D'}"
 
 
 def env_results(has_gpu: bool) -> dict[str, Any]:
     """TidyHouse with 30 objects, depth, dense reward: PickSubtaskTrain on both backends, on a GPU also the chain."""
-    base = BenchEnvOptions(task="tidy_house", obs="depth", reward="dense")
+    base = EnvBenchSpec(task="tidy_house", obs="depth", reward="dense")
     warp = dataclasses.replace(base, backend="warp")
     if has_gpu:
         chain = dataclasses.replace(warp, env="mjhab/TidyHouse-v1")
@@ -121,7 +119,7 @@ def sleep_results(has_gpu: bool) -> dict[str, Any]:
 
 def parity_results(has_gpu: bool) -> dict[str, Any]:
     """The parity report over all subtasks with 200 expert episodes."""
-    options = BenchParityOptions(
+    options = ParitySpec(
         worlds=16 if has_gpu else 10, episodes=200, task="all", subtask="all", log=PARITY_LOG
     )
     return attempt(lambda: measure_parity(options), "parity")
@@ -129,7 +127,7 @@ def parity_results(has_gpu: bool) -> dict[str, Any]:
 
 def quick_parity_results(has_gpu: bool) -> dict[str, Any]:
     """The parity report of two starts of one subtask."""
-    options = BenchParityOptions(worlds=2, steps=100, episodes=2, grasp_seconds=2.0)
+    options = ParitySpec(worlds=2, steps=100, episodes=2, grasp_seconds=2.0)
     return attempt(lambda: measure_parity(options), "parity, quick")
 
 

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from scipy.stats import rankdata
 
-from mjhab.cli.options.env import BenchRewardOptions
-from mjhab.cli.output import at_least, print_json, print_table, progress_bar
-from mjhab.cli.profiles import profile_options
+from mjhab.bench.specs import RewardSpec
+from mjhab.config.profile_choice import profile_options
 from mjhab.core.cache import write_atomic
 from mjhab.core.errors import unknown_name
+from mjhab.core.progress import progress_bar
 from mjhab.reports.parts import section
 from mjhab.reports.plots import Figure
 from mjhab.reports.run import render_page
@@ -21,6 +21,7 @@ from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink, StepView
 from mjhab.tasks.plan import KIND_NAMES
 
+REPORT = "report.html"
 EXPERT_KINDS = tuple(kind for kind in KIND_NAMES if kind != "navigate")
 COLORS = {"success": "#16a34a", "failure": "#dc2626"}
 
@@ -45,44 +46,32 @@ class RewardSink(Sink[RolloutEnv]):
         self._advance()
 
 
-def bench_reward(options: BenchRewardOptions) -> int:
-    """Print and write what `measure_reward` finds."""
-    for name in ("episodes", "worlds"):
-        at_least(name, getattr(options, name), 1)
-    kinds = options.subtasks.split(",")
+def measure_rewards(spec: RewardSpec) -> dict[str, dict[str, Any]]:
+    """Run the expert in every subtask of ``spec`` and write report.html into its folder.
+
+    Returns:
+        `summary` of every subtask.
+
+    Raises:
+        UsageError: a subtask that has no expert with a dense reward.
+    """
+    kinds = spec.subtasks.split(",")
     for kind in kinds:
         if kind not in EXPERT_KINDS:
             raise unknown_name("subtask", kind, EXPERT_KINDS)
-    curves = {kind: measure_reward(kind, options) for kind in kinds}
+    curves = {kind: measure_reward(kind, spec) for kind in kinds}
     found = {kind: summary(curve) for kind, curve in curves.items()}
     figures = {f"reward-{kind}": figure(curve) for kind, curve in curves.items()}
-    body = f"<h1>Dense reward of the expert</h1><p>Profile {options.profile}.</p>" + "".join(
+    body = f"<h1>Dense reward of the expert</h1><p>Profile {spec.profile}.</p>" + "".join(
         section(kind, _sentence(found[kind]), f'<div id="reward-{kind}"></div>') for kind in kinds
     )
     page = render_page("Dense reward of the expert", body, {"plots": figures, "force": []})
-    options.out.mkdir(parents=True, exist_ok=True)
-    write_atomic(
-        options.out / "report.html", lambda temporary: temporary.write_text(page, encoding="utf-8")
-    )
-    if options.json:
-        print_json(
-            {
-                "profile": options.profile,
-                "subtasks": found,
-                "report": str(options.out / "report.html"),
-            }
-        )
-    else:
-        columns = list(next(iter(found.values())))
-        rows = [[kind, *(found[kind][c] for c in columns)] for kind in kinds]
-        print_table(
-            f"normalised dense reward, profile {options.profile}", ("subtask", *columns), rows
-        )
-        print(f"Curves: {options.out / 'report.html'}")
-    return 0
+    spec.out.mkdir(parents=True, exist_ok=True)
+    write_atomic(spec.out / REPORT, lambda temporary: temporary.write_text(page, encoding="utf-8"))
+    return found
 
 
-def measure_reward(kind: str, options: BenchRewardOptions) -> list[tuple[bool, np.ndarray]]:
+def measure_reward(kind: str, spec: RewardSpec) -> list[tuple[bool, np.ndarray]]:
     """Run the expert; returns (successful at least once, normalised dense rewards (T,)) of every episode."""
     from mjhab.envs import make_train
     from mjhab.experts import make_expert
@@ -91,16 +80,16 @@ def measure_reward(kind: str, options: BenchRewardOptions) -> list[tuple[bool, n
     env = make_train(
         task=task,
         subtask=kind,
-        num_envs=min(options.worlds, options.episodes),
-        threads=options.threads,
-        seed=options.seed,
+        num_envs=min(spec.worlds, spec.episodes),
+        threads=spec.threads,
+        seed=spec.seed,
         autoreset="disabled",
         open_start=0.0,
-        **profile_options(options),
+        **profile_options(spec),
     )
-    with progress_bar(f"expert: {kind}", options.episodes) as advance:
+    with progress_bar(f"expert: {kind}", spec.episodes) as advance:
         sink = RewardSink(env.num_envs, advance)
-        rollout(env, make_expert(env), range(options.episodes), options.seed, [sink])
+        rollout(env, make_expert(env), range(spec.episodes), spec.seed, [sink])
     return sink.curves
 
 

@@ -11,11 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from mjhab.cli.options.serve import BenchServingOptions
-from mjhab.cli.output import at_least, print_json, print_table
+from mjhab.bench.specs import ServingSpec
 from mjhab.evaluation.resolve import resolve_policy
 from mjhab.rollout.loop import rollout
-from mjhab.rollout.policy import ACTION_SIZE
+from mjhab.rollout.policy import ACTION_SIZE, RolloutEnv
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink, StepView
 from mjhab.serving import require_serving
@@ -86,7 +85,7 @@ class StillServer:
         return subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
 
 
-class Killer(Sink):
+class Killer(Sink[RolloutEnv]):
     """Restarts a server at some of the control steps of a rollout."""
 
     def __init__(self, server: StillServer, steps: list[int]) -> None:
@@ -94,42 +93,31 @@ class Killer(Sink):
         self._steps = steps
         self.taken = 0
 
-    def on_step(self, env: Any, step: StepView) -> None:
+    def on_step(self, env: RolloutEnv, step: StepView) -> None:
         """Count, and restart when it is time."""
         self.taken += 1
         if self.taken in self._steps:
             self._server.restart()
 
 
-def bench_serving(options: BenchServingOptions) -> int:
-    """Print what requests cost and what became of episodes; fails if one of them was lost or requests are slow."""
-    for name in ("worlds", "steps", "requests"):
-        at_least(name, getattr(options, name), 1)
-    at_least("restarts", options.restarts, 0)
+def measure_serving(spec: ServingSpec) -> dict[str, Any]:
+    """What requests cost, and what becomes of episodes whose server is killed.
+
+    Returns:
+        "requests": `measure_requests` by dialect and number of worlds; "restarted": `measure_restarts`; "slowest_ms":
+        the largest median of one world; "lost": episodes that have no record.
+    """
     require_serving()
-    found: dict[str, Any] = {"requests": {}}
+    requests: dict[str, dict[str, float]] = {}
+    slowest = 0.0
     for dialect in DIALECTS:
-        for worlds in (1, options.worlds):
+        for worlds in (1, spec.worlds):
             name = f"{dialect}, {worlds} world{'s' if worlds > 1 else ''}"
-            found["requests"][name] = measure_requests(dialect, worlds, options.requests)
-    found["restarted"] = measure_restarts(options)
-    alone = [found["requests"][f"{dialect}, 1 world"]["p50"] for dialect in DIALECTS]
-    lost = (
-        found["restarted"]["episodes"]
-        - found["restarted"]["finished"]
-        - found["restarted"]["marked"]
-    )
-    if options.json:
-        print_json(found)
-    else:
-        rows = [(name, cost["p50"], cost["p99"]) for name, cost in found["requests"].items()]
-        print_table(
-            f"A request with two images of {IMAGE_SIZE_PX} px [ms]",
-            ("dialect", "median", "99 %"),
-            rows,
-        )
-        print_table("A server that is killed", ("what", "value"), list(found["restarted"].items()))
-    return 1 if lost or max(alone) > MAX_ADDED_MS else 0
+            requests[name] = measure_requests(dialect, worlds, spec.requests)
+        slowest = max(slowest, requests[f"{dialect}, 1 world"]["p50"])
+    restarted = measure_restarts(spec)
+    lost = restarted["episodes"] - restarted["finished"] - restarted["marked"]
+    return {"requests": requests, "restarted": restarted, "slowest_ms": slowest, "lost": lost}
 
 
 def measure_requests(dialect: str, worlds: int, requests: int) -> dict[str, float]:
@@ -185,28 +173,28 @@ def _ask() -> Ask:
     )
 
 
-def measure_restarts(options: BenchServingOptions) -> dict[str, Any]:
+def measure_restarts(spec: ServingSpec) -> dict[str, Any]:
     """Roll out in many worlds against one server that is killed now and then; what became of the episodes."""
     from mjhab.envs import make
 
-    env = make(task="set_table", subtask="close", num_envs=options.worlds, autoreset="disabled")
+    env = make(task="set_table", subtask="close", num_envs=spec.worlds, autoreset="disabled")
     server = StillServer("openpi")
-    every = options.steps // (options.restarts + 1)
-    killer = Killer(server, [every * (k + 1) for k in range(options.restarts)])
+    every = spec.steps // (spec.restarts + 1)
+    killer = Killer(server, [every * (k + 1) for k in range(spec.restarts)])
     try:
-        spec = f"ws://127.0.0.1:{server.port}?execute=1&timeout=10&reconnect=60"
-        policy = resolve_policy(spec, env)
+        address = f"ws://127.0.0.1:{server.port}?execute=1&timeout=10&reconnect=60"
+        policy = resolve_policy(address, env)
         horizon = env.task_config.close.horizon
-        count = -(-options.steps // horizon) * options.worlds
+        count = -(-spec.steps // horizon) * spec.worlds
         records: list[EpisodeRecord] = rollout(env, policy, range(count), 0, [killer])
     finally:
         server.kill()
         env.close()
     marked = sum(bool(record.error) for record in records)
     return {
-        "worlds": options.worlds,
+        "worlds": spec.worlds,
         "steps": killer.taken,
-        "restarts": options.restarts,
+        "restarts": spec.restarts,
         "episodes": count,
         "finished": len(records) - marked,
         "marked": marked,

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from mjhab.bench.specs import SoakSpec
 from mjhab.bench.stages import resident_mb
-from mjhab.cli.options.env import BenchSoakOptions
-from mjhab.cli.output import at_least, print_json, print_table, progress_bar
-from mjhab.cli.profiles import profile_options
+from mjhab.config.profile_choice import profile_options
+from mjhab.core.progress import progress_bar
 
 QUARTERS = 4
 """Memory is read after every quarter. In the first half homes are met for the first time and the pool of arrangements
@@ -18,27 +18,7 @@ fills; growth counts over the second."""
 MOST_GROWTH = 0.03
 
 
-def bench_soak(options: BenchSoakOptions) -> int:
-    """Print what `soak` finds; fails if memory grew by more than 3 %."""
-    for name in ("steps", "worlds"):
-        at_least(name, getattr(options, name), 1)
-    at_least("threads", options.threads, 0)
-    at_least("seed", options.seed, 0)
-    found = soak(options)
-    if options.json:
-        print_json(found)
-    else:
-        rows = [
-            (k, ", ".join(f"{n} {c}" for n, c in v.items()) if isinstance(v, dict) else v)
-            for k, v in found.items()
-        ]
-        print_table(
-            f"{found['steps']:,} control steps with random actions", ("what", "value"), rows
-        )
-    return 1 if found["rss_growth"] > MOST_GROWTH else 0
-
-
-def soak(options: BenchSoakOptions) -> dict[str, Any]:
+def soak(spec: SoakSpec) -> dict[str, Any]:
     """Step the environments in turn.
 
     Returns:
@@ -50,19 +30,19 @@ def soak(options: BenchSoakOptions) -> dict[str, Any]:
 
     envs = [
         make_train(
-            task=options.task,
+            task=spec.task,
             subtask=kind,
-            num_envs=options.worlds,
-            threads=options.threads,
-            seed=options.seed + i,
-            **profile_options(options),
+            num_envs=spec.worlds,
+            threads=spec.threads,
+            seed=spec.seed + i,
+            **profile_options(spec),
         )
-        for i, kind in enumerate(SUBTASKS_OF_TASK[options.task])
+        for i, kind in enumerate(SUBTASKS_OF_TASK[spec.task])
     ]
     for env in envs:
         env.reset()
-    rng = np.random.default_rng(options.seed)
-    rounds = -(-options.steps // (options.worlds * len(envs)))
+    rng = np.random.default_rng(spec.seed)
+    rounds = -(-spec.steps // (spec.worlds * len(envs)))
     episodes = 0
     fallbacks = 0
     marks = {rounds * q // QUARTERS - 1 for q in range(1, QUARTERS + 1)}
@@ -86,8 +66,8 @@ def soak(options: BenchSoakOptions) -> dict[str, Any]:
     half = memory[len(memory) // 2 - 1] if len(memory) > 1 else memory[-1]
     end = memory[-1]
     return {
-        "profile": options.profile,
-        "steps": rounds * options.worlds * len(envs),
+        "profile": spec.profile,
+        "steps": rounds * spec.worlds * len(envs),
         "episodes": episodes,
         "seconds": round(time.perf_counter() - begun, 1),
         "tainted": tainted,

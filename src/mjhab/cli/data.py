@@ -18,9 +18,10 @@ from mjhab.cli.options.data import (
     DataStatsOptions,
     LabelOptions,
 )
-from mjhab.cli.output import at_least, late_bar, print_json, print_table, progress_bar
+from mjhab.cli.output import at_least, print_json, print_table
 from mjhab.core.cache import write_atomic
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.progress import late_bar, progress_bar
 from mjhab.data.export.folders import broken
 from mjhab.data.imports.ms_hab import ABSENT, Origin, import_ms_hab
 from mjhab.data.select.facts import FACTS, FUNCTIONS, target_of

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import importlib.util
 import platform
-import shutil
-import subprocess
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 from mjhab.cli.options.common import DoctorOptions
 from mjhab.cli.output import print_json, print_table
 from mjhab.core.cache import cache_dir
-from mjhab.core.machine import cores
+from mjhab.core.machine import cores, gpu_name, installed
 from mjhab.core.version import __version__
 
 PINNED_MUJOCO = "3.17.0"
@@ -50,28 +47,6 @@ def diagnose() -> dict[str, Any]:
         "cores": cores(),
         "cache": str(cache_dir()),
     }
-
-
-def installed(package: str) -> str | None:
-    """Return the version of an installed distribution, None if it is missing."""
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return None
-
-
-def gpu_name() -> str | None:
-    """Return the name of the first NVIDIA GPU as its driver tells it; no CUDA context is opened."""
-    tool = shutil.which("nvidia-smi")
-    if tool is None:
-        return None
-    command = [tool, "--query-gpu=name", "--format=csv,noheader"]
-    try:
-        answer = subprocess.run(command, capture_output=True, text=True, timeout=20, check=True)
-    except (subprocess.SubprocessError, OSError):
-        return None
-    names = answer.stdout.strip().splitlines()
-    return names[0].strip() if names else None
 
 
 def _print(found: dict[str, Any]) -> None:

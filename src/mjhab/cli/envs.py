@@ -6,7 +6,7 @@ from typing import Any
 
 from mjhab.cli.options.env import EnvsDescribeOptions, EnvsListOptions
 from mjhab.cli.output import print_json, print_table
-from mjhab.cli.profiles import profile_options
+from mjhab.config.profile_choice import profile_options
 
 
 def run_envs(options: EnvsListOptions | EnvsDescribeOptions) -> int:

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from mjhab.cli.doctor import cores
 from mjhab.cli.options.common import EpisodesCheckOptions, EpisodesMakeOptions
 from mjhab.cli.output import at_least, print_json, print_table
 from mjhab.core.errors import MjhabError, UsageError, unknown_name
+from mjhab.core.machine import cores
 from mjhab.tasks.plan import TASKS
 
 if TYPE_CHECKING:

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import signal
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from typing import Any
+from collections.abc import Sequence
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from mjhab.cli.interrupts import sigterm_interrupts
 from mjhab.cli.options.common import EvalOptions
 from mjhab.cli.output import print_json, print_table
-from mjhab.cli.profiles import profile_options
+from mjhab.config.profile_choice import profile_options
 from mjhab.evaluation.evaluate import EvalSpec, EvaluationInterrupted, Run, run_evaluation
 from mjhab.reports.metrics import SubtaskRow, rows_by_kind, rows_by_position
 from mjhab.rollout.policy import RolloutEnv
@@ -73,23 +71,6 @@ def eval_spec(options: EvalOptions) -> EvalSpec:
         overwrite=options.overwrite,
         alone=options.alone,
     )
-
-
-@contextmanager
-def sigterm_interrupts() -> Iterator[None]:
-    """While it is open, the first SIGTERM does what Ctrl-C does; later ones do not disturb what is being written."""
-    seen: list[int] = []
-
-    def interrupt(number: int, frame: Any) -> None:
-        seen.append(number)
-        if len(seen) == 1:
-            raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGTERM, interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 class ProgressSink(Sink[RolloutEnv]):

@@ -10,8 +10,9 @@ from contextlib import contextmanager
 
 from mjhab.cli.data import read_filter
 from mjhab.cli.options.export import ExportLerobotOptions, ExportManiskillOptions
-from mjhab.cli.output import late_bar, print_json
+from mjhab.cli.output import print_json
 from mjhab.core.errors import UsageError
+from mjhab.core.progress import late_bar
 from mjhab.data.export.maniskill import export_maniskill
 from mjhab.render.film import FilmWriter, join_films
 

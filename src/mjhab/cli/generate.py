@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
+from mjhab.cli.interrupts import stop_signals
 from mjhab.cli.options.generate import GenerateOptions
 from mjhab.cli.output import at_least, print_json, print_table
-from mjhab.cli.profiles import profile_options
+from mjhab.config.profile_choice import profile_options
 from mjhab.data.record.generation import Standing
 from mjhab.evaluation.generate import GeneratedData, GenerateSpec, run_generation
 
@@ -68,24 +67,6 @@ def generate_spec(options: GenerateOptions) -> GenerateSpec:
         ray=options.ray,
         resume=options.resume,
     )
-
-
-@contextmanager
-def stop_signals() -> Iterator[Any]:
-    """While it is open, SIGTERM and Ctrl-C only make the function it gives say True; a second Ctrl-C interrupts."""
-    seen: list[int] = []
-
-    def note(number: int, frame: Any) -> None:
-        if seen and number == signal.SIGINT:
-            raise KeyboardInterrupt
-        seen.append(number)
-
-    before = {number: signal.signal(number, note) for number in (signal.SIGTERM, signal.SIGINT)}
-    try:
-        yield lambda: bool(seen)
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 @contextmanager

@@ -6,7 +6,8 @@ from typing import Any
 
 from mjhab.cli.home_names import homes_of_split
 from mjhab.cli.options.common import HomesCheckOptions
-from mjhab.cli.output import print_json, print_table, progress_bar
+from mjhab.cli.output import print_json, print_table
+from mjhab.core.progress import progress_bar
 
 
 def check(options: HomesCheckOptions) -> int:

@@ -7,8 +7,9 @@ from typing import Any
 
 from mjhab.cli.home_names import find_home, homes_of_split
 from mjhab.cli.options.common import HomesRenderOptions
-from mjhab.cli.output import at_least, print_json, progress_bar
+from mjhab.cli.output import at_least, print_json
 from mjhab.core.errors import UsageError
+from mjhab.core.progress import progress_bar
 
 PNG = ".png"
 HTML = ".html"

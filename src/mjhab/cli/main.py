@@ -10,6 +10,7 @@ from typing import Any
 
 import tyro
 
+from mjhab import register_all
 from mjhab.cli import commands
 from mjhab.core.errors import MjhabError, UsageError
 from mjhab.core.version import __version__
@@ -78,6 +79,7 @@ def with_pack_request(options: Any) -> Any:
 
 def run(command: Any) -> int:
     """Run a parsed command and return the exit code."""
+    register_all()
     command = with_pack_request(command)
     # In a group such as `homes`, the command chosen in it.
     chosen = getattr(command, "command", command)

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
 
@@ -42,27 +40,3 @@ def at_least(option: str, value: float, least: float) -> None:
     """
     if value < least:
         raise UsageError(f"--{option} must be at least {least}, got {value}.")
-
-
-@contextmanager
-def progress_bar(what: str, total: int) -> Iterator[Callable[[], None]]:
-    """Show a bar on stderr where a person looks on; gives a function that moves it by one."""
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-    )
-    console = Console(stderr=True)
-    with Progress(
-        *columns, console=console, transient=True, disable=not console.is_terminal
-    ) as progress:
-        bar = progress.add_task(what, total=total)
-        yield lambda: progress.advance(bar)
-
-
-@contextmanager
-def late_bar(what: str) -> Iterator[Callable[[int], Callable[[], None]]]:
-    """A bar that is begun by whoever learns how long it will be; gives what `progress_bar` gives."""
-    with ExitStack() as stack:
-        yield lambda total: stack.enter_context(progress_bar(what, total))

@@ -9,8 +9,9 @@ from typing import Any
 
 from mjhab.cli.data import read_filter
 from mjhab.cli.options.generate import ReplayOptions
-from mjhab.cli.output import at_least, print_json, print_table, progress_bar
+from mjhab.cli.output import at_least, print_json, print_table
 from mjhab.core.errors import UsageError
+from mjhab.core.progress import progress_bar
 from mjhab.data.record.provenance import TRAIN_MAKER
 from mjhab.data.record.replay import FOLLOW, render, verify
 from mjhab.data.record.worlds import RecordedEnv

@@ -6,11 +6,13 @@ import re
 import sys
 from pathlib import Path
 
-from mjhab.cli.evaluate import ProgressSink, sigterm_interrupts
+from mjhab.cli.evaluate import ProgressSink
+from mjhab.cli.interrupts import sigterm_interrupts
 from mjhab.cli.options.score import ScoreOptions
-from mjhab.cli.output import print_json, print_table, progress_bar
+from mjhab.cli.output import print_json, print_table
 from mjhab.core.cache import write_atomic
 from mjhab.core.errors import UsageError
+from mjhab.core.progress import progress_bar
 from mjhab.evaluation.evaluate import EvaluationInterrupted
 from mjhab.evaluation.score.leaderboard import leaderboard
 from mjhab.evaluation.score.result import Result, read_result

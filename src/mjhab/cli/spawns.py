@@ -6,11 +6,12 @@ import time
 from pathlib import Path
 from typing import Any
 
-from mjhab.cli.doctor import cores
 from mjhab.cli.options.spawn import BenchSpawnOptions, SpawnsListOptions, SpawnsMakeOptions
-from mjhab.cli.output import at_least, print_json, print_table, progress_bar
-from mjhab.cli.profiles import resolved_profile
+from mjhab.cli.output import at_least, print_json, print_table
+from mjhab.config.profile_choice import resolved_profile
 from mjhab.core.errors import UsageError
+from mjhab.core.machine import cores
+from mjhab.core.progress import progress_bar
 
 
 def run_spawns(options: SpawnsMakeOptions | SpawnsListOptions) -> int:

@@ -6,8 +6,7 @@ import dataclasses
 import sys
 from typing import TYPE_CHECKING, Any
 
-from mjhab.cli.doctor import cores
-from mjhab.cli.evaluate import sigterm_interrupts
+from mjhab.cli.interrupts import sigterm_interrupts
 from mjhab.cli.options.train import (
     ReinforcementOptions,
     RunOptions,
@@ -22,9 +21,10 @@ from mjhab.cli.options.train import (
     TrainSacOptions,
 )
 from mjhab.cli.output import at_least, print_json
-from mjhab.cli.profiles import profile_options
+from mjhab.config.profile_choice import profile_options
 from mjhab.config.profiles import DEFAULT_PROFILE, profile_named
 from mjhab.core.errors import unknown_name
+from mjhab.core.machine import cores
 from mjhab.learning.require import require_learn
 from mjhab.tasks.plan import KIND_NAMES, TASKS
 from mjhab.tasks.style import Styles

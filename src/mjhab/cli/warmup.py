@@ -9,7 +9,7 @@ from typing import Any
 
 from mjhab.cli.options.gpu import WarmupOptions
 from mjhab.cli.output import print_json, print_table
-from mjhab.cli.profiles import profile_options
+from mjhab.config.profile_choice import profile_options
 from mjhab.core.errors import unknown_name
 from mjhab.sim.backends import resolve
 from mjhab.tasks.plan import TASKS

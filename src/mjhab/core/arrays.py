@@ -9,28 +9,26 @@ from types import ModuleType
 from typing import Any, TypeVar
 
 import array_api_compat
-import array_api_compat.numpy as numpy_xp
 import numpy as np
 
 Array = Any
 """A numpy array or a torch tensor: whatever ``array_api_compat`` knows."""
+_NUMPY_TYPES = (np.ndarray, np.generic)
 
 Record = TypeVar("Record")
 
 
 def namespace(*arrays: Array) -> ModuleType:
-    """Return the array-API namespace of the arrays (a fast path for numpy, which is asked for every step).
+    """Return the array-API namespace of the arrays: numpy itself, or what ``array_api_compat`` makes of torch.
 
     Raises:
         TypeError: the arrays come from different libraries, or are no arrays.
     """
-    if type(arrays[0]) is np.ndarray:
-        for array in arrays:
-            if type(array) is not np.ndarray:
-                break
-        else:
-            return numpy_xp
-    return array_api_compat.array_namespace(*arrays)
+    # numpy 2 follows the standard. array_api_compat's version of it loads numpy's tests and Fortran tools.
+    for array in arrays:
+        if not isinstance(array, _NUMPY_TYPES):
+            return array_api_compat.array_namespace(*arrays)
+    return np
 
 
 def device_of(array: Array) -> Any:

@@ -1,9 +1,16 @@
-"""What a name in a file may look like. Names become parts of paths, of messages and of other files."""
+"""What a name in a file may look like, and paths that are made from names.
+
+Names become parts of paths, of messages and of other files.
+"""
 
 from __future__ import annotations
 
+import os
 import re
+from pathlib import Path
 from typing import Any
+
+from mjhab.core.errors import UsageError
 
 MAX_NAME_CHARACTERS = 128
 _MOST_SHOWN = 60
@@ -39,3 +46,18 @@ def check_name(what: str, name: Any, *, empty: bool = False) -> str:
         f"{what}: {shown} is no name. Expected letters, digits and _ - . / : (at most {MAX_NAME_CHARACTERS}), "
         "without '..' and not an absolute path."
     )
+
+
+def below(root: Path, *parts: str | Path) -> Path:
+    """The path ``root/parts...``, which lies below ``root``. Whoever makes a path from a name asks here.
+
+    Raises:
+        UsageError: it would lie elsewhere, because a part is absolute or has ``..`` in it.
+    """
+    path = root.joinpath(*parts)
+    top = Path(os.path.normpath(root))
+    inside = Path(os.path.normpath(path))
+    if inside == top or not inside.is_relative_to(top):
+        given = "/".join(map(str, parts))
+        raise UsageError(f"{given!r} would be written outside of {root}; nothing was written.")
+    return path

@@ -256,7 +256,7 @@ class TaskLoop(VectorEnv, ABC):
         self._reseed(seed, mask)
         episodes = self._next_episodes() if wanted is None else self._chosen_episodes(wanted, mask)
         self._renew(mask, self._no, episodes)
-        return self._observe(), self._info(self._nothing())
+        return self._observe(), self.info()
 
     def _array(self, values: Any) -> Array:
         """Values as an array of the backend's library and device, their type as it is."""
@@ -395,6 +395,10 @@ class TaskLoop(VectorEnv, ABC):
             self.due = outcome.done
         obs = self._observe() if seen is None else self._observe(seen, changed)
         return obs, reward, terminated, truncated, self._info(told) | final
+
+    def info(self) -> dict[str, Any]:
+        """`info` of the present state, as of a step in which nothing happened; something must have been reset."""
+        return self._info(self._nothing())
 
     def _info(self, told: Told) -> dict[str, Any]:
         """Arrays (W,) that stay as they are, whatever the environment does next, and what a step tells.

@@ -17,7 +17,7 @@ from mjhab.core.boxes import Boxes, sphere_box_distance
 from mjhab.core.joints import BASE
 from mjhab.core.rotations import mat_from_quat, pose_mul
 from mjhab.robots.kinematics import wrap
-from mjhab.scenes.freespace import FreeMap, free_map
+from mjhab.scenes.freespace import FreeMap, shared_map
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.scratch import Scratch
 
@@ -95,22 +95,21 @@ class SpawnSampler:
         self._radius = self._robot.footprint.spawn
         self._arm = list(self._robot.arm_columns)
         self._homes = {home.name: home for home in sim.layout.pack.homes}
-        self._maps: dict[str, FreeMap] = {}
-        self._standing: dict[str, np.ndarray] = {}
+        self._standing: dict[tuple[str, float], np.ndarray] = {}
         self._walls: dict[str, Boxes] = {}
 
     def map(self, home: str) -> FreeMap:
         """Free-space map of a home."""
-        if home not in self._maps:
-            self._maps[home] = free_map(self._homes[home], self.sim.layout.pack)
-        return self._maps[home]
+        return shared_map(self._homes[home], self.sim.layout.pack)
 
-    def walkable(self, home: str) -> np.ndarray:
-        """(P, 2) centres [m] of the cells where the robot can stand."""
-        if home not in self._standing:
+    def walkable(self, home: str, radius: float | None = None) -> np.ndarray:
+        """(P, 2) centres [m] of the cells where a robot of a ``radius`` [m], if None its own, can stand."""
+        radius = self._radius if radius is None else radius
+        key = (home, radius)
+        if key not in self._standing:
             fmap = self.map(home)
-            self._standing[home] = fmap.to_xy(np.argwhere(fmap.navigable(self._radius)))
-        return self._standing[home]
+            self._standing[key] = fmap.to_xy(np.argwhere(fmap.navigable(radius)))
+        return self._standing[key]
 
     def roomiest(self, home: str) -> np.ndarray:
         """(2,) the cell [m] of the floor that is farthest from everything."""

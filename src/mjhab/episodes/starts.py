@@ -47,6 +47,9 @@ TURN_SPARE = 0.02
 OPEN_START_MARGIN = 1.0
 """Opened links start between their success fraction and this fraction of their range."""
 
+ROAM_RADIUS = 0.5
+"""Room [m] around the place where the robot of a chain begins."""
+
 AJAR = 0.2
 """Part of the way to open at which a drawer starts that was left ajar (mshab/envs/open.py)."""
 
@@ -460,9 +463,8 @@ class StartMaker:
 
     def _roam(self, episode: Episode, qpos: np.ndarray) -> tuple[np.ndarray, bool, int]:
         """A chain begins with the robot somewhere in the home; its first Navigate brings it to work."""
-        fmap = self.sampler.map(episode.home)
         rng = stream(episode.seed, "roam", episode.task, episode.index)
-        cells = fmap.to_xy(np.argwhere(fmap.navigable(0.5)))
+        cells = self.sampler.walkable(episode.home, ROAM_RADIUS)
         for attempt in range(MAX_TRIES):
             xy = cells[int(rng.integers(len(cells)))]
             heading = rng.uniform(-np.pi, np.pi)

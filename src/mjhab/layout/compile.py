@@ -9,7 +9,7 @@ import mujoco
 
 from mjhab.core.cache import cache_dir, write_atomic
 from mjhab.core.code_digest import code_digest
-from mjhab.core.paths import below
+from mjhab.core.names import below
 from mjhab.layout.layout import Layout, build_spec
 from mjhab.scenes.spec import Home
 

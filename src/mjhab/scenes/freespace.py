@@ -6,8 +6,10 @@ height of the robot is drawn as the convex outline of its points, doors and draw
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from dataclasses import dataclass
 from functools import cached_property
+from threading import Lock
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt, label
@@ -25,6 +27,8 @@ BASE_RADIUS = 0.3
 """Radius [m] of the robot for which HAB makes its navigation meshes."""
 ROBOT_HEIGHT = 1.4
 """What hangs above this [m] does not block the base; the head camera of the benchmark's robot is at 1.41 m."""
+MAX_MAPS = 128
+"""Maps that a process remembers, see `shared_map`; one of an apartment takes about 0.4 MB."""
 MAX_FIELDS = 4
 """Distance fields a map remembers; one of an apartment takes about 0.2 MB."""
 _MARGIN = 0.3
@@ -169,6 +173,27 @@ def look_up(
     w = np.arange(len(fields))
     near, far = ((1 - v) * fields[w, row, j] + v * fields[w, row, m] for row in (i, k))
     return (1 - u) * near + u * far + np.linalg.norm(wanted - at, axis=1) * cell
+
+
+def shared_map(home: Home, pack: Pack) -> FreeMap:
+    """`free_map` of a home at its usual cell, drawn once in a process for all who ask.
+
+    The last `MAX_MAPS` homes are remembered.
+    """
+    key = (id(home), id(pack))
+    with _MAPS_LOCK:
+        found = _MAPS.pop(key, None)
+        if found is None:
+            # Home and pack are kept with the map, so that no other objects get their ids.
+            found = (home, pack, free_map(home, pack))
+        _MAPS[key] = found  # the last one used stands at the end
+        while len(_MAPS) > MAX_MAPS:
+            _MAPS.popitem(last=False)
+    return found[2]
+
+
+_MAPS: OrderedDict[tuple[int, int], tuple[Home, Pack, FreeMap]] = OrderedDict()
+_MAPS_LOCK = Lock()
 
 
 def free_map(home: Home, pack: Pack, cell: float = 0.05) -> FreeMap:

@@ -12,9 +12,10 @@ from mjhab.core.rotations import mat_from_quat
 from mjhab.episodes.grasps.candidates import ObjectShape, grasp_candidates
 from mjhab.experts.arm import ik
 from mjhab.experts.arm.clearance import Boxes
+from mjhab.experts.arm.ik_kernels import link_frames, tree_of
 from mjhab.robots.fetch import model as fetch
 from mjhab.robots.fetch.robot import ROBOT
-from mjhab.robots.kinematics import rotation_vector
+from mjhab.robots.kinematics import limited_step, rotation_vector
 
 REST = np.array(fetch.REST_QPOS)
 CHAIN = ROBOT.chain
@@ -32,6 +33,31 @@ def reachable(seed: int, count: int) -> tuple[np.ndarray, np.ndarray]:
     q = np.repeat(REST[None], count, axis=0)
     q[:, DOFS] = CHAIN.clip(REST + rng.normal(0, 0.6, (count, 15)))[:, DOFS]
     return CHAIN.tip_pose(q)
+
+
+def test_compiled_frames_are_those_of_the_chain():
+    q = np.random.default_rng(2).uniform(-2.0, 2.0, (20, 15))
+    frames = CHAIN.forward(q)
+    pos, rot = link_frames(tree_of(CHAIN), q)
+    np.testing.assert_allclose(pos, frames.pos, atol=1e-12)
+    np.testing.assert_allclose(rot, frames.rot, atol=1e-12)
+
+
+@pytest.mark.parametrize("far", [0.01, 1.0])
+def test_a_compiled_step_is_that_of_the_batched_kinematics(far):
+    """Small errors and large ones, for which columns run into their limits."""
+    pos, rot = reachable(3, 40)
+    q = np.repeat(REST[None], 40, axis=0)
+    tip, turn = CHAIN.tip_pose(q)
+    goal = tip + far * (pos - tip)
+    error = np.concatenate([goal - tip, rotation_vector(rot @ turn.swapaxes(1, 2))], axis=1)
+    low = (CHAIN.lower - q)[:, DOFS]
+    high = (CHAIN.upper - q)[:, DOFS]
+    bounds = ik.step_limits(CHAIN)[DOFS]
+    pull = np.zeros_like(low)
+    wanted = limited_step(error, CHAIN.jacobian(q)[:, :, DOFS], pull, low, high, bounds)
+    found = ik.servo(CHAIN, q, goal, rot, DOFS, rest=REST)
+    np.testing.assert_allclose(found[:, DOFS], np.clip(wanted, low, high), atol=1e-9)
 
 
 @pytest.mark.parametrize("mode", ["pose", "approach", "closing", "position"])

@@ -8,8 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from mjhab.cli.options.expert import BenchExpertsOptions
-from mjhab.cli.output import at_least
+from mjhab.bench.specs import ExpertsSpec
 from mjhab.config.env import NAVIGATE_MODES, SPLITS, SUBTASKS_OF_TASK, EnvConfig
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.data.store.shard import last_label
@@ -171,27 +170,27 @@ class Result:
         return round(100 * (self.success_once - self.paper), 2)
 
 
-def make_rows(options: BenchExpertsOptions) -> list[Row]:
-    """The rows the options ask for.
+def make_rows(spec: ExpertsSpec) -> list[Row]:
+    """The rows that are asked for.
 
     Raises:
-        UsageError: a name, a number or an asset folder that cannot work, or nothing is left to measure.
+        UsageError: a name or an asset folder that cannot work, or nothing is left to measure.
     """
-    _check(options)
+    _check(spec)
     rows: list[Row] = []
     targets: set[str] = set()
-    for pack, assets in _packs(options).items():
-        for task in [task for task in TASKS if task in (options.task or TASKS)]:
+    for pack, assets in _packs(spec).items():
+        for task in [task for task in TASKS if task in (spec.task or TASKS)]:
             for subtask in (*SUBTASKS_OF_TASK[task], CHAIN):
-                if subtask in (options.subtask or (subtask,)):
-                    found = _rows_of(options, pack, assets, task, subtask)
+                if subtask in (spec.subtask or (subtask,)):
+                    found = _rows_of(spec, pack, assets, task, subtask)
                     targets |= {row.target for row in found if row.target}
                     rows += [
                         row
                         for row in found
-                        if row.episodes and row.target in (options.target or (row.target,))
+                        if row.episodes and row.target in (spec.target or (row.target,))
                     ]
-    for target in options.target:
+    for target in spec.target:
         if target not in targets:
             raise unknown_name("target of these rows", target, targets)
     if not rows:
@@ -201,47 +200,41 @@ def make_rows(options: BenchExpertsOptions) -> list[Row]:
     return rows
 
 
-def _rows_of(
-    options: BenchExpertsOptions, pack: str, assets: str, task: str, subtask: str
-) -> list[Row]:
+def _rows_of(spec: ExpertsSpec, pack: str, assets: str, task: str, subtask: str) -> list[Row]:
     if subtask == CHAIN:
-        modes = dict.fromkeys(options.navigate)
-        return [Row(pack, assets, task, subtask, "", mode, options.chains) for mode in modes]
+        modes = dict.fromkeys(spec.navigate)
+        return [Row(pack, assets, task, subtask, "", mode, spec.chains) for mode in modes]
     targets = [""]
     if subtask != "navigate":
         layout = Layout(open_pack(assets), roster(task))
         targets = valid_targets(EnvConfig(task=task, subtask=subtask), layout)
-    return [Row(pack, assets, task, subtask, target, "", options.episodes) for target in targets]
+    return [Row(pack, assets, task, subtask, target, "", spec.episodes) for target in targets]
 
 
-def _check(options: BenchExpertsOptions) -> None:
+def _check(spec: ExpertsSpec) -> None:
     for kind, given, valid in (
-        ("task", options.task, TASKS),
-        ("subtask", options.subtask, (*KIND_NAMES, CHAIN)),
-        ("navigate mode", options.navigate, NAVIGATE_MODES),
-        ("split", (options.split,), SPLITS),
+        ("task", spec.task, TASKS),
+        ("subtask", spec.subtask, (*KIND_NAMES, CHAIN)),
+        ("navigate mode", spec.navigate, NAVIGATE_MODES),
+        ("split", (spec.split,), SPLITS),
     ):
         for name in given:
             if name not in valid:
                 raise unknown_name(kind, name, valid)
-    for name in ("workers", "worlds"):
-        at_least(name, getattr(options, name), 1)
-    for name in ("episodes", "chains", "seed"):
-        at_least(name, getattr(options, name), 0)
 
 
-def _packs(options: BenchExpertsOptions) -> dict[str, str]:
+def _packs(spec: ExpertsSpec) -> dict[str, str]:
     """Short name of every asset pack, and how it was given."""
     packs: dict[str, str] = {}
-    for assets in options.assets:
+    for assets in spec.assets:
         pack = open_pack(assets)
         if pack.name in packs:
             raise UsageError(
                 f"--assets {packs[pack.name]} and {assets} are both {pack.name!r}; measure them in two folders."
             )
-        if not any(home.split == options.split for home in pack.homes):
+        if not any(home.split == spec.split for home in pack.homes):
             raise UsageError(
-                f"--assets {assets} has no homes of the split {options.split!r}; choose another --split."
+                f"--assets {assets} has no homes of the split {spec.split!r}; choose another --split."
             )
         packs[pack.name] = assets
     return packs

@@ -23,12 +23,12 @@ from mjhab.bench.interact.scene import (
     interact_scene,
 )
 from mjhab.bench.memory_sampler import MemorySampler
+from mjhab.bench.specs import InteractSpec
 from mjhab.bench.stages import resident_mb
-from mjhab.cli.options.gpu import BenchInteractOptions
-from mjhab.cli.output import at_least, print_json, print_table, progress_bar
 from mjhab.core.arrays import to_numpy
 from mjhab.core.cache import write_atomic
 from mjhab.core.errors import UsageError
+from mjhab.core.progress import progress_bar
 from mjhab.envs.parts.memory import check_device_memory
 from mjhab.robots.controllers import make_controller
 from mjhab.sim.backends import open_simulator, resolve
@@ -55,17 +55,6 @@ COLUMNS: tuple[str, ...] = (
     "device_mb",
     "rss_mb",
 )
-_HEADS = {
-    "worlds": "worlds",
-    "sps_mean": "SPS",
-    "sps_ci95": "± 95 %",
-    "physics_ms": "phys",
-    "render_ms": "render",
-    "device_mb": "GPU MB",
-    "rss_mb": "RSS MB",
-    "moved": "moved",
-    "tainted_worlds": "taint",
-}
 Pictures = dict[str, np.ndarray]
 
 
@@ -186,34 +175,8 @@ def affine_commands(actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return offset, command(actions[0], zero + 1.0) - offset[0]
 
 
-def bench_interact(options: BenchInteractOptions) -> int:
-    """Print and write what `measure_interact` finds."""
-    for name in ("seeds", "steps"):
-        at_least(name, getattr(options, name), 1)
-    at_least("worlds", min(options.worlds, default=0), 1)
-    at_least("threads", options.threads, 0)
-    if options.steps > STEPS:
-        raise UsageError(
-            f"--steps must be at most {STEPS}, as many as are recorded; got {options.steps}."
-        )
-    found, runs, pictures = measure_interact(options)
-    write_results(options.out, found, runs, pictures)
-    if options.json:
-        print_json(found)
-        return 0
-    kind = "no cameras" if options.no_render else f"2 x {CAMERA_SIZE} x {CAMERA_SIZE} RGB-D"
-    rows = [[len(p[k]) if k == "moved" else p[k] for k in _HEADS] for p in found["points"]]
-    print_table(
-        f"Interact, {found['backend']} on {found['device']}, {kind}; stages in ms",
-        tuple(_HEADS.values()),
-        rows,
-    )
-    print(f"Plot of speed over memory: {options.out / 'report.html'}")
-    return 0
-
-
 def measure_interact(
-    options: BenchInteractOptions,
+    spec: InteractSpec,
 ) -> tuple[dict[str, Any], list[dict[str, Any]], Pictures]:
     """Measure every number of worlds, ``seeds`` times.
 
@@ -221,32 +184,39 @@ def measure_interact(
         The best point, and all ``points`` (mean and 95 % confidence interval of the control steps/s over all worlds;
         largest memory during the runs; ``moved`` objects; ``tainted_worlds``; time of each stage, see `stage_times`);
         the single runs; and pictures of a world in the midst of it.
+
+    Raises:
+        UsageError: more steps than are recorded, or no room for the worlds.
     """
-    backend = resolve(options.backend)
-    render = not options.no_render
-    scene = interact_scene(options.assets)
+    if spec.steps > STEPS:
+        raise UsageError(
+            f"--steps must be at most {STEPS}, as many as are recorded; got {spec.steps}."
+        )
+    backend = resolve(spec.backend)
+    render = not spec.no_render
+    scene = interact_scene(spec.assets)
     points = []
     runs = []
     pictures = {}
-    with progress_bar("interact", len(options.worlds) * options.seeds) as advance:
-        for worlds in options.worlds:
+    with progress_bar("interact", len(spec.worlds) * spec.seeds) as advance:
+        for worlds in spec.worlds:
             bench = InteractBench(
                 scene,
                 backend,
                 worlds,
                 render=render,
-                device=options.device,
-                threads=options.threads,
+                device=spec.device,
+                threads=spec.threads,
             )
             warm(bench)
             mine = []
-            for seed in range(1, options.seeds + 1):
-                mine.append({"worlds": worlds, "seed": seed} | measure_run(bench, options.steps))
+            for seed in range(1, spec.seeds + 1):
+                mine.append({"worlds": worlds, "seed": seed} | measure_run(bench, spec.steps))
                 advance()
             points.append(
                 summarize(mine) | {"moved": bench.moved(), "tainted_worlds": bench.tainted()}
             )
-            stages, pictures = stage_times(bench, min(options.steps, STAGE_STEPS))
+            stages, pictures = stage_times(bench, min(spec.steps, STAGE_STEPS))
             points[-1] |= stages
             device = str(getattr(bench.sim, "device", "cpu"))
             runs += [
@@ -257,11 +227,11 @@ def measure_interact(
         "backend": backend,
         "device": runs[0]["device"],
         "render": render,
-        "steps": options.steps,
+        "steps": spec.steps,
     }
     best = max(points, key=lambda point: point["sps_mean"])
     return (
-        best | common | {"seeds": options.seeds, "home": scene.home, "points": points},
+        best | common | {"seeds": spec.seeds, "home": scene.home, "points": points},
         runs,
         pictures,
     )

@@ -19,10 +19,10 @@ from mjhab.bench.parity.episodes import (
     run_equal,
     run_own,
 )
-from mjhab.cli.options.gpu import BenchParityOptions
-from mjhab.cli.output import at_least, print_json, print_table, progress_bar
+from mjhab.bench.specs import ParitySpec
 from mjhab.config.env import SUBTASKS_OF_TASK
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.progress import progress_bar
 from mjhab.sim.backends import cuda_devices, resolve
 from mjhab.tasks.plan import KIND_NAMES
 
@@ -32,51 +32,7 @@ NOT_COMPARED = (
 )
 
 
-def bench_parity(options: BenchParityOptions) -> int:
-    """Print what `measure_parity` finds."""
-    for name in ("worlds", "steps"):
-        at_least(name, getattr(options, name), 1)
-    for name in ("episodes", "threads", "seed"):
-        at_least(name, getattr(options, name), 0)
-    at_least("grasp-seconds", options.grasp_seconds, 0.0)
-    found = measure_parity(options)
-    if options.json:
-        print_json(found)
-        return 0
-    marks = [f"step {mark}" for mark in found["steps"]]
-    for name, title in (
-        ("max", "largest difference in any world"),
-        ("median", "median over the worlds"),
-    ):
-        rows = [
-            [f"{kind} [{KINDS[kind]}]", *(f"{x:.2g}" for x in found[f"qpos_{name}"][kind])]
-            for kind in KINDS
-        ]
-        print_table(title, ("what", *marks), rows)
-    for acting, title in (("equal", "the same actions"), ("own", "the expert on each by itself")):
-        legs = found[f"episodes_{acting}"]
-        if legs:
-            print_table(
-                f"share that agrees, {title}",
-                ("what", *next(iter(legs.values()))),
-                [[name, *shares.values()] for name, shares in legs.items()],
-            )
-    print_table("agreement", ("what", "share"), list(found["agree"].items()))
-    if found["grasps"]:
-        rows = [
-            [
-                row["object"],
-                *(row[b][key] for b in ("cpu", "warp") for key in ("slip_mm", "dropped")),
-            ]
-            for row in found["grasps"]
-        ]
-        columns = ("object", "cpu slip [mm]", "cpu dropped", "warp slip [mm]", "warp dropped")
-        print_table(f"{options.grasp_seconds:g} s of shaking", columns, rows)
-    print(f"Not compared: {NOT_COMPARED}.")
-    return 0
-
-
-def measure_parity(options: BenchParityOptions) -> dict[str, Any]:
+def measure_parity(spec: ParitySpec) -> dict[str, Any]:
     """Compare both backends.
 
     Returns:
@@ -89,22 +45,22 @@ def measure_parity(options: BenchParityOptions) -> dict[str, Any]:
         UsageError: unknown task or subtask, or a log that is none.
     """
     resolve("warp")
-    device = options.device or ("cuda:0" if cuda_devices() else "cpu")
+    device = spec.device or ("cuda:0" if cuda_devices() else "cpu")
     legs = [
-        Leg(task, subtask, options.seed, options.worlds, options.threads, device)
-        for task, subtask in pairs(options.task, options.subtask)
+        Leg(task, subtask, spec.seed, spec.worlds, spec.threads, device)
+        for task, subtask in pairs(spec.task, spec.subtask)
     ]
-    log = Log(options.log)
-    drift = run_drift(legs, options.steps, log)
-    run_episodes(legs, options.episodes, log)
+    log = Log(spec.log)
+    drift = run_drift(legs, spec.steps, log)
+    run_episodes(legs, spec.episodes, log)
     equal = shares(log, "equal", legs, equal_shares)
     own = shares(log, "own", legs, own_shares)
     judged = equal["all"] if equal else equal_shares(drift)
     grasps: list[dict[str, Any]] = []
-    if options.grasp_seconds:
+    if spec.grasp_seconds:
         from mjhab.bench.parity.grasp import grasp_parity
 
-        grasps = grasp_parity(options.grasp_seconds, device, options.threads, options.seed)
+        grasps = grasp_parity(spec.grasp_seconds, device, spec.threads, spec.seed)
     return {
         "device": device,
         "worlds": len(drift),

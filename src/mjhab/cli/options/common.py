@@ -8,7 +8,10 @@ from typing import Annotated
 
 import tyro
 
+from mjhab.bench.specs import EngineSpec
 from mjhab.cli.options.served import ServedOptions
+from mjhab.config.profile_choice import ProfileChoice
+from mjhab.config.profiles import DEFAULT_PROFILE
 
 Sub = tyro.conf.subcommand
 Number = Annotated[int, tyro.conf.arg(metavar="N")]
@@ -24,10 +27,10 @@ Joints = Annotated[str | None, tyro.conf.arg(metavar="NAME,NAME")]
 
 
 @dataclass(frozen=True, kw_only=True)
-class ProfileOptions:
+class ProfileOptions(ProfileChoice):
     """Options that all commands share which build environments for policies."""
 
-    profile: Annotated[str, tyro.conf.arg(metavar="mjhab|ms_hab")] = "mjhab"
+    profile: Annotated[str, tyro.conf.arg(metavar="mjhab|ms_hab")] = DEFAULT_PROFILE
     """Values of many options at once: ms_hab is the environment of the MS-HAB paper (see docs/environments.md)."""
     robot: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
     """Robot that does the work (see: mjhab robots list); fetch if absent."""
@@ -359,22 +362,22 @@ class AssetsCommand:
 
 
 @dataclass(frozen=True)
-class BenchSimOptions:
+class BenchSimOptions(EngineSpec):
     """Measure control steps per second: the bare engine, and the whole environment without cameras."""
 
-    worlds: Number = 16
+    worlds: Number = EngineSpec.worlds
     """How many worlds step at the same time."""
-    threads: Number = 0
+    threads: Number = EngineSpec.threads
     """Threads of the physics; 0 takes all cores."""
-    task: Name = "tidy_house"
+    task: Name = EngineSpec.task
     """Whose homes and objects: set_table, tidy_house or prepare_groceries."""
-    steps: Number = 40
+    steps: Number = EngineSpec.steps
     """Control steps per block; blocks of engine and environment alternate."""
-    rounds: Number = 9
+    rounds: Number = EngineSpec.rounds
     """Pairs of blocks; the medians count."""
-    seed: Number = 0
+    seed: Number = EngineSpec.seed
     """Seed of the episodes."""
-    assets: Assets = "builtin"
+    assets: Assets = EngineSpec.assets
     """Asset pack: builtin, or the folder of another pack."""
     stage_mesh: StageMesh = None
     """With a ReplicaCAD folder: walls and floor for every home, in place of the stages its scenes name."""

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import tyro
 
+from mjhab.bench.specs import EnvBenchSpec, RewardSpec, SoakSpec
 from mjhab.cli.options.common import (
     Assets,
     Backend,
@@ -89,76 +90,76 @@ class EnvsCommand:
 
 
 @dataclass(frozen=True)
-class BenchSoakOptions(ProfileOptions):
+class BenchSoakOptions(ProfileOptions, SoakSpec):
     """Step all training environments with random actions for a long time: does anything break or grow?"""
 
-    steps: Number = 1_000_000
+    steps: Number = SoakSpec.steps
     """Control steps over all worlds and subtasks."""
-    worlds: Number = 8
+    worlds: Number = SoakSpec.worlds
     """Worlds of each subtask."""
-    task: Name = "set_table"
+    task: Name = SoakSpec.task
     """Whose homes and objects; subtasks that the task lacks are left out."""
-    threads: Number = 0
+    threads: Number = SoakSpec.threads
     """Threads of the physics; 0 takes all cores."""
-    seed: Number = 0
+    seed: Number = SoakSpec.seed
     """Seed of the episodes and of the actions."""
     json: bool = False
     """Print one line of JSON instead of a table."""
 
 
 @dataclass(frozen=True)
-class BenchRewardOptions(ProfileOptions):
+class BenchRewardOptions(ProfileOptions, RewardSpec):
     """Does the dense reward mean success? Run the expert, compare the returns of its successes and failures.
 
     Writes a page with the reward over time of every subtask. The AUC is the chance that a successful episode has a
     higher return than a failed one: 1 is right, 0.5 is chance.
     """
 
-    episodes: Number = 100
+    episodes: Number = RewardSpec.episodes
     """Episodes of every subtask."""
-    worlds: Number = 8
+    worlds: Number = RewardSpec.worlds
     """How many episodes run at the same time. Changes the speed, never the results."""
-    seed: Number = 0
+    seed: Number = RewardSpec.seed
     """Seed of the episodes."""
-    subtasks: Name = "pick,place,open,close"
+    subtasks: Name = RewardSpec.subtasks
     """Which subtasks, separated by commas."""
-    threads: Number = 0
+    threads: Number = RewardSpec.threads
     """Threads of the physics; 0 takes all cores."""
-    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("runs/reward")
+    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = RewardSpec.out
     """Folder of report.html and reward.json."""
     json: bool = False
     """Print one line of JSON at the end."""
 
 
 @dataclass(frozen=True)
-class BenchEnvOptions(ProfileOptions):
+class BenchEnvOptions(ProfileOptions, EnvBenchSpec):
     """Measure an environment: steps per second beside the bare engine, where the time goes, memory, cold start."""
 
-    env: Name = "mjhab/PickSubtaskTrain-v1"
+    env: Name = EnvBenchSpec.env
     """The environment id (see: mjhab envs list)."""
-    obs: Name = "state"
+    obs: Name = EnvBenchSpec.obs
     """Observation mode: state, depth, rgb, rgbd, seg, pointcloud, or several joined by +."""
-    worlds: Numbers = (16,)
+    worlds: Numbers = EnvBenchSpec.worlds
     """Numbers of worlds that step at the same time, measured one after the other."""
-    backend: Backend = "cpu"
+    backend: Backend = EnvBenchSpec.backend
     """cpu: C MuJoCo and the CPU rasterizer; warp: environments on a GPU; auto: warp where there is a CUDA device."""
-    device: Device = ""
+    device: Device = EnvBenchSpec.device
     """Of the warp backend: cuda:0, ... or cpu (slow, for tests); the first CUDA device if absent."""
-    threads: Number = 0
+    threads: Number = EnvBenchSpec.threads
     """Threads of physics and pictures; 0 takes all cores. Of the cpu backend."""
-    camera_size: Number = 128
+    camera_size: Number = EnvBenchSpec.camera_size
     """Side of the camera images [px]."""
-    reward: MaybeName = None
+    reward: MaybeName = EnvBenchSpec.reward
     """Reward mode, e.g. dense; that of the environment if absent."""
-    task: MaybeName = None
+    task: MaybeName = EnvBenchSpec.task
     """Task; that of the environment if absent."""
-    steps: Number = 40
+    steps: Number = EnvBenchSpec.steps
     """Control steps per block; blocks of engine and environment alternate."""
-    rounds: Number = 7
+    rounds: Number = EnvBenchSpec.rounds
     """Pairs of blocks; the medians count."""
-    seed: Number = 0
+    seed: Number = EnvBenchSpec.seed
     """Seed of the episodes and of the motion."""
-    assets: Assets = "builtin"
+    assets: Assets = EnvBenchSpec.assets
     """Asset pack: builtin, or the folder of another pack."""
     stage_mesh: StageMesh = None
     """With a ReplicaCAD folder: walls and floor for every home, in place of the stages its scenes name."""

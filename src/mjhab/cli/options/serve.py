@@ -7,6 +7,7 @@ from typing import Annotated
 
 import tyro
 
+from mjhab.bench.specs import ServingSpec
 from mjhab.cli.options.common import Assets, MaybeName, Name, Number, PolicyName
 
 
@@ -48,19 +49,19 @@ class ServeOptions:
 
 
 @dataclass(frozen=True)
-class BenchServingOptions:
+class BenchServingOptions(ServingSpec):
     """Measure what a policy behind a websocket costs, and what becomes of episodes whose server is killed.
 
     Fails if an episode is lost, or if a request with two images takes more than 5 ms on this machine.
     """
 
-    worlds: Number = 8
+    worlds: Number = ServingSpec.worlds
     """Worlds that ask at the same time."""
-    requests: Number = 200
+    requests: Number = ServingSpec.requests
     """Requests per dialect that are timed."""
-    steps: Number = 1000
+    steps: Number = ServingSpec.steps
     """Control steps against a server that is killed; episodes are finished."""
-    restarts: Number = 2
+    restarts: Number = ServingSpec.restarts
     """So often it is killed and started again."""
     json: bool = False
     """Print one line of JSON instead of tables."""

@@ -32,8 +32,20 @@ def least_box_gaps(points: Array, center: Array, half: Array, rot: Array) -> Arr
     ``center``, ``half``, ``rot``: (K, 3), (K, 3), (K, 3, 3) the boxes.
     """
     found = np.full(len(points), np.inf)
+    corner = np.sqrt((half * half).sum(axis=1))
     for p in range(len(points)):
+        x = points[p, 0]
+        y = points[p, 1]
+        z = points[p, 2]
+        least = np.inf
         for k in range(len(center)):
-            gap = box_gap(points[p, 0], points[p, 1], points[p, 2], center[k], half[k], rot[k])
-            found[p] = min(found[p], gap)
+            # A box is at least as far as the sphere around it.
+            dx = x - center[k, 0]
+            dy = y - center[k, 1]
+            dz = z - center[k, 2]
+            far = least + corner[k]
+            if far < 0.0 or dx * dx + dy * dy + dz * dz > far * far:
+                continue
+            least = min(least, box_gap(x, y, z, center[k], half[k], rot[k]))
+        found[p] = least
     return found

@@ -18,7 +18,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from mjhab.core.paths import below
+from mjhab.core.names import below
 from mjhab.data.export.folders import Target, whole_folder
 from mjhab.data.imports.ms_hab_layout import SOURCE_TYPE, TRAJECTORY, TRUTHS, to_events, to_verbose
 from mjhab.data.select.facts import target_of

@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from mjhab.core.errors import UsageError
-from mjhab.core.names import check_name
-from mjhab.core.paths import below
+from mjhab.core.names import below, check_name
 from mjhab.data.export.folders import broken
 from mjhab.data.select.facts import target_of
 from mjhab.data.select.query import Filter

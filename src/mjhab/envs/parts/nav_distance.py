@@ -8,7 +8,7 @@ import numpy as np
 
 from mjhab.core.errors import unknown_name
 from mjhab.layout.layout import Layout
-from mjhab.scenes.freespace import FreeMap, free_map, look_up
+from mjhab.scenes.freespace import FreeMap, look_up, shared_map
 
 
 class NavDistance:
@@ -65,6 +65,6 @@ class NavDistance:
             if home not in self._homes:
                 raise unknown_name("home", home, self._homes)
             self._maps[home] = (
-                self._given(home) if self._given else free_map(self._homes[home], self._pack)
+                self._given(home) if self._given else shared_map(self._homes[home], self._pack)
             )
         return self._maps[home]

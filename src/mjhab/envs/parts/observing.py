@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,11 +25,13 @@ from mjhab.envs.observations import (
 )
 from mjhab.envs.parts.plan_tables import Focus
 from mjhab.envs.parts.sensing import Sensing
-from mjhab.render.home_scene import HomeRenderer
 from mjhab.robots.robot import Robot
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.protocol import SimState
 from mjhab.tasks.measure import Signals
+
+if TYPE_CHECKING:
+    from mjhab.render.home_scene import HomeRenderer
 
 
 class ObservedRows:
@@ -112,6 +114,8 @@ class Observer(ObservedRows):
     def renderer(self) -> HomeRenderer:
         """The renderer of this layout, made on first use."""
         if self._renderer is None:
+            from mjhab.render.home_scene import HomeRenderer  # loads numba and trimesh
+
             self._renderer = HomeRenderer(self._sim, self._threads)
         return self._renderer
 

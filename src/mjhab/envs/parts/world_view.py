@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from mjhab.envs.parts.worlds import Worlds
 from mjhab.layout.layout import Layout, compose
 from mjhab.layout.receptacles import PlacedReceptacle, placed_receptacles
 from mjhab.robots.robot import Robot
-from mjhab.scenes.freespace import free_map
+from mjhab.scenes.freespace import shared_map
 from mjhab.scenes.shapes.hulls import boxed_hull
 from mjhab.scenes.spec import Geom, Handle, Home, Link, ObjectType, Pack, Placement
 from mjhab.tasks.plan import Subtask, TaskConfig
@@ -65,7 +65,12 @@ class JointedLink:
     def boxes(self, q: float) -> BoxArrays:
         """Its collision boxes at joint value ``q``."""
         pos, rot = self.pose(q)
-        return _boxes([g for g in self.spec.geoms if g.collide], pos, rot)
+        return _moved(self._shapes, pos, rot)
+
+    @cached_property
+    def _shapes(self) -> BoxArrays:
+        """Its collision boxes in the link frame."""
+        return _boxes([g for g in self.spec.geoms if g.collide])
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,7 +216,7 @@ class WorldView:
 def home_shapes(layout: Layout, name: str) -> HomeShapes:
     """Shapes of a home of a layout, computed once."""
     home = next(h for h in layout.pack.homes if h.name == name)
-    fmap = free_map(home, layout.pack)
+    fmap = shared_map(home, layout.pack)
     return HomeShapes(
         name,
         layout.robot,
@@ -225,7 +230,7 @@ def home_shapes(layout: Layout, name: str) -> HomeShapes:
 
 
 def _static_boxes(layout: Layout, home: Home) -> BoxArrays:
-    parts = [_boxes([g for g in home.walls if g.collide], np.zeros(3), np.eye(3))]
+    parts = [_boxes([g for g in home.walls if g.collide])]
     for slot, placement in zip(layout.prop_slots, layout.slot_placements(home), strict=True):
         prop = layout.pack.props[slot.template]
         if placement is not None and prop.blocks_base:
@@ -241,10 +246,16 @@ def _static_boxes(layout: Layout, home: Home) -> BoxArrays:
 def _placed(geoms: tuple[Geom, ...], at: Placement, pack: Pack) -> BoxArrays:
     """Boxes of what collides; a convex mesh counts as the smallest box around it."""
     boxed = [boxed_hull(g, pack) if g.shape == "mesh" else g for g in geoms if g.collide]
-    return _boxes(boxed, np.array(at.pos), mat_from_quat(np.array(at.rotation)))
+    return _moved(_boxes(boxed), np.array(at.pos), mat_from_quat(np.array(at.rotation)))
 
 
-def _boxes(geoms: list[Geom], pos: np.ndarray, rot: np.ndarray) -> BoxArrays:
+def _moved(boxes: BoxArrays, pos: np.ndarray, rot: np.ndarray) -> BoxArrays:
+    """Boxes in the frame of something that is at ``pos`` (3,), ``rot`` (3, 3), brought to the world."""
+    return BoxArrays(pos + boxes.center @ rot.T, boxes.half, rot @ boxes.rot)
+
+
+def _boxes(geoms: list[Geom]) -> BoxArrays:
+    """Boxes around geoms, in the frame that the geoms are given in."""
     half = []
     for g in geoms:
         a, b, c = g.size
@@ -255,7 +266,7 @@ def _boxes(geoms: list[Geom], pos: np.ndarray, rot: np.ndarray) -> BoxArrays:
         )
     local = np.array([g.pos for g in geoms], float).reshape(-1, 3)
     turn = mat_from_quat(np.array([g.quat for g in geoms], float).reshape(-1, 4))
-    return BoxArrays(pos + local @ rot.T, np.array(half, float).reshape(-1, 3), rot @ turn)
+    return BoxArrays(local, np.array(half, float).reshape(-1, 3), turn)
 
 
 def _links(layout: Layout, home: Home) -> dict[str, JointedLink]:

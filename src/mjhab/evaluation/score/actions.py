@@ -13,6 +13,7 @@ import numpy as np
 
 from mjhab.core.cache import write_atomic
 from mjhab.core.errors import UsageError
+from mjhab.data.record.worlds import RecordedEnv
 from mjhab.evaluation.score.manifest import start_digest
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink, StepView
@@ -22,7 +23,7 @@ MAX_ACTIONS_BYTES = 64 << 20
 NO_MORE = "the recorded actions end here"
 
 
-class ActionKeeper(Sink):
+class ActionKeeper(Sink[RecordedEnv]):
     """Writes the actions of every finished episode, and the digest of its start, to a file of its own in a folder."""
 
     def __init__(self, folder: Path) -> None:
@@ -30,18 +31,18 @@ class ActionKeeper(Sink):
         self._starts: dict[int, str] = {}
         self._actions: dict[int, list[np.ndarray]] = {}
 
-    def on_reset(self, env: Any, info: Mapping[str, Any], mask: np.ndarray) -> None:
+    def on_reset(self, env: RecordedEnv, info: Mapping[str, Any], mask: np.ndarray) -> None:
         """Begin to listen to the worlds in ``mask``."""
         for w in np.flatnonzero(mask).tolist():
             self._starts[w] = start_digest(env, w)
             self._actions[w] = []
 
-    def on_step(self, env: Any, step: StepView) -> None:
+    def on_step(self, env: RecordedEnv, step: StepView) -> None:
         """Keep the actions that were applied."""
         for w in np.flatnonzero(step.active).tolist():
             self._actions[w].append(np.array(step.actions[w], np.float32))
 
-    def on_episode_end(self, env: Any, world: int, record: EpisodeRecord) -> None:
+    def on_episode_end(self, env: RecordedEnv, world: int, record: EpisodeRecord) -> None:
         """Write them."""
         text = f"{self._starts[world]} {packed_actions(np.stack(self._actions[world]))}"
         path = kept_path(self._folder, record.index)

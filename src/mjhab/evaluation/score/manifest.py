@@ -8,12 +8,12 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from mjhab.config.env import SPLITS
 from mjhab.core.errors import unknown_name
+from mjhab.data.record.worlds import RecordedEnv
 from mjhab.tasks.plan import TASKS
 
 VERSION = 1
@@ -96,7 +96,7 @@ def manifest(track: str, split: str) -> Manifest:
     return Manifest(track, split, TRACKS[track], SEED, starts)
 
 
-def start_digest(env: Any, world: int) -> str:
+def start_digest(env: RecordedEnv, world: int) -> str:
     """Digest of the state in which an episode begins: its home and positions, rounded to START_DECIMALS."""
     positions = np.round(env.sim.get_world(world)["qpos"], START_DECIMALS)
     # There is a minus zero, whose bytes differ.

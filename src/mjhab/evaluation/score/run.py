@@ -230,7 +230,7 @@ def _check_row(
         split=asked.split,
         films=0,
     )
-    env: Any = make_env(spec, options)
+    env = make_env(spec, options)
     try:
         actions = {e.record.index: unpacked_actions(e.actions) for e in episodes}
         width = len(env.action_table)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from typing import Any
 
 import numpy as np
 
@@ -40,7 +39,7 @@ def starts_of(row: Row, split: str, seed: int, worlds: int, threads: int) -> lis
         split=split,
         threads=threads,
     )
-    env: Any = make_env(spec, {})
+    env = make_env(spec, {})
     digests = []
     try:
         for first in range(0, row.episodes, env.num_envs):

@@ -12,11 +12,11 @@ import numpy as np
 
 from mjhab.core.rotations import mat_from_quat
 from mjhab.data.record.provenance import describe_run
+from mjhab.data.record.worlds import RecordedEnv
 from mjhab.envs.observations import STATE_KEY, camera_key
 from mjhab.evaluation.served.action_spaces import ActionReader
 from mjhab.evaluation.served.metadata import own_part, space_of
 from mjhab.robots.kinematics import rotation_vector
-from mjhab.rollout.policy import RolloutEnv
 from mjhab.serving.address import Address
 from mjhab.serving.client import Connection, PolicyFault
 from mjhab.serving.dialects import Ask
@@ -54,9 +54,9 @@ class ServedPolicy:
 
     name = "served"
 
-    def __init__(self, address: Address, env: RolloutEnv) -> None:
+    def __init__(self, address: Address, env: RecordedEnv) -> None:
         self._address = address
-        self._env: Any = env
+        self._env = env
         count = 1 if address.batch else env.num_envs
         self._connections = [Connection(address) for _ in range(count)]
         metadata = self._connections[0].greet()

@@ -16,6 +16,7 @@ import numpy as np
 from mjhab.core.errors import MjhabError, UsageError
 from mjhab.core.version import __version__
 from mjhab.data.record.provenance import TRAIN_MAKER
+from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.evaluation.resolve import PolicyFacts, PolicyOptions, inspect_policy, resolve_policy
 from mjhab.rollout.loop import plain
 from mjhab.rollout.policy import Policy
@@ -32,7 +33,7 @@ BUILTIN = "builtin"
 class Twin:
     """An environment of one world, the policy that acts in it, and the episode and step it was last asked about."""
 
-    env: Any
+    env: SequentialTaskEnv
     policy: Policy
     last: tuple[Any, ...] = ()
 
@@ -180,7 +181,7 @@ def _act(twin: Twin, part: Mapping[str, Any]) -> np.ndarray:
         twin.policy.reset(np.ones(1, bool))
     seen = _mapping(part.get("observation"), "observation")
     obs = {key: np.asarray(value)[None] for key, value in seen.items()}
-    info = env.reporter.info(*env.reporter.nothing())
+    info = env.info()
     action = twin.policy.act(obs, info)[0]
     twin.last = (*name, "then", step + 1 if isinstance(step, int) else None)
     return action

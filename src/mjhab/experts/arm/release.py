@@ -47,9 +47,17 @@ def tipped(shape: ObjectShape, rot: Array) -> Array:
     side = int(np.argmax(np.abs(down) / half))
     lowest = turn @ (np.sign(down) * half)
     normal = turn[:, side] * np.sign(down[side])
-    axis = np.cross(normal, [0.0, 0.0, -1.0])
-    swing = np.cross(axis, lowest) + np.cross(axis, np.cross(axis, lowest)) / (1.0 - normal[2])
-    return -swing
+    # The axis it tips about is the cross product of ``normal`` and the direction of gravity.
+    axis = np.array([-normal[1], normal[0], 0.0])
+    across = _cross(axis, lowest)
+    return -(across + _cross(axis, across) / (1.0 - normal[2]))
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Cross product of two vectors (3,); numpy's takes ten times as long for one pair."""
+    ax, ay, az = a.tolist()
+    bx, by, bz = b.tolist()
+    return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
 
 
 def play(view: WorldView) -> float:

@@ -1,17 +1,23 @@
 """Where to stand and how to hold the arm to work on a drawer or door: stances found once per piece of furniture.
 
 Everything here lives in the furniture's own frame ("plan frame"): origin on the floor below the link's origin at joint
-0, +x outward. Furniture is the same in every home, so the searches are cached; a home only decides which of the
-stances have free floor. Letters: N stances, K way points, Q joint columns.
+0, +x outward. Furniture is the same in every home, so that what a search finds is kept; a home only decides which of
+the stances have free floor. Letters: N stances, K way points, Q joint columns.
 """
 
 from __future__ import annotations
 
+import hashlib
+import zipfile
 from collections.abc import Callable, Hashable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
+from mjhab.core.cache import cache_dir, write_atomic
+from mjhab.core.code_digest import code_digest
 from mjhab.core.joints import BASE, BASE_XY, BASE_YAW
 from mjhab.envs.parts.world_view import BoxArrays, JointedLink, WorldView
 from mjhab.experts.arm import ik, motion
@@ -88,13 +94,42 @@ _FOUND: dict[tuple[str, Hashable, str], Stances] = {}
 def cached(
     robot: Robot, link: JointedLink, job: str, search: Callable[[Robot, JointedLink], Stances]
 ) -> Stances:
-    """The stances of a job on a link, searched for on first use with the link in its plan frame."""
+    """The stances of a job on a link, searched for on first use with the link in its plan frame, and kept on disk."""
     key = (robot.name, link.spec, job)
     if key not in _FOUND:
-        _FOUND[key] = search(
-            robot, JointedLink(link.id, link.spec, np.array([0.0, 0.0, link.origin[2]]), np.eye(3))
-        )
+        plain = JointedLink(link.id, link.spec, np.array([0.0, 0.0, link.origin[2]]), np.eye(3))
+        path = cache_dir() / "stances" / f"{_digest(robot, plain, job)}.npz"
+        found = _read(path)
+        if found is None:
+            found = search(robot, plain)
+            _write(path, found)
+        _FOUND[key] = found
     return _FOUND[key]
+
+
+def _digest(robot: Robot, link: JointedLink, job: str) -> str:
+    """Hash of what the stances depend on: robot, link and job, the code of the search and its arithmetic."""
+    digest = hashlib.sha256(code_digest("core", "robots", "experts") + np.__version__.encode())
+    digest.update(robot.digest)
+    digest.update(repr((robot.reach, robot.arm_links)).encode())
+    digest.update(repr((link.spec, float(link.origin[2]), job)).encode())
+    return digest.hexdigest()[:24]
+
+
+def _read(path: Path) -> Stances | None:
+    """Stances of a cache file; None when there is none or it cannot be read: they are then searched for anew."""
+    try:
+        with np.load(path, allow_pickle=False) as arrays:
+            return Stances(arrays["q"], arrays["steps"], arrays["back"])
+    except (KeyError, ValueError, OSError, EOFError, zipfile.BadZipFile):
+        return None
+
+
+def _write(path: Path, found: Stances) -> None:
+    """Keep stances in a cache file; where there is no room for it, the next process searches again."""
+    arrays = {"q": found.q, "steps": found.steps, "back": found.back}
+    with suppress(OSError):
+        write_atomic(path, lambda temporary: np.savez(temporary, allow_pickle=False, **arrays))
 
 
 def hand(forward: Array, closing: Array) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -140,9 +141,19 @@ class ArcPath:
 
     def at(self, angle: float) -> Array:
         """Configuration (J,) at a door angle."""
+        angles, q = self._rising
+        if angle <= angles[0]:
+            return q[0].copy()
+        if angle >= angles[-1]:
+            return q[-1].copy()
+        k = int(np.searchsorted(angles, angle, side="right")) - 1
+        return (q[k + 1] - q[k]) / (angles[k + 1] - angles[k]) * (angle - angles[k]) + q[k]
+
+    @cached_property
+    def _rising(self) -> tuple[Array, Array]:
+        """Angles (K,) and configurations (K, J) in rising order of the angles."""
         order = np.argsort(self.angles)
-        x = self.angles[order]
-        return np.array([np.interp(angle, x, column) for column in self.q[order].T])
+        return self.angles[order], self.q[order]
 
     def hand_at(self, angle: float) -> tuple[Array, Array]:
         """Hand position (3,) and rotation (3, 3) in the world at a door angle."""

@@ -252,12 +252,14 @@ def hand_goals(
     most = ENOUGH * view.config.goal_tol
     yaws = np.arange(SHELF_YAWS if shelf else YAWS) * 2 * np.pi / (SHELF_YAWS if shelf else YAWS)
     tilts = SHELF_TILTS if shelf else BALL_TILTS if ball else TILTS
+    turns = ik.rotate(yaws[:, None] * np.array([0.0, 0.0, 1.0]))
+    leans = ik.rotate(np.array(tilts)[:, None] * np.array([*aside, 0.0]))
     pos = []
     rot = []
     score = []
-    for (side, price), yaw, tilt in itertools.product(_sides(any_side), yaws, tilts):
-        upright = ik.rotate(np.array([[0.0, 0.0, yaw]]))[0] @ side
-        stand = ik.rotate(tilt * np.array([[*aside, 0.0]]))[0] @ upright
+    leaning = list(zip(tilts, leans, strict=True))
+    for (side, price), about, (tilt, lean) in itertools.product(_sides(any_side), turns, leaning):
+        stand = lean @ (about @ side)
         low = height_below(shape, stand)
         tips = tipped(shape, stand)
         for spot in spots:

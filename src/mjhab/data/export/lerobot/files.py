@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from mjhab.core.paths import below
+from mjhab.core.names import below
 from mjhab.data.export.lerobot.pieces import Made, Pieces
 from mjhab.data.export.lerobot.stats import QUANTILES, Stats, aggregate
 

@@ -21,7 +21,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from mjhab.core.cache import write_atomic
-from mjhab.core.paths import below
+from mjhab.core.names import below
 from mjhab.data.export.lerobot.stats import Stats
 from mjhab.rollout.films import Film
 

@@ -1,0 +1,1 @@
+"""``mjhab bench``: parse, call a bench, print what it found."""

@@ -1,0 +1,153 @@
+"""``mjhab bench experts``: the table of success rates of the scripted experts, and of whole tasks."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+from mjhab.bench.experts.rows import CHAIN, Result, Row
+from mjhab.bench.experts.run import REPORT, Measured, Measurement, measure_experts
+from mjhab.cli.interrupts import stop_signals
+from mjhab.cli.options.expert import BenchExpertsOptions
+from mjhab.cli.output import at_least, print_json, print_table
+
+CHAIN_WEIGHT = 8.0
+"""A whole task takes about as long as so many single subtasks; for the estimate of what is left."""
+
+
+def bench_experts(options: BenchExpertsOptions) -> int:
+    """Run the command; returns 0, 1 if a row could not be measured, or 130 after Ctrl-C or SIGTERM."""
+    for name in ("workers", "worlds"):
+        at_least(name, getattr(options, name), 1)
+    for name in ("episodes", "chains", "seed"):
+        at_least(name, getattr(options, name), 0)
+    begun = time.perf_counter()
+    with stop_signals() as stopped:
+        found = measure_experts(options, stopped, _progress)
+    _tell(options, found, time.perf_counter() - begun)
+    return 1 if found.errors else 130 if found.left else 0
+
+
+@contextmanager
+def _progress(measured: Measured) -> Iterator[Callable[[Row, int], None]]:
+    """A bar over all rows, on stderr; gives a function that says how many episodes of a row there are."""
+    columns = (
+        TextColumn("[bold]{task.description}"),
+        BarColumn(bar_width=10),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[what]}"),
+    )
+    done = {row: len(found) for row, found in measured.items()}
+    first = _weight(done)
+    begun = time.perf_counter()
+    whole = _weight({row: row.episodes for row in measured})
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task(
+            "experts",
+            total=sum(row.episodes for row in measured),
+            completed=sum(done.values()),
+            what="",
+        )
+
+        def tell(row: Row, count: int) -> None:
+            done[row] = count
+            hours = (time.perf_counter() - begun) / 3600
+            gained = _weight(done) - first
+            what = ""
+            if gained > 0:
+                left = round((whole - first - gained) * hours / gained * 60)
+                what = f"{gained / hours:,.0f}/h, {left // 60} h {left % 60:02d} min left"
+            bar.update(task, description=row.name, completed=sum(done.values()), what=what)
+
+        yield tell
+
+
+def _weight(counts: Mapping[Row, int]) -> float:
+    """Work in so many episodes of each row, in single subtasks."""
+    return sum(
+        count * (CHAIN_WEIGHT if row.subtask == CHAIN else 1.0) for row, count in counts.items()
+    )
+
+
+def _tell(options: BenchExpertsOptions, found: Measurement, seconds: float) -> None:
+    results = found.results
+    errors = found.errors
+    left = found.left
+    for row, error in errors.items():
+        print(f"mjhab: {row.name} could not be measured: {error}", file=sys.stderr)
+    if left:
+        print(
+            f"mjhab: stopped, {left} episodes are left. The same command with --resume goes on.",
+            file=sys.stderr,
+        )
+    singles = [result for result in results if result.subtask != CHAIN]
+    chains = [result for result in results if result.subtask == CHAIN]
+    if options.json:
+        print_json(
+            {
+                "profile": options.profile,
+                "rows": len(results),
+                "episodes": sum(result.episodes for result in results),
+                "success_once": {name_of(result): result.success_once for result in results},
+                "below_asked": [name_of(result) for result in results if result.met is False],
+                "tainted": sum(result.tainted for result in results),
+                "failed_rows": [row.name for row in errors],
+                "left": left,
+                "seconds": round(seconds, 1),
+                "out": str(options.out),
+            }
+        )
+        return
+    for pack, task in dict.fromkeys((result.pack, result.task) for result in singles):
+        rows = [_cells(result) for result in singles if (result.pack, result.task) == (pack, task)]
+        columns = ("subtask", "target", "n", "once", "95 %", "< 1,400 N", "asked", "paper")
+        print_table(
+            f"{task}, {pack} homes, {options.split}, profile {options.profile}: success once [%]",
+            columns,
+            rows,
+        )
+    if chains:
+        columns = ("chain", "n", "complete", "95 %", "asked", "completed 1, 2, ... subtasks")
+        print_table(
+            f"Progressive completion, {options.split}, profile {options.profile} [%]",
+            columns,
+            map(_chain_cells, chains),
+        )
+    print(f"report: {options.out / REPORT}")
+
+
+def name_of(result: Result) -> str:
+    """Name of a row for machines."""
+    words = (result.pack, result.task, result.subtask, result.target, result.navigate)
+    return " ".join(filter(None, words))
+
+
+def _cells(r: Result) -> tuple[object, ...]:
+    rates = (_text(r.success_once), _interval(r), _text(r.gentle), _text(r.asked), _text(r.paper))
+    return r.subtask, r.target, r.episodes, *rates
+
+
+def _chain_cells(r: Result) -> tuple[object, ...]:
+    curve = " ".join(f"{100 * share:.0f}" for share in r.progressive)
+    return (
+        f"{r.pack} {r.task}, {r.navigate}",
+        r.episodes,
+        _text(r.success_once),
+        _interval(r),
+        _text(r.asked),
+        curve,
+    )
+
+
+def _text(rate: float | None) -> str:
+    return "-" if rate is None else f"{100 * rate:.1f}"
+
+
+def _interval(r: Result) -> str:
+    low, high = r.interval
+    return f"{100 * low:.0f} to {100 * high:.0f}" if r.episodes else "-"

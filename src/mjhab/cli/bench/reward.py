@@ -1,0 +1,24 @@
+"""``mjhab bench reward``: does the dense reward tell success from failure?"""
+
+from __future__ import annotations
+
+from mjhab.bench.reward import REPORT, measure_rewards
+from mjhab.cli.options.env import BenchRewardOptions
+from mjhab.cli.output import at_least, print_json, print_table
+
+
+def bench_reward(options: BenchRewardOptions) -> int:
+    """Print and write what `measure_reward` finds."""
+    for name in ("episodes", "worlds"):
+        at_least(name, getattr(options, name), 1)
+    found = measure_rewards(options)
+    report = options.out / REPORT
+    if options.json:
+        print_json({"profile": options.profile, "subtasks": found, "report": str(report)})
+        return 0
+    columns = list(next(iter(found.values())))
+    rows = [[kind, *(numbers[c] for c in columns)] for kind, numbers in found.items()]
+    title = f"normalised dense reward, profile {options.profile}"
+    print_table(title, ("subtask", *columns), rows)
+    print(f"Curves: {report}")
+    return 0

@@ -1,0 +1,49 @@
+"""What ``--profile``, ``--robot``, ``--starts`` and ``--stillness`` make of the environments that a command builds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from mjhab.config.profiles import DEFAULT_PROFILE
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProfileChoice:
+    """A profile, and what is given beside it.
+
+    profile: name of many values at once, see `profiles.Profile`; "" for that of the policy or the data, if they have
+    one. robot: name of the robot, None for the default. starts: the ``spawn_rule`` of the environment, stillness: how
+    joints are judged; None for those of the profile.
+    """
+
+    profile: str = DEFAULT_PROFILE
+    robot: str | None = None
+    starts: str | None = None
+    stillness: str | None = None
+
+
+def profile_options(choice: ProfileChoice) -> dict[str, Any]:
+    """What `mjhab.envs.make` and `make_train` are told of the profile, and of what is given beside it."""
+    given = {
+        "profile": choice.profile or None,
+        "robot": choice.robot,
+        "spawn_rule": choice.starts,
+        "stillness": choice.stillness,
+    }
+    return {name: value for name, value in given.items() if value is not None}
+
+
+def resolved_profile(choice: ProfileChoice, **more: Any) -> dict[str, Any]:
+    """The profile's name and the values in force of the options that depend on it, for the record of a run.
+
+    Args:
+        more: the other options of the environment that decide about them: ``task``, ``subtask``, ``cameras``, and the
+            ``profile`` of the policy, if none is given.
+
+    Raises:
+        UsageError: unknown profile or value, or one that contradicts the profile.
+    """
+    from mjhab.config.env import EnvConfig
+
+    return EnvConfig(**{**more, **profile_options(choice)}).of_profile()

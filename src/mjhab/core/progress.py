@@ -1,0 +1,33 @@
+"""Progress bars on stderr, shown where a person looks on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+
+@contextmanager
+def progress_bar(what: str, total: int) -> Iterator[Callable[[], None]]:
+    """Show a bar on stderr where a person looks on; gives a function that moves it by one."""
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+    )
+    console = Console(stderr=True)
+    with Progress(
+        *columns, console=console, transient=True, disable=not console.is_terminal
+    ) as progress:
+        bar = progress.add_task(what, total=total)
+        yield lambda: progress.advance(bar)
+
+
+@contextmanager
+def late_bar(what: str) -> Iterator[Callable[[int], Callable[[], None]]]:
+    """A bar that is begun by whoever learns how long it will be; gives what `progress_bar` gives."""
+    with ExitStack() as stack:
+        yield lambda total: stack.enter_context(progress_bar(what, total))

@@ -1,0 +1,76 @@
+"""What memory a number of worlds takes on every backend, and how many would fit."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from dataclasses import dataclass
+from typing import Any
+
+from mjhab.envs.parts.memory import Need, available_mb, device_need, host_need
+
+
+@dataclass(frozen=True)
+class Room:
+    """What worlds need on one backend, and what is free there [MB], None where nobody knows."""
+
+    backend: str
+    place: str
+    need: Need
+    free_mb: float | None
+
+    @property
+    def most(self) -> int | None:
+        """The largest number of worlds that fits; None where nobody knows what is free."""
+        return None if self.free_mb is None else self.need.most(self.free_mb)
+
+    def row(self, num_envs: int) -> dict[str, Any]:
+        """Of ``num_envs`` worlds: "backend", "memory_mb", "world_mb", "base_mb", "free_mb", "fits", "most"."""
+        need = self.need
+        free = self.free_mb
+        most = self.most
+        return {
+            "backend": self.backend,
+            "memory_mb": round(need.total_mb(num_envs)),
+            "world_mb": round(need.world_mb, 2),
+            "base_mb": round(need.base_mb),
+            "free_mb": None if free is None else round(free),
+            "fits": None if most is None else most >= num_envs,
+            "most": most,
+        }
+
+
+def rooms(obs_mode: str = "state", camera_size: int = 128) -> list[Room]:
+    """What worlds need on the cpu backend, and on a GPU.
+
+    Args:
+        obs_mode: see `EnvConfig`. camera_size: side of the pictures [px].
+
+    Raises:
+        UsageError: unknown observation mode.
+    """
+    pictures = (obs_mode, camera_size)
+    return [
+        Room("cpu", "this machine", host_need(*pictures), available_mb()),
+        Room("warp", "the first GPU", device_need(*pictures), gpu_free_mb()),
+    ]
+
+
+def gpu_free_mb() -> float | None:
+    """Free memory of the first NVIDIA GPU [MB] as its driver tells it; None without one."""
+    tool = shutil.which("nvidia-smi")
+    if tool is None:
+        return None
+    command = [tool, "--query-gpu=memory.free", "--format=csv,noheader,nounits", "--id=0"]
+    try:
+        answer = subprocess.run(command, capture_output=True, text=True, timeout=20, check=True)
+        return float(answer.stdout.strip().splitlines()[0])
+    except (subprocess.SubprocessError, OSError, ValueError, IndexError):
+        return None
+
+
+def estimate_rows(
+    num_envs: int, obs_mode: str = "state", camera_size: int = 128
+) -> list[dict[str, Any]]:
+    """`Room.row` of every backend; see `rooms`."""
+    return [room.row(num_envs) for room in rooms(obs_mode, camera_size)]

@@ -75,6 +75,11 @@ class Names(Protocol):
         ...
 
     @property
+    def robot(self) -> Any:
+        """The `robots.robot.Robot` that works there."""
+        ...
+
+    @property
     def link_ids(self) -> Sequence[str]:
         """Of the drawers and doors."""
         ...

@@ -16,7 +16,7 @@ from rich.progress import track
 from mjhab.config.env import EnvConfig
 from mjhab.core.arrays import map_record
 from mjhab.envs.device.fields import GoalFields
-from mjhab.envs.device.landings import ROBOT_JOINTS, find_landings
+from mjhab.envs.device.landings import find_landings
 from mjhab.envs.parts.plan_tables import PlanTables, Rows
 from mjhab.episodes.generator import Episode
 from mjhab.episodes.source import EpisodeSource
@@ -124,7 +124,7 @@ class StartPool:
         episode = source.episode(self.seed, index)
         start = source.start(episode)
         qpos = start.qpos
-        landings = np.zeros((length, ROBOT_JOINTS))
+        landings = np.zeros((length, len(source.layout.robot.joints)))
         fallback = np.zeros(length, bool)
         if self._config.teleports:
             landings, fallback = find_landings(source.starts, episode, start, length)

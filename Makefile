@@ -9,7 +9,7 @@ DEMO_OUT := runs/demo
 DEMO_STUDENT_OUT := runs/demo-student
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo demo-student test test-generate test-lerobot test-lerobot-env test-vla-eval test-ray test-sb3 test-rsl-rl check format bench gpu-report clean distclean
+.PHONY: help setup demo demo-student test test-generate test-lerobot test-lerobot-env test-vla-eval test-ray test-sb3 test-rsl-rl test-browser docs check format bench gpu-report clean distclean
 
 help:  ## show this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-16s %s\n", $$1, $$2}'
@@ -108,6 +108,21 @@ $(RAY)/.ready: $(SETUP_FILES) | $(BIN)/python
 test-ray: $(RAY)/.ready  ## generation on a local Ray cluster, with workers killed in the middle
 	PYTHONPATH=src:. $(RAY)/bin/python -m pytest tests/data/record/ray_cluster.py $(PYTEST_ARGS)
 
+BROWSER_OUT := runs/browser
+test-browser: $(VENV)/.dev  ## the viewer in headless Chromium (must be installed); pictures in runs/browser
+	PYTHONPATH=src:. $(BIN)/python tests/viewer/check_browser.py $(BROWSER_OUT)
+
+DOCS := .venv-docs
+$(DOCS)/.ready: docs/requirements.txt
+	@echo "mjhab: installing mkdocs into $(DOCS), once"
+	@"$(PYTHON)" -m venv $(DOCS)
+	@$(DOCS)/bin/python -m pip install -q --disable-pip-version-check -r docs/requirements.txt
+	@touch $@
+
+docs: $(DOCS)/.ready  ## the documentation as a site, with a reference made of docstrings, in runs/site
+	$(DOCS)/bin/mkdocs build --clean
+	@echo "Open in a browser (no network needed): $(CURDIR)/runs/site/index.html"
+
 SB3 := .venv-sb3
 $(SB3)/.ready: $(SETUP_FILES) | $(BIN)/python
 	@echo "mjhab: installing stable-baselines3 into $(SB3), once"
@@ -151,4 +166,4 @@ clean:  ## remove caches and build products (runs and .venv stay)
 	find src tests -name __pycache__ -type d -prune -exec rm -rf {} +
 
 distclean: clean  ## also remove .venv
-	rm -rf $(VENV) $(LEROBOT) $(LEROBOT_ENV) $(VLA) $(RAY) src/*.egg-info
+	rm -rf $(VENV) $(LEROBOT) $(LEROBOT_ENV) $(VLA) $(RAY) $(DOCS) src/*.egg-info

@@ -52,9 +52,9 @@ HEAVY: dict[str, frozenset[str]] = {
     "h5py": frozenset({"data"}),
     "msgpack": frozenset({"serving"}),
     "vla_eval": frozenset({"integrations"}),
-    "websockets": frozenset({"serving"}),
+    "websockets": frozenset({"serving", "viewer"}),
     "viser": frozenset({"viewer"}),
-    "trimesh": frozenset({"scenes", "robots"}),
+    "trimesh": frozenset({"scenes", "robots", "episodes", "viewer"}),
 }
 """Library to the packages that may import it."""
 

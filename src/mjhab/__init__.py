@@ -19,24 +19,46 @@ if TYPE_CHECKING:
     from mjhab.evaluation.generate import generate
     from mjhab.experts import make_expert
     from mjhab.robots.registry import register_robot
+    from mjhab.scenes.home_files import home_pack
+    from mjhab.scenes.object_glb import object_from_glb
+    from mjhab.scenes.objects import ObjectModel, register_object
     from mjhab.scenes.pack_source import PackRequest, PackSource, register_pack
     from mjhab.scenes.packs import open_pack
+    from mjhab.tasks.household.registry import register_task
+    from mjhab.tasks.household.spec import TargetRule, TaskSpec
+    from mjhab.tasks.subtasks.registry import register_subtask
+    from mjhab.tasks.subtasks.spec import LabelRule, SubtaskSpec
 
 __all__ = [
+    "LabelRule",
+    "ObjectModel",
     "PackRequest",
     "PackSource",
+    "SubtaskSpec",
+    "TargetRule",
+    "TaskSpec",
     "__version__",
     "evaluate",
     "generate",
+    "home_pack",
     "make",
     "make_expert",
     "make_train",
+    "object_from_glb",
     "open_pack",
+    "register_object",
     "register_pack",
     "register_robot",
+    "register_subtask",
+    "register_task",
 ]
 
 _LAZY = {
+    "ObjectModel": "mjhab.scenes.objects",
+    "LabelRule": "mjhab.tasks.subtasks.spec",
+    "SubtaskSpec": "mjhab.tasks.subtasks.spec",
+    "TargetRule": "mjhab.tasks.household.spec",
+    "TaskSpec": "mjhab.tasks.household.spec",
     "PackRequest": "mjhab.scenes.pack_source",
     "PackSource": "mjhab.scenes.pack_source",
     "evaluate": "mjhab.evaluation.evaluate",
@@ -46,6 +68,11 @@ _LAZY = {
     "register_robot": "mjhab.robots.registry",
     "make_expert": "mjhab.experts",
     "open_pack": "mjhab.scenes.packs",
+    "home_pack": "mjhab.scenes.home_files",
+    "object_from_glb": "mjhab.scenes.object_glb",
+    "register_object": "mjhab.scenes.objects",
+    "register_subtask": "mjhab.tasks.subtasks.registry",
+    "register_task": "mjhab.tasks.household.registry",
     "register_pack": "mjhab.scenes.pack_source",
 }
 _PACKAGES = frozenset(
@@ -71,6 +98,7 @@ _PACKAGES = frozenset(
         "serving",
         "sim",
         "tasks",
+        "viewer",
     }
 )
 

@@ -11,7 +11,7 @@ import pytest
 from mjhab.bench.reward import auc, figure, summary
 from mjhab.bench.stages import STAGES
 from mjhab.cli.main import main
-from mjhab.envs.catalog import ENV_IDS
+from mjhab.envs.catalog import env_ids
 
 
 def run(capsys: pytest.CaptureFixture[str], *args: str) -> tuple[int, dict]:
@@ -22,8 +22,16 @@ def run(capsys: pytest.CaptureFixture[str], *args: str) -> tuple[int, dict]:
 
 def test_envs_list_and_describe(capsys: pytest.CaptureFixture[str]):
     code, found = run(capsys, "envs", "list")
-    assert code == 0 and [env["id"] for env in found["envs"]] == list(ENV_IDS)
+    assert code == 0 and [env["id"] for env in found["envs"]] == list(env_ids())
+    assert found["envs"][2] == {
+        "id": "mjhab/SetTable-v1",
+        "task": "set_table",
+        "subtask": None,
+        "plugin": "",
+        "robot": "fetch",
+    }
     assert {env["robot"] for env in found["envs"]} == {"fetch"}
+    assert found["envs"][6]["subtask"] == "close" and found["envs"][6]["task"] == "set_table"
     code, found = run(
         capsys,
         "envs",

@@ -18,7 +18,8 @@ from mjhab.data.record.provenance import describe_run
 from mjhab.envs.wrappers import FrameStack
 from mjhab.experts import make_expert
 from mjhab.robots.fetch.robot import ROBOT
-from mjhab.tasks.plan import KIND_NAMES
+from mjhab.tasks.subtasks.registry import force_limits, limits_of, number_of
+from mjhab.tasks.subtasks.registry import horizons as horizons_of
 
 PICK: dict[str, Any] = {"task": "tidy_house", "subtask": "pick"}
 PUBLISHED = {
@@ -71,10 +72,10 @@ def test_horizons_are_those_of_training_and_of_evaluation(
     build: Any, subtask: str, horizons: tuple[int, ...]
 ) -> None:
     limits = task_config(build(profile="ms_hab", task="set_table", subtask=subtask), ROBOT)
-    judged = KIND_NAMES.index(subtask) if subtask else slice(None)
-    assert np.all(np.array(limits.horizons)[judged] == np.array(horizons)[judged])
+    judged = number_of(subtask) if subtask else slice(None)
+    assert np.all(np.array(horizons_of(limits))[judged] == np.array(horizons)[judged])
     assert (
-        limits.force_limits == (5000.0, 7500.0, np.inf, 10000.0, 10000.0)
+        force_limits(limits)[:5] == (5000.0, 7500.0, np.inf, 10000.0, 10000.0)
         and limits.stillness == "published"
     )
 
@@ -154,7 +155,9 @@ def test_environments_take_profiles_in_every_way_they_are_made() -> None:
         (named.unwrapped, 100),
         (single.unwrapped, 100),
     ):
-        assert env.config.profile == "ms_hab" and env.task_config.pick.horizon == horizon
+        assert (
+            env.config.profile == "ms_hab" and limits_of(env.task_config, "pick").horizon == horizon
+        )
         assert env.task_config.stillness == "published"
     for env in (made, trained, named, single):
         env.close()

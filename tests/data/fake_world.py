@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
@@ -12,8 +13,8 @@ from gymnasium.vector import AutoresetMode
 from mjhab.core.seeding import stream
 from mjhab.data.store.schema import CHECKS
 from mjhab.robots.fetch.robot import ROBOT
-from mjhab.tasks.measure import Signals
-from mjhab.tasks.plan import KIND_NAMES
+from mjhab.tasks.signals import Signals
+from mjhab.tasks.subtasks.registry import name_of, number_of
 from mjhab.tasks.tracker import SubtaskTracker
 
 CHAIN = (
@@ -93,8 +94,10 @@ class FakeEnv:
         self.tracker: SubtaskTracker | None = None
         self._settle(np.zeros(num_envs, bool))
 
-    def render_world(self, world: int, width: int = 480, height: int = 360) -> np.ndarray:
-        return np.zeros((height, width, 3), np.uint8)
+    def render_worlds(
+        self, worlds: Sequence[int], width: int = 480, height: int = 360
+    ) -> np.ndarray:
+        return np.zeros((len(worlds), height, width, 3), np.uint8)
 
     def reset(self, seed: int, options: dict[str, Any]) -> tuple[dict, dict]:
         mask = options["reset_mask"]
@@ -120,7 +123,7 @@ class FakeEnv:
 
     def step(self, actions: np.ndarray) -> tuple[dict, np.ndarray, np.ndarray, np.ndarray, dict]:
         live = np.array([not w.done for w in self.worlds])
-        kind = np.array([KIND_NAMES.index(self.plan[w.pointer][0]) for w in self.worlds])
+        kind = np.array([number_of(self.plan[w.pointer][0]) for w in self.worlds])
         for w, world in enumerate(self.worlds):
             if live[w]:
                 world.step(actions[w])
@@ -149,7 +152,7 @@ class FakeEnv:
         world = self.worlds[w]
         return {
             "index": world.pointer,
-            "kind": KIND_NAMES[kind],
+            "kind": name_of(kind),
             "target": self.plan[world.pointer][1],
             "label": label,
             "legacy_label": self.tracker.legacy_label(w, kind),

@@ -21,9 +21,9 @@ from mjhab.envs.parts.reporting import CHECKERS
 from mjhab.envs.wrappers import FrameStack
 from mjhab.sim.backends import cuda_devices
 from mjhab.sim.protocol import TAINTS
-from mjhab.tasks.events import EVENT_NAMES, event_names
-from mjhab.tasks.labels import LABELS
+from mjhab.tasks.events import event_names
 from mjhab.tasks.plan import SubtaskKind
+from mjhab.tasks.subtasks.registry import SUBTASKS, event_columns, limits_of
 from tests.missing import need_warp
 from tests.no_sync import NoSync
 
@@ -126,7 +126,7 @@ def test_episodes_are_those_of_the_cpu_backend(task: str, subtask: str) -> None:
             for name in ("peak_force", "cumulative_force")
         }
         assert mine == record | close
-        assert LABELS[SubtaskKind[subtask.upper()]][int(final["label"][w])] == record["label"]
+        assert SUBTASKS[subtask].labels[int(final["label"][w])] == record["label"]
     # The next episodes: two worlds further.
     assert [dev.episode_spec(w)["index"] for w in range(WORLDS)] == [2, 3]
     cpu.reset(options={"episode": [2, 3]})
@@ -168,7 +168,10 @@ def test_profiles_are_the_same_on_the_device() -> None:
     dev.reset(options={"episode": [0]})
     np.testing.assert_array_equal(dev.sim.qpos.numpy(), cpu.sim.qpos.astype(np.float32))
     assert dev.config.profile == "ms_hab" and dev.task_config == cpu.task_config
-    assert dev.task_config.stillness == "published" and dev.task_config.place.horizon == 100
+    assert (
+        dev.task_config.stillness == "published"
+        and limits_of(dev.task_config, "place").horizon == 100
+    )
     for step in range(3):
         actions = actions_of(step, len(cpu.action_table), cpu.controller.gripper)[:1]
         _, reward, *_ = cpu.step(actions)
@@ -433,4 +436,7 @@ def test_wrappers_for_numpy_refuse_tensors(env: Any) -> None:
 
 def test_event_flags_have_the_columns_of_the_events(env: Any) -> None:
     _, info = env.reset()
-    assert info["event_flags"].shape == (WORLDS, len(EVENT_NAMES)) and not info["event_flags"].any()
+    assert (
+        info["event_flags"].shape == (WORLDS, len(event_columns()))
+        and not info["event_flags"].any()
+    )

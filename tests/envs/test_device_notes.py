@@ -12,10 +12,10 @@ from mjhab.core.arrays import map_record
 from mjhab.envs.device.notes import DeviceNotes
 from mjhab.envs.parts.tracking import Tracker
 from mjhab.tasks.events import event_names
-from mjhab.tasks.labels import LABELS
-from mjhab.tasks.measure import Signals
 from mjhab.tasks.plan import PADDING, Subtask, SubtaskKind, TaskPlan
 from mjhab.tasks.progress import Outcome, Progress
+from mjhab.tasks.signals import Signals
+from mjhab.tasks.subtasks.registry import spec_of
 
 
 def test_history_tells_what_the_tracker_of_the_cpu_notes() -> None:
@@ -59,7 +59,7 @@ def test_history_tells_what_the_tracker_of_the_cpu_notes() -> None:
         notes.begin(torch.as_tensor(moved), *tensors(signals, progress))
         assert notes.records(plans) == expected
         for w, record in enumerate(expected):
-            label = LABELS[SubtaskKind(int(kinds[w]))][int(codes[w])] if codes[w] >= 0 else None
+            label = spec_of(int(kinds[w])).labels[int(codes[w])] if codes[w] >= 0 else None
             assert label == (record and record["label"])
         written += sum(record is not None for record in expected)
     assert written > worlds

@@ -203,6 +203,6 @@ def test_results_outlive_the_next_step() -> None:
 
 
 def test_only_the_kinds_at_hand_are_reported() -> None:
-    _, terms = rewarder(1, kinds=(SubtaskKind.CLOSE,)).step(inputs_of([CLOSE]))
+    _, terms = rewarder(1, kinds=("close",)).step(inputs_of([CLOSE]))
     assert "posture_closed" in terms and "hold" not in terms
     assert {"posture_closed", "hold", "arrived"} <= set(rewarder(1).step(inputs_of([CLOSE]))[1])

@@ -263,7 +263,7 @@ def test_bad_actions_and_reset_options():
 def test_gymnasium_makes_the_registered_ids():
     import gymnasium
 
-    for env_id in envs.ENV_IDS:
+    for env_id in envs.env_ids():
         env = gymnasium.make_vec(env_id, num_envs=2, threads=1)
         obs, _ = env.reset(seed=0)
         assert env.observation_space.contains(obs)

@@ -22,11 +22,12 @@ from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.robots.controllers import BASES, CONTROL_MODES, make_controller
 from mjhab.robots.fetch.model import REST_QPOS
 from mjhab.sim.protocol import SimState
-from mjhab.tasks import events, labels
+from mjhab.tasks import events, label_state, labels
 from mjhab.tasks import progress as progress_rules
 from mjhab.tasks.measure import measure
 from mjhab.tasks.plan import SubtaskKind
 from mjhab.tasks.rewards import RewardOptions
+from mjhab.tasks.subtasks.registry import name_of
 from tests.no_sync import NoSync
 
 WORLDS = 8
@@ -144,9 +145,16 @@ class Follower:
         )
         self.sensing = Sensing(layout, addresses, WORLDS, like)
         self.rewarder = Rewarder(
-            WORLDS, self.config, mode, options, layout, self.sensing, kinds=kinds, like=like
+            WORLDS,
+            self.config,
+            mode,
+            options,
+            layout,
+            self.sensing,
+            kinds=[name_of(kind) for kind in kinds],
+            like=like,
         )
-        self.notes: labels.LabelState | None = None
+        self.notes: label_state.LabelState | None = None
 
     def step(
         self, state: SimState, tables: Rows, progress: Any, joint_start: Any
@@ -160,8 +168,10 @@ class Follower:
         reward, terms = self.rewarder.step(inputs)
         self.rewarder.begin(outcome.ended, inputs)
         context = self.sensing.context(state, focus, signals)
-        before = labels.start(signals) if self.notes is None else self.notes
-        self.notes = labels.restart(labels.update(before, signals), outcome.ended, signals)
+        before = label_state.start(signals) if self.notes is None else self.notes
+        self.notes = label_state.restart(
+            label_state.update(before, signals), outcome.ended, signals
+        )
         return {
             "focus": focus,
             "world": world,
@@ -177,7 +187,7 @@ class Follower:
             "obs": state_observation(context),
             "tcp": self.sensing.tcp_pose(state),
             "label": labels.label(self.notes, signals.kind),
-            "events": events.edge_events(signals.kind, before.now, labels.watch(signals)),
+            "events": events.edge_events(signals.kind, before.now, label_state.watch(signals)),
         }
 
 

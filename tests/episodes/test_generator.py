@@ -6,13 +6,15 @@ import numpy as np
 import pytest
 
 from mjhab.core.errors import UsageError
-from mjhab.episodes.generator import FRIDGE_PREOPEN, MIN_START_GOAL, EpisodeMaker
+from mjhab.episodes.generator import EpisodeMaker
+from mjhab.episodes.rosters import roster
 from mjhab.layout.layout import Layout
 from mjhab.layout.receptacles import placed_receptacles
-from mjhab.scenes.builtin.objects import roster
 from mjhab.scenes.packs import open_pack
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.settle import settle
+from mjhab.tasks.household.prepare_groceries import FRIDGE_PREOPEN_RAD
+from mjhab.tasks.household.spec import MIN_START_GOAL_M
 
 
 def maker(task: str, target: str = "") -> EpisodeMaker:
@@ -42,7 +44,9 @@ def test_episodes_are_stable_and_separate(task: str, tmp_path, monkeypatch):
         )
         assert moved.max() < 0.02 and speed < 0.05
         for target in episode.targets:
-            assert np.linalg.norm(np.subtract(target.goal_pos, target.start_pos)) >= MIN_START_GOAL
+            assert (
+                np.linalg.norm(np.subtract(target.goal_pos, target.start_pos)) >= MIN_START_GOAL_M
+            )
 
 
 def test_set_table_starts_in_drawer_and_fridge():
@@ -63,7 +67,7 @@ def test_set_table_starts_in_drawer_and_fridge():
 def test_groceries_have_the_fridge_open():
     episodes = maker("prepare_groceries")
     door = episodes.layout.link_ids.index("fridge/top_door")
-    assert abs(episodes.episode(0, 0).link_q[door] - FRIDGE_PREOPEN) < 0.05
+    assert abs(episodes.episode(0, 0).link_q[door] - FRIDGE_PREOPEN_RAD) < 0.05
 
 
 def test_wanted_target_type_is_among_the_targets():

@@ -6,11 +6,11 @@ import dataclasses
 
 from mjhab.episodes.generator import EpisodeMaker
 from mjhab.episodes.narration import Narrator
+from mjhab.episodes.rosters import roster
 from mjhab.layout.layout import Layout
-from mjhab.scenes.builtin.objects import roster
 from mjhab.scenes.packs import open_pack
 from mjhab.sim.mujoco.cpu import CpuSimulator
-from mjhab.tasks.plan import chain
+from mjhab.tasks.household.registry import chain
 
 
 def test_set_table_names_drawer_fridge_and_table() -> None:

@@ -14,13 +14,13 @@ import pytest
 from mjhab.cli.main import main
 from mjhab.config.env import EnvConfig, task_config
 from mjhab.core.errors import UsageError
+from mjhab.episodes.rosters import roster
 from mjhab.episodes.spawn_factory import CHUNK, SpawnFactory, make_set, partial_folder
 from mjhab.episodes.spawn_sets import SpawnRecipe, SpawnRow, SpawnSet, layout_digest, write
 from mjhab.episodes.spawns import ARM_NOISE
 from mjhab.episodes.starts import StartMaker
 from mjhab.layout.layout import Layout
 from mjhab.robots.fetch.robot import ROBOT
-from mjhab.scenes.builtin.objects import roster
 from mjhab.scenes.packs import open_pack
 from mjhab.sim.mujoco.cpu import CpuSimulator
 

@@ -13,6 +13,7 @@ from mjhab.config.env import EnvConfig, task_config
 from mjhab.core.rotations import pose_inv, pose_mul, quat_from_yaw
 from mjhab.core.seeding import stream
 from mjhab.episodes.generator import BOWL_DRAWER, FRIDGE_DOOR, Episode, EpisodeMaker
+from mjhab.episodes.rosters import roster
 from mjhab.episodes.spawns import (
     ARM_NOISE,
     MAX_DISTANCE,
@@ -23,17 +24,18 @@ from mjhab.episodes.spawns import (
     SpawnGoal,
     SpawnSampler,
 )
-from mjhab.episodes.starts import DOORSTEP_REACH, Start, StartMaker
+from mjhab.episodes.starts import Start, StartMaker
+from mjhab.episodes.starts.navigate import DOORSTEP_REACH
 from mjhab.layout.contact_sensors import FORCE_SENSOR_WIDTH
 from mjhab.layout.layout import Layout
 from mjhab.robots.fetch.model import REST_QPOS
 from mjhab.robots.fetch.robot import ROBOT
-from mjhab.scenes.builtin.objects import roster
-from mjhab.scenes.freespace import BASE_RADIUS
+from mjhab.scenes.freespace import NAVMESH_BASE_RADIUS_M
 from mjhab.scenes.packs import open_pack
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.settle import hold_robot, parked_robot_qpos
-from mjhab.tasks.plan import SubtaskKind, chain, front_box
+from mjhab.tasks.household.registry import chain
+from mjhab.tasks.plan import SubtaskKind, front_box
 
 
 @pytest.fixture(scope="module")
@@ -401,7 +403,7 @@ def test_published_picks_at_a_link_start_all_around_the_object(set_table: Bench)
         slot = set_table.sim.layout.object_names.index(subtask.obj)
         away = base[:2] - start.qpos[a.object_q[slot] : a.object_q[slot] + 2]
         far = max(far, float(np.hypot(*away)))
-        assert maker.sampler.map(start.home).clearance_at(base[:2]) >= BASE_RADIUS - 0.02
+        assert maker.sampler.map(start.home).clearance_at(base[:2]) >= NAVMESH_BASE_RADIUS_M - 0.02
         assert maker.sampler.scratch.collision_free(start.home, start.qpos)
         x_min, x_max, y_min, y_max = start.boxes[subtask.link]
         outside += not (x_min <= base[0] <= x_max and y_min <= base[1] <= y_max)

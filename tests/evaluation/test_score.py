@@ -18,7 +18,7 @@ from mjhab.evaluation.score.actions import Replayed, packed_actions, unpacked_ac
 from mjhab.evaluation.score.capabilities import CAPABILITIES, profile
 from mjhab.evaluation.score.leaderboard import leaderboard
 from mjhab.evaluation.score.manifest import DRAWER, Row, manifest
-from mjhab.evaluation.score.result import Result, digest_of, read_result, write_result
+from mjhab.evaluation.score.result import Result, digest_of, read_result, summary_of, write_result
 from mjhab.evaluation.score.run import ScoreSpec, check, check_rules, score
 from mjhab.rollout.records import SubtaskRecord
 
@@ -123,18 +123,33 @@ def test_numbers_that_are_not_those_of_the_episodes_are_refused(
 
 def test_a_table_has_policies_rows_and_capabilities(result: tuple[Path, Result]) -> None:
     page = leaderboard([result[1]])
-    assert "| random | test |" in page and "(incomplete)" in page
+    assert "| random | test |" in page and "(incomplete)" not in page
     assert all(f"| {row.name} |" in page for row in ROWS)
     assert "| policy | reach | grasp | carry | articulate | navigate | under force limit |" in page
 
 
-def test_starts_tell_episodes_from_others(small: Any, result: tuple[Path, Result]) -> None:
+def test_starts_tell_episodes_from_others(
+    small: Any, result: tuple[Path, Result], monkeypatch: pytest.MonkeyPatch
+) -> None:
     from mjhab.evaluation.score.starts import starts_of
 
     row = ROWS[0]
     digests = starts_of(row, "test", manifests.SEED, 1, 1)
     assert digests == [e.start for e in result[1].episodes if e.row == row.name]
     assert len(set(digests)) == row.episodes
+    monkeypatch.setattr(manifests, "_starts", lambda: {"subtasks/test": {row.name: digests}})
+    asked = manifest("subtasks", "test")
+    assert summary_of(asked, result[1].episodes)["complete"]
+    digests[1] = "elsewhere"
+    other = summary_of(manifest("subtasks", "test"), result[1].episodes)
+    assert other["other_starts"] == 1 and not other["complete"]
+
+
+def test_the_starts_of_the_package_fit_its_rows() -> None:
+    for name, rows in json.loads(manifests.STARTS_FILE.read_text()).items():
+        asked = manifest(*name.split("/"))
+        lengths = {row.name: row.episodes for row in asked.rows}
+        assert {row: len(digests) for row, digests in rows.items()}.items() <= lengths.items()
 
 
 def test_actions_come_back_and_are_played_to_their_end() -> None:

@@ -1,5 +1,7 @@
 """Evaluate a policy of LeRobot in mjhab with the real lerobot package. `make test-lerobot-env` calls this."""
 
+# The library lives in an environment of its own, see the Makefile.
+# pyright: reportMissingImports=false
 from __future__ import annotations
 
 from types import SimpleNamespace

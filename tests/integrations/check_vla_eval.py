@@ -1,5 +1,7 @@
 """Run episodes of mjhab with the real vla-eval package: its runner, its specs. `make test-vla-eval` calls this."""
 
+# The library lives in an environment of its own, see the Makefile.
+# pyright: reportMissingImports=false
 from __future__ import annotations
 
 import asyncio

@@ -21,7 +21,6 @@ from mjhab.learning.configs import (
 )
 from mjhab.learning.demos import Demonstrations
 from mjhab.learning.layout import Layout
-from mjhab.tasks.plan import KIND_NAMES
 
 SIZE = 16
 STATE = (("agent/qpos", 4), ("extra/is_grasped", 1))
@@ -74,7 +73,7 @@ def demonstrations(
     for length in lengths:
         vector = np.zeros((length, told.width), np.float32)
         vector[:, : told.measured_width] = random.normal(size=(length, told.measured_width))
-        vector[:, told.measured_width :] = told.condition(KIND_NAMES[0], TARGETS[0])
+        vector[:, told.measured_width :] = told.condition(told.kinds[0], TARGETS[0])
         actions = np.full((length, len(ACTIONS)), 0.5, np.float32)
         actions[:, 0] = np.tanh(vector[:, 0])
         images = random.integers(0, 256, (length, len(told.image_keys), SIZE, SIZE), np.uint8)

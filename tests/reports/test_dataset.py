@@ -21,9 +21,8 @@ from mjhab.reports.dataset import render_data_report
 from mjhab.reports.dataset_forces import force_plots
 from mjhab.reports.dataset_labels import ALL, grouped, label_order, label_table
 from mjhab.reports.mosaics import EVERY, TILE, mosaic
-from mjhab.reports.paper import ORDER, POLICIES, paper_row, paper_success
-from mjhab.tasks.labels import LABELS
-from mjhab.tasks.plan import KIND_NAMES, SubtaskKind
+from mjhab.reports.paper import POLICIES, paper_row, paper_success
+from mjhab.tasks.subtasks.registry import SUBTASKS
 from tests.data.fake_world import FakeEnv
 from tests.data.make import record
 
@@ -51,8 +50,9 @@ def test_every_published_row_adds_up() -> None:
 
 
 def test_the_paper_and_we_have_the_same_labels() -> None:
-    for kind, names in ORDER.items():
-        assert set(names) == set(LABELS[SubtaskKind(KIND_NAMES.index(kind))])
+    for kind in ("pick", "place", "open", "close"):
+        published = SUBTASKS[kind].published
+        assert published is not None and set(published.columns) == set(SUBTASKS[kind].labels)
 
 
 def test_targets_are_found_by_our_names() -> None:
@@ -165,9 +165,9 @@ def test_the_page_is_whole(tmp_path: Path) -> None:
 
 
 def test_every_label_of_a_kind_has_a_row() -> None:
-    for kind in KIND_NAMES:
+    for kind in SUBTASKS:
         names = label_order(kind)
-        assert sorted(names) == sorted(LABELS[SubtaskKind(KIND_NAMES.index(kind))])
+        assert sorted(names) == sorted(SUBTASKS[kind].labels)
     assert label_order("navigate")[0] == "navigation_success"
 
 

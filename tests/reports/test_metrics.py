@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mjhab.core.names import kind_of
 from mjhab.reports.metrics import (
     alone_rates,
     labels_by_kind,
@@ -17,7 +18,6 @@ from mjhab.reports.metrics import (
     rows_by_position,
     summarize,
     taint_counts,
-    target_type,
     wilson,
 )
 from mjhab.rollout.loop import rollout
@@ -100,7 +100,7 @@ def test_alone_rates_come_from_single_subtask_runs(records: list[EpisodeRecord])
 def test_rows_count_what_was_reached(records: list[EpisodeRecord]) -> None:
     rows = rows_by_position(records)
     assert [(row.kind, row.target) for row in rows] == [
-        (kind, target_type(target)) for kind, target in SET_TABLE
+        (kind, kind_of(target)) for kind, target in SET_TABLE
     ]
     assert rows[0].reached == 30
     for before, after in pairwise(rows):
@@ -131,9 +131,9 @@ def test_labels_and_taints_are_counted(records: list[EpisodeRecord]) -> None:
 
 
 def test_target_type_drops_the_instance_number_only() -> None:
-    assert target_type("024_bowl_:0003") == "024_bowl"
-    assert target_type("goal of 013_apple_:0000") == "goal of 013_apple"
-    assert target_type("kitchen_counter/drawer3") == "kitchen_counter/drawer3"
+    assert kind_of("024_bowl_:0003") == "024_bowl"
+    assert kind_of("goal of 013_apple_:0000") == "goal of 013_apple"
+    assert kind_of("kitchen_counter/drawer3") == "kitchen_counter/drawer3"
 
 
 def test_wilson_known_values() -> None:

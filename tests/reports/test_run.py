@@ -17,7 +17,7 @@ from mjhab.reports.run import render_report
 from mjhab.rollout.loop import rollout
 from mjhab.rollout.policy import RandomPolicy, ZeroPolicy
 from mjhab.rollout.records import EpisodeRecord
-from mjhab.tasks.labels import LABELS
+from mjhab.tasks.subtasks.registry import SUBTASKS
 from tests.rollout.fake_env import FakeEnv
 
 CONFIG = {
@@ -168,8 +168,8 @@ def test_flawed_success_is_not_green() -> None:
     assert tone("straightforward_success") == tone("placed_in_goal_success") == "good"
     assert tone("winding_success") == tone("success_then_drop") == tone("dubious_success") == "fair"
     assert tone("too_slow_failure") == "bad" and tone(None) == "none"
-    for labels in LABELS.values():
-        assert {tone(label) for label in labels} == {"good", "fair", "bad"}
+    for spec in SUBTASKS.values():
+        assert {tone(label) for label in spec.labels} == {"good", "fair", "bad"}
 
 
 def test_label_bars_sum_to_one(records: list[EpisodeRecord]) -> None:
@@ -218,3 +218,11 @@ def test_progress_chart_has_a_point_per_subtask(records: list[EpisodeRecord]) ->
     assert [len(set(trace["x"])) for trace in figure["data"]] == [16, 16], (
         "names must differ or points merge"
     )
+
+
+def test_episodes_that_the_policy_could_not_finish_are_shown(records: list[EpisodeRecord]) -> None:
+    assert "could not finish" not in render_report(records, CONFIG, 1.0)
+    broken = [replace(records[0], error="no answer <in> 30 s"), *records[1:]]
+    page = render_report(broken, CONFIG, 1.0)
+    assert "episodes that the policy could not finish" in page
+    assert "no answer &lt;in&gt; 30 s" in page

@@ -6,7 +6,7 @@ by success, by force or by their horizon; forces rise with the size of the actio
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -102,7 +102,12 @@ class FakeEnv:
         truncated = over & ~(info["success"] | info["fail"])
         return self._obs(), np.zeros(self.num_envs), over & ~truncated, truncated, info
 
-    def render_world(self, w: int, width: int = 480, height: int = 360) -> np.ndarray:
+    def render_worlds(
+        self, worlds: Sequence[int], width: int = 480, height: int = 360
+    ) -> np.ndarray:
+        return np.stack([self._picture(w, width, height) for w in worlds])
+
+    def _picture(self, w: int, width: int, height: int) -> np.ndarray:
         if self.broken_camera:
             raise RuntimeError("no renderer works here")
         world = self.worlds[w]

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mjhab.core.errors import UsageError
-from mjhab.scenes.freespace import MAX_FIELDS, blocking_polygons, free_map, reach
+from mjhab.scenes.freespace import MAX_KEPT_FIELDS, blocking_polygons, free_map, reach
 from mjhab.scenes.shapes.shapes import box, rod, span
 from mjhab.scenes.spec import Geom, Home, Pack, Placement, Prop, Receptacle
 
@@ -177,6 +177,6 @@ def test_where_the_base_does_not_fit_the_straight_line_to_free_floor_counts() ->
 def test_a_map_remembers_a_bounded_number_of_goals() -> None:
     free = free_map(_room(size=1.0), _pack(), cell=0.1)
     first = free.distances_to(np.array([0.5, 0.5]))
-    for k in range(MAX_FIELDS):
+    for k in range(MAX_KEPT_FIELDS):
         free.distances_to(np.array([0.4, 0.4 + 0.002 * k]))
     assert free.distances_to(np.array([0.5, 0.5])) is not first

@@ -16,6 +16,7 @@ from mjhab.layout.layout import Layout
 from mjhab.scenes.builtin.pack import builtin_pack
 from mjhab.scenes.pack_check import check_pack
 from mjhab.scenes.pack_folder import load_pack, save_pack
+from mjhab.scenes.spec import Roles
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +37,15 @@ def saved(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     meshes = {name: mesh for name, mesh in pack.meshes.items() if repr(name) in text}
     folder = tmp_path_factory.mktemp("pack")
     save_pack(
-        replace(pack, props=props, articulations=fridge, objects=can, homes=(home,), meshes=meshes),
+        replace(
+            pack,
+            props=props,
+            articulations=fridge,
+            objects=can,
+            homes=(home,),
+            meshes=meshes,
+            roles=Roles(),
+        ),
         folder,
     )
     load_pack(folder)

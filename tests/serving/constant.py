@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from mjhab.serving.dialects import Ask, dialect_named
+from mjhab.serving.dialects.dialect import Ask
+from mjhab.serving.dialects.names import dialect_named
 from mjhab.serving.server import PolicyServer, ServerOptions
 
 

@@ -16,7 +16,7 @@ from websockets.sync.server import ServerConnection, serve
 from mjhab.core.errors import UsageError
 from mjhab.serving.address import TOKEN_VARIABLE, Address
 from mjhab.serving.client import Connection, PolicyFault
-from mjhab.serving.dialects import DIALECTS
+from mjhab.serving.dialects.names import DIALECTS
 from mjhab.serving.packing import pack, unpack
 from mjhab.serving.server import PolicyServer, ServerOptions, free_socket
 from tests.serving.constant import Constant, an_ask, serving
@@ -29,7 +29,7 @@ def address(port: int, dialect: str = "openpi", **options: object) -> Address:
 
 
 @contextmanager
-def scripted(handler: Callable[[ServerConnection], object]) -> Iterator[int]:
+def scripted(handler: Callable[[ServerConnection], None]) -> Iterator[int]:
     """A server that does what ``handler`` does; gives its port."""
     listening = free_socket("127.0.0.1", 0)
     server = serve(handler, sock=listening, compression=None)

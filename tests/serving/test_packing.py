@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 from contextlib import suppress
+from typing import cast
 
 import msgpack
 import numpy as np
@@ -36,7 +37,7 @@ def test_scalars_nested_maps_and_torch_tensors() -> None:
         b"dtype": "torch.float32",
         b"shape": (3,),
     }
-    assert unpack(msgpack.packb(tensor)).tolist() == [0.0, 1.0, 2.0]
+    assert unpack(as_bytes(tensor)).tolist() == [0.0, 1.0, 2.0]
 
 
 @pytest.mark.parametrize(
@@ -49,10 +50,14 @@ def test_arrays_without_numbers_are_refused(array: np.ndarray) -> None:
         pack({"x": array})
 
 
+def as_bytes(value: object) -> bytes:
+    return cast(bytes, msgpack.packb(value))
+
+
 def array_map(**changes: object) -> bytes:
     """An array as it is packed, with changes."""
     entry = {b"__ndarray__": True, b"data": b"\0" * 8, b"dtype": "<f4", b"shape": (2,)}
-    return msgpack.packb(entry | {key.encode(): value for key, value in changes.items()})
+    return as_bytes(entry | {key.encode(): value for key, value in changes.items()})
 
 
 @pytest.mark.parametrize(

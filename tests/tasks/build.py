@@ -10,9 +10,10 @@ import torch
 
 from mjhab.core.arrays import map_record
 from mjhab.core.joints import JointColumns
-from mjhab.tasks.labels import History
-from mjhab.tasks.measure import Signals, WorldState
-from mjhab.tasks.plan import PlanArrays, Subtask, SubtaskKind, TaskConfig, TaskPlan, stack_plans
+from mjhab.tasks.label_state import History
+from mjhab.tasks.plan import PlanArrays, Subtask, SubtaskKind, TaskPlan, stack_plans
+from mjhab.tasks.signals import Signals, WorldState
+from mjhab.tasks.thresholds import TaskConfig
 
 REST = (0, 0, 0, 0.386, 0, -0.370, 0.562, -1.032, 0.695, 0.955, -0.1, 2.077, 0, 0.015, 0.015)
 

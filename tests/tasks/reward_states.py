@@ -9,10 +9,13 @@ from typing import Any
 import numpy as np
 
 from mjhab.core.arrays import map_record
-from mjhab.tasks.measure import WorldState, measure
-from mjhab.tasks.plan import Subtask, SubtaskKind, TaskConfig, TaskPlan, stack_plans
+from mjhab.tasks.measure import measure
+from mjhab.tasks.plan import Subtask, SubtaskKind, TaskPlan, stack_plans
 from mjhab.tasks.progress import start
-from mjhab.tasks.rewards import DenseReward, RewardView
+from mjhab.tasks.reward_table import RewardView
+from mjhab.tasks.rewards import DenseReward
+from mjhab.tasks.signals import WorldState
+from mjhab.tasks.thresholds import TaskConfig
 from tests.tasks.build import CONFIG, REST, resting, squeeze
 
 PICK, PLACE, NAVIGATE, OPEN, CLOSE = range(5)

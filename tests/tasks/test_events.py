@@ -7,10 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mjhab.tasks.events import EVENT_NAMES, EVENTS, blank, event_names, step_events
-from mjhab.tasks.labels import History, label_history, label_names
+from mjhab.tasks.events import blank, event_names, step_events
+from mjhab.tasks.label_state import History
+from mjhab.tasks.labels import label_history, label_names
 from mjhab.tasks.legacy import extend, legacy_history, legacy_label
 from mjhab.tasks.plan import SubtaskKind
+from mjhab.tasks.subtasks.registry import event_columns, spec_of
 from mjhab.tasks.tracker import SubtaskTracker
 from tests.tasks.build import HISTORY_FIELDS, assert_same, history, random_history, to_torch
 
@@ -93,9 +95,9 @@ def test_a_finished_plan_has_no_events_and_kinds_have_only_theirs() -> None:
     for kind in range(-1, 5):
         kinds = np.full(worlds, kind)
         flags = step_events(kinds, *rows)
-        assert flags.shape == (worlds, len(EVENT_NAMES)) and flags.dtype == bool
+        assert flags.shape == (worlds, len(event_columns())) and flags.dtype == bool
         seen = {name for names in event_names(kinds, flags) for name in names}
-        assert seen == (set(EVENTS[SubtaskKind(kind)]) if kind >= 0 else set())
+        assert seen == (set(spec_of(kind).events) if kind >= 0 else set())
 
 
 def test_torch_flags_the_same_in_value_and_dtype() -> None:

@@ -10,21 +10,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from mjhab.tasks.labels import (
-    LABELS,
+from mjhab.tasks.label_state import (
     WATCHED,
     History,
     fold,
     get_row,
-    label,
-    label_history,
-    label_names,
     restart,
     set_row,
     start,
     update,
 )
+from mjhab.tasks.labels import label, label_history, label_names
 from mjhab.tasks.plan import SubtaskKind
+from mjhab.tasks.subtasks.registry import spec_of
 from tests.tasks.build import (
     HISTORY_FIELDS,
     assert_same,
@@ -134,7 +132,7 @@ def test_every_history_has_exactly_the_label_of_the_rules(
 ) -> None:
     record = data.draw(any_history())
     names = labels_of(kind, record)
-    assert len(names) == 1 and names[0] in LABELS[kind]
+    assert len(names) == 1 and names[0] in spec_of(kind).labels
     assert names[0] == expected_label(kind, record)
 
 
@@ -146,7 +144,7 @@ def test_every_label_occurs_in_possible_histories(kind: SubtaskKind) -> None:
         for steps in (2, 4, 8)
         for name in labels_of(kind, random_history(rng, kind, steps, 10_000))
     }
-    assert seen == set(LABELS[kind])
+    assert seen == set(spec_of(kind).labels)
 
 
 EXAMPLES: dict[tuple[int, str], History] = {
@@ -207,7 +205,7 @@ EXAMPLES: dict[tuple[int, str], History] = {
 
 
 def test_there_is_an_example_of_every_label() -> None:
-    assert set(EXAMPLES) == {(int(kind), name) for kind in KINDS for name in LABELS[kind]}
+    assert set(EXAMPLES) == {(int(kind), name) for kind in KINDS for name in spec_of(kind).labels}
 
 
 @pytest.mark.parametrize(("kind", "name"), EXAMPLES)

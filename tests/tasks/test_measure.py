@@ -10,9 +10,12 @@ import numpy as np
 import pytest
 
 from mjhab.core.errors import UsageError
-from mjhab.tasks.measure import Signals, measure
-from mjhab.tasks.plan import Subtask, SubtaskKind, Target, TaskConfig, TaskPlan, chain, stack_plans
+from mjhab.tasks.household.registry import chain
+from mjhab.tasks.measure import measure
+from mjhab.tasks.plan import Subtask, SubtaskKind, Target, TaskPlan, stack_plans
 from mjhab.tasks.progress import Progress, accumulate, start
+from mjhab.tasks.signals import Signals
+from mjhab.tasks.thresholds import TaskConfig
 from tests.tasks.build import (
     CONFIG,
     REST,

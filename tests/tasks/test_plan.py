@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 
 from mjhab.core.errors import UsageError
+from mjhab.tasks.household.registry import chain
 from mjhab.tasks.plan import (
-    KIND_NAMES,
     PADDING,
     Subtask,
     SubtaskKind,
     Target,
     TaskPlan,
-    chain,
     front_box,
     stack_plans,
 )
+from mjhab.tasks.subtasks.registry import force_limits, horizons
 from tests.tasks.build import CONFIG, config_of
 
 BOWL = Target(
@@ -30,7 +30,7 @@ APPLE = Target(
 
 
 def kinds(plan: TaskPlan) -> list[str]:
-    return [KIND_NAMES[s.kind] for s in plan.subtasks]
+    return [s.name for s in plan.subtasks]
 
 
 def test_set_table_opens_fetches_places_and_closes_for_both_objects() -> None:
@@ -67,8 +67,8 @@ def test_wrong_plans_say_what_is_expected() -> None:
 
 
 def test_thresholds_are_those_of_the_paper() -> None:
-    assert CONFIG.horizons == (200, 200, 500, 200, 200)
-    assert CONFIG.force_limits == (5000, 7500, math.inf, 10000, 10000)
+    assert horizons(CONFIG) == (200, 200, 500, 200, 200)
+    assert force_limits(CONFIG) == (5000, 7500, math.inf, 10000, 10000, math.inf)
     assert CONFIG.open_fraction("fridge/top_door") == 0.75
     assert CONFIG.open_fraction("kitchen_counter/drawer3") == 0.9
     with pytest.raises(UsageError, match="15 joint values"):

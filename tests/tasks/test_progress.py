@@ -10,9 +10,11 @@ import pytest
 
 from mjhab.core.arrays import map_record
 from mjhab.core.errors import UsageError
-from mjhab.tasks.plan import PlanArrays, SubtaskConfig, TaskConfig
+from mjhab.tasks.plan import PlanArrays
 from mjhab.tasks.progress import Outcome, Progress, accumulate, advance, reset_rows, start
 from mjhab.tasks.progressive import progressive, upper_bound
+from mjhab.tasks.subtasks.registry import limits_of
+from mjhab.tasks.thresholds import SubtaskConfig, TaskConfig
 from tests.tasks.build import (
     CONFIG,
     assert_same_record,
@@ -81,7 +83,7 @@ def test_peak_and_cumulative_force_of_the_ended_subtask_are_in_the_progress_befo
 
 
 def test_horizon_counts_control_steps_and_its_last_step_may_still_succeed() -> None:
-    config = config_of(navigate=SubtaskConfig(3, 1e9))
+    config = config_of(limits={"navigate": SubtaskConfig(3, 1e9)})
     for last_succeeds in (False, True):
         progress = start(PLAN, config)
         for _ in range(2):
@@ -131,7 +133,7 @@ def test_partial_reset_leaves_other_rows_bit_identical() -> None:
 
 def test_continuous_evaluation_runs_to_the_horizon() -> None:
     plan = plan_of(PICK)
-    config = config_of(pick=SubtaskConfig(4, 20.0), continuous=True)
+    config = config_of(limits={"pick": SubtaskConfig(4, 20.0)}, continuous=True)
     progress = start(plan, config)
     progress, outcome = step(progress, plan, config, force=5.0)
     assert true_fields(outcome) == set()
@@ -166,7 +168,7 @@ def test_continuous_force_marks_the_failure_without_ending() -> None:
 )
 def test_continuous_success_once_and_at_end(at_end: bool, once: bool, fail: bool) -> None:
     plan = plan_of(CLOSE)
-    config = config_of(close=SubtaskConfig(2, 1e9), continuous=True)
+    config = config_of(limits={"close": SubtaskConfig(2, 1e9)}, continuous=True)
     progress, _ = step(start(plan, config), plan, config, success=once)
     _, outcome = step(progress, plan, config, success=at_end)
     assert outcome.done[0] and outcome.ended[0]
@@ -182,7 +184,7 @@ def test_an_episode_ends_some_steps_after_its_outcome(outcome_in_step: dict[str,
     plan = plan_of(PICK)
     config = replace(CONTINUOUS, hold_steps=2)
     progress, outcome = step(start(plan, config), plan, config)
-    assert progress.steps_left[0] == config.pick.horizon - 1
+    assert progress.steps_left[0] == limits_of(config, "pick").horizon - 1
     later = {name: value for name, value in outcome_in_step.items() if name == "force_ok"}
     progress, outcome = step(progress, plan, config, **outcome_in_step)
     ends = []
@@ -196,7 +198,7 @@ def test_an_episode_ends_some_steps_after_its_outcome(outcome_in_step: dict[str,
 
 def test_the_horizon_ends_an_episode_before_what_is_held() -> None:
     plan = plan_of(PICK)
-    config = replace(CONTINUOUS, hold_steps=50, pick=SubtaskConfig(2, 20.0))
+    config = replace(CONTINUOUS, hold_steps=50, limits={"pick": SubtaskConfig(2, 20.0)})
     progress, _ = step(start(plan, config), plan, config, success=True)
     _, outcome = step(progress, plan, config, success=True)
     assert outcome.done[0] and outcome.success_at_end[0]

@@ -11,15 +11,10 @@ import numpy as np
 import pytest
 
 from mjhab.core.errors import UsageError
-from mjhab.tasks.plan import SubtaskConfig, SubtaskKind
-from mjhab.tasks.rewards import (
-    REWARD_TABLES,
-    DenseReward,
-    RewardOptions,
-    RewardView,
-    closed_near,
-    reward_table,
-)
+from mjhab.tasks.reward_table import RewardView, closed_near, near
+from mjhab.tasks.rewards import DenseReward, RewardOptions, reward_table
+from mjhab.tasks.subtasks.registry import SUBTASKS, number_of
+from mjhab.tasks.thresholds import SubtaskConfig
 from tests.tasks.build import CONFIG, REST, squeeze
 from tests.tasks.reward_states import (
     AT_REST,
@@ -384,7 +379,10 @@ def test_a_finished_plan_earns_nothing() -> None:
 
 
 def test_without_a_force_limit_its_term_is_always_given() -> None:
-    free = replace(CONFIG, pick=SubtaskConfig(200, math.inf), place=SubtaskConfig(200, math.inf))
+    free = replace(
+        CONFIG,
+        limits={kind: SubtaskConfig(200, math.inf) for kind in ("pick", "place")},
+    )
     for kind in (PICK, PLACE):
         view = view_of([kind], config=free, force=1e12)
         assert terms_of(view, DenseReward(free))["force_limit"] == 2.0
@@ -418,8 +416,8 @@ def test_other_scales_change_the_term_and_the_normaliser() -> None:
     )
     assert changed.score(view).normaliser[0] == 29 - 1 - 2.5
     # Terms of stages that exclude each other do not add up: the grasp replaces the reach.
-    assert reward_table("close").scaled({"reach": 100.0}).attainable == 100 + 5 + 5 + 1
-    assert reward_table("pick").scaled({"above": -1.0}).attainable == 29
+    assert reward_table("close").scaled("close", {"reach": 100.0}).attainable == 100 + 5 + 5 + 1
+    assert reward_table("pick").scaled("pick", {"above": -1.0}).attainable == 29
 
 
 @pytest.mark.parametrize(
@@ -438,16 +436,24 @@ def test_scales_that_do_not_exist_are_refused(scales: Any, said: str) -> None:
         DenseReward(CONFIG, RewardOptions(scales))
 
 
+def test_raw_values_are_paired_by_name() -> None:
+    sharpness = {"reach": 1.0, "rest": 0.0}
+    raw = near(sharpness, {"rest": np.array([9.0]), "reach": np.array([2.0])})
+    assert raw["rest"][0] == 1.0 and raw["reach"][0] == pytest.approx(1 - tanh(2.0))
+    with pytest.raises(UsageError, match="only one has raech, reach"):
+        near(sharpness, {"rest": np.array([9.0]), "raech": np.array([2.0])})
+
+
 def test_a_kind_that_was_not_announced_is_refused() -> None:
     with pytest.raises(UsageError, match="place"):
-        DenseReward(CONFIG, kinds=(SubtaskKind.PICK,)).score(view_of([PLACE]))
+        DenseReward(CONFIG, kinds=("pick",)).score(view_of([PLACE]))
 
 
-@pytest.mark.parametrize("table", REWARD_TABLES.values(), ids=lambda t: t.kind.name.lower())
-def test_tables_are_sound(table: Any) -> None:
+@pytest.mark.parametrize("name", SUBTASKS)
+def test_tables_are_sound(name: str) -> None:
+    table = reward_table(name)
     names = [t.name for t in table.terms]
     assert len(set(names)) == len(names) and all(t.about and t.scale > 0 for t in table.terms)
-    assert reward_table(table.kind.name.lower()) is table
-    when, _ = table.raw(view_of([int(table.kind)]), CONFIG)
+    when, _ = table.raw(view_of([number_of(name)]), CONFIG)
     assert {t.when for t in table.terms} == {*when, "always"}
     assert {c for case in table.cases for c in case} == set(when)

@@ -12,8 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mjhab.core.arrays import map_record
-from mjhab.tasks.plan import KIND_NAMES, SubtaskKind
-from mjhab.tasks.rewards import REWARD_TABLES, DenseReward, RewardOptions, RewardView
+from mjhab.tasks.plan import SubtaskKind
+from mjhab.tasks.reward_table import RewardTable, RewardView
+from mjhab.tasks.rewards import DenseReward, RewardOptions, reward_table
+from mjhab.tasks.subtasks.registry import SUBTASKS, name_of
 from tests.tasks.build import CONFIG, assert_same
 from tests.tasks.reward_states import (
     BEST,
@@ -31,6 +33,10 @@ from tests.tasks.reward_states import (
 # -- the normaliser ----------------------------------------------------------------------------------------------------
 
 
+def table_of(kind: int) -> RewardTable:
+    return reward_table(name_of(kind))
+
+
 @pytest.mark.parametrize("kind", SubtaskKind)
 def test_the_best_state_reaches_the_normaliser(kind: SubtaskKind) -> None:
     scored = FULL.score(view_of([kind], **BEST[kind]))
@@ -39,14 +45,18 @@ def test_the_best_state_reaches_the_normaliser(kind: SubtaskKind) -> None:
     )
     assert (
         scored.normaliser[0]
-        == REWARD_TABLES[kind].attainable
+        == table_of(kind).attainable
         == pytest.approx(scored.total[0], abs=1e-12)
     )
 
 
 def test_published_normalisers_differ_where_the_original_is_off() -> None:
-    differ = {t.kind: t.published for t in REWARD_TABLES.values() if t.published != t.attainable}
-    assert differ == {SubtaskKind.PICK: 28.0, SubtaskKind.CLOSE: 37.0}
+    differ = {
+        name: reward_table(name).published
+        for name in SUBTASKS
+        if reward_table(name).published != reward_table(name).attainable
+    }
+    assert differ == {"pick": 28.0, "close": 37.0}
 
 
 @settings(max_examples=40, deadline=None)
@@ -63,10 +73,7 @@ def test_no_state_earns_more_than_the_normaliser(seed: int, chance: float) -> No
 def test_no_state_earns_more_than_the_normaliser_of_other_scales(
     seed: int, drawn: list[float]
 ) -> None:
-    scales = {
-        name: {REWARD_TABLES[SubtaskKind(k)].terms[k + 2].name: drawn[k]}
-        for k, name in enumerate(KIND_NAMES)
-    }
+    scales = {name: {table_of(k).terms[k + 2].name: drawn[k]} for k, name in enumerate(SUBTASKS)}
     scored = DenseReward(CONFIG, RewardOptions(scales)).score(random_view(seed, 20))
     assert (scored.total <= scored.normaliser * (1 + 1e-12)).all()
     np.testing.assert_allclose(scored.terms.sum(0), scored.total, rtol=1e-12, atol=1e-12)
@@ -136,9 +143,9 @@ def test_a_world_earns_the_same_whatever_is_beside_it(seed: int) -> None:
         assert alone.total[0] == together.total[w]
         np.testing.assert_array_equal(alone.terms[:, 0], together.terms[:, w])
         kind = SubtaskKind(int(view.signals.kind[w]))
-        only = DenseReward(CONFIG, kinds=(kind,))
+        only = DenseReward(CONFIG, kinds=(name_of(kind),))
         own = only.score(rows(view, [w]))
         assert own.total[0] == together.total[w]
-        assert only.names == tuple(t.name for t in REWARD_TABLES[kind].terms)
+        assert only.names == tuple(t.name for t in table_of(kind).terms)
         mine = [FULL.names.index(name) for name in only.names]
         np.testing.assert_array_equal(own.terms[:, 0], together.terms[mine, w])

@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mjhab.bench.specs import EngineSpec
-from mjhab.core.errors import unknown_name
 from mjhab.core.machine import cores
 from mjhab.rollout.policy import ACTION_SIZE
-from mjhab.tasks.plan import TASKS
+from mjhab.tasks.household.registry import TASKS
 
 if TYPE_CHECKING:
     from mjhab.envs.sequential import SequentialTaskEnv
@@ -28,8 +27,7 @@ def measure_engine(spec: EngineSpec) -> dict[str, Any]:
     Raises:
         UsageError: unknown task.
     """
-    if spec.task not in TASKS:
-        raise unknown_name("task", spec.task, TASKS)
+    TASKS.check(spec.task)
     from mjhab.envs import make
 
     env = make(

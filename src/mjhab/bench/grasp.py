@@ -14,6 +14,7 @@ import numpy as np
 
 from mjhab.core.errors import unknown_name
 from mjhab.core.joints import BASE, BASE_YAW
+from mjhab.core.names import copy_name
 from mjhab.core.seeding import stream
 from mjhab.layout.contact_sensors import normal_force
 from mjhab.layout.layout import Layout, build_spec
@@ -100,7 +101,7 @@ class GraspBench:
         self.robot = robot_named()
         self.data = mujoco.MjData(self.model)
         self.qpos = np.array([self.model.joint(n).qposadr[0] for n in self.robot.joints])
-        self.object = f"{name}_:0000"
+        self.object = copy_name(name, 0)
         self.rest = self.robot.rest.copy()
         self._grip(GRASPS[name])
 

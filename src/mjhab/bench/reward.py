@@ -19,11 +19,20 @@ from mjhab.rollout.loop import rollout
 from mjhab.rollout.policy import RolloutEnv
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink, StepView
-from mjhab.tasks.plan import KIND_NAMES
+from mjhab.tasks.household.registry import task_with
+from mjhab.tasks.subtasks.registry import SUBTASKS
 
 REPORT = "report.html"
-EXPERT_KINDS = tuple(kind for kind in KIND_NAMES if kind != "navigate")
 COLORS = {"success": "#16a34a", "failure": "#dc2626"}
+
+
+def expert_kinds() -> tuple[str, ...]:
+    """Kinds of subtasks with a dense reward that an expert does alone, without a way to drive."""
+    return tuple(
+        name
+        for name, spec in zip(SUBTASKS, SUBTASKS.values(), strict=True)
+        if spec.reward and spec.expert and not spec.navigates
+    )
 
 
 class RewardSink(Sink[RolloutEnv]):
@@ -57,8 +66,8 @@ def measure_rewards(spec: RewardSpec) -> dict[str, dict[str, Any]]:
     """
     kinds = spec.subtasks.split(",")
     for kind in kinds:
-        if kind not in EXPERT_KINDS:
-            raise unknown_name("subtask", kind, EXPERT_KINDS)
+        if kind not in expert_kinds():
+            raise unknown_name("subtask", kind, expert_kinds())
     curves = {kind: measure_reward(kind, spec) for kind in kinds}
     found = {kind: summary(curve) for kind, curve in curves.items()}
     figures = {f"reward-{kind}": figure(curve) for kind, curve in curves.items()}
@@ -76,7 +85,7 @@ def measure_reward(kind: str, spec: RewardSpec) -> list[tuple[bool, np.ndarray]]
     from mjhab.envs import make_train
     from mjhab.experts import make_expert
 
-    task = "set_table" if kind in ("open", "close") else "tidy_house"
+    task = task_with(kind)
     env = make_train(
         task=task,
         subtask=kind,

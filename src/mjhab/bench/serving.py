@@ -19,7 +19,8 @@ from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink, StepView
 from mjhab.serving import require_serving
 from mjhab.serving.address import Address
-from mjhab.serving.dialects import DIALECTS, Ask
+from mjhab.serving.dialects.dialect import Ask
+from mjhab.serving.dialects.names import DIALECTS
 
 IMAGE_SIZE_PX = 224
 WARM_UP = 10

@@ -25,8 +25,8 @@ def soak(spec: SoakSpec) -> dict[str, Any]:
         ``steps`` and ``episodes`` done, ``seconds``, ``tainted`` episodes per kind of taint, ``nan_resets``,
         ``spawn_fallbacks``, ``rss_mb`` after each quarter, ``rss_growth`` (relative, over the second half).
     """
-    from mjhab.config.env import SUBTASKS_OF_TASK
     from mjhab.envs import make_train
+    from mjhab.tasks.household.registry import TASKS
 
     envs = [
         make_train(
@@ -37,7 +37,7 @@ def soak(spec: SoakSpec) -> dict[str, Any]:
             seed=spec.seed + i,
             **profile_options(spec),
         )
-        for i, kind in enumerate(SUBTASKS_OF_TASK[spec.task])
+        for i, kind in enumerate(TASKS[spec.task].subtasks)
     ]
     for env in envs:
         env.reset()

@@ -12,6 +12,7 @@ from mjhab.cli.options import reproduce as rep
 from mjhab.cli.options import score as sco
 from mjhab.cli.options import serve as srv
 from mjhab.cli.options import train as learn
+from mjhab.cli.options import view as look
 from mjhab.cli.options.common import Sub
 
 
@@ -46,6 +47,7 @@ Command = (
     | Annotated[srv.ServeOptions, Sub("serve")]
     | Annotated[gen.GenerateOptions, Sub("generate")]
     | Annotated[gen.ReplayOptions, Sub("replay")]
+    | Annotated[look.ViewOptions, Sub("view")]
     | Annotated[learn.TrainCommand, Sub("train")]
     | Annotated[rep.ReproduceOptions, Sub("reproduce")]
     | Annotated[data.DataCommand, Sub("data")]
@@ -77,6 +79,7 @@ RUNNERS: dict[type, tuple[str, str]] = {
     srv.ServeOptions: ("cli.serve", "run_serve"),
     gen.GenerateOptions: ("cli.generate", "run_generate"),
     gen.ReplayOptions: ("cli.replay", "run_replay"),
+    look.ViewOptions: ("cli.view", "run_view"),
     learn.TrainCommand: ("cli.train", "run_train"),
     rep.ReproduceOptions: ("cli.reproduce", "run_reproduce"),
     data.DataCommand: ("cli.data", "run_data"),

@@ -24,7 +24,7 @@ from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.progress import late_bar, progress_bar
 from mjhab.data.export.folders import broken
 from mjhab.data.imports.ms_hab import ABSENT, Origin, import_ms_hab
-from mjhab.data.select.facts import FACTS, FUNCTIONS, target_of
+from mjhab.data.select.facts import FUNCTIONS, facts, target_of
 from mjhab.data.select.query import PRESETS, read_filter
 from mjhab.data.select.relabel import relabel
 from mjhab.data.select.sets import GROUPINGS, merge, select, split, stats
@@ -297,7 +297,7 @@ def _repaired(done: Repair) -> str:
 
 
 def _fields(options: DataFieldsOptions) -> int:
-    names = [(fact.name, fact.kind, fact.meaning) for fact in FACTS.values()]
+    names = [(fact.name, fact.kind, fact.meaning) for fact in facts().values()]
     names += [(f"{name}(event)", "a number", meaning) for name, (meaning, _) in FUNCTIONS.items()]
     presets = [(name, text, meaning) for name, (text, meaning) in PRESETS.items()]
     if options.json:

@@ -16,21 +16,20 @@ def run_envs(options: EnvsListOptions | EnvsDescribeOptions) -> int:
 
 def list_envs(options: EnvsListOptions) -> int:
     """Print the ids."""
-    from mjhab.envs.catalog import ENV_IDS
-    from mjhab.robots.registry import DEFAULT_ROBOT
+    from mjhab.envs.catalog import env_ids, plugin_of
 
+    found = [
+        {"id": env_id, "subtask": None, "plugin": plugin_of(env_id), **chosen}
+        for env_id, chosen in env_ids().items()
+    ]
     if options.json:
-        found = [
-            {"id": env_id, "robot": DEFAULT_ROBOT, "subtask": None, **chosen}
-            for env_id, chosen in ENV_IDS.items()
-        ]
         print_json({"envs": found})
     else:
         rows = [
-            (env_id, o["task"], o.get("subtask", "the whole chain"))
-            for env_id, o in ENV_IDS.items()
+            (env["id"], env["task"], env["subtask"] or "the whole chain", env["plugin"])
+            for env in found
         ]
-        print_table("environments", ("id", "task (default)", "subtask"), rows)
+        print_table("environments", ("id", "task (default)", "subtask", "plugin"), rows)
         print(
             'gymnasium.make_vec("mjhab/PickSubtaskTrain-v1", num_envs=16, task="set_table", obs_mode="depth", ...)'
         )
@@ -66,8 +65,8 @@ def description(options: EnvsDescribeOptions) -> dict[str, Any]:
     import dataclasses
 
     from mjhab.envs import make_by_id
-    from mjhab.tasks.plan import KIND_NAMES
-    from mjhab.tasks.rewards import reward_table
+    from mjhab.tasks.household.registry import TASKS
+    from mjhab.tasks.subtasks.registry import SUBTASKS, limits_of
 
     env = make_by_id(
         options.env,
@@ -76,8 +75,9 @@ def description(options: EnvsDescribeOptions) -> dict[str, Any]:
         control_mode=options.control,
         **profile_options(options),
     )
-    kinds = [env.config.subtask] if env.config.subtask else list(KIND_NAMES)
-    horizons = dict(zip(KIND_NAMES, env.task_config.horizons, strict=True))
+    subtask = env.config.subtask
+    kinds = [subtask] if subtask else TASKS[env.config.task].subtasks
+    tables = {kind: SUBTASKS[kind].reward for kind in kinds}
     found = {
         "id": options.env,
         "profile": env.config.profile,
@@ -88,10 +88,11 @@ def description(options: EnvsDescribeOptions) -> dict[str, Any]:
         "reward_mode": env.config.reward,
         "reward_terms": [
             {"subtask": kind, **{k: _plain(v) for k, v in dataclasses.asdict(row).items()}}
-            for kind in kinds
-            for row in reward_table(kind).terms
+            for kind, table in tables.items()
+            if table is not None
+            for row in table.terms
         ],
-        "horizons": {kind: horizons[kind] for kind in kinds},
+        "horizons": {kind: limits_of(env.task_config, kind).horizon for kind in kinds},
     }
     env.close()
     return found

@@ -15,7 +15,8 @@ from mjhab.cli.options.common import EpisodesCheckOptions, EpisodesMakeOptions
 from mjhab.cli.output import at_least, print_json, print_table
 from mjhab.core.errors import MjhabError, UsageError, unknown_name
 from mjhab.core.machine import cores
-from mjhab.tasks.plan import TASKS
+from mjhab.core.names import kind_of
+from mjhab.tasks.household.registry import TASKS
 
 if TYPE_CHECKING:
     from mjhab.episodes.hab.format import HabFile
@@ -34,9 +35,9 @@ def run_episodes(options: EpisodesMakeOptions | EpisodesCheckOptions) -> int:
 
 def make(options: EpisodesMakeOptions) -> int:
     """Write a file of generated episodes."""
-    for kind, given, valid in (("task", options.task, TASKS), ("split", options.split, SPLITS)):
-        if given not in valid:
-            raise unknown_name(kind, given, valid)
+    TASKS.check(options.task)
+    if options.split not in SPLITS:
+        raise unknown_name("split", options.split, SPLITS)
     at_least("first", options.first, 0)
     at_least("seed", options.seed, 0)
     at_least("workers", options.workers, 0)
@@ -70,8 +71,8 @@ def make(options: EpisodesMakeOptions) -> int:
 def check(options: EpisodesCheckOptions) -> int:
     """Load and settle the episodes of a file; 1 if it is not what its manifest says."""
     at_least("threads", options.threads, 0)
-    if options.task is not None and options.task not in TASKS:
-        raise unknown_name("task", options.task, TASKS)
+    if options.task is not None:
+        TASKS.check(options.task)
     from mjhab.episodes.hab.format import read_hab
 
     file = read_hab(options.file)
@@ -83,10 +84,10 @@ def check(options: EpisodesCheckOptions) -> int:
     with _bar() as bar, ThreadPoolExecutor(options.threads or cores()) as pool:
         line = bar.add_task("settling", total=len(episodes), note="")
         for _, rest in pool.map(episodes.settled, range(len(episodes))):
-            total.update(name.split("_:")[0] for name in rest.names)
-            fallen.update(name.split("_:")[0] for name in rest.fallen)
+            total.update(kind_of(name) for name in rest.names)
+            fallen.update(kind_of(name) for name in rest.fallen)
             for name, moved in zip(rest.names, rest.moved.tolist(), strict=True):
-                kind = name.split("_:")[0]
+                kind = kind_of(name)
                 worst[kind] = max(worst.get(kind, 0.0), moved)
             bar.advance(line)
     share = 1.0 - fallen.total() / max(total.total(), 1)

@@ -15,7 +15,7 @@ def find_home(assets: str, name: str) -> Any:
     """
     from mjhab.scenes.packs import open_pack
 
-    homes = {home.name: home for home in open_pack(assets).homes}
+    homes = open_pack(assets).homes_by_name
     if name not in homes:
         raise unknown_name("home", name, homes)
     return homes[name]

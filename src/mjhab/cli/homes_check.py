@@ -29,7 +29,7 @@ def check(options: HomesCheckOptions) -> int:
 
 def roster_of(pack: Any) -> tuple[str, ...]:
     """Objects to compile with the homes: those of TidyHouse where the pack has them, else one of each it has."""
-    from mjhab.scenes.builtin.objects import roster
+    from mjhab.episodes.rosters import roster
 
     usual = roster("tidy_house")
     return usual if set(usual) <= set(pack.objects) else tuple(sorted(pack.objects))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 from mjhab.cli.data import read_filter
@@ -12,12 +11,12 @@ from mjhab.cli.options.generate import ReplayOptions
 from mjhab.cli.output import at_least, print_json, print_table
 from mjhab.core.errors import UsageError
 from mjhab.core.progress import progress_bar
-from mjhab.data.record.provenance import TRAIN_MAKER
 from mjhab.data.record.replay import FOLLOW, render, verify
 from mjhab.data.record.worlds import RecordedEnv
 from mjhab.data.store.episode_data import RunInfo
 from mjhab.data.store.images import ImageFormat
 from mjhab.data.store.reading import open_shard, shard_paths
+from mjhab.evaluation.recorded import recorded_env
 
 _MOST_ROWS = 20
 
@@ -117,27 +116,6 @@ def _maker(options: ReplayOptions) -> Callable[[RunInfo], RecordedEnv]:
             sight["cameras"] = robot_cameras
 
     def make_env(run: RunInfo) -> RecordedEnv:
-        from mjhab.envs import make, make_train
-
-        # Shards tell lists, configurations hold tuples.
-        config = {
-            key: tuple(v) if isinstance(v, list) else v for key, v in run.config["env"].items()
-        }
-        # The options that a profile gives values are recorded; its name would forbid other cameras.
-        config.pop("profile", None)
-        for name in ("episodes_file", "spawns"):
-            missing = Path(str(config.get(name) or "."))
-            if not missing.exists():
-                raise UsageError(
-                    f"the episodes were recorded with the file {missing} ({name}), which is not there."
-                )
-        build = make_train if run.config.get("maker") == TRAIN_MAKER else make
-        return build(
-            **config,
-            **sight,
-            num_envs=options.worlds,
-            threads=options.threads,
-            autoreset="disabled",
-        )
+        return recorded_env(run, **sight, num_envs=options.worlds, threads=options.threads)
 
     return make_env

@@ -31,7 +31,7 @@ def run_serve(options: ServeOptions) -> int:
         raise UsageError(f"{options.policy} is served already.")
     require_serving()
     from mjhab.evaluation.served.twin import TwinResponder
-    from mjhab.serving.dialects import dialect_named
+    from mjhab.serving.dialects.names import dialect_named
     from mjhab.serving.server import LOCAL_HOSTS, PolicyServer, ServerOptions
 
     dialect = dialect_named(options.dialect)

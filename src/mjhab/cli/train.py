@@ -23,11 +23,11 @@ from mjhab.cli.options.train import (
 from mjhab.cli.output import at_least, print_json
 from mjhab.config.profile_choice import profile_options
 from mjhab.config.profiles import DEFAULT_PROFILE, profile_named
-from mjhab.core.errors import unknown_name
 from mjhab.core.machine import cores
 from mjhab.learning.require import require_learn
-from mjhab.tasks.plan import KIND_NAMES, TASKS
+from mjhab.tasks.household.registry import TASKS
 from mjhab.tasks.style import Styles
+from mjhab.tasks.subtasks.registry import SUBTASKS
 
 if TYPE_CHECKING:
     from mjhab.learning.configs import TrainConfig
@@ -88,12 +88,8 @@ def make_scene(options: RunOptions) -> Scene:
     """
     from mjhab.learning.runs.collection import Scene
 
-    for kind, given, valid in (
-        ("task", options.task, TASKS),
-        ("subtask", options.subtask, KIND_NAMES),
-    ):
-        if given not in valid:
-            raise unknown_name(kind, given, valid)
+    TASKS.check(options.task)
+    SUBTASKS.check(options.subtask)
     for name in ("eval_episodes", "round_episodes", "films", "seed", "threads", "budget_minutes"):
         at_least(name.replace("_", "-"), getattr(options, name), 0)
     profile_named(options.profile or DEFAULT_PROFILE)

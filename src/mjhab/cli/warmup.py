@@ -10,17 +10,15 @@ from typing import Any
 from mjhab.cli.options.gpu import WarmupOptions
 from mjhab.cli.output import print_json, print_table
 from mjhab.config.profile_choice import profile_options
-from mjhab.core.errors import unknown_name
 from mjhab.sim.backends import resolve
-from mjhab.tasks.plan import TASKS
+from mjhab.tasks.household.registry import TASKS
 
 WORLDS = 2
 
 
 def run_warmup(options: WarmupOptions) -> int:
     """Do the work of `warmup` and print how long each part took."""
-    if options.task not in TASKS:
-        raise unknown_name("task", options.task, TASKS)
+    TASKS.check(options.task)
     backend = resolve(options.backend)
     seconds = warmup(options, backend)
     if options.json:
@@ -33,9 +31,9 @@ def run_warmup(options: WarmupOptions) -> int:
 def warmup(options: WarmupOptions, backend: str) -> dict[str, float]:
     """Compile homes and kernels for a task; seconds that each part took. A line on stderr says what is under way."""
     from mjhab.config.env import EnvConfig, task_config
+    from mjhab.episodes.rosters import roster
     from mjhab.episodes.starts import StartMaker
     from mjhab.layout.layout import Layout
-    from mjhab.scenes.builtin.objects import roster
     from mjhab.scenes.packs import open_pack
     from mjhab.sim.mujoco.cpu import CpuSimulator
 

@@ -7,35 +7,34 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, ClassVar
 
 from mjhab.config.profiles import DEFAULT_PROFILE, SPAWN_RULES, Profile, profile_named
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.robots.registry import DEFAULT_ROBOT, robot_named
 from mjhab.robots.robot import Robot
-from mjhab.scenes.pack_source import Assets, pack_request
+from mjhab.scenes.pack_source import HOME_SUFFIXES, Assets, pack_request
 from mjhab.scenes.spec import HANDLE_POINTS
 from mjhab.sim.backends import BACKENDS
-from mjhab.tasks.plan import KIND_NAMES, STILLNESS, TASKS, SubtaskConfig, TaskConfig
+from mjhab.tasks.household.registry import TASKS
+from mjhab.tasks.household.spec import TaskSpec
 from mjhab.tasks.rewards import REWARD_FORMULAS, REWARD_NORMALISERS, RewardOptions
+from mjhab.tasks.subtasks.registry import SUBTASKS
+from mjhab.tasks.subtasks.spec import SubtaskSpec
+from mjhab.tasks.thresholds import STILLNESS, SubtaskConfig, TaskConfig
 
 SPLITS = ("train", "val", "test")
 AUTORESET_MODES = ("same_step", "next_step", "disabled")
 RENDER_MODES = ("", "rgb_array")
-SUBTASKS_OF_TASK = {
-    "tidy_house": ("pick", "place", "navigate"),
-    "prepare_groceries": ("pick", "place", "navigate"),
-    "set_table": ("pick", "place", "navigate", "open", "close"),
-}
-REWARD_MODES = ("pointer", "sparse", "dense", "normalized_dense", "none")
+DENSE_MODES = ("dense", "normalized_dense")
+REWARD_MODES = ("pointer", "sparse", *DENSE_MODES, "none")
 JOINT_GROUPS = ("base", "arm", "fingers")
 """Groups of joints that a robot must have for any task: to get there, to reach and to hold."""
 NAVIGATE_MODES = ("teleport", "drive")
 OF_PROFILE: Any = None
 """Default of the options that the profile gives a value, where no other is given."""
 _LIMITS = tuple(part.name for part in dataclasses.fields(SubtaskConfig))
-TRAIN_NAVIGATE_HORIZON = 1000
-"""Navigation is trained over more steps than it is judged over (mshab/envs/navigate.py)."""
 
 
 @dataclass(frozen=True)
@@ -47,9 +46,11 @@ class EnvConfig:
     robot: name of a robot, see `mjhab robots list`.
     task: HAB task. subtask: "" for the whole chain, or one kind of it, done alone to its horizon.
     target: restricts ``subtask`` (or the draw of targets) to an object type or a link; "" or "all" for any.
-    split, home: homes to draw from, or one home by name (or a pattern such as ``v3_sc1_*``). assets: a pack by
+    split, home: homes to draw from, or one home by name (or a pattern such as ``v3_sc1_*``), or
+    a home file. assets: a pack by
     name or path, or a `PackRequest`; kept as what its ``as_json`` gives. seed: of the episodes. threads: 0 takes all
-    cores.
+    cores. extra_objects: types of further objects, one slot each behind those of the task's roster;
+    a target that is another object of the pack gets a slot, too.
     obs_mode: "state", or images too, see `observing.OBS_MODES`. cameras: of which of the robot's cameras; camera_size:
     pixels, one number or (height, width). frame_stack: frames that `wrappers.FrameStack` stacks; 1: what it is told.
     control_mode, base, stationary: see `controllers.make_controller`.
@@ -59,7 +60,7 @@ class EnvConfig:
     stillness: "absolute" or "published", see `TaskConfig.stillness`.
     horizon: control steps of every subtask, 0 for those of the profile. continuous: one subtask runs to its horizon and
     success may come and go; False ends it at success or failure; None: True for one subtask, False for a chain.
-    overrides: other values of `tasks.plan.TaskConfig`, as {"goal_type": "cylinder", "pick.force_limit": 2000}.
+    overrides: other values of `tasks.thresholds.TaskConfig`, as {"goal_type": "cylinder", "pick.force_limit": 2000}.
     force_limits: False lifts the limits on the cumulative force.
     episode_pool: 0 gives every reset an arrangement of its own; n draws one of n, so that a long training finds them
     in the cache (where the robot starts is drawn anew each time all the same).
@@ -90,6 +91,7 @@ class EnvConfig:
     split: str = "train"
     home: str = ""
     assets: Assets = "builtin"
+    extra_objects: tuple[str, ...] = ()
     seed: int = 0
     threads: int = 0
     obs_mode: str = "state"
@@ -125,10 +127,10 @@ class EnvConfig:
     def __post_init__(self) -> None:
         if self.target == "all":
             object.__setattr__(self, "target", "")
+        self._take_home_file()
         object.__setattr__(self, "assets", pack_request(self.assets).as_json())
         robot = robot_named(self.robot)
         self._take_profile(profile_named(self.profile), robot)
-        _known("task", self.task, TASKS)
         _known("split", self.split, SPLITS)
         _known("autoreset mode", self.autoreset, AUTORESET_MODES)
         _known("reward mode", self.reward_mode, ("", *REWARD_MODES))
@@ -140,9 +142,9 @@ class EnvConfig:
         _known("spawn rule", self.spawn_rule, SPAWN_RULES)
         _known("reward formula", self.reward_formula, REWARD_FORMULAS)
         _known("reward normaliser", self.reward_normaliser, REWARD_NORMALISERS)
+        task = TASKS[self.task]
         if self.subtask:
-            _known("subtask", self.subtask, KIND_NAMES)
-            self._check_subtask()
+            self._check_subtask(task, SUBTASKS[self.subtask])
         elif self.continuous:
             raise UsageError(
                 "continuous=True needs a subtask: in a chain, success is what brings the next subtask."
@@ -153,6 +155,21 @@ class EnvConfig:
         """The profile's name and the values in force of the options that depend on it, for the record of a run."""
         names = profile_named(self.profile).options(self.subtask, trains=self.trains)
         return {name: getattr(self, name) for name in ("profile", *names)}
+
+    def _take_home_file(self) -> None:
+        """Turn a home that is a file into the pack of that file, all homes of which are used.
+
+        Raises:
+            UsageError: assets are given, too.
+        """
+        if Path(self.home).suffix not in HOME_SUFFIXES:
+            return
+        if self.assets != "builtin":
+            raise UsageError(
+                f"home {self.home!r} is a file, which is a pack of its own: leave out assets (got {self.assets!r})."
+            )
+        object.__setattr__(self, "assets", self.home)
+        object.__setattr__(self, "home", "*")
 
     def _take_profile(self, profile: Profile, robot: Robot) -> None:
         """Give the options that depend on the profile their values.
@@ -174,12 +191,12 @@ class EnvConfig:
                 if name.partition(".")[2] in _LIMITS:
                     raise _contradiction(profile, name, "that of the paper", value)
 
-    def _check_subtask(self) -> None:
-        if self.subtask not in SUBTASKS_OF_TASK[self.task]:
-            having = [t for t in TASKS if self.subtask in SUBTASKS_OF_TASK[t]]
+    def _check_subtask(self, task: TaskSpec, subtask: SubtaskSpec) -> None:
+        if subtask.name not in task.subtasks:
+            having = [name for name in TASKS if subtask.name in TASKS[name].subtasks]
             raise UsageError(
-                f"task {self.task!r} has no subtask {self.subtask!r}; it has {', '.join(SUBTASKS_OF_TASK[self.task])}. "
-                f"{self.subtask!r} belongs to: {', '.join(having)}."
+                f"task {task.name!r} has no subtask {subtask.name!r}; it has {', '.join(task.subtasks)}. "
+                f"{subtask.name!r} belongs to: {', '.join(having) or 'no task'}."
             )
         if self.reward_mode == "pointer":
             raise UsageError(
@@ -248,7 +265,7 @@ class TrainConfig(EnvConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.subtask:
-            raise UsageError(f"a SubtaskTrain environment needs a subtask: {', '.join(KIND_NAMES)}")
+            raise UsageError(f"a SubtaskTrain environment needs a subtask: {', '.join(SUBTASKS)}")
 
 
 def task_config(config: EnvConfig, robot: Robot) -> TaskConfig:
@@ -266,30 +283,39 @@ def task_config(config: EnvConfig, robot: Robot) -> TaskConfig:
         ignore_arm=config.teleports,
         stillness=config.stillness,
     )
-    if config.trains:
-        base = dataclasses.replace(
-            base, navigate=dataclasses.replace(base.navigate, horizon=TRAIN_NAVIGATE_HORIZON)
-        )
+    limits = {name: _limits(config, name) for name in SUBTASKS}
     changes: dict[str, Any] = {}
-    for kind in KIND_NAMES:
-        limits: SubtaskConfig = getattr(base, kind)
-        if config.horizon:
-            limits = dataclasses.replace(limits, horizon=config.horizon)
-        if not config.force_limits:
-            limits = dataclasses.replace(limits, force_limit=math.inf)
-        changes[kind] = limits
     for name, value in config.overrides.items():
-        _override(base, changes, name, value)
-    return dataclasses.replace(base, **changes)
+        _override(base, changes, limits, name, value)
+    return dataclasses.replace(base, **changes, limits=limits)
 
 
-def _override(base: TaskConfig, changes: dict[str, Any], name: str, value: Any) -> None:
-    """Put one override into ``changes``, checked against the type of the present value."""
+def _limits(config: EnvConfig, name: str) -> SubtaskConfig:
+    """Horizon and force limit of a kind of subtask under the options of ``config``."""
+    limits = SUBTASKS[name].limits
+    train_horizon = SUBTASKS[name].train_horizon
+    if config.trains and train_horizon is not None:
+        limits = dataclasses.replace(limits, horizon=train_horizon)
+    if config.horizon:
+        limits = dataclasses.replace(limits, horizon=config.horizon)
+    if not config.force_limits:
+        limits = dataclasses.replace(limits, force_limit=math.inf)
+    return limits
+
+
+def _override(
+    base: TaskConfig,
+    changes: dict[str, Any],
+    limits: dict[str, SubtaskConfig],
+    name: str,
+    value: Any,
+) -> None:
+    """Put one override into ``changes`` or ``limits``, checked against the type of the present value."""
     group, _, part = name.partition(".")
-    owner: Any = changes.get(group) if part else base
-    apart = (*KIND_NAMES, "rest_qpos", "joints", "continuous", "stillness")
+    owner: Any = limits.get(group) if part else base
+    apart = ("limits", "rest_qpos", "joints", "continuous", "stillness")
     plain = [f.name for f in dataclasses.fields(base) if f.name not in apart]
-    nested = [f"{kind}.{f.name}" for kind in KIND_NAMES for f in dataclasses.fields(SubtaskConfig)]
+    nested = [f"{kind}.{limit}" for kind in SUBTASKS for limit in _LIMITS]
     if name == "stillness":
         raise UsageError(
             f"stillness is an option of its own, not one of the overrides: give stillness={value!r}."
@@ -304,7 +330,7 @@ def _override(base: TaskConfig, changes: dict[str, Any], name: str, value: Any) 
     if not good or (isinstance(present, tuple) and len(present) != len(tuple(new))):
         raise UsageError(f"override {name} must be like {present!r}, got {value!r}")
     if part:
-        changes[group] = dataclasses.replace(owner, **{part: new})
+        limits[group] = dataclasses.replace(owner, **{part: new})
     else:
         changes[name] = new
 

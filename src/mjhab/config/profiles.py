@@ -11,12 +11,13 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from mjhab.core.errors import unknown_name
+from mjhab.tasks.subtasks.registry import SUBTASKS
 
 DEFAULT_PROFILE = "mjhab"
 SPAWN_RULES = ("front_box", "published")
 """Where the robot starts and with which arm, see `Profile.spawn_rule`."""
 OF_PAPER = 0
-"""Horizon that stands for those of `tasks.plan.TaskConfig`: 200 control steps, Navigate 500, or 1,000 in training."""
+"""Horizon that stands for those of the `SubtaskSpec`: 200 control steps, Navigate 500, or 1,000 in training."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +27,7 @@ class Profile:
     name: what ``profile`` is set to. binding: an option that is given with another value is an error.
     stillness: see `TaskConfig.stillness`.
     spawn_rule: "front_box": Pick and Place at a link begin in the area in front of it, Place with the arm at rest;
-        "published": anywhere within 2 m, Place with the arm of a successful Pick, see `starts` and `held_arms`.
+        "published": anywhere within 2 m, Place with the arm of a successful Pick, see `starts` and `carry_postures`.
     stationary: parts of the robot that do not follow their actions (mshab/envs/wrappers/action.py: the head).
     force_limits: whether the limits on the cumulative force are in force; they are those of the paper.
     reward_formula, reward_normaliser: see `tasks.rewards.RewardOptions`.
@@ -65,7 +66,7 @@ class Profile:
             if field.name not in apart
         }
         # One number for all kinds would be Navigate's, too, which has more time.
-        alone = subtask not in ("", "navigate")
+        alone = bool(subtask) and not SUBTASKS[subtask].navigates
         horizon = self.train_horizon if trains else self.horizon
         return {**values, "horizon": horizon if alone else OF_PAPER}
 

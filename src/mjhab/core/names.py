@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import os
 import re
+from collections import Counter
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +17,29 @@ from mjhab.core.errors import UsageError
 MAX_NAME_CHARACTERS = 128
 _MOST_SHOWN = 60
 _NAME = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9_./:-]*")
+
+
+_COPY = "_:"
+
+
+def copy_name(kind: str, number: int) -> str:
+    """Name of one of several copies of a thing, as HAB writes it: ``"024_bowl_:0003"``."""
+    return f"{kind}{_COPY}{number:04d}"
+
+
+def copy_names(kinds: Iterable[str]) -> tuple[str, ...]:
+    """Names of things of the given kinds, the copies of every kind counted from 0."""
+    seen: Counter[str] = Counter()
+    names = []
+    for kind in kinds:
+        names.append(copy_name(kind, seen[kind]))
+        seen[kind] += 1
+    return tuple(names)
+
+
+def kind_of(name: str) -> str:
+    """What a name of `copy_name` is a copy of: ``"024_bowl"``; other names as they are."""
+    return name.partition(_COPY)[0]
 
 
 def check_name(what: str, name: Any, *, empty: bool = False) -> str:

@@ -163,6 +163,11 @@ def source_digest(name: str) -> str:
     return digest.hexdigest()[:16]
 
 
+def resolved(item: object) -> object:
+    """What a text "package.module:name" refers to; anything else is returned as it is."""
+    return referred(item) if isinstance(item, str) else item
+
+
 def referred(reference: str) -> object:
     """The object that ``"package.module:name"`` names.
 

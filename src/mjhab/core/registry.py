@@ -62,14 +62,23 @@ class Registry(Generic[Item]):
         """The item of a name.
 
         Raises:
-            UsageError: there is none; the message lists the names, and the plugins that could not be loaded.
+            UsageError: there is none, see `check`.
+        """
+        self.check(name)
+        if name not in self._items:
+            self._items[name] = cast(Item, plugins.referred(self._references[name]))
+        return self._items[name]
+
+    def check(self, name: str) -> str:
+        """Return a name that is registered.
+
+        Raises:
+            UsageError: it is not; the message lists the names, and the plugins that could not be loaded.
         """
         if name not in self._names:
             known = unknown_name(self._what, name, self._names)
             raise UsageError(f"{known}{plugins.failed_plugins()}")
-        if name not in self._items:
-            self._items[name] = cast(Item, plugins.referred(self._references[name]))
-        return self._items[name]
+        return name
 
     def __contains__(self, name: object) -> bool:
         return name in self._names

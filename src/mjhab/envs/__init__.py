@@ -1,8 +1,8 @@
 """Environments: configurations, episodes, spawns, actions, observations, SequentialTask, SubtaskTrain, env ids."""
 
 from mjhab.config.env import EnvConfig, TrainConfig
-from mjhab.envs.catalog import ENV_IDS, make, make_by_id, make_train, register_envs
+from mjhab.envs.catalog import env_ids, make, make_by_id, make_train, register_envs
 
 register_envs()
 
-__all__ = ["ENV_IDS", "EnvConfig", "TrainConfig", "make", "make_by_id", "make_train"]
+__all__ = ["EnvConfig", "TrainConfig", "env_ids", "make", "make_by_id", "make_train"]

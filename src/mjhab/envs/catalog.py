@@ -10,6 +10,8 @@ import gymnasium
 from mjhab.config.env import EnvConfig, TrainConfig
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.sim.backends import resolve
+from mjhab.tasks.household.registry import TASKS, task_with
+from mjhab.tasks.subtasks.registry import SUBTASKS
 
 if TYPE_CHECKING:
     from gymnasium.vector import VectorEnv
@@ -17,21 +19,35 @@ if TYPE_CHECKING:
     from mjhab.envs.loop import TaskLoop
     from mjhab.envs.single import SingleEnv
 
-CHAIN_IDS: dict[str, dict[str, Any]] = {
-    "mjhab/TidyHouse-v1": {"task": "tidy_house"},
-    "mjhab/PrepareGroceries-v1": {"task": "prepare_groceries"},
-    "mjhab/SetTable-v1": {"task": "set_table"},
-}
-"""Gymnasium ids of the long-horizon tasks and the configuration each stands for."""
-TRAIN_IDS: dict[str, dict[str, Any]] = {
-    "mjhab/PickSubtaskTrain-v1": {"task": "tidy_house", "subtask": "pick"},
-    "mjhab/PlaceSubtaskTrain-v1": {"task": "tidy_house", "subtask": "place"},
-    "mjhab/OpenSubtaskTrain-v1": {"task": "set_table", "subtask": "open"},
-    "mjhab/CloseSubtaskTrain-v1": {"task": "set_table", "subtask": "close"},
-    "mjhab/NavigateSubtaskTrain-v1": {"task": "tidy_house", "subtask": "navigate"},
-}
-"""Gymnasium ids of the training environments; ``task`` may be given as an option, ``subtask`` is the id's."""
-ENV_IDS = {**CHAIN_IDS, **TRAIN_IDS}
+SUBTASK_ID_ORDER = ("pick", "place", "open", "close", "navigate")
+"""The ids of mjhab's own subtasks stand in this order; those of plugins follow."""
+
+
+def env_ids() -> dict[str, dict[str, Any]]:
+    """Every Gymnasium id and the options it stands for: of a whole task, or of a subtask's training environment.
+
+    The ``task`` of a training environment may be given as an option: it is the first one that has the subtask.
+    """
+    chains = {f"mjhab/{_title(task)}-v1": {"task": task} for task in TASKS}
+    trained = [name for name in SUBTASKS if any(name in TASKS[task].subtasks for task in TASKS)]
+    trained.sort(key=lambda name: (*SUBTASK_ID_ORDER, name).index(name))
+    trains = {
+        f"mjhab/{_title(name)}SubtaskTrain-v1": {"task": task_with(name), "subtask": name}
+        for name in trained
+    }
+    return {**chains, **trains}
+
+
+def plugin_of(env_id: str) -> str:
+    """The plugin that an environment comes from, "" for mjhab itself."""
+    options = env_ids()[env_id]
+    subtask = options.get("subtask", "")
+    return SUBTASKS.source(subtask) if subtask else TASKS.source(options["task"])
+
+
+def _title(name: str) -> str:
+    """ "set_table" as in an id: "SetTable"."""
+    return "".join(part.capitalize() for part in name.split("_"))
 
 
 def make(**options: Any) -> Any:
@@ -76,10 +92,11 @@ def _build(config: EnvConfig) -> TaskLoop:
 
 def make_by_id(env_id: str, **options: Any) -> Any:
     """Build the vector environment of a Gymnasium id, e.g. ``"mjhab/SetTable-v1"``."""
-    if env_id not in ENV_IDS:
-        raise unknown_name("environment id", env_id, ENV_IDS)
-    build = make_train if env_id in TRAIN_IDS else make
-    return build(**{**ENV_IDS[env_id], **options})
+    known = env_ids()
+    if env_id not in known:
+        raise unknown_name("environment id", env_id, known)
+    build = make_train if "subtask" in known[env_id] else make
+    return build(**{**known[env_id], **options})
 
 
 def make_single(*, env_id: str, **options: Any) -> SingleEnv:
@@ -107,8 +124,11 @@ def _known(options: dict[str, Any], config: type[EnvConfig]) -> dict[str, Any]:
 
 
 def register_envs() -> None:
-    """Make the ids known to ``gymnasium.make`` and ``gymnasium.make_vec``; called when ``mjhab`` is imported."""
-    for env_id in ENV_IDS:
+    """Make the ids known to ``gymnasium.make`` and ``gymnasium.make_vec``.
+
+    Called when ``mjhab`` is imported, after the plugins; call it again after registering a subtask or a task by hand.
+    """
+    for env_id in env_ids():
         if env_id not in gymnasium.registry:
             gymnasium.register(
                 env_id,

@@ -32,9 +32,11 @@ from mjhab.robots.controllers.controller import Controller
 from mjhab.robots.registry import robot_named
 from mjhab.sim.protocol import TAINTS, SimState
 from mjhab.tasks import progress as progress_rules
-from mjhab.tasks.measure import Signals, WorldState, measure
-from mjhab.tasks.plan import SubtaskKind
+from mjhab.tasks.household.registry import TASKS
+from mjhab.tasks.measure import measure
 from mjhab.tasks.progress import Outcome, Progress
+from mjhab.tasks.signals import Signals, WorldState
+from mjhab.tasks.subtasks.registry import properties
 
 ToldT = TypeVar("ToldT", bound="Told")
 
@@ -119,7 +121,7 @@ class TaskLoop(VectorEnv, ABC):
             self.layout,
             self.sensing,
             nav_distance,
-            [SubtaskKind[alone.upper()]] if alone else list(SubtaskKind),
+            [alone] if alone else TASKS[config.task].subtasks,
             like=self._like,
         )
 
@@ -290,8 +292,9 @@ class TaskLoop(VectorEnv, ABC):
         self.success = self.success & ~fresh
         self.fail = self.fail & ~fresh
         self.due = self.due & ~fresh
-        # Place begins with the object in the closed hand (-1), everything else with an open one (1).
-        held = xp.astype(tables.kind[:, 0] == int(SubtaskKind.PLACE), self.grip.dtype)
+        # Place begins with the object in the closed hand (-1), most others with an open one (1).
+        (holding,) = properties(tables.kind[:, 0], "starts_holding")
+        held = xp.astype(holding, self.grip.dtype)
         self.grip = xp.where(fresh, 1.0 - 2.0 * held, self.grip)
 
     def _enter_subtask(self, mask: Array) -> None:
@@ -345,7 +348,7 @@ class TaskLoop(VectorEnv, ABC):
 
     def _held_still(self, actions: Array) -> Array:
         """``actions``, but in Navigate, where a teleport does the moving: there the robot stands and keeps its grip."""
-        teleporting = self.focus.kind == int(SubtaskKind.NAVIGATE)
+        teleporting = self.focus.navigates
         if not may_hold(teleporting):
             return actions
         still = self.controller.still(self.state)

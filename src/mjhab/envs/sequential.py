@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from mjhab.config.env import EnvConfig
+from mjhab.config.env import DENSE_MODES, EnvConfig
 from mjhab.core.arrays import Array
 from mjhab.core.errors import UsageError
 from mjhab.core.joints import BASE_XY
@@ -28,9 +28,8 @@ from mjhab.episodes.source import EpisodeSource, open_setting
 from mjhab.episodes.starts import Start
 from mjhab.robots.controllers import check_actions
 from mjhab.sim.mujoco.cpu import CpuSimulator
-from mjhab.tasks.measure import Signals, WorldState
-from mjhab.tasks.plan import SubtaskKind
 from mjhab.tasks.progress import Outcome, Progress
+from mjhab.tasks.signals import Signals, WorldState
 
 INDEX_STRIDE = 1 << 20
 """Without explicit indices, the k-th episode of world i is number i * stride + k: it depends on nothing else."""
@@ -148,7 +147,7 @@ class SequentialTaskEnv(TaskLoop):
     def _place(self, fresh: np.ndarray, moved: np.ndarray) -> np.ndarray:
         if not self.config.teleports:
             return fresh
-        self.teleports.begin(fresh | moved, self.focus.kind)
+        self.teleports.begin(fresh | moved, self.focus.navigates)
         changed = fresh
         if self.teleports.waiting.any():
             pointer = self.progress.pointer
@@ -163,8 +162,8 @@ class SequentialTaskEnv(TaskLoop):
         return changed
 
     def _enter_subtask(self, mask: np.ndarray) -> None:
-        if self.config.reward in ("dense", "normalized_dense"):
-            for w in np.flatnonzero(mask & (self.focus.kind == SubtaskKind.NAVIGATE)).tolist():
+        if self.config.reward in DENSE_MODES:
+            for w in np.flatnonzero(mask & self.focus.navigates).tolist():
                 self.nav.begin(w, self.homes[w], self.focus.active.goal_pos[w, :2])
         super()._enter_subtask(mask)
 
@@ -234,15 +233,18 @@ class SequentialTaskEnv(TaskLoop):
 
     def render_world(self, world: int, width: int = 480, height: int = 360) -> np.ndarray:
         """Human view (H, W, 3) uint8 of one world."""
-        return self.observer.renderer.follow_view(
-            self.state, self.homes[world], world, width, height
-        )
+        return self.render_worlds([world], width, height)[0]
+
+    def render_worlds(
+        self, worlds: Sequence[int], width: int = 480, height: int = 360
+    ) -> np.ndarray:
+        """Human views (n, H, W, 3) uint8 of n worlds, drawn by several threads."""
+        homes = [self.homes[world] for world in worlds]
+        return self.observer.renderer.follow_views(self.state, homes, worlds, width, height)
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """Human views (H, W, 3) uint8 of all worlds, or None without a render mode."""
-        return (
-            tuple(self.render_world(w) for w in range(self.num_envs)) if self.render_mode else None
-        )
+        return tuple(self.render_worlds(range(self.num_envs))) if self.render_mode else None
 
     def view(self, world: int) -> WorldView:
         """Privileged live view of one world, for scripted experts."""

@@ -17,8 +17,8 @@ from mjhab.core.errors import UsageError
 from mjhab.episodes.generator import EpisodeMaker
 from mjhab.episodes.hab.format import HabEpisode, to_json, write_rows
 from mjhab.episodes.hab.writer import to_hab
+from mjhab.episodes.rosters import roster
 from mjhab.layout.layout import Layout
-from mjhab.scenes.builtin.objects import roster
 from mjhab.scenes.packs import open_pack
 from mjhab.sim.mujoco.cpu import CpuSimulator
 
@@ -77,7 +77,7 @@ class Factory:
         self.recipe = recipe
         layout = Layout(open_pack(recipe.assets), roster(recipe.task))
         self.maker = EpisodeMaker(CpuSimulator(layout, 1, 1), recipe.task, recipe.split)
-        self._homes = {home.name: home for home in layout.pack.homes}
+        self._homes = layout.pack.homes_by_name
 
     def row(self, index: int) -> Row:
         """Make one episode.

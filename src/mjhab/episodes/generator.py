@@ -1,24 +1,26 @@
 """Episodes of the HAB tasks, each made from (task, split, seed, index) alone.
 
-Objects and goals follow the HAB task definitions (habitat-lab hab/*.yaml): TidyHouse draws starts and goals from the
-open receptacles, PrepareGroceries moves two objects from the fridge to the counter and one back, SetTable brings the
-bowl from a drawer and the apple from the fridge to the table.
+Which objects start where and go where says the `TaskSpec` of the task, by roles of furniture (`scenes.roles`).
 """
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
-from collections.abc import Iterable
+import json
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from mjhab.core.cache import cache_dir, write_atomic
 from mjhab.core.errors import MjhabError, UsageError, unknown_name
 from mjhab.core.names import below
+from mjhab.core.plugins import source_digest
 from mjhab.core.seeding import stream
 from mjhab.layout.compile import home_hash
 from mjhab.layout.layout import Layout, yaw_quat
@@ -28,44 +30,21 @@ from mjhab.layout.receptacles import (
     placed_receptacles,
     with_role,
 )
-from mjhab.scenes.roles import (
-    COUNTER_TOP,
-    DINING_TABLE,
-    DRAWER,
-    FRIDGE_DOOR_LINK,
-    FRIDGE_SHELF,
-    KITCHEN_DRAWER_LINK,
-    OPEN_SURFACE,
-    link_with_role,
-    require_roles,
-    roles_of,
-)
+from mjhab.scenes.roles import FRIDGE_SHELF, OPEN_SURFACE, link_with_role, require_roles, roles_of
 from mjhab.scenes.spec import Home, Pack, Roles, Vec3
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.settle import settle
-from mjhab.tasks.plan import TARGETS_PER_TASK, Target
+from mjhab.tasks.household.registry import TASKS
+from mjhab.tasks.household.spec import TargetRule
+from mjhab.tasks.plan import Target
 
 BOWL_DRAWER = "kitchen_counter/drawer3"
 FRIDGE_DOOR = "fridge/top_door"
-"""Links that play the roles `KITCHEN_DRAWER_LINK` and `FRIDGE_DOOR_LINK` in the built-in pack and in ReplicaCAD."""
-NEEDED_ROLES = {
-    "tidy_house": (OPEN_SURFACE,),
-    "prepare_groceries": (FRIDGE_SHELF, FRIDGE_DOOR_LINK, COUNTER_TOP),
-    "set_table": (FRIDGE_SHELF, FRIDGE_DOOR_LINK, DRAWER, KITCHEN_DRAWER_LINK, DINING_TABLE),
-}
-"""Roles of furniture for which a home must have a piece, by task."""
-FRIDGE_PREOPEN = 1.5
-"""Door angle [rad] of PrepareGroceries starts (HAB prepare_groceries, ao_states)."""
-REGION_RATIO = {"set_table": 0.5, "prepare_groceries": 0.9}
-"""Share of the fridge shelf, about its centre, in which objects stand. HAB's sample_region_ratio is 0.5; two targets
-and the goal of a third do not fit into half of our shelf without touching."""
-MIN_START_GOAL = 0.5
-"""Smallest distance [m] between where an object starts and its goal (HAB generator constant)."""
+"""Links with the roles "kitchen_drawer" and "fridge_door" in the built-in pack and in ReplicaCAD."""
 GAP = 0.03
 """Free space [m] between the bounding circles of neighbours; a finger is 14 mm thick."""
 TARGET_GAP = 0.06
 SHELF_GAP = 0.02
-MAX_SHELF_CLUTTER = {"tidy_house": 0, "prepare_groceries": 0, "set_table": 1}
 MAX_DRIFT = 0.02
 """An object that settles further than this [m] from where it was put makes the draw invalid."""
 MAX_SPEED = 0.05
@@ -128,6 +107,7 @@ class EpisodeMaker:
     ) -> None:
         self.sim = sim
         self.task = task
+        self.spec = TASKS[task]
         self.split = split
         self.target = target
         self.layout: Layout = sim.layout
@@ -179,9 +159,9 @@ class EpisodeMaker:
         qpos = self.sim.model(home.name).qpos0.copy()
         a = self.sim.addresses
         qpos[a.object_q[:, None] + np.arange(7)] = draw.pose
-        if self.task == "prepare_groceries":
-            door = link_with_role(roles, FRIDGE_DOOR_LINK)
-            qpos[a.link_q[self.layout.link_ids.index(door)]] = FRIDGE_PREOPEN
+        for role, position in self.spec.openings:
+            link = link_with_role(roles, role)
+            qpos[a.link_q[self.layout.link_ids.index(link)]] = position
         settled, speed = settle(self.sim.model(home.name), a, qpos)
         pose = settled[a.object_q[:, None] + np.arange(7)]
         if (
@@ -206,79 +186,72 @@ class EpisodeMaker:
         return self.layout.object_names.index(name)
 
     def _place_targets(self, rng: np.random.Generator, draw: _Draw) -> tuple[Target, ...] | None:
-        if self.task == "set_table":
-            return self._set_table(rng, draw)
-        if self.task == "prepare_groceries":
-            return self._groceries(rng, draw)
-        open_places = draw.places(OPEN_SURFACE)
-        return self._targets(rng, draw, [(s, open_places, open_places) for s in self._slots(rng)])
+        wanted = [
+            (slot, rule, draw.places(*rule.start), draw.places(*rule.goal))
+            for rule, slot in zip(self.spec.targets, self._slots(rng), strict=True)
+        ]
+        return self._targets(rng, draw, wanted)
 
     def _slots(self, rng: np.random.Generator) -> list[int]:
-        """Target slots at random; with a wanted object type, one of them is of that type."""
-        count = TARGETS_PER_TASK[self.task]
-        slots = [int(s) for s in rng.choice(self.layout.num_objects, count, replace=False)]
-        wanted = [i for i, kind in enumerate(self.layout.roster) if kind == self.target]
+        """Slots of the targets: where a rule names no object, at random; a wanted object type is then among them."""
+        rules = self.spec.targets
+        named = {rule.object for rule in rules if rule.object}
+        last = {kind: slot for slot, kind in enumerate(self.layout.roster)}
+        free = [slot for slot, kind in enumerate(self.layout.roster) if kind not in named]
+        count = sum(not rule.object for rule in rules)
+        drawn = self._drawn(rng, free, count) if count else []
+        return [last[rule.object] if rule.object else drawn.pop(0) for rule in rules]
+
+    def _drawn(self, rng: np.random.Generator, free: list[int], count: int) -> list[int]:
+        """``count`` different slots of ``free``; with a wanted object type, one of them is of that type."""
+        slots = [free[int(i)] for i in rng.choice(len(free), count, replace=False)]
+        wanted = [slot for slot in free if self.layout.roster[slot] == self.target]
         if wanted and not any(self.layout.roster[s] == self.target for s in slots):
             slots[int(rng.integers(count))] = int(rng.choice(wanted))
         return slots
-
-    def _set_table(self, rng: np.random.Generator, draw: _Draw) -> tuple[Target, ...] | None:
-        last = {kind: slot for slot, kind in enumerate(self.layout.roster)}
-        bowl = last["024_bowl"]
-        apple = last["013_apple"]
-        drawer = draw.places(DRAWER)
-        table = draw.places(DINING_TABLE)
-        shelf = draw.places(FRIDGE_SHELF)
-        return self._targets(rng, draw, [(bowl, drawer, table), (apple, shelf, table)])
-
-    def _groceries(self, rng: np.random.Generator, draw: _Draw) -> tuple[Target, ...] | None:
-        slots = self._slots(rng)
-        shelf = draw.places(FRIDGE_SHELF)
-        tops = draw.places(COUNTER_TOP)
-        return self._targets(
-            rng, draw, [(slots[0], shelf, tops), (slots[1], shelf, tops), (slots[2], tops, shelf)]
-        )
 
     def _targets(
         self,
         rng: np.random.Generator,
         draw: _Draw,
-        wanted: list[tuple[int, list[PlacedReceptacle], list[PlacedReceptacle]]],
+        wanted: list[tuple[int, TargetRule, list[PlacedReceptacle], list[PlacedReceptacle]]],
     ) -> tuple[Target, ...] | None:
         starts: list[PlacedReceptacle] = []
-        for slot, places, _ in wanted:
+        for slot, _, places, _ in wanted:
             put = self._put(rng, draw, slot, places, draw.target_gap(places[0]))
             if put is None:
                 return None
             starts.append(put)
         goals: list[tuple[np.ndarray, float]] = []
         targets = []
-        for (slot, _, places), start in zip(wanted, starts, strict=True):
-            goal = self._goal(rng, draw, slot, places, goals)
+        for (slot, rule, _, places), start in zip(wanted, starts, strict=True):
+            goal = self._goal(rng, draw, slot, places, rule.distance_m)
             if goal is None:
                 return None
             where, pos = goal
             goals.append((pos, self._radius(slot)))
             # Goals stay free: clutter keeps away from them as from an object.
             draw.placed[-len(goals)] = goals[-1]
-            targets.append(self._target(draw, slot, start, where, pos))
+            targets.append(self._target(draw, slot, rule, (start, where), pos))
         return tuple(targets)
 
     def _target(
         self,
         draw: _Draw,
         slot: int,
-        start: PlacedReceptacle,
-        where: PlacedReceptacle,
+        rule: TargetRule,
+        places: tuple[PlacedReceptacle, PlacedReceptacle],
         goal: np.ndarray,
     ) -> Target:
-        link = link_to_open(start, draw.roles)
+        """The target that starts on the first of the places, and whose ``goal`` (3,) [m] is on the second."""
+        start_link, goal_link = (link_to_open(place, draw.roles) for place in places)
+        link = goal_link if rule.opens == "goal" else start_link
         return Target(
             obj=self.layout.object_names[slot],
             goal_pos=tuple(goal.tolist()),
             start_pos=tuple(draw.placed[slot][0].tolist()),
-            start_link=link,
-            goal_link=link_to_open(where, draw.roles),
+            start_link=start_link,
+            goal_link=goal_link,
             handle_pos=self.layout.closed_handle(draw.home, link) if link else (0.0, 0.0, 0.0),
         )
 
@@ -295,7 +268,7 @@ class EpisodeMaker:
     ) -> np.ndarray | None:
         if 2 * half_z + 0.02 > place.height:
             return None
-        ratio = REGION_RATIO[self.task] if draw.on_shelf(place) else 1.0
+        ratio = self.spec.shelf_region if draw.on_shelf(place) else 1.0
         room = ratio * np.maximum(np.array(place.half) - radius - 0.01, 0.0)
         if min(place.half) < radius * 0.75:
             return None
@@ -330,7 +303,7 @@ class EpisodeMaker:
         draw: _Draw,
         slot: int,
         places: list[PlacedReceptacle],
-        others: list[tuple[np.ndarray, float]],
+        distance_m: tuple[float, float],
     ) -> tuple[PlacedReceptacle, np.ndarray] | None:
         radius = self._radius(slot)
         half_z = self.layout.objects[slot].half[2]
@@ -339,7 +312,7 @@ class EpisodeMaker:
         for _ in range(100):
             place = places[int(rng.choice(len(places), p=weights / weights.sum()))]
             pos = self._sample(rng, draw, place, radius, half_z)
-            if pos is None or np.linalg.norm(pos - start) < MIN_START_GOAL:
+            if pos is None or not distance_m[0] <= np.linalg.norm(pos - start) <= distance_m[1]:
                 continue
             if self._is_free(draw, pos, radius, draw.target_gap(place)):
                 return place, pos
@@ -357,7 +330,7 @@ class EpisodeMaker:
         for slot in range(self.layout.num_objects):
             if slot in targets:
                 continue
-            shelf = (FRIDGE_SHELF,) if in_shelf < MAX_SHELF_CLUTTER[self.task] else ()
+            shelf = (FRIDGE_SHELF,) if in_shelf < self.spec.shelf_clutter else ()
             put = self._put(rng, draw, slot, draw.places(OPEN_SURFACE, *shelf), GAP)
             if put is None:
                 return False
@@ -370,47 +343,37 @@ class EpisodeMaker:
     def digest(self) -> str:
         """Hash of everything an episode depends on besides its name: homes, objects, code that compiles them."""
         shared = home_hash(self.layout, self.homes[0])
-        return hashlib.sha256(
-            repr((_VERSION, shared, self.homes, self._in_turn)).encode()
-        ).hexdigest()[:16]
+        parts: tuple[object, ...] = (_VERSION, shared, self.homes, self._in_turn)
+        # The rules of a task from a plugin change without any change of ours.
+        own = source_digest(TASKS.source(self.task))
+        return hashlib.sha256(repr((*parts, own) if own else parts).encode()).hexdigest()[:16]
 
     def _path(self, seed: int, index: int) -> Path:
-        name = f"{self.task}{self.target}-{self.split}-{seed}-{index}.npz"
+        name = f"{self.task}{self.target}-{self.split}-{seed}-{index}.json"
         return below(cache_dir() / "episodes" / self.digest, name)
 
     def _save(self, path: Path, episode: Episode) -> None:
-        rows = np.array([(t.obj, t.start_link, t.goal_link) for t in episode.targets])
-        goals = np.array([(t.goal_pos, t.start_pos, t.handle_pos) for t in episode.targets])
-        arrays = {
-            "home": np.array(episode.home),
-            "object_pose": episode.object_pose,
-            "link_q": episode.link_q,
-            "targets": rows,
-            "goals": goals,
+        # JSON keeps every bit of a float, and is read ten times as quickly as an archive of small arrays.
+        content = {
+            "home": episode.home,
+            "object_pose": episode.object_pose.tolist(),
+            "link_q": episode.link_q.tolist(),
+            "targets": [dataclasses.asdict(target) for target in episode.targets],
         }
-        write_atomic(path, lambda temporary: np.savez(temporary, allow_pickle=False, **arrays))
+        write_atomic(path, lambda temporary: temporary.write_text(json.dumps(content)))
 
     def _load(self, path: Path, seed: int, index: int) -> Episode:
-        with np.load(path, allow_pickle=False) as data:
-            targets = tuple(
-                Target(
-                    str(obj),
-                    _point(goal),
-                    _point(start_pos),
-                    str(start),
-                    str(where),
-                    _point(handle),
-                )
-                for (obj, start, where), (goal, start_pos, handle) in zip(
-                    data["targets"], data["goals"], strict=True
-                )
-            )
-            # Copies: what comes out of the file is a view of a buffer 20 times its size, and pools keep a thousand.
-            pose = data["object_pose"].copy()
-            link_q = data["link_q"].copy()
-            return Episode(
-                self.task, self.split, seed, index, str(data["home"]), pose, link_q, targets
-            )
+        content = json.loads(path.read_text(encoding="utf-8"))
+        pose = np.array(content["object_pose"], dtype=np.float64).reshape(-1, 7)
+        link_q = np.array(content["link_q"], dtype=np.float64)
+        targets = tuple(_target(entry) for entry in content["targets"])
+        return Episode(self.task, self.split, seed, index, content["home"], pose, link_q, targets)
+
+
+def _target(entry: dict[str, Any]) -> Target:
+    """A target of an episode's file."""
+    points = {name: _point(entry[name]) for name in ("goal_pos", "start_pos", "handle_pos")}
+    return Target(**{**entry, **points})
 
 
 def homes_of(pack: Pack, split: str) -> list[Home]:
@@ -443,9 +406,9 @@ def require_furniture(pack: Pack, homes: Iterable[Home], task: str) -> None:
     Raises:
         UsageError: names the role of the furniture, and the homes that lack it.
     """
-    require_roles(pack, homes, NEEDED_ROLES[task], f"task {task!r}")
+    require_roles(pack, homes, TASKS[task].roles, f"task {task!r}")
 
 
-def _point(row: np.ndarray) -> Vec3:
-    x, y, z = row.tolist()
+def _point(row: Sequence[float]) -> Vec3:
+    x, y, z = row
     return (x, y, z)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import cache
+from collections.abc import Callable, Sequence
+from functools import cache, partial
 
 from mjhab.core.seeding import stream
 from mjhab.episodes.generator import Episode
@@ -12,7 +12,7 @@ from mjhab.layout.layout import Layout
 from mjhab.layout.receptacles import PlacedReceptacle, placed_receptacles
 from mjhab.scenes.spec import Vec3
 from mjhab.tasks.instructions import Instructions, Request, Spot, instructions, seeded_draw
-from mjhab.tasks.plan import KIND_NAMES, Subtask, TaskPlan
+from mjhab.tasks.plan import Subtask, TaskPlan
 
 
 class Narrator:
@@ -20,7 +20,7 @@ class Narrator:
 
     def __init__(self, layout: Layout) -> None:
         self._layout = layout
-        self._homes = {home.name: home for home in layout.pack.homes}
+        self._homes = layout.pack.homes_by_name
         self._receptacles = cache(self._receptacles_of)
 
     def instructions(self, episode: Episode, plan: TaskPlan, alone: bool) -> Instructions:
@@ -31,24 +31,26 @@ class Narrator:
             plan: the subtasks that it asks for.
             alone: one subtask is done alone.
         """
-        requests = [self._request(episode, subtask) for subtask in plan.subtasks]
+        spots = cache(partial(_spot, self._receptacles(episode.home)))
+        requests = [self._request(episode, subtask, spots) for subtask in plan.subtasks]
         draw = seeded_draw(stream(episode.seed, "instruction", episode.index))
         return instructions(episode.task, requests, alone, draw)
 
-    def _request(self, episode: Episode, subtask: Subtask) -> Request:
-        places = self._receptacles(episode.home)
+    def _request(
+        self, episode: Episode, subtask: Subtask, spots: Callable[[Vec3], Spot]
+    ) -> Request:
         source = Spot()
         if subtask.obj:
             slot = self._layout.object_names.index(subtask.obj)
             x, y, z = episode.object_pose[slot, :3].tolist()
-            source = _spot((x, y, z), places)
-        goal = _spot(subtask.goal_pos, places)
-        return Request(KIND_NAMES[subtask.kind], subtask.target, source, goal)
+            source = spots((x, y, z))
+        goal = spots(subtask.goal_pos)
+        return Request(subtask.name, subtask.target, source, goal)
 
     def _receptacles_of(self, home: str) -> tuple[PlacedReceptacle, ...]:
         return placed_receptacles(self._layout, self._homes[home])
 
 
-def _spot(point: Vec3, places: Sequence[PlacedReceptacle]) -> Spot:
+def _spot(places: Sequence[PlacedReceptacle], point: Vec3) -> Spot:
     found = receptacle_below(point, places)
     return Spot() if found is None else Spot(found.template, found.kind != "open")

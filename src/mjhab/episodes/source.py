@@ -11,16 +11,15 @@ from mjhab.core.seeding import stream
 from mjhab.episodes.generator import Episode, EpisodeMaker
 from mjhab.episodes.hab.format import HabFile, read_hab
 from mjhab.episodes.hab.reader import FileEpisodes, file_roster
+from mjhab.episodes.rosters import object_roster
 from mjhab.episodes.starts import Start, StartMaker, check_target
 from mjhab.episodes.zones import with_zones
 from mjhab.layout.layout import Layout
 from mjhab.robots.registry import robot_named
-from mjhab.scenes.builtin.objects import roster
 from mjhab.scenes.packs import open_pack
 from mjhab.sim.mujoco.cpu import CpuSimulator
-from mjhab.tasks.plan import TARGETS_PER_TASK, TaskConfig
-
-SUBTASKS_PER_TARGET = {"tidy_house": 4, "prepare_groceries": 4, "set_table": 8}
+from mjhab.tasks.household.registry import TASKS
+from mjhab.tasks.thresholds import TaskConfig
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +41,7 @@ def open_setting(config: EnvConfig) -> Setting:
     """
     pack = open_pack(config.assets)
     file = read_hab(Path(config.episodes_file)) if config.episodes_file else None
-    objects = file_roster(file, pack) if file else roster(config.task)
+    objects = file_roster(file, pack) if file else object_roster(config, pack)
     layout = Layout(pack, objects, robot_named(config.robot))
     check_target(config, layout)
     return Setting(layout, file)
@@ -82,8 +81,7 @@ class EpisodeSource:
             else EpisodeMaker(sim, config.task, config.split, config.home, wanted)
         )
         self.starts = StartMaker(sim, config, task_config)
-        whole = TARGETS_PER_TASK[config.task] * SUBTASKS_PER_TARGET[config.task]
-        self.plan_length = 1 if config.subtask else whole
+        self.plan_length = 1 if config.subtask else TASKS[config.task].length
         # Settling an arrangement takes longer than a whole episode of control steps: training draws from a few.
         given = file is not None or self.starts.spawn_set is not None
         self._pool_size = config.episode_pool if config.trains and not given else 0

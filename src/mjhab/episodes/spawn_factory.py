@@ -15,6 +15,7 @@ from mjhab.config.env import EnvConfig, task_config
 from mjhab.core.cache import write_atomic
 from mjhab.core.errors import UsageError
 from mjhab.episodes.generator import Episode, EpisodeMaker
+from mjhab.episodes.rosters import object_roster
 from mjhab.episodes.spawn_sets import (
     SUFFIX,
     SpawnRecipe,
@@ -27,9 +28,9 @@ from mjhab.episodes.spawn_sets import (
 )
 from mjhab.episodes.starts import StartMaker, check_target
 from mjhab.layout.layout import Layout
-from mjhab.scenes.builtin.objects import roster
 from mjhab.scenes.packs import open_pack
 from mjhab.sim.mujoco.cpu import CpuSimulator
+from mjhab.tasks.subtasks.registry import SUBTASKS
 
 CHUNK = 32
 """Starts between saves."""
@@ -54,11 +55,12 @@ class SpawnFactory:
             seed=recipe.seed,
             spawn_rule=recipe.spawn_rule,
         )
-        self.layout = Layout(open_pack(recipe.assets), roster(recipe.task))
+        pack = open_pack(config.assets)
+        self.layout = Layout(pack, object_roster(config, pack))
         check_target(config, self.layout)
         self.sim = CpuSimulator(self.layout, 1, 1)
         wanted = recipe.target if recipe.target in self.layout.roster else ""
-        self.episodes = EpisodeMaker(self.sim, recipe.task, recipe.split, recipe.home, wanted)
+        self.episodes = EpisodeMaker(self.sim, recipe.task, recipe.split, config.home, wanted)
         self.starts = StartMaker(
             self.sim, config, task_config(config, self.layout.robot), recipe.harvested
         )
@@ -81,11 +83,14 @@ class SpawnFactory:
         start = self.starts.start(episode)
         return SpawnRow(episode, start.qpos, start.position, start.fallback, start.tries)
 
+    @property
+    def _may_hold(self) -> bool:
+        """Whether robots may begin with an object in their hand."""
+        return bool(self.recipe.subtask) and SUBTASKS[self.recipe.subtask].may_hold
+
     def header(self) -> dict[str, Any]:
         """What the file will say about itself."""
-        kinds = (
-            sorted(set(self.layout.roster)) if self.recipe.subtask in ("place", "navigate") else []
-        )
+        kinds = sorted(set(self.layout.roster)) if self._may_hold else []
         library = self.starts.arms if self.starts.published else self.starts.held
         return header_of(self.recipe, self.layout, {kind: library.digest(kind) for kind in kinds})
 

@@ -94,7 +94,7 @@ class SpawnSampler:
         self._robot = sim.layout.robot
         self._radius = self._robot.footprint.spawn
         self._arm = list(self._robot.arm_columns)
-        self._homes = {home.name: home for home in sim.layout.pack.homes}
+        self._homes = sim.layout.pack.homes_by_name
         self._standing: dict[tuple[str, float], np.ndarray] = {}
         self._walls: dict[str, Boxes] = {}
 

@@ -5,19 +5,18 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 
-import numpy as np
-
 from mjhab.layout.layout import Layout
 from mjhab.layout.receptacles import PlacedReceptacle, placed_receptacles
 from mjhab.scenes.spec import Home
-from mjhab.tasks.plan import SubtaskKind, TaskPlan
+from mjhab.tasks.plan import TaskPlan
+from mjhab.tasks.subtasks.registry import spec_of
 
 _ABOVE = 0.35
 """A goal lies at most so far [m] above the surface that carries it: half the height of the tallest objects and room."""
 
 
 def with_zones(plan: TaskPlan, layout: Layout, home: Home, tolerance: float) -> TaskPlan:
-    """The plan with the zone of every Place: the rectangle of the receptacle under its goal.
+    """The plan with the zone of every object that goes to a goal: the rectangle of the receptacle under its goal.
 
     Where no receptacle is under a goal (imported episodes may leave them out), the zone is a square that reaches
     ``tolerance`` [m] from the goal.
@@ -27,7 +26,7 @@ def with_zones(plan: TaskPlan, layout: Layout, home: Home, tolerance: float) -> 
         plan,
         subtasks=tuple(
             dataclasses.replace(s, goal_rect=zone(s.goal_pos, receptacles, tolerance))
-            if s.kind == SubtaskKind.PLACE
+            if spec_of(s.kind).brings_to_goal
             else s
             for s in plan.subtasks
         ),
@@ -53,9 +52,9 @@ def receptacle_below(
     best = None
     gap = _ABOVE
     for r in receptacles:
-        inside = (np.abs(r.local(np.array(point[:2]))) <= np.array(r.half)).all()
         above = point[2] - r.pos[2]
-        if inside and -0.02 <= above < gap:
+        # Few surfaces are at the right height: that is asked first.
+        if -0.02 <= above < gap and r.holds(point[0], point[1]):
             best = r
             gap = above
     return best

@@ -41,8 +41,9 @@ from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink
 from mjhab.rollout.store import REPORT, RunFolder, StoreSink, check_folder, read_records
 from mjhab.scenes.pack_source import Assets, pack_request
-from mjhab.tasks.plan import KIND_NAMES, TASKS
+from mjhab.tasks.household.registry import TASKS
 from mjhab.tasks.style import Styles
+from mjhab.tasks.subtasks.registry import SUBTASKS
 
 if TYPE_CHECKING:
     from mjhab.envs.sequential import SequentialTaskEnv
@@ -102,10 +103,11 @@ class EvalSpec:
     alone: tuple[Path, ...] = ()
 
     def __post_init__(self) -> None:
+        TASKS.check(self.task)
+        if self.subtask:
+            SUBTASKS.check(self.subtask)
         object.__setattr__(self, "assets", pack_request(self.assets).as_json())
         for kind, given, valid in (
-            ("task", self.task, TASKS),
-            ("subtask", self.subtask or None, KIND_NAMES),
             ("split", self.split, SPLITS),
             ("navigate mode", self.navigate, NAVIGATE_MODES),
         ):

@@ -42,6 +42,7 @@ from mjhab.robots.registry import DEFAULT_ROBOT, robot_named
 from mjhab.rollout.loop import plain
 from mjhab.scenes.pack_source import Assets, pack_request
 from mjhab.tasks.style import Styles
+from mjhab.tasks.subtasks.registry import SUBTASKS
 
 NO_IMAGES = "none"
 TRIES_PER_EPISODE = 20
@@ -331,7 +332,7 @@ def build_stage(spec: GenerateSpec) -> Stage:
     evaluation = spec.as_evaluation()
     env = make_env(evaluation, recorded_env_options(spec, facts))
     targets = (ALL,)
-    if spec.subtask and spec.subtask != "navigate":
+    if spec.subtask and not SUBTASKS[spec.subtask].navigates:
         targets = (spec.target,) if spec.target else tuple(valid_targets(env.config, env.layout))
     policy = make_policy(evaluation, env)
     return Stage(

@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Mapping
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from mjhab.core.action_notes import ActionNotes
+from mjhab.core.errors import UsageError
+from mjhab.core.plugins import resolved
 from mjhab.core.seeding import stream
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.envs.parts.worlds import Worlds
 from mjhab.experts.arm import motion
-from mjhab.experts.skills.articulated import close_link, open_link
-from mjhab.experts.skills.navigate import navigate
-from mjhab.experts.skills.pick import pick
-from mjhab.experts.skills.place import place
 from mjhab.experts.style import Manner, StyledView
-from mjhab.tasks.plan import SubtaskKind
+from mjhab.tasks.household.registry import TASKS
+from mjhab.tasks.plan import Subtask
 from mjhab.tasks.style import Styles, recorded
+from mjhab.tasks.subtasks.registry import SUBTASKS, spec_of
 
 Script = Generator[np.ndarray, None, Any]
 
@@ -31,13 +31,25 @@ def _wait(view: WorldView) -> Script:
         yield motion.action(view, None, gripper=motion.CLOSED if holding else motion.OPEN)
 
 
-SCRIPTS: dict[SubtaskKind, Callable[[WorldView], Script]] = {
-    SubtaskKind.PICK: pick,
-    SubtaskKind.PLACE: place,
-    SubtaskKind.NAVIGATE: navigate,
-    SubtaskKind.OPEN: open_link,
-    SubtaskKind.CLOSE: close_link,
-}
+def script_of(subtask: str) -> Callable[[WorldView], Script]:
+    """The script that does a kind of subtask.
+
+    Raises:
+        UsageError: there is no such subtask, or no expert can do it.
+    """
+    expert = SUBTASKS[subtask].expert
+    if expert is None:
+        raise UsageError(
+            f"no expert can do the subtask {subtask!r}: its SubtaskSpec names none. Take another policy."
+        )
+    return cast("Callable[[WorldView], Script]", resolved(expert))
+
+
+def _kinds_in(env: Worlds) -> tuple[str, ...]:
+    """The kinds of subtasks that an expert does in an environment."""
+    config = env.config
+    kinds = (config.subtask,) if config.subtask else TASKS[config.task].subtasks
+    return tuple(name for name in kinds if not (config.teleports and SUBTASKS[name].navigates))
 
 
 class ExpertPolicy:
@@ -47,7 +59,10 @@ class ExpertPolicy:
 
     def __init__(self, env: Worlds, styles: Styles | None = None) -> None:
         self._styles = styles or Styles()
-        self._start = {**SCRIPTS, SubtaskKind.NAVIGATE: _wait} if env.config.teleports else SCRIPTS
+        self._teleports = env.config.teleports
+        # Told before the first step: an episode that comes to a subtask nobody can do is lost.
+        for name in _kinds_in(env):
+            script_of(name)
         self._views = [StyledView(env, w) for w in range(env.num_envs)]
         self._manners: list[Manner | None] = [None] * env.num_envs
         self._scripts: list[Script | None] = [None] * env.num_envs
@@ -77,6 +92,10 @@ class ExpertPolicy:
         """The actions of the last ``act`` without the noise of the style."""
         return ActionNotes.plain(self._intended.copy(), self.name)
 
+    def script(self, world: int) -> Script | None:
+        """The script that runs in a world; None before the first ``act`` of its episode."""
+        return self._scripts[world]
+
     def _next(self, w: int, view: StyledView) -> tuple[np.ndarray, np.ndarray]:
         """The intended and the executed action (A,) of a world."""
         subtask = view.subtask
@@ -88,18 +107,24 @@ class ExpertPolicy:
         if manner.holds:
             gripper = (
                 motion.CLOSED
-                if subtask.must_hold or subtask.kind is SubtaskKind.PLACE
+                if subtask.must_hold or spec_of(subtask.kind).starts_holding
                 else motion.OPEN
             )
             still = motion.action(view, motion.rest_goal(view), gripper=gripper)
             return still, manner.wait(still)
         begins = self._tokens[w] != token
         if begins:
-            self._tokens[w], self._scripts[w] = token, self._start[subtask.kind](view)
+            self._tokens[w] = token
+            self._scripts[w] = self._start(subtask, view)
         if manner.due() or begins:
             self._wished[w] = self._from_script(w, view)
         intended = manner.slow(self._wished[w])
         return intended, manner.disturb(intended)
+
+    def _start(self, subtask: Subtask, view: WorldView) -> Script:
+        if self._teleports and spec_of(subtask.kind).navigates:
+            return _wait(view)
+        return script_of(subtask.name)(view)
 
     def _manner(self, w: int, view: StyledView) -> Manner:
         """The manner of the running episode, which begins with drawing its style."""

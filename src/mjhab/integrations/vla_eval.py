@@ -4,6 +4,8 @@ Tasks are the rows of a track of `mjhab score` and the episodes of a task those 
 be compared. Works with vla-eval 0.8 (``pip install vla-eval``).
 """
 
+# The library lives in an environment of its own, see the Makefile.
+# pyright: reportMissingImports=false
 from __future__ import annotations
 
 from collections.abc import Sequence

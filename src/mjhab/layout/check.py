@@ -11,8 +11,8 @@ import mujoco
 
 from mjhab.layout.compile import compile_home, model_path
 from mjhab.layout.layout import Layout
-from mjhab.scenes.builtin.homes import MAX_REACH_CENTER, ONE_PIECE
-from mjhab.scenes.freespace import BASE_RADIUS, free_map, reach
+from mjhab.scenes.builtin.homes import MAX_REACH_TO_CENTER_M, MIN_CONNECTED_SHARE
+from mjhab.scenes.freespace import NAVMESH_BASE_RADIUS_M, free_map, reach
 from mjhab.scenes.shapes.openings import stuck_links
 from mjhab.scenes.spec import Home
 
@@ -101,16 +101,22 @@ def _compile(layout: Layout, home: Home, report: HomesReport) -> str:
 
 def _floor(layout: Layout, home: Home) -> str:
     free = free_map(home, layout.pack).navigable()
-    return "" if free.any() else f"no floor on which a base of radius {BASE_RADIUS} m can stand"
+    return (
+        ""
+        if free.any()
+        else f"no floor on which a base of radius {NAVMESH_BASE_RADIUS_M} m can stand"
+    )
 
 
 def remarks(layout: Layout, home: Home) -> list[str]:
     """Nooks, receptacles out of reach, and doors and drawers that do not open as far as they should."""
     free = free_map(home, layout.pack)
-    share = free.navigable().sum() / (free.clearance >= BASE_RADIUS).sum()
-    found = [] if share >= ONE_PIECE else [f"only {share:.0%} of the free floor is connected"]
+    share = free.navigable().sum() / (free.clearance >= NAVMESH_BASE_RADIUS_M).sum()
+    found = (
+        [] if share >= MIN_CONNECTED_SHARE else [f"only {share:.0%} of the free floor is connected"]
+    )
     for r in reach(home, layout.pack, free):
-        if r.center > MAX_REACH_CENTER:
+        if r.center > MAX_REACH_TO_CENTER_M:
             found.append(
                 f"{r.thing}/{r.receptacle} is {r.center:.2f} m from where a robot can stand"
             )

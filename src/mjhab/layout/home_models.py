@@ -24,7 +24,7 @@ class HomeModels:
     def __init__(self, layout: Layout, drives: Drives) -> None:
         self._layout = layout
         self._drives = drives
-        self._homes = {home.name: home for home in layout.pack.homes}
+        self._homes = layout.pack.homes_by_name
         self._models: dict[str, mujoco.MjModel] = {}
 
     def __call__(self, home: str) -> mujoco.MjModel:

@@ -15,6 +15,8 @@ import mujoco
 import numpy as np
 from scipy.spatial import ConvexHull
 
+from mjhab.core.errors import unknown_name
+from mjhab.core.names import copy_names
 from mjhab.layout.contact_sensors import add_depth_sensor, add_force_sensor, add_touch_sensor
 from mjhab.robots.model import add_robot, physics_options
 from mjhab.robots.registry import robot_named
@@ -99,6 +101,9 @@ class Layout:
         pack: the asset pack.
         roster: object type per object slot.
         robot: who works in the homes; the default robot if not given.
+
+    Raises:
+        UsageError: the pack has no object of a type.
     """
 
     def __init__(self, pack: Pack, roster: tuple[str, ...], robot: Robot | None = None) -> None:
@@ -119,12 +124,10 @@ class Layout:
             LinkRef(f"{a.name}/{k.name}", a.name, k) for a in self.articulations for k in a.links
         )
         self.link_ids = tuple(ref.id for ref in self.links)
-        seen: Counter[str] = Counter()
-        names = []
+        self.object_names = copy_names(roster)
         for kind in roster:
-            names.append(f"{kind}_:{seen[kind]:04d}")
-            seen[kind] += 1
-        self.object_names = tuple(names)
+            if kind not in pack.objects:
+                raise unknown_name(f"object type of pack {pack.name!r}", kind, pack.objects)
         self.objects: tuple[ObjectType, ...] = tuple(pack.objects[kind] for kind in roster)
 
     @property

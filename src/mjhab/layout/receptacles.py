@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -37,6 +38,14 @@ class PlacedReceptacle:
         c = np.cos(self.yaw)
         s = np.sin(self.yaw)
         return np.array([self.pos[0] + c * u - s * v, self.pos[1] + s * u + c * v, self.pos[2]])
+
+    def holds(self, x: float, y: float) -> bool:
+        """Whether a world point [m] lies within the supporting rectangle as seen from above."""
+        c = math.cos(self.yaw)
+        s = math.sin(self.yaw)
+        dx = x - self.pos[0]
+        dy = y - self.pos[1]
+        return abs(c * dx + s * dy) <= self.half[0] and abs(c * dy - s * dx) <= self.half[1]
 
     def local(self, xy: np.ndarray) -> np.ndarray:
         """Coordinates (..., 2) of world points (..., 2) in the receptacle's own axes."""

@@ -11,8 +11,8 @@ import numpy as np
 
 from mjhab.core.errors import UsageError
 from mjhab.core.joints import BASE, BASE_X, BASE_Y, BASE_YAW
+from mjhab.core.names import kind_of
 from mjhab.core.seeding import stream
-from mjhab.data.select.facts import type_name
 from mjhab.data.select.query import Filter
 from mjhab.data.select.sets import select
 from mjhab.data.store.images import decode
@@ -137,7 +137,7 @@ def layout_of_data(
         raise nothing_to_learn()
     path, name = found.matched[0]
     targets = tuple(
-        sorted({type_name(entry.target) for record in found.records for entry in record.plan})
+        sorted({kind_of(entry.target) for record in found.records for entry in record.plan})
     )
     with open_shard(path) as shard:
         episode = shard.episode(name)
@@ -297,7 +297,7 @@ def _vectors(episode: Episode, layout: Layout, executed: np.ndarray) -> np.ndarr
     if layout.inputs.condition:
         plan = episode.record.plan
         pointers = np.minimum(episode.array("subtasks/active")[:steps], len(plan) - 1)
-        codes = np.stack([layout.condition(entry.kind, type_name(entry.target)) for entry in plan])
+        codes = np.stack([layout.condition(entry.kind, kind_of(entry.target)) for entry in plan])
         parts.append(codes[pointers])
     return np.concatenate(parts, axis=1, dtype=np.float32)
 

@@ -11,8 +11,10 @@ import numpy as np
 from mjhab.config.profiles import DEFAULT_PROFILE, PROFILES, profile_named
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.learning.configs import InputConfig
-from mjhab.tasks.plan import KIND_NAMES
+from mjhab.tasks.subtasks.registry import SUBTASKS
 
+OLDER_KINDS = ("pick", "place", "navigate", "open", "close")
+"""Kinds of subtasks that students are told apart by whose checkpoints name none."""
 STATE_IMAGE_PREFIX = "sensor_data/"
 BASE_VELOCITY = (("base/forward_speed", 1), ("base/turning_rate", 1))
 Entry = tuple[str, int]
@@ -72,7 +74,8 @@ class Layout:
 
     state: entries of the state, in order. actions: names of the numbers of an action. targets: types of objects and
     links it is told apart by. control: of the environment, see `control_of`. profile: of the environment, see
-    `profile_of`; where the student is evaluated if no other is asked for.
+    `profile_of`; where the student is evaluated if no other is asked for. kinds: the kinds of subtasks it is
+    told apart by.
     """
 
     inputs: InputConfig
@@ -81,6 +84,7 @@ class Layout:
     targets: tuple[str, ...]
     control: tuple[str, ...]
     profile: str = DEFAULT_PROFILE
+    kinds: tuple[str, ...] = OLDER_KINDS
 
     @property
     def entries(self) -> tuple[Entry, ...]:
@@ -91,7 +95,7 @@ class Layout:
         if self.inputs.previous_action:
             entries += [(f"previous_action/{name}", 1) for name in self.actions]
         if self.inputs.condition:
-            entries += [(f"subtask/{name}", 1) for name in KIND_NAMES]
+            entries += [(f"subtask/{name}", 1) for name in self.kinds]
             entries += [(f"target/{name}", 1) for name in self.targets]
         return tuple(entries)
 
@@ -108,7 +112,7 @@ class Layout:
     @property
     def measured_width(self) -> int:
         """Numbers at the front of the vector that are measured, and so normalized; one-hots follow."""
-        return self.width - (len(KIND_NAMES) + len(self.targets) if self.inputs.condition else 0)
+        return self.width - (len(self.kinds) + len(self.targets) if self.inputs.condition else 0)
 
     @property
     def image_keys(self) -> tuple[str, ...]:
@@ -133,21 +137,24 @@ class Layout:
             tuple(values["targets"]),
             tuple(values["control"]),
             str(values.get("profile", DEFAULT_PROFILE)),
+            tuple(values.get("kinds", OLDER_KINDS)),
         )
 
     def condition(self, subtask: str, target: str) -> np.ndarray:
         """One-hot of a subtask and of the type of its target, (n,) float32; empty if the student has none.
 
         Raises:
-            UsageError: the student was not trained on this target.
+            UsageError: the student was not trained on this subtask or target.
         """
         if not self.inputs.condition:
             return np.zeros(0, np.float32)
+        if subtask not in self.kinds:
+            raise unknown_name("subtask of this student", subtask, self.kinds)
         if target not in self.targets:
             raise unknown_name("target of this student", target, self.targets)
-        one_hot = np.zeros(len(KIND_NAMES) + len(self.targets), np.float32)
-        one_hot[KIND_NAMES.index(subtask)] = 1.0
-        one_hot[len(KIND_NAMES) + self.targets.index(target)] = 1.0
+        one_hot = np.zeros(len(self.kinds) + len(self.targets), np.float32)
+        one_hot[self.kinds.index(subtask)] = 1.0
+        one_hot[len(self.kinds) + self.targets.index(target)] = 1.0
         return one_hot
 
     def check_env(self, env: StudentEnv) -> None:
@@ -192,7 +199,15 @@ class Layout:
 def layout_of(env: StudentEnv, inputs: InputConfig, targets: Sequence[str]) -> Layout:
     """The layout of a student that is trained in an environment."""
     profile = profile_of(vars(env.config))
-    return Layout(inputs, state_of(env), actions_of(env), tuple(targets), control_of(env), profile)
+    return Layout(
+        inputs,
+        state_of(env),
+        actions_of(env),
+        tuple(targets),
+        control_of(env),
+        profile,
+        SUBTASKS.names(),
+    )
 
 
 def state_of(env: StudentEnv) -> tuple[Entry, ...]:

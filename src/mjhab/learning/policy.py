@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from mjhab.core.names import kind_of
 from mjhab.core.seeding import stream
-from mjhab.data.select.facts import type_name
 from mjhab.learning.demos import base_velocity, nearness
 from mjhab.learning.layout import ActingEnv
 from mjhab.learning.students.student import Student
@@ -94,7 +94,7 @@ class StudentPolicy:
             if episode is not None:
                 plan = episode["plan"]
                 entry = plan[min(int(info["pointer"][w]), len(plan) - 1)]
-                codes[w] = layout.condition(entry["kind"], type_name(entry["target"]))
+                codes[w] = layout.condition(entry["kind"], kind_of(entry["target"]))
         return codes
 
     def _plan(self, worlds: np.ndarray, info: Mapping[str, Any]) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import Any, Literal, Protocol
 
 import mujoco
 import numpy as np
@@ -43,6 +43,20 @@ HOME_FOVY = 0.8
 INSIDE_HEIGHT = 2.0
 FAR = 1e4
 """Bodies farther than this from the origin [m] have been thrown out of the world."""
+
+
+class BodyPoses(Protocol):
+    """Where the bodies of W worlds are; a `SimState` tells it."""
+
+    @property
+    def body_pos(self) -> Any:
+        """(W, B, 3) positions in the world [m]."""
+        ...
+
+    @property
+    def body_mat(self) -> Any:
+        """(W, B, 3, 3) orientations in the world."""
+        ...
 
 
 def build_render_scene(layout: Layout, model: mujoco.MjModel) -> RenderScene:
@@ -140,7 +154,7 @@ class HomeRenderer:
 
     def robot_views(
         self,
-        state: SimState,
+        state: BodyPoses,
         homes: Sequence[str],
         size: int | tuple[int, int],
         outputs: Sequence[str],
@@ -186,7 +200,7 @@ class HomeRenderer:
         return images
 
     def camera_poses(
-        self, state: SimState, cameras: Sequence[str] | None = None
+        self, state: BodyPoses, cameras: Sequence[str] | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
         """World positions (W, C, 3) [m] and orientations (W, C, 3, 3) (x right, y up, z backwards) of robot cameras.
 
@@ -208,25 +222,42 @@ class HomeRenderer:
     def follow_view(
         self, state: SimState, home: str, world: int, width: int, height: int
     ) -> np.ndarray:
-        """RGB (height, width, 3) from behind the robot of one world, looking over its shoulder at its work."""
-        x, y, yaw = state.robot_q[world, BASE]
+        """One of `follow_views`: RGB (height, width, 3)."""
+        return self.follow_views(state, [home], [world], width, height)[0]
+
+    def follow_views(
+        self, state: SimState, homes: Sequence[str], worlds: Sequence[int], width: int, height: int
+    ) -> np.ndarray:
+        """RGB (n, height, width, 3) from behind the robots of some worlds, looking over their shoulders at their work.
+
+        ``homes``: names (n,) of the homes they are in.
+        """
+        looks = [
+            self._follow(home, state.robot_q[world, BASE])
+            for home, world in zip(homes, worlds, strict=True)
+        ]
+        images = self.rasterizer.render(
+            np.array([self._home_index[home] for home in homes], np.int64),
+            state.body_pos[list(worlds)],
+            state.body_mat[list(worlds)],
+            np.stack([eye for eye, _ in looks])[:, None],
+            np.stack([look_at(eye.tolist(), target.tolist()) for eye, target in looks])[:, None],
+            FOLLOW_FOVY,
+            width,
+            height,
+            ("rgb",),
+        )
+        return images["rgb"][:, 0]
+
+    def _follow(self, home: str, base: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Eye (3,) and what it looks at (3,) to follow a robot whose base is at (3,) x, y, yaw."""
+        x, y, yaw = base
         forward = np.array([np.cos(yaw), np.sin(yaw)])
         left = np.array([-np.sin(yaw), np.cos(yaw)])
         here = np.array([x, y])
         target = np.append(here + FOLLOW_TARGET[0] * forward, FOLLOW_TARGET[1])
         eyes = [np.append(here + f * forward + s * left, h) for f, s, h in FOLLOW_EYES]
-        eye = next((e for e in eyes if self._in_view(home, e, target)), eyes[-1])
-        return self._picture(
-            home,
-            state.body_pos[[world]],
-            state.body_mat[[world]],
-            eye,
-            target,
-            FOLLOW_FOVY,
-            width,
-            height,
-            "fast",
-        )
+        return next((e for e in eyes if self._in_view(home, e, target)), eyes[-1]), target
 
     def _in_view(self, home: str, eye: np.ndarray, target: np.ndarray) -> bool:
         """Whether nothing tall stands between the eye and the space before the robot."""

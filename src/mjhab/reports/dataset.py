@@ -9,7 +9,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from mjhab.data.select.facts import type_name
+from mjhab.core.names import kind_of
 from mjhab.data.select.query import Filter
 from mjhab.data.select.sets import Place, nothing_passes, select
 from mjhab.data.store.reading import open_shard, shard_paths
@@ -22,7 +22,7 @@ from mjhab.reports.mosaics import Mosaic, OpenFilm, mosaic
 from mjhab.reports.plots import tone
 from mjhab.reports.run import render_page
 from mjhab.rollout.records import EpisodeRecord
-from mjhab.tasks.plan import KIND_NAMES
+from mjhab.tasks.subtasks.registry import SUBTASKS, number_of
 
 _LABEL_HINT = (
     "Percent of subtasks of this data set, of which only some labels may have been kept. Published rules: the labels "
@@ -145,7 +145,7 @@ def _cards(records: Sequence[EpisodeRecord], size: float) -> str:
 def _labels(records: Sequence[EpisodeRecord]) -> str:
     groups = grouped(records)
     tables = []
-    for kind in KIND_NAMES:
+    for kind in SUBTASKS:
         members = {group: subtasks for group, subtasks in groups.items() if group.kind == kind}
         if members:
             tables.append(
@@ -185,7 +185,7 @@ def _films(
 
 def _place_of_label(key: tuple[str, str]) -> tuple[int, int]:
     kind, label = key
-    return KIND_NAMES.index(kind), label_order(kind).index(label)
+    return number_of(kind), label_order(kind).index(label)
 
 
 def _figure(kind: str, label: str, made: Mosaic, what: str) -> str:
@@ -209,7 +209,7 @@ def _pairs(names: Sequence[str]) -> str:
 
 
 def _counts(records: Sequence[EpisodeRecord]) -> str:
-    targets = Counter((s.kind, type_name(s.target)) for record in records for s in record.subtasks)
+    targets = Counter((s.kind, kind_of(s.target)) for record in records for s in record.subtasks)
     homes = Counter(record.home for record in records)
     rows = [(f"{kind} {target}", count) for (kind, target), count in sorted(targets.items())]
     return _list("subtask", rows) + _list("home", sorted(homes.items()))

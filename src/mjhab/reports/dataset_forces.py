@@ -10,7 +10,7 @@ import numpy as np
 
 from mjhab.reports.plots import Figure, force_limits
 from mjhab.rollout.records import SubtaskRecord
-from mjhab.tasks.plan import KIND_NAMES
+from mjhab.tasks.subtasks.registry import SUBTASKS
 
 GENTLE = 1400.0
 """Force that an industrial safety limit would allow, as the MS-HAB paper (Sec. 6) discusses it [N]."""
@@ -22,7 +22,7 @@ def force_plots(subtasks: Sequence[SubtaskRecord]) -> dict[str, Figure]:
     """Element id to figure: largest force and sum of forces of every kind of subtask that is there."""
     limits = force_limits()
     figures: dict[str, Figure] = {}
-    for kind in KIND_NAMES:
+    for kind in SUBTASKS:
         members = [subtask for subtask in subtasks if subtask.kind == kind]
         if not members:
             continue

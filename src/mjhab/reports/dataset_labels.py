@@ -7,13 +7,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 
-from mjhab.data.select.facts import type_name
+from mjhab.core.names import kind_of
 from mjhab.reports.metrics import wilson
-from mjhab.reports.paper import ORDER, POLICIES, paper_row
+from mjhab.reports.paper import POLICIES, paper_row
 from mjhab.reports.plots import tone
 from mjhab.rollout.records import EpisodeRecord, SubtaskRecord
-from mjhab.tasks.labels import LABELS
-from mjhab.tasks.plan import KIND_NAMES, SubtaskKind
+from mjhab.tasks.subtasks.registry import SUBTASKS
 
 ALL = "all"
 CHAINS = "in chains"
@@ -39,7 +38,7 @@ def grouped(records: Iterable[EpisodeRecord]) -> dict[Group, list[SubtaskRecord]
         for subtask in record.subtasks:
             way = "" if record.subtask else CHAINS
             groups[
-                Group(subtask.kind, record.task, record.split, way, type_name(subtask.target))
+                Group(subtask.kind, record.task, record.split, way, kind_of(subtask.target))
             ].append(subtask)
     together: dict[Group, list[SubtaskRecord]] = defaultdict(list)
     several: Counter[Group] = Counter()
@@ -61,9 +60,10 @@ def _place(group: Group) -> tuple[str | bool, ...]:
 
 def label_order(kind: str) -> tuple[str, ...]:
     """Labels of a kind in the order of the paper's tables; where it has none (Navigate), successes before failures."""
-    names = LABELS[SubtaskKind(KIND_NAMES.index(kind))]
-    return ORDER.get(kind) or tuple(
-        sorted(names, key=lambda name: (name.endswith("_failure"), "_then_" in name))
+    spec = SUBTASKS[kind]
+    columns = spec.published.columns if spec.published else ()
+    return columns or tuple(
+        sorted(spec.labels, key=lambda name: (name.endswith("_failure"), "_then_" in name))
     )
 
 

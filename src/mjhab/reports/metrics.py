@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from mjhab.core.names import kind_of
 from mjhab.rollout.records import EpisodeRecord, SubtaskRecord
 from mjhab.tasks.progressive import progressive, upper_bound
 
@@ -50,11 +50,6 @@ def wilson(successes: int, total: int) -> tuple[float, float]:
     return (round(max(0.0, centre - half), 4), round(min(1.0, centre + half), 4))
 
 
-def target_type(target: str) -> str:
-    """Return the name of a target without its instance number: ``"024_bowl_:0000"`` gives ``"024_bowl"``."""
-    return re.sub(r"_:\d+$", "", target)
-
-
 AloneRates = Mapping[tuple[str, str], float]
 """Success rate of subtasks evaluated alone, by kind and type of target; target "" is the rate of the whole kind."""
 
@@ -65,7 +60,7 @@ def alone_rates(records: Iterable[EpisodeRecord]) -> dict[tuple[str, str], float
     for record in records:
         if record.subtask is not None:
             for subtask in record.subtasks:
-                for target in ("", target_type(subtask.target)):
+                for target in ("", kind_of(subtask.target)):
                     outcomes.setdefault((subtask.kind, target), []).append(subtask.success_once)
     return {key: float(np.mean(values)) for key, values in outcomes.items()}
 
@@ -148,7 +143,7 @@ def rows_by_position(records: Sequence[EpisodeRecord]) -> list[SubtaskRow]:
             if subtask.index == position
         ]
         kinds = sorted({entry.kind for entry in entries})
-        targets = sorted({target_type(entry.target) for entry in entries})
+        targets = sorted({kind_of(entry.target) for entry in entries})
         shown = targets[0] if len(targets) == 1 else f"{len(targets)} targets"
         rows.append(_row(position, " / ".join(kinds), shown, ended))
     return rows
@@ -159,7 +154,7 @@ def rows_by_kind(records: Sequence[EpisodeRecord]) -> list[SubtaskRow]:
     groups: dict[tuple[str, str], list[SubtaskRecord]] = {}
     for record in records:
         for subtask in record.subtasks:
-            groups.setdefault((subtask.kind, target_type(subtask.target)), []).append(subtask)
+            groups.setdefault((subtask.kind, kind_of(subtask.target)), []).append(subtask)
     return [_row(None, kind, target, groups[kind, target]) for kind, target in sorted(groups)]
 
 

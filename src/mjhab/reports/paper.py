@@ -7,58 +7,9 @@ import functools
 from dataclasses import dataclass
 from importlib.resources import files
 
-from mjhab.data.select.facts import type_name
+from mjhab.core.names import kind_of
+from mjhab.tasks.subtasks.registry import SUBTASKS
 
-ORDER: dict[str, tuple[str, ...]] = {
-    "pick": (
-        "straightforward_success",
-        "winding_success",
-        "success_then_drop",
-        "success_then_excessive_collisions",
-        "excessive_collision_failure",
-        "mobility_failure",
-        "cant_grasp_failure",
-        "drop_failure",
-        "too_slow_failure",
-    ),
-    "place": (
-        "placed_in_goal_success",
-        "dropped_to_goal_success",
-        "dubious_success",
-        "winding_success",
-        "success_then_excessive_collisions",
-        "excessive_collision_failure",
-        "didnt_grasp_failure",
-        "didnt_reach_goal_failure",
-        "place_in_goal_failure",
-        "drop_to_goal_failure",
-        "wont_let_go_failure",
-        "too_slow_failure",
-    ),
-    "open": (
-        "open_success",
-        "dubious_success",
-        "success_then_excessive_collisions",
-        "excessive_collision_failure",
-        "cant_reach_articulation_failure",
-        "closed_after_open_failure",
-        "slightly_open_failure",
-        "too_slow_failure",
-        "cant_open_failure",
-    ),
-    "close": (
-        "closed_success",
-        "dubious_success",
-        "success_then_excessive_collisions",
-        "excessive_collision_failure",
-        "cant_reach_articulation_failure",
-        "open_after_closing_failure",
-        "slightly_closed_failure",
-        "too_slow_failure",
-        "cant_close_failure",
-    ),
-}
-"""Labels in the order of the columns i, ii, ... of the tables (MS-HAB paper App. A.6)."""
 _COLUMNS = ("i", "ii", "iii", "iv", "v", "vi", "vii", "viii", "ix", "x", "xi", "xii")
 SUCCESS_COLUMNS = ("rl_per", "rl_all", "bc", "dp")
 """Policies of the tables of success: as POLICIES, and imitation by behaviour cloning and by a diffusion policy."""
@@ -85,7 +36,8 @@ def _lines(name: str) -> csv.DictReader[str]:
 def _rows() -> dict[tuple[str, str, str, str, str], PaperRow]:
     rows = {}
     for row in _lines("paper_labels.csv"):
-        names = ORDER[row["subtask"]]
+        published = SUBTASKS[row["subtask"]].published
+        names = published.columns if published else ()
         labels = {name: float(row[column]) for name, column in zip(names, _COLUMNS, strict=False)}
         key = (row["task"], row["subtask"], row["split"], row["target"], row["policy"])
         rows[key] = PaperRow(
@@ -115,7 +67,7 @@ def paper_success(task: str, subtask: str, split: str, target: str) -> dict[str,
         task, subtask, split: as in a record.
         target: of Open and Close: the link. Pick and Place have one row for all objects of a task.
     """
-    articulation = _paper_target(target) if subtask in ("open", "close") else ""
+    articulation = _paper_target(target) if SUBTASKS[subtask].jointed else ""
     wanted = (task, subtask, split, articulation)
     for row in _lines("paper_success.csv"):
         if (row["task"], row["subtask"], row["split"], row["articulation"]) == wanted:
@@ -124,7 +76,7 @@ def paper_success(task: str, subtask: str, split: str, target: str) -> dict[str,
 
 
 def _paper_target(target: str) -> str:
-    furniture, _, link = type_name(target).rpartition("/")
+    furniture, _, link = kind_of(target).rpartition("/")
     if furniture:
         return "drawer" if "drawer" in link else furniture
     return target.partition("_")[0]

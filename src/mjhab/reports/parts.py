@@ -8,8 +8,9 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from mjhab.reports.metrics import SubtaskRow, target_type, wilson
-from mjhab.reports.plots import KIND_COLORS, OTHER_COLOR, tone
+from mjhab.core.names import kind_of
+from mjhab.reports.metrics import SubtaskRow, wilson
+from mjhab.reports.plots import kind_color, tone
 from mjhab.rollout.films import FILM_EVERY, FILM_FPS
 from mjhab.rollout.records import EpisodeRecord, SubtaskRecord
 
@@ -27,6 +28,13 @@ _BAD_EVENTS = frozenset(
         "lost_navigated_close",
     }
 )
+
+
+def event_tone(name: str) -> str:
+    """Return ``"good"``, ``"bad"`` or ``"none"`` for the name of an event."""
+    if name in _GOOD_EVENTS:
+        return "good"
+    return "bad" if name in _BAD_EVENTS else "none"
 
 
 def section(title: str, hint: str, body: str) -> str:
@@ -65,6 +73,10 @@ def cards(records: Sequence[EpisodeRecord], summary: Mapping[str, Any]) -> str:
         ("tainted episodes", f"{summary['tainted']}", "flagged by the simulation"),
         ("wall time", f"{seconds:,.0f} s", speed),
     ]
+    if summary["errors"]:
+        values.append(
+            ("errors", f"{summary['errors']}", "episodes that the policy could not finish")
+        )
     tiles = (
         f'<div class="card"><div class="name">{escape(name)}</div><div class="value">{escape(value)}</div>'
         f'<div class="more">{escape(more)}</div></div>'
@@ -74,7 +86,7 @@ def cards(records: Sequence[EpisodeRecord], summary: Mapping[str, Any]) -> str:
 
 
 def _kind(kind: str) -> str:
-    return f'<span class="kind" style="background:{KIND_COLORS.get(kind, OTHER_COLOR)}"></span>{escape(kind)}'
+    return f'<span class="kind" style="background:{kind_color(kind)}"></span>{escape(kind)}'
 
 
 def _rate_bar(row: SubtaskRow) -> str:
@@ -147,7 +159,7 @@ def _timeline(record: EpisodeRecord) -> str:
     steps = max(record.steps, 1)
     parts = [_span(subtask, steps) for subtask in record.subtasks]
     for step, name in record.events:
-        css = "good" if name in _GOOD_EVENTS else "bad" if name in _BAD_EVENTS else "none"
+        css = event_tone(name)
         title = f"{name.replace('_', ' ')} at {step / CONTROL_HZ:.1f} s (step {step})"
         place = f"left:{100 * step / steps:.2f}%"
         parts.append(
@@ -160,7 +172,7 @@ def _timeline(record: EpisodeRecord) -> str:
 def _span(subtask: SubtaskRecord, steps: int) -> str:
     left = 100 * subtask.start_step / steps
     width = 100 * (subtask.end_step - subtask.start_step) / steps
-    title = f"{subtask.index + 1}. {subtask.kind} {target_type(subtask.target)}"
+    title = f"{subtask.index + 1}. {subtask.kind} {kind_of(subtask.target)}"
     label = (subtask.label or ("success" if subtask.success_once else "no success")).replace(
         "_", " "
     )
@@ -180,7 +192,7 @@ def _event_list(record: EpisodeRecord) -> str:
     rows = []
     for step, name in record.events:
         owner = next((s for s in record.subtasks if s.start_step < step <= s.end_step), None)
-        where = f"{owner.kind} {target_type(owner.target)}" if owner else ""
+        where = f"{owner.kind} {kind_of(owner.target)}" if owner else ""
         rows.append(
             f'<tr data-step="{step}"><td class="n">{step / CONTROL_HZ:.1f} s</td><td class="n">{step}</td>'
             f"<td>{escape(where)}</td><td>{escape(name.replace('_', ' '))}</td></tr>"
@@ -224,11 +236,11 @@ def _episode_row(record: EpisodeRecord) -> str:
         f'<tr><td class="n">{record.index}</td><td>{escape(record.home)}</td>'
         f'<td class="n" data-value="{record.completed}">{record.completed} / {len(record.plan)}</td>'
         f'<td><span class="dot {css}"></span>{success}</td>'
-        f"<td>{escape(f'{last.kind} {target_type(last.target)}' if last else '')}</td>"
+        f"<td>{escape(f'{last.kind} {kind_of(last.target)}' if last else '')}</td>"
         f'<td><span class="dot {tone(label)}"></span>{escape(label.replace("_", " "))}</td>'
         f'<td class="n">{record.steps}</td>'
         f'<td class="n" data-value="{record.peak_force}">{record.peak_force:.0f} N</td>'
-        f"<td>{escape(', '.join(record.taint))}</td></tr>"
+        f"<td>{escape(', '.join(filter(None, (*record.taint, record.error))))}</td></tr>"
     )
 
 

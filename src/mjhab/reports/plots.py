@@ -11,17 +11,10 @@ import numpy as np
 
 from mjhab.reports.metrics import SubtaskRow
 from mjhab.rollout.records import EpisodeRecord
-from mjhab.tasks.plan import KIND_NAMES, TaskConfig
+from mjhab.tasks.subtasks.registry import SUBTASKS
 
 Figure = dict[str, Any]
 
-KIND_COLORS = {
-    "pick": "#3b82f6",
-    "place": "#8b5cf6",
-    "navigate": "#94a3b8",
-    "open": "#f59e0b",
-    "close": "#14b8a6",
-}
 OTHER_COLOR = "#9ca3af"
 _TONES = {
     "good": ("#16a34a", "#4ade80", "#15803d", "#86efac"),
@@ -29,6 +22,11 @@ _TONES = {
     "bad": ("#dc2626", "#f97316", "#be185d", "#fb7185", "#7c2d12", "#c2410c", "#9f1239"),
 }
 _FAIR_STARTS = ("success_then", "dubious", "winding", "dropped_to_goal")
+
+
+def kind_color(kind: str) -> str:
+    """Colour of a kind of subtask; of other things a grey."""
+    return SUBTASKS[kind].color if kind in SUBTASKS else OTHER_COLOR
 
 
 def tone(label: str | None) -> str:
@@ -42,7 +40,7 @@ def tone(label: str | None) -> str:
 
 def force_limits() -> dict[str, float]:
     """Return the limit of cumulative force of every kind of subtask [N x control steps]."""
-    return {kind: getattr(TaskConfig, kind).force_limit for kind in KIND_NAMES}
+    return {name: SUBTASKS[name].limits.force_limit for name in SUBTASKS}
 
 
 def progress_figure(
@@ -84,9 +82,9 @@ def progress_figure(
     }
 
 
-def labels_figure(counts: Mapping[str, Counter[str]], order: Sequence[str] = KIND_NAMES) -> Figure:
-    """Stacked bars: share of every trajectory label within each kind of subtask, or whatever ``order`` names."""
-    kinds = [kind for kind in order if kind in counts]
+def labels_figure(counts: Mapping[str, Counter[str]], order: Sequence[str] = ()) -> Figure:
+    """Stacked bars: share of every trajectory label within each kind of subtask, or of whatever ``order`` names."""
+    kinds = [kind for kind in order or SUBTASKS if kind in counts]
     totals = {kind: sum(counts[kind].values()) for kind in kinds}
     labels = sorted({label for kind in kinds for label in counts[kind]}, key=_label_order)
     used: Counter[str] = Counter()
@@ -137,7 +135,7 @@ def force_figure(record: EpisodeRecord) -> Figure:
         highest = max(highest, float(total[-1]))
         name = f"{kind} {target}"
         common = {"type": "scatter", "mode": "lines", "x": steps, "legendgroup": kind}
-        color = KIND_COLORS.get(kind, OTHER_COLOR)
+        color = kind_color(kind)
         fill = {"fill": "tozeroy", "line": {"color": color, "width": 1}}
         top = {
             "y": force[start:end].tolist(),

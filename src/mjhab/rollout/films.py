@@ -34,7 +34,7 @@ class Film(Protocol):
 
 
 class FilmSink(Sink[RolloutEnv]):
-    """Films the episodes in ``indices`` through ``env.render_world``.
+    """Films the episodes in ``indices`` through ``env.render_worlds``.
 
     A renderer or encoder that fails stops the films, not the evaluation: ``problem`` then says why.
 
@@ -66,17 +66,17 @@ class FilmSink(Sink[RolloutEnv]):
 
     def on_reset(self, env: RolloutEnv, info: Mapping[str, Any], mask: np.ndarray) -> None:
         """Open films of wanted episodes; their first frame shows the start state."""
+        begun = []
         for world in np.flatnonzero(mask):
             index = int(info["episode_spec"][world]["index"])
             if index in self._indices and self.problem is None:
                 self._films[int(world)] = self._open_film(self._path_of(index), FILM_FPS)
-                self._shoot(env, int(world))
+                begun.append(int(world))
+        self._shoot(env, begun)
 
     def on_step(self, env: RolloutEnv, step: StepView) -> None:
         """Shoot every ``every``-th step of the filmed worlds."""
-        for world in list(self._films):
-            if step.steps[world] % self._every == 0:
-                self._shoot(env, world)
+        self._shoot(env, [w for w in self._films if step.steps[w] % self._every == 0])
 
     def on_episode_end(self, env: RolloutEnv, world: int, record: EpisodeRecord) -> None:
         """Finish the film."""
@@ -93,12 +93,14 @@ class FilmSink(Sink[RolloutEnv]):
             film.abort()
         self._films.clear()
 
-    def _shoot(self, env: RolloutEnv, world: int) -> None:
-        film = self._films.get(world)
-        if film is None:
+    def _shoot(self, env: RolloutEnv, worlds: list[int]) -> None:
+        """Append a frame to the films of some worlds, which are drawn together."""
+        if not worlds:
             return
         try:
-            film.add(env.render_world(world, width=self._size[0], height=self._size[1]))
+            frames = env.render_worlds(worlds, width=self._size[0], height=self._size[1])
+            for world, frame in zip(worlds, frames, strict=True):
+                self._films[world].add(frame)
         except Exception as error:
             self._give_up(error)
 

@@ -34,8 +34,10 @@ class RolloutEnv(Protocol):
         """Take one control step with actions (W, A)."""
         ...
 
-    def render_world(self, world: int, /, width: int = 480, height: int = 360) -> np.ndarray:
-        """Human view (H, W, 3) uint8 of one world."""
+    def render_worlds(
+        self, worlds: Sequence[int], /, width: int = 480, height: int = 360
+    ) -> np.ndarray:
+        """Human views (n, H, W, 3) uint8 of n worlds."""
         ...
 
     def state_digest(self, world: int, /) -> str:

@@ -23,15 +23,15 @@ from mjhab.core.rotations import mat_from_quat
 from mjhab.scenes.shapes.footprints import all_geoms, outline, rectangle
 from mjhab.scenes.spec import IDENTITY, Articulation, Geom, Home, Pack, Placement, Prop
 
-BASE_RADIUS = 0.3
+NAVMESH_BASE_RADIUS_M = 0.3
 """Radius [m] of the robot for which HAB makes its navigation meshes."""
-ROBOT_HEIGHT = 1.4
+ROBOT_HEIGHT_M = 1.4
 """What hangs above this [m] does not block the base; the head camera of the benchmark's robot is at 1.41 m."""
-MAX_MAPS = 128
+MAX_KEPT_MAPS = 128
 """Maps that a process remembers, see `shared_map`; one of an apartment takes about 0.4 MB."""
-MAX_FIELDS = 4
+MAX_KEPT_FIELDS = 4
 """Distance fields a map remembers; one of an apartment takes about 0.2 MB."""
-_MARGIN = 0.3
+_BORDER_M = 0.3
 """Border around the floor that the raster covers, so that outer walls are in it [m]."""
 
 
@@ -48,7 +48,7 @@ class FreeMap:
     blocked: np.ndarray
     clearance: np.ndarray
 
-    def navigable(self, radius: float = BASE_RADIUS) -> np.ndarray:
+    def navigable(self, radius: float = NAVMESH_BASE_RADIUS_M) -> np.ndarray:
         """Cells (X, Y) bool where a disc of ``radius`` [m] fits, in the largest connected piece of them."""
         fits = self.clearance >= radius
         pieces = np.empty(fits.shape, np.int32)
@@ -78,10 +78,10 @@ class FreeMap:
     def distances_to(self, xy: np.ndarray) -> np.ndarray:
         """Length (X, Y) float32 [m] of the shortest way of the base from every cell to ``xy`` (2,).
 
-        Ways lead through cells where a base of `BASE_RADIUS` fits; they are up to 3 % longer than the true ones, and
-        begin at a cell's centre. A place where the base does not fit, as start or as goal, counts as the nearest one
-        where it does, and the straight line to there is added: every cell has a finite distance. Read-only; the last
-        `MAX_FIELDS` goals are remembered.
+        Ways lead through cells where a base of `NAVMESH_BASE_RADIUS_M` fits; they are up to 3 % longer than the true
+        ones, and begin at a cell's centre. A place where the base does not fit, as start or as goal, counts as the
+        nearest one where it does, and the straight line to there is added: every cell has a finite distance.
+        Read-only; the last `MAX_KEPT_FIELDS` goals are remembered.
 
         Raises:
             UsageError: the base fits nowhere.
@@ -89,7 +89,7 @@ class FreeMap:
         goal = np.asarray(xy, float)[:2]
         key = (round(float(goal[0]), 3), round(float(goal[1]), 3))
         if key not in self._fields:
-            if len(self._fields) >= MAX_FIELDS:
+            if len(self._fields) >= MAX_KEPT_FIELDS:
                 del self._fields[next(iter(self._fields))]
             self._fields[key] = self._field(goal)
         return self._fields[key]
@@ -131,7 +131,7 @@ class FreeMap:
         free = self.navigable()
         if not free.any():
             raise UsageError(
-                f"no floor on which a base of radius {BASE_RADIUS} m can stand: nothing leads anywhere."
+                f"no floor on which a base of radius {NAVMESH_BASE_RADIUS_M} m can stand: nothing leads anywhere."
             )
         off, nearest = distance_transform_edt(~free, return_indices=True)  # type: ignore[misc]
         return (
@@ -178,7 +178,7 @@ def look_up(
 def shared_map(home: Home, pack: Pack) -> FreeMap:
     """`free_map` of a home at its usual cell, drawn once in a process for all who ask.
 
-    The last `MAX_MAPS` homes are remembered.
+    The last `MAX_KEPT_MAPS` homes are remembered.
     """
     key = (id(home), id(pack))
     with _MAPS_LOCK:
@@ -187,7 +187,7 @@ def shared_map(home: Home, pack: Pack) -> FreeMap:
             # Home and pack are kept with the map, so that no other objects get their ids.
             found = (home, pack, free_map(home, pack))
         _MAPS[key] = found  # the last one used stands at the end
-        while len(_MAPS) > MAX_MAPS:
+        while len(_MAPS) > MAX_KEPT_MAPS:
             _MAPS.popitem(last=False)
     return found[2]
 
@@ -204,9 +204,9 @@ def free_map(home: Home, pack: Pack, cell: float = 0.05) -> FreeMap:
         cell: edge of a cell [m].
     """
     x0, y0, x1, y1 = home.floor
-    origin = (x0 - _MARGIN, y0 - _MARGIN)
+    origin = (x0 - _BORDER_M, y0 - _BORDER_M)
     shape = tuple(
-        int(np.ceil((hi - lo + 2 * _MARGIN) / cell - 1e-9)) for lo, hi in ((x0, x1), (y0, y1))
+        int(np.ceil((hi - lo + 2 * _BORDER_M) / cell - 1e-9)) for lo, hi in ((x0, x1), (y0, y1))
     )
     blocked = np.zeros(shape, bool)
     for polygon in blocking_polygons(home, pack):
@@ -243,12 +243,12 @@ def _flatten(geom: Geom, placement: Placement, pack: Pack) -> np.ndarray | None:
         (x, y, z) = geom.pos
         (hx, hy, hz) = geom.size
         z += placement.pos[2]
-        hidden = z - hz >= ROBOT_HEIGHT or z + hz <= 0.0
+        hidden = z - hz >= ROBOT_HEIGHT_M or z + hz <= 0.0
         return None if hidden else rectangle(placement, (x - hx, x + hx), (y - hy, y + hy))
     points = outline(geom, pack.meshes) @ mat_from_quat(np.array(placement.rotation)).T + np.array(
         placement.pos
     )
-    if points[:, 2].min() >= ROBOT_HEIGHT or points[:, 2].max() <= 0.0:
+    if points[:, 2].min() >= ROBOT_HEIGHT_M or points[:, 2].max() <= 0.0:
         return None
     flat = np.unique(points[:, :2].round(9), axis=0)
     return flat[ConvexHull(flat).vertices]
@@ -264,7 +264,9 @@ class Reach:
     farthest: float
 
 
-def reach(home: Home, pack: Pack, free: FreeMap, radius: float = BASE_RADIUS) -> list[Reach]:
+def reach(
+    home: Home, pack: Pack, free: FreeMap, radius: float = NAVMESH_BASE_RADIUS_M
+) -> list[Reach]:
     """Planar distances [m] from navigable floor to every receptacle of a home, drawers closed."""
     cells = np.argwhere(free.navigable(radius))
     stand = KDTree(free.to_xy(cells)) if len(cells) else None

@@ -93,7 +93,7 @@ NUMBERS_OF_SIZE = {"box": 3, "cylinder": 2, "capsule": 2, "sphere": 1}
 """How many numbers of `Geom.size` a shape uses."""
 
 
-def check_pack(pack: Pack, source: Path) -> Pack:
+def check_pack(pack: Pack, source: Path | str) -> Pack:
     """Return a pack whose names and numbers are in order.
 
     Args:

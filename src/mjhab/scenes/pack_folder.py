@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import math
-import types
-import typing
 import zipfile
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from mjhab.core.errors import UsageError
 from mjhab.scenes.pack_check import check_pack
 from mjhab.scenes.pack_source import PackRequest, PackSource
+from mjhab.scenes.records import read_record
 from mjhab.scenes.roles import check_roles
 from mjhab.scenes.shapes.meshes import Mesh, mesh_arrays, mesh_from_arrays
 from mjhab.scenes.spec import Articulation, Home, ObjectType, Pack, Prop, Roles
@@ -75,22 +72,24 @@ def load_pack(folder: Path) -> Pack:
             f"{path}: field 'format' must be {PACK_FORMAT!r}; this is not a pack of this version."
         )
     try:
-        props = {p.name: p for p in _read(tuple[Prop, ...], body["props"], "props")}
+        props = {p.name: p for p in read_record(tuple[Prop, ...], body["props"], "props")}
         articulations = {
             a.name: a
-            for a in _read(tuple[Articulation, ...], body["articulations"], "articulations")
+            for a in read_record(tuple[Articulation, ...], body["articulations"], "articulations")
         }
-        objects = {o.name: o for o in _read(tuple[ObjectType, ...], body["objects"], "objects")}
-        homes = _read(tuple[Home, ...], body["homes"], "homes")
-        names = _read(tuple[str, ...], body["meshes"], "meshes")
+        objects = {
+            o.name: o for o in read_record(tuple[ObjectType, ...], body["objects"], "objects")
+        }
+        homes = read_record(tuple[Home, ...], body["homes"], "homes")
+        names = read_record(tuple[str, ...], body["meshes"], "meshes")
         pack = Pack(
-            _read(str, body["name"], "name"),
+            read_record(str, body["name"], "name"),
             props,
             articulations,
             homes,
             objects,
             _read_meshes(folder / _MESHES, names),
-            _read(Roles, body.get("roles", {}), "roles"),
+            read_record(Roles, body.get("roles", {}), "roles"),
         )
     except KeyError as error:
         raise UsageError(f"{path}: field {error} is missing.") from error
@@ -143,71 +142,6 @@ def _check_names(pack: Pack, path: Path) -> None:
             raise UsageError(
                 f"{path}: a geom names the mesh {geom.mesh!r}, which is not in the pack."
             )
-
-
-def _read(kind: Any, value: Any, where: str) -> Any:
-    """Turn JSON into ``kind``: dataclasses, tuples, literals, numbers, strings.
-
-    Raises:
-        ValueError: the value does not fit; the message names the field.
-    """
-    origin = typing.get_origin(kind)
-    args = typing.get_args(kind)
-    if dataclasses.is_dataclass(kind):
-        return _read_record(kind, value, where)
-    if origin is types.UnionType:
-        return None if value is None else _read(args[0], value, where)
-    if origin is tuple:
-        if not isinstance(value, list) or (Ellipsis not in args and len(value) != len(args)):
-            raise ValueError(
-                f"{where}: expected a list of {'any' if Ellipsis in args else len(args)} entries."
-            )
-        kinds = [args[0]] * len(value) if Ellipsis in args else list(args)
-        return tuple(
-            _read(k, v, f"{where}[{i}]") for i, (k, v) in enumerate(zip(kinds, value, strict=True))
-        )
-    if origin is dict:
-        if not isinstance(value, dict):
-            raise ValueError(f"{where}: expected an object.")
-        return {key: _read(args[1], entry, f"{where}[{key!r}]") for key, entry in value.items()}
-    if origin is typing.Literal:
-        if value not in args:
-            raise ValueError(f"{where}: {value!r} is not one of {', '.join(map(str, args))}.")
-        return value
-    if kind is float:
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise ValueError(f"{where}: expected a number, got {value!r}.")
-        number = _float(value)
-        if not math.isfinite(number):
-            raise ValueError(f"{where}: expected a finite number, got {number}.")
-        return number
-    if not isinstance(value, kind) or (kind is int and isinstance(value, bool)):
-        raise ValueError(f"{where}: expected {kind.__name__}, got {value!r}.")
-    return value
-
-
-def _float(value: int | float) -> float:
-    try:
-        return float(value)
-    except OverflowError:  # an integer of hundreds of digits
-        return math.inf
-
-
-def _read_record(kind: Any, value: Any, where: str) -> Any:
-    if not isinstance(value, dict):
-        raise ValueError(f"{where}: expected an object with the fields of {kind.__name__}.")
-    hints = typing.get_type_hints(kind)
-    fields = {f.name: f for f in dataclasses.fields(kind)}
-    unknown = sorted(set(value) - set(fields))
-    if unknown:
-        raise ValueError(f"{where}: unknown field {unknown[0]!r}; fields are {', '.join(fields)}.")
-    read = {}
-    for name, f in fields.items():
-        if name in value:
-            read[name] = _read(hints[name], value[name], f"{where}.{name}")
-        elif f.default is dataclasses.MISSING and f.default_factory is dataclasses.MISSING:
-            raise ValueError(f"{where}: field {name!r} is missing.")
-    return kind(**read)
 
 
 def _open(request: PackRequest) -> Pack:

@@ -57,6 +57,8 @@ class PackRequest:
         return {"place": self.place, **plain}
 
 
+HOME_SUFFIXES = (".json", ".py")
+"""Endings of files that homes are written in (`mjhab.scenes.home_files`)."""
 Assets = str | Mapping[str, Any] | PackRequest
 """How a pack may be asked for: by name or path, by what `PackRequest.as_json` gives, or by the request itself."""
 
@@ -107,6 +109,7 @@ PACK_SOURCES: Registry[PackSource] = Registry(
         "builtin": "mjhab.scenes.builtin.pack:SOURCE",
         "replica_cad": "mjhab.scenes.replica_cad.pack:SOURCE",
         "folder": "mjhab.scenes.pack_folder:SOURCE",
+        "home_file": "mjhab.scenes.home_files:SOURCE",
     },
 )
 

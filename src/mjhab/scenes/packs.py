@@ -11,6 +11,7 @@ from pathlib import Path
 
 from mjhab.core import plugins
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.scenes.objects import with_registered_objects
 from mjhab.scenes.pack_folder import load_pack
 from mjhab.scenes.pack_source import Assets, pack_names, pack_request, source_of
 from mjhab.scenes.spec import Pack
@@ -37,9 +38,9 @@ def open_pack(assets: Assets = "builtin") -> Pack:
     request = pack_request(assets)
     source = source_of(request)
     if source is not None:
-        return source.open(request)
+        return with_registered_objects(source.open(request))
     if Path(request.place).is_dir():
-        return load_pack(Path(request.place))
+        return with_registered_objects(load_pack(Path(request.place)))
     raise _nothing_there(request.place)
 
 

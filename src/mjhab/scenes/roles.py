@@ -27,6 +27,8 @@ KITCHEN_DRAWER_LINK = "kitchen_drawer"
 """The link that `DRAWER` moves with."""
 FRIDGE_DOOR_LINK = "fridge_door"
 """The link that closes `FRIDGE_SHELF`."""
+_MAX_NAMED_HOMES = 5
+"""Homes named in a message."""
 
 
 def roles_of(pack: Pack, home: Home) -> Roles:
@@ -88,17 +90,13 @@ def require_roles(pack: Pack, homes: Iterable[Home], needed: Sequence[str], who:
     if not lacking:
         return
     role, names = next(iter(lacking.items()))
-    shown = ", ".join(repr(name) for name in names[:_MOST_NAMED])
-    more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
+    shown = ", ".join(repr(name) for name in names[:_MAX_NAMED_HOMES])
+    more = f" and {len(names) - _MAX_NAMED_HOMES} more" if len(names) > _MAX_NAMED_HOMES else ""
     known = ", ".join(sorted({*pack.roles.places, *pack.roles.links})) or "none"
     raise UsageError(
         f"{who} needs furniture with the role {role!r}, which these homes of pack {pack.name!r} lack: {shown}{more}. "
         f"Choose other homes, or give a piece the role (roles of the pack: {known})."
     )
-
-
-_MOST_NAMED = 5
-"""Homes named in a message."""
 
 
 def link_with_role(roles: Roles, role: str) -> str:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal
 
 Vec3 = tuple[float, float, float]
@@ -202,6 +203,9 @@ class ObjectType:
     visuals: tuple[Geom, ...]
     scan_yaw: float = 0.0
     """Heading [rad] in this frame of the x axis of the scan; HAB episodes give poses in the axes of the scan."""
+    grasp_shape: Literal["", "mesh"] = ""
+    """How grasps are found: "" by the primitive that the collision geoms are (several of them make a bowl), "mesh"
+    on the surface of the collision geoms, whatever shape they have."""
 
 
 @dataclass(frozen=True)
@@ -217,3 +221,8 @@ class Pack:
     """Name to ``scenes.shapes.meshes.Mesh`` for every mesh the geoms name."""
     roles: Roles = Roles()
     """Which pieces play the roles that tasks ask for, in every home that states none of its own."""
+
+    @cached_property
+    def homes_by_name(self) -> dict[str, Home]:
+        """The homes under their names."""
+        return {home.name: home for home in self.homes}

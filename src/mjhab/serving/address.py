@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from urllib.parse import parse_qsl, urlencode, urlsplit, urlunsplit
 
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.serving.dialects import dialect_named
+from mjhab.serving.dialects.names import dialect_named
 
 SCHEMES = ("ws://", "wss://")
 PROMPTS = ("subtask", "task")

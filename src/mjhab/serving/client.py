@@ -18,7 +18,8 @@ from websockets.sync.client import ClientConnection, connect
 
 from mjhab.core.errors import MjhabError, UsageError
 from mjhab.serving.address import TOKEN_VARIABLE, Address
-from mjhab.serving.dialects import RESET_DONE, Ask, answered_in, dialect_named, greeted_in
+from mjhab.serving.dialects.dialect import RESET_DONE, Ask
+from mjhab.serving.dialects.names import answered_in, dialect_named, greeted_in
 from mjhab.serving.packing import ProtocolError, pack, unpack
 
 MAX_ANSWER_BYTES = 64 << 20

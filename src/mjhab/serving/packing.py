@@ -8,7 +8,7 @@ An array is a map ``{b"__ndarray__": True, b"data": bytes, b"dtype": str, b"shap
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -32,7 +32,7 @@ def pack(value: Any) -> bytes:
     import msgpack
 
     try:
-        return msgpack.packb(value, default=_plain)
+        return cast(bytes, msgpack.packb(value, default=_plain))
     except (TypeError, ValueError, OverflowError) as error:
         raise ProtocolError(f"the message cannot be packed: {error}") from error
 

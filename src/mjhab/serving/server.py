@@ -19,7 +19,7 @@ from websockets.http11 import Request, Response
 from websockets.sync.server import Server, ServerConnection, serve
 
 from mjhab.core.errors import MjhabError, UsageError
-from mjhab.serving.dialects import RESET_DONE, Dialect, Incoming
+from mjhab.serving.dialects.dialect import RESET_DONE, Dialect, Incoming
 from mjhab.serving.packing import ProtocolError, pack, unpack
 
 LOCAL_HOSTS = ("127.0.0.1", "localhost", "::1")

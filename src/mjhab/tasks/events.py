@@ -6,133 +6,25 @@ Names and meaning follow mshab/utils/label_dataset.py; ``contact`` and ``grasped
 from __future__ import annotations
 
 import dataclasses
+from functools import lru_cache
 
 import numpy as np
 
 from mjhab.core.arrays import Array, Table, constant, count, namespace, to_numpy
-from mjhab.tasks.labels import WATCHED, History, Watched, watch
-from mjhab.tasks.plan import SubtaskKind
-
-EVENT_NAMES: tuple[str, ...] = (
-    "contact",
-    "lost_contact",
-    "grasped",
-    "dropped",
-    "at_goal",
-    "released_at_goal",
-    "released_outside_goal",
-    "left_goal",
-    "navigated_close",
-    "lost_navigated_close",
-    "opened",
-    "slightly_opened",
-    "closed",
-    "slightly_closed",
-    "success",
-    "lost_success",
-    "excessive_collisions",
-)
-"""Columns of the event flags."""
-
-LABEL_EVENTS: dict[SubtaskKind, tuple[str, ...]] = {
-    SubtaskKind.PICK: ("contact", "grasped", "dropped", "success", "excessive_collisions"),
-    SubtaskKind.PLACE: (
-        "grasped",
-        "at_goal",
-        "released_at_goal",
-        "released_outside_goal",
-        "left_goal",
-        "success",
-        "excessive_collisions",
-    ),
-    SubtaskKind.NAVIGATE: (
-        "navigated_close",
-        "grasped",
-        "dropped",
-        "success",
-        "excessive_collisions",
-    ),
-    SubtaskKind.OPEN: (
-        "contact",
-        "opened",
-        "success",
-        "excessive_collisions",
-        "slightly_opened",
-        "closed",
-    ),
-    SubtaskKind.CLOSE: (
-        "contact",
-        "closed",
-        "success",
-        "excessive_collisions",
-        "slightly_closed",
-        "opened",
-    ),
-}
-"""Events the published labels count, in the order they are listed within one step."""
-
-_MORE: dict[SubtaskKind, tuple[str, ...]] = {
-    SubtaskKind.PICK: ("lost_contact", "lost_success"),
-    SubtaskKind.PLACE: ("lost_success",),
-    SubtaskKind.NAVIGATE: ("lost_navigated_close", "lost_success"),
-    SubtaskKind.OPEN: ("lost_contact", "lost_success"),
-    SubtaskKind.CLOSE: ("lost_contact", "lost_success"),
-}
-EVENTS: dict[SubtaskKind, tuple[str, ...]] = {
-    kind: LABEL_EVENTS[kind] + _MORE[kind] for kind in SubtaskKind
-}
-"""Every event a kind of subtask can have, in the order they are listed within one step."""
-
-_COLUMNS = {int(k): [(EVENT_NAMES.index(name), name) for name in EVENTS[k]] for k in SubtaskKind}
-
-_EDGES = (
-    *(f"+{name}" for name in WATCHED),
-    *(f"-{name}" for name in WATCHED),
-    "released_at_goal",
-    "released_outside_goal",
-    "none",
-)
-"""Rows of the edges of a step: every watched signal rises (+) and falls (-), then the two kinds of release."""
-_EDGE_OF = {
-    "contact": "+contact",
-    "lost_contact": "-contact",
-    "grasped": "+is_grasped",
-    "dropped": "-is_grasped",
-    "at_goal": "+at_goal",
-    "released_at_goal": "released_at_goal",
-    "released_outside_goal": "released_outside_goal",
-    "left_goal": "-at_goal",
-    "navigated_close": "+near",
-    "lost_navigated_close": "-near",
-    "opened": "+opened",
-    "slightly_opened": "+slightly_opened",
-    "closed": "+closed",
-    "slightly_closed": "+slightly_closed",
-    "success": "+success",
-    "lost_success": "-success",
-    "excessive_collisions": "+excess",
-}
-_BACK = {
-    (SubtaskKind.OPEN, "closed"): "-slightly_opened",
-    (SubtaskKind.CLOSE, "opened"): "-slightly_closed",
-}
-"""In an Open, ``closed`` means that the joint fell back to no more than 10 % of its range; in a Close, ``opened`` means
-that it went back to within 5 % of its range of the start. All other events are edges of the signal named."""
+from mjhab.tasks.label_state import WATCHED, History, Watched, watch
+from mjhab.tasks.subtasks.registry import SUBTASKS, check_kinds, event_columns, spec_of
+from mjhab.tasks.subtasks.spec import EDGES
 
 
-def _edge(kind: SubtaskKind, name: str) -> int:
-    """Row of the edge that is an event of a subtask of ``kind``."""
-    edge = _BACK.get((kind, name), _EDGE_OF[name]) if name in EVENTS[kind] else "none"
-    return _EDGES.index(edge)
+@lru_cache(maxsize=8)
+def _edge_index(version: int) -> Table:
+    """(K + 1, E): row of EDGES that is the event of a column, for every kind; for kind -1 nothing occurs."""
+    columns = event_columns()
+    none = EDGES.index("none")
+    rows = (tuple(EDGES.index(spec.edge(name)) for name in columns) for spec in SUBTASKS.values())
+    return Table((*rows, (none,) * len(columns)))
 
 
-# Kind -1 reads the last row: nothing occurs.
-_EDGE_INDEX = Table(
-    (
-        *(tuple(_edge(kind, name) for name in EVENT_NAMES) for kind in SubtaskKind),
-        (_EDGES.index("none"),) * len(EVENT_NAMES),
-    )
-)
 _GRASPED = WATCHED.index("is_grasped")
 _AT_GOAL = WATCHED.index("at_goal")
 
@@ -153,13 +45,14 @@ def step_events(kind: Array, previous: Watched, current: Watched) -> Array:
         previous, current: signals of two consecutive steps of the same subtask.
 
     Returns:
-        (W, E) bool with the columns ``EVENT_NAMES``.
+        (W, E) bool with the columns `event_columns`.
     """
     return edge_events(kind, watch(previous), watch(current))
 
 
 def edge_events(kind: Array, before: Array, now: Array) -> Array:
     """``step_events`` of two consecutive watched steps, (K, W) bool each with the rows ``WATCHED``."""
+    check_kinds(kind)
     changed = before ^ now
     rise = changed & now
     fall = changed & before
@@ -169,14 +62,18 @@ def edge_events(kind: Array, before: Array, now: Array) -> Array:
         (rise, fall, release & at_goal, release & ~at_goal, rise[:1] & fall[:1])
     )
     # (W, E): for every world the edges that are events of its kind.
-    return edges[constant(_EDGE_INDEX, kind)[kind], count(kind.shape[0], kind)[:, None]]
+    return edges[
+        constant(_edge_index(SUBTASKS.version), kind)[kind], count(kind.shape[0], kind)[:, None]
+    ]
 
 
 def event_names(kind: Array, flags: Array) -> list[list[str]]:
-    """Return the names of the flagged events (W, E) of every world, in the order of ``EVENTS`` of its kind."""
+    """Names of the flagged events (W, E) of every world, in the order of ``events`` of its kind's `SubtaskSpec`."""
     table = to_numpy(flags)
     names: list[list[str]] = [[] for _ in range(table.shape[0])]
     kinds = to_numpy(kind)
+    columns = {name: column for column, name in enumerate(event_columns())}
     for w in np.flatnonzero(table.any(axis=1)).tolist():
-        names[w] = [name for column, name in _COLUMNS[int(kinds[w])] if table[w, column]]
+        events = spec_of(int(kinds[w])).events
+        names[w] = [name for name in events if table[w, columns[name]]]
     return names

@@ -1,8 +1,9 @@
 """Instructions: what a subtask or a whole task asks for, as a sentence such as "put the soup can on the coffee table".
 
-THE place of the words. Every sentence has several wordings; which one an episode gets is drawn from its stream of
-random numbers, so that it is a function of the episode's name. Sentences are in lower case and without a full stop,
-like the prompts that vision-language-action models are trained with.
+The words of subtasks and tasks are in their specs; here are those of things. Every sentence has several wordings; which
+one an episode gets is drawn from its stream of random numbers, so that it is a function of the episode's name.
+Sentences are in lower case and without a full stop, like the prompts that vision-language-action models are trained
+with.
 """
 
 from __future__ import annotations
@@ -13,8 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mjhab.core.errors import unknown_name
+from mjhab.core.names import kind_of
+from mjhab.tasks.household.registry import TASKS
 from mjhab.tasks.plan import GOAL_OF
+from mjhab.tasks.subtasks.registry import SUBTASKS
 
 MAX_INSTRUCTION_CHARACTERS = 1000
 """Longest instruction that is read from a file."""
@@ -43,26 +46,11 @@ LINK_WORDS: dict[str, str] = {
 }
 """Names of links that open; another one is called like "drawer 3 of the kitchen counter"."""
 
-SUBTASK_WORDINGS: dict[str, tuple[str, ...]] = {
-    "pick": ("pick up {object} {source}", "take {object} {source}", "grab {object} {source}"),
-    "place": ("put {object} {goal}", "place {object} {goal}", "set {object} down {goal}"),
-    "navigate": ("go to {destination}", "drive to {destination}", "move to {destination}"),
-    "open": ("open {link}", "pull {link} open"),
-    "close": ("close {link}", "push {link} shut"),
-}
-"""Kind of subtask to its wordings."""
 CARRY_WORDINGS: tuple[str, ...] = (
     "carry {object} to {destination}",
     "bring {object} to {destination}",
 )
 """Wordings of a navigation with an object in the hand."""
-TASK_WORDINGS: dict[str, tuple[str, ...]] = {
-    "tidy_house": ("tidy up the house", "tidy the house", "clean up the home"),
-    "prepare_groceries": ("prepare the groceries", "sort the groceries", "put the groceries away"),
-    "set_table": ("set the table", "lay the table"),
-}
-"""Household task to the wordings of its name; what goes where follows after a colon."""
-
 Draw = Callable[[int], int]
 """Chooses one of n wordings by its number, 0 to n - 1."""
 
@@ -136,10 +124,8 @@ def subtask_instruction(request: Request, draw: Draw = first_wording) -> str:
     Raises:
         UsageError: an unknown kind.
     """
-    if request.kind not in SUBTASK_WORDINGS:
-        raise unknown_name("subtask", request.kind, SUBTASK_WORDINGS)
     carries = request.target.startswith(GOAL_OF)
-    wordings = CARRY_WORDINGS if carries else SUBTASK_WORDINGS[request.kind]
+    wordings = CARRY_WORDINGS if carries else SUBTASKS[request.kind].words
     target = request.target.removeprefix(GOAL_OF)
     thing = target_words(target, draw)
     destination = f"{thing} {request.source.phrase()}"
@@ -162,21 +148,19 @@ def task_instruction(task: str, requests: Sequence[Request], draw: Draw = first_
     Raises:
         UsageError: an unknown task.
     """
-    if task not in TASK_WORDINGS:
-        raise unknown_name("task", task, TASK_WORDINGS)
-    wordings = TASK_WORDINGS[task]
+    wordings = TASKS[task].words
     name = wordings[draw(len(wordings))]
     moves = [
         f"put {target_words(request.target, draw)} {request.goal.phrase('at its goal')}"
         for request in requests
-        if request.kind == "place"
+        if SUBTASKS[request.kind].brings_to_goal
     ]
     return f"{name}: {', then '.join(moves)}" if moves else name
 
 
 def target_words(target: str, draw: Draw = first_wording) -> str:
     """A target in words: "the bowl" for "024_bowl_:0003", "drawer 3 of the kitchen counter" for a link."""
-    kind = target.partition("_:")[0]
+    kind = kind_of(target)
     if "/" in kind:
         return _link_words(kind)
     names = OBJECT_WORDS.get(kind) or (_plain_words(kind),)

@@ -15,30 +15,24 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from mjhab.core.arrays import map_record, to_numpy
-from mjhab.tasks.events import LABEL_EVENTS, blank, event_names, step_events
-from mjhab.tasks.labels import History
-from mjhab.tasks.plan import SubtaskKind
-
-EXCESS = "excessive_collisions"
+from mjhab.tasks.events import blank, event_names, step_events
+from mjhab.tasks.label_state import History
+from mjhab.tasks.subtasks.registry import spec_of
 
 
 def extend(events: list[str], kind: int, names: Iterable[str]) -> None:
     """Append the names a kind counts to its event list, dropping immediate repeats. Changes ``events``."""
-    counted = LABEL_EVENTS[SubtaskKind(kind)]
+    published = spec_of(kind).published
+    counted = () if published is None else published.events
     for name in names:
         if name in counted and (not events or events[-1] != name):
             events.append(name)
 
 
-def _last(events: Sequence[str], name: str) -> int:
-    """Index of the last occurrence, -1 if there is none."""
-    return max((i for i, event in enumerate(events) if event == name), default=-1)
-
-
 def legacy_label(
     kind: int, events: Sequence[str], success: bool, at_goal_first: bool = False
-) -> str:
-    """Label a subtask from its event list.
+) -> str | None:
+    """Label a subtask from its event list; None if the published code has no such subtask.
 
     Args:
         kind: the kind of subtask.
@@ -46,103 +40,11 @@ def legacy_label(
         success: the subtask was achieved in some step.
         at_goal_first: Place: the object was at its goal after the first action.
     """
-    events = list(events)
-    if kind == SubtaskKind.PICK:
-        return _pick(events, success)
-    if kind == SubtaskKind.PLACE:
-        return (
-            _place_success(events, at_goal_first)
-            if success
-            else _place_failure(events, at_goal_first)
-        )
-    if kind == SubtaskKind.NAVIGATE:
-        return _navigate(events, success)
-    return _joint(SubtaskKind(kind), events, success)
+    published = spec_of(kind).published
+    return None if published is None else published.label(events, success, at_goal_first)
 
 
-def _pick(events: list[str], success: bool) -> str:
-    if success:
-        if len(events) == 3:
-            return "straightforward_success"
-        if len(events) > 3 and events[-1] == "success":
-            return "winding_success"
-        if len(events) > 3 and EXCESS not in events:
-            return "success_then_drop"
-        return "success_then_excessive_collisions"
-    if EXCESS in events:
-        return "excessive_collision_failure"
-    if not events:
-        return "mobility_failure"
-    if len(events) == 1:
-        return "cant_grasp_failure"
-    return "drop_failure" if "dropped" in events and events[-1] != "grasped" else "too_slow_failure"
-
-
-def _place_success(events: list[str], at_goal_first: bool) -> str:
-    if EXCESS in events:
-        return "success_then_excessive_collisions"
-    if _last(events, "at_goal") < _last(events, "left_goal"):
-        return "dubious_success"
-    if len(events) <= 4 and ("released_at_goal" in events or at_goal_first):
-        return "placed_in_goal_success"
-    if len(events) <= 4 and ("released_outside_goal" in events or not at_goal_first):
-        return "dropped_to_goal_success"
-    return "winding_success"
-
-
-def _place_failure(events: list[str], at_goal_first: bool) -> str:
-    if EXCESS in events:
-        return "excessive_collision_failure"
-    if not events:
-        return "didnt_grasp_failure"
-    if "at_goal" not in events:
-        return "didnt_reach_goal_failure"
-    grasp = _last(events, "grasped")
-    inside = _last(events, "released_at_goal")
-    outside = _last(events, "released_outside_goal")
-    placed = (len(events) <= 2 and at_goal_first) or (inside > outside and inside > grasp)
-    dropped = (len(events) <= 2 and not at_goal_first) or (outside > inside and outside > grasp)
-    left = _last(events, "left_goal") > _last(events, "at_goal")
-    if placed and left:
-        return "place_in_goal_failure"
-    if dropped and left:
-        return "drop_to_goal_failure"
-    return "wont_let_go_failure" if grasp > max(inside, outside) else "too_slow_failure"
-
-
-def _navigate(events: list[str], success: bool) -> str:
-    if EXCESS in events:
-        return "success_then_excessive_collisions" if success else "excessive_collision_failure"
-    if "dropped" in events:
-        return "success_then_dropped" if success else "dropped_failure"
-    return "navigation_success" if success else "navigation_failure"
-
-
-def _joint(kind: SubtaskKind, events: list[str], success: bool) -> str:
-    opening = kind == SubtaskKind.OPEN
-    there = _last(events, "opened" if opening else "closed")
-    back = _last(events, "closed" if opening else "opened")
-    slightly = _last(events, "slightly_opened" if opening else "slightly_closed")
-    if success:
-        if EXCESS in events:
-            return "success_then_excessive_collisions"
-        if back > there:
-            return "dubious_success"
-        return "open_success" if opening else "closed_success"
-    if EXCESS in events:
-        return "excessive_collision_failure"
-    if "contact" not in events:
-        return "cant_reach_articulation_failure"
-    if back > there and back > slightly:
-        return "closed_after_open_failure" if opening else "open_after_closing_failure"
-    if slightly > there:
-        return "slightly_open_failure" if opening else "slightly_closed_failure"
-    if there >= 0:
-        return "too_slow_failure"
-    return "cant_open_failure" if opening else "cant_close_failure"
-
-
-def legacy_history(kind: int, history: History) -> list[str]:
+def legacy_history(kind: int, history: History) -> list[str | None]:
     """Label recorded subtasks of one kind.
 
     Args:

@@ -8,142 +8,28 @@ Nothing is mutated; the same lines run on numpy and torch, and keep the dtype of
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Protocol
+from collections.abc import Sequence
+from functools import lru_cache
 
-from mjhab.core.arrays import Array, constant, count, dot3, namespace, norm3, pick_column, pile
+from mjhab.core.arrays import (
+    Array,
+    constant,
+    count,
+    dot3,
+    may_hold,
+    namespace,
+    norm3,
+    pick_column,
+    pile,
+)
 from mjhab.core.errors import UsageError
 from mjhab.core.joints import BASE, BASE_XY, BASE_YAW
-from mjhab.tasks.plan import PADDING, PlanArrays, SubtaskKind, TaskConfig
-from mjhab.tasks.success import CHECKS, masks
-
-__all__ = ["Active", "PlanArrays", "Signals", "WorldState", "active_entries", "measure"]
-
-
-class Standing(Protocol):
-    """What measuring reads of a world's progress: see `progress.Progress`."""
-
-    @property
-    def pointer(self) -> Array:
-        """(W,) int64 position of the active subtask."""
-        ...
-
-    @property
-    def cumulative_force(self) -> Array:
-        """(W,) [N x control steps] over the active subtask."""
-        ...
-
-
-@dataclass(frozen=True)
-class WorldState:
-    """What the simulator knows about W worlds after a control step. Floats unless said; world frame, SI units."""
-
-    base_pose: Array
-    """(W, 3) x, y [m] and yaw [rad] of the base."""
-    robot_q: Array
-    """(W, J) joint positions: base, posture, fingers."""
-    robot_qd: Array
-    """(W, J) joint velocities."""
-    tcp_pos: Array
-    """(W, 3) tool centre between the fingers."""
-    finger_force: Array
-    """(W, 2, 3) force [N] by the active target (object or handle link) on the [l, r] finger."""
-    finger_dir: Array
-    """(W, 2, 3) unit directions in which the [l, r] finger opens."""
-    robot_force: Array
-    """(W,) contact force [N] summed over robot links without the fingers."""
-    target_contact: Array
-    """(W,) bool: any robot link touches the active target."""
-    ee_contact: Array
-    """(W,) bool: the end effector (fingers or hand) touches the active target."""
-    plan_obj_pos: Array
-    """(W, S, 3) position of the object of every subtask of the plan, zeros if it has none."""
-    joint_q: Array
-    """(W,) joint of the active subtask's link, zero if it has none; likewise the next three."""
-    joint_min: Array
-    joint_max: Array
-    joint_start: Array
-    """(W,) the joint at the start of the subtask."""
-    held_force: Array
-    """(W, 2, 3) like ``finger_force``, by the object that Navigate must carry; zeros if none."""
-
-
-@dataclass(frozen=True)
-class Signals:
-    """What holds for the active subtask of every world. (W,) bool unless said; False where it does not apply."""
-
-    is_grasped: Array
-    """Both fingers press the target (Navigate: the carried object) with >= 0.5 N within 30 degrees."""
-    at_goal: Array
-    """Place: the object is at its goal."""
-    ee_rest: Array
-    robot_rest: Array
-    is_static: Array
-    force_ok: Array
-    opened: Array
-    closed: Array
-    slightly_opened: Array
-    """Open, Close: the joint is at least 10 % of its range open."""
-    slightly_closed: Array
-    """Open, Close: the joint has moved at least 5 % of its range from its start towards closed."""
-    near: Array
-    """Navigate: within the distance, and inside the area in front of the furniture where the plan has one."""
-    oriented: Array
-    """Navigate: the goal is within 0.5 rad of the heading."""
-    contact: Array
-    """A finger presses the target."""
-    touch: Array
-    """Any robot link touches the target."""
-    ee_contact: Array
-    """The end effector (fingers or hand) touches the target: ``F_ee,a`` of MS-HAB paper App. A.6."""
-    robot_force: Array
-    """(W,) [N]."""
-    target_force: Array
-    """(W,) [N], sum of the lengths of the two finger forces."""
-    cumulative_force: Array
-    """(W,) [N x control steps] over the active subtask."""
-    success: Array
-    """The active subtask is achieved now."""
-    placed_ok: Array
-    """Every object of an already finished Place is still at its goal."""
-    kind: Array
-    """(W,) int64 kind of the active subtask, -1 once the plan is finished."""
-    must_hold: Array
-    """Navigate: an object is carried."""
-
-
-_SIGNAL_ROWS = CHECKS[: CHECKS.index("let_go")]
-"""Checks that are signals; the others only serve success."""
-
-
-@dataclass(frozen=True)
-class Active:
-    """What the plan says about the active subtask of every world; the last one's where the plan is finished.
-
-    It depends on the plan and the pointer alone: whoever steps worlds keeps it until a pointer moves.
-    """
-
-    index: Array
-    """(W,) int64 position in the plan."""
-    kind: Array
-    """(W,) int64, -1 once the plan is finished."""
-    goal_pos: Array
-    """(W, 3), like the next two as in ``PlanArrays``."""
-    open_frac: Array
-    box: Array
-    navigate: Array
-    """(W,) bool."""
-    must_hold: Array
-    """(W,) bool: a Navigate that carries an object."""
-    rest_tol: Array
-    """(W, P) how far torso, head and arm may be from rest: with an object in the hand they may give way."""
-    force_limit: Array
-    """(W,) [N x control steps], infinite once the plan is finished."""
-    unfinished: Array
-    """(W, S) bool: anything but a Place that has been completed."""
-    applies: Array
-    """(K, W) bool, see ``success.masks``."""
-    optional: Array
+from mjhab.tasks.plan import PlanArrays
+from mjhab.tasks.signals import CHECKS, SIGNAL_CHECKS, Active, Signals, Standing, WorldState
+from mjhab.tasks.subtasks.registry import PADDING, SUBTASKS, force_limits, properties
+from mjhab.tasks.subtasks.spec import Measure
+from mjhab.tasks.success import masks
+from mjhab.tasks.thresholds import TaskConfig
 
 
 def active_entries(plan: PlanArrays, pointer: Array, config: TaskConfig) -> Active:
@@ -151,14 +37,14 @@ def active_entries(plan: PlanArrays, pointer: Array, config: TaskConfig) -> Acti
     xp = namespace(pointer)
     index = xp.minimum(pointer, plan.length - 1)
     kind = xp.where(pointer < plan.length, pick_column(plan.kind, index), PADDING)
-    navigate = kind == int(SubtaskKind.NAVIGATE)
+    navigate, rests_holding = properties(kind, "navigates", "rests_holding")
     must_hold = pick_column(plan.must_hold, index) & navigate
     goal_pos = pick_column(plan.goal_pos, index)
-    loose = (kind == int(SubtaskKind.PICK)) | must_hold
+    loose = rests_holding | must_hold
     tight = constant(config.rest_tolerances, goal_pos)
     order = count(plan.kind.shape[1], pointer)
     # A finished plan has kind -1, which reads the last entry: no limit.
-    limits = constant((*config.force_limits, math.inf), goal_pos)
+    limits = constant(force_limits(config), goal_pos)
     applies, optional = masks(kind, config.ignore_arm)
     return Active(
         index=index,
@@ -170,7 +56,7 @@ def active_entries(plan: PlanArrays, pointer: Array, config: TaskConfig) -> Acti
         must_hold=must_hold,
         rest_tol=xp.where(loose[:, None], config.arm_tol_grasped, tight),
         force_limit=limits[kind],
-        unfinished=(plan.kind != int(SubtaskKind.PLACE)) | (order >= pointer[:, None]),
+        unfinished=~properties(plan.kind, "keeps_goal")[0] | (order >= pointer[:, None]),
         applies=applies,
         optional=optional,
     )
@@ -334,9 +220,9 @@ def measure(
         ~is_grasped,
         is_grasped | ~active.must_hold,
     )
-    checks = pile(rows) & active.applies
+    checks = pile(_own_measures(rows, state, active, config)) & active.applies
     return Signals(
-        **dict(zip(_SIGNAL_ROWS, checks, strict=False)),
+        **dict(zip(SIGNAL_CHECKS, checks, strict=False)),
         robot_force=state.robot_force,
         target_force=target_force,
         cumulative_force=cumulative,
@@ -345,3 +231,26 @@ def measure(
         kind=active.kind,
         must_hold=active.must_hold,
     )
+
+
+@lru_cache(maxsize=8)
+def _measures(version: int) -> tuple[tuple[int, int, Measure], ...]:
+    """(kind, row of CHECKS, function) of kinds that measure a check in a way of their own."""
+    return tuple(
+        (number, CHECKS.index(name), function)
+        for number, spec in enumerate(SUBTASKS.values())
+        for name, function in spec.measures.items()
+    )
+
+
+def _own_measures(
+    rows: Sequence[Array], state: WorldState, active: Active, config: TaskConfig
+) -> list[Array]:
+    """The checks in the order of CHECKS, with those that the kinds at hand measure in a way of their own."""
+    out = list(rows)
+    for number, row, function in _measures(SUBTASKS.version):
+        mine = active.kind == number
+        if may_hold(mine):
+            own = function(state, active, config)
+            out[row] = namespace(own).where(mine, own, out[row])
+    return out

@@ -9,8 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from mjhab.core.arrays import Array, constant, namespace, pick_column, where_rows, zeros
-from mjhab.tasks.measure import Signals
-from mjhab.tasks.plan import PlanArrays, TaskConfig
+from mjhab.tasks.plan import PlanArrays
+from mjhab.tasks.signals import Signals
+from mjhab.tasks.subtasks.registry import horizons
+from mjhab.tasks.thresholds import TaskConfig
 
 
 @dataclass(frozen=True)
@@ -62,8 +64,7 @@ class Outcome:
 def _horizon(plan: PlanArrays, pointer: Array, config: TaskConfig) -> Array:
     """(W,) horizon of the subtask at ``pointer``; past the end, that of the last subtask."""
     kind = pick_column(plan.kind, namespace(pointer).minimum(pointer, plan.length - 1))
-    limits = (config.pick, config.place, config.navigate, config.open, config.close)
-    return constant(tuple(limit.horizon for limit in limits), pointer)[kind]
+    return constant(horizons(config), pointer)[kind]
 
 
 def start(plan: PlanArrays, config: TaskConfig, like: Array | None = None) -> Progress:

@@ -1,4 +1,4 @@
-"""What a dense reward is made of: the table of a kind's terms, what they read, and the raw measures they share.
+"""What a dense reward is made of: a table of terms, what they read, and the raw measures they share.
 
 A term is ``scale`` times a raw value between 0 and 1, given while its condition ``when`` holds. Terms, scales and
 shapes are those of mshab/envs/{pick,place,open,close,navigate}.py, with Euclidean distances and absolute speeds.
@@ -14,13 +14,19 @@ from dataclasses import dataclass
 from mjhab.core.arrays import Array, constant, namespace, pile
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.joints import BASE_X, BASE_YAW
-from mjhab.tasks.measure import Signals, WorldState
-from mjhab.tasks.plan import SubtaskKind, TaskConfig
+from mjhab.tasks.signals import Signals, WorldState
+from mjhab.tasks.thresholds import TaskConfig
 
 ALWAYS = "always"
 """The condition of terms that are given in every step."""
 FREE_FORCE = 0.2
 """Scaled contact force up to which the force term costs nothing."""
+IDEAL_SPEED = {"hinge": 2.0, "slide": 1.0}
+"""A door should turn no faster [rad/s] and a drawer slide no faster [m/s] than this, by type of joint."""
+CLOSED_NEAR_M = 0.3
+"""A link counts as closed by the hand when its handle is this close to it."""
+READABLE = ("object_vel", "joint", "nav_distance")
+"""What a table may ask for by ``RewardTable.reads``: it costs time and is zero in a view for tables that do not."""
 
 
 @dataclass(frozen=True)
@@ -32,15 +38,15 @@ class RewardView:
     tcp_vel: Array
     """(W, 3) velocity of the tool centre [m/s]."""
     object_pos: Array
-    """(W, 3) position of the object; only Pick and Place read it."""
+    """(W, 3) position of the subtask's object."""
     object_vel: Array
-    """(W, 6) linear [m/s] and angular [rad/s] velocity of the object; only Place reads it."""
+    """(W, 6) linear [m/s] and angular [rad/s] velocity of the object; of tables that read "object_vel"."""
     goal_pos: Array
-    """(W, 3) Place: goal of the object; Navigate: point to go to."""
+    """(W, 3) goal of the object, or point to go to."""
     torso_up: Array
     """(W,) height of the torso as a share of its travel."""
     handle_distance: Array
-    """(W,) from the tool centre to the handle [m]; only Open and Close read it, and the next three."""
+    """(W,) from the tool centre to the handle [m]; of tables that read "joint", like the next two and closed_near."""
     joint_qd: Array
     """(W,) velocity of the link's joint [m/s or rad/s]."""
     joint_ideal: Array
@@ -48,9 +54,9 @@ class RewardView:
     open_frac: Array
     """(W,) part of its range at which the link counts as open."""
     nav_distance: Array
-    """(W,) way to the navigation goal [m], along the floor; only Navigate reads it."""
+    """(W,) way to the navigation goal [m], along the floor; of tables that read "nav_distance"."""
     closed_near: Array
-    """(W,) bool: the link has been closed with the hand at it; only Close reads it."""
+    """(W,) bool: the link has been closed with the hand at it, see `closed_near`."""
 
 
 @dataclass(frozen=True)
@@ -72,17 +78,27 @@ raw value is worth 1 while its condition holds."""
 
 @dataclass(frozen=True)
 class RewardTable:
-    """The dense reward of one kind of subtask."""
+    """The dense reward of one kind of subtask.
 
-    kind: SubtaskKind
+    Raises:
+        UsageError: it asks for something that views do not have.
+    """
+
     terms: tuple[Term, ...]
     cases: tuple[tuple[str, ...], ...]
     """Conditions that can hold together, besides ALWAYS: each a stage of the subtask at its best."""
-    published: float
-    """The normaliser of the original."""
     raw: RawFunction
+    published: float | None = None
+    """The normaliser of the original, None if it has no such subtask."""
+    reads: tuple[str, ...] = ()
+    """What it reads of a view beyond what is always there, of READABLE."""
     raw_published: RawFunction | None = None
     """The original's own conditions and raw values, None where they do not differ."""
+
+    def __post_init__(self) -> None:
+        for name in self.reads:
+            if name not in READABLE:
+                raise unknown_name("reading of a reward table", name, READABLE)
 
     @property
     def attainable(self) -> float:
@@ -98,13 +114,16 @@ class RewardTable:
             return self
         return dataclasses.replace(self, raw=self.raw_published)
 
-    def scaled(self, scales: Mapping[str, float]) -> RewardTable:
+    def scaled(self, kind: str, scales: Mapping[str, float]) -> RewardTable:
         """The table with other scales for some terms.
+
+        Args:
+            kind: name of the subtask, for messages.
+            scales: new scale by name of the term.
 
         Raises:
             UsageError: no such term, or a scale that is not a finite number.
         """
-        kind = self.kind.name.lower()
         for name, scale in scales.items():
             if name not in {t.name for t in self.terms}:
                 raise unknown_name(f"reward term of {kind}", name, [t.name for t in self.terms])
@@ -130,9 +149,17 @@ def near(sharpness: Mapping[str, float], distances: Mapping[str, Array]) -> dict
 
     Args:
         sharpness: by name; a dict that stays as it is, the array made of it is kept.
-        distances: (W,) each, of the same names in the same order. All in one call, because calls are the cost.
+        distances: (W,) each, of the same names. All in one call, because calls are the cost.
+
+    Raises:
+        UsageError: the names differ.
     """
-    rows = pile(list(distances.values()))
+    if sharpness.keys() != distances.keys():
+        strange = ", ".join(sorted(sharpness.keys() ^ distances.keys()))
+        raise UsageError(
+            f"sharpness and distances must have the same names; only one has {strange}"
+        )
+    rows = pile([distances[name] for name in sharpness])
     column = constant(tuple(sharpness.values()), rows)[:, None]
     return dict(zip(sharpness, 1 - namespace(rows).tanh(column * rows), strict=True))
 
@@ -204,3 +231,14 @@ def share_left(gap: Array, whole: Array, *, bounded: bool = True) -> Array:
     xp = namespace(gap)
     left = above_zero(gap) / xp.where(whole > 0, whole, 1.0)
     return xp.where(left < 1, left, 1.0) if bounded else left
+
+
+def closed_near(before: Array, closed: Array, distance: Array) -> Array:
+    """Whether the link is closed and the hand has been at the handle since it was: (W,) bool.
+
+    Args:
+        before: (W,) bool, the value one control step earlier; False at the start of a subtask.
+        closed: (W,) bool, the link is closed now; a link that opens again loses the credit.
+        distance: (W,) from the hand to the handle [m].
+    """
+    return closed & (before | (distance <= CLOSED_NEAR_M))

@@ -1,9 +1,9 @@
 """Dense rewards of every kind of subtask: tables of named raw terms times scales, scored over worlds of mixed kinds.
 
-The tables are in ``reward_object`` (Pick, Place), ``reward_joint`` (Open, Close) and ``reward_navigate``. A dense
-reward is normalised by the largest sum its terms can reach, which follows from the table (``RewardTable.attainable``):
-29 for Pick and 36 for Close, whose published normalisers are 28 and 37 (kept as ``RewardTable.published``), and
-44, 27 and 28 for Place, Open and Navigate, as published. `RewardOptions` chooses between them.
+The tables are those of the subtasks (`SubtaskSpec.reward`). A dense reward is normalised by the largest sum its terms
+can reach, which follows from the table (``RewardTable.attainable``): 29 for Pick and 36 for Close, whose published
+normalisers are 28 and 37 (kept as ``RewardTable.published``), and 44, 27 and 28 for Place, Open and Navigate, as
+published. `RewardOptions` chooses between them.
 """
 
 from __future__ import annotations
@@ -15,42 +15,23 @@ import numpy as np
 
 from mjhab.core.arrays import Array, Table, constant, indices, namespace, pile, zeros
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.tasks.plan import KIND_NAMES, PADDING, SubtaskKind, TaskConfig
-from mjhab.tasks.reward_joint import CLOSE, IDEAL_SPEED, OPEN, closed_near
-from mjhab.tasks.reward_navigate import NAVIGATE
-from mjhab.tasks.reward_object import PICK, PLACE
-from mjhab.tasks.reward_table import ALWAYS, RewardTable, RewardView, Term
-
-__all__ = [
-    "IDEAL_SPEED",
-    "REWARD_FORMULAS",
-    "REWARD_NORMALISERS",
-    "REWARD_TABLES",
-    "DenseReward",
-    "RewardOptions",
-    "RewardTable",
-    "RewardView",
-    "Scored",
-    "Term",
-    "closed_near",
-    "kinds_at_hand",
-    "reward_table",
-]
-
-REWARD_TABLES: dict[SubtaskKind, RewardTable] = {
-    t.kind: t for t in (PICK, PLACE, NAVIGATE, OPEN, CLOSE)
-}
+from mjhab.tasks.reward_table import ALWAYS, RewardTable, RewardView
+from mjhab.tasks.subtasks.registry import PADDING, SUBTASKS, name_of, number_of
+from mjhab.tasks.thresholds import TaskConfig
 
 
 def reward_table(kind: str) -> RewardTable:
     """The reward table of a kind such as ``"pick"``.
 
     Raises:
-        UsageError: no such kind.
+        UsageError: no such kind, or it has no dense reward.
     """
-    if kind not in KIND_NAMES:
-        raise unknown_name("subtask", kind, KIND_NAMES)
-    return REWARD_TABLES[SubtaskKind(KIND_NAMES.index(kind))]
+    table = SUBTASKS[kind].reward
+    if table is None:
+        raise UsageError(
+            f"subtask {kind!r} has no dense reward; take reward_mode 'sparse', or give its SubtaskSpec a reward."
+        )
+    return table
 
 
 REWARD_FORMULAS: tuple[str, ...] = ("bounded", "published")
@@ -101,25 +82,30 @@ class DenseReward:
     Args:
         config: the thresholds.
         options: scales, formula and normaliser.
-        kinds: the kinds of subtasks there are; terms of others are left out of ``names``.
+        kinds: names of the kinds of subtasks there are, all that have a dense reward if not given; terms of others are
+            left out of ``names``.
 
     Raises:
-        UsageError: no such kind or term, or a scale that is not a finite number.
+        UsageError: no such kind or term, a kind without a dense reward, or a scale that is not a finite number.
     """
 
     def __init__(
         self,
         config: TaskConfig,
         options: RewardOptions | None = None,
-        kinds: Sequence[SubtaskKind] = tuple(SubtaskKind),
+        kinds: Sequence[str] | None = None,
     ) -> None:
         self.config = config
         options = options or RewardOptions()
-        every = {kind: table.in_formula(options.formula) for kind, table in REWARD_TABLES.items()}
+        rewarded = [name for name in SUBTASKS if SUBTASKS[name].reward is not None]
+        tables = {
+            name: reward_table(name).in_formula(options.formula)
+            for name in dict.fromkeys((*rewarded, *(kinds or ())))
+        }
         for name, changes in options.scales.items():
-            kind = reward_table(name).kind
-            every[kind] = every[kind].scaled(changes)
-        self.tables: dict[int, RewardTable] = {int(kind): every[kind] for kind in kinds}
+            tables[name] = reward_table(name).in_formula(options.formula).scaled(name, changes)
+        wanted = rewarded if kinds is None else kinds
+        self.tables: dict[int, RewardTable] = {number_of(name): tables[name] for name in wanted}
         self.names: tuple[str, ...] = tuple(
             dict.fromkeys(t.name for tb in self.tables.values() for t in tb.terms)
         )
@@ -130,9 +116,9 @@ class DenseReward:
             k: Table(tuple(self.names.index(t.name) for t in tb.terms))
             for k, tb in self.tables.items()
         }
-        published = options.normaliser == "published"
         divisors = [
-            every[kind].published if published else every[kind].attainable for kind in SubtaskKind
+            _normaliser(tables[name], options.normaliser) if name in tables else 0.0
+            for name in SUBTASKS
         ]
         # A table whose scales are all zero or negative has nothing to be measured against. Kind -1 reads the end.
         self._normaliser = Table((*(divisor or 1.0 for divisor in divisors), 1.0))
@@ -177,6 +163,13 @@ class DenseReward:
         return values * scales[:, None], xp.vecdot(by_world, scales)
 
 
+def _normaliser(table: RewardTable, which: str) -> float:
+    """What the sum of a table is divided by; where the original has none, what is attainable."""
+    if which == "published" and table.published is not None:
+        return table.published
+    return table.attainable
+
+
 def kinds_at_hand(kind: Array, known: Collection[int]) -> set[int]:
     """Those of the ``known`` kinds that need work: of numpy the ones among ``kind`` (W,), else all of them.
 
@@ -187,6 +180,6 @@ def kinds_at_hand(kind: Array, known: Collection[int]) -> set[int]:
         return set(known)
     present = set(kind.tolist()) - {PADDING}
     if not present <= set(known):
-        strange = ", ".join(KIND_NAMES[k] for k in sorted(present - set(known)))
+        strange = ", ".join(name_of(k) for k in sorted(present - set(known)))
         raise UsageError(f"these rewards are not for {strange}")
     return present

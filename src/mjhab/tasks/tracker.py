@@ -12,9 +12,10 @@ import numpy as np
 
 from mjhab.core.arrays import Array, namespace, to_numpy
 from mjhab.tasks import events as ev
-from mjhab.tasks import labels as lb
+from mjhab.tasks import label_state as lb
+from mjhab.tasks.labels import label, label_names
 from mjhab.tasks.legacy import extend, legacy_label
-from mjhab.tasks.plan import PADDING
+from mjhab.tasks.subtasks.registry import PADDING
 
 _SUCCESS = lb.WATCHED.index("success")
 _AT_GOAL = lb.WATCHED.index("at_goal")
@@ -115,10 +116,10 @@ class SubtaskTracker:
 
     def labels(self, kind: Array) -> list[str]:
         """Return the label every world's subtask would have if it ended now."""
-        return lb.label_names(kind, lb.label(self._labels, kind))
+        return label_names(kind, label(self._labels, kind))
 
-    def legacy_label(self, w: int, kind: int) -> str:
-        """Return the published label of world ``w``'s subtask if it ended now."""
+    def legacy_label(self, w: int, kind: int) -> str | None:
+        """The published label of world ``w``'s subtask if it ended now; None if it has none."""
         note = self._notes[w]
         return legacy_label(kind, note.legacy, bool(self._success[w]), bool(self._at_goal_first[w]))
 

@@ -14,8 +14,7 @@ import pytest
 from mjhab.data.export.maniskill import export_maniskill
 from mjhab.data.store.images import ImageFormat
 from mjhab.data.store.reading import Episode, episodes
-from mjhab.tasks.events import LABEL_EVENTS
-from mjhab.tasks.plan import SubtaskKind
+from mjhab.tasks.subtasks.pick import PICK
 from tests.data.fake_world import SIZE, FakeEnv
 from tests.data.make import record
 
@@ -81,7 +80,7 @@ def check(group: Any, episode: Episode, number: int, info: dict[str, Any]) -> No
     assert info["success_once"] == record_.success_once
     assert info["legacy_label"] == record_.subtasks[-1].legacy_label
     theirs = {"excessive_collisions": "exceeded_cumulative_force_limit"}
-    counted = [theirs.get(e, e) for _, e in record_.events if e in LABEL_EVENTS[SubtaskKind.PICK]]
+    counted = [theirs.get(e, e) for _, e in record_.events if e in PICK.published.events]
     assert info["events"] == [e for e, _ in itertools.groupby(counted)]
     verbose = [[step - 1, theirs.get(e, e), None] for step, e in record_.events]
     assert [each for each in info["events_verbose"] if each[1] != "collision"] == verbose

@@ -10,11 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mjhab.core.errors import UsageError
-from mjhab.data.select.facts import ALL_LABELS, FACTS
+from mjhab.data.select.facts import facts
 from mjhab.data.select.query import PRESETS, Filter, FilterError
 from mjhab.data.store.episode_data import RunInfo
 from mjhab.rollout.records import EpisodeRecord, PlanEntry, SubtaskRecord
-from mjhab.tasks.events import EVENT_NAMES
+from mjhab.tasks.subtasks.registry import all_labels, event_columns
 
 RUN = RunInfo({"policy": {"name": "expert"}})
 SUB = SubtaskRecord(
@@ -202,7 +202,7 @@ def test_facts_without_subtasks_and_of_chains() -> None:
 
 
 def test_every_name_can_be_asked() -> None:
-    for name, fact in FACTS.items():
+    for name, fact in facts().items():
         value: Any = fact.get(GOOD, RUN)
         text = {
             "a number": f"{name} >= 0",
@@ -213,7 +213,7 @@ def test_every_name_can_be_asked() -> None:
         if "a list" in fact.kind and fact.choices:
             text = f"{fact.choices[0]!r} in {name} or steps > 0"
         assert ask(text), name
-    assert set(EVENT_NAMES) <= set(FACTS) and len(ALL_LABELS) == len(set(ALL_LABELS))
+    assert set(event_columns()) <= set(facts()) and len(all_labels()) == len(set(all_labels()))
 
 
 def test_presets() -> None:

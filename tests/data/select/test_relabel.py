@@ -18,8 +18,8 @@ from mjhab.data.store.episode_data import EpisodeData
 from mjhab.data.store.reading import episodes
 from mjhab.data.store.schema import CHECKS
 from mjhab.data.store.shard import ShardWriter
-from mjhab.tasks.labels import LABELS
 from mjhab.tasks.plan import SubtaskKind
+from mjhab.tasks.subtasks.registry import spec_of
 from tests.data.fake_world import CHAIN, FakeEnv
 from tests.data.make import record
 
@@ -52,7 +52,7 @@ def test_changed_rules_are_told_and_written(
     path = tmp_path / "a.h5"
     records, _ = record(path, range(14))
     wanted = sum(
-        entry.label != LABELS[SubtaskKind.PICK][0]
+        entry.label != spec_of(SubtaskKind.PICK).labels[0]
         for r in records
         for entry in r.subtasks
         if entry.kind == "pick"
@@ -79,7 +79,7 @@ def test_changed_rules_are_told_and_written(
         new = episode.record
         assert dataclasses.replace(new, subtasks=old.subtasks) == old
         for entry in new.subtasks:
-            assert entry.kind != "pick" or entry.label == LABELS[SubtaskKind.PICK][0]
+            assert entry.kind != "pick" or entry.label == spec_of(SubtaskKind.PICK).labels[0]
     assert label("--write")["changed"] == wanted
     assert [e.record for e in episodes(path)] == records
     assert (

@@ -10,7 +10,7 @@ from mjhab.bench.grasp import GRASPS, Grasp, GraspBench, shake_motion
 from mjhab.core.boxes import Boxes
 from mjhab.core.rotations import quat_from_axis_angle
 from mjhab.episodes.grasps.candidates import ObjectShape, Options, grasp_candidates
-from mjhab.episodes.grasps.held import HeldStarts, shape_of
+from mjhab.episodes.grasps.stable import StableGrasps, shape_of
 from mjhab.layout.layout import Layout
 from mjhab.robots.fetch.model import REST_QPOS, TCP_LINK
 from mjhab.robots.fetch.robot import ROBOT
@@ -29,7 +29,7 @@ def test_candidates_fit_the_gripper_and_stay_off_the_support(name: str):
     pos = np.array([0.4, -0.2, 0.9])
     turn = quat_from_axis_angle(np.array([0.0, 0.0, 1.0]), np.array(0.7))
     floor = pos[2] - kind.half[2]
-    grasps = grasp_candidates(shape_of(kind), pos, turn, support_z=floor)
+    grasps = grasp_candidates(shape_of(kind, {}), pos, turn, support_z=floor)
     assert len(grasps) > 0
     gripper = ROBOT.gripper
     assert (grasps.width < gripper.opening).all()
@@ -59,7 +59,7 @@ def surface(half: tuple[float, float, float]) -> np.ndarray:
 
 @pytest.mark.parametrize("name", ["003_cracker_box", "008_pudding_box", "010_potted_meat_can"])
 def test_corners_of_boxes_fit_between_the_fingers(name: str):
-    shape = shape_of(builtin_objects()[name])
+    shape = shape_of(builtin_objects()[name], {})
     gripper = ROBOT.gripper
     plain = grasp_candidates(shape, np.zeros(3), UPRIGHT, support_z=-shape.half[2])
     every = grasp_candidates(
@@ -84,7 +84,7 @@ class CornerBench(GraspBench):
     """A pudding box by its corner in a moving hand."""
 
     def _grip(self, grasp: Grasp) -> None:
-        shape = shape_of(builtin_objects()["008_pudding_box"])
+        shape = shape_of(builtin_objects()["008_pudding_box"], {})
         every = grasp_candidates(
             shape, np.zeros(3), UPRIGHT, support_z=-0.1, options=Options(corners=True)
         )
@@ -114,14 +114,14 @@ def test_a_box_held_by_its_corner_stays_in_a_moving_hand(monkeypatch: pytest.Mon
 
 
 @pytest.fixture(scope="module")
-def held() -> HeldStarts:
+def held() -> StableGrasps:
     layout = Layout(open_pack("builtin"), tuple(sorted(SIZES)))
     sim = CpuSimulator(layout, 1, 1)
-    return HeldStarts(sim, config_of(REST_QPOS), Scratch(sim))
+    return StableGrasps(sim, config_of(REST_QPOS), Scratch(sim))
 
 
 @pytest.mark.parametrize("name", sorted(SIZES))
-def test_every_object_type_can_be_held_without_a_policy(held: HeldStarts, name: str):
+def test_every_object_type_can_be_held_without_a_policy(held: StableGrasps, name: str):
     grasps = held.grasps(name)
     assert grasps
     for grasp in grasps:

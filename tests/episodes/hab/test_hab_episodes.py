@@ -14,7 +14,7 @@ import pytest
 from mjhab.core.errors import UsageError
 from mjhab.core.rotations import mat_from_quat
 from mjhab.envs import make
-from mjhab.episodes.generator import FRIDGE_PREOPEN, Episode, EpisodeMaker, require_furniture
+from mjhab.episodes.generator import Episode, EpisodeMaker, require_furniture
 from mjhab.episodes.hab.format import HabEpisode, HabFile, read_hab, write_hab
 from mjhab.episodes.hab.reader import (
     FileEpisodes,
@@ -24,12 +24,13 @@ from mjhab.episodes.hab.reader import (
     object_poses,
 )
 from mjhab.episodes.hab.writer import to_hab
+from mjhab.episodes.rosters import roster
 from mjhab.layout.layout import Layout
-from mjhab.scenes.builtin.objects import roster
 from mjhab.scenes.pack_source import PackRequest
 from mjhab.scenes.packs import open_pack
 from mjhab.scenes.spec import Home
 from mjhab.sim.mujoco.cpu import CpuSimulator
+from mjhab.tasks.household.prepare_groceries import FRIDGE_PREOPEN_RAD
 from tests.real_data import real_data
 
 PATH = Path("some.json.gz")
@@ -113,7 +114,7 @@ def test_both_ways_of_numbering_links_are_told_apart(
     assert number_of_root(sim.layout, home, episode, object_poses(sim.layout, episode)) == root
     read = from_file("set_table", episode).episode(0, 0)
     door = sim.layout.link_ids.index("fridge/top_door")
-    assert read.link_q[door] == pytest.approx(FRIDGE_PREOPEN if states else 0.0, abs=0.05)
+    assert read.link_q[door] == pytest.approx(FRIDGE_PREOPEN_RAD if states else 0.0, abs=0.05)
     assert read.targets[0].start_link == "kitchen_counter/drawer3"
 
 

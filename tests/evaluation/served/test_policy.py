@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ import pytest
 import mjhab.envs as envs
 from mjhab.core.errors import UsageError
 from mjhab.evaluation.resolve import PolicyOptions, inspect_policy, resolve_policy
-from mjhab.evaluation.served.twin import TwinResponder
+from mjhab.evaluation.served.twin import Place, Twin, TwinResponder, TwinSession
 from mjhab.rollout.loop import rollout
 from mjhab.serving.server import ServerOptions
 from tests.serving.constant import Constant, serving
@@ -25,7 +25,7 @@ def world(**options: Any) -> Any:
 
 
 def spec(port: int, options: str = "") -> str:
-    return f"ws://127.0.0.1:{port}?timeout=5&first_timeout=5&reconnect=5{options}"
+    return f"ws://127.0.0.1:{port}?timeout=30&first_timeout=60&reconnect=5{options}"
 
 
 class Whimsical(Constant):
@@ -189,3 +189,23 @@ def test_a_student_acts_over_the_line_as_it_does_at_home() -> None:
         served.close()  # type: ignore[attr-defined]
     assert [record.error for record in away] == ["", ""]
     assert [r.final_state for r in away] == [r.final_state for r in at_home]
+
+
+def test_twins_follow_their_episodes_as_worlds_of_a_batch_come_and_go() -> None:
+    class Lender:
+        def borrow(self, config: Mapping[str, Any]) -> Twin:
+            return Twin(None, resolve_policy("zero", cast(Any, None)))
+
+    def part(index: int, step: int) -> dict[str, Any]:
+        return {"world": {"episode": {"seed": 0, "index": index}}, "step": step}
+
+    session = TwinSession(cast(Any, Lender()))
+    first = [twin for twin, _ in session._assigned([part(0, 0), part(1, 0)])]
+    for twin, index in zip(first, (0, 1), strict=True):
+        twin.expects = Place(0, index, 1)
+    # Episode 0 is over; episode 1 comes first now, and a new one beside it.
+    (one, two), (other, three) = session._assigned([part(1, 1), part(2, 0)])
+    assert one is first[1] and other is first[0]
+    assert (two["step"], three["step"]) == (1, 0)
+    with pytest.raises(UsageError, match="whole numbers"):
+        session._assigned([{"world": {"episode": {"seed": "x"}}, "step": 0}])

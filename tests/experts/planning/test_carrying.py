@@ -17,7 +17,6 @@ from mjhab.core.rotations import mat_from_quat
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.episodes.grasps.candidates import ObjectShape, grasp_candidates
-from mjhab.episodes.grasps.held import shape_of
 from mjhab.experts.arm import motion
 from mjhab.experts.arm.gentle import FIRM, Care
 from mjhab.experts.base.route import (
@@ -193,7 +192,7 @@ def test_spheres_reach_into_the_corners_of_a_held_box():
     view = place_env(0, "003_cracker_box").view(0)
     obj, _ = goal_of(view)
     half = np.array(view.object_type(obj).half)
-    assert shape_of(view.object_type(obj)).kind == "box"
+    assert view.object_shape(obj).kind == "box"
     pose = view.object_pose(obj)
     (tcp, rot) = motion.tcp(view)
     corners = pose[:3] + (half * [[1, 1, 1], [-1, 1, -1], [1, -1, -1]]) @ mat_from_quat(pose[3:]).T

@@ -65,7 +65,7 @@ def test_a_door_is_pushed_all_the_way_or_thrown_as_asked() -> None:
         def look(view: WorldView) -> None:
             q = view.link_q(DOOR)
             if 0.05 < q < 0.5:
-                door_now = motion.as_boxes(view.home.links[DOOR].boxes(q))
+                door_now = view.home.links[DOOR].boxes(q)
                 far[0] = max(
                     far[0], float(sphere_box_distance(motion.tcp(view)[0][None], door_now).min())
                 )
@@ -140,7 +140,7 @@ def test_hand_gets_in_behind_an_open_door(env: SequentialTaskEnv) -> None:
     angles = door_stances.push_angles(link, half=False)
     assert len(found) > 20
     hand = motion.spheres(ROBOT).only(("wrist_roll_link", "gripper_link"))
-    assert hand.clearance(found.q[:, 0], motion.as_boxes(link.boxes(link.range[1]))).min() > 0.03
+    assert hand.clearance(found.q[:, 0], link.boxes(link.range[1])).min() > 0.03
     pos, _ = ROBOT.chain.tip_pose(found.q[:, 0])
     origin, rot = link.pose(angles[0])
     assert (((pos - origin) @ rot)[:, 0] > link.boxes(0.0).center[0, 0]).all()  # on its outside

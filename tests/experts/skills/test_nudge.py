@@ -84,9 +84,7 @@ def test_the_hand_pushes_low_and_stays_above_the_shelf():
 def test_only_boxes_that_stand_are_turned():
     view = SimpleNamespace(
         object_pose=lambda obj: np.array([0.0, 0.0, 0.1, np.cos(0.3), np.sin(0.3), 0.0, 0.0]),
-        object_type=lambda obj: SimpleNamespace(
-            collision=[SimpleNamespace(shape="box")], half=BOX.half
-        ),
+        object_shape=lambda obj: BOX,
     )
     assert plan_nudge(view, "box", shelf(), INWARD, turned_by(0.0)) is None  # pyright: ignore[reportArgumentType]
 

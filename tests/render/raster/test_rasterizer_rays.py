@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 
 from mjhab.core.rotations import mat_from_quat
+from mjhab.episodes.rosters import roster
 from mjhab.layout.layout import Layout
 from mjhab.render.build_scene import SceneBuilder, box_mesh
 from mjhab.render.raster.rasterizer import NEAR, Rasterizer
 from mjhab.robots.fetch import model as fetch
 from mjhab.robots.fetch.robot import ROBOT
 from mjhab.robots.parts import CameraMount
-from mjhab.scenes.builtin.objects import roster
 from mjhab.scenes.builtin.pack import builtin_pack
 from mjhab.scenes.freespace import free_map
 from mjhab.scenes.shapes.meshes import Mesh

@@ -10,7 +10,8 @@ import pytest
 from scipy.spatial import ConvexHull
 
 from mjhab.core.errors import UsageError
-from mjhab.scenes.builtin.objects import builtin_objects, object_meshes, roster
+from mjhab.episodes.rosters import roster
+from mjhab.scenes.builtin.objects import builtin_objects, object_meshes
 from mjhab.scenes.shapes.footprints import bounds, outline
 from mjhab.scenes.spec import Geom
 

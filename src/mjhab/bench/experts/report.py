@@ -12,7 +12,7 @@ from mjhab.reports import parts
 from mjhab.reports.metrics import wilson
 from mjhab.reports.plots import Figure, labels_figure
 from mjhab.reports.run import render_page
-from mjhab.tasks.plan import KIND_NAMES
+from mjhab.tasks.subtasks.registry import SUBTASKS
 
 _COLORS = ("#0f8f80", "#3b82f6", "#f59e0b", "#8b5cf6", "#dc2626", "#64748b")
 """Of asset packs, or of tasks in them."""
@@ -50,7 +50,7 @@ def render_experts(
             )
             places += f'<h3>{escape(pack)} homes</h3><div id="chains-{escape(pack)}"></div>'
         body.append(parts.section("Whole tasks", hint, _chain_table(chains) + places))
-    for kind in KIND_NAMES:
+    for kind in SUBTASKS:
         members = [result for result in singles if result.subtask == kind]
         if members:
             body.append(_kind_section(kind, members, plots))

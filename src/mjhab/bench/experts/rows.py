@@ -9,25 +9,27 @@ from pathlib import Path
 from typing import Any
 
 from mjhab.bench.specs import ExpertsSpec
-from mjhab.config.env import NAVIGATE_MODES, SPLITS, SUBTASKS_OF_TASK, EnvConfig
+from mjhab.config.env import NAVIGATE_MODES, SPLITS, EnvConfig
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.data.store.shard import last_label
+from mjhab.episodes.rosters import roster
 from mjhab.episodes.starts import valid_targets
 from mjhab.layout.layout import Layout
 from mjhab.reports.dataset_forces import GENTLE
 from mjhab.reports.metrics import wilson
 from mjhab.reports.paper import paper_row
 from mjhab.rollout.records import EpisodeRecord
-from mjhab.scenes.builtin.objects import roster
 from mjhab.scenes.packs import open_pack
-from mjhab.tasks.plan import KIND_NAMES, TASKS
+from mjhab.tasks.household.registry import TASKS
 from mjhab.tasks.progressive import progressive
+from mjhab.tasks.subtasks.registry import SUBTASKS
 
 CHAIN = "chain"
 ALL = "all"
 PAPER_POLICY = "RL-Per"
 """One policy per object, trained by reinforcement learning: the best of the MS-HAB paper."""
 ASKED_CHAINS = {"set_table": 0.5, "prepare_groceries": 0.4, "tidy_house": 0.4}
+ASKED_SUBTASKS = ("pick", "place", "open", "close")
 ASKED = 0.9
 ASKED_INSIDE = 0.8
 ASKED_CRACKER_BOX = 0.85
@@ -55,10 +57,10 @@ class Row:
 
     @property
     def asked(self) -> float | None:
-        """Success rate the project asks for; None for Navigate and for ALL targets together."""
+        """Success rate the project asks for; None for Navigate, for ALL targets together and for what plugins add."""
         if self.subtask == CHAIN:
-            return ASKED_CHAINS[self.task]
-        if self.subtask == "navigate" or self.target == ALL:
+            return ASKED_CHAINS.get(self.task)
+        if self.subtask not in ASKED_SUBTASKS or self.target == ALL:
             return None
         if self.target == "003_cracker_box":
             return ASKED_CRACKER_BOX
@@ -181,7 +183,7 @@ def make_rows(spec: ExpertsSpec) -> list[Row]:
     targets: set[str] = set()
     for pack, assets in _packs(spec).items():
         for task in [task for task in TASKS if task in (spec.task or TASKS)]:
-            for subtask in (*SUBTASKS_OF_TASK[task], CHAIN):
+            for subtask in (*TASKS[task].subtasks, CHAIN):
                 if subtask in (spec.subtask or (subtask,)):
                     found = _rows_of(spec, pack, assets, task, subtask)
                     targets |= {row.target for row in found if row.target}
@@ -205,7 +207,7 @@ def _rows_of(spec: ExpertsSpec, pack: str, assets: str, task: str, subtask: str)
         modes = dict.fromkeys(spec.navigate)
         return [Row(pack, assets, task, subtask, "", mode, spec.chains) for mode in modes]
     targets = [""]
-    if subtask != "navigate":
+    if not SUBTASKS[subtask].navigates:
         layout = Layout(open_pack(assets), roster(task))
         targets = valid_targets(EnvConfig(task=task, subtask=subtask), layout)
     return [Row(pack, assets, task, subtask, target, "", spec.episodes) for target in targets]
@@ -214,7 +216,7 @@ def _rows_of(spec: ExpertsSpec, pack: str, assets: str, task: str, subtask: str)
 def _check(spec: ExpertsSpec) -> None:
     for kind, given, valid in (
         ("task", spec.task, TASKS),
-        ("subtask", spec.subtask, (*KIND_NAMES, CHAIN)),
+        ("subtask", spec.subtask, (*SUBTASKS, CHAIN)),
         ("navigate mode", spec.navigate, NAVIGATE_MODES),
         ("split", (spec.split,), SPLITS),
     ):

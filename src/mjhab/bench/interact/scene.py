@@ -20,7 +20,7 @@ from mjhab.core.joints import BASE, BASE_XY
 from mjhab.layout.layout import Layout, yaw_quat
 from mjhab.layout.receptacles import PlacedReceptacle, placed_receptacles
 from mjhab.robots.registry import robot_named
-from mjhab.scenes.freespace import BASE_RADIUS, free_map
+from mjhab.scenes.freespace import NAVMESH_BASE_RADIUS_M, free_map
 from mjhab.scenes.packs import open_pack
 from mjhab.scenes.spec import Home, Pack
 from mjhab.sim.mujoco.cpu import CpuSimulator
@@ -138,7 +138,7 @@ def _places(pack: Pack, home: Home) -> Iterator[tuple[Home, PlacedReceptacle, np
         stripped = dataclasses.replace(home, props=tuple(own))
         floor = free_map(stripped, pack)
         for base in _bases(surface):
-            if floor.clearance_at(base[BASE_XY]) >= BASE_RADIUS:
+            if floor.clearance_at(base[BASE_XY]) >= NAVMESH_BASE_RADIUS_M:
                 yield stripped, surface, base
 
 

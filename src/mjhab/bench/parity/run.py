@@ -20,11 +20,11 @@ from mjhab.bench.parity.episodes import (
     run_own,
 )
 from mjhab.bench.specs import ParitySpec
-from mjhab.config.env import SUBTASKS_OF_TASK
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.progress import progress_bar
 from mjhab.sim.backends import cuda_devices, resolve
-from mjhab.tasks.plan import KIND_NAMES
+from mjhab.tasks.household.registry import TASKS
+from mjhab.tasks.subtasks.registry import SUBTASKS
 
 NOT_COMPARED = (
     "pictures (tests/render/warp/test_cameras.py compares them, mjhab bench interact times them), which objects sleep, "
@@ -79,15 +79,14 @@ def pairs(task: str, subtask: str) -> list[tuple[str, str]]:
     Raises:
         UsageError: unknown names, or no such subtask in that task.
     """
-    if task not in (*SUBTASKS_OF_TASK, "all"):
-        raise unknown_name("task", task, (*SUBTASKS_OF_TASK, "all"))
-    if subtask not in (*KIND_NAMES, "all"):
-        raise unknown_name("subtask", subtask, (*KIND_NAMES, "all"))
-    tasks = SUBTASKS_OF_TASK if task == "all" else (task,)
-    found = [(t, s) for t in tasks for s in SUBTASKS_OF_TASK[t] if subtask in ("all", s)]
+    for kind, given, valid in (("task", task, TASKS), ("subtask", subtask, SUBTASKS)):
+        if given not in (*valid, "all"):
+            raise unknown_name(kind, given, (*valid, "all"))
+    tasks = TASKS.names() if task == "all" else (task,)
+    found = [(t, s) for t in tasks for s in TASKS[t].subtasks if subtask in ("all", s)]
     if not found:
         raise UsageError(
-            f"task {task!r} has no subtask {subtask!r}; it has {', '.join(SUBTASKS_OF_TASK[task])}."
+            f"task {task!r} has no subtask {subtask!r}; it has {', '.join(TASKS[task].subtasks)}."
         )
     return found
 

@@ -66,9 +66,9 @@ class EvalOptions(ServedOptions, PolicyProfileOptions):
     """
 
     task: Name = "set_table"
-    """What to do: set_table, tidy_house or prepare_groceries."""
+    """What to do: set_table, tidy_house, prepare_groceries or one of a plugin."""
     subtask: MaybeName = None
-    """Evaluate one subtask from spawned starts instead of the whole chain: pick, place, navigate, open or close."""
+    """One subtask from spawned starts, such as pick (`mjhab envs list` names all); the whole chain if absent."""
     target: MaybeName = None
     """With --subtask: the object or link to act on, e.g. 024_bowl or kitchen_counter/drawer3. All of them if absent."""
     policy: PolicyName = "expert"
@@ -229,7 +229,7 @@ class EpisodesMakeOptions:
     out: Annotated[Path, tyro.conf.arg(metavar="FILE.json.gz")]
     """The file to write; gzip when it ends with .gz."""
     task: Name = "tidy_house"
-    """Which task: set_table, tidy_house or prepare_groceries."""
+    """Which task: set_table, tidy_house, prepare_groceries or one of a plugin."""
     split: Name = "train"
     """Which homes: train, val or test."""
     count: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
@@ -370,7 +370,7 @@ class BenchSimOptions(EngineSpec):
     threads: Number = EngineSpec.threads
     """Threads of the physics; 0 takes all cores."""
     task: Name = EngineSpec.task
-    """Whose homes and objects: set_table, tidy_house or prepare_groceries."""
+    """Whose homes and objects: set_table, tidy_house, prepare_groceries or one of a plugin."""
     steps: Number = EngineSpec.steps
     """Control steps per block; blocks of engine and environment alternate."""
     rounds: Number = EngineSpec.rounds

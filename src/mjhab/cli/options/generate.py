@@ -35,9 +35,9 @@ class GenerateOptions(PolicyProfileOptions):
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
     """Folder of the shards."""
     task: Name = "set_table"
-    """What to do: set_table, tidy_house or prepare_groceries."""
+    """What to do: set_table, tidy_house, prepare_groceries or one of a plugin."""
     subtask: MaybeName = None
-    """One subtask from spawned starts instead of the whole chain: pick, place, navigate, open or close."""
+    """One subtask from spawned starts, such as pick (`mjhab envs list` names all); the whole chain if absent."""
     target: MaybeName = None
     """With --subtask: the object or link to act on, e.g. 024_bowl or kitchen_counter/drawer3. All of them if absent."""
     policy: PolicyName = "expert"

@@ -46,7 +46,7 @@ class ScoreOptions(ServedOptions):
     page: Annotated[Path | None, tyro.conf.arg(metavar="FILE.md")] = None
     """With --table: write it to this file instead of printing it."""
     starts: bool = False
-    """Write the digests of the starts of the track into the package instead; for those who change where episodes
-    begin."""
+    """Write the digests of the starts of the track, where they are missing, into the package instead; for those who
+    change where episodes begin."""
     json: bool = False
     """Print one line of JSON at the end: track, score, episodes, digest."""

@@ -32,9 +32,9 @@ class SpawnsMakeOptions(ProfileOptions):
     out: Annotated[Path, tyro.conf.arg(metavar="FILE.npz")]
     """The file to write."""
     task: Name = "set_table"
-    """Which task: set_table, tidy_house or prepare_groceries."""
+    """Which task: set_table, tidy_house, prepare_groceries or one of a plugin."""
     subtask: MaybeName = None
-    """Which subtask: pick, place, navigate, open or close. Starts of the whole chain if absent."""
+    """Which subtask: pick, place, navigate, open, close or one of a plugin. Starts of the whole chain if absent."""
     target: MaybeName = None
     """The object or link to act on, e.g. 024_bowl or kitchen_counter/drawer3. All of them if absent."""
     split: Name = "train"
@@ -88,9 +88,9 @@ class BenchSpawnOptions(ProfileOptions):
     """Measure how many starts are found per second, and how long settling a new arrangement of objects takes."""
 
     task: Name = "tidy_house"
-    """Which task: set_table, tidy_house or prepare_groceries."""
+    """Which task: set_table, tidy_house, prepare_groceries or one of a plugin."""
     subtask: Name = "pick"
-    """Which subtask: pick, place, navigate, open or close."""
+    """Which subtask: pick, place, navigate, open, close or one of a plugin."""
     target: MaybeName = None
     """The object or link to act on. All of them if absent."""
     count: Number = 400

@@ -34,9 +34,9 @@ class RunOptions(PolicyProfileOptions):
     preset: Name = ""
     """Sizes and settings with a name; the first one if absent."""
     task: Name = "set_table"
-    """Where to learn: set_table, tidy_house or prepare_groceries."""
+    """Where to learn: set_table, tidy_house, prepare_groceries or one of a plugin."""
     subtask: Name = "close"
-    """What to learn: pick, place, navigate, open or close."""
+    """What to learn: pick, place, navigate, open, close or one of a plugin."""
     target: MaybeName = None
     """The object or link to act on, e.g. 024_bowl or kitchen_counter/drawer3; one policy for all of them if absent."""
     budget_minutes: Minutes = 0.0

@@ -27,7 +27,8 @@ from mjhab.data.store.images import ImageFormat, encode
 from mjhab.data.store.schema import FORMAT
 from mjhab.data.store.shard import ShardWriter
 from mjhab.rollout.records import EpisodeRecord, PlanEntry, SubtaskRecord
-from mjhab.tasks.plan import KIND_NAMES, TASKS
+from mjhab.tasks.household.registry import TASKS
+from mjhab.tasks.subtasks.registry import SUBTASKS
 
 ABSENT = (
     "states/initial",
@@ -72,8 +73,8 @@ class Origin:
     split: str = "train"
 
     def __post_init__(self) -> None:
-        if self.task is not None and self.task not in TASKS:
-            raise unknown_name("task", self.task, TASKS)
+        if self.task is not None:
+            TASKS.check(self.task)
         if self.split not in SPLITS:
             raise unknown_name("split", self.split, SPLITS)
 
@@ -331,8 +332,8 @@ def _subtask(path: Path, said: Mapping[str, Any]) -> str:
     env = str((said.get("env_info") or {}).get("env_id", ""))
     found = re.match(r"(\w+?)SubtaskTrain", env)
     kind = found[1].lower() if found else path.resolve().parent.name
-    if kind not in KIND_NAMES:
-        valid = ", ".join(f"{name.capitalize()}SubtaskTrain-v0" for name in KIND_NAMES)
+    if kind not in SUBTASKS:
+        valid = ", ".join(f"{name.capitalize()}SubtaskTrain-v0" for name in SUBTASKS)
         raise UsageError(
             f"{path} is of {env or 'an environment it does not name'}. Files of one subtask can be imported ({valid}); "
             "those of whole chains do not say which subtask was active when."

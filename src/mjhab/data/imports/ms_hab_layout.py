@@ -7,7 +7,7 @@ from typing import Any
 
 from mjhab.rollout.records import Event
 from mjhab.tasks.legacy import extend
-from mjhab.tasks.plan import KIND_NAMES
+from mjhab.tasks.subtasks.registry import number_of
 
 TRAJECTORY = "traj_"
 """Groups of a file are named by this and the "episode_id" of the file's JSON."""
@@ -27,7 +27,7 @@ _OURS = {theirs: ours for ours, theirs in _THEIRS.items()}
 def to_events(kind: str, events: Iterable[Event]) -> list[str]:
     """The "events" of an episode of one subtask: those that its label counts, without immediate repeats."""
     counted: list[str] = []
-    extend(counted, KIND_NAMES.index(kind), (name for _, name in events))
+    extend(counted, number_of(kind), (name for _, name in events))
     return [_THEIRS.get(name, name) for name in counted]
 
 

@@ -25,6 +25,7 @@ from mjhab.rollout.loop import rollout
 from mjhab.rollout.policy import Policy, RolloutEnv
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink, StepView
+from mjhab.tasks.subtasks.registry import SUBTASKS
 
 ALL = "all"
 """What quotas are counted by where a subtask has no target of its own."""
@@ -220,9 +221,14 @@ class Worker:
         self._stage.env.close()
 
 
+def _has_target(subtask: str | None) -> bool:
+    """Whether episodes of it are about an object or a link: chains and ways to drive are not."""
+    return bool(subtask) and not SUBTASKS[subtask].navigates
+
+
 def outcome_of(record: EpisodeRecord, passes: bool) -> Outcome:
     """What counts of an episode. Objects and links have quotas of their own; chains and Navigate have one."""
-    target = target_of(record) if record.subtask not in (None, "", "navigate") else ALL
+    target = target_of(record) if _has_target(record.subtask) else ALL
     return Outcome(record.index, target, last_label(record), passes)
 
 

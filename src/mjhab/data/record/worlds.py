@@ -8,8 +8,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from mjhab.rollout.policy import RolloutEnv
-from mjhab.tasks.measure import Signals
 from mjhab.tasks.progress import Progress
+from mjhab.tasks.signals import Signals
 
 
 class Physics(Protocol):

@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
+from mjhab.core.names import kind_of
 from mjhab.data.store.episode_data import RunInfo
 from mjhab.data.store.schema import STEP_SECONDS
 from mjhab.rollout.records import EpisodeRecord
-from mjhab.tasks.events import EVENT_NAMES
-from mjhab.tasks.labels import LABELS
-from mjhab.tasks.plan import KIND_NAMES, TASKS
+from mjhab.tasks.household.registry import TASKS
 from mjhab.tasks.style import NAMES, descriptions, field_words, value_of
+from mjhab.tasks.subtasks.registry import SUBTASKS, all_labels, event_columns
 
 NUMBER = "a number"
 TEXT = "a text"
 TRUTH = "yes or no"
 TEXTS = "a list of texts"
-ALL_LABELS: tuple[str, ...] = tuple(
-    dict.fromkeys(name for names in LABELS.values() for name in names)
-)
 
 
 @dataclass(frozen=True)
@@ -34,14 +32,9 @@ class Fact:
     choices: tuple[str, ...] = ()
 
 
-def type_name(target: str) -> str:
-    """The kind of object without the number of the copy: "024_bowl" for "024_bowl_:0000"."""
-    return target.partition("_:")[0]
-
-
 def target_of(record: EpisodeRecord) -> str:
     """Object type or link of the last subtask that ended; of the first of the plan if none did."""
-    return type_name(record.subtasks[-1].target if record.subtasks else record.plan[0].target)
+    return kind_of(record.subtasks[-1].target if record.subtasks else record.plan[0].target)
 
 
 def events_of(record: EpisodeRecord) -> list[str]:
@@ -57,102 +50,119 @@ def _event(name: str) -> Fact:
     return Fact(name, TRUTH, f"the event {name} occurred", lambda r, _: name in events_of(r))
 
 
-_BASE: tuple[Fact, ...] = (
-    Fact("task", TEXT, "task", lambda r, _: r.task, TASKS),
-    Fact(
-        "subtask",
-        TEXT,
-        "the subtask done alone, '' for a whole chain",
-        lambda r, _: r.subtask or "",
-        ("", *KIND_NAMES),
-    ),
-    Fact("split", TEXT, "split of the home", lambda r, _: r.split, ("train", "val", "test")),
-    Fact("home", TEXT, "home", lambda r, _: r.home),
-    Fact(
-        "policy",
-        TEXT,
-        "name of what acted",
-        lambda _, run: str(run.config.get("policy", {}).get("name", "")),
-    ),
-    Fact(
-        "profile",
-        TEXT,
-        "profile of the environment, '' where none is recorded",
-        lambda _, run: str(run.config.get("env", {}).get("profile", "")),
-    ),
-    Fact("seed", NUMBER, "seed", lambda r, _: r.seed),
-    Fact("index", NUMBER, "index", lambda r, _: r.index),
-    Fact(
-        "target",
-        TEXT,
-        "object type or link of the last subtask that ended",
-        lambda r, _: target_of(r),
-    ),
-    Fact(
-        "furniture",
-        TEXT,
-        "furniture that the target is part of, '' for an object",
-        lambda r, _: target_of(r).rpartition("/")[0],
-    ),
-    Fact(
-        "targets",
-        TEXTS,
-        "object types and links of the plan",
-        lambda r, _: [type_name(e.target) for e in r.plan],
-    ),
-    Fact(
-        "label",
-        TEXT,
-        "label of the last subtask that ended, '' if none did",
-        lambda r, _: next(iter(_ended(r, "label")[::-1]), ""),
-        ("", *ALL_LABELS),
-    ),
-    Fact(
-        "labels",
-        TEXTS,
-        "labels of the subtasks that ended",
-        lambda r, _: _ended(r, "label"),
-        ALL_LABELS,
-    ),
-    Fact(
-        "legacy_label",
-        TEXT,
-        "label by the rules of the published code",
-        lambda r, _: next(iter(_ended(r, "legacy_label")[::-1]), ""),
-        ("", *ALL_LABELS),
-    ),
-    Fact("success", TRUTH, "the goal was reached at least once", lambda r, _: r.success_once),
-    Fact("success_at_end", TRUTH, "the goal holds in the last step", lambda r, _: r.success_at_end),
-    Fact("fail", TRUTH, "the episode failed", lambda r, _: r.fail),
-    Fact("completed", NUMBER, "subtasks completed", lambda r, _: r.completed),
-    Fact("planned", NUMBER, "subtasks of the plan", lambda r, _: len(r.plan)),
-    Fact("steps", NUMBER, "control steps", lambda r, _: r.steps),
-    Fact("duration", NUMBER, "time [s]", lambda r, _: r.steps * STEP_SECONDS),
-    Fact(
-        "max_force", NUMBER, "largest force of a step on the robot [N]", lambda r, _: r.peak_force
-    ),
-    Fact(
-        "mean_force",
-        NUMBER,
-        "mean of it over the steps [N]",
-        lambda r, _: r.cumulative_force / max(r.steps, 1),
-    ),
-    Fact(
-        "cumulative_force",
-        NUMBER,
-        "sum of it over the steps [N x steps]",
-        lambda r, _: r.cumulative_force,
-    ),
-    Fact("tainted", TRUTH, "the simulation flagged a fault", lambda r, _: bool(r.taint)),
-    Fact("taints", TEXTS, "names of the faults", lambda r, _: list(r.taint)),
-    Fact(
-        "spawn_fallback",
-        TRUTH,
-        "no random start was valid, the nearest was taken",
-        lambda r, _: r.spawn_fallback,
-    ),
-    Fact("events", TEXTS, "names of all events in order", lambda r, _: events_of(r), EVENT_NAMES),
-)
+def _base() -> tuple[Fact, ...]:
+    """Facts but styles and single events; their choices are those of what is registered now."""
+    labels = all_labels()
+    return (
+        Fact("task", TEXT, "task", lambda r, _: r.task, TASKS.names()),
+        Fact(
+            "subtask",
+            TEXT,
+            "the subtask done alone, '' for a whole chain",
+            lambda r, _: r.subtask or "",
+            ("", *SUBTASKS),
+        ),
+        Fact("split", TEXT, "split of the home", lambda r, _: r.split, ("train", "val", "test")),
+        Fact("home", TEXT, "home", lambda r, _: r.home),
+        Fact(
+            "policy",
+            TEXT,
+            "name of what acted",
+            lambda _, run: str(run.config.get("policy", {}).get("name", "")),
+        ),
+        Fact(
+            "profile",
+            TEXT,
+            "profile of the environment, '' where none is recorded",
+            lambda _, run: str(run.config.get("env", {}).get("profile", "")),
+        ),
+        Fact("seed", NUMBER, "seed", lambda r, _: r.seed),
+        Fact("index", NUMBER, "index", lambda r, _: r.index),
+        Fact(
+            "target",
+            TEXT,
+            "object type or link of the last subtask that ended",
+            lambda r, _: target_of(r),
+        ),
+        Fact(
+            "furniture",
+            TEXT,
+            "furniture that the target is part of, '' for an object",
+            lambda r, _: target_of(r).rpartition("/")[0],
+        ),
+        Fact(
+            "targets",
+            TEXTS,
+            "object types and links of the plan",
+            lambda r, _: [kind_of(e.target) for e in r.plan],
+        ),
+        Fact(
+            "label",
+            TEXT,
+            "label of the last subtask that ended, '' if none did",
+            lambda r, _: next(iter(_ended(r, "label")[::-1]), ""),
+            ("", *labels),
+        ),
+        Fact(
+            "labels",
+            TEXTS,
+            "labels of the subtasks that ended",
+            lambda r, _: _ended(r, "label"),
+            labels,
+        ),
+        Fact(
+            "legacy_label",
+            TEXT,
+            "label by the rules of the published code",
+            lambda r, _: next(iter(_ended(r, "legacy_label")[::-1]), ""),
+            ("", *labels),
+        ),
+        Fact("success", TRUTH, "the goal was reached at least once", lambda r, _: r.success_once),
+        Fact(
+            "success_at_end",
+            TRUTH,
+            "the goal holds in the last step",
+            lambda r, _: r.success_at_end,
+        ),
+        Fact("fail", TRUTH, "the episode failed", lambda r, _: r.fail),
+        Fact("completed", NUMBER, "subtasks completed", lambda r, _: r.completed),
+        Fact("planned", NUMBER, "subtasks of the plan", lambda r, _: len(r.plan)),
+        Fact("steps", NUMBER, "control steps", lambda r, _: r.steps),
+        Fact("duration", NUMBER, "time [s]", lambda r, _: r.steps * STEP_SECONDS),
+        Fact(
+            "max_force",
+            NUMBER,
+            "largest force of a step on the robot [N]",
+            lambda r, _: r.peak_force,
+        ),
+        Fact(
+            "mean_force",
+            NUMBER,
+            "mean of it over the steps [N]",
+            lambda r, _: r.cumulative_force / max(r.steps, 1),
+        ),
+        Fact(
+            "cumulative_force",
+            NUMBER,
+            "sum of it over the steps [N x steps]",
+            lambda r, _: r.cumulative_force,
+        ),
+        Fact("tainted", TRUTH, "the simulation flagged a fault", lambda r, _: bool(r.taint)),
+        Fact("taints", TEXTS, "names of the faults", lambda r, _: list(r.taint)),
+        Fact(
+            "spawn_fallback",
+            TRUTH,
+            "no random start was valid, the nearest was taken",
+            lambda r, _: r.spawn_fallback,
+        ),
+        Fact(
+            "events",
+            TEXTS,
+            "names of all events in order",
+            lambda r, _: events_of(r),
+            event_columns(),
+        ),
+    )
 
 
 def _styled(name: str) -> Fact:
@@ -167,10 +177,17 @@ def _styled(name: str) -> Fact:
     )
 
 
-FACTS: dict[str, Fact] = {fact.name: fact for fact in _BASE}
-FACTS |= {f"style.{name}": _styled(name) for name in NAMES}
-FACTS |= {name: _event(name) for name in EVENT_NAMES if name not in FACTS}
-"""Every name of the filter language."""
+def facts() -> Mapping[str, Fact]:
+    """Every name of the filter language; events and labels of plugins are among them."""
+    return _facts((SUBTASKS.version, TASKS.version))
+
+
+@lru_cache(maxsize=4)
+def _facts(versions: tuple[int, int]) -> Mapping[str, Fact]:
+    found = {fact.name: fact for fact in _base()}
+    found |= {f"style.{name}": _styled(name) for name in NAMES}
+    found |= {name: _event(name) for name in event_columns() if name not in found}
+    return found
 
 
 def _steps_of(record: EpisodeRecord, event: str) -> list[int]:

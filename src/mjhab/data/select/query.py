@@ -16,10 +16,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.data.select.facts import FACTS, FUNCTIONS, NUMBER, TEXT, TEXTS, TRUTH, Fact
+from mjhab.data.select.facts import FUNCTIONS, NUMBER, TEXT, TEXTS, TRUTH, Fact, facts
 from mjhab.data.store.episode_data import RunInfo
 from mjhab.rollout.records import EpisodeRecord
-from mjhab.tasks.events import EVENT_NAMES
+from mjhab.tasks.subtasks.registry import event_columns
 
 LONGEST = 4000
 """Longest filter [characters]."""
@@ -333,9 +333,9 @@ class _Compiler:
             raise self._error(node, "only names with one point are known, as in style.speed")
         if name in _CONSTANTS:
             return _Part(TRUTH, lambda r, run: _CONSTANTS[name])
-        fact = FACTS.get(name)
+        fact = facts().get(name)
         if fact is None:
-            raise self._unknown(node, "unknown name", name, FACTS)
+            raise self._unknown(node, "unknown name", name, facts())
         self.names.add(name)
         return _Part(fact.kind, fact.get, fact)
 
@@ -369,7 +369,7 @@ class _Compiler:
         )
         if not isinstance(event, str):
             raise self._error(node, f"{name}() takes one event, as in {name}('dropped')")
-        if event not in EVENT_NAMES:
-            raise self._unknown(argument or node, "unknown event", event, EVENT_NAMES)
+        if event not in event_columns():
+            raise self._unknown(argument or node, "unknown event", event, event_columns())
         compute = FUNCTIONS[name][1]
         return _Part(NUMBER, lambda r, run: compute(r, event))

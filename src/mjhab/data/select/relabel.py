@@ -10,9 +10,10 @@ import numpy as np
 from mjhab.data.store.reading import Episode
 from mjhab.rollout.records import EpisodeRecord, Event, SubtaskRecord
 from mjhab.tasks.events import event_names, step_events
-from mjhab.tasks.labels import History, label_history, label_names
+from mjhab.tasks.label_state import History
+from mjhab.tasks.labels import label_history, label_names
 from mjhab.tasks.legacy import legacy_history
-from mjhab.tasks.plan import KIND_NAMES
+from mjhab.tasks.subtasks.registry import number_of
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ def relabel(episode: Episode) -> tuple[EpisodeRecord, list[Change]]:
 def relabel_subtask(old: SubtaskRecord, history: History) -> SubtaskRecord:
     """The record of a subtask with label, published label and events computed from its signals (T+1, 1)."""
     rows, steps = _changing(history)
-    kind = np.array([KIND_NAMES.index(old.kind)])
+    kind = np.array([number_of(old.kind)])
     code = label_history(kind, rows)
     events: list[Event] = []
     for t in range(1, len(steps)):

@@ -49,7 +49,7 @@ from mjhab.data.store.schema import (
     problems,
 )
 from mjhab.rollout.records import EpisodeRecord
-from mjhab.tasks.labels import History
+from mjhab.tasks.label_state import History
 
 BROKEN = (OSError, RuntimeError, ValueError, KeyError)
 """What h5py raises over a damaged file."""

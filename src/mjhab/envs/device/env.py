@@ -31,10 +31,9 @@ from mjhab.robots.controllers import make_controller
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.warp.device import room_for
 from mjhab.sim.warp.simulator import WarpSimulator
-from mjhab.tasks.events import EVENT_NAMES
-from mjhab.tasks.measure import Signals
-from mjhab.tasks.plan import SubtaskKind
 from mjhab.tasks.progress import Outcome, Progress
+from mjhab.tasks.signals import Signals
+from mjhab.tasks.subtasks.registry import event_columns, horizons
 
 Tensor = torch.Tensor
 
@@ -47,7 +46,7 @@ class DeviceEnv(TaskLoop):
 
     * Episodes come from a pool of P starts: world w's k-th episode is start (w + k W) mod P, and start i is the episode
       (seed, i) of the cpu backend. A reset with another seed makes a new pool, which takes time.
-    * `info` holds tensors only. "event_flags" (W, E) bool has the columns `tasks.events.EVENT_NAMES`, "ended" (W,) bool
+    * `info` holds tensors only. "event_flags" (W, E) bool has the columns `registry.event_columns`, "ended" (W,) bool
       says whose subtask ended in this step and "label" (W,) its label, -1 for none. Records of them and descriptions
       of episodes are made on the host when asked for: `records`, `episode_spec`.
     * A teleport never waits; see `landings`.
@@ -86,7 +85,8 @@ class DeviceEnv(TaskLoop):
             self.observer = DeviceObserver(
                 self.sim, self.sensing, config.obs_mode, config.cameras, config.camera_size
             )
-            self.tracker = DeviceNotes(self.num_envs, max(self.task_config.horizons), self.device)
+            longest = max(horizons(self.task_config))
+            self.tracker = DeviceNotes(self.num_envs, longest, self.device)
             self.teleporter = Teleporter(self.sim.addresses, self.device)
             self._narrator = Narrator(self.layout)
             self._source = EpisodeSource(host, config, self.task_config, setting.file)
@@ -173,7 +173,7 @@ class DeviceEnv(TaskLoop):
         qpos = pool.qpos[row]
         leaping = self._no
         if self.config.teleports:
-            leaping = moved & (self.focus.kind == int(SubtaskKind.NAVIGATE))
+            leaping = moved & self.focus.navigates
             at = self.focus.active.index
             there = self.teleporter.moved(
                 self.sim.qpos, self.state, pool.landings[row, at], self.focus.columns[:, 1]
@@ -226,7 +226,7 @@ class DeviceEnv(TaskLoop):
         return DeviceStepNotes(flags, outcome.ended, label)
 
     def _nothing(self) -> DeviceStepNotes:
-        shape = (self.num_envs, len(EVENT_NAMES))
+        shape = (self.num_envs, len(event_columns()))
         flags = torch.zeros(shape, dtype=torch.bool, device=self.device)
         return DeviceStepNotes(flags, self._no, torch.full_like(self._worlds, -1))
 

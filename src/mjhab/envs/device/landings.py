@@ -19,7 +19,7 @@ from mjhab.episodes.spawns import MAX_TRIES
 from mjhab.episodes.starts import Start, StartMaker
 from mjhab.layout.layout import Addresses
 from mjhab.sim.protocol import SimState
-from mjhab.tasks.plan import SubtaskKind
+from mjhab.tasks.subtasks.registry import spec_of
 
 
 def find_landings(
@@ -34,7 +34,7 @@ def find_landings(
     joints = np.zeros((length, len(starts.layout.robot.joints)))
     fallback = np.zeros(length, bool)
     for position, subtask in enumerate(start.plan.subtasks):
-        if subtask.kind == SubtaskKind.NAVIGATE:
+        if spec_of(subtask.kind).navigates:
             joints[position], fallback[position] = _land(starts, episode, start, position)
     return joints, fallback
 

@@ -13,10 +13,12 @@ import torch
 from mjhab.core.arrays import Array, map_record, to_numpy
 from mjhab.envs.parts.tracking import Tracker
 from mjhab.tasks import events as ev
-from mjhab.tasks import labels as lb
-from mjhab.tasks.measure import Signals
-from mjhab.tasks.plan import PADDING, TaskPlan
+from mjhab.tasks import label_state as lb
+from mjhab.tasks.labels import label
+from mjhab.tasks.plan import TaskPlan
 from mjhab.tasks.progress import Outcome, Progress
+from mjhab.tasks.signals import Signals
+from mjhab.tasks.subtasks.registry import PADDING
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,7 @@ class _Ended:
 class DeviceStepNotes:
     """What a control step tells, as tensors that stay as they are.
 
-    ``event_flags`` (W, E) bool, columns `EVENT_NAMES`; ``ended`` (W,) bool, whose subtask ended; ``label`` (W,) int64
+    ``event_flags`` (W, E) bool, columns `event_columns`; ``ended`` (W,) bool, whose subtask ended; ``label`` (W,) int64
     of that subtask, -1 for none.
     """
 
@@ -91,7 +93,7 @@ class DeviceNotes:
         self._start_step = torch.where(mask, progress.episode_step, self._start_step)
 
     def update(self, signals: Signals, progress: Progress) -> torch.Tensor:
-        """Note one control step, before the pointer moves; returns its events, (W, E) bool, columns `EVENT_NAMES`."""
+        """Note one control step, before the pointer moves; returns its events, (W, E) bool, columns `event_columns`."""
         assert self._labels is not None
         before = self._labels
         live = ~progress.done
@@ -108,13 +110,13 @@ class DeviceNotes:
         """Remember what ended in this step; ``progress`` is the one before the pointer moved.
 
         Returns:
-            (W,) int64 label of the subtask that ended, an index into `tasks.labels.LABELS` of its kind; -1 for none.
+            (W,) int64 label of the subtask that ended, an index into the ``labels`` of its `SubtaskSpec`; -1 for none.
         """
         assert self._labels is not None
         first = self._history[:, 0].clone()
         hold = self._labels.must_hold
         self._ended = _Ended(signals, outcome, progress, first, hold, self._start_step)
-        return lb.label(self._labels, torch.where(outcome.ended, signals.kind, PADDING))
+        return label(self._labels, torch.where(outcome.ended, signals.kind, PADDING))
 
     def records(self, plans: Sequence[TaskPlan]) -> list[dict[str, Any] | None]:
         """Records of the subtasks that ended in the last step, (W,), as `tracking.Tracker.ended` writes them.

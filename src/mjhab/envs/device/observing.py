@@ -13,7 +13,7 @@ from mjhab.envs.parts.plan_tables import Focus
 from mjhab.envs.parts.sensing import Sensing
 from mjhab.sim.protocol import SimState
 from mjhab.sim.warp.simulator import WarpSimulator
-from mjhab.tasks.measure import Signals
+from mjhab.tasks.signals import Signals
 
 
 class DeviceObserver(ObservedRows):

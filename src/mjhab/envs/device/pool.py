@@ -13,7 +13,7 @@ import torch
 from rich.console import Console
 from rich.progress import track
 
-from mjhab.config.env import EnvConfig
+from mjhab.config.env import DENSE_MODES, EnvConfig
 from mjhab.core.arrays import map_record
 from mjhab.envs.device.fields import GoalFields
 from mjhab.envs.device.landings import find_landings
@@ -22,7 +22,8 @@ from mjhab.episodes.generator import Episode
 from mjhab.episodes.source import EpisodeSource
 from mjhab.episodes.starts import Start
 from mjhab.sim.warp.simulator import WarpSimulator
-from mjhab.tasks.plan import SubtaskKind, TaskPlan
+from mjhab.tasks.plan import TaskPlan
+from mjhab.tasks.subtasks.registry import spec_of
 
 LEAST = 256
 MOST = 8192
@@ -128,7 +129,7 @@ class StartPool:
         fallback = np.zeros(length, bool)
         if self._config.teleports:
             landings, fallback = find_landings(source.starts, episode, start, length)
-            if start.plan.subtasks[0].kind == SubtaskKind.NAVIGATE:
+            if spec_of(start.plan.subtasks[0].kind).navigates:
                 qpos = qpos.copy()
                 qpos[source.starts.sim.addresses.robot_q] = landings[0]
         return _Made(episode, start, qpos, landings, fallback)
@@ -143,9 +144,9 @@ class StartPool:
             (p, s)
             for p, m in enumerate(made)
             for s, subtask in enumerate(m.start.plan.subtasks)
-            if subtask.kind == SubtaskKind.NAVIGATE
+            if spec_of(subtask.kind).navigates
         ]
-        if not where or self._config.reward not in ("dense", "normalized_dense"):
+        if not where or self._config.reward not in DENSE_MODES:
             return None, index
         goals = [
             (made[p].start.home, made[p].start.plan.subtasks[s].goal_pos[:2]) for p, s in where

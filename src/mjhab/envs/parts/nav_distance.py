@@ -23,7 +23,7 @@ class NavDistance:
     def __init__(
         self, layout: Layout, num_worlds: int, maps: Callable[[str], FreeMap] | None = None
     ) -> None:
-        self._homes = {home.name: home for home in layout.pack.homes}
+        self._homes = layout.pack.homes_by_name
         self._pack = layout.pack
         self._maps: dict[str, FreeMap] = {}
         self._given = maps

@@ -28,7 +28,7 @@ from mjhab.envs.parts.sensing import Sensing
 from mjhab.robots.robot import Robot
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.protocol import SimState
-from mjhab.tasks.measure import Signals
+from mjhab.tasks.signals import Signals
 
 if TYPE_CHECKING:
     from mjhab.render.home_scene import HomeRenderer

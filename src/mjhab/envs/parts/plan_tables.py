@@ -9,8 +9,11 @@ import numpy as np
 
 from mjhab.core.arrays import Array, namespace, pick_column
 from mjhab.layout.layout import Layout
-from mjhab.tasks.measure import Active, active_entries
-from mjhab.tasks.plan import Box, PlanArrays, SubtaskKind, TaskConfig, TaskPlan, stack_plans
+from mjhab.tasks.measure import active_entries
+from mjhab.tasks.plan import Box, PlanArrays, TaskPlan, stack_plans
+from mjhab.tasks.signals import Active
+from mjhab.tasks.subtasks.registry import properties, shown, spec_of
+from mjhab.tasks.thresholds import TaskConfig
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -19,9 +22,10 @@ class Focus:
 
     ``kind`` (W,) int64, never -1 for a plan that has subtasks; ``obj``, ``link`` (W,) slot and index, -1 for none;
     ``columns`` (W, 2): of the target and of what Navigate carries among objects then links, -1 for none;
-    ``has_columns`` (W, 2) and ``has_link`` (W,) bool; ``shown`` (3, W, 1) bool: the observation has a tool, an object,
-    a goal pose, the last two only while the plan is not finished; ``has_obj`` (W, S, 1) bool: the subtasks of the plan
-    that have an object; ``active``: for `measure`.
+    ``has_columns`` (W, 2) and ``has_link`` (W,) bool; ``jointed``, ``navigates`` (W,) bool: properties of
+    its `SubtaskSpec`; ``shown`` (3, W, 1) bool: the observation has a tool, an object, a goal pose, the
+    last two only while the plan is not finished; ``has_obj`` (W, S, 1) bool: the subtasks
+    of the plan that have an object; ``active``: for `measure`.
     """
 
     kind: Array
@@ -30,6 +34,8 @@ class Focus:
     columns: Array
     has_columns: Array
     has_link: Array
+    jointed: Array
+    navigates: Array
     shown: Array
     has_obj: Array
     active: Active
@@ -68,9 +74,9 @@ def look_up(tables: Tables, pointer: Array, config: TaskConfig) -> Focus:
     columns = (tables.arrays.kind, tables.obj, tables.link, tables.target, tables.held)
     kind, obj, link, target, held = (pick_column(table, active.index) for table in columns)
     columns = xp.stack([target, held], axis=1)
-    running = active.kind >= 0
-    has_object = running & (obj >= 0) & (kind != int(SubtaskKind.CLOSE))
-    shown = [kind == kind, has_object, running & (kind != int(SubtaskKind.PICK))]
+    object_shown, goal_shown = shown(active.kind)
+    jointed, navigates = properties(kind, "jointed", "navigates")
+    shows = [kind == kind, object_shown & (obj >= 0), goal_shown]
     has_obj = (tables.obj >= 0)[..., None]
     return Focus(
         kind,
@@ -79,7 +85,9 @@ def look_up(tables: Tables, pointer: Array, config: TaskConfig) -> Focus:
         columns,
         columns >= 0,
         link >= 0,
-        xp.stack(shown)[..., None],
+        jointed,
+        navigates,
+        xp.stack(shows)[..., None],
         has_obj,
         active,
     )
@@ -90,7 +98,7 @@ class PlanTables:
 
     ``arrays``: the PlanArrays of tasks; ``target`` (W, S): column of the subtask's target among objects then links, -1
     for none; ``held`` (W, S): column of the object that Navigate carries; ``obj`` (W, S) object slot, ``link`` (W, S)
-    link index, -1 for none. Place, Open and so on read their own.
+    link index, -1 for none. Every subtask reads its own.
     """
 
     def __init__(
@@ -125,7 +133,7 @@ class PlanTables:
         for s, subtask in enumerate(plan.subtasks):
             slot = objects.index(subtask.obj) if subtask.obj else -1
             link = links.index(subtask.link) if subtask.link else -1
-            jointed = subtask.kind in (SubtaskKind.OPEN, SubtaskKind.CLOSE)
+            jointed = spec_of(subtask.kind).jointed
             self.obj[world, s] = slot
             self.link[world, s] = link
             self.target[world, s] = len(objects) + link if jointed else slot

@@ -9,7 +9,7 @@ from typing import Any
 from mjhab.episodes.generator import Episode
 from mjhab.episodes.narration import Narrator
 from mjhab.layout.layout import Layout
-from mjhab.tasks.plan import KIND_NAMES, TaskPlan
+from mjhab.tasks.plan import TaskPlan
 
 CHECKERS = (
     "is_grasped",
@@ -69,9 +69,7 @@ def describe_episode(
         subtask: the kind that is done alone, or "".
         narrator: gives "instruction", the sentence for the whole episode, and "instructions", one per subtask.
     """
-    entries = (
-        {"kind": KIND_NAMES[s.kind], "target": s.target, "goal": s.goal_pos} for s in plan.subtasks
-    )
+    entries = ({"kind": s.name, "target": s.target, "goal": s.goal_pos} for s in plan.subtasks)
     sentences = narrator.instructions(episode, plan, alone=bool(subtask))
     # The same object goes into every info until the next episode, so nobody may write into it.
     return MappingProxyType(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mjhab.config.env import REWARD_MODES
+from mjhab.config.env import DENSE_MODES, REWARD_MODES
 from mjhab.core.arrays import Array, as_like, count, namespace, norm3, zeros
 from mjhab.core.errors import unknown_name
 from mjhab.core.joints import BASE_XY
@@ -15,19 +15,12 @@ from mjhab.envs.parts.plan_tables import Focus
 from mjhab.envs.parts.sensing import Sensing
 from mjhab.layout.layout import Layout
 from mjhab.sim.protocol import SimState
-from mjhab.tasks.measure import Signals, WorldState
-from mjhab.tasks.plan import SubtaskKind, TaskConfig
 from mjhab.tasks.progress import Progress
-from mjhab.tasks.rewards import (
-    IDEAL_SPEED,
-    DenseReward,
-    RewardOptions,
-    RewardView,
-    closed_near,
-    kinds_at_hand,
-)
-
-_JOINTED = (SubtaskKind.OPEN, SubtaskKind.CLOSE)
+from mjhab.tasks.reward_table import IDEAL_SPEED, RewardView, closed_near
+from mjhab.tasks.rewards import DenseReward, RewardOptions, kinds_at_hand
+from mjhab.tasks.signals import Signals, WorldState
+from mjhab.tasks.subtasks.registry import SUBTASKS
+from mjhab.tasks.thresholds import TaskConfig
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,8 +57,8 @@ class Rewarder:
         layout, sensing: where the links' joints and handles are.
         nav_distance: way to the navigation goal. The default is the straight line; the original goes around
             obstacles (mshab/envs/navigate.py: shortest path over the navigation mesh, the straight line an option).
-        kinds: the kinds of subtasks the plans have; terms of others are not reported. On torch the terms of all of
-            these are computed in every step, on numpy those of the kinds at hand.
+        kinds: names of the kinds of subtasks the plans have, None for all; terms of others are not reported. On torch
+            the terms of all of these are computed in every step, on numpy those of the kinds at hand.
         like: an array of the library, device and dtype of the simulator's; numpy float64 if not given.
 
     Raises:
@@ -81,12 +74,14 @@ class Rewarder:
         layout: Layout,
         sensing: Sensing,
         nav_distance: GoalDistance = straight_distance,
-        kinds: Sequence[SubtaskKind] = tuple(SubtaskKind),
+        kinds: Sequence[str] | None = None,
         like: Array | None = None,
     ) -> None:
         if mode not in REWARD_MODES:
             raise unknown_name("reward mode", mode, REWARD_MODES)
         self.mode = mode
+        if kinds is not None and mode not in DENSE_MODES:
+            kinds = [name for name in kinds if SUBTASKS[name].reward is not None]
         self.dense = DenseReward(config, options, kinds)
         self._bounded = options is None or options.formula == "bounded"
         self.nav_distance = nav_distance
@@ -136,7 +131,8 @@ class Rewarder:
         zero = self._zero
         xp = namespace(rows)
         kinds = kinds_at_hand(inputs.signals.kind, self.dense.tables.keys())
-        jointed = not kinds.isdisjoint(_JOINTED)
+        reads = {name for kind in kinds for name in self.dense.tables[kind].reads}
+        jointed = "joint" in reads
         distance = zero
         if jointed:
             some = xp.where(focus.link > 0, focus.link, 0)
@@ -154,16 +150,14 @@ class Rewarder:
             signals=inputs.signals,
             tcp_vel=state.tcp_vel,
             object_pos=state.object_pose[rows, focus.obj, :3],
-            object_vel=state.object_vel[rows, focus.obj]
-            if SubtaskKind.PLACE in kinds
-            else self._zero6,
+            object_vel=state.object_vel[rows, focus.obj] if "object_vel" in reads else self._zero6,
             goal_pos=focus.active.goal_pos,
             torso_up=torso,
             handle_distance=distance,
             joint_qd=state.link_qd[rows, focus.link] if jointed else zero,
             joint_ideal=self._ideal[focus.link] if jointed else zero,
             open_frac=focus.active.open_frac,
-            nav_distance=self.nav_distance(inputs) if SubtaskKind.NAVIGATE in kinds else zero,
+            nav_distance=self.nav_distance(inputs) if "nav_distance" in reads else zero,
             closed_near=self._closed_near,
         )
 

@@ -11,8 +11,7 @@ from mjhab.envs.parts.plan_tables import Focus, Tables
 from mjhab.layout.layout import Addresses, Layout
 from mjhab.scenes.spec import OWN_POINTS
 from mjhab.sim.protocol import SimState
-from mjhab.tasks.measure import Signals, WorldState
-from mjhab.tasks.plan import SubtaskKind
+from mjhab.tasks.signals import Signals, WorldState
 
 
 class Sensing:
@@ -99,7 +98,7 @@ class Sensing:
         """The input of the observation table, masked by each world's active subtask."""
         rows = self._rows
         goal = focus.active.goal_pos
-        jointed = focus.kind >= int(SubtaskKind.OPEN)
+        jointed = focus.jointed
         if may_hold(jointed):
             where = namespace(jointed).where
             handle = self.handle_pos(state, rows, where(focus.has_link, focus.link, 0))

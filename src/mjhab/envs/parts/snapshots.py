@@ -16,8 +16,8 @@ from mjhab.episodes.generator import Episode
 from mjhab.robots.controllers.controller import Controller
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.protocol import SimState
-from mjhab.tasks.measure import Signals
 from mjhab.tasks.progress import Progress
+from mjhab.tasks.signals import Signals
 
 _FLAGS = ("fallback", "success", "fail")
 

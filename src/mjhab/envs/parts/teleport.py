@@ -19,7 +19,6 @@ from mjhab.episodes.generator import Episode
 from mjhab.episodes.spawns import MAX_TRIES, Held
 from mjhab.episodes.starts import StartMaker
 from mjhab.sim.protocol import SimState
-from mjhab.tasks.plan import SubtaskKind
 
 TRIES_PER_STEP = 3
 """Tries of one world in one control step."""
@@ -55,9 +54,9 @@ class Teleports:
         """(W,) bool: a teleport is due."""
         return self.pending >= 0
 
-    def begin(self, mask: np.ndarray, kind: np.ndarray) -> None:
-        """Note for the worlds in ``mask`` (W,) whether their new subtask, of ``kind`` (W,), begins with a teleport."""
-        self.pending = np.where(mask, np.where(kind == SubtaskKind.NAVIGATE, 0, -1), self.pending)
+    def begin(self, mask: np.ndarray, navigates: np.ndarray) -> None:
+        """Note for the worlds in ``mask`` (W,) whether their new subtask ``navigates`` (W,): then a teleport is due."""
+        self.pending = np.where(mask, np.where(navigates, 0, -1), self.pending)
 
     def run(
         self,

@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from mjhab.tasks.measure import Signals
-from mjhab.tasks.plan import KIND_NAMES, TaskPlan
+from mjhab.tasks.plan import TaskPlan
 from mjhab.tasks.progress import Outcome, Progress
+from mjhab.tasks.signals import Signals
+from mjhab.tasks.subtasks.registry import name_of
 from mjhab.tasks.tracker import SubtaskTracker
 
 
@@ -80,7 +81,7 @@ class Tracker:
             index = int(progress.pointer[w])
             records[w] = {
                 "index": index,
-                "kind": KIND_NAMES[kind],
+                "kind": name_of(kind),
                 "target": plans[w].subtasks[index].target,
                 "label": labels[w],
                 "legacy_label": self._notes.legacy_label(w, kind),

@@ -8,25 +8,20 @@ from typing import Any
 
 import numpy as np
 
+from mjhab.core.boxes import Boxes
 from mjhab.core.joints import BASE
 from mjhab.core.rotations import mat_from_quat, quat_from_axis_angle
 from mjhab.envs.parts.worlds import Worlds
+from mjhab.episodes.grasps.pinches import ObjectShape
+from mjhab.episodes.grasps.stable import shape_of
 from mjhab.layout.layout import Layout, compose
 from mjhab.layout.receptacles import PlacedReceptacle, placed_receptacles
 from mjhab.robots.robot import Robot
 from mjhab.scenes.freespace import shared_map
 from mjhab.scenes.shapes.hulls import boxed_hull
 from mjhab.scenes.spec import Geom, Handle, Home, Link, ObjectType, Pack, Placement
-from mjhab.tasks.plan import Subtask, TaskConfig
-
-
-@dataclass(frozen=True, eq=False)
-class BoxArrays:
-    """Oriented boxes: ``center`` (K, 3) [m], ``half`` (K, 3), ``rot`` (K, 3, 3), world frame."""
-
-    center: np.ndarray
-    half: np.ndarray
-    rot: np.ndarray
+from mjhab.tasks.plan import Subtask
+from mjhab.tasks.thresholds import TaskConfig
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,13 +57,13 @@ class JointedLink:
         h = self.handle
         return pos + rot @ np.array(h.pos), rot @ np.array(h.bar), rot @ np.array(h.out)
 
-    def boxes(self, q: float) -> BoxArrays:
+    def boxes(self, q: float) -> Boxes:
         """Its collision boxes at joint value ``q``."""
         pos, rot = self.pose(q)
         return _moved(self._shapes, pos, rot)
 
     @cached_property
-    def _shapes(self) -> BoxArrays:
+    def _shapes(self) -> Boxes:
         """Its collision boxes in the link frame."""
         return _boxes([g for g in self.spec.geoms if g.collide])
 
@@ -81,7 +76,7 @@ class HomeShapes:
 
     name: str
     robot: Robot
-    boxes: BoxArrays
+    boxes: Boxes
     links: dict[str, JointedLink]
     receptacles: tuple[PlacedReceptacle, ...]
     map_origin: np.ndarray
@@ -168,6 +163,11 @@ class WorldView:
         """Shape, size and mass of an object."""
         return self._env.layout.objects[self.object_names.index(name)]
 
+    def object_shape(self, name: str) -> ObjectShape:
+        """What a gripper sees of an object."""
+        layout = self._env.layout
+        return shape_of(self.object_type(name), layout.pack.meshes, layout.robot.gripper)
+
     def link_q(self, link: str) -> float:
         """Joint position of a link by id [m or rad]."""
         return float(self._env.state.link_q[self.world, self._env.layout.link_ids.index(link)])
@@ -193,29 +193,27 @@ class WorldView:
         """(K,) contact force [N] on each robot link without fingers (`Robot.force_links`)."""
         return self._env.state.link_force[self.world].copy()
 
-    def object_boxes(self, leave_out: tuple[str, ...] = ()) -> BoxArrays:
+    def object_boxes(self, leave_out: tuple[str, ...] = ()) -> Boxes:
         """Bounding boxes of all objects but some, in their present poses."""
         keep = [i for i, name in enumerate(self.object_names) if name not in leave_out]
         pose = self._env.state.object_pose[self.world, keep]
         half = np.array([self._env.layout.objects[i].half for i in keep]).reshape(-1, 3)
-        return BoxArrays(pose[:, :3].copy(), half, mat_from_quat(pose[:, 3:]))
+        return Boxes(pose[:, :3].copy(), half, mat_from_quat(pose[:, 3:]))
 
-    def link_boxes(self, leave_out: tuple[str, ...] = ()) -> BoxArrays:
+    def link_boxes(self, leave_out: tuple[str, ...] = ()) -> Boxes:
         """Collision boxes of all drawers and doors but some, at their present joints."""
         parts = [
             link.boxes(self.link_q(name))
             for name, link in self.home.links.items()
             if name not in leave_out
         ]
-        return BoxArrays(
-            *(np.concatenate([getattr(p, k) for p in parts]) for k in ("center", "half", "rot"))
-        )
+        return Boxes.join(parts)
 
 
 @lru_cache(maxsize=256)
 def home_shapes(layout: Layout, name: str) -> HomeShapes:
     """Shapes of a home of a layout, computed once."""
-    home = next(h for h in layout.pack.homes if h.name == name)
+    home = layout.pack.homes_by_name[name]
     fmap = shared_map(home, layout.pack)
     return HomeShapes(
         name,
@@ -229,7 +227,7 @@ def home_shapes(layout: Layout, name: str) -> HomeShapes:
     )
 
 
-def _static_boxes(layout: Layout, home: Home) -> BoxArrays:
+def _static_boxes(layout: Layout, home: Home) -> Boxes:
     parts = [_boxes([g for g in home.walls if g.collide])]
     for slot, placement in zip(layout.prop_slots, layout.slot_placements(home), strict=True):
         prop = layout.pack.props[slot.template]
@@ -238,23 +236,21 @@ def _static_boxes(layout: Layout, home: Home) -> BoxArrays:
     for articulation in layout.articulations:
         at = layout.articulation_placement(home, articulation.name)
         parts.append(_placed(articulation.geoms, at, layout.pack))
-    return BoxArrays(
-        *(np.concatenate([getattr(p, k) for p in parts]) for k in ("center", "half", "rot"))
-    )
+    return Boxes.join(parts)
 
 
-def _placed(geoms: tuple[Geom, ...], at: Placement, pack: Pack) -> BoxArrays:
+def _placed(geoms: tuple[Geom, ...], at: Placement, pack: Pack) -> Boxes:
     """Boxes of what collides; a convex mesh counts as the smallest box around it."""
     boxed = [boxed_hull(g, pack) if g.shape == "mesh" else g for g in geoms if g.collide]
     return _moved(_boxes(boxed), np.array(at.pos), mat_from_quat(np.array(at.rotation)))
 
 
-def _moved(boxes: BoxArrays, pos: np.ndarray, rot: np.ndarray) -> BoxArrays:
+def _moved(boxes: Boxes, pos: np.ndarray, rot: np.ndarray) -> Boxes:
     """Boxes in the frame of something that is at ``pos`` (3,), ``rot`` (3, 3), brought to the world."""
-    return BoxArrays(pos + boxes.center @ rot.T, boxes.half, rot @ boxes.rot)
+    return Boxes(pos + boxes.center @ rot.T, boxes.half, rot @ boxes.rot)
 
 
-def _boxes(geoms: list[Geom]) -> BoxArrays:
+def _boxes(geoms: list[Geom]) -> Boxes:
     """Boxes around geoms, in the frame that the geoms are given in."""
     half = []
     for g in geoms:
@@ -266,7 +262,7 @@ def _boxes(geoms: list[Geom]) -> BoxArrays:
         )
     local = np.array([g.pos for g in geoms], float).reshape(-1, 3)
     turn = mat_from_quat(np.array([g.quat for g in geoms], float).reshape(-1, 4))
-    return BoxArrays(local, np.array(half, float).reshape(-1, 3), turn)
+    return Boxes(local, np.array(half, float).reshape(-1, 3), turn)
 
 
 def _links(layout: Layout, home: Home) -> dict[str, JointedLink]:

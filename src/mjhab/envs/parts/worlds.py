@@ -11,9 +11,9 @@ from mjhab.envs.parts.sensing import Sensing
 from mjhab.episodes.generator import Episode
 from mjhab.layout.layout import Layout
 from mjhab.sim.protocol import SimState
-from mjhab.tasks.measure import Signals
-from mjhab.tasks.plan import TaskConfig
 from mjhab.tasks.progress import Progress
+from mjhab.tasks.signals import Signals
+from mjhab.tasks.thresholds import TaskConfig
 
 
 class Worlds(Protocol):

@@ -12,7 +12,7 @@ import numpy as np
 
 from mjhab.core.boxes import Boxes, nearest_box_distance
 from mjhab.core.rotations import frame_from_axes, mat_from_quat, quat_from_mat
-from mjhab.episodes.grasps.holds import Hold, ObjectShape, Options, holds_of
+from mjhab.episodes.grasps.pinches import ObjectShape, Options, Pinch, pinches_of
 from mjhab.robots.parts import Gripper
 from mjhab.robots.registry import robot_named
 
@@ -87,18 +87,20 @@ def grasp_candidates(
     options = options or Options()
     pos = np.asarray(pos, dtype=np.float64)
     rot = mat_from_quat(np.asarray(quat, dtype=np.float64))
-    holds = holds_of(shape, pos, rot, gripper, options)
-    parts = [_place(hold, shape, pos, rot, support_z, gripper, options) for hold in holds]
+    pinches = pinches_of(shape, pos, rot, gripper, options)
+    parts = [_place(pinch, shape, pos, rot, support_z, gripper, options) for pinch in pinches]
     if not any(len(part[0]) for part in parts):
         return _empty()
-    tcp, turn, width, quality = (np.concatenate([part[i] for part in parts]) for i in range(4))
+    tcp, turn, width, opening, quality = (
+        np.concatenate([part[i] for part in parts]) for i in range(5)
+    )
     # The gripper is the same turned by half a turn about its fingers: a second wrist angle to reach every grasp.
     flip = turn * np.array([1.0, -1.0, -1.0])
     tcp = np.tile(tcp, (2, 1))
     turn = np.concatenate([turn, flip])
     width = np.tile(width, 2)
     quality = np.tile(quality, 2)
-    opening = np.minimum(width + options.spread, gripper.opening)
+    opening = np.tile(opening, 2)
     pre = tcp - options.retreat * turn[:, :, 0]
     clear = approach_clearance(tcp, turn, opening, pre, neighbours, gripper)
     kind, score = _score(pos, turn, quality, clear, robot_xy, options)
@@ -158,24 +160,28 @@ def _extent(shape: ObjectShape, rot: Array, direction: Array) -> Array:
 
 
 def _place(
-    hold: Hold,
+    pinch: Pinch,
     shape: ObjectShape,
     pos: Array,
     rot: Array,
     support_z: float,
     gripper: Gripper,
     options: Options,
-) -> tuple[Array, Array, Array, Array]:
-    """Tool centres for one way of closing: positions, rotations, widths and qualities of those that are possible."""
-    approach = hold.approach
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Tool centres for one way of closing, those that are possible: positions, rotations, widths, openings with which
+    to approach, qualities."""
+    approach = pinch.approach
     if options.inward is not None:
         kept = approach[:, :2] @ np.array(options.inward) > -0.25
-        hold = replace(hold, approach=approach[kept], at=None if hold.at is None else hold.at[kept])
-        approach = hold.approach
-    turn = frame_from_axes(approach, np.broadcast_to(hold.closing, approach.shape))
-    lowest = _lowest(turn, min(hold.width + options.spread, gripper.opening), gripper)
+        pinch = replace(
+            pinch, approach=approach[kept], at=None if pinch.at is None else pinch.at[kept]
+        )
+        approach = pinch.approach
+    turn = frame_from_axes(approach, np.broadcast_to(pinch.closing, approach.shape))
+    opening = min(pinch.width + options.spread, pinch.most_open, gripper.opening)
+    lowest = _lowest(turn, opening, gripper)
     room = support_z + options.floor_gap - lowest
-    if hold.at is None:
+    if pinch.at is None:
         reach = _extent(shape, rot, approach)
         across = _extent(shape, rot, turn[:, :, 2])
         shifts = np.maximum(across - 0.015, 0.0)[:, None] * np.array([0.0, -0.5, 0.5, -0.95, 0.95])
@@ -190,39 +196,44 @@ def _place(
         turn = np.repeat(turn, count, axis=0)
         room = np.repeat(room, count)
     else:
-        at = hold.at
-    held, off = _overlap(hold, pos, at, turn, gripper)
-    keep = (at[:, 2] >= room - 1e-6) & (held >= hold.least)
+        at = pinch.at
+    held, off = _overlap(pinch, pos, at, turn, gripper)
+    keep = (at[:, 2] >= room - 1e-6) & (held >= pinch.least)
     # Narrow things forgive errors of the approach: at the widest the pads pass with 3 mm to spare on each side.
     quality = (
-        hold.bonus
+        pinch.bonus
         + 6.0 * np.minimum(held, 0.03)
         - 4.0 * off
-        - 0.3 * (hold.width / gripper.usable) ** 4
+        - 0.3 * (pinch.width / gripper.usable) ** 4
     )
-    if hold.planar:
+    if pinch.planar:
         quality = quality - options.scant * np.maximum(0.02 - held, 0.0)
-    return at[keep], turn[keep], np.full(int(keep.sum()), hold.width), quality[keep]
+    count = int(keep.sum())
+    widths = np.full(count, pinch.width)
+    openings = np.full(count, opening)
+    return at[keep], turn[keep], widths, openings, quality[keep]
 
 
 def _overlap(
-    hold: Hold, center: Array, at: Array, turn: Array, gripper: Gripper
+    pinch: Pinch, center: Array, at: Array, turn: Array, gripper: Gripper
 ) -> tuple[Array, Array]:
     """How much of the contact locus the pads cover (length or root of area) and how far its middle is from the
     object's centre, for tool centres ``at`` (A, 3)."""
-    local = np.einsum("apj,ajk->apk", hold.locus - at[:, None], turn)
-    edge = np.array(gripper.finger) - (0.007 if hold.point else -1e-6)
-    blunt = gripper.blunt if hold.planar else 0.0
+    local = np.einsum("apj,ajk->apk", pinch.locus - at[:, None], turn)
+    edge = np.array(gripper.finger) - (0.007 if pinch.point else -1e-6)
+    blunt = gripper.blunt if pinch.planar else 0.0
     inside = (
         (local[:, :, 0] >= -edge[0])
         & (local[:, :, 0] <= edge[0] - blunt)
         & (np.abs(local[:, :, 2]) <= edge[1])
     )
     count = inside.sum(axis=1)
-    middle = np.einsum("ap,pj->aj", inside / np.maximum(count, 1)[:, None], hold.locus)
-    share = count / len(hold.locus)
+    middle = np.einsum("ap,pj->aj", inside / np.maximum(count, 1)[:, None], pinch.locus)
+    share = count / len(pinch.locus)
     held = (
-        0.015 * share if hold.point else hold.measure * (np.sqrt(share) if hold.planar else share)
+        0.015 * share
+        if pinch.point
+        else pinch.measure * (np.sqrt(share) if pinch.planar else share)
     )
     return held, np.linalg.norm(middle - center, axis=1)
 

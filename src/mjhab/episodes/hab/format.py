@@ -10,7 +10,6 @@ from __future__ import annotations
 import gzip
 import json
 import zlib
-from collections import Counter
 from collections.abc import Iterable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, field
@@ -21,7 +20,7 @@ import numpy as np
 
 from mjhab.core.cache import write_atomic
 from mjhab.core.errors import UsageError
-from mjhab.core.names import check_name
+from mjhab.core.names import check_name, copy_names
 from mjhab.core.rotations import mat_from_quat, pose_mul, quat_from_mat, quat_from_yaw
 from mjhab.scenes.pack_check import MAX_JOINT_POSITION, MAX_POSITION_M, check_range
 
@@ -87,12 +86,7 @@ class HabEpisode:
     @property
     def instances(self) -> tuple[str, ...]:
         """Instance name of every rigid object; the number counts the objects of a type."""
-        seen: Counter[str] = Counter()
-        names = []
-        for kind in self.types:
-            names.append(f"{kind}_:{seen[kind]:04d}")
-            seen[kind] += 1
-        return tuple(names)
+        return copy_names(self.types)
 
     @property
     def target_names(self) -> tuple[str, ...]:

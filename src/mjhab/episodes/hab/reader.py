@@ -13,6 +13,7 @@ from fnmatch import fnmatchcase
 import numpy as np
 
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.names import kind_of
 from mjhab.core.rotations import mat_from_quat
 from mjhab.episodes.generator import Episode, require_furniture
 from mjhab.episodes.hab.format import (
@@ -27,7 +28,8 @@ from mjhab.scenes.roles import roles_of
 from mjhab.scenes.spec import Home, Pack, Vec3
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.settle import settle
-from mjhab.tasks.plan import TARGETS_PER_TASK, Target
+from mjhab.tasks.household.registry import TASKS
+from mjhab.tasks.plan import Target
 
 SETTLE_SECONDS = 2.0
 MOVED = 0.02
@@ -104,7 +106,7 @@ class FileEpisodes:
         self.file = file
         self.task = task
         self.layout = sim.layout
-        self._homes = {home.name: home for home in self.layout.pack.homes}
+        self._homes = self.layout.pack.homes_by_name
         self._furnished: set[str] = set()
         self._settled: dict[int, tuple[Episode, Rest]] = {}
         for i in range(len(self.file.episodes)):
@@ -168,7 +170,7 @@ class FileEpisodes:
                 raise UsageError(f"{where}.scene_id: {error}") from error
             self._furnished.add(episode.scene)
         names = episode.target_names
-        limit = TARGETS_PER_TASK[self.task]
+        limit = len(TASKS[self.task].targets)
         if not 1 <= len(names) <= limit:
             raise UsageError(
                 f"{where}.targets: {self.task} handles 1 to {limit} targets, got {len(names)}."
@@ -186,11 +188,13 @@ class FileEpisodes:
             _check_inside(self.layout, home, episode, pose)
         except ValueError as error:
             raise UsageError(f"{where}.{error}") from error
-        if self.task == "set_table":
-            for target in file_targets(self.layout, home, episode, pose, root):
-                if not target.start_link:
+        rules = TASKS[self.task].targets
+        if any(rule.opens for rule in rules):
+            targets = file_targets(self.layout, home, episode, pose, root)
+            for rule, target in zip(rules, targets, strict=False):
+                if rule.opens == "start" and not target.start_link:
                     raise UsageError(
-                        f"{where}.rigid_objs: {target.obj!r} starts in no drawer or fridge; set_table opens one."
+                        f"{where}.rigid_objs: {target.obj!r} starts in no drawer or fridge; {self.task} opens one."
                     )
 
     def _read(self, row: int) -> tuple[Home, np.ndarray, np.ndarray, int]:
@@ -274,7 +278,7 @@ def link_names(layout: Layout, furniture: str) -> tuple[str, ...]:
 
 def template_of(handle: str) -> str:
     """Our template name of a handle such as ``"frl_apartment_table_01_:0000"``."""
-    return handle.split("_:")[0].removeprefix(PREFIX)
+    return kind_of(handle).removeprefix(PREFIX)
 
 
 def number_of_root(layout: Layout, home: Home, episode: HabEpisode, pose: np.ndarray) -> int:

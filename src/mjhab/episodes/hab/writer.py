@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from mjhab.core.names import copy_name
 from mjhab.episodes.generator import FRIDGE_DOOR, Episode
 from mjhab.episodes.hab.format import OBJECT_SUFFIX, SCENE_SUFFIX, HabEpisode, Marker, pose_to_hab
 from mjhab.episodes.hab.format import Receptacle as NumberedLink
@@ -76,7 +77,7 @@ def _ao_states(layout: Layout, link_q: np.ndarray) -> dict[str, dict[str, float]
         if abs(position) > 1e-3:
             number = link_names(layout, ref.articulation).index(ref.link.name)
             stated = -position if ref.link.mirrored else position
-            out.setdefault(f"{ref.articulation}_:0000", {})[str(number)] = round(stated, 6)
+            out.setdefault(copy_name(ref.articulation, 0), {})[str(number)] = round(stated, 6)
     return out
 
 
@@ -89,7 +90,7 @@ def _markers(layout: Layout) -> tuple[Marker, ...]:
             found.append(
                 Marker(
                     _MARKERS[ref.id],
-                    f"{ref.articulation}_:0000",
+                    copy_name(ref.articulation, 0),
                     ref.link.name,
                     (round(x, 6), round(z, 6), round(-y, 6)),
                 )
@@ -100,9 +101,9 @@ def _markers(layout: Layout) -> tuple[Marker, ...]:
 def _handle(layout: Layout, place: PlacedReceptacle) -> str:
     thing = place.id.split("/")[0]
     if thing == place.template:
-        return f"{thing}_:0000"
+        return copy_name(thing, 0)
     prefix = PREFIX if layout.pack.name == _REPLICA_CAD else ""
-    return f"{prefix}{place.template}_:{int(thing.rsplit('_', 1)[1]):04d}"
+    return copy_name(f"{prefix}{place.template}", int(thing.rsplit("_", 1)[1]))
 
 
 def _numbered(layout: Layout, place: PlacedReceptacle | None) -> NumberedLink:

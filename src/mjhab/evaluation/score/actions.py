@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import binascii
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -117,9 +117,10 @@ class Replayed:
     def act(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:
         """The next actions (W, A)."""
         acted = np.zeros((len(self._step), self._width), np.float32)
+        none = np.zeros((0, self._width), np.float32)
         for w, spec in enumerate(info["episode_spec"]):
             index = -1 if spec is None else int(spec["index"])
-            actions: Sequence[np.ndarray] = self._actions.get(index, ())
+            actions = self._actions.get(index, none)
             step = int(self._step[w])
             self._faults[w] = NO_MORE if step >= len(actions) else ""
             if step < len(actions):

@@ -14,7 +14,9 @@ import numpy as np
 from mjhab.config.env import SPLITS
 from mjhab.core.errors import unknown_name
 from mjhab.data.record.worlds import RecordedEnv
-from mjhab.tasks.plan import TASKS
+
+HAB_TASKS = ("tidy_house", "prepare_groceries", "set_table")
+"""What is scored stays the same whatever plugins add."""
 
 VERSION = 1
 """Changes when a row or a number of this file does: scores of two versions cannot be compared."""
@@ -59,7 +61,7 @@ TRACKS: dict[str, tuple[Row, ...]] = {
         Row("set_table", "close", FRIDGE),
         Row("set_table", "close", DRAWER),
     ),
-    "chains": tuple(Row(task, episodes=CHAIN_EPISODES) for task in TASKS),
+    "chains": tuple(Row(task, episodes=CHAIN_EPISODES) for task in HAB_TASKS),
 }
 """The ten rows of the MS-HAB paper's Table 1 and a navigation; the three household tasks as a whole."""
 

@@ -78,9 +78,9 @@ def summary_of(asked: Manifest, episodes: Sequence[Scored]) -> dict[str, Any]:
 
 
 def _begins_elsewhere(asked: Manifest, episode: Scored) -> bool:
-    starts = asked.starts.get(episode.row, ())
-    index = episode.record.index
-    return index >= len(starts) or starts[index] != episode.start
+    """Whether the manifest knows another start for an episode."""
+    starts = asked.starts.get(episode.row)
+    return starts is not None and starts[episode.record.index] != episode.start
 
 
 def _row_summary(row: Row, episodes: Sequence[Scored]) -> dict[str, Any]:

@@ -12,18 +12,28 @@ from mjhab.evaluation.score.manifest import STARTS_FILE, Row, manifest, start_di
 
 
 def write_starts(track: str, split: str, worlds: int, threads: int) -> int:
-    """Write the digests of all starts of a track on a split into the package; returns how many.
+    """Write the digests of the starts of a track on a split into the package, row by row; returns how many are new.
+
+    Rows that the file has are left as they are: delete them from it when episodes begin elsewhere than before.
 
     Raises:
         UsageError: an unknown track or split.
     """
     asked = manifest(track, split)
-    found = {row.name: starts_of(row, split, asked.seed, worlds, threads) for row in asked.rows}
     content = json.loads(STARTS_FILE.read_text(encoding="utf-8")) if STARTS_FILE.exists() else {}
-    content[f"{track}/{split}"] = found
-    text = json.dumps(content, indent=0, sort_keys=True) + "\n"
+    known = content.setdefault(f"{track}/{split}", {})
+    count = 0
+    for row in asked.rows:
+        if row.name in known:
+            continue
+        known[row.name] = starts_of(row, split, asked.seed, worlds, threads)
+        count += row.episodes
+        _write(json.dumps(content, indent=0, sort_keys=True) + "\n")
+    return count
+
+
+def _write(text: str) -> None:
     write_atomic(STARTS_FILE, lambda temporary: temporary.write_text(text, encoding="utf-8"))
-    return sum(map(len, found.values()))
 
 
 def starts_of(row: Row, split: str, seed: int, worlds: int, threads: int) -> list[str]:

@@ -7,7 +7,7 @@ from typing import Any
 
 from mjhab.evaluation.served.action_spaces import ACTION_SPACES, DEFAULT_SPACE, space_named
 from mjhab.serving.address import Address
-from mjhab.serving.dialects import OWN
+from mjhab.serving.dialects.dialect import OWN
 
 IMAGE_SIZE_PX = 224
 """Side of the images that policies want that do not say it: what vision-language-action models are trained with."""

@@ -19,7 +19,7 @@ from mjhab.evaluation.served.metadata import own_part, space_of
 from mjhab.robots.kinematics import rotation_vector
 from mjhab.serving.address import Address
 from mjhab.serving.client import Connection, PolicyFault
-from mjhab.serving.dialects import Ask
+from mjhab.serving.dialects.dialect import Ask
 
 MAX_FAULT_CHARACTERS = 300
 TCP_POSE = "extra/tcp_pose_wrt_base"

@@ -6,8 +6,9 @@ of its worlds beside what they show; a twin is put into that state, and the poli
 
 from __future__ import annotations
 
+import dataclasses
 import threading
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,7 +21,7 @@ from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.evaluation.resolve import PolicyFacts, PolicyOptions, inspect_policy, resolve_policy
 from mjhab.rollout.loop import plain
 from mjhab.rollout.policy import Policy
-from mjhab.serving.dialects import OWN
+from mjhab.serving.dialects.dialect import OWN
 
 NEEDS = ("world", "observation")
 """What clients are asked to send of every world."""
@@ -29,13 +30,22 @@ FILES = ("episodes_file", "spawns")
 BUILTIN = "builtin"
 
 
+@dataclass(frozen=True)
+class Place:
+    """A control step of an episode."""
+
+    seed: int
+    index: int
+    step: int
+
+
 @dataclass
 class Twin:
-    """An environment of one world, the policy that acts in it, and the episode and step it was last asked about."""
+    """An environment of one world, the policy that acts in it, and what it expects to be asked about next."""
 
     env: SequentialTaskEnv
     policy: Policy
-    last: tuple[Any, ...] = ()
+    expects: Place | None = None
 
 
 class TwinResponder:
@@ -127,7 +137,7 @@ class TwinSession:
     def reset(self) -> None:
         """An episode begins."""
         for twin in self._twins:
-            twin.last = ()
+            twin.expects = None
 
     def infer(self, request: Mapping[str, Any], batch: int | None) -> np.ndarray:
         """Actions (B, 1, A).
@@ -135,30 +145,35 @@ class TwinSession:
         Raises:
             UsageError: the request lacks the worlds' states, or they do not belong here.
         """
-        parts = request.get(OWN)
-        parts = parts if batch is not None else [parts]
-        if not isinstance(parts, list) or not all(isinstance(part, Mapping) for part in parts):
-            raise UsageError(
-                f"this server serves policies of mjhab, which need the state of the worlds (key {OWN!r}); ask it with: "
-                "mjhab eval --policy ws://..."
-            )
-        if batch is not None and len(parts) != batch:
-            raise UsageError(
-                f"the request is about {batch} worlds and has the state of {len(parts)}"
-            )
+        parts = _own_parts(request, batch)
         config = _mapping(parts[0].get("config"), "config")
         if config != self._config:
             self.close()
             self._config = config
-        while len(self._twins) < len(parts):
-            self._twins.append(self._responder.borrow(config))
-        actions = [_act(twin, part) for twin, part in zip(self._twins, parts, strict=False)]
+        actions = [_act(twin, part) for twin, part in self._assigned(parts)]
         return np.stack(actions)[:, None]
+
+    def _assigned(self, parts: Sequence[Mapping[str, Any]]) -> list[tuple[Twin, Mapping[str, Any]]]:
+        """A twin for each world: the one that has followed its episode, as worlds of a batch come and go."""
+        free = list(self._twins)
+        chosen: dict[int, Twin] = {}
+        for k, part in enumerate(parts):
+            known = [twin for twin in free if twin.expects == _place_of(part)]
+            if known:
+                chosen[k] = known[0]
+                free.remove(known[0])
+        for k in range(len(parts)):
+            if k not in chosen:
+                if not free:
+                    free.append(self._responder.borrow(self._config))
+                    self._twins.append(free[-1])
+                chosen[k] = free.pop()
+        return [(chosen[k], part) for k, part in enumerate(parts)]
 
     def close(self) -> None:
         """The connection is gone."""
         for twin in self._twins:
-            twin.last = ()
+            twin.expects = None
             self._responder.give_back(self._config, twin)
         self._twins = []
 
@@ -166,25 +181,51 @@ class TwinSession:
 def _act(twin: Twin, part: Mapping[str, Any]) -> np.ndarray:
     """The action (A,) of a policy in the state of a world."""
     env = twin.env
-    world = _mapping(part.get("world"), "world")
+    place = _place_of(part)
     try:
-        env.set_state(0, world)
-        episode = world["episode"]
-        name = (episode["seed"], episode["index"], episode["home"])
+        env.set_state(0, part["world"])
     except MjhabError:
         raise
     # A state is a deep structure from outside: whatever is wrong with it is the sender's fault.
     except Exception as error:
         raise UsageError(f"the state of the world cannot be used: {error!r}") from error
-    step = part.get("step")
-    if twin.last != (*name, "then", step):
+    if twin.expects != place:
         twin.policy.reset(np.ones(1, bool))
     seen = _mapping(part.get("observation"), "observation")
     obs = {key: np.asarray(value)[None] for key, value in seen.items()}
     info = env.info()
     action = twin.policy.act(obs, info)[0]
-    twin.last = (*name, "then", step + 1 if isinstance(step, int) else None)
+    twin.expects = dataclasses.replace(place, step=place.step + 1)
     return action
+
+
+def _place_of(part: Mapping[str, Any]) -> Place:
+    world = _mapping(part.get("world"), "world")
+    episode = _mapping(world.get("episode"), "episode")
+    numbers = (episode.get("seed"), episode.get("index"), part.get("step"))
+    if not all(isinstance(number, int | np.integer) for number in numbers):
+        raise UsageError(f"seed, index and step of an episode are whole numbers, got {numbers}")
+    seed, index, step = (int(number) for number in numbers if number is not None)
+    return Place(seed, index, step)
+
+
+def _own_parts(request: Mapping[str, Any], batch: int | None) -> list[Mapping[str, Any]]:
+    """What clients of mjhab say of each world of a request.
+
+    Raises:
+        UsageError: the request comes from another client, or is about another number of worlds.
+    """
+    given = request.get(OWN)
+    given = [given] if batch is None else given
+    parts = [part for part in given if isinstance(part, Mapping)] if isinstance(given, list) else []
+    if not parts:
+        raise UsageError(
+            f"this server serves policies of mjhab, which need the state of the worlds (key {OWN!r}); ask it with: "
+            "mjhab eval --policy ws://..."
+        )
+    if len(parts) != (batch or 1):
+        raise UsageError(f"the request is about {batch} worlds and has the state of {len(parts)}")
+    return parts
 
 
 def _mapping(value: Any, name: str) -> Mapping[str, Any]:

@@ -14,9 +14,9 @@ import numpy as np
 
 from mjhab.core.joints import BASE, BASE_XY
 from mjhab.core.rotations import mat_from_quat
-from mjhab.envs.parts.world_view import BoxArrays, HomeShapes, WorldView
+from mjhab.envs.parts.world_view import HomeShapes, WorldView
 from mjhab.experts.arm import ik
-from mjhab.experts.arm.clearance import Boxes, RobotSpheres
+from mjhab.experts.arm.clearance import RobotSpheres
 from mjhab.experts.base.navigation import DriveLimits, Follower, Planner
 from mjhab.robots.robot import Robot
 
@@ -71,11 +71,6 @@ def planner(home: HomeShapes) -> Planner:
         found = (home, cells)
         _PLANNERS[home.name] = found
     return found[1]
-
-
-def as_boxes(arrays: BoxArrays) -> Boxes:
-    """Boxes of the privileged view as the clearance module takes them."""
-    return Boxes(arrays.center, arrays.half, arrays.rot)
 
 
 def tcp(view: WorldView) -> tuple[Array, Array]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.episodes.grasps.candidates import approach_clearance
-from mjhab.episodes.grasps.held import ObjectShape
+from mjhab.episodes.grasps.stable import ObjectShape
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.planning.reach import surroundings
 

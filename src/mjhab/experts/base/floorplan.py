@@ -96,10 +96,10 @@ class Floorplan:
         cells = planner(view)
         sight = _solid(view.home)
         solid = sight.copy()
-        objects = motion.as_boxes(view.object_boxes((held,)))
+        objects = view.object_boxes((held,))
         _draw(
             solid,
-            Boxes.join([motion.as_boxes(view.link_boxes()), objects]),
+            Boxes.join([view.link_boxes(), objects]),
             cells.origin,
             cells.cell,
         )
@@ -221,7 +221,7 @@ class Floorplan:
 def _solid(home: HomeShapes) -> Array:
     """Cells (L, X, Y) bool that walls and furniture take, doors and drawers left out."""
     solid = np.zeros((len(LEVELS), *home.map_clearance.shape), bool)
-    _draw(solid, motion.as_boxes(home.boxes), home.map_origin, home.map_cell)
+    _draw(solid, home.boxes, home.map_origin, home.map_cell)
     solid.flags.writeable = False
     return solid
 

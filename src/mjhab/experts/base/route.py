@@ -63,7 +63,7 @@ def _planner_with(home: HomeShapes, ajar: tuple[tuple[str, float], ...]) -> Plan
     plain = motion.planner(home)
     if not ajar:
         return plain
-    boxes = Boxes.join([motion.as_boxes(home.links[name].boxes(q)) for name, q in ajar])
+    boxes = Boxes.join([home.links[name].boxes(q) for name, q in ajar])
     nx, ny = plain.clearance.shape
     x = plain.origin[0] + (np.arange(nx) + 0.5) * plain.cell
     y = plain.origin[1] + (np.arange(ny) + 0.5) * plain.cell

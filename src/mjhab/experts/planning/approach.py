@@ -46,7 +46,7 @@ def obstacles(view: WorldView, goals: Array, shut: JointedLink | None = None) ->
     """What the robot might touch on its way to some base poses (M, 3+): walls, furniture, links as they are now but
     for ``shut``, which counts as closed."""
     links = [view.link_boxes()] if shut is None else [view.link_boxes((shut.id,)), shut.boxes(0.0)]
-    boxes = Boxes.join([motion.as_boxes(view.home.boxes), *map(motion.as_boxes, links)])
+    boxes = Boxes.join([view.home.boxes, *links])
     places = np.concatenate([view.base[None, :2], goals[:, :2]])
     heights = np.array([0.3, 1.0, 1.6])
     points = np.array([[*place, z] for place in places for z in heights])
@@ -67,7 +67,7 @@ def best_route(
         most room; None when there is no way at all.
     """
     boxes = obstacles(view, goals[:ROUTES_MOST])
-    door = None if link is None else motion.as_boxes(link.boxes(view.link_q(link.id)))
+    door = None if link is None else link.boxes(view.link_q(link.id))
     best: tuple[float, int, Route] | None = None
     for i, goal in enumerate(goals[:ROUTES_MOST]):
         if i >= ROUTES_TRIED and best is not None and best[0] < BLOCKED:

@@ -10,7 +10,6 @@ from mjhab.core.boxes import Boxes
 from mjhab.core.joints import BASE, BASE_XY, BASE_YAW
 from mjhab.core.rotations import mat_from_quat
 from mjhab.envs.parts.world_view import WorldView
-from mjhab.episodes.grasps.held import shape_of
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.arm.clearance import RobotSpheres
 from mjhab.experts.arm.gentle import care_for
@@ -171,7 +170,7 @@ def held_spheres(view: WorldView, obj: str) -> tuple[Array, Array]:
         axes.append(np.linspace(-room, room, 1 + int(np.ceil(2 * room / (1.3 * radius)))))
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     size = np.full(len(grid), radius)
-    if shape_of(view.object_type(obj)).kind == "box":
+    if view.object_shape(obj).kind in ("box", "mesh"):
         # Larger spheres leave corners bare, and those are what knocks an object out of the hand.
         corners = np.array(list(itertools.product((-1.0, 1.0), repeat=3))) * (half - CORNER)
         grid = np.concatenate([grid, corners])

@@ -121,8 +121,8 @@ class Blocked:
 def surroundings(view: WorldView, obj: str, point: Array) -> tuple[Boxes, Boxes]:
     """Everything solid near ``point`` (3,) but the object, and the object's bounding box."""
     parts = (view.home.boxes, view.link_boxes(), view.object_boxes((obj,)))
-    others = Boxes.join([motion.as_boxes(part) for part in parts])
-    everything = motion.as_boxes(view.object_boxes())
+    others = Boxes.join(parts)
+    everything = view.object_boxes()
     mine = np.array([view.object_names.index(obj)])
     return others.near(np.array([*point[:2], 0.9]), NEARBY), everything.take(mine)
 

@@ -16,10 +16,11 @@ from pathlib import Path
 
 import numpy as np
 
+from mjhab.core.boxes import Boxes
 from mjhab.core.cache import cache_dir, write_atomic
 from mjhab.core.code_digest import code_digest
 from mjhab.core.joints import BASE, BASE_XY, BASE_YAW
-from mjhab.envs.parts.world_view import BoxArrays, JointedLink, WorldView
+from mjhab.envs.parts.world_view import JointedLink, WorldView
 from mjhab.experts.arm import ik, motion
 from mjhab.robots.kinematics import Chain, wrap
 from mjhab.robots.robot import Robot
@@ -153,7 +154,7 @@ def track(
     base: Array,
     pos: Array,
     rot: Array,
-    boxes: Sequence[BoxArrays] | None = None,
+    boxes: Sequence[Boxes] | None = None,
     *,
     tries: int = 12,
     mode: ik.Mode = "pose",
@@ -233,14 +234,14 @@ def _drop(path: list[Array], row: Array, keep: Array) -> tuple[list[Array], Arra
     return [p[keep] for p in path], row[keep]
 
 
-def _clear(robot: Robot, q: Array, boxes: BoxArrays | None, margin: float) -> Array:
+def _clear(robot: Robot, q: Array, boxes: Boxes | None, margin: float) -> Array:
     """Which configurations (N, Q) keep the arm clear of the trunk, and arm and trunk of the boxes."""
     if not len(q):
         return np.zeros(0, dtype=bool)
     whole = motion.spheres(robot)
     keep = whole.self_clearance(q) > SELF_MARGIN
     if boxes is not None:
-        keep &= whole.only(robot.arm_links).clearance(q, motion.as_boxes(boxes)) > margin
+        keep &= whole.only(robot.arm_links).clearance(q, boxes) > margin
     return keep
 
 

@@ -313,9 +313,7 @@ def _reachable(
     """The soonest reached stance whose whole motion has room in this home; ``back`` [m]: how far from its beginning the
     hand comes straight in."""
     goals, _ = stances.rank(view, Frame.of(link), found)
-    walls = Boxes.join(
-        [motion.as_boxes(view.home.boxes), motion.as_boxes(view.link_boxes((link.id,)))]
-    )
+    walls = Boxes.join([view.home.boxes, view.link_boxes((link.id,))])
     goals = goals[_distinct(goals[:, 0, :3])[:STANCES_TRIED]]
     free = np.array(
         [g for g in goals if motion.spheres(view.robot).clearance(g, walls).min() > 0.01]

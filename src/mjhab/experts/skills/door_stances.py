@@ -7,7 +7,8 @@ from itertools import product
 
 import numpy as np
 
-from mjhab.envs.parts.world_view import BoxArrays, JointedLink
+from mjhab.core.boxes import Boxes
+from mjhab.envs.parts.world_view import JointedLink
 from mjhab.experts.arm import ik
 from mjhab.experts.planning import stances
 from mjhab.experts.planning.stances import Stances
@@ -98,19 +99,15 @@ def _panel(link: JointedLink) -> tuple[Array, Array]:
     return boxes.center[k] - reach, boxes.center[k] + reach
 
 
-def _carcass(link: JointedLink) -> BoxArrays:
+def _carcass(link: JointedLink) -> Boxes:
     low, high = _panel(link)
     middle = np.array([low[0] - 0.006 - 0.31, (low[1] + high[1]) / 2, 0.975])
-    return BoxArrays(
-        middle[None], np.array([[0.31, (high[1] - low[1]) / 2, 0.975]]), np.eye(3)[None]
-    )
+    return Boxes(middle[None], np.array([[0.31, (high[1] - low[1]) / 2, 0.975]]), np.eye(3)[None])
 
 
-def _with_door(link: JointedLink, angle: float) -> BoxArrays:
+def _with_door(link: JointedLink, angle: float) -> Boxes:
     parts = (_carcass(link), link.boxes(max(angle, 0.0)))
-    return BoxArrays(
-        *(np.concatenate([getattr(p, k) for p in parts]) for k in ("center", "half", "rot"))
-    )
+    return Boxes.join(parts)
 
 
 def _level(yaw: Array) -> Array:

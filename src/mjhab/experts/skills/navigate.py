@@ -139,7 +139,7 @@ def detours(view: WorldView, aim: Aim, points: Array) -> Array:
     work = (cells.clearance >= cells.radius) & (far >= WORK[0]) & (far <= WORK[1])
     if aim.area is not None or inside_depth(view, aim.point) or not work.any():
         return np.zeros(points.shape[:2])
-    walls = motion.as_boxes(view.home.boxes).near(np.array([*aim.point[:2], 0.9]), 2.0)
+    walls = view.home.boxes.near(np.array([*aim.point[:2], 0.9]), 2.0)
     work[work] = in_sight(centres[work], aim.point, walls)
     if not work.any():
         return np.zeros(points.shape[:2])

@@ -17,7 +17,6 @@ from mjhab.core.boxes import Boxes, sphere_box_distance
 from mjhab.core.rotations import frame_from_axes, mat_from_quat, quat_from_axis_angle, quat_mul
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.episodes.grasps.candidates import ObjectShape
-from mjhab.episodes.grasps.held import shape_of
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.arm.motion import Motion
 from mjhab.experts.base.route import BLOCKED_FORCE, follow
@@ -112,7 +111,7 @@ def plan_nudge(
         inward: (2,) unit vector into the shelf.
     """
     pose = view.object_pose(obj)
-    shape = shape_of(view.object_type(obj))
+    shape = view.object_shape(obj)
     if shape.kind != "box" or np.abs(mat_from_quat(pose[3:])[2]).max() < UPRIGHT:
         return None
     for push in _pushes(pose, shape, scene, inward, graspable):

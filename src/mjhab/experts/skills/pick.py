@@ -12,7 +12,6 @@ from mjhab.core.joints import BASE, BASE_XY
 from mjhab.core.rotations import mat_from_quat
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.episodes.grasps.candidates import Grasps, ObjectShape, Options, grasp_candidates
-from mjhab.episodes.grasps.held import shape_of
 from mjhab.experts.arm import motion
 from mjhab.experts.arm.motion import Motion
 from mjhab.experts.base.route import BLOCKED_FORCE, follow, holds
@@ -177,7 +176,7 @@ def plan_pick(
         wish: the kind of grasp, a word of `tasks.style.Style.grasp`.
     """
     pose = view.object_pose(obj)
-    shape = shape_of(view.object_type(obj))
+    shape = view.object_shape(obj)
     scene = scene_of(view, obj)
     depth = inside_depth(view, pose[:3])
     around = scene.beside.near(pose[:3], 0.5)
@@ -259,7 +258,7 @@ def _plan_inside(
     pose = view.object_pose(obj)
     scene = scene_of(view, obj)
     around = scene.beside.near(pose[:3], 0.5)
-    shape = shape_of(view.object_type(obj))
+    shape = view.object_shape(obj)
     every = balanced(
         _shelf_grasps(shape, pose, scene, _inward(view, pose), around, _CLEAR[-1][0]), pose[:3]
     )
@@ -311,7 +310,7 @@ def _nudge(view: WorldView, obj: str) -> Motion:
     turns = np.round((np.arctan2(way[1], way[0]) - place.yaw) / (np.pi / 2))
     angle = place.yaw + turns * np.pi / 2
     inward = np.array([np.cos(angle), np.sin(angle)])
-    shape = shape_of(view.object_type(obj))
+    shape = view.object_shape(obj)
     around = scene.beside.near(pose[:3], 0.5)
 
     def graspable(after: Array, more: float) -> int:
@@ -337,7 +336,7 @@ def balanced(grasps: Grasps, centre: Array) -> Grasps:
 def scene_of(view: WorldView, obj: str) -> Scene:
     """What is around an object that lies somewhere."""
     pose = view.object_pose(obj)
-    shape = shape_of(view.object_type(obj))
+    shape = view.object_shape(obj)
     near, target = surroundings(view, obj, pose[:3])
     support = float(pose[2]) - height_below(shape, mat_from_quat(pose[3:]))
     return Scene(near, target, support, view.robot)
@@ -361,7 +360,7 @@ def height_below(shape: ObjectShape, rot: Array) -> float:
     """How far [m] an object turned by ``rot`` (3, 3) reaches below its centre."""
     up = np.abs(rot[2])
     half = np.array(shape.half)
-    if shape.kind == "box":
+    if shape.kind in ("box", "mesh"):
         return float(up @ half)
     if shape.kind == "sphere":
         return float(half.max())

@@ -10,7 +10,6 @@ from mjhab.core.boxes import Boxes
 from mjhab.core.joints import BASE
 from mjhab.core.rotations import mat_from_quat
 from mjhab.envs.parts.world_view import WorldView
-from mjhab.episodes.grasps.held import shape_of
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.arm.gentle import care_for
 from mjhab.experts.arm.motion import Motion
@@ -233,7 +232,7 @@ def hand_goals(
         any_side: let it lie on any of its sides, too.
         drop: let it fall from so high [m].
     """
-    shape = shape_of(view.object_type(obj))
+    shape = view.object_shape(obj)
     tcp, hand = motion.tcp(view)
     pose = view.object_pose(obj)
     turn = hand.T @ mat_from_quat(pose[3:])

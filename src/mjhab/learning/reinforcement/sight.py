@@ -10,9 +10,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from mjhab.data.select.facts import type_name
+from mjhab.core.names import kind_of
 from mjhab.learning.demos import nearness
 from mjhab.learning.layout import Layout
+from mjhab.tasks.subtasks.registry import horizons
 
 PRIVILEGED = (
     "position and velocity of every joint of the robot, the base among them",
@@ -81,7 +82,7 @@ class Sight:
             worlds, inputs.history, *frames, dtype=torch.uint8, device=self.device
         )
         self._codes = torch.zeros(worlds, layout.width - layout.measured_width, device=self.device)
-        self._horizon = float(max(env.task_config.horizons))
+        self._horizon = float(max(horizons(env.task_config)))
 
     def begin(self, fresh: Tensor, info: Mapping[str, Any]) -> None:
         """Take note of what the worlds in ``fresh`` (W,) bool are to do from now on."""
@@ -90,7 +91,7 @@ class Sight:
             return
         for world in torch.nonzero(fresh).flatten().tolist():
             plan = self._episode(info, world)["plan"]
-            code = layout.condition(plan[0]["kind"], type_name(plan[0]["target"]))
+            code = layout.condition(plan[0]["kind"], kind_of(plan[0]["target"]))
             self._codes[world] = torch.from_numpy(code).to(self.device)
 
     def _episode(self, info: Mapping[str, Any], world: int) -> Mapping[str, Any]:

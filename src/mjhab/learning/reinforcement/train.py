@@ -34,6 +34,7 @@ from mjhab.learning.runs.train import TrainingResult
 from mjhab.learning.students.gaussian import SquashedGaussian
 from mjhab.learning.students.student import Student
 from mjhab.reports.metrics import mean, wilson
+from mjhab.tasks.subtasks.registry import horizons
 
 REPORT_SECONDS = 2.0
 """Between reports of SAC, whose updates are many."""
@@ -254,7 +255,7 @@ class _SacRun(_Run):
     def _demonstrate(self) -> None:
         """Let the expert fill the buffer of demonstrations, in episodes of its own."""
         session = self.session
-        horizon = int(max(session.env.task_config.horizons)) + 2
+        horizon = int(max(horizons(session.env.task_config))) + 2
         episodes = self.sac.demonstrations
 
         def make(worlds: int) -> ReplayBuffer:

@@ -10,15 +10,15 @@ from __future__ import annotations
 from mjhab.scenes.shapes.shapes import box, rod, span
 from mjhab.scenes.spec import Articulation, Geom, Handle, Link, Receptacle, Vec3
 
-FRONT_X = 0.303
+FRONT_BACK_X_M = 0.303
 """Back face of the counter's drawer fronts; a front is 20 mm thick [m]."""
-FRONT_THICK = 0.02
-BAR = 0.02
+FRONT_THICKNESS_M = 0.02
+BAR_THICKNESS_M = 0.02
 """Thickness of a handle bar [m]."""
-BAR_GAP = 0.05
+BAR_GAP_M = 0.05
 """Free space between bar and front: fingers are 14 mm thick and reach 31 mm past the grasp point [m]."""
-WORKTOP_TOP = 0.88
-DRAWER_TRAVEL = 0.5
+WORKTOP_HEIGHT_M = 0.88
+DRAWER_TRAVEL_M = 0.5
 
 # name, y extent, z extent of the front, surface height of the drawer floor, mass [kg]
 _DRAWERS: tuple[tuple[str, tuple[float, float], tuple[float, float], float, float], ...] = (
@@ -36,8 +36,8 @@ def kitchen_counter() -> Articulation:
     """The counter: worktop at 0.88 m, 2.8 m wide, 0.65 m deep; drawers slide along +x."""
     links = tuple(_drawer(*row) for row in _DRAWERS)
     surfaces = (
-        Receptacle("counter_left", (0.08, -0.99, WORKTOP_TOP), (0.20, 0.37), 0.6),
-        Receptacle("counter_right", (0.08, 0.68, WORKTOP_TOP), (0.20, 0.68), 0.6),
+        Receptacle("counter_left", (0.08, -0.99, WORKTOP_HEIGHT_M), (0.20, 0.37), 0.6),
+        Receptacle("counter_right", (0.08, 0.68, WORKTOP_HEIGHT_M), (0.20, 0.68), 0.6),
         Receptacle("sink", (0.0, -0.325, 0.78), (0.16, 0.19), 0.6),
     )
     inside = tuple(
@@ -59,7 +59,7 @@ def _link_z(z: tuple[float, float]) -> float:
 
 
 def _counter_body() -> list[Geom]:
-    top = (0.84, WORKTOP_TOP)
+    top = (0.84, WORKTOP_HEIGHT_M)
     back = (-0.325, -0.305)
     x = (-0.325, 0.335)
     geoms = [
@@ -69,10 +69,17 @@ def _counter_body() -> list[Geom]:
         span((-0.325, -0.20), (-0.55, -0.10), top, "worktop"),
         span(back, (-1.40, 1.40), (0.0, 0.84), "cabinet_carcass"),
         span((-0.305, 0.24), (-1.39, 1.39), (0.0, 0.10), "cabinet_plinth"),
-        span((0.283, FRONT_X + FRONT_THICK), (-0.595, -0.055), (0.115, 0.835), "cabinet_front"),
-        span((-0.325, -0.315), (-1.42, 1.42), (WORKTOP_TOP, 1.36), "backsplash", collide=False),
+        span(
+            (0.283, FRONT_BACK_X_M + FRONT_THICKNESS_M),
+            (-0.595, -0.055),
+            (0.115, 0.835),
+            "cabinet_front",
+        ),
+        span(
+            (-0.325, -0.315), (-1.42, 1.42), (WORKTOP_HEIGHT_M, 1.36), "backsplash", collide=False
+        ),
         box(
-            (FRONT_X + FRONT_THICK + 0.012, -0.12, 0.60),
+            (FRONT_BACK_X_M + FRONT_THICKNESS_M + 0.012, -0.12, 0.60),
             (0.012, 0.012, 0.18),
             "brass",
             collide=False,
@@ -80,7 +87,7 @@ def _counter_body() -> list[Geom]:
     ]
     for y in (-1.40, -0.60, -0.05, 0.60, 1.40):
         geoms.append(
-            span((-0.305, FRONT_X), (y - 0.009, y + 0.009), (0.10, 0.84), "cabinet_carcass")
+            span((-0.305, FRONT_BACK_X_M), (y - 0.009, y + 0.009), (0.10, 0.84), "cabinet_carcass")
         )
     return geoms
 
@@ -100,10 +107,17 @@ def _sink() -> list[Geom]:
         span((x[0], inner_x[0]), y, (floor, rim), "steel"),
         span((inner_x[1], x[1]), y, (floor, rim), "steel"),
         rod((0.0, -0.325, floor + 0.001), 0.022, 0.004, "black_metal", collide=False),
-        rod((-0.25, -0.325, WORKTOP_TOP + 0.12), 0.016, 0.24, "steel"),
-        rod((-0.175, -0.325, WORKTOP_TOP + 0.235), 0.011, 0.17, "steel", axis="x", collide=False),
-        rod((-0.095, -0.325, WORKTOP_TOP + 0.21), 0.011, 0.05, "steel", collide=False),
-        rod((-0.25, -0.29, WORKTOP_TOP + 0.10), 0.007, 0.07, "steel", axis="y", collide=False),
+        rod((-0.25, -0.325, WORKTOP_HEIGHT_M + 0.12), 0.016, 0.24, "steel"),
+        rod(
+            (-0.175, -0.325, WORKTOP_HEIGHT_M + 0.235),
+            0.011,
+            0.17,
+            "steel",
+            axis="x",
+            collide=False,
+        ),
+        rod((-0.095, -0.325, WORKTOP_HEIGHT_M + 0.21), 0.011, 0.05, "steel", collide=False),
+        rod((-0.25, -0.29, WORKTOP_HEIGHT_M + 0.10), 0.007, 0.07, "steel", axis="y", collide=False),
     ]
 
 
@@ -120,31 +134,36 @@ def _drawer(
     back = -0.29
     low = surface - 0.015
     handle_z = 0.0 if height < 0.3 else height / 2 - 0.10
-    out = FRONT_X + FRONT_THICK
+    out = FRONT_BACK_X_M + FRONT_THICKNESS_M
     geoms = [
-        span((back, FRONT_X), (-inner, inner), (low, surface), "drawer_inside"),
+        span((back, FRONT_BACK_X_M), (-inner, inner), (low, surface), "drawer_inside"),
         span(
-            (FRONT_X, out),
+            (FRONT_BACK_X_M, out),
             (-width / 2 + 0.004, width / 2 - 0.004),
             (-height / 2, height / 2),
             "cabinet_front",
         ),
         span((back, back + 0.012), (-inner, inner), (surface, side), "drawer_inside"),
-        span((back, FRONT_X), (inner - 0.012, inner), (surface, side), "drawer_inside"),
-        span((back, FRONT_X), (-inner, -inner + 0.012), (surface, side), "drawer_inside"),
+        span((back, FRONT_BACK_X_M), (inner - 0.012, inner), (surface, side), "drawer_inside"),
+        span((back, FRONT_BACK_X_M), (-inner, -inner + 0.012), (surface, side), "drawer_inside"),
     ]
-    bar_x = out + BAR_GAP + BAR / 2
+    bar_x = out + BAR_GAP_M + BAR_THICKNESS_M / 2
     half = 0.085
     geoms += _bar((bar_x, 0.0, handle_z), (0.0, 1.0, 0.0), half, out, "brass")
-    handle = Handle((bar_x, 0.0, handle_z), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0), half, BAR)
+    handle = Handle((bar_x, 0.0, handle_z), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0), half, BAR_THICKNESS_M)
     pos = (0.0, (y[0] + y[1]) / 2, mid)
     return Link(
-        name, "slide", (1.0, 0.0, 0.0), (0.0, DRAWER_TRAVEL), pos, mass, tuple(geoms), handle
+        name, "slide", (1.0, 0.0, 0.0), (0.0, DRAWER_TRAVEL_M), pos, mass, tuple(geoms), handle
     )
 
 
 def _bar(
-    center: Vec3, along: Vec3, half: float, front: float, material: str, thick: float = BAR
+    center: Vec3,
+    along: Vec3,
+    half: float,
+    front: float,
+    material: str,
+    thick: float = BAR_THICKNESS_M,
 ) -> list[Geom]:
     """A bar in front of a plate at x = ``front``, on two thin posts at its ends that keep its middle free."""
     reach = 2 * half + 0.02
@@ -157,14 +176,14 @@ def _bar(
 
 
 # fridge: closed door's inner face, outer face, hinge line
-_INNER = 0.290
-_OUTER = 0.345
-_HINGE_Y = 0.345
-_WIDTH = 0.69
-_TOP_DOOR = (0.84, 1.93)
-_BOTTOM_DOOR = (0.07, 0.83)
-_SHELVES = {"middle_bottom": 0.48, "middle_top": 1.16, "top": 1.53}
-_DECK = 0.86
+_DOOR_INNER_X_M = 0.290
+_DOOR_OUTER_X_M = 0.345
+_HINGE_Y_M = 0.345
+_FRIDGE_WIDTH_M = 0.69
+_TOP_DOOR_Z_M = (0.84, 1.93)
+_BOTTOM_DOOR_Z_M = (0.07, 0.83)
+_SHELF_HEIGHTS_M = {"middle_bottom": 0.48, "middle_top": 1.16, "top": 1.53}
+_DECK_HEIGHT_M = 0.86
 """Surface of the deck between the two compartments [m]."""
 
 
@@ -173,7 +192,7 @@ def fridge() -> Articulation:
     heights = {
         "bottom": 0.12,
         "middle_bottom": 0.48,
-        "middle": _DECK,
+        "middle": _DECK_HEIGHT_M,
         "middle_top": 1.16,
         "top": 1.53,
     }
@@ -183,14 +202,14 @@ def fridge() -> Articulation:
         for name, z in heights.items()
     )
     links = (
-        _door("top_door", _TOP_DOOR, (0.0, 2.3), 8.0, 1.17, (0.95, 1.20, 1.56)),
-        _door("bottom_door", _BOTTOM_DOOR, (0.0, 2.5), 6.0, 0.62, (0.16, 0.50)),
+        _door("top_door", _TOP_DOOR_Z_M, (0.0, 2.3), 8.0, 1.17, (0.95, 1.20, 1.56)),
+        _door("bottom_door", _BOTTOM_DOOR_Z_M, (0.0, 2.5), 6.0, 0.62, (0.16, 0.50)),
     )
     return Articulation("fridge", tuple(_carcass()), links, shelves)
 
 
 def _carcass() -> list[Geom]:
-    x = (-0.345, _INNER)
+    x = (-0.345, _DOOR_INNER_X_M)
     y = (-0.345, 0.345)
     geoms = [
         span((-0.345, -0.305), y, (0.0, 1.95), "fridge_body"),
@@ -198,7 +217,7 @@ def _carcass() -> list[Geom]:
         span(x, (0.315, 0.345), (0.0, 1.95), "fridge_body"),
         span(x, (-0.315, 0.315), (1.90, 1.95), "fridge_body"),
         span((-0.305, 0.27), (-0.315, 0.315), (0.03, 0.12), "fridge_inside"),
-        span((-0.305, _INNER), (-0.315, 0.315), (0.81, _DECK), "fridge_inside"),
+        span((-0.305, _DOOR_INNER_X_M), (-0.315, 0.315), (0.81, _DECK_HEIGHT_M), "fridge_inside"),
         span((-0.305, -0.300), (-0.315, 0.315), (0.12, 1.90), "fridge_inside", collide=False),
         box((0.10, 0.0, 1.893), (0.10, 0.16, 0.012), "lamp_shade", collide=False),
     ]
@@ -206,7 +225,7 @@ def _carcass() -> list[Geom]:
         geoms.append(
             box((-0.01, side * 0.3125, 1.01), (0.58, 0.005, 1.78), "fridge_inside", collide=False)
         )
-    for z in _SHELVES.values():
+    for z in _SHELF_HEIGHTS_M.values():
         geoms.append(span((-0.305, 0.165), (-0.315, 0.315), (z - 0.018, z), "fridge_shelf"))
         geoms.append(
             span((0.165, 0.171), (-0.315, 0.315), (z - 0.018, z + 0.004), "steel", collide=False)
@@ -223,13 +242,13 @@ def _door(
     bins: tuple[float, ...],
 ) -> Link:
     """A door. Its link frame lies on the hinge line at floor height, +x outward; the door extends along -y."""
-    inner = _INNER - _OUTER
+    inner = _DOOR_INNER_X_M - _DOOR_OUTER_X_M
     outer = 0.0
     geoms = [
-        span((inner, outer), (-_WIDTH, 0.0), z, "fridge_door"),
+        span((inner, outer), (-_FRIDGE_WIDTH_M, 0.0), z, "fridge_door"),
         span(
             (inner - 0.006, inner),
-            (-_WIDTH + 0.035, -0.035),
+            (-_FRIDGE_WIDTH_M + 0.035, -0.035),
             (z[0] + 0.03, z[1] - 0.03),
             "fridge_inside",
             collide=False,
@@ -239,17 +258,24 @@ def _door(
         geoms += _bin(inner, height)
     half = 0.22 if z[1] - z[0] > 1.0 else 0.14
     thick = 0.022
-    center = (outer + BAR_GAP + thick / 2, -_WIDTH + 0.06, grip)
+    center = (outer + BAR_GAP_M + thick / 2, -_FRIDGE_WIDTH_M + 0.06, grip)
     geoms += _bar(center, (0.0, 0.0, 1.0), half, outer, "steel", thick)
     handle = Handle(center, (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), half, thick)
     return Link(
-        name, "hinge", (0.0, 0.0, 1.0), limits, (_OUTER, _HINGE_Y, 0.0), mass, tuple(geoms), handle
+        name,
+        "hinge",
+        (0.0, 0.0, 1.0),
+        limits,
+        (_DOOR_OUTER_X_M, _HINGE_Y_M, 0.0),
+        mass,
+        tuple(geoms),
+        handle,
     )
 
 
 def _bin(inner: float, height: float) -> list[Geom]:
     """A door shelf: floor and lip, 75 mm deep, narrower than the door so that it passes the side walls."""
-    y = (-_WIDTH + 0.07, -0.08)
+    y = (-_FRIDGE_WIDTH_M + 0.07, -0.08)
     return [
         span((inner - 0.075, inner), y, (height, height + 0.012), "fridge_bin"),
         span((inner - 0.075, inner - 0.067), y, (height + 0.012, height + 0.07), "fridge_bin"),

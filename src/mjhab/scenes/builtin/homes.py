@@ -18,39 +18,39 @@ from mjhab.core.seeding import stream
 from mjhab.scenes.builtin.furniture import builtin_articulations, builtin_props
 from mjhab.scenes.builtin.home_cache import cached_homes
 from mjhab.scenes.builtin.home_plans import HARD, PLANS, SMALL, Piece, Plan, Wall
-from mjhab.scenes.freespace import BASE_RADIUS, free_map, reach
+from mjhab.scenes.freespace import NAVMESH_BASE_RADIUS_M, free_map, reach
 from mjhab.scenes.shapes.footprints import Footprint, footprint, rectangle
 from mjhab.scenes.shapes.shapes import span
 from mjhab.scenes.spec import Articulation, Geom, Home, Light, Pack, Placement, Prop
 
-MICROS = 21
+NUM_MICROS = 21
 """Micro layouts per macro layout."""
-WALL_HEIGHT = 2.6
-WALL_THICK = 0.12
+WALL_HEIGHT_M = 2.6
+WALL_THICKNESS_M = 0.12
 Key = tuple[int, int]
 VERSION_ONE: tuple[Key, ...] = ((0, 0), (0, 1), (1, 0), (2, 0), (3, 0), (4, 0))
 """(macro, micro) of six homes, enough to try things quickly."""
 EVERY: tuple[Key, ...] = tuple(
-    (macro, micro) for macro in range(len(PLANS)) for micro in range(MICROS)
+    (macro, micro) for macro in range(len(PLANS)) for micro in range(NUM_MICROS)
 )
 """(macro, micro) of all 105 homes."""
 LISTED = EVERY
 """(macro, micro) of the homes that the pack lists."""
 
-MAX_REACH_CENTER = 0.85
+MAX_REACH_TO_CENTER_M = 0.85
 """Farthest that the centre of a receptacle may lie from where a base can stand [m]."""
-MAX_REACH_ANY = 1.0
+MAX_REACH_TO_ANY_POINT_M = 1.0
 """The same for any point of a receptacle [m]."""
-ONE_PIECE = 0.94
+MIN_CONNECTED_SHARE = 0.94
 """Least share of the free floor that must be connected; the rest are nooks behind furniture."""
 
 Zone = tuple[tuple[float, float], tuple[float, float]]
-KEEP_CLEAR: dict[str, Zone] = {
+KEEP_CLEAR_M: dict[str, Zone] = {
     "kitchen_counter": ((0.40, 1.95), (-1.40, 1.40)),
     "fridge": ((0.42, 1.90), (-0.80, 1.15)),
 }
 """Floor in front of what opens, in its frame: x and y extents [m] that stay free for doors, drawers and a robot."""
-FRIDGE_HALF = 0.345
+FRIDGE_HALF_WIDTH_M = 0.345
 """Half the width of the fridge [m]."""
 
 # how far a micro layout may move a piece: across, along its own y axis [m], turn [rad]
@@ -63,7 +63,7 @@ _SHIFTS: dict[str, tuple[float, float, float]] = {
 }
 _ALONG_WALL = (0.0, 0.12, 0.0)
 _SMALL_SHIFT = (0.05, 0.05, math.pi)
-_TRIES = 400
+_MAX_TRIES = 400
 
 
 def split_of(macro: int) -> Literal["train", "val", "test"]:
@@ -128,9 +128,9 @@ def plan_of(macro: int, micro: int) -> Plan:
     Raises:
         UsageError: out of range.
     """
-    if not (0 <= macro < len(PLANS) and 0 <= micro < MICROS):
+    if not (0 <= macro < len(PLANS) and 0 <= micro < NUM_MICROS):
         raise UsageError(
-            f"no home ({macro}, {micro}): macro is 0..{len(PLANS) - 1}, micro 0..{MICROS - 1}."
+            f"no home ({macro}, {micro}): macro is 0..{len(PLANS) - 1}, micro 0..{NUM_MICROS - 1}."
         )
     plan = PLANS[macro]
     hard = HARD.get((macro, micro))
@@ -160,23 +160,23 @@ def _place(piece: Piece) -> Placement:
 def wall_geoms(plan: Plan) -> tuple[Geom, ...]:
     """Wall boxes of a plan: four outer walls around the floor, then inner walls split at their doorways."""
     (w, d) = plan.size
-    t = WALL_THICK
+    t = WALL_THICKNESS_M
     outer = [
-        span((-t, w + t), (-t, 0.0), (0.0, WALL_HEIGHT), plan.outer_wall),
-        span((-t, w + t), (d, d + t), (0.0, WALL_HEIGHT), plan.outer_wall),
-        span((-t, 0.0), (0.0, d), (0.0, WALL_HEIGHT), plan.outer_wall),
-        span((w, w + t), (0.0, d), (0.0, WALL_HEIGHT), plan.outer_wall),
+        span((-t, w + t), (-t, 0.0), (0.0, WALL_HEIGHT_M), plan.outer_wall),
+        span((-t, w + t), (d, d + t), (0.0, WALL_HEIGHT_M), plan.outer_wall),
+        span((-t, 0.0), (0.0, d), (0.0, WALL_HEIGHT_M), plan.outer_wall),
+        span((w, w + t), (0.0, d), (0.0, WALL_HEIGHT_M), plan.outer_wall),
     ]
     return (*outer, *(geom for wall in plan.walls for geom in _inner_wall(wall, plan.inner_wall)))
 
 
 def _inner_wall(wall: Wall, material: str) -> list[Geom]:
     stops = [wall.start, *(s for gap in wall.gaps for s in gap), wall.end]
-    across = (wall.at - WALL_THICK / 2, wall.at + WALL_THICK / 2)
+    across = (wall.at - WALL_THICKNESS_M / 2, wall.at + WALL_THICKNESS_M / 2)
     pieces = []
     for a, b in zip(stops[::2], stops[1::2], strict=True):
         x, y = ((a, b), across) if wall.axis == "x" else (across, (a, b))
-        pieces.append(span(x, y, (0.0, WALL_HEIGHT), material))
+        pieces.append(span(x, y, (0.0, WALL_HEIGHT_M), material))
     return pieces
 
 
@@ -188,21 +188,21 @@ def _furnish(home: Home, plan: Plan) -> Home:
     """
     rng = stream(0, "home", home.macro, home.micro)
     taken = _blocked(plan, keep_clear(home.macro, home.micro))
-    for _ in range(_TRIES):
+    for _ in range(_MAX_TRIES):
         placed = _try_furnish(plan, home.micro, rng, list(taken))
         if placed is not None:
             furnished = replace(home, props=placed)
             if usable(furnished, _templates_pack()):
                 return furnished
-    raise RuntimeError(f"{home.name}: no usable arrangement of the furniture in {_TRIES} tries")
+    raise RuntimeError(f"{home.name}: no usable arrangement of the furniture in {_MAX_TRIES} tries")
 
 
 def usable(home: Home, pack: Pack) -> bool:
     """Whether the free floor is one piece (but for nooks) from which every receptacle can be reached."""
     free = free_map(home, pack)
-    share = free.navigable().sum() / max((free.clearance >= BASE_RADIUS).sum(), 1)
-    return bool(share >= ONE_PIECE) and all(
-        r.center <= MAX_REACH_CENTER and r.farthest <= MAX_REACH_ANY
+    share = free.navigable().sum() / max((free.clearance >= NAVMESH_BASE_RADIUS_M).sum(), 1)
+    return bool(share >= MIN_CONNECTED_SHARE) and all(
+        r.center <= MAX_REACH_TO_CENTER_M and r.farthest <= MAX_REACH_TO_ANY_POINT_M
         for r in reach(home, pack, free)
     )
 
@@ -230,9 +230,9 @@ def keep_clear(macro: int, micro: int) -> dict[str, Zone]:
     """Zone in front of each articulation of one home; where a wall stands beside the fridge, it ends there."""
     hard = HARD.get((macro, micro))
     if hard is None:
-        return KEEP_CLEAR
-    x, (low, high) = KEEP_CLEAR["fridge"]
-    return {**KEEP_CLEAR, "fridge": (x, (low, min(high, FRIDGE_HALF + hard.side)))}
+        return KEEP_CLEAR_M
+    x, (low, high) = KEEP_CLEAR_M["fridge"]
+    return {**KEEP_CLEAR_M, "fridge": (x, (low, min(high, FRIDGE_HALF_WIDTH_M + hard.side)))}
 
 
 def _blocked(plan: Plan, clear: dict[str, Zone]) -> list[Footprint]:
@@ -248,7 +248,7 @@ def _blocked(plan: Plan, clear: dict[str, Zone]) -> list[Footprint]:
         body = footprint(at, _template(at.template))
         assert body is not None
         taken.append(body)
-        taken.append(Footprint("zone", rectangle(at, *clear[at.template]), (0.0, WALL_HEIGHT)))
+        taken.append(Footprint("zone", rectangle(at, *clear[at.template]), (0.0, WALL_HEIGHT_M)))
     return taken
 
 

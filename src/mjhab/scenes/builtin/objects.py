@@ -10,9 +10,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
-from mjhab.core.errors import unknown_name
+from mjhab.scenes.shapes.hulls import hull_mesh
 from mjhab.scenes.shapes.meshes import Mesh
 from mjhab.scenes.shapes.shapes import about_z, box, lathe, look, rod
 from mjhab.scenes.spec import Geom, ObjectType, Vec3
@@ -56,33 +55,14 @@ SCAN_YAW: dict[str, float] = {
 CLUTTER_TYPES: tuple[str, ...] = tuple(name for name in SIZES if name != "013_apple")
 """The nine types of TidyHouse, PrepareGroceries and of the clutter of SetTable."""
 
-BOWL_WALL = 0.0045
+BOWL_WALL_M = 0.0045
 """Thickness of the bowl's wall [m]."""
-_BOWL_PROFILE = ((0.046, -0.0275), (0.0735, -0.0075), (0.0805, 0.0275))
+_BOWL_PROFILE_M = ((0.046, -0.0275), (0.0735, -0.0075), (0.0805, 0.0275))
 """Outer (radius, z) of the bowl: foot, knee, rim. Steep above the knee, so that a rim grasp has parallel sides."""
 BOWL_FACETS = 12
 """Flat pieces of the bowl's wall. A finger pad (26 mm wide) has 7 mm of room on either side of a piece's middle: beyond
 it, its side would meet the edge of the next piece."""
-_BASE_PIECES = 8
-
-
-def roster(task: str) -> tuple[str, ...]:
-    """Object type of every slot that a task's generated episodes use, in slot order.
-
-    HAB's counts: 30 objects in TidyHouse and PrepareGroceries; SetTable has 27 clutter objects, a bowl and an apple.
-
-    Raises:
-        UsageError: ``task`` is none of the three.
-    """
-    clutter = tuple(name for name in CLUTTER_TYPES for _ in range(3))
-    extra = {
-        "tidy_house": ("003_cracker_box", "005_tomato_soup_can", "024_bowl"),
-        "prepare_groceries": ("003_cracker_box", "005_tomato_soup_can", "024_bowl"),
-        "set_table": ("024_bowl", "013_apple"),
-    }
-    if task not in extra:
-        raise unknown_name("task", task, extra)
-    return clutter + extra[task]
+_BOWL_BASE_PIECES = 8
 
 
 def builtin_objects() -> dict[str, ObjectType]:
@@ -115,13 +95,13 @@ def builtin_objects() -> dict[str, ObjectType]:
 
 def object_meshes() -> dict[str, Mesh]:
     """Collision pieces of apple and bowl, and the smooth shapes that are seen instead."""
-    (foot_r, foot_z), (knee_r, knee_z), (rim_r, rim_z) = _BOWL_PROFILE
-    w = BOWL_WALL
+    (foot_r, foot_z), (knee_r, knee_z), (rim_r, rim_z) = _BOWL_PROFILE_M
+    w = BOWL_WALL_M
     return {
-        "apple_hull": _hull(_icosphere() * (np.array(SIZES["013_apple"]) / 2)),
+        "apple_hull": hull_mesh(_icosphere() * (np.array(SIZES["013_apple"]) / 2)),
         "apple_look": _apple_look(),
         "bowl_rim_piece": _wall_piece(knee_r, knee_z, rim_r, rim_z, BOWL_FACETS),
-        "bowl_base_piece": _wall_piece(foot_r, foot_z, knee_r, knee_z, _BASE_PIECES),
+        "bowl_base_piece": _wall_piece(foot_r, foot_z, knee_r, knee_z, _BOWL_BASE_PIECES),
         "bowl_outside": lathe(
             [
                 (0.0, foot_z),
@@ -261,16 +241,16 @@ def _apple() -> tuple[list[Geom], list[Geom]]:
 
 def _bowl() -> tuple[list[Geom], list[Geom]]:
     """An open bowl: a ring of steep rim pieces, a ring of flat base pieces, a round floor."""
-    foot_r, foot_z = _BOWL_PROFILE[0]
+    foot_r, foot_z = _BOWL_PROFILE_M[0]
     pieces = [
         Geom(
             "cylinder",
-            (foot_r, BOWL_WALL / 2, 0.0),
-            (0.0, 0.0, foot_z + BOWL_WALL / 2),
+            (foot_r, BOWL_WALL_M / 2, 0.0),
+            (0.0, 0.0, foot_z + BOWL_WALL_M / 2),
             visual=False,
         )
     ]
-    for count, mesh in ((BOWL_FACETS, "bowl_rim_piece"), (_BASE_PIECES, "bowl_base_piece")):
+    for count, mesh in ((BOWL_FACETS, "bowl_rim_piece"), (_BOWL_BASE_PIECES, "bowl_base_piece")):
         for i in range(count):
             turn = about_z(2 * math.pi * i / count)
             pieces.append(Geom("mesh", (1.0, 1.0, 1.0), quat=turn, mesh=mesh, visual=False))
@@ -281,25 +261,12 @@ def _wall_piece(r0: float, z0: float, r1: float, z1: float, count: int) -> Mesh:
     """One of ``count`` equal wedges of a conical wall, about the +x direction; its corners lie on the circles."""
     a = math.pi / count
     slope = math.atan2(r1 - r0, z1 - z0)
-    inward = BOWL_WALL / math.cos(slope)
+    inward = BOWL_WALL_M / math.cos(slope)
     points = []
     for r, z in ((r0, z0), (r1, z1)):
         for rr in (r, max(r - inward, 0.0)):
             points += [(rr * math.cos(t), rr * math.sin(t), z) for t in (-a, a)]
-    return _hull(np.array(points))
-
-
-def _hull(points: np.ndarray) -> Mesh:
-    """Triangles of the convex hull, counter-clockwise seen from outside."""
-    hull = ConvexHull(points)
-    used = np.unique(hull.simplices)
-    index = np.full(len(points), -1)
-    index[used] = np.arange(len(used))
-    faces = hull.simplices.copy()
-    a, b, c = (points[faces[:, k]] for k in range(3))
-    flip = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0
-    faces[flip] = faces[flip][:, ::-1]
-    return Mesh(points[used].astype(np.float32), index[faces].astype(np.int32))
+    return hull_mesh(np.array(points))
 
 
 def _icosphere() -> np.ndarray:

@@ -30,6 +30,8 @@ _COMPONENT = {
 }
 _WIDTH = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _TRIANGLES = 4
+TO_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+"""Turns a vector of a file, with +y up, into our axes: (x, y, z) becomes (x, -z, y)."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,6 +14,7 @@ import numpy as np
 
 from mjhab.core.errors import UsageError
 from mjhab.core.rotations import mat_from_quat, quat_from_mat
+from mjhab.scenes.formats.gltf import TO_Z_UP
 from mjhab.scenes.pack_check import MAX_FILE_NUMBER
 from mjhab.scenes.spec import Placement, Quat, Vec3
 
@@ -22,9 +23,7 @@ PREFIX = "frl_apartment_"
 """What most names of the data set begin with and ours do not."""
 FOLDERS = ("configs/scenes", "configs/objects", "objects", "urdf")
 FETCH = "`mjhab assets fetch replica_cad` gets it"
-TO_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-"""Turns a vector of the data set into ours."""
-_LEVEL = 1e-4
+_MAX_LEVEL_TILT_RAD = 1e-4
 """Rotations that tilt by less than about this [rad] are headings."""
 
 
@@ -123,5 +122,5 @@ def placement(path: Path, record: dict[str, Any], template: str, where: str) -> 
 def place(template: str, pos: np.ndarray, rotation: np.ndarray) -> Placement:
     """A placement from a position (3,) and a rotation (3, 3); an upright one gets a heading and no quaternion."""
     yaw = float(np.arctan2(rotation[1, 0], rotation[0, 0]))
-    tilted = np.hypot(rotation[0, 2], rotation[1, 2]) > _LEVEL or rotation[2, 2] < 0
+    tilted = np.hypot(rotation[0, 2], rotation[1, 2]) > _MAX_LEVEL_TILT_RAD or rotation[2, 2] < 0
     return Placement(template, point(pos), yaw, quat_of(rotation) if tilted else None)

@@ -14,12 +14,11 @@ import numpy as np
 
 from mjhab.core.errors import UsageError
 from mjhab.core.rotations import mat_from_quat
-from mjhab.scenes.formats.gltf import read_glb, read_hulls
+from mjhab.scenes.formats.gltf import TO_Z_UP, read_glb, read_hulls
 from mjhab.scenes.formats.urdf import Urdf, UrdfBox, UrdfJoint, UrdfLink, UrdfVisual, read_urdf
 from mjhab.scenes.replica_cad import handles
 from mjhab.scenes.replica_cad.files import (
     FETCH,
-    TO_Z_UP,
     load_json,
     place,
     point,

@@ -14,7 +14,7 @@ import numpy as np
 from mjhab.scenes.formats.urdf import UrdfBox
 
 Range = tuple[float, float]
-FINGERTIP = 0.031
+FINGERTIP_REACH_M = 0.031
 """How far the fingertips of the benchmark's robot reach past the tool centre [m]."""
 
 
@@ -75,7 +75,7 @@ RIBS = {
         0.0623, (0.1066, 0.0994), (-0.6900, -0.6396), (-0.3440, 0.0040), (-0.3127, -0.0170)
     ),
 }
-_WALL = 0.008
+_BIN_WALL_M = 0.008
 """Thickness of the walls of a door shelf [m]."""
 # Extents x, y, z of the door shelves; z points down, so the floor of a shelf is at its largest z.
 _BINS: dict[str, tuple[tuple[Range, Range, Range], ...]] = {
@@ -132,7 +132,7 @@ def drawer(name: str, boxes: tuple[UrdfBox, ...]) -> tuple[tuple[UrdfBox, ...], 
     cut = FRONTS[name]
     (y0, y1) = cut.block_y
     (z0, z1) = cut.block_z
-    pos = np.array([cut.x + FINGERTIP, (y0 + y1) / 2, (z0 + z1) / 2])
+    pos = np.array([cut.x + FINGERTIP_REACH_M, (y0 + y1) / 2, (z0 + z1) / 2])
     # The block's long side lies along z, across the drawer.
     grip = Grip(pos, np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]), (z1 - z0) / 2, y1 - y0)
     if len(boxes) != 5:
@@ -164,7 +164,7 @@ def door(name: str, boxes: tuple[UrdfBox, ...]) -> tuple[tuple[UrdfBox, ...], Gr
     rib = RIBS[name]
     (y0, y1) = rib.y
     (z0, z1) = rib.straight
-    pos = np.array([rib.door_x + 0.002 + FINGERTIP, (y0 + y1) / 2, (z0 + z1) / 2])
+    pos = np.array([rib.door_x + 0.002 + FINGERTIP_REACH_M, (y0 + y1) / 2, (z0 + z1) / 2])
     # Up along the bar is against the link's z axis.
     grip = Grip(pos, np.array([0.0, 0.0, -1.0]), np.array([1.0, 0.0, 0.0]), (z1 - z0) / 2, y1 - y0)
     if len(boxes) != 1:
@@ -172,10 +172,14 @@ def door(name: str, boxes: tuple[UrdfBox, ...]) -> tuple[tuple[UrdfBox, ...], Gr
     more = [_rib(rib, float(boxes[0].pose[0, 3]))]
     for x, y, z in _BINS.get(name, ()):
         more += [
-            span(x, y, (z[1] - _WALL, z[1])),
-            span((x[0], x[0] + _WALL), y, (z[0], z[1] - _WALL)),
-            span((x[0] + _WALL, x[1]), (y[0], y[0] + _WALL), (z[0], z[1] - _WALL)),
-            span((x[0] + _WALL, x[1]), (y[1] - _WALL, y[1]), (z[0], z[1] - _WALL)),
+            span(x, y, (z[1] - _BIN_WALL_M, z[1])),
+            span((x[0], x[0] + _BIN_WALL_M), y, (z[0], z[1] - _BIN_WALL_M)),
+            span(
+                (x[0] + _BIN_WALL_M, x[1]), (y[0], y[0] + _BIN_WALL_M), (z[0], z[1] - _BIN_WALL_M)
+            ),
+            span(
+                (x[0] + _BIN_WALL_M, x[1]), (y[1] - _BIN_WALL_M, y[1]), (z[0], z[1] - _BIN_WALL_M)
+            ),
         ]
     more += [span(x, y, z) for x, y, z in _LIDDED.get(name, ())]
     return (*boxes, *more), grip
@@ -219,5 +223,5 @@ def plain(boxes: tuple[UrdfBox, ...], out: np.ndarray, scale: float) -> Grip:
     bar = np.eye(3)[int(half.argmax())]
     across = np.abs(np.cross(bar, out))
     pos = knob.pose[:3, 3]
-    pos = pos + out * (face + (FINGERTIP + 0.002) / scale - float(out @ pos))
+    pos = pos + out * (face + (FINGERTIP_REACH_M + 0.002) / scale - float(out @ pos))
     return Grip(pos, bar, out, float(half @ bar), float(2 * half @ across))

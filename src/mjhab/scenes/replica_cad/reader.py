@@ -24,6 +24,7 @@ from mjhab.core.names import check_name
 from mjhab.core.rotations import mat_from_quat
 from mjhab.scenes import roles
 from mjhab.scenes.builtin.objects import builtin_objects, object_meshes
+from mjhab.scenes.builtin.pack import ROLES as BUILTIN_ROLES
 from mjhab.scenes.pack_check import check_pack
 from mjhab.scenes.replica_cad.files import (
     FETCH,
@@ -41,38 +42,18 @@ from mjhab.scenes.replica_cad.navmesh import read_navmesh
 from mjhab.scenes.replica_cad.stage import Extent, stage_shape
 from mjhab.scenes.roles import present_roles
 from mjhab.scenes.shapes.footprints import outline
-from mjhab.scenes.spec import Geom, Home, Light, ObjectType, Pack, Placement, Roles
+from mjhab.scenes.spec import Geom, Home, Light, ObjectType, Pack, Placement
 
 STAGED = re.compile(r"v3_sc(\d+)_staging_(\d+)")
 FLOOR_MATERIAL = "floor_oak"
-ROLES = Roles(
-    places={
-        roles.OPEN_SURFACE: (
-            "chair_01",
-            "table_01",
-            "table_02",
-            "tvstand",
-            "sofa",
-            "kitchen_counter/counter_left",
-            "kitchen_counter/counter_right",
-            "kitchen_counter/sink",
-        ),
-        roles.COUNTER_TOP: ("kitchen_counter/counter_left", "kitchen_counter/counter_right"),
-        roles.SINK: ("kitchen_counter/sink",),
-        roles.DINING_TABLE: ("table_01/*",),
-        roles.DRAWER: ("kitchen_counter/drawer_right_top",),
-        roles.FRIDGE_SHELF: ("fridge/middle_top",),
-    },
-    links={
-        roles.KITCHEN_DRAWER_LINK: "kitchen_counter/drawer3",
-        roles.FRIDGE_DOOR_LINK: "fridge/top_door",
-    },
-    closed_by={"fridge/middle_top": "fridge/top_door"},
+ROLES = replace(
+    BUILTIN_ROLES,
+    places={**BUILTIN_ROLES.places, roles.DRAWER: ("kitchen_counter/drawer_right_top",)},
 )
 """Furniture and receptacles that the tasks of the Home Assistant Benchmark use (habitat-lab, hab/*.yaml)."""
-_MARGIN = 1.0
+_FLOOR_MARGIN_M = 1.0
 """Floor around the furniture where neither stage nor navigation mesh tells its extent [m]."""
-_LIGHTS = (
+_LAMP_POSITIONS_M = (
     (-1.1, 2.775, 2.3),
     (-0.5, -1.44, 2.3),
     (2.4, -1.6, 2.3),
@@ -243,7 +224,7 @@ class _Scenes:
             FLOOR_MATERIAL,
             tuple(props),
             tuple(jointed),
-            tuple(Light(pos) for pos in _LIGHTS),
+            tuple(Light(pos) for pos in _LAMP_POSITIONS_M),
         )
 
     def _stage(self, path: Path, body: dict[str, Any]) -> tuple[tuple[Geom, ...], Extent] | None:
@@ -289,8 +270,8 @@ class _Scenes:
             )
             points.append(local @ mat_from_quat(np.array(at.rotation)).T + np.array(at.pos))
         corners = np.concatenate(points)[:, :2] if points else np.array([[-3.0, -3.0], [3.0, 3.0]])
-        low = corners.min(0) - _MARGIN
-        high = corners.max(0) + _MARGIN
+        low = corners.min(0) - _FLOOR_MARGIN_M
+        high = corners.max(0) + _FLOOR_MARGIN_M
         return (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
 
 

@@ -19,16 +19,16 @@ from mjhab.scenes.replica_cad.files import PREFIX, numbers, point
 from mjhab.scenes.shapes.hulls import vertical_extent
 from mjhab.scenes.spec import Receptacle
 
-MOST_HEIGHT = 0.6
+MAX_FREE_HEIGHT_M = 0.6
 """Free height [m] given to surfaces with nothing above."""
-_CELLS = 27
-_FLAT = 0.008
+_CELLS_PER_SIDE = 27
+_MAX_UNEVENNESS_M = 0.008
 """Largest unevenness of a surface [m]."""
-_BELOW = 0.10
+_MAX_DROP_M = 0.10
 """How far below its box a surface may be [m]."""
-_LOW_SHARE = 0.6
+_MIN_HEIGHT_SHARE = 0.6
 """Where there is less than this share of the usual height above a surface, something hangs over it."""
-_KEY = "receptacle_aabb_"
+_KEY_PREFIX = "receptacle_aabb_"
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,7 @@ def spaces(
     """
     found = []
     for key, record in body.get("user_defined", {}).items():
-        if not key.startswith(_KEY):
+        if not key.startswith(_KEY_PREFIX):
             continue
         where = f"user_defined.{key}"
         link = record.get("parent_link", "") if isinstance(record, dict) else ""
@@ -71,7 +71,7 @@ def spaces(
 def _name(key: str, record: dict[str, Any]) -> str:
     """Name of a receptacle: that of the data set without the name of the object, in lower case."""
     owner = re.escape(str(record.get("parent_object", "")))
-    return re.sub(rf"_?({PREFIX})?{owner}$", "", key.removeprefix(_KEY)).lower()
+    return re.sub(rf"_?({PREFIX})?{owner}$", "", key.removeprefix(_KEY_PREFIX)).lower()
 
 
 def fit(
@@ -89,7 +89,8 @@ def fit(
         None when nothing flat is under the box.
     """
     cells = [
-        space.center[k] + space.half[k] * (2 * (np.arange(_CELLS) + 0.5) / _CELLS - 1)
+        space.center[k]
+        + space.half[k] * (2 * (np.arange(_CELLS_PER_SIDE) + 0.5) / _CELLS_PER_SIDE - 1)
         for k in (0, 1)
     ]
     xy = np.stack(np.meshgrid(*cells, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -98,23 +99,23 @@ def fit(
     if known.mean() < 0.1:
         return None
     level = _usual(surface[known])
-    room = np.minimum(ceiling - level, MOST_HEIGHT)
-    good = known & (np.abs(surface - level) < _FLAT)
+    room = np.minimum(ceiling - level, MAX_FREE_HEIGHT_M)
+    good = known & (np.abs(surface - level) < _MAX_UNEVENNESS_M)
     if not good.any():
         return None
-    good &= room >= _LOW_SHARE * np.median(room[good])
-    i0, i1, j0, j1 = largest_rectangle(good.reshape(_CELLS, _CELLS))
-    step = space.half[:2] / _CELLS
+    good &= room >= _MIN_HEIGHT_SHARE * np.median(room[good])
+    i0, i1, j0, j1 = largest_rectangle(good.reshape(_CELLS_PER_SIDE, _CELLS_PER_SIDE))
+    step = space.half[:2] / _CELLS_PER_SIDE
     # The middle of the last good cell is on the surface for sure; only at the end of the box its border is.
-    last = _CELLS - 1
+    last = _CELLS_PER_SIDE - 1
     low = np.array([cells[0][i0], cells[1][j0]]) - step * [i0 == 0, j0 == 0]
     high = np.array([cells[0][i1], cells[1][j1]]) + step * [i1 == last, j1 == last]
-    inside = room.reshape(_CELLS, _CELLS)[i0 : i1 + 1, j0 : j1 + 1]
+    inside = room.reshape(_CELLS_PER_SIDE, _CELLS_PER_SIDE)[i0 : i1 + 1, j0 : j1 + 1]
     center = np.append((low + high) / 2, level) - (np.zeros(3) if origin is None else origin)
     u, v = ((high - low) / 2).tolist()
     height = float(inside.min())
     kind: Literal["open", "drawer", "shelf"] = (
-        "drawer" if link else "shelf" if height < MOST_HEIGHT else "open"
+        "drawer" if link else "shelf" if height < MAX_FREE_HEIGHT_M else "open"
     )
     return Receptacle(space.name, point(center), (u, v), height, kind, link)
 
@@ -136,14 +137,14 @@ def _levels(
         below = high <= middle
         surface = np.where(below, np.maximum(surface, high), surface)
         ceiling = np.where(~below, np.minimum(ceiling, low), ceiling)
-    surface = np.where((surface > bottom - _BELOW) & (ceiling > surface), surface, -np.inf)
+    surface = np.where((surface > bottom - _MAX_DROP_M) & (ceiling > surface), surface, -np.inf)
     return surface, ceiling
 
 
 def _usual(levels: np.ndarray) -> float:
     """The level around which most of the values lie."""
     order = np.sort(levels)
-    count = np.searchsorted(order, order + _FLAT, side="right") - np.arange(len(order))
+    count = np.searchsorted(order, order + _MAX_UNEVENNESS_M, side="right") - np.arange(len(order))
     first = int(count.argmax())
     return float(np.median(order[first : first + int(count[first])]))
 

@@ -7,20 +7,20 @@ from pathlib import Path
 
 import numpy as np
 
-from mjhab.scenes.formats.gltf import read_glb
-from mjhab.scenes.replica_cad.files import TO_Z_UP
+from mjhab.scenes.formats.gltf import TO_Z_UP, read_glb
 from mjhab.scenes.spec import Geom
 
-THICKNESS = 0.05
+WALL_DEPTH_M = 0.05
 """Depth of a wall box behind its face [m], less where the other side of the wall is nearer."""
-UPRIGHT = 0.05
+MAX_NORMAL_RISE = 0.05
 """Largest vertical component of the normal of a wall face."""
-_SAME_ANGLE = np.cos(np.radians(2.0))
-_SAME_PLANE = 0.015
-_GRID = 0.015
+_MIN_PARALLEL_COSINE = np.cos(np.radians(2.0))
+_MAX_PLANE_OFFSET_M = 0.015
+_GRID_STEP_M = 0.015
 """Corners closer than this along a wall count as one [m]."""
-_SMALLEST = (0.03, 0.01)
-"""Faces narrower [m] or smaller [m^2] than this are left out."""
+_MIN_FACE_WIDTH_M = 0.03
+_MIN_FACE_AREA_M2 = 0.01
+"""Faces that are narrower or smaller are left out."""
 MATERIAL = "wall_white"
 
 Array = np.ndarray
@@ -70,7 +70,7 @@ def wall_faces(triangles: Array) -> list[Face]:
     """Upright rectangles that cover the upright ones of triangles (T, 3, 3)."""
     normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     size = np.linalg.norm(normal, axis=1)
-    keep = (size > 1e-7) & (np.abs(normal[:, 2]) < UPRIGHT * size)
+    keep = (size > 1e-7) & (np.abs(normal[:, 2]) < MAX_NORMAL_RISE * size)
     triangles = triangles[keep]
     size = size[keep]
     flat = normal[keep, :2] / np.linalg.norm(normal[keep, :2], axis=1, keepdims=True)
@@ -82,7 +82,7 @@ def wall_faces(triangles: Array) -> list[Face]:
             continue
         n = flat[first]
         away = np.abs(triangles[:, :, :2] @ n - offset[first].mean()).max(axis=1)
-        same = left & (flat @ n > _SAME_ANGLE) & (away < _SAME_PLANE)
+        same = left & (flat @ n > _MIN_PARALLEL_COSINE) & (away < _MAX_PLANE_OFFSET_M)
         same[first] = True
         left &= ~same
         faces += _rectangles(triangles[same], n, float(offset[first].mean()))
@@ -109,17 +109,17 @@ def _rectangles(triangles: Array, normal: Array, offset: float) -> list[Face]:
         z = (float(zs[j0]), float(zs[j1]))
         width = u[1] - u[0]
         height = z[1] - z[0]
-        if min(width, height) >= _SMALLEST[0] and width * height >= _SMALLEST[1]:
+        if min(width, height) >= _MIN_FACE_WIDTH_M and width * height >= _MIN_FACE_AREA_M2:
             out.append(Face(normal, offset, u, z))
     return out
 
 
 def _lines(values: Array) -> Array:
-    """Sorted distinct values; those within `_GRID` of each other count once."""
+    """Sorted distinct values; those within `_GRID_STEP_M` of each other count once."""
     ordered = np.unique(values.round(4))
     keep = [float(ordered[0])]
     for value in ordered[1:]:
-        if value - keep[-1] > _GRID:
+        if value - keep[-1] > _GRID_STEP_M:
             keep.append(float(value))
     return np.array(keep)
 
@@ -151,9 +151,9 @@ def merge_cells(filled: Array) -> list[tuple[int, int, int, int]]:
 
 def _depth(face: Face, faces: list[Face]) -> float:
     """How deep a box behind a face may be: to the other side of the wall."""
-    depth = THICKNESS
+    depth = WALL_DEPTH_M
     for other in faces:
-        if float(face.normal @ other.normal) > -_SAME_ANGLE:
+        if float(face.normal @ other.normal) > -_MIN_PARALLEL_COSINE:
             continue
         behind = face.offset + other.offset
         # The other side runs along the wall the other way round.

@@ -17,24 +17,25 @@ from scipy.spatial import ConvexHull
 from mjhab.core.errors import UsageError
 from mjhab.scenes.builtin.objects import MASSES
 from mjhab.scenes.formats.gltf import Primitive, read_glb
+from mjhab.scenes.shapes.hulls import hull_mesh
 from mjhab.scenes.shapes.meshes import Mesh
 from mjhab.scenes.shapes.painting import textured_mesh
 from mjhab.scenes.shapes.shapes import about_z, look
 from mjhab.scenes.spec import Geom, ObjectType, Vec3
 
 SCAN = "textured.glb"
-PRIMITIVE_TOLERANCE = 0.003
+PRIMITIVE_TOLERANCE_M = 0.003
 """A box or cylinder stands for a scan when `PRIMITIVE_SHARE` of its convex hull's surface lies within this [m]."""
 PRIMITIVE_SHARE = 0.90
 """Not all of it: printed boxes and pressed tins have round edges."""
-OPEN_SHARE = 0.6
+MAX_HOLLOW_SHARE = 0.6
 """A scan that fills less than this share of its convex hull is hollow: its opening must stay open."""
 HULL_DIRECTIONS = 160
-WALL = 0.0045
+BOWL_WALL_M = 0.0045
 """Thickness of the collision wall of a bowl [m]; the scanned wall is thinner, too thin for a stable grasp."""
 RIM_PIECES = 16
 BASE_PIECES = 8
-_SAMPLE_EDGE = 0.006
+_MAX_SAMPLE_EDGE_M = 0.006
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +104,9 @@ def object_from_scan(name: str, scan: Scan) -> tuple[ObjectType, dict[str, Mesh]
         else:
             x, y, z = (np.ptp(scan.vertices, axis=0) / 2).tolist()
             half = (x, y, z)
-            collision, meshes = _bowl(name, scan) if _fill(scan) < OPEN_SHARE else _lump(name, scan)
+            collision, meshes = (
+                _bowl(name, scan) if _fill(scan) < MAX_HOLLOW_SHARE else _lump(name, scan)
+            )
     meshes[f"{name}_look"] = render_mesh(scan, -yaw)
     visuals = (look(f"{name}_look", "plain_white"),)
     return ObjectType(
@@ -124,14 +127,14 @@ class HullSurface:
 
     @staticmethod
     def of(vertices: np.ndarray) -> HullSurface:
-        """Cut the hull of ``vertices`` (V, 3) into triangles no larger than `_SAMPLE_EDGE`."""
+        """Cut the hull of ``vertices`` (V, 3) into triangles no larger than `_MAX_SAMPLE_EDGE_M`."""
         hull = ConvexHull(vertices)
         triangles = vertices[hull.simplices]
         normals = hull.equations[:, :3]
         done: list[tuple[np.ndarray, np.ndarray]] = []
         while len(triangles):
             edge = np.linalg.norm(triangles - np.roll(triangles, -1, axis=1), axis=2)
-            large = edge.max(axis=1) > _SAMPLE_EDGE
+            large = edge.max(axis=1) > _MAX_SAMPLE_EDGE_M
             done.append((triangles[~large], normals[~large]))
             triangles = _halve(triangles[large], edge[large])
             normals = np.repeat(normals[large], 2, axis=0)
@@ -192,7 +195,7 @@ def can_fit(vertices: np.ndarray, surface: HullSurface) -> Vec3:
 
 
 def primitive_share(surface: HullSurface, shape: str, half: Vec3) -> float:
-    """Share of the area of a hull within `PRIMITIVE_TOLERANCE` of an upright box or cylinder about the origin."""
+    """Share of the area of a hull within `PRIMITIVE_TOLERANCE_M` of an upright box or cylinder about the origin."""
     points = surface.points
     if shape == "box":
         beyond = np.abs(points) - np.array(half)
@@ -200,7 +203,7 @@ def primitive_share(surface: HullSurface, shape: str, half: Vec3) -> float:
         radial = np.hypot(points[:, 0], points[:, 1]) - half[0]
         beyond = np.stack([radial, np.abs(points[:, 2]) - half[2]], axis=1)
     gap = np.linalg.norm(np.maximum(beyond, 0.0), axis=1) + np.minimum(beyond.max(axis=1), 0.0)
-    return float(surface.areas[np.abs(gap) <= PRIMITIVE_TOLERANCE].sum() / surface.areas.sum())
+    return float(surface.areas[np.abs(gap) <= PRIMITIVE_TOLERANCE_M].sum() / surface.areas.sum())
 
 
 def _halve(triangles: np.ndarray, edge: np.ndarray) -> np.ndarray:
@@ -234,12 +237,7 @@ def hull_of(points: np.ndarray) -> Mesh:
     corners = points[ConvexHull(points).vertices]
     directions = np.concatenate([_sphere(HULL_DIRECTIONS - 6), np.eye(3), -np.eye(3)])
     chosen = corners[np.unique((directions @ corners.T).argmax(axis=1))]
-    hull = ConvexHull(chosen)
-    faces = hull.simplices.copy()
-    a, b, c = (chosen[faces[:, k]] for k in range(3))
-    inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0
-    faces[inward] = faces[inward][:, ::-1]
-    return Mesh(chosen.astype(np.float32), faces.astype(np.int32))
+    return hull_mesh(chosen)
 
 
 def _sphere(count: int) -> np.ndarray:
@@ -260,7 +258,12 @@ def _lump(name: str, scan: Scan) -> tuple[list[Geom], dict[str, Mesh]]:
 def _bowl(name: str, scan: Scan) -> tuple[list[Geom], dict[str, Mesh]]:
     """A disk as floor and two rings of convex wedges along the outer profile; the inside stays open."""
     foot, knee, rim = bowl_profile(scan.vertices)
-    floor = Geom("cylinder", (foot[0], WALL / 2, 0.0), (0.0, 0.0, foot[1] + WALL / 2), visual=False)
+    floor = Geom(
+        "cylinder",
+        (foot[0], BOWL_WALL_M / 2, 0.0),
+        (0.0, 0.0, foot[1] + BOWL_WALL_M / 2),
+        visual=False,
+    )
     geoms = [floor]
     meshes = {}
     for part, low, high, count in (
@@ -313,7 +316,7 @@ def _wedge(low: tuple[float, float], high: tuple[float, float], count: int) -> n
     """
     a = math.pi / count
     slope = math.atan2(high[0] - low[0], high[1] - low[1])
-    inward = WALL / math.cos(slope)
+    inward = BOWL_WALL_M / math.cos(slope)
     grow = 2 / (1 + math.cos(a))
     corners = []
     for radius, z in (low, high):

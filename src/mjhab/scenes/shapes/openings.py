@@ -11,10 +11,10 @@ from mjhab.core.rotations import mat_from_quat
 from mjhab.scenes.shapes.footprints import Footprint, outline
 from mjhab.scenes.spec import Geom, Home, Link, Pack, Placement
 
-_STEPS = 24
+_SWEEP_POSES = 24
 """Poses of a coarse sweep; a door of 0.7 m moves 7 cm from one to the next, and walls are thicker."""
 _BISECTIONS = 12
-_SKIN = 1e-3
+_SKIN_M = 1e-3
 """Overlap that does not count [m]: pieces may stand flush."""
 
 
@@ -53,7 +53,7 @@ def _travel(link: Link, at: Placement, around: list[Footprint]) -> float:
         return not any(piece.meets(other) for piece in moved for other in around)
 
     good = low
-    for q in np.linspace(low, high, _STEPS + 1)[1:].tolist():
+    for q in np.linspace(low, high, _SWEEP_POSES + 1)[1:].tolist():
         if not free(q):
             return _last_free(free, good, q)
         good = q
@@ -72,7 +72,7 @@ def _flat(geom: Geom, link: Link, lift: float) -> tuple[np.ndarray, tuple[float,
     points = outline(geom)
     flat = np.unique(points[:, :2].round(9), axis=0)
     z = points[:, 2] + link.pos[2] + lift
-    return flat[ConvexHull(flat).vertices], (float(z.min()) + _SKIN, float(z.max()) - _SKIN)
+    return flat[ConvexHull(flat).vertices], (float(z.min()) + _SKIN_M, float(z.max()) - _SKIN_M)
 
 
 def _moved(corners: np.ndarray, link: Link, at: Placement, q: float) -> np.ndarray:

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 Array = np.ndarray
-_CELLS = (0.25, 0.005)
+_CELL_SHARES = (0.25, 0.005)
 """Coarsest and finest cell, as shares of the largest extent of the mesh."""
-_ROUNDS = 9
+_BISECTIONS = 9
 _STIFFNESS = 1e-3
 """Pull of a merged vertex toward the mean of its cell, where the planes around it leave it free."""
 
@@ -41,10 +41,10 @@ def simplify(vertices: Array, faces: Array, max_faces: int) -> Simplified:
         return Simplified(vertices, faces, np.arange(len(faces)))
     side = _sides(vertices, faces)
     size = float(np.ptp(vertices, axis=0).max())
-    fine = np.log(_CELLS[1] * size)
-    coarse = np.log(_CELLS[0] * size)
+    fine = np.log(_CELL_SHARES[1] * size)
+    coarse = np.log(_CELL_SHARES[0] * size)
     best = _cluster(vertices, faces, side, float(np.exp(coarse)))
-    for _ in range(_ROUNDS):
+    for _ in range(_BISECTIONS):
         middle = (fine + coarse) / 2
         found = _cluster(vertices, faces, side, float(np.exp(middle)))
         if len(found[1]) <= max_faces:

@@ -1,0 +1,122 @@
+"""``mjhab view``: recorded episodes and running worlds in the browser, or an episode as one page."""
+
+from __future__ import annotations
+
+import importlib.util
+import signal
+import threading
+from typing import TYPE_CHECKING
+
+from mjhab.cli.options.view import ViewOptions
+from mjhab.cli.output import at_least, print_json
+from mjhab.config.profile_choice import profile_options
+from mjhab.core.errors import UsageError
+from mjhab.data.select.query import read_filter
+from mjhab.evaluation.evaluate import EvalSpec
+from mjhab.evaluation.resolve import inspect_policy
+from mjhab.viewer.sources.hand import HUMAN
+
+if TYPE_CHECKING:
+    from mjhab.viewer.sources.source import Source
+
+
+def run_view(options: ViewOptions) -> int:
+    """Run the command; returns 0. A served page lasts until Ctrl-C or SIGTERM."""
+    at_least("worlds", options.worlds, 1)
+    at_least("episode", options.episode, 0)
+    _check_choice(options)
+    if options.export is not None:
+        return _export(options)
+    if importlib.util.find_spec("viser") is None:
+        raise UsageError(
+            "mjhab view needs viser, which is not installed: pip install 'mjhab[view]'. Without it, --export writes "
+            "an episode as a page."
+        )
+    return _serve(options)
+
+
+def _check_choice(options: ViewOptions) -> None:
+    if options.places and options.record:
+        raise UsageError("--record is for running worlds: leave out the shards to look at.")
+    if options.export and not options.places:
+        raise UsageError("--export writes a recorded episode: give a shard or a folder of shards.")
+    if options.places and options.policy != ViewOptions.policy:
+        raise UsageError("--policy is for running worlds: leave out the shards to look at.")
+
+
+def _export(options: ViewOptions) -> int:
+    from mjhab.viewer.export.page import export_page
+    from mjhab.viewer.sources.replay import Replay
+
+    assert options.export is not None
+    replay = Replay(options.places, read_filter(options.where, options.preset))
+    try:
+        if options.episode >= len(replay.choices):
+            raise UsageError(
+                f"--episode {options.episode}: there are {len(replay.choices)} episodes, counted from 0."
+            )
+        done = export_page(replay, replay.choices[options.episode], options.export)
+    finally:
+        replay.close()
+    if options.json:
+        print_json({"file": str(done.file), "bytes": done.bytes, "frames": done.frames})
+    else:
+        print(f"{done.file}: {done.frames} frames, {done.bytes:,} bytes")
+    return 0
+
+
+def _serve(options: ViewOptions) -> int:
+    from mjhab.viewer.pages.app import Viewer
+
+    ended = threading.Event()
+    before = signal.signal(signal.SIGTERM, lambda *_: ended.set())
+    viewer = Viewer(_source(options), options.host, options.port)
+    try:
+        viewer.start()
+        url = f"http://{options.host}:{viewer.port}"
+        if options.json:
+            print_json({"url": url, "port": viewer.port})
+        else:
+            other = f" (port {options.port} is in use)" if viewer.port != options.port else ""
+            print(f"Open {url}{other}. Ctrl-C ends.", flush=True)
+        ended.wait()
+    except KeyboardInterrupt:
+        pass
+    finally:
+        viewer.close()
+        signal.signal(signal.SIGTERM, before)
+    return 0
+
+
+def _source(options: ViewOptions) -> Source:
+    if options.places:
+        from mjhab.viewer.sources.replay import Replay
+
+        return Replay(options.places, read_filter(options.where, options.preset))
+    from mjhab.viewer.sources.live import LiveSession
+    from mjhab.viewer.sources.pace import Pace
+
+    for spec in (options.policy, *options.policies):
+        if spec != HUMAN:
+            inspect_policy(spec)
+    env = profile_options(options)
+    if options.reward:
+        env["reward_mode"] = options.reward
+    spec = EvalSpec(
+        policy=options.policy,
+        task=options.task,
+        subtask=options.subtask,
+        target=options.target,
+        worlds=options.worlds,
+        episodes=options.worlds,
+        seed=options.seed,
+        split=options.split,
+        home=options.home,
+        navigate=options.navigate,
+        assets=options.assets,
+        threads=options.threads,
+        env=env,
+    )
+    return LiveSession(
+        spec, options.episode, Pace(), policies=options.policies, shard=options.record
+    )

@@ -1,0 +1,282 @@
+"""Antipodal grasps of an object of any shape: two points between which its surface can be pressed without slipping.
+
+Points are sampled on the surface of the object's convex collision pieces. From each, rays inside the friction cone of
+the pads are cast through the object; the point where a ray leaves it is the opposite contact. A pair counts if the
+surface normal there, too, lies within the friction cone, if the hand opens wide enough, if rays to the outside find
+room for a finger on both sides, and if hand and fingers of a hand that comes straight along the direction of approach
+touch nothing of the object.
+
+Frame of the object, lengths [m]. Letters: N samples, R rays, K pieces, M grasps, P points of the surface.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+from scipy.spatial import ConvexHull
+from trimesh.sample import sample_surface
+
+from mjhab.core.rotations import frame_from_axes
+from mjhab.core.seeding import stream
+from mjhab.episodes.grasps.pinches import SurfaceGrasps
+from mjhab.episodes.grasps.spread import farthest_points
+from mjhab.robots.model import PAD_FRICTION
+from mjhab.robots.parts import Gripper
+from mjhab.robots.registry import robot_named
+from mjhab.scenes.shapes.footprints import outline
+from mjhab.scenes.spec import ObjectType
+
+Array = np.ndarray
+SAMPLES = 600
+"""Points sampled on the surface as first contacts."""
+RAYS_PER_SAMPLE = 3
+"""Rays cast from each: one along the normal, the others anywhere in the friction cone."""
+PAIRS_KEPT = 160
+"""Pairs of contacts for which ways of approach are looked for, spread over the object."""
+APPROACHES = 16
+"""Directions of approach around the closing line of each pair."""
+CONTACT_DEPTHS_M = (-0.006, 0.006, 0.018)
+"""Places of the contact along the finger from the tool centre to the tips, the deepest hold first."""
+GRASPS_KEPT = 192
+"""Grasps kept of an object, spread over positions, approaches and closing lines."""
+SURFACE_POINTS = 3000
+"""Points of the surface that hand and fingers may not touch."""
+APPROACH_LENGTH_M = 0.12
+"""Length of the straight approach on which hand and fingers keep clear of the object."""
+CLEARANCE_M = 0.002
+"""Room that hand and open fingers keep to the object."""
+MIN_PLAY_M = 0.006
+"""Least room between each open finger and the object; arms come in with errors of a few millimetres."""
+MAX_PLAY_M = 0.018
+"""Room that each finger opens beyond the object where nothing is in the way, as for other shapes (`Options.spread`)."""
+MAX_SLANT_RAD = np.radians(24.0)
+"""Largest angle between the closing line and the normals of the surface, where the friction cone is wider: 0.8 of the
+angle that the grasp test of MS-HAB allows (`held.STEADY_SHARE`)."""
+_PROBE_M = 1e-3
+"""Outside of a contact, this far from it, there must be no other piece."""
+_JOIN_M = 2e-4
+"""Pieces closer together than this count as one body."""
+_PATCH_DEPTH_M = 1e-3
+"""How far from the pad's plane the surface may lie to be pressed by it."""
+_POSITION_SCALE_M = 0.03
+"""Distance of grasps that counts as much as a radian between their approaches."""
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """An object as the union of convex pieces: ``planes`` of each, (F, 4) with outward normals, and its surface."""
+
+    planes: tuple[Array, ...]
+    surface: trimesh.Trimesh
+
+    @staticmethod
+    def of(kind: ObjectType, meshes: Mapping[str, object]) -> Solid:
+        """The collision pieces of an object type; curved primitives as prisms around them."""
+        hulls = [ConvexHull(outline(geom, meshes)) for geom in kind.collision]
+        surfaces = [trimesh.Trimesh(h.points, h.simplices).convex_hull for h in hulls]
+        surface = trimesh.util.concatenate(surfaces)
+        assert isinstance(surface, trimesh.Trimesh)
+        return Solid(tuple(np.unique(h.equations.round(9), axis=0) for h in hulls), surface)
+
+    def inside(self, points: Array) -> Array:
+        """Which points (N, 3) lie within a piece."""
+        found = np.zeros(len(points), bool)
+        for planes in self.planes:
+            found |= np.all(points @ planes[:, :3].T + planes[:, 3] < 0.0, axis=1)
+        return found
+
+    def cross(self, origins: Array, ways: Array) -> tuple[Array, Array, Array]:
+        """Where rays from ``origins`` (R, 3) along unit ``ways`` (R, 3) enter and leave the pieces.
+
+        Returns:
+            Distances (R, K) of entering and leaving, (inf, -inf) for pieces that a ray misses; outward normal
+            (R, K, 3) of the face through which it leaves.
+        """
+        enter = np.full((len(origins), len(self.planes)), np.inf)
+        leave = np.full(enter.shape, -np.inf)
+        normal = np.zeros((*enter.shape, 3))
+        for k, planes in enumerate(self.planes):
+            rate = ways @ planes[:, :3].T
+            height = origins @ planes[:, :3].T + planes[:, 3]
+            with np.errstate(divide="ignore", invalid="ignore"):
+                at = -height / rate
+            low = np.where(rate < -1e-9, at, -np.inf).max(axis=1)
+            far = np.where(rate > 1e-9, at, np.inf)
+            high = far.min(axis=1)
+            hit = (low <= high) & ~np.any((np.abs(rate) <= 1e-9) & (height > 1e-9), axis=1)
+            enter[:, k] = np.where(hit, low, np.inf)
+            leave[:, k] = np.where(hit, high, -np.inf)
+            normal[:, k] = planes[far.argmin(axis=1), :3]
+        return enter, leave, normal
+
+
+def surface_grasps(
+    kind: ObjectType,
+    meshes: Mapping[str, object],
+    gripper: Gripper | None = None,
+    friction: float = PAD_FRICTION[0],
+) -> SurfaceGrasps:
+    """Antipodal grasps of an object type, the same ones whenever it is asked for the same.
+
+    Args:
+        kind: the object; its collision pieces are what a hand meets.
+        meshes: by name, those that its geoms name.
+        gripper: sizes of the hand; that of the default robot if not given.
+        friction: coefficient of sliding friction between pads and object.
+
+    Returns:
+        At most `GRASPS_KEPT`; none if the object is too large for the hand everywhere.
+    """
+    gripper = gripper or robot_named().gripper
+    rng = stream(0, "antipodal grasps", kind.name)
+    solid = Solid.of(kind, meshes)
+    pairs = _contact_pairs(solid, gripper, friction, rng)
+    if not len(pairs):
+        return pairs
+    pairs = pairs.take(farthest_points(pairs.contact / _POSITION_SCALE_M, PAIRS_KEPT))
+    points = np.asarray(sample_surface(solid.surface, SURFACE_POINTS, seed=rng)[0])
+    points = points[~solid.inside(points)]
+    grasps = _approachable(pairs, points, solid.surface.area / SURFACE_POINTS, gripper)
+    features = np.concatenate(
+        [grasps.pos / _POSITION_SCALE_M, grasps.approach, grasps.closing], axis=1
+    )
+    return grasps.take(farthest_points(features, GRASPS_KEPT))
+
+
+def _contact_pairs(
+    solid: Solid, gripper: Gripper, friction: float, rng: np.random.Generator
+) -> SurfaceGrasps:
+    """Pairs of contacts, without any approach yet: ``pos``, ``approach`` and ``patch`` are placeholders."""
+    sampled = sample_surface(solid.surface, SAMPLES, seed=rng)
+    origins = np.repeat(np.asarray(sampled[0]), RAYS_PER_SAMPLE, axis=0)
+    normals = np.repeat(solid.surface.face_normals[sampled[1]], RAYS_PER_SAMPLE, axis=0)
+    cone = min(float(np.arctan(friction)), MAX_SLANT_RAD)
+    ways = -_within_cone(normals, cone, rng)
+    ways[::RAYS_PER_SAMPLE] = -normals[::RAYS_PER_SAMPLE]
+    outer = ~solid.inside(origins + _PROBE_M * normals)
+    origins = origins[outer]
+    normals = normals[outer]
+    ways = ways[outer]
+    width, last_normal, behind = _through(solid, origins, ways)
+    _, _, before = _through(solid, origins, -ways)
+    first = np.arccos(np.clip(-np.einsum("rj,rj->r", ways, normals), -1.0, 1.0))
+    second = np.arccos(np.clip(np.einsum("rj,rj->r", ways, last_normal), -1.0, 1.0))
+    slant = np.maximum(first, second)
+    room = np.minimum(before, behind)
+    play = np.minimum(room - gripper.thickness - CLEARANCE_M, MAX_PLAY_M)
+    by_hand = (gripper.opening - width) / 2
+    good = (slant <= cone) & (width <= gripper.usable) & (play >= np.minimum(MIN_PLAY_M, by_hand))
+    play = np.minimum(play, by_hand)
+    middle = origins + 0.5 * width[:, None] * ways
+    most_open = width + 2 * play
+    none = np.zeros(len(ways))
+    found = SurfaceGrasps(middle, ways, ways, middle, width, most_open, slant, none)
+    return found.take(np.flatnonzero(good)[np.argsort(slant[good], kind="stable")])
+
+
+def _within_cone(axes: Array, angle: float, rng: np.random.Generator) -> Array:
+    """Unit vectors (R, 3), each uniform in the cone of half-angle ``angle`` [rad] around an axis (R, 3)."""
+    cosine = rng.uniform(np.cos(angle), 1.0, len(axes))
+    turn = rng.uniform(-np.pi, np.pi, len(axes))
+    side = np.eye(3)[np.argmin(np.abs(axes), axis=1)]
+    u = np.cross(axes, side)
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    v = np.cross(axes, u)
+    sine = np.sqrt(1.0 - cosine**2)
+    across = np.cos(turn)[:, None] * u + np.sin(turn)[:, None] * v
+    return cosine[:, None] * axes + sine[:, None] * across
+
+
+def _through(solid: Solid, origins: Array, ways: Array) -> tuple[Array, Array, Array]:
+    """Cast rays from the surface through the body they enter, 0 where they enter none.
+
+    Returns:
+        Distance (R,) at which the body ends; outward normal (R, 3) there; free way (R,) from there to the next body.
+    """
+    enter, leave, normal = solid.cross(origins, ways)
+    end = np.zeros(len(origins))
+    last = np.zeros((len(origins), 3))
+    for _ in range(enter.shape[1]):
+        joined = (enter <= end[:, None] + _JOIN_M) & (leave > end[:, None] + _JOIN_M)
+        far = np.where(joined, leave, -np.inf)
+        k = far.argmax(axis=1)
+        rows = np.flatnonzero(joined.any(axis=1))
+        if not len(rows):
+            break
+        end[rows] = far[rows, k[rows]]
+        last[rows] = normal[rows, k[rows]]
+    beyond = np.where(enter > end[:, None], enter, np.inf).min(axis=1)
+    return end, last, beyond - end
+
+
+def _approachable(
+    pairs: SurfaceGrasps, points: Array, point_area: float, gripper: Gripper
+) -> SurfaceGrasps:
+    """Grasps at pairs of contacts, for every direction from which the hand comes without touching ``points`` (P, 3)."""
+    parts = [
+        _approaches(pairs.take(np.array([k])), points, point_area, gripper)
+        for k in range(len(pairs))
+    ]
+    names = SurfaceGrasps.__dataclass_fields__
+    return SurfaceGrasps(*(np.concatenate([getattr(p, n) for p in parts]) for n in names))
+
+
+def _approaches(
+    pair: SurfaceGrasps, points: Array, point_area: float, gripper: Gripper
+) -> SurfaceGrasps:
+    """The grasps of one pair of contacts: of every approach the deepest one that is possible."""
+    closing = pair.closing[0]
+    start = np.cross(closing, np.eye(3)[np.argmin(np.abs(closing))])
+    start /= np.linalg.norm(start)
+    angle = np.arange(APPROACHES) * 2 * np.pi / APPROACHES
+    ways = np.cos(angle)[:, None] * start + np.sin(angle)[:, None] * np.cross(closing, start)
+    frames = frame_from_axes(ways, np.broadcast_to(closing, ways.shape))
+    local = np.einsum("pj,ajk->apk", points - pair.contact[0], frames)
+    found = np.full(APPROACHES, np.nan)
+    patch = np.zeros(APPROACHES)
+    for depth in CONTACT_DEPTHS_M:
+        shifted = local + np.array([depth, 0.0, 0.0])
+        free = ~_touches(shifted, float(pair.most_open[0]), gripper)
+        fresh = free & np.isnan(found)
+        found[fresh] = depth
+        pressed = _pressed(shifted[fresh], float(pair.width[0]), gripper)
+        patch[fresh] = np.sqrt(point_area * pressed)
+    rows = np.flatnonzero(~np.isnan(found))
+    return SurfaceGrasps(
+        pos=pair.contact - found[rows, None] * ways[rows],
+        approach=ways[rows],
+        closing=np.repeat(pair.closing, len(rows), axis=0),
+        contact=np.repeat(pair.contact, len(rows), axis=0),
+        width=np.repeat(pair.width, len(rows)),
+        most_open=np.repeat(pair.most_open, len(rows)),
+        slant=np.repeat(pair.slant, len(rows)),
+        patch=patch[rows],
+    )
+
+
+def _touches(local: Array, opening: float, gripper: Gripper) -> Array:
+    """Whether (A,) a hand open by ``opening``, or its straight way in, meets points (A, P, 3) in the gripper frame."""
+    x = local[..., 0]
+    y = np.abs(local[..., 1])
+    z = np.abs(local[..., 2])
+    tip = gripper.finger[0] + CLEARANCE_M
+    fingers = (x < tip) & (x > -APPROACH_LENGTH_M) & (z < gripper.finger[1] + CLEARANCE_M)
+    fingers &= (y > opening / 2) & (y < opening / 2 + gripper.thickness + CLEARANCE_M)
+    palm = (x < gripper.palm_x[1] + CLEARANCE_M) & (x > gripper.palm_x[0] - APPROACH_LENGTH_M)
+    palm &= (y < gripper.palm_half[0] + CLEARANCE_M) & (z < gripper.palm_half[1] + CLEARANCE_M)
+    return np.asarray((fingers | palm).any(axis=1))
+
+
+def _pressed(local: Array, width: float, gripper: Gripper) -> Array:
+    """Number (A,) of points (A, P, 3) that the pads press, on the side where they are fewer."""
+    on_pad = (np.abs(local[..., 0]) < gripper.finger[0]) & (
+        np.abs(local[..., 2]) < gripper.finger[1]
+    )
+    sides = [
+        (on_pad & (np.abs(local[..., 1] - side * width / 2) < _PATCH_DEPTH_M)).sum(axis=1)
+        for side in (-1.0, 1.0)
+    ]
+    return np.minimum(*sides)

@@ -1,0 +1,160 @@
+"""Arms of successful Picks, each with what it holds: what Place begins with under the published spawn rule.
+
+MS-HAB draws them from the last states of Picks that a trained policy did (mshab/utils/gen/gen_spawn_positions.py).
+Here they are made: arm postures that pass the posture test of Pick are drawn at random, and those in which a grasp of
+`held` holds for half a second, and while the base turns, are kept. They are made once per layout and kept in the cache.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mjhab.core.cache import write_atomic
+from mjhab.core.errors import MjhabError
+from mjhab.core.seeding import stream
+from mjhab.episodes.grasps.stable import HOLD_TIME_S, StableGrasp, StableGrasps
+from mjhab.robots.kinematics import damped_step
+from mjhab.robots.robot import Robot
+from mjhab.sim.mujoco.settle import parked_robot_qpos
+from mjhab.tasks.thresholds import TaskConfig
+
+MAX_ARMS = 32
+"""Arms of an object type."""
+MAX_TRIES = 256
+"""Postures tried for them."""
+SOLVER_STEPS = 20
+REST_SHARE = 0.9
+"""The tool centre is within this share of the distance to its rest point that Pick allows: postures settle a little."""
+_VERSION = 1
+
+
+@dataclass(frozen=True, eq=False)
+class CarryPosture:
+    """``arm`` (A,) joint positions [rad] in the order of the robot's group "arm", and what it holds."""
+
+    arm: np.ndarray
+    grasp: StableGrasp
+
+
+class CarryPostures:
+    """Arms of successful Picks per object type: made once per layout, kept in the cache.
+
+    Args:
+        held: the grasps that the arms hold; those that were added on this machine are left out.
+    """
+
+    def __init__(self, held: StableGrasps) -> None:
+        self._held = held
+        self._arms: dict[str, list[CarryPosture]] = {}
+
+    def arms(self, kind: str) -> list[CarryPosture]:
+        """Arms that hold an object of a type.
+
+        Raises:
+            UsageError: the layout has no object of this type.
+            MjhabError: no grasp holds in any posture.
+        """
+        with self._held.lock:
+            if kind not in self._arms:
+                path = self._path(kind)
+                if not path.exists():
+                    _save(path, self._make(kind))
+                self._arms[kind] = _load(path)
+            return self._arms[kind]
+
+    def digest(self, kind: str) -> str:
+        """Hash of the arms of an object type: equal when the same draws give the same starts."""
+        rows = [
+            np.concatenate([one.arm, one.grasp.pose, [one.grasp.fingers]])
+            for one in self.arms(kind)
+        ]
+        return hashlib.sha256(np.array(rows).tobytes()).hexdigest()[:16]
+
+    def _path(self, kind: str) -> Path:
+        config = self._held.config
+        test = (config.ee_rest_pos, config.ee_rest_tol, config.arm_tol_grasped, MAX_ARMS, MAX_TRIES)
+        made = hashlib.sha256(
+            repr((test, SOLVER_STEPS, REST_SHARE, _VERSION)).encode()
+        ).hexdigest()[:8]
+        return self._held.folder / f"{kind}-arms-{made}.npz"
+
+    def _make(self, kind: str) -> list[CarryPosture]:
+        grasps = self._held.found(kind)
+        robot = self._held.robot
+        random = stream(0, "held arms", kind)
+        postures = rest_postures(robot, random, self._held.config, MAX_TRIES)
+        made: list[CarryPosture] = []
+        for number, arm in enumerate(postures):
+            grasp = self._held.hold_in(kind, grasps[number % len(grasps)], _parked(robot, arm))
+            if grasp is not None:
+                made.append(CarryPosture(arm, grasp))
+            if len(made) == MAX_ARMS:
+                break
+        if not made:
+            raise MjhabError(
+                f"no grasp of {kind} holds for {HOLD_TIME_S} s in a posture in which a Pick succeeds"
+            )
+        return made
+
+
+def rest_postures(
+    robot: Robot, rng: np.random.Generator, config: TaskConfig, count: int
+) -> np.ndarray:
+    """Arm postures that pass the posture test of Pick, torso and head at rest.
+
+    Args:
+        robot: whose arm it is.
+        rng: draws ``count`` postures uniformly from the joint tolerance around rest, and points around the rest point
+            of the tool centre to which they are then brought.
+
+    Returns:
+        (N, A) [rad], N <= ``count``: those that could be brought there.
+    """
+    chain = robot.chain
+    columns = np.array(robot.arm_columns)
+    rest = robot.rest[columns]
+    low = np.maximum(chain.lower[columns], rest - config.arm_tol_grasped)
+    high = np.minimum(chain.upper[columns], rest + config.arm_tol_grasped)
+    q = np.repeat(robot.rest[None], count, axis=0)
+    q[:, columns] = rng.uniform(low, high, (count, len(rest)))
+    allowed = REST_SHARE * config.ee_rest_tol
+    offset = rng.normal(size=(count, 3))
+    offset *= (
+        allowed
+        * rng.uniform(size=(count, 1)) ** (1 / 3)
+        / np.linalg.norm(offset, axis=1, keepdims=True)
+    )
+    center = np.add(config.ee_rest_pos, (0.0, 0.0, config.base_height))
+    nothing = np.zeros((count, len(rest)))
+    for _ in range(SOLVER_STEPS):
+        error = center + offset - chain.tip_pose(q)[0]
+        step = damped_step(error, chain.jacobian(q)[:, :3, columns], nothing)
+        q[:, columns] = np.clip(q[:, columns] + step, low, high)
+    there = np.linalg.norm(chain.tip_pose(q)[0] - center, axis=1) <= allowed
+    return q[there][:, columns]
+
+
+def _parked(robot: Robot, arm: np.ndarray) -> np.ndarray:
+    """(J,) joint positions of the parked robot with an arm posture."""
+    q = parked_robot_qpos(robot)
+    q[list(robot.arm_columns)] = arm
+    return q
+
+
+def _save(path: Path, arms: list[CarryPosture]) -> None:
+    arrays = {
+        "arm": np.array([one.arm for one in arms]),
+        "pose": np.array([one.grasp.pose for one in arms]),
+        "fingers": np.array([one.grasp.fingers for one in arms]),
+    }
+    write_atomic(path, lambda temporary: np.savez(temporary, allow_pickle=False, **arrays))
+
+
+def _load(path: Path) -> list[CarryPosture]:
+    with np.load(path, allow_pickle=False) as data:
+        rows = zip(data["arm"], data["pose"], data["fingers"], strict=True)
+        return [CarryPosture(arm, StableGrasp(pose, float(fingers))) for arm, pose, fingers in rows]

@@ -1,0 +1,413 @@
+"""Pinches: ways in which the two pads of a parallel gripper close on an object, and from where the hand comes.
+
+Gripper frame as in `candidates`. Lengths [m], world frame. Letters: A directions of approach, P points of contact.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from mjhab.core.errors import UsageError, unknown_name
+from mjhab.robots.parts import Gripper
+from mjhab.scenes.builtin.objects import BOWL_FACETS
+
+Array = np.ndarray
+CORNER_YAWS_RAD = (-0.1, 0.0, 0.1)
+"""Angles between the hand and the diagonal of a corner that it holds. The normals of the two sides lean by 45 degrees,
+more or less this, from the line on which the pads close: about the angle of their friction, 49 degrees."""
+CORNER_TILTS_RAD = (0.0, 0.26, 0.44, 0.6)
+"""Angles of the hand down from level, around a corner."""
+CORNER_PLAY_M = 0.003
+"""Room between each open finger and the corner that it comes around."""
+MIN_CORNER_DEPTH_M = 0.036
+"""Smallest distance that the fingertips get beyond the edge of a corner; with less the box slips out in motion."""
+MIN_CORNER_OVERLAP_M = 0.018
+"""Smallest length of the edge of a corner that the pads cover."""
+CORNER_PALM_GAP_M = 0.003
+"""Room between the palm and the edge of a corner."""
+CHORD_PLAY_M = 0.0015
+"""Room between each pad and a can too wide to go around, of which the pads hold a chord."""
+MAX_APPROACH_RISE = 0.05
+"""Largest upward component of a unit direction of approach: hands do not come from below."""
+FULL_PATCH_M = 0.025
+"""Root of the pressed area beyond which more area makes a grasp on a mesh no better."""
+PATCH_BONUS_PER_M = 40.0
+"""Score of a grasp on a mesh per metre of the root of the area that its pads press."""
+SLANT_COST_PER_RAD = 4.0
+"""Score that a grasp on a mesh loses per radian between its closing line and the normals of the surface."""
+MIN_UPRIGHT_COSINE = 0.97
+"""Least cosine between an edge and the vertical."""
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceGrasps:
+    """Grasps in the frame of the object.
+
+    ``pos`` (M, 3): tool centre; ``approach`` (M, 3): unit direction along the fingers; ``closing`` (M, 3): unit line
+    on which the pads close; ``contact`` (M, 3): middle between the two contacts; ``width`` (M,): distance of the
+    contacts; ``most_open`` (M,): widest opening with which the hand may come; ``slant`` (M,): larger angle [rad]
+    between the closing line and the normals of the surface; ``patch`` (M,): root of the area that the pads press, of
+    the side that has less.
+    """
+
+    pos: Array
+    approach: Array
+    closing: Array
+    contact: Array
+    width: Array
+    most_open: Array
+    slant: Array
+    patch: Array
+
+    def __len__(self) -> int:
+        return len(self.pos)
+
+    def take(self, rows: Array) -> SurfaceGrasps:
+        """Some of the grasps, by index or mask."""
+        return SurfaceGrasps(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+
+
+@dataclass(frozen=True)
+class ObjectShape:
+    """What is to be grasped. ``half``: half-extents of its bounding box, cylinders and bowls stand along z.
+
+    Bowls: ``wall`` thickness and ``lean``, the angle [rad] between the wall at the rim and the axis; ``facets``: flat
+    pieces the collision wall is made of, the first centred on +x (0: round); pads fit them best in their middles.
+    Meshes: ``grasps``, found on their surface by `antipodal.surface_grasps`.
+    """
+
+    kind: Literal["box", "cylinder", "sphere", "bowl", "mesh"]
+    half: tuple[float, float, float]
+    wall: float = 0.0045
+    lean: float = 0.197
+    facets: int = BOWL_FACETS
+    grasps: SurfaceGrasps | None = field(default=None, compare=False)
+
+
+@dataclass(frozen=True)
+class Options:
+    """How grasps are looked for and scored. Lengths [m], angles [rad]."""
+
+    floor_gap: float = 0.006
+    """Room kept between the gripper and the surface that the object rests on."""
+    palm_gap: float = 0.005
+    """Room kept between the palm and the object."""
+    retreat: float = 0.10
+    """Distance from the grasp at which the straight approach begins."""
+    spread: float = 0.036
+    """How much farther than the width of the grasp the fingers are open on the approach."""
+    fan: int = 24
+    """Directions of approach tried around each closing line."""
+    shallower: tuple[float, ...] = (0.0,)
+    """Distances from the deepest possible place of the hand at which it may stop, too."""
+    leans: tuple[float, ...] = (0.0, 0.2, -0.2, 0.4)
+    """Angles of the hand outwards over the rim of a bowl, from the direction along its wall."""
+    inward: tuple[float, float] | None = None
+    """Level unit direction into a shelf: approaches against it are left out."""
+    cells: int = 15
+    """Points sampled along each side of a face of a box."""
+    scant: float = 0.0
+    """Score lost per metre that the root of the area which the pads press on flat sides lacks to 2 cm."""
+    corners: bool = False
+    """Also hold boxes by two sides that meet in an upright edge."""
+    preference: dict[str, float] = field(
+        default_factory=lambda: {"top": 1.0, "tilted": 0.8, "side": 0.5}
+    )
+    """Score of each of `candidates.KINDS` of approach."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pinch:
+    """A line on which the pads close on an object, and the directions from which the hand may come for it."""
+
+    closing: Array
+    """(3,) unit direction in which the pads close."""
+    approach: Array
+    """(A, 3) unit directions along the fingers."""
+    locus: Array
+    """(P, 3) points in the middle between the places where the two pads can meet the object."""
+    width: float
+    """Distance [m] between the pads in contact."""
+    at: Array | None = None
+    """(A, 3) tool centre of each approach; None: as deep as palm and support allow."""
+    bonus: float = 0.0
+    """Added to the score."""
+    least: float = 0.010
+    """Smallest length of the locus (or root of its area) [m] that must lie within the pads."""
+    measure: float = 0.0
+    """Length (or root of the area) of the whole locus; 0 for a point."""
+    planar: bool = False
+    """The locus samples an area, not a line."""
+    most_open: float = np.inf
+    """Widest opening [m] with which the hand may come: beyond it a finger meets another part of the object."""
+
+    @property
+    def point(self) -> bool:
+        """The pads meet the object in one point each."""
+        return len(self.locus) == 1
+
+
+def pinches_of(
+    shape: ObjectShape, pos: Array, rot: Array, gripper: Gripper, options: Options
+) -> Iterator[Pinch]:
+    """Ways to close on a shape at ``pos`` (3,), ``rot`` (3, 3).
+
+    Raises:
+        UsageError: unknown kind of shape.
+    """
+    makers = {
+        "box": _box_pinches,
+        "cylinder": _cylinder_pinches,
+        "sphere": _sphere_pinches,
+        "bowl": _bowl_pinches,
+        "mesh": _mesh_pinches,
+    }
+    if shape.kind not in makers:
+        raise unknown_name("object shape", shape.kind, makers)
+    return makers[shape.kind](shape, pos, rot, gripper, options)
+
+
+def _box_pinches(
+    shape: ObjectShape, pos: Array, rot: Array, gripper: Gripper, options: Options
+) -> Iterator[Pinch]:
+    for i in range(3):
+        width = 2 * shape.half[i]
+        if width > gripper.usable:
+            continue
+        j = (i + 1) % 3
+        k = (i + 2) % 3
+        cells = np.linspace(-1, 1, options.cells)
+        u, v = np.meshgrid(cells * shape.half[j], cells * shape.half[k])
+        face = pos + u.reshape(-1, 1) * rot[:, j] + v.reshape(-1, 1) * rot[:, k]
+        size = 2 * np.sqrt(shape.half[j] * shape.half[k])
+        fan = _fan(rot[:, i], rot[:, j], options.fan)
+        yield Pinch(rot[:, i], fan, face, width, least=0.014, measure=size, planar=True)
+    if options.corners:
+        for k in np.flatnonzero(np.abs(rot[2]) > MIN_UPRIGHT_COSINE):
+            yield from _corner_pinches(shape, pos, rot, int(k), gripper)
+
+
+def _corner_pinches(
+    shape: ObjectShape, pos: Array, rot: Array, k: int, gripper: Gripper
+) -> Iterator[Pinch]:
+    """A box by two sides that meet in an upright edge, axis ``k``: the hand comes along about their diagonal.
+
+    The fingertips get as far beyond the edge as the open hand lets them; friction holds, see `CORNER_YAWS_RAD`.
+    """
+    i = (k + 1) % 3
+    j = (k + 2) % 3
+    up = rot[:, k] * np.sign(rot[2, k])
+    full = gripper.opening - 2 * CORNER_PLAY_M
+    for si, sj, yaw in itertools.product((-1.0, 1.0), (-1.0, 1.0), CORNER_YAWS_RAD):
+        first = si * rot[:, i]
+        second = sj * rot[:, j]
+        angle = np.pi / 4 + yaw
+        spread = np.tan(angle) + 1.0 / np.tan(angle)
+        ends = 0.97 * 2.0 * min(shape.half[j] * np.sin(angle), shape.half[i] * np.cos(angle))
+        depth = min(full / spread, ends)
+        if depth < MIN_CORNER_DEPTH_M:
+            continue
+        level = -np.cos(angle) * first - np.sin(angle) * second
+        closing = np.sin(angle) * first - np.cos(angle) * second
+        aside = 0.5 * depth * (1.0 / np.tan(angle) - np.tan(angle))
+        edge = pos + shape.half[i] * first + shape.half[j] * second + aside * closing
+        bonus = -0.8 - 20.0 * (full / spread - depth)
+        for tilt in CORNER_TILTS_RAD:
+            at, line = _around_edge(edge, level, up, shape.half[k], depth, tilt, gripper)
+            approach = np.tile(np.cos(tilt) * level - np.sin(tilt) * up, (len(at), 1))
+            yield Pinch(
+                closing,
+                approach,
+                line,
+                depth * spread,
+                at,
+                bonus,
+                MIN_CORNER_OVERLAP_M,
+                measure=2 * shape.half[k],
+            )
+
+
+def _around_edge(
+    edge: Array, level: Array, up: Array, half: float, depth: float, tilt: float, gripper: Gripper
+) -> tuple[Array, Array]:
+    """Tool centres (A, 3) at several heights from which the tips of a hand tilted down get ``depth`` beyond an edge of
+    height 2 ``half`` around ``edge`` (3,), and where about they meet the sides, (81, 3) in the middle between them."""
+    c = np.cos(tilt)
+    s = np.sin(tilt)
+    (tip, across) = gripper.finger
+    heights = np.linspace(-1.0, 1.0, 9) * half + tip * s
+    back = depth - tip * c - across * s
+    # How far up the front of the palm comes to the edge: there the box must have ended.
+    meets = (-back - CORNER_PALM_GAP_M - gripper.palm_x[1] * c) / max(s, 1e-9)
+    if meets < gripper.palm_half[1]:
+        heights = heights[heights - gripper.palm_x[1] * s + meets * c > half + CORNER_PALM_GAP_M]
+    line = (
+        edge + (depth - 2 * across * s - 0.001) * level + np.linspace(-half, half, 81)[:, None] * up
+    )
+    return edge + back * level + heights[:, None] * up, line
+
+
+def _cylinder_pinches(
+    shape: ObjectShape, pos: Array, rot: Array, gripper: Gripper, options: Options
+) -> Iterator[Pinch]:
+    radius = shape.half[0]
+    half = shape.half[2]
+    axis = rot[:, 2]
+    line = pos + np.linspace(-half, half, 81)[:, None] * axis
+    for angle in np.arange(12) * np.pi / 12:
+        closing = np.cos(angle) * rot[:, 0] + np.sin(angle) * rot[:, 1]
+        if 2 * radius <= gripper.usable:
+            yield Pinch(
+                closing, _fan(closing, axis, options.fan), line, 2 * radius, measure=2 * half
+            )
+        else:
+            yield from _chord_pinches(radius, half, pos, axis, closing, line, gripper)
+            yield from _tip_pinches(radius, half, pos, axis, closing, line, gripper)
+    if 2 * half <= gripper.usable:
+        u, v = np.meshgrid(np.linspace(-1, 1, 15) * radius, np.linspace(-1, 1, 15) * radius)
+        disk = np.stack([u.ravel(), v.ravel()], axis=1)
+        disk = disk[np.linalg.norm(disk, axis=1) <= radius] @ rot[:, :2].T + pos
+        size = np.sqrt(np.pi) * radius
+        yield Pinch(
+            axis,
+            _fan(axis, rot[:, 0], options.fan),
+            disk,
+            2 * half,
+            least=0.014,
+            measure=size,
+            planar=True,
+        )
+
+
+def _chord_pinches(
+    radius: float,
+    half: float,
+    pos: Array,
+    axis: Array,
+    closing: Array,
+    line: Array,
+    gripper: Gripper,
+) -> Iterator[Pinch]:
+    """A can too wide to go around: coming along its axis, the pads' edges meet it on a chord beside the axis.
+
+    The normals lean from the closing line by asin(offset / radius), 21 degrees for the widest can of the benchmark;
+    the pads' friction (coefficient above tan of that) holds it. The grasp test allows 30 degrees, and as the can slips
+    along the pads its normals lean more: the chord is as wide as the hand opens but for CHORD_PLAY_M.
+    """
+    width = gripper.opening - 2 * CHORD_PLAY_M
+    if width / 2 >= radius or radius - width / 2 > 0.012:
+        return
+    offset = float(np.sqrt(radius**2 - (width / 2) ** 2))
+    across = np.cross(axis, closing)
+    for side in (-1.0, 1.0):
+        chord = line + side * offset * across
+        for down in (-axis, axis):
+            deep = min(half, gripper.finger[0] + 0.027)
+            at = (
+                pos
+                - down * (half - deep + gripper.finger[0])
+                + side * (offset + gripper.finger[1]) * across
+            )
+            yield Pinch(closing, down[None], chord, width, at[None], bonus=-0.4, measure=2 * half)
+
+
+def _tip_pinches(
+    radius: float,
+    half: float,
+    pos: Array,
+    axis: Array,
+    closing: Array,
+    line: Array,
+    gripper: Gripper,
+) -> Iterator[Pinch]:
+    """A can a little too wide to go around: coming from the side, the round edges of the fingertips hold it on a chord
+    before the axis, as far back as the open hand gets. The more the tips miss the axis, the sooner it is lost."""
+    width = gripper.opening - 2 * gripper.play
+    if not 0.0 < radius - width / 2 < 0.004:
+        return
+    offset = float(np.sqrt(radius**2 - (width / 2) ** 2))
+    tip = gripper.finger[0]
+    heights = np.linspace(-1.0, 1.0, 7)[:, None] * max(half - gripper.finger[1], 0.0) * axis
+    for side in (-1.0, 1.0):
+        approach = side * np.cross(axis, closing)
+        at = pos + heights - (offset + tip) * approach
+        chord = line - (offset + 1e-4) * approach
+        yield Pinch(
+            closing, np.tile(approach, (len(at), 1)), chord, width, at, bonus=-0.6, measure=2 * half
+        )
+
+
+def _sphere_pinches(
+    shape: ObjectShape, pos: Array, rot: Array, gripper: Gripper, options: Options
+) -> Iterator[Pinch]:
+    width = 2 * max(shape.half)
+    if width > gripper.usable:
+        return
+    for angle in np.arange(8) * np.pi / 8:
+        closing = np.array([np.cos(angle), np.sin(angle), 0.0])
+        yield Pinch(
+            closing, _fan(closing, np.array([0.0, 0.0, 1.0]), options.fan), pos[None], width
+        )
+
+
+def _bowl_pinches(
+    shape: ObjectShape, pos: Array, rot: Array, gripper: Gripper, options: Options
+) -> Iterator[Pinch]:
+    """One finger inside, one outside the wall, both about parallel to it; several leans of the hand at every place."""
+    axis = rot[:, 2]
+    half = shape.half[2]
+    count = shape.facets or BOWL_FACETS
+    # The middle of a flat facet lies nearer to the axis than its corners.
+    radius = (shape.half[0] - shape.wall / 2) * (np.cos(np.pi / count) if shape.facets else 1.0)
+    for angle in np.arange(count) * 2 * np.pi / count:
+        out = np.cos(angle) * rot[:, 0] + np.sin(angle) * rot[:, 1]
+        rim = pos + half * axis + radius * out
+        for extra in options.leans:
+            lean = shape.lean + extra
+            down = -np.cos(lean) * axis - np.sin(lean) * out
+            closing = np.cos(lean) * out - np.sin(lean) * axis
+            wall = rim + np.linspace(0.0, 0.03, 16)[:, None] * down
+            # The more the hand leans, the sooner the tip outside meets the wall below the rim.
+            at = rim[None] + (0.002 - 0.02 * max(extra - 0.4, 0.0)) * down
+            yield Pinch(closing, down[None], wall, shape.wall, at, bonus=-abs(extra), measure=0.03)
+
+
+def _mesh_pinches(
+    shape: ObjectShape, pos: Array, rot: Array, gripper: Gripper, options: Options
+) -> Iterator[Pinch]:
+    """The grasps found on a mesh, those aside that come from below as it lies."""
+    grasps = shape.grasps
+    if grasps is None:
+        raise UsageError("a shape of kind 'mesh' needs the grasps that were found on it.")
+    approach = grasps.approach @ rot.T
+    closing = grasps.closing @ rot.T
+    tcp = pos + grasps.pos @ rot.T
+    contact = pos + grasps.contact @ rot.T
+    bonus = (
+        PATCH_BONUS_PER_M * np.minimum(grasps.patch, FULL_PATCH_M)
+        - SLANT_COST_PER_RAD * grasps.slant
+    )
+    for k in np.flatnonzero(approach[:, 2] <= MAX_APPROACH_RISE):
+        yield Pinch(
+            closing[k],
+            approach[k : k + 1],
+            contact[k : k + 1],
+            float(grasps.width[k]),
+            tcp[k : k + 1],
+            float(bonus[k]),
+            most_open=float(grasps.most_open[k]),
+        )
+
+
+def _fan(closing: Array, start: Array, count: int) -> Array:
+    """Approach directions (A, 3) around a closing axis, without those that come from below."""
+    u = start - closing * (start @ closing)
+    u = u / np.linalg.norm(u)
+    angle = np.arange(count) * 2 * np.pi / count
+    fan = np.cos(angle)[:, None] * u + np.sin(angle)[:, None] * np.cross(closing, u)
+    return fan[fan[:, 2] <= MAX_APPROACH_RISE]

@@ -1,0 +1,326 @@
+"""Grasps that hold in simulation, for starts with an object in the gripper.
+
+Antipodal grasp candidates on the object's geometry are tried in an empty corner of the world: the gripper at rest, the
+object between the fingers, closing; those that pass the grasp test for half a second, and keep the object while the
+base turns, are kept. They are spread over the ways in which a gripper can come, and remembered on disk.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from threading import RLock
+
+import numpy as np
+
+from mjhab.core.cache import cache_dir, write_atomic
+from mjhab.core.errors import MjhabError, UsageError, unknown_name
+from mjhab.core.names import below
+from mjhab.core.rotations import pose_inv
+from mjhab.episodes.grasps.candidates import Grasps, ObjectShape, grasp_candidates
+from mjhab.episodes.grasps.spread import farthest_points
+from mjhab.layout.compile import home_hash
+from mjhab.robots.parts import Gripper
+from mjhab.robots.registry import robot_named
+from mjhab.scenes.shapes.footprints import outline
+from mjhab.scenes.spec import ObjectType
+from mjhab.sim.mujoco.cpu import CpuSimulator
+from mjhab.sim.mujoco.scratch import Scratch
+from mjhab.sim.mujoco.settle import parked_robot_qpos
+from mjhab.tasks.thresholds import TaskConfig
+
+HOLD_TIME_S = 0.5
+"""How long an object must be held still."""
+STEADY_SHARE = 0.8
+"""Share of the grasp test's angle that a stored grasp may use: near the limit it flickers once the robot moves."""
+MAX_GRASPS = 32
+"""Stable grasps kept of an object type."""
+MAX_TRIES = 256
+"""Candidates tried for them."""
+MAX_OFFSET_M = 0.15
+"""An object whose origin is further [m] from the tool centre counts as badly held (MS-HAB's
+mshab/utils/gen/gen_spawn_positions.py leaves such grasps out)."""
+MAX_APPROACH_SLANT_RAD = np.radians(50.0)
+"""Largest angle [rad] between the approach and straight down, where the object has grasps within. The hand points down
+at rest: what it took from the side would lie on its side in it, as few picks leave it."""
+_UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
+_VERSION = 6
+_POSITION_SCALE_M = 0.05
+"""Distance between grasps that makes them as different as a radian between their approaches does."""
+_CLOSING_WEIGHT = 0.5
+"""How different a radian between the closing lines makes grasps, compared to one between their approaches."""
+
+
+class NoGraspError(MjhabError):
+    """No grasp of an object type holds in the robot's hand."""
+
+
+def shape_of(
+    kind: ObjectType, meshes: Mapping[str, object], gripper: Gripper | None = None
+) -> ObjectShape:
+    """What a gripper sees of an object type: a box, can, ball or bowl of its size, or grasps found on its surface.
+
+    Args:
+        kind: the object type.
+        meshes: by name, those that its geoms name (`Pack.meshes`).
+        gripper: sizes of the hand; those of the default robot if not given.
+    """
+    if kind.grasp_shape == "mesh":
+        return _mesh_shape(kind, meshes, gripper or robot_named().gripper)
+    if len(kind.collision) > 1:
+        return ObjectShape("bowl", kind.half)
+    shape = next(iter(kind.collision)).shape
+    return ObjectShape(shape if shape in ("box", "cylinder") else "sphere", kind.half)
+
+
+_mesh_shapes: dict[str, ObjectShape] = {}
+"""Shapes made so far, by the hash of what they are made of: looking for grasps takes about a second."""
+
+
+def _mesh_shape(kind: ObjectType, meshes: Mapping[str, object], gripper: Gripper) -> ObjectShape:
+    pieces = np.concatenate([outline(geom, meshes) for geom in kind.collision])
+    key = hashlib.sha256(repr((kind, gripper)).encode() + pieces.tobytes()).hexdigest()
+    if key not in _mesh_shapes:
+        from mjhab.episodes.grasps.antipodal import surface_grasps
+
+        grasps = surface_grasps(kind, meshes, gripper)
+        _mesh_shapes[key] = ObjectShape("mesh", kind.half, grasps=grasps)
+    return _mesh_shapes[key]
+
+
+def spread(candidates: Grasps, count: int) -> Iterator[int]:
+    """Rows of at most ``count`` candidates: the best, then always the one least like all those before it."""
+    if not len(candidates):
+        return
+    closing = _CLOSING_WEIGHT * candidates.rot[:, :, 1]
+    features = np.concatenate(
+        [candidates.pos / _POSITION_SCALE_M, candidates.rot[:, :, 0], closing], axis=1
+    )
+    yield from farthest_points(features, count).tolist()
+
+
+@dataclass(frozen=True, eq=False)
+class StableGrasp:
+    """A stable grasp: object pose (7,) in the frame of the tool centre, finger position [m]."""
+
+    pose: np.ndarray
+    fingers: float
+
+
+class StableGrasps:
+    """Stable grasps per object type: found once per layout, kept in the cache.
+
+    Args:
+        sim: whose layout has the objects.
+        config: the grasp test.
+        scratch: world to try grasps in.
+        harvested: `grasps` gives those that were added too, so that starts depend on what this machine has harvested.
+    """
+
+    def __init__(
+        self, sim: CpuSimulator, config: TaskConfig, scratch: Scratch, harvested: bool = False
+    ) -> None:
+        self.layout = sim.layout
+        self.robot = sim.layout.robot
+        self.config = config
+        self.scratch = scratch
+        self.harvested = harvested
+        self._found: dict[str, list[StableGrasp]] = {}
+        self._held: dict[str, bool] = {}
+        self.lock = RLock()
+
+    def grasps(self, kind: str) -> list[StableGrasp]:
+        """Stable grasps of an object type, the most sensible one first, then as different ones as possible.
+
+        Raises:
+            UsageError: the layout has no object of this type.
+            NoGraspError: no candidate holds.
+        """
+        with self.lock:
+            if kind not in self._found:
+                self._found[kind] = self.found(kind) + (self.added(kind) if self.harvested else [])
+            return self._found[kind]
+
+    def holds(self, kind: str) -> bool:
+        """Whether the hand can hold an object type at all.
+
+        Raises:
+            UsageError: the layout has no object of this type.
+        """
+        if kind not in self._held:
+            try:
+                self._held[kind] = bool(self.grasps(kind))
+            except NoGraspError:
+                self._held[kind] = False
+        return self._held[kind]
+
+    def add(self, kind: str, pose: np.ndarray, fingers: float) -> StableGrasp | None:
+        """Add a grasp, e.g. from a successful episode, if it passes the test that the found ones passed.
+
+        Args:
+            kind: object type.
+            pose: (7,) object pose in the frame of the tool centre.
+            fingers: finger position [m].
+
+        Returns:
+            The grasp as it settled and was written into the cache, where every process with the same layout finds it;
+            None if it does not hold.
+
+        Raises:
+            UsageError: unknown type, or numbers that are no pose.
+        """
+        self._check(kind)
+        pose = np.asarray(pose, dtype=np.float64)
+        if (
+            pose.shape != (7,)
+            or not np.isfinite(pose).all()
+            or abs(np.linalg.norm(pose[3:]) - 1.0) > 1e-3
+        ):
+            raise UsageError(
+                f"a grasp needs the pose x, y, z, w, x, y, z of the object in the gripper, got {pose}"
+            )
+        most = self.robot.finger_max
+        if not 0.0 <= fingers <= most:
+            raise UsageError(f"fingers must be between 0 and {most} m, got {fingers}")
+        grasp = self._try(kind, pose_inv(pose), 2 * fingers)
+        if grasp is None:
+            return None
+        name = hashlib.sha256(
+            grasp.pose.tobytes() + np.float64(grasp.fingers).tobytes()
+        ).hexdigest()[:16]
+        _save(below(self.folder, f"{kind}-added", f"{name}.npz"), [grasp])
+        with self.lock:
+            if self.harvested:
+                self._found.pop(kind, None)
+        return grasp
+
+    def added(self, kind: str) -> list[StableGrasp]:
+        """The grasps that were added for an object type, in the order of their hashes."""
+        return [
+            g
+            for file in sorted((self.folder / f"{kind}-added").glob("[!.]*.npz"))
+            for g in _load(file)
+        ]
+
+    def digest(self, kind: str) -> str:
+        """Hash of the grasps of an object type: equal when the same draws give the same starts."""
+        rows = [np.append(grasp.pose, grasp.fingers) for grasp in self.grasps(kind)]
+        return hashlib.sha256(np.array(rows).tobytes()).hexdigest()[:16]
+
+    @cached_property
+    def folder(self) -> Path:
+        """Where the cache keeps the grasps of this layout."""
+        test = (
+            self.config.grasp_force,
+            self.config.grasp_angle,
+            HOLD_TIME_S,
+            MAX_GRASPS,
+            MAX_TRIES,
+            MAX_APPROACH_SLANT_RAD,
+            _VERSION,
+        )
+        name = repr((home_hash(self.layout, self.layout.pack.homes[0]), test))
+        return cache_dir() / "grasps" / hashlib.sha256(name.encode()).hexdigest()[:16]
+
+    def _check(self, kind: str) -> None:
+        if kind not in self.layout.roster:
+            raise unknown_name("object", kind, set(self.layout.roster))
+
+    def found(self, kind: str) -> list[StableGrasp]:
+        """As `grasps`, without those that were added."""
+        self._check(kind)
+        path = below(self.folder, f"{kind}.npz")
+        if path.exists():
+            return _load(path)
+        found = self._search(kind)
+        _save(path, found)
+        return found
+
+    def _search(self, kind: str) -> list[StableGrasp]:
+        pack = self.layout.pack
+        shape = shape_of(pack.objects[kind], pack.meshes, self.robot.gripper)
+        candidates = grasp_candidates(
+            shape, np.zeros(3), _UPRIGHT, support_z=-shape.half[2], gripper=self.robot.gripper
+        )
+        steep = candidates.rot[:, 2, 0] <= -np.cos(MAX_APPROACH_SLANT_RAD)
+        if steep.any():
+            candidates = candidates.take(steep)
+        found: list[StableGrasp] = []
+        for row in spread(candidates, MAX_TRIES):
+            tcp = np.concatenate([candidates.pos[row], candidates.quat[row]])
+            grasp = self._try(kind, tcp, float(candidates.width[row]))
+            if grasp is not None:
+                found.append(grasp)
+            if len(found) == MAX_GRASPS:
+                break
+        if not found:
+            raise NoGraspError(
+                f"no grasp of {kind} by robot {self.robot.name!r} holds for {HOLD_TIME_S} s"
+            )
+        return found
+
+    def hold_in(self, kind: str, grasp: StableGrasp, robot: np.ndarray) -> StableGrasp | None:
+        """A stable grasp as it settles in another posture; None if it does not hold there or the robot touches itself.
+
+        Args:
+            robot: (J,) joint positions, those of the fingers aside; the base away from every home.
+        """
+        held = self._try(kind, pose_inv(grasp.pose), 2 * grasp.fingers, robot)
+        if held is None:
+            return None
+        slot = self.layout.roster.index(kind)
+        state = self.scratch.holding(
+            slot, self._with_fingers(robot, held.fingers), pose_inv(held.pose)
+        )
+        grip = (self.config.grasp_force, self.config.grasp_angle)
+        return (
+            held
+            if self.scratch.collision_free(self.layout.pack.homes[0].name, state, slot, grip)
+            else None
+        )
+
+    def _with_fingers(self, robot: np.ndarray, fingers: float) -> np.ndarray:
+        """Joint positions (J,) with both fingers at a position [m]."""
+        out = robot.copy()
+        out[self.robot.columns.fingers] = fingers
+        return out
+
+    def _try(
+        self, kind: str, tcp: np.ndarray, width: float, robot: np.ndarray | None = None
+    ) -> StableGrasp | None:
+        """Try a grasp: pose ``tcp`` (7,) of the tool centre in the object's frame, distance of the pads [m].
+
+        ``robot``: (J,) joint positions, those of the fingers aside; at rest if None.
+        """
+        slot = self.layout.roster.index(kind)
+        force = self.config.grasp_force
+        angle = self.config.grasp_angle
+        robot = parked_robot_qpos(self.robot) if robot is None else robot
+        open_hand = self._with_fingers(robot, min(0.5 * width + 0.001, self.robot.finger_max))
+        held = self.scratch.try_grasp(
+            slot, tcp, open_hand, HOLD_TIME_S, force, STEADY_SHARE * angle
+        )
+        return (
+            StableGrasp(*held)
+            if held is not None and np.linalg.norm(held[0][:3]) <= MAX_OFFSET_M
+            else None
+        )
+
+
+def _save(path: Path, grasps: list[StableGrasp]) -> None:
+    arrays = {
+        "pose": np.array([g.pose for g in grasps]),
+        "fingers": np.array([g.fingers for g in grasps]),
+    }
+    write_atomic(path, lambda temporary: np.savez(temporary, allow_pickle=False, **arrays))
+
+
+def _load(path: Path) -> list[StableGrasp]:
+    with np.load(path, allow_pickle=False) as data:
+        return [
+            StableGrasp(pose, float(fingers))
+            for pose, fingers in zip(data["pose"], data["fingers"], strict=True)
+        ]

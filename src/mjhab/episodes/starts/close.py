@@ -1,0 +1,25 @@
+"""How Close begins: the link stands open, its object is placed, the robot faces the furniture."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mjhab.episodes.spawns import SpawnGoal
+from mjhab.episodes.starts.scene import Scene, SubtaskStart
+
+
+class CloseStart(SubtaskStart):
+    """See the module."""
+
+    def prepare(self, scene: Scene) -> None:
+        scene.state.leave_open(
+            scene.rng, scene.episode, scene.subtask.link, scene.qpos, placed=True
+        )
+
+    def stand(self, scene: Scene) -> SpawnGoal:
+        """As in mshab/utils/gen/gen_spawn_positions.py."""
+        root = scene.state.link_root(scene.home, scene.subtask.link)
+        return SpawnGoal(np.array(root), self.approach(scene).area)
+
+
+START = CloseStart()

@@ -1,0 +1,240 @@
+"""Makes the starts of whole chains and of single subtasks."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+
+from mjhab.config.env import EnvConfig
+from mjhab.core.errors import MjhabError, UsageError, unknown_name
+from mjhab.core.names import kind_of
+from mjhab.core.plugins import resolved
+from mjhab.core.seeding import stream
+from mjhab.episodes.generator import Episode
+from mjhab.episodes.grasps.carry_postures import CarryPostures
+from mjhab.episodes.grasps.stable import StableGrasps
+from mjhab.episodes.spawn_sets import SpawnSet
+from mjhab.episodes.spawns import MAX_TRIES, Held, SpawnGoal, SpawnSampler
+from mjhab.episodes.starts.home_state import HomeState
+from mjhab.episodes.starts.scene import Scene, Situation, Start, SubtaskStart
+from mjhab.layout.layout import Layout
+from mjhab.scenes.roles import link_with_role
+from mjhab.scenes.spec import Home
+from mjhab.sim.mujoco.cpu import CpuSimulator
+from mjhab.sim.mujoco.settle import parked_robot_qpos
+from mjhab.tasks.household.registry import TASKS, chain
+from mjhab.tasks.plan import FRONT_AREAS, Box, Subtask, TaskPlan, front_box
+from mjhab.tasks.subtasks.registry import SUBTASKS, number_of, spec_of
+from mjhab.tasks.thresholds import TaskConfig
+
+ROAM_RADIUS_M = 0.5
+"""Room around the place where the robot of a chain begins."""
+
+
+def subtask_positions(plan: TaskPlan, layout: Layout, kind: str, target: str) -> list[int]:
+    """Positions in a plan of the subtasks of a kind about a target (object type, object name, link; "" for any)."""
+
+    def matches(subtask: Subtask) -> bool:
+        about = subtask.link if SUBTASKS[kind].jointed else subtask.obj
+        return not target or about == target or kind_of(about) == target
+
+    wanted = number_of(kind)
+    return [i for i, s in enumerate(plan.subtasks) if s.kind == wanted and matches(s)]
+
+
+def valid_targets(config: EnvConfig, layout: Layout) -> list[str]:
+    """Object types or links that the task's subtask can be about."""
+    task = TASKS[config.task]
+    if config.subtask and SUBTASKS[config.subtask].jointed:
+        return [link_with_role(layout.pack.roles, role) for role in task.opened_links]
+    return list(task.object_types) or sorted(set(layout.roster))
+
+
+def check_target(config: EnvConfig, layout: Layout) -> None:
+    """Raise a UsageError when ``config.target`` names nothing that the task's subtask can be about."""
+    if not config.target:
+        return
+    valid = valid_targets(config, layout)
+    if config.target not in valid:
+        raise unknown_name("target", config.target, valid)
+    if not config.subtask:
+        subtasks = ", ".join(TASKS[config.task].subtasks)
+        raise UsageError(
+            f"target {config.target!r} needs a subtask: add --subtask, one of {subtasks}."
+        )
+
+
+def start_of(kind: int) -> SubtaskStart:
+    """What says how a kind of subtask begins."""
+    return cast(SubtaskStart, resolved(spec_of(kind).start))
+
+
+class StartMaker:
+    """Builds starts of whole chains and of single subtasks.
+
+    Args:
+        sim: whose homes are used. config, task_config: what is to be done.
+        harvested: place with the grasps, too, that were added to `held`; not under the published spawn rule.
+
+    Raises:
+        UsageError: ``harvested`` under the published spawn rule; a file of starts that does not fit.
+    """
+
+    def __init__(
+        self, sim: CpuSimulator, config: EnvConfig, task_config: TaskConfig, harvested: bool = False
+    ) -> None:
+        self.sim = sim
+        self.config = config
+        self.task_config = task_config
+        self.layout = sim.layout
+        self.sampler = SpawnSampler(sim)
+        self.held = StableGrasps(sim, task_config, self.sampler.scratch, harvested)
+        self.published = config.spawn_rule == "published"
+        if self.published and harvested:
+            raise UsageError("the published spawn rule has arms of its own; leave out harvested.")
+        self.arms = CarryPostures(self.held)
+        self.spawn_set = SpawnSet.load(Path(config.spawns), self.layout) if config.spawns else None
+        if self.spawn_set is not None:
+            self.spawn_set.check(config)
+        self._homes = self.layout.pack.homes_by_name
+        self._boxes: dict[str, dict[str, Box]] = {}
+        self._state = HomeState(
+            config, task_config, sim, self.sampler, self.held, self.arms, self._homes
+        )
+
+    def start(self, episode: Episode) -> Start:
+        """The start of an episode under this configuration; random draws are named by (seed, index).
+
+        With ``config.spawns`` it is the one of that file for the episode's index.
+        """
+        home = self._homes[episode.home]
+        boxes = self.boxes(home)
+        plan = chain(episode.task, episode.targets, home.name)
+        if self.spawn_set is not None:
+            row = self.spawn_set.row(episode.index)
+            own = plan.only(row.position) if self.config.subtask else plan
+            return Start(own, home.name, row.qpos, boxes, row.fallback, row.position, row.tries)
+        qpos = self._episode_qpos(episode)
+        if not self.config.subtask:
+            qpos, fallback, tries = self._roam(episode, qpos)
+            return Start(plan, home.name, qpos, boxes, fallback, tries=tries)
+        position = self._pick_position(plan, episode)
+        rng = stream(episode.seed, "start", episode.task, episode.index)
+        scene = Scene(plan, position, boxes, self._state, episode, qpos, rng)
+        begin = start_of(scene.subtask.kind)
+        held = begin.prepare(scene)
+        goal = begin.stand(scene)
+        if self.published:
+            goal = dataclasses.replace(goal, slack=np.inf, published=True)
+        qpos, fallback, tries = self._spawn(episode, qpos, goal, held)
+        return Start(plan.only(position), home.name, qpos, boxes, fallback, position, tries)
+
+    def starts(self, episodes: Sequence[Episode], threads: int = 1) -> list[Start]:
+        """The starts of several episodes, the same for any number of ``threads``.
+
+        One thread makes a thousand in a second, and half of that time is Python: more hardly help.
+        """
+        if threads <= 1:
+            return [self.start(episode) for episode in episodes]
+        with ThreadPoolExecutor(threads) as pool:
+            return list(pool.map(self.start, episodes))
+
+    def home(self, name: str) -> Home:
+        """The home of a name."""
+        return self._homes[name]
+
+    def boxes(self, home: Home) -> dict[str, Box]:
+        """Area in front of every link of a home, as (x_min, x_max, y_min, y_max)."""
+        if home.name not in self._boxes:
+            self._boxes[home.name] = {
+                ref.id: front_box(
+                    ref.id,
+                    self._state.link_root(home, ref.id),
+                    self.layout.articulation_placement(home, ref.articulation).yaw,
+                )
+                for ref in self.layout.links
+                if ref.articulation in FRONT_AREAS
+            }
+        return self._boxes[home.name]
+
+    def spawn_goal(self, plan: TaskPlan, position: int, boxes: Mapping[str, Box]) -> SpawnGoal:
+        """Where a robot stands that has navigated to the subtask at ``position`` of a plan, or does so now."""
+        situation = Situation(plan, position, boxes, self._state)
+        return start_of(situation.subtask.kind).approach(situation)
+
+    def foresee(self, episode: Episode, plan: TaskPlan, position: int) -> np.ndarray:
+        """State (nq,) in which a chain comes to the Navigate at ``position`` if all before went well, the robot parked.
+
+        What the robot carries then is out of the way.
+        """
+        qpos = self._episode_qpos(episode)
+        for subtask in plan.subtasks[:position]:
+            if spec_of(subtask.kind).brings_to_goal:
+                self._state.put_at_goal(qpos, subtask.obj, subtask.goal_pos)
+        situation = Situation(plan, position, {}, self._state)
+        link, placed = situation.open_before()
+        if link:
+            rng = stream(episode.seed, "foresee", episode.task, episode.index, position)
+            self._state.leave_open(rng, episode, link, qpos, placed=placed)
+        if situation.subtask.must_hold:
+            self._state.park(qpos, situation.subtask.obj)
+        return qpos
+
+    def _pick_position(self, plan: TaskPlan, episode: Episode) -> int:
+        found = subtask_positions(plan, self.layout, self.config.subtask, self.config.target)
+        if not found:
+            raise UsageError(
+                f"no {self.config.subtask} of {self.config.target!r} in task {self.config.task!r}"
+            )
+        first = int(stream(episode.seed, "subtask", episode.index).integers(len(found)))
+        # A narrow hand cannot hold everything: then it is the turn of the next object.
+        for position in (*found[first:], *found[:first]):
+            if self._holdable(plan.subtasks[position]):
+                return position
+        raise MjhabError(
+            f"robot {self.layout.robot.name!r} cannot hold any object of episode {episode.index} of {episode.task}"
+        )
+
+    def _holdable(self, subtask: Subtask) -> bool:
+        """Whether the hand can hold what a subtask begins with in it."""
+        if not spec_of(subtask.kind).starts_holding and not subtask.must_hold:
+            return True
+        slot = self.layout.object_names.index(subtask.obj)
+        return self.held.holds(self.layout.roster[slot])
+
+    def _episode_qpos(self, episode: Episode) -> np.ndarray:
+        a = self.sim.addresses
+        qpos = self.sim.model(episode.home).qpos0.copy()
+        qpos[a.robot_q] = parked_robot_qpos(self.layout.robot)
+        qpos[a.object_q[:, None] + np.arange(7)] = episode.object_pose
+        qpos[a.link_q] = episode.link_q
+        return qpos
+
+    def _spawn(
+        self, episode: Episode, qpos: np.ndarray, goal: SpawnGoal, held: Held | None
+    ) -> tuple[np.ndarray, bool, int]:
+        """The state (nq,) with the robot in it, whether it stands there for want of a better place, and the tries."""
+        name = ("spawn", episode.task, episode.index)
+        rngs = (stream(episode.seed, *name, attempt) for attempt in range(MAX_TRIES))
+        found, tries = self.sampler.search(episode.home, qpos, goal, rngs, held)
+        if found is None:
+            return self.sampler.fallback(episode.home, qpos, goal, held), True, tries
+        return found, False, tries
+
+    def _roam(self, episode: Episode, qpos: np.ndarray) -> tuple[np.ndarray, bool, int]:
+        """A chain begins with the robot somewhere in the home; its first Navigate brings it to work."""
+        rng = stream(episode.seed, "roam", episode.task, episode.index)
+        cells = self.sampler.walkable(episode.home, ROAM_RADIUS_M)
+        for attempt in range(MAX_TRIES):
+            xy = cells[int(rng.integers(len(cells)))]
+            heading = rng.uniform(-np.pi, np.pi)
+            face = xy + np.array([np.cos(heading), np.sin(heading)])
+            found = self.sampler.at(episode.home, qpos, xy, SpawnGoal(face))
+            if found is not None:
+                return found, False, attempt + 1
+        return self.sampler.fallback(episode.home, qpos, SpawnGoal(cells[0])), True, MAX_TRIES

@@ -1,0 +1,34 @@
+"""How Pick begins: the link that the object is behind stands open, the robot faces the object."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mjhab.episodes.spawns import SpawnGoal
+from mjhab.episodes.starts.scene import Scene, Situation, SubtaskStart
+from mjhab.tasks.household.registry import TASKS
+
+
+class PickStart(SubtaskStart):
+    """See the module."""
+
+    def prepare(self, scene: Scene) -> None:
+        subtask = scene.subtask
+        if subtask.link:
+            # Where the plan itself opens links, how far this one stands open is drawn.
+            anew = bool(TASKS[scene.episode.task].opened_links)
+            home = scene.episode.home
+            scene.state.ensure_open(scene.rng, home, subtask.link, scene.qpos, anew=anew)
+            scene.state.carry_along(scene.episode, subtask.obj, subtask.link, scene.qpos)
+
+    def stand(self, scene: Scene) -> SpawnGoal:
+        if not scene.state.published:
+            return self.approach(scene)
+        start = scene.state.object_address(scene.subtask.obj)
+        return SpawnGoal(scene.qpos[start : start + 2])
+
+    def approach(self, situation: Situation) -> SpawnGoal:
+        return SpawnGoal(np.array(situation.last_way[:2]), situation.area)
+
+
+START = PickStart()

@@ -1,0 +1,26 @@
+"""How Place begins: the object is in the hand, the link that it goes behind stands open, the robot faces the goal."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mjhab.episodes.spawns import Held, SpawnGoal
+from mjhab.episodes.starts.scene import Scene, SubtaskStart
+
+
+class PlaceStart(SubtaskStart):
+    """See the module."""
+
+    def prepare(self, scene: Scene) -> Held:
+        subtask = scene.subtask
+        if subtask.link:
+            scene.state.ensure_open(scene.rng, scene.episode.home, subtask.link, scene.qpos)
+        return scene.state.hold(scene.rng, subtask.obj, scene.qpos)
+
+    def stand(self, scene: Scene) -> SpawnGoal:
+        if scene.state.published:
+            return SpawnGoal(np.array(scene.subtask.goal_pos[:2]))
+        return self.approach(scene)
+
+
+START = PlaceStart()

@@ -1,0 +1,155 @@
+"""Whether a home that somebody wrote by hand can be lived and worked in."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.rotations import mat_from_quat
+from mjhab.scenes.builtin.homes import MAX_REACH_TO_CENTER_M
+from mjhab.scenes.builtin.materials import MATERIALS
+from mjhab.scenes.freespace import NAVMESH_BASE_RADIUS_M, free_map, reach
+from mjhab.scenes.pack_check import check_range
+from mjhab.scenes.roles import plays, roles_of
+from mjhab.scenes.shapes.footprints import Footprint, footprint, outline
+from mjhab.scenes.spec import Home, Pack, Placement
+
+MIN_FLOOR_M = 1.5
+MAX_FLOOR_M = 40.0
+"""Sides of the floor of a home."""
+MAX_WALL_THICKNESS_M = 1.0
+MAX_WALL_HEIGHT_M = 6.0
+OUTER_WALLS = 4
+"""Walls around the floor, which come first in `Home.walls`."""
+MAX_OVERLAP_M = 0.001
+"""Depth to which pieces may stand in each other: files give few digits."""
+
+
+def check_home(source: Path, pack: Pack, home: Home) -> None:
+    """Refuse a home in which something is unknown, out of bounds, in the way, or out of reach.
+
+    Args:
+        source: file of the home, for messages.
+        pack: has the templates of the furniture.
+        home: the home.
+
+    Raises:
+        UsageError: see `mjhab.scenes.home_files.home_pack`.
+    """
+    _check_names(source, pack, home)
+    try:
+        _check_numbers(home)
+    except ValueError as error:
+        raise UsageError(f"{source}: {error}") from error
+    _check_singles(source, home)
+    _check_overlaps(source, pack, home)
+    _check_reach(source, pack, home)
+
+
+def _check_names(source: Path, pack: Pack, home: Home) -> None:
+    kinds = (*pack.props, *pack.articulations)
+    for placement in (*home.props, *home.articulations):
+        if placement.template not in kinds:
+            raise UsageError(
+                f"{source}: furniture: {unknown_name('furniture', placement.template, kinds)}"
+            )
+    materials = {home.floor_material, *(wall.material for wall in home.walls)}
+    for material in sorted(materials):
+        if material not in MATERIALS:
+            raise UsageError(f"{source}: {unknown_name('material', material, MATERIALS)}")
+
+
+def _check_numbers(home: Home) -> None:
+    _, _, width, depth = home.floor
+    check_range("floor.size", (width, depth), MIN_FLOOR_M, MAX_FLOOR_M, "m")
+    for wall in home.walls:
+        check_range("walls.height", 2 * wall.size[2], 0.1, MAX_WALL_HEIGHT_M, "m")
+    check_range("walls.thickness", 2 * min(home.walls[0].size[:2]), 0.01, MAX_WALL_THICKNESS_M, "m")
+    for placement in (*home.props, *home.articulations):
+        x, y, _ = placement.pos
+        where = f"furniture {placement.template!r}"
+        check_range(f"{where}, x of at", x, 0.0, width, "m")
+        check_range(f"{where}, y of at", y, 0.0, depth, "m")
+        check_range(f"{where}, yaw_degrees", math.degrees(placement.yaw), -360.0, 360.0, "degrees")
+    for wall in home.walls:
+        reach_m = max(width, depth) + MAX_WALL_THICKNESS_M
+        check_range("walls.inner", wall.pos[:2], -MAX_WALL_THICKNESS_M, reach_m, "m")
+
+
+def _check_singles(source: Path, home: Home) -> None:
+    names = [placement.template for placement in home.articulations]
+    for name in names:
+        if names.count(name) > 1:
+            raise UsageError(
+                f"{source}: furniture: {name!r} stands {names.count(name)} times; a home may have one of each kind "
+                "that opens."
+            )
+
+
+def _check_overlaps(source: Path, pack: Pack, home: Home) -> None:
+    """Refuse pieces that share space with a wall or with each other."""
+    taken = [
+        ("walls.outer" if k < OUTER_WALLS else "a wall of walls.inner", _wall_area(home, k))
+        for k in range(len(home.walls))
+    ]
+    for placement in (*home.props, *home.articulations):
+        template = pack.props.get(placement.template) or pack.articulations[placement.template]
+        area = footprint(placement, template)
+        if area is None:
+            continue
+        area = _shrunk(area)
+        name = _named(placement)
+        for other, space in taken:
+            if area.meets(space):
+                raise UsageError(f"{source}: furniture: {name} overlaps {other}; move one of them.")
+        taken.append((name, area))
+
+
+def _named(placement: Placement) -> str:
+    x, y, _ = placement.pos
+    return f"{placement.template!r} at [{x:g}, {y:g}]"
+
+
+def _shrunk(area: Footprint) -> Footprint:
+    """A footprint less `MAX_OVERLAP_M` on every side."""
+    middle = area.corners.mean(axis=0)
+    away = area.corners - middle
+    size = np.linalg.norm(away, axis=1, keepdims=True)
+    corners = middle + away * np.maximum(1.0 - np.sqrt(2.0) * MAX_OVERLAP_M / size, 0.0)
+    low, high = area.z
+    return Footprint(area.name, corners, (low + MAX_OVERLAP_M, high - MAX_OVERLAP_M))
+
+
+def _wall_area(home: Home, index: int) -> Footprint:
+    wall = home.walls[index]
+    points = outline(wall)
+    half = np.array(wall.size[:2])
+    signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    turn = mat_from_quat(np.array(wall.quat))[:2, :2]
+    corners = (signs * half) @ turn.T + np.array(wall.pos[:2])
+    return Footprint("wall", corners, (float(points[:, 2].min()), float(points[:, 2].max())))
+
+
+def _check_reach(source: Path, pack: Pack, home: Home) -> None:
+    """Refuse a home without room for a robot, or with a receptacle that plays a role out of its reach."""
+    free = free_map(home, pack)
+    if not free.navigable().any():
+        raise UsageError(
+            f"{source}: furniture leaves no floor on which a base of radius {NAVMESH_BASE_RADIUS_M} m can stand."
+        )
+    roles = roles_of(pack, home)
+    for found in reach(home, pack, free):
+        template = pack.props.get(found.thing) or pack.articulations[found.thing]
+        first = template.receptacles[0].name == found.receptacle
+        playing = [
+            r for r in roles.places if plays(roles, r, found.thing, found.receptacle, first=first)
+        ]
+        if playing and found.center > MAX_REACH_TO_CENTER_M:
+            raise UsageError(
+                f"{source}: receptacle {found.receptacle!r} of {found.thing!r}, which plays the role {playing[0]!r}, "
+                f"is {found.center:.2f} m from where a robot can stand; it reaches {MAX_REACH_TO_CENTER_M} m. "
+                "Make room before it, or give the role to another."
+            )

@@ -1,0 +1,335 @@
+"""Homes written by hand: a small JSON or Python file with floor, walls, built-in furniture and roles.
+
+``docs/extending.md`` describes the format; `HomeFile` and the classes it is made of are its definition.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import json
+import math
+import runpy
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Literal
+
+from mjhab.core.errors import UsageError
+from mjhab.core.names import check_name
+from mjhab.scenes.builtin.furniture import builtin_articulations, builtin_props, furniture_meshes
+from mjhab.scenes.builtin.objects import builtin_objects, object_meshes
+from mjhab.scenes.builtin.pack import ROLES
+from mjhab.scenes.home_checks import check_home
+from mjhab.scenes.pack_check import check_pack
+from mjhab.scenes.pack_source import HOME_SUFFIXES, PackRequest, PackSource
+from mjhab.scenes.records import read_record
+from mjhab.scenes.replica_cad.files import SCENE_SUFFIX
+from mjhab.scenes.roles import present_roles
+from mjhab.scenes.shapes.shapes import span
+from mjhab.scenes.spec import Geom, Home, Light, Pack, Placement, Prop, Receptacle, Roles, Vec3
+
+FORMAT = "mjhab-home-1"
+PYTHON_NAME = "HOME"
+"""Variable of a Python file that holds what a JSON file would."""
+LAMP_HEIGHT_M = 2.4
+MIN_WALL_PIECE_M = 0.01
+"""Pieces of wall shorter than this, between a doorway and the end of the wall, are left out."""
+
+
+@dataclass(frozen=True)
+class FileFloor:
+    """``size``: inner extent of the home along x and y [m], from the origin; ``material``: a name of `MATERIALS`."""
+
+    size: tuple[float, float]
+    material: str = "floor_oak"
+
+
+@dataclass(frozen=True)
+class FileWall:
+    """A straight inner wall from ``start`` to ``end`` [m]; ``doorways``: (from, to) [m], counted from its start."""
+
+    start: tuple[float, float]
+    end: tuple[float, float]
+    doorways: tuple[tuple[float, float], ...] = ()
+
+
+@dataclass(frozen=True)
+class FileWalls:
+    """``outer``: material of the four walls around the floor; ``inner``: further walls, of ``inner_material``."""
+
+    outer: str
+    inner: tuple[FileWall, ...] = ()
+    inner_material: str = "wall_white"
+    height: float = 2.6
+    thickness: float = 0.12
+
+
+@dataclass(frozen=True)
+class FilePiece:
+    """A piece of furniture: ``kind`` of the built-in pack, ``at`` (x, y) of its middle [m], heading of its front."""
+
+    kind: str
+    at: tuple[float, float]
+    yaw_degrees: float = 0.0
+
+
+@dataclass(frozen=True)
+class FileReceptacle:
+    """A place for objects on a kind of furniture, and the roles it plays besides those it has in the built-in pack.
+
+    Without ``center`` it is the receptacle of that name which the furniture has. With it, it is a new one: ``center``
+    of its surface [m] in the frame of the furniture (origin on the floor under its middle, +x to its front), ``half``
+    its half-extents [m], ``height`` the free height above it [m].
+    """
+
+    furniture: str
+    name: str
+    roles: tuple[str, ...] = ()
+    center: Vec3 | None = None
+    half: tuple[float, float] | None = None
+    height: float = 0.5
+
+
+@dataclass(frozen=True)
+class HomeFile:
+    """What a file states. ``default_roles``: furniture also plays the roles that it has in the built-in pack."""
+
+    format: Literal["mjhab-home-1"]
+    name: str
+    floor: FileFloor
+    walls: FileWalls
+    furniture: tuple[FilePiece, ...]
+    receptacles: tuple[FileReceptacle, ...] = ()
+    default_roles: bool = True
+    lights: tuple[Vec3, ...] = ()
+    split: Literal["train", "val", "test"] = "train"
+    note: str = ""
+
+
+def home_pack(*files: Path | str, name: str = "") -> Pack:
+    """A pack of homes from files, with the built-in furniture and objects.
+
+    Args:
+        files: at least one ``.json`` or ``.py`` file.
+        name: of the pack; that of the first home if "".
+
+    Raises:
+        UsageError: a file is missing or broken, names furniture or material that does not exist, has numbers out of
+            bounds, no walls, pieces that overlap, or a receptacle with a role that no robot can reach; or two files
+            have one name, or describe one receptacle differently. The message names file and field.
+
+    Example:
+        >>> pack = mjhab.home_pack("examples/home/cottage.json")
+        >>> mjhab.register_pack(mjhab.PackSource("cottage", lambda request: pack))
+    """
+    if not files:
+        raise UsageError("a pack of homes needs at least one home file.")
+    read = [(Path(file), read_home_file(Path(file))) for file in files]
+    pack_name = name or read[0][1].name
+    pack = Pack(
+        pack_name,
+        builtin_props(),
+        builtin_articulations(),
+        (),
+        builtin_objects(),
+        {**furniture_meshes(), **object_meshes()},
+    )
+    for file, stated in read:
+        pack = _with_receptacles(pack, stated, file)
+    pack = dataclasses.replace(pack, roles=present_roles(pack, ROLES))
+    for file, stated in read:
+        if stated.name in {home.name for home in pack.homes}:
+            raise UsageError(f"{file}: another home of the pack is called {stated.name!r}, too.")
+        home = _home(pack, stated, file)
+        check_home(file, pack, home)
+        pack = dataclasses.replace(pack, homes=(*pack.homes, home))
+    return check_pack(pack, files[0] if isinstance(files[0], Path) else Path(files[0]))
+
+
+def read_home_file(file: Path) -> HomeFile:
+    """Read what a file states, before it is known whether a home can be made of it.
+
+    Raises:
+        UsageError: the file is missing or broken, or a field is missing, unknown or of another type.
+    """
+    body = _body(file)
+    if not isinstance(body, dict) or body.get("format") != FORMAT:
+        raise UsageError(
+            f"{file}: field 'format' must be {FORMAT!r}; this is no home file of this version."
+        )
+    if "walls" not in body:
+        raise UsageError(
+            f"{file}: field 'walls' is missing: a home has walls around its floor. "
+            'At least: "walls": {"outer": "wall_white"}.'
+        )
+    try:
+        stated: HomeFile = read_record(HomeFile, body, "home")
+        check_name("home.name", stated.name)
+    except ValueError as error:
+        raise UsageError(f"{file}: {error}") from error
+    return stated
+
+
+def _body(file: Path) -> Any:
+    """The data of a JSON file, or of the variable `PYTHON_NAME` of a Python file."""
+    if file.suffix not in HOME_SUFFIXES:
+        raise UsageError(f"{file}: a home file ends with {' or '.join(HOME_SUFFIXES)}.")
+    try:
+        text = file.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError(f"{file}: cannot be read ({error}).") from error
+    if file.suffix == ".json":
+        try:
+            return json.loads(text)
+        except json.JSONDecodeError as error:
+            raise UsageError(f"{file}: not valid JSON ({error}).") from error
+    found = runpy.run_path(str(file))
+    if PYTHON_NAME not in found:
+        raise UsageError(f"{file}: has no variable {PYTHON_NAME}, which holds the home.")
+    try:
+        return json.loads(json.dumps(found[PYTHON_NAME]))
+    except (TypeError, ValueError) as error:
+        raise UsageError(f"{file}: {PYTHON_NAME} is no plain data ({error}).") from error
+
+
+def _with_receptacles(pack: Pack, stated: HomeFile, file: Path) -> Pack:
+    """The pack with the new receptacles of a file on its furniture."""
+    props = dict(pack.props)
+    articulations = dict(pack.articulations)
+    for k, record in enumerate(stated.receptacles):
+        where = f"{file}: receptacles[{k}]"
+        templates: dict[str, Any] = props if record.furniture in props else articulations
+        if record.furniture not in templates:
+            known = sorted({piece.kind for piece in stated.furniture})
+            raise UsageError(
+                f"{where}.furniture: {record.furniture!r} is no furniture of this home; it has {', '.join(known)}."
+            )
+        template: Prop = templates[record.furniture]
+        present = next((r for r in template.receptacles if r.name == record.name), None)
+        if record.center is None:
+            if present is None:
+                names = ", ".join(r.name for r in template.receptacles) or "none"
+                raise UsageError(
+                    f"{where}.name: {record.furniture!r} has no receptacle {record.name!r} (it has: {names}); "
+                    "a new one needs center and half."
+                )
+            continue
+        new = _new_receptacle(record, where)
+        if present not in (None, new):
+            raise UsageError(
+                f"{where}: {record.furniture!r} has another receptacle {record.name!r} already; choose another name."
+            )
+        if present is None:
+            templates[record.furniture] = dataclasses.replace(
+                template, receptacles=(*template.receptacles, new)
+            )
+    return dataclasses.replace(pack, props=props, articulations=articulations)
+
+
+def _new_receptacle(record: FileReceptacle, where: str) -> Receptacle:
+    if record.center is None or record.half is None:
+        raise UsageError(f"{where}: a new receptacle needs both center and half.")
+    try:
+        check_name(f"{where}.name", record.name)
+    except ValueError as error:
+        raise UsageError(str(error)) from error
+    return Receptacle(record.name, record.center, record.half, record.height)
+
+
+def _home(pack: Pack, stated: HomeFile, file: Path) -> Home:
+    placements = [
+        Placement(piece.kind, (*piece.at, 0.0), math.radians(piece.yaw_degrees))
+        for piece in stated.furniture
+    ]
+    width, depth = stated.floor.size
+    lights = stated.lights or ((width / 2, depth / 2, LAMP_HEIGHT_M),)
+    return Home(
+        stated.name,
+        pack.name,
+        stated.split,
+        0,
+        0,
+        _walls(stated, file),
+        (0.0, 0.0, width, depth),
+        stated.floor.material,
+        tuple(p for p in placements if p.template not in pack.articulations),
+        tuple(p for p in placements if p.template in pack.articulations),
+        tuple(Light(pos) for pos in lights),
+        note=stated.note,
+        roles=_roles(pack, stated),
+    )
+
+
+def _roles(pack: Pack, stated: HomeFile) -> Roles | None:
+    """The roles of a home; None if they are those of the pack."""
+    if stated.default_roles and not any(record.roles for record in stated.receptacles):
+        return None
+    places = dict(pack.roles.places) if stated.default_roles else {}
+    for record in stated.receptacles:
+        for role in record.roles:
+            places[role] = (*places.get(role, ()), f"{record.furniture}/{record.name}")
+    return dataclasses.replace(pack.roles, places=places)
+
+
+def _walls(stated: HomeFile, file: Path) -> tuple[Geom, ...]:
+    width, depth = stated.floor.size
+    walls = stated.walls
+    t = walls.thickness
+    z = (0.0, walls.height)
+    outer = (
+        span((-t, width + t), (-t, 0.0), z, walls.outer),
+        span((-t, width + t), (depth, depth + t), z, walls.outer),
+        span((-t, 0.0), (0.0, depth), z, walls.outer),
+        span((width, width + t), (0.0, depth), z, walls.outer),
+    )
+    inner = [
+        geom
+        for k, wall in enumerate(walls.inner)
+        for geom in _inner_wall(wall, walls, f"{file}: walls.inner[{k}]")
+    ]
+    return (*outer, *inner)
+
+
+def _inner_wall(wall: FileWall, walls: FileWalls, where: str) -> list[Geom]:
+    """The pieces of a wall between its doorways."""
+    along = (wall.end[0] - wall.start[0], wall.end[1] - wall.start[1])
+    length = math.hypot(*along)
+    stops = [0.0, *(stop for doorway in wall.doorways for stop in doorway), length]
+    if length <= 0.0 or any(b < a for a, b in itertools.pairwise(stops)):
+        raise UsageError(
+            f"{where}: doorways must be in order between 0 and the length of the wall, {length:.2f} m, "
+            f"got {[list(doorway) for doorway in wall.doorways]}."
+        )
+    ux = along[0] / length
+    uy = along[1] / length
+    yaw = math.atan2(uy, ux)
+    quat = (math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2))
+    pieces = []
+    for a, b in zip(stops[::2], stops[1::2], strict=True):
+        if b - a < MIN_WALL_PIECE_M:
+            continue
+        middle = (a + b) / 2
+        center = (wall.start[0] + ux * middle, wall.start[1] + uy * middle, walls.height / 2)
+        half = ((b - a) / 2, walls.thickness / 2, walls.height / 2)
+        pieces.append(Geom("box", half, center, quat, walls.inner_material))
+    return pieces
+
+
+@lru_cache(maxsize=8)
+def _opened(file: Path, changed_ns: int) -> Pack:
+    return home_pack(file)
+
+
+def _open(request: PackRequest) -> Pack:
+    file = Path(request.place).resolve()
+    return _opened(file, file.stat().st_mtime_ns)
+
+
+def is_home_file(place: str) -> bool:
+    """Whether a place is a file that a home may be written in; scenes of ReplicaCAD have an ending of their own."""
+    path = Path(place)
+    return path.suffix in HOME_SUFFIXES and not place.endswith(SCENE_SUFFIX) and path.is_file()
+
+
+SOURCE = PackSource("home_file", _open, is_home_file)

@@ -1,0 +1,109 @@
+"""Object types from binary glTF files."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import QhullError
+
+from mjhab.core.errors import UsageError
+from mjhab.core.names import check_name
+from mjhab.scenes.formats.gltf import TO_Z_UP, Primitive, read_glb
+from mjhab.scenes.objects import ObjectModel
+from mjhab.scenes.pack_check import MAX_MASS_KG, MIN_MASS_KG, check_range
+from mjhab.scenes.shapes.hulls import hull_mesh
+from mjhab.scenes.shapes.meshes import Mesh
+from mjhab.scenes.shapes.painting import textured_mesh
+from mjhab.scenes.shapes.shapes import look
+from mjhab.scenes.spec import Geom, ObjectType
+
+COLLISION_PREFIX = "collision"
+"""Meshes of a file whose names begin so are collision pieces and are not seen."""
+MAX_PIECES = 64
+"""Collision pieces of an object; every one costs time in each contact search."""
+MIN_EXTENT_M = 0.002
+MAX_EXTENT_M = 0.6
+"""Extents of an object along its axes; what lies beyond was probably drawn in another unit."""
+
+
+def object_from_glb(name: str, path: Path | str, mass: float, scale: float = 1.0) -> ObjectModel:
+    """Make an object type of a ``.glb`` file (glTF 2.0: +y up, metres).
+
+    Every mesh of the file whose name begins with ``collision`` is one convex piece: its convex hull collides, and it
+    is not seen. The other meshes are seen, in their colours and textures. Without collision meshes the hull of every
+    seen mesh collides. The object stands as it is drawn; its origin becomes the centre of the box around its pieces.
+    Grasps are found on the surface of the pieces (`mjhab.episodes.grasps.antipodal`).
+
+    Args:
+        name: of the object type.
+        path: the file.
+        mass: [kg], spread evenly over the volume of the pieces.
+        scale: factor from the unit of the file to metres.
+
+    Raises:
+        UsageError: the file is missing or broken, a collision mesh is flat, or name, mass or size is out of bounds.
+
+    Example:
+        >>> mug = mjhab.object_from_glb("mug", "examples/mug/mug.glb", mass=0.25)
+        >>> mjhab.register_object(mug)
+    """
+    path = Path(path)
+    try:
+        check_name("name of the object", name)
+        check_range(f"mass of {name}", mass, MIN_MASS_KG, MAX_MASS_KG, "kg")
+        check_range(f"scale of {name}", scale, 1e-6, 1e6, "1")
+    except ValueError as error:
+        raise UsageError(str(error)) from error
+    parts = [_upright(part, scale) for part in read_glb(path)]
+    pieces = [part for part in parts if part.mesh.startswith(COLLISION_PREFIX)]
+    seen = [part for part in parts if not part.mesh.startswith(COLLISION_PREFIX)]
+    hulls = [_hull(path, part) for part in pieces or seen]
+    if len(hulls) > MAX_PIECES:
+        raise UsageError(
+            f"{path}: {len(hulls)} collision pieces; an object has at most {MAX_PIECES}."
+        )
+    points = np.concatenate([hull.vertices for hull in hulls]).astype(float)
+    center = ((points.min(axis=0) + points.max(axis=0)) / 2).round(6)
+    half = (np.ptp(points, axis=0) / 2).round(6)
+    _check_extent(path, 2 * half)
+    meshes = {f"{name}/piece_{k}": _moved(hull, -center) for k, hull in enumerate(hulls)}
+    collision = tuple(Geom("mesh", (1.0, 1.0, 1.0), mesh=mesh, visual=False) for mesh in meshes)
+    shown = [dataclasses.replace(part, vertices=part.vertices - center) for part in seen or pieces]
+    x, y, z = half.tolist()
+    kind = ObjectType(
+        name,
+        float(mass),
+        (x, y, z),
+        collision,
+        (look(f"{name}/look", "plain_white"),),
+        grasp_shape="mesh",
+    )
+    return ObjectModel(kind, {**meshes, f"{name}/look": textured_mesh(shown)})
+
+
+def _upright(part: Primitive, scale: float) -> Primitive:
+    return dataclasses.replace(part, vertices=scale * part.vertices @ TO_Z_UP.T)
+
+
+def _hull(path: Path, part: Primitive) -> Mesh:
+    try:
+        return hull_mesh(np.unique(part.vertices[np.unique(part.faces)].round(7), axis=0))
+    except (QhullError, ValueError) as error:
+        raise UsageError(
+            f"{path}: mesh {part.mesh!r} is flat or has fewer than four points, so that it has no convex hull."
+        ) from error
+
+
+def _moved(mesh: Mesh, shift: np.ndarray) -> Mesh:
+    return dataclasses.replace(mesh, vertices=(mesh.vertices + shift).astype(np.float32))
+
+
+def _check_extent(path: Path, extent: np.ndarray) -> None:
+    shown = " x ".join(f"{size:g}" for size in extent.tolist())
+    if extent.max() > MAX_EXTENT_M or extent.min() < MIN_EXTENT_M:
+        raise UsageError(
+            f"{path}: the object measures {shown} m; expected {MIN_EXTENT_M:g} to {MAX_EXTENT_M:g} m along every axis. "
+            "Files are read in metres; `scale` converts from another unit."
+        )

@@ -1,0 +1,79 @@
+"""Object types from outside: registered by name, they join the objects of every pack that is opened."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from mjhab.core.errors import UsageError
+from mjhab.core.registry import Registry
+from mjhab.scenes.pack_check import check_pack
+from mjhab.scenes.shapes.meshes import Mesh
+from mjhab.scenes.spec import ObjectType, Pack
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectModel:
+    """A movable object: its type, and by name the meshes that the geoms of the type name."""
+
+    kind: ObjectType
+    meshes: Mapping[str, Mesh] = field(default_factory=dict)
+
+
+OBJECTS: Registry[ObjectModel] = Registry("object")
+_extended: dict[int, tuple[int, Pack, Pack]] = {}
+"""Packs with the registered objects, by the identity of the pack without them: (version of the registry, pack without,
+pack with). Who opens a pack twice gets the same object."""
+
+
+def register_object(model: ObjectModel) -> ObjectModel:
+    """Register an object type; every pack opened from now on has it.
+
+    An environment has an object in it if its task's roster names it, or its option ``extra_objects``.
+
+    Raises:
+        UsageError: an object of that name is registered already; a name or number is none that an object can be made
+            of, or a geom names a mesh that is not given.
+    """
+    kind = model.kind
+    for geom in (*kind.collision, *kind.visuals):
+        if geom.shape == "mesh" and geom.mesh not in model.meshes:
+            raise UsageError(
+                f"object {kind.name!r}: a geom names the mesh {geom.mesh!r}; given are: "
+                f"{', '.join(sorted(model.meshes)) or 'none'}."
+            )
+    if not any(geom.collide for geom in kind.collision):
+        raise UsageError(
+            f"object {kind.name!r} has no collision geom: nothing could hold or touch it."
+        )
+    check_pack(Pack("objects", {}, {}, (), {kind.name: kind}, dict(model.meshes)), kind.name)
+    return OBJECTS.add(kind.name, model)
+
+
+def with_registered_objects(pack: Pack) -> Pack:
+    """A pack with the registered objects and their meshes besides its own; itself if there are none.
+
+    Raises:
+        UsageError: the pack has an object or a mesh of the name of a registered one.
+    """
+    if not len(OBJECTS):
+        return pack
+    version, without, extended = _extended.get(id(pack), (-1, pack, pack))
+    if version == OBJECTS.version and without is pack:
+        return extended
+    objects = dict(pack.objects)
+    meshes = dict(pack.meshes)
+    for model in OBJECTS.values():
+        taken = [name for name in (model.kind.name,) if name in objects]
+        taken += [name for name in model.meshes if name in meshes]
+        if taken:
+            raise UsageError(
+                f"the registered object {model.kind.name!r} and pack {pack.name!r} both have {taken[0]!r}; "
+                "register the object under another name."
+            )
+        objects[model.kind.name] = model.kind
+        meshes.update(model.meshes)
+    extended = dataclasses.replace(pack, objects=objects, meshes=meshes)
+    _extended[id(pack)] = (OBJECTS.version, pack, extended)
+    return extended

@@ -1,0 +1,81 @@
+"""Parts of messages that the dialects have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from mjhab.serving.dialects.dialect import OWN, Ask
+from mjhab.serving.packing import ProtocolError
+
+
+def present(images: Mapping[str, Any]) -> dict[str, Any]:
+    """The images that there are."""
+    return {key: image for key, image in images.items() if image is not None}
+
+
+def own_parts(asks: Sequence[Ask], batch: bool) -> dict[str, Any]:
+    """What servers of mjhab want to know, under their key; nothing for others."""
+    if any(ask.own is None for ask in asks):
+        return {}
+    return {OWN: [dict(ask.own or {}) for ask in asks] if batch else dict(asks[0].own or {})}
+
+
+def stacked(arrays: Sequence[np.ndarray | None], batch: bool) -> np.ndarray | None:
+    """The arrays of a batch as one, or the single one; None if there are none."""
+    there = [array for array in arrays if array is not None]
+    if not there:
+        return None
+    return np.stack(there) if batch else there[0]
+
+
+def mapping(message: Any) -> Mapping[str, Any]:
+    """The message, if it is a map.
+
+    Raises:
+        ProtocolError: it is not.
+    """
+    if not isinstance(message, Mapping):
+        raise ProtocolError(f"a message is a map, not {described(message)}")
+    return message
+
+
+def entry_of(answer: Any, key: str, dialect: str) -> Any:
+    """An entry of an answer.
+
+    Raises:
+        ProtocolError: it is not there.
+    """
+    if not isinstance(answer, Mapping) or key not in answer:
+        raise ProtocolError(
+            f"the answer is {described(answer)}, and {dialect} has a map with {key!r}"
+        )
+    return answer[key]
+
+
+def numbers_of(value: Any, dimensions: int) -> np.ndarray:
+    """Actions as float32 with so many dimensions, or one less, which gets one in front.
+
+    Raises:
+        ProtocolError: they are no numbers, or of another shape.
+    """
+    try:
+        numbers = np.asarray(value, np.float32)
+    except (TypeError, ValueError) as error:
+        raise ProtocolError(f"actions are numbers, not {described(value)}") from error
+    if numbers.ndim == dimensions - 1:
+        numbers = numbers[None]
+    if numbers.ndim != dimensions or not numbers.size:
+        raise ProtocolError(f"actions have {dimensions} dimensions, got the shape {numbers.shape}")
+    return numbers
+
+
+def described(value: Any) -> str:
+    """A part of a message in few words."""
+    if isinstance(value, Mapping):
+        return f"a map with the keys {sorted(map(str, value))[:8]}"
+    if isinstance(value, np.ndarray):
+        return f"an array {value.shape} of {value.dtype}"
+    return repr(value)[:80]

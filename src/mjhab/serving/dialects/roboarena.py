@@ -1,0 +1,74 @@
+"""Dialect roboarena (roboarena: roboarena/policy_server.py).
+
+``endpoint`` says "infer" or "reset", the answer is an array (H, A) or the text `RESET_DONE`. The greeting tells which
+images are wanted. The keys of observations are those of DROID.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+
+from mjhab.serving.dialects.dialect import OWN, Ask, Incoming
+from mjhab.serving.dialects.parts import described, mapping, numbers_of, own_parts, present
+from mjhab.serving.packing import ProtocolError
+
+
+class RoboArena:
+    """Dialect roboarena."""
+
+    name: ClassVar[str] = "roboarena"
+    batches: ClassVar[bool] = False
+    remembers: ClassVar[bool] = True
+    begin_answered = True
+
+    def greeting(self, own: Mapping[str, Any]) -> dict[str, Any]:
+        return {
+            "image_resolution": None,
+            "needs_wrist_camera": True,
+            "n_external_cameras": 1,
+            "needs_stereo_camera": False,
+            "needs_session_id": True,
+            "action_space": "mjhab",
+            OWN: dict(own),
+        }
+
+    def begin(self, session: str) -> dict[str, Any] | None:
+        return {"endpoint": "reset", "session_id": session}
+
+    def request(self, asks: Sequence[Ask], metadata: Mapping[str, Any]) -> dict[str, Any]:
+        (ask,) = asks
+        images: dict[str, Any] = {}
+        if metadata.get("n_external_cameras", 1):
+            images["observation/exterior_image_0_left"] = ask.external
+        if metadata.get("needs_wrist_camera", True):
+            images["observation/wrist_image_left"] = ask.wrist
+        return present(images) | {
+            "endpoint": "infer",
+            "session_id": ask.session,
+            "observation/joint_position": ask.arm,
+            "observation/cartesian_position": ask.tcp,
+            "observation/gripper_position": np.array([ask.gripper], np.float32),
+            "observation/state": ask.state,
+            "prompt": ask.prompt,
+            **own_parts(asks, batch=False),
+        }
+
+    def actions(self, answer: Any, batch: int) -> np.ndarray:
+        if not isinstance(answer, np.ndarray):
+            raise ProtocolError(
+                f"the answer is {described(answer)}, and roboarena has an array (H, A)"
+            )
+        return numbers_of(answer, 2)[None]
+
+    def read(self, message: Any) -> Incoming:
+        request = dict(mapping(message))
+        endpoint = request.pop("endpoint", None)
+        if endpoint not in ("infer", "reset"):
+            raise ProtocolError(f'the key "endpoint" must be "infer" or "reset", not {endpoint!r}')
+        return Incoming(endpoint == "reset", request)
+
+    def answer(self, chunks: np.ndarray, incoming: Incoming, infer_ms: float) -> Any:
+        return chunks[0]

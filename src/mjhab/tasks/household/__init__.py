@@ -1,0 +1,1 @@
+"""Household tasks: one file and one `TaskSpec` each, and their registry."""

@@ -1,0 +1,49 @@
+"""The household tasks there are."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from mjhab.core.errors import UsageError
+from mjhab.core.registry import Registry
+from mjhab.tasks.household.spec import TaskSpec
+from mjhab.tasks.plan import Target, TaskPlan
+
+TASKS: Registry[TaskSpec] = Registry(
+    "task",
+    {
+        name: f"mjhab.tasks.household.{name}:{name.upper()}"
+        for name in ("tidy_house", "prepare_groceries", "set_table")
+    },
+)
+
+
+def register_task(spec: TaskSpec) -> TaskSpec:
+    """Make a household task known; returns it.
+
+    Raises:
+        UsageError: the name is taken, or its plan has a subtask that is not registered.
+    """
+    spec.subtasks  # noqa: B018 - its chain is tried here, where the error tells who is to blame
+    return TASKS.add(spec.name, spec)
+
+
+def chain(task: str, targets: Sequence[Target], home: str = "") -> TaskPlan:
+    """The plan of a task for the targets of an episode, see `TaskSpec.plan`.
+
+    Raises:
+        UsageError: unknown task, wrong number of targets, or one without a link that the plan opens.
+    """
+    return TASKS[task].plan(targets, home)
+
+
+def task_with(subtask: str) -> str:
+    """The first task that has a kind of subtask: where it is trained if nobody says otherwise.
+
+    Raises:
+        UsageError: no task has it.
+    """
+    for name in TASKS:
+        if subtask in TASKS[name].subtasks:
+            return name
+    raise UsageError(f"no task has the subtask {subtask!r}; register one whose plan contains it.")

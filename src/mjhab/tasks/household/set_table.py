@@ -1,0 +1,31 @@
+"""SetTable: the bowl out of a drawer and the apple out of the fridge onto the table.
+
+habitat-lab hab/set_table.yaml.
+"""
+
+from __future__ import annotations
+
+from mjhab.tasks.household.spec import TargetRule, TaskSpec
+
+SET_TABLE = TaskSpec(
+    name="set_table",
+    words=("set the table", "lay the table"),
+    targets=(
+        TargetRule(
+            start=("drawer",),
+            goal=("dining_table",),
+            object="024_bowl",
+            opens="start",
+            link="kitchen_drawer",
+        ),
+        TargetRule(
+            start=("fridge_shelf",),
+            goal=("dining_table",),
+            object="013_apple",
+            opens="start",
+            link="fridge_door",
+        ),
+    ),
+    objects=("024_bowl", "013_apple"),
+    shelf_clutter=1,
+)

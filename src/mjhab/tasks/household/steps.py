@@ -1,0 +1,57 @@
+"""Sequences of subtasks that household tasks are made of, one object at a time."""
+
+from __future__ import annotations
+
+from mjhab.core.errors import UsageError
+from mjhab.tasks.plan import GOAL_OF, Subtask, SubtaskKind, Target
+
+
+def fetch_and_place(target: Target) -> list[Subtask]:
+    """Navigate to the object, pick it, carry it to its goal, place it."""
+    kind = SubtaskKind
+    return [
+        Subtask(
+            kind.NAVIGATE, link=target.start_link, goal_pos=target.start_pos, toward=target.obj
+        ),
+        Subtask(kind.PICK, obj=target.obj, link=target.start_link),
+        Subtask(
+            kind.NAVIGATE,
+            target.obj,
+            target.goal_link,
+            target.goal_pos,
+            must_hold=True,
+            toward=f"{GOAL_OF}{target.obj}",
+        ),
+        Subtask(kind.PLACE, obj=target.obj, link=target.goal_link, goal_pos=target.goal_pos),
+    ]
+
+
+def open_start(target: Target) -> list[Subtask]:
+    """`fetch_and_place`, with the drawer or door that the object is behind opened before and closed after.
+
+    Raises:
+        UsageError: the object is behind none.
+    """
+    return _opened(target, target.start_link, "start_link")
+
+
+def open_goal(target: Target) -> list[Subtask]:
+    """`fetch_and_place`, with the drawer or door that the object goes behind opened before and closed after.
+
+    Raises:
+        UsageError: the object goes behind none.
+    """
+    return _opened(target, target.goal_link, "goal_link")
+
+
+def _opened(target: Target, link: str, which: str) -> list[Subtask]:
+    if not link:
+        raise UsageError(
+            f"the plan needs a {which} for {target.obj!r}: the drawer or door that it opens."
+        )
+    kind = SubtaskKind
+    handle = target.handle_pos
+    go = Subtask(kind.NAVIGATE, link=link, goal_pos=handle, toward=link)
+    opening = Subtask(kind.OPEN, obj=target.obj, link=link, goal_pos=handle)
+    closing = Subtask(kind.CLOSE, link=link, goal_pos=handle)
+    return [go, opening, *fetch_and_place(target), go, closing]

@@ -1,0 +1,233 @@
+"""What labels and events need of the steps seen so far, folded step by step into a small ``LabelState``.
+
+A recorded history goes through the same fold (``fold``).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from mjhab.core.arrays import Array, as_like, map_record, namespace, pile, to_numpy
+
+
+class Watched(Protocol):
+    """What labels and events look at: ``Signals`` has all of it, and so has one row of a ``History``."""
+
+    @property
+    def is_grasped(self) -> Array: ...
+    @property
+    def at_goal(self) -> Array: ...
+    @property
+    def opened(self) -> Array: ...
+    @property
+    def closed(self) -> Array: ...
+    @property
+    def slightly_opened(self) -> Array: ...
+    @property
+    def slightly_closed(self) -> Array: ...
+    @property
+    def near(self) -> Array: ...
+    @property
+    def contact(self) -> Array: ...
+    @property
+    def touch(self) -> Array: ...
+    @property
+    def ee_contact(self) -> Array: ...
+    @property
+    def force_ok(self) -> Array: ...
+    @property
+    def success(self) -> Array: ...
+    @property
+    def must_hold(self) -> Array: ...
+
+
+@dataclass(frozen=True)
+class History:
+    """Recorded signals, each (T+1, W) bool, or (W,) for one row; named as in ``Signals``. Row 0 is the start state."""
+
+    is_grasped: Array
+    at_goal: Array
+    opened: Array
+    closed: Array
+    slightly_opened: Array
+    slightly_closed: Array
+    near: Array
+    contact: Array
+    touch: Array
+    ee_contact: Array
+    force_ok: Array
+    success: Array
+    must_hold: Array
+
+    def row(self, t: int) -> History:
+        """Return step ``t`` of all worlds."""
+        return map_record(lambda x: x[t], self)
+
+    @staticmethod
+    def stack(rows: Sequence[Watched]) -> History:
+        """Return the history of T+1 steps of signals."""
+        xp = namespace(rows[0].success)
+        names = [f.name for f in dataclasses.fields(History)]
+        return History(
+            **{name: xp.stack([getattr(row, name) for row in rows], axis=0) for name in names}
+        )
+
+
+WATCHED: tuple[str, ...] = (
+    "is_grasped",
+    "at_goal",
+    "opened",
+    "closed",
+    "slightly_opened",
+    "slightly_closed",
+    "near",
+    "contact",
+    "touch",
+    "ee_contact",
+    "success",
+    "excess",
+)
+"""Rows of a watched step, named as in ``Signals``; ``excess``: more force than allowed has been accumulated."""
+_FALLS = ("released", "left_goal")
+"""The object was let go, the object left its goal: the first two rows stopped to hold."""
+_NOW = {name: row for row, name in enumerate(WATCHED)}
+_EVER = {name: row for row, name in enumerate((*WATCHED, *_FALLS))}
+
+
+def watch(signals: Watched) -> Array:
+    """Return what labels and events look at in one step as (K, W) bool, rows ``WATCHED``."""
+    s = signals
+    return pile(
+        (
+            s.is_grasped,
+            s.at_goal,
+            s.opened,
+            s.closed,
+            s.slightly_opened,
+            s.slightly_closed,
+            s.near,
+            s.contact,
+            s.touch,
+            s.ee_contact,
+            s.success,
+            ~s.force_ok,
+        )
+    )
+
+
+@dataclass(frozen=True)
+class LabelState:
+    """What a label needs of the steps seen so far. Bool."""
+
+    now: Array
+    """(K, W) the last step, rows ``WATCHED``."""
+    seen: Array
+    """(K + 2, W) what held in some step, the start state included; then whether the object was let go and whether it
+    left its goal at least once."""
+    must_hold: Array
+    """(W,) at the start, like the next two."""
+    release_at_goal: Array
+    """At the last release the object was at its goal; before any release: it started there."""
+    first_success_release: Array
+    """``release_at_goal`` as it was at the first success."""
+
+    def holds(self, name: str) -> Array:
+        """(W,) bool: the check of ``WATCHED`` holds in the last step."""
+        return self.now[_NOW[name]]
+
+    def ever(self, name: str) -> Array:
+        """(W,) bool: the check of ``WATCHED`` has held, or the object was "released" or has "left_goal"."""
+        return self.seen[_EVER[name]]
+
+
+def start(signals: Watched) -> LabelState:
+    """Begin with the state at the start of the subtask (t = 0)."""
+    now = watch(signals)
+    no = now[: len(_FALLS)] & ~now[: len(_FALLS)]
+    at_goal = now[_NOW["at_goal"]]
+    return LabelState(now, namespace(now).concat((now, no)), signals.must_hold, at_goal, at_goal)
+
+
+def choose(mask: Array, new: LabelState, old: LabelState) -> LabelState:
+    """The worlds of ``mask`` (W,) bool from ``new``, the others from ``old``."""
+    where = namespace(mask).where
+    return LabelState(
+        where(mask, new.now, old.now),
+        where(mask, new.seen, old.seen),
+        where(mask, new.must_hold, old.must_hold),
+        where(mask, new.release_at_goal, old.release_at_goal),
+        where(mask, new.first_success_release, old.first_success_release),
+    )
+
+
+def restart(state: LabelState, mask: Array, signals: Watched) -> LabelState:
+    """Begin anew for the worlds in ``mask`` (W,), whose next subtask starts with ``signals``."""
+    return choose(mask, start(signals), state)
+
+
+def update(state: LabelState, signals: Watched) -> LabelState:
+    """Add one step."""
+    return add(state, watch(signals))
+
+
+def add(state: LabelState, now: Array) -> LabelState:
+    """Add one step that has been watched: (K, W) bool, rows ``WATCHED``."""
+    xp = namespace(now)
+    falls = state.now[: len(_FALLS)] & ~now[: len(_FALLS)]
+    release_at_goal = xp.where(falls[0], now[_NOW["at_goal"]], state.release_at_goal)
+    return LabelState(
+        now,
+        state.seen | xp.concat((now, falls)),
+        state.must_hold,
+        release_at_goal,
+        xp.where(state.ever("success"), state.first_success_release, release_at_goal),
+    )
+
+
+def fold(history: History, valid: Array | None = None) -> LabelState:
+    """Run the signals of a recorded history through ``start`` and ``update``.
+
+    Args:
+        history: (T+1, W) signals of one subtask per world.
+        valid: (T+1, W) bool, False after the end of a world's subtask; all steps count if not given.
+    """
+    state = start(history.row(0))
+    for t in range(1, history.success.shape[0]):
+        new = update(state, history.row(t))
+        state = new if valid is None else choose(valid[t], new, state)
+    return state
+
+
+def get_row(state: LabelState, w: int) -> dict[str, Any]:
+    """Copy of what a label state says about world ``w``, as numpy arrays."""
+    return {
+        f.name: to_numpy(getattr(state, f.name)[..., w]).copy() for f in dataclasses.fields(state)
+    }
+
+
+def _with_ee_contact(rows: Any) -> np.ndarray:
+    """Rows ``WATCHED`` (and ``_FALLS``) of one world, (K,) or (K + 2,); ``touch`` stands in for a lacking row."""
+    values = np.asarray(rows)
+    lacking = len(values) in (len(WATCHED) - 1, len(WATCHED) - 1 + len(_FALLS))
+    return np.insert(values, _NOW["ee_contact"], values[_NOW["touch"]]) if lacking else values
+
+
+def set_row(state: LabelState, w: int, row: Mapping[str, Any]) -> LabelState:
+    """A copy of a label state in which world ``w`` is as ``get_row`` gave it.
+
+    In rows of versions that had no ``ee_contact`` it is what ``touch`` is.
+    """
+
+    def put(name: str) -> Array:
+        array = namespace(state.now).asarray(getattr(state, name), copy=True)
+        array[..., w] = as_like(
+            _with_ee_contact(row[name]) if name in ("now", "seen") else row[name], array
+        )
+        return array
+
+    return LabelState(*(put(f.name) for f in dataclasses.fields(state)))

@@ -1,0 +1,154 @@
+"""What is known of the worlds after a control step, and what `measure` makes of it: records of arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from mjhab.core.arrays import Array
+
+CHECKS: tuple[str, ...] = (
+    "is_grasped",
+    "ee_rest",
+    "robot_rest",
+    "is_static",
+    "force_ok",
+    "contact",
+    "touch",
+    "ee_contact",
+    "at_goal",
+    "opened",
+    "closed",
+    "slightly_opened",
+    "slightly_closed",
+    "near",
+    "oriented",
+    "let_go",
+    "hold_ok",
+)
+"""Rows of the check tables. ``let_go``: nothing is held; ``hold_ok``: the object to carry is held, or there is none."""
+SIGNAL_CHECKS = CHECKS[: CHECKS.index("let_go")]
+"""Checks that are signals; the others only serve success."""
+
+
+class Standing(Protocol):
+    """What measuring reads of a world's progress: see `progress.Progress`."""
+
+    @property
+    def pointer(self) -> Array:
+        """(W,) int64 position of the active subtask."""
+        ...
+
+    @property
+    def cumulative_force(self) -> Array:
+        """(W,) [N x control steps] over the active subtask."""
+        ...
+
+
+@dataclass(frozen=True)
+class WorldState:
+    """What the simulator knows about W worlds after a control step. Floats unless said; world frame, SI units."""
+
+    base_pose: Array
+    """(W, 3) x, y [m] and yaw [rad] of the base."""
+    robot_q: Array
+    """(W, J) joint positions: base, posture, fingers."""
+    robot_qd: Array
+    """(W, J) joint velocities."""
+    tcp_pos: Array
+    """(W, 3) tool centre between the fingers."""
+    finger_force: Array
+    """(W, 2, 3) force [N] by the active target (object or handle link) on the [l, r] finger."""
+    finger_dir: Array
+    """(W, 2, 3) unit directions in which the [l, r] finger opens."""
+    robot_force: Array
+    """(W,) contact force [N] summed over robot links without the fingers."""
+    target_contact: Array
+    """(W,) bool: any robot link touches the active target."""
+    ee_contact: Array
+    """(W,) bool: the end effector (fingers or hand) touches the active target."""
+    plan_obj_pos: Array
+    """(W, S, 3) position of the object of every subtask of the plan, zeros if it has none."""
+    joint_q: Array
+    """(W,) joint of the active subtask's link, zero if it has none; likewise the next three."""
+    joint_min: Array
+    joint_max: Array
+    joint_start: Array
+    """(W,) the joint at the start of the subtask."""
+    held_force: Array
+    """(W, 2, 3) like ``finger_force``, by the object that Navigate must carry; zeros if none."""
+
+
+@dataclass(frozen=True)
+class Signals:
+    """What holds for the active subtask of every world. (W,) bool unless said; False where it does not apply."""
+
+    is_grasped: Array
+    """Both fingers press the target (Navigate: the carried object) with >= 0.5 N within 30 degrees."""
+    at_goal: Array
+    """Place: the object is at its goal."""
+    ee_rest: Array
+    robot_rest: Array
+    is_static: Array
+    force_ok: Array
+    opened: Array
+    closed: Array
+    slightly_opened: Array
+    """Open, Close: the joint is at least 10 % of its range open."""
+    slightly_closed: Array
+    """Open, Close: the joint has moved at least 5 % of its range from its start towards closed."""
+    near: Array
+    """Navigate: within the distance, and inside the area in front of the furniture where the plan has one."""
+    oriented: Array
+    """Navigate: the goal is within 0.5 rad of the heading."""
+    contact: Array
+    """A finger presses the target."""
+    touch: Array
+    """Any robot link touches the target."""
+    ee_contact: Array
+    """The end effector (fingers or hand) touches the target: ``F_ee,a`` of MS-HAB paper App. A.6."""
+    robot_force: Array
+    """(W,) [N]."""
+    target_force: Array
+    """(W,) [N], sum of the lengths of the two finger forces."""
+    cumulative_force: Array
+    """(W,) [N x control steps] over the active subtask."""
+    success: Array
+    """The active subtask is achieved now."""
+    placed_ok: Array
+    """Every object of an already finished Place is still at its goal."""
+    kind: Array
+    """(W,) int64 kind of the active subtask, -1 once the plan is finished."""
+    must_hold: Array
+    """Navigate: an object is carried."""
+
+
+@dataclass(frozen=True)
+class Active:
+    """What the plan says about the active subtask of every world; the last one's where the plan is finished.
+
+    It depends on the plan and the pointer alone: whoever steps worlds keeps it until a pointer moves.
+    """
+
+    index: Array
+    """(W,) int64 position in the plan."""
+    kind: Array
+    """(W,) int64, -1 once the plan is finished."""
+    goal_pos: Array
+    """(W, 3), like the next two as in ``PlanArrays``."""
+    open_frac: Array
+    box: Array
+    navigate: Array
+    """(W,) bool."""
+    must_hold: Array
+    """(W,) bool: a Navigate that carries an object."""
+    rest_tol: Array
+    """(W, P) how far torso, head and arm may be from rest: with an object in the hand they may give way."""
+    force_limit: Array
+    """(W,) [N x control steps], infinite once the plan is finished."""
+    unfinished: Array
+    """(W, S) bool: anything but a completed subtask whose object must stay at its goal."""
+    applies: Array
+    """(K, W) bool, rows ``CHECKS``: the check means something for the kind; see ``success.masks``."""
+    optional: Array
+    """(K, W) bool: the check is no condition of the kind."""

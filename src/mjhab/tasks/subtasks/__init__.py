@@ -1,0 +1,1 @@
+"""Subtasks: one file and one `SubtaskSpec` each, and their registry."""

@@ -1,0 +1,97 @@
+"""Every threshold of success and failure that does not belong to one kind of subtask.
+
+Thresholds come from the MS-HAB paper (Sec. 4 and App. A.2) and from its code (mshab/envs/planner.py,
+mshab/envs/sequential_task.py).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.joints import JointColumns
+
+Vec3 = tuple[float, float, float]
+STILLNESS: tuple[str, ...] = ("absolute", "published")
+"""Whether speeds count by their size, or with their sign; see `TaskConfig.stillness`."""
+
+
+@dataclass(frozen=True)
+class SubtaskConfig:
+    """Limits of one kind of subtask: ``horizon`` in control steps, ``force_limit`` in N x control steps."""
+
+    horizon: int
+    force_limit: float
+
+
+@dataclass(frozen=True)
+class TaskConfig:
+    """Every threshold of success and failure. Lengths [m], angles [rad], speeds [rad/s or m/s], forces [N]."""
+
+    rest_qpos: tuple[float, ...]
+    """(J,) joint positions of the robot at rest."""
+    joints: JointColumns
+    """Where base, posture and fingers are among the joints."""
+    ee_rest_pos: Vec3
+    """Where the tool centre rests, in the frame of the base link."""
+    base_height: float
+    """Height of the frame of the base link over the floor (mshab/envs/sequential_task.py: the base floats)."""
+    limits: Mapping[str, SubtaskConfig] = field(default_factory=dict)
+    """Limits of kinds of subtasks, by name, in place of those of their `SubtaskSpec`; see `registry.limits_of`."""
+    continuous: bool = False
+    """Evaluate a single subtask to its horizon: success does not end it, force is never reset."""
+    hold_steps: int = -1
+    """With ``continuous``: control steps that an episode goes on after its first success, or after the step in which
+    its force exceeds the limit; -1 for all to the horizon. Demonstrations need no more."""
+
+    ee_rest_tol: float = 0.05
+    arm_tol: float = 0.2
+    arm_tol_grasped: float = 0.6
+    torso_tol: float = 0.01
+    static_speed: float = 0.2
+    static_base_speed: float = 0.05
+    stillness: str = "absolute"
+    """"absolute": no joint is faster than these, either way; "published": joints that move the other way count as
+    still, however fast (the paper's App. A.2 and mani_skill/agents/robots/fetch/fetch.py take no absolute value)."""
+    grasp_force: float = 0.5
+    grasp_angle: float = math.radians(30.0)
+
+    goal_type: Literal["sphere", "cylinder", "zone"] = "sphere"
+    goal_tol: float = 0.15
+    open_fraction_fridge: float = 0.75
+    open_fraction_drawer: float = 0.9
+    close_fraction: float = 0.01
+    slightly_open_fraction: float = 0.1
+    slightly_close_fraction: float = 0.05
+    nav_distance: float = 2.0
+    nav_bearing: float = 0.5
+    ignore_arm: bool = True
+    """Navigate is judged without arm and grasp; the default because teleport navigation does not move them."""
+
+    def __post_init__(self) -> None:
+        if len(self.rest_qpos) != self.joints.count:
+            raise UsageError(
+                f"rest_qpos needs the {self.joints.count} joint values of the robot, got {len(self.rest_qpos)}."
+            )
+        if self.goal_type not in ("sphere", "cylinder", "zone"):
+            raise unknown_name("goal_type", self.goal_type, ("sphere", "cylinder", "zone"))
+        if self.stillness not in STILLNESS:
+            raise unknown_name("stillness", self.stillness, STILLNESS)
+
+    @property
+    def rest_tolerances(self) -> tuple[float, ...]:
+        """How far every joint of the posture may be from rest [m, rad]."""
+        posture = self.joints.posture
+        return tuple(
+            self.torso_tol if column == self.joints.torso else self.arm_tol
+            for column in range(posture.start, posture.stop)
+        )
+
+    def open_fraction(self, link: str) -> float:
+        """Return the part of its range at which a link such as ``"fridge/top_door"`` counts as open."""
+        return (
+            self.open_fraction_fridge if link.startswith("fridge/") else self.open_fraction_drawer
+        )

@@ -1,0 +1,1 @@
+"""Worlds and recorded episodes in the browser."""

@@ -1,0 +1,1 @@
+"""What is drawn of a home and a robot, wherever its page is."""

@@ -1,0 +1,241 @@
+"""What a browser draws of a home: textured triangle meshes, once per shape, and the bodies that carry them.
+
+The meshes are those of `render.render_scene`: what stands still becomes one model in world coordinates, what moves one
+model per shape with the bodies that look so, and a body pose places it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import defaultdict
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from mjhab.render.patterns import SHADE_TOP
+from mjhab.render.render_scene import RenderScene
+
+MAX_TEXTURE_SIDE = 256
+"""Longest side of a texture in the browser [px]."""
+_NO_TEXTURE = -1
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """A material. color: (3,) linear rgb that the texture is multiplied with. gloss: 0 to 1.
+
+    texture: (h, w, 3) uint8 sRGB, repeated in both directions, or None.
+    """
+
+    color: np.ndarray
+    gloss: float
+    texture: np.ndarray | None
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Triangles of one material. V vertices, F faces.
+
+    look: index into `HomeModels.looks`. vertices (V, 3) f32 [m]; normals (V, 3) f32, unit; uv (V, 2) f32: place in the
+    texture, row 0 of the picture at 0; faces (F, 3) i32.
+    """
+
+    look: int
+    vertices: np.ndarray
+    normals: np.ndarray
+    uv: np.ndarray
+    faces: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A shape and the bodies that have it: ids in the `MjModel`; (0,) is the world, whose vertices are in its frame."""
+
+    bodies: tuple[int, ...]
+    parts: tuple[Part, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class HomeModels:
+    """Everything visible in one home. lamp_pos (L, 3) [m], lamp_color (L, 3) linear rgb times intensity."""
+
+    home: Model
+    movable: tuple[Model, ...]
+    looks: tuple[Look, ...]
+    lamp_pos: np.ndarray
+    lamp_color: np.ndarray
+
+
+def home_models(scene: RenderScene, home: int, max_faces: int | None = None) -> HomeModels:
+    """Take the models of one home out of a render scene.
+
+    Args:
+        scene: of the layout.
+        home: index of the home in its pack.
+        max_faces: meshes with more faces are replaced by coarser ones, as far as there are any; None replaces none.
+    """
+    if max_faces is not None:
+        scene = _coarser(scene, max_faces)
+    shown = np.flatnonzero((scene.home_scale[home] != 0.0).all(axis=1))
+    by_body: dict[int, list[int]] = defaultdict(list)
+    for instance in shown.tolist():
+        by_body[int(scene.instance_body[instance])].append(instance)
+    looks = _Looks(scene)
+    still = Model((0,), _parts(scene, home, by_body.pop(0, []), looks))
+    alike: dict[bytes, list[int]] = defaultdict(list)
+    for body, instances in sorted(by_body.items()):
+        alike[_shape_key(scene, home, instances)].append(body)
+    movable = tuple(
+        Model(tuple(bodies), _parts(scene, home, by_body[bodies[0]], looks))
+        for bodies in alike.values()
+    )
+    lit = scene.light_color[home].any(axis=1)
+    return HomeModels(
+        still, movable, tuple(looks.found), scene.light_pos[home, lit], scene.light_color[home, lit]
+    )
+
+
+def _coarser(scene: RenderScene, max_faces: int) -> RenderScene:
+    """The scene with the finest meshes of at most so many faces, or the coarsest there are."""
+    mesh = scene.instance_mesh.copy()
+    while True:
+        more = (scene.mesh_face_count[mesh] > max_faces) & (scene.mesh_coarser[mesh] >= 0)
+        if not more.any():
+            return dataclasses.replace(scene, instance_mesh=mesh)
+        mesh[more] = scene.mesh_coarser[mesh[more]]
+
+
+def _shape_key(scene: RenderScene, home: int, instances: list[int]) -> bytes:
+    """Equal for bodies that look alike."""
+    columns = (
+        scene.instance_mesh[instances],
+        scene.instance_material[home, instances],
+        scene.instance_pos[instances],
+        scene.instance_mat[instances],
+        scene.home_scale[home, instances],
+    )
+    return b"|".join(np.ascontiguousarray(column).tobytes() for column in columns)
+
+
+class _Looks:
+    """Collects the materials that are used; ``index`` gives the number of one."""
+
+    def __init__(self, scene: RenderScene) -> None:
+        self.found: list[Look] = []
+        self._scene = scene
+        self._numbers: dict[int, int] = {}
+
+    def index(self, material: int) -> int:
+        if material not in self._numbers:
+            self._numbers[material] = len(self.found)
+            self.found.append(self._look(material))
+        return self._numbers[material]
+
+    def _look(self, material: int) -> Look:
+        scene = self._scene
+        gloss = float(scene.mat_gloss[material])
+        color = scene.mat_color[material]
+        number = int(scene.mat_texture[material])
+        if number == _NO_TEXTURE:
+            return Look(color, gloss, None)
+        picture = _picture(scene, number)
+        if not scene.mat_pattern[material]:
+            return Look(color, gloss, picture)
+        mix = picture[..., :1] / 255.0
+        shade = picture[..., 1:2] * (SHADE_TOP / 255.0)
+        light = shade * (color + mix * (scene.mat_color2[material] - color))
+        return Look(np.ones(3), gloss, linear_to_srgb(light))
+
+
+def _picture(scene: RenderScene, number: int) -> np.ndarray:
+    """The copy (h, w, 3) uint8 of a texture that is no larger than MAX_TEXTURE_SIDE."""
+    bits = scene.texels.bits[number]
+    level = max(0, int(bits.max()) - (MAX_TEXTURE_SIDE.bit_length() - 1))
+    wide = 1 << max(0, int(bits[0]) - level)
+    high = 1 << max(0, int(bits[1]) - level)
+    start = int(scene.texels.start[number, level])
+    words = scene.texels.pixels[start : start + wide * high].reshape(high, wide)
+    return np.stack([(words >> shift) & 255 for shift in (0, 8, 16)], axis=-1).astype(np.uint8)
+
+
+def linear_to_srgb(light: np.ndarray) -> np.ndarray:
+    """sRGB uint8 of linear light 0 to 1 (any shape)."""
+    c = np.clip(light, 0.0, 1.0)
+    value = np.where(c <= 0.0031308, 12.92 * c, 1.055 * c ** (1 / 2.4) - 0.055)
+    return np.round(255.0 * value).astype(np.uint8)
+
+
+def _parts(
+    scene: RenderScene, home: int, instances: Iterable[int], looks: _Looks
+) -> tuple[Part, ...]:
+    corners: dict[int, list[np.ndarray]] = defaultdict(list)
+    for instance in instances:
+        for material, rows in _corners(scene, home, instance):
+            corners[looks.index(material)].append(rows)
+    return tuple(_joined(look, np.concatenate(rows)) for look, rows in sorted(corners.items()))
+
+
+def _corners(scene: RenderScene, home: int, instance: int) -> list[tuple[int, np.ndarray]]:
+    """By material the corners (3 F, 8) of the faces of an instance: position, normal, place in the texture."""
+    mesh = scene.instance_mesh[instance]
+    start = scene.mesh_face_start[mesh]
+    faces = np.arange(start, start + scene.mesh_face_count[mesh])
+    points = scene.vertices[scene.faces[faces]].astype(np.float64)
+    scale = scene.home_scale[home, instance]
+    normals = np.einsum("fij,fkj->fki", scene.face_normal[faces], _with_one(points)) / scale
+    normals = _unit(normals)
+    given = scene.instance_material[home, instance]
+    material = scene.face_material[faces] if given < 0 else np.full(len(faces), given)
+    uv = np.einsum("fij,fkj->fki", scene.face_uv[faces], _with_one(points))
+    sized = points * scale
+    on_pattern = scene.mat_pattern[material]
+    uv[on_pattern] = _pattern_uv(scene, instance, sized, normals, material)[on_pattern]
+    if scene.instance_body[instance] == 0:
+        turn = scene.home_mat[home, instance]
+        offset = scene.home_pos[home, instance]
+    else:
+        turn = scene.instance_mat[instance]
+        offset = scene.instance_pos[instance]
+    # Scenes give quaternions with few digits: their matrices stretch a little.
+    turned = _unit(normals @ turn.T)
+    rows = np.concatenate([sized @ turn.T + offset, turned, uv], axis=2)
+    found = np.unique(material)
+    return [(int(k), rows[material == k].reshape(-1, 8)) for k in found.tolist()]
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
+
+
+def _with_one(points: np.ndarray) -> np.ndarray:
+    return np.concatenate([points, np.ones((*points.shape[:-1], 1))], axis=-1)
+
+
+def _pattern_uv(
+    scene: RenderScene,
+    instance: int,
+    sized: np.ndarray,
+    normals: np.ndarray,
+    material: np.ndarray,
+) -> np.ndarray:
+    """Place (F, 3, 2) in a pattern, as `raster.shading` lays it: in the plane of the face, u along the longer side."""
+    extent = np.ptp(sized.reshape(-1, 3), axis=0)
+    across = np.abs(normals.mean(axis=1)).argmax(axis=1)
+    axes = np.array([(1, 2), (0, 2), (0, 1)])[across]
+    swap = extent[axes[:, 0]] < extent[axes[:, 1]]
+    axes[swap] = axes[swap][:, ::-1]
+    place = np.take_along_axis(sized, axes[:, None, :].repeat(3, axis=1), axis=2)
+    # Every piece starts elsewhere in the pattern.
+    start = np.array([0.37, 0.23]) * instance % 1.0
+    return place / scene.mat_size[material][:, None, :] + start
+
+
+def _joined(look: int, corners: np.ndarray) -> Part:
+    """A part of corners (3 F, 8), in which equal ones become one vertex."""
+    rows = np.ascontiguousarray(np.round(corners, 5), np.float32) + np.float32(0.0)
+    _, first, index = np.unique(
+        rows.view(f"V{rows.shape[1] * 4}").reshape(-1), return_index=True, return_inverse=True
+    )
+    kept = rows[first]
+    return Part(look, kept[:, :3], kept[:, 3:6], kept[:, 6:], index.reshape(-1, 3).astype(np.int32))

@@ -1,0 +1,74 @@
+"""What the expert has in mind for the active subtask: its way, where it will stand, and how it could grasp."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mjhab.experts.base.route import Route
+from mjhab.experts.planning.reach import HandGoals, Stance
+
+MAX_CANDIDATES = 40
+
+
+@dataclass(frozen=True, eq=False)
+class PlanMarks:
+    """A plan as lines and poses in the world [m].
+
+    path: (P, 2) of the base. stance: (3,) x, y, yaw of the base where it will work, or None.
+    hands: (G, 4, 4) candidate poses of the gripper, best first; chosen: index of the one it goes for, or None.
+    """
+
+    path: np.ndarray
+    stance: np.ndarray | None
+    hands: np.ndarray
+    chosen: int | None
+
+
+def plan_marks(script: Generator[Any, Any, Any]) -> PlanMarks | None:
+    """The plan of a script of the expert that is between two control steps; None while it has none.
+
+    A script keeps its plan in the variables of its generators; what counts is found by its type, innermost first.
+    """
+    held = list(_held(script))
+    stance = next((value for value in held if isinstance(value, Stance)), None)
+    goals = next((value for value in held if isinstance(value, HandGoals)), None)
+    routes = [value for value in held if isinstance(value, Route)]
+    route = routes[0] if routes else stance.route if stance is not None else None
+    if route is None and stance is None and goals is None:
+        return None
+    path = route.path if route is not None else np.zeros((0, 2))
+    place = None
+    if stance is not None:
+        place = stance.at[:3].copy()
+    elif route is not None:
+        place = np.append(route.path[-1], route.yaw)
+    chosen = int(stance.goal) if stance is not None and goals is not None else None
+    return PlanMarks(np.array(path), place, _hand_poses(goals), chosen)
+
+
+def _held(script: Generator[Any, Any, Any]) -> Iterator[Any]:
+    """Values of the local variables of a generator and of those it waits for, innermost first."""
+    frames = []
+    inner: Any = script
+    while inner is not None and getattr(inner, "gi_frame", None) is not None:
+        frames.append(inner.gi_frame)
+        inner = inner.gi_yieldfrom
+    for frame in reversed(frames):
+        for value in frame.f_locals.values():
+            yield value
+            if isinstance(value, tuple):
+                yield from value
+
+
+def _hand_poses(goals: HandGoals | None) -> np.ndarray:
+    if goals is None:
+        return np.zeros((0, 4, 4))
+    count = min(len(goals), MAX_CANDIDATES)
+    poses = np.tile(np.eye(4), (count, 1, 1))
+    poses[:, :3, :3] = goals.rot[:count]
+    poses[:, :3, 3] = goals.pos[:count]
+    return poses

@@ -1,0 +1,85 @@
+"""Where bodies are, and what the robot touches, in a state given by its generalized positions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from mjhab.robots.robot import Robot
+from mjhab.sim.mujoco.cpu import CpuSimulator
+
+MAX_JUMP_M = 0.25
+"""A body that moves farther in one control step was teleported: no positions in between are shown."""
+MIN_HEIGHT_M = -5.0
+"""What lies lower is parked: the home does not have it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """Bodies of one world: pos (B, 3) [m], quat (B, 4) wxyz; contacts (C, 3): where the robot touches things [m]."""
+
+    pos: np.ndarray
+    quat: np.ndarray
+    contacts: np.ndarray
+
+    @property
+    def parked(self) -> np.ndarray:
+        """(B,) bool: bodies that the home does not have."""
+        return self.pos[:, 2] < MIN_HEIGHT_M
+
+
+class Poser:
+    """Computes poses in the homes of a simulator; its worlds are neither read nor changed.
+
+    Args:
+        sim: has the compiled homes.
+    """
+
+    def __init__(self, sim: CpuSimulator) -> None:
+        self._sim = sim
+        self._home = ""
+        self._data: mujoco.MjData | None = None
+        self._robot = np.zeros(0, bool)
+
+    def pose(self, home: str, qpos: np.ndarray) -> Pose:
+        """The pose of all bodies for positions (nq,)."""
+        model = self._sim.model(home)
+        if self._data is None or home != self._home:
+            self._data = mujoco.MjData(model)
+            self._home = home
+            self._robot = _robot_bodies(model, self._sim.layout.robot)
+        data = self._data
+        assert data is not None
+        data.qpos[:] = qpos
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_collision(model, data)
+        return Pose(data.xpos.copy(), data.xquat.copy(), self._contacts(model, data))
+
+    def _contacts(self, model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
+        """(C, 3) positions of contacts between the robot and something else that is no floor."""
+        geoms = data.contact.geom
+        touching = (geoms >= 0).all(axis=1) & (data.contact.dist < 0.0)
+        ours = self._robot[model.geom_bodyid[np.maximum(geoms, 0)]]
+        return data.contact.pos[touching & (ours[:, 0] != ours[:, 1])].copy()
+
+
+def _robot_bodies(model: mujoco.MjModel, spec: Robot) -> np.ndarray:
+    """(B,) bool."""
+    names = (*spec.force_links, *spec.finger_links)
+    robot = np.zeros(model.nbody, bool)
+    robot[[model.body(name).id for name in names]] = True
+    return robot
+
+
+def between(a: Pose, b: Pose, share: float) -> Pose:
+    """The pose at ``share`` (0 to 1) of the way from ``a`` to ``b``; bodies that jump stay until the end."""
+    jumped = np.linalg.norm(b.pos - a.pos, axis=1) > MAX_JUMP_M
+    weight = np.where(jumped, np.floor(share), share)[:, None]
+    sign = np.where((a.quat * b.quat).sum(axis=1, keepdims=True) < 0.0, -1.0, 1.0)
+    quat = (1.0 - weight) * a.quat + weight * sign * b.quat
+    quat /= np.linalg.norm(quat, axis=1, keepdims=True)
+    pos = a.pos + weight * (b.pos - a.pos)
+    return Pose(pos, quat, b.contacts if share >= 0.5 else a.contacts)

@@ -1,0 +1,273 @@
+"""One episode as one page: geometry, poses, time line, curves and camera pictures in a file that needs no network.
+
+The page draws with WebGL itself (`page.js`). All numbers lie in one block of bytes, compressed with zlib; a header in
+JSON says where. Positions are kept to less than a millimetre.
+"""
+
+from __future__ import annotations
+
+import base64
+import importlib.resources
+import io
+import json
+import math
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from mjhab.core.cache import write_atomic
+from mjhab.core.errors import MjhabError
+from mjhab.data.store.schema import CHECKS, STEP_SECONDS
+from mjhab.render.home_scene import build_render_scene
+from mjhab.reports.parts import event_tone
+from mjhab.reports.plots import kind_color
+from mjhab.viewer.drawn.cameras import Cameras
+from mjhab.viewer.drawn.models import HomeModels, Look, Model, home_models
+from mjhab.viewer.drawn.posing import Poser
+from mjhab.viewer.pages.timeline import TONE_COLORS, subtask_spans
+from mjhab.viewer.sources.replay import Replay
+from mjhab.viewer.sources.track import Track
+
+MAX_BYTES = 5_000_000
+"""A page is no larger, so that it can be sent."""
+DETAILS: tuple[tuple[int | None, int], ...] = ((None, 100), (1200, 60), (400, 40), (120, 0))
+"""What is tried until a page is small enough: most faces of a mesh (None: all), and pictures of each camera."""
+PICTURE_SIDE_PX = 128
+JPEG_QUALITY = 70
+_ALIGNMENT = 4
+_TOP = 65535.0
+
+
+@dataclass(frozen=True)
+class Exported:
+    """A page that was written. frames: states of the episode in it."""
+
+    file: Path
+    bytes: int
+    frames: int
+
+
+def export_page(replay: Replay, title: str, file: Path) -> Exported:
+    """Write a recorded episode as a page.
+
+    Args:
+        replay: has the episode. title: which one, of ``replay.choices``. file: to write.
+
+    Raises:
+        MjhabError: no level of detail makes it small enough.
+        UsageError, DamagedError: see `Replay.load`.
+    """
+    replay.choose(title)
+    track = replay.load(title)
+    scene = build_render_scene(replay.sim.layout, replay.sim.model(track.home))
+    home = [h.name for h in replay.sim.layout.pack.homes].index(track.home)
+    size = 0
+    for max_faces, pictures in DETAILS:
+        page = _page(track, home_models(scene, home, max_faces), replay, pictures)
+        size = len(page)
+        if size <= MAX_BYTES:
+            write_atomic(file, lambda temporary, page=page: temporary.write_bytes(page))
+            return Exported(file, size, len(track.moments))
+    raise MjhabError(
+        f"the page of episode {title} takes {size:,} bytes, more than {MAX_BYTES:,}: its {track.last} steps are too "
+        "many for one file."
+    )
+
+
+def _page(track: Track, models: HomeModels, replay: Replay, pictures: int) -> bytes:
+    block = _Block()
+    header = _header(track, models, block)
+    header["pose"] = _poses(track, models, replay, block)
+    header["pictures"] = _pictures(track, replay, pictures, block)
+    told = json.dumps(header, separators=(",", ":"), allow_nan=False).encode()
+    packed = zlib.compress(len(told).to_bytes(4, "little") + _padded(told) + block.bytes(), 9)
+    folder = importlib.resources.files("mjhab.viewer.export")
+    parts = {
+        "TITLE": escape(track.title),
+        "STYLE": folder.joinpath("page.css").read_text(encoding="utf-8"),
+        "SCRIPT": folder.joinpath("page.js").read_text(encoding="utf-8"),
+        "DATA": base64.b64encode(packed).decode(),
+    }
+    page = folder.joinpath("page.html").read_text(encoding="utf-8")
+    for name, text in parts.items():
+        page = page.replace(f"%{name}%", text)
+    return page.encode()
+
+
+class _Block:
+    """Arrays one after the other; ``add`` says where one lies."""
+
+    def __init__(self) -> None:
+        self._parts: list[bytes] = []
+        self._size = 0
+
+    def add(self, array: np.ndarray) -> dict[str, Any]:
+        data = _padded(np.ascontiguousarray(array).tobytes())
+        place = {"at": self._size, "n": int(array.size), "type": array.dtype.name}
+        self._parts.append(data)
+        self._size += len(data)
+        return place
+
+    def add_quantized(self, array: np.ndarray) -> dict[str, Any]:
+        """Columns (n, k) as uint16 between the least and the largest value of each."""
+        low = array.min(axis=0)
+        span = np.maximum(array.max(axis=0) - low, 1e-9)
+        place = self.add(np.round((array - low) / span * _TOP).astype(np.uint16))
+        return {**place, "low": low.tolist(), "span": span.tolist()}
+
+    def bytes(self) -> bytes:
+        return b"".join(self._parts)
+
+
+def _padded(data: bytes) -> bytes:
+    return data + b" " * (-len(data) % _ALIGNMENT)
+
+
+def _header(track: Track, models: HomeModels, block: _Block) -> dict[str, Any]:
+    moments = track.moments
+    limits = [track.limit_at(step) for step in range(len(moments))]
+    terms = list(dict.fromkeys(name for moment in moments for name in moment.terms))
+    series = {
+        "force": [m.robot_force for m in moments],
+        "sum": [m.cumulative_force for m in moments],
+        "limit": [0.0 if math.isinf(limit) else limit for limit in limits],
+        "reward": [m.reward for m in moments],
+        "active": [m.active for m in moments],
+    }
+    told = {name: block.add(np.array(values, np.float32)) for name, values in series.items()}
+    actors = list(dict.fromkeys(m.actor for m in moments[1:]))
+    return {
+        "title": track.title,
+        "home": track.home,
+        "over": track.over,
+        "step": STEP_SECONDS,
+        "frames": len(moments),
+        "plan": [
+            {
+                "name": track.describe(index),
+                "color": kind_color(entry.kind),
+                "ended": track.ended.get(index, ""),
+            }
+            for index, entry in enumerate(track.plan)
+        ],
+        "spans": subtask_spans(track),
+        "events": [
+            {"step": step, "name": name, "color": TONE_COLORS[event_tone(name)]}
+            for step, name in track.events
+        ],
+        "actors": actors,
+        "actor": block.add(np.array([actors.index(m.actor) for m in moments[1:]], np.uint8)),
+        "series": told,
+        "terms": terms,
+        "term": block.add(
+            np.array([[m.terms.get(name, 0.0) for name in terms] for m in moments], np.float32)
+        ),
+        "checks": list(CHECKS),
+        "check": block.add(np.stack([m.checks for m in moments])),
+        "looks": [_look(look) for look in models.looks],
+        "home_model": _model(models.home, block),
+        "movable": [_model(model, block) for model in models.movable],
+        "lamps": [
+            {"pos": pos.tolist(), "color": color.tolist()}
+            for pos, color in zip(models.lamp_pos, models.lamp_color, strict=True)
+        ],
+    }
+
+
+def _look(look: Look) -> dict[str, Any]:
+    texture = None
+    if look.texture is not None:
+        texture = "data:image/jpeg;base64," + base64.b64encode(_jpeg(look.texture)).decode()
+    return {"color": np.round(look.color, 4).tolist(), "gloss": look.gloss, "texture": texture}
+
+
+def _jpeg(picture: np.ndarray) -> bytes:
+    file = io.BytesIO()
+    Image.fromarray(picture).save(file, "JPEG", quality=JPEG_QUALITY)
+    return file.getvalue()
+
+
+def _model(model: Model, block: _Block) -> dict[str, Any]:
+    parts = []
+    for part in model.parts:
+        wide = np.uint32 if len(part.vertices) > _TOP else np.uint16
+        parts.append(
+            {
+                "look": part.look,
+                "vertices": block.add_quantized(part.vertices),
+                "normals": block.add(np.round(127 * part.normals).astype(np.int8)),
+                "uv": block.add_quantized(part.uv),
+                "faces": block.add(part.faces.astype(wide)),
+            }
+        )
+    return {"bodies": list(model.bodies), "parts": parts}
+
+
+def _poses(track: Track, models: HomeModels, replay: Replay, block: _Block) -> dict[str, Any]:
+    """Positions and orientations of the movable bodies, as changes from state to state, which compress well."""
+    poser = Poser(replay.sim)
+    bodies = [body for model in models.movable for body in model.bodies]
+    poses = [poser.pose(track.home, moment.qpos) for moment in track.moments]
+    pos = np.stack([pose.pos[bodies] for pose in poses])
+    quat = np.stack([pose.quat[bodies] for pose in poses])
+    low = pos.reshape(-1, 3).min(axis=0)
+    span = float(np.ptp(pos.reshape(-1, 3), axis=0).max()) + 1e-9
+    whole = np.concatenate(
+        [np.round((pos - low) / span * _TOP), np.round((quat + 1.0) / 2.0 * _TOP)], axis=2
+    ).astype(np.uint16)
+    change = np.diff(whole, axis=0, prepend=np.zeros_like(whole[:1]))
+    # Columns one after the other: the changes of one number follow each other.
+    place = block.add(change.reshape(len(change), -1).T)
+    base = bodies.index(replay.sim.addresses.robot_body[replay.sim.layout.robot.base_link])
+    hand = bodies.index(replay.sim.addresses.robot_body[replay.sim.layout.robot.tcp])
+    contacts = [pose.contacts for pose in poses]
+    counts = np.array([len(points) for points in contacts], np.uint8)
+    points = np.concatenate([*contacts, np.zeros((1, 3))]).astype(np.float32)
+    return {
+        **place,
+        "bodies": bodies,
+        "low": low.tolist(),
+        "span": span,
+        "base": base,
+        "hand": hand,
+        "contacts": block.add(points),
+        "contact_counts": block.add(counts),
+    }
+
+
+def _pictures(track: Track, replay: Replay, count: int, block: _Block) -> dict[str, Any] | None:
+    """What the robot's cameras see in so many states, evenly spread."""
+    if not count:
+        return None
+    states = np.unique(np.linspace(0, track.last, min(count, len(track.moments))).astype(int))
+    files: dict[str, list[bytes]] = {name: [] for name in replay.sim.layout.robot.camera_names}
+    for views in _views(track, replay, states.tolist()):
+        for name, picture in views.items():
+            files[name].append(_jpeg(picture))
+    return {
+        "states": states.tolist(),
+        "cameras": {
+            name: {
+                **block.add(np.frombuffer(b"".join(made), np.uint8)),
+                "sizes": [len(file) for file in made],
+            }
+            for name, made in files.items()
+        },
+    }
+
+
+def _views(track: Track, replay: Replay, states: list[int]) -> Iterator[dict[str, np.ndarray]]:
+    poser = Poser(replay.sim)
+    cameras = Cameras(lambda _: None, PICTURE_SIDE_PX)
+    try:
+        for state in states:
+            pose = poser.pose(track.home, track.moments[state].qpos)
+            yield cameras.draw(replay.sim, track.home, pose)
+    finally:
+        cameras.close()

@@ -1,0 +1,1 @@
+"""The page that is served: its panels, its time line, and the port."""

@@ -1,0 +1,245 @@
+"""The viewer: a page that shows running worlds or recorded episodes."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import math
+import threading
+import time
+from typing import Any
+
+import numpy as np
+import viser
+
+from mjhab.core.rotations import mat_from_quat
+from mjhab.data.store.schema import CHECKS
+from mjhab.render.home_scene import build_render_scene
+from mjhab.sim.mujoco.cpu import CpuSimulator
+from mjhab.viewer.drawn.cameras import Cameras
+from mjhab.viewer.drawn.glb import HomeFiles, home_files
+from mjhab.viewer.drawn.models import HomeModels, home_models
+from mjhab.viewer.drawn.posing import Pose, Poser, between
+from mjhab.viewer.drawn.stage import MIN_MOVE, Stage
+from mjhab.viewer.pages.gateway import Gateway
+from mjhab.viewer.pages.panels import Panels
+from mjhab.viewer.pages.playhead import Playhead
+from mjhab.viewer.sources.hand import GRIPPER_KEY, KEYS
+from mjhab.viewer.sources.source import Source
+from mjhab.viewer.sources.track import Track
+
+FRAME_SECONDS = 1.0 / 40.0
+PANEL_SECONDS = 0.12
+CAMERA_SECONDS = 0.12
+EYE = (-2.2, 1.6, 2.4)
+"""Where the page's camera stands when an episode is first shown: forward, left, height in the robot's frame [m]."""
+EYE_TARGET_HEIGHT_M = 0.7
+_GRASPED = CHECKS.index("is_grasped")
+
+
+class Viewer:
+    """Serves a source of episodes until ``close``.
+
+    Args:
+        source: running worlds or recorded episodes.
+        host, port: see `Gateway`; ``port`` is then the one that was taken.
+        cameras: draw what the robot's cameras see.
+
+    Raises:
+        UsageError: see `Gateway`.
+    """
+
+    def __init__(
+        self, source: Source, host: str = "localhost", port: int = 8080, *, cameras: bool = True
+    ) -> None:
+        self.source = source
+        self.frames = 0
+        self.first_frame_at = math.inf
+        self.problem = ""
+        # viser prints a box with the port of its own, which is not the one to open.
+        with contextlib.redirect_stdout(io.StringIO()):
+            self._server = viser.ViserServer("127.0.0.1", 0, "mjhab", verbose=False)
+        try:
+            self._gateway = Gateway(
+                self._server.get_port(), host, port, source.hear_hand, source.hand_gone
+            )
+        except BaseException:
+            self._stop_server()
+            raise
+        self.port = self._gateway.port
+        self._server.gui.configure_theme(
+            show_logo=False, show_share_button=False, control_width="medium"
+        )
+        self.playhead = Playhead(source)
+        self.stage = Stage(self._server)
+        self.panels = Panels(
+            self._server, source.choices, source.policies, self.playhead.callbacks()
+        )
+        self._cameras = Cameras(self.panels.show_images) if cameras else None
+        self._poses = _PoseCache()
+        self._scenes: dict[int, Any] = {}
+        self._shown: Track | None = None
+        self._shown_home = ""
+        self._told_hand = ""
+        self._base = np.zeros(3)
+        self._closing = False
+        self._thread = threading.Thread(target=self._run, name="frames", daemon=True)
+
+    @property
+    def clients(self) -> int:
+        """Number of pages that are open."""
+        return len(self._server.get_clients())
+
+    def start(self) -> None:
+        """Begin to send frames, in another thread."""
+        self.source.start()
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop everything."""
+        self._closing = True
+        if self._thread.is_alive():
+            self._thread.join(timeout=5.0)
+        self.source.close()
+        if self._cameras is not None:
+            self._cameras.close()
+        self._gateway.close()
+        self._stop_server()
+
+    def _stop_server(self) -> None:
+        with contextlib.redirect_stdout(io.StringIO()):
+            self._server.stop()
+
+    def _run(self) -> None:
+        last = time.perf_counter()
+        panels_at = cameras_at = 0.0
+        while not self._closing:
+            now = time.perf_counter()
+            try:
+                pose = self.frame(now - last)
+                if pose is not None and now - cameras_at > CAMERA_SECONDS:
+                    cameras_at = now
+                    self._look(pose)
+                if now - panels_at > PANEL_SECONDS:
+                    panels_at = now
+                    self._fill_panels()
+            except Exception as error:
+                self.problem = f"{type(error).__name__}: {error}"
+                self.panels.show_problem(self.problem)
+                time.sleep(1.0)
+            last = now
+            time.sleep(max(0.0, FRAME_SECONDS - (time.perf_counter() - now)))
+
+    def frame(self, seconds: float) -> Pose | None:
+        """Send the next frame, ``seconds`` after the one before; returns what it shows, None while nothing is there."""
+        head = self.playhead
+        head.advance(seconds)
+        track = head.track
+        if track is None or track.last < 0:
+            return None
+        sim = self.source.sim
+        pose = self._poses.at(sim, track, head.now)
+        if track is not self._shown:
+            if track.home != self._shown_home or self._shown is None:
+                self.stage.show(self._home(sim, track.home), pose)
+                self._aim(pose, sim)
+                self._shown_home = track.home
+            self._shown = track
+        self.stage.place(pose)
+        self._follow(pose, sim)
+        self._mark(track, head.step, pose, sim)
+        self.frames += 1
+        if math.isinf(self.first_frame_at):
+            self.first_frame_at = time.perf_counter()
+        return pose
+
+    def _home(self, sim: CpuSimulator, home: str) -> HomeFiles:
+        names = [h.name for h in sim.layout.pack.homes]
+
+        def make() -> HomeModels:
+            if id(sim) not in self._scenes:
+                self._scenes = {id(sim): build_render_scene(sim.layout, sim.model(home))}
+            return home_models(self._scenes[id(sim)], names.index(home))
+
+        return home_files(sim.layout, home, make)
+
+    def _aim(self, pose: Pose, sim: CpuSimulator) -> None:
+        """Look at the robot over its shoulder."""
+        body = sim.addresses.robot_body[sim.layout.robot.base_link]
+        turn = mat_from_quat(pose.quat[body])
+        flat = pose.pos[body] * (1.0, 1.0, 0.0)
+        eye = flat + turn @ np.array([EYE[0], EYE[1], 0.0]) + np.array([0.0, 0.0, EYE[2]])
+        target = flat + np.array([0.0, 0.0, EYE_TARGET_HEIGHT_M])
+        self._server.initial_camera.position = eye
+        self._server.initial_camera.look_at = target
+        for client in self._server.get_clients().values():
+            client.camera.position = eye
+            client.camera.look_at = target
+
+    def _follow(self, pose: Pose, sim: CpuSimulator) -> None:
+        """Carry the cameras of the pages along with the base, where that is wished."""
+        base = pose.pos[sim.addresses.robot_body[sim.layout.robot.base_link]]
+        moved = base - self._base
+        self._base = base
+        if self.panels.follows and np.abs(moved).max() > MIN_MOVE:
+            for client in self._server.get_clients().values():
+                client.camera.position = client.camera.position + moved
+
+    def _mark(self, track: Track, step: int, pose: Pose, sim: CpuSimulator) -> None:
+        moment = track.moments[step]
+        tcp = pose.pos[sim.addresses.robot_body[sim.layout.robot.tcp]]
+        self.stage.mark_grasp(tcp if moment.checks[_GRASPED] else None)
+        self.stage.mark_plan(self.source.expert_plan)
+        goal = track.plan[moment.active].goal if moment.active < len(track.plan) else None
+        point = np.asarray(goal, float) if goal is not None else np.zeros(0)
+        self.stage.mark_goal(point if point.shape == (3,) and point.any() else None)
+
+    def _look(self, pose: Pose) -> None:
+        if self._cameras is not None and self.clients and self._shown is not None:
+            self._cameras.look(self.source.sim, self._shown_home, pose)
+
+    def _fill_panels(self) -> None:
+        cameras = self._cameras.problem if self._cameras is not None else ""
+        self.panels.show_problem(self.source.problem or self.problem or cameras)
+        self.panels.show_playing(self.playhead.playing)
+        self.panels.show_hand(self.source.hand_drives, self.source.recording)
+        self._tell_hand(self.source.hand_drives)
+        track = self.playhead.track
+        if track is not None and track.last >= 0:
+            self.panels.show(track, self.playhead.step)
+
+    def _tell_hand(self, driving: bool) -> None:
+        """Tell the pages which keys to send."""
+        told = json.dumps({"hand": driving, "keys": [*KEYS, GRIPPER_KEY]})
+        if told != self._told_hand:
+            self._told_hand = told
+            self._gateway.tell(told)
+
+
+class _PoseCache:
+    """Poses of the two states around the present one."""
+
+    def __init__(self) -> None:
+        self._sim: CpuSimulator | None = None
+        self._poser: Poser | None = None
+        self._known: dict[tuple[int, int], Pose] = {}
+
+    def at(self, sim: CpuSimulator, track: Track, now: float) -> Pose:
+        """The pose at a time between two states of a track."""
+        if self._poser is None or sim is not self._sim:
+            self._poser = Poser(sim)
+            self._sim = sim
+        first = min(math.floor(now), track.last)
+        second = min(first + 1, track.last)
+        known = {}
+        for step in (first, second):
+            key = (id(track), step)
+            found = self._known.get(key)
+            known[key] = found or self._poser.pose(track.home, track.moments[step].qpos)
+        self._known = known
+        share = now - first
+        here = known[id(track), first]
+        if share <= 0.0 or first == second:
+            return here
+        return between(here, known[id(track), second], share)

@@ -1,0 +1,214 @@
+"""One port for everything: viser's page and messages, and the keys and sticks that drive a robot by hand.
+
+viser listens on a port of its own on this machine. The gateway passes its traffic on, and adds a script to its page
+that sends which keys are held (`hand.js`).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import http
+import importlib.resources
+import logging
+import threading
+import urllib.error
+import urllib.parse
+import urllib.request
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from typing import Any
+
+from websockets.asyncio.client import connect
+from websockets.asyncio.server import ServerConnection, serve
+from websockets.datastructures import Headers
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request, Response
+from websockets.typing import Subprotocol
+
+from mjhab.core.errors import UsageError
+
+HAND_PATH = "/mjhab/hand"
+PORTS_TO_TRY = 20
+MAX_HAND_MESSAGE_BYTES = 4096
+MAX_MESSAGE_BYTES = 1 << 26
+START_SECONDS = 10.0
+_QUIET = logging.getLogger("mjhab.viewer.pages.gateway")
+_QUIET.setLevel(logging.CRITICAL)
+"""Browsers open connections that they do not use; each would be told with a traceback."""
+
+
+class Gateway:
+    """Listens from its making on; ``close`` ends it.
+
+    Args:
+        inner: port of the viser server on this machine.
+        host: address to listen on; "localhost" admits this machine only.
+        port: the first port to try; if it is in use, the next free one is taken. 0 lets the system choose.
+        on_hand: called with every message (text) of `hand.js`, on the thread of the gateway.
+        on_hand_gone: called when the last page that sends keys is closed, likewise.
+
+    ``port``: the one that was taken.
+
+    Raises:
+        UsageError: none of PORTS_TO_TRY ports is free, or the host is no address of this machine.
+    """
+
+    def __init__(
+        self,
+        inner: int,
+        host: str,
+        port: int,
+        on_hand: Callable[[str], object],
+        on_hand_gone: Callable[[], object] = bool,
+    ) -> None:
+        self.port = port
+        self._inner = inner
+        self._host = host
+        self._on_hand = on_hand
+        self._on_hand_gone = on_hand_gone
+        self._hands: set[ServerConnection] = set()
+        self._told = "{}"
+        self._problem: Exception | None = None
+        self._ready = threading.Event()
+        self._loop = asyncio.new_event_loop()
+        self._end = asyncio.Event()
+        self._thread = threading.Thread(target=self._run, name="gateway", daemon=True)
+        self._thread.start()
+        self._ready.wait(START_SECONDS)
+        if self._problem is not None:
+            raise self._problem
+
+    def tell(self, message: str) -> None:
+        """Send a text to every page, and to those that are opened later."""
+        self._told = message
+        self._loop.call_soon_threadsafe(self._tell)
+
+    def close(self) -> None:
+        """Stop listening."""
+        with suppress(RuntimeError):
+            self._loop.call_soon_threadsafe(self._end.set)
+        self._thread.join(timeout=2.0)
+
+    def _tell(self) -> None:
+        for hand in self._hands:
+            self._loop.create_task(_send(hand, self._told))
+
+    def _run(self) -> None:
+        asyncio.set_event_loop(self._loop)
+        try:
+            self._loop.run_until_complete(self._serve())
+        except Exception as error:
+            self._problem = error
+        finally:
+            self._ready.set()
+
+    async def _serve(self) -> None:
+        wanted = self.port
+        for port in range(wanted, wanted + (PORTS_TO_TRY if wanted else 1)):
+            try:
+                server = await serve(
+                    self._accept,
+                    self._host,
+                    port,
+                    process_request=self._answer,
+                    select_subprotocol=_first_subprotocol,
+                    compression=None,
+                    max_size=MAX_MESSAGE_BYTES,
+                    logger=_QUIET,
+                )
+            except OSError as error:
+                problem = error
+                continue
+            self.port = next(iter(server.sockets)).getsockname()[1]
+            self._ready.set()
+            async with server:
+                await self._end.wait()
+            return
+        last = wanted + PORTS_TO_TRY - 1
+        raise UsageError(
+            f"cannot listen on {self._host}, ports {wanted} to {last}: {problem}. Give another --port or --host."
+        )
+
+    async def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
+        """Pages and files come from viser; the page gets our script."""
+        if request.headers.get("Upgrade", "").lower() == "websocket":
+            return None if _from_our_page(request) else connection.respond(403, "another origin\n")
+        path = request.path
+        status, kind, body = await asyncio.to_thread(self._fetch, path)
+        if kind.startswith("text/html"):
+            body = with_script(body)
+        headers = Headers({"Content-Type": kind, "Content-Length": str(len(body))})
+        return Response(status, http.HTTPStatus(status).phrase, headers, body)
+
+    def _fetch(self, path: str) -> tuple[int, str, bytes]:
+        try:
+            with urllib.request.urlopen(f"http://127.0.0.1:{self._inner}{path}") as answer:
+                return answer.status, answer.headers["Content-Type"], answer.read()
+        except urllib.error.HTTPError as error:
+            return error.code, "text/plain", error.read()
+
+    async def _accept(self, connection: ServerConnection) -> None:
+        assert connection.request is not None
+        path = connection.request.path
+        if path.partition("?")[0] == HAND_PATH:
+            await self._listen_to_hand(connection)
+        else:
+            await self._pass_on(connection, path)
+
+    async def _listen_to_hand(self, connection: ServerConnection) -> None:
+        self._hands.add(connection)
+        try:
+            await connection.send(self._told)
+            async for message in connection:
+                if isinstance(message, str) and len(message) <= MAX_HAND_MESSAGE_BYTES:
+                    self._on_hand(message)
+        except ConnectionClosed:
+            pass
+        finally:
+            self._hands.discard(connection)
+            if not self._hands:
+                self._on_hand_gone()
+
+    async def _pass_on(self, outside: ServerConnection, path: str) -> None:
+        protocols = [outside.subprotocol] if outside.subprotocol else None
+        url = f"ws://127.0.0.1:{self._inner}{path}"
+        async with connect(
+            url, subprotocols=protocols, compression=None, max_size=MAX_MESSAGE_BYTES
+        ) as inside:
+            ways = [
+                asyncio.create_task(_pump(outside, inside)),
+                asyncio.create_task(_pump(inside, outside)),
+            ]
+            _, open_ways = await asyncio.wait(ways, return_when=asyncio.FIRST_COMPLETED)
+            for way in open_ways:
+                way.cancel()
+            await asyncio.gather(*ways, return_exceptions=True)
+
+
+async def _pump(source: Any, target: Any) -> None:
+    with suppress(ConnectionClosed):
+        async for message in source:
+            await target.send(message)
+
+
+async def _send(connection: ServerConnection, message: str) -> None:
+    with suppress(ConnectionClosed):
+        await connection.send(message)
+
+
+def _from_our_page(request: Request) -> bool:
+    """Whether a browser says that a page of ours connects: those of other sites may not drive."""
+    origin = request.headers.get("Origin")
+    return origin is None or urllib.parse.urlsplit(origin).netloc == request.headers.get("Host")
+
+
+def _first_subprotocol(
+    connection: ServerConnection, offered: Sequence[Subprotocol]
+) -> Subprotocol | None:
+    return offered[0] if offered else None
+
+
+def with_script(page: bytes) -> bytes:
+    """A page of viser with the script `hand.js` at its end."""
+    code = importlib.resources.files("mjhab.viewer.pages").joinpath("hand.js").read_bytes()
+    return page + b"\n<script>" + code + b"</script>\n"

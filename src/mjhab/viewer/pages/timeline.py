@@ -1,0 +1,147 @@
+"""The time line of an episode as a picture: subtasks, events, who acted, and the force against its limit."""
+
+from __future__ import annotations
+
+import math
+from html import escape
+from itertools import groupby
+
+from mjhab.data.store.schema import STEP_SECONDS
+from mjhab.reports.parts import event_tone
+from mjhab.reports.plots import kind_color
+from mjhab.viewer.sources.track import Track
+
+WIDTH = 1000
+BAR_HEIGHT = 22
+EVENT_HEIGHT = 14
+ACTOR_HEIGHT = 6
+HEIGHT = EVENT_HEIGHT + BAR_HEIGHT + ACTOR_HEIGHT
+TONE_COLORS = {"good": "#16a34a", "bad": "#dc2626", "none": "#64748b"}
+GAUGE_COLOR = "#3b82f6"
+ACTOR_COLORS = ("#cbd5e1", "#f472b6", "#38bdf8", "#a3e635", "#fb923c")
+MIN_NAMED_SHARE = 0.06
+"""Subtasks that take less of the time line carry no name in it."""
+
+
+def timeline_svg(track: Track, now: float) -> str:
+    """The time line as SVG, with a line at control step ``now``.
+
+    Above stand the events, in the middle the subtasks, below who acted; each tells more when pointed at.
+    """
+    scale = WIDTH / max(track.last, 1)
+    parts = [
+        f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" width="100%" style="display:block;font:11px system-ui">'
+    ]
+    parts += _subtasks(track, scale)
+    parts += _actors(track, scale)
+    for step, name in track.events:
+        color = TONE_COLORS[event_tone(name)]
+        x = step * scale
+        told = f"{name.replace('_', ' ')}, step {step} ({step * STEP_SECONDS:.2f} s)"
+        parts.append(
+            f'<path d="M{x:.1f} {EVENT_HEIGHT} l-4 -10 h8 z" fill="{color}"><title>{escape(told)}</title></path>'
+        )
+    x = now * scale
+    parts.append(f'<path d="M{x:.1f} 0 V{HEIGHT}" stroke="#ef4444" stroke-width="2"/></svg>')
+    return "".join(parts)
+
+
+def subtask_spans(track: Track) -> list[tuple[int, int, int]]:
+    """(index in the plan, first state, last state) of the subtasks in the order in which they were active."""
+    spans: list[tuple[int, int, int]] = []
+    start = 0
+    for index, moments in groupby(moment.active for moment in track.moments):
+        count = sum(1 for _ in moments)
+        if index < len(track.plan):
+            spans.append((index, start, start + count - 1))
+        start += count
+    return spans
+
+
+def _subtasks(track: Track, scale: float) -> list[str]:
+    parts = []
+    for index, start, end in subtask_spans(track):
+        color = kind_color(track.plan[index].kind)
+        name = track.describe(index)
+        width = max((end - start + 1) * scale, 1.0)
+        told = f"{name}: {track.ended.get(index, 'running').replace('_', ' ')}"
+        x = start * scale
+        parts.append(
+            f'<rect x="{x:.1f}" y="{EVENT_HEIGHT}" width="{width:.1f}" height="{BAR_HEIGHT}" rx="3" fill="{color}">'
+            f"<title>{escape(told)}</title></rect>"
+        )
+        if width > MIN_NAMED_SHARE * WIDTH:
+            y = EVENT_HEIGHT + 15
+            parts.append(
+                f'<svg x="{x:.1f}" y="0" width="{width:.1f}" height="{HEIGHT}">'
+                f'<text x="5" y="{y}" fill="white" pointer-events="none">{escape(name)}</text></svg>'
+            )
+    return parts
+
+
+def _actors(track: Track, scale: float) -> list[str]:
+    names = [moment.actor for moment in track.moments[1:]]
+    known = list(dict.fromkeys(names))
+    if len(known) < 2:
+        return []
+    parts = []
+    start = 0
+    for name, run in groupby(names):
+        count = sum(1 for _ in run)
+        color = ACTOR_COLORS[known.index(name) % len(ACTOR_COLORS)]
+        parts.append(
+            f'<rect x="{start * scale:.1f}" y="{EVENT_HEIGHT + BAR_HEIGHT}" width="{count * scale:.1f}" '
+            f'height="{ACTOR_HEIGHT}" fill="{color}"><title>{escape(name)} acts</title></rect>'
+        )
+        start += count
+    return parts
+
+
+def plan_html(track: Track, step: int) -> str:
+    """The plan as a list: what is done, what is active, what is to come, in a state."""
+    active = track.moments[step].active
+    rows = []
+    for index, entry in enumerate(track.plan):
+        color = kind_color(entry.kind)
+        sign = "✓" if index < active else "▶" if index == active else "·"
+        weight = "700" if index == active else "400"
+        fade = "" if index <= active else "opacity:.6;"
+        label = track.ended.get(index, "") if index <= active else ""
+        note = f" <small>{escape(label.replace('_', ' '))}</small>" if label else ""
+        rows.append(
+            f'<li style="font-weight:{weight};{fade}border-left:4px solid {color};padding-left:6px;margin:2px 0">'
+            f"{sign} {escape(track.describe(index))}{note}</li>"
+        )
+    over = f'<p style="margin:4px 0"><b>Ended: {escape(track.over)}</b></p>' if track.over else ""
+    style = "list-style:none;margin:0;padding:0;font-size:13px"
+    return f'<ul style="{style}">{"".join(rows)}</ul>{over}'
+
+
+def gauge_html(name: str, value: float, limit: float, unit: str) -> str:
+    """A bar that shows a value against its limit."""
+    share = 0.0 if math.isinf(limit) else min(value / max(limit, 1e-9), 1.0)
+    color = TONE_COLORS["bad"] if share > 0.8 else GAUGE_COLOR
+    of = "no limit" if math.isinf(limit) else f"of {limit:,.0f}"
+    return (
+        f'<div style="font-size:12px;margin:3px 0">{escape(name)}: <b>{value:,.0f}</b> {of} {escape(unit)}'
+        f'<div style="background:#8883;height:6px;border-radius:3px"><div style="width:{100 * share:.1f}%;height:6px;'
+        f'border-radius:3px;background:{color}"></div></div></div>'
+    )
+
+
+def terms_html(terms: dict[str, float], total: float) -> str:
+    """Reward terms of a step as bars around zero."""
+    if not terms:
+        return f'<p style="font-size:12px;margin:2px 0">reward {total:.3f}; this reward has no terms</p>'
+    most = max(1e-9, *(abs(value) for value in terms.values()))
+    rows = [f'<p style="font-size:12px;margin:2px 0">reward <b>{total:.3f}</b></p>']
+    for name, value in terms.items():
+        share = 50.0 * abs(value) / most
+        left = 50.0 if value >= 0 else 50.0 - share
+        color = TONE_COLORS["good" if value >= 0 else "bad"]
+        rows.append(
+            f'<div style="font-size:11px;display:flex;gap:6px"><span style="width:45%">{escape(name)}</span>'
+            f'<span style="width:35%;position:relative;background:#8882"><i style="position:absolute;left:{left:.1f}%;'
+            f'width:{share:.1f}%;height:100%;background:{color}"></i></span><span>{value:.3f}</span></div>'
+        )
+    return "".join(rows)

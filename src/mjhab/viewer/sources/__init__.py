@@ -1,0 +1,1 @@
+"""Where episodes come from: running worlds, which people can drive, and shards."""

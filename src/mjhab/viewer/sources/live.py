@@ -1,0 +1,452 @@
+"""Running worlds: the rollout loop in a thread of its own, which a page pauses, steps, restarts and takes over."""
+
+from __future__ import annotations
+
+import dataclasses
+import queue
+import threading
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mjhab.data.record.recorder import signal_rows
+from mjhab.data.store.shard import ShardWriter
+from mjhab.envs.sequential import SequentialTaskEnv
+from mjhab.evaluation.evaluate import EvalSpec, describe_policy, env_options, make_env
+from mjhab.experts.policy import ExpertPolicy
+from mjhab.rollout.loop import rollout
+from mjhab.rollout.policy import RolloutEnv
+from mjhab.rollout.records import EpisodeRecord, PlanEntry
+from mjhab.rollout.sinks import Sink, StepView
+from mjhab.sim.mujoco.cpu import CpuSimulator
+from mjhab.viewer.drawn.plan_marks import PlanMarks, plan_marks
+from mjhab.viewer.sources.hand import HUMAN, HandControl
+from mjhab.viewer.sources.pace import Pace
+from mjhab.viewer.sources.switch import Switch
+from mjhab.viewer.sources.takes import Cuttable, TakeRecorder
+from mjhab.viewer.sources.track import Moment, Track, force_limits
+
+CUT_SECONDS = 10.0
+CLOSE_SECONDS = 30.0
+EPISODES_AHEAD = 1000
+"""How many episodes follow each other without being asked for."""
+
+
+class _Interrupt(Exception):
+    """Ends a rollout: something else was asked for."""
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What to run next. policy: a specification as for ``--policy``. first: index of the first world's episode."""
+
+    policy: str
+    first: int
+
+
+class LiveSession:
+    """Runs episodes one after the other until ``close``; a `sources.Source`.
+
+    Args:
+        spec: worlds, task and policy, as for an evaluation; its ``out`` and ``episodes`` are not used.
+        first: index of the first episode; with W worlds, W of them run side by side.
+        pace: when steps are due.
+        policies: further policies that can be chosen.
+        shard: episodes that end are recorded there; None records nothing.
+        hold_at_end: pause when the episode of the watched world is over, so that it can be looked at.
+
+    Attributes:
+        tracks: of every world, the running episode; None before its first state.
+        problem: why nothing runs, in words; empty while all is well.
+        watched: index of the world that is looked at.
+    """
+
+    def __init__(
+        self,
+        spec: EvalSpec,
+        first: int,
+        pace: Pace,
+        *,
+        policies: Sequence[str] = (),
+        shard: Path | None = None,
+        hold_at_end: bool = True,
+    ) -> None:
+        assert isinstance(spec.policy, str)
+        self.is_live = True
+        self.choices = tuple(f"world {w}" for w in range(spec.worlds))
+        self.policies = tuple(dict.fromkeys((spec.policy, "expert", HUMAN, *policies)))
+        self.expert_plan: PlanMarks | None = None
+        self.hand = HandControl()
+        self.spec = spec
+        self.pace = pace
+        self.tracks: list[Track | None] = [None] * spec.worlds
+        self.problem = ""
+        self.watched = 0
+        self.hold_at_end = hold_at_end
+        self.env: SequentialTaskEnv | None = None
+        self._cuttable: Cuttable | None = None
+        self.switch: Switch | None = None
+        self.steps = 0
+        self._shard = shard
+        self._writer: ShardWriter | None = None
+        self._kept = 0
+        self._wish = Wish(spec.policy, first)
+        self._asked: Wish | None = self._wish
+        self._options: dict[str, Any] = {}
+        self._failed = False
+        self._plan_wanted = False
+        self._plan_token: tuple[int, int, int] | None = None
+        self._adviser: ExpertPolicy | None = None
+        self._cut_done = threading.Event()
+        self._jobs: queue.SimpleQueue[Callable[[LiveSession], object]] = queue.SimpleQueue()
+        self._closing = False
+        self._thread = threading.Thread(target=self._run, name="worlds", daemon=True)
+
+    # -- what the page asks for -----------------------------------------------------------------------------------
+
+    def start(self) -> None:
+        """Begin to run, in another thread."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the run. An episode in which a person acted ends here and is kept, if episodes are recorded."""
+        runs = self.track is not None and not self.track.over and not self._failed
+        if self._writer is not None and runs and self._human_acted(self.watched):
+            self.finish_episode()
+            self._cut_done.wait(CUT_SECONDS)
+        self._closing = True
+        self.pace.wake()
+        if self._thread.is_alive():
+            self._thread.join(timeout=CLOSE_SECONDS)
+
+    @property
+    def sim(self) -> CpuSimulator:
+        """The worlds' physics."""
+        assert self.env is not None, "there are no worlds before there is a track"
+        return self.env.sim
+
+    @property
+    def track(self) -> Track | None:
+        """The running episode of the watched world."""
+        return self.tracks[self.watched]
+
+    @property
+    def hand_drives(self) -> bool:
+        """Whether a person drives the watched world."""
+        return self.switch is not None and self.switch.hand_world == self.watched
+
+    @property
+    def recording(self) -> str:
+        """What becomes of the episodes, in words; empty if nothing is recorded."""
+        if self._shard is None:
+            return ""
+        who = HUMAN if self._human_acted(self.watched) else "policy"
+        return (
+            f"{self._kept} episodes are in {self._shard.name}; this one goes there, too, as {who}'s"
+        )
+
+    def choose(self, choice: str) -> None:
+        """Watch another world; one that is driven by hand is given back."""
+        if self.hand_drives:
+            self.set_hand(False)
+        self.watched = self.choices.index(choice)
+        self.do(lambda session: session.renew_plan())
+
+    def set_policy(self, spec: str) -> None:
+        """Let another policy act from the next step on; episodes begin anew where it needs other observations."""
+        self.do(lambda session: session.change_policy(spec))
+
+    def restart(self) -> None:
+        """Begin the watched episode again."""
+        self.ask(first=self._index())
+
+    def next_episode(self) -> None:
+        """Begin with the episode after the watched one."""
+        self.ask(first=self._index() + 1)
+
+    def show_expert_plan(self, shown: bool) -> None:
+        """Ask for `expert_plan`, or not any more."""
+        self._plan_wanted = shown
+        self.do(lambda session: session.renew_plan())
+
+    def set_hand(self, driving: bool) -> None:
+        """Let a person drive the watched world, or give it back to the policy."""
+        self.do(lambda session: session.hand_over(driving))
+
+    def hear_hand(self, message: str) -> None:
+        """Take a message of `hand.js`."""
+        self.hand.hear(message)
+
+    def hand_gone(self) -> None:
+        """The last page was closed: the robot stands, and a world that is driven by hand waits for a page."""
+        self.hand.let_go()
+        if self.hand_drives:
+            self.pace.play(False)
+
+    def finish_episode(self) -> None:
+        """End the watched episode with the next control step."""
+        if self._cuttable is not None:
+            self._cut_done.clear()
+            self._cuttable.cut[self.watched] = True
+            if not self.pace.playing:
+                self.pace.step_once()
+
+    def ask(self, *, policy: str | None = None, first: int | None = None) -> None:
+        """Start episodes anew, with another policy or at another index; what is not given stays."""
+        now = self._asked or self._wish
+        self._asked = Wish(
+            now.policy if policy is None else policy, now.first if first is None else first
+        )
+        self.pace.play(True)
+
+    def do(self, job: Callable[[LiveSession], object]) -> None:
+        """Have a function called between two control steps, on the thread that takes them."""
+        self._jobs.put(job)
+        self.pace.wake()
+
+    # -- on the thread of the worlds ------------------------------------------------------------------------------
+
+    def change_policy(self, spec: str) -> None:
+        """See `set_policy`."""
+        if spec == HUMAN:
+            self.hand_over(True)
+            return
+        if self.switch is not None:
+            self.switch.give_back()
+        full, options = self._needs(spec)
+        if self.switch is None or self._failed or options != self._options:
+            self.ask(policy=spec, first=self._index())
+            return
+        self.switch.choose(full)
+        self.problem = ""
+        self._wish = dataclasses.replace(self._wish, policy=spec)
+
+    def hand_over(self, driving: bool) -> None:
+        """See `set_hand`."""
+        if self.switch is None:
+            return
+        if driving:
+            self.switch.take_over(self.hand, self.watched)
+        else:
+            self.switch.give_back()
+
+    def renew_plan(self) -> None:
+        """Ask the expert for its plan in the present state of the watched world."""
+        self.expert_plan = None
+        self._plan_token = None
+        if self._plan_wanted:
+            self._note_plan()
+
+    def follow_plan(self) -> None:
+        """Keep the plan up to date after a control step."""
+        if self._plan_wanted:
+            self._note_plan()
+
+    def _note_plan(self) -> None:
+        """Keep what the expert plans in the watched world; if it does not act there, it plans when a subtask begins."""
+        assert self.switch is not None and self.env is not None
+        world = self.watched
+        acting = self.switch.policy(self.switch.chosen)
+        if isinstance(acting, ExpertPolicy) and not self.hand_drives:
+            script = acting.script(world)
+        else:
+            if self._adviser is None:
+                self._adviser = ExpertPolicy(self.env)
+            token = self.env.view(world).token
+            if token != self._plan_token:
+                mask = np.arange(self.env.num_envs) == world
+                self._adviser.reset(mask)
+                self._adviser.act({}, {}, mask)
+            self._plan_token = token
+            script = self._adviser.script(world)
+        self.expert_plan = plan_marks(script) if script is not None else None
+
+    def _run(self) -> None:
+        try:
+            while not self._closing:
+                self._run_wish()
+        finally:
+            if self._writer is not None:
+                self._writer.close()
+            if self.env is not None:
+                self.env.close()
+
+    def _run_wish(self) -> None:
+        """Run what was asked for until something else is, or it fails."""
+        try:
+            if self._asked is None:
+                # After a failure nothing runs until something else is asked for.
+                self.pace.wait(self._between)
+                return
+            self._wish = self._asked
+            self._asked = None
+            self._run_episodes(self._wish)
+        except _Interrupt:
+            return
+        except Exception as error:
+            self.problem = _told(error)
+            self._failed = True
+            self.pace.play(False)
+
+    def _run_episodes(self, wish: Wish) -> None:
+        self._prepare(wish.policy)
+        self.problem = ""
+        self._failed = False
+        assert self.switch is not None and self._cuttable is not None
+        episodes = range(wish.first, wish.first + EPISODES_AHEAD)
+        # The follower waits, at the end of an episode too: by then it is recorded.
+        sinks = [*self._record(), _Follower(self)]
+        rollout(self._cuttable.as_env(), self.switch, episodes, self.spec.seed, sinks)
+
+    def _needs(self, policy: str) -> tuple[str, dict[str, Any]]:
+        """The full specification of a policy, and the options of the environment that it needs."""
+        base = "zero" if policy == HUMAN else policy
+        spec = dataclasses.replace(self.spec, policy=base)
+        return str(spec.policy), env_options(spec, describe_policy(spec.policy))
+
+    def _prepare(self, policy: str) -> None:
+        """Make the environment that the policy needs, or take the one that is there."""
+        full, options = self._needs(policy)
+        if self.env is None or options != self._options:
+            if self.env is not None:
+                self.env.close()
+            spec = dataclasses.replace(self.spec, episodes=self.spec.worlds)
+            self.env = make_env(spec, options)
+            self._cuttable = Cuttable(self.env)
+            self._options = options
+            self._adviser = None
+            self.switch = Switch(self.env, self.spec.seed)
+        assert self.switch is not None
+        self.switch.choose(full)
+        if policy == HUMAN:
+            self.switch.hand = self.hand
+            self.switch.hand_world = self.watched
+
+    def _record(self) -> list[Sink]:
+        if self._shard is None:
+            return []
+        if self._writer is None:
+            self._writer = ShardWriter(self._shard)
+        assert self.env is not None
+        facts = describe_policy(self._needs(self._wish.policy)[0])
+        about = {"name": facts.name, **facts.identity}
+        return [TakeRecorder(self._writer, self.env, about, self._writer.has), _Counter(self)]
+
+    def note_kept(self) -> None:
+        """Count the recorded episodes."""
+        self._kept = len(self._writer.names) if self._writer is not None else 0
+        self._cut_done.set()
+
+    def _human_acted(self, world: int) -> bool:
+        track = self.tracks[world]
+        return track is not None and any(moment.actor == HUMAN for moment in track.moments)
+
+    def _index(self) -> int:
+        """Index of the watched episode."""
+        track = self.track
+        return self._wish.first if track is None else track.index
+
+    def _between(self) -> None:
+        """Between two steps: do what was asked for."""
+        while not self._jobs.empty():
+            job = self._jobs.get()
+            try:
+                job(self)
+            except Exception as error:
+                self.problem = _told(error)
+        if self._closing or self._asked is not None:
+            raise _Interrupt
+
+
+class _Counter(Sink[RolloutEnv]):
+    """Comes after the recorder, and tells the session that an episode is written."""
+
+    def __init__(self, session: LiveSession) -> None:
+        self._session = session
+
+    def on_episode_end(self, env: RolloutEnv, world: int, record: EpisodeRecord) -> None:
+        self._session.note_kept()
+
+
+class _Follower(Sink[SequentialTaskEnv]):
+    """Keeps the tracks of a session, and its pace."""
+
+    def __init__(self, session: LiveSession) -> None:
+        self._session = session
+
+    def on_reset(self, env: SequentialTaskEnv, info: Mapping[str, Any], mask: np.ndarray) -> None:
+        checks, _ = signal_rows(env.signals)
+        for w in np.flatnonzero(mask).tolist():
+            track = _new_track(env, info["episode_spec"][w])
+            track.moments.append(_moment(env, info, w, checks[w]))
+            self._session.tracks[w] = track
+        self._wait()
+
+    def on_step(self, env: SequentialTaskEnv, step: StepView) -> None:
+        session = self._session
+        checks, _ = signal_rows(env.judged)
+        for w in np.flatnonzero(step.active).tolist():
+            track = session.tracks[w]
+            assert track is not None
+            now = int(step.steps[w])
+            track.events += [(now, str(name)) for name in step.info["events"][w]]
+            ended = step.info["ended"][w]
+            if ended is not None:
+                track.ended[int(ended["index"])] = str(ended["label"] or "")
+            terms = step.info.get("reward_terms", {})
+            moment = dataclasses.replace(
+                _moment(env, step.info, w, checks[w]),
+                reward=float(step.reward[w]),
+                terms={name: float(values[w]) for name, values in terms.items()},
+                actor=step.notes.actors[int(step.notes.actor[w])],
+            )
+            track.moments.append(moment)
+        session.steps += 1
+        session.follow_plan()
+        if not step.done[session.watched]:
+            self._wait()
+
+    def on_episode_end(self, env: SequentialTaskEnv, world: int, record: EpisodeRecord) -> None:
+        session = self._session
+        track = session.tracks[world]
+        if track is not None:
+            track.over = "success" if record.success_once else "no success"
+        if world == session.watched and session.hold_at_end:
+            session.pace.play(False)
+            self._wait()
+
+    def _wait(self) -> None:
+        self._session.pace.wait(self._session._between)
+
+
+def _new_track(env: SequentialTaskEnv, episode: Mapping[str, Any]) -> Track:
+    plan = tuple(
+        PlanEntry(str(entry["kind"]), str(entry["target"]), entry["goal"])
+        for entry in episode["plan"]
+    )
+    what = episode["subtask"] or episode["task"]
+    title = f"{what}, episode {episode['index']} of seed {episode['seed']}"
+    limits = force_limits(plan, env.task_config)
+    return Track(title, str(episode["home"]), int(episode["index"]), plan, limits)
+
+
+def _moment(
+    env: SequentialTaskEnv, info: Mapping[str, Any], world: int, checks: np.ndarray
+) -> Moment:
+    return Moment(
+        env.sim.qpos[world].copy(),
+        int(info["pointer"][world]),
+        float(info["robot_force"][world]),
+        float(info["cumulative_force"][world]),
+        checks,
+    )
+
+
+def _told(error: Exception) -> str:
+    """An error for the page: what went wrong, and where."""
+    where = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{type(error).__name__}: {error} ({where.name}, line {where.lineno})"

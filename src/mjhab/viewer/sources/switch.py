@@ -1,0 +1,112 @@
+"""The policy of a viewer: one that was chosen by name, and the hand that can take over in the watched world."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from mjhab.core.action_notes import ActionNotes
+from mjhab.envs.sequential import SequentialTaskEnv
+from mjhab.evaluation.resolve import PolicyOptions, resolve_policy
+from mjhab.rollout.policy import Annotated, Policy
+from mjhab.viewer.sources.hand import HUMAN, HandControl
+
+
+class Switch:
+    """A policy that hands over to others between two control steps. Notes say who acted, and what was intended.
+
+    A policy that gets control back begins anew from the present state: it is told of a reset in that world.
+
+    Args:
+        env: the environment; policies are built for it when they are first chosen.
+        seed: of the run.
+    """
+
+    name = "viewer"
+
+    def __init__(self, env: SequentialTaskEnv, seed: int) -> None:
+        self.hand: HandControl | None = None
+        self.hand_world: int | None = None
+        self._env = env
+        self._seed = seed
+        self._built: dict[str, Policy] = {}
+        self._chosen = ""
+        self._actors: list[str] = []
+        self._last: ActionNotes | None = None
+        self._due = np.ones(env.num_envs, bool)
+
+    @property
+    def chosen(self) -> str:
+        """Specification of the policy that acts where the hand does not."""
+        return self._chosen
+
+    def policy(self, spec: str) -> Policy:
+        """The policy of a specification, built on first use.
+
+        Raises:
+            UsageError: there is no such policy, or it cannot act in this environment.
+        """
+        if spec not in self._built:
+            self._built[spec] = resolve_policy(spec, self._env, PolicyOptions(self._seed))
+        return self._built[spec]
+
+    def choose(self, spec: str) -> None:
+        """Let another policy act from the next step on.
+
+        Raises:
+            UsageError: see `policy`.
+        """
+        self.policy(spec)
+        self._chosen = spec
+        self._due[:] = True
+
+    def take_over(self, hand: HandControl, world: int) -> None:
+        """Let the hand act in a world from the next step on."""
+        hand.begin(self._env, world)
+        self.hand = hand
+        self.hand_world = world
+
+    def give_back(self) -> None:
+        """Let the chosen policy act everywhere again."""
+        if self.hand_world is not None:
+            self._due[self.hand_world] = True
+        self.hand_world = None
+
+    def reset(self, mask: np.ndarray) -> None:
+        """New episodes begin in the worlds of ``mask`` (W,) bool."""
+        self._due |= mask
+        if self.hand is not None and self.hand_world is not None and mask[self.hand_world]:
+            self.hand.begin(self._env, self.hand_world)
+
+    def act(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:
+        """Actions (W, A) for the present state."""
+        policy = self.policy(self._chosen)
+        if self._due.any():
+            policy.reset(self._due)
+            self._due = np.zeros_like(self._due)
+        actions = np.array(policy.act(obs, info), np.float32)
+        notes = policy.notes() if isinstance(policy, Annotated) else None
+        if notes is None:
+            notes = ActionNotes.plain(actions, policy.name)
+        intended = notes.intended.copy()
+        places = np.array([self._place(name) for name in notes.actors], np.uint8)
+        actor = places[notes.actor]
+        if self.hand is not None and self.hand_world is not None:
+            world = self.hand_world
+            actions[world] = self.hand.action(self._env, world)
+            intended[world] = actions[world]
+            actor[world] = self._place(HUMAN)
+        self._last = ActionNotes(intended, actor, tuple(self._actors))
+        return actions
+
+    def notes(self) -> ActionNotes:
+        """Notes about the actions of the last ``act``."""
+        assert self._last is not None
+        return self._last
+
+    def _place(self, name: str) -> int:
+        if name not in self._actors:
+            self._actors.append(name)
+        return self._actors.index(name)

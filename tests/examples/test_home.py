@@ -1,0 +1,69 @@
+"""examples/home: homes of one's own are listed, drawn and checked, and the expert works in them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mjhab
+from mjhab.cli.main import main
+from mjhab.core.plugins import load_plugin
+from mjhab.scenes.pack_source import PACK_SOURCES
+
+FOLDER = Path(__file__).parents[2] / "examples" / "home"
+COTTAGE = str(FOLDER / "cottage.json")
+
+
+@pytest.fixture
+def village() -> Iterator[None]:
+    assert not load_plugin(FOLDER / "village.py").error
+    yield
+    PACK_SOURCES.remove("village")
+
+
+def test_the_pack_of_the_plugin_is_listed_and_checked(
+    village: None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["homes", "list", "--assets", "village", "--json"]) == 0
+    listed = json.loads(capsys.readouterr().out)["homes"]
+    assert [home["name"] for home in listed] == ["cottage", "hut"]
+    assert main(["homes", "check", "--assets", "village", "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["ok"] == 2 and not report["remarks"]
+
+
+def test_a_home_file_is_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "cottage.png"
+    size = ("--width", "160", "--height", "120", "--json")
+    assert main(["homes", "render", "cottage", "--assets", COTTAGE, "--out", str(out), *size]) == 0
+    assert out.stat().st_size > 1000
+    assert json.loads(capsys.readouterr().out)["home"] == "cottage"
+
+
+def test_every_task_starts_in_the_cottage() -> None:
+    for task in ("tidy_house", "prepare_groceries", "set_table"):
+        env = mjhab.make(task=task, home=COTTAGE, autoreset="disabled")
+        env.reset(seed=0)
+        _, _, _, _, info = env.step(np.zeros(env.action_space.shape, np.float32))
+        assert not info["taint"].any()
+        env.close()
+
+
+@pytest.mark.parametrize("subtask", ["pick", "place"])
+def test_the_expert_picks_and_places_in_it(subtask: str, tmp_path: Path) -> None:
+    run = mjhab.evaluate(
+        "expert",
+        task="tidy_house",
+        subtask=subtask,
+        target="005_tomato_soup_can",
+        home=COTTAGE,
+        episodes=2,
+        worlds=2,
+        films=0,
+        out=tmp_path,
+    )
+    assert run.summary["success_once"] >= 0.5

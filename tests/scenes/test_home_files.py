@@ -1,0 +1,229 @@
+"""Homes written by hand: what a file may state, and what is refused."""
+
+from __future__ import annotations
+
+import copy
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mjhab.config.env import EnvConfig
+from mjhab.core.errors import UsageError
+from mjhab.scenes.freespace import free_map
+from mjhab.scenes.home_files import home_pack
+from mjhab.scenes.packs import open_pack
+from mjhab.scenes.roles import DINING_TABLE, FRIDGE_SHELF, OPEN_SURFACE, roles_in
+
+ROOM: dict[str, Any] = {
+    "format": "mjhab-home-1",
+    "name": "room",
+    "floor": {"size": [6.0, 5.0]},
+    "walls": {"outer": "wall_white"},
+    "furniture": [
+        {"kind": "table_01", "at": [2.0, 2.5]},
+        {"kind": "chest_of_drawers", "at": [5.75, 2.5], "yaw_degrees": 180},
+    ],
+}
+Change = Callable[[dict[str, Any]], Any]
+
+
+def room(folder: Path, change: Change = lambda body: None) -> Path:
+    body = copy.deepcopy(ROOM)
+    change(body)
+    path = folder / "room.json"
+    path.write_text(json.dumps(body))
+    return path
+
+
+def test_a_room_is_a_pack(tmp_path: Path) -> None:
+    path = room(tmp_path)
+    pack = open_pack(str(path))
+    (home,) = pack.homes
+    assert (pack.name, home.name, home.split, len(home.walls)) == ("room", "room", "train", 4)
+    assert open_pack(str(path)) is pack
+    assert roles_in(pack, home) == {DINING_TABLE, OPEN_SURFACE}
+    assert not home.articulations
+
+
+def test_a_file_that_changed_is_read_anew(tmp_path: Path) -> None:
+    first = open_pack(str(room(tmp_path)))
+    again = open_pack(str(room(tmp_path, lambda body: body.update(name="other"))))
+    assert (first.homes[0].name, again.homes[0].name) == ("room", "other")
+
+
+def test_inner_walls_leave_their_doorways_free(tmp_path: Path) -> None:
+    wall = {"start": [4.0, 0.0], "end": [4.0, 5.0], "doorways": [[1.0, 2.2]]}
+    pack = home_pack(room(tmp_path, lambda body: body["walls"].update(inner=[wall])))
+    (home,) = pack.homes
+    free = free_map(home, pack)
+    inside = free.clearance_at(np.array([[4.0, 1.6], [4.0, 3.5]]))
+    assert inside[0] > 0.5 and inside[1] == 0.0
+
+
+def test_roles_and_receptacles_of_a_file(tmp_path: Path) -> None:
+    def change(body: dict[str, Any]) -> None:
+        body["receptacles"] = [
+            {
+                "furniture": "chest_of_drawers",
+                "name": "top",
+                "center": [0.0, 0.0, 0.85],
+                "half": [0.2, 0.4],
+                "roles": ["open_surface", "altar"],
+            },
+            {"furniture": "table_01", "name": "top", "roles": [FRIDGE_SHELF]},
+        ]
+
+    pack = home_pack(room(tmp_path, change))
+    assert roles_in(pack, pack.homes[0]) == {DINING_TABLE, OPEN_SURFACE, FRIDGE_SHELF, "altar"}
+    assert pack.props["chest_of_drawers"].receptacles[-1].name == "top"
+    own = home_pack(room(tmp_path, lambda body: (change(body), body.update(default_roles=False))))
+    assert roles_in(own, own.homes[0]) == {OPEN_SURFACE, FRIDGE_SHELF, "altar"}
+
+
+def test_a_python_file_may_compute_a_home(tmp_path: Path) -> None:
+    path = tmp_path / "room.py"
+    path.write_text(f"HOME = {ROOM!r}\nHOME['floor']['size'] = (5.0 + 1.0, 5.0)\n")
+    assert home_pack(path).homes == home_pack(room(tmp_path)).homes
+
+
+def test_several_files_make_one_pack(tmp_path: Path) -> None:
+    (tmp_path / "b").mkdir()
+    other = room(tmp_path / "b", lambda body: body.update(name="hut"))
+    pack = home_pack(room(tmp_path), other, name="village")
+    assert [home.name for home in pack.homes] == ["room", "hut"] and pack.name == "village"
+    with pytest.raises(UsageError, match="another home of the pack is called 'room', too"):
+        home_pack(room(tmp_path), room(tmp_path))
+
+
+def furniture(*pieces: dict[str, Any]) -> Change:
+    return lambda body: body["furniture"].extend(pieces)
+
+
+def setting(part: str, **values: Any) -> Change:
+    return lambda body: body[part].update(values)
+
+
+BAD: dict[str, tuple[Change, str]] = {
+    "unknown furniture": (
+        furniture({"kind": "tabel_01", "at": [4.0, 4.0]}),
+        r"unknown furniture 'tabel_01'\. Did you mean 'table_0",
+    ),
+    "overlap": (
+        furniture({"kind": "sofa", "at": [2.3, 2.5]}),
+        r"'sofa' at \[2\.3, 2\.5\] overlaps 'table_01' at \[2, 2\.5\]",
+    ),
+    "in the wall": (
+        furniture({"kind": "sofa", "at": [0.2, 4.0]}),
+        "'sofa' at .* overlaps walls.outer",
+    ),
+    "in an inner wall": (
+        lambda body: body["walls"].update(inner=[{"start": [2.0, 0.0], "end": [2.0, 5.0]}]),
+        "'table_01' at .* overlaps a wall of walls.inner",
+    ),
+    "no walls": (lambda body: body.pop("walls"), "field 'walls' is missing: a home has walls"),
+    "no outer walls": (
+        lambda body: body["walls"].pop("outer"),
+        r"home\.walls: field 'outer' is missing",
+    ),
+    "unknown material": (setting("walls", outer="wall_whit"), "unknown material 'wall_whit'"),
+    "small floor": (setting("floor", size=[0.5, 5.0]), r"floor\.size: 0\.5 is out of the range"),
+    "huge floor": (setting("floor", size=[6.0, 1e9]), r"floor\.size: 1e\+09 is out of the range"),
+    "thick walls": (setting("walls", thickness=3.0), r"walls\.thickness: 3 is out of the range"),
+    "outside": (
+        furniture({"kind": "sofa", "at": [9.0, 2.0]}),
+        "furniture 'sofa', x of at: 9 is out of the range 0 to 6",
+    ),
+    "turned too far": (
+        furniture({"kind": "sofa", "at": [4.0, 1.0], "yaw_degrees": 5000}),
+        "yaw_degrees: 5000 is out of the range",
+    ),
+    "not a number": (
+        furniture({"kind": "sofa", "at": [4.0, "left"]}),
+        r"home\.furniture\[2\]\.at\[1\]: expected a number, got 'left'",
+    ),
+    "unknown field": (
+        furniture({"kind": "sofa", "at": [4.0, 1.0], "color": "red"}),
+        r"home\.furniture\[2\]: unknown field 'color'; fields are kind, at, yaw_degrees",
+    ),
+    "two fridges": (
+        furniture({"kind": "fridge", "at": [4.0, 0.4]}, {"kind": "fridge", "at": [4.0, 4.6]}),
+        "'fridge' stands 2 times; a home may have one of each kind",
+    ),
+    "doorway beyond the wall": (
+        lambda body: body["walls"].update(
+            inner=[{"start": [4.0, 0.0], "end": [4.0, 2.0], "doorways": [[1.5, 2.5]]}]
+        ),
+        r"walls\.inner\[0\]: doorways must be in order between 0 and the length of the wall, 2\.00 m",
+    ),
+    "receptacle of nothing": (
+        lambda body: body.update(receptacles=[{"furniture": "sofa", "name": "seat"}]),
+        r"receptacles\[0\]\.name|no furniture of this home",
+    ),
+    "receptacle that is not there": (
+        lambda body: body.update(receptacles=[{"furniture": "table_01", "name": "drawer"}]),
+        r"'table_01' has no receptacle 'drawer' \(it has: top\); a new one needs center and half",
+    ),
+    "receptacle of another shape": (
+        lambda body: body.update(
+            receptacles=[
+                {"furniture": "table_01", "name": "top", "center": [0, 0, 1], "half": [0.1, 0.1]}
+            ]
+        ),
+        "'table_01' has another receptacle 'top' already",
+    ),
+    "receptacle without end": (
+        lambda body: body.update(
+            receptacles=[
+                {"furniture": "table_01", "name": "x", "center": [0, 0, 1], "half": [1e6, 0.1]}
+            ]
+        ),
+        r"half: 1e\+06 is out of the range",
+    ),
+    "receptacle out of reach": (
+        lambda body: (
+            body["walls"].update(inner=[{"start": [4.0, 0.0], "end": [4.0, 5.0]}]),
+            body["furniture"].append({"kind": "table_02", "at": [5.0, 1.0]}),
+        ),
+        "'top' of 'table_0[12]', which plays the role '.*', is .* m from where a robot can stand",
+    ),
+    "no room": (
+        setting("floor", size=[1.9, 5.0]),
+        "furniture 'chest_of_drawers', x of at: 5.75 is out of the range",
+    ),
+    "another format": (lambda body: body.update(format="home"), "field 'format' must be"),
+    "bad name": (lambda body: body.update(name="../room"), r"home\.name: '\.\./room' is no name"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_files_name_the_file_and_what_is_wrong(tmp_path: Path, case: str) -> None:
+    change, message = BAD[case]
+    path = room(tmp_path, change)
+    with pytest.raises(UsageError, match=message) as caught:
+        home_pack(path)
+    assert str(path) in str(caught.value)
+
+
+def test_broken_and_missing_files(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"none\.json: cannot be read"):
+        home_pack(tmp_path / "none.json")
+    (tmp_path / "cut.json").write_text("{")
+    with pytest.raises(UsageError, match=r"cut\.json: not valid JSON"):
+        home_pack(tmp_path / "cut.json")
+    (tmp_path / "empty.py").write_text("")
+    with pytest.raises(UsageError, match=r"empty\.py: has no variable HOME"):
+        home_pack(tmp_path / "empty.py")
+    with pytest.raises(UsageError, match="needs at least one home file"):
+        home_pack()
+
+
+def test_home_of_an_environment_may_be_a_file(tmp_path: Path) -> None:
+    path = str(room(tmp_path))
+    config = EnvConfig(task="tidy_house", home=path)
+    assert (config.assets, config.home) == (path, "*")
+    with pytest.raises(UsageError, match="is a file, which is a pack of its own: leave out assets"):
+        EnvConfig(task="tidy_house", home=path, assets="data")

@@ -1,0 +1,165 @@
+"""Specs of subtasks and tasks: what is refused, and that an unknown kind is an error wherever one comes up."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mjhab
+from mjhab.core.errors import UsageError
+from mjhab.tasks.events import edge_events
+from mjhab.tasks.household.registry import TASKS, task_with
+from mjhab.tasks.household.spec import TargetRule, TaskSpec
+from mjhab.tasks.label_state import WATCHED, fold
+from mjhab.tasks.labels import label
+from mjhab.tasks.legacy import legacy_label
+from mjhab.tasks.plan import Subtask, SubtaskKind
+from mjhab.tasks.rewards import DenseReward, reward_table
+from mjhab.tasks.subtasks.pick import PICK
+from mjhab.tasks.subtasks.registry import (
+    SUBTASKS,
+    name_of,
+    number_of,
+    properties,
+    register_subtask,
+    spec_of,
+)
+from mjhab.tasks.subtasks.spec import LabelRule, SubtaskSpec
+from tests.tasks.build import CONFIG, history
+
+SPARE: dict[str, Any] = {
+    "words": ("stare at {object}",),
+    "conditions": ("is_static", "force_ok"),
+    "label_rules": (
+        LabelRule("stare_success", lambda s: s.ever("success")),
+        LabelRule("stare_failure"),
+    ),
+    "start": "mjhab.episodes.starts.pick:START",
+}
+"""All that a subtask needs but a name."""
+
+
+@pytest.fixture
+def stare() -> Iterator[SubtaskSpec]:
+    """A subtask of the calling program, without reward, expert and published labels."""
+    spec = register_subtask(SubtaskSpec(name="stare", **SPARE))
+    yield spec
+    SUBTASKS.remove("stare")
+
+
+def test_numbers_are_those_of_the_original() -> None:
+    assert [number_of(kind.name.lower()) for kind in SubtaskKind] == list(SubtaskKind)
+    assert [name_of(kind) for kind in SubtaskKind] == list(SUBTASKS)
+    for name, spec in zip(SUBTASKS, SUBTASKS.values(), strict=True):
+        assert spec.name == name
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"label_rules": ()}, "subtask 'stare' has no label_rules;"),
+        ({"conditions": ()}, "has no conditions;"),
+        ({"conditions": (), "label_rules": ()}, "has no conditions and no label_rules;"),
+        ({"words": (), "start": None}, "has no words and no start;"),
+        ({"conditions": ("is_statik",)}, "Did you mean 'is_static'"),
+        ({"events": ("sucess",)}, "Did you mean 'success'"),
+        ({"edges": {"success": "+sucess"}}, "edge of subtask 'stare'"),
+        ({"edges": {"stared": "+success"}}, "unknown event of subtask 'stare' 'stared'"),
+        ({"shows": ("goals",)}, "Did you mean 'goal'"),
+        ({"measures": {"at_gaol": max}}, "Did you mean 'at_goal'"),
+        ({"color": "red"}, "like '#3b82f6'"),
+        ({"about": "thing"}, "about of subtask 'stare'"),
+        ({"label_rules": SPARE["label_rules"][:1]}, "must be without a condition"),
+        ({"label_rules": SPARE["label_rules"][::-1]}, "must be without a condition"),
+        ({"label_rules": (SPARE["label_rules"][0], LabelRule("stare_success"))}, "a label twice"),
+        ({"name": "Stare!"}, "lower-case"),
+    ],
+)
+def test_a_subtask_that_lacks_something_is_refused(changes: dict[str, Any], said: str) -> None:
+    with pytest.raises(UsageError) as error:
+        SubtaskSpec(**{"name": "stare", **SPARE, **changes})
+    assert said in str(error.value)
+
+
+def test_two_subtasks_or_tasks_of_one_name_are_refused() -> None:
+    with pytest.raises(UsageError, match="subtask 'pick' is registered twice"):
+        mjhab.register_subtask(PICK)
+    with pytest.raises(UsageError, match="task 'set_table' is registered twice"):
+        mjhab.register_task(TASKS["set_table"])
+
+
+def test_what_a_spec_leaves_out_is_told_when_it_is_asked_for(stare: SubtaskSpec) -> None:
+    kind = number_of("stare")
+    assert spec_of(kind) is stare and kind == len(SubtaskKind)
+    assert legacy_label(kind, ["success"], True) is None
+    assert DenseReward(CONFIG).score is not None
+    with pytest.raises(UsageError, match="'stare' has no dense reward"):
+        DenseReward(CONFIG, kinds=["stare"])
+    with pytest.raises(UsageError, match="'stare' has no dense reward"):
+        reward_table("stare")
+    with pytest.raises(UsageError, match="no task has the subtask 'stare'"):
+        task_with("stare")
+    with pytest.raises(UsageError, match="'stare' belongs to: no task"):
+        mjhab.make(task="set_table", subtask="stare")
+    kinds = np.array([kind, -1, 2])
+    assert properties(kinds, "navigates", "may_hold").tolist() == [[False, False, True]] * 2
+
+
+def test_tables_grow_and_shrink_with_the_registry() -> None:
+    spec = register_subtask(SubtaskSpec(name="stare", **SPARE))
+    assert properties(np.array([5]), "jointed").shape == (1, 1) and spec.name in SUBTASKS
+    SUBTASKS.remove("stare")
+    with pytest.raises(UsageError, match="no subtask with the number 5"):
+        properties(np.array([5]), "jointed")
+
+
+UNKNOWN: dict[str, Callable[[], object]] = {
+    "name": lambda: name_of(5),
+    "spec": lambda: spec_of(-1),
+    "target": lambda: Subtask(7, "bowl").target,
+    "label": lambda: label(fold(history(steps=2)), np.array([5])),
+    "events": lambda: edge_events(np.array([5]), *np.zeros((2, len(WATCHED), 1), bool)),
+    "legacy": lambda: legacy_label(5, [], False),
+    "reward": lambda: reward_table("pik"),
+    "task": lambda: mjhab.make(task="set_tabel"),
+    "subtask": lambda: mjhab.make(task="set_table", subtask="clos"),
+}
+
+
+@pytest.mark.parametrize("where", UNKNOWN)
+def test_an_unknown_kind_is_an_error(where: str) -> None:
+    with pytest.raises(UsageError, match=r"no subtask with the number|Did you mean"):
+        UNKNOWN[where]()
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"targets": ()}, "task 'idle' has no targets;"),
+        ({"words": (), "targets": ()}, "has no words and no targets;"),
+        ({"name": "no name"}, "lower-case"),
+    ],
+)
+def test_a_task_that_lacks_something_is_refused(changes: dict[str, Any], said: str) -> None:
+    rule = TargetRule(start=("sink",), goal=("sink",))
+    with pytest.raises(UsageError, match=said):
+        TaskSpec(**{"name": "idle", "words": ("idle",), "targets": (rule,), **changes})
+
+
+def test_a_rule_that_opens_names_the_link() -> None:
+    rule = TASKS["set_table"].targets[0]
+    with pytest.raises(UsageError, match="needs the role of the link"):
+        replace(rule, link="")
+    with pytest.raises(UsageError, match="Did you mean 'start'"):
+        replace(rule, opens="strat")  # type: ignore[arg-type]
+
+
+def test_a_plan_with_an_unknown_subtask_is_refused_when_it_is_registered() -> None:
+    rule = TargetRule(("sink",), ("sink",), chain=lambda target: [Subtask(number_of("hop"))])
+    with pytest.raises(UsageError, match="unknown subtask 'hop'"):
+        mjhab.register_task(TaskSpec(name="hopping", words=("hop",), targets=(rule,)))
+    assert "hopping" not in TASKS

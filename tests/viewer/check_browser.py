@@ -1,0 +1,192 @@
+"""The viewer in a real browser: run by `make test-browser`, not by pytest, since it needs Chromium.
+
+Opens recorded episodes, running worlds and an exported page in headless Chromium; asks for a picture that is not empty,
+a time line that moves the robot, keys that drive it; measures first frame and frame rate. Prints one line of JSON.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+import mjhab
+from mjhab.evaluation.evaluate import EvalSpec
+from mjhab.viewer.export.page import MAX_BYTES, export_page
+from mjhab.viewer.pages.app import Viewer
+from mjhab.viewer.sources.hand import HUMAN
+from mjhab.viewer.sources.live import LiveSession
+from mjhab.viewer.sources.pace import Pace
+from mjhab.viewer.sources.replay import Replay
+from mjhab.viewer.sources.source import Source
+from tests.viewer.browser import Browser, find_browser, wait_for
+
+WORLDS = (1, 4, 16)
+MEASURE_SECONDS = 8.0
+MIN_CHANGED_PX = 500
+COLORS_OF_A_PICTURE = 200
+COLORS_OF_A_HOME = 2000
+PATIENCE_SECONDS = 180.0
+
+
+def main(out: Path) -> int:
+    """Run all checks; pictures go to the folder ``out``."""
+    if find_browser() is None:
+        print("no Chromium is installed: apt install chromium", file=sys.stderr)
+        return 1
+    out.mkdir(parents=True, exist_ok=True)
+    shards = out / "shards"
+    if not shards.is_dir():
+        mjhab.generate(
+            "expert", out=shards, subtask="pick", episodes=1, worlds=1, reward_mode="dense"
+        )
+    told: dict[str, Any] = {"export": check_export(shards, out)}
+    check_replay(shards, out)
+    check_hand(out)
+    told["worlds"] = {str(worlds): measure(worlds, out) for worlds in WORLDS}
+    print(json.dumps(told))
+    return 0
+
+
+def shoot(browser: Browser, file: Path) -> np.ndarray:
+    """A picture that is not empty, kept in a file."""
+    picture = browser.picture()
+    Image.fromarray(picture).save(file)
+    colors = len(np.unique(picture.reshape(-1, 3), axis=0))
+    assert colors > COLORS_OF_A_PICTURE, f"{file} has {colors} colours: nothing is drawn"
+    return picture
+
+
+def changed(a: np.ndarray, b: np.ndarray) -> int:
+    """Pixels that differ visibly."""
+    return int((np.abs(a.astype(int) - b.astype(int)).max(axis=2) > 24).sum())
+
+
+def check_export(shards: Path, out: Path) -> dict[str, Any]:
+    """The exported page shows the episode, and its time line moves the robot."""
+    replay = Replay(shards)
+    done = export_page(replay, replay.choices[0], out / "episode.html")
+    replay.close()
+    assert done.bytes <= MAX_BYTES
+    with Browser(f"file://{done.file.resolve()}") as browser:
+        wait_for(lambda: browser.run("window.episode && episode.frames"), 30.0)
+        time.sleep(1.0)
+        first = shoot(browser, out / "page_first.png")
+        before = browser.run("episode.robot()")
+        box = browser.run("(b => [b.left, b.top, b.width, b.height])(line.getBoundingClientRect())")
+        x, y = box[0] + 0.5 * box[2], box[1] + 0.5 * box[3]
+        for kind in ("mousePressed", "mouseReleased"):
+            browser.call(
+                "Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1
+            )
+        time.sleep(1.0)
+        moved = math.dist(before, browser.run("episode.robot()"))
+        assert moved > 0.02, f"the time line moved the hand by {moved:.3f} m"
+        assert changed(first, shoot(browser, out / "page_middle.png")) > MIN_CHANGED_PX
+    return {"bytes": done.bytes, "frames": done.frames}
+
+
+def opened(source: Source) -> tuple[Viewer, Browser]:
+    viewer = Viewer(source, port=0)
+    viewer.start()
+    return viewer, Browser(f"http://localhost:{viewer.port}")
+
+
+def wait_for_picture(viewer: Viewer, browser: Browser) -> None:
+    """Wait until the home is drawn; on a busy processor without a GPU that takes a while."""
+
+    def drawn() -> bool:
+        assert not viewer.problem and not viewer.source.problem, (
+            viewer.problem or viewer.source.problem
+        )
+        colors = len(np.unique(browser.picture().reshape(-1, 3), axis=0))
+        return bool(viewer.clients) and viewer.frames > 10 and colors > COLORS_OF_A_HOME
+
+    wait_for(drawn, PATIENCE_SECONDS)
+
+
+def check_replay(shards: Path, out: Path) -> None:
+    """A recorded episode shows, and the slider of its time line moves the robot."""
+    viewer, browser = opened(Replay(shards))
+    with browser:
+        wait_for_picture(viewer, browser)
+        viewer.playhead.play(False)
+        track = viewer.source.track
+        assert track is not None
+        pictures = []
+        for step in (0, track.last // 2):
+            viewer.playhead.scrub(step)
+            time.sleep(3.0)
+            pictures.append(shoot(browser, out / f"replay_{step}.png"))
+        assert changed(*pictures) > MIN_CHANGED_PX
+        scrub_to_end(browser)
+        wait_for(lambda: viewer.playhead.step == track.last, 10.0)
+    viewer.close()
+
+
+def scrub_to_end(browser: Browser) -> None:
+    """Move the slider of the time line to its end, with the keyboard."""
+    found = browser.run(
+        "(() => { const all = document.querySelectorAll('[role=slider]'); const last = all[all.length - 1];"
+        " if (last) last.focus(); return all.length; })()"
+    )
+    assert found, "the time line has no slider"
+    browser.press("End", "End", down=True)
+    browser.press("End", "End", down=False)
+
+
+def check_hand(out: Path) -> None:
+    """Keys in the page drive the robot; closing the page stops it; what was driven is in the shard."""
+    shard = out / "by_hand.h5"
+    shard.unlink(missing_ok=True)
+    spec = EvalSpec(policy=HUMAN, subtask="pick", worlds=1, episodes=1)
+    session = LiveSession(spec, 0, Pace(), shard=shard)
+    viewer, browser = opened(session)
+    with browser:
+        wait_for_picture(viewer, browser)
+        wait_for(lambda: session.hand_drives, 10.0)
+        assert session.env is not None
+        view = session.env.view(0)
+        yaw = view.q[2]
+        browser.press("KeyA", "a", down=True)
+        wait_for(lambda: abs(view.q[2] - yaw) > 0.3, 20.0)
+        browser.press("KeyA", "a", down=False)
+        shoot(browser, out / "by_hand.png")
+    wait_for(lambda: not session.pace.playing, 10.0)
+    viewer.close()
+    (episode,) = Replay(shard).choices
+    assert episode, "nothing was recorded"
+
+
+def measure(worlds: int, out: Path) -> dict[str, float]:
+    """Seconds until the first frame, and frames per second, of so many running worlds."""
+    spec = EvalSpec(policy="random", subtask="pick", worlds=worlds, episodes=worlds)
+    begun = time.perf_counter()
+    session = LiveSession(spec, 0, Pace(), hold_at_end=False)
+    viewer, browser = opened(session)
+    with browser:
+        wait_for_picture(viewer, browser)
+        shown = time.perf_counter() - begun
+        frames, steps, at = viewer.frames, session.steps, time.perf_counter()
+        time.sleep(MEASURE_SECONDS)
+        spent = time.perf_counter() - at
+        rate = (viewer.frames - frames) / spent
+        stepped = (session.steps - steps) / spent
+        shoot(browser, out / f"live_{worlds}.png")
+    viewer.close()
+    return {
+        "first_frame_sent_s": round(viewer.first_frame_at - begun, 2),
+        "first_picture_in_chromium_s": round(shown, 2),
+        "frames_per_s": round(rate, 1),
+        "control_steps_per_s": round(stepped, 1),
+    }
+
+
+if __name__ == "__main__":
+    sys.exit(main(Path(sys.argv[1])))

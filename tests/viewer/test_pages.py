@@ -1,0 +1,170 @@
+from __future__ import annotations
+
+import json
+import shutil
+import socket
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
+
+from mjhab.core.errors import UsageError
+from mjhab.data.store.shard import ShardWriter
+from mjhab.viewer.pages.app import Viewer
+from mjhab.viewer.pages.gateway import HAND_PATH
+from mjhab.viewer.sources.replay import Replay
+from tests.viewer.conftest import STEPS
+
+
+@pytest.fixture(scope="module")
+def viewer(shard: Path) -> Iterator[Viewer]:
+    """A viewer of recorded episodes whose frames are asked for by hand."""
+    made = Viewer(Replay(shard), port=0, cameras=False)
+    made.source.start()
+    yield made
+    made.close()
+
+
+def robot_positions(viewer: Viewer) -> np.ndarray:
+    return np.array([placed.node.position for placed in viewer.stage._placed[:10]])
+
+
+def test_a_scrubbed_time_line_moves_the_robot(viewer: Viewer) -> None:
+    seen = []
+    for step in (0, STEPS, 0):
+        viewer.playhead.scrub(step)
+        assert viewer.frame(0.02) is not None
+        seen.append(robot_positions(viewer))
+    assert np.abs(seen[0] - seen[1]).max() > 0.01
+    np.testing.assert_array_equal(seen[0], seen[2])
+
+
+def test_only_what_moves_is_sent(viewer: Viewer) -> None:
+    viewer.playhead.scrub(3)
+    viewer.frame(0.02)
+    before = viewer.stage.sent
+    viewer.frame(0.02)
+    assert viewer.stage.sent == before
+    viewer.playhead.scrub(4)
+    viewer.frame(0.02)
+    assert 0 < viewer.stage.sent - before < 2 * len(viewer.stage._placed)
+
+
+def test_time_passes_and_ends(viewer: Viewer) -> None:
+    viewer.playhead.scrub(0)
+    viewer.playhead.play(True)
+    viewer.frame(0.1)
+    assert viewer.playhead.now == pytest.approx(2.0)
+    viewer.source.pace.set_speed(0.5)
+    viewer.frame(0.1)
+    assert viewer.playhead.now == pytest.approx(3.0)
+    viewer.playhead.step_once()
+    assert (viewer.playhead.now, viewer.playhead.playing) == (4.0, False)
+    viewer.source.pace.set_speed(1.0)
+    viewer.playhead.play(True)
+    viewer.frame(60.0)
+    assert (viewer.playhead.step, viewer.playhead.playing) == (STEPS, False)
+    viewer.playhead.play(True)
+    assert viewer.playhead.now == 0.0
+
+
+def test_panels_tell_of_the_state(viewer: Viewer) -> None:
+    viewer.playhead.scrub(STEPS)
+    viewer.frame(0.02)
+    viewer._fill_panels()
+    track = viewer.source.track
+    assert track is not None and track.last == STEPS
+    assert f"{track.moments[STEPS].reward:.3f}" in viewer.panels._terms.content
+    assert "cumulative force" in viewer.panels._gauges.content
+    assert int(viewer.panels._slider.value) == STEPS == viewer.panels._slider.max
+    other = viewer.source.choices[1]
+    viewer.source.choose(other)
+    viewer.frame(0.02)
+    assert viewer.source.track is viewer.playhead.track is not track
+
+
+def test_an_episode_that_cannot_be_shown_is_told_in_the_page(
+    viewer: Viewer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(title: str) -> None:
+        raise UsageError("its asset pack is not here")
+
+    monkeypatch.setattr(viewer.source, "load", refuse)
+    viewer.source.choose(viewer.source.choices[0])
+    viewer._fill_panels()
+    assert "asset pack is not here" in viewer.panels._problem.content
+    assert viewer.panels._problem.visible
+    monkeypatch.undo()
+    viewer.source.choose(viewer.source.choices[0])
+    viewer._fill_panels()
+    assert not viewer.panels._problem.visible
+
+
+def get(viewer: Viewer, path: str) -> bytes:
+    with urllib.request.urlopen(f"http://localhost:{viewer.port}{path}") as answer:
+        return answer.read()
+
+
+def test_one_port_serves_the_page_with_our_script(viewer: Viewer) -> None:
+    page = get(viewer, "/")
+    assert b"<html" in page and b"mjhab/hand" in page
+    with pytest.raises(urllib.error.HTTPError, match="404"):
+        get(viewer, "/nothing")
+
+
+def until(holds: Callable[[], Any], seconds: float = 5.0) -> None:
+    end = time.monotonic() + seconds
+    while not holds() and time.monotonic() < end:
+        time.sleep(0.01)
+    assert holds()
+
+
+def test_messages_of_viser_pass(viewer: Viewer) -> None:
+    import viser
+
+    url = f"ws://localhost:{viewer.port}/"
+    protocol: Any = f"viser-v{viser.__version__}"
+    with connect(url, subprotocols=[protocol], compression=None, max_size=1 << 26) as page:
+        assert page.subprotocol == protocol
+        assert len(page.recv(timeout=5.0)) > 100
+
+
+def test_pages_of_other_sites_cannot_connect(viewer: Viewer) -> None:
+    url = f"ws://localhost:{viewer.port}{HAND_PATH}"
+    with pytest.raises(InvalidStatus, match="403"):
+        connect(url, origin="http://elsewhere.example")  # type: ignore[arg-type]
+    with connect(url, origin=f"http://localhost:{viewer.port}") as page:  # type: ignore[arg-type]
+        assert isinstance(json.loads(page.recv(timeout=5.0)), dict)
+
+
+def test_a_shard_that_is_being_written_shows_what_it_has(shard: Path, tmp_path: Path) -> None:
+    (found,) = shard.glob("*.h5")
+    copy = tmp_path / "copy.h5"
+    shutil.copy(found, copy)
+    with ShardWriter(copy):
+        replay = Replay(copy)
+        assert replay.load(replay.choices[0]).last == STEPS
+        replay.close()
+
+
+def test_a_port_in_use_gives_way_to_the_next(shard: Path) -> None:
+    with closing(socket.create_server(("localhost", 0))) as taken:
+        port = taken.getsockname()[1]
+        made = Viewer(Replay(shard), port=port, cameras=False)
+        try:
+            assert port < made.port <= port + 20
+        finally:
+            made.close()
+
+
+def test_a_host_that_is_not_ours_is_refused(shard: Path) -> None:
+    with pytest.raises(UsageError, match=r"192\.0\.2\.1.*Give another"):
+        Viewer(Replay(shard), host="192.0.2.1", port=0, cameras=False)

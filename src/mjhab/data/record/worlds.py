@@ -46,6 +46,11 @@ class Views(Protocol):
         ...
 
     @property
+    def cameras(self) -> Sequence[str]:
+        """Names of the cameras that see."""
+        ...
+
+    @property
     def size(self) -> tuple[int, int]:
         """(height, width) of the pictures [px]."""
         ...

@@ -9,10 +9,8 @@ import numpy as np
 
 from mjhab.core.rotations import frame_from_axes
 from mjhab.envs.parts.world_view import WorldView
-from mjhab.episodes.grasps.candidates import Gripper
 from mjhab.experts.arm import motion
 
-HAND = Gripper()
 STAND_OFF_M = 0.75
 DRIVE_FROM_M = 0.9
 """How far from the middle of the way the base stops; it drives only if it is further away than the second."""
@@ -66,11 +64,12 @@ def stroke(view: WorldView, obj: str, goal: np.ndarray) -> Script:
     """One sweep from behind the object to its goal."""
     pos = view.object_pose(obj)[:3]
     half = np.array(view.object_type(obj).half)
+    hand = view.robot.gripper
     way = (goal - pos)[:2]
     ahead = np.array([*(way / np.linalg.norm(way)), 0.0])
     rot = hand_rotation(view, pos, ahead)
-    height = pos[2] - half[2] + HAND.finger[0] + FLOOR_GAP_M
-    behind = float(np.hypot(half[0], half[1])) + HAND.finger[1]
+    height = pos[2] - half[2] + hand.finger[0] + FLOOR_GAP_M
+    behind = float(np.hypot(half[0], half[1])) + hand.finger[1]
     begin = np.array([*(pos - (behind + GAP_M) * ahead)[:2], height])
     end = np.array([*(goal - behind * ahead)[:2], height])
     lift = np.array([0.0, 0.0, LIFT_M])

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from mjhab.evaluation.evaluate import evaluate
     from mjhab.evaluation.generate import generate
     from mjhab.experts import make_expert
+    from mjhab.robots.registry import register_robot
     from mjhab.scenes.home_files import home_pack
     from mjhab.scenes.object_glb import object_from_glb
     from mjhab.scenes.objects import ObjectModel, register_object
@@ -47,6 +48,7 @@ __all__ = [
     "open_pack",
     "register_object",
     "register_pack",
+    "register_robot",
     "register_subtask",
     "register_task",
 ]
@@ -63,6 +65,7 @@ _LAZY = {
     "generate": "mjhab.evaluation.generate",
     "make": "mjhab.envs",
     "make_train": "mjhab.envs",
+    "register_robot": "mjhab.robots.registry",
     "make_expert": "mjhab.experts",
     "open_pack": "mjhab.scenes.packs",
     "home_pack": "mjhab.scenes.home_files",

@@ -28,7 +28,9 @@ def test_envs_list_and_describe(capsys: pytest.CaptureFixture[str]):
         "task": "set_table",
         "subtask": None,
         "plugin": "",
+        "robot": "fetch",
     }
+    assert {env["robot"] for env in found["envs"]} == {"fetch"}
     assert found["envs"][6]["subtask"] == "close" and found["envs"][6]["task"] == "set_table"
     code, found = run(
         capsys,

@@ -138,7 +138,7 @@ def test_worlds_that_do_not_fit_the_device_are_refused(monkeypatch: pytest.Monke
     # Larger pictures leave room for fewer; one camera takes half of two.
     with pytest.raises(UsageError):
         memory.check_device_memory(most, "rgbd", (256, 128))
-    memory.check_device_memory(most, "rgbd", (256, 128), cameras=["fetch_head"])
+    memory.check_device_memory(most, "rgbd", (256, 128), cameras=1)
     probe.free_mb = lambda opened: 10.0
     with pytest.raises(UsageError, match="Not even one fits"):
         memory.check_device_memory(1)

@@ -17,7 +17,7 @@ from mjhab.core.errors import UsageError
 from mjhab.data.record.provenance import describe_run
 from mjhab.envs.wrappers import FrameStack
 from mjhab.experts import make_expert
-from mjhab.robots.fetch.model import REST_QPOS
+from mjhab.robots.fetch.robot import ROBOT
 from mjhab.tasks.subtasks.registry import force_limits, limits_of, number_of
 from mjhab.tasks.subtasks.registry import horizons as horizons_of
 
@@ -71,7 +71,7 @@ def test_profiles_set_their_values_at_once() -> None:
 def test_horizons_are_those_of_training_and_of_evaluation(
     build: Any, subtask: str, horizons: tuple[int, ...]
 ) -> None:
-    limits = task_config(build(profile="ms_hab", task="set_table", subtask=subtask), REST_QPOS)
+    limits = task_config(build(profile="ms_hab", task="set_table", subtask=subtask), ROBOT)
     judged = number_of(subtask) if subtask else slice(None)
     assert np.all(np.array(horizons_of(limits))[judged] == np.array(horizons)[judged])
     assert (
@@ -139,7 +139,7 @@ def test_what_agrees_or_is_not_fixed_may_be_given() -> None:
 )
 def test_unknown_values_list_the_valid_ones(options: dict[str, Any], words: str) -> None:
     with pytest.raises(UsageError, match=words):
-        task_config(EnvConfig(**options), REST_QPOS)
+        task_config(EnvConfig(**options), ROBOT)
 
 
 def test_environments_take_profiles_in_every_way_they_are_made() -> None:

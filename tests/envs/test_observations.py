@@ -16,17 +16,17 @@ import mjhab.envs as envs
 from mjhab.core.errors import UsageError
 from mjhab.core.rotations import mat_from_quat
 from mjhab.envs.observations import (
-    CAMERA_KEYS,
-    STATE_TABLE,
     Views,
     image_size,
     intrinsic_matrix,
     mode_outputs,
     observation_table,
+    state_table,
 )
 from mjhab.envs.parts.observing import Observer
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.robots.fetch.model import BASE_HEIGHT
+from mjhab.robots.fetch.robot import ROBOT
 from mjhab.sim.protocol import SimState
 
 WORLDS = 2
@@ -97,12 +97,12 @@ def to_world(env: SequentialTaskEnv, world: int, points: np.ndarray) -> np.ndarr
 @pytest.mark.parametrize(
     ("mode", "cameras", "size", "images"),
     [
-        ("state", CAMERA_KEYS, 128, ()),
-        ("depth", CAMERA_KEYS, 16, ("depth",)),
+        ("state", ROBOT.camera_names, 128, ()),
+        ("depth", ROBOT.camera_names, 16, ("depth",)),
         ("rgb", "fetch_head", 16, ("rgb",)),
         ("rgbd+seg", ("fetch_hand",), (8, 24), ("depth", "rgb", "seg")),
         ("pointcloud", ("fetch_hand", "fetch_head"), (16, 8), ()),
-        ("seg+pointcloud", CAMERA_KEYS, 8, ("seg",)),
+        ("seg+pointcloud", ROBOT.camera_names, 8, ("seg",)),
     ],
 )
 def test_every_mode_fills_its_space_and_describes_it(env, mode, cameras, size, images):
@@ -129,7 +129,7 @@ def test_every_mode_fills_its_space_and_describes_it(env, mode, cameras, size, i
 
 def test_the_state_is_the_same_bits_in_every_mode(env):
     plain = look(env, Observer(env.sim, env.sensing))
-    assert list(plain) == [entry.key for entry in STATE_TABLE] + ["state"]
+    assert list(plain) == [entry.key for entry in state_table(ROBOT)] + ["state"]
     rich = look(env, Observer(env.sim, env.sensing, "rgbd", size=8, threads=1))
     for key, array in plain.items():
         assert array.tobytes() == rich[key].tobytes()
@@ -227,7 +227,7 @@ def test_camera_poses_are_those_of_the_cameras_of_the_model(env):
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_camlight(model, data)
-        for camera in CAMERA_KEYS:
+        for camera in ROBOT.camera_names:
             pose = obs[f"sensor_param/{camera}/cam2world_gl"][world]
             np.testing.assert_allclose(pose[:3, 3], data.cam(camera).xpos, atol=1e-5)
             np.testing.assert_allclose(pose[:3, :3], data.cam(camera).xmat.reshape(3, 3), atol=1e-5)
@@ -237,13 +237,13 @@ def test_camera_poses_are_those_of_the_cameras_of_the_model(env):
 
 
 def test_intrinsics_come_from_the_vertical_field_of_view():
-    matrix = intrinsic_matrix("fetch_head", (64, 96))
+    matrix = intrinsic_matrix(ROBOT, "fetch_head", (64, 96))
     # 2 rad from the lowest to the highest row (mshab: fov of both Fetch cameras).
     assert 2 * np.arctan(32 / matrix[1, 1]) == pytest.approx(2.0)
     np.testing.assert_allclose(matrix, [[matrix[1, 1], 0, 48], [0, matrix[1, 1], 32], [0, 0, 1]])
 
 
-@pytest.mark.parametrize("camera", CAMERA_KEYS)
+@pytest.mark.parametrize("camera", ROBOT.camera_names)
 def test_points_of_an_object_project_onto_its_segment_at_its_depth(env, camera):
     observer = Observer(env.sim, env.sensing, "depth+seg", camera, (96, 160), threads=1)
     state, slot, pos, mat = before_camera(env, camera)
@@ -312,12 +312,17 @@ def synthetic(depth: np.ndarray, base: tuple[float, float, float]) -> Views:
     intrinsic = np.array([[2.0, 0, 2], [0, 2, 1], [0, 0, 1]])
     images = {"depth": depth.astype(np.float32)[None, None]}
     return Views(
-        images, np.array([[[1.0, 2.0, 1.5]]]), mat[None, None], np.array([base]), intrinsic[None]
+        ROBOT,
+        images,
+        np.array([[[1.0, 2.0, 1.5]]]),
+        mat[None, None],
+        np.array([base]),
+        intrinsic[None],
     )
 
 
 def row_of(key: str):
-    table = observation_table(("depth", "pointcloud"), ("fetch_head",), (2, 4))
+    table = observation_table(ROBOT, ("depth", "pointcloud"), ("fetch_head",), (2, 4))
     return next(entry for entry in table if entry.key == key)
 
 

@@ -12,24 +12,25 @@ import pytest
 
 from mjhab.core.errors import UsageError
 from mjhab.envs.parts.rewarding import GoalDistance, Rewarder, RewardInputs, straight_distance
-from mjhab.robots.fetch.model import FETCH_JOINTS, JOINT_LIMITS, REST_QPOS
+from mjhab.robots.fetch.model import REST_QPOS
+from mjhab.robots.fetch.robot import ROBOT
 from mjhab.tasks.measure import active_entries, measure
 from mjhab.tasks.plan import Subtask, SubtaskKind, TaskPlan, stack_plans
 from mjhab.tasks.progress import start
 from mjhab.tasks.rewards import RewardOptions
-from mjhab.tasks.thresholds import TaskConfig
-from tests.tasks.build import resting, squeeze
+from tests.tasks.build import config_of, resting, squeeze
 
 PICK, PLACE, NAVIGATE, OPEN, CLOSE = range(5)
-CONFIG = TaskConfig(rest_qpos=REST_QPOS)
+CONFIG = config_of(REST_QPOS)
 GOAL = (1.0, 0.0, 0.5)
 HANDLE = np.array([0.5, 0.4, 1.27])
 """0.4 m from the tool centre at rest."""
 LAYOUT: Any = SimpleNamespace(
+    robot=ROBOT,
     links=[
         SimpleNamespace(link=SimpleNamespace(joint="hinge")),
         SimpleNamespace(link=SimpleNamespace(joint="slide")),
-    ]
+    ],
 )
 SENSING: Any = SimpleNamespace(handle_pos=lambda state, world, link: state.handles[world, link])
 
@@ -151,7 +152,7 @@ def test_modes() -> None:
 
 def test_the_real_torso_reaches_the_normaliser_almost() -> None:
     # The torso rests at 0.386 m of 0.386 15, so posture and height are never both at their best.
-    top = JOINT_LIMITS[FETCH_JOINTS.index("torso_lift_joint")][1]
+    top = ROBOT.joint_limits[ROBOT.joints.index("torso_lift_joint")][1]
     lost = 2 * (1 - REST_QPOS[3] / top)
     reward, _ = rewarder(1).step(inputs_of([PLACE], obj=GOAL))
     assert reward[0] == pytest.approx(44 - lost) and lost < 0.001
@@ -161,7 +162,7 @@ def test_the_real_torso_reaches_the_normaliser_almost() -> None:
 
 
 def test_the_torso_is_not_clipped_where_published() -> None:
-    top = JOINT_LIMITS[FETCH_JOINTS.index("torso_lift_joint")][1]
+    top = ROBOT.joint_limits[ROBOT.joints.index("torso_lift_joint")][1]
     above = np.array(REST_QPOS)
     above[3] = top + 0.01
     made = rewarder(1, options=RewardOptions(formula="published"))

@@ -9,9 +9,10 @@ import pytest
 
 import mjhab.envs as envs
 from mjhab.core.errors import UsageError
-from mjhab.envs.observations import STATE_DIM, STATE_TABLE
+from mjhab.envs.observations import state_dim, state_table
 from mjhab.envs.sequential import SequentialTaskEnv
-from mjhab.robots.controllers.actions import ACTION_DIM, action_table
+from mjhab.robots.controllers import make_controller
+from mjhab.robots.fetch.robot import ROBOT
 from mjhab.tasks.plan import SubtaskKind
 
 
@@ -22,25 +23,27 @@ def build(**options) -> SequentialTaskEnv:
 
 
 def still(env: SequentialTaskEnv) -> np.ndarray:
-    actions = np.zeros((env.num_envs, ACTION_DIM), np.float32)
+    actions = np.zeros((env.num_envs, ROBOT.action.dim), np.float32)
     actions[:, 7] = 1.0
     return actions
 
 
 def random_actions(env: SequentialTaskEnv, rng: np.random.Generator) -> np.ndarray:
-    return rng.uniform(-1, 1, (env.num_envs, ACTION_DIM)).astype(np.float32)
+    return rng.uniform(-1, 1, (env.num_envs, ROBOT.action.dim)).astype(np.float32)
 
 
 def test_spaces_and_state_layout():
     env = build(num_envs=3)
     obs, info = env.reset(seed=1)
-    assert STATE_DIM == 42
+    assert state_dim(ROBOT) == 42
     assert obs["state"].shape == (3, 42) and obs["state"].dtype == np.float32
     assert env.observation_space.contains(obs)
     np.testing.assert_array_equal(
-        obs["state"], np.concatenate([obs[e.key] for e in STATE_TABLE], axis=1)
+        obs["state"], np.concatenate([obs[e.key] for e in state_table(ROBOT)], axis=1)
     )
-    assert [e.name for e in action_table()][7] == "gripper" and len(action_table()) == ACTION_DIM
+    assert [e.name for e in make_controller().table][7] == "gripper" and len(
+        make_controller().table
+    ) == ROBOT.action.dim
     assert (info["kind"] == SubtaskKind.NAVIGATE).all()
 
 
@@ -122,9 +125,9 @@ def run(num_envs: int, threads: int, episodes: list[int], steps: int) -> dict[in
         mask = np.arange(num_envs) < len(group)
         env.reset(seed=7, options={"reset_mask": mask, "episode": group})
         for step in range(steps):
-            actions = np.zeros((num_envs, ACTION_DIM), np.float32)
+            actions = np.zeros((num_envs, ROBOT.action.dim), np.float32)
             for w, episode in enumerate(group):
-                actions[w] = np.random.default_rng((episode, step)).uniform(-1, 1, ACTION_DIM)
+                actions[w] = np.random.default_rng((episode, step)).uniform(-1, 1, ROBOT.action.dim)
             env.step(actions)
         for w, episode in enumerate(group):
             out[episode] = env.sim.batch.qpos[w].tobytes() + env.sim.batch.qvel[w].tobytes()
@@ -166,7 +169,7 @@ def test_autoreset_modes(mode: str):
 def test_place_starts_hold_the_object_by_contact(target: str):
     env = build(subtask="place", target=target)
     env.reset(seed=0)
-    actions = np.zeros((2, ACTION_DIM), np.float32)
+    actions = np.zeros((2, ROBOT.action.dim), np.float32)
     actions[:, 7] = -1.0
     for _ in range(20):
         *_, info = env.step(actions)

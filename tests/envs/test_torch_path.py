@@ -132,6 +132,7 @@ class Follower:
         published: bool,
     ) -> None:
         layout = env.layout
+        self.robot = layout.robot
         addresses = env.sim.addresses
         stillness = "published" if published else "absolute"
         # A subtask alone is judged continuously, as in training.
@@ -184,7 +185,7 @@ class Follower:
             "reward": reward,
             "terms": terms,
             "context": context,
-            "obs": state_observation(context),
+            "obs": state_observation(self.robot, context),
             "tcp": self.sensing.tcp_pose(state),
             "label": labels.label(self.notes, signals.kind),
             "events": events.edge_events(signals.kind, before.now, label_state.watch(signals)),
@@ -208,15 +209,18 @@ def test_the_signs_of_quaternions_do_not_matter(
     sensing = Sensing(env.layout, env.sim.addresses, WORLDS, like)
     seen = [
         state_observation(
+            env.layout.robot,
             sensing.context(
                 as_torch(each, dtype), as_torch(env.focus, dtype), as_torch(env.signals, dtype)
-            )
+            ),
         )["state"]
         for each in (state, other)
     ]
     np.testing.assert_allclose(to_numpy(seen[0]), to_numpy(seen[1]), atol=2e-5)
     assert env.signals is not None
-    on_numpy = state_observation(env.sensing.context(state, env.focus, env.signals))["state"]
+    on_numpy = state_observation(
+        env.layout.robot, env.sensing.context(state, env.focus, env.signals)
+    )["state"]
     np.testing.assert_allclose(to_numpy(seen[0]), on_numpy, atol=2e-5)
 
 
@@ -347,9 +351,13 @@ def test_what_cameras_see_is_the_same(mode: str, dtype: torch.dtype) -> None:
     images = seer.renderer.robot_views(env.state, env.homes, seer.size, outputs, seer.cameras)
     images["depth"][0, 0, 0, 0] = 40.0  # Farther than an int16 counts in millimetres.
     intrinsic = seer._intrinsic
-    views = Views(images, pos, mat, env.state.robot_q[:, :3], intrinsic)
+    views = Views(env.layout.robot, images, pos, mat, env.state.robot_q[:, :3], intrinsic)
     moved = Views(
-        *(as_torch(part, dtype) for part in (images, pos, mat, env.state.robot_q[:, :3], intrinsic))
+        env.layout.robot,
+        *(
+            as_torch(part, dtype)
+            for part in (images, pos, mat, env.state.robot_q[:, :3], intrinsic)
+        ),
     )
     rows = [entry for entry in seer.table if entry.key.startswith(("sensor", "pointcloud"))]
     assert len(rows) >= 3

@@ -20,7 +20,7 @@ from mjhab.envs.wrappers import (
     denormalize_depth,
     normalize_depth,
 )
-from mjhab.robots.controllers.actions import ACTION_DIM
+from mjhab.robots.fetch.robot import ROBOT
 
 DEPTH, RGB, SEG = (f"sensor_data/cam/{output}" for output in ("depth", "rgb", "seg"))
 SAME = AutoresetMode.SAME_STEP
@@ -351,7 +351,7 @@ def test_frames_of_the_real_environment_under_a_partial_reset():
     )
     first = env.reset(seed=0)[0]["state"]
     assert first.shape == (2, 3, 42) and (first == first[:, :1]).all()
-    actions = np.ones((2, ACTION_DIM), np.float32)
+    actions = np.ones((2, ROBOT.action.dim), np.float32)
     second = env.step(actions)[0]["state"]
     third = env.step(actions)[0]["state"]
     np.testing.assert_array_equal(third[:, :2], second[:, 1:])

@@ -20,8 +20,7 @@ from mjhab.episodes.spawn_sets import SpawnRecipe, SpawnRow, SpawnSet, layout_di
 from mjhab.episodes.spawns import ARM_NOISE
 from mjhab.episodes.starts import StartMaker
 from mjhab.layout.layout import Layout
-from mjhab.robots.controllers.table import ARM_JOINTS
-from mjhab.robots.fetch.model import REST_QPOS
+from mjhab.robots.fetch.robot import ROBOT
 from mjhab.scenes.packs import open_pack
 from mjhab.sim.mujoco.cpu import CpuSimulator
 
@@ -60,7 +59,7 @@ def test_a_set_gives_the_starts_it_was_made_of(made: SpawnSet, layout: Layout):
 def test_an_environment_starts_from_the_set(made: SpawnSet, layout: Layout):
     config = EnvConfig(task="set_table", subtask="pick", target="024_bowl", spawns=str(made.path))
     sim = CpuSimulator(layout, 1, 1)
-    maker = StartMaker(sim, config, task_config(config, REST_QPOS))
+    maker = StartMaker(sim, config, task_config(config, ROBOT))
     assert maker.spawn_set is not None
     for index in (3, 1 << 20):
         episode = maker.spawn_set.episode(7, index)
@@ -113,7 +112,9 @@ def test_a_published_set_names_the_arms_it_was_drawn_from():
     apples = factory.starts.arms
     assert factory.header()["grasps"]["013_apple"] == apples.digest("013_apple")
     robot = factory.row(1).qpos[factory.sim.addresses.robot_q]
-    away = [np.abs(robot[list(ARM_JOINTS)] - one.arm).max() for one in apples.arms("013_apple")]
+    away = [
+        np.abs(robot[list(ROBOT.arm_columns)] - one.arm).max() for one in apples.arms("013_apple")
+    ]
     assert min(away) <= ARM_NOISE[1] + 1e-9
     assert (
         SpawnFactory(replace(recipe, spawn_rule="front_box")).header()["grasps"]

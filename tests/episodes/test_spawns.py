@@ -28,8 +28,8 @@ from mjhab.episodes.starts import Start, StartMaker
 from mjhab.episodes.starts.navigate import DOORSTEP_REACH
 from mjhab.layout.contact_sensors import FORCE_SENSOR_WIDTH
 from mjhab.layout.layout import Layout
-from mjhab.robots.controllers.table import ARM_JOINTS
 from mjhab.robots.fetch.model import REST_QPOS
+from mjhab.robots.fetch.robot import ROBOT
 from mjhab.scenes.freespace import NAVMESH_BASE_RADIUS_M
 from mjhab.scenes.packs import open_pack
 from mjhab.sim.mujoco.cpu import CpuSimulator
@@ -45,7 +45,7 @@ def sampler() -> SpawnSampler:
 
 def empty_home(sampler: SpawnSampler, home: str) -> np.ndarray:
     qpos = sampler.sim.model(home).qpos0.copy()
-    qpos[sampler.sim.addresses.robot_q] = parked_robot_qpos()
+    qpos[sampler.sim.addresses.robot_q] = parked_robot_qpos(ROBOT)
     return qpos
 
 
@@ -138,7 +138,7 @@ class Bench:
 
     def maker(self, subtask: str, target: str = "", **more: Any) -> StartMaker:
         config = EnvConfig(task=self.task, subtask=subtask, target=target, **more)
-        return StartMaker(self.sim, config, task_config(config, REST_QPOS))
+        return StartMaker(self.sim, config, task_config(config, ROBOT))
 
     def named(self, count: int, first: int = 0) -> list[Episode]:
         """Episodes with the same few arrangements."""
@@ -426,7 +426,7 @@ def test_published_places_at_a_link_start_around_the_goal_with_the_arm_of_a_pick
         assert np.hypot(*(base[:2] - subtask.goal_pos[:2])) <= DISC
         kind = subtask.obj.split("_:")[0]
         arms.setdefault(kind, np.array([one.arm for one in maker.arms.arms(kind)]))
-        mine = start.qpos[a.robot_q][list(ARM_JOINTS)]
+        mine = start.qpos[a.robot_q][list(ROBOT.arm_columns)]
         assert np.abs(arms[kind] - mine).max(axis=1).min() <= ARM_NOISE[1] + 1e-9, (
             "a stored arm and noise"
         )

@@ -15,7 +15,7 @@ from mjhab.config.env import EnvConfig, task_config
 from mjhab.core.plugins import load_plugin
 from mjhab.episodes.grasps.stable import MAX_GRASPS, StableGrasps
 from mjhab.layout.layout import Layout
-from mjhab.robots.fetch.model import REST_QPOS
+from mjhab.robots.fetch.robot import ROBOT
 from mjhab.scenes.formats.gltf import read_glb
 from mjhab.scenes.objects import OBJECTS
 from mjhab.scenes.packs import open_pack
@@ -46,7 +46,7 @@ def test_the_file_is_what_its_script_makes(tmp_path: Path, monkeypatch: pytest.M
 def test_many_different_grasps_hold_in_simulation() -> None:
     pack = dataclasses.replace(open_pack(), homes=open_pack().homes[:1])
     sim = CpuSimulator(Layout(pack, ("mug",)), 1, 1)
-    held = StableGrasps(sim, task_config(EnvConfig(), REST_QPOS), Scratch(sim)).found("mug")
+    held = StableGrasps(sim, task_config(EnvConfig(), ROBOT), Scratch(sim)).found("mug")
     assert len(held) == MAX_GRASPS
     fingers = np.array([grasp.fingers for grasp in held])
     # By the wall or the handle, and around the body.

@@ -13,6 +13,7 @@ from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts import make_expert
 from mjhab.experts.skills.pick import plan_pick
 from mjhab.experts.style import Manner, StyledView
+from mjhab.robots.fetch.robot import ROBOT
 from mjhab.rollout.loop import rollout
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink, StepView
@@ -120,7 +121,7 @@ def executed(manner: Manner, action: np.ndarray) -> np.ndarray:
 
 
 def test_a_manner_slows_by_stretching_time():
-    manner = Manner(Style(speed=0.5), np.random.default_rng(0))
+    manner = Manner(Style(speed=0.5), ROBOT.action, np.random.default_rng(0))
     assert [manner.due() for _ in range(6)] == [False, True] * 3
     action = np.linspace(-1.0, 1.0, 13).astype(np.float32)
     out = executed(manner, action)
@@ -129,14 +130,16 @@ def test_a_manner_slows_by_stretching_time():
 
 
 def test_a_plain_manner_gives_the_very_action():
-    manner = Manner(PLAIN, np.random.default_rng(0))
+    manner = Manner(PLAIN, ROBOT.action, np.random.default_rng(0))
     action = np.linspace(-1.0, 1.0, 13).astype(np.float32)
     assert manner.due() and manner.due()
     np.testing.assert_array_equal(executed(manner, action), action)
 
 
 def test_noise_fades_where_the_robot_hardly_moves_and_spares_what_it_should():
-    manner = Manner(Style(noise=0.1, base_noise=0.1, noise_kind="step"), np.random.default_rng(0))
+    manner = Manner(
+        Style(noise=0.1, base_noise=0.1, noise_kind="step"), ROBOT.action, np.random.default_rng(0)
+    )
     action = np.zeros(13, np.float32)
     action[0] = 0.5
     action[7] = -1.0
@@ -150,7 +153,7 @@ def test_noise_fades_where_the_robot_hardly_moves_and_spares_what_it_should():
 
 
 def test_smooth_noise_drifts():
-    manner = Manner(Style(noise=0.1), np.random.default_rng(0))
+    manner = Manner(Style(noise=0.1), ROBOT.action, np.random.default_rng(0))
     action = np.zeros(13, np.float32)
     action[0] = 0.5
     x = np.array([executed(manner, action)[1] for _ in range(4000)])

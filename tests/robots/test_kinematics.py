@@ -12,14 +12,15 @@ from mjhab.core.errors import UsageError
 from mjhab.core.rotations import frame_from_axes
 from mjhab.experts.arm.clearance import Boxes, RobotSpheres
 from mjhab.robots.fetch import model as fetch
+from mjhab.robots.fetch.robot import ROBOT
 from mjhab.robots.kinematics import Chain, in_base, rotation_vector
 
 REST = np.array(fetch.REST_QPOS)
 EXTRA = ("head_tilt_link", "torso_fixed_link", *fetch.FINGER_LINKS)
-CHAIN = Chain.from_tree(fetch.KINEMATIC_TREE, fetch.FETCH_JOINTS)
-FULL = Chain.from_tree(fetch.KINEMATIC_TREE, fetch.FETCH_JOINTS, extra=EXTRA)
+CHAIN = ROBOT.chain
+FULL = ROBOT.chain_with(EXTRA)
 SPHERES = RobotSpheres.from_geoms(
-    FULL, fetch.COLLISION, trunk=fetch.TRUNK_LINKS, distal=fetch.DISTAL_LINKS
+    FULL, ROBOT.body.collision, trunk=fetch.TRUNK_LINKS, distal=fetch.DISTAL_LINKS
 )
 
 
@@ -81,11 +82,13 @@ def test_batches_equal_single_evaluations():
 
 def test_unknown_links_and_joints_are_named():
     with pytest.raises(UsageError, match="gripper_link"):
-        Chain.from_tree(fetch.KINEMATIC_TREE, fetch.FETCH_JOINTS, tip="griper_link")
+        Chain.from_tree(
+            fetch.KINEMATIC_TREE, fetch.FETCH_JOINTS, tip="griper_link", root="base_link"
+        )
     with pytest.raises(UsageError, match="elbow_flex_joint"):
         CHAIN.columns_of(("elbow_joint",))
     with pytest.raises(UsageError, match="turned against"):
-        Chain.from_tree(fetch.KINEMATIC_TREE, fetch.FETCH_JOINTS, extra=("laser_link",))
+        ROBOT.chain_with(("laser_link",))
 
 
 @settings(max_examples=30, deadline=None)

@@ -9,13 +9,22 @@ import numpy as np
 import torch
 
 from mjhab.core.arrays import map_record
+from mjhab.core.joints import JointColumns
 from mjhab.tasks.label_state import History
 from mjhab.tasks.plan import PlanArrays, Subtask, SubtaskKind, TaskPlan, stack_plans
 from mjhab.tasks.signals import Signals, WorldState
 from mjhab.tasks.thresholds import TaskConfig
 
 REST = (0, 0, 0, 0.386, 0, -0.370, 0.562, -1.032, 0.695, 0.955, -0.1, 2.077, 0, 0.015, 0.015)
-CONFIG = TaskConfig(rest_qpos=REST)
+
+
+def config_of(rest: tuple[float, ...] = REST, **changes: Any) -> TaskConfig:
+    """Thresholds for a robot like Fetch, with another rest pose and other changes."""
+    joints = JointColumns(count=15, fingers=slice(13, 15), torso=3)
+    return TaskConfig(rest, joints, ee_rest_pos=(0.5, 0.0, 1.25), base_height=0.02, **changes)
+
+
+CONFIG = config_of()
 HISTORY_FIELDS = tuple(f.name for f in dataclasses.fields(History))
 
 

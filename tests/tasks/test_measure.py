@@ -16,10 +16,19 @@ from mjhab.tasks.plan import Subtask, SubtaskKind, Target, TaskPlan, stack_plans
 from mjhab.tasks.progress import Progress, accumulate, start
 from mjhab.tasks.signals import Signals
 from mjhab.tasks.thresholds import TaskConfig
-from tests.tasks.build import CONFIG, REST, assert_same_record, plan_of, resting, squeeze, to_torch
+from tests.tasks.build import (
+    CONFIG,
+    REST,
+    assert_same_record,
+    config_of,
+    plan_of,
+    resting,
+    squeeze,
+    to_torch,
+)
 
 PICK, PLACE, NAVIGATE, OPEN, CLOSE = range(5)
-ZERO_REST = TaskConfig(rest_qpos=(0.0,) * 15)
+ZERO_REST = config_of((0.0,) * 15)
 """Rest at zero, so that offsets hit a threshold exactly in floating point."""
 HALF = replace(ZERO_REST, nav_bearing=math.atan2(1.0, 2.0), ignore_arm=False)
 

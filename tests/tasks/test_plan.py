@@ -19,8 +19,7 @@ from mjhab.tasks.plan import (
     stack_plans,
 )
 from mjhab.tasks.subtasks.registry import force_limits, horizons
-from mjhab.tasks.thresholds import TaskConfig
-from tests.tasks.build import CONFIG, REST
+from tests.tasks.build import CONFIG, config_of
 
 BOWL = Target(
     "bowl", (4, 1, 0.8), (1, 0, 0.9), start_link="kitchen_counter/drawer3", handle_pos=(1.3, 0, 0.9)
@@ -73,9 +72,9 @@ def test_thresholds_are_those_of_the_paper() -> None:
     assert CONFIG.open_fraction("fridge/top_door") == 0.75
     assert CONFIG.open_fraction("kitchen_counter/drawer3") == 0.9
     with pytest.raises(UsageError, match="15 joint values"):
-        TaskConfig(rest_qpos=(0.0,) * 12)
+        config_of((0.0,) * 12)
     with pytest.raises(UsageError, match="goal_type"):
-        TaskConfig(rest_qpos=REST, goal_type="circle")  # type: ignore[arg-type]
+        config_of(goal_type="circle")  # type: ignore[arg-type]
 
 
 def test_stacked_plans_are_padded_to_the_longest() -> None:

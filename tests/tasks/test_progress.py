@@ -15,7 +15,14 @@ from mjhab.tasks.progress import Outcome, Progress, accumulate, advance, reset_r
 from mjhab.tasks.progressive import progressive, upper_bound
 from mjhab.tasks.subtasks.registry import limits_of
 from mjhab.tasks.thresholds import SubtaskConfig, TaskConfig
-from tests.tasks.build import CONFIG, REST, assert_same_record, plan_of, signals, to_torch
+from tests.tasks.build import (
+    CONFIG,
+    assert_same_record,
+    config_of,
+    plan_of,
+    signals,
+    to_torch,
+)
 
 PICK, PLACE, NAVIGATE, OPEN, CLOSE = range(5)
 PLAN = plan_of(NAVIGATE, PICK, PLACE)
@@ -76,7 +83,7 @@ def test_peak_and_cumulative_force_of_the_ended_subtask_are_in_the_progress_befo
 
 
 def test_horizon_counts_control_steps_and_its_last_step_may_still_succeed() -> None:
-    config = TaskConfig(rest_qpos=REST, limits={"navigate": SubtaskConfig(3, 1e9)})
+    config = config_of(limits={"navigate": SubtaskConfig(3, 1e9)})
     for last_succeeds in (False, True):
         progress = start(PLAN, config)
         for _ in range(2):
@@ -126,7 +133,7 @@ def test_partial_reset_leaves_other_rows_bit_identical() -> None:
 
 def test_continuous_evaluation_runs_to_the_horizon() -> None:
     plan = plan_of(PICK)
-    config = TaskConfig(rest_qpos=REST, limits={"pick": SubtaskConfig(4, 20.0)}, continuous=True)
+    config = config_of(limits={"pick": SubtaskConfig(4, 20.0)}, continuous=True)
     progress = start(plan, config)
     progress, outcome = step(progress, plan, config, force=5.0)
     assert true_fields(outcome) == set()
@@ -161,7 +168,7 @@ def test_continuous_force_marks_the_failure_without_ending() -> None:
 )
 def test_continuous_success_once_and_at_end(at_end: bool, once: bool, fail: bool) -> None:
     plan = plan_of(CLOSE)
-    config = TaskConfig(rest_qpos=REST, limits={"close": SubtaskConfig(2, 1e9)}, continuous=True)
+    config = config_of(limits={"close": SubtaskConfig(2, 1e9)}, continuous=True)
     progress, _ = step(start(plan, config), plan, config, success=once)
     _, outcome = step(progress, plan, config, success=at_end)
     assert outcome.done[0] and outcome.ended[0]

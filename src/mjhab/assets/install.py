@@ -197,7 +197,7 @@ def _wanted(source: Source, listed: list[RemoteFile]) -> list[tuple[str, RemoteF
 def _download_all(
     wanted: list[tuple[str, RemoteFile]], staging: Path, progress: Progress
 ) -> dict[str, str]:
-    """Fetch several files at once. A file under its own name is whole and was checked. Returns new files' hashes."""
+    """Download several files at once. A file under its own name is whole and was checked. Returns new files' hashes."""
     stop = threading.Event()
 
     def one(item: tuple[str, RemoteFile]) -> tuple[str, str]:

@@ -77,7 +77,7 @@ def download(
     stop: threading.Event | None = None,
     sleep: Callable[[float], object] = time.sleep,
 ) -> str:
-    """Fetch one file and return its SHA-256; a cut connection continues where it broke off, also in a later run.
+    """Download one file and return its SHA-256; a cut connection continues where it broke off, also in a later run.
 
     Args:
         url, target: address, and the file; until it is whole and right, its bytes are in ``<target>.part``.

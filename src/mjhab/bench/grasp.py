@@ -13,11 +13,13 @@ import mujoco
 import numpy as np
 
 from mjhab.core.errors import unknown_name
+from mjhab.core.joints import BASE, BASE_YAW
 from mjhab.core.names import copy_name
 from mjhab.core.seeding import stream
 from mjhab.layout.contact_sensors import normal_force
 from mjhab.layout.layout import Layout, build_spec
-from mjhab.robots.fetch import model as fetch
+from mjhab.robots.registry import robot_named
+from mjhab.robots.robot import Robot
 from mjhab.scenes.builtin.objects import builtin_objects, object_meshes
 from mjhab.scenes.spec import Home, ObjectType, Pack
 
@@ -35,7 +37,7 @@ MAX_ANGLE = np.deg2rad(30.0)
 
 @dataclass(frozen=True)
 class Grasp:
-    """How an object sits in the hand: its height axis points along -x of gripper_link (up, at the rest pose).
+    """How an object sits in the hand: its height axis points along -x of the tool centre (up, at the rest pose).
 
     ``width`` [m] of what is between the fingers; ``depth`` [m]: object centre beyond the tool centre along +x;
     ``side`` [m]: object centre along +y; ``turn`` [rad]: about the height axis.
@@ -96,22 +98,23 @@ class GraspBench:
 
     def __init__(self, name: str) -> None:
         self.model = bench_model(name)
+        self.robot = robot_named()
         self.data = mujoco.MjData(self.model)
-        self.qpos = np.array([self.model.joint(n).qposadr[0] for n in fetch.FETCH_JOINTS])
+        self.qpos = np.array([self.model.joint(n).qposadr[0] for n in self.robot.joints])
         self.object = copy_name(name, 0)
-        self.rest = np.array(fetch.REST_QPOS)
+        self.rest = self.robot.rest.copy()
         self._grip(GRASPS[name])
 
     def _grip(self, grasp: Grasp) -> None:
         """Rest pose, fingers at the object, object between them."""
         self.data.qpos[self.qpos] = self.rest
-        self.data.qpos[self.qpos[13:]] = 0.5 * grasp.width
+        self.data.qpos[self.qpos[self.robot.columns.fingers]] = 0.5 * grasp.width
         mujoco.mj_kinematics(self.model, self.data)
         c = np.cos(grasp.turn)
         s = np.sin(grasp.turn)
-        # Columns: the object's axes in gripper_link. Height along -x; the object's x across the fingers.
+        # Columns: the object's axes in the frame of the tool centre: height along -x, its x across the fingers.
         axes = np.array([[0.0, 0.0, -1.0], [c, -s, 0.0], [-s, -c, 0.0]])
-        hand = self.data.body(fetch.TCP_LINK)
+        hand = self.data.body(self.robot.tcp)
         turn = hand.xmat.reshape(3, 3)
         quat = np.zeros(4)
         mujoco.mju_mat2Quat(quat, (turn @ axes).ravel())
@@ -121,18 +124,19 @@ class GraspBench:
         mujoco.mj_forward(self.model, self.data)
 
     def pose_in_hand(self) -> tuple[np.ndarray, np.ndarray]:
-        """Position (3,) and rotation (3, 3) of the object in gripper_link."""
-        hand = self.data.body(fetch.TCP_LINK)
+        """Position (3,) and rotation (3, 3) of the object in the frame of the tool centre."""
+        hand = self.data.body(self.robot.tcp)
         thing = self.data.body(self.object)
         turn = hand.xmat.reshape(3, 3)
         return turn.T @ (thing.xpos - hand.xpos), turn.T @ thing.xmat.reshape(3, 3)
 
     def step(self, goal: np.ndarray, forward: float, yaw_rate: float) -> None:
-        """One control step towards joint positions ``goal`` (15,), at most 0.1 per joint, gripper closed."""
+        """One control step towards joint positions ``goal`` (J,), at most 0.1 per joint, gripper closed."""
         measured = self.data.qpos[self.qpos]
         ctrl = measured + np.clip(goal - measured, -0.1, 0.1)
-        ctrl[:3] = forward * np.cos(measured[2]), forward * np.sin(measured[2]), yaw_rate
-        ctrl[13:] = GRIP_TARGET
+        yaw = measured[BASE_YAW]
+        ctrl[BASE] = forward * np.cos(yaw), forward * np.sin(yaw), yaw_rate
+        ctrl[self.robot.columns.fingers] = GRIP_TARGET
         self.data.ctrl[:] = ctrl
         mujoco.mj_step(self.model, self.data, SUBSTEPS)
 
@@ -140,10 +144,10 @@ class GraspBench:
         """Norms (2,) of the object's force on the [l, r] finger [N], and the grasp test."""
         norms = np.zeros(2)
         along = np.zeros(2)
-        for i, finger in enumerate(fetch.FINGER_LINKS):
+        for i, finger in enumerate(self.robot.fingers):
             # The sensor gives the force of the finger on the object.
-            force = -normal_force(self.data.sensor(f"{finger}>{self.object}").data)
-            opening = self.data.body(finger).xmat.reshape(3, 3) @ fetch.FINGER_OPEN_DIR[finger]
+            force = -normal_force(self.data.sensor(f"{finger.link}>{self.object}").data)
+            opening = self.data.body(finger.link).xmat.reshape(3, 3) @ finger.opens
             norms[i] = np.linalg.norm(force)
             along[i] = force @ opening
         return norms, bool(
@@ -152,13 +156,13 @@ class GraspBench:
 
 
 def shake_motion(
-    time: float, rest: np.ndarray, phase: np.ndarray
+    robot: Robot, time: float, rest: np.ndarray, phase: np.ndarray
 ) -> tuple[np.ndarray, float, float]:
-    """Joint goal (15,), base speed [m/s] and yaw rate [rad/s] at a time."""
+    """Joint goal (J,), base speed [m/s] and yaw rate [rad/s] at a time."""
     goal = rest.copy()
-    goal[3] -= 0.1
-    goal[11] -= 0.4  # off its upper limit
-    arm = np.array([5, 7, 8, 9, 10, 11, 12])
+    arm = list(robot.arm_columns)
+    goal[list(robot.torso_columns)] -= 0.1
+    goal[arm[-2]] -= 0.4  # off its upper limit
     rate = 2 * np.pi * np.array([0.35, 0.25, 0.4, 0.3, 0.45, 0.5, 0.55])
     goal[arm] += 0.6 / rate * np.sin(rate * time + phase)
     forward = 1.0 if int(time) % 2 == 0 else -1.0
@@ -177,7 +181,7 @@ def _shake(name: str, seconds: float, seed: int) -> dict[str, object]:
     dropped = False
     steps = round(seconds / CONTROL_DT)
     for k in range(steps):
-        bench.step(*shake_motion(k * CONTROL_DT, bench.rest, phase))
+        bench.step(*shake_motion(bench.robot, k * CONTROL_DT, bench.rest, phase))
         pos, turn = bench.pose_in_hand()
         slip = max(slip, float(np.linalg.norm(pos + turn @ held_point)))
         cosine = 0.5 * (np.trace(turn0.T @ turn) - 1.0)

@@ -37,6 +37,7 @@ class BenchCommand:
 Command = (
     Annotated[opt.EvalOptions, Sub("eval")]
     | Annotated[env.EnvsCommand, Sub("envs")]
+    | Annotated[env.RobotsCommand, Sub("robots")]
     | Annotated[opt.HomesCommand, Sub("homes")]
     | Annotated[opt.AssetsCommand, Sub("assets")]
     | Annotated[opt.EpisodesCommand, Sub("episodes")]
@@ -59,6 +60,7 @@ Command = (
 RUNNERS: dict[type, tuple[str, str]] = {
     opt.EvalOptions: ("cli.evaluate", "run_eval"),
     env.EnvsCommand: ("cli.envs", "run_envs"),
+    env.RobotsCommand: ("cli.robots", "run_robots"),
     opt.HomesCommand: ("cli.homes", "run_homes"),
     opt.AssetsCommand: ("cli.assets", "run_assets"),
     opt.EpisodesCommand: ("cli.episodes", "run_episodes"),

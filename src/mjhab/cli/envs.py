@@ -17,9 +17,16 @@ def run_envs(options: EnvsListOptions | EnvsDescribeOptions) -> int:
 def list_envs(options: EnvsListOptions) -> int:
     """Print the ids."""
     from mjhab.envs.catalog import env_ids, plugin_of
+    from mjhab.robots.registry import DEFAULT_ROBOT
 
     found = [
-        {"id": env_id, "subtask": None, "plugin": plugin_of(env_id), **chosen}
+        {
+            "id": env_id,
+            "robot": DEFAULT_ROBOT,
+            "subtask": None,
+            "plugin": plugin_of(env_id),
+            **chosen,
+        }
         for env_id, chosen in env_ids().items()
     ]
     if options.json:

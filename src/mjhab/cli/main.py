@@ -17,7 +17,7 @@ from mjhab.core.version import __version__
 
 DESCRIPTION = f"""mjhab {__version__}: home assistant tasks with low-level whole-body control, on MuJoCo.
 
-A Fetch robot tidies furnished homes with real physics. Begin with `mjhab doctor` and
+A robot tidies furnished homes with real physics. Begin with `mjhab doctor` and
 `mjhab eval --task set_table --policy expert --episodes 4 --out runs/first`."""
 
 OK = 0

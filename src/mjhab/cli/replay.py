@@ -73,7 +73,7 @@ def _render(options: ReplayOptions) -> int:
         raise UsageError(
             f"--camera-size is one number or height and width, got {options.camera_size}."
         )
-    if FOLLOW in options.cameras and "rgb" not in (options.render or ""):
+    if FOLLOW in (options.cameras or ()) and "rgb" not in (options.render or ""):
         raise UsageError(
             "the camera 'follow' gives colour only: add rgb to --render, as in --render rgb."
         )
@@ -103,11 +103,15 @@ def _count(options: ReplayOptions) -> int:
 
 def _maker(options: ReplayOptions) -> Callable[[RunInfo], RecordedEnv]:
     """What makes an environment like that of a recorded run, with the cameras that are asked for."""
-    robot_cameras = tuple(name for name in options.cameras if name != FOLLOW)
+    # None stands for all cameras of the robot, which the environment knows.
+    robot_cameras = None
+    if options.cameras is not None:
+        robot_cameras = tuple(name for name in options.cameras if name != FOLLOW)
+    drawn = options.render if robot_cameras != () else "state"
     size = options.camera_size[0] if len(options.camera_size) == 1 else tuple(options.camera_size)
     sight: dict[str, Any] = {"obs_mode": "state"}
     if options.render is not None:
-        sight = {"obs_mode": options.render if robot_cameras else "state", "camera_size": size}
+        sight = {"obs_mode": drawn, "camera_size": size}
         if robot_cameras:
             sight["cameras"] = robot_cameras
 

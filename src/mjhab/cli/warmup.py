@@ -34,7 +34,6 @@ def warmup(options: WarmupOptions, backend: str) -> dict[str, float]:
     from mjhab.episodes.rosters import roster
     from mjhab.episodes.starts import StartMaker
     from mjhab.layout.layout import Layout
-    from mjhab.robots.fetch.model import REST_QPOS
     from mjhab.scenes.packs import open_pack
     from mjhab.sim.mujoco.cpu import CpuSimulator
 
@@ -80,7 +79,7 @@ def warmup(options: WarmupOptions, backend: str) -> dict[str, float]:
         env.step(env.sim.qpos.new_zeros(env.action_space.shape))
 
     def arms() -> None:
-        starts = StartMaker(simulators[0], config, task_config(config, REST_QPOS))
+        starts = StartMaker(simulators[0], config, task_config(config, layout.robot))
         for kind in sorted(set(layout.roster)):
             starts.arms.arms(kind)
 

@@ -12,6 +12,8 @@ from typing import Any, ClassVar
 
 from mjhab.config.profiles import DEFAULT_PROFILE, SPAWN_RULES, Profile, profile_named
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.robots.registry import DEFAULT_ROBOT, robot_named
+from mjhab.robots.robot import Robot
 from mjhab.scenes.pack_source import HOME_SUFFIXES, Assets, pack_request
 from mjhab.scenes.spec import HANDLE_POINTS
 from mjhab.sim.backends import BACKENDS
@@ -27,6 +29,8 @@ AUTORESET_MODES = ("same_step", "next_step", "disabled")
 RENDER_MODES = ("", "rgb_array")
 DENSE_MODES = ("dense", "normalized_dense")
 REWARD_MODES = ("pointer", "sparse", *DENSE_MODES, "none")
+JOINT_GROUPS = ("base", "arm", "fingers")
+"""Groups of joints that a robot must have for any task: to get there, to reach and to hold."""
 NAVIGATE_MODES = ("teleport", "drive")
 OF_PROFILE: Any = None
 """Default of the options that the profile gives a value, where no other is given."""
@@ -39,6 +43,7 @@ class EnvConfig:
 
     profile: which values the options have whose default is OF_PROFILE, and ``horizon`` 0; see `profiles.Profile`. With
     "ms_hab" they may not be given other values. Once the configuration is made they have their values.
+    robot: name of a robot, see `mjhab robots list`.
     task: HAB task. subtask: "" for the whole chain, or one kind of it, done alone to its horizon.
     target: restricts ``subtask`` (or the draw of targets) to an object type or a link; "" or "all" for any.
     split, home: homes to draw from, or one home by name (or a pattern such as ``v3_sc1_*``), or
@@ -78,6 +83,7 @@ class EnvConfig:
     """Whether it is a configuration of `make_train`."""
 
     profile: str = DEFAULT_PROFILE
+    robot: str = DEFAULT_ROBOT
     task: str = "set_table"
     subtask: str = ""
     target: str = ""
@@ -123,7 +129,8 @@ class EnvConfig:
             object.__setattr__(self, "target", "")
         self._take_home_file()
         object.__setattr__(self, "assets", pack_request(self.assets).as_json())
-        self._take_profile(profile_named(self.profile))
+        robot = robot_named(self.robot)
+        self._take_profile(profile_named(self.profile), robot)
         _known("split", self.split, SPLITS)
         _known("autoreset mode", self.autoreset, AUTORESET_MODES)
         _known("reward mode", self.reward_mode, ("", *REWARD_MODES))
@@ -164,13 +171,15 @@ class EnvConfig:
         object.__setattr__(self, "assets", self.home)
         object.__setattr__(self, "home", "*")
 
-    def _take_profile(self, profile: Profile) -> None:
+    def _take_profile(self, profile: Profile, robot: Robot) -> None:
         """Give the options that depend on the profile their values.
 
         Raises:
             UsageError: one was given a value that contradicts a binding profile.
         """
-        for name, value in profile.options(self.subtask, trains=self.trains).items():
+        values = profile.options(self.subtask, trains=self.trains)
+        values["cameras"] = robot.camera_names if profile.cameras is None else profile.cameras
+        for name, value in values.items():
             given = getattr(self, name)
             missing = given is OF_PROFILE or (name == "horizon" and given == 0)
             if missing:
@@ -259,14 +268,17 @@ class TrainConfig(EnvConfig):
             raise UsageError(f"a SubtaskTrain environment needs a subtask: {', '.join(SUBTASKS)}")
 
 
-def task_config(config: EnvConfig, rest_qpos: tuple[float, ...]) -> TaskConfig:
-    """The thresholds in force: those of the paper, changed by the options of ``config``.
+def task_config(config: EnvConfig, robot: Robot) -> TaskConfig:
+    """The thresholds in force for a robot: those of the paper, changed by the options of ``config``.
 
     Raises:
         UsageError: an override names no threshold, or its value has the wrong type.
     """
     base = TaskConfig(
-        rest_qpos=rest_qpos,
+        rest_qpos=robot.rest_qpos,
+        joints=robot.columns,
+        ee_rest_pos=robot.tool_at_rest,
+        base_height=robot.base_height,
         continuous=config.runs_to_horizon,
         ignore_arm=config.teleports,
         stillness=config.stillness,
@@ -301,7 +313,7 @@ def _override(
     """Put one override into ``changes`` or ``limits``, checked against the type of the present value."""
     group, _, part = name.partition(".")
     owner: Any = limits.get(group) if part else base
-    apart = ("limits", "rest_qpos", "continuous", "stillness")
+    apart = ("limits", "rest_qpos", "joints", "continuous", "stillness")
     plain = [f.name for f in dataclasses.fields(base) if f.name not in apart]
     nested = [f"{kind}.{limit}" for kind in SUBTASKS for limit in _LIMITS]
     if name == "stillness":

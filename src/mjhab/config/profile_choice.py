@@ -1,4 +1,4 @@
-"""What ``--profile``, ``--starts`` and ``--stillness`` make of the environments that a command builds."""
+"""What ``--profile``, ``--robot``, ``--starts`` and ``--stillness`` make of the environments that a command builds."""
 
 from __future__ import annotations
 
@@ -13,10 +13,12 @@ class ProfileChoice:
     """A profile, and what is given beside it.
 
     profile: name of many values at once, see `profiles.Profile`; "" for that of the policy or the data, if they have
-    one. starts: the ``spawn_rule`` of the environment, stillness: how joints are judged; None for those of the profile.
+    one. robot: name of the robot, None for the default. starts: the ``spawn_rule`` of the environment, stillness: how
+    joints are judged; None for those of the profile.
     """
 
     profile: str = DEFAULT_PROFILE
+    robot: str | None = None
     starts: str | None = None
     stillness: str | None = None
 
@@ -25,6 +27,7 @@ def profile_options(choice: ProfileChoice) -> dict[str, Any]:
     """What `mjhab.envs.make` and `make_train` are told of the profile, and of what is given beside it."""
     given = {
         "profile": choice.profile or None,
+        "robot": choice.robot,
         "spawn_rule": choice.starts,
         "stillness": choice.stillness,
     }

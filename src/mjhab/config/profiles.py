@@ -30,7 +30,7 @@ class Profile:
     stationary: parts of the robot that do not follow their actions (mshab/envs/wrappers/action.py: the head).
     force_limits: whether the limits on the cumulative force are in force; they are those of the paper.
     reward_formula, reward_normaliser: see `tasks.rewards.RewardOptions`.
-    cameras: whose images are observed, in this order.
+    cameras: whose images are observed, in this order; None for all of the robot's.
     frame_stack: frames that `wrappers.FrameStack` stacks.
     handle_points: "ours" or "published": which points observations and rewards take for handles.
     horizon, train_horizon: control steps of a subtask that is evaluated, and that is trained; Navigate has those of
@@ -45,7 +45,7 @@ class Profile:
     force_limits: bool
     reward_formula: str
     reward_normaliser: str
-    cameras: tuple[str, ...]
+    cameras: tuple[str, ...] | None
     frame_stack: int
     handle_points: str
     horizon: int
@@ -82,7 +82,7 @@ MJHAB = Profile(
     force_limits=True,
     reward_formula="bounded",
     reward_normaliser="attainable",
-    cameras=("fetch_head", "fetch_hand"),
+    cameras=None,
     frame_stack=1,
     handle_points="ours",
     horizon=OF_PAPER,

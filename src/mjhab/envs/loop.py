@@ -19,7 +19,7 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from mjhab.config.env import EnvConfig, task_config
+from mjhab.config.env import JOINT_GROUPS, EnvConfig, task_config
 from mjhab.core.arrays import Array, as_like, count, device_of, may_hold, namespace, where_rows
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.envs.parts.plan_tables import Focus, Tables, look_up
@@ -29,7 +29,7 @@ from mjhab.envs.parts.sensing import Sensing
 from mjhab.envs.spaces import batched
 from mjhab.robots.controllers import make_controller
 from mjhab.robots.controllers.controller import Controller
-from mjhab.robots.fetch.model import REST_QPOS
+from mjhab.robots.registry import robot_named
 from mjhab.sim.protocol import TAINTS, SimState
 from mjhab.tasks import progress as progress_rules
 from mjhab.tasks.household.registry import TASKS
@@ -83,10 +83,14 @@ class TaskLoop(VectorEnv, ABC):
     def __init__(self, config: EnvConfig, like: Array) -> None:
         self.config = config
         self.num_envs = config.num_envs
-        self.task_config = task_config(config, REST_QPOS)
+        robot = robot_named(config.robot)
+        purpose = f"subtask {config.subtask!r}" if config.subtask else f"task {config.task!r}"
+        robot.require(JOINT_GROUPS, purpose)
+        self.task_config = task_config(config, robot)
         self.controller: Controller = make_controller(
             config.control_mode,
             config.num_envs,
+            robot=robot,
             base=config.base,
             stationary=config.stationary,
             like=like,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -16,16 +16,17 @@ from gymnasium import spaces
 
 from mjhab.core.arrays import Array, constant, count, device_of, empty, namespace, zeros
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.joints import BASE_XY, BASE_YAW
 from mjhab.core.rotations import quat_canonical
 from mjhab.envs.spaces import ordered_dict
-from mjhab.robots.fetch.model import BASE_HEIGHT, CAMERAS
+from mjhab.robots.robot import Robot
 
 
 @dataclass(frozen=True, eq=False)
 class ObsContext:
-    """What observations are computed from. W worlds; poses are xyz + wxyz in the frame of base_link.
+    """What observations are computed from. W worlds; poses are xyz + wxyz in the frame of the base link.
 
-    ``tcp_pose`` (W, 7) of gripper_link; ``obj_pose`` (W, 7) of the active subtask's object and ``goal_pos`` (W, 3),
+    ``tcp_pose`` (W, 7) of the tool centre; ``obj_pose`` (W, 7) of the active subtask's object and ``goal_pos`` (W, 3),
     zero where the subtask has none; ``is_grasped`` (W,).
     """
 
@@ -41,11 +42,12 @@ class ObsContext:
 class Views:
     """What camera rows are computed from. W worlds, C cameras asked for, in order.
 
-    ``images``: "depth" (W, C, H, W) float32 [m], 0 where nothing is hit, "rgb" (W, C, H, W, 3) uint8, "seg"
-    (W, C, H, W) int32; ``pos`` (W, C, 3) [m] and ``mat`` (W, C, 3, 3): cameras in the world, x right, y up, z
-    backwards; ``base`` (W, 3): x, y [m], yaw [rad] of the base; ``intrinsic`` (C, 3, 3) [px].
+    ``robot``: whose cameras they are; ``images``: "depth" (W, C, H, W) float32 [m], 0 where nothing is hit, "rgb"
+    (W, C, H, W, 3) uint8, "seg" (W, C, H, W) int32; ``pos`` (W, C, 3) [m] and ``mat`` (W, C, 3, 3): cameras in the
+    world, x right, y up, z backwards; ``base`` (W, 3): x, y [m], yaw [rad] of the base; ``intrinsic`` (C, 3, 3) [px].
     """
 
+    robot: Robot
     images: Mapping[str, Array]
     pos: Array
     mat: Array
@@ -53,14 +55,16 @@ class Views:
     intrinsic: Array
 
 
-def pose_in_base(base: Array, pose: Array) -> Array:
-    """World poses (..., W, 7) in the frame of base_link, with canonical quaternions. ``base`` (W, 3): x, y, yaw.
+def pose_in_base(base: Array, height: float, pose: Array) -> Array:
+    """World poses (..., W, 7) in the frame of the base link, with canonical quaternions.
+
+    ``base`` (W, 3): x, y [m], yaw [rad]; ``height`` [m]: of the base link above the floor.
 
     The sign that a quaternion of the simulator has depends on how often the base or the object has turned round.
     """
     # The base turns about z only: half of the quaternion product is zero and left out.
     xp = namespace(base)
-    yaw = base[:, 2]
+    yaw = base[:, BASE_YAW]
     c = xp.cos(yaw)
     s = xp.sin(yaw)
     ch = xp.cos(0.5 * yaw)
@@ -74,7 +78,7 @@ def pose_in_base(base: Array, pose: Array) -> Array:
     out = empty(pose.shape, pose)
     out[..., 0] = c * x + s * y
     out[..., 1] = c * y - s * x
-    out[..., 2] = pose[..., 2] - BASE_HEIGHT
+    out[..., 2] = pose[..., 2] - height
     out[..., 3] = ch * qw + sh * qz
     out[..., 4] = ch * qx + sh * qy
     out[..., 5] = ch * qy - sh * qx
@@ -103,60 +107,84 @@ class ObsEntry:
         return spaces.Box(self.low, self.high, self.shape, self.dtype)  # type: ignore[arg-type]
 
 
-STATE_TABLE = (
-    ObsEntry(
-        "agent/qpos",
-        (12,),
-        "m, rad",
-        "joint: torso, head, arm, fingers",
-        lambda c: c.robot_q[:, 3:],
-        "joint positions without the base",
-    ),
-    ObsEntry(
-        "agent/qvel",
-        (12,),
-        "m/s, rad/s",
-        "joint: torso, head, arm, fingers",
-        lambda c: c.robot_qd[:, 3:],
-        "joint velocities without the base",
-    ),
-    ObsEntry(
-        "extra/tcp_pose_wrt_base",
-        (7,),
-        "m, wxyz",
-        "base_link",
-        lambda c: c.tcp_pose,
-        "gripper_link: position, quaternion with w >= 0",
-    ),
-    ObsEntry(
-        "extra/obj_pose_wrt_base",
-        (7,),
-        "m, wxyz",
-        "base_link",
-        lambda c: c.obj_pose,
-        "object of the active subtask (Open: the one inside), w >= 0; zero in Close, in Navigate with empty hands and "
-        "once the plan is finished",
-    ),
-    ObsEntry(
-        "extra/goal_pos_wrt_base",
-        (3,),
-        "m",
-        "base_link",
-        lambda c: c.goal_pos,
-        "Place: goal; Open, Close: handle; Navigate: next target; zero in Pick and once the plan is finished",
-    ),
-    ObsEntry(
-        "extra/is_grasped",
-        (1,),
-        "0 or 1",
-        "-",
-        lambda c: c.is_grasped[:, None],
-        "the object (Open, Close: the handle) is grasped; zero once the plan is finished",
-    ),
-)
-STATE_DIM = sum(entry.shape[0] for entry in STATE_TABLE)
+def joint_rows(robot: Robot) -> tuple[ObsEntry, ...]:
+    """Rows of the joints of a robot, without those of its base."""
+    upper = robot.columns.upper
+    count = upper.stop - upper.start
+    groups = [group for group in ("torso", "head", "arm", "fingers") if robot.group(group)]
+    frame = f"joint: {', '.join(groups)}"
+    return (
+        ObsEntry(
+            "agent/qpos",
+            (count,),
+            "m, rad",
+            frame,
+            lambda c: c.robot_q[:, upper],
+            "joint positions without the base",
+        ),
+        ObsEntry(
+            "agent/qvel",
+            (count,),
+            "m/s, rad/s",
+            frame,
+            lambda c: c.robot_qd[:, upper],
+            "joint velocities without the base",
+        ),
+    )
+
+
+def task_rows(robot: Robot) -> tuple[ObsEntry, ...]:
+    """Rows of the tool centre and of what the active subtask is about."""
+    base = robot.base_link
+    return (
+        ObsEntry(
+            "extra/tcp_pose_wrt_base",
+            (7,),
+            "m, wxyz",
+            base,
+            lambda c: c.tcp_pose,
+            f"{robot.tcp}: position, quaternion with w >= 0",
+        ),
+        ObsEntry(
+            "extra/obj_pose_wrt_base",
+            (7,),
+            "m, wxyz",
+            base,
+            lambda c: c.obj_pose,
+            "object of the active subtask (Open: the one inside), w >= 0; zero in Close, in Navigate with empty "
+            "hands and once the plan is finished",
+        ),
+        ObsEntry(
+            "extra/goal_pos_wrt_base",
+            (3,),
+            "m",
+            base,
+            lambda c: c.goal_pos,
+            "Place: goal; Open, Close: handle; Navigate: next target; zero in Pick and once the plan is finished",
+        ),
+        ObsEntry(
+            "extra/is_grasped",
+            (1,),
+            "0 or 1",
+            "-",
+            lambda c: c.is_grasped[:, None],
+            "the object (Open, Close: the handle) is grasped; zero once the plan is finished",
+        ),
+    )
+
+
+@lru_cache(maxsize=16)
+def state_table(robot: Robot) -> tuple[ObsEntry, ...]:
+    """The entries of ``state``, in order."""
+    return joint_rows(robot) + task_rows(robot)
+
+
+def state_dim(robot: Robot) -> int:
+    """Numbers in ``state``."""
+    return sum(entry.shape[0] for entry in state_table(robot))
+
+
 STATE_KEY = "state"
-CAMERA_KEYS = tuple(camera.name for camera in CAMERAS)
 CAMERA_OUTPUTS = ("depth", "rgb", "seg")
 POINTCLOUD = "pointcloud"
 OBS_MODES: dict[str, tuple[str, ...]] = {
@@ -199,19 +227,18 @@ def mode_outputs(mode: str) -> tuple[str, ...]:
     return tuple(name for name in (*CAMERA_OUTPUTS, POINTCLOUD) if name in wanted)
 
 
-def camera_names(cameras: str | Sequence[str]) -> tuple[str, ...]:
-    """Names of cameras, checked, each once, in the order given.
+def camera_names(robot: Robot, cameras: str | Sequence[str]) -> tuple[str, ...]:
+    """Names of cameras of a robot, checked, each once, in the order given.
 
     Raises:
         UsageError: a name that is no camera, or none at all.
     """
     names = (cameras,) if isinstance(cameras, str) else tuple(dict.fromkeys(cameras))
     for name in names:
-        if name not in CAMERA_KEYS:
-            raise unknown_name("camera", name, CAMERA_KEYS)
+        robot.camera(name)
     if not names:
         raise UsageError(
-            f"cameras must name at least one camera of: {', '.join(CAMERA_KEYS)}; got none."
+            f"cameras must name at least one camera of: {', '.join(robot.camera_names)}; got none."
         )
     return names
 
@@ -232,37 +259,37 @@ def image_size(size: int | Sequence[int]) -> tuple[int, int]:
     return int(sides[0]), int(sides[1])
 
 
-def intrinsic_matrix(camera: str, size: tuple[int, int]) -> np.ndarray:
+def intrinsic_matrix(robot: Robot, camera: str, size: tuple[int, int]) -> np.ndarray:
     """(3, 3) float64 pinhole matrix [px] of a camera at (height, width); pixel centres lie at + 0.5."""
     height, width = size
-    fovy = CAMERAS[CAMERA_KEYS.index(camera)].fovy
+    fovy = robot.camera(camera).fovy
     focal = 0.5 * height / np.tan(0.5 * fovy)
     return np.array([[focal, 0.0, 0.5 * width], [0.0, focal, 0.5 * height], [0.0, 0.0, 1.0]])
 
 
 def observation_table(
-    outputs: Sequence[str], cameras: Sequence[str], size: tuple[int, int]
+    robot: Robot, outputs: Sequence[str], cameras: Sequence[str], size: tuple[int, int]
 ) -> tuple[ObsEntry, ...]:
-    """All rows but ``state``: those of STATE_TABLE and, with ``outputs`` of `mode_outputs`, those of the cameras."""
-    rows = list(STATE_TABLE)
+    """All rows but ``state``: those of `state_table` and, with ``outputs`` of `mode_outputs`, those of the cameras."""
+    rows = list(state_table(robot))
     for c, camera in enumerate(cameras if outputs else ()):
         rows += [
             _image_row(c, camera, output, size) for output in outputs if output in CAMERA_OUTPUTS
         ]
         rows += _param_rows(c, camera)
     if POINTCLOUD in outputs:
-        rows += _cloud_rows(len(cameras) * size[0] * size[1])
+        rows += _cloud_rows(robot, len(cameras) * size[0] * size[1])
     return tuple(rows)
 
 
-def table_space(table: Sequence[ObsEntry]) -> spaces.Dict:
+def table_space(robot: Robot, table: Sequence[ObsEntry]) -> spaces.Dict:
     """Observation space of one world: the rows of a table and ``state``, in this order."""
     box: dict[str, spaces.Space] = {entry.key: entry.space for entry in table}
-    box[STATE_KEY] = spaces.Box(-np.inf, np.inf, (STATE_DIM,), np.float32)
+    box[STATE_KEY] = spaces.Box(-np.inf, np.inf, (state_dim(robot),), np.float32)
     return ordered_dict(box)
 
 
-def describe(table: Sequence[ObsEntry]) -> list[dict[str, Any]]:
+def describe(robot: Robot, table: Sequence[ObsEntry]) -> list[dict[str, Any]]:
     """The rows of a table and ``state`` for people and machines: key, shape, dtype, unit, frame, meaning."""
     rows = [
         {
@@ -275,11 +302,11 @@ def describe(table: Sequence[ObsEntry]) -> list[dict[str, Any]]:
         }
         for entry in table
     ]
-    meaning = "the rows " + ", ".join(entry.key for entry in STATE_TABLE) + " in this order"
+    meaning = "the rows " + ", ".join(entry.key for entry in state_table(robot)) + " in this order"
     rows.append(
         {
             "key": STATE_KEY,
-            "shape": [STATE_DIM],
+            "shape": [state_dim(robot)],
             "dtype": "float32",
             "unit": "mixed",
             "frame": "mixed",
@@ -339,7 +366,7 @@ def _param_rows(index: int, camera: str) -> list[ObsEntry]:
     ]
 
 
-def _cloud_rows(points: int) -> list[ObsEntry]:
+def _cloud_rows(robot: Robot, points: int) -> list[ObsEntry]:
     most = np.iinfo(np.int32).max
     order = "of every pixel: cameras in the order asked for, rows from the top"
     return [
@@ -347,7 +374,7 @@ def _cloud_rows(points: int) -> list[ObsEntry]:
             f"{POINTCLOUD}/xyz",
             (points, 3),
             "m",
-            "base_link",
+            robot.base_link,
             _cloud_xyz,
             f"position {order}; zero where nothing is hit (seg 0)",
         ),
@@ -419,7 +446,7 @@ def _cloud_xyz(views: Views) -> Array:
     depth = views.images["depth"]
     xp = namespace(depth)
     f32 = namespace(depth).float32
-    yaw = views.base[:, 2]
+    yaw = views.base[:, BASE_YAW]
     c = xp.cos(yaw)
     s = xp.sin(yaw)
     zero = zeros(yaw.shape, yaw)
@@ -427,7 +454,7 @@ def _cloud_xyz(views: Views) -> Array:
         [xp.stack([c, s, zero]), xp.stack([-s, c, zero]), xp.stack([zero, zero, zero + 1.0])]
     )
     to_base = xp.permute_dims(to_base, (2, 0, 1))
-    origin = xp.concat([views.base[:, :2], zero[:, None] + BASE_HEIGHT], axis=1)
+    origin = xp.concat([views.base[:, BASE_XY], zero[:, None] + views.robot.base_height], axis=1)
     rot = to_base[:, None] @ views.mat
     pos = xp.einsum("wij,wcj->wci", to_base, views.pos - origin[:, None])
     # Points in the camera (x right, y down, z forward) and 1, all 0 where nothing is hit, times a 4x3 matrix.
@@ -449,15 +476,14 @@ def _cloud_image(views: Views, output: str) -> Array:
     return image.reshape(len(image), -1, 3 if output == "rgb" else 1)
 
 
-def state_observation(context: ObsContext) -> dict[str, Array]:
-    """Every entry of STATE_TABLE and their concatenation, float32, (W, ...); the entries are views of it."""
+def state_observation(robot: Robot, context: ObsContext) -> dict[str, Array]:
+    """Every entry of `state_table` and their concatenation, float32, (W, ...); the entries are views of it."""
     xp = namespace(context.robot_q)
-    state = xp.astype(
-        xp.concat([entry.compute(context) for entry in STATE_TABLE], axis=1), xp.float32
-    )
+    table = state_table(robot)
+    state = xp.astype(xp.concat([entry.compute(context) for entry in table], axis=1), xp.float32)
     obs = {}
     column = 0
-    for entry in STATE_TABLE:
+    for entry in table:
         obs[entry.key] = state[:, column : column + entry.shape[0]]
         column += entry.shape[0]
     obs[STATE_KEY] = state

@@ -12,6 +12,7 @@ import numpy as np
 from mjhab.config.env import DENSE_MODES, EnvConfig
 from mjhab.core.arrays import Array
 from mjhab.core.errors import UsageError
+from mjhab.core.joints import BASE_XY
 from mjhab.envs.loop import TaskLoop
 from mjhab.envs.parts.memory import check_memory
 from mjhab.envs.parts.nav_distance import NavDistance
@@ -37,7 +38,7 @@ INDEX_STRIDE = 1 << 20
 class SequentialTaskEnv(TaskLoop):
     """HAB tasks on the CPU simulator. Build it with `mjhab.envs.make` or `make_train`.
 
-    Observations: the rows of `observer.table`, among them ``state`` (W, 42). Actions: (W, A), see ``action_table``.
+    Observations: the rows of `observer.table`, among them ``state``. Actions: (W, A), see ``action_table``.
     Reward: by ``config.reward``; "pointer" is the subtask pointer, as in MS-HAB.
 
     World i's k-th episode since its seed was set depends on (its seed, i, k) only. A seed of `reset` is one for all
@@ -59,7 +60,7 @@ class SequentialTaskEnv(TaskLoop):
         self.source = EpisodeSource(self.sim, config, self.task_config, setting.file)
         self.starts = self.source.starts
         self.nav = NavDistance(setting.layout, self.num_envs, self.starts.sampler.map)
-        self._make_parts(lambda inputs: self.nav.at(inputs.world.base_pose[:, :2]))
+        self._make_parts(lambda inputs: self.nav.at(inputs.world.base_pose[:, BASE_XY]))
         self.observer = Observer(
             self.sim,
             self.sensing,

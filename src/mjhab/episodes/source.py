@@ -15,6 +15,7 @@ from mjhab.episodes.rosters import object_roster
 from mjhab.episodes.starts import Start, StartMaker, check_target
 from mjhab.episodes.zones import with_zones
 from mjhab.layout.layout import Layout
+from mjhab.robots.registry import robot_named
 from mjhab.scenes.packs import open_pack
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.tasks.household.registry import TASKS
@@ -40,7 +41,8 @@ def open_setting(config: EnvConfig) -> Setting:
     """
     pack = open_pack(config.assets)
     file = read_hab(Path(config.episodes_file)) if config.episodes_file else None
-    layout = Layout(pack, file_roster(file, pack) if file else object_roster(config, pack))
+    objects = file_roster(file, pack) if file else object_roster(config, pack)
+    layout = Layout(pack, objects, robot_named(config.robot))
     check_target(config, layout)
     return Setting(layout, file)
 

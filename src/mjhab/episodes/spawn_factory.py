@@ -28,7 +28,6 @@ from mjhab.episodes.spawn_sets import (
 )
 from mjhab.episodes.starts import StartMaker, check_target
 from mjhab.layout.layout import Layout
-from mjhab.robots.fetch.model import REST_QPOS
 from mjhab.scenes.packs import open_pack
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.tasks.subtasks.registry import SUBTASKS
@@ -62,7 +61,9 @@ class SpawnFactory:
         self.sim = CpuSimulator(self.layout, 1, 1)
         wanted = recipe.target if recipe.target in self.layout.roster else ""
         self.episodes = EpisodeMaker(self.sim, recipe.task, recipe.split, config.home, wanted)
-        self.starts = StartMaker(self.sim, config, task_config(config, REST_QPOS), recipe.harvested)
+        self.starts = StartMaker(
+            self.sim, config, task_config(config, self.layout.robot), recipe.harvested
+        )
 
     def episode(self, index: int) -> Episode:
         """The episode of start ``index``."""

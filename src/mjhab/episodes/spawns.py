@@ -14,11 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from mjhab.core.boxes import Boxes, sphere_box_distance
+from mjhab.core.joints import BASE
 from mjhab.core.rotations import mat_from_quat, pose_mul
-from mjhab.robots.controllers.actions import ARM_JOINTS
-from mjhab.robots.fetch.model import REST_QPOS
 from mjhab.robots.kinematics import wrap
-from mjhab.scenes.freespace import NAVMESH_BASE_RADIUS_M, FreeMap, shared_map
+from mjhab.scenes.freespace import FreeMap, shared_map
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.scratch import Scratch
 
@@ -76,7 +75,7 @@ class SpawnGoal:
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """An object in the gripper: its slot and its pose (7,) in the frame of gripper_link.
+    """An object in the gripper: its slot and its pose (7,) in the frame of the tool centre.
 
     With ``grip``, a start counts only if the object passes this grasp test: see `Scratch.collision_free`.
     """
@@ -92,6 +91,9 @@ class SpawnSampler:
     def __init__(self, sim: CpuSimulator) -> None:
         self.sim = sim
         self.scratch = Scratch(sim)
+        self._robot = sim.layout.robot
+        self._radius = self._robot.footprint.spawn
+        self._arm = list(self._robot.arm_columns)
         self._homes = sim.layout.pack.homes_by_name
         self._standing: dict[tuple[str, float], np.ndarray] = {}
         self._walls: dict[str, Boxes] = {}
@@ -100,8 +102,9 @@ class SpawnSampler:
         """Free-space map of a home."""
         return shared_map(self._homes[home], self.sim.layout.pack)
 
-    def walkable(self, home: str, radius: float = NAVMESH_BASE_RADIUS_M) -> np.ndarray:
-        """(P, 2) centres [m] of the cells where a robot of a ``radius`` [m] can stand."""
+    def walkable(self, home: str, radius: float | None = None) -> np.ndarray:
+        """(P, 2) centres [m] of the cells where a robot of a ``radius`` [m], if None its own, can stand."""
+        radius = self._radius if radius is None else radius
         key = (home, radius)
         if key not in self._standing:
             fmap = self.map(home)
@@ -148,7 +151,9 @@ class SpawnSampler:
         for rng in rngs:
             tries += 1
             base = self._sample_base(home, goal, candidates, rng)
-            arm_noise = np.clip(rng.normal(0, ARM_NOISE[0], 7), -ARM_NOISE[1], ARM_NOISE[1])
+            arm_noise = np.clip(
+                rng.normal(0, ARM_NOISE[0], len(self._arm)), -ARM_NOISE[1], ARM_NOISE[1]
+            )
             found = None if base is None else self._apply(home, qpos, base, arm_noise, held)
             if found is not None:
                 return found, tries
@@ -158,7 +163,9 @@ class SpawnSampler:
         self, home: str, qpos: np.ndarray, xy: np.ndarray, goal: SpawnGoal, held: Held | None = None
     ) -> np.ndarray | None:
         """The state with the robot at ``xy`` (2,) in its rest pose, facing the goal; None when it touches something."""
-        return self._apply(home, qpos, np.array([*xy, self._heading(xy, goal)]), np.zeros(7), held)
+        return self._apply(
+            home, qpos, np.array([*xy, self._heading(xy, goal)]), np.zeros(len(self._arm)), held
+        )
 
     def fallback(
         self, home: str, qpos: np.ndarray, goal: SpawnGoal, held: Held | None = None
@@ -207,9 +214,7 @@ class SpawnSampler:
             return None
         cell = candidates[int(rng.integers(len(candidates)))]
         xy = cell + noise
-        if self.map(home).clearance_at(xy) < NAVMESH_BASE_RADIUS_M - 0.02 or not goal.allows(
-            xy, goal.slack
-        ):
+        if self.map(home).clearance_at(xy) < self._radius - 0.02 or not goal.allows(xy, goal.slack):
             return None
         if goal.face is None:
             return np.array([*xy, rng.uniform(*goal.yaw)])
@@ -245,9 +250,9 @@ class SpawnSampler:
     ) -> np.ndarray:
         a = self.sim.addresses
         out = qpos.copy()
-        robot = out[a.robot_q].copy() if held else np.array(REST_QPOS, dtype=np.float64)
-        robot[:3] = base
-        robot[list(ARM_JOINTS)] += arm_noise
+        robot = out[a.robot_q].copy() if held else self._robot.rest.copy()
+        robot[BASE] = base
+        robot[self._arm] += arm_noise
         out[a.robot_q] = robot
         if held is not None:
             start = a.object_q[held.slot]

@@ -16,7 +16,6 @@ from typing import Any
 
 from mjhab.assets.sources import licence_of
 from mjhab.config.env import EnvConfig
-from mjhab.config.profiles import MJHAB
 from mjhab.core.errors import UsageError
 from mjhab.core.machine import cores
 from mjhab.data.record import generation
@@ -39,6 +38,7 @@ from mjhab.evaluation.evaluate import (
     spec_of_options,
 )
 from mjhab.evaluation.resolve import PolicyFacts, full_spec
+from mjhab.robots.registry import DEFAULT_ROBOT, robot_named
 from mjhab.rollout.loop import plain
 from mjhab.scenes.pack_source import Assets, pack_request
 from mjhab.tasks.style import Styles
@@ -85,7 +85,8 @@ class GenerateSpec:
     all.
     states: store positions and velocities; without them nothing can be rendered later. images: camera images to
     store, "depth", "rgb", "rgbd", "seg" or several joined by "+"; "none" for none. cameras, camera_size: of which
-    cameras, and how large (one number, or height and width) [px]. rgb: format of colour, "png" or "jpeg".
+    cameras (all of the robot if None), and how large (one number, or height and width) [px]. rgb: format of
+    colour, "png" or "jpeg".
     reward_mode: reward to store, "" for that of an evaluation.
     worlds: episodes that a worker runs at the same time. workers: processes to start (a script then needs
     ``if __name__ == "__main__":``); 0 for this process. threads: of the physics of each worker, 0 divides the cores
@@ -117,7 +118,7 @@ class GenerateSpec:
     preset: str | None = None
     states: bool = True
     images: str = NO_IMAGES
-    cameras: tuple[str, ...] = MJHAB.cameras
+    cameras: tuple[str, ...] | None = None
     camera_size: int | tuple[int, int] = 128
     rgb: str = "png"
     reward_mode: str = ""
@@ -134,6 +135,9 @@ class GenerateSpec:
                 self, "policy", full_spec(self.policy, self.task, self.subtask, self.target)
             )
         check_env_options(self.env, GenerateSpec, "a data set")
+        robot = robot_named(self.env.get("robot", DEFAULT_ROBOT))
+        if self.cameras is None:
+            object.__setattr__(self, "cameras", robot.camera_names)
         for name in ("per_target", "per_label", "workers"):
             value = getattr(self, name)
             if value < 0:
@@ -147,7 +151,7 @@ class GenerateSpec:
         if self.stores_images:
             ImageFormat(self.rgb)
             mode_outputs(self.images)
-            camera_names(self.cameras)
+            camera_names(robot, self.cameras or ())
             image_size(self.camera_size)
 
     @property

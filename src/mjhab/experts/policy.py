@@ -15,7 +15,6 @@ from mjhab.envs.parts.world_view import WorldView
 from mjhab.envs.parts.worlds import Worlds
 from mjhab.experts.arm import motion
 from mjhab.experts.style import Manner, StyledView
-from mjhab.robots.controllers.actions import ACTION_DIM
 from mjhab.tasks.household.registry import TASKS
 from mjhab.tasks.plan import Subtask
 from mjhab.tasks.style import Styles, recorded
@@ -54,7 +53,7 @@ def _kinds_in(env: Worlds) -> tuple[str, ...]:
 
 
 class ExpertPolicy:
-    """Scripted whole-body experts for every subtask, with privileged state, acting through the 13-D action."""
+    """Scripted whole-body experts for every subtask, with privileged state, in the default control mode."""
 
     name = "expert"
 
@@ -68,7 +67,8 @@ class ExpertPolicy:
         self._manners: list[Manner | None] = [None] * env.num_envs
         self._scripts: list[Script | None] = [None] * env.num_envs
         self._tokens: list[tuple[int, int, int] | None] = [None] * env.num_envs
-        self._last = np.zeros((env.num_envs, ACTION_DIM), np.float32)
+        self._columns = env.layout.robot.action
+        self._last = np.zeros((env.num_envs, self._columns.dim), np.float32)
         self._wished = self._last.copy()
         self._intended = self._last.copy()
 
@@ -82,7 +82,7 @@ class ExpertPolicy:
         return {} if self._styles.plain else recorded(self._views[world].style)
 
     def act(self, obs: Any, info: Mapping[str, Any], mask: np.ndarray | None = None) -> np.ndarray:
-        """Actions (W, 13) for the present state of the environment; those of worlds outside ``mask`` (W,) are old."""
+        """Actions (W, A) for the present state of the environment; those of worlds outside ``mask`` (W,) are old."""
         for w, view in enumerate(self._views):
             if mask is None or mask[w]:
                 self._intended[w], self._last[w] = self._next(w, view)
@@ -97,10 +97,10 @@ class ExpertPolicy:
         return self._scripts[world]
 
     def _next(self, w: int, view: StyledView) -> tuple[np.ndarray, np.ndarray]:
-        """The intended and the executed action (13,) of a world."""
+        """The intended and the executed action (A,) of a world."""
         subtask = view.subtask
         if subtask is None or view.done:
-            still = np.zeros(ACTION_DIM, np.float32)
+            still = np.zeros(self._columns.dim, np.float32)
             return still, still
         manner = self._manner(w, view)
         token = view.token
@@ -132,7 +132,9 @@ class ExpertPolicy:
         if manner is None:
             seed, index, _ = view.token
             view.style = self._styles.draw(seed, index)
-            self._manners[w] = manner = Manner(view.style, stream(seed, "style", "actions", index))
+            self._manners[w] = manner = Manner(
+                view.style, self._columns, stream(seed, "style", "actions", index)
+            )
         return manner
 
     def _from_script(self, w: int, view: StyledView) -> np.ndarray:
@@ -142,6 +144,6 @@ class ExpertPolicy:
             return next(script)
         except StopIteration:
             # A script that ends has nothing better to do than to stay at rest with its grip unchanged.
-            rest = motion.stay_at_rest(view, gripper=float(self._last[w, 7]))
+            rest = motion.stay_at_rest(view, gripper=float(self._last[w, self._columns.gripper]))
             self._scripts[w] = rest
             return next(rest)

@@ -10,12 +10,10 @@ import numpy as np
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.envs.parts.worlds import Worlds
 from mjhab.episodes.grasps.candidates import KINDS, Grasps
-from mjhab.robots.controllers.actions import ACTION_DIM, ARM_JOINTS, BASE_FORWARD, BASE_YAW, GRIPPER
+from mjhab.robots.parts import ActionColumns
 from mjhab.tasks.style import ANY, PLAIN, SMOOTH, Style
 
 Array = np.ndarray
-ARM = slice(0, len(ARM_JOINTS))
-BASE = [BASE_FORWARD, BASE_YAW]
 LASTING = 0.86
 """What is left of smooth noise after a control step: it drifts with a time constant of a third of a second."""
 FULL_NOISE = 0.25
@@ -33,7 +31,7 @@ class StyledView(WorldView):
 
     @property
     def qd(self) -> Array:
-        """(15,) joint velocities, per second of the script."""
+        """(J,) joint velocities, per second of the script."""
         return super().qd / self.style.speed
 
 
@@ -51,14 +49,16 @@ class Manner:
     """Slows, disturbs and delays the actions of one episode.
 
     Args:
-        style: how. random: source of the noise, one stream per episode.
+        style: how. columns: of the robot's actions. random: source of the noise, one stream per episode.
     """
 
-    def __init__(self, style: Style, random: np.random.Generator) -> None:
+    def __init__(self, style: Style, columns: ActionColumns, random: np.random.Generator) -> None:
         self.style = style
+        self._columns = columns
+        self._base = [columns.base_forward, columns.base_yaw]
         self._random = random
         self._phase = 1.0
-        self._noise = np.zeros(ACTION_DIM)
+        self._noise = np.zeros(self._columns.dim)
         self.holds = style.hold
         """Control steps for which the robot still stands before it begins."""
 
@@ -71,32 +71,36 @@ class Manner:
         return True
 
     def wait(self, still: Array) -> Array:
-        """The executed action (13,) of a control step before the beginning, where ``still`` (13,) is intended."""
+        """The executed action (A,) of a control step before the beginning, where ``still`` (A,) is intended."""
         self.holds -= 1
         if not self.style.dither:
             return still
-        scale = np.zeros(ACTION_DIM)
-        scale[ARM] = self.style.dither
+        scale = np.zeros(self._columns.dim)
+        scale[self._columns.arm] = self.style.dither
         return self._disturbed(still, scale)
 
     def slow(self, action: Array) -> Array:
-        """The intended action (13,) float32 for one of the script; the gripper stays as it is."""
+        """The intended action (A,) float32 for one of the script; the gripper stays as it is."""
         out = action * np.float32(self.style.speed)
-        out[GRIPPER] = action[GRIPPER]
+        out[self._columns.gripper] = action[self._columns.gripper]
         return out
 
     def disturb(self, intended: Array) -> Array:
-        """The executed action (13,) float32 for an intended one; the gripper stays as it is."""
+        """The executed action (A,) float32 for an intended one; the gripper stays as it is."""
         style = self.style
         if not (style.noise or style.base_noise):
             return intended
-        scale = np.zeros(ACTION_DIM)
-        scale[ARM] = style.noise * min(1.0, float(np.abs(intended[ARM]).max()) / FULL_NOISE)
-        scale[BASE] = style.base_noise * min(1.0, float(np.abs(intended[BASE]).max()) / FULL_NOISE)
+        scale = np.zeros(self._columns.dim)
+        scale[self._columns.arm] = style.noise * min(
+            1.0, float(np.abs(intended[self._columns.arm]).max()) / FULL_NOISE
+        )
+        scale[self._base] = style.base_noise * min(
+            1.0, float(np.abs(intended[self._base]).max()) / FULL_NOISE
+        )
         return self._disturbed(intended, scale)
 
     def _disturbed(self, action: Array, scale: Array) -> Array:
-        fresh = self._random.standard_normal(ACTION_DIM)
+        fresh = self._random.standard_normal(self._columns.dim)
         if self.style.noise_kind == SMOOTH:
             self._noise = LASTING * self._noise + np.sqrt(1.0 - LASTING**2) * fresh
         else:

@@ -11,7 +11,7 @@ from gymnasium import spaces
 
 import mjhab.envs as envs
 from mjhab.core.errors import UsageError
-from mjhab.envs.observations import CAMERA_KEYS, STATE_DIM, STATE_KEY, camera_key
+from mjhab.envs.observations import STATE_KEY, camera_key, state_dim
 from mjhab.evaluation.served.action_spaces import ActionReader, space_named
 
 CAMERAS = ("head", "wrist")
@@ -76,7 +76,9 @@ class LeRobotEnv(gymnasium.Env):
         self.observation_space = spaces.Dict(
             {
                 "pixels": spaces.Dict(dict.fromkeys(CAMERAS, image)),
-                "agent_pos": spaces.Box(-np.inf, np.inf, (STATE_DIM,), np.float32),
+                "agent_pos": spaces.Box(
+                    -np.inf, np.inf, (state_dim(self._env.layout.robot),), np.float32
+                ),
             }
         )
         self.action_space = spaces.Box(-np.inf, np.inf, (len(self._reader.names),), np.float32)
@@ -119,7 +121,7 @@ class LeRobotEnv(gymnasium.Env):
         self.task_description = info["instruction"][0]
         images = {
             name: obs[camera_key(camera, "rgb")][0]
-            for name, camera in zip(CAMERAS, CAMERA_KEYS, strict=True)
+            for name, camera in zip(CAMERAS, self._env.layout.robot.camera_names, strict=True)
         }
         seen = {"pixels": images, "agent_pos": np.asarray(obs[STATE_KEY][0], np.float32)}
         return seen, {"is_success": self._success}

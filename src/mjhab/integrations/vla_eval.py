@@ -17,9 +17,10 @@ from vla_eval.specs import IMAGE_RGB, LANGUAGE, RAW, DimSpec
 
 import mjhab.envs as envs
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.envs.observations import CAMERA_KEYS, STATE_DIM, STATE_KEY, camera_key
+from mjhab.envs.observations import STATE_KEY, camera_key, state_dim
 from mjhab.evaluation.score.manifest import Row, manifest
 from mjhab.evaluation.served.action_spaces import ActionReader, space_named
+from mjhab.robots.registry import robot_named
 
 CAMERAS = ("head", "wrist")
 """Names of the images, in the order of the robot's cameras."""
@@ -150,7 +151,7 @@ class MjhabBenchmark(StepBenchmark):
 
     def get_observation_spec(self) -> dict[str, DimSpec]:
         """Two images, the state and the instruction."""
-        state = DimSpec("state", STATE_DIM, RAW.format)
+        state = DimSpec("state", state_dim(robot_named()), RAW.format)
         return {**dict.fromkeys(CAMERAS, IMAGE_RGB), "state": state, "language": LANGUAGE}
 
     def get_hold_action(self, last_action: dict[str, Any] | None) -> dict[str, Any]:
@@ -192,4 +193,4 @@ class MjhabBenchmark(StepBenchmark):
 
 
 def _image(obs: Any, camera: int) -> np.ndarray:
-    return obs[camera_key(CAMERA_KEYS[camera], "rgb")][0]
+    return obs[camera_key(robot_named().camera_names[camera], "rgb")][0]

@@ -18,8 +18,9 @@ def home_hash(layout: Layout, home: Home) -> str:
     """Hash of a home in its layout: equal when the compiled model would be equal."""
     pack = layout.pack
     digest = hashlib.sha256(
-        mujoco.__version__.encode() + code_digest("scenes", "robots.fetch", "layout")
+        mujoco.__version__.encode() + code_digest("scenes", "robots.model", "layout")
     )
+    digest.update(layout.robot.digest)
     digest.update(repr((home, layout.roster, layout.prop_slots, layout.num_walls)).encode())
     digest.update(
         repr(

@@ -7,7 +7,8 @@ import mujoco
 from mjhab.core.errors import unknown_name
 from mjhab.layout.compile import compile_home
 from mjhab.layout.layout import Layout
-from mjhab.robots.fetch.model import Drives, apply_drives
+from mjhab.robots.model import apply_drives
+from mjhab.robots.parts import Drives
 
 
 class HomeModels:
@@ -36,6 +37,6 @@ class HomeModels:
             if home not in self._homes:
                 raise unknown_name("home", home, self._homes)
             model = compile_home(self._layout, self._homes[home])
-            apply_drives(model, self._drives)
+            apply_drives(model, self._layout.robot, self._drives)
             self._models[home] = model
         return self._models[home]

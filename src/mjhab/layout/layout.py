@@ -18,7 +18,9 @@ from scipy.spatial import ConvexHull
 from mjhab.core.errors import unknown_name
 from mjhab.core.names import copy_names
 from mjhab.layout.contact_sensors import add_depth_sensor, add_force_sensor, add_touch_sensor
-from mjhab.robots.fetch import model as fetch
+from mjhab.robots.model import add_robot, physics_options
+from mjhab.robots.registry import robot_named
+from mjhab.robots.robot import Robot
 from mjhab.scenes import contact_bits
 from mjhab.scenes.spec import (
     IDENTITY,
@@ -98,14 +100,16 @@ class Layout:
     Args:
         pack: the asset pack.
         roster: object type per object slot.
+        robot: who works in the homes; the default robot if not given.
 
     Raises:
         UsageError: the pack has no object of a type.
     """
 
-    def __init__(self, pack: Pack, roster: tuple[str, ...]) -> None:
+    def __init__(self, pack: Pack, roster: tuple[str, ...], robot: Robot | None = None) -> None:
         self.pack = pack
         self.roster = roster
+        self.robot = robot or robot_named()
         copies: Counter[str] = Counter()
         for home in pack.homes:
             copies |= Counter(p.template for p in home.props)
@@ -175,7 +179,7 @@ def build_spec(layout: Layout, home: Home) -> mujoco.MjSpec:
     spec = mujoco.MjSpec()
     spec.modelname = home.name
     spec.memory = 64 << 20
-    fetch.physics_options(spec)
+    physics_options(spec)
     spec.default.geom.friction[0] = SLIDING_FRICTION
     world = spec.worldbody
     plane = mujoco.mjtGeom.mjGEOM_PLANE
@@ -183,7 +187,7 @@ def build_spec(layout: Layout, home: Home) -> mujoco.MjSpec:
         name="floor", type=plane, size=[0, 0, 1], contype=contact_bits.STATIC, conaffinity=0
     )
     _add_meshes(spec, layout)
-    fetch.add_fetch(spec)
+    add_robot(spec, layout.robot)
     for k in range(layout.num_walls):
         wall = home.walls[k] if k < len(home.walls) else Geom("box", (0.01, 0.01, 0.01), PARKED)
         _add_geom(world, wall, f"wall_{k}", contact_bits.STATIC)
@@ -309,34 +313,37 @@ def volume(geom: Geom, spec: mujoco.MjSpec | None) -> float:
 
 
 def _add_sensors(spec: mujoco.MjSpec, layout: Layout) -> None:
+    robot = layout.robot
     targets = (*layout.object_names, *layout.link_ids)
-    for link in fetch.FORCE_LINKS:
+    for link in robot.force_links:
         add_force_sensor(spec, f"force/{link}", link)
-    for finger in fetch.FINGER_LINKS:
+    for finger in robot.finger_links:
         for target in targets:
             add_force_sensor(spec, f"{finger}>{target}", finger, target)
     for target in targets:
-        add_touch_sensor(spec, f"touch>{target}", "base_link", target, whole_subtree=True)
-    add_depth_sensor(spec, "robot_depth", "base_link")
+        add_touch_sensor(spec, f"touch>{target}", robot.base_link, target, whole_subtree=True)
+    add_depth_sensor(spec, "robot_depth", robot.base_link)
     # Type XBODY is the origin of the link frame, not its centre of mass.
     linvel = mujoco.mjtSensor.mjSENS_FRAMELINVEL
     xbody = mujoco.mjtObj.mjOBJ_XBODY
-    spec.add_sensor(name="tcp_velocity", type=linvel, objtype=xbody, objname=fetch.TCP_LINK)
+    spec.add_sensor(name="tcp_velocity", type=linvel, objtype=xbody, objname=robot.tcp)
     for target in (*layout.object_names, *layout.link_ids):
-        # Of gripper_link alone: the contacts of the fingers are known, and looking through a subtree costs more.
-        add_touch_sensor(spec, f"palm>{target}", fetch.TCP_LINK, target, whole_subtree=False)
+        # Of this link alone: the contacts of the fingers are known, and looking through a subtree costs more.
+        add_touch_sensor(spec, f"palm>{target}", robot.tcp, target, whole_subtree=False)
 
 
 @dataclass(frozen=True, eq=False)
 class Addresses:
     """Where things are in the arrays of any model of a layout. J robot joints, N objects, L links, K force links.
 
-    ``robot_q``, ``robot_v`` (J,): in FETCH_JOINTS order; ``object_q``, ``object_v`` (N,): first of 7 / 6;
+    ``robot``: whose joints they are; ``robot_q``, ``robot_v`` (J,): in the order of ``robot.joints``;
+    ``object_q``, ``object_v`` (N,): first of 7 / 6;
     ``object_body`` (N,); ``link_q``, ``link_v``, ``link_body`` (L,); ``robot_body``: link name to body id;
     sensor starts: ``link_force`` (K,) and ``finger_force`` (2, N + L) for [l, r] finger, each FORCE_SENSOR_WIDTH wide;
-    ``touch`` (N + L,), ``tcp_velocity``, ``palm`` (N + L,) contacts of gripper_link.
+    ``touch`` (N + L,), ``tcp_velocity``, ``palm`` (N + L,) contacts of the link of the tool centre.
     """
 
+    robot: Robot
     robot_q: np.ndarray
     robot_v: np.ndarray
     object_q: np.ndarray
@@ -363,11 +370,13 @@ def addresses(layout: Layout, model: mujoco.MjModel) -> Addresses:
     def sensors(names: list[str]) -> np.ndarray:
         return np.array([model.sensor(n).adr[0] for n in names])
 
-    robot_q, robot_v = joints(fetch.FETCH_JOINTS)
+    robot = layout.robot
+    robot_q, robot_v = joints(robot.joints)
     object_q, object_v = joints(layout.object_names)
     link_q, link_v = joints(layout.link_ids)
     targets = (*layout.object_names, *layout.link_ids)
     return Addresses(
+        robot=robot,
         robot_q=robot_q,
         robot_v=robot_v,
         object_q=object_q,
@@ -376,9 +385,9 @@ def addresses(layout: Layout, model: mujoco.MjModel) -> Addresses:
         link_v=link_v,
         object_body=np.array([model.body(n).id for n in layout.object_names]),
         link_body=np.array([model.body(n).id for n in layout.link_ids]),
-        robot_body={n: model.body(n).id for n in (*fetch.FORCE_LINKS, *fetch.FINGER_LINKS)},
-        link_force=sensors([f"force/{n}" for n in fetch.FORCE_LINKS]),
-        finger_force=np.array([sensors([f"{f}>{t}" for t in targets]) for f in fetch.FINGER_LINKS]),
+        robot_body={n: model.body(n).id for n in robot.model_links},
+        link_force=sensors([f"force/{n}" for n in robot.force_links]),
+        finger_force=np.array([sensors([f"{f}>{t}" for t in targets]) for f in robot.finger_links]),
         touch=sensors([f"touch>{t}" for t in targets]),
         tcp_velocity=int(model.sensor("tcp_velocity").adr[0]),
         palm=sensors([f"palm>{t}" for t in targets]),

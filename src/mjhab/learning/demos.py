@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from mjhab.core.errors import UsageError
+from mjhab.core.joints import BASE, BASE_X, BASE_Y, BASE_YAW
 from mjhab.core.names import kind_of
 from mjhab.core.seeding import stream
 from mjhab.data.select.query import Filter
@@ -304,15 +305,16 @@ def _vectors(episode: Episode, layout: Layout, executed: np.ndarray) -> np.ndarr
 def base_velocity_of(episode: Episode) -> np.ndarray:
     """Forward speed [m/s] and turning rate [rad/s] of the base (N+1, 2) float32, from the recorded states."""
     columns = episode.run.layout["columns"]
-    q = episode.array("states/qpos")[:, columns["robot_q"][:3]]
-    qd = episode.array("states/qvel")[:, columns["robot_v"][:3]]
+    q = episode.array("states/qpos")[:, columns["robot_q"][BASE]]
+    qd = episode.array("states/qvel")[:, columns["robot_v"][BASE]]
     return base_velocity(q, qd)
 
 
 def base_velocity(q: np.ndarray, qd: np.ndarray) -> np.ndarray:
     """(N, 2) float32 forward speed and turning rate of q (N, 3+): x, y [m], yaw [rad], and its velocities ``qd``."""
-    forward = np.cos(q[:, 2]) * qd[:, 0] + np.sin(q[:, 2]) * qd[:, 1]
-    return np.stack([forward, qd[:, 2]], axis=1).astype(np.float32)
+    yaw = q[:, BASE_YAW]
+    forward = np.cos(yaw) * qd[:, BASE_X] + np.sin(yaw) * qd[:, BASE_Y]
+    return np.stack([forward, qd[:, BASE_YAW]], axis=1).astype(np.float32)
 
 
 def _images(episode: Episode, layout: Layout, steps: int) -> np.ndarray:

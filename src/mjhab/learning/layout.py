@@ -64,7 +64,7 @@ class ActingEnv(StudentEnv, Protocol):
 
     @property
     def state(self) -> Any:
-        """State of all worlds, with ``robot_q`` and ``robot_qd`` (W, 15)."""
+        """State of all worlds, with ``robot_q`` and ``robot_qd`` (W, J)."""
         ...
 
 

@@ -10,13 +10,13 @@ import numpy as np
 
 from mjhab.core.boxes import Boxes, sphere_box_distance
 from mjhab.core.errors import unknown_name
+from mjhab.core.joints import BASE
 from mjhab.core.rotations import mat_from_quat
 from mjhab.layout.layout import Layout
 from mjhab.render.build_scene import SceneBuilder, box_mesh
 from mjhab.render.raster.rasterizer import Rasterizer, look_at
 from mjhab.render.render_scene import RenderScene
-from mjhab.robots.fetch import model as fetch
-from mjhab.robots.fetch.visuals import ROBOT_MATERIALS, robot_meshes
+from mjhab.robots.parts import CameraMount
 from mjhab.scenes.builtin.materials import MATERIALS
 from mjhab.scenes.freespace import free_map
 from mjhab.scenes.spec import IDENTITY, PARKED, Geom, Home, Placement
@@ -43,7 +43,6 @@ HOME_FOVY = 0.8
 INSIDE_HEIGHT = 2.0
 FAR = 1e4
 """Bodies farther than this from the origin [m] have been thrown out of the world."""
-CAMERA_NAMES = tuple(camera.name for camera in fetch.CAMERAS)
 
 
 class BodyPoses(Protocol):
@@ -63,7 +62,7 @@ class BodyPoses(Protocol):
 def build_render_scene(layout: Layout, model: mujoco.MjModel) -> RenderScene:
     """Everything visible in the homes of a layout, hung on the bodies of its models."""
     homes = layout.pack.homes
-    builder = SceneBuilder(len(homes), {**MATERIALS, **ROBOT_MATERIALS})
+    builder = SceneBuilder(len(homes), {**MATERIALS, **layout.robot.materials})
     meshes = layout.pack.meshes
     _add_shell(builder, layout)
     for i, slot in enumerate(layout.prop_slots):
@@ -80,7 +79,7 @@ def build_render_scene(layout: Layout, model: mujoco.MjModel) -> RenderScene:
     for name, kind in zip(layout.object_names, layout.objects, strict=True):
         for geom in kind.visuals:
             builder.add_body_geom(geom, model.body(name).id, name, meshes)
-    for k, (link, mesh, material) in enumerate(robot_meshes()):
+    for k, (link, mesh, material) in enumerate(layout.robot.visuals()):
         mesh_id = builder.add_mesh(("robot", k), mesh)
         look = builder.material(material)
         builder.add_body_instance(mesh_id, model.body(link).id, material=look, seg=f"robot/{link}")
@@ -136,14 +135,6 @@ def _add_standing(
             builder.add_world_geom(geom, pos, quat, seg, present, meshes)
 
 
-def _camera_rows(cameras: Sequence[str]) -> list[int]:
-    """Rows of ``fetch.CAMERAS``."""
-    for name in cameras:
-        if name not in CAMERA_NAMES:
-            raise unknown_name("camera", name, CAMERA_NAMES)
-    return [CAMERA_NAMES.index(name) for name in cameras]
-
-
 class HomeRenderer:
     """Draws the worlds of a simulator with the CPU rasterizer.
 
@@ -160,9 +151,6 @@ class HomeRenderer:
         self.rasterizer = Rasterizer(self.scene, num_threads)
         self._home_index = {home.name: i for i, home in enumerate(sim.layout.pack.homes)}
         self._tall_boxes: dict[str, Boxes] = {}
-        self._mounts = np.array([self._model.body(c.body).id for c in fetch.CAMERAS])
-        self._mount_pos = np.array([c.pos for c in fetch.CAMERAS])
-        self._mount_mat = mat_from_quat(np.array([c.quat for c in fetch.CAMERAS]))
 
     def robot_views(
         self,
@@ -170,9 +158,11 @@ class HomeRenderer:
         homes: Sequence[str],
         size: int | tuple[int, int],
         outputs: Sequence[str],
-        cameras: Sequence[str] = CAMERA_NAMES,
+        cameras: Sequence[str] | None = None,
     ) -> dict[str, np.ndarray]:
-        """Images (W, C, height, width[, 3]) of robot cameras in all worlds; ``size``: one side or (height, width).
+        """Images (W, C, height, width[, 3]) of robot cameras (all if None) in all worlds.
+
+        ``size``: one side or (height, width) [px].
 
         A world whose physics has diverged (poses not finite, or beyond FAR) gets images of zeros.
 
@@ -181,7 +171,7 @@ class HomeRenderer:
         """
         height, width = (size, size) if isinstance(size, int) else size
         index = np.array([self._home_index[h] for h in homes])
-        fovy = [fetch.CAMERAS[c].fovy for c in _camera_rows(cameras)]
+        fovy = [mount.fovy for mount in self._cameras(cameras)]
         pos, mat = self.camera_poses(state, cameras)
         # NaN fails the comparison. The kernels must not see it: they have no bounds checks.
         sane = (np.abs(state.body_pos) < FAR).all((1, 2)) & (np.abs(state.body_mat) < 2.0).all(
@@ -210,18 +200,24 @@ class HomeRenderer:
         return images
 
     def camera_poses(
-        self, state: BodyPoses, cameras: Sequence[str] = CAMERA_NAMES
+        self, state: BodyPoses, cameras: Sequence[str] | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
         """World positions (W, C, 3) [m] and orientations (W, C, 3, 3) (x right, y up, z backwards) of robot cameras.
 
         Raises:
             UsageError: unknown camera.
         """
-        rows = _camera_rows(cameras)
-        mounts = self._mounts[rows]
-        mat = state.body_mat[:, mounts]
-        pos = state.body_pos[:, mounts] + np.einsum("wcij,cj->wci", mat, self._mount_pos[rows])
-        return pos, mat @ self._mount_mat[rows]
+        mounts = self._cameras(cameras)
+        bodies = np.array([self._model.body(mount.body).id for mount in mounts])
+        mat = state.body_mat[:, bodies]
+        place = np.array([mount.pos for mount in mounts])
+        turn = mat_from_quat(np.array([mount.quat for mount in mounts]))
+        pos = state.body_pos[:, bodies] + np.einsum("wcij,cj->wci", mat, place)
+        return pos, mat @ turn
+
+    def _cameras(self, names: Sequence[str] | None) -> list[CameraMount]:
+        robot = self.layout.robot
+        return [robot.camera(name) for name in (robot.camera_names if names is None else names)]
 
     def follow_view(
         self, state: SimState, home: str, world: int, width: int, height: int
@@ -237,7 +233,7 @@ class HomeRenderer:
         ``homes``: names (n,) of the homes they are in.
         """
         looks = [
-            self._follow(home, state.robot_q[world, :3])
+            self._follow(home, state.robot_q[world, BASE])
             for home, world in zip(homes, worlds, strict=True)
         ]
         images = self.rasterizer.render(
@@ -302,7 +298,7 @@ class HomeRenderer:
         )
         model = self._sim.model(home)
         data = mujoco.MjData(model)
-        data.qpos[self._sim.addresses.robot_q] = parked_robot_qpos()
+        data.qpos[self._sim.addresses.robot_q] = parked_robot_qpos(self.layout.robot)
         mujoco.mj_kinematics(model, data)
         return self._picture(
             home,

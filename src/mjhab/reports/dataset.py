@@ -108,7 +108,7 @@ def _header(records: Sequence[EpisodeRecord], policies: Sequence[str], where: st
         f'<span class="chip">{escape(k)} <b>{escape(str(v))}</b></span>' for k, v in shown
     )
     return (
-        "<header><h1>Recorded episodes</h1><p>A Fetch robot in furnished homes, simulated by MuJoCo, labelled by "
+        "<header><h1>Recorded episodes</h1><p>A robot in furnished homes, simulated by MuJoCo, labelled by "
         f'mjhab.</p><div class="chips">{chips}</div></header>'
     )
 

@@ -23,7 +23,8 @@ EVERY = 4
 """A frame every 4th control step of 20 Hz, played at 20 frames/s: four times the speed of life."""
 TILE = 160
 """Side of an episode's picture [px]."""
-_CAMERAS = {"follow": 0, "fetch_head": 1}
+HEAD_CAMERA = "_head"
+"""How the name of a robot's head camera ends."""
 _GAP = 4
 _FAR = 4000.0
 """Depth shown as black [mm]."""
@@ -72,9 +73,12 @@ def mosaic(members: Sequence[tuple[Path, str]], open_film: OpenFilm) -> Mosaic |
 def _best(episode: Episode) -> tuple[str, str] | None:
     """Camera and output to show: colour before depth; over the shoulder before the head before the hand."""
     shown = [image for image in episode.images if image[1] in ("rgb", "depth")]
-    return min(
-        shown, key=lambda image: (image[1] != "rgb", _CAMERAS.get(image[0], 2), image), default=None
-    )
+    return min(shown, key=lambda image: (image[1] != "rgb", _place(image[0]), image), default=None)
+
+
+def _place(camera: str) -> int:
+    """How soon a camera is shown: over the shoulder, on the head, elsewhere."""
+    return 0 if camera == "follow" else 1 if camera.endswith(HEAD_CAMERA) else 2
 
 
 def _tile(episode: Episode, camera: str, output: str, t: int) -> np.ndarray:

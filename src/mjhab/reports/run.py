@@ -99,7 +99,7 @@ def _header(records: Sequence[EpisodeRecord], config: Mapping[str, Any]) -> str:
         )
     title = escape(_title(config))
     return (
-        f"<header><h1>{title[:1].upper()}{title[1:]}</h1><p>A Fetch robot in furnished homes, simulated by "
+        f"<header><h1>{title[:1].upper()}{title[1:]}</h1><p>A robot in furnished homes, simulated by "
         f'MuJoCo and judged by mjhab.</p><div class="chips">{chips}</div>{banner}</header>'
     )
 

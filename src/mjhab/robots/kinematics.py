@@ -1,8 +1,8 @@
 """Batched forward kinematics, Jacobians and damped least-squares steps of a robot tree, on numpy and torch.
 
 The controllers of the end effector and the scripted experts share it. The tree is given by the caller, so that this
-module knows no robot file. Joint columns follow the order the caller names; for Fetch that is the order of
-``FETCH_JOINTS``: base x, y, yaw, torso lift, head pan, shoulder pan, ... with the base joints in the world frame.
+module knows no robot file. Joint columns follow the order the caller names; those of a moving base are x, y and yaw
+in the world.
 
 Letters: N configurations, Q joint columns, L links. Lengths [m], angles [rad], quaternions wxyz. Results are float64
 for numpy and of the tensor's dtype for torch.
@@ -10,8 +10,8 @@ for numpy and of the tensor's dtype for torch.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal, Protocol
 
@@ -116,6 +116,8 @@ class Chain:
     lower: Array
     upper: Array
     root_height: float
+    groups: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """Joints by group, as in `Robot.groups`; empty for a chain that knows none."""
 
     @classmethod
     def from_tree(
@@ -123,11 +125,12 @@ class Chain:
         tree: Sequence[TreeRow],
         order: Sequence[str],
         *,
-        tip: str = "gripper_link",
+        tip: str,
         extra: Sequence[str] = (),
-        root: str = "base_link",
+        root: str,
         root_height: float = 0.02,
         moving_base: bool = True,
+        groups: Mapping[str, tuple[str, ...]] | None = None,
     ) -> Chain:
         """Pick from a joint table what leads to ``tip`` and to the ``extra`` links.
 
@@ -135,11 +138,12 @@ class Chain:
             tree: every link below ``root``, see `TreeRow`; links on the way must be parallel to their parents at zero.
             order: names of the Q columns of ``q``; the first three are the base's x, y and yaw, which the tree lacks
                 (unless ``moving_base`` is False).
-            tip: link whose pose is controlled (Fetch: ``gripper_link`` is the tool centre point).
+            tip: link whose pose is controlled: the tool centre.
             extra: more links whose frames are wanted.
             root: the moving base, or the link whose frame everything is given in.
             root_height: height of the root frame [m]: of the base above the floor.
             moving_base: False: ``root`` stands at the origin and ``order`` holds joints of the tree only.
+            groups: joints by group, for those who move some of them only.
 
         Raises:
             UsageError: a link or joint name that the tree does not hold, or an axis that is not x, y or z.
@@ -162,6 +166,7 @@ class Chain:
             bounds[:, 0],
             bounds[:, 1],
             root_height,
+            dict(groups or {}),
         )
 
     @property

@@ -1,1 +1,1 @@
-"""Asset packs, homes, furniture, objects, the Fetch robot, and their compilation to MuJoCo models."""
+"""Asset packs, homes, furniture and objects, without a simulator."""

@@ -24,9 +24,9 @@ from mjhab.scenes.shapes.footprints import all_geoms, outline, rectangle
 from mjhab.scenes.spec import IDENTITY, Articulation, Geom, Home, Pack, Placement, Prop
 
 NAVMESH_BASE_RADIUS_M = 0.3
-"""Radius [m] that HAB's navigation meshes use for Fetch."""
+"""Radius [m] of the robot for which HAB makes its navigation meshes."""
 ROBOT_HEIGHT_M = 1.4
-"""What hangs above this [m] does not block the base; Fetch's head camera at rest is at 1.41 m."""
+"""What hangs above this [m] does not block the base; the head camera of the benchmark's robot is at 1.41 m."""
 MAX_KEPT_MAPS = 128
 """Maps that a process remembers, see `shared_map`; one of an apartment takes about 0.4 MB."""
 MAX_KEPT_FIELDS = 4

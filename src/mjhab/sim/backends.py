@@ -9,7 +9,7 @@ from mjhab.core.errors import UsageError, unknown_name
 
 if TYPE_CHECKING:
     from mjhab.layout.layout import Layout
-    from mjhab.robots.fetch.model import Drives
+    from mjhab.robots.parts import Drives
     from mjhab.sim.mujoco.cpu import CpuSimulator
     from mjhab.sim.warp.simulator import WarpSimulator
 

@@ -18,15 +18,15 @@ PENETRATION_LIMIT = 0.02
 
 @dataclass(frozen=True, eq=False)
 class SimState:
-    """State of all worlds after a control step. W worlds, J = 15 robot joints, N objects, L links, K force links.
+    """State of all worlds after a control step. W worlds, J robot joints, N objects, L links, K force links.
 
-    robot_q, robot_qd (W, J) in FETCH_JOINTS order [m, rad]; object_pose (W, N, 7) world [m, wxyz]; object_vel (W, N, 6)
-    velocity of the origin in the world [m/s], then angular velocity in the object's own frame [rad/s]; tcp_vel (W, 3)
-    velocity of the tool centre in the world [m/s];
+    robot_q, robot_qd (W, J) in the order of the robot's joints [m, rad]; object_pose (W, N, 7) world [m, wxyz];
+    object_vel (W, N, 6) velocity of the origin in the world [m/s], then angular velocity in the object's own frame
+    [rad/s]; tcp_vel (W, 3) velocity of the tool centre in the world [m/s];
     link_q, link_qd (W, L) [m or rad, per s]; link_force (W, K) norm of the net contact force on each robot link without
     fingers [N];
     finger_force (W, 2, N + L, 3) force by each target (objects, then links) on the [l, r] finger, world frame [N];
-    touch (W, N + L) bool: some robot link touches the target; ee_contact (W, N + L) bool: fingers or gripper_link do;
+    touch (W, N + L) bool: some robot link touches the target; ee_contact (W, N + L) bool: fingers or hand do;
     body_pos (W, B, 3), body_mat (W, B, 3, 3), body_quat
     (W, B, 4) wxyz world.
     Forces are those of the last substep. Arrays may be views that the next step overwrites.

@@ -4,7 +4,7 @@ The published labels (MS-HAB paper App. A.6) are counts over event lists, which 
 has a decision list (`SubtaskSpec.label_rules`) over signals of the steps t = 0 (the state at the start) to T: the first
 rule that holds gives the label, and the last one always holds, so every history has exactly one label.
 
-"Reached" and "touched" in a label speak of the end effector, fingers and gripper_link, as ``F_ee,a`` of the paper does:
+"Reached" and "touched" in a label speak of the end effector, fingers and hand, as ``F_ee,a`` of the paper does:
 an elbow that pushes a door has not reached its handle.
 """
 

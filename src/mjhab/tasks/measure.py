@@ -23,6 +23,7 @@ from mjhab.core.arrays import (
     pile,
 )
 from mjhab.core.errors import UsageError
+from mjhab.core.joints import BASE, BASE_XY, BASE_YAW
 from mjhab.tasks.plan import PlanArrays
 from mjhab.tasks.signals import CHECKS, SIGNAL_CHECKS, Active, Signals, Standing, WorldState
 from mjhab.tasks.subtasks.registry import PADDING, SUBTASKS, force_limits, properties
@@ -40,7 +41,7 @@ def active_entries(plan: PlanArrays, pointer: Array, config: TaskConfig) -> Acti
     must_hold = pick_column(plan.must_hold, index) & navigate
     goal_pos = pick_column(plan.goal_pos, index)
     loose = rests_holding | must_hold
-    tight = constant((config.torso_tol,) + (config.arm_tol,) * 9, goal_pos)
+    tight = constant(config.rest_tolerances, goal_pos)
     order = count(plan.kind.shape[1], pointer)
     # A finished plan has kind -1, which reads the last entry: no limit.
     limits = constant(force_limits(config), goal_pos)
@@ -127,15 +128,19 @@ def _rest(state: WorldState, cos: Array, sin: Array, config: TaskConfig) -> Arra
 def _stillness(state: WorldState, tolerance: Array, config: TaskConfig) -> tuple[Array, Array]:
     """Torso, head and arm near rest; and base, torso, head and arm not moving. Returns two (W,) bool.
 
-    ``tolerance`` (W, 10): how far the joints may be from rest.
+    ``tolerance`` (W, P): how far the joints of the posture may be from rest.
     """
     xp = namespace(tolerance)
+    posture = config.joints.posture
+    count = posture.stop - posture.start
     near_rest = (
-        xp.abs(state.robot_q[:, 3:13] - constant(config.rest_qpos[3:13], state.robot_q))
+        xp.abs(state.robot_q[:, posture] - constant(config.rest_qpos[posture], state.robot_q))
         <= tolerance
     )
-    limits = constant((config.static_base_speed,) * 3 + (config.static_speed,) * 10, state.robot_qd)
-    speed = state.robot_qd[:, :13]
+    limits = constant(
+        (config.static_base_speed,) * BASE.stop + (config.static_speed,) * count, state.robot_qd
+    )
+    speed = state.robot_qd[:, config.joints.body]
     if config.stillness == "absolute":
         speed = xp.abs(speed)
     slow = speed <= limits
@@ -147,7 +152,7 @@ def _arrival(
 ) -> tuple[Array, Array]:
     """Near the navigation goal (and inside its box), and facing it. Returns two (W,) bool."""
     xp = namespace(state.base_pose)
-    position = state.base_pose[:, :2]
+    position = state.base_pose[:, BASE_XY]
     to_goal = active.goal_pos[:, :2] - position
     dx = to_goal[:, 0]
     dy = to_goal[:, 1]
@@ -194,7 +199,7 @@ def measure(
     if active is None:
         active = active_entries(plan, progress.pointer, config)
     xp = namespace(state.base_pose)
-    yaw = state.base_pose[:, 2]
+    yaw = state.base_pose[:, BASE_YAW]
     cumulative = progress.cumulative_force
     cos = xp.cos(yaw)
     sin = xp.sin(yaw)

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 from mjhab.core.arrays import Array, constant, namespace, pile
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.joints import BASE_X, BASE_YAW
 from mjhab.tasks.signals import Signals, WorldState
 from mjhab.tasks.thresholds import TaskConfig
 
@@ -185,13 +186,20 @@ def force_excess(robot_force: Array, per_newton: float) -> Array:
 
 
 def posture_error(world: WorldState, config: TaskConfig) -> Array:
-    """(W,) distance of torso, head and arm from rest, over the ten joints [m, rad]."""
-    return length(world.robot_q[:, 3:13] - constant(config.rest_qpos[3:13], world.robot_q))
+    """(W,) distance of torso, head and arm from rest, over all joints [m, rad]."""
+    posture = config.joints.posture
+    return length(world.robot_q[:, posture] - constant(config.rest_qpos[posture], world.robot_q))
 
 
-def joint_speed(world: WorldState) -> Array:
+def joint_speed(world: WorldState, config: TaskConfig) -> Array:
     """(W,) length of the joint velocities without the fingers [m/s, rad/s]."""
-    return length(world.robot_qd[:, :13])
+    return length(world.robot_qd[:, config.joints.body])
+
+
+def torso_speed(world: WorldState, config: TaskConfig) -> Array:
+    """(W,) speed of the torso, upwards [m/s]; 0 for a robot without one."""
+    torso = config.joints.torso
+    return world.robot_qd[:, BASE_X] * 0.0 if torso is None else world.robot_qd[:, torso]
 
 
 def lengths(*vectors: Array) -> list[Array]:
@@ -207,7 +215,7 @@ def rest_distance(world: WorldState, config: TaskConfig) -> Array:
     xp = namespace(base)
     rx, ry, rz = config.ee_rest_pos
     radius = math.hypot(rx, ry)
-    heading = base[:, 2] + math.atan2(ry, rx)
+    heading = base[:, BASE_YAW] + math.atan2(ry, rx)
     dx = tcp[:, 0] - base[:, 0] - radius * xp.cos(heading)
     dy = tcp[:, 1] - base[:, 1] - radius * xp.sin(heading)
     dz = tcp[:, 2] - (config.base_height + rz)

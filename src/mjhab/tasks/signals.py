@@ -52,9 +52,9 @@ class WorldState:
     base_pose: Array
     """(W, 3) x, y [m] and yaw [rad] of the base."""
     robot_q: Array
-    """(W, 15) joint positions in the order of ``FETCH_JOINTS``."""
+    """(W, J) joint positions: base, posture, fingers."""
     robot_qd: Array
-    """(W, 15) joint velocities."""
+    """(W, J) joint velocities."""
     tcp_pos: Array
     """(W, 3) tool centre between the fingers."""
     finger_force: Array
@@ -66,7 +66,7 @@ class WorldState:
     target_contact: Array
     """(W,) bool: any robot link touches the active target."""
     ee_contact: Array
-    """(W,) bool: the end effector (fingers or gripper_link) touches the active target."""
+    """(W,) bool: the end effector (fingers or hand) touches the active target."""
     plan_obj_pos: Array
     """(W, S, 3) position of the object of every subtask of the plan, zeros if it has none."""
     joint_q: Array
@@ -106,7 +106,7 @@ class Signals:
     touch: Array
     """Any robot link touches the target."""
     ee_contact: Array
-    """The end effector (fingers or gripper_link) touches the target: ``F_ee,a`` of MS-HAB paper App. A.6."""
+    """The end effector (fingers or hand) touches the target: ``F_ee,a`` of MS-HAB paper App. A.6."""
     robot_force: Array
     """(W,) [N]."""
     target_force: Array
@@ -143,7 +143,7 @@ class Active:
     must_hold: Array
     """(W,) bool: a Navigate that carries an object."""
     rest_tol: Array
-    """(W, 10) how far torso, head and arm may be from rest: with an object in the hand they may give way."""
+    """(W, P) how far torso, head and arm may be from rest: with an object in the hand they may give way."""
     force_limit: Array
     """(W,) [N x control steps], infinite once the plan is finished."""
     unfinished: Array

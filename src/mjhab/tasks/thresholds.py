@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.joints import JointColumns
 
 Vec3 = tuple[float, float, float]
 STILLNESS: tuple[str, ...] = ("absolute", "published")
@@ -31,7 +32,13 @@ class TaskConfig:
     """Every threshold of success and failure. Lengths [m], angles [rad], speeds [rad/s or m/s], forces [N]."""
 
     rest_qpos: tuple[float, ...]
-    """(15,) rest configuration in the order of ``FETCH_JOINTS``; the caller gives it (scenes own the robot)."""
+    """(J,) joint positions of the robot at rest."""
+    joints: JointColumns
+    """Where base, posture and fingers are among the joints."""
+    ee_rest_pos: Vec3
+    """Where the tool centre rests, in the frame of the base link."""
+    base_height: float
+    """Height of the frame of the base link over the floor (mshab/envs/sequential_task.py: the base floats)."""
     limits: Mapping[str, SubtaskConfig] = field(default_factory=dict)
     """Limits of kinds of subtasks, by name, in place of those of their `SubtaskSpec`; see `registry.limits_of`."""
     continuous: bool = False
@@ -40,10 +47,6 @@ class TaskConfig:
     """With ``continuous``: control steps that an episode goes on after its first success, or after the step in which
     its force exceeds the limit; -1 for all to the horizon. Demonstrations need no more."""
 
-    ee_rest_pos: Vec3 = (0.5, 0.0, 1.25)
-    """Where the tool centre rests, in the frame of base_link."""
-    base_height: float = 0.02
-    """Height of the base_link frame over the floor (mshab/envs/sequential_task.py: the base floats)."""
     ee_rest_tol: float = 0.05
     arm_tol: float = 0.2
     arm_tol_grasped: float = 0.6
@@ -69,14 +72,23 @@ class TaskConfig:
     """Navigate is judged without arm and grasp; the default because teleport navigation does not move them."""
 
     def __post_init__(self) -> None:
-        if len(self.rest_qpos) != 15:
+        if len(self.rest_qpos) != self.joints.count:
             raise UsageError(
-                f"rest_qpos needs the 15 joint values of the robot, got {len(self.rest_qpos)}."
+                f"rest_qpos needs the {self.joints.count} joint values of the robot, got {len(self.rest_qpos)}."
             )
         if self.goal_type not in ("sphere", "cylinder", "zone"):
             raise unknown_name("goal_type", self.goal_type, ("sphere", "cylinder", "zone"))
         if self.stillness not in STILLNESS:
             raise unknown_name("stillness", self.stillness, STILLNESS)
+
+    @property
+    def rest_tolerances(self) -> tuple[float, ...]:
+        """How far every joint of the posture may be from rest [m, rad]."""
+        posture = self.joints.posture
+        return tuple(
+            self.torso_tol if column == self.joints.torso else self.arm_tol
+            for column in range(posture.start, posture.stop)
+        )
 
     def open_fraction(self, link: str) -> float:
         """Return the part of its range at which a link such as ``"fridge/top_door"`` counts as open."""

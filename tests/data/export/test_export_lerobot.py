@@ -220,7 +220,7 @@ def test_statistics_of_parts_are_those_of_the_whole() -> None:
 
 def test_words_and_names() -> None:
     names = state_names(
-        {"agent/qpos": 12, "extra/tcp_pose_wrt_base": 7, "extra/is_grasped": 1, "other/new": 2}
+        {"agent/qpos": 12, "extra/tcp_pose_wrt_base": 7, "extra/is_grasped": 1, "other/new": 2}, {}
     )
     assert len(names) == len(set(names)) == 22
     assert (

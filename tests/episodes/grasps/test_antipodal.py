@@ -11,12 +11,13 @@ from mjhab.core.rotations import frame_from_axes
 from mjhab.episodes.grasps import antipodal
 from mjhab.episodes.grasps.antipodal import Solid, surface_grasps
 from mjhab.episodes.grasps.candidates import grasp_candidates
-from mjhab.episodes.grasps.pinches import Gripper, SurfaceGrasps
+from mjhab.episodes.grasps.pinches import SurfaceGrasps
 from mjhab.episodes.grasps.spread import farthest_points
 from mjhab.episodes.grasps.stable import shape_of
+from mjhab.robots.fetch.robot import ROBOT
 from mjhab.scenes.spec import Geom, ObjectType
 
-HAND = Gripper()
+HAND = ROBOT.gripper
 
 
 def block(*boxes: tuple[tuple[float, float, float], tuple[float, float, float]]) -> ObjectType:

@@ -18,18 +18,17 @@ from mjhab.episodes.grasps.stable import MAX_OFFSET_M, StableGrasps
 from mjhab.episodes.rosters import roster
 from mjhab.episodes.starts import StartMaker
 from mjhab.layout.layout import Layout
-from mjhab.robots.controllers.table import ARM_JOINTS
-from mjhab.robots.fetch.model import FETCH_JOINTS, KINEMATIC_TREE, REST_QPOS
-from mjhab.robots.kinematics import Chain
+from mjhab.robots.fetch.model import REST_QPOS
+from mjhab.robots.fetch.robot import ROBOT
 from mjhab.scenes.packs import open_pack
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.scratch import Scratch
-from mjhab.tasks.thresholds import TaskConfig
+from tests.tasks.build import config_of
 
 APPLE = "013_apple"
 BOWL = "024_bowl"
-CONFIG = TaskConfig(rest_qpos=REST_QPOS)
-REST_ARM = np.array(REST_QPOS)[list(ARM_JOINTS)]
+CONFIG = config_of(REST_QPOS)
+REST_ARM = np.array(REST_QPOS)[list(ROBOT.arm_columns)]
 HELD_STEPS = 5
 LEAST_HELD = 0.9
 """After so many control steps so many starts must still hold their object."""
@@ -47,8 +46,8 @@ def library(sim: CpuSimulator) -> CarryPostures:
 def hand_at(arms: np.ndarray) -> np.ndarray:
     """(N, 3) tool centres in the world of arms (N, 7), the base at the origin, the rest of the robot at rest."""
     q = np.tile(REST_QPOS, (len(arms), 1))
-    q[:, list(ARM_JOINTS)] = arms
-    return Chain.from_tree(KINEMATIC_TREE, FETCH_JOINTS).tip_pose(q)[0]
+    q[:, list(ROBOT.arm_columns)] = arms
+    return ROBOT.chain.tip_pose(q)[0]
 
 
 def check_postures(arms: np.ndarray) -> None:
@@ -60,7 +59,7 @@ def check_postures(arms: np.ndarray) -> None:
 
 
 def test_postures_are_those_that_pick_accepts() -> None:
-    arms = rest_postures(stream(0, "test"), CONFIG, 200)
+    arms = rest_postures(ROBOT, stream(0, "test"), CONFIG, 200)
     assert len(arms) > 150
     check_postures(arms)
 
@@ -104,7 +103,7 @@ def test_objects_are_still_held_after_some_steps(task: str, count: int) -> None:
     )
     env.reset(options={"episode": list(range(count))})
     robot = env.state.robot_q
-    off = np.abs(robot[:, list(ARM_JOINTS)] - REST_ARM)
+    off = np.abs(robot[:, list(ROBOT.arm_columns)] - REST_ARM)
     assert off.max() > 0.5 and off.max() <= CONFIG.arm_tol_grasped + 0.2 + 1e-6
     np.testing.assert_allclose(
         robot[:, [3, 4, 6]], np.tile(np.array(REST_QPOS)[[3, 4, 6]], (count, 1)), atol=1e-6
@@ -121,4 +120,4 @@ def test_harvested_grasps_are_not_for_the_published_rule() -> None:
     config = EnvConfig(task="tidy_house", subtask="place", spawn_rule="published")
     sim = CpuSimulator(Layout(open_pack("builtin"), roster("tidy_house")), 1, 1)
     with pytest.raises(UsageError, match="harvested"):
-        StartMaker(sim, config, task_config(config, REST_QPOS), harvested=True)
+        StartMaker(sim, config, task_config(config, ROBOT), harvested=True)

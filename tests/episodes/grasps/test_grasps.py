@@ -9,15 +9,16 @@ import pytest
 from mjhab.bench.grasp import GRASPS, Grasp, GraspBench, shake_motion
 from mjhab.core.boxes import Boxes
 from mjhab.core.rotations import quat_from_axis_angle
-from mjhab.episodes.grasps.candidates import Gripper, ObjectShape, Options, grasp_candidates
+from mjhab.episodes.grasps.candidates import ObjectShape, Options, grasp_candidates
 from mjhab.episodes.grasps.stable import StableGrasps, shape_of
 from mjhab.layout.layout import Layout
 from mjhab.robots.fetch.model import REST_QPOS, TCP_LINK
+from mjhab.robots.fetch.robot import ROBOT
 from mjhab.scenes.builtin.objects import SIZES, builtin_objects
 from mjhab.scenes.packs import open_pack
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.scratch import Scratch
-from mjhab.tasks.thresholds import TaskConfig
+from tests.tasks.build import config_of
 
 UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
 
@@ -30,7 +31,7 @@ def test_candidates_fit_the_gripper_and_stay_off_the_support(name: str):
     floor = pos[2] - kind.half[2]
     grasps = grasp_candidates(shape_of(kind, {}), pos, turn, support_z=floor)
     assert len(grasps) > 0
-    gripper = Gripper()
+    gripper = ROBOT.gripper
     assert (grasps.width < gripper.opening).all()
     assert (grasps.opening <= gripper.opening + 1e-9).all()
     assert (np.diff(grasps.score) <= 1e-9).all()
@@ -59,7 +60,7 @@ def surface(half: tuple[float, float, float]) -> np.ndarray:
 @pytest.mark.parametrize("name", ["003_cracker_box", "008_pudding_box", "010_potted_meat_can"])
 def test_corners_of_boxes_fit_between_the_fingers(name: str):
     shape = shape_of(builtin_objects()[name], {})
-    gripper = Gripper()
+    gripper = ROBOT.gripper
     plain = grasp_candidates(shape, np.zeros(3), UPRIGHT, support_z=-shape.half[2])
     every = grasp_candidates(
         shape, np.zeros(3), UPRIGHT, support_z=-shape.half[2], options=Options(corners=True)
@@ -106,7 +107,7 @@ def test_a_box_held_by_its_corner_stays_in_a_moving_hand(monkeypatch: pytest.Mon
         bench.step(bench.rest, 0.0, 0.0)
     start, _ = bench.pose_in_hand()
     for k in range(60):
-        bench.step(*shake_motion(k * 0.05, bench.rest, np.zeros(7)))
+        bench.step(*shake_motion(ROBOT, k * 0.05, bench.rest, np.zeros(7)))
     end, _ = bench.pose_in_hand()
     assert (bench.finger_forces()[0] > 20.0).all()
     assert np.linalg.norm(end - start) < 0.02
@@ -116,7 +117,7 @@ def test_a_box_held_by_its_corner_stays_in_a_moving_hand(monkeypatch: pytest.Mon
 def held() -> StableGrasps:
     layout = Layout(open_pack("builtin"), tuple(sorted(SIZES)))
     sim = CpuSimulator(layout, 1, 1)
-    return StableGrasps(sim, TaskConfig(rest_qpos=REST_QPOS), Scratch(sim))
+    return StableGrasps(sim, config_of(REST_QPOS), Scratch(sim))
 
 
 @pytest.mark.parametrize("name", sorted(SIZES))

@@ -19,7 +19,7 @@ from mjhab.scenes.builtin.objects import SIZES
 from mjhab.scenes.packs import open_pack
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.scratch import Scratch
-from mjhab.tasks.thresholds import TaskConfig
+from tests.tasks.build import config_of
 
 APPLE = "013_apple"
 BOWL = "024_bowl"
@@ -31,7 +31,7 @@ def sim() -> CpuSimulator:
 
 
 def library(sim: CpuSimulator, harvested: bool = False) -> StableGrasps:
-    return StableGrasps(sim, TaskConfig(rest_qpos=REST_QPOS), Scratch(sim), harvested)
+    return StableGrasps(sim, config_of(REST_QPOS), Scratch(sim), harvested)
 
 
 @pytest.fixture

@@ -11,15 +11,16 @@ from hypothesis import strategies as st
 
 from mjhab.core.errors import UsageError
 from mjhab.core.rotations import mat_from_quat
-from mjhab.episodes.grasps.candidates import Gripper, ObjectShape, grasp_candidates
+from mjhab.episodes.grasps.candidates import ObjectShape, grasp_candidates
 from mjhab.experts.arm import ik
 from mjhab.experts.arm.clearance import Boxes
 from mjhab.experts.arm.ik_kernels import link_frames, tree_of
 from mjhab.robots.fetch import model as fetch
-from mjhab.robots.kinematics import Chain, limited_step, rotation_vector
+from mjhab.robots.fetch.robot import ROBOT
+from mjhab.robots.kinematics import limited_step, rotation_vector
 
 REST = np.array(fetch.REST_QPOS)
-CHAIN = Chain.from_tree(fetch.KINEMATIC_TREE, fetch.FETCH_JOINTS)
+CHAIN = ROBOT.chain
 DOFS = ik.columns(CHAIN)
 CAN = ObjectShape("cylinder", (0.034, 0.034, 0.051))
 WIDE_CAN = ObjectShape("cylinder", (0.0512, 0.0512, 0.0701))
@@ -159,7 +160,7 @@ def test_grasps_respect_support_opening_and_geometry(shape, yaw, lying):
     found = grasp_candidates(shape, center, quat, support_z=0.7)
     assert len(found) >= 6
     assert (np.diff(found.score) <= 1e-12).all()
-    assert (found.width < Gripper().opening).all() and (found.opening > found.width).all()
+    assert (found.width < ROBOT.gripper.opening).all() and (found.opening > found.width).all()
     tips = found.pos + 0.03 * found.rot[:, :, 0]
     assert (np.minimum(tips, found.pos)[:, 2] >= 0.7).all()
     palm = (center - (found.pos - 0.032 * found.rot[:, :, 0])) @ mat_from_quat(quat)

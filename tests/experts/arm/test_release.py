@@ -12,10 +12,11 @@ import pytest
 import mjhab.envs as envs
 from mjhab.core.boxes import Boxes
 from mjhab.core.rotations import quat_from_mat
-from mjhab.envs.parts.world_view import REST_QPOS
 from mjhab.episodes.grasps.candidates import ObjectShape
 from mjhab.experts.arm import ik, motion, release
-from mjhab.experts.planning.reach import HAND_LINKS, surroundings
+from mjhab.experts.planning.reach import surroundings
+from mjhab.robots.fetch.model import REST_QPOS
+from mjhab.robots.fetch.robot import ROBOT
 
 SUGAR = ObjectShape("box", (0.0225, 0.0445, 0.0875))
 CAN = ObjectShape("cylinder", (0.05, 0.05, 0.07))
@@ -91,7 +92,7 @@ def test_a_leaning_cylinder_tips_alike_whichever_way_it_is_turned_about_its_axis
     ("finger", "speed"), [(0.02, release.AWAY), (0.046, release.AWAY_TIGHT), (0.05, release.AWAY)]
 )
 def test_the_hand_leaves_slowly_where_the_fingers_brush_along(finger: float, speed: float):
-    view: Any = SimpleNamespace(q=np.array([*REST_QPOS[:13], finger, finger]))
+    view: Any = SimpleNamespace(robot=ROBOT, q=np.array([*REST_QPOS[:13], finger, finger]))
     assert release.away_speed(view) == speed
 
 
@@ -130,15 +131,17 @@ def test_the_hand_draws_back_out_of_reach_of_the_object_and_never_across_the_fin
     way = spot - pos
     assert 0.0 < np.linalg.norm(way) <= max(release.BACKS) + 1e-9 and abs(way @ rot[:, 1]) < 1e-9
     found = ik.solve(
-        motion.chain(),
+        ROBOT.chain,
         spot[None],
         rot[None],
         view.q[None],
-        ik.columns(motion.chain(), torso=False),
+        ik.columns(ROBOT.chain, torso=False),
         rest=view.q,
     )
     assert found.ok[0, 0]
-    assert motion.spheres().only(HAND_LINKS).clearance(found.q[0], target)[0] > release.FREE
+    assert (
+        motion.spheres(ROBOT).only(ROBOT.hand_links).clearance(found.q[0], target)[0] > release.FREE
+    )
     along = np.array([-rot[:, 0], [0.0, 0.0, 1.0], [-np.cos(view.q[2]), -np.sin(view.q[2]), 0.0]])
     along -= (along @ rot[:, 1])[:, None] * rot[:, 1]
     along /= np.linalg.norm(along, axis=1, keepdims=True)

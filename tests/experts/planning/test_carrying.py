@@ -14,14 +14,7 @@ import pytest
 import mjhab.envs as envs
 from mjhab.core.boxes import Boxes
 from mjhab.core.rotations import mat_from_quat
-from mjhab.envs.parts.world_view import (
-    FETCH_JOINTS,
-    KINEMATIC_TREE,
-    REST_QPOS,
-    ROBOT_GEOMS,
-    TRUNK_LINKS,
-    WorldView,
-)
+from mjhab.envs.parts.world_view import WorldView
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.episodes.grasps.candidates import ObjectShape, grasp_candidates
 from mjhab.experts.arm import motion
@@ -49,7 +42,8 @@ from mjhab.experts.planning.reach import (
 )
 from mjhab.experts.skills.pick import LOW_SHELF_OPTIONS, SHELF_OPTIONS
 from mjhab.experts.skills.place import DROPS, hand_goals, place
-from mjhab.robots.kinematics import Chain, wrap
+from mjhab.robots.fetch.robot import ROBOT
+from mjhab.robots.kinematics import wrap
 
 route_module = importlib.import_module("mjhab.experts.base.route")
 place_module = importlib.import_module("mjhab.experts.skills.place")
@@ -77,20 +71,20 @@ def goal_of(view: WorldView) -> tuple[str, np.ndarray]:
 @pytest.mark.parametrize("gone", [arm_gone, torso_gone])
 @pytest.mark.parametrize("far", [0.05, 0.3, 1.5])
 def test_arm_and_torso_start_slowly_and_arrive(gone, far: float):
-    share = gone(far)
+    share = gone(far, 0.1)
     steps = np.diff(share)
     assert share[0] == 0.0 and share[-1] == 1.0 and (steps >= 0.0).all()
     if far > 0.2:
         assert steps[0] < 0.5 * steps[4]
-    np.testing.assert_array_equal(gone(0.0), [1.0])
+    np.testing.assert_array_equal(gone(0.0, 0.1), [1.0])
 
 
 def test_a_drive_with_an_object_goes_as_expected():
     env = place_env(1)
     view = env.view(0)
     obj, _ = goal_of(view)
-    arm = REST_QPOS.copy()
-    arm[[FETCH_JOINTS.index("torso_lift_joint"), FETCH_JOINTS.index("elbow_flex_joint")]] -= [
+    arm = ROBOT.rest.copy()
+    arm[[ROBOT.joints.index("torso_lift_joint"), ROBOT.joints.index("elbow_flex_joint")]] -= [
         0.2,
         0.5,
     ]
@@ -99,7 +93,7 @@ def test_a_drive_with_an_object_goes_as_expected():
     found = drive_of(view, goal, direction=-1, straight=True, care=FIRM)
     assert found is not None
     path, direction, lookahead, poses = found
-    expected = _swept(view.q, poses, arm, 0)
+    expected = _swept(ROBOT, view.q, poses, arm, 0)
     route = Route(path, float(goal[2]), direction, lookahead, arm, 0, len(expected), 0.0, care=FIRM)
     real = [view.q]
     for action in islice(follow(view, route, gripper=motion.CLOSED, held=obj), len(expected) - 1):
@@ -112,7 +106,7 @@ def test_a_drive_with_an_object_goes_as_expected():
     assert (
         off[:10, 3].max() < 0.02
         and off[:, 3].max() < 0.08
-        and off[:, motion.ARM_JOINTS].max() < 0.05
+        and off[:, list(ROBOT.arm_columns)].max() < 0.05
     )
 
 
@@ -155,7 +149,7 @@ def test_a_drive_with_something_in_the_hand_that_grazes_furniture_is_tight(
             clearance_at=clearance, plan=lambda *_: np.stack([view.q[:2], ahead[:2]])
         )
         monkeypatch.setattr(route_module, "planner", lambda _: cells)
-        found = plan_route(view, ahead, view.q, motion.arm_spheres(), boxes, care=care)
+        found = plan_route(view, ahead, view.q, motion.arm_spheres(ROBOT), boxes, care=care)
         assert found is not None and found.care is care
         return found.room
 
@@ -164,17 +158,17 @@ def test_a_drive_with_something_in_the_hand_that_grazes_furniture_is_tight(
 
 
 def test_nothing_of_the_trunk_counts_on_the_way_of_an_arm():
-    arm = motion.arm_spheres()
-    whole = motion.spheres()
+    arm = motion.arm_spheres(ROBOT)
+    whole = motion.spheres(ROBOT)
     links = {arm.chain.links[i] for i in arm.link}
-    assert not links & set(TRUNK_LINKS) and links < {whole.chain.links[i] for i in whole.link}
+    assert not links & set(ROBOT.trunk_links) and links < {whole.chain.links[i] for i in whole.link}
     # It stays above the base, which the map of the floor keeps clear.
-    chain = Chain.from_tree(KINEMATIC_TREE, FETCH_JOINTS, extra=TRUNK_LINKS)
-    frames = chain.forward(REST_QPOS[None])
-    reach = dict.fromkeys(TRUNK_LINKS, 0.0)
-    for link in TRUNK_LINKS:
+    chain = ROBOT.chain_with(ROBOT.trunk_links)
+    frames = chain.forward(ROBOT.rest[None])
+    reach = dict.fromkeys(ROBOT.trunk_links, 0.0)
+    for link in ROBOT.trunk_links:
         at = chain.links.index(link)
-        for geom in ROBOT_GEOMS[link]:
+        for geom in ROBOT.body.collision[link]:
             half = (
                 geom.size
                 if geom.shape == "box"
@@ -186,11 +180,11 @@ def test_nothing_of_the_trunk_counts_on_the_way_of_an_arm():
                 frames.pos[0, at] + frames.rot[0, at] @ np.array(geom.pos, float) + corners @ turn.T
             )
             reach[link] = max(
-                reach[link], float(np.linalg.norm(spots[:, :2] - REST_QPOS[:2], axis=1).max())
+                reach[link], float(np.linalg.norm(spots[:, :2] - ROBOT.rest[:2], axis=1).max())
             )
     assert max(reach.values()) < reach["base_link"] + 0.02
     np.testing.assert_array_equal(
-        arm.self_clearance(REST_QPOS[None]), whole.self_clearance(REST_QPOS[None])
+        arm.self_clearance(ROBOT.rest[None]), whole.self_clearance(ROBOT.rest[None])
     )
 
 
@@ -211,7 +205,9 @@ def test_bases_are_only_where_something_can_be_reached():
     view = place_env(1).view(0)
     obj, goal = goal_of(view)
     near, _ = surroundings(view, obj, goal)
-    scene = Scene(near, near.take(np.zeros(0, np.int64)), float(goal[2]), held_spheres(view, obj))
+    scene = Scene(
+        near, near.take(np.zeros(0, np.int64)), float(goal[2]), ROBOT, held_spheres(view, obj)
+    )
     goals = hand_goals(view, obj, goal, shelf=False, any_side=False)
     # Only what is put down half a metre further away counts.
     away = goals.pos + 0.5 * np.array([np.cos(view.q[2]), np.sin(view.q[2]), 0.0])
@@ -219,7 +215,7 @@ def test_bases_are_only_where_something_can_be_reached():
     for wanted, far in itertools.product((goals, shifted), (False, True)):
         bases, steps = base_poses(view, goal, scene, wanted, 0.0, None, far)
         assert len(bases) and np.isfinite(steps).all()
-        assert (_overreach(bases, wanted).min(axis=1) < ARM_END).all()
+        assert (_overreach(ROBOT.reach, bases, wanted).min(axis=1) < ARM_END).all()
     # Far off only where there is no other way, or to save one.
     near_by = base_poses(view, goal, scene, goals, 0.0, None, False)
     anywhere = base_poses(view, goal, scene, goals, 0.0, None, True)

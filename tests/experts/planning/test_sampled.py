@@ -11,20 +11,21 @@ import numpy as np
 import pytest
 
 from mjhab.core.boxes import Boxes
-from mjhab.envs.parts.world_view import REST_QPOS, WorldView
+from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.base import route
 from mjhab.experts.base.route import Route
 from mjhab.experts.planning import sampled
 from mjhab.experts.planning.reach import Blocked, HandGoals, Scene, Stance
 from mjhab.experts.planning.sampled import Free, arm_way, plan_around, roomier
+from mjhab.robots.fetch.robot import ROBOT
 
 PAN = 5
 """Column of the shoulder's turn."""
 
 
 def turned(pan: float) -> np.ndarray:
-    q = REST_QPOS.copy()
+    q = ROBOT.rest.copy()
     q[PAN] = pan
     return q
 
@@ -37,11 +38,11 @@ SOLID = Boxes.of([[0.9, 0.0, 1.5]], [[0.65, 0.01, 1.5]])
 
 
 def free(boxes: Boxes) -> Free:
-    return Free.near(LEFT, motion.spheres(), boxes)
+    return Free.near(ROBOT, LEFT, motion.spheres(ROBOT), boxes)
 
 
 def view_of(q: np.ndarray) -> WorldView:
-    return SimpleNamespace(q=q, steps_left=200)  # type: ignore[return-value]
+    return SimpleNamespace(robot=ROBOT, q=q, base=q[:3], steps_left=200)  # type: ignore[return-value]
 
 
 def spare(way: np.ndarray, what: Free) -> float:
@@ -57,8 +58,8 @@ def test_arm_goes_around_a_wall_that_the_straight_motion_hits():
     assert way is not None and len(way) > 2
     assert np.array_equal(way[0], LEFT) and np.array_equal(way[-1], RIGHT)
     assert spare(way, what) > -0.005
-    dofs = ik.columns(motion.chain())
-    inside = (way >= motion.chain().lower - 1e-9) & (way <= motion.chain().upper + 1e-9)
+    dofs = ik.columns(ROBOT.chain)
+    inside = (way >= ROBOT.chain.lower - 1e-9) & (way <= ROBOT.chain.upper + 1e-9)
     assert inside[:, dofs].all() and (np.delete(way - LEFT, dofs, axis=1) == 0.0).all()
 
 
@@ -95,7 +96,7 @@ def blocked_drive(monkeypatch: pytest.MonkeyPatch) -> tuple[np.ndarray, np.ndarr
 def test_drives_with_another_posture_where_the_arm_does_not_pass(monkeypatch: pytest.MonkeyPatch):
     goal, arm, posts = blocked_drive(monkeypatch)
     view = view_of(LEFT)
-    robot = motion.spheres()
+    robot = motion.spheres(ROBOT)
     straight = route.plan_route(view, goal, arm, robot, posts)
     assert straight is not None and straight.room < sampled.TOUCHES
     found = plan_around(view, goal, arm, robot, posts)
@@ -114,7 +115,7 @@ def test_only_where_straight_ways_touch_and_time_is_left(monkeypatch: pytest.Mon
     _, arm, posts = blocked_drive(monkeypatch)
     one = np.zeros((1, 3))
     goals = HandGoals(one, np.eye(3)[None], one, np.zeros(1), np.zeros(1))
-    scene = Scene(posts, posts.take(np.zeros(0, int)), 0.0)
+    scene = Scene(posts, posts.take(np.zeros(0, int)), 0.0, ROBOT)
     blocked = [Blocked(goals, np.zeros(1, int), arm[None], arm[None], scene, 0.0)]
     view = view_of(LEFT)
 
@@ -144,14 +145,19 @@ class Arm:
     """A robot that stands and whose arm and torso do most of what they are told."""
 
     def __init__(self, q: np.ndarray) -> None:
+        self.robot = ROBOT
         self.q = q.copy()
         self.link_forces = np.zeros(1)
         self.passed = [q.copy()]
 
+    @property
+    def base(self) -> np.ndarray:
+        return self.q[:3]
+
     def obey(self, action: np.ndarray) -> None:
         self.q = self.q.copy()
-        self.q[list(motion.ARM_JOINTS)] += 0.4 * motion.LIMITS.joint_delta * action[:7]
-        self.q[3] += 0.4 * motion.LIMITS.joint_delta * action[motion.TORSO]
+        self.q[list(ROBOT.arm_columns)] += 0.4 * ROBOT.limits.joint_delta * action[:7]
+        self.q[3] += 0.4 * ROBOT.limits.joint_delta * action[ROBOT.action.torso[0]]
         self.passed.append(self.q)
 
 

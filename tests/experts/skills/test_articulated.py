@@ -16,6 +16,7 @@ from mjhab.experts import make_expert
 from mjhab.experts.arm import motion
 from mjhab.experts.planning import stances
 from mjhab.experts.skills import door, door_stances, drawer
+from mjhab.robots.fetch.robot import ROBOT
 from mjhab.tasks.style import Styles
 
 DRAWER = "kitchen_counter/drawer3"
@@ -113,8 +114,8 @@ def plan_link(env: SequentialTaskEnv, name: str) -> JointedLink:
 
 def test_pull_stances_hold_the_bar(env: SequentialTaskEnv) -> None:
     link = plan_link(env, DRAWER)
-    found = stances.cached(link, "pull", drawer._pull_stances)
-    pos, rot = motion.chain().tip_pose(found.q[:, 1])
+    found = stances.cached(ROBOT, link, "pull", drawer._pull_stances)
+    pos, rot = ROBOT.chain.tip_pose(found.q[:, 1])
     handle, bar, out = link.handle_pose(0.0)
     assert len(found) > 20
     assert np.abs(pos - handle).max() < 5e-3
@@ -124,23 +125,23 @@ def test_pull_stances_hold_the_bar(env: SequentialTaskEnv) -> None:
 
 def test_pull_stances_follow_the_arc(env: SequentialTaskEnv) -> None:
     link = plan_link(env, DOOR)
-    found = stances.cached(link, "pull", door_stances.pull_stances)
+    found = stances.cached(ROBOT, link, "pull", door_stances.pull_stances)
     angles = door_stances.pull_angles(link)
     assert len(found) > 20
     assert angles[-1] > 0.75 * link.range[1]
     for k in range(1, len(angles)):
-        pos, _ = motion.chain().tip_pose(found.q[:, k])
+        pos, _ = ROBOT.chain.tip_pose(found.q[:, k])
         assert np.abs(pos - link.handle_pose(angles[k])[0])[:, :2].max() < 5e-3
 
 
 def test_hand_gets_in_behind_an_open_door(env: SequentialTaskEnv) -> None:
     link = plan_link(env, DOOR)
-    found = stances.cached(link, "push_open", door_stances.push_open)
+    found = stances.cached(ROBOT, link, "push_open", door_stances.push_open)
     angles = door_stances.push_angles(link, half=False)
     assert len(found) > 20
-    hand = motion.spheres().only(("wrist_roll_link", "gripper_link"))
+    hand = motion.spheres(ROBOT).only(("wrist_roll_link", "gripper_link"))
     assert hand.clearance(found.q[:, 0], link.boxes(link.range[1])).min() > 0.03
-    pos, _ = motion.chain().tip_pose(found.q[:, 0])
+    pos, _ = ROBOT.chain.tip_pose(found.q[:, 0])
     origin, rot = link.pose(angles[0])
     assert (((pos - origin) @ rot)[:, 0] > link.boxes(0.0).center[0, 0]).all()  # on its outside
 
@@ -150,8 +151,8 @@ def test_stances_belong_to_one_piece_of_furniture(env: SequentialTaskEnv) -> Non
     handle = replace(link.handle, half_length=link.handle.half_length + 0.01)
     other = JointedLink(link.id, replace(link.spec, handle=handle), link.origin, link.rot)
     none = stances.Stances(np.zeros((0, 1, 15)), np.zeros(0), np.zeros(0))
-    stances.cached(link, "pull", drawer._pull_stances)
-    assert stances.cached(other, "pull", lambda _: none) is none
+    stances.cached(ROBOT, link, "pull", drawer._pull_stances)
+    assert stances.cached(ROBOT, other, "pull", lambda *_: none) is none
 
 
 @pytest.mark.parametrize("speed", [0.3, 0.8, 1.5])
@@ -181,10 +182,10 @@ def test_frame_round_trip(env: SequentialTaskEnv) -> None:
 
 
 def test_withdrawn_hand_moves_straight_back(env: SequentialTaskEnv) -> None:
-    q = stances.cached(plan_link(env, DRAWER), "pull", drawer._pull_stances).q[:, 1]
-    moved = door._withdrawn(q, 0.05)
-    (start, rot) = motion.chain().tip_pose(q)
-    (end, _) = motion.chain().tip_pose(moved)
+    q = stances.cached(ROBOT, plan_link(env, DRAWER), "pull", drawer._pull_stances).q[:, 1]
+    moved = door._withdrawn(ROBOT, q, 0.05)
+    (start, rot) = ROBOT.chain.tip_pose(q)
+    (end, _) = ROBOT.chain.tip_pose(moved)
     done = np.abs(moved - q).max(axis=1) > 0
     assert done.mean() > 0.8
     assert np.allclose(start - end, 0.05 * rot[:, :, 0] * done[:, None], atol=5e-3)

@@ -16,7 +16,8 @@ from mjhab.experts import make_expert
 from mjhab.experts.arm import motion
 from mjhab.experts.planning.reach import Scene
 from mjhab.experts.skills import pick
-from mjhab.experts.skills.nudge import HAND, Graspable, _goals, _pushes, outline, plan_nudge
+from mjhab.experts.skills.nudge import Graspable, _goals, _pushes, outline, plan_nudge
+from mjhab.robots.fetch.robot import ROBOT
 
 BOX = ObjectShape("box", (0.036, 0.082, 0.107))
 INWARD = np.array([1.0, 0.0])
@@ -27,7 +28,7 @@ ACROSS = np.array([0.0, 0.0, 0.107, 1.0, 0.0, 0.0, 0.0])
 def shelf(*others: tuple[float, float, float]) -> Scene:
     """A bare shelf with cubes of 6 cm at some places."""
     boxes = Boxes.of(np.array(others).reshape(-1, 3), np.full((len(others), 3), 0.03))
-    return Scene(boxes, Boxes.of(np.zeros((0, 3)), np.zeros((0, 3))), 0.0)
+    return Scene(boxes, Boxes.of(np.zeros((0, 3)), np.zeros((0, 3))), 0.0, ROBOT)
 
 
 def turned_by(least: float) -> Graspable:
@@ -70,12 +71,14 @@ def test_an_end_is_not_pushed_into_what_stands_behind_it():
 
 def test_the_hand_pushes_low_and_stays_above_the_shelf():
     push = _pushes(ACROSS, BOX, shelf(), INWARD, turned_by(np.radians(30.0)))[0]
-    goals = _goals(push, np.zeros(2), 0.0, 0.214)
+    goals = _goals(ROBOT.gripper, push, np.zeros(2), 0.0, 0.214)
     assert len(goals)
-    tips = goals.pos + HAND.finger[0] * goals.rot[:, :, 0]
-    assert (tips[:, 2] > HAND.finger[1] * 0.9).all() and (tips[:, 2] < 0.05).all()
+    tips = goals.pos + ROBOT.gripper.finger[0] * goals.rot[:, :, 0]
+    assert (tips[:, 2] > ROBOT.gripper.finger[1] * 0.9).all() and (tips[:, 2] < 0.05).all()
     # It begins before the box and ends beyond where the front was.
-    assert (goals.pre[:, 0] + HAND.finger[0] < -0.036).all() and (tips[:, 0] > -0.036).all()
+    assert (goals.pre[:, 0] + ROBOT.gripper.finger[0] < -0.036).all() and (
+        tips[:, 0] > -0.036
+    ).all()
 
 
 def test_only_boxes_that_stand_are_turned():

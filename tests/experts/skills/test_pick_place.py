@@ -24,6 +24,7 @@ from mjhab.experts.planning.carry import grip, held_spheres, inside_depth
 from mjhab.experts.planning.reach import Scene, surroundings, way_out
 from mjhab.experts.skills.pick import EVEN, balanced, height_below, plan_pick
 from mjhab.experts.skills.place import hand_goals
+from mjhab.robots.fetch.robot import ROBOT
 from mjhab.tasks.style import ANY
 
 pick_module = importlib.import_module("mjhab.experts.skills.pick")
@@ -126,8 +127,8 @@ def test_height_below_centre(shape: ObjectShape, rot: np.ndarray, height: float)
 
 
 def test_gripper_action_for_an_opening():
-    assert grip(0.10) == pytest.approx(1.0) and grip(-0.02) == pytest.approx(-1.0)
-    assert grip(0.04) == pytest.approx(0.0)
+    assert grip(ROBOT, 0.10) == pytest.approx(1.0) and grip(ROBOT, -0.02) == pytest.approx(-1.0)
+    assert grip(ROBOT, 0.04) == pytest.approx(0.0)
 
 
 def test_plan_of_a_pick_is_clear_of_the_furniture():
@@ -137,8 +138,10 @@ def test_plan_of_a_pick_is_clear_of_the_furniture():
     assert found is not None
     stance, goals, _ = found
     near, target = surroundings(view, obj, view.object_pose(obj)[:3])
-    assert motion.spheres().clearance(stance.pre[None], type(near).join([near, target]))[0] > 0.0
-    pos, rot = motion.chain().tip_pose(stance.at[None])
+    assert (
+        motion.spheres(ROBOT).clearance(stance.pre[None], type(near).join([near, target]))[0] > 0.0
+    )
+    pos, rot = ROBOT.chain.tip_pose(stance.at[None])
     np.testing.assert_allclose(pos[0], goals.pos[stance.goal], atol=0.01)
     np.testing.assert_allclose(rot[0], goals.rot[stance.goal], atol=0.1)
     assert motion.planner(view.home).clearance_at(stance.at[:2]) >= 0.27
@@ -166,7 +169,7 @@ def test_way_out_of_a_shelf_keeps_the_object_off_the_walls():
     target = Boxes(np.array([[0.5, 0.0, 1.05]]), half[None], eye)
     wall = Boxes(np.array([[0.3, 0.12, 1.1]]), np.array([[0.4, 0.01, 0.5]]), eye)
     bases = np.array([[-0.3, 0.0, 0.0], [-0.2, 0.2, -0.35], [-0.2, -0.2, 0.35]])
-    straight, towards, away = way_out(bases, Scene(wall, target, 1.0), 0.42)
+    straight, towards, away = way_out(bases, Scene(wall, target, 1.0, ROBOT), 0.42)
     assert straight == pytest.approx(0.07, abs=0.005)
     assert towards < 0.0 < away
 
@@ -219,7 +222,7 @@ def test_route_keeps_room_and_ends_at_the_goal():
     near, target = surroundings(view, the_object(view), np.array([*spot, 1.0]))
     rest = motion.rest_goal(view)
     route = plan_route(
-        view, np.array([*spot, 0.0]), rest, motion.spheres(), type(near).join([near, target])
+        view, np.array([*spot, 0.0]), rest, motion.spheres(ROBOT), type(near).join([near, target])
     )
     assert route is not None
     np.testing.assert_allclose(route.path[-1], spot)
@@ -245,7 +248,7 @@ def test_a_drive_ends_when_the_object_is_lost():
     view = view_of("tidy_house", "pick")
     boxes, _ = surroundings(view, the_object(view), view.tcp_pose[:3])
     ahead = view.q[:3] + np.array([np.cos(view.q[2]), np.sin(view.q[2]), 0.0])
-    route = plan_route(view, ahead, view.q, motion.spheres(), boxes, straight=True)
+    route = plan_route(view, ahead, view.q, motion.spheres(ROBOT), boxes, straight=True)
     assert route is not None and route.steps > 2 * LOST_STEPS
     # The hand is empty.
     drive_with = follow(view, route, gripper=motion.CLOSED, held=the_object(view))

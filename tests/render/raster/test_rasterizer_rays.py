@@ -18,6 +18,8 @@ from mjhab.layout.layout import Layout
 from mjhab.render.build_scene import SceneBuilder, box_mesh
 from mjhab.render.raster.rasterizer import NEAR, Rasterizer
 from mjhab.robots.fetch import model as fetch
+from mjhab.robots.fetch.robot import ROBOT
+from mjhab.robots.parts import CameraMount
 from mjhab.scenes.builtin.pack import builtin_pack
 from mjhab.scenes.freespace import free_map
 from mjhab.scenes.shapes.meshes import Mesh
@@ -43,7 +45,7 @@ def home() -> tuple[mujoco.MjModel, mujoco.MjData]:
     sim = CpuSimulator(layout, 1, 1)
     model = sim.model(pack.homes[0].name)
     data = mujoco.MjData(model)
-    data.qpos[sim.addresses.robot_q] = parked_robot_qpos()
+    data.qpos[sim.addresses.robot_q] = parked_robot_qpos(ROBOT)
     rng = np.random.default_rng(4)
     grid = free_map(pack.homes[0], pack, cell=0.25)
     floor = grid.to_xy(np.argwhere(grid.navigable(0.3)))
@@ -170,7 +172,7 @@ def away_from_edges(seg: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("camera", fetch.CAMERAS, ids=lambda c: c.name)
-def test_depth_and_seg_agree_with_ray_casting(camera: fetch.CameraMount) -> None:
+def test_depth_and_seg_agree_with_ray_casting(camera: CameraMount) -> None:
     model, data = home()
     body = model.body(camera.body).id
     frame = data.xmat[body].reshape(3, 3)

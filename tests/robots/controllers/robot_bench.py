@@ -9,16 +9,16 @@ import numpy as np
 
 from mjhab.layout.layout import Layout
 from mjhab.robots.controllers import Controller, make_controller
-from mjhab.robots.controllers.end_effector import arm_chain
-from mjhab.robots.controllers.table import ARM_JOINTS, BODY_JOINTS
-from mjhab.robots.fetch.model import REST_QPOS, Drives
+from mjhab.robots.fetch.model import REST_QPOS
+from mjhab.robots.fetch.robot import ROBOT
+from mjhab.robots.parts import Drives
 from mjhab.scenes.packs import open_pack
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.protocol import SimState
 
 WORLDS = 8
-ARM = list(ARM_JOINTS)
-BODY = list(BODY_JOINTS)
+ARM = list(ROBOT.arm_columns)
+BODY = list(ROBOT.body_columns)
 BENT = np.array(REST_QPOS)
 BENT[[7, 11]] = -0.5, 1.2
 """Rest with shoulder and wrist away from their limits."""
@@ -57,7 +57,7 @@ class Bench:
         return self.state.robot_q[:, ARM]
 
     def tip(self) -> tuple[np.ndarray, np.ndarray]:
-        return arm_chain().tip_pose(self.arm())
+        return ROBOT.arm_chain.tip_pose(self.arm())
 
 
 def bench(mode: str, posture: np.ndarray = BENT, yaw: float = 0.0, **options) -> Bench:

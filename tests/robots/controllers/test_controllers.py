@@ -10,16 +10,10 @@ import pytest
 
 from mjhab.core.errors import UsageError
 from mjhab.robots.controllers import BASES, CONTROL_MODES, STATIONARY, make_controller
-from mjhab.robots.controllers.actions import ACTION_DIM, action_table
-from mjhab.robots.controllers.table import ARM_JOINTS, ARM_NAMES
-from mjhab.robots.fetch.model import (
-    ACTUATORS,
-    FETCH_JOINTS,
-    REST_QPOS,
-    Drives,
-    add_fetch,
-    apply_drives,
-)
+from mjhab.robots.fetch.model import FETCH_JOINTS, REST_QPOS
+from mjhab.robots.fetch.robot import ROBOT
+from mjhab.robots.model import add_robot, apply_drives
+from mjhab.robots.parts import Drives
 from tests.robots.controllers.robot_bench import (
     ARM,
     BENT,
@@ -129,7 +123,7 @@ def original_default_mode(actions: np.ndarray, q: np.ndarray) -> np.ndarray:
     """What ``pd_joint_delta_pos`` is, joint by joint."""
     a = np.clip(actions, -1.0, 1.0).astype(np.float64)
     out = np.empty((len(a), 15))
-    for joint, column in zip((*ARM_JOINTS, 4, 6, 3), (*range(7), 8, 9, 10), strict=True):
+    for joint, column in zip((*ROBOT.arm_columns, 4, 6, 3), (*range(7), 8, 9, 10), strict=True):
         out[:, joint] = q[:, joint] + 0.1 * a[:, column]
     out[:, 13] = out[:, 14] = -0.01 + 0.5 * (a[:, 7] + 1.0) * (0.05 + 0.01)
     out[:, 0] = 1.0 * a[:, 11] * np.cos(q[:, 2])
@@ -140,42 +134,42 @@ def original_default_mode(actions: np.ndarray, q: np.ndarray) -> np.ndarray:
 
 def test_default_mode_is_unchanged_in_every_bit():
     rng = np.random.default_rng(0)
-    actions = rng.uniform(-1.3, 1.3, (64, ACTION_DIM)).astype(np.float32)
+    actions = rng.uniform(-1.3, 1.3, (64, ROBOT.action.dim)).astype(np.float32)
     q = rng.normal(size=(64, 15))
     want = original_default_mode(actions, q)
     assert make_controller("pd_joint_delta_pos", 64).command(actions, q).tobytes() == want.tobytes()
-    assert make_controller().table == action_table() and len(action_table()) == ACTION_DIM
+    assert len(make_controller().table) == ROBOT.action.dim
 
 
 def test_drives_change_only_what_they_name():
     spec = mujoco.MjSpec()
-    add_fetch(spec)
+    add_robot(spec, ROBOT)
     plain = spec.compile()
     other = spec.compile()
     fields = ("actuator_gainprm", "actuator_biasprm", "jnt_actfrcrange")
-    apply_drives(other, Drives())
+    apply_drives(other, ROBOT, Drives())
     for field in fields:
         np.testing.assert_array_equal(getattr(plain, field), getattr(other, field))
-    apply_drives(other, Drives(velocity=("elbow_flex_joint",), stiff=("torso_lift_joint",)))
+    apply_drives(other, ROBOT, Drives(velocity=("elbow_flex_joint",), stiff=("torso_lift_joint",)))
     assert other.actuator("elbow_flex_joint").biasprm[:3].tolist() == [0.0, 0.0, -100.0]
     assert other.actuator("elbow_flex_joint").gainprm[0] == 100.0
     assert other.actuator("torso_lift_joint").biasprm[:3].tolist() == [0.0, -1e5, -1e5]
     assert other.jnt_actfrcrange[other.joint("torso_lift_joint").id].tolist() == [-1e5, 1e5]
     rest = [
         i
-        for i, name in enumerate(ACTUATORS)
+        for i, name in enumerate(ROBOT.joints)
         if name not in ("elbow_flex_joint", "torso_lift_joint")
     ]
     np.testing.assert_array_equal(plain.actuator_biasprm[rest], other.actuator_biasprm[rest])
-    apply_drives(other, Drives())
+    apply_drives(other, ROBOT, Drives())
     for field in fields:
         np.testing.assert_array_equal(getattr(plain, field), getattr(other, field))
     with pytest.raises(UsageError, match="elbow_flex_joint"):
-        apply_drives(other, Drives(velocity=("elbow_flex",)))
+        apply_drives(other, ROBOT, Drives(velocity=("elbow_flex",)))
 
 
 def test_servos_belong_to_one_simulator():
-    speed = simulator(Drives(velocity=ARM_NAMES))
+    speed = simulator(Drives(velocity=ROBOT.group("arm")))
     home = layout().pack.homes[0].name
     assert speed.model(home).actuator("wrist_roll_joint").biasprm[1] == 0.0
     assert simulator(Drives()).model(home).actuator("wrist_roll_joint").biasprm[1] == -1000.0
@@ -313,7 +307,7 @@ def test_speed_targets_remove_the_lag_of_position_servos():
 @pytest.mark.parametrize("mode", CONTROL_MODES)
 def test_under_load_targets_hold_and_measured_positions_sag(mode: str):
     b = bench(mode)
-    dof = b.sim.addresses.robot_v[ARM_JOINTS[1]]
+    dof = b.sim.addresses.robot_v[ROBOT.arm_columns[1]]
     b.sim.batch.bind("qfrc_applied")[:, dof] = 20.0
     actions = b.controller.still(b.state)
     heights = []

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from mjhab.robots.controllers import CONTROL_MODES, make_controller
-from mjhab.robots.controllers.end_effector import arm_chain
-from mjhab.robots.fetch.model import JOINT_LIMITS, REST_QPOS
+from mjhab.robots.fetch.model import REST_QPOS
+from mjhab.robots.fetch.robot import ROBOT
 from mjhab.robots.kinematics import rotate, rotation_vector
 from tests.robots.controllers.robot_bench import (
     ARM,
@@ -68,10 +68,10 @@ def test_one_command_of_the_end_effector_is_met_and_its_turn_clipped_by_norm(mod
     state = still_state(6)
     controller = make_controller(mode, 6)
     controller.reset(np.ones(6, bool), state)
-    pos, rot = arm_chain().tip_pose(state.robot_q[:, ARM])
+    pos, rot = ROBOT.arm_chain.tip_pose(state.robot_q[:, ARM])
     actions = np.random.default_rng(2).uniform(-0.4, 0.4, (6, controller.dim))
     actions[0, 3:6] = 1.0
-    got_pos, got_rot = arm_chain().tip_pose(controller.ctrl(actions, state)[:, ARM])
+    got_pos, got_rot = ROBOT.arm_chain.tip_pose(controller.ctrl(actions, state)[:, ARM])
     turn = (
         0.1
         * actions[:, 3:6]
@@ -91,13 +91,13 @@ def test_absolute_pose_far_away_is_approached_over_several_steps():
     goal[ARM] = BENT[ARM] + np.array([0.6, 0.5, -0.5, 0.4, 0.5, -0.5, 0.6])
     controller = make_controller("pd_ee_pose", 1)
     controller.reset(np.ones(1, bool), state)
-    pos, rot = arm_chain().tip_pose(goal[ARM])
+    pos, rot = ROBOT.arm_chain.tip_pose(goal[ARM])
     actions = np.zeros((1, controller.dim))
     actions[:, :3] = pos
     actions[:, 3:6] = rotation_vector(rot)
     for _ in range(15):
         out = controller.ctrl(actions, state)
-    got_pos, got_rot = arm_chain().tip_pose(out[:, ARM])
+    got_pos, got_rot = ROBOT.arm_chain.tip_pose(out[:, ARM])
     np.testing.assert_allclose(got_pos, pos, atol=1e-4)
     np.testing.assert_allclose(got_rot, rot, atol=1e-3)
 
@@ -109,7 +109,7 @@ def test_targets_stay_within_the_joint_limits_and_do_not_wind_up(mode: str):
     controller.reset(np.ones(4, bool), state)
     actions = np.where(np.arange(4)[:, None] % 2, controller.high, controller.low)
     actions[2:, : controller.gripper : 2] *= -1
-    low, high = np.array([JOINT_LIMITS[j] for j in ARM]).T
+    low, high = np.array([ROBOT.joint_limits[j] for j in ARM]).T
     for _ in range(60):
         out = controller.ctrl(actions, state)[:, ARM]
         assert (out >= low - 1e-9).all() and (out <= high + 1e-9).all()

@@ -14,6 +14,8 @@ from mjhab.core.errors import MjhabError
 from mjhab.robots.fetch import model as fetch
 from mjhab.robots.fetch import visuals as fetch_visuals
 from mjhab.robots.fetch.geometry import COLLISION, INERTIALS
+from mjhab.robots.fetch.robot import ROBOT
+from mjhab.robots.model import add_robot, physics_options
 from mjhab.scenes.spec import Geom
 
 REST = np.array(fetch.REST_QPOS)
@@ -23,8 +25,8 @@ MOVING = [j for j, name in enumerate(fetch.FETCH_JOINTS) if not name.startswith(
 @pytest.fixture(scope="module")
 def model() -> mujoco.MjModel:
     spec = mujoco.MjSpec()
-    fetch.physics_options(spec)
-    fetch.add_fetch(spec)
+    physics_options(spec)
+    add_robot(spec, ROBOT)
     return spec.compile()
 
 
@@ -66,19 +68,19 @@ def test_head_camera_sees_forward_and_down(model: mujoco.MjModel) -> None:
 def test_joints_limits_and_servos_have_the_published_order_and_values(
     model: mujoco.MjModel,
 ) -> None:
-    assert [model.actuator(i).name for i in range(model.nu)] == list(fetch.ACTUATORS)
+    assert [model.actuator(i).name for i in range(model.nu)] == list(fetch.FETCH_JOINTS)
     assert model.nv == len(fetch.FETCH_JOINTS) == 15
     for i, name in enumerate(fetch.FETCH_JOINTS):
         joint = model.joint(name)
-        gains = fetch.GAINS[i]
-        finite = np.isfinite(fetch.JOINT_LIMITS[i][0])
+        gains = ROBOT.gains_of[name]
+        finite = np.isfinite(ROBOT.joint_limits[i][0])
         assert bool(model.jnt_limited[joint.id]) == finite
         if finite:
-            np.testing.assert_allclose(joint.range, fetch.JOINT_LIMITS[i])
+            np.testing.assert_allclose(joint.range, ROBOT.joint_limits[i])
         assert model.actuator_trnid[i, 0] == joint.id
         np.testing.assert_allclose(model.actuator_biasprm[i, 1:3], (-gains.kp, -gains.kd))
         np.testing.assert_allclose(model.jnt_actfrcrange[joint.id], (-gains.force, gains.force))
-    assert fetch.JOINT_LIMITS[fetch.FETCH_JOINTS.index("shoulder_lift_joint")] == (-1.221, 1.518)
+    assert ROBOT.joint_limits[fetch.FETCH_JOINTS.index("shoulder_lift_joint")] == (-1.221, 1.518)
 
 
 def test_masses_are_those_of_the_inertial_table(model: mujoco.MjModel) -> None:
@@ -99,7 +101,7 @@ def test_the_robot_has_no_gravity(model: mujoco.MjModel) -> None:
 
 @pytest.mark.parametrize("joint", MOVING)
 def test_no_self_contact_near_rest(model: mujoco.MjModel, joint: int) -> None:
-    low, high = np.clip(np.array(fetch.JOINT_LIMITS[joint]), REST[joint] - 1.0, REST[joint] + 1.0)
+    low, high = np.clip(np.array(ROBOT.joint_limits[joint]), REST[joint] - 1.0, REST[joint] + 1.0)
     for value in np.linspace(low, high, 9):
         q = REST.copy()
         q[joint] = value
@@ -118,7 +120,7 @@ def test_the_arm_feels_the_head(model: mujoco.MjModel) -> None:
 def test_a_full_delta_neither_rings_nor_passes_its_target(
     model: mujoco.MjModel, joint: int
 ) -> None:
-    low, high = fetch.JOINT_LIMITS[joint]
+    low, high = ROBOT.joint_limits[joint]
     start = REST.copy()
     # away from the limits
     start[3] = 0.15
@@ -163,8 +165,9 @@ def test_opening_between_the_pads_is_twice_the_joint(model: mujoco.MjModel, q: f
     data = at(model, pose)
     hand = data.body(fetch.TCP_LINK)
     faces = []
-    for link in fetch.FINGER_LINKS:
-        opening = np.array(fetch.FINGER_OPEN_DIR[link])
+    for finger in fetch.FINGERS:
+        link = finger.link
+        opening = np.array(finger.opens)
         (pad, *_), (edge, *_) = (model.geom(f"{link}/{i}").size for i in (0, 1))
         at_pad, at_edge = (
             hand.xmat.reshape(3, 3).T @ (data.geom(f"{link}/{i}").xpos - hand.xpos) for i in (0, 1)
@@ -203,7 +206,7 @@ def test_robot_meshes_are_sound_and_materials_known() -> None:
     parts = fetch_visuals.robot_meshes()
     assert {name for name, _, _ in parts} == set(fetch.LINKS)
     for name, mesh, material in parts:
-        assert material in fetch_visuals.ROBOT_MATERIALS
+        assert material in ROBOT.materials
         assert mesh.faces.min() >= 0 and mesh.faces.max() < len(mesh.vertices), name
         assert np.abs(mesh.vertices).max() < 1.0
     assert sum(len(mesh.faces) for _, mesh, _ in parts) < 25_000

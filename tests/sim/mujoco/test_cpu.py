@@ -10,6 +10,7 @@ from mjhab.core.errors import UsageError
 from mjhab.layout.contact_sensors import FORCE_SENSOR_WIDTH, normal_force
 from mjhab.layout.layout import Layout
 from mjhab.robots.fetch.model import FINGER_LINKS, REST_QPOS
+from mjhab.robots.fetch.robot import ROBOT
 from mjhab.scenes.packs import open_pack
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.settle import parked_robot_qpos
@@ -30,7 +31,7 @@ def free_place(layout: Layout, home: int, table: str = "table_01") -> np.ndarray
 
 def start(sim: CpuSimulator, home: str) -> np.ndarray:
     qpos = sim.model(home).qpos0.copy()
-    qpos[sim.addresses.robot_q] = parked_robot_qpos()
+    qpos[sim.addresses.robot_q] = parked_robot_qpos(ROBOT)
     return qpos
 
 
@@ -72,7 +73,7 @@ def test_contact_sensors_match_the_contact_forces_of_the_engine(layout: Layout):
     model = sim.model(home)
     a = sim.addresses
     data = mujoco.MjData(model)
-    robot = parked_robot_qpos()
+    robot = parked_robot_qpos(ROBOT)
     data.qpos[a.robot_q] = robot
     mujoco.mj_kinematics(model, data)
     tcp = data.xpos[a.robot_body["gripper_link"]].copy()
@@ -121,7 +122,7 @@ def test_the_end_effector_is_gripper_link_and_fingers(
     a = sim.addresses
     data = mujoco.MjData(model)
     qpos = model.qpos0.copy()
-    qpos[a.robot_q] = parked_robot_qpos()
+    qpos[a.robot_q] = parked_robot_qpos(ROBOT)
     data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)
     place = data.body(link).xpos + data.body(link).xmat.reshape(3, 3) @ offset

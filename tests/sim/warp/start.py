@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 
 from mjhab.layout.layout import Layout
+from mjhab.robots.fetch.robot import ROBOT
 from mjhab.scenes.spec import Home
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.settle import parked_robot_qpos, settle
@@ -47,7 +48,7 @@ def starts(cpu: CpuSimulator, drop: float = 0.0) -> np.ndarray:
     rows = []
     for i, home in enumerate(homes_of(cpu.layout)):
         qpos = cpu.model(home).qpos0.copy()
-        qpos[cpu.addresses.robot_q] = parked_robot_qpos()
+        qpos[cpu.addresses.robot_q] = parked_robot_qpos(ROBOT)
         put(cpu, qpos, CAN, on_table(cpu.layout, i) + up(cpu.layout.objects[CAN].half[2]))
         qpos = settle(cpu.model(home), cpu.addresses, qpos)[0]
         qpos[cpu.addresses.object_q[CAN] + 2] += drop
@@ -60,7 +61,7 @@ def holding(cpu: CpuSimulator, home: str) -> tuple[np.ndarray, np.ndarray]:
     model = cpu.model(home)
     a = cpu.addresses
     data = mujoco.MjData(model)
-    robot = parked_robot_qpos()
+    robot = parked_robot_qpos(ROBOT)
     robot[13:15] = 0.0345
     data.qpos[a.robot_q] = robot
     mujoco.mj_kinematics(model, data)

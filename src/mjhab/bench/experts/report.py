@@ -93,7 +93,7 @@ def _header(results: Sequence[Result], config: Mapping[str, Any]) -> str:
             "goes on.</div>"
         )
     return (
-        "<header><h1>How often the experts succeed</h1><p>Scripted whole-body experts of mjhab with a Fetch robot in "
+        "<header><h1>How often the experts succeed</h1><p>Scripted whole-body experts of mjhab with a robot in "
         f'furnished homes, simulated by MuJoCo.</p><div class="chips">{chips}</div>{banner}</header>'
     )
 

@@ -20,17 +20,15 @@ from mjhab.bench.interact.scene import (
     START_QPOS,
     STEPS,
     SURFACE_HEIGHT,
-    TORSO,
     InteractScene,
     interact_scene,
     with_body,
 )
 from mjhab.core.cache import write_atomic
+from mjhab.core.joints import BASE
 from mjhab.experts.arm.ik import columns, random_seeds, solve
 from mjhab.robots.controllers import make_controller
-from mjhab.robots.controllers.table import ARM_JOINTS
-from mjhab.robots.fetch.model import FETCH_JOINTS, KINEMATIC_TREE
-from mjhab.robots.kinematics import Chain
+from mjhab.robots.registry import robot_named
 from mjhab.sim.mujoco.cpu import CpuSimulator
 
 WAY = (
@@ -50,18 +48,20 @@ DIGITS = 3
 
 
 def way_points(start: np.ndarray) -> np.ndarray:
-    """(len(WAY), 15) configurations of the robot from ``start`` (15,), hand pitched by PITCH.
+    """(len(WAY), J) configurations of the robot from ``start`` (J,), hand pitched by PITCH.
 
     Reach and height are solved straight ahead; turning there is the business of the shoulder's first joint alone, so
     the hand stays at its height during a sweep.
     """
-    chain = Chain.from_tree(KINEMATIC_TREE, FETCH_JOINTS)
+    robot = robot_named()
+    chain = robot.chain
     dofs = columns(chain, torso=False)
-    pan = FETCH_JOINTS.index("shoulder_pan_joint")
+    pan = robot.arm_columns[0]
+    torso = robot.torso_columns[0]
     now = start.copy()
-    now[:3] = 0.0
+    now[BASE] = 0.0
     now[pan] = 0.0
-    surface = SURFACE_HEIGHT + start[TORSO] - START_QPOS[TORSO]
+    surface = SURFACE_HEIGHT + start[torso] - START_QPOS[torso]
     c = np.cos(PITCH)
     s = np.sin(PITCH)
     down = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
@@ -85,7 +85,7 @@ def record(scene: InteractScene) -> np.ndarray:
     controller = make_controller(CONTROL_MODE, 1)
     sim = CpuSimulator(scene.layout, 1, 1, controller.drives)
     sim.reset([0], [scene.home], scene.qpos[None])
-    arm = list(ARM_JOINTS)
+    arm = list(scene.layout.robot.arm_columns)
     knots = np.concatenate([scene.robot[None], way_points(scene.robot)])[:, arm]
     times = np.concatenate([[0.0], np.cumsum([row[0] for row in WAY])])
     done = np.zeros((STEPS, len(arm)), np.float32)

@@ -31,12 +31,10 @@ from mjhab.core.errors import UsageError
 from mjhab.core.progress import progress_bar
 from mjhab.envs.parts.memory import check_device_memory
 from mjhab.robots.controllers import make_controller
-from mjhab.robots.fetch.model import CAMERAS
 from mjhab.sim.backends import open_simulator, resolve
 
 CAMERA_SIZE = 128
 OUTPUTS = ("rgb", "depth")
-CAMERA_NAMES = tuple(camera.name for camera in CAMERAS)
 WORLD_MB = 0.34
 """A world on a device without pictures: 0.14 MB of arrays, 0.17 MB that a substep takes on its way (sums for 3 and for
 32 worlds on Warp's CPU device, difference over 29), and a tenth on top."""
@@ -111,7 +109,9 @@ class InteractBench:
         if backend == "warp":
             from mjhab.render.warp.cameras import WarpCameras
 
-            return WarpCameras(self.sim, CAMERA_NAMES, (CAMERA_SIZE, CAMERA_SIZE), OUTPUTS).draw
+            return WarpCameras(
+                self.sim, self.scene.layout.robot.camera_names, (CAMERA_SIZE, CAMERA_SIZE), OUTPUTS
+            ).draw
         from mjhab.render.home_scene import HomeRenderer
 
         renderer = HomeRenderer(self.sim, threads)
@@ -161,16 +161,16 @@ class InteractBench:
 
 
 def affine_commands(actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Commands for actions (T, 13) of CONTROL_MODE with the base at rest: ``offset[t] + moves * robot_q``.
+    """Commands for actions (T, A) of CONTROL_MODE with the base at rest: ``offset[t] + moves * robot_q``.
 
-    The arm moves from where it is measured, head and torso are told where to be: offset (T, 15), moves (15,).
+    The arm moves from where it is measured, head and torso are told where to be: offset (T, J), moves (J,).
     """
     controller = make_controller(CONTROL_MODE, 1)
 
     def command(action: np.ndarray, robot_q: np.ndarray) -> np.ndarray:
         return controller.command(action[None], robot_q)[0]
 
-    zero = np.zeros((1, 15))
+    zero = np.zeros((1, len(controller.robot.joints)))
     offset = np.stack([command(action, zero) for action in actions])
     return offset, command(actions[0], zero + 1.0) - offset[0]
 

@@ -16,9 +16,10 @@ from importlib.resources import files
 import numpy as np
 
 from mjhab.core.errors import UsageError
+from mjhab.core.joints import BASE, BASE_XY
 from mjhab.layout.layout import Layout, yaw_quat
 from mjhab.layout.receptacles import PlacedReceptacle, placed_receptacles
-from mjhab.robots.controllers.table import BODY_JOINTS
+from mjhab.robots.registry import robot_named
 from mjhab.scenes.freespace import NAVMESH_BASE_RADIUS_M, free_map
 from mjhab.scenes.packs import open_pack
 from mjhab.scenes.spec import Home, Pack
@@ -57,11 +58,10 @@ START_QPOS = (
     0.015,
     0.015,
 )
-"""Robot before a surface at SURFACE_HEIGHT, FETCH_JOINTS order (mshab's interact_scene_builder.py); at another height
-the torso differs."""
+"""Robot before a surface at SURFACE_HEIGHT, in the order of its joints (mshab's interact_scene_builder.py);
+at another height the torso differs."""
 SURFACE_HEIGHT = 0.75
 TORSO_RANGE = (0.0, 0.386)
-TORSO = 3
 DEPTH = 0.36
 HALF_WIDTH = 0.42
 """Least depth and half-width of the surface [m]."""
@@ -73,7 +73,7 @@ ACTION_FILE = "interact_actions.csv"
 
 @dataclass(frozen=True, eq=False)
 class InteractScene:
-    """Layout with one home, and the state (nq,) that every world starts from; ``robot`` (15,) of it."""
+    """Layout with one home, and the state (nq,) that every world starts from; ``robot`` (J,) of it."""
 
     layout: Layout
     qpos: np.ndarray
@@ -86,16 +86,19 @@ class InteractScene:
 
 
 def interact_actions(scene: InteractScene) -> np.ndarray:
-    """(200, 13) float32 actions of CONTROL_MODE: the recorded arm, head and torso held, all others zero."""
+    """(200, A) float32 actions of CONTROL_MODE: the recorded arm, head and torso held, all others zero."""
     text = files("mjhab.bench.interact").joinpath(ACTION_FILE).read_text(encoding="utf-8")
     arm = np.loadtxt(text.splitlines(), delimiter=",", comments="#", dtype=np.float32, ndmin=2)
     return with_body(scene, arm)
 
 
 def with_body(scene: InteractScene, arm: np.ndarray) -> np.ndarray:
-    """(T, 13) float32 actions that move the arm by ``arm`` (T, 7) and hold head and torso."""
-    actions = np.pad(arm.astype(np.float32), ((0, 0), (0, 13 - arm.shape[1])))
-    actions[:, 8:11] = scene.robot[list(BODY_JOINTS)]
+    """(T, A) float32 actions that move the arm by ``arm`` (T, 7) and hold head and torso."""
+    actions = np.pad(
+        arm.astype(np.float32), ((0, 0), (0, scene.layout.robot.action.dim - arm.shape[1]))
+    )
+    robot = scene.layout.robot
+    actions[:, robot.action.body] = scene.robot[list(robot.body_columns)]
     return actions
 
 
@@ -135,7 +138,7 @@ def _places(pack: Pack, home: Home) -> Iterator[tuple[Home, PlacedReceptacle, np
         stripped = dataclasses.replace(home, props=tuple(own))
         floor = free_map(stripped, pack)
         for base in _bases(surface):
-            if floor.clearance_at(base[:2]) >= NAVMESH_BASE_RADIUS_M:
+            if floor.clearance_at(base[BASE_XY]) >= NAVMESH_BASE_RADIUS_M:
                 yield stripped, surface, base
 
 
@@ -144,7 +147,7 @@ def _near(a: tuple[float, ...], b: tuple[float, ...]) -> bool:
 
 
 def _torso(surface: PlacedReceptacle) -> float:
-    return START_QPOS[TORSO] + surface.pos[2] - SURFACE_HEIGHT
+    return START_QPOS[robot_named().torso_columns[0]] + surface.pos[2] - SURFACE_HEIGHT
 
 
 def _bases(surface: PlacedReceptacle) -> Iterator[np.ndarray]:
@@ -179,7 +182,7 @@ def _arrange(pack: Pack, surface: PlacedReceptacle, base: np.ndarray) -> Interac
         ]
     qpos = settle(model, a, qpos)[0]
     robot = np.array(START_QPOS)
-    robot[:3] = base
-    robot[TORSO] = _torso(surface)
+    robot[BASE] = base
+    robot[layout.robot.torso_columns[0]] = _torso(surface)
     qpos[a.robot_q] = robot
     return InteractScene(layout, qpos, robot)

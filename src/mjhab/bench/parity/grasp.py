@@ -17,10 +17,10 @@ from mjhab.bench.grasp import (
     shake_motion,
 )
 from mjhab.core.arrays import to_numpy
+from mjhab.core.joints import BASE_X, BASE_XY, BASE_Y, BASE_YAW
 from mjhab.core.rotations import mat_from_quat
 from mjhab.core.seeding import stream
 from mjhab.layout.layout import Layout
-from mjhab.robots.fetch.model import TCP_LINK
 from mjhab.scenes.packs import open_pack
 from mjhab.sim.backends import open_simulator
 
@@ -65,13 +65,13 @@ def _shake(
     begin = _in_hand(sim)
     slip = np.zeros(worlds)
     for k in range(round(seconds / CONTROL_DT)):
-        goal, forward, turn = shake_motion(k * CONTROL_DT, rest, phase)
+        goal, forward, turn = shake_motion(layout.robot, k * CONTROL_DT, rest, phase)
         measured = to_numpy(sim.state().robot_q).astype(np.float64)
         ctrl = measured + np.clip(goal - measured, -0.1, 0.1)
-        ctrl[:, 0] = forward * np.cos(measured[:, 2])
-        ctrl[:, 1] = forward * np.sin(measured[:, 2])
-        ctrl[:, 2] = turn
-        ctrl[:, 13:] = GRIP_TARGET
+        ctrl[:, BASE_X] = forward * np.cos(measured[:, BASE_YAW])
+        ctrl[:, BASE_Y] = forward * np.sin(measured[:, BASE_YAW])
+        ctrl[:, BASE_YAW] = turn
+        ctrl[:, layout.robot.columns.fingers] = GRIP_TARGET
         sim.step(ctrl)
         slip = np.maximum(slip, np.linalg.norm(_in_hand(sim) - begin, axis=1))
     return slip
@@ -84,7 +84,7 @@ def _held(sim: Any, home: str, slot: int) -> np.ndarray:
         bench.step(bench.rest, 0.0, 0.0)
     qpos = sim.model(home).qpos0.copy()
     robot = bench.data.qpos[bench.qpos].copy()
-    robot[:2] += PLACE
+    robot[BASE_XY] += PLACE
     qpos[sim.addresses.robot_q] = robot
     thing = bench.data.body(bench.object)
     start = sim.addresses.object_q[slot]
@@ -95,7 +95,7 @@ def _held(sim: Any, home: str, slot: int) -> np.ndarray:
 def _in_hand(sim: Any) -> np.ndarray:
     """(W, 3) position of each world's own object in the frame of the hand."""
     state = sim.state()
-    hand = sim.addresses.robot_body[TCP_LINK]
+    hand = sim.addresses.robot_body[sim.layout.robot.tcp]
     own = np.arange(sim.num_worlds)
     pos = to_numpy(state.object_pose).astype(np.float64)[own, own, :3]
     turn = mat_from_quat(to_numpy(state.body_quat).astype(np.float64)[:, hand])

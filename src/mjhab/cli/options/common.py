@@ -32,6 +32,8 @@ class ProfileOptions(ProfileChoice):
 
     profile: Annotated[str, tyro.conf.arg(metavar="mjhab|ms_hab")] = DEFAULT_PROFILE
     """Values of many options at once: ms_hab is the environment of the MS-HAB paper (see docs/environments.md)."""
+    robot: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
+    """Robot that does the work (see: mjhab robots list); fetch if absent."""
     starts: Annotated[str | None, tyro.conf.arg(metavar="front_box|published")] = None
     """Where Pick and Place at a drawer or fridge begin, and with which arm Place begins (spawn_rule of an environment);
     the profile's if absent."""

@@ -23,6 +23,35 @@ from mjhab.cli.options.common import (
     Sub,
 )
 
+
+@dataclass(frozen=True)
+class RobotsListOptions:
+    """List the robots: joints that move, numbers in an action of the default control mode and in `state`."""
+
+    json: bool = False
+    """Print one line of JSON instead of a table."""
+
+
+@dataclass(frozen=True)
+class RobotsShowOptions:
+    """Show the joints of a robot with their groups and limits, and its cameras.
+
+    For instance: `mjhab robots show fetch`
+    """
+
+    robot: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="NAME")]
+    """Name of the robot (see: mjhab robots list)."""
+    json: bool = False
+    """Print one line of JSON instead of a table."""
+
+
+@dataclass(frozen=True)
+class RobotsCommand:
+    """What robots there are, and what they consist of."""
+
+    command: Annotated[RobotsListOptions, Sub("list")] | Annotated[RobotsShowOptions, Sub("show")]
+
+
 EnvId = Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ID")]
 
 

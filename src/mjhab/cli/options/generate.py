@@ -60,11 +60,8 @@ class GenerateOptions(PolicyProfileOptions):
     """A filter with a name, see `mjhab data fields`; with --keep, both must hold."""
     images: Annotated[str, tyro.conf.arg(metavar="none|depth|rgb|rgbd|seg")] = "none"
     """Camera images to store; several joined by +. `mjhab replay --render` draws them later, too."""
-    cameras: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = (
-        "fetch_head",
-        "fetch_hand",
-    )
-    """Of which cameras."""
+    cameras: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME ...")] = None
+    """Of which cameras of the robot; all if absent."""
     camera_size: Number = 128
     """Side of the images [px]."""
     rgb: Annotated[str, tyro.conf.arg(metavar="png|jpeg")] = "png"
@@ -118,11 +115,8 @@ class ReplayOptions:
     """Draw these images of every state into a new shard; several joined by +. Nothing is simulated."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE.h5")] = None
     """With --render: the shard to make, or to go on with."""
-    cameras: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = (
-        "fetch_head",
-        "fetch_hand",
-    )
-    """With --render: fetch_head, fetch_hand, and follow, which looks over the robot's shoulder (colour only)."""
+    cameras: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME ...")] = None
+    """With --render: cameras of the robot (all if absent), and follow, which looks over its shoulder (colour only)."""
     camera_size: Annotated[tuple[int, ...], tyro.conf.arg(metavar="N|HEIGHT WIDTH")] = (128,)
     """With --render: side of the images, or height and width [px]."""
     rgb: Annotated[str, tyro.conf.arg(metavar="png|jpeg")] = "png"

@@ -189,7 +189,7 @@ def _observations(episode: Episode) -> Iterator[tuple[str, np.ndarray]]:
         if path.startswith("obs/sensor_param/"):
             yield path.removeprefix("obs/"), episode.array(path)
     for camera, output in sorted(
-        episode.images, key=lambda image: (image[0] != "fetch_head", image)
+        episode.images, key=lambda image: (not image[0].endswith("_head"), image)
     ):
         frames = [episode.frame(camera, output, t) for t in range(episode.steps + 1)]
         yield f"sensor_data/{camera}/{output}", np.stack(frames)

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from mjhab.core.joints import BASE
 from mjhab.core.version import __version__
 from mjhab.data.record.worlds import RecordedEnv
 from mjhab.data.store.episode_data import RunInfo
@@ -88,6 +89,8 @@ def describe_run(env: RecordedEnv, policy: Mapping[str, Any], licence: str = "")
                 "ctrl": len(first["ctrl"]),
             },
             "columns": _columns(env.sim.addresses),
+            "robot": layout.robot.name,
+            "joints": [joint.removesuffix("_joint") for joint in layout.robot.joints[BASE.stop :]],
             "actions": [entry.name for entry in env.action_table],
             "taints": list(env.taint_names),
         },

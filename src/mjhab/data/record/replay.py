@@ -208,7 +208,7 @@ def render(
     places: Path | Sequence[Path],
     out: Path,
     make_env: MakeEnv,
-    cameras: Sequence[str],
+    cameras: Sequence[str] | None,
     images: ImageFormat,
     where: Filter | None = None,
     tell: Callable[[], object] = bool,
@@ -220,13 +220,14 @@ def render(
     Args:
         places: shards or folders. out: the shard to make, or to go on with.
         make_env: its ``observer`` says what is drawn (obs_mode, cameras, camera_size).
-        cameras: as wanted; FOLLOW may be among them.
+        cameras: as wanted, all of the robot if None; FOLLOW may be among them.
         images: how colour is stored. where: only these episodes. tell: called after every episode.
 
     Raises:
         UsageError: an episode has no states; ``out`` is among the places.
     """
     written = frames = size = present = 0
+    follow = FOLLOW in (cameras or ())
     with ShardWriter(out) as writer:
         for env, batch in _batches(places, make_env, where):
             for episode in batch:
@@ -237,8 +238,15 @@ def render(
                 if episode.name in writer.names:
                     present += 1
                 else:
-                    drawn = _draw(env, episode, FOLLOW in cameras, images)
-                    size += writer.append(_with_images(episode, drawn, env, cameras))
+                    drawn = _draw(env, episode, follow, images)
+                    size += writer.append(
+                        _with_images(
+                            episode,
+                            drawn,
+                            env,
+                            env.observer.cameras if cameras is None else cameras,
+                        )
+                    )
                     written += 1
                     frames = frames + episode.steps + 1
                 tell()

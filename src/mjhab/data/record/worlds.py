@@ -46,6 +46,11 @@ class Views(Protocol):
         ...
 
     @property
+    def cameras(self) -> Sequence[str]:
+        """Names of the cameras that see."""
+        ...
+
+    @property
     def size(self) -> tuple[int, int]:
         """(height, width) of the pictures [px]."""
         ...
@@ -72,6 +77,11 @@ class Names(Protocol):
     @property
     def object_names(self) -> Sequence[str]:
         """Of the object slots."""
+        ...
+
+    @property
+    def robot(self) -> Any:
+        """The `robots.robot.Robot` that works there."""
         ...
 
     @property

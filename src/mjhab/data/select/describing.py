@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.tasks.instructions import Request, subtask_instruction, task_instruction
 
-_JOINTS: tuple[str, ...] = (
+OLD_JOINTS: tuple[str, ...] = (
     "torso_lift",
     "head_pan",
     "shoulder_pan",
@@ -21,15 +22,16 @@ _JOINTS: tuple[str, ...] = (
     "r_gripper_finger",
     "l_gripper_finger",
 )
+"""Joints of the robot of shards that do not name them, without the base (breadth-first, as MS-HAB)."""
 _POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 _PARTS: dict[str, tuple[str, ...]] = {
-    "agent/qpos": _JOINTS,
-    "agent/qvel": _JOINTS,
     "extra/tcp_pose_wrt_base": _POSE,
     "extra/obj_pose_wrt_base": _POSE,
     "extra/goal_pos_wrt_base": ("x", "y", "z"),
 }
-"""Names of the numbers of an observation, in the order of the joints without the base (breadth-first, as MS-HAB)."""
+"""Names of the numbers of an observation."""
+_OF_JOINTS = ("agent/qpos", "agent/qvel")
+"""Observations with a number per joint."""
 
 
 def subtask_words(record: EpisodeRecord) -> list[str]:
@@ -49,12 +51,18 @@ def task_words(record: EpisodeRecord) -> str:
     return task_instruction(record.task, requests)
 
 
-def state_names(columns: Mapping[str, int]) -> list[str]:
-    """A name for every number of ``obs/state``, from the names and widths of its parts (`Episode.columns`)."""
+def state_names(columns: Mapping[str, int], layout: Mapping[str, Any]) -> list[str]:
+    """A name for every number of ``obs/state``.
+
+    Args:
+        columns: names and widths of its parts (`Episode.columns`).
+        layout: of the run that made the episode (`RunInfo.layout`), which names the joints.
+    """
+    joints = tuple(layout.get("joints", OLD_JOINTS))
     names = []
     for part, width in columns.items():
         head = part.rpartition("/")[2]
-        parts = _PARTS.get(part, ())
+        parts = joints if part in _OF_JOINTS else _PARTS.get(part, ())
         if len(parts) != max(width, 1):
             parts = tuple(map(str, range(width)))
         names += [f"{head}.{name}" for name in parts] if width > 1 else [head]

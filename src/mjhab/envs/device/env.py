@@ -15,6 +15,7 @@ import torch
 from mjhab.config.env import EnvConfig
 from mjhab.core.arrays import to_numpy
 from mjhab.core.errors import UsageError
+from mjhab.core.joints import BASE_XY
 from mjhab.envs.device.landings import Teleporter
 from mjhab.envs.device.notes import DeviceNotes, DeviceStepNotes
 from mjhab.envs.device.observing import DeviceObserver
@@ -64,11 +65,14 @@ class DeviceEnv(TaskLoop):
                 "backend 'warp' gives no human views; leave render_mode empty, or use backend='cpu'"
             )
         check_device_memory(
-            config.num_envs, config.obs_mode, config.camera_size, config.device, config.cameras
+            config.num_envs, config.obs_mode, config.camera_size, config.device, len(config.cameras)
         )
         setting = open_setting(config)
         drives = make_controller(
-            config.control_mode, base=config.base, stationary=config.stationary
+            config.control_mode,
+            robot=setting.layout.robot,
+            base=config.base,
+            stationary=config.stationary,
         ).drives
         host = CpuSimulator(setting.layout, 1, config.threads, drives)
         self.sim = WarpSimulator(
@@ -104,7 +108,7 @@ class DeviceEnv(TaskLoop):
     def _nav_distance(self, inputs: RewardInputs) -> Tensor:
         fields = self.pool.fields
         at = self.pool.field_index[self.start_row, self.focus.active.index]
-        xy = inputs.world.base_pose[:, :2]
+        xy = inputs.world.base_pose[:, BASE_XY]
         return torch.zeros_like(xy[:, 0]) if fields is None else fields.at(at, xy)
 
     # -- episodes --------------------------------------------------------------------------------------------------

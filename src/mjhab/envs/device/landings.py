@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
+from mjhab.core.joints import BASE, BASE_X, BASE_Y, BASE_YAW
 from mjhab.core.rotations import quat_mul
 from mjhab.core.seeding import stream
 from mjhab.episodes.generator import Episode
@@ -20,8 +21,6 @@ from mjhab.layout.layout import Addresses
 from mjhab.sim.protocol import SimState
 from mjhab.tasks.subtasks.registry import spec_of
 
-ROBOT_JOINTS = 15
-
 
 def find_landings(
     starts: StartMaker, episode: Episode, start: Start, length: int
@@ -29,10 +28,10 @@ def find_landings(
     """Where the robot lands for every Navigate of a chain.
 
     Returns:
-        Joints (length, 15) in FETCH_JOINTS order, zero where the subtask is no Navigate; and (length,) bool, whether
+        Joints (length, J), zero where the subtask is no Navigate; and (length,) bool, whether
         no try was valid and the place is the best there is.
     """
-    joints = np.zeros((length, ROBOT_JOINTS))
+    joints = np.zeros((length, len(starts.layout.robot.joints)))
     fallback = np.zeros(length, bool)
     for position, subtask in enumerate(start.plan.subtasks):
         if spec_of(subtask.kind).navigates:
@@ -75,17 +74,17 @@ class Teleporter:
         Args:
             qpos: (W, nq) present ones.
             state: present state.
-            landing: (W, 15) joints to land with; of a robot that holds what it shall carry only the base moves.
+            landing: (W, J) joints to land with; of a robot that holds what it shall carry only the base moves.
             carried: (W,) int64 slot of the object to carry, -1 for none.
         """
         worlds = torch.arange(len(qpos), device=qpos.device)
         some = carried.clamp(min=0)
         pressed = state.finger_force[worlds, :, some].square().sum(-1) > 0
         held = (carried >= 0) & pressed.all(-1)
-        base = landing[:, :3]
+        base = landing[:, BASE]
         robot = torch.where(held[:, None], state.robot_q, landing)
-        robot = torch.cat([base, robot[:, 3:]], dim=1)
-        along = _turned(state.object_pose, state.robot_q[:, :3], base)
+        robot = torch.cat([base, robot[:, BASE.stop :]], dim=1)
+        along = _turned(state.object_pose, state.robot_q[:, BASE], base)
         mine = held[:, None] & (self._slots == carried[:, None])
         poses = torch.where(mine[..., None], along, state.object_pose)
         out = qpos.clone()
@@ -96,16 +95,16 @@ class Teleporter:
 
 def _turned(poses: torch.Tensor, before: torch.Tensor, after: torch.Tensor) -> torch.Tensor:
     """Poses (W, N, 7) moved as a base moves from ``before`` to ``after``, both (W, 3): x, y, yaw."""
-    turn = after[:, 2] - before[:, 2]
+    turn = after[:, BASE_YAW] - before[:, BASE_YAW]
     cos = torch.cos(turn)[:, None]
     sin = torch.sin(turn)[:, None]
     zero = torch.zeros_like(poses[..., 0])
-    x = poses[..., 0] - before[:, None, 0]
-    y = poses[..., 1] - before[:, None, 1]
+    x = poses[..., 0] - before[:, None, BASE_X]
+    y = poses[..., 1] - before[:, None, BASE_Y]
     moved = torch.stack(
         [
-            after[:, None, 0] + cos * x - sin * y,
-            after[:, None, 1] + sin * x + cos * y,
+            after[:, None, BASE_X] + cos * x - sin * y,
+            after[:, None, BASE_Y] + sin * x + cos * y,
             poses[..., 2],
         ],
         dim=-1,

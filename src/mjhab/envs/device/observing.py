@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import torch
 
+from mjhab.core.joints import BASE
 from mjhab.envs.observations import Views, intrinsic_matrix, state_observation
 from mjhab.envs.parts.observing import ObservedRows
 from mjhab.envs.parts.plan_tables import Focus
@@ -34,14 +35,17 @@ class DeviceObserver(ObservedRows):
         cameras: str | Sequence[str],
         size: int | Sequence[int],
     ) -> None:
-        super().__init__(mode, cameras, size)
+        super().__init__(sim.layout.robot, mode, cameras, size)
         self._sensing = sensing
         self.renderer = None
         if self.outputs:
             from mjhab.render.warp.cameras import WarpCameras
 
             self.renderer = WarpCameras(sim, self.cameras, self.size, self.drawn)
-            matrices = [torch.as_tensor(intrinsic_matrix(name, self.size)) for name in self.cameras]
+            matrices = [
+                torch.as_tensor(intrinsic_matrix(self.robot, name, self.size))
+                for name in self.cameras
+            ]
             self._intrinsic = torch.stack(matrices).to(sim.qpos)
 
     def observe(
@@ -53,11 +57,11 @@ class DeviceObserver(ObservedRows):
             state, focus, signals: of the present.
             changed: (W,) bool, worlds whose state is another than in the last call; None where all may have moved.
         """
-        obs = state_observation(self._sensing.context(state, focus, signals))
+        obs = state_observation(self.robot, self._sensing.context(state, focus, signals))
         if self.renderer is None:
             return obs
         images = self.renderer.draw(changed)
         pos, mat = self.renderer.poses()
-        views = Views(images, pos, mat, state.robot_q[:, :3], self._intrinsic)
+        views = Views(self.robot, images, pos, mat, state.robot_q[:, BASE], self._intrinsic)
         # The renderer draws into the same memory again.
         return obs | {entry.key: entry.compute(views).clone() for entry in self.camera_rows}

@@ -16,7 +16,7 @@ from rich.progress import track
 from mjhab.config.env import DENSE_MODES, EnvConfig
 from mjhab.core.arrays import map_record
 from mjhab.envs.device.fields import GoalFields
-from mjhab.envs.device.landings import ROBOT_JOINTS, find_landings
+from mjhab.envs.device.landings import find_landings
 from mjhab.envs.parts.plan_tables import PlanTables, Rows
 from mjhab.episodes.generator import Episode
 from mjhab.episodes.source import EpisodeSource
@@ -38,7 +38,7 @@ def pool_size(config: EnvConfig) -> int:
 
 @dataclass(frozen=True, eq=False)
 class _Made:
-    """One start on the host: landing joints (S, 15), and whether each was for want of a better place (S,)."""
+    """One start on the host: landing joints (S, J), and whether each was for want of a better place (S,)."""
 
     episode: Episode
     start: Start
@@ -55,7 +55,7 @@ class StartPool:
         qpos: (P, nq) states; where a chain begins with a teleport, those after it.
         ctrl, rings, home_rows: (P, ...) commands, sleep and homes, see `WarpSimulator.reset_masked`.
         fallback: (P,) bool, the robot stands where nothing better was found.
-        landings, landing_fallback: (P, S, 15) and (P, S) of `find_landings`.
+        landings, landing_fallback: (P, S, J) and (P, S) of `find_landings`.
         field_index: (P, S) int64, field of ``fields`` that leads to the goal of the subtask, -1 for none.
         fields: way to the goals of Navigate, None where no reward asks for it.
 
@@ -125,7 +125,7 @@ class StartPool:
         episode = source.episode(self.seed, index)
         start = source.start(episode)
         qpos = start.qpos
-        landings = np.zeros((length, ROBOT_JOINTS))
+        landings = np.zeros((length, len(source.layout.robot.joints)))
         fallback = np.zeros(length, bool)
         if self._config.teleports:
             landings, fallback = find_landings(source.starts, episode, start, length)

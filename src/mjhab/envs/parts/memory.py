@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from mjhab.core.errors import UsageError
 from mjhab.envs.observations import mode_outputs
-from mjhab.robots.fetch.model import CAMERAS
 
+CAMERAS = 2
+"""Cameras of a robot, where no other number is given: one on its head, one on its hand."""
 BASE_MB = 500
 """An environment of one layout before its worlds: libraries and compiled homes (`mjhab bench env` measures it)."""
 WORLD_MB = 1.5
@@ -58,7 +58,7 @@ class Need:
 
 
 def host_need(
-    obs_mode: str = "state", camera_size: int | tuple[int, int] = 128, cameras: int = len(CAMERAS)
+    obs_mode: str = "state", camera_size: int | tuple[int, int] = 128, cameras: int = CAMERAS
 ) -> Need:
     """What the worlds of backend cpu take of the machine's memory.
 
@@ -72,7 +72,7 @@ def host_need(
 def device_need(
     obs_mode: str = "state",
     camera_size: int | tuple[int, int] = 128,
-    cameras: int = len(CAMERAS),
+    cameras: int = CAMERAS,
     copies: int = WARP_OBS_COPIES,
     world_mb: float = WARP_WORLD_MB,
 ) -> Need:
@@ -139,14 +139,14 @@ def check_device_memory(
     obs_mode: str = "state",
     camera_size: int | tuple[int, int] = 128,
     device: str = "",
-    cameras: Sequence[str] = tuple(camera.name for camera in CAMERAS),
+    cameras: int = CAMERAS,
     copies: int = WARP_OBS_COPIES,
     world_mb: float = WARP_WORLD_MB,
 ) -> None:
     """Refuse a number of worlds of backend warp that does not fit into the device's memory; imports Warp.
 
     Args:
-        num_envs: worlds. obs_mode, camera_size, cameras: as in `EnvConfig`.
+        num_envs: worlds. obs_mode, camera_size: as in `EnvConfig`. cameras: their number.
         device: a Warp device, "" for the first GPU. For "cpu" the memory of this machine counts.
         copies, world_mb: see `device_need`.
 
@@ -158,7 +158,7 @@ def check_device_memory(
     opened = open_device(device)
     free = free_mb(opened) if opened.is_cuda else available_mb()
     _check(
-        device_need(obs_mode, camera_size, len(cameras), copies, world_mb),
+        device_need(obs_mode, camera_size, cameras, copies, world_mb),
         num_envs,
         free,
         f"on {opened}",

@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mjhab.core.arrays import map_record
+from mjhab.core.joints import BASE
 from mjhab.envs.observations import (
-    CAMERA_KEYS,
     CAMERA_OUTPUTS,
     POINTCLOUD,
-    STATE_TABLE,
     Views,
     camera_names,
     describe,
@@ -21,10 +20,12 @@ from mjhab.envs.observations import (
     mode_outputs,
     observation_table,
     state_observation,
+    state_table,
     table_space,
 )
 from mjhab.envs.parts.plan_tables import Focus
 from mjhab.envs.parts.sensing import Sensing
+from mjhab.robots.robot import Robot
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.protocol import SimState
 from mjhab.tasks.signals import Signals
@@ -37,8 +38,9 @@ class ObservedRows:
     """The observation table of a mode: what observers on all backends compute.
 
     Args:
+        robot: who observes.
         mode: parts of OBS_MODES joined by "+", e.g. "state", "rgbd+seg".
-        cameras: names of CAMERA_KEYS, one or several; the order is that of the points in a point cloud.
+        cameras: names of its cameras, one or several, all if None; the order is that of the points in a point cloud.
         size: side of the images [px], or (height, width). The vertical field of view stays as it is.
 
     Attributes:
@@ -54,22 +56,24 @@ class ObservedRows:
 
     def __init__(
         self,
+        robot: Robot,
         mode: str = "state",
-        cameras: str | Sequence[str] = CAMERA_KEYS,
+        cameras: str | Sequence[str] | None = None,
         size: int | Sequence[int] = 128,
     ) -> None:
+        self.robot = robot
         self.outputs = mode_outputs(mode)
         # A point cloud is made of all three.
         self.drawn = CAMERA_OUTPUTS if POINTCLOUD in self.outputs else self.outputs
-        self.cameras = camera_names(cameras)
+        self.cameras = camera_names(robot, robot.camera_names if cameras is None else cameras)
         self.size = image_size(size)
-        self.table = observation_table(self.outputs, self.cameras, self.size)
-        self.camera_rows = self.table[len(STATE_TABLE) :]
-        self.single_space = table_space(self.table)
+        self.table = observation_table(robot, self.outputs, self.cameras, self.size)
+        self.camera_rows = self.table[len(state_table(robot)) :]
+        self.single_space = table_space(robot, self.table)
 
     def describe(self) -> list[dict[str, Any]]:
         """Rows of the table: key, shape, dtype, unit, frame, meaning."""
-        return describe(self.table)
+        return describe(self.robot, self.table)
 
 
 class Observer(ObservedRows):
@@ -93,15 +97,17 @@ class Observer(ObservedRows):
         sim: CpuSimulator,
         sensing: Sensing,
         mode: str = "state",
-        cameras: str | Sequence[str] = CAMERA_KEYS,
+        cameras: str | Sequence[str] | None = None,
         size: int | Sequence[int] = 128,
         threads: int = 0,
     ) -> None:
-        super().__init__(mode, cameras, size)
+        super().__init__(sim.layout.robot, mode, cameras, size)
         self._sim = sim
         self._sensing = sensing
         self._threads = threads
-        self._intrinsic = np.stack([intrinsic_matrix(name, self.size) for name in self.cameras])
+        self._intrinsic = np.stack(
+            [intrinsic_matrix(self.robot, name, self.size) for name in self.cameras]
+        )
         self._renderer: HomeRenderer | None = None
 
     @property
@@ -137,7 +143,7 @@ class Observer(ObservedRows):
             known: observations made before of all worlds but those in ``changed`` (W,) bool, for which alone pictures
                 are drawn.
         """
-        obs = state_observation(self._sensing.context(state, focus, signals))
+        obs = state_observation(self.robot, self._sensing.context(state, focus, signals))
         if self.outputs:
             if known is None or changed is None:
                 return obs | self.draw(state, homes)
@@ -154,5 +160,5 @@ class Observer(ObservedRows):
         """What cameras see, and what is made of it, in the worlds of ``state``."""
         pos, mat = self.renderer.camera_poses(state, self.cameras)
         images = self.renderer.robot_views(state, homes, self.size, self.drawn, self.cameras)
-        views = Views(images, pos, mat, state.robot_q[:, :3], self._intrinsic)
+        views = Views(self.robot, images, pos, mat, state.robot_q[:, BASE], self._intrinsic)
         return {entry.key: entry.compute(views) for entry in self.camera_rows}

@@ -10,10 +10,10 @@ import numpy as np
 from mjhab.config.env import DENSE_MODES, REWARD_MODES
 from mjhab.core.arrays import Array, as_like, count, namespace, norm3, zeros
 from mjhab.core.errors import unknown_name
+from mjhab.core.joints import BASE_XY
 from mjhab.envs.parts.plan_tables import Focus
 from mjhab.envs.parts.sensing import Sensing
 from mjhab.layout.layout import Layout
-from mjhab.robots.fetch.model import FETCH_JOINTS, JOINT_LIMITS
 from mjhab.sim.protocol import SimState
 from mjhab.tasks.progress import Progress
 from mjhab.tasks.reward_table import IDEAL_SPEED, RewardView, closed_near
@@ -21,9 +21,6 @@ from mjhab.tasks.rewards import DenseReward, RewardOptions, kinds_at_hand
 from mjhab.tasks.signals import Signals, WorldState
 from mjhab.tasks.subtasks.registry import SUBTASKS
 from mjhab.tasks.thresholds import TaskConfig
-
-_TORSO = FETCH_JOINTS.index("torso_lift_joint")
-_TORSO_TOP = JOINT_LIMITS[_TORSO][1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +40,7 @@ GoalDistance = Callable[[RewardInputs], Array]
 
 def straight_distance(inputs: RewardInputs) -> Array:
     """Distance (W,) along the floor from the base to the goal of Navigate, as if nothing stood in between [m]."""
-    delta = inputs.focus.active.goal_pos[:, :2] - inputs.world.base_pose[:, :2]
+    delta = inputs.focus.active.goal_pos[:, :2] - inputs.world.base_pose[:, BASE_XY]
     return namespace(delta).sqrt(delta[:, 0] * delta[:, 0] + delta[:, 1] * delta[:, 1])
 
 
@@ -89,6 +86,10 @@ class Rewarder:
         self._bounded = options is None or options.formula == "bounded"
         self.nav_distance = nav_distance
         self._sensing = sensing
+        robot = layout.robot
+        self._torso = robot.columns.torso
+        if self._torso is not None:
+            self._torso_top = robot.joint_limits[self._torso][1]
         like = np.zeros(0) if like is None else like
         self._worlds = count(num_worlds, like)
         # The last entry is for "no link", index -1.
@@ -138,7 +139,10 @@ class Rewarder:
             handle = self._sensing.handle_pos(state, rows, some)
             distance = norm3(world.tcp_pos - handle)
             self._closed_near = closed_near(self._closed_near, inputs.signals.closed, distance)
-        torso = world.robot_q[:, _TORSO] / _TORSO_TOP
+        # A robot without a torso has its arm as high as it gets.
+        torso = zero + 1.0
+        if self._torso is not None:
+            torso = world.robot_q[:, self._torso] / self._torso_top
         if self._bounded:
             torso = xp.minimum(xp.maximum(torso, self._low), self._high)
         return RewardView(

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from mjhab.core.arrays import Array, as_like, count, may_hold, namespace, zeros
+from mjhab.core.joints import BASE
 from mjhab.envs.observations import ObsContext, pose_in_base
 from mjhab.envs.parts.plan_tables import Focus, Tables
 from mjhab.layout.layout import Addresses, Layout
-from mjhab.robots.fetch.model import FINGER_LINKS, FINGER_OPEN_DIR, TCP_LINK
 from mjhab.scenes.spec import OWN_POINTS
 from mjhab.sim.protocol import SimState
 from mjhab.tasks.signals import Signals, WorldState
@@ -34,11 +34,13 @@ class Sensing:
     ) -> None:
         like = np.zeros(0) if like is None else like
         whole = namespace(like).int64
+        robot = layout.robot
         self._rows = count(num_worlds, like)
-        self._left, self._right = (addresses.robot_body[f] for f in FINGER_LINKS)
+        self._left, self._right = (addresses.robot_body[f] for f in robot.finger_links)
         self._fingers = as_like([self._left, self._right], like, whole)
-        self._opening = as_like([FINGER_OPEN_DIR[f] for f in FINGER_LINKS], like)
-        self._tcp = addresses.robot_body[TCP_LINK]
+        self._opening = as_like([finger.opens for finger in robot.fingers], like)
+        self._tcp = addresses.robot_body[robot.tcp]
+        self._base_height = robot.base_height
         self._link_body = as_like(addresses.link_body, like, whole)
         self._handles = as_like(
             [ref.link.handle.point(handle_points) for ref in layout.links], like
@@ -56,7 +58,7 @@ class Sensing:
         joint_range = self._range[focus.link]
         obj_pos = state.object_pose[rows[:, None], tables.obj, :3] * focus.has_obj
         return WorldState(
-            base_pose=state.robot_q[:, :3],
+            base_pose=state.robot_q[:, BASE],
             robot_q=state.robot_q,
             robot_qd=state.robot_qd,
             tcp_pos=(state.body_pos[:, self._left] + state.body_pos[:, self._right]) / 2,
@@ -88,7 +90,7 @@ class Sensing:
         )
 
     def tcp_pose(self, state: SimState) -> Array:
-        """(W, 7) world pose of gripper_link."""
+        """(W, 7) world pose of the tool centre."""
         pos = state.body_pos[:, self._tcp]
         return namespace(pos).concat([pos, state.body_quat[:, self._tcp]], axis=1)
 
@@ -106,7 +108,7 @@ class Sensing:
         poses[0, :, 3:] = state.body_quat[:, self._tcp]
         poses[1] = state.object_pose[rows, focus.obj]
         poses[2, :, :3] = goal
-        local = pose_in_base(state.robot_q[:, :3], poses) * focus.shown
+        local = pose_in_base(state.robot_q[:, BASE], self._base_height, poses) * focus.shown
         grasped = signals.is_grasped & (focus.active.kind >= 0)
         return ObsContext(
             state.robot_q, state.robot_qd, local[0], local[1], local[2, :, :3], grasped

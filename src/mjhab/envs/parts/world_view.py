@@ -9,26 +9,19 @@ from typing import Any
 import numpy as np
 
 from mjhab.core.boxes import Boxes
+from mjhab.core.joints import BASE
 from mjhab.core.rotations import mat_from_quat, quat_from_axis_angle
 from mjhab.envs.parts.worlds import Worlds
 from mjhab.episodes.grasps.pinches import ObjectShape
 from mjhab.episodes.grasps.stable import shape_of
 from mjhab.layout.layout import Layout, compose
 from mjhab.layout.receptacles import PlacedReceptacle, placed_receptacles
-from mjhab.robots.fetch import model as fetch
-from mjhab.robots.fetch.geometry import COLLISION
+from mjhab.robots.robot import Robot
 from mjhab.scenes.freespace import shared_map
 from mjhab.scenes.shapes.hulls import boxed_hull
 from mjhab.scenes.spec import Geom, Handle, Home, Link, ObjectType, Pack, Placement
 from mjhab.tasks.plan import Subtask
 from mjhab.tasks.thresholds import TaskConfig
-
-REST_QPOS = np.array(fetch.REST_QPOS)
-KINEMATIC_TREE = fetch.KINEMATIC_TREE
-FETCH_JOINTS = fetch.FETCH_JOINTS
-ROBOT_GEOMS = COLLISION
-TRUNK_LINKS = fetch.TRUNK_LINKS
-DISTAL_LINKS = fetch.DISTAL_LINKS
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,9 +70,12 @@ class JointedLink:
 
 @dataclass(frozen=True, eq=False)
 class HomeShapes:
-    """Static shapes of a home: boxes that collide (floor left out), links, receptacles, free-space map arrays."""
+    """Static shapes of a home: boxes that collide (floor left out), links, receptacles, free-space map arrays.
+
+    ``robot``: who works in it."""
 
     name: str
+    robot: Robot
     boxes: Boxes
     links: dict[str, JointedLink]
     receptacles: tuple[PlacedReceptacle, ...]
@@ -130,18 +126,28 @@ class WorldView:
         return home_shapes(self._env.layout, self._env.homes[self.world])
 
     @property
+    def robot(self) -> Robot:
+        """The robot of this world."""
+        return self._env.layout.robot
+
+    @property
     def q(self) -> np.ndarray:
-        """(15,) joint positions, FETCH_JOINTS order; the first three are base x, y, yaw in the world."""
+        """(J,) joint positions: base x, y, yaw in the world, then posture and fingers."""
         return self._env.state.robot_q[self.world].copy()
 
     @property
+    def base(self) -> np.ndarray:
+        """(3,) x, y [m] and yaw [rad] of the base in the world."""
+        return self._env.state.robot_q[self.world, BASE].copy()
+
+    @property
     def qd(self) -> np.ndarray:
-        """(15,) joint velocities."""
+        """(J,) joint velocities."""
         return self._env.state.robot_qd[self.world].copy()
 
     @property
     def tcp_pose(self) -> np.ndarray:
-        """(7,) world pose of gripper_link."""
+        """(7,) world pose of the tool centre."""
         return self._env.sensing.tcp_pose(self._env.state)[self.world]
 
     @property
@@ -159,7 +165,8 @@ class WorldView:
 
     def object_shape(self, name: str) -> ObjectShape:
         """What a gripper sees of an object."""
-        return shape_of(self.object_type(name), self._env.layout.pack.meshes)
+        layout = self._env.layout
+        return shape_of(self.object_type(name), layout.pack.meshes, layout.robot.gripper)
 
     def link_q(self, link: str) -> float:
         """Joint position of a link by id [m or rad]."""
@@ -183,7 +190,7 @@ class WorldView:
 
     @property
     def link_forces(self) -> np.ndarray:
-        """(K,) contact force [N] on each robot link without fingers (fetch.FORCE_LINKS)."""
+        """(K,) contact force [N] on each robot link without fingers (`Robot.force_links`)."""
         return self._env.state.link_force[self.world].copy()
 
     def object_boxes(self, leave_out: tuple[str, ...] = ()) -> Boxes:
@@ -210,6 +217,7 @@ def home_shapes(layout: Layout, name: str) -> HomeShapes:
     fmap = shared_map(home, layout.pack)
     return HomeShapes(
         name,
+        layout.robot,
         _static_boxes(layout, home),
         _links(layout, home),
         placed_receptacles(layout, home),

@@ -21,9 +21,11 @@ from trimesh.sample import sample_surface
 
 from mjhab.core.rotations import frame_from_axes
 from mjhab.core.seeding import stream
-from mjhab.episodes.grasps.pinches import Gripper, SurfaceGrasps
+from mjhab.episodes.grasps.pinches import SurfaceGrasps
 from mjhab.episodes.grasps.spread import farthest_points
-from mjhab.robots.fetch.model import PAD_FRICTION
+from mjhab.robots.model import PAD_FRICTION
+from mjhab.robots.parts import Gripper
+from mjhab.robots.registry import robot_named
 from mjhab.scenes.shapes.footprints import outline
 from mjhab.scenes.spec import ObjectType
 
@@ -122,13 +124,13 @@ def surface_grasps(
     Args:
         kind: the object; its collision pieces are what a hand meets.
         meshes: by name, those that its geoms name.
-        gripper: sizes of the hand.
+        gripper: sizes of the hand; that of the default robot if not given.
         friction: coefficient of sliding friction between pads and object.
 
     Returns:
         At most `GRASPS_KEPT`; none if the object is too large for the hand everywhere.
     """
-    gripper = gripper or Gripper()
+    gripper = gripper or robot_named().gripper
     rng = stream(0, "antipodal grasps", kind.name)
     solid = Solid.of(kind, meshes)
     pairs = _contact_pairs(solid, gripper, friction, rng)

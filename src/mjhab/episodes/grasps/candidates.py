@@ -12,11 +12,17 @@ import numpy as np
 
 from mjhab.core.boxes import Boxes, nearest_box_distance
 from mjhab.core.rotations import frame_from_axes, mat_from_quat, quat_from_mat
-from mjhab.episodes.grasps.pinches import Gripper, ObjectShape, Options, Pinch, pinches_of
+from mjhab.episodes.grasps.pinches import ObjectShape, Options, Pinch, pinches_of
+from mjhab.robots.parts import Gripper
+from mjhab.robots.registry import robot_named
 
 Array = np.ndarray
 KINDS = ("top", "tilted", "side")
 """Approach from above (within 20 degrees), level (within 20 degrees) or between."""
+
+
+FINGER_SPHERE_RADIUS = 0.0115
+"""Radius [m] of the five spheres along every finger."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,13 +77,13 @@ def grasp_candidates(
         support_z: height of the surface it rests on; the gripper stays above it.
         neighbours: boxes (other objects, drawer walls, shelves above) the gripper must not touch on its way.
         robot_xy: (2,) where the robot is: approaches away from it score higher.
-        gripper, options: sizes and weights.
+        gripper: sizes of the hand; those of the default robot if not given. options: weights.
         least_clear: drop grasps that come nearer than this to a neighbour.
 
     Raises:
         UsageError: unknown kind of shape.
     """
-    gripper = gripper or Gripper()
+    gripper = gripper or robot_named().gripper
     options = options or Options()
     pos = np.asarray(pos, dtype=np.float64)
     rot = mat_from_quat(np.asarray(quat, dtype=np.float64))
@@ -104,27 +110,22 @@ def grasp_candidates(
 
 
 def gripper_spheres(opening: Array, gripper: Gripper | None = None) -> tuple[Array, Array]:
-    """Spheres that cover fingers, hand and wrist: centres (G, 28, 3) in the gripper frame and radii (28,).
+    """Spheres that cover fingers, hand and wrist: centres (G, S, 3) in the gripper frame and radii (S,).
 
     Args:
         opening: (G,) distance between the pads.
     """
-    gripper = gripper or Gripper()
+    gripper = gripper or robot_named().gripper
     along = np.linspace(-0.018, gripper.finger[0] - 0.009, 5)
     side = opening / 2 + gripper.thickness / 2
     fingers = np.zeros((len(opening), 10, 3))
     fingers[:, :, 0] = np.tile(along, 2)
     fingers[:, :5, 1] = side[:, None]
     fingers[:, 5:, 1] = -side[:, None]
-    x, y, z = np.meshgrid(
-        [-0.062, -0.093, -0.124], [-0.036, 0.0, 0.036], [-0.012, 0.012], indexing="ij"
-    )
-    palm = np.stack([x, y, z], axis=-1).reshape(-1, 3)[:15]
-    wrist = np.array([[-0.18, 0.0, 0.0], [-0.23, 0.0, 0.0], [-0.28, 0.0, 0.0]])
-    hand = np.broadcast_to(np.concatenate([palm, wrist]), (len(opening), 18, 3))
-    return np.concatenate([fingers, hand], axis=1), np.array(
-        [0.0115] * 10 + [0.03] * 15 + [0.054] * 3
-    )
+    centers = np.array([sphere.center for sphere in gripper.hand])
+    hand = np.broadcast_to(centers, (len(opening), *centers.shape))
+    radii = np.array([FINGER_SPHERE_RADIUS] * 10 + [sphere.radius for sphere in gripper.hand])
+    return np.concatenate([fingers, hand], axis=1), radii
 
 
 def approach_clearance(

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -18,9 +17,8 @@ from mjhab.core.cache import write_atomic
 from mjhab.core.errors import MjhabError
 from mjhab.core.seeding import stream
 from mjhab.episodes.grasps.stable import HOLD_TIME_S, StableGrasp, StableGrasps
-from mjhab.robots.controllers.table import ARM_JOINTS
-from mjhab.robots.fetch.model import FETCH_JOINTS, KINEMATIC_TREE, REST_QPOS
-from mjhab.robots.kinematics import Chain, damped_step
+from mjhab.robots.kinematics import damped_step
+from mjhab.robots.robot import Robot
 from mjhab.sim.mujoco.settle import parked_robot_qpos
 from mjhab.tasks.thresholds import TaskConfig
 
@@ -31,13 +29,12 @@ MAX_TRIES = 256
 SOLVER_STEPS = 20
 REST_SHARE = 0.9
 """The tool centre is within this share of the distance to its rest point that Pick allows: postures settle a little."""
-_COLUMNS = np.array(ARM_JOINTS)
 _VERSION = 1
 
 
 @dataclass(frozen=True, eq=False)
 class CarryPosture:
-    """``arm`` (7,) joint positions [rad] in the order of `controllers.table.ARM_JOINTS`, and what it holds."""
+    """``arm`` (A,) joint positions [rad] in the order of the robot's group "arm", and what it holds."""
 
     arm: np.ndarray
     grasp: StableGrasp
@@ -87,10 +84,12 @@ class CarryPostures:
 
     def _make(self, kind: str) -> list[CarryPosture]:
         grasps = self._held.found(kind)
-        postures = rest_postures(stream(0, "held arms", kind), self._held.config, MAX_TRIES)
+        robot = self._held.robot
+        random = stream(0, "held arms", kind)
+        postures = rest_postures(robot, random, self._held.config, MAX_TRIES)
         made: list[CarryPosture] = []
         for number, arm in enumerate(postures):
-            grasp = self._held.hold_in(kind, grasps[number % len(grasps)], _robot(arm))
+            grasp = self._held.hold_in(kind, grasps[number % len(grasps)], _parked(robot, arm))
             if grasp is not None:
                 made.append(CarryPosture(arm, grasp))
             if len(made) == MAX_ARMS:
@@ -102,22 +101,26 @@ class CarryPostures:
         return made
 
 
-def rest_postures(rng: np.random.Generator, config: TaskConfig, count: int) -> np.ndarray:
+def rest_postures(
+    robot: Robot, rng: np.random.Generator, config: TaskConfig, count: int
+) -> np.ndarray:
     """Arm postures that pass the posture test of Pick, torso and head at rest.
 
     Args:
+        robot: whose arm it is.
         rng: draws ``count`` postures uniformly from the joint tolerance around rest, and points around the rest point
             of the tool centre to which they are then brought.
 
     Returns:
-        (N, 7) [rad], N <= ``count``: those that could be brought there.
+        (N, A) [rad], N <= ``count``: those that could be brought there.
     """
-    chain = _chain()
-    rest = np.array(REST_QPOS)[_COLUMNS]
-    low = np.maximum(chain.lower[_COLUMNS], rest - config.arm_tol_grasped)
-    high = np.minimum(chain.upper[_COLUMNS], rest + config.arm_tol_grasped)
-    q = np.repeat(np.array([REST_QPOS]), count, axis=0)
-    q[:, _COLUMNS] = rng.uniform(low, high, (count, len(rest)))
+    chain = robot.chain
+    columns = np.array(robot.arm_columns)
+    rest = robot.rest[columns]
+    low = np.maximum(chain.lower[columns], rest - config.arm_tol_grasped)
+    high = np.minimum(chain.upper[columns], rest + config.arm_tol_grasped)
+    q = np.repeat(robot.rest[None], count, axis=0)
+    q[:, columns] = rng.uniform(low, high, (count, len(rest)))
     allowed = REST_SHARE * config.ee_rest_tol
     offset = rng.normal(size=(count, 3))
     offset *= (
@@ -129,22 +132,17 @@ def rest_postures(rng: np.random.Generator, config: TaskConfig, count: int) -> n
     nothing = np.zeros((count, len(rest)))
     for _ in range(SOLVER_STEPS):
         error = center + offset - chain.tip_pose(q)[0]
-        step = damped_step(error, chain.jacobian(q)[:, :3, _COLUMNS], nothing)
-        q[:, _COLUMNS] = np.clip(q[:, _COLUMNS] + step, low, high)
+        step = damped_step(error, chain.jacobian(q)[:, :3, columns], nothing)
+        q[:, columns] = np.clip(q[:, columns] + step, low, high)
     there = np.linalg.norm(chain.tip_pose(q)[0] - center, axis=1) <= allowed
-    return q[there][:, _COLUMNS]
+    return q[there][:, columns]
 
 
-@lru_cache(maxsize=1)
-def _chain() -> Chain:
-    return Chain.from_tree(KINEMATIC_TREE, FETCH_JOINTS)
-
-
-def _robot(arm: np.ndarray) -> np.ndarray:
-    """(15,) the parked robot with an arm posture."""
-    robot = parked_robot_qpos()
-    robot[_COLUMNS] = arm
-    return robot
+def _parked(robot: Robot, arm: np.ndarray) -> np.ndarray:
+    """(J,) joint positions of the parked robot with an arm posture."""
+    q = parked_robot_qpos(robot)
+    q[list(robot.arm_columns)] = arm
+    return q
 
 
 def _save(path: Path, arms: list[CarryPosture]) -> None:

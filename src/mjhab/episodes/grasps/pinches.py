@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.robots.parts import Gripper
 from mjhab.scenes.builtin.objects import BOWL_FACETS
 
 Array = np.ndarray
@@ -41,26 +42,6 @@ SLANT_COST_PER_RAD = 4.0
 """Score that a grasp on a mesh loses per radian between its closing line and the normals of the surface."""
 MIN_UPRIGHT_COSINE = 0.97
 """Least cosine between an edge and the vertical."""
-
-
-@dataclass(frozen=True)
-class Gripper:
-    """Sizes of Fetch's gripper (mani_skill/assets/robots/fetch, bounds of its meshes).
-
-    Fingers reach ``finger`` (x, z) to both sides of the origin and are ``thickness`` thick; the hand's body lies
-    between ``palm_x``; ``palm_half`` are its half-extents (y, z). ``usable``: widest object taken between the pads,
-    somewhat less than their widest opening ``opening``; ``play``: room left on both sides by fingertips that come to
-    meet something wider; ``blunt``: end of the pads that is round and does not count where they lie on flat sides.
-    """
-
-    finger: tuple[float, float] = (0.030, 0.0132)
-    thickness: float = 0.0144
-    palm_x: tuple[float, float] = (-0.154, -0.032)
-    palm_half: tuple[float, float] = (0.063, 0.040)
-    opening: float = 0.0985
-    usable: float = 0.092
-    play: float = 0.0007
-    blunt: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,10 +23,12 @@ from mjhab.core.rotations import pose_inv
 from mjhab.episodes.grasps.candidates import Grasps, ObjectShape, grasp_candidates
 from mjhab.episodes.grasps.spread import farthest_points
 from mjhab.layout.compile import home_hash
+from mjhab.robots.parts import Gripper
+from mjhab.robots.registry import robot_named
 from mjhab.scenes.shapes.footprints import outline
 from mjhab.scenes.spec import ObjectType
 from mjhab.sim.mujoco.cpu import CpuSimulator
-from mjhab.sim.mujoco.scratch import FINGER_JOINTS, FINGER_MAX, Scratch
+from mjhab.sim.mujoco.scratch import Scratch
 from mjhab.sim.mujoco.settle import parked_robot_qpos
 from mjhab.tasks.thresholds import TaskConfig
 
@@ -52,15 +54,22 @@ _CLOSING_WEIGHT = 0.5
 """How different a radian between the closing lines makes grasps, compared to one between their approaches."""
 
 
-def shape_of(kind: ObjectType, meshes: Mapping[str, object]) -> ObjectShape:
+class NoGraspError(MjhabError):
+    """No grasp of an object type holds in the robot's hand."""
+
+
+def shape_of(
+    kind: ObjectType, meshes: Mapping[str, object], gripper: Gripper | None = None
+) -> ObjectShape:
     """What a gripper sees of an object type: a box, can, ball or bowl of its size, or grasps found on its surface.
 
     Args:
         kind: the object type.
         meshes: by name, those that its geoms name (`Pack.meshes`).
+        gripper: sizes of the hand; those of the default robot if not given.
     """
     if kind.grasp_shape == "mesh":
-        return _mesh_shape(kind, meshes)
+        return _mesh_shape(kind, meshes, gripper or robot_named().gripper)
     if len(kind.collision) > 1:
         return ObjectShape("bowl", kind.half)
     shape = next(iter(kind.collision)).shape
@@ -71,13 +80,14 @@ _mesh_shapes: dict[str, ObjectShape] = {}
 """Shapes made so far, by the hash of what they are made of: looking for grasps takes about a second."""
 
 
-def _mesh_shape(kind: ObjectType, meshes: Mapping[str, object]) -> ObjectShape:
+def _mesh_shape(kind: ObjectType, meshes: Mapping[str, object], gripper: Gripper) -> ObjectShape:
     pieces = np.concatenate([outline(geom, meshes) for geom in kind.collision])
-    key = hashlib.sha256(repr(kind).encode() + pieces.tobytes()).hexdigest()
+    key = hashlib.sha256(repr((kind, gripper)).encode() + pieces.tobytes()).hexdigest()
     if key not in _mesh_shapes:
         from mjhab.episodes.grasps.antipodal import surface_grasps
 
-        _mesh_shapes[key] = ObjectShape("mesh", kind.half, grasps=surface_grasps(kind, meshes))
+        grasps = surface_grasps(kind, meshes, gripper)
+        _mesh_shapes[key] = ObjectShape("mesh", kind.half, grasps=grasps)
     return _mesh_shapes[key]
 
 
@@ -94,7 +104,7 @@ def spread(candidates: Grasps, count: int) -> Iterator[int]:
 
 @dataclass(frozen=True, eq=False)
 class StableGrasp:
-    """A stable grasp: object pose (7,) in the frame of gripper_link, finger position [m]."""
+    """A stable grasp: object pose (7,) in the frame of the tool centre, finger position [m]."""
 
     pose: np.ndarray
     fingers: float
@@ -114,10 +124,12 @@ class StableGrasps:
         self, sim: CpuSimulator, config: TaskConfig, scratch: Scratch, harvested: bool = False
     ) -> None:
         self.layout = sim.layout
+        self.robot = sim.layout.robot
         self.config = config
         self.scratch = scratch
         self.harvested = harvested
         self._found: dict[str, list[StableGrasp]] = {}
+        self._held: dict[str, bool] = {}
         self.lock = RLock()
 
     def grasps(self, kind: str) -> list[StableGrasp]:
@@ -125,19 +137,32 @@ class StableGrasps:
 
         Raises:
             UsageError: the layout has no object of this type.
-            MjhabError: no candidate holds.
+            NoGraspError: no candidate holds.
         """
         with self.lock:
             if kind not in self._found:
                 self._found[kind] = self.found(kind) + (self.added(kind) if self.harvested else [])
             return self._found[kind]
 
+    def holds(self, kind: str) -> bool:
+        """Whether the hand can hold an object type at all.
+
+        Raises:
+            UsageError: the layout has no object of this type.
+        """
+        if kind not in self._held:
+            try:
+                self._held[kind] = bool(self.grasps(kind))
+            except NoGraspError:
+                self._held[kind] = False
+        return self._held[kind]
+
     def add(self, kind: str, pose: np.ndarray, fingers: float) -> StableGrasp | None:
         """Add a grasp, e.g. from a successful episode, if it passes the test that the found ones passed.
 
         Args:
             kind: object type.
-            pose: (7,) object pose in the frame of gripper_link.
+            pose: (7,) object pose in the frame of the tool centre.
             fingers: finger position [m].
 
         Returns:
@@ -157,8 +182,9 @@ class StableGrasps:
             raise UsageError(
                 f"a grasp needs the pose x, y, z, w, x, y, z of the object in the gripper, got {pose}"
             )
-        if not 0.0 <= fingers <= FINGER_MAX:
-            raise UsageError(f"fingers must be between 0 and {FINGER_MAX} m, got {fingers}")
+        most = self.robot.finger_max
+        if not 0.0 <= fingers <= most:
+            raise UsageError(f"fingers must be between 0 and {most} m, got {fingers}")
         grasp = self._try(kind, pose_inv(pose), 2 * fingers)
         if grasp is None:
             return None
@@ -215,8 +241,10 @@ class StableGrasps:
 
     def _search(self, kind: str) -> list[StableGrasp]:
         pack = self.layout.pack
-        shape = shape_of(pack.objects[kind], pack.meshes)
-        candidates = grasp_candidates(shape, np.zeros(3), _UPRIGHT, support_z=-shape.half[2])
+        shape = shape_of(pack.objects[kind], pack.meshes, self.robot.gripper)
+        candidates = grasp_candidates(
+            shape, np.zeros(3), _UPRIGHT, support_z=-shape.half[2], gripper=self.robot.gripper
+        )
         steep = candidates.rot[:, 2, 0] <= -np.cos(MAX_APPROACH_SLANT_RAD)
         if steep.any():
             candidates = candidates.take(steep)
@@ -229,20 +257,24 @@ class StableGrasps:
             if len(found) == MAX_GRASPS:
                 break
         if not found:
-            raise MjhabError(f"no grasp of {kind} holds for {HOLD_TIME_S} s")
+            raise NoGraspError(
+                f"no grasp of {kind} by robot {self.robot.name!r} holds for {HOLD_TIME_S} s"
+            )
         return found
 
     def hold_in(self, kind: str, grasp: StableGrasp, robot: np.ndarray) -> StableGrasp | None:
         """A stable grasp as it settles in another posture; None if it does not hold there or the robot touches itself.
 
         Args:
-            robot: (15,) joint positions, those of the fingers aside; the base away from every home.
+            robot: (J,) joint positions, those of the fingers aside; the base away from every home.
         """
         held = self._try(kind, pose_inv(grasp.pose), 2 * grasp.fingers, robot)
         if held is None:
             return None
         slot = self.layout.roster.index(kind)
-        state = self.scratch.holding(slot, _with_fingers(robot, held.fingers), pose_inv(held.pose))
+        state = self.scratch.holding(
+            slot, self._with_fingers(robot, held.fingers), pose_inv(held.pose)
+        )
         grip = (self.config.grasp_force, self.config.grasp_angle)
         return (
             held
@@ -250,18 +282,24 @@ class StableGrasps:
             else None
         )
 
+    def _with_fingers(self, robot: np.ndarray, fingers: float) -> np.ndarray:
+        """Joint positions (J,) with both fingers at a position [m]."""
+        out = robot.copy()
+        out[self.robot.columns.fingers] = fingers
+        return out
+
     def _try(
         self, kind: str, tcp: np.ndarray, width: float, robot: np.ndarray | None = None
     ) -> StableGrasp | None:
         """Try a grasp: pose ``tcp`` (7,) of the tool centre in the object's frame, distance of the pads [m].
 
-        ``robot``: (15,) joint positions, those of the fingers aside; at rest if None.
+        ``robot``: (J,) joint positions, those of the fingers aside; at rest if None.
         """
         slot = self.layout.roster.index(kind)
         force = self.config.grasp_force
         angle = self.config.grasp_angle
-        robot = parked_robot_qpos() if robot is None else robot
-        open_hand = _with_fingers(robot, min(0.5 * width + 0.001, FINGER_MAX))
+        robot = parked_robot_qpos(self.robot) if robot is None else robot
+        open_hand = self._with_fingers(robot, min(0.5 * width + 0.001, self.robot.finger_max))
         held = self.scratch.try_grasp(
             slot, tcp, open_hand, HOLD_TIME_S, force, STEADY_SHARE * angle
         )
@@ -270,13 +308,6 @@ class StableGrasps:
             if held is not None and np.linalg.norm(held[0][:3]) <= MAX_OFFSET_M
             else None
         )
-
-
-def _with_fingers(robot: np.ndarray, fingers: float) -> np.ndarray:
-    """Joint positions (15,) with both fingers at a position [m]."""
-    out = robot.copy()
-    out[FINGER_JOINTS] = fingers
-    return out
 
 
 def _save(path: Path, grasps: list[StableGrasp]) -> None:

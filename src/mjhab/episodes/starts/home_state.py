@@ -14,8 +14,6 @@ from mjhab.episodes.grasps.carry_postures import CarryPostures
 from mjhab.episodes.grasps.stable import StableGrasps
 from mjhab.episodes.spawns import Held, SpawnSampler
 from mjhab.layout.layout import Layout, LinkRef
-from mjhab.robots.controllers.table import ARM_JOINTS
-from mjhab.robots.fetch.model import REST_QPOS
 from mjhab.scenes.spec import Home
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.tasks.plan import Vec3
@@ -137,15 +135,15 @@ class HomeState:
         """Draw the arm and the grasp with which the robot holds an object."""
         slot = self.layout.object_names.index(obj)
         kind = self.layout.roster[slot]
-        robot = np.array(REST_QPOS, dtype=np.float64)
+        robot = self.layout.robot.rest.copy()
         if self.published:
             arms = self.arms.arms(kind)
             chosen = arms[int(rng.integers(len(arms)))]
-            robot[list(ARM_JOINTS)] = chosen.arm
+            robot[list(self.layout.robot.arm_columns)] = chosen.arm
             grasp = chosen.grasp
         else:
             grasps = self.held.grasps(kind)
             grasp = grasps[int(rng.integers(len(grasps)))]
-        robot[13:15] = grasp.fingers
+        robot[self.layout.robot.columns.fingers] = grasp.fingers
         qpos[self.sim.addresses.robot_q] = robot
         return Held(slot, grasp.pose, (self.task_config.grasp_force, self.task_config.grasp_angle))

@@ -11,7 +11,7 @@ from typing import cast
 import numpy as np
 
 from mjhab.config.env import EnvConfig
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import MjhabError, UsageError, unknown_name
 from mjhab.core.names import kind_of
 from mjhab.core.plugins import resolved
 from mjhab.core.seeding import stream
@@ -191,12 +191,26 @@ class StartMaker:
             raise UsageError(
                 f"no {self.config.subtask} of {self.config.target!r} in task {self.config.task!r}"
             )
-        return found[int(stream(episode.seed, "subtask", episode.index).integers(len(found)))]
+        first = int(stream(episode.seed, "subtask", episode.index).integers(len(found)))
+        # A narrow hand cannot hold everything: then it is the turn of the next object.
+        for position in (*found[first:], *found[:first]):
+            if self._holdable(plan.subtasks[position]):
+                return position
+        raise MjhabError(
+            f"robot {self.layout.robot.name!r} cannot hold any object of episode {episode.index} of {episode.task}"
+        )
+
+    def _holdable(self, subtask: Subtask) -> bool:
+        """Whether the hand can hold what a subtask begins with in it."""
+        if not spec_of(subtask.kind).starts_holding and not subtask.must_hold:
+            return True
+        slot = self.layout.object_names.index(subtask.obj)
+        return self.held.holds(self.layout.roster[slot])
 
     def _episode_qpos(self, episode: Episode) -> np.ndarray:
         a = self.sim.addresses
         qpos = self.sim.model(episode.home).qpos0.copy()
-        qpos[a.robot_q] = parked_robot_qpos()
+        qpos[a.robot_q] = parked_robot_qpos(self.layout.robot)
         qpos[a.object_q[:, None] + np.arange(7)] = episode.object_pose
         qpos[a.link_q] = episode.link_q
         return qpos

@@ -9,9 +9,11 @@ import numpy as np
 
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.robots.controllers import DEFAULT_MODE, ActionEntry
-from mjhab.robots.controllers.table import ARM_NAMES
 
 GRIPPER = "gripper"
+ARM = "arm"
+ARM_SPEEDS = "arm speeds"
+"""Stand for the positions, or the speeds, of all joints of the arm of a robot."""
 BASE = ("base_forward", "base_yaw")
 
 
@@ -35,10 +37,8 @@ ACTION_SPACES: dict[str, ActionSpace] = {
         "pd_ee_delta_pose",
         ("ee_x", "ee_y", "ee_z", "ee_rx", "ee_ry", "ee_rz", GRIPPER, *BASE),
     ),
-    "joint_position": ActionSpace("pd_joint_pos", (*ARM_NAMES, GRIPPER), closes=True),
-    "joint_velocity": ActionSpace(
-        "pd_joint_vel", (*(f"{name}_speed" for name in ARM_NAMES), GRIPPER), closes=True
-    ),
+    "joint_position": ActionSpace("pd_joint_pos", (ARM, GRIPPER), closes=True),
+    "joint_velocity": ActionSpace("pd_joint_vel", (ARM_SPEEDS, GRIPPER), closes=True),
 }
 """Changes of all joints and the base's speeds; end effector, gripper, base; the two of RoboArena: arm and gripper."""
 DEFAULT_SPACE = "joint"
@@ -70,7 +70,7 @@ class ActionReader:
         self._space = space_named(name)
         names = [entry.name for entry in table]
         self._width = len(names)
-        wanted = self._space.columns or tuple(names)
+        wanted = _columns(self._space, table) or tuple(names)
         lacking = [column for column in wanted if column not in names]
         if lacking:
             raise UsageError(
@@ -98,3 +98,18 @@ class ActionReader:
             gripper = self._columns[self.names.index(GRIPPER)]
             actions[:, gripper] = 1.0 - 2.0 * actions[:, gripper]
         return actions
+
+
+def _columns(space: ActionSpace, table: Sequence[ActionEntry]) -> tuple[str, ...]:
+    """Names of the numbers of a space, with the joints of the arm that the table begins with."""
+    names = [entry.name for entry in table]
+    arm = list(dict.fromkeys(entry.joint for entry in table[: names.index(GRIPPER)]))
+    found: list[str] = []
+    for column in space.columns:
+        if column == ARM:
+            found += arm
+        elif column == ARM_SPEEDS:
+            found += [f"{joint}_speed" for joint in arm]
+        else:
+            found.append(column)
+    return tuple(found)

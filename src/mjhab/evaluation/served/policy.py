@@ -13,10 +13,9 @@ import numpy as np
 from mjhab.core.rotations import mat_from_quat
 from mjhab.data.record.provenance import describe_run
 from mjhab.data.record.worlds import RecordedEnv
-from mjhab.envs.observations import CAMERA_KEYS, STATE_KEY, camera_key
+from mjhab.envs.observations import STATE_KEY, camera_key
 from mjhab.evaluation.served.action_spaces import ActionReader
 from mjhab.evaluation.served.metadata import own_part, space_of
-from mjhab.robots.controllers.table import ARM_JOINTS, FINGER_JOINTS, ActionLimits
 from mjhab.robots.kinematics import rotation_vector
 from mjhab.serving.address import Address
 from mjhab.serving.client import Connection, PolicyFault
@@ -139,14 +138,15 @@ class ServedPolicy:
     def _ask(self, w: int, obs: Any, info: Mapping[str, Any]) -> Ask:
         spec = info["episode_spec"][w]
         prompt = spec["instruction"] if self._address.prompt == "task" else info["instruction"][w]
-        head, hand = (obs.get(camera_key(camera, "rgb")) for camera in CAMERA_KEYS)
+        robot = self._env.layout.robot
+        head, hand = (obs.get(camera_key(camera, "rgb")) for camera in robot.camera_names)
         q = self._env.state.robot_q[w]
-        opened = float(np.mean(q[list(FINGER_JOINTS)])) / ActionLimits().gripper[1]
+        opened = float(np.mean(q[robot.columns.fingers])) / robot.limits.gripper[1]
         return Ask(
             external=None if head is None else head[w],
             wrist=None if hand is None else hand[w],
             state=np.asarray(obs[STATE_KEY][w], np.float32),
-            arm=np.asarray(q[list(ARM_JOINTS)], np.float32),
+            arm=np.asarray(q[list(robot.arm_columns)], np.float32),
             gripper=float(np.clip(1.0 - opened, 0.0, 1.0)),
             tcp=_position_and_turn(obs[TCP_POSE][w]),
             prompt=prompt,

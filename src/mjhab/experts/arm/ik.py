@@ -12,6 +12,7 @@ from typing import Literal
 
 import numpy as np
 
+from mjhab.core.joints import BASE
 from mjhab.experts.arm import ik_kernels
 from mjhab.robots.kinematics import Chain, rotate, rotation_vector, wrap
 
@@ -19,18 +20,6 @@ Array = np.ndarray
 Mode = Literal["pose", "approach", "closing", "position"]
 """Which orientation counts: all of it, only the gripper's x axis, only its y axis (the fingers' line), or none."""
 
-ARM = (
-    "shoulder_pan_joint",
-    "shoulder_lift_joint",
-    "upperarm_roll_joint",
-    "elbow_flex_joint",
-    "forearm_roll_joint",
-    "wrist_flex_joint",
-    "wrist_roll_joint",
-)
-"""Arm joints in the order of the action's first seven numbers."""
-TORSO = "torso_lift_joint"
-BASE = ("root_x_axis_joint", "root_y_axis_joint", "root_z_rotation_joint")
 ARM_STEP = 0.038
 """Joint motion of one control step at a full arm command [rad]: a target 0.1 rad ahead for 50 ms with
 kp 1e3, kd 1e2 covers 0.1 (1 - exp(-0.5)) of it."""
@@ -73,8 +62,8 @@ class Solutions:
 
 def columns(chain: Chain, *, torso: bool = True, base: bool = False) -> Array:
     """Columns (D,) of the arm and, if asked for, of the torso and of the base."""
-    names = (*ARM, *((TORSO,) if torso else ()), *(BASE if base else ()))
-    return chain.columns_of(names)
+    groups = ("arm", *(("torso",) if torso else ()), *(("base",) if base else ()))
+    return chain.columns_of([name for group in groups for name in chain.groups.get(group, ())])
 
 
 def random_seeds(
@@ -186,7 +175,7 @@ def servo(
     ahead = q
     if base_next is not None:
         ahead = q.copy()
-        ahead[:, chain.columns_of(BASE)] = base_next
+        ahead[:, BASE] = base_next
     return ik_kernels.servo_steps(
         ik_kernels.tree_of(chain),
         ahead,
@@ -205,7 +194,7 @@ def servo(
 def step_limits(chain: Chain) -> Array:
     """Largest change (Q,) of every column in one control step: `ARM_STEP`, for the torso `TORSO_STEP`."""
     limits = np.full(chain.size, ARM_STEP)
-    limits[chain.columns_of((TORSO,))] = TORSO_STEP
+    limits[chain.columns_of(chain.groups.get("torso", ()))] = TORSO_STEP
     return limits
 
 

@@ -1,4 +1,4 @@
-"""Motions of one robot as scripts: generators that yield one 13-D action per control step.
+"""Motions of one robot as scripts: generators that yield one action per control step.
 
 A script reads its world through a `WorldView` before each action, so every motion is closed-loop. Scripts compose with
 ``yield from``; each motion gives up after a bounded number of steps and says in its return value whether it arrived.
@@ -12,70 +12,43 @@ from functools import lru_cache
 
 import numpy as np
 
+from mjhab.core.joints import BASE, BASE_XY
 from mjhab.core.rotations import mat_from_quat
-from mjhab.envs.parts.world_view import (
-    DISTAL_LINKS,
-    FETCH_JOINTS,
-    KINEMATIC_TREE,
-    REST_QPOS,
-    ROBOT_GEOMS,
-    TRUNK_LINKS,
-    HomeShapes,
-    WorldView,
-)
+from mjhab.envs.parts.world_view import HomeShapes, WorldView
 from mjhab.experts.arm import ik
 from mjhab.experts.arm.clearance import RobotSpheres
 from mjhab.experts.base.navigation import DriveLimits, Follower, Planner
-from mjhab.robots.controllers.actions import (
-    ACTION_DIM,
-    ARM_JOINTS,
-    BASE_FORWARD,
-    BASE_YAW,
-    GRIPPER,
-    HEAD_PAN,
-    HEAD_TILT,
-    TORSO,
-    ActionLimits,
-)
-from mjhab.robots.kinematics import Chain
+from mjhab.robots.robot import Robot
 
 Array = np.ndarray
 Motion = Generator[Array, None, bool]
-LIMITS = ActionLimits()
 OPEN = 1.0
 CLOSED = -1.0
 """Gripper commands."""
 ARM_DELAY = 1.0 - np.exp(-0.5)
 """Share of a commanded delta an arm joint covers in one control step (kp/kd = 10 per second, 50 ms)."""
-_ARM = list(ARM_JOINTS)
-_FINGERS = [FETCH_JOINTS.index(n) for n in ("r_gripper_finger_joint", "l_gripper_finger_joint")]
-_TORSO_Q, _HEAD_PAN_Q, _HEAD_TILT_Q = (
-    FETCH_JOINTS.index(n) for n in ("torso_lift_joint", "head_pan_joint", "head_tilt_joint")
-)
 
 
-@lru_cache(maxsize=1)
-def chain() -> Chain:
-    """Fetch from the base to the tool centre, nothing else (for IK)."""
-    return Chain.from_tree(KINEMATIC_TREE, FETCH_JOINTS)
-
-
-@lru_cache(maxsize=1)
-def spheres() -> RobotSpheres:
-    """Fetch's links covered by spheres, for clearances."""
-    links = tuple(name for name in ROBOT_GEOMS if name not in ("base_link", "gripper_link"))
-    full = Chain.from_tree(KINEMATIC_TREE, FETCH_JOINTS, extra=links)
+@lru_cache(maxsize=8)
+def spheres(robot: Robot) -> RobotSpheres:
+    """The links of a robot covered by spheres, for clearances."""
+    geoms = robot.body.collision
+    links = tuple(name for name in geoms if name not in (robot.base_link, robot.tcp))
     return RobotSpheres.from_geoms(
-        full, ROBOT_GEOMS, skip=("base_link",), trunk=TRUNK_LINKS, distal=DISTAL_LINKS
+        robot.chain_with(links),
+        geoms,
+        skip=(robot.base_link,),
+        trunk=robot.trunk_links,
+        distal=robot.distal_links,
     )
 
 
-@lru_cache(maxsize=1)
-def arm_spheres() -> RobotSpheres:
-    """`spheres` without the trunk, which reaches no farther than the base but for 16 mm at its back: the map keeps both
-    clear, and knows the shapes of furniture better than boxes around it do."""
-    whole = spheres()
-    return whole.only([name for name in whole.chain.links if name not in TRUNK_LINKS])
+@lru_cache(maxsize=8)
+def arm_spheres(robot: Robot) -> RobotSpheres:
+    """`spheres` without the trunk, which hardly reaches farther than the base: the map keeps both clear, and knows the
+    shapes of furniture better than boxes around it do."""
+    whole = spheres(robot)
+    return whole.only([name for name in whole.chain.links if name not in robot.trunk_links])
 
 
 _PLANNERS: dict[str, tuple[HomeShapes, Planner]] = {}
@@ -90,10 +63,10 @@ def planner(home: HomeShapes) -> Planner:
             home.map_origin,
             home.map_cell,
             home.map_clearance,
-            radius=0.29,
+            radius=home.robot.footprint.wide,
             comfort=0.12,
             caution=2.0,
-            narrow=0.27,
+            narrow=home.robot.footprint.narrow,
         )
         found = (home, cells)
         _PLANNERS[home.name] = found
@@ -114,32 +87,33 @@ def action(
     drive: tuple[float, float] = (0.0, 0.0),
     speed: float = 1.0,
 ) -> Array:
-    """The action that moves arm, head and torso towards the configuration ``goal`` (15,) and the base as told.
+    """The action that moves arm, head and torso towards the configuration ``goal`` (J,) and the base as told.
 
     ``drive``: forward speed [m/s], yaw rate [rad/s]. ``speed`` 0..1 bounds the joints; they arrive together.
     """
-    out = np.zeros(ACTION_DIM, np.float32)
-    out[GRIPPER] = gripper
-    out[BASE_FORWARD] = drive[0] / LIMITS.forward
-    out[BASE_YAW] = drive[1] / LIMITS.yaw_rate
+    robot = view.robot
+    columns = robot.action
+    limits = robot.limits
+    out = np.zeros(columns.dim, np.float32)
+    out[columns.gripper] = gripper
+    out[columns.base_forward] = drive[0] / limits.forward
+    out[columns.base_yaw] = drive[1] / limits.yaw_rate
     if goal is not None:
-        wish = (goal - view.q) / LIMITS.joint_delta
-        arm = wish[_ARM]
-        out[:7] = arm * min(1.0, speed / max(float(np.abs(arm).max()), 1e-9))
-        out[[TORSO, HEAD_PAN, HEAD_TILT]] = np.clip(
-            wish[[_TORSO_Q, _HEAD_PAN_Q, _HEAD_TILT_Q]], -1.0, 1.0
-        )
+        wish = (goal - view.q) / limits.joint_delta
+        arm = wish[list(robot.arm_columns)]
+        out[columns.arm] = arm * min(1.0, speed / max(float(np.abs(arm).max()), 1e-9))
+        out[columns.body] = np.clip(wish[list(robot.body_columns)], -1.0, 1.0)
     return out
 
 
-def gripper_at(opening: float) -> float:
+def gripper_at(robot: Robot, opening: float) -> float:
     """The gripper command that opens the fingers to a width [m]."""
-    low, high = LIMITS.gripper
+    low, high = robot.limits.gripper
     return float(np.clip((opening - low - high) / (high - low), CLOSED, OPEN))
 
 
 def hold(view: WorldView, steps: int, *, gripper: float, goal: Array | None = None) -> Motion:
-    """Stand still for some steps, keeping the configuration ``goal`` (15,) (default: the present one)."""
+    """Stand still for some steps, keeping the configuration ``goal`` (J,) (default: the present one)."""
     goal = view.q if goal is None else goal
     for _ in range(steps):
         yield action(view, goal, gripper=gripper)
@@ -155,8 +129,8 @@ def move_joints(
     max_steps: int = 80,
     speed: float = 1.0,
 ) -> Motion:
-    """Bring arm, head and torso to ``goal`` (15,) in joint space; the base stands."""
-    columns = [*_ARM, _TORSO_Q]
+    """Bring arm, head and torso to ``goal`` (J,) in joint space; the base stands."""
+    columns = _arm_and_torso(view.robot)
     for _ in range(max_steps):
         if np.abs(goal - view.q)[columns].max() <= tolerance:
             return True
@@ -179,13 +153,13 @@ def drive_to(
     """Drive the base to ``goal`` (3,) x, y, yaw around furniture.
 
     Args:
-        arm: configuration (15,) for arm, torso and head during the drive (default: as they are).
+        arm: configuration (J,) for arm, torso and head during the drive (default: as they are).
         arm_from: move towards ``arm`` only once the goal is this near [m].
         direction: 1 forwards, -1 backwards, 0 whatever is quicker.
         path: way points (P, 2) to follow instead of planned ones.
     """
     if path is None:
-        path = planner(view.home).plan(view.q[:2], goal[:2])
+        path = planner(view.home).plan(view.base[:2], goal[BASE_XY])
         if path is None:
             return False
         if np.linalg.norm(path[-1] - goal[:2]) > 1e-6:
@@ -193,8 +167,8 @@ def drive_to(
     follower = Follower(path, float(goal[2]), limits, direction)
     start = view.q
     for _ in range(max_steps):
-        step = follower.step(view.q[:3])
-        near = np.linalg.norm(view.q[:2] - goal[:2]) <= arm_from
+        step = follower.step(view.base)
+        near = np.linalg.norm(view.base[:2] - goal[:2]) <= arm_from
         yield action(
             view,
             arm if arm is not None and near else start,
@@ -233,7 +207,7 @@ def move_tcp(
         drive: forward speed and yaw rate of the base meanwhile; the arm makes up for it.
         stop_on_force: give up when the contact force on the arm exceeds this [N].
     """
-    robot = chain()
+    robot = view.robot.chain
     rest = view.q if rest is None else rest
     dofs = ik.columns(robot, torso=torso)
     now, now_rot = tcp(view)
@@ -253,7 +227,7 @@ def move_tcp(
         lead = carrot[0] - here
         size = np.linalg.norm(lead)
         aim = here + lead * min(1.0, 0.06 / max(size, 1e-9))
-        base_next = view.q[None, :3] + _base_motion(view.q[2], drive)
+        base_next = view.base[None] + _base_motion(view.base[2], drive)
         delta = ik.servo(
             robot, view.q, aim[None], carrot_rot, dofs, rest=rest, mode=mode, base_next=base_next
         )[0]
@@ -263,7 +237,7 @@ def move_tcp(
 
 def still_tcp(view: WorldView, pos: Array, rot: Array, *, gripper: float, steps: int) -> Motion:
     """Keep the tool centre at a pose (3,), (3, 3) near the present one, until nothing moves any more."""
-    robot = chain()
+    robot = view.robot.chain
     dofs = ik.columns(robot, torso=False)
     for _ in range(steps):
         delta = ik.servo(robot, view.q, pos[None], rot[None], dofs, rest=view.q)[0]
@@ -318,12 +292,12 @@ def close_fingers(
     """
     goal = view.q
     pressed = 0
-    command = float(view.q[_FINGERS].mean())
+    command = float(view.q[view.robot.columns.fingers].mean())
     for _ in range(steps):
         command -= 3.0 * rate if pressed else rate
-        yield action(view, goal, gripper=gripper_at(2.0 * command))
+        yield action(view, goal, gripper=gripper_at(view.robot, 2.0 * command))
         pressed = pressed + 1 if (view.finger_forces(target) > 1.0).all() else 0
-        if pressed >= settle and command <= LIMITS.gripper[0]:
+        if pressed >= settle and command <= view.robot.limits.gripper[0]:
             return True
     return False
 
@@ -338,17 +312,17 @@ def to_rest(view: WorldView, *, gripper: float, max_steps: int = 120) -> Motion:
 
 
 def rest_goal(view: WorldView) -> Array:
-    """The rest configuration (15,) next to the present one: continuous joints take the short way."""
+    """The rest configuration (J,) next to the present one: continuous joints take the short way."""
     q = view.q
-    goal = REST_QPOS.copy()
-    goal[:3] = q[:3]
-    return ik.unwind(chain(), goal, q)
+    goal = view.robot.rest.copy()
+    goal[BASE] = q[BASE]
+    return ik.unwind(view.robot.chain, goal, q)
 
 
-def steps_home(q: Array) -> Array:
-    """Control steps (...,) that the arm needs from configurations (..., 15) to rest."""
-    rest = ik.unwind(chain(), REST_QPOS, q)
-    return ik.travel_steps(chain(), q, rest, ik.columns(chain()))
+def steps_home(robot: Robot, q: Array) -> Array:
+    """Control steps (...,) that the arm needs from configurations (..., J) to rest."""
+    rest = ik.unwind(robot.chain, robot.rest, q)
+    return ik.travel_steps(robot.chain, q, rest, ik.columns(robot.chain))
 
 
 def stay_at_rest(view: WorldView, *, gripper: float) -> Motion:
@@ -359,12 +333,17 @@ def stay_at_rest(view: WorldView, *, gripper: float) -> Motion:
 
 
 def joint_gap(view: WorldView, goal: Array) -> float:
-    """Largest distance of the arm from ``goal`` (15,) [rad]; 1 cm of the torso counts as 0.03 rad."""
+    """Largest distance of the arm from ``goal`` (J,) [rad]; 1 cm of the torso counts as 0.03 rad."""
     off = np.abs(goal - view.q)
-    return float(max(off[_ARM].max(), 3.0 * off[_TORSO_Q]))
+    arm = float(off[list(view.robot.arm_columns)].max())
+    return max(arm, 3.0 * float(off[list(view.robot.torso_columns)].max(initial=0.0)))
+
+
+def _arm_and_torso(robot: Robot) -> list[int]:
+    return [*robot.arm_columns, *robot.torso_columns]
 
 
 def drives(view: WorldView, xy: Array, yaw: float) -> bool:
     """Whether the base has to move to stand at ``xy`` (2,) with heading ``yaw``."""
-    turn = (yaw - view.q[2] + np.pi) % (2 * np.pi) - np.pi
-    return bool(np.linalg.norm(xy - view.q[:2]) > 0.015 or abs(turn) > 0.03)
+    turn = (yaw - view.base[2] + np.pi) % (2 * np.pi) - np.pi
+    return bool(np.linalg.norm(xy - view.base[:2]) > 0.015 or abs(turn) > 0.03)

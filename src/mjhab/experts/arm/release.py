@@ -11,7 +11,7 @@ from mjhab.envs.parts.world_view import WorldView
 from mjhab.episodes.grasps.candidates import approach_clearance
 from mjhab.episodes.grasps.stable import ObjectShape
 from mjhab.experts.arm import ik, motion
-from mjhab.experts.planning.reach import HAND_LINKS, surroundings
+from mjhab.experts.planning.reach import surroundings
 
 Array = np.ndarray
 TIGHT = 0.008
@@ -62,7 +62,8 @@ def _cross(a: Array, b: Array) -> Array:
 
 def play(view: WorldView) -> float:
     """How far [m] each finger can still open."""
-    return motion.LIMITS.gripper[1] - float(view.q[13:15].mean())
+    robot = view.robot
+    return robot.limits.gripper[1] - float(view.q[robot.columns.fingers].mean())
 
 
 def away_speed(view: WorldView) -> float:
@@ -73,11 +74,11 @@ def away_speed(view: WorldView) -> float:
 def let_go_width(view: WorldView, obj: str, pos: Array, rot: Array) -> float:
     """How far the fingers open [m] to let go: as far as there is room beside what they hold."""
     near = surroundings(view, obj, pos)[0].near(pos, 0.3)
-    now = 2.0 * float(view.q[13:15].mean())
+    now = 2.0 * float(view.q[view.robot.columns.fingers].mean())
     widths = now + np.array([0.0, *WIDER])
     at = np.repeat(pos[None], len(widths), axis=0)
     turn = np.repeat(rot[None], len(widths), axis=0)
-    room = approach_clearance(at, turn, widths, at, near)
+    room = approach_clearance(at, turn, widths, at, near, view.robot.gripper)
     return float(widths[1:][room[1:] > min(BACK_ROOM, room[0] - 0.004)].max(initial=widths[1]))
 
 
@@ -87,12 +88,13 @@ def drawn_back(view: WorldView, obj: str, pos: Array, rot: Array, rest: Array) -
 
     Along the hand, or else straight up, or else towards the robot, but never across the fingers.
     """
-    robot = motion.chain()
-    whole = motion.spheres()
-    hand = whole.only(HAND_LINKS)
-    arm = whole.only([name for name in whole.chain.links if name not in HAND_LINKS])
+    robot = view.robot.chain
+    whole = motion.spheres(view.robot)
+    hand_links = view.robot.hand_links
+    hand = whole.only(hand_links)
+    arm = whole.only([name for name in whole.chain.links if name not in hand_links])
     near, target = surroundings(view, obj, pos)
-    heading = float(view.q[2])
+    heading = float(view.base[2])
     ways = np.array([-rot[:, 0], [0.0, 0.0, 1.0], [-np.cos(heading), -np.sin(heading), 0.0]])
     ways = ways - (ways @ rot[:, 1])[:, None] * rot[:, 1]
     spots = (pos + np.array(BACKS)[:, None] * ways[:, None]).reshape(-1, 3)

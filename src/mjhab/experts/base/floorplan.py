@@ -13,7 +13,8 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from mjhab.core.boxes import Boxes
-from mjhab.envs.parts.world_view import TRUNK_LINKS, HomeShapes, WorldView
+from mjhab.core.joints import BASE
+from mjhab.envs.parts.world_view import HomeShapes, WorldView
 from mjhab.experts.arm import motion
 from mjhab.experts.base.route import planner
 from mjhab.experts.planning.carry import held_spheres
@@ -48,12 +49,11 @@ class Arm:
     @classmethod
     def of(cls, view: WorldView, posture: Array, held: str = "") -> Arm:
         """The arm in a configuration (15,) and as it is now, with an object as it sits in the hand now."""
-        whole = motion.spheres()
-        robot = whole.only([name for name in whole.chain.links if name not in TRUNK_LINKS])
+        robot = motion.arm_spheres(view.robot)
         if held:
             robot = robot.with_held(*held_spheres(view, held))
         q = np.stack([posture, view.q][: 1 if motion.joint_gap(view, posture) < AT_REST else 2])
-        q[:, :3] = 0.0
+        q[:, BASE] = 0.0
         center = robot.centers(robot.chain.forward(q)).reshape(-1, 3)
         radius = np.tile(robot.radius, len(q))
         low = np.floor((center[:, 2] - radius - LEVELS[0]) / _STEP).astype(np.int64)

@@ -11,7 +11,8 @@ from functools import lru_cache
 import numpy as np
 
 from mjhab.core.boxes import nearest_box_distance
-from mjhab.envs.parts.world_view import FETCH_JOINTS, HomeShapes, WorldView
+from mjhab.core.joints import BASE
+from mjhab.envs.parts.world_view import HomeShapes, WorldView
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.arm.clearance import Boxes, RobotSpheres
 from mjhab.experts.arm.gentle import Care, eased
@@ -19,6 +20,7 @@ from mjhab.experts.arm.motion import Motion
 from mjhab.experts.base.navigation import Planner
 from mjhab.experts.base.pilot import MAX_SPEED, Pilot, simulate
 from mjhab.robots.kinematics import wrap
+from mjhab.robots.robot import Robot
 
 Array = np.ndarray
 MARGIN = 0.015
@@ -41,7 +43,6 @@ STALLED = 0.02
 LOOKAHEADS = (0.30, 0.20, 0.10)
 """How far ahead [m] the base steers; short ones keep to the way at corners, long ones are quicker."""
 _SHARES = (0.35, 0.6, 0.8, 0.9)
-_TORSO = FETCH_JOINTS.index(ik.TORSO)
 SETTLED = 0.01
 """How near [rad, m] to its goal the arm and the torso count as there."""
 TORSO_SPEED = 0.04
@@ -146,7 +147,7 @@ def plan_route(
 
     def at(share: float) -> Route:
         delay = round(share * len(poses))
-        swept = _swept(start, poses, arm, delay)
+        swept = _swept(view.robot, start, poses, arm, delay)
         some = np.arange(0, len(swept), max(1, len(swept) // 40))
         # While the base drives, the robot is only about where it is expected to be.
         asked = np.minimum(
@@ -175,10 +176,10 @@ def drive_of(
 ) -> tuple[Array, int, float, Array] | None:
     """How to drive to the base pose ``goal`` (3,), see `plan_route`: way points (P, 2), direction, look-ahead, and the
     base poses (T, 3) that this should give, one per control step. None when furniture cuts the goal off."""
-    path = np.stack([view.q[:2], goal[:2]]) if straight else _way(view, goal[:2])
+    path = np.stack([view.base[:2], goal[:2]]) if straight else _way(view, goal[:2])
     if path is None:
         return None
-    direction = direction or _direction(view.q[:3], path, float(goal[2]))
+    direction = direction or _direction(view.base, path, float(goal[2]))
     few = LOOKAHEADS[:1] if len(path) == 2 and (straight or not care) else LOOKAHEADS
     return path, direction, *_smoothest(view, path, float(goal[2]), direction, care, few)
 
@@ -198,7 +199,7 @@ def drive_steps(now: Array, poses: Array, length: Array) -> Array:
 
 def _way(view: WorldView, goal: Array) -> Array | None:
     """Way points (P, 2) to ``goal`` (2,) around furniture and what stands open."""
-    path = planner(view).plan(view.q[:2], goal)
+    path = planner(view).plan(view.base[:2], goal)
     if path is not None and np.linalg.norm(path[-1] - goal) > 1e-6:
         path = np.concatenate([path, goal[None]])
     return path
@@ -228,7 +229,7 @@ def follow(
         turn = 0.0
         done = step >= route.lead
         if done and moving and not arrived:
-            forward, turn, done = pilot.step(view.q[:3])
+            forward, turn, done = pilot.step(view.base)
         arrived = arrived or done
         goal = arm.goal(view, step, arrived)
         off = motion.joint_gap(view, route.arm)
@@ -304,7 +305,7 @@ def _smoothest(
     cells = planner(view)
     best: tuple[float, float, Array] | None = None
     for lookahead in lookaheads:
-        poses = simulate(view.q[:3], path, yaw, direction, lookahead, care)
+        poses = simulate(view.base, path, yaw, direction, lookahead, care)
         room = float(cells.clearance_at(poses[:, :2]).min())
         if best is None or room > best[0]:
             best = (room, lookahead, poses)
@@ -314,40 +315,41 @@ def _smoothest(
     return best[1], best[2]
 
 
-def _swept(start: Array, poses: Array, arm: Array, delay: int) -> Array:
+def _swept(robot: Robot, start: Array, poses: Array, arm: Array, delay: int) -> Array:
     """Configurations (T, Q), one per control step, until base and arm have arrived."""
     way = arm - start
-    way[:3] = 0.0
-    columns = list(motion.ARM_JOINTS)
-    arm_share = arm_gone(float(np.abs(way[columns]).max()))
-    torso_share = torso_gone(abs(float(way[_TORSO])))
+    way[BASE] = 0.0
+    columns = list(robot.arm_columns)
+    torso = list(robot.torso_columns)
+    delta = robot.limits.joint_delta
+    arm_share = arm_gone(float(np.abs(way[columns]).max()), delta)
+    torso_share = torso_gone(float(np.abs(way[torso]).max(initial=0.0)), delta)
     steps = np.arange(max(len(poses), delay + max(len(arm_share), len(torso_share))) + 1)
     gone = np.ones((len(steps), len(way)))
     gone[:, columns] = arm_share[np.clip(steps - delay, 0, len(arm_share) - 1), None]
-    gone[:, _TORSO] = torso_share[np.clip(steps - delay, 0, len(torso_share) - 1)]
+    gone[:, torso] = torso_share[np.clip(steps - delay, 0, len(torso_share) - 1), None]
     out = start + gone * way
-    out[:, :3] = poses[np.minimum(steps, len(poses) - 1)]
+    out[:, BASE] = poses[np.minimum(steps, len(poses) - 1)]
     return out
 
 
-def arm_gone(far: float) -> Array:
+def arm_gone(far: float, delta: float) -> Array:
     """Share (T,) of its way that the arm has gone after so many control steps, ``far`` [rad] the longest of a joint.
 
-    It starts as `follow` lets it, and slows down before its end: with the base on the move, a tenth of a radian that it
-    lags behind is a decimetre at the hand.
+    ``delta``: change of a joint that an action of 1 asks for. It starts as `follow` lets it, and
+    slows down before its end: with the base on the move, a tenth of a radian that it lags behind is a decimetre at the
+    hand.
     """
     gone = [0.0]
-    delta = motion.LIMITS.joint_delta
     while far - gone[-1] > SETTLED:
         gone.append(gone[-1] + ik.ARM_STEP * min(1.0, 0.25 * len(gone), (far - gone[-1]) / delta))
     return np.array([*gone, far]) / far if far > 0.0 else np.ones(1)
 
 
-def torso_gone(far: float) -> Array:
+def torso_gone(far: float, delta: float) -> Array:
     """The same for the torso, ``far`` [m]. It carries the arm and gathers speed slowly."""
     gone = [0.0]
     speed = 0.0
-    delta = motion.LIMITS.joint_delta
     while far - gone[-1] > SETTLED:
         speed += TORSO_GAIN * (TORSO_SPEED * min(1.0, (far - gone[-1]) / delta) - speed)
         gone.append(min(gone[-1] + speed, far))

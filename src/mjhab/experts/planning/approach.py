@@ -5,12 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from mjhab.core.boxes import Boxes, sphere_box_distance
+from mjhab.core.joints import BASE, BASE_XY, BASE_YAW
 from mjhab.envs.parts.world_view import JointedLink, WorldView
 from mjhab.experts.arm import ik, motion
+from mjhab.experts.arm.clearance import RobotSpheres
 from mjhab.experts.base.navigation import CONTROL_DT
 from mjhab.experts.base.pilot import simulate
 from mjhab.experts.base.route import Route, follow, plan_route
 from mjhab.robots.kinematics import wrap
+from mjhab.robots.robot import Robot
 
 Array = np.ndarray
 Motion = motion.Motion
@@ -31,12 +34,6 @@ ARM_REACH = 1.3
 """Distance from the base beyond which nothing is in the way [m]."""
 ROUTE_LACK = 0.012
 """How much less clearance [m] than `plan_route` asks for may do: it allows for errors of the drive."""
-_HAND_LINKS = (
-    "wrist_flex_link",
-    "wrist_roll_link",
-    "r_gripper_finger_link",
-    "l_gripper_finger_link",
-)
 AMBIGUOUS = 2.8
 """Turn at the end [rad] from which on the base might turn the other way round, where nobody looked."""
 DETOUR = 8.0
@@ -50,7 +47,7 @@ def obstacles(view: WorldView, goals: Array, shut: JointedLink | None = None) ->
     for ``shut``, which counts as closed."""
     links = [view.link_boxes()] if shut is None else [view.link_boxes((shut.id,)), shut.boxes(0.0)]
     boxes = Boxes.join([view.home.boxes, *links])
-    places = np.concatenate([view.q[None, :2], goals[:, :2]])
+    places = np.concatenate([view.base[None, :2], goals[:, :2]])
     heights = np.array([0.3, 1.0, 1.6])
     points = np.array([[*place, z] for place in places for z in heights])
     return boxes.take(np.flatnonzero(sphere_box_distance(points, boxes).min(axis=0) < ARM_REACH))
@@ -80,7 +77,9 @@ def best_route(
             (1, goal, 0.0),
             (-1, goal if others is None else others[i], DETOUR),
         ):
-            found = plan_route(view, end[:3], end, motion.spheres(), boxes, direction=direction)
+            found = plan_route(
+                view, end[:3], end, motion.spheres(view.robot), boxes, direction=direction
+            )
             if found is None:
                 continue
             cost = _cost(view, found, door) + (0.0 if others is None else more)
@@ -93,11 +92,16 @@ def _cost(view: WorldView, route: Route, door: Boxes | None) -> float:
     """Steps a route takes, and a lot more where it is blocked."""
     lack = max(-route.room, 0.0)
     if door is not None and lack < ROUTE_LACK:
-        gap = motion.spheres().only(_HAND_LINKS).clearance(_passed(view, route), door).min()
+        gap = _hand(view.robot).clearance(_passed(view, route), door).min()
         lack += max(ROUTE_LACK - float(gap), 0.0)
     if _turn_at_end(route) > AMBIGUOUS:
         lack += ROUTE_LACK
     return route.steps + 400.0 * lack + (0.0 if lack < ROUTE_LACK else BLOCKED + 1e4 * lack)
+
+
+def _hand(robot: Robot) -> RobotSpheres:
+    """Spheres of wrist and fingers."""
+    return motion.spheres(robot).only([*robot.wrist_links, *robot.finger_links])
 
 
 def _turn_at_end(route: Route) -> float:
@@ -111,10 +115,9 @@ def _turn_at_end(route: Route) -> float:
 
 def _passed(view: WorldView, route: Route) -> Array:
     """Configurations (T, 15) expected on a route, two for every control step."""
-    poses = simulate(
-        view.q[:3], route.path, route.yaw, route.direction, route.lookahead, route.care
-    )
-    needed = float(ik.travel_steps(motion.chain(), view.q, route.arm, ik.columns(motion.chain())))
+    poses = simulate(view.base, route.path, route.yaw, route.direction, route.lookahead, route.care)
+    robot = view.robot.chain
+    needed = float(ik.travel_steps(robot, view.q, route.arm, ik.columns(robot)))
     steps = np.arange(0.0, route.steps + 0.25, 0.5)
     part = np.clip((steps - route.delay) / max(needed, 1.0), 0.0, 1.0)[:, None]
     out = view.q + part * (route.arm - view.q)
@@ -131,7 +134,7 @@ def go(view: WorldView, route: Route, gripper: float) -> Motion:
 
 def creep(view: WorldView, posture: Array, heading: float, speed: float, gripper: float) -> Array:
     """One action: drive at ``speed`` [m/s] along ``heading``, the arm held."""
-    turn = float(np.clip(3.0 * wrap(heading - view.q[2]), -0.5, 0.5))
+    turn = float(np.clip(3.0 * wrap(heading - view.base[2]), -0.5, 0.5))
     return motion.action(view, posture, gripper=gripper, drive=(speed, turn))
 
 
@@ -142,7 +145,7 @@ def let_go(
     yield from motion.hold(view, 4, gripper=gripper)
     pos, rot = motion.tcp(view)
     goal = pos - way * rot[:, 0]
-    along = float(-rot[:2, 0] @ np.array([np.cos(view.q[2]), np.sin(view.q[2])]))
+    along = float(-rot[:2, 0] @ np.array([np.cos(view.base[2]), np.sin(view.base[2])]))
     return (
         yield from motion.move_tcp(
             view,
@@ -177,12 +180,14 @@ def fold(
     floor = motion.planner(view.home)
     best: Route | None = None
     for way in ways:
-        goal = q[:3] - way * np.array([np.cos(q[2]), np.sin(q[2]), 0.0])
-        if way > 0 and floor.line_clearance(q[:2], goal[None, :2])[0] < min(
-            FLOOR, float(floor.clearance_at(q[:2]))
+        goal = q[BASE] - way * np.array([np.cos(q[BASE_YAW]), np.sin(q[BASE_YAW]), 0.0])
+        if way > 0 and floor.line_clearance(q[BASE_XY], goal[None, :2])[0] < min(
+            FLOOR, float(floor.clearance_at(q[BASE_XY]))
         ):
             break
-        found = plan_route(view, goal, rest, motion.spheres(), boxes, direction=-1, straight=True)
+        found = plan_route(
+            view, goal, rest, motion.spheres(view.robot), boxes, direction=-1, straight=True
+        )
         if found is not None and (best is None or found.room > best.room + 0.002):
             best = found
         if found is not None and found.room > FOLD_ROOM:
@@ -195,10 +200,10 @@ def fold(
 def retreat(view: WorldView, way: float, speed: float = 0.4) -> Motion:
     """Drive ``way`` [m] backwards with the arm held."""
     posture = view.q
-    start = view.q[:2]
-    heading = float(view.q[2])
+    start = view.base[:2]
+    heading = float(view.base[2])
     for _ in range(20):
-        if np.linalg.norm(view.q[:2] - start) >= way:
+        if np.linalg.norm(view.base[:2] - start) >= way:
             return True
         yield creep(view, posture, heading, -speed, motion.CLOSED)
     return False
@@ -238,7 +243,7 @@ def _funnel(
 
     Along the bar (the hand's z axis) the place matters little.
     """
-    robot = motion.chain()
+    robot = view.robot.chain
     dofs = ik.columns(robot)
     for step in range(max_steps):
         here, turn = motion.tcp(view)
@@ -266,12 +271,15 @@ def base_towards(
     """Forward speed [m/s] and yaw rate [rad/s] that bring the base to a near pose ``wish`` (3+,), as far as it can go
     without turning aside; ``speed``: that of the pose itself along the heading."""
     q = view.q
-    ahead = float((wish[:2] - q[:2]) @ np.array([np.cos(q[2]), np.sin(q[2])]))
+    ahead = float((wish[:2] - q[BASE_XY]) @ np.array([np.cos(q[BASE_YAW]), np.sin(q[BASE_YAW])]))
     v = float(np.clip(speed + 1.5 * ahead, -most, most))
-    return v, float(np.clip(3.0 * wrap(wish[2] - q[2]), -0.6, 0.6))
+    return v, float(np.clip(3.0 * wrap(wish[2] - q[BASE_YAW]), -0.6, 0.6))
 
 
 def next_base(view: WorldView, v: float, w: float) -> Array:
     """Where the base will be (1, 3) after a control step."""
     q = view.q
-    return q[None, :3] + np.array([[v * np.cos(q[2]), v * np.sin(q[2]), w]]) * CONTROL_DT
+    return (
+        q[None, BASE]
+        + np.array([[v * np.cos(q[BASE_YAW]), v * np.sin(q[BASE_YAW]), w]]) * CONTROL_DT
+    )

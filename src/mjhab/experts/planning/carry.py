@@ -7,6 +7,7 @@ import itertools
 import numpy as np
 
 from mjhab.core.boxes import Boxes
+from mjhab.core.joints import BASE, BASE_XY, BASE_YAW
 from mjhab.core.rotations import mat_from_quat
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts.arm import ik, motion
@@ -17,6 +18,7 @@ from mjhab.experts.base.route import BLOCKED_FORCE, BLOCKED_STEPS, Route, follow
 from mjhab.experts.planning.reach import surroundings
 from mjhab.experts.planning.sampled import TOUCHES, plan_around
 from mjhab.robots.kinematics import wrap
+from mjhab.robots.robot import Robot
 
 Array = np.ndarray
 BACK = (0.0, 0.2, 0.4, 0.6, 0.8)
@@ -45,9 +47,9 @@ MOST_SHIFT = 0.5
 """Largest change of a joint [rad] that makes up for errors of the drive."""
 
 
-def grip(opening: float) -> float:
+def grip(robot: Robot, opening: float) -> float:
     """Gripper action for a distance between the pads [m]."""
-    low, high = motion.LIMITS.gripper
+    low, high = robot.limits.gripper
     return float(np.clip(2.0 * (opening / 2 - low) / (high - low) - 1.0, -1.0, 1.0))
 
 
@@ -87,8 +89,8 @@ def drive_in(
     for step in range(80):
         q = view.q
         ahead = np.array([np.cos(heading), np.sin(heading)])
-        left = float((goal[:2] - q[:2]) @ ahead)
-        moved = float((q[:2] - last[:2]) @ ahead)
+        left = float((goal[:2] - q[BASE_XY]) @ ahead)
+        moved = float((q[BASE_XY] - last[:2]) @ ahead)
         if left < near and abs(moved) < slow:
             return True
         pressed = pressed + 1 if view.link_forces.sum() > BLOCKED_FORCE else 0
@@ -101,7 +103,7 @@ def drive_in(
             else min(IN_SPEED, 3.0 * (left - 2.0 * moved))
         )
         pace = max(wish, 0.04 if left > 0.02 else 0.0)
-        turn = float(np.clip(3.0 * wrap(heading - q[2]), -0.5, 0.5))
+        turn = float(np.clip(3.0 * wrap(heading - q[BASE_YAW]), -0.5, 0.5))
         last = q
         yield motion.action(view, goal, gripper=gripper, drive=(pace, turn))
     return False
@@ -110,17 +112,17 @@ def drive_in(
 def drive_out(view: WorldView, way: float, *, gripper: float, speed: float = OUT_SPEED) -> Motion:
     """Drive straight back over ``way`` [m], the arm held as it is. Returns whether it got there."""
     goal = view.q
-    start = view.q[:2]
-    heading = float(view.q[2])
+    start = view.base[:2]
+    heading = float(view.base[2])
     pressed = 0
     for step in range(40):
-        left = way - float(np.linalg.norm(view.q[:2] - start))
+        left = way - float(np.linalg.norm(view.base[:2] - start))
         if left < 0.04:
             return True
         pressed = pressed + 1 if view.link_forces.sum() > BLOCKED_FORCE else 0
         if pressed >= BLOCKED_STEPS:
             return False
-        turn = float(np.clip(3.0 * wrap(heading - view.q[2]), -0.5, 0.5))
+        turn = float(np.clip(3.0 * wrap(heading - view.base[2]), -0.5, 0.5))
         pace = min(speed, 0.15 + 0.1 * step, 0.1 + 3.0 * left)
         yield motion.action(view, goal, gripper=gripper, drive=(-pace, turn))
     return False
@@ -130,26 +132,30 @@ def _lined_up(view: WorldView, goal: Array, pos: Array, rot: Array, boxes: Boxes
     """``goal`` (15,) with the base where straight on from here leads; where the arm so comes too near to something and
     with a small change does not, such that the hand is at ``pos``, ``rot`` there all the same."""
     q = view.q
-    robot = motion.chain()
+    robot = view.robot.chain
     ahead = np.array([np.cos(goal[2]), np.sin(goal[2])])
-    way = float((goal[:2] - q[:2]) @ ahead)
+    way = float((goal[:2] - q[BASE_XY]) @ ahead)
     end = goal.copy()
-    end[:2] = q[:2] + ahead * way
-    if _room_in(end, way, boxes) > ROOM_IN:
+    end[:2] = q[BASE_XY] + ahead * way
+    if _room_in(view.robot, end, way, boxes) > ROOM_IN:
         return end
     found = ik.solve(
         robot, pos[None], rot[None], end[None, None], ik.columns(robot, torso=False), rest=goal
     )
-    near = found.ok[0, 0] and np.abs(found.q[0, 0] - end)[3:].max() < MOST_SHIFT
-    better = near and _room_in(found.q[0, 0], way, boxes) > _room_in(end, way, boxes)
+    near = found.ok[0, 0] and np.abs(found.q[0, 0] - end)[BASE.stop :].max() < MOST_SHIFT
+    better = near and _room_in(view.robot, found.q[0, 0], way, boxes) > _room_in(
+        view.robot, end, way, boxes
+    )
     return ik.unwind(robot, found.q[0, 0], q) if better else end
 
 
-def _room_in(goal: Array, way: float, boxes: Boxes) -> float:
+def _room_in(robot: Robot, goal: Array, way: float, boxes: Boxes) -> float:
     """Least clearance [m] on the straight ``way`` [m] of the base to ``goal`` (15,), the arm held."""
     q = np.repeat(goal[None], 6, axis=0)
-    q[:, :2] -= np.linspace(0.0, way, 6)[:, None] * np.array([np.cos(goal[2]), np.sin(goal[2])])
-    return float(motion.spheres().clearance(q, boxes).min())
+    q[:, BASE_XY] -= np.linspace(0.0, way, 6)[:, None] * np.array(
+        [np.cos(goal[2]), np.sin(goal[2])]
+    )
+    return float(motion.spheres(robot).clearance(q, boxes).min())
 
 
 def held_spheres(view: WorldView, obj: str) -> tuple[Array, Array]:
@@ -176,7 +182,7 @@ def held_spheres(view: WorldView, obj: str) -> tuple[Array, Array]:
 def go_home(view: WorldView, obj: str, *, holding: bool = True) -> Motion:
     """Bring the arm to rest, driving back as far as the room around asks for. Returns whether it arrived."""
     gripper = motion.CLOSED if holding else motion.OPEN
-    robot = motion.spheres()
+    robot = motion.spheres(view.robot)
     if holding:
         robot = robot.with_held(*held_spheres(view, obj))
     for _ in range(3):

@@ -12,20 +12,20 @@ from functools import lru_cache
 import numpy as np
 
 from mjhab.core.boxes import Boxes, nearest_box_distance
-from mjhab.envs.parts.world_view import FETCH_JOINTS, REST_QPOS, WorldView
+from mjhab.core.joints import BASE, BASE_YAW
+from mjhab.envs.parts.world_view import WorldView
 from mjhab.episodes.grasps.candidates import Grasps, approach_clearance
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.arm.clearance import RobotSpheres
 from mjhab.experts.arm.gentle import Care
 from mjhab.experts.base.route import Route, drive_steps, plan_route, planner
 from mjhab.robots.kinematics import wrap
+from mjhab.robots.parts import Gripper
+from mjhab.robots.robot import ArmReach, Footprint, Robot
 
 Array = np.ndarray
-HAND_LINKS = ("gripper_link", "r_gripper_finger_link", "l_gripper_finger_link")
 NEARBY = 2.6
 """Furniture within this distance [m] of the work is looked at."""
-BASE_RADIUS = 0.285
-BASE_TOP = 0.40
 ROOMS = (0.012, 0.006, 0.0)
 """Least clearance [m] of the arm at the work and of the whole robot just before it, at one attempt after the other."""
 TIGHTEST = -0.055
@@ -38,7 +38,6 @@ ARM_END = 0.05
 """How far [m] the wrist may be beyond the comfortable distance, see `_overreach`."""
 _STRETCHED = 60.0
 """Price in steps per radian that the elbow is nearly straight."""
-_ELBOW = FETCH_JOINTS.index("elbow_flex_joint")
 _BASES = 24
 _PER_BASE = 8
 _SEEDS = 5
@@ -67,11 +66,13 @@ class HandGoals:
 @dataclass(frozen=True, eq=False)
 class Scene:
     """What is around: ``near`` all but the object, ``target`` that while it is not held, ``support_z`` the height of
-    what it lies on or goes to, ``held`` spheres fixed to the hand (centres, radii), ``care`` for them in the drive."""
+    what it lies on or goes to, ``body`` the robot, ``held`` spheres fixed to the hand (centres, radii), ``care``
+    for them in the drive."""
 
     near: Boxes
     target: Boxes
     support_z: float
+    body: Robot
     held: tuple[Array, Array] | None = None
     care: Care | None = None
 
@@ -90,16 +91,13 @@ class Scene:
 
     def robot(self) -> RobotSpheres:
         """The arm with what it holds."""
-        return (
-            motion.arm_spheres()
-            if self.held is None
-            else motion.arm_spheres().with_held(*self.held)
-        )
+        arm = motion.arm_spheres(self.body)
+        return arm if self.held is None else arm.with_held(*self.held)
 
 
 @dataclass(frozen=True, eq=False)
 class Stance:
-    """A way to reach hand pose ``goal`` (index): drive ``route``, then configurations ``pre`` and ``at`` (15,)."""
+    """A way to reach hand pose ``goal`` (index): drive ``route``, then configurations ``pre`` and ``at`` (J,)."""
 
     goal: int
     pre: Array
@@ -109,7 +107,7 @@ class Stance:
 
 @dataclass(frozen=True, eq=False)
 class Blocked:
-    """What could be reached, if there were a straight way: configurations ``pre`` and ``at`` (N, 15) for hand poses
+    """What could be reached, if there were a straight way: configurations ``pre`` and ``at`` (N, J) for hand poses
     ``goal`` (N,) of ``goals``, most wanted first, the base coming straight in over ``drive_in`` at the end."""
 
     goals: HandGoals
@@ -166,10 +164,12 @@ def stances(
         rows = np.flatnonzero(out > min(OUT_ROOM, float(out.max()) - 0.005))
         bases = bases[rows]
         drive = drive[rows]
-    base, goal, score = _pairs(bases, point, goals)
+    base, goal, score = _pairs(view.robot, bases, point, goals)
     if not len(base):
         return []
-    q, goal = _configurations(now, bases[base], goal, goals, drive[base] - 10.0 * score, home)
+    q, goal = _configurations(
+        view.robot, now, bases[base], goal, goals, drive[base] - 10.0 * score, home
+    )
     rows = _clear_ones(q, scene, room)
     q = q[rows]
     goal = goal[rows]
@@ -202,9 +202,10 @@ def way_out(bases: Array, scene: Scene, drive_in: float) -> Array:
 
 
 def _clear_ones(q: Array, scene: Scene, room: float) -> Array:
-    """The first few (indices) of the configurations (N, 15) that touch nothing; the hand is looked at elsewhere."""
-    whole = motion.spheres()
-    arm = whole.only([n for n in whole.chain.links if n not in HAND_LINKS])
+    """The first few (indices) of the configurations (N, J) that touch nothing; the hand is looked at elsewhere."""
+    whole = motion.spheres(scene.body)
+    hand_links = scene.body.hand_links
+    arm = whole.only([n for n in whole.chain.links if n not in hand_links])
     load = None if scene.held is None else whole.only([]).with_held(*scene.held)
     found: list[Array] = []
     for start in range(0, len(q), _KEPT):
@@ -219,11 +220,13 @@ def _clear_ones(q: Array, scene: Scene, room: float) -> Array:
     return np.concatenate(found)[:_KEPT] if found else np.zeros(0, np.int64)
 
 
-def hand_room(goals: HandGoals | Grasps, boxes: Boxes) -> Array:
+def hand_room(gripper: Gripper, goals: HandGoals | Grasps, boxes: Boxes) -> Array:
     """Clearance (G,) of the hand and of the wrist behind it on the straight way to the goals."""
-    hand = approach_clearance(goals.pos, goals.rot, goals.opening, goals.pre, boxes)
+    hand = approach_clearance(goals.pos, goals.rot, goals.opening, goals.pre, boxes, gripper)
     back = 0.05 * goals.rot[:, :, 0]
-    wrist = approach_clearance(goals.pos - back, goals.rot, goals.opening, goals.pre - back, boxes)
+    wrist = approach_clearance(
+        goals.pos - back, goals.rot, goals.opening, goals.pre - back, boxes, gripper
+    )
     return np.minimum(hand, wrist)
 
 
@@ -243,17 +246,17 @@ def base_poses(
     x = point[0] - r * np.cos(angle)
     y = point[1] - r * np.sin(angle)
     poses = np.stack([x, y, wrap(angle + off)], axis=-1).reshape(-1, 3)
-    here = view.q[:3] - drive_in * np.array([np.cos(view.q[2]), np.sin(view.q[2]), 0.0])
+    here = view.base - drive_in * np.array([np.cos(view.base[2]), np.sin(view.base[2]), 0.0])
     bearing = np.arctan2(point[1] - here[1], point[0] - here[0])
     poses = np.concatenate(
-        [poses, [view.q[:3], *([here[0], here[1], bearing + k] for k in (-0.35, 0.0, 0.35))]]
+        [poses, [view.base, *([here[0], here[1], bearing + k] for k in (-0.35, 0.0, 0.35))]]
     )
     far_off = np.append(r.ravel() > FAR_OFF, np.zeros(4, bool))
     cells = planner(view)
     back = poses[:, :2] - drive_in * np.stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])], axis=1)
     far_off |= cells.clearance_at(back) < cells.radius
     good = np.minimum(cells.clearance_at(back), cells.clearance_at(poses[:, :2])) >= cells.narrow
-    good &= floor_room(poses, scene.near) > 0.0
+    good &= floor_room(view.robot.footprint, poses, scene.near) > 0.0
     if avoid is not None and len(avoid):
         gap = np.linalg.norm((poses[:, None] - avoid) * [1.0, 1.0, 0.3], axis=2).min(axis=1)
         good &= gap > 0.10
@@ -261,13 +264,15 @@ def base_poses(
     poses = poses[good]
     back = back[good]
     far_off = far_off[good]
-    way = cells.costs(view.q[:2])[cells.cells(back)]
+    way = cells.costs(view.base[:2])[cells.cells(back)]
     steps = (
-        drive_steps(view.q[:3], np.concatenate([back, poses[:, 2:]], axis=1), way)
+        drive_steps(view.base, np.concatenate([back, poses[:, 2:]], axis=1), way)
         + 6.0 * drive_in / 0.3
     )
     # The nearest bases may all stand on the side from which nothing can be reached.
-    reachable = np.isfinite(steps) & (_overreach(poses, goals) < ARM_END).any(axis=1)
+    reachable = np.isfinite(steps) & (_overreach(view.robot.reach, poses, goals) < ARM_END).any(
+        axis=1
+    )
     reachable &= ~far_off | far | ~(reachable & ~far_off).any()
     return _spread(poses[reachable], steps[reachable])
 
@@ -285,17 +290,18 @@ def in_sight(poses: Array, point: Array, boxes: Boxes) -> Array:
     return gap.reshape(len(share), len(poses)).min(axis=0) > 0.02
 
 
-def floor_room(poses: Array, boxes: Boxes) -> Array:
+def floor_room(footprint: Footprint, poses: Array, boxes: Boxes) -> Array:
     """Room (B,) between the base at poses (B, 3) and boxes on the floor that no map knows: things that fell."""
     low = boxes.take(
-        (boxes.center[:, 2] - boxes.half.max(axis=1) < BASE_TOP) & (boxes.half.max(axis=1) < 0.12)
+        (boxes.center[:, 2] - boxes.half.max(axis=1) < footprint.top)
+        & (boxes.half.max(axis=1) < 0.12)
     )
     if not len(low):
         return np.ones(len(poses))
     gap = np.linalg.norm(poses[:, None, :2] - low.center[:, :2], axis=2) - low.half[:, :2].max(
         axis=1
     )
-    return gap.min(axis=1) - BASE_RADIUS
+    return gap.min(axis=1) - footprint.radius
 
 
 def _spread(poses: Array, steps: Array) -> tuple[Array, Array]:
@@ -310,12 +316,14 @@ def _spread(poses: Array, steps: Array) -> tuple[Array, Array]:
     return poses[kept], steps[kept]
 
 
-def _pairs(bases: Array, point: Array, goals: HandGoals) -> tuple[Array, Array, Array]:
+def _pairs(
+    robot: Robot, bases: Array, point: Array, goals: HandGoals
+) -> tuple[Array, Array, Array]:
     """For every base the hand poses that suit it best: base index (N,), goal index (N,), score (N,)."""
     toward = point[:2] - bases[:, :2]
     toward /= np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-6)
     score = goals.score + 0.8 * toward @ goals.rot[:, :2, 0].T
-    over = _overreach(bases, goals)
+    over = _overreach(robot.reach, bases, goals)
     score = np.where(over < ARM_END, score - 20.0 * np.maximum(over, 0.0), -np.inf)
     # Among equals every base tries others.
     score = score + 0.05 * np.random.default_rng(1).random(score.shape)
@@ -326,52 +334,58 @@ def _pairs(bases: Array, point: Array, goals: HandGoals) -> tuple[Array, Array, 
     return base[found], goal[found], score[base, goal][found]
 
 
-def _overreach(bases: Array, goals: HandGoals) -> Array:
-    """How far (B, G) [m] the wrist is beyond a comfortable distance from the shoulder; 0.05 is the arm's end.
-
-    Fetch: the shoulder turns 0.033 m before the base's centre, lifts 0.117 m further out at 0.806 to 1.192 m; from
-    there to the wrist it is 0.674 m, from the wrist to the tool centre 0.305 m.
-    """
-    wrist = goals.pos - 0.305 * goals.rot[:, :, 0]
-    shoulder = bases[:, :2] + 0.033 * np.stack([np.cos(bases[:, 2]), np.sin(bases[:, 2])], axis=1)
-    level = np.linalg.norm(wrist[:, :2] - shoulder[:, None], axis=2) - 0.117
-    height = np.maximum(np.maximum(0.806 - wrist[:, 2], wrist[:, 2] - 1.192), 0.0)
-    return np.hypot(np.maximum(level, 0.0), height) - 0.624
+def _overreach(reach: ArmReach, bases: Array, goals: HandGoals) -> Array:
+    """How far (B, G) [m] the wrist is beyond a comfortable distance from the shoulder; 0.05 is the arm's end."""
+    wrist = goals.pos - reach.hand * goals.rot[:, :, 0]
+    shoulder = bases[:, :2] + reach.ahead * np.stack(
+        [np.cos(bases[:, 2]), np.sin(bases[:, 2])], axis=1
+    )
+    level = np.linalg.norm(wrist[:, :2] - shoulder[:, None], axis=2) - reach.out
+    height = np.maximum(np.maximum(reach.low - wrist[:, 2], wrist[:, 2] - reach.high), 0.0)
+    return np.hypot(np.maximum(level, 0.0), height) - reach.length
 
 
-@lru_cache(maxsize=1)
-def _seeds() -> Array:
-    """Arm and torso configurations (S, 15) to start inverse kinematics from."""
-    dofs = ik.columns(motion.chain())
-    return ik.random_seeds(motion.chain(), REST_QPOS, dofs, _SEEDS, np.random.default_rng(3), 0.6)
+@lru_cache(maxsize=8)
+def _seeds(robot: Robot) -> Array:
+    """Arm and torso configurations (S, J) to start inverse kinematics from."""
+    dofs = ik.columns(robot.chain)
+    random = np.random.default_rng(3)
+    return ik.random_seeds(robot.chain, robot.rest, dofs, _SEEDS, random, 0.6)
 
 
 def _configurations(
-    now: Array, bases: Array, goal: Array, goals: HandGoals, price: Array, home: float
+    body: Robot,
+    now: Array,
+    bases: Array,
+    goal: Array,
+    goals: HandGoals,
+    price: Array,
+    home: float,
 ) -> tuple[Array, Array]:
-    """Configurations (N, 15) that reach the goals of the pairs, and their goal (N,), quickest first."""
-    robot = motion.chain()
+    """Configurations (N, J) that reach the goals of the pairs, and their goal (N,), quickest first."""
+    robot = body.chain
     dofs = ik.columns(robot)
-    seeds = np.repeat(_seeds()[None], len(bases), axis=0)
-    seeds[:, :, :3] = bases[:, None]
-    seeds[:, 0, 3:] = now[3:]
+    seeds = np.repeat(_seeds(body)[None], len(bases), axis=0)
+    seeds[:, :, BASE] = bases[:, None]
+    seeds[:, 0, BASE.stop :] = now[BASE.stop :]
     options = ik.Options(iterations=25, pos_tolerance=2e-3, rot_tolerance=2e-2)
     found = ik.solve(
-        robot, goals.pos[goal], goals.rot[goal], seeds, dofs, rest=REST_QPOS, options=options
+        robot, goals.pos[goal], goals.rot[goal], seeds, dofs, rest=body.rest, options=options
     )
     q = ik.unwind(robot, found.q, now)
-    q[..., :3] = bases[:, None]
+    q[..., BASE] = bases[:, None]
     cost = price[:, None] + 0.6 * ik.travel_steps(robot, now, q, dofs)
     if home:
-        cost = cost + home * motion.steps_home(q)
+        cost = cost + home * motion.steps_home(body, q)
     # A stretched arm cannot make up for a base that stands a little wrong.
-    cost = cost + _STRETCHED * np.maximum(0.0, 0.9 - np.abs(q[..., _ELBOW]))
+    cost = cost + _STRETCHED * np.maximum(0.0, 0.9 - np.abs(q[..., body.elbow_column]))
     cost = np.where(found.ok, cost, np.inf).ravel()
     order = np.argsort(cost, kind="stable")[:300]
     order = order[np.isfinite(cost[order])]
     q = q.reshape(-1, q.shape[-1])[order]
     goal = np.repeat(goal, seeds.shape[1])[order]
-    q[:, 13:15] = np.minimum(goals.opening[goal] / 2, 0.05)[:, None]
+    fingers = np.minimum(goals.opening[goal] / 2, body.finger_max)
+    q[:, body.columns.fingers] = fingers[:, None]
     return q, goal
 
 
@@ -384,23 +398,30 @@ def _before(
     asked: float,
     nearer: float,
 ) -> tuple[Array, Array]:
-    """Configurations (N, 15) at the start of the straight approach, and where they and the way in are clear (N,).
+    """Configurations (N, J) at the start of the straight approach, and where they and the way in are clear (N,).
 
     The torso is at its final height already: it is too slow for fine work.
     """
     if not len(q):
         return q, np.zeros(0, bool)
-    robot = motion.chain()
-    dofs = ik.columns(motion.chain(), torso=False)
+    robot = scene.body.chain
+    dofs = ik.columns(robot, torso=False)
     options = ik.Options(iterations=12, pos_tolerance=2e-3, rot_tolerance=2e-2, rest_gain=0.0)
     found = ik.solve(
-        robot, goals.pre[goal], goals.rot[goal], q[:, None], dofs, rest=REST_QPOS, options=options
+        robot,
+        goals.pre[goal],
+        goals.rot[goal],
+        q[:, None],
+        dofs,
+        rest=scene.body.rest,
+        options=options,
     )
     pre = found.q[:, 0]
     fine = found.ok[:, 0] & (np.abs(pre - q).max(axis=1) < 0.9)
     whole = scene.robot()
-    hand = whole.only(HAND_LINKS)
-    arm = whole.only([n for n in whole.chain.links if n not in HAND_LINKS])
+    hand_links = scene.body.hand_links
+    hand = whole.only(hand_links)
+    arm = whole.only([n for n in whole.chain.links if n not in hand_links])
     for back in np.arange(0.0, drive_in + 0.01, 0.12):
         shifted = pre[fine].copy()
         shifted[:, 0] -= back * np.cos(shifted[:, 2])
@@ -424,18 +445,18 @@ def _routed(
     count: int,
     home: float,
 ) -> list[Stance]:
-    """Stances with routes that are clear; ``q`` (N, 15) come cheapest first."""
+    """Stances with routes that are clear; ``q`` (N, J) come cheapest first."""
     robot = scene.robot()
     boxes = scene.all
     clear: list[Stance] = []
     tight: list[Stance] = []
     seen: list[Array] = []
     for i in range(len(q)):
-        if sum(np.array_equal(q[i, :3], base) for base in seen) >= 2:
+        if sum(np.array_equal(q[i, BASE], base) for base in seen) >= 2:
             continue
-        seen.append(q[i, :3])
-        back = drive_in * np.array([np.cos(pre[i, 2]), np.sin(pre[i, 2]), 0.0])
-        route = plan_route(view, pre[i, :3] - back, pre[i], robot, boxes, care=scene.care)
+        seen.append(q[i, BASE])
+        back = drive_in * np.array([np.cos(pre[i, BASE_YAW]), np.sin(pre[i, BASE_YAW]), 0.0])
+        route = plan_route(view, pre[i, BASE] - back, pre[i], robot, boxes, care=scene.care)
         if route is None:
             continue
         (clear if route.room >= 0.0 else tight).append(Stance(int(goal[i]), pre[i], q[i], route))
@@ -443,26 +464,29 @@ def _routed(
             break
     tight = sorted((s for s in tight if s.route.room > TIGHTEST), key=lambda s: -s.route.room)
     return (
-        sorted(clear, key=lambda s: s.route.steps + home * float(motion.steps_home(s.at)))
+        sorted(
+            clear, key=lambda s: s.route.steps + home * float(motion.steps_home(view.robot, s.at))
+        )
         or tight[:1]
     )
 
 
 def settle_reach(view: WorldView, stance: Stance, pos: Array, rot: Array) -> Array | None:
-    """Configurations (M, 15) for hand positions (M, 3) from where the base really stands; one torso height for all,
+    """Configurations (M, J) for hand positions (M, 3) from where the base really stands; one torso height for all,
     the planned one if possible.
 
     None when one of them is out of reach from here.
     """
-    robot = motion.chain()
-    arm = ik.columns(motion.chain(), torso=False)
+    robot = view.robot.chain
+    torso = list(view.robot.torso_columns)
+    arm = ik.columns(robot, torso=False)
     for free in (arm, ik.columns(robot)):
         seed = np.stack([stance.pre, stance.at])
-        seed[:, :3] = view.q[:3]
+        seed[:, BASE] = view.base
         first = ik.solve(robot, pos[:1], rot[None], seed, free, rest=stance.at)
         for start in first.q[0, first.ok[0]]:
             seeds = np.concatenate([start[None], seed])
-            seeds[:, 3] = start[3]
+            seeds[:, torso] = start[torso]
             found = ik.solve(
                 robot, pos, np.repeat(rot[None], len(pos), axis=0), seeds, arm, rest=start
             )

@@ -17,7 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from mjhab.envs.parts.world_view import REST_QPOS, WorldView
+from mjhab.core.joints import BASE, BASE_YAW
+from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.arm.clearance import Boxes, RobotSpheres
 from mjhab.experts.arm.gentle import Care
@@ -32,6 +33,7 @@ from mjhab.experts.base.route import (
     within_reach,
 )
 from mjhab.experts.planning.reach import Blocked, HandGoals, Stance
+from mjhab.robots.robot import Robot
 
 Array = np.ndarray
 POSTURES = 1000
@@ -78,11 +80,11 @@ def _way_around(view: WorldView, blocked: list[Blocked]) -> Found | None:
         for goal, pre, at in zip(reach.goal, reach.pre, reach.at, strict=True):
             if len(tried) >= TRIES:
                 break
-            if any(np.array_equal(pre[:3], base) for base in tried):
+            if any(np.array_equal(pre[BASE], base) for base in tried):
                 continue
-            tried.append(pre[:3])
-            back = reach.drive_in * np.array([np.cos(pre[2]), np.sin(pre[2]), 0.0])
-            route = plan_around(view, pre[:3] - back, pre, robot, boxes, care=reach.scene.care)
+            tried.append(pre[BASE])
+            back = reach.drive_in * np.array([np.cos(pre[BASE_YAW]), np.sin(pre[BASE_YAW]), 0.0])
+            route = plan_around(view, pre[BASE] - back, pre, robot, boxes, care=reach.scene.care)
             if route is not None and (best is None or route.steps < best.route.steps):
                 best = Stance(int(goal), pre, at, route)
         if best is not None and best.route.steps + REST <= view.steps_left:
@@ -109,11 +111,11 @@ def plan_around(
         return None
     path, direction, lookahead, poses = found
     start = view.q
-    end = np.concatenate([goal, arm[3:]])
+    end = np.concatenate([goal, arm[BASE.stop :]])
     boxes = within_reach(boxes, np.stack([start[:2], goal[:2]]))
-    here = Free.near(start, robot, boxes)
-    there = Free.near(end, robot, boxes)
-    postures = _postures(start, end)
+    here = Free.near(view.robot, start, robot, boxes)
+    there = Free.near(view.robot, end, robot, boxes)
+    postures = _postures(view.robot, start, end)
     postures = postures[_clear_drives(postures, poses, here)]
     best: tuple[int, int, int, Array, int] | None = None
     for first, last in _legs(start, end, postures, here, there):
@@ -142,8 +144,9 @@ def plan_around(
 @dataclass(frozen=True, eq=False)
 class Free:
     """Which configurations are clear: the ``robot`` at least ``room`` from ``boxes`` and ``own`` from itself [m];
-    ``drive`` from boxes while the base drives."""
+    ``drive`` from boxes while the base drives. ``body``: whose joints and links they are."""
 
+    body: Robot
     robot: RobotSpheres
     boxes: Boxes
     room: float
@@ -151,29 +154,34 @@ class Free:
     drive: float
 
     @classmethod
-    def near(cls, q: Array, robot: RobotSpheres, boxes: Boxes) -> Free:
+    def near(cls, body: Robot, q: Array, robot: RobotSpheres, boxes: Boxes) -> Free:
         """As clear as `plan_route` asks for or nearly as clear as the configuration ``q`` (15,)."""
         room = float(robot.clearance(q, boxes)[0]) - 0.004
         own = float(robot.self_clearance(q[None])[0]) - 0.004
         return cls(
-            robot, boxes, min(MARGIN, room), min(OWN_ROOM, own), min(MARGIN + DRIVE_ERROR, room)
+            body,
+            robot,
+            boxes,
+            min(MARGIN, room),
+            min(OWN_ROOM, own),
+            min(MARGIN + DRIVE_ERROR, room),
         )
 
     def spare(self, q: Array) -> Array:
-        """How much clearer (N,) [m] than asked configurations (N, 15) are while the base stands."""
+        """How much clearer (N,) [m] than asked configurations (N, J) are while the base stands."""
         return np.minimum(
             self.robot.clearance(q, self.boxes) - self.room, self.robot.self_clearance(q) - self.own
         )
 
     def likely(self, start: Array, ends: Array) -> Array:
-        """Whether straight motions from ``start`` (15,) to ``ends`` (V, 15) are clear in a few places: (V,) bool."""
+        """Whether straight motions from ``start`` (15,) to ``ends`` (V, J) are clear in a few places: (V,) bool."""
         share = np.linspace(0.0, 1.0, _PIECES + 1)[1:, None, None]
         gap = self.spare((start + share * (ends - start)).reshape(-1, len(start)))
         return gap.reshape(_PIECES, -1).min(axis=0) >= 0.0
 
     def edge(self, start: Array, end: Array) -> bool:
         """Whether the straight motion between two configurations (15,) is clear."""
-        pieces = 1 + int(_length(np.stack([start, end])) / EDGE)
+        pieces = 1 + int(_length(self.body, np.stack([start, end])) / EDGE)
         share = np.linspace(0.0, 1.0, pieces + 1)[1:, None]
         return bool((self.spare(start + share * (end - start)) >= 0.0).all())
 
@@ -181,10 +189,10 @@ class Free:
 def _timed(
     first: Array, last: Array, poses: Array, here: Free, there: Free
 ) -> tuple[int, int, int]:
-    """How soon base and arm may move at the same time, on ways of the arm (P, 15) before and after a drive over base
+    """How soon base and arm may move at the same time, on ways of the arm (P, J) before and after a drive over base
     poses (T, 3): steps of it all, steps that the base waits, and the step at which the arm goes on."""
-    before = _along(first)
-    after = _along(last)
+    before = _along(here.body, first)
+    after = _along(here.body, last)
     out = len(before)
     back = len(after)
     drive = len(poses)
@@ -203,7 +211,7 @@ def _timed(
             before[np.minimum(t, out - 1)],
             after[np.clip(t - delay, 0, back - 1)],
         )
-        arm[:, :3] = poses[np.clip(t - lead, 0, drive - 1)]
+        arm[:, BASE] = poses[np.clip(t - lead, 0, drive - 1)]
         moving = (t > lead) & (t < lead + drive - 1)
         asked = np.where(moving, here.drive, np.where(t <= lead, here.room, there.room))
         gap = np.minimum(
@@ -215,24 +223,28 @@ def _timed(
     return late
 
 
-def _along(way: Array) -> Array:
-    """Configurations (N, 15) after so many control steps on a way (P, 15) of the arm."""
-    torso = motion.chain().columns_of((ik.TORSO,))[0]
-    arm = list(motion.ARM_JOINTS)
+def _along(robot: Robot, way: Array) -> Array:
+    """Configurations (N, J) after so many control steps on a way (P, J) of the arm."""
+    torso = list(robot.torso_columns)
+    arm = list(robot.arm_columns)
+    delta = robot.limits.joint_delta
     parts = []
     for start, end in pairwise(way):
         far = np.abs(end - start)
-        gone = [arm_gone(float(far[arm].max())), torso_gone(float(far[torso]))]
+        gone = [
+            arm_gone(float(far[arm].max()), delta),
+            torso_gone(float(far[torso].max(initial=0.0)), delta),
+        ]
         t = np.arange(max(map(len, gone)))
         share = np.ones((len(t), len(far)))
         share[:, arm] = gone[0][np.minimum(t, len(gone[0]) - 1), None]
-        share[:, torso] = gone[1][np.minimum(t, len(gone[1]) - 1)]
+        share[:, torso] = gone[1][np.minimum(t, len(gone[1]) - 1), None]
         parts.append(start + share * (end - start))
     return np.concatenate(parts)
 
 
 def arm_way(start: Array, end: Array, free: Free, rounds: int = ROUNDS) -> Array | None:
-    """Configurations (P, 15) from ``start`` to ``end`` (15,) with clear straight motions between them.
+    """Configurations (P, J) from ``start`` to ``end`` (15,) with clear straight motions between them.
 
     Only the arm and the torso of the two differ. None when ``rounds`` of RRT-Connect do not find any.
     """
@@ -244,7 +256,7 @@ def arm_way(start: Array, end: Array, free: Free, rounds: int = ROUNDS) -> Array
     util.RNG.setSeed(_SEED)
     info: Any = _space(start, end, free)
     problem: Any = base.ProblemDefinition(info)
-    problem.setStartAndGoalStates(_state(info, start), _state(info, end))
+    problem.setStartAndGoalStates(_state(free.body, info, start), _state(free.body, info, end))
     planner = geometric.RRTConnect(info)
     planner.setRange(REACH)
     planner.setProblemDefinition(problem)
@@ -254,7 +266,9 @@ def arm_way(start: Array, end: Array, free: Free, rounds: int = ROUNDS) -> Array
     if not problem.hasExactSolution():
         return None
     path = problem.getSolutionPath()
-    between = [_joints(path.getState(i), start) for i in range(1, path.getStateCount() - 1)]
+    between = [
+        _joints(free.body, path.getState(i), start) for i in range(1, path.getStateCount() - 1)
+    ]
     return _shortened(np.array([start, *between, end]), free)
 
 
@@ -266,12 +280,13 @@ def _space(start: Array, end: Array, free: Free) -> Any:
         """Looks at all of an edge at once."""
 
         def checkMotion(self, s1: Any, s2: Any, *_: Any) -> bool:
-            return free.edge(_joints(s1, start), _joints(s2, start))
+            return free.edge(_joints(free.body, s1, start), _joints(free.body, s2, start))
 
-    dofs = _dofs()
-    robot = motion.chain()
-    low = np.maximum(np.minimum(start, end) - np.pi, robot.lower)[dofs] / _scale()
-    high = np.minimum(np.maximum(start, end) + np.pi, robot.upper)[dofs] / _scale()
+    robot = free.body.chain
+    dofs = ik.columns(robot)
+    scale = _scale(free.body)
+    low = np.maximum(np.minimum(start, end) - np.pi, robot.lower)[dofs] / scale
+    high = np.minimum(np.maximum(start, end) + np.pi, robot.upper)[dofs] / scale
     space = base.RealVectorStateSpace(len(dofs))
     bounds = base.RealVectorBounds(len(dofs))
     for i in range(len(dofs)):
@@ -280,25 +295,25 @@ def _space(start: Array, end: Array, free: Free) -> Any:
     space.setBounds(bounds)
     info = base.SpaceInformation(space)
     info.setStateValidityChecker(
-        lambda state: bool(free.spare(_joints(state, start)[None])[0] >= 0.0)
+        lambda state: bool(free.spare(_joints(free.body, state, start)[None])[0] >= 0.0)
     )
     info.setMotionValidator(Edges(info))
     info.setup()
     return info
 
 
-def _joints(state: Any, like: Array) -> Array:
+def _joints(robot: Robot, state: Any, like: Array) -> Array:
     """The configuration (15,) of a state of OMPL, ``like`` (15,) but for arm and torso."""
     q = like.copy()
-    dofs = _dofs()
-    q[dofs] = _scale() * [state[i] for i in range(len(dofs))]
+    dofs = ik.columns(robot.chain)
+    q[dofs] = _scale(robot) * [state[i] for i in range(len(dofs))]
     return q
 
 
-def _state(info: Any, q: Array) -> Any:
+def _state(robot: Robot, info: Any, q: Array) -> Any:
     """The state of OMPL for a configuration (15,), inside its bounds."""
     state = info.allocState()
-    for i, value in enumerate(q[_dofs()] / _scale()):
+    for i, value in enumerate(q[ik.columns(robot.chain)] / _scale(robot)):
         state[i] = float(value)
     info.enforceBounds(state)
     return state
@@ -319,13 +334,13 @@ def _shortened(way: Array, free: Free) -> Array:
 def _legs(
     start: Array, end: Array, postures: Array, here: Free, there: Free
 ) -> list[tuple[Array, Array]]:
-    """Ways of the arm from ``start`` (15,) to one of postures (V, 15), quickest first, and from there to ``end``."""
+    """Ways of the arm from ``start`` (15,) to one of postures (V, J), quickest first, and from there to ``end``."""
     if not len(postures):
         return []
     before = postures.copy()
     after = postures.copy()
-    before[:, :3] = start[:3]
-    after[:, :3] = end[:3]
+    before[:, BASE] = start[BASE]
+    after[:, BASE] = end[BASE]
     out = here.likely(start, before)
     back = there.likely(end, after)
     found = []
@@ -354,23 +369,31 @@ def _leg(start: Array, end: Array, free: Free) -> Array | None:
     return np.stack([start, end]) if free.edge(start, end) else None
 
 
-def _postures(start: Array, end: Array) -> Array:
-    """Postures (V, 15) of the arm, those first that take the least time from ``start`` and on to ``end`` (15,)."""
-    drawn = _library().copy()
-    drawn[:, 4:] = np.where(np.isin(np.arange(4, 15), _dofs()), drawn[:, 4:], start[4:])
-    drawn = np.concatenate([ik.unwind(motion.chain(), drawn, start), start[None], end[None]])
-    drawn[:, 13:] = start[13:]
-    steps = [ik.travel_steps(motion.chain(), q, drawn, _dofs()) for q in (start, end)]
+def _postures(robot: Robot, start: Array, end: Array) -> Array:
+    """Postures (V, J) of the arm, those first that take the least time from ``start`` and on to ``end`` (15,)."""
+    dofs = ik.columns(robot.chain)
+    others = np.setdiff1d(np.arange(BASE.stop, len(start)), dofs)
+    drawn = _library(robot).copy()
+    drawn[:, others] = start[others]
+    drawn = np.concatenate([ik.unwind(robot.chain, drawn, start), start[None], end[None]])
+    fingers = robot.columns.fingers
+    drawn[:, fingers] = start[fingers]
+    steps = [ik.travel_steps(robot.chain, q, drawn, dofs) for q in (start, end)]
     return drawn[np.argsort(steps[0] + steps[1], kind="stable")]
 
 
-@lru_cache(maxsize=1)
-def _library() -> Array:
-    """Postures (V, 15) around the one at rest that keep clear of the trunk."""
+@lru_cache(maxsize=8)
+def _library(robot: Robot) -> Array:
+    """Postures (V, J) around the one at rest that keep clear of the trunk."""
     drawn = ik.random_seeds(
-        motion.chain(), REST_QPOS, _dofs(), 4 * POSTURES, np.random.default_rng(_SEED), 1.0
+        robot.chain,
+        robot.rest,
+        ik.columns(robot.chain),
+        4 * POSTURES,
+        np.random.default_rng(_SEED),
+        1.0,
     )
-    return drawn[motion.spheres().self_clearance(drawn) > 2 * OWN_ROOM][:POSTURES]
+    return drawn[motion.spheres(robot).self_clearance(drawn) > 2 * OWN_ROOM][:POSTURES]
 
 
 def _clear_drives(postures: Array, poses: Array, free: Free) -> Array:
@@ -380,7 +403,7 @@ def _clear_drives(postures: Array, poses: Array, free: Free) -> Array:
         rows = np.arange(start, min(start + 2 * LEGS, len(postures)))
         for pose in poses[np.unique(np.linspace(0, len(poses) - 1, _PLACES).astype(int))]:
             q = postures[rows]
-            q[:, :3] = pose
+            q[:, BASE] = pose
             rows = rows[free.robot.clearance(q, free.boxes) >= free.drive]
         found += list(rows)
         if len(found) >= LEGS:
@@ -388,17 +411,16 @@ def _clear_drives(postures: Array, poses: Array, free: Free) -> Array:
     return np.array(found[:LEGS], np.int64)
 
 
-def _length(way: Array) -> float:
-    """Control steps that the arm needs along configurations (P, 15)."""
-    return float(np.max(np.abs(np.diff(way, axis=0))[:, _dofs()] / _scale(), axis=1).sum())
+def _length(robot: Robot, way: Array) -> float:
+    """Control steps that the arm needs along configurations (P, J)."""
+    return float(
+        np.max(
+            np.abs(np.diff(way, axis=0))[:, ik.columns(robot.chain)] / _scale(robot), axis=1
+        ).sum()
+    )
 
 
-@lru_cache(maxsize=1)
-def _dofs() -> Array:
-    return ik.columns(motion.chain())
-
-
-@lru_cache(maxsize=1)
-def _scale() -> Array:
-    """Motion (8,) of arm and torso in one control step."""
-    return ik.step_limits(motion.chain())[_dofs()]
+@lru_cache(maxsize=8)
+def _scale(robot: Robot) -> Array:
+    """Motion (D,) of arm and torso in one control step."""
+    return ik.step_limits(robot.chain)[ik.columns(robot.chain)]

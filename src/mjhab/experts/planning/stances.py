@@ -2,7 +2,7 @@
 
 Everything here lives in the furniture's own frame ("plan frame"): origin on the floor below the link's origin at joint
 0, +x outward. Furniture is the same in every home, so that what a search finds is kept; a home only decides which of
-the stances have free floor. Letters: N stances, K way points, Q robot columns (FETCH_JOINTS order).
+the stances have free floor. Letters: N stances, K way points, Q joint columns.
 """
 
 from __future__ import annotations
@@ -19,9 +19,11 @@ import numpy as np
 from mjhab.core.boxes import Boxes
 from mjhab.core.cache import cache_dir, write_atomic
 from mjhab.core.code_digest import code_digest
-from mjhab.envs.parts.world_view import REST_QPOS, JointedLink, WorldView
+from mjhab.core.joints import BASE, BASE_XY, BASE_YAW
+from mjhab.envs.parts.world_view import JointedLink, WorldView
 from mjhab.experts.arm import ik, motion
-from mjhab.robots.kinematics import wrap
+from mjhab.robots.kinematics import Chain, wrap
+from mjhab.robots.robot import Robot
 
 Array = np.ndarray
 SELF_MARGIN = 0.02
@@ -82,30 +84,35 @@ class Frame:
     def base(self, q: Array) -> Array:
         """Configurations (..., Q) or base poses (..., 3) with the base columns moved to the world."""
         return np.concatenate(
-            [self.point(q[..., :2]), wrap(q[..., 2:3] + self.yaw), q[..., 3:]], axis=-1
+            [self.point(q[..., BASE_XY]), wrap(q[..., [BASE_YAW]] + self.yaw), q[..., BASE.stop :]],
+            axis=-1,
         )
 
 
-_FOUND: dict[tuple[Hashable, str], Stances] = {}
+_FOUND: dict[tuple[str, Hashable, str], Stances] = {}
 
 
-def cached(link: JointedLink, job: str, search: Callable[[JointedLink], Stances]) -> Stances:
+def cached(
+    robot: Robot, link: JointedLink, job: str, search: Callable[[Robot, JointedLink], Stances]
+) -> Stances:
     """The stances of a job on a link, searched for on first use with the link in its plan frame, and kept on disk."""
-    key = (link.spec, job)
+    key = (robot.name, link.spec, job)
     if key not in _FOUND:
         plain = JointedLink(link.id, link.spec, np.array([0.0, 0.0, link.origin[2]]), np.eye(3))
-        path = cache_dir() / "stances" / f"{_digest(plain, job)}.npz"
+        path = cache_dir() / "stances" / f"{_digest(robot, plain, job)}.npz"
         found = _read(path)
         if found is None:
-            found = search(plain)
+            found = search(robot, plain)
             _write(path, found)
         _FOUND[key] = found
     return _FOUND[key]
 
 
-def _digest(link: JointedLink, job: str) -> str:
-    """Hash of what the stances depend on: the link, the job, the code of the search and its arithmetic."""
+def _digest(robot: Robot, link: JointedLink, job: str) -> str:
+    """Hash of what the stances depend on: robot, link and job, the code of the search and its arithmetic."""
     digest = hashlib.sha256(code_digest("core", "robots", "experts") + np.__version__.encode())
+    digest.update(robot.digest)
+    digest.update(repr((robot.reach, robot.arm_links)).encode())
     digest.update(repr((link.spec, float(link.origin[2]), job)).encode())
     return digest.hexdigest()[:24]
 
@@ -134,15 +141,16 @@ def hand(forward: Array, closing: Array) -> Array:
     return np.stack([x, y, np.cross(x, y)], axis=-1)
 
 
-def seeds(count: int, number: int = 0) -> Array:
+def seeds(robot: Robot, count: int, number: int = 0) -> Array:
     """Start configurations (count, Q) around the rest pose, the same on every call."""
-    robot = motion.chain()
-    rest = REST_QPOS.copy()
-    rest[:3] = 0.0
-    return ik.random_seeds(robot, rest, ik.columns(robot), count, np.random.default_rng(number))
+    rest = robot.rest.copy()
+    rest[BASE] = 0.0
+    dofs = ik.columns(robot.chain)
+    return ik.random_seeds(robot.chain, rest, dofs, count, np.random.default_rng(number))
 
 
 def track(
+    body: Robot,
     base: Array,
     pos: Array,
     rot: Array,
@@ -156,6 +164,7 @@ def track(
     """Arm motions along way points while the base moves, for many base paths at once.
 
     Args:
+        body: the robot.
         base: (N, K, 3) base poses in the plan frame.
         pos, rot: (N, K, 3), (N, K, 3, 3) hand poses.
         boxes: obstacles at every way point.
@@ -167,26 +176,26 @@ def track(
     Returns:
         The stances that reach every way point, for each base path the one the arm gets to soonest from rest.
     """
-    robot = motion.chain()
+    robot = body.chain
     dofs = ik.columns(robot)
-    rest = REST_QPOS.copy()
-    start = np.repeat(seeds(tries)[None], len(base), axis=0)
-    start[:, :, :3] = base[:, None, 0]
+    rest = body.rest.copy()
+    start = np.repeat(seeds(body, tries)[None], len(base), axis=0)
+    start[:, :, BASE] = base[:, None, 0]
     found = ik.solve(robot, pos[:, 0], rot[:, 0], start, dofs, rest=rest, mode=mode)
     path = [ik.unwind(robot, found.q, rest).reshape(-1, robot.size)]
     row = np.repeat(np.arange(len(base)), tries)
-    path[0][:, :3] = base[row, 0]
+    path[0][:, BASE] = base[row, 0]
     ok = found.ok.reshape(-1)
     path = [path[0][ok]]
     row = row[ok]
     travel = ik.travel_steps(robot, rest, path[0], dofs)
     path, row = _drop(path, row, _quickest(row, travel, FOLLOWED))
-    path, row = _drop(path, row, _clear(path[0], boxes[0] if boxes else None, margin))
+    path, row = _drop(path, row, _clear(body, path[0], boxes[0] if boxes else None, margin))
     for k in range(1, base.shape[1]):
         if not len(row):
             break
         now = path[-1].copy()
-        now[:, :3] = base[row, k]
+        now[:, BASE] = base[row, k]
         step = ik.solve(
             robot,
             pos[row, k],
@@ -197,9 +206,11 @@ def track(
             mode=mode,
             options=ik.Options(iterations=15, rest_gain=0.0),
         )
-        near = np.abs(step.q[:, 0, 3:] - now[:, 3:]).max(axis=1, initial=0.0) < jump
+        near = (
+            np.abs(step.q[:, 0, BASE.stop :] - now[:, BASE.stop :]).max(axis=1, initial=0.0) < jump
+        )
         path, row = _drop([*path, step.q[:, 0]], row, step.ok[:, 0] & near)
-        path, row = _drop(path, row, _clear(path[-1], boxes[k] if boxes else None, margin))
+        path, row = _drop(path, row, _clear(body, path[-1], boxes[k] if boxes else None, margin))
     if not len(row):
         return Stances(np.zeros((0, base.shape[1], robot.size)), np.zeros(0), np.zeros(0))
     travel = ik.travel_steps(robot, rest, path[0], dofs)
@@ -223,32 +234,19 @@ def _drop(path: list[Array], row: Array, keep: Array) -> tuple[list[Array], Arra
     return [p[keep] for p in path], row[keep]
 
 
-_ARM_LINKS = (
-    "shoulder_pan_link",
-    "shoulder_lift_link",
-    "upperarm_roll_link",
-    "elbow_flex_link",
-    "forearm_roll_link",
-    "wrist_flex_link",
-    "torso_lift_link",
-    "head_pan_link",
-    "head_tilt_link",
-)
-
-
-def _clear(q: Array, boxes: Boxes | None, margin: float) -> Array:
+def _clear(robot: Robot, q: Array, boxes: Boxes | None, margin: float) -> Array:
     """Which configurations (N, Q) keep the arm clear of the trunk, and arm and trunk of the boxes."""
     if not len(q):
         return np.zeros(0, dtype=bool)
-    keep = motion.spheres().self_clearance(q) > SELF_MARGIN
+    whole = motion.spheres(robot)
+    keep = whole.self_clearance(q) > SELF_MARGIN
     if boxes is not None:
-        keep &= motion.spheres().only(_ARM_LINKS).clearance(q, boxes) > margin
+        keep &= whole.only(robot.arm_links).clearance(q, boxes) > margin
     return keep
 
 
-def motion_steps(q: Array) -> Array:
+def motion_steps(robot: Chain, q: Array) -> Array:
     """Control steps (N,) the arm needs along the way points of configurations (N, K, Q)."""
-    robot = motion.chain()
     dofs = ik.columns(robot)
     share = np.abs(np.diff(q, axis=1))[..., dofs] / ik.step_limits(robot)[dofs]
     return share.max(axis=2).sum(axis=1)
@@ -266,12 +264,19 @@ def rank(
         Configurations (M, K, Q) with the base columns in the world, and the estimated steps (M,) to get there.
     """
     places = (
-        stances.q[:, :, :2] if also is None else np.concatenate([stances.q[:, :, :2], also], axis=1)
+        stances.q[:, :, BASE_XY]
+        if also is None
+        else np.concatenate([stances.q[:, :, BASE_XY], also], axis=1)
     )
     room = motion.planner(view.home).clearance_at(frame.point(places)).min(axis=1, initial=np.inf)
     first = frame.base(stances.q[:, 0])
-    steps = np.maximum(stances.steps, drive_steps(view.q[:3], first[:, :3]))
-    cost = steps + motion_steps(stances.q) + stances.back + 300.0 * np.maximum(COMFORT - room, 0.0)
+    steps = np.maximum(stances.steps, drive_steps(view.base, first[:, BASE]))
+    cost = (
+        steps
+        + motion_steps(view.robot.chain, stances.q)
+        + stances.back
+        + 300.0 * np.maximum(COMFORT - room, 0.0)
+    )
     order = np.argsort(cost, kind="stable")
     order = order[room[order] >= FLOOR_MARGIN]
     return frame.base(stances.q[order]), cost[order]

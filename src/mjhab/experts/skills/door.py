@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from mjhab.core.boxes import Boxes
+from mjhab.core.joints import BASE, BASE_YAW
 from mjhab.envs.parts.world_view import JointedLink, WorldView
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.base.navigation import CONTROL_DT
@@ -16,6 +17,7 @@ from mjhab.experts.planning.stances import Frame, Stances
 from mjhab.experts.skills import door_stances
 from mjhab.experts.skills.door_stances import HALF_OPEN, OPEN_TO, PRESS_AHEAD
 from mjhab.experts.style import style_of
+from mjhab.robots.robot import Robot
 from mjhab.tasks.style import PUSH
 
 Array = np.ndarray
@@ -74,12 +76,12 @@ def open_door(view: WorldView, link: JointedLink) -> Motion:
     """Grasp the bar, follow its arc, let go and return to rest; anew after a slip."""
     enough = ENOUGH * link.range[1]
     while view.steps_left > 40 and view.link_q(link.id) < enough:
-        found = stances.cached(link, "pull", door_stances.pull_stances)
+        found = stances.cached(view.robot, link, "pull", door_stances.pull_stances)
         path = _reachable(view, link, found, door_stances.pull_angles(link))
         if path is None:
             return False
         around, loose = (
-            motion.gripper_at(link.handle.thickness + room) for room in (AROUND, LOOSE)
+            motion.gripper_at(view.robot, link.handle.thickness + room) for room in (AROUND, LOOSE)
         )
         yield from approach.go(view, path.route, around)
         rot = path.hand_at(path.angles[1])[1]
@@ -104,7 +106,10 @@ def close_door(view: WorldView, link: JointedLink) -> Motion:
         search = door_stances.push_half_open if half else door_stances.push_open
         angles = door_stances.push_angles(link, half)
         found, angles = _from_angle(
-            stances.cached(link, search.__name__, search), angles, min(start, angles[0])
+            view.robot,
+            stances.cached(view.robot, link, search.__name__, search),
+            angles,
+            min(start, angles[0]),
         )
         path = _reachable(view, link, found, angles, BEHIND)
         if path is None:
@@ -125,16 +130,17 @@ def close_door(view: WorldView, link: JointedLink) -> Motion:
 
 @dataclass(frozen=True, eq=False)
 class ArcPath:
-    """Configurations ``q`` (K, 15) for door angles ``angles`` (K,) (monotonic), and the way to the first one.
+    """Configurations ``q`` (K, J) of a robot for door angles ``angles`` (K,) (monotonic), and the way to the first one.
 
     The hand's pose comes from the configurations, relative to where the base should be: no frames to keep."""
 
+    robot: Robot
     q: Array
     angles: Array
     route: approach.Route
 
     def at(self, angle: float) -> Array:
-        """Configuration (15,) at a door angle."""
+        """Configuration (J,) at a door angle."""
         angles, q = self._rising
         if angle <= angles[0]:
             return q[0].copy()
@@ -145,13 +151,13 @@ class ArcPath:
 
     @cached_property
     def _rising(self) -> tuple[Array, Array]:
-        """Angles (K,) and configurations (K, 15) in rising order of the angles."""
+        """Angles (K,) and configurations (K, J) in rising order of the angles."""
         order = np.argsort(self.angles)
         return self.angles[order], self.q[order]
 
     def hand_at(self, angle: float) -> tuple[Array, Array]:
         """Hand position (3,) and rotation (3, 3) in the world at a door angle."""
-        pos, rot = motion.chain().tip_pose(self.at(angle))
+        pos, rot = self.robot.chain.tip_pose(self.at(angle))
         return pos[0], rot[0]
 
     @property
@@ -231,7 +237,7 @@ def _coasts(speed: float) -> float:
 def _behind_edge(view: WorldView, path: ArcPath) -> Motion:
     """Bring the hand to the beginning of a path straight along its axis, and forward only as far as it is in line: with
     the base not quite in place it would meet the door's edge."""
-    robot = motion.chain()
+    robot = view.robot.chain
     wish = path.q[0]
     pos, rot = path.hand_at(float(path.angles[0]))
     for _ in range(ENTER_STEPS):
@@ -271,7 +277,7 @@ def _pace(path: ArcPath, angle: float, way: float) -> float:
     """Door motion per control step that the arm's joints can follow [rad]."""
     here = path.at(angle)
     there = path.at(angle + way * 0.1)
-    most = float(np.abs(there - here)[list(motion.ARM_JOINTS)].max())
+    most = float(np.abs(there - here)[list(path.robot.arm_columns)].max())
     return min(SWING, 0.1 * (PULL_RATE if way > 0 else JOINT_RATE) / max(most, 1e-6))
 
 
@@ -279,10 +285,12 @@ def _arc_action(view: WorldView, path: ArcPath, aim: float, step: float, gripper
     wish = path.at(aim)
     pos, rot = path.hand_at(aim)
     q = view.q
-    ahead = (path.at(aim + step)[:2] - wish[:2]) @ np.array([np.cos(q[2]), np.sin(q[2])])
+    ahead = (path.at(aim + step)[:2] - wish[:2]) @ np.array(
+        [np.cos(q[BASE_YAW]), np.sin(q[BASE_YAW])]
+    )
     v, w = approach.base_towards(view, wish, float(ahead) / CONTROL_DT)
     base_next = approach.next_base(view, v, w)
-    robot = motion.chain()
+    robot = view.robot.chain
     here, _ = motion.tcp(view)
     lead = pos - here
     pos = here + lead * min(1.0, 0.08 / max(float(np.linalg.norm(lead)), 1e-9))
@@ -307,12 +315,14 @@ def _reachable(
     goals, _ = stances.rank(view, Frame.of(link), found)
     walls = Boxes.join([view.home.boxes, view.link_boxes((link.id,))])
     goals = goals[_distinct(goals[:, 0, :3])[:STANCES_TRIED]]
-    free = np.array([g for g in goals if motion.spheres().clearance(g, walls).min() > 0.01])
+    free = np.array(
+        [g for g in goals if motion.spheres(view.robot).clearance(g, walls).min() > 0.01]
+    )
     if not len(free):
         return None
-    before = _withdrawn(free[:, 0], back) if back > 0 else None
+    before = _withdrawn(view.robot, free[:, 0], back) if back > 0 else None
     best = approach.best_route(view, free[:, 0], before, link if back > 0 else None)
-    return None if best is None else ArcPath(free[best[0]], angles, best[1])
+    return None if best is None else ArcPath(view.robot, free[best[0]], angles, best[1])
 
 
 def _distinct(base: Array) -> Array:
@@ -321,9 +331,9 @@ def _distinct(base: Array) -> Array:
     return np.sort(first)
 
 
-def _withdrawn(q: Array, back: float) -> Array:
+def _withdrawn(body: Robot, q: Array, back: float) -> Array:
     """Configurations (M, Q) with the hand drawn back along its own axis, where the arm can do that."""
-    robot = motion.chain()
+    robot = body.chain
     pos, rot = robot.tip_pose(q)
     found = ik.solve(
         robot,
@@ -334,23 +344,23 @@ def _withdrawn(q: Array, back: float) -> Array:
         rest=q[0],
         options=ik.Options(iterations=25, rest_gain=0.0),
     )
-    near = np.abs(found.q[:, 0, 3:] - q[:, 3:]).max(axis=1) < 1.2
+    near = np.abs(found.q[:, 0, BASE.stop :] - q[:, BASE.stop :]).max(axis=1) < 1.2
     good = (
         found.ok[:, 0]
         & near
-        & (motion.spheres().self_clearance(found.q[:, 0]) > stances.SELF_MARGIN)
+        & (motion.spheres(body).self_clearance(found.q[:, 0]) > stances.SELF_MARGIN)
     )
     return np.where(good[:, None], found.q[:, 0], q)
 
 
-def _from_angle(found: Stances, angles: Array, start: float) -> tuple[Stances, Array]:
+def _from_angle(body: Robot, found: Stances, angles: Array, start: float) -> tuple[Stances, Array]:
     """What is left of the motions when they begin at the door angle ``start``, and the angles of what is left."""
     k = int(np.searchsorted(-angles, -start))
     if k == 0:
         return found, angles
     share = (angles[k - 1] - start) / (angles[k - 1] - angles[k])
     first = (1.0 - share) * found.q[:, k - 1] + share * found.q[:, k]
-    robot = motion.chain()
-    steps = ik.travel_steps(robot, stances.REST_QPOS, first, ik.columns(robot))
+    robot = body.chain
+    steps = ik.travel_steps(robot, body.rest, first, ik.columns(robot))
     q = np.concatenate([first[:, None], found.q[:, k:]], axis=1)
     return Stances(q, steps, found.back), np.append(start, angles[k:])

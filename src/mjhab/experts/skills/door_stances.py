@@ -12,6 +12,7 @@ from mjhab.envs.parts.world_view import JointedLink
 from mjhab.experts.arm import ik
 from mjhab.experts.planning import stances
 from mjhab.experts.planning.stances import Stances
+from mjhab.robots.robot import Robot
 
 Array = np.ndarray
 PRE_GRASP = 0.11
@@ -80,12 +81,14 @@ def _line(
     return np.array(out)
 
 
-def _in_reach(base: Array, hands: Array) -> Array:
+def _in_reach(robot: Robot, base: Array, hands: Array) -> Array:
     """Base paths (N, K, 3) whose shoulder is at a workable distance of the hands (K, 3) all the way."""
     yaw = base[..., 2]
-    shoulder = base[..., :2] + 0.15 * np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
+    shoulder_ahead = robot.reach.ahead + robot.reach.out
+    nearest, farthest = robot.reach.level
+    shoulder = base[..., :2] + shoulder_ahead * np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
     far = np.linalg.norm(shoulder - hands[None, :, :2], axis=-1)
-    return (far.max(axis=1) < 0.95) & (far.min(axis=1) > 0.35)
+    return (far.max(axis=1) < farthest) & (far.min(axis=1) > nearest)
 
 
 def _panel(link: JointedLink) -> tuple[Array, Array]:
@@ -114,6 +117,7 @@ def _level(yaw: Array) -> Array:
 
 
 def _search(
+    robot: Robot,
     link: JointedLink,
     base: Array,
     pos: Array,
@@ -122,9 +126,10 @@ def _search(
     tries: int,
     mode: ik.Mode = "pose",
 ) -> Stances:
-    base = base[_in_reach(base, pos)]
+    base = base[_in_reach(robot, base, pos)]
     n = len(base)
     return stances.track(
+        robot,
         base,
         np.broadcast_to(pos, (n, *pos.shape)),
         np.broadcast_to(rot, (n, *rot.shape)),
@@ -134,7 +139,7 @@ def _search(
     )
 
 
-def pull_stances(link: JointedLink) -> Stances:
+def pull_stances(robot: Robot, link: JointedLink) -> Stances:
     """Hand before the bar, on it, and along its arc. The hand turns less than the door: the pads let the bar turn."""
     angles = pull_angles(link)
     grip = np.array([link.handle_pose(max(a, 0.0))[0] for a in angles])
@@ -150,21 +155,21 @@ def pull_stances(link: JointedLink) -> Stances:
         yaw = m * (first + (last - first) * share)
         pos = grip.copy()
         pos[0] += PRE_GRASP * np.array([np.cos(yaw[0]), np.sin(yaw[0]), 0.0])
-        found.append(_search(link, base, pos, _level(yaw), angles, tries=5))
+        found.append(_search(robot, link, base, pos, _level(yaw), angles, tries=5))
     return Stances.join(found)
 
 
-def push_open(link: JointedLink) -> Stances:
+def push_open(robot: Robot, link: JointedLink) -> Stances:
     """Ways to push a door shut from wherever it stands."""
-    return _push_stances(link, half=False)
+    return _push_stances(robot, link, half=False)
 
 
-def push_half_open(link: JointedLink) -> Stances:
+def push_half_open(robot: Robot, link: JointedLink) -> Stances:
     """Ways to push a door shut that is not wide open."""
-    return _push_stances(link, half=True)
+    return _push_stances(robot, link, half=True)
 
 
-def _push_stances(link: JointedLink, half: bool) -> Stances:
+def _push_stances(robot: Robot, link: JointedLink, half: bool) -> Stances:
     """The closed fingers on the outside of the door above its bar, from behind the open door to the closed one."""
     angles = push_angles(link, half)
     share = np.clip(1.0 - angles / angles[0], 0.0, 1.0)
@@ -189,7 +194,14 @@ def _push_stances(link: JointedLink, half: bool) -> Stances:
         tries = 5 if half else 8
         found.append(
             _search(
-                link, base, np.array(pos), _level(m * yaw), angles, tries=tries, mode="approach"
+                robot,
+                link,
+                base,
+                np.array(pos),
+                _level(m * yaw),
+                angles,
+                tries=tries,
+                mode="approach",
             )
         )
     return Stances.join(found)

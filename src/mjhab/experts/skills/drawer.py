@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from mjhab.core.joints import BASE_XY
 from mjhab.envs.parts.world_view import JointedLink, WorldView
 from mjhab.experts.arm import motion
 from mjhab.experts.planning import approach, stances
 from mjhab.experts.planning.stances import Stances
 from mjhab.experts.style import style_of
+from mjhab.robots.robot import Robot
 from mjhab.tasks.style import GRASP
 
 Array = np.ndarray
@@ -51,11 +53,11 @@ def close_drawer(view: WorldView, link: JointedLink) -> Motion:
             if (yield from _take_handle(view, link, 0.0)):
                 yield from _drive_link(view, link, goal, HELD_SPEED)
             # Opened wide, fingers in a recess would pull the drawer along.
-            yield from approach.let_go(view, BACK_OFF, gripper=_around(link))
+            yield from approach.let_go(view, BACK_OFF, gripper=_around(view.robot, link))
             continue
-        found = stances.cached(link, "push", _push_stances)
+        found = stances.cached(view.robot, link, "push", _push_stances)
         moved = found.shifted(view.link_q(link.id))
-        goals, _ = stances.rank(view, stances.Frame.of(link), moved, found.q[:, :1, :2])
+        goals, _ = stances.rank(view, stances.Frame.of(link), moved, found.q[:, :1, BASE_XY])
         best = approach.best_route(view, goals[:, 0])
         if best is None:
             return False
@@ -67,24 +69,24 @@ def close_drawer(view: WorldView, link: JointedLink) -> Motion:
 
 def _take_handle(view: WorldView, link: JointedLink, goal: float) -> Motion:
     """Hold the bar from where the base can move with it until the drawer is open by ``goal`` [m]."""
-    found = stances.cached(link, "pull", _pull_stances)
+    found = stances.cached(view.robot, link, "pull", _pull_stances)
     q = view.link_q(link.id)
-    end = found.q[:, :1, :2] + np.array([goal, 0.0])
+    end = found.q[:, :1, BASE_XY] + np.array([goal, 0.0])
     goals, _ = stances.rank(view, stances.Frame.of(link), found.shifted(q), end)
     best = approach.best_route(view, goals[:, 0])
     if best is None:
         return False
     posture = goals[best[0]]
-    gripper = _around(link)
+    gripper = _around(view.robot, link)
     yield from approach.go(view, best[1], gripper)
-    _, turn = motion.chain().tip_pose(posture[1])
+    _, turn = view.robot.chain.tip_pose(posture[1])
     rot = stances.hand(-link.handle_pose(q)[2], turn[0, :, 1])
     return (yield from approach.take(view, link, rot, posture[1], gripper=gripper))
 
 
-def _around(link: JointedLink) -> float:
+def _around(robot: Robot, link: JointedLink) -> float:
     """Gripper action for a hand that goes around the bar."""
-    return motion.gripper_at(link.handle.thickness + ROOM)
+    return motion.gripper_at(robot, link.handle.thickness + ROOM)
 
 
 def _drive_link(
@@ -97,7 +99,7 @@ def _drive_link(
         press: control steps to go on at the goal, so that the link does not bounce.
     """
     posture = view.q
-    heading = float(view.q[2])
+    heading = float(view.base[2])
     way = -1.0 if speed > 0 else 1.0
     last = view.link_q(link.id)
     still = 0
@@ -124,22 +126,23 @@ def _square(handle: Array, near: Array, side: Array) -> Array:
     return np.stack([x.ravel(), y.ravel(), np.full(x.size, np.pi)], axis=1)
 
 
-def _pull_stances(link: JointedLink) -> Stances:
+def _pull_stances(robot: Robot, link: JointedLink) -> Stances:
     """Before the closed drawer: hand before the handle, then on it, fingers above and below the bar."""
     handle, _, out = link.handle_pose(0.0)
     base = _square(handle, np.arange(0.62, 0.96, 0.04), np.linspace(-0.24, 0.24, 9))
     pos = np.stack([handle + PRE_GRASP * out, handle])
     boxes = [link.boxes(0.0)] * 2
     sides = [stances.hand(-out, np.array([0.0, 0.0, up])) for up in (1.0, -1.0)]
-    return Stances.join([_still(base, pos, rot, boxes) for rot in sides])
+    return Stances.join([_still(robot, base, pos, rot, boxes) for rot in sides])
 
 
-def _push_stances(link: JointedLink) -> Stances:
+def _push_stances(robot: Robot, link: JointedLink) -> Stances:
     """Before the handle of the closed drawer (for an open one everything moves along): the fist before the bar."""
     handle, _, out = link.handle_pose(0.0)
     base = _square(handle, np.arange(0.58, 0.92, 0.04), np.linspace(-0.24, 0.24, 9))
     pos = np.stack([handle + 0.09 * out, handle + 0.04 * out])
     return _still(
+        robot,
         base,
         pos,
         stances.hand(-out, np.array([0.0, 0.0, 1.0])),
@@ -149,11 +152,12 @@ def _push_stances(link: JointedLink) -> Stances:
 
 
 def _still(
-    base: Array, pos: Array, rot: Array, boxes: list, mode: motion.ik.Mode = "pose"
+    robot: Robot, base: Array, pos: Array, rot: Array, boxes: list, mode: motion.ik.Mode = "pose"
 ) -> Stances:
     n = len(base)
     k = len(pos)
     return stances.track(
+        robot,
         np.repeat(base[:, None], k, axis=1),
         np.broadcast_to(pos, (n, k, 3)),
         np.broadcast_to(rot, (n, k, 3, 3)),

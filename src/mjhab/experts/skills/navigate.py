@@ -10,7 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mjhab.envs.parts.world_view import TRUNK_LINKS, WorldView
+from mjhab.core.joints import BASE_X, BASE_XY, BASE_Y, BASE_YAW
+from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts.arm import motion
 from mjhab.experts.arm.motion import Motion
 from mjhab.experts.base.driving import BRISK, GENTLE, Driver, Trip, plan_drive, towards
@@ -157,10 +158,10 @@ def plan_trip(view: WorldView, aim: Aim, posture: Array, held: str, felt: Array)
     for base, less in SLIMMER:
         plan = whole.slimmer(base, less)
         lattice = Lattice(plan)
-        found = lattice.search(view.q[:3], aim.price(lattice, detours(view, aim, lattice.points)))
+        found = lattice.search(view.base, aim.price(lattice, detours(view, aim, lattice.points)))
         if found is not None:
-            legs = _facing(plan, aim, view.q[:3], found[1])
-            return plan_drive(plan, view.q[:3], legs, GENTLE if held else BRISK)
+            legs = _facing(plan, aim, view.base, found[1])
+            return plan_drive(plan, view.base, legs, GENTLE if held else BRISK)
     return None
 
 
@@ -181,15 +182,15 @@ def _drive(
     It ends early when a door or drawer has moved since the trip was planned.
     """
     pressed = 0
-    track = [view.q[:3]]
+    track = [view.base]
     tried = 0
     joints = _joints(view)
     driver = Driver(trip.legs, trip.lookahead, trip.pace, *_speeds(view))
     while driver.leg is not None:
         leg = driver.leg
-        (forward, turn) = driver.step(view.q[:3])
+        (forward, turn) = driver.step(view.base)
         yield motion.action(view, posture, gripper=gripper, drive=(forward, turn))
-        track.append(view.q[:3])
+        track.append(view.base)
         pressed = pressed + 1 if view.link_forces.sum() > BLOCKED_FORCE else 0
         tried = tried + 1 if abs(forward) > 0.05 or abs(turn) > 0.2 else 0
         if pressed >= BLOCKED_STEPS or (tried > STUCK_STEPS and _still(track[-STUCK_STEPS:])):
@@ -203,7 +204,9 @@ def _speeds(view: WorldView) -> tuple[float, float]:
     """Forward speed and yaw rate of the base."""
     q = view.q
     qd = view.qd
-    return float(np.cos(q[2]) * qd[0] + np.sin(q[2]) * qd[1]), float(qd[2])
+    return float(np.cos(q[BASE_YAW]) * qd[BASE_X] + np.sin(q[BASE_YAW]) * qd[BASE_Y]), float(
+        qd[BASE_YAW]
+    )
 
 
 def _still(track: Sequence[Array]) -> bool:
@@ -215,23 +218,27 @@ def _still(track: Sequence[Array]) -> bool:
 def _ahead(view: WorldView, leg: Leg) -> Array:
     """Where something must be that stops the base on a leg: before it, or before the hand."""
     q = view.q
-    ahead = leg.direction * np.array([np.cos(q[2]), np.sin(q[2])])
+    ahead = leg.direction * np.array([np.cos(q[BASE_YAW]), np.sin(q[BASE_YAW])])
     arm_felt = (
         leg.direction > 0
-        and view.link_forces[len(TRUNK_LINKS) :].sum() > 0.5 * view.link_forces.sum()
+        and view.link_forces[list(view.robot.arm_force_rows)].sum() > 0.5 * view.link_forces.sum()
     )
-    at = view.tcp_pose[:2] + 0.15 * ahead if arm_felt else q[:2] + (0.3 + FELT) * ahead
+    at = view.tcp_pose[:2] + 0.15 * ahead if arm_felt else q[BASE_XY] + (0.3 + FELT) * ahead
     return np.array([[*at, FELT]])
 
 
 def _back_off(view: WorldView, posture: Array, gripper: float, trip: Trip) -> Motion:
     """Drive a little way back to where the trip came from."""
     q = view.q
-    gap = np.linalg.norm(trip.poses[:, :2] - q[:2], axis=1)
+    gap = np.linalg.norm(trip.poses[:, :2] - q[BASE_XY], axis=1)
     passed = trip.poses[: int(np.argmin(gap)) + 1] if len(gap) else trip.poses
-    away = passed[np.linalg.norm(passed[:, :2] - q[:2], axis=1) > 0.2]
-    origin = away[-1, :2] if len(away) else q[:2] - 0.2 * np.array([np.cos(q[2]), np.sin(q[2])])
-    ahead = float((origin - q[:2]) @ np.array([np.cos(q[2]), np.sin(q[2])]))
+    away = passed[np.linalg.norm(passed[:, :2] - q[BASE_XY], axis=1) > 0.2]
+    origin = (
+        away[-1, :2]
+        if len(away)
+        else q[BASE_XY] - 0.2 * np.array([np.cos(q[BASE_YAW]), np.sin(q[BASE_YAW])])
+    )
+    ahead = float((origin - q[BASE_XY]) @ np.array([np.cos(q[BASE_YAW]), np.sin(q[BASE_YAW])]))
     speed, _ = _speeds(view)
     for _ in range(14):
         speed = towards(float(np.copysign(0.3, ahead)), speed, trip.pace.rise * CONTROL_DT)
@@ -246,8 +253,10 @@ def _joints(view: WorldView) -> Array:
 
 def _arrived(view: WorldView, aim: Aim) -> bool:
     q = view.q
-    facing = abs(float(wrap(aim.bearing(q[:2]) - q[2]))) <= view.config.nav_bearing - 0.05
-    return bool(facing and aim.allows(q[:2], 0.0))
+    facing = (
+        abs(float(wrap(aim.bearing(q[BASE_XY]) - q[BASE_YAW]))) <= view.config.nav_bearing - 0.05
+    )
+    return bool(facing and aim.allows(q[BASE_XY], 0.0))
 
 
 def _stand(view: WorldView, aim: Aim, posture: Array, gripper: float) -> Motion:

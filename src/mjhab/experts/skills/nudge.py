@@ -16,13 +16,14 @@ import numpy as np
 from mjhab.core.boxes import Boxes, sphere_box_distance
 from mjhab.core.rotations import frame_from_axes, mat_from_quat, quat_from_axis_angle, quat_mul
 from mjhab.envs.parts.world_view import WorldView
-from mjhab.episodes.grasps.candidates import Gripper, ObjectShape
+from mjhab.episodes.grasps.candidates import ObjectShape
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.arm.motion import Motion
 from mjhab.experts.base.route import BLOCKED_FORCE, follow
 from mjhab.experts.planning.carry import drive_in
 from mjhab.experts.planning.reach import ROOMS, HandGoals, Scene, Stance, settle_reach, stances
 from mjhab.robots.kinematics import wrap
+from mjhab.robots.parts import Gripper
 
 Array = np.ndarray
 Graspable = Callable[[Array, float], int]
@@ -50,7 +51,6 @@ INSET = 0.012
 GAP = 0.03
 FLOOR_GAP = 0.008
 """Where to push from the end of the box, where to begin before it, room above the shelf."""
-HAND = Gripper()
 _SPIN = 0.52
 """Lever of the friction below a box that turns, per half diagonal: about its mean distance from the centre."""
 _TIGHTEST = -0.03
@@ -115,7 +115,8 @@ def plan_nudge(
     if shape.kind != "box" or np.abs(mat_from_quat(pose[3:])[2]).max() < UPRIGHT:
         return None
     for push in _pushes(pose, shape, scene, inward, graspable):
-        goals = _goals(push, pose[:2], scene.support_z, 2.0 * (pose[2] - scene.support_z))
+        height = 2.0 * (pose[2] - scene.support_z)
+        goals = _goals(view.robot.gripper, push, pose[:2], scene.support_z, height)
         for room, nearer in ((ROOMS[0], 0.01), (ROOMS[2], 0.02)):
             best: tuple[float, Stance, float] | None = None
             for depth in DEPTHS if len(goals) else ():
@@ -174,7 +175,7 @@ def _pushes(
                         outer,
                         spin,
                         turn + MORE,
-                        _angle(shape, then, inward),
+                        _angle(scene.body.gripper, shape, then, inward),
                         count,
                     )
                 )
@@ -193,21 +194,21 @@ def _touches(shape: ObjectShape, pose: Array, scene: Scene) -> bool:
     return bool(len(boxes) and sphere_box_distance(np.concatenate(points), boxes).min() < 0.004)
 
 
-def _angle(shape: ObjectShape, pose: Array, inward: Array) -> float:
+def _angle(hand: Gripper, shape: ObjectShape, pose: Array, inward: Array) -> float:
     """Angle between the way in and the level axis along which the hand gets around a box at a pose."""
     rot = mat_from_quat(pose[3:])
     i, j = _level(rot)
-    along = [rot[:2, b] @ inward for a, b in ((i, j), (j, i)) if 2 * shape.half[a] < HAND.opening]
+    along = [rot[:2, b] @ inward for a, b in ((i, j), (j, i)) if 2 * shape.half[a] < hand.opening]
     return float(np.arccos(np.clip(np.abs(along).max(initial=0.0), 0.0, 1.0)))
 
 
-def _corner(rot: Array, inward: Array) -> Array:
+def _corner(hand: Gripper, rot: Array, inward: Array) -> Array:
     """The fingertip corner (3,) of the open hand that is furthest in, relative to the tool centre."""
     side = np.sign(rot[:2, 1] @ inward)
-    return HAND.finger[0] * rot[:, 0] + (HAND.opening / 2 + HAND.thickness) * side * rot[:, 1]
+    return hand.finger[0] * rot[:, 0] + (hand.opening / 2 + hand.thickness) * side * rot[:, 1]
 
 
-def _goals(push: _Push, centre: Array, floor: float, height: float) -> HandGoals:
+def _goals(hand: Gripper, push: _Push, centre: Array, floor: float, height: float) -> HandGoals:
     """Hand poses at the end of a push, on a shelf at ``floor``, of a box of some ``height``."""
     most = min(push.turn + 0.25, 1.2)
     way = (push.radius * np.sin(most) + 0.02) * push.inward
@@ -217,10 +218,10 @@ def _goals(push: _Push, centre: Array, floor: float, height: float) -> HandGoals
     score = []
     for tilt in TILTS:
         level = np.sqrt(1.0 - tilt**2)
-        fingers = -HAND.finger[0] * tilt - HAND.finger[1] * level
-        palm = -HAND.palm_x[1] * tilt - HAND.palm_half[1] * level
+        fingers = -hand.finger[0] * tilt - hand.finger[1] * level
+        palm = -hand.palm_x[1] * tilt - hand.palm_half[1] * level
         z = floor + FLOOR_GAP - min(fingers, palm)
-        share = (z - HAND.finger[0] * tilt - floor) / height
+        share = (z - hand.finger[0] * tilt - floor) / height
         for less in LESS if share < 0.9 else ():
             yaw = float(np.clip(push.after - less, 0.15, 0.9))
             approach = np.array(
@@ -229,11 +230,11 @@ def _goals(push: _Push, centre: Array, floor: float, height: float) -> HandGoals
             aside = np.array([*(np.sin(yaw) * push.inward - np.cos(yaw) * push.outer), 0.0])
             for flip in (1.0, -1.0):
                 rot.append(frame_from_axes(approach, flip * aside))
-                pos.append([*(centre + push.end - _corner(rot[-1], push.inward)[:2]), z])
+                pos.append([*(centre + push.end - _corner(hand, rot[-1], push.inward)[:2]), z])
                 score.append(-2.0 * max(share - 0.2, 0.0) - 0.5 * less)
     at = np.array(pos).reshape(-1, 3)
     ahead = np.array([*push.inward, 0.0])
-    opening = np.full(len(at), HAND.opening)
+    opening = np.full(len(at), hand.opening)
     return HandGoals(
         at + np.array([*way, 0.0]),
         np.array(rot).reshape(-1, 3, 3),
@@ -275,8 +276,8 @@ def _push(
     start = mat_from_quat(view.object_pose(obj)[3:])
     half = view.object_type(obj).half
     front, along = sorted(_level(start), key=lambda k: -abs(float(start[:2, k] @ plan.inward)))
-    robot = motion.chain()
-    corner = _corner(rot, plan.inward)[:2]
+    robot = view.robot.chain
+    corner = _corner(view.robot.gripper, rot, plan.inward)[:2]
     turn = 0.0
     to_front = -np.sign(start[:2, front] @ plan.inward) * half[front]
     to_end = np.sign(start[:2, along] @ plan.outer) * (half[along] - INSET)

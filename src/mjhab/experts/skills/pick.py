@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from mjhab.core.boxes import Boxes
+from mjhab.core.joints import BASE, BASE_XY
 from mjhab.core.rotations import mat_from_quat
 from mjhab.envs.parts.world_view import WorldView
-from mjhab.episodes.grasps.candidates import Grasps, Gripper, ObjectShape, Options, grasp_candidates
+from mjhab.episodes.grasps.candidates import Grasps, ObjectShape, Options, grasp_candidates
 from mjhab.experts.arm import motion
 from mjhab.experts.arm.motion import Motion
 from mjhab.experts.base.route import BLOCKED_FORCE, follow, holds
@@ -69,7 +70,8 @@ SHELF_OPTIONS = replace(
     OPTIONS, fan=36, shallower=(0.0, 0.02), retreat=0.06, cells=31, scant=150.0, corners=True
 )
 LOW_SHELF_OPTIONS = replace(SHELF_OPTIONS, leans=(0.4, 0.6, 0.8))
-SHELF_GRIPPER = Gripper(usable=0.0945, blunt=0.004)
+SHELF_BLUNT_M = 0.004
+"""End of the pads [m] that does not count there."""
 NUDGES = 2
 NUDGE_STEPS = 115
 NUDGE_BACK = 0.12
@@ -127,7 +129,7 @@ def fetch(view: WorldView, obj: str, *, keep: bool = True) -> Motion:
                 return True
             yield from go_home(view, obj)
             yield from _keep(view, obj)
-        failed = np.concatenate([failed, stance.at[None, :3]])
+        failed = np.concatenate([failed, stance.at[None, BASE]])
         yield from _draw_back(view, obj, stance, depth)
 
 
@@ -136,7 +138,10 @@ def _draw_back(view: WorldView, obj: str, stance: Stance, depth: float) -> Motio
     # A hand that presses against something inside is not drawn back before the base is.
     if not (depth and view.link_forces.sum() > BLOCKED_FORCE):
         yield from _let_go(view)
-    if not depth or (come_in := depth - float(np.linalg.norm(view.q[:2] - stance.at[:2]))) < INSIDE:
+    if (
+        not depth
+        or (come_in := depth - float(np.linalg.norm(view.base[:2] - stance.at[BASE_XY]))) < INSIDE
+    ):
         return True
     # From inside the next way in can hardly be found.
     yield from drive_out(view, come_in, gripper=motion.OPEN)
@@ -185,10 +190,11 @@ def plan_pick(
             support_z=scene.support_z,
             neighbours=around,
             least_clear=_CLEAR[-1][0],
+            gripper=view.robot.gripper,
             options=OPTIONS,
         )
     every = balanced(of_kind(every, wish), pose[:3])
-    room = hand_room(every, around) if depth else None
+    room = hand_room(view.robot.gripper, every, around) if depth else None
     best = None
     tried = 0
     blocked: list[Blocked] = []
@@ -227,6 +233,8 @@ def _shelf_grasps(
     clear: float,
 ) -> Grasps:
     """Grasps of an object on a shelf at ``pose`` (7,), best first, with some room to the boxes ``around``."""
+    hand = scene.body.gripper
+    gripper = replace(hand, usable=hand.shelf_usable, blunt=SHELF_BLUNT_M)
     for options in (SHELF_OPTIONS, LOW_SHELF_OPTIONS):
         found = grasp_candidates(
             shape,
@@ -236,7 +244,7 @@ def _shelf_grasps(
             neighbours=around,
             least_clear=clear,
             options=replace(options, inward=inward),
-            gripper=SHELF_GRIPPER,
+            gripper=gripper,
         )
         if len(found) or shape.kind != "bowl":
             break
@@ -254,7 +262,7 @@ def _plan_inside(
     every = balanced(
         _shelf_grasps(shape, pose, scene, _inward(view, pose), around, _CLEAR[-1][0]), pose[:3]
     )
-    room = hand_room(every, around)
+    room = hand_room(view.robot.gripper, every, around)
     best = None
     least = np.inf
     for (asked, hand, nearer), arm in zip(_CLEAR, ROOMS, strict=True):
@@ -277,7 +285,7 @@ def _plan_inside(
                 cost = (
                     stance.route.steps
                     + in_steps(back)
-                    + _HOME * float(motion.steps_home(stance.at))
+                    + _HOME * float(motion.steps_home(view.robot, stance.at))
                 )
                 cost += 1e4 * max(-stance.route.room, 0.0)
                 if cost < least:
@@ -308,7 +316,7 @@ def _nudge(view: WorldView, obj: str) -> Motion:
     def graspable(after: Array, more: float) -> int:
         straight = float(inward[0]), float(inward[1])
         every = _shelf_grasps(shape, after, scene, straight, around, _CLEAR[0][0] + more)
-        return int((hand_room(every, around) > _CLEAR[0][1] + 1.5 * more).sum())
+        return int((hand_room(view.robot.gripper, every, around) > _CLEAR[0][1] + 1.5 * more).sum())
 
     plan = plan_nudge(view, obj, scene, inward, graspable)
     if plan is None:
@@ -330,12 +338,13 @@ def scene_of(view: WorldView, obj: str) -> Scene:
     pose = view.object_pose(obj)
     shape = view.object_shape(obj)
     near, target = surroundings(view, obj, pose[:3])
-    return Scene(near, target, float(pose[2]) - height_below(shape, mat_from_quat(pose[3:])))
+    support = float(pose[2]) - height_below(shape, mat_from_quat(pose[3:]))
+    return Scene(near, target, support, view.robot)
 
 
 def _inward(view: WorldView, pose: Array) -> tuple[float, float]:
     """Level unit vector from the robot to an object at ``pose`` (7,)."""
-    way = pose[:2] - view.q[:2]
+    way = pose[:2] - view.base[:2]
     x, y = way / max(float(np.linalg.norm(way)), 1e-6)
     return float(x), float(y)
 
@@ -380,7 +389,7 @@ def _take(
     pos = goals.pos[stance.goal]
     rot = goals.rot[stance.goal]
     pre = goals.pre[stance.goal]
-    opening = grip(float(goals.opening[stance.goal]) + 0.004)
+    opening = grip(view.robot, float(goals.opening[stance.goal]) + 0.004)
     arrived = yield from follow(view, stance.route, gripper=opening)
     if not arrived and view.link_forces.sum() > BLOCKED_FORCE:
         yield from go_home(view, obj, holding=False)

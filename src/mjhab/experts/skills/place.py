@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from mjhab.core.boxes import Boxes
+from mjhab.core.joints import BASE
 from mjhab.core.rotations import mat_from_quat
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts.arm import ik, motion
@@ -135,14 +136,14 @@ def _bring(view: WorldView, obj: str, goal: Array) -> Motion:
         hurry = False
         if (yield from _put(view, obj, stance, goals, depth)):
             return True
-        failed = np.concatenate([failed, stance.at[None, :3]])
+        failed = np.concatenate([failed, stance.at[None, BASE]])
     return False
 
 
 def _worth(view: WorldView, found: Found) -> tuple[bool, float]:
     """Whether a way to put an object leaves the time to come back to rest, and the room on its route [m]."""
     stance, _, depth = found
-    after = (AFTER_INSIDE if depth else AFTER) + float(motion.steps_home(stance.at))
+    after = (AFTER_INSIDE if depth else AFTER) + float(motion.steps_home(view.robot, stance.at))
     return stance.route.steps + after <= view.steps_left, stance.route.room
 
 
@@ -176,6 +177,7 @@ def plan_place(
         near,
         near.take(np.zeros(0, np.int64)),
         support,
+        view.robot,
         held_spheres(view, obj),
         care_for(view, hurry),
     )
@@ -216,7 +218,9 @@ def _roomy(
     """`hand_goals` with room for the hand among the boxes ``near``."""
     # Under a shelf the choice is often between one of its other sides and letting go of it at an angle.
     goals = hand_goals(view, obj, goal, shelf=shelf, any_side=shelf or attempt > 1, drop=drop)
-    return goals.take(np.flatnonzero(hand_room(goals, near.near(goal, 0.8)) > HAND_ROOM))
+    return goals.take(
+        np.flatnonzero(hand_room(view.robot.gripper, goals, near.near(goal, 0.8)) > HAND_ROOM)
+    )
 
 
 def hand_goals(
@@ -239,7 +243,7 @@ def hand_goals(
     ball = shape.kind == "sphere"
     upset = 0.2 if ball else LEAN if shelf else 2.0 + 2.0 * shape.half[2] / min(shape.half)
     upset *= STUCK if not ball and play(view) < TIGHT else 1.0
-    back = view.q[:2] - goal[:2]
+    back = view.base[:2] - goal[:2]
     back = back / max(float(np.linalg.norm(back)), 1e-6)
     aside = np.array([-back[1], back[0]])
     offsets = SHELF_OFFSETS if shelf else LAST_OFFSETS if any_side else OFFSETS
@@ -270,7 +274,7 @@ def hand_goals(
             score.append(-price - upset * tilt - 6.0 * float(np.linalg.norm(spot - goal[:2])))
     at = np.array(pos)
     pre = at + np.array([0.0, 0.0, ABOVE_SHELF if shelf else ABOVE])
-    width = np.full(len(at), 2.0 * float(view.q[13:15].mean()))
+    width = np.full(len(at), 2.0 * float(view.q[view.robot.columns.fingers].mean()))
     return HandGoals(at, np.array(rot), pre, width, np.array(score))
 
 
@@ -331,7 +335,7 @@ def _put(view: WorldView, obj: str, stance: Stance, goals: HandGoals, depth: flo
         torso=False,
     )
     yield from motion.still_tcp(view, pos, rot, gripper=closed, steps=2)
-    opening = grip(let_go_width(view, obj, pos, rot))
+    opening = grip(view.robot, let_go_width(view, obj, pos, rot))
     speed = away_speed(view)
     yield from motion.still_tcp(view, pos, rot, gripper=opening, steps=5)
     for back in (drawn_back(view, obj, pos, rot, joints[0]), pre):
@@ -356,7 +360,8 @@ def _beside(view: WorldView, stance: Stance, goals: HandGoals) -> tuple[Array, A
     """The planned postures of the arm (2, 15) from where the base really stands, before and at the end of the way down,
     and where they bring the hand: at and before (2, 3), rotation (3, 3)."""
     q = np.stack([stance.pre, stance.at])
-    q[:, :3] = view.q[:3]
-    frames = motion.chain().forward(q)
-    tip = motion.chain().tip_index
+    q[:, BASE] = view.base
+    chain = view.robot.chain
+    frames = chain.forward(q)
+    tip = chain.tip_index
     return q, frames.pos[::-1, tip], frames.rot[1, tip]

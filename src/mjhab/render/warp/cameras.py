@@ -15,12 +15,11 @@ import warp as wp
 
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.rotations import mat_from_quat
-from mjhab.render.home_scene import CAMERA_NAMES, build_render_scene
+from mjhab.render.home_scene import build_render_scene
 from mjhab.render.raster.rasterizer import FAST_CELL, NEAR, OUTPUTS
 from mjhab.render.warp import shading as warp_shading
 from mjhab.render.warp import tracing as warp_tracing
 from mjhab.render.warp.scene import DeviceScene
-from mjhab.robots.fetch import model as fetch
 from mjhab.sim.warp.device import room_for, set_up
 from mjhab.sim.warp.graphs import Graphs
 from mjhab.sim.warp.simulator import WarpSimulator
@@ -51,7 +50,7 @@ class WarpCameras:
         size: tuple[int, int],
         outputs: Sequence[str],
     ) -> None:
-        _check(cameras, size, outputs)
+        _check(sim.layout.robot.camera_names, cameras, size, outputs)
         self._sim = sim
         self._cameras = tuple(cameras)
         self._size = size
@@ -121,7 +120,7 @@ class WarpCameras:
         }
 
     def _mount(self, model: Any) -> None:
-        mounts = [fetch.CAMERAS[CAMERA_NAMES.index(name)] for name in self._cameras]
+        mounts = [self._sim.layout.robot.camera(name) for name in self._cameras]
         bodies = np.array([model.body(mount.body).id for mount in mounts], np.int32)
         mats = mat_from_quat(np.array([mount.quat for mount in mounts]))
         self._mount_body = wp.array(bodies, dtype=wp.int32)
@@ -274,8 +273,10 @@ class WarpCameras:
         )
 
 
-def _check(cameras: Sequence[str], size: tuple[int, int], outputs: Sequence[str]) -> None:
-    for kind, given, known in (("camera", cameras, CAMERA_NAMES), ("output", outputs, OUTPUTS)):
+def _check(
+    mounted: Sequence[str], cameras: Sequence[str], size: tuple[int, int], outputs: Sequence[str]
+) -> None:
+    for kind, given, known in (("camera", cameras, mounted), ("output", outputs, OUTPUTS)):
         if not given:
             raise UsageError(f"WarpCameras: no {kind} given; known are {', '.join(known)}.")
         for name in given:

@@ -1,4 +1,4 @@
-"""Control modes of the robot: named actions, and what the actuators are told (mani_skill/agents/controllers)."""
+"""Control modes of a robot: named actions, and what the actuators are told (mani_skill/agents/controllers)."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from mjhab.core.arrays import Array
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.robots.controllers.arm import (
     Arm,
+    ArmRequest,
     JointDelta,
     JointPosition,
     JointPositionVelocity,
@@ -19,7 +20,10 @@ from mjhab.robots.controllers.arm import (
 )
 from mjhab.robots.controllers.controller import BASES, STATIONARY, Controller
 from mjhab.robots.controllers.end_effector import EndEffector
-from mjhab.robots.controllers.table import ActionEntry, ActionLimits
+from mjhab.robots.controllers.table import ActionEntry
+from mjhab.robots.parts import ActionLimits
+from mjhab.robots.registry import robot_named
+from mjhab.robots.robot import Robot
 
 __all__ = [
     "BASES",
@@ -36,7 +40,7 @@ __all__ = [
 DEFAULT_MODE = "pd_joint_delta_pos"
 """The mode of MS-HAB: every policy and expert speaks it."""
 _STIFF_BODY = "pd_joint_delta_pos_stiff_body"
-_ARMS: dict[str, Callable[[int, ActionLimits, Array], Arm]] = {
+_ARMS: dict[str, Callable[[ArmRequest], Arm]] = {
     DEFAULT_MODE: JointDelta,
     "pd_joint_target_delta_pos": JointTargetDelta,
     "pd_joint_pos": JointPosition,
@@ -58,6 +62,7 @@ def make_controller(
     mode: str = DEFAULT_MODE,
     num_worlds: int = 1,
     *,
+    robot: Robot | None = None,
     base: str = "forward",
     stationary: Sequence[str] = (),
     limits: ActionLimits | None = None,
@@ -68,10 +73,11 @@ def make_controller(
     Args:
         mode: one of CONTROL_MODES.
         num_worlds: W.
+        robot: whom to command; the default robot if not given.
         base: "forward" ([forward, yaw rate], as MS-HAB) or "holonomic" ([forward, left, yaw rate]).
         stationary: parts whose numbers count as zero, of "head", "torso", "base" (mshab/envs/wrappers/action.py); a
             stiff body holds them where they were at the reset.
-        limits: what ±1 means.
+        limits: what ±1 means; that of the robot if not given.
         like: an array of the library, device and dtype of the simulator's joint positions; numpy float64 if not given.
 
     Raises:
@@ -79,10 +85,12 @@ def make_controller(
     """
     if mode not in _ARMS:
         raise unknown_name("control mode", mode, CONTROL_MODES)
-    limits = limits or ActionLimits()
-    arm = _ARMS[mode](num_worlds, limits, np.zeros(0) if like is None else like)
+    robot = robot or robot_named()
+    limits = limits or robot.limits
+    request = ArmRequest(robot, num_worlds, limits, np.zeros(0) if like is None else like)
+    arm = _ARMS[mode](request)
     return Controller(
-        mode, arm, limits, stiff_body=mode == _STIFF_BODY, base=base, stationary=stationary
+        mode, robot, arm, limits, stiff_body=mode == _STIFF_BODY, base=base, stationary=stationary
     )
 
 

@@ -3,42 +3,45 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from dataclasses import dataclass
 
 import numpy as np
 
 from mjhab.core.arrays import Array, as_like, between, namespace, to_numpy, zeros
 from mjhab.core.errors import UsageError
-from mjhab.robots.controllers.table import (
-    ARM_JOINTS,
-    ARM_NAMES,
-    ActionEntry,
-    ActionLimits,
-    absolute_rows,
-    delta_rows,
-    speed_rows,
-)
-from mjhab.robots.fetch import model as fetch
+from mjhab.robots.controllers.table import ActionEntry, absolute_rows, delta_rows, speed_rows
+from mjhab.robots.parts import ActionLimits, Drives
+from mjhab.robots.robot import Robot
 
-FEED_FORWARD = fetch.ARM_GAINS.kd / fetch.ARM_GAINS.kp
-"""A speed added to a position command by this factor [s] acts as the speed target of the servo:
-kp (q* + v* kd/kp - q) - kd v = kp (q* - q) + kd (v* - v)."""
+
+@dataclass(frozen=True, eq=False)
+class ArmRequest:
+    """What an arm controller is made for: W worlds of a robot, what ±1 means, and an array of the library, device and
+    dtype of the simulator's joint positions."""
+
+    robot: Robot
+    num_worlds: int
+    limits: ActionLimits
+    like: Array
 
 
 class Arm:
     """One way to command the arm.
 
-    ``rows``: its dimensions of the action. ``drives``: what its servos must be. ``target`` (W, 7): joint positions
-    asked for last, kept between control steps where ``remembers`` is set. ``low``, ``high`` (7,): limits of the joints.
-    Arrays are of the library, device and dtype of ``like``, as the arguments of all methods must be.
+    ``rows``: its dimensions of the action. ``drives``: what its servos must be. ``target`` (W, A): positions of the A
+    joints asked for last, kept between control steps where ``remembers`` is set. ``low``, ``high`` (A,): their limits.
+    Arrays are of the library, device and dtype of ``request.like``, as the arguments of all methods must be.
     """
 
     remembers = False
-    drives = fetch.Drives()
 
-    def __init__(self, num_worlds: int, rows: tuple[ActionEntry, ...], like: Array) -> None:
+    def __init__(self, request: ArmRequest, rows: tuple[ActionEntry, ...]) -> None:
+        robot = request.robot
+        like = request.like
         self.rows = rows
-        self.target = zeros((num_worlds, len(ARM_JOINTS)), like)
-        limits = [fetch.JOINT_LIMITS[j] for j in ARM_JOINTS]
+        self.drives = Drives()
+        self.target = zeros((request.num_worlds, len(robot.arm_columns)), like)
+        limits = [robot.joint_limits[j] for j in robot.arm_columns]
         self.low, self.high = (as_like([pair[k] for pair in limits], like) for k in (0, 1))
 
     def still(self, q: Array) -> Array:
@@ -46,7 +49,7 @@ class Arm:
         return zeros((len(q), len(self.rows)), q)
 
     def reset(self, mask: Array, q: Array) -> None:
-        """Targets := measured positions ``q`` (W, 7) in the worlds of ``mask`` (W,)."""
+        """Targets := measured positions ``q`` (W, A) in the worlds of ``mask`` (W,)."""
         self.target = namespace(mask).where(mask[:, None], q, self.target)
 
     def get_state(self, world: int) -> dict[str, np.ndarray]:
@@ -80,16 +83,14 @@ class CommandedArm(Arm, ABC):
 
     @abstractmethod
     def command(self, move: Array, q: Array) -> Array:
-        """Servo commands (W, 7) for the action ``move`` (W, len(rows)) in units, at joint positions ``q`` (W, 7)."""
+        """Servo commands (W, A) for the action ``move`` (W, len(rows)) in units, at joint positions ``q`` (W, A)."""
 
 
 class JointDelta(Arm):
     """``pd_joint_delta_pos``: measured position + change, which the controller sums together with head and torso."""
 
-    def __init__(self, num_worlds: int, limits: ActionLimits, like: Array) -> None:
-        super().__init__(
-            num_worlds, delta_rows(ARM_NAMES, limits.joint_delta, "joint, from measured"), like
-        )
+    def __init__(self, request: ArmRequest) -> None:
+        super().__init__(request, _delta_rows(request, "joint, from measured"))
 
 
 class JointTargetDelta(CommandedArm):
@@ -97,12 +98,8 @@ class JointTargetDelta(CommandedArm):
 
     remembers = True
 
-    def __init__(self, num_worlds: int, limits: ActionLimits, like: Array) -> None:
-        super().__init__(
-            num_worlds,
-            delta_rows(ARM_NAMES, limits.joint_delta, "joint, from previous target"),
-            like,
-        )
+    def __init__(self, request: ArmRequest) -> None:
+        super().__init__(request, _delta_rows(request, "joint, from previous target"))
 
     def command(self, move: Array, q: Array) -> Array:
         self.target = between(self.target + move, self.low, self.high)
@@ -112,8 +109,8 @@ class JointTargetDelta(CommandedArm):
 class JointPosition(CommandedArm):
     """``pd_joint_pos``: the position itself."""
 
-    def __init__(self, num_worlds: int, limits: ActionLimits, like: Array) -> None:
-        super().__init__(num_worlds, absolute_rows(ARM_JOINTS), like)
+    def __init__(self, request: ArmRequest) -> None:
+        super().__init__(request, absolute_rows(request.robot, request.robot.group("arm")))
 
     def command(self, move: Array, q: Array) -> Array:
         return move
@@ -125,33 +122,43 @@ class JointPosition(CommandedArm):
 class JointVelocity(CommandedArm):
     """``pd_joint_vel``: speed servos (kp 0) that hold no position."""
 
-    drives = fetch.Drives(velocity=ARM_NAMES)
-
-    def __init__(self, num_worlds: int, limits: ActionLimits, like: Array) -> None:
-        super().__init__(num_worlds, speed_rows(limits.joint_speed), like)
+    def __init__(self, request: ArmRequest) -> None:
+        super().__init__(request, speed_rows(request.robot, request.limits))
+        self.drives = Drives(velocity=request.robot.group("arm"))
 
     def command(self, move: Array, q: Array) -> Array:
         return move
 
 
 class JointPositionVelocity(CommandedArm):
-    """``pd_joint_pos_vel``, ``pd_joint_delta_pos_vel``: seven positions or changes, then seven speeds."""
+    """``pd_joint_pos_vel``, ``pd_joint_delta_pos_vel``: positions or changes of all joints, then their speeds."""
 
-    def __init__(self, num_worlds: int, limits: ActionLimits, like: Array, *, delta: bool) -> None:
+    def __init__(self, request: ArmRequest, *, delta: bool) -> None:
+        robot = request.robot
         first = (
-            delta_rows(ARM_NAMES, limits.joint_delta, "joint, from measured")
+            _delta_rows(request, "joint, from measured")
             if delta
-            else absolute_rows(ARM_JOINTS)
+            else absolute_rows(robot, robot.group("arm"))
         )
-        super().__init__(num_worlds, first + speed_rows(limits.joint_speed, normalized=delta), like)
+        super().__init__(request, first + speed_rows(robot, request.limits, normalized=delta))
         self._delta = delta
+        self._count = len(robot.arm_columns)
+        # A speed added to a position command by this factor [s] acts as the speed target of the servo:
+        # kp (q* + v* kd/kp - q) - kd v = kp (q* - q) + kd (v* - v).
+        self._feed_forward = robot.gains["arm"].kd / robot.gains["arm"].kp
 
     def command(self, move: Array, q: Array) -> Array:
-        count = len(ARM_JOINTS)
+        count = self._count
         wanted = q + move[:, :count] if self._delta else move[:, :count]
-        return wanted + FEED_FORWARD * move[:, count:]
+        return wanted + self._feed_forward * move[:, count:]
 
     def still(self, q: Array) -> Array:
         xp = namespace(q)
         speed = xp.zeros_like(q)
         return xp.concat([speed if self._delta else q, speed], axis=1)
+
+
+def _delta_rows(request: ArmRequest, frame: str) -> tuple[ActionEntry, ...]:
+    """Rows of the arm's joints that move by up to ``joint_delta`` per control step."""
+    robot = request.robot
+    return delta_rows(robot, robot.group("arm"), request.limits.joint_delta, frame)

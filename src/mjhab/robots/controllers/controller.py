@@ -11,18 +11,14 @@ from mjhab.core.arrays import Array, as_like, device_of, empty, namespace, to_nu
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.robots.controllers.arm import Arm, CommandedArm, with_row
 from mjhab.robots.controllers.table import (
-    ARM_JOINTS,
-    BODY_JOINTS,
-    BODY_NAMES,
-    FINGER_JOINTS,
     ActionEntry,
-    ActionLimits,
     absolute_rows,
     base_rows,
     delta_rows,
     gripper_row,
 )
-from mjhab.robots.fetch import model as fetch
+from mjhab.robots.parts import ActionLimits, Drives
+from mjhab.robots.robot import Robot
 
 BASES = ("forward", "holonomic")
 STATIONARY = ("head", "torso", "base")
@@ -33,7 +29,7 @@ class JointState(Protocol):
 
     @property
     def robot_q(self) -> Array:
-        """(W, 15) joint positions in FETCH_JOINTS order [m, rad]."""
+        """(W, J) joint positions [m, rad]."""
         ...
 
 
@@ -42,6 +38,7 @@ class Controller:
 
     Attributes:
         mode: its name.
+        robot: the robot it commands.
         dim: numbers in an action.
         table: one `ActionEntry` per number, in order.
         low, high: (dim,) float32 bounds of the action space: ±1, or the bounds in units where a row is not normalized.
@@ -53,6 +50,7 @@ class Controller:
     def __init__(
         self,
         mode: str,
+        robot: Robot,
         arm: Arm,
         limits: ActionLimits,
         *,
@@ -62,20 +60,21 @@ class Controller:
     ) -> None:
         _check_options(base, stationary)
         self.mode = mode
+        self.robot = robot
         self.limits = limits
         self._arm = arm
         self._stiff_body = stiff_body
         self._holonomic = base == "holonomic"
         body = (
-            absolute_rows(BODY_JOINTS)
+            absolute_rows(robot, robot.body_joints)
             if stiff_body
-            else delta_rows(BODY_NAMES, limits.joint_delta, _MEASURED)
+            else delta_rows(robot, robot.body_joints, limits.joint_delta, _MEASURED)
         )
         self.table: tuple[ActionEntry, ...] = (
             *arm.rows,
-            gripper_row(limits),
+            gripper_row(robot, limits),
             *body,
-            *base_rows(limits, self._holonomic),
+            *base_rows(robot, limits, self._holonomic),
         )
         self.dim = len(self.table)
         self.gripper = len(arm.rows)
@@ -83,18 +82,19 @@ class Controller:
         self.high = np.array(
             [1.0 if row.normalized else row.high for row in self.table], np.float32
         )
-        self.drives = fetch.Drives(arm.drives.velocity, BODY_NAMES if stiff_body else ())
+        self.drives = Drives(arm.drives.velocity, robot.body_joints if stiff_body else ())
         self._place_columns(stationary)
         self._keep_arrays(arm.target)
 
     def _place_columns(self, stationary: Sequence[str]) -> None:
-        """Where each part sits in the action and in the commands, whose columns are in FETCH_JOINTS order."""
+        """Where each part sits in the action and in the commands, whose columns are those of the joints."""
         start = self.gripper + 1
-        self._body = slice(start, start + len(BODY_JOINTS))
+        torso = start + len(self.robot.head_columns)
+        self._body = slice(start, start + len(self.robot.body_columns))
         self._base = self._body.stop
         parts = {
-            "head": (start, start + 1),
-            "torso": (start + 2,),
+            "head": range(start, torso),
+            "torso": range(torso, self._base),
             "base": range(self._base, self.dim),
         }
         self._zeroed = [column for part in stationary for column in parts[part]]
@@ -105,12 +105,13 @@ class Controller:
         whole = namespace(like).int64
         # Everything that moves from its measured position is one sum: in the default mode arm, head and torso.
         sums = not isinstance(self._arm, CommandedArm)
-        moved = dict(zip(ARM_JOINTS, range(self.gripper), strict=True)) if sums else {}
+        robot = self.robot
+        moved = dict(zip(robot.arm_columns, range(self.gripper), strict=True)) if sums else {}
         if not self._stiff_body:
-            moved |= dict(zip(BODY_JOINTS, range(start, self._base), strict=True))
+            moved |= dict(zip(robot.body_columns, range(start, self._base), strict=True))
         self._moved = as_like(list(moved), like, whole)
         self._deltas = as_like(list(moved.values()), like, whole)
-        parts = (ARM_JOINTS, BODY_JOINTS, FINGER_JOINTS)
+        parts = (robot.arm_columns, robot.body_columns, robot.finger_columns)
         self._arm_columns, self._body_columns, self._finger_columns = (
             as_like(p, like, whole) for p in parts
         )
@@ -124,19 +125,19 @@ class Controller:
         )
         self._free = free
         self._held_body = ~free[self._body]
-        self._body_target = zeros((len(like), len(BODY_JOINTS)), like)
+        self._body_target = zeros((len(like), len(robot.body_columns)), like)
 
     def ctrl(self, actions: Array, state: JointState) -> Array:
         """Actuator commands (W, nu) for actions (W, dim) in the present state; targets of the target modes move on."""
         return self.command(actions, state.robot_q)
 
     def command(self, actions: Array, robot_q: Array) -> Array:
-        """`ctrl` at joint positions (W, 15), which are all it needs of the state."""
+        """`ctrl` at joint positions (W, J), which are all it needs of the state."""
         xp = namespace(actions)
         a = xp.minimum(xp.maximum(actions, self._low), self._high)
         if self._zeroed:
             a = xp.where(self._free, a, 0.0)
-        out = empty((len(a), len(fetch.ACTUATORS)), robot_q)
+        out = empty((len(a), len(self.robot.joints)), robot_q)
         out[:, self._moved] = robot_q[:, self._moved] + self.limits.joint_delta * a[:, self._deltas]
         if isinstance(self._arm, CommandedArm):
             arm_q = robot_q[:, self._arm_columns]

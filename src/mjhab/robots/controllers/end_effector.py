@@ -1,16 +1,14 @@
-"""End effector modes: gripper poses in the frame of the torso become arm joints by damped least squares."""
+"""End effector modes: gripper poses in the frame of the arm's root become arm joints by damped least squares."""
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import Literal
 
 import numpy as np
 
 from mjhab.core.arrays import Array, between, constant, namespace, zeros
-from mjhab.robots.controllers.arm import CommandedArm
-from mjhab.robots.controllers.table import ARM_NAMES, ROOT, ActionEntry, ActionLimits
-from mjhab.robots.fetch import model as fetch
+from mjhab.robots.controllers.arm import ArmRequest, CommandedArm
+from mjhab.robots.controllers.table import ActionEntry
 from mjhab.robots.kinematics import Chain, limited_step, rotate, rotation_vector
 
 Start = Literal["measured", "target", "absolute"]
@@ -31,14 +29,6 @@ _AXES = ("x", "y", "z")
 _WEIGHTS = (1.0, 1.0, 1.0, LEVER, LEVER, LEVER)
 
 
-@lru_cache(maxsize=1)
-def arm_chain() -> Chain:
-    """The arm from the torso to the tool centre; columns are the seven arm joints in action order."""
-    return Chain.from_tree(
-        fetch.KINEMATIC_TREE, ARM_NAMES, root=ROOT, root_height=0.0, moving_base=False
-    )
-
-
 class EndEffector(CommandedArm):
     """Changes along fixed or own axes, or absolute poses. Orientations are rotation vectors.
 
@@ -50,21 +40,19 @@ class EndEffector(CommandedArm):
 
     def __init__(
         self,
-        num_worlds: int,
-        limits: ActionLimits,
-        like: Array,
+        request: ArmRequest,
         *,
         start: Start,
         rotates: bool = True,
         own_axes: bool = False,
     ) -> None:
-        super().__init__(num_worlds, _rows(limits, start, rotates, own_axes), like)
+        super().__init__(request, _rows(request, start, rotates, own_axes))
         self.remembers = start != "measured"
         self._start = start
         self._rotates = rotates
         self._own_axes = own_axes
-        self._turn = limits.ee_turn
-        self._chain = arm_chain()
+        self._turn = request.limits.ee_turn
+        self._chain = request.robot.arm_chain
 
     def command(self, move: Array, q: Array) -> Array:
         begin = between(self.target if self.remembers else q, self.low, self.high)
@@ -112,14 +100,17 @@ class EndEffector(CommandedArm):
 
 
 def _rows(
-    limits: ActionLimits, start: Start, rotates: bool, own_axes: bool
+    request: ArmRequest, start: Start, rotates: bool, own_axes: bool
 ) -> tuple[ActionEntry, ...]:
-    link = fetch.TCP_LINK
+    robot = request.robot
+    limits = request.limits
+    link = robot.tcp
+    root = robot.arm_root
     if start == "absolute":
-        center, reach = _workspace()
+        center, reach = _workspace(robot.arm_chain)
         places = [
             ActionEntry(
-                f"ee_{axis}", link, c - reach, c + reach, "m", f"{ROOT}, absolute", normalized=False
+                f"ee_{axis}", link, c - reach, c + reach, "m", f"{root}, absolute", normalized=False
             )
             for axis, c in zip(_AXES, center, strict=True)
         ]
@@ -130,13 +121,13 @@ def _rows(
                 -np.pi,
                 np.pi,
                 "rad",
-                f"{ROOT}, rotation vector",
+                f"{root}, rotation vector",
                 normalized=False,
             )
             for axis in _AXES
         ]
         return (*places, *turns)
-    frame = f"{link if own_axes else ROOT} axes, from {'measured' if start == 'measured' else 'previous target'}"
+    frame = f"{link if own_axes else root} axes, from {'measured' if start == 'measured' else 'previous target'}"
     move = limits.ee_move
     turn = limits.ee_turn
     rows = [ActionEntry(f"ee_{axis}", link, -move, move, "m", frame) for axis in _AXES]
@@ -148,9 +139,9 @@ def _rows(
     return tuple(rows)
 
 
-def _workspace() -> tuple[tuple[float, ...], float]:
+def _workspace(chain: Chain) -> tuple[tuple[float, ...], float]:
     """Centre (3,) and radius [m] of the sphere about the shoulder that holds everything in reach."""
-    origins = [np.array(joint.pos) for joint in arm_chain().joints]
+    origins = [np.array(joint.pos) for joint in chain.joints]
     return tuple(float(x) for x in origins[0]), float(
         sum(np.linalg.norm(origin) for origin in origins[1:])
     )

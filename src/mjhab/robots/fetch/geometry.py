@@ -9,23 +9,13 @@ Lengths [m], masses [kg], inertias [kg m^2].
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
+from mjhab.robots.parts import Inertial
 from mjhab.scenes.spec import Geom, Quat, Vec3
 
 ALONG_X: Quat = (0.7071067811865476, 0.0, 0.7071067811865476, 0.0)
 """Turns the axis of a cylinder (z) to x."""
 ALONG_Y: Quat = (0.7071067811865476, -0.7071067811865476, 0.0, 0.0)
 """Turns the axis of a cylinder (z) to y."""
-
-
-@dataclass(frozen=True)
-class Inertial:
-    """Mass, centre of mass and inertia about it: xx, yy, zz, xy, xz, yz (MuJoCo's ``fullinertia`` order)."""
-
-    mass: float
-    com: Vec3
-    inertia: tuple[float, float, float, float, float, float]
 
 
 def _inertial(

@@ -16,17 +16,8 @@ import trimesh
 from mjhab.core.errors import MjhabError
 from mjhab.robots.fetch.geometry import finger_box
 from mjhab.robots.fetch.model import KINEMATIC_TREE, LINKS
-from mjhab.scenes.builtin.materials import Material
+from mjhab.robots.meshes import coarse_mesh
 from mjhab.scenes.shapes.meshes import Mesh
-
-ROBOT_MATERIALS: dict[str, Material] = {
-    "fetch_shell": Material((0.90, 0.91, 0.92), gloss=0.35),
-    "fetch_blue": Material((0.10, 0.42, 0.66), gloss=0.35),
-    "fetch_grey": Material((0.36, 0.37, 0.39), gloss=0.25),
-    "fetch_dark": Material((0.13, 0.13, 0.14), gloss=0.15),
-    "fetch_red": Material((0.78, 0.10, 0.09), gloss=0.4),
-}
-"""Materials named by ``robot_meshes``: white shells, blue joints, grey base and hand."""
 
 _PARTS: dict[str, tuple[str, str]] = {
     "base_link": ("base_link_collision.stl", "fetch_grey"),
@@ -50,7 +41,6 @@ _PARTS: dict[str, tuple[str, str]] = {
 }
 _MAX_FACES = 5000
 _MAX_FACES_OF = {"r_wheel_link": 400, "l_wheel_link": 400, "estop_link": 300, "laser_link": 300}
-_CELL = 0.004
 
 
 @lru_cache(maxsize=1)
@@ -71,7 +61,7 @@ def robot_meshes() -> list[tuple[str, Mesh, str]]:
         loaded = trimesh.load_mesh(path)
         body, offset, turn = _mount(link)
         vertices = np.asarray(loaded.vertices) @ turn.T + offset
-        mesh = _simplified(vertices, np.asarray(loaded.faces), _MAX_FACES_OF.get(link, _MAX_FACES))
+        mesh = coarse_mesh(vertices, np.asarray(loaded.faces), _MAX_FACES_OF.get(link, _MAX_FACES))
         parts.append((body, mesh, material))
     return parts + _fingers() + _eyes()
 
@@ -99,23 +89,6 @@ def _mount(link: str) -> tuple[str, np.ndarray, np.ndarray]:
         np.array(entry.origin),
         trimesh.transformations.quaternion_matrix(entry.quat)[:3, :3],
     )
-
-
-def _simplified(vertices: np.ndarray, faces: np.ndarray, most: int) -> Mesh:
-    """Merge vertices on a grid that is coarsened until ``most`` faces are left; smaller meshes stay as they are."""
-    cell = _CELL
-    kept = vertices
-    triangles = faces
-    while len(triangles) > most:
-        _, index, inverse = np.unique(
-            np.round(vertices / cell), axis=0, return_index=True, return_inverse=True
-        )
-        kept = vertices[index]
-        triangles = inverse.ravel()[faces]
-        a, b, c = triangles.T
-        triangles = np.unique(triangles[(a != b) & (b != c) & (a != c)], axis=0)
-        cell *= 1.25
-    return Mesh(kept.astype(np.float32), triangles.astype(np.int32))
 
 
 def _box(half: tuple[float, float, float], pos: tuple[float, float, float]) -> Mesh:

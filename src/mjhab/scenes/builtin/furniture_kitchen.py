@@ -16,7 +16,7 @@ FRONT_THICKNESS_M = 0.02
 BAR_THICKNESS_M = 0.02
 """Thickness of a handle bar [m]."""
 BAR_GAP_M = 0.05
-"""Free space between bar and front: Fetch's fingers are 14 mm thick and reach 31 mm past the grasp point [m]."""
+"""Free space between bar and front: fingers are 14 mm thick and reach 31 mm past the grasp point [m]."""
 WORKTOP_HEIGHT_M = 0.88
 DRAWER_TRAVEL_M = 0.5
 

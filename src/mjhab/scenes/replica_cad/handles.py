@@ -15,7 +15,7 @@ from mjhab.scenes.formats.urdf import UrdfBox
 
 Range = tuple[float, float]
 FINGERTIP_REACH_M = 0.031
-"""How far Fetch's fingertips reach past the tool centre [m]."""
+"""How far the fingertips of the benchmark's robot reach past the tool centre [m]."""
 
 
 @dataclass(frozen=True)

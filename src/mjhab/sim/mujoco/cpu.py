@@ -15,7 +15,7 @@ from mjhab.core.errors import UsageError
 from mjhab.layout.contact_sensors import FORCE_SENSOR_WIDTH, normal_force
 from mjhab.layout.home_models import HomeModels
 from mjhab.layout.layout import Layout, addresses
-from mjhab.robots.fetch.model import Drives
+from mjhab.robots.parts import Drives
 from mjhab.sim.mujoco.settle import holding_ctrl
 from mjhab.sim.protocol import PENETRATION_LIMIT, TAINTS, SimState
 
@@ -100,7 +100,7 @@ class CpuSimulator:
         """Put worlds into homes, at rest in ``qpos`` (n, nq). Other worlds keep every bit."""
         self._clear(ids, homes)
         self._qpos[ids] = qpos
-        self._ctrl[ids] = holding_ctrl(self._world_models[0], np.asarray(qpos))
+        self._ctrl[ids] = holding_ctrl(self._world_models[0], self.layout.robot, np.asarray(qpos))
         self._forward(ids)
 
     def _clear(self, ids: Sequence[int], homes: Sequence[str]) -> None:

@@ -12,12 +12,14 @@ from contextlib import contextmanager
 import mujoco
 import numpy as np
 
+from mjhab.core.joints import BASE_YAW
 from mjhab.core.rotations import pose_inv, pose_mul
 from mjhab.layout.contact_sensors import FORCE_SENSOR_WIDTH, normal_force
-from mjhab.robots.fetch.model import FINGER_LINKS, FINGER_OPEN_DIR, TCP_LINK, Drives, apply_drives
+from mjhab.robots.model import apply_drives
+from mjhab.robots.parts import Drives
 from mjhab.scenes import contact_bits
 from mjhab.sim.mujoco.cpu import SUBSTEPS, CpuSimulator
-from mjhab.sim.mujoco.settle import CLOSED_FINGER, hold_robot
+from mjhab.sim.mujoco.settle import hold_robot
 
 CLOSING_STEPS = 30
 MOST_CREEP_M_S = 0.001
@@ -27,8 +29,6 @@ TURN_STEPS = 20
 TURN_SLIP = 0.02
 """A held object must stay within this slip [m] while the base is jerked to either side at half its top speed [rad/s]:
 some grasps near an edge hold still for minutes and lose the object at the first turn."""
-FINGER_JOINTS = slice(13, 15)
-FINGER_MAX = 0.05
 MAX_MODELS = 32
 """Homes a world remembers; a model takes 0.4 MB."""
 _NO_CONTACT = int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
@@ -74,7 +74,7 @@ class _World:
         if model is None:
             model = copy.copy(self._sim.model(home))
             if plain:
-                apply_drives(model, Drives())
+                apply_drives(model, self._sim.layout.robot, Drives())
             a = self._sim.addresses
             trees = model.body_treeid[np.concatenate([a.object_body, a.link_body]).astype(int)]
             model.tree_sleep_policy[trees] = int(mujoco.mjtSleepPolicy.mjSLEEP_INIT)
@@ -93,10 +93,12 @@ class Scratch:
         model = sim.model(sim.layout.pack.homes[0].name)
         self._is_robot = (model.geom_contype & contact_bits.ROBOT) != 0
         self._geom_body = model.geom_bodyid.copy()
-        self._tcp = sim.addresses.robot_body[TCP_LINK]
-        joints = [model.joint(int(j)).name for j in model.actuator_trnid[:, 0]]
-        self._fingers = [i for i, n in enumerate(joints) if n.endswith("gripper_finger_joint")]
-        self._turn = joints.index("root_z_rotation_joint")
+        robot = sim.layout.robot
+        self._robot = robot
+        self._tcp = sim.addresses.robot_body[robot.tcp]
+        # Actuators are those of the joints, in their order.
+        self._fingers = list(robot.finger_columns)
+        self._closed = robot.limits.gripper[0]
 
     @contextmanager
     def _world(self) -> Iterator[_World]:
@@ -140,7 +142,7 @@ class Scratch:
                 return False
             hold_robot(model, data)
             if carried >= 0:
-                data.ctrl[self._fingers] = CLOSED_FINGER
+                data.ctrl[self._fingers] = self._closed
             mujoco.mj_step(model, data, SUBSTEPS)
             if self._collides(data, carried):
                 return False
@@ -161,7 +163,7 @@ class Scratch:
 
         Args:
             slot: the object.
-            robot: (15,) joint positions.
+            robot: (J,) joint positions.
             tcp_in_object: (7,) pose of the tool centre in the frame of the object.
         """
         home = self.sim.layout.pack.homes[0].name
@@ -186,7 +188,7 @@ class Scratch:
         Args:
             slot: the object.
             tcp_in_object: (7,) grasp pose in the frame of the object.
-            robot: (15,) joint positions, fingers just open, the base away from everything.
+            robot: (J,) joint positions, fingers just open, the base away from everything.
             seconds: how long the grasp test must hold, at every control step, after closing.
             min_force, max_angle: the test: force of each finger [N], its angle to the opening direction [rad].
 
@@ -201,19 +203,19 @@ class Scratch:
             model = world.arrange(home, qpos, slot, plain=True)
             data = world.data
             hold_robot(model, data)
-            data.ctrl[self._fingers] = CLOSED_FINGER
+            data.ctrl[self._fingers] = self._closed
             mujoco.mj_step(model, data, CLOSING_STEPS)
             closed = self._load_pose(model, data, start)
             for _ in range(round(seconds / (SUBSTEPS * model.opt.timestep))):
                 mujoco.mj_step(model, data, SUBSTEPS)
                 if not self._grasped(data, slot, min_force, max_angle):
                     return None
-            fingers = float(data.qpos[a.robot_q[FINGER_JOINTS.start]])
+            fingers = float(data.qpos[a.robot_q[self._fingers[0]]])
             relative = self._load_pose(model, data, start)
             if np.linalg.norm(relative[:3] - closed[:3]) > MOST_CREEP_M_S * seconds:
                 return None
             for rate in (TURN_RATE, -TURN_RATE):
-                data.ctrl[self._turn] = rate
+                data.ctrl[BASE_YAW] = rate
                 mujoco.mj_step(model, data, TURN_STEPS)
                 if (
                     np.linalg.norm(self._load_pose(model, data, start)[:3] - relative[:3])
@@ -229,13 +231,11 @@ class Scratch:
 
     def _grasped(self, data: mujoco.MjData, slot: int, min_force: float, max_angle: float) -> bool:
         a = self.sim.addresses
-        for side, finger in enumerate(FINGER_LINKS):
+        for side, finger in enumerate(self._robot.fingers):
             adr = a.finger_force[side, slot]
             force = -normal_force(data.sensordata[adr : adr + FORCE_SENSOR_WIDTH])
             size = np.linalg.norm(force)
-            opening = data.xmat[a.robot_body[finger]].reshape(3, 3) @ np.array(
-                FINGER_OPEN_DIR[finger]
-            )
+            opening = data.xmat[a.robot_body[finger.link]].reshape(3, 3) @ np.array(finger.opens)
             if size < min_force or force @ opening < np.cos(max_angle) * size:
                 return False
         return True

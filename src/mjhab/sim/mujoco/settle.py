@@ -5,20 +5,18 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
+from mjhab.core.joints import BASE_XY
 from mjhab.layout.layout import Addresses
-from mjhab.robots.fetch.model import FETCH_JOINTS, REST_QPOS
+from mjhab.robots.robot import Robot
 
-CLOSED_FINGER = -0.01
-"""Finger command [m] that squeezes (the gripper action at -1)."""
-_FINGERS = tuple(name for name in FETCH_JOINTS if "finger" in name)
 ROBOT_PARKING = (19.0, 19.0)
 """Base position [m] of the robot while a home settles: beyond every home, inside the base's joint range."""
 
 
-def parked_robot_qpos() -> np.ndarray:
-    """(15,) rest pose with the base out of the way."""
-    q = np.array(REST_QPOS, dtype=np.float64)
-    q[:2] = ROBOT_PARKING
+def parked_robot_qpos(robot: Robot) -> np.ndarray:
+    """(J,) rest pose with the base out of the way."""
+    q = robot.rest.copy()
+    q[BASE_XY] = ROBOT_PARKING
     return q
 
 
@@ -32,7 +30,7 @@ def settle(
     """
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
-    data.qpos[a.robot_q] = parked_robot_qpos()
+    data.qpos[a.robot_q] = parked_robot_qpos(a.robot)
     # The finger servos would drive to 0 m; every other servo is held where it is.
     hold_robot(model, data)
     steps = round(seconds / model.opt.timestep)
@@ -41,16 +39,14 @@ def settle(
     return data.qpos.copy(), float(speed)
 
 
-def holding_ctrl(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
+def holding_ctrl(model: mujoco.MjModel, robot: Robot, qpos: np.ndarray) -> np.ndarray:
     """Commands (n, nu) at the start of an episode in the states ``qpos`` (n, nq).
 
     Servos hold and fingers squeeze, so that the forces of the start are those of a robot that keeps what it has.
     """
     joints = model.actuator_trnid[:, 0]
     out = np.where(model.actuator_biasprm[:, 1] != 0.0, qpos[:, model.jnt_qposadr[joints]], 0.0)
-    out[:, [i for i, j in enumerate(joints) if model.joint(int(j)).name in _FINGERS]] = (
-        CLOSED_FINGER
-    )
+    out[:, list(robot.finger_columns)] = robot.limits.gripper[0]
     return out
 
 

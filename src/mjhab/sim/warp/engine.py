@@ -14,7 +14,6 @@ import warp as wp
 from mujoco_warp._src import sleep, smooth
 
 from mjhab.layout.layout import Addresses
-from mjhab.robots.fetch.model import FINGER_LINKS, FORCE_LINKS, TCP_LINK
 from mjhab.sim.protocol import PENETRATION_LIMIT
 from mjhab.sim.warp import kernels
 from mjhab.sim.warp.device import set_up
@@ -108,8 +107,8 @@ class Engine:
     def _allocate(self, model: mujoco.MjModel, a: Addresses) -> None:
         worlds = self.num_worlds
         targets = len(a.object_body) + len(a.link_body)
-        self.link_net = wp.zeros((worlds, len(FORCE_LINKS)), dtype=wp.vec3)
-        self.link_force = wp.zeros((worlds, len(FORCE_LINKS)), dtype=wp.float32)
+        self.link_net = wp.zeros((worlds, len(a.robot.force_links)), dtype=wp.vec3)
+        self.link_force = wp.zeros((worlds, len(a.robot.force_links)), dtype=wp.float32)
         self.finger_force = wp.zeros((worlds, 2, targets), dtype=wp.vec3)
         self.touch = wp.zeros((worlds, targets), dtype=wp.bool)
         self.ee_contact = wp.zeros((worlds, targets), dtype=wp.bool)
@@ -135,7 +134,7 @@ class Engine:
         )
         overflow = [int(CONTACT_OVERFLOW), int(ROW_OVERFLOW), int(ENGINE_OVERFLOW)]
         self._overflow_bits = wp.array(overflow, dtype=wp.int32)
-        self._tcp = a.robot_body[TCP_LINK]
+        self._tcp = a.robot_body[a.robot.tcp]
         self._tcp_root = int(model.body_rootid[self._tcp])
         self._map_bodies(model, a)
         self._map_trees(model, a)
@@ -146,10 +145,10 @@ class Engine:
             table[bodies] = np.arange(len(bodies))
             return wp.array(table, dtype=wp.int32)
 
-        self._link_of = numbered([a.robot_body[name] for name in FORCE_LINKS])
-        self._finger_of = numbered([a.robot_body[name] for name in FINGER_LINKS])
+        self._link_of = numbered([a.robot_body[name] for name in a.robot.force_links])
+        self._finger_of = numbered([a.robot_body[name] for name in a.robot.finger_links])
         self._target_of = numbered([*a.object_body.tolist(), *a.link_body.tolist()])
-        end_effector = [a.robot_body[name] for name in (TCP_LINK, *FINGER_LINKS)]
+        end_effector = [a.robot_body[name] for name in a.robot.hand_links]
         self._is_end_effector = wp.array(
             np.isin(np.arange(model.nbody), end_effector), dtype=wp.bool
         )

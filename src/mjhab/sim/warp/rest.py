@@ -8,7 +8,6 @@ import mujoco
 import numpy as np
 
 from mjhab.layout.layout import Addresses
-from mjhab.robots.fetch.model import TCP_LINK
 
 REST_ACCELERATION = 0.5
 """A tree of bodies that would accelerate less than this [m/s^2] lies still. Settled starts of tasks have at most 0.11
@@ -26,7 +25,7 @@ class RestFinder:
 
     def __init__(self, model: mujoco.MjModel, a: Addresses) -> None:
         self._data = mujoco.MjData(model)
-        self._robot_tree = int(model.body_treeid[a.robot_body[TCP_LINK]])
+        self._robot_tree = int(model.body_treeid[a.robot_body[a.robot.tcp]])
         self._known: OrderedDict[tuple[str, bytes, bytes], np.ndarray] = OrderedDict()
 
     def rings(

@@ -13,7 +13,7 @@ from mjhab.core.arrays import to_numpy
 from mjhab.core.errors import UsageError
 from mjhab.layout.home_models import HomeModels
 from mjhab.layout.layout import Layout, addresses
-from mjhab.robots.fetch.model import Drives
+from mjhab.robots.parts import Drives
 from mjhab.sim.mujoco.settle import holding_ctrl
 from mjhab.sim.protocol import SimState
 
@@ -101,7 +101,9 @@ class WarpSimulator:
         qpos = to_numpy(qpos)
         worlds = self._clear(ids, homes, qpos, np.zeros((len(qpos), self.engine.qvel_t.shape[1])))
         self.engine.qpos_t[worlds] = self._upload(qpos)
-        self.engine.ctrl_t[worlds] = self._upload(holding_ctrl(self.model(homes[0]), qpos))
+        self.engine.ctrl_t[worlds] = self._upload(
+            holding_ctrl(self.model(homes[0]), self.layout.robot, qpos)
+        )
         self._make_current(worlds)
 
     def _clear(
@@ -164,7 +166,7 @@ class WarpSimulator:
         rings = [
             self._rest.rings(h, self.model(h), q, still) for h, q in zip(homes, qpos, strict=True)
         ]
-        ctrl = holding_ctrl(self.model(homes[0]), qpos)
+        ctrl = holding_ctrl(self.model(homes[0]), self.layout.robot, qpos)
         device = self._torch_device
         return (
             torch.as_tensor(rows, device=device),

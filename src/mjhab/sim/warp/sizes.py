@@ -18,11 +18,11 @@ import warp as wp
 
 from mjhab.core.cache import cache_dir, write_atomic
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.joints import BASE
 from mjhab.core.seeding import stream
 from mjhab.layout.compile import home_hash
 from mjhab.layout.layout import Addresses, Layout
 from mjhab.layout.receptacles import placed_receptacles
-from mjhab.robots.fetch.model import REST_QPOS, TCP_LINK
 from mjhab.scenes.spec import Home
 from mjhab.sim.mujoco.settle import settle
 from mjhab.sim.warp.engine import BufferSizes, Engine
@@ -211,8 +211,8 @@ def _stand_free(
     data: mujoco.MjData, model: mujoco.MjModel, a: Addresses, rng: np.random.Generator
 ) -> None:
     """Put the robot near an object, at that of some random places where it touches least."""
-    robot_tree = model.body_treeid[a.robot_body[TCP_LINK]]
-    data.qpos[a.robot_q] = REST_QPOS
+    robot_tree = model.body_treeid[a.robot_body[a.robot.tcp]]
+    data.qpos[a.robot_q] = a.robot.rest
     best = np.zeros(3)
     least = math.inf
     for _ in range(PLACES):
@@ -224,7 +224,7 @@ def _stand_free(
             else np.zeros(2)
         )
         place = np.array([*(thing - distance * np.array([np.cos(yaw), np.sin(yaw)])), yaw])
-        data.qpos[a.robot_q[:3]] = place
+        data.qpos[a.robot_q[BASE]] = place
         mujoco.mj_forward(model, data)
         touching = (
             (model.body_treeid[model.geom_bodyid[data.contact.geom]] == robot_tree)
@@ -234,7 +234,7 @@ def _stand_free(
         if touching < least:
             best = place
             least = touching
-    data.qpos[a.robot_q[:3]] = best
+    data.qpos[a.robot_q[BASE]] = best
 
 
 def _measure(

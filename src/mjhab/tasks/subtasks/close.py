@@ -73,7 +73,7 @@ def _close(
         "posture_far": posture,
         "rest": rest,
         "rest_near": rest,
-        "still": joint_speed(world),
+        "still": joint_speed(world, config),
     }
     raw = near(_CLOSE_SHARPNESS, distances)
     raw["posture"] = raw["posture_closed"] = (raw["posture"] + raw["posture_far"]) / 2

@@ -9,6 +9,7 @@ import math
 from collections.abc import Sequence
 
 from mjhab.core.arrays import Array, namespace, norm3
+from mjhab.core.joints import BASE, BASE_X, BASE_Y, BASE_YAW
 from mjhab.tasks.label_state import LabelState
 from mjhab.tasks.reward_table import (
     ALWAYS,
@@ -61,17 +62,17 @@ def _navigate(view: RewardView, config: TaskConfig) -> tuple[dict[str, Array], d
     world = view.world
     signals = view.signals
     xp = namespace(world.base_pose)
-    cos = xp.cos(world.base_pose[:, 2])
-    sin = xp.sin(world.base_pose[:, 2])
-    dx = view.goal_pos[:, 0] - world.base_pose[:, 0]
-    dy = view.goal_pos[:, 1] - world.base_pose[:, 1]
+    cos = xp.cos(world.base_pose[:, BASE_YAW])
+    sin = xp.sin(world.base_pose[:, BASE_YAW])
+    dx = view.goal_pos[:, 0] - world.base_pose[:, BASE_X]
+    dy = view.goal_pos[:, 1] - world.base_pose[:, BASE_Y]
     bearing = xp.atan2(cos * dy - sin * dx, cos * dx + sin * dy)
     distances = {
         "approach": view.nav_distance,
-        "forward": above_zero(cos * world.robot_qd[:, 0] + sin * world.robot_qd[:, 1]),
+        "forward": above_zero(cos * world.robot_qd[:, BASE_X] + sin * world.robot_qd[:, BASE_Y]),
         "heading": xp.abs(bearing),
-        "base_still": norm3(world.robot_qd[:, :3]),
-        "still": joint_speed(world),
+        "base_still": norm3(world.robot_qd[:, BASE]),
+        "still": joint_speed(world, config),
         "force": force_excess(signals.robot_force, FORCE_PER_NEWTON),
         "posture": posture_error(world, config),
         "rest": rest_distance(world, config),

@@ -55,7 +55,7 @@ def _open(
         "reach": view.handle_distance,
         "posture": posture_error(world, config),
         "rest": rest_distance(world, config),
-        "still": joint_speed(world),
+        "still": joint_speed(world, config),
     }
     raw = near(_OPEN_SHARPNESS, distances)
     way = view.open_frac * (world.joint_max - world.joint_min)

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from mjhab.core.arrays import Array, namespace
+from mjhab.core.joints import BASE
 from mjhab.tasks.reward_table import (
     ALWAYS,
     RewardTable,
@@ -19,6 +20,7 @@ from mjhab.tasks.reward_table import (
     near,
     posture_error,
     rest_distance,
+    torso_speed,
 )
 from mjhab.tasks.subtasks.event_lists import EXCESS
 from mjhab.tasks.subtasks.spec import AT_REST, LabelRule, PublishedLabels, SubtaskSpec
@@ -67,7 +69,7 @@ def _pick(view: RewardView, config: TaskConfig) -> tuple[dict[str, Array], dict[
     signals = view.signals
     xp = namespace(world.tcp_pos)
     delta = world.tcp_pos - view.object_pos
-    distance, hand_speed, base_speed = lengths(delta, view.tcp_vel, world.robot_qd[:, :3])
+    distance, hand_speed, base_speed = lengths(delta, view.tcp_vel, world.robot_qd[:, BASE])
     x = delta[:, 0]
     y = delta[:, 1]
     distances = {
@@ -75,11 +77,13 @@ def _pick(view: RewardView, config: TaskConfig) -> tuple[dict[str, Array], dict[
         "slow_hand": hand_speed,
         "posture": posture_error(world, config),
         "force": force_excess(signals.robot_force, FORCE_PER_NEWTON),
-        "torso_still": xp.where(distance < TORSO_FREE_RANGE, 0.0, xp.abs(world.robot_qd[:, 3])),
+        "torso_still": xp.where(
+            distance < TORSO_FREE_RANGE, 0.0, xp.abs(torso_speed(world, config))
+        ),
         "above": xp.sqrt(x * x + y * y),
         "rest": rest_distance(world, config),
         "base_still": base_speed,
-        "still": joint_speed(world),
+        "still": joint_speed(world, config),
     }
     raw = near(_PICK_SHARPNESS, distances)
     raw["posture_holding"] = raw["posture"]

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from mjhab.core.arrays import Array, namespace
+from mjhab.core.joints import BASE
 from mjhab.tasks.reward_table import (
     ALWAYS,
     RewardTable,
@@ -20,6 +21,7 @@ from mjhab.tasks.reward_table import (
     near,
     posture_error,
     rest_distance,
+    torso_speed,
 )
 from mjhab.tasks.subtasks.event_lists import EXCESS, last
 from mjhab.tasks.subtasks.spec import AT_REST, LabelRule, PublishedLabels, SubtaskSpec
@@ -92,20 +94,20 @@ def _place(view: RewardView, config: TaskConfig) -> tuple[dict[str, Array], dict
         from_goal,
         hand,
         view.tcp_vel,
-        world.robot_qd[:, :3],
+        world.robot_qd[:, BASE],
     )
     distances = {
         "slow_hand": hand_speed,
         "slow_object": xp.where(signals.is_grasped, 0.0, linear + angular),
         "force": force_excess(signals.robot_force, FORCE_PER_NEWTON),
-        "torso_not_sinking": above_zero(-world.robot_qd[:, 3]),
+        "torso_not_sinking": above_zero(-torso_speed(world, config)),
         "transport": object_way,
         "hand": hand_way,
         "height": xp.abs(from_goal[:, 2] - GOAL_RISE) + xp.abs(hand[:, 2] - GOAL_RISE),
         "rest": rest_distance(world, config),
         "posture": posture_error(world, config),
         "base_still": base_speed,
-        "still": joint_speed(world),
+        "still": joint_speed(world, config),
     }
     raw = near(_PLACE_SHARPNESS, distances)
     raw["transport"] = (raw["transport"] + raw["hand"]) / 2

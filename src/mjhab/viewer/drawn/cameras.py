@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mjhab.core.rotations import mat_from_quat
-from mjhab.render.home_scene import CAMERA_NAMES, HomeRenderer
+from mjhab.render.home_scene import HomeRenderer
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.viewer.drawn.posing import Pose
 
@@ -82,4 +82,4 @@ class Cameras:
             self._sim = sim
         poses = _Poses(pose.pos[None], mat_from_quat(pose.quat)[None])
         views = self._renderer.robot_views(poses, [home], self._side, ("rgb",))["rgb"]
-        return dict(zip(CAMERA_NAMES, views[0], strict=True))
+        return dict(zip(sim.layout.robot.camera_names, views[0], strict=True))

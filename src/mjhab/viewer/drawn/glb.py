@@ -63,7 +63,7 @@ def home_files(layout: Layout, home: str, make: Callable[[], HomeModels]) -> Hom
 def _digest(layout: Layout, home: str) -> str:
     spec = next(h for h in layout.pack.homes if h.name == home)
     digest = hashlib.sha256(home_hash(layout, spec).encode())
-    digest.update(code_digest("viewer.drawn.glb", "viewer.drawn.models", "render", "robots.fetch"))
+    digest.update(code_digest("viewer.drawn.glb", "viewer.drawn.models", "render", "robots"))
     # Furniture that only looks different does not change the physics, whose hash that of the home is.
     for name, mesh in sorted(layout.pack.meshes.items()):
         digest.update(name.encode() + mesh.vertices.tobytes())  # type: ignore[attr-defined]

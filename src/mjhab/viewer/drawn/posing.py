@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from mjhab.robots.fetch import model as fetch
+from mjhab.robots.robot import Robot
 from mjhab.sim.mujoco.cpu import CpuSimulator
 
 MAX_JUMP_M = 0.25
@@ -49,7 +49,7 @@ class Poser:
         if self._data is None or home != self._home:
             self._data = mujoco.MjData(model)
             self._home = home
-            self._robot = _robot_bodies(model)
+            self._robot = _robot_bodies(model, self._sim.layout.robot)
         data = self._data
         assert data is not None
         data.qpos[:] = qpos
@@ -66,9 +66,9 @@ class Poser:
         return data.contact.pos[touching & (ours[:, 0] != ours[:, 1])].copy()
 
 
-def _robot_bodies(model: mujoco.MjModel) -> np.ndarray:
+def _robot_bodies(model: mujoco.MjModel, spec: Robot) -> np.ndarray:
     """(B,) bool."""
-    names = (*fetch.FORCE_LINKS, *fetch.FINGER_LINKS)
+    names = (*spec.force_links, *spec.finger_links)
     robot = np.zeros(model.nbody, bool)
     robot[[model.body(name).id for name in names]] = True
     return robot

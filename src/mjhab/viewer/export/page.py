@@ -24,10 +24,9 @@ from PIL import Image
 from mjhab.core.cache import write_atomic
 from mjhab.core.errors import MjhabError
 from mjhab.data.store.schema import CHECKS, STEP_SECONDS
-from mjhab.render.home_scene import CAMERA_NAMES, build_render_scene
+from mjhab.render.home_scene import build_render_scene
 from mjhab.reports.parts import event_tone
 from mjhab.reports.plots import kind_color
-from mjhab.robots.fetch import model as fetch
 from mjhab.viewer.drawn.cameras import Cameras
 from mjhab.viewer.drawn.models import HomeModels, Look, Model, home_models
 from mjhab.viewer.drawn.posing import Poser
@@ -225,8 +224,8 @@ def _poses(track: Track, models: HomeModels, replay: Replay, block: _Block) -> d
     change = np.diff(whole, axis=0, prepend=np.zeros_like(whole[:1]))
     # Columns one after the other: the changes of one number follow each other.
     place = block.add(change.reshape(len(change), -1).T)
-    base = bodies.index(replay.sim.addresses.robot_body[fetch.FORCE_LINKS[0]])
-    hand = bodies.index(replay.sim.addresses.robot_body[fetch.TCP_LINK])
+    base = bodies.index(replay.sim.addresses.robot_body[replay.sim.layout.robot.base_link])
+    hand = bodies.index(replay.sim.addresses.robot_body[replay.sim.layout.robot.tcp])
     contacts = [pose.contacts for pose in poses]
     counts = np.array([len(points) for points in contacts], np.uint8)
     points = np.concatenate([*contacts, np.zeros((1, 3))]).astype(np.float32)
@@ -247,7 +246,7 @@ def _pictures(track: Track, replay: Replay, count: int, block: _Block) -> dict[s
     if not count:
         return None
     states = np.unique(np.linspace(0, track.last, min(count, len(track.moments))).astype(int))
-    files: dict[str, list[bytes]] = {name: [] for name in CAMERA_NAMES}
+    files: dict[str, list[bytes]] = {name: [] for name in replay.sim.layout.robot.camera_names}
     for views in _views(track, replay, states.tolist()):
         for name, picture in views.items():
             files[name].append(_jpeg(picture))

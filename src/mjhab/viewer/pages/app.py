@@ -16,7 +16,6 @@ import viser
 from mjhab.core.rotations import mat_from_quat
 from mjhab.data.store.schema import CHECKS
 from mjhab.render.home_scene import build_render_scene
-from mjhab.robots.fetch import model as fetch
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.viewer.drawn.cameras import Cameras
 from mjhab.viewer.drawn.glb import HomeFiles, home_files
@@ -167,7 +166,7 @@ class Viewer:
 
     def _aim(self, pose: Pose, sim: CpuSimulator) -> None:
         """Look at the robot over its shoulder."""
-        body = sim.addresses.robot_body[fetch.FORCE_LINKS[0]]
+        body = sim.addresses.robot_body[sim.layout.robot.base_link]
         turn = mat_from_quat(pose.quat[body])
         flat = pose.pos[body] * (1.0, 1.0, 0.0)
         eye = flat + turn @ np.array([EYE[0], EYE[1], 0.0]) + np.array([0.0, 0.0, EYE[2]])
@@ -180,7 +179,7 @@ class Viewer:
 
     def _follow(self, pose: Pose, sim: CpuSimulator) -> None:
         """Carry the cameras of the pages along with the base, where that is wished."""
-        base = pose.pos[sim.addresses.robot_body[fetch.FORCE_LINKS[0]]]
+        base = pose.pos[sim.addresses.robot_body[sim.layout.robot.base_link]]
         moved = base - self._base
         self._base = base
         if self.panels.follows and np.abs(moved).max() > MIN_MOVE:
@@ -189,7 +188,7 @@ class Viewer:
 
     def _mark(self, track: Track, step: int, pose: Pose, sim: CpuSimulator) -> None:
         moment = track.moments[step]
-        tcp = pose.pos[sim.addresses.robot_body[fetch.TCP_LINK]]
+        tcp = pose.pos[sim.addresses.robot_body[sim.layout.robot.tcp]]
         self.stage.mark_grasp(tcp if moment.checks[_GRASPED] else None)
         self.stage.mark_plan(self.source.expert_plan)
         goal = track.plan[moment.active].goal if moment.active < len(track.plan) else None

@@ -12,7 +12,8 @@ import numpy as np
 from mjhab.core.errors import UsageError
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.robots.controllers import DEFAULT_MODE, make_controller
-from mjhab.robots.fetch.model import FETCH_JOINTS
+from mjhab.robots.registry import robot_named
+from mjhab.robots.robot import Robot
 
 HUMAN = "human"
 """Name of the actor, and of the policy whose episodes are driven by hand from their start."""
@@ -72,14 +73,8 @@ BUTTONS: dict[int, tuple[str, float]] = {
 GRIPPER_BUTTON = 0
 MOTIONS = ("forward", "turn", "x", "y", "z", "roll", "pitch", "yaw", "torso", "pan", "tilt")
 _HAND_MOTIONS = ("x", "y", "z", "roll", "pitch", "yaw")
-_COLUMNS = {
-    "base_forward": "forward",
-    "base_yaw": "turn",
-    "torso_lift_joint": "torso",
-    "head_pan_joint": "pan",
-    "head_tilt_joint": "tilt",
-}
-"""Entry of the action table to the motion that sets it."""
+_BODY_MOTIONS = {"head": ("pan", "tilt"), "torso": ("torso",)}
+"""Group of joints to the motions that set them, in the order of actions."""
 SHARES: dict[str, float] = {
     "forward": 0.6,
     "turn": 0.35,
@@ -149,7 +144,7 @@ class HandControl:
         self._input = HandInput()
         self._heard = -np.inf
         self._was_pressed = False
-        self._arm = make_controller(HAND_MODE, 1)
+        self._take_robot(robot_named())
 
     def hear(self, message: str) -> None:
         """Take a message of the page; one that cannot be understood counts as nothing held."""
@@ -178,6 +173,7 @@ class HandControl:
             raise UsageError(
                 f"by hand needs control_mode {DEFAULT_MODE!r}; this environment has {mode!r}."
             )
+        self._take_robot(env.layout.robot)
         state = _Joints(env.state.robot_q[[world]])
         self._arm.reset(np.ones(1, bool), state)
         self.gripper = 1.0 if env.grip[world] >= 0.0 else -1.0
@@ -192,23 +188,37 @@ class HandControl:
         gripper = env.controller.gripper
         for column, entry in enumerate(env.action_table):
             if column < gripper:
-                joint = FETCH_JOINTS.index(entry.joint)
+                (joint,) = self._robot.columns_of((entry.joint,))
                 action[column] = (target[joint] - q[0, joint]) / entry.high
             elif column == gripper:
                 action[column] = self.gripper
-            else:
-                action[column] = wish[_COLUMNS[entry.name]]
+            elif entry.name in self._motions:
+                action[column] = wish[self._motions[entry.name]]
         return np.clip(action, -1.0, 1.0)
 
+    def _take_robot(self, robot: Robot) -> None:
+        self._robot = robot
+        self._arm = make_controller(HAND_MODE, 1, robot=robot)
+        self._motions = _motions(robot)
+
     def _arm_target(self, wish: Mapping[str, float], q: np.ndarray) -> np.ndarray:
-        """Commanded joint positions (15,) that move the gripper as wished; only those of the arm count."""
+        """Commanded joint positions (J,) that move the gripper as wished; only those of the arm count."""
         given = np.zeros((1, self._arm.dim), np.float32)
         given[0, : len(_HAND_MOTIONS)] = [wish[name] for name in _HAND_MOTIONS]
         return self._arm.ctrl(given, _Joints(q))[0]
 
 
+def _motions(robot: Robot) -> dict[str, str]:
+    """Name of an entry of the action table to the motion that sets it, for base, torso and head."""
+    found = {"base_forward": "forward", "base_yaw": "turn"}
+    for group, motions in _BODY_MOTIONS.items():
+        # A group may have fewer joints than there are motions, or more, which then stand still.
+        found |= dict(zip(robot.group(group), motions, strict=False))
+    return found
+
+
 @dataclass(frozen=True)
 class _Joints:
-    """What a controller reads of a state: (1, 15) joint positions."""
+    """What a controller reads of a state: (1, J) joint positions."""
 
     robot_q: np.ndarray

@@ -28,7 +28,8 @@ from mjhab.data.store.schema import STEP_SECONDS
 from mjhab.data.store.shard import last_label
 
 FPS = round(1 / STEP_SECONDS)
-ROBOT = "fetch"
+OLD_ROBOT = "fetch"
+"""Robot of shards that do not name theirs."""
 STATE = "observation.state"
 ACTION = "action"
 INTENDED = "intended_action"
@@ -127,6 +128,7 @@ class _Export:
         self._pieces = pieces
         self._choice = choice
         self._features: Features = {}
+        self._robot = OLD_ROBOT
         self._tasks: dict[str, int] = {}
         self._subtasks: dict[str, int] = {}
         self._actors: dict[str, int] = {}
@@ -143,6 +145,7 @@ class _Export:
                 episode.refuse_damage()
                 features = describe(episode, self._choice)
                 self._features = self._features or features
+                self._robot = str(episode.run.layout.get("robot", OLD_ROBOT))
                 if features != self._features:
                     raise _differs(episode, self._features, features)
                 made = made or self._make(number, episode)
@@ -223,7 +226,7 @@ class _Export:
         films = _films(self._features)
         info = {
             "codebase_version": self._files.version,
-            "robot_type": ROBOT,
+            "robot_type": self._robot,
             "total_episodes": len(self._made),
             "total_frames": self._frames,
             "total_tasks": len(self._tasks),
@@ -237,7 +240,7 @@ class _Export:
         write_json(self._root / "meta/info.json", info)
         licences = dict.fromkeys(made.licence for made in self._made)
         (self._root / "README.md").write_text(
-            _card(len(self._made), self._frames, licences), encoding="utf-8"
+            _card(self._robot, len(self._made), self._frames, licences), encoding="utf-8"
         )
         images = [
             key
@@ -249,7 +252,7 @@ class _Export:
 
 def describe(episode: Episode, choice: Choice) -> Features:
     """The features of an episode as LeRobot names them."""
-    names = state_names(episode.columns("obs/state"))
+    names = state_names(episode.columns("obs/state"), episode.run.layout)
     actions = [str(name) for name in episode.run.layout.get("actions", [])]
     state_size = episode.array("obs/state").shape[1]
     action_size = episode.array("actions").shape[1]
@@ -347,7 +350,7 @@ def _differs(episode: Episode, first: Features, other: Features) -> UsageError:
     )
 
 
-def _card(episodes: int, frames: int, licences: dict[str, None]) -> str:
+def _card(robot: str, episodes: int, frames: int, licences: dict[str, None]) -> str:
     lines = [
         "---",
         "tags: [LeRobot, mjhab]",
@@ -358,7 +361,7 @@ def _card(episodes: int, frames: int, licences: dict[str, None]) -> str:
         "---",
         "",
         f"{episodes} episodes, {frames} frames at {FPS} Hz of a simulated "
-        "Fetch robot in furnished homes, recorded by mjhab.",
+        f"robot ({robot}) in furnished homes, recorded by mjhab.",
         "",
         "Assets: " + "; ".join(licences),
         "",

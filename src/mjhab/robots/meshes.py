@@ -1,0 +1,65 @@
+"""Meshes of robots for the eye: coarse enough to be drawn in every world, or made of their collision shapes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import trimesh
+
+from mjhab.core.rotations import mat_from_quat
+from mjhab.scenes.shapes.meshes import Mesh
+from mjhab.scenes.spec import Geom
+
+_CELL_M = 0.004
+
+
+def coarse_mesh(vertices: np.ndarray, faces: np.ndarray, most_faces: int) -> Mesh:
+    """Merge vertices on a grid that is coarsened until ``most_faces`` are left; smaller meshes stay as they are.
+
+    Args:
+        vertices: (V, 3) [m]. faces: (F, 3) indices.
+    """
+    cell = _CELL_M
+    kept = vertices
+    triangles = faces
+    while len(triangles) > most_faces:
+        _, index, inverse = np.unique(
+            np.round(vertices / cell), axis=0, return_index=True, return_inverse=True
+        )
+        kept = vertices[index]
+        triangles = inverse.ravel()[faces]
+        a, b, c = triangles.T
+        triangles = np.unique(triangles[(a != b) & (b != c) & (a != c)], axis=0)
+        cell *= 1.25
+    return Mesh(kept.astype(np.float32), triangles.astype(np.int32))
+
+
+def meshes_of_shapes(
+    collision: Mapping[str, tuple[Geom, ...]], material: str
+) -> list[tuple[str, Mesh, str]]:
+    """A robot that looks like its collision shapes: (link, mesh in its frame [m], material).
+
+    Args:
+        collision: shapes of every link, as in `Body.collision`. material: name of one of the robot's materials.
+    """
+    parts = []
+    for link, geoms in collision.items():
+        for geom in geoms:
+            solid = _solid(geom)
+            rot = mat_from_quat(np.array(geom.quat))
+            vertices = np.asarray(solid.vertices) @ rot.T + np.array(geom.pos)
+            mesh = Mesh(vertices.astype(np.float32), np.asarray(solid.faces, np.int32))
+            parts.append((link, mesh, material))
+    return parts
+
+
+def _solid(geom: Geom) -> trimesh.Trimesh:
+    radius, half, _ = geom.size
+    if geom.shape == "box":
+        return trimesh.creation.box(2.0 * np.array(geom.size))
+    if geom.shape == "cylinder":
+        return trimesh.creation.cylinder(radius, 2.0 * half, sections=24)
+    if geom.shape == "capsule":
+        return trimesh.creation.capsule(2.0 * half, radius, count=[12, 12])
+    return trimesh.creation.uv_sphere(radius, count=[12, 12])

@@ -1,0 +1,214 @@
+"""Links of a robot from an MJCF file that somebody else publishes: tree, masses, joints, meshes.
+
+A `Robot` has all its link frames parallel to each other when its joints are at zero, and joints along or about x, y or
+z. A published file turns its frames as it likes. So its links are read in a posture in which the joint axes are
+parallel to the axes of the root; there every link gets a frame that is parallel to the root, and the joints count from
+that posture.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import trimesh
+
+from mjhab.core.errors import MjhabError
+from mjhab.core.rotations import mat_from_quat
+from mjhab.robots.parts import Inertial, TreeLink
+from mjhab.scenes.spec import Geom, Vec3
+
+ROUND_DIGITS = 5
+"""Decimals [m] kept of what is computed, so that it is the same on every processor."""
+AXIS_TOLERANCE = 1e-4
+SURFACE_STEP_M = 0.015
+"""Largest edge of the triangles whose corners stand for the surface of a mesh."""
+
+
+@dataclass(frozen=True)
+class MeshGeom:
+    """A mesh of a link: its file, its pose in the frame of the link (rotation (3, 3), position (3,)), its colour."""
+
+    link: str
+    file: Path
+    rot: np.ndarray
+    pos: np.ndarray
+    rgba: tuple[float, float, float, float]
+    group: int
+
+
+class MjcfLinks:
+    """The links below one body of an MJCF file, in frames parallel to each other.
+
+    Args:
+        file: the MJCF file.
+        root: name of the body from which on links are read.
+        zero: joint values of the file [m, rad] that count as zero here; joints that are not named count from 0.
+        turn: (3, 3) orientation of the file's world in the axes of the robot.
+        flipped: joints whose positive direction is turned round.
+
+    Raises:
+        MjhabError: there is no such file, or MuJoCo refuses it.
+    """
+
+    def __init__(
+        self,
+        file: Path,
+        root: str,
+        zero: Mapping[str, float] | None = None,
+        turn: np.ndarray | None = None,
+        flipped: tuple[str, ...] = (),
+    ) -> None:
+        self.root = root
+        self._zero = dict(zero or {})
+        self._turn = np.eye(3) if turn is None else turn
+        self._flipped = flipped
+        if not file.is_file():
+            raise MjhabError(
+                f"{file} does not exist: install the package that it belongs to again."
+            )
+        spec = mujoco.MjSpec.from_file(str(file))
+        self._files = {
+            mesh.name: file.parent / spec.meshdir / mesh.file for mesh in spec.meshes if mesh.file
+        }
+        self._meshes = [(body.name, geom) for body in spec.bodies for geom in body.geoms]
+        self._rgba = {material.name: tuple(material.rgba) for material in spec.materials}
+        self._model = _without_meshes(file)
+        self._data = mujoco.MjData(self._model)
+        for joint, value in self._zero.items():
+            self._data.joint(joint).qpos[0] = value
+        mujoco.mj_kinematics(self._model, self._data)
+
+    @cached_property
+    def links(self) -> tuple[str, ...]:
+        """Names of the links, root first, parents before children."""
+        model = self._model
+        top = model.body(self.root).id
+        inside = {top}
+        for body in range(top + 1, model.nbody):
+            if model.body_parentid[body] in inside:
+                inside.add(body)
+        return tuple(model.body(body).name for body in sorted(inside))
+
+    def rot(self, link: str) -> np.ndarray:
+        """(3, 3) orientation that the file gives a link, in the axes of the robot."""
+        return self._turn @ self._data.body(link).xmat.reshape(3, 3)
+
+    def pos(self, link: str) -> np.ndarray:
+        """(3,) position [m] of a link from the root, in the axes of the robot."""
+        return self._turn @ (self._data.body(link).xpos - self._data.body(self.root).xpos)
+
+    def tree(self, parent: str, origin: Vec3) -> tuple[TreeLink, ...]:
+        """The links as rows of a robot's tree; the root hangs on ``parent`` at ``origin`` [m].
+
+        Raises:
+            MjhabError: a link has several joints, or one that is not at its origin or not along x, y or z.
+        """
+        rows = []
+        for link in self.links:
+            body = self._model.body(link)
+            if link == self.root:
+                up = parent
+                place = origin
+            else:
+                up = self._model.body(int(body.parentid[0])).name
+                place = _vec3(self.pos(link) - self.pos(up))
+            rows.append(self._row(link, up, place, int(body.jntnum[0]), int(body.jntadr[0])))
+        return tuple(rows)
+
+    def _row(self, link: str, parent: str, origin: Vec3, count: int, first: int) -> TreeLink:
+        if not count:
+            return TreeLink(link, parent, "", origin)
+        model = self._model
+        name = model.joint(first).name
+        if count > 1 or np.abs(model.jnt_pos[first]).max() > 0:
+            raise MjhabError(f"link {link!r} must have one joint, at its origin")
+        axis = self._turn @ self._data.xaxis[first]
+        if np.abs(np.abs(axis).max() - 1.0) > AXIS_TOLERANCE:
+            raise MjhabError(f"joint {name!r} is not along x, y or z at its zero: {axis}")
+        low, high = model.jnt_range[first] - self._zero.get(name, 0.0)
+        if name in self._flipped:
+            axis = -axis
+            low, high = -high, -low
+        slide = model.jnt_type[first] == mujoco.mjtJoint.mjJNT_SLIDE
+        # Adding zero turns -0.0 into 0.0.
+        limits = (round(float(low), 6) + 0.0, round(float(high), 6) + 0.0)
+        return TreeLink(link, parent, name, origin, _vec3(np.round(axis)), slide, limits)
+
+    def inertials(self) -> dict[str, Inertial]:
+        """Mass of every link; links to which the file gives none get that of a small part."""
+        found = {}
+        for link in self.links:
+            body = self._model.body(link)
+            mass = float(body.mass[0])
+            if not mass:
+                found[link] = Inertial(0.01, (0.0, 0.0, 0.0), (1e-5, 1e-5, 1e-5, 0.0, 0.0, 0.0))
+                continue
+            rot = self.rot(link)
+            axes = rot @ mat_from_quat(np.array(body.iquat))
+            full = axes @ np.diag(body.inertia) @ axes.T
+            rows = [full[0, 0], full[1, 1], full[2, 2], full[0, 1], full[0, 2], full[1, 2]]
+            xx, yy, zz, xy, xz, yz = (float(x) for x in np.round(rows, 7))
+            found[link] = Inertial(mass, _vec3(rot @ body.ipos), (xx, yy, zz, xy, xz, yz))
+        return found
+
+    def meshes(self, group: int) -> list[MeshGeom]:
+        """Meshes of the links in one geom group of the file."""
+        found = []
+        for link, geom in self._meshes:
+            if link in self.links and geom.group == group and geom.meshname:
+                rot = self.rot(link)
+                turn = rot @ mat_from_quat(np.array(geom.quat, float) / np.linalg.norm(geom.quat))
+                rgba = self._rgba.get(geom.material, tuple(geom.rgba))
+                place = rot @ np.array(geom.pos, float)
+                file = self._files[geom.meshname]
+                found.append(MeshGeom(link, file, turn, place, rgba, group))
+        return found
+
+
+def boxes_around(mesh: MeshGeom, pieces: int) -> tuple[Geom, ...]:
+    """Boxes that cover a mesh in the frame of its link: one for each of ``pieces`` slices along its longest side."""
+    loaded = trimesh.load_mesh(mesh.file)
+    vertices, _ = trimesh.remesh.subdivide_to_size(
+        loaded.vertices, loaded.faces, SURFACE_STEP_M, max_iter=12
+    )
+    points = vertices @ mesh.rot.T + mesh.pos
+    low = points.min(axis=0)
+    high = points.max(axis=0)
+    long = int(np.argmax(high - low))
+    cuts = np.linspace(low[long], high[long], pieces + 1)
+    boxes = []
+    for start, end in pairwise(cuts):
+        inside = points[(points[:, long] >= start - 1e-9) & (points[:, long] <= end + 1e-9)]
+        least = inside.min(axis=0)
+        most = inside.max(axis=0)
+        least[long] = start
+        most[long] = end
+        half = _vec3(0.5 * (most - least))
+        boxes.append(Geom("box", half, _vec3(0.5 * (most + least)), visual=False))
+    return tuple(boxes)
+
+
+def _without_meshes(file: Path) -> mujoco.MjModel:
+    """The compiled model of a file without its geoms: poses and masses need none."""
+    spec = mujoco.MjSpec.from_file(str(file))
+    for geom in list(spec.geoms):
+        spec.delete(geom)
+    for mesh in list(spec.meshes):
+        spec.delete(mesh)
+    spec.compiler.boundmass = 1e-9
+    spec.compiler.boundinertia = 1e-9
+    try:
+        return spec.compile()
+    except ValueError as error:
+        raise MjhabError(f"MuJoCo cannot read {file}: {error}") from error
+
+
+def _vec3(values: np.ndarray) -> Vec3:
+    x, y, z = (float(value) + 0.0 for value in np.round(values, ROUND_DIGITS))
+    return (x, y, z)

@@ -1,0 +1,138 @@
+"""Robots by name: what one must have, what is refused; nothing outside `robots` names or numbers a joint."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import mjhab
+from mjhab.cli.main import main
+from mjhab.core.errors import UsageError
+from mjhab.robots.fetch.robot import ROBOT
+from mjhab.robots.registry import DEFAULT_ROBOT, ROBOTS, register_robot, robot_named
+from mjhab.robots.robot import Robot
+
+SOURCE = Path(mjhab.__file__).parent
+FETCH_WORDS = re.compile(
+    r"robots\.fetch|FETCH_JOINTS|\bFetch\b|gripper_link|_flex_|_roll_joint|_pan_joint|_tilt_joint|torso_lift"
+)
+"""What only the robot Fetch has: its modules, its name and its joints."""
+JOINT_NUMBERS = re.compile(
+    r"(robot_qd?|rest_qpos|REST_QPOS)\[[^\]]*[:\s]\d|(view\.q|rest_qpos)\[[^\]]*\d|\b(3:13|13:15|13:)\]"
+)
+"""A number where a column of joint positions belongs."""
+OTHERS = ("data/imports/ms_hab.py", "data/select/describing.py", "learning/ms_hab")
+"""Files that speak of what others have recorded."""
+
+
+@pytest.fixture
+def removed() -> Iterator[list[str]]:
+    """Names of robots to take back after a test."""
+    names: list[str] = []
+    yield names
+    for name in names:
+        ROBOTS.remove(name)
+
+
+def test_fetch_is_the_first_robot_and_the_default() -> None:
+    assert ROBOTS.names()[0] == DEFAULT_ROBOT == "fetch" and robot_named() is ROBOT
+    assert ROBOT.action.dim == 13 and ROBOT.columns.posture == slice(3, 13)
+
+
+def test_two_robots_of_one_name_are_refused(removed: list[str]) -> None:
+    twin = dataclasses.replace(ROBOT, name="twin")
+    assert register_robot(twin) is robot_named("twin")
+    removed.append("twin")
+    with pytest.raises(UsageError, match="robot 'twin' is registered twice"):
+        mjhab.register_robot(twin)
+    with pytest.raises(UsageError, match="robot 'fetch' is registered twice"):
+        register_robot(ROBOT)
+
+
+def test_an_unknown_robot_is_named() -> None:
+    with pytest.raises(UsageError, match=r"unknown robot 'fecth'.*'fetch'"):
+        mjhab.make(robot="fecth", task="set_table")
+
+
+def changed(**groups: tuple[str, ...]) -> Robot:
+    """Fetch with other groups of joints and the joints that are left."""
+    own = {**ROBOT.groups, **groups}
+    own = {group: joints for group, joints in own.items() if joints}
+    joints = tuple(joint for joint in ROBOT.joints if any(joint in row for row in own.values()))
+    rest = tuple(ROBOT.rest_qpos[ROBOT.joints.index(joint)] for joint in joints)
+    return dataclasses.replace(
+        ROBOT, name="changed", groups=own, joints=joints, rest_qpos=rest, fingers=()
+    )
+
+
+def test_a_task_says_which_joint_groups_a_robot_lacks(removed: list[str]) -> None:
+    register_robot(changed(fingers=(), head=()))
+    removed.append("changed")
+    with pytest.raises(UsageError, match="no joint group 'fingers', which task 'set_table' needs"):
+        mjhab.make(robot="changed", task="set_table")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"groups": {**ROBOT.groups, "legs": ()}}, "unknown joint group 'legs'"),
+        ({"groups": {**ROBOT.groups, "head": ()}}, "belongs to one group"),
+        ({"joints": ROBOT.joints[::-1]}, "first three joints must be group 'base'"),
+        (
+            {"joints": (*ROBOT.joints[:12], *ROBOT.joints[13:], ROBOT.joints[12])},
+            "'fingers' must be the last",
+        ),
+        ({"rest_qpos": ROBOT.rest_qpos[:5]}, "rest_qpos needs 15 values"),
+    ],
+)
+def test_a_robot_that_cannot_be_is_refused(change: dict, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        dataclasses.replace(ROBOT, **change)
+
+
+def test_robots_are_listed_for_machines(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["robots", "list", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out.splitlines()[-1])["robots"]
+    assert found[0] == {"name": "fetch", "dofs": 15, "action_dim": 13, "state_dim": 42}
+    assert [robot["name"] for robot in found] == list(ROBOTS)
+
+
+def test_a_robot_is_shown(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["robots", "show", "fetch", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert found["cameras"] == ["fetch_head", "fetch_hand"] and len(found["joints"]) == 15
+    torso = found["joints"][3]
+    assert torso["group"] == "torso" and torso["unit"] == "m" and torso["high"] == 0.38615
+    assert main(["robots", "show", "fecth"]) == 2
+
+
+def code_lines() -> Iterator[tuple[str, int, str]]:
+    """File, number and text of every line of source outside `robots`."""
+    for file in sorted(SOURCE.rglob("*.py")):
+        name = file.relative_to(SOURCE).as_posix()
+        if not name.startswith("robots/") and not name.startswith(OTHERS):
+            for number, line in enumerate(file.read_text(encoding="utf-8").splitlines(), 1):
+                yield name, number, line
+
+
+def test_nobody_else_names_the_robot_or_its_joints() -> None:
+    found = [
+        f"{name}:{number}: {line}"
+        for name, number, line in code_lines()
+        if FETCH_WORDS.search(line)
+    ]
+    assert not found, "\n".join(found)
+
+
+def test_nobody_else_numbers_a_joint() -> None:
+    found = [
+        f"{name}:{number}: {line}"
+        for name, number, line in code_lines()
+        if JOINT_NUMBERS.search(line)
+    ]
+    assert not found, "\n".join(found)

@@ -49,6 +49,8 @@ demo-student: $(VENV)/.learn  ## a policy that learned from what the robot sees 
 	@echo "Open in a browser (no network needed): $(CURDIR)/$(DEMO_STUDENT_OUT)/report.html"
 
 test: $(VENV)/.dev  ## the whole test suite, with the slowest tests listed at the end
+	@# Kernels are compiled before several pytest workers could write their caches at the same time.
+	$(BIN)/mjhab warmup --task set_table
 	$(BIN)/python -m pytest --durations=15 --durations-min=0.5 $(PYTEST_ARGS)
 
 GENERATE_OUT := runs/generate

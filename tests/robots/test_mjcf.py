@@ -87,7 +87,7 @@ def test_boxes_cover_a_mesh(tmp_path: Path) -> None:
     points = cone.sample(2000, seed=0)
     inside = np.zeros(len(points), bool)
     for box in boxes:
-        inside |= (np.abs(points - box.pos) <= np.array(box.size) + 2e-3).all(axis=1)
+        inside |= (np.abs(points - box.pos) <= np.array(box.size) + 2e-3).all(axis=1)  # pyright: ignore[reportOperatorIssue]
     assert inside.all()
     # Slices follow the shape: the tip has a small box.
     assert boxes[-1].size[0] < 0.5 * boxes[0].size[0]

@@ -174,7 +174,7 @@ class MjcfLinks:
 def boxes_around(mesh: MeshGeom, pieces: int) -> tuple[Geom, ...]:
     """Boxes that cover a mesh in the frame of its link: one for each of ``pieces`` slices along its longest side."""
     loaded = trimesh.load_mesh(mesh.file)
-    vertices, _ = trimesh.remesh.subdivide_to_size(
+    vertices, *_ = trimesh.remesh.subdivide_to_size(
         loaded.vertices, loaded.faces, SURFACE_STEP_M, max_iter=12
     )
     points = vertices @ mesh.rot.T + mesh.pos

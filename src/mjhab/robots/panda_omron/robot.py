@@ -101,7 +101,7 @@ ROBOT = Robot(
     arm_links=(COLUMN, "link0", "link1", "link2", "link3", "link4", "link5", "link6"),
     wrist_links=("link6", "link7", "right_gripper"),
     cameras=(
-        CameraMount("panda_omron_head", COLUMN, (-0.35, 0.0, 0.95), _LOOK_DOWN, 1.6),
+        CameraMount("panda_omron_head", COLUMN, (-0.35, 0.0, 0.95), _LOOK_DOWN, 1.6),  # pyright: ignore[reportArgumentType]
         CameraMount("panda_omron_hand", "right_gripper", (0.02, 0.0, 0.10), LOOK_FORWARD, 1.6),
     ),
     gains={

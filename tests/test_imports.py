@@ -34,7 +34,7 @@ ALLOWED: dict[str, frozenset[str]] = {
     "reports": frozenset({"core", "tasks", "rollout", "data"}),
     "serving": frozenset({"core"}),
     "evaluation": _ENV | {"assets", "experts", "rollout", "data", "reports", "serving"},
-    "integrations": frozenset({"core", "robots", "envs", "evaluation"}),
+    "integrations": frozenset({"core", "tasks", "robots", "envs", "evaluation"}),
     "learning": frozenset({"core", "tasks", "config", "episodes", "envs", "experts"})
     | {"rollout", "data", "reports", "evaluation"},
     "viewer": _RUN,

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 import torch
+from rsl_rl import runners  # pyright: ignore[reportMissingImports]
 
 import mjhab
 from mjhab.core.errors import UsageError
 from mjhab.integrations.rsl_rl import to_rsl_rl
 
-runners = pytest.importorskip("rsl_rl.runners")
 HORIZON = 6
 OPTIONS = {
     "task": "set_table",

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import stable_baselines3  # pyright: ignore[reportMissingImports]
 
 import mjhab
 from mjhab.core.errors import UsageError
 from mjhab.integrations.sb3 import to_sb3
 
-stable_baselines3 = pytest.importorskip("stable_baselines3")
 HORIZON = 6
 OPTIONS = {
     "task": "set_table",

@@ -8,6 +8,7 @@ import torch
 from gymnasium.vector import AutoresetMode, VectorEnv
 
 from mjhab.core.errors import UsageError
+from mjhab.tasks.subtasks.registry import horizons
 
 
 def to_rsl_rl(env: VectorEnv) -> Any:
@@ -40,7 +41,7 @@ def to_rsl_rl(env: VectorEnv) -> Any:
         def __init__(self) -> None:
             self.num_envs = env.num_envs
             self.num_actions = int(env.single_action_space.shape[0])  # type: ignore[index]
-            self.max_episode_length = int(max(env.unwrapped.task_config.horizons))  # type: ignore[attr-defined]
+            self.max_episode_length = max(horizons(env.unwrapped.task_config))  # type: ignore[attr-defined]
             obs, _ = env.reset(seed=env.unwrapped.config.seed)  # type: ignore[attr-defined]
             self.device = torch.as_tensor(obs["state"]).device
             self.episode_length_buf = torch.zeros(

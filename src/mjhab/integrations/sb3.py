@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, unknown_name
 
 
 def to_sb3(env: VectorEnv, keys: Sequence[str] = ("state",)) -> Any:
@@ -40,8 +40,6 @@ def to_sb3(env: VectorEnv, keys: Sequence[str] = ("state",)) -> Any:
     assert isinstance(known, spaces.Dict)
     for key in keys:
         if key not in known.spaces:
-            from mjhab.core.errors import unknown_name
-
             raise unknown_name("observation", key, tuple(known.spaces))
     alone = len(keys) == 1
     seen = known[keys[0]] if alone else spaces.Dict({key: known[key] for key in keys})

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeVar
 
 from mjhab.core.errors import UsageError, unknown_name
 
@@ -245,9 +245,23 @@ def preset_of(algorithm: str, name: str = "") -> TrainConfig:
     Raises:
         UsageError: no such algorithm, or it has no such preset.
     """
-    if algorithm not in PRESETS:
-        raise unknown_name("algorithm", algorithm, PRESETS)
-    presets = PRESETS[algorithm]
+    return find_preset(PRESETS, algorithm, name)
+
+
+Preset = TypeVar("Preset")
+
+
+def find_preset(
+    known: Mapping[str, Mapping[str, Preset]], algorithm: str, name: str = ""
+) -> Preset:
+    """A preset of an algorithm from a table by algorithm and name, its first one if no name is given.
+
+    Raises:
+        UsageError: no such algorithm, or it has no such preset.
+    """
+    if algorithm not in known:
+        raise unknown_name("algorithm", algorithm, known)
+    presets = known[algorithm]
     if not name:
         return next(iter(presets.values()))
     if name not in presets:

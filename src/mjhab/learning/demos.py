@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mjhab.core.arrays import Array, namespace
 from mjhab.core.errors import UsageError
 from mjhab.core.joints import BASE, BASE_X, BASE_Y, BASE_YAW
 from mjhab.core.names import kind_of
@@ -310,11 +311,16 @@ def base_velocity_of(episode: Episode) -> np.ndarray:
     return base_velocity(q, qd)
 
 
-def base_velocity(q: np.ndarray, qd: np.ndarray) -> np.ndarray:
-    """(N, 2) float32 forward speed and turning rate of q (N, 3+): x, y [m], yaw [rad], and its velocities ``qd``."""
+def base_velocity(q: Array, qd: Array) -> Array:
+    """Forward speed [m/s] and turning rate [rad/s] of the base, (N, 2) float32, as numpy or torch as ``q`` is.
+
+    Args:
+        q: (N, 3+) position x, y [m] and yaw [rad] of the base, then anything. qd: the velocities of ``q``.
+    """
     yaw = q[:, BASE_YAW]
-    forward = np.cos(yaw) * qd[:, BASE_X] + np.sin(yaw) * qd[:, BASE_Y]
-    return np.stack([forward, qd[:, BASE_YAW]], axis=1).astype(np.float32)
+    xp = namespace(q)
+    forward = xp.cos(yaw) * qd[:, BASE_X] + xp.sin(yaw) * qd[:, BASE_Y]
+    return xp.astype(xp.stack([forward, qd[:, BASE_YAW]], axis=1), xp.float32)
 
 
 def _images(episode: Episode, layout: Layout, steps: int) -> np.ndarray:

@@ -23,7 +23,7 @@ def worlds(privileged: bool = False, terminates: bool = False) -> tuple[Worlds, 
     """The toy's worlds, and the numbers that only a critic sees."""
     env = Toy(WORLDS, terminates)
     sight = Sight(env, LAYOUT, privileged)
-    return Worlds(env, sight), sight.privileged_width
+    return Worlds(env, sight, 0), sight.privileged_width
 
 
 def reward_of(policy: object, steps: int = 5 * HORIZON) -> float:
@@ -113,7 +113,7 @@ def test_an_environment_that_resets_itself_is_refused() -> None:
     env = Toy(2)
     env.config.autoreset = "same_step"
     with pytest.raises(UsageError, match="autoreset='disabled'"):
-        Worlds(env, Sight(env, LAYOUT, False))
+        Worlds(env, Sight(env, LAYOUT, False), 0)
 
 
 def test_worlds_that_do_not_divide_into_minibatches_are_refused() -> None:

@@ -35,7 +35,7 @@ def learn(rows: slice) -> dict[str, torch.Tensor]:
     """Weights after one update from a part of the rollout."""
     agent = Ppo(CONFIG, LAYOUT, 0, seed=0)
     env = Toy(2)
-    learner = PpoLearner(agent, Worlds(env, Sight(env, LAYOUT, False)), CONFIG, seed=0)
+    learner = PpoLearner(agent, Worlds(env, Sight(env, LAYOUT, False), 0), CONFIG, seed=0)
     learner.update(rollout(rows), 0.0)
     return agent.state_dict()
 

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
+import socket
 from pathlib import Path
 
 import pytest
 import torch
+from torch.multiprocessing.spawn import spawn
 
 from mjhab.core.errors import UsageError
 from mjhab.learning.checkpoint import load_checkpoint, load_student
@@ -108,3 +111,24 @@ def test_a_run_leaves_a_policy_that_eval_takes_and_a_report(tmp_path: Path) -> N
         train_reinforcement(
             dataclasses.replace(request(TINY_RLPD), start=start), tmp_path / "other"
         )
+
+
+def train_in_process(number: int, folder: str, port: int, resume: bool) -> None:
+    """One of two processes, as torchrun starts them."""
+    own = {"RANK": number, "WORLD_SIZE": 2, "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port}
+    os.environ |= {name: str(value) for name, value in own.items()}
+    torch.set_num_threads(1)
+    told = dataclasses.replace(request(TINY), budget_seconds=600.0)
+    train_reinforcement(told, Path(folder), resume)
+    torch.distributed.destroy_process_group()
+
+
+def test_two_processes_train_and_resume_together(tmp_path: Path) -> None:
+    for number, resume in enumerate((False, True)):
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            port = free.getsockname()[1]
+        spawn(train_in_process, (str(tmp_path / "run"), port, resume), nprocs=2)
+        saved = load_checkpoint(tmp_path / "run" / "training.safetensors")
+        # The samples of both count; a run that is over makes no more when it is resumed.
+        assert saved.about["samples"] == TINY.samples, number

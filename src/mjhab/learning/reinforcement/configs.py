@@ -12,7 +12,14 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.learning.configs import BC, GAUSSIAN, InputConfig, NetworkConfig, StudentConfig
+from mjhab.learning.configs import (
+    BC,
+    GAUSSIAN,
+    InputConfig,
+    NetworkConfig,
+    StudentConfig,
+    find_preset,
+)
 
 PPO = "ppo"
 SAC = "sac"
@@ -267,14 +274,7 @@ def reinforcement_preset(algorithm: str, name: str = "") -> ReinforcementConfig:
     Raises:
         UsageError: no such algorithm, or it has no such preset.
     """
-    if algorithm not in PRESETS:
-        raise unknown_name("algorithm", algorithm, PRESETS)
-    presets = PRESETS[algorithm]
-    if not name:
-        return next(iter(presets.values()))
-    if name not in presets:
-        raise unknown_name(f"preset of {algorithm}", name, presets)
-    return presets[name]
+    return find_preset(PRESETS, algorithm, name)
 
 
 def changed(config: ReinforcementConfig, values: Mapping[str, Any]) -> ReinforcementConfig:

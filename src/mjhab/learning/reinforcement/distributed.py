@@ -55,3 +55,19 @@ def mean_and_spread(values: Tensor) -> tuple[Tensor, Tensor]:
     average([moments])
     mean = moments[0]
     return mean, (moments[1] - mean**2).clamp(min=0.0).sqrt()
+
+
+def told_by_first(judged: bool) -> bool:
+    """What the first process judges, in all of them."""
+    if processes() == 1:
+        return judged
+    device = "cuda" if dist.get_backend() == "nccl" else "cpu"
+    flag = torch.tensor(float(judged), device=device)
+    dist.broadcast(flag, 0)
+    return bool(flag)
+
+
+def wait() -> None:
+    """Go on when all processes have come here."""
+    if processes() > 1:
+        dist.barrier()

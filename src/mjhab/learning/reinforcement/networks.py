@@ -7,11 +7,9 @@ from torch import Tensor, nn
 
 from mjhab.learning.configs import StudentConfig
 from mjhab.learning.layout import Layout
-from mjhab.learning.networks import Encoder, Normalizer, mlp
+from mjhab.learning.networks import MOST_SPREADS, Encoder, Normalizer, mlp
 from mjhab.learning.reinforcement.configs import SacConfig
 from mjhab.learning.reinforcement.sight import Seen
-
-MOST_SPREADS = 8.0
 
 
 class Value(nn.Module):

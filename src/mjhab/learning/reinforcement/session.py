@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import time
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,7 +16,13 @@ from torch import Tensor
 
 from mjhab.core.errors import UsageError
 from mjhab.core.version import __version__
-from mjhab.learning.checkpoint import Checkpoint, load_checkpoint, load_student, save_student
+from mjhab.learning.checkpoint import (
+    Checkpoint,
+    load_checkpoint,
+    load_student,
+    save_student,
+    save_tensors,
+)
 from mjhab.learning.configs import InputConfig
 from mjhab.learning.layout import Layout, layout_of
 from mjhab.learning.reinforcement import distributed
@@ -24,7 +31,7 @@ from mjhab.learning.reinforcement.sight import Sight
 from mjhab.learning.reinforcement.worlds import Transition, Worlds
 from mjhab.learning.runs.collection import Means, Scene
 from mjhab.learning.runs.evaluation import Evaluations
-from mjhab.learning.runs.run import Logbook, TrainingFolder
+from mjhab.learning.runs.run import TRAINING, Logbook, TrainingFolder
 from mjhab.learning.runs.session import FIRST, LATEST, OutOfTime
 from mjhab.learning.students.student import Student
 from mjhab.rollout.records import EpisodeRecord
@@ -92,7 +99,9 @@ def training_env(
 class ReinforcementSession:
     """State of a run. Make one with `open_reinforcement`."""
 
-    def __init__(self, request: ReinforcementRequest, folder: TrainingFolder, resume: bool) -> None:
+    def __init__(
+        self, request: ReinforcementRequest, folder: TrainingFolder, checkpoint: Path, resume: bool
+    ) -> None:
         if request.threads:
             torch.set_num_threads(request.threads)
         self.request = request
@@ -118,13 +127,11 @@ class ReinforcementSession:
         self.scene = dataclasses.replace(request.scene, profile=self.layout.profile)
         self.saved: Checkpoint | None = None
         self.standing = Standing()
-        if resume and folder.training.is_file():
-            self.saved = load_checkpoint(folder.training)
+        if resume and checkpoint.is_file():
+            self.saved = load_checkpoint(checkpoint)
             known = {name: self.saved.about[name] for name in Standing.__dataclass_fields__}
             self.standing = Standing(**known)
-        self.worlds = Worlds(self.env, sight)
-        if self.saved is not None:
-            self.worlds.begin(self.seed + self.standing.checkpoints)
+        self.worlds = Worlds(self.env, sight, self.seed + self.standing.checkpoints)
         self.log = Logbook(folder, self.standing.seconds, self.standing.updates)
         self.records: list[EpisodeRecord] = []
         self._eval_seconds = 0.0
@@ -171,7 +178,8 @@ class ReinforcementSession:
         """
         budget = self.request.budget_seconds
         reserve = self._eval_seconds * self.request.eval_episodes
-        if budget and self.log.seconds + reserve > budget:
+        # The first process judges for all: one that stopped alone would leave the others waiting for its gradients.
+        if budget and distributed.told_by_first(self.log.seconds + reserve > budget):
             raise OutOfTime
 
     # -- checkpoints --------------------------------------------------------------------------------------------------
@@ -187,8 +195,6 @@ class ReinforcementSession:
         self.worlds.begin(self.seed + self.standing.checkpoints)
 
     def _write(self, actor: Student, tensors: dict[str, Tensor]) -> None:
-        from mjhab.learning.checkpoint import save_tensors
-
         self.standing.seconds = self.log.seconds
         about = {
             **vars(self.standing),
@@ -212,8 +218,6 @@ class ReinforcementSession:
 
     def evaluate(self, actor: Student, episodes: int, last: bool = False) -> float:
         """Success once of the actor over the episodes 0 to ``episodes`` - 1, as `mjhab eval` has it."""
-        import time
-
         if distributed.rank():
             return 0.0
         self.save_actor(actor)
@@ -284,11 +288,16 @@ def open_reinforcement(
         UsageError: folder, scene or checkpoint do not fit; nothing was written.
     """
     distributed.join()
-    mine = out if distributed.rank() == 0 else out / f"rank_{distributed.rank()}"
     config = resolved_config(request)
+    first = distributed.rank() == 0
+    mine = out if first else out / f"rank_{distributed.rank()}"
+    if not first:
+        # The first process refuses a folder that is not empty, so it goes first.
+        distributed.wait()
     check_folder(mine, config, resume=resume)
-    session = ReinforcementSession(
-        request, TrainingFolder.open(mine, config, resume=resume), resume
-    )
+    folder = TrainingFolder.open(mine, config, resume=resume)
+    if first:
+        distributed.wait()
+    session = ReinforcementSession(request, folder, out / TRAINING, resume)
     with session.log:
         yield session

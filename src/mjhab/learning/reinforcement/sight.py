@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from mjhab.core.names import kind_of
-from mjhab.learning.demos import nearness
+from mjhab.learning.demos import base_velocity, nearness
 from mjhab.learning.layout import Layout
 from mjhab.tasks.subtasks.registry import horizons
 
@@ -118,7 +118,8 @@ class Sight:
         parts = [torch.as_tensor(obs["state"]).float()]
         inputs = self._layout.inputs
         if inputs.base_velocity:
-            parts.append(self._base_velocity())
+            state = self._env.state
+            parts.append(torch.as_tensor(base_velocity(state.robot_q, state.robot_qd)))
         if inputs.previous_action:
             parts.append(last)
         if inputs.condition:
@@ -140,13 +141,6 @@ class Sight:
             return self._images[:, -1]
         depths = [torch.as_tensor(obs[key])[..., 0] for key in keys]
         return torch.stack([self._near[depth.clamp(min=0).long()] for depth in depths], dim=1)
-
-    def _base_velocity(self) -> Tensor:
-        """Forward speed [m/s] and turning rate [rad/s], (W, 2)."""
-        q = torch.as_tensor(self._env.state.robot_q)
-        qd = torch.as_tensor(self._env.state.robot_qd)
-        forward = torch.cos(q[:, 2]) * qd[:, 0] + torch.sin(q[:, 2]) * qd[:, 1]
-        return torch.stack([forward, qd[:, 2]], dim=1).float()
 
     def _privileged_of(self, info: Mapping[str, Any]) -> Tensor:
         worlds = self._env.num_envs

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from abc import ABC, abstractmethod
 from pathlib import Path
 from typing import Any
 
@@ -97,27 +98,26 @@ def summarize(session: ReinforcementSession) -> dict[str, Any]:
     }
 
 
-class _Run:
+class _Run(ABC):
     """What both algorithms do around their updates."""
 
     def __init__(self, session: ReinforcementSession) -> None:
         self.session = session
         self.config = session.config
-        self._sim_seconds = 0.0
 
     actor: Student
 
+    @abstractmethod
     def tensors(self) -> dict[str, Tensor]:
         """Everything that the next update depends on, by name."""
-        raise NotImplementedError
 
+    @abstractmethod
     def learn(self) -> None:
         """Use the samples that are left.
 
         Raises:
             OutOfTime: the budget is spent.
         """
-        raise NotImplementedError
 
     def _between(self, before: int) -> None:
         """Checkpoint and evaluate where they are due since ``before`` samples."""

@@ -36,13 +36,13 @@ class Worlds:
     have followed: a vector environment that resets by itself gives no more of it than ``info["final_obs"]``.
 
     Args:
-        env: of either backend. sight: of the same environment.
+        env: of either backend. sight: of the same environment. seed: of the first episodes.
 
     Raises:
         UsageError: the environment resets by itself.
     """
 
-    def __init__(self, env: Any, sight: Sight) -> None:
+    def __init__(self, env: Any, sight: Sight, seed: int) -> None:
         if env.config.autoreset != "disabled":
             raise UsageError(
                 f"agents reset the worlds themselves; make the environment with autoreset='disabled', not "
@@ -54,7 +54,7 @@ class Worlds:
         self.device = sight.device
         self._none = torch.zeros(self.count, dtype=torch.bool, device=self.device)
         self._succeeded = self._none
-        self.seen: Seen = self.begin(0)
+        self.seen: Seen = self.begin(seed)
 
     def begin(self, seed: int) -> Seen:
         """Begin new episodes in all worlds; which ones depends on ``seed`` alone."""

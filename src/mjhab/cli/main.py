@@ -13,6 +13,7 @@ import tyro
 from mjhab import register_all
 from mjhab.cli import commands
 from mjhab.core.errors import MjhabError, UsageError
+from mjhab.core.memory_cache import set_memory_limit
 from mjhab.core.version import __version__
 
 DESCRIPTION = f"""mjhab {__version__}: home assistant tasks with low-level whole-body control, on MuJoCo.
@@ -83,6 +84,9 @@ def run(command: Any) -> int:
     command = with_pack_request(command)
     # In a group such as `homes`, the command chosen in it.
     chosen = getattr(command, "command", command)
+    limit = getattr(chosen, "cache_mb", None)
+    if limit is not None:
+        set_memory_limit(limit)
     module, function = commands.RUNNERS.get(type(chosen)) or commands.RUNNERS[type(command)]
     return getattr(importlib.import_module(f"mjhab.{module}"), function)(chosen)
 

@@ -37,7 +37,10 @@ def run_doctor(options: DoctorOptions) -> int:
 
 
 def diagnose() -> dict[str, Any]:
-    """Return python and mujoco version, renderers (name: works), gpu (name or None), cores, cache folder, limit of the cache in memory [MB]."""
+    """Return python and mujoco version, renderers (name: works), gpu (name or None), cores, caches.
+
+    ``cache``: the folder; ``memory_cache_mb``: limit of what a process remembers [MB].
+    """
     from mjhab.render.gl_probe import renderer_probe
 
     return {

@@ -18,6 +18,7 @@ from mjhab.core.names import kind_of
 from mjhab.core.rotations import mat_from_quat
 from mjhab.episodes.generator import Episode, require_furniture
 from mjhab.episodes.hab.format import (
+    MAX_OBJECTS,
     HabEpisode,
     HabFile,
     pose_from_hab,
@@ -64,6 +65,10 @@ def file_roster(file: HabFile, pack: Pack) -> tuple[str, ...]:
                 known = unknown_name("object", kind, pack.objects)
                 raise UsageError(f"{file.path}: episodes[{i}].rigid_objs[{k}]: {known}")
         most |= Counter(episode.types)
+    if most.total() > MAX_OBJECTS:
+        raise UsageError(
+            f"{file.path}: its episodes need {most.total():,} objects at once; at most {MAX_OBJECTS} can be simulated."
+        )
     return tuple(kind for kind in sorted(most) for _ in range(most[kind]))
 
 

@@ -355,7 +355,7 @@ def meshes() -> Iterator[Case]:
         "a scale of 1e300": setting("nodes", 0, "scale", value=[1e300] * 3),
         "a scale of two": setting("nodes", 0, "scale", value=[1.0, 1.0]),
         "a matrix of 15": setting("nodes", 0, "matrix", value=[1.0] * 15),
-        "a name that is a list": setting("meshes", 0, "name", value=[1]),
+        "a mesh that is a list": setting("meshes", 0, value=[1]),
     }
     for name, change in changes.items():
         yield Case("GLB", name, glb(change))
@@ -550,7 +550,6 @@ WRITERS: dict[str, tuple[str, ...]] = {
     "export lerobot": ("export", "lerobot", "{shard}", "--out"),
     "export maniskill": ("export", "maniskill", "{shard}", "--out"),
     "data split": ("data", "split", "{shard}", "--out"),
-    "data repair": ("data", "repair", "{shard}", "--out"),
     "data merge": ("data", "merge", "{shard}", "--out"),
 }
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import os
+import signal
 import sys
 import tempfile
 import time
@@ -26,6 +28,7 @@ def tried(case: Case) -> str:
     with tempfile.TemporaryDirectory() as folder:
         process = context.Process(target=_run, args=(case, Path(folder), there))
         process.start()
+        assert process.pid
         there.close()
         begun = time.monotonic()
         while not here.poll(0.1):
@@ -37,7 +40,9 @@ def tried(case: Case) -> str:
             process.join()
             return f"died: {process.exitcode}"
         finally:
-            process.kill()
+            # Workers that the case started, too.
+            with contextlib.suppress(OSError):
+                os.killpg(process.pid, signal.SIGKILL)
             process.join()
 
 
@@ -51,6 +56,7 @@ def _cpu_s(process: int | None) -> float:
 
 
 def _run(case: Case, folder: Path, pipe: Connection) -> None:
+    os.setsid()
     pipe.send(outcome(case, folder))
 
 

@@ -11,7 +11,9 @@ from mjhab.core.errors import UsageError
 from mjhab.core.files.outputs import check_output
 
 MAX_NUMBER = 10**9
-MAX_TEXT_CHARACTERS = 10_000
+MAX_TEXT_CHARACTERS = 1000
+MAX_FILTER_CHARACTERS = 10_000
+FILTERS = ("where", "keep")
 MAX_PATH_CHARACTERS = 4096
 INT_RANGES: dict[str, tuple[int, int]] = {
     "seed": (0, 2**63 - 1),
@@ -60,7 +62,9 @@ def _check(name: str, value: Any) -> None:
         if not (math.isfinite(value) and 0.0 <= value <= MAX_NUMBER):
             raise UsageError(f"{_shown(name)} must be from 0 to {MAX_NUMBER:,}, got {value}.")
     elif isinstance(value, str | Path):
-        most = MAX_TEXT_CHARACTERS if isinstance(value, str) else MAX_PATH_CHARACTERS
+        most = MAX_PATH_CHARACTERS if isinstance(value, Path) else MAX_TEXT_CHARACTERS
+        if name in FILTERS:
+            most = MAX_FILTER_CHARACTERS
         _check_text(name, str(value), most)
 
 

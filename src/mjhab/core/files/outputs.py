@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import tempfile
 from pathlib import Path
@@ -41,11 +42,17 @@ def _probe(path: Path) -> None:
         OSError: that is not possible, or ``path`` can never be.
     """
     above = path
+    new: list[str] = []
     while not above.is_dir():
         # lstat tells of a name that is too long and of a file in place of a folder; is_dir does not.
         with contextlib.suppress(FileNotFoundError):
             os.lstat(above)
+        new.append(above.name)
         above = above.parent
+    # A name below a folder that is not there yet is looked at by nobody else.
+    longest = os.pathconf(above, "PC_NAME_MAX")
+    if any(len(os.fsencode(name)) > longest for name in new):
+        raise OSError(errno.ENAMETOOLONG, os.strerror(errno.ENAMETOOLONG))
     os.rmdir(tempfile.mkdtemp(prefix=".mjhab-", dir=above))
 
 

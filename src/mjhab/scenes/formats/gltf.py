@@ -178,7 +178,7 @@ class _Reader:
             for part in mesh["primitives"]:
                 if part.get("mode", _TRIANGLES) == _TRIANGLES:
                     out.append(
-                        self._primitive(mesh.get("name", str(node["mesh"])), part, pose, textures)
+                        self._primitive(str(mesh.get("name", node["mesh"])), part, pose, textures)
                     )
         for child in node.get("children", []):
             self._walk(child, pose, textures, out, depth + 1)

@@ -50,7 +50,7 @@ def load_json(path: Path) -> dict[str, Any]:
         UsageError: the file is missing, cut off or not an object; names it.
     """
     if not path.exists():
-        raise UsageError(f"{path}: is missing; {FETCH}.")
+        raise UsageError(f"{path}: cannot be read (there is no such file); {FETCH}.")
     return read_json_object(path)
 
 

@@ -42,11 +42,16 @@ class EnvBenchSpec(ProfileChoice):
 
 @dataclass(frozen=True)
 class SoakSpec(ProfileChoice):
-    """`soak.soak`: random actions in every training environment of a task, ``worlds`` of each."""
+    """`soak.soak`: random actions in every training environment of a task, ``worlds`` of each.
+
+    With ``generate`` that many episodes of the expert instead, of ``subtask`` or of the whole task.
+    """
 
     steps: int = 1_000_000
+    generate: int = 0
     worlds: int = 8
     task: str = "set_table"
+    subtask: str | None = None
     threads: int = 0
     seed: int = 0
 

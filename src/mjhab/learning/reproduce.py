@@ -13,6 +13,7 @@ from mjhab.config.env import SPLITS
 from mjhab.config.profile_choice import ProfileChoice, profile_options
 from mjhab.config.profiles import profile_named
 from mjhab.core.errors import unknown_name
+from mjhab.core.files.reading import read_json_object
 from mjhab.core.machine import cores
 from mjhab.episodes.generator import BOWL_DRAWER, FRIDGE_DOOR
 from mjhab.evaluation.evaluate import EvalSpec, run_evaluation
@@ -203,12 +204,12 @@ def request_of(spec: TableSpec, row: TableRow) -> Request:
 
 def write_results(out: Path, rows: Sequence[TableRow]) -> list[dict[str, Any]]:
     """Write results.json and report.html of the rows that are through, and return them."""
-    split = json.loads((out / CONFIG).read_text(encoding="utf-8"))["split"]
+    split = read_json_object(out / CONFIG)["split"]
     found = []
     for row in rows:
         path = out / row.name.replace("/", ".") / ROW
         if path.is_file():
-            found.append(result_of(row, json.loads(path.read_text(encoding="utf-8")), split))
+            found.append(result_of(row, read_json_object(path), split))
     write_text(out / RESULTS, json.dumps({"rows": found}, indent=1) + "\n")
     write_text(out / REPORT, page(found, split))
     return found

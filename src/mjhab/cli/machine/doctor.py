@@ -11,6 +11,7 @@ from mjhab.cli.options.common import DoctorOptions
 from mjhab.cli.output import print_json, print_table
 from mjhab.core.files.cache import cache_dir
 from mjhab.core.machine import cores, gpu_name, installed
+from mjhab.core.memory_cache import LIMIT_VARIABLE, memory_limit_mb
 from mjhab.core.version import __version__
 
 PINNED_MUJOCO = "3.17.0"
@@ -36,7 +37,10 @@ def run_doctor(options: DoctorOptions) -> int:
 
 
 def diagnose() -> dict[str, Any]:
-    """Return python and mujoco version, renderers (name: works), gpu (name or None), cores, cache folder."""
+    """Return python and mujoco version, renderers (name: works), gpu (name or None), cores, caches.
+
+    ``cache``: the folder; ``memory_cache_mb``: limit of what a process remembers [MB].
+    """
     from mjhab.render.gl_probe import renderer_probe
 
     return {
@@ -46,6 +50,7 @@ def diagnose() -> dict[str, Any]:
         "gpu": gpu_name(),
         "cores": cores(),
         "cache": str(cache_dir()),
+        "memory_cache_mb": memory_limit_mb(),
     }
 
 
@@ -76,6 +81,7 @@ def _print(found: dict[str, Any]) -> None:
         ("gpu", gpu),
         ("cache", found["cache"]),
         ("cache size", _size(found["cache"])),
+        ("cache in memory", f"{found['memory_cache_mb']:g} MB at most (${LIMIT_VARIABLE})"),
     ]
     print_table("machine", ("what", "value"), machine)
 

@@ -27,6 +27,15 @@ Joints = Annotated[str | None, tyro.conf.arg(metavar="NAME,NAME")]
 
 
 @dataclass(frozen=True, kw_only=True)
+class MemoryOptions:
+    """The option of commands that run long; `cli.main.run` obeys it."""
+
+    cache_mb: Annotated[float | None, tyro.conf.arg(metavar="MB")] = None
+    """Limit of what a process remembers of homes, maps and episodes; $MJHAB_CACHE_MB, else 512, if absent. Changes
+    the speed, never the results."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class ProfileOptions(ProfileChoice):
     """Options that all commands share which build environments for policies."""
 
@@ -51,7 +60,7 @@ class PolicyProfileOptions(ProfileOptions):
 
 
 @dataclass(frozen=True)
-class EvalOptions(ServedOptions, PolicyProfileOptions):
+class EvalOptions(ServedOptions, MemoryOptions, PolicyProfileOptions):
     """Run a policy in furnished homes; write records, numbers, films and a report.
 
     A whole task: `mjhab eval --task set_table --policy expert --episodes 20 --out runs/table`

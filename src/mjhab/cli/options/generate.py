@@ -12,6 +12,7 @@ from mjhab.cli.options.common import (
     Assets,
     Joints,
     MaybeName,
+    MemoryOptions,
     Name,
     Number,
     PolicyName,
@@ -22,7 +23,7 @@ from mjhab.cli.options.data import Places, Preset, Where
 
 
 @dataclass(frozen=True)
-class GenerateOptions(PolicyProfileOptions):
+class GenerateOptions(MemoryOptions, PolicyProfileOptions):
     """Make recorded episodes with several workers until every target has its quota; failures are kept by default.
 
     `mjhab generate --subtask pick --per-target 1000 --keep "label == 'straightforward_success'" --workers 2 --out

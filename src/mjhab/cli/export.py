@@ -14,6 +14,7 @@ from mjhab.cli.output import print_json
 from mjhab.core.errors import UsageError
 from mjhab.core.progress import late_bar
 from mjhab.data.export.maniskill import export_maniskill
+from mjhab.data.select.until import Until
 from mjhab.render.film import FilmWriter, join_films
 
 _KEYFRAMES = 2
@@ -59,7 +60,7 @@ def _lerobot(options: ExportLerobotOptions) -> int:
         raise UsageError(
             "LeRobot data sets need pyarrow; install it with: pip install 'mjhab[data]'"
         ) from error
-    choice = lerobot.Choice(rgb=not options.no_rgb, depth=not options.no_depth)
+    choice = lerobot.Choice(not options.no_rgb, not options.no_depth, options.until)
     films = FilmTools(
         functools.partial(FilmWriter, quality=options.quality, keyframes=_KEYFRAMES), join_films
     )
@@ -94,6 +95,7 @@ def _maniskill(options: ExportManiskillOptions) -> int:
             options.places,
             options.out,
             where=read_filter(options.where, options.preset),
+            until=Until.parse(options.until),
             overwrite=options.overwrite,
             resume=options.resume,
             begin=begin,

@@ -11,6 +11,7 @@ import tyro
 Sub = tyro.conf.subcommand
 Places = Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="FILE|FOLDER ...")]
 Where = Annotated[str | None, tyro.conf.arg(metavar="FILTER")]
+Until = Annotated[str, tyro.conf.arg(metavar="end|success|success+N")]
 Preset = Annotated[str | None, tyro.conf.arg(metavar="NAME")]
 
 

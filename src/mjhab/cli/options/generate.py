@@ -18,7 +18,7 @@ from mjhab.cli.options.common import (
     PolicyProfileOptions,
     StageMesh,
 )
-from mjhab.cli.options.data import Places, Preset, Where
+from mjhab.cli.options.data import Places, Preset, Until, Where
 
 
 @dataclass(frozen=True)
@@ -90,8 +90,11 @@ class GenerateOptions(PolicyProfileOptions):
     """With a ReplicaCAD folder: walls and floor for every home, in place of the stages its scenes name."""
     articulate: Joints = None
     """With a ReplicaCAD folder: what opens besides counter and fridge: kitchen_cupboards, cabinet, chest_of_drawers."""
-    navigate: Name = "teleport"
-    """Of a whole task: teleport puts the robot near every goal, as the paper does; drive leaves that to the policy."""
+    navigate: Annotated[str | None, tyro.conf.arg(metavar="drive|teleport")] = None
+    """Of a whole task: drive leaves the way to the policy (the default); teleport puts the robot near every goal, as in
+    the paper's evaluation: then nobody has driven, and every row says so."""
+    until: Until = ""
+    """Of one subtask: success+N ends an episode N control steps after its first success, or after too much force."""
     resume: bool = False
     """Go on in --out; --workers, --episodes and the quotas may differ."""
     json: bool = False

@@ -27,6 +27,7 @@ _FREE = frozenset(
         "threads",
         "seed",
         "autoreset",
+        "obs_keys",
         "render_mode",
         "backend",
         "device",

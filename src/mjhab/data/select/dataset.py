@@ -23,6 +23,7 @@ from mjhab.core.seeding import stream
 from mjhab.data.select.query import Filter
 from mjhab.data.select.sets import nothing_passes, select
 from mjhab.data.select.statistics import Statistics, fingerprint
+from mjhab.data.select.until import Until
 from mjhab.data.store.images import decode
 from mjhab.data.store.reading import Episode, open_shard
 from mjhab.data.store.schema import VERSION, DamagedError
@@ -58,6 +59,7 @@ class WindowDataset(Dataset[dict[str, Any]]):
         labels: "executed" takes the actions that moved the robot, "intended" those that were meant, without noise.
         images: camera images, such as "fetch_head/depth".
         where: which episodes; all of them if None.
+        until: "success+N" ends every episode N control steps after its first success, see `Until.parse`.
         normalize: "spread" gives states and actions with mean 0 and spread 1, "range" from -1 to 1, "" as they are.
         statistics: those to normalize with, of another set; those of this one if not given.
         cache: file to keep the statistics in; read if it is of this data, else written.
@@ -75,6 +77,7 @@ class WindowDataset(Dataset[dict[str, Any]]):
         labels: str = EXECUTED,
         images: Sequence[str] = (),
         where: Filter | None = None,
+        until: str = "",
         normalize: str = "",
         statistics: Statistics | None = None,
         cache: Path | None = None,
@@ -88,6 +91,7 @@ class WindowDataset(Dataset[dict[str, Any]]):
         self.images = tuple(images)
         self.labels = labels
         self.actors: tuple[str, ...] = ()
+        self._until = Until.parse(until)
         self._members = select(places, where).matched
         if not self._members:
             raise nothing_passes()
@@ -109,6 +113,8 @@ class WindowDataset(Dataset[dict[str, Any]]):
 
     def _read(self) -> str:
         digests = [("labels", self.labels), ("schema", str(VERSION))]
+        if not self._until.is_whole:
+            digests.append(("until", self._until.text))
         for path, names in itertools.groupby(self._members, lambda member: member[0]):
             with open_shard(path) as shard:
                 for _, name in names:
@@ -118,11 +124,12 @@ class WindowDataset(Dataset[dict[str, Any]]):
         return fingerprint(digests)
 
     def _add(self, episode: Episode) -> None:
-        self._states.append(episode.array("obs/state"))
-        self._actions.append(episode.array(LABELS[self.labels]))
+        steps = self._until.steps(episode.array("reward/success"))
+        self._states.append(episode.array("obs/state")[: steps + 1])
+        self._actions.append(episode.array(LABELS[self.labels])[:steps])
         self.actors = tuple(dict.fromkeys((*self.actors, *episode.actors)))
         places = np.array([self.actors.index(name) for name in episode.actors], np.uint8)
-        self._actor.append(places[episode.array("actor")])
+        self._actor.append(places[episode.array("actor")[:steps]])
         where = f"episode {episode.name} of {episode.shard.path}"
         if not all(np.isfinite(each[-1]).all() for each in (self._states, self._actions)):
             raise DamagedError(

@@ -26,6 +26,7 @@ class BenchCommand:
         | Annotated[env.BenchEnvOptions, Sub("env")]
         | Annotated[spawn.BenchSpawnOptions, Sub("spawn")]
         | Annotated[env.BenchSoakOptions, Sub("soak")]
+        | Annotated[data.BenchWindowsOptions, Sub("windows")]
         | Annotated[env.BenchRewardOptions, Sub("reward")]
         | Annotated[expert.BenchExpertsOptions, Sub("experts")]
         | Annotated[gpu.BenchInteractOptions, Sub("interact")]
@@ -70,6 +71,7 @@ RUNNERS: dict[type, tuple[str, str]] = {
     env.BenchEnvOptions: ("cli.bench.env", "bench_env"),
     spawn.BenchSpawnOptions: ("cli.spawns", "bench_spawn"),
     env.BenchSoakOptions: ("cli.bench.soak", "bench_soak"),
+    data.BenchWindowsOptions: ("cli.bench.windows", "bench_windows"),
     env.BenchRewardOptions: ("cli.bench.reward", "bench_reward"),
     expert.BenchExpertsOptions: ("cli.bench.experts", "bench_experts"),
     gpu.BenchInteractOptions: ("cli.bench.interact", "bench_interact"),

@@ -8,12 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from torch.utils.data import DataLoader
+from torch.utils.data import BatchSampler, DataLoader
 
 from mjhab.core.errors import UsageError
 from mjhab.data.select.dataset import SeededSampler, WindowDataset
 from mjhab.data.select.query import Filter
 from mjhab.data.select.statistics import Statistics
+from mjhab.data.select.until import Until
 from mjhab.data.store import journal
 from mjhab.data.store.images import ImageFormat
 from mjhab.data.store.reading import episodes
@@ -169,3 +170,37 @@ def test_filter_and_bad_input(source: Path) -> None:
         WindowDataset(source, images=["fetch_hand/rgb"])
     with pytest.raises(UsageError, match="at least 1"):
         WindowDataset(source, history=0)
+
+
+@pytest.mark.parametrize("place", ["memory", "decode", "folder"])
+def test_a_batch_is_its_windows(source: Path, tmp_path: Path, place: str) -> None:
+    frames = tmp_path if place == "folder" else place
+    data = WindowDataset(source, history=2, chunk=3, images=[DEPTH], frames=frames)
+    order = [len(data) - 1, 0, 20, 21, 0]
+    for _ in range(2):
+        batch = data[order]
+        for k, index in enumerate(order):
+            for key, value in data[index].items():
+                assert torch.equal(batch[key][k], torch.as_tensor(value)), key
+    sampler = BatchSampler(SeededSampler(len(data)), 16, drop_last=False)
+    whole = torch.cat([each["step"] for each in DataLoader(data, sampler=sampler, batch_size=None)])
+    assert len(whole) == len(data)
+    assert not list(tmp_path.iterdir())
+    with pytest.raises(IndexError):
+        data[[0, len(data)]]
+
+
+def test_windows_end_some_steps_after_success(source: Path) -> None:
+    whole = WindowDataset(source, images=[DEPTH])
+    data = WindowDataset(source, images=[DEPTH], until="success+2")
+    kept = [Until(2).steps(episode.array("reward/success")) for episode in episodes(source)]
+    assert len(data) == sum(kept) < len(whole)
+    assert data.statistics.fingerprint != whole.statistics.fingerprint
+    last = data[kept[0] - 1]
+    same = whole[kept[0] - 1]
+    assert last["step"] == kept[0] - 1 and torch.equal(last[DEPTH], same[DEPTH])
+    assert data[kept[0]]["episode"] == 1 and data[kept[0]]["step"] == 0
+    for wrong in ("success+", "success-1", "succes+3", "success+1e3"):
+        with pytest.raises(UsageError, match=r"success\+20"):
+            WindowDataset(source, until=wrong)
+    assert Until.parse("end").is_whole and Until.parse("success").hold_steps == 0

@@ -77,7 +77,7 @@ class EvalOptions(ServedOptions, PolicyProfileOptions):
     docs/evaluation.md), or one that is served elsewhere: ws://host:port (see docs/serving.md)."""
     style: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = ()
     """How the expert acts, e.g. speed=0.5..1.0 grasp=side release=drop noise=0.05; of a range or a list (a,b) every
-    episode draws its own. Names: speed, grasp, release, drop_height, close, noise, base_noise, noise_kind,
+    episode draws its own. Names: speed, grasp, release, drop_height, close, look, noise, base_noise, noise_kind,
     hold, dither (see docs/data.md)."""
     episodes: Number = 20
     """How many episodes: those with index 0 to N-1. The same index is the same episode for every policy."""

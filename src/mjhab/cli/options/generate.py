@@ -46,7 +46,7 @@ class GenerateOptions(PolicyProfileOptions):
     docs/evaluation.md)."""
     style: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = ()
     """How the expert acts, e.g. speed=0.5..1.0 grasp=side release=drop noise=0.05; of a range or a list (a,b) every
-    episode draws its own. Names: speed, grasp, release, drop_height, close, noise, base_noise, noise_kind,
+    episode draws its own. Names: speed, grasp, release, drop_height, close, look, noise, base_noise, noise_kind,
     hold, dither (see docs/data.md)."""
     per_target: Number = 0
     """Episodes to keep of every target (of all together for chains and Navigate); 0 for no limit."""

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from mjhab.core.arrays import object_array
+from mjhab.tasks.labelling.tracker import SubtaskTracker
 from mjhab.tasks.plan import TaskPlan
 from mjhab.tasks.progress import Outcome, Progress
 from mjhab.tasks.signals import Signals
 from mjhab.tasks.subtasks.registry import name_of
-from mjhab.tasks.tracker import SubtaskTracker
 
 
 @dataclass(frozen=True)

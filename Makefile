@@ -40,8 +40,7 @@ $(VENV)/.learn: $(SETUP_FILES) | $(BIN)/python
 setup: $(VENV)/.dev  ## install mjhab and its development tools into .venv
 
 demo: $(VENV)/.core  ## a Fetch robot does SetTable in furnished homes; films and report in runs/demo
-	$(BIN)/mjhab eval --task set_table --policy expert --episodes 4 --worlds 4 --seed 0 --films 4 --out $(DEMO_OUT) --overwrite
-	@echo "Open in a browser (no network needed): $(CURDIR)/$(DEMO_OUT)/report.html"
+	$(BIN)/mjhab demo --out $(DEMO_OUT)
 
 demo-student: $(VENV)/.learn  ## a policy that learned from what the robot sees closes a drawer; films in runs/demo-student
 	$(BIN)/mjhab eval --policy student --task set_table --subtask close --target kitchen_counter/drawer3 --split val \

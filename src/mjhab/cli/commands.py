@@ -36,7 +36,8 @@ class BenchCommand:
 
 
 Command = (
-    Annotated[opt.EvalOptions, Sub("eval")]
+    Annotated[opt.DemoOptions, Sub("demo")]
+    | Annotated[opt.EvalOptions, Sub("eval")]
     | Annotated[env.EnvsCommand, Sub("envs")]
     | Annotated[env.RobotsCommand, Sub("robots")]
     | Annotated[opt.HomesCommand, Sub("homes")]
@@ -59,6 +60,7 @@ Command = (
 )
 
 RUNNERS: dict[type, tuple[str, str]] = {
+    opt.DemoOptions: ("cli.policies.evaluate", "run_demo"),
     opt.EvalOptions: ("cli.policies.evaluate", "run_eval"),
     env.EnvsCommand: ("cli.worlds.envs", "run_envs"),
     env.RobotsCommand: ("cli.worlds.robots", "run_robots"),

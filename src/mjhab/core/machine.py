@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
+import shlex
 import shutil
 import subprocess
+import sys
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -27,6 +30,14 @@ def installed(package: str) -> str | None:
         return version(package)
     except PackageNotFoundError:
         return None
+
+
+def pip_install(extra: str) -> str:
+    """The command that brings an extra of mjhab to the Python that runs, whatever folder or shell it is given in."""
+    python = shlex.quote(sys.executable or "python")
+    if importlib.util.find_spec("pip") is None:
+        return f"uv pip install --python {python} 'mjhab[{extra}]'"
+    return f"{python} -m pip install 'mjhab[{extra}]'"
 
 
 def gpu_name() -> str | None:

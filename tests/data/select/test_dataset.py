@@ -190,17 +190,24 @@ def test_a_batch_is_its_windows(source: Path, tmp_path: Path, place: str) -> Non
         data[[0, len(data)]]
 
 
-def test_windows_end_some_steps_after_success(source: Path) -> None:
+def test_windows_end_some_steps_after_success(
+    source: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     whole = WindowDataset(source, images=[DEPTH])
+    kept = 7
+    monkeypatch.setattr(Until, "steps", lambda self, ok: len(ok) if self.is_whole else kept)
     data = WindowDataset(source, images=[DEPTH], until="success+2")
-    kept = [Until(2).steps(episode.array("reward/success")) for episode in episodes(source)]
-    assert len(data) == sum(kept) < len(whole)
+    assert len(data) == kept * len(list(episodes(source))) < len(whole)
     assert data.statistics.fingerprint != whole.statistics.fingerprint
-    last = data[kept[0] - 1]
-    same = whole[kept[0] - 1]
-    assert last["step"] == kept[0] - 1 and torch.equal(last[DEPTH], same[DEPTH])
-    assert data[kept[0]]["episode"] == 1 and data[kept[0]]["step"] == 0
+    last = data[kept - 1]
+    assert last["step"] == kept - 1 and torch.equal(last[DEPTH], whole[kept - 1][DEPTH])
+    assert (data[kept]["episode"], data[kept]["step"]) == (1, 0)
+
+
+def test_until_is_read_and_counts_from_the_first_success() -> None:
+    success = np.array([0, 0, 1, 0, 1, 1, 1], np.uint8)
+    assert [Until.parse(text).steps(success) for text in ("", "success", "success+2")] == [7, 3, 5]
+    assert Until.parse("success+90").steps(success) == Until(0).steps(success * 0) == 7
     for wrong in ("success+", "success-1", "succes+3", "success+1e3"):
         with pytest.raises(UsageError, match=r"success\+20"):
-            WindowDataset(source, until=wrong)
-    assert Until.parse("end").is_whole and Until.parse("success").hold_steps == 0
+            Until.parse(wrong)

@@ -12,6 +12,7 @@ from mjhab.cli.datasets.data import read_filter
 from mjhab.cli.options.export import ExportLerobotOptions, ExportManiskillOptions
 from mjhab.cli.output import print_json
 from mjhab.core.errors import UsageError
+from mjhab.core.machine import pip_install
 from mjhab.core.progress import late_bar
 from mjhab.data.export.maniskill import export_maniskill
 from mjhab.data.select.until import Until
@@ -58,7 +59,7 @@ def _lerobot(options: ExportLerobotOptions) -> int:
         if error.name is None or error.name.partition(".")[0] != "pyarrow":
             raise
         raise UsageError(
-            "LeRobot data sets need pyarrow; install it with: pip install 'mjhab[data]'"
+            f"LeRobot data sets need pyarrow; install it with: {pip_install('data')}"
         ) from error
     choice = lerobot.Choice(not options.no_rgb, not options.no_depth, options.until)
     films = FilmTools(

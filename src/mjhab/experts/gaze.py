@@ -19,8 +19,6 @@ from mjhab.tasks.subtasks.registry import spec_of
 
 RESTING = frozenset({"ee_rest", "robot_rest", "is_static"})
 """Conditions of success that the head has a part in."""
-PACE = 0.6
-"""Most of an action that the head takes while it follows something: pictures should not smear."""
 NEAREST_M = 0.2
 """What is nearer to the axis of the neck has no direction to look in."""
 
@@ -108,10 +106,9 @@ class Gaze:
         if self._neck is None:
             return action
         goal = self._wanted(self._neck, view)
-        pace = 1.0 if goal is self._rest else PACE
         wish = (goal - view.q[list(self._robot.head_columns)]) / self._robot.limits.joint_delta
         turned = action.copy()
-        turned[list(self._robot.action.head)] = np.clip(wish, -pace, pace)
+        turned[list(self._robot.action.head)] = np.clip(wish, -1.0, 1.0)
         return turned
 
     def _wanted(self, neck: Neck, view: WorldView) -> np.ndarray:

@@ -73,6 +73,25 @@ class ObservedRows:
         self.table = self.state_rows + self.camera_rows
         self.single_space = table_space(self.state_rows, self.camera_rows)
 
+    def calibration(self) -> dict[str, dict[str, Any]]:
+        """What there is to know of each camera, as plain data by its name.
+
+        "size": (height, width) [px]; "intrinsic": pinhole matrix [px], pixel centres lie at + 0.5; "body", "pos" [m],
+        "quat" (wxyz): where it is fixed to the robot, in the axes of MuJoCo's cameras (x right, y up, looks along -z).
+        Where it is in the world is told by the observations "sensor_param/<camera>/...".
+        """
+        mounts = {name: self.robot.camera(name) for name in self.cameras}
+        return {
+            name: {
+                "size": list(self.size),
+                "intrinsic": intrinsic_matrix(self.robot, name, self.size).tolist(),
+                "body": mount.body,
+                "pos": list(mount.pos),
+                "quat": list(mount.quat),
+            }
+            for name, mount in mounts.items()
+        }
+
     def describe(self) -> list[dict[str, Any]]:
         """Rows of the table: key, shape, dtype, unit, frame, meaning."""
         return describe(self.state_rows, self.camera_rows)

@@ -42,6 +42,8 @@ STATE = "observation.state"
 ENVIRONMENT_STATE = "observation.environment_state"
 """What only a simulation knows: object, goal, grasp. A policy for a robot leaves it out."""
 TELEPORTED = "is_teleported"
+CAMERAS = "meta/cameras.json"
+"""Calibration of the cameras, see `ObservedRows.calibration`. LeRobot does not read it."""
 ACTION = "action"
 INTENDED = "intended_action"
 """Not "action.intended": LeRobot takes every feature whose name begins with "action" for what a policy must give."""
@@ -143,6 +145,7 @@ class _Export:
         self._until = Until.parse(choice.until)
         self._features: Features = {}
         self._robot = OLD_ROBOT
+        self._cameras: Mapping[str, Any] = {}
         self._tasks: dict[str, int] = {}
         self._subtasks: dict[str, int] = {}
         self._actors: dict[str, int] = {}
@@ -160,6 +163,7 @@ class _Export:
                 features = describe(episode, self._choice)
                 self._features = self._features or features
                 self._robot = str(episode.run.layout.get("robot", OLD_ROBOT))
+                self._cameras = self._cameras or episode.run.layout.get("cameras", {})
                 if features != self._features:
                     raise _differs(episode, self._features, features)
                 made = made or self._make(number, episode)
@@ -254,6 +258,8 @@ class _Export:
         if not films:
             info["video_path"] = None
         write_json(self._root / "meta/info.json", info)
+        if self._cameras:
+            write_json(self._root / CAMERAS, dict(self._cameras))
         (self._root / "README.md").write_text(
             _card(self._robot, self._made, self._until), encoding="utf-8"
         )

@@ -200,6 +200,12 @@ def state_dim(robot: Robot, own: bool = False) -> int:
     return sum(entry.shape[0] for entry in state_table(robot, own))
 
 
+def unsensed_table(robot: Robot) -> tuple[ObsEntry, ...]:
+    """The entries of ``state`` that no sensor of the robot measures: object, goal, grasp."""
+    own = {entry.key for entry in state_table(robot, own=True)}
+    return tuple(entry for entry in state_table(robot) if entry.key not in own)
+
+
 STATE_KEY = "state"
 BASE_VELOCITY_KEY = "agent/base_vel"
 PROPRIOCEPTION = "proprioception"

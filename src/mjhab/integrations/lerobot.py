@@ -49,9 +49,9 @@ class LeRobotEnv(gymnasium.Env):
     """One world with the observations, attributes and info that LeRobot's evaluation reads.
 
     Observations: ``pixels`` with the images "head" and "wrist" (H, W, 3) uint8; ``agent_pos`` (34,), what the robot's
-    own sensors tell; ``environment_state`` (11,), what only the simulation knows (object, goal, grasp). In exported data
-    sets they are ``observation.state`` and ``observation.environment_state``. ``info``: ``is_success``, whether the
-    episode succeeded so far. ``task_description`` is the instruction of the active subtask.
+    own sensors tell; ``environment_state`` (11,), what only the simulation knows (object, goal, grasp). In exported
+    data sets they are ``observation.state`` and ``observation.environment_state``. ``info``: ``is_success``, whether
+    the episode succeeded so far. ``task_description`` is the instruction of the active subtask.
 
     Raises:
         UsageError: an unknown name among the options.

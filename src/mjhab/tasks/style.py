@@ -66,10 +66,10 @@ class Style:
         },
     )
     look: str = field(
-        default=TARGET,
+        default=AHEAD,
         metadata={
-            "words": (TARGET, AHEAD),
-            "about": "the head follows what is worked on, or looks ahead; with a stationary head it stays",
+            "words": (AHEAD, TARGET),
+            "about": "the head looks ahead, or follows what is worked on; with a stationary head it stays",
         },
     )
     noise: float = field(

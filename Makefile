@@ -9,7 +9,7 @@ DEMO_OUT := runs/demo
 DEMO_STUDENT_OUT := runs/demo-student
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo demo-student test test-generate test-lerobot test-lerobot-env test-vla-eval test-ray test-sb3 test-rsl-rl test-browser docs check format bench gpu-report clean distclean
+.PHONY: help setup demo demo-student test test-generate test-lerobot test-lerobot-env test-vla-eval test-ray test-sb3 test-rsl-rl test-browser test-wheel docs check format bench gpu-report clean distclean
 
 help:  ## show this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-16s %s\n", $$1, $$2}'
@@ -40,8 +40,7 @@ $(VENV)/.learn: $(SETUP_FILES) | $(BIN)/python
 setup: $(VENV)/.dev  ## install mjhab and its development tools into .venv
 
 demo: $(VENV)/.core  ## a Fetch robot does SetTable in furnished homes; films and report in runs/demo
-	$(BIN)/mjhab eval --task set_table --policy expert --episodes 4 --worlds 4 --seed 0 --films 4 --out $(DEMO_OUT) --overwrite
-	@echo "Open in a browser (no network needed): $(CURDIR)/$(DEMO_OUT)/report.html"
+	$(BIN)/mjhab demo --out $(DEMO_OUT)
 
 demo-student: $(VENV)/.learn  ## a policy that learned from what the robot sees closes a drawer; films in runs/demo-student
 	$(BIN)/mjhab eval --policy student --task set_table --subtask close --target kitchen_counter/drawer3 --split val \
@@ -125,6 +124,21 @@ docs: $(DOCS)/.ready  ## the documentation as a site, with a reference made of d
 	$(DOCS)/bin/mkdocs build --clean
 	@echo "Open in a browser (no network needed): $(CURDIR)/runs/site/index.html"
 
+WHEEL := .venv-wheel
+WHEEL_OUT := runs/wheel
+$(WHEEL)/.ready: $(SETUP_FILES) $(shell find src -type f -not -name '*.pyc' -not -path '*.egg-info*') | $(BIN)/python
+	@echo "mjhab: building a wheel and installing it, and nothing else, into $(WHEEL)"
+	@rm -rf $(WHEEL) $(WHEEL_OUT) build && mkdir -p $(WHEEL_OUT)
+	@$(PIP) wheel -q --no-deps --wheel-dir $(WHEEL_OUT) .
+	@"$(PYTHON)" -m venv $(WHEEL)
+	@$(WHEEL)/bin/python -m pip install -q --disable-pip-version-check -c constraints.txt $(WHEEL_OUT)/mjhab-*.whl
+	@touch $@
+
+test-wheel: $(WHEEL)/.ready  ## the package without its checkout: demo, report, homes, package data
+	@# From another folder and without the paths of this one, so that nothing of the checkout can be imported.
+	cd / && env -u PYTHONPATH $(CURDIR)/$(WHEEL)/bin/python -I $(CURDIR)/tests/packaging/check_wheel.py \
+	  $(CURDIR)/src/mjhab $(CURDIR)/$(WHEEL_OUT)/demo
+
 SB3 := .venv-sb3
 $(SB3)/.ready: $(SETUP_FILES) | $(BIN)/python
 	@echo "mjhab: installing stable-baselines3 into $(SB3), once"
@@ -168,4 +182,4 @@ clean:  ## remove caches and build products (runs and .venv stay)
 	find src tests -name __pycache__ -type d -prune -exec rm -rf {} +
 
 distclean: clean  ## also remove .venv
-	rm -rf $(VENV) $(LEROBOT) $(LEROBOT_ENV) $(VLA) $(RAY) $(DOCS) src/*.egg-info
+	rm -rf $(VENV) $(LEROBOT) $(LEROBOT_ENV) $(VLA) $(RAY) $(DOCS) $(WHEEL) src/*.egg-info

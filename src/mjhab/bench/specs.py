@@ -126,3 +126,16 @@ class ParitySpec:
     device: str = ""
     threads: int = 0
     seed: int = 0
+
+
+@dataclass(frozen=True)
+class WindowsSpec:
+    """`windows.measure_windows`: batches of windows of the data set in ``places``, as `WindowDataset` gives them."""
+
+    places: tuple[Path, ...] = ()
+    history: int = 2
+    chunk: int = 1
+    images: tuple[str, ...] = ()
+    batch: int = 64
+    seconds: float = 5.0
+    seed: int = 0

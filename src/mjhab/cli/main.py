@@ -6,6 +6,7 @@ import contextlib
 import dataclasses
 import errno
 import importlib
+import os
 import sys
 from collections.abc import Sequence
 from typing import Any
@@ -23,32 +24,40 @@ from mjhab.core.version import __version__
 
 DESCRIPTION = f"""mjhab {__version__}: home assistant tasks with low-level whole-body control, on MuJoCo.
 
-A robot tidies furnished homes with real physics. Begin with `mjhab doctor` and
-`mjhab eval --task set_table --policy expert --episodes 4 --out runs/first`."""
+A robot tidies furnished homes with real physics. Begin with `mjhab demo`; `mjhab doctor` tells what is installed."""
 
 DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 OK = 0
 FAILED = 1
 USAGE = 2
 INTERRUPTED = 130
+BROKEN_PIPE = 141
+"""As shells tell of a process that SIGPIPE ended."""
 
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the command line ``args`` (``sys.argv`` if None) and return the exit code.
 
-    0: done; 1: a command failed; 2: it was asked for something that cannot work; 130: Ctrl-C.
+    0: done; 1: a command failed; 2: it was asked for something that cannot work; 130: Ctrl-C; 141: nobody reads what it
+    prints.
     """
     make_streams_sturdy()
     try:
-        code = run(parse(args))
-        sys.stdout.flush()
-        return code
+        try:
+            return run(parse(args))
+        finally:
+            # What is left in the buffer is written here, where a closed pipe can be told from a fault.
+            sys.stdout.flush()
     except UsageError as error:
         return _end(USAGE, str(error))
     except MjhabError as error:
         return _end(FAILED, f"failed: {error}")
     except MemoryError as error:
         return _end(FAILED, f"failed: not enough memory ({reason(error)}). Ask for less at a time.")
+    except BrokenPipeError:
+        # Whoever read the output has enough of it, as in `mjhab homes list | head`.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return BROKEN_PIPE
     except OSError as error:
         return _end(_code_of(error), f"failed: {described(error)}")
     except KeyboardInterrupt:

@@ -11,6 +11,7 @@ from mjhab.cli.options.view import ViewOptions
 from mjhab.cli.output import at_least, print_json
 from mjhab.config.profile_choice import profile_options
 from mjhab.core.errors import UsageError
+from mjhab.core.machine import pip_install
 from mjhab.data.select.query import read_filter
 from mjhab.evaluation.evaluate import EvalSpec
 from mjhab.evaluation.resolve import inspect_policy
@@ -29,7 +30,7 @@ def run_view(options: ViewOptions) -> int:
         return _export(options)
     if importlib.util.find_spec("viser") is None:
         raise UsageError(
-            "mjhab view needs viser, which is not installed: pip install 'mjhab[view]'. Without it, --export writes "
+            f"mjhab view needs viser, which is not installed: {pip_install('view')}. Without it, --export writes "
             "an episode as a page."
         )
     return _serve(options)

@@ -10,16 +10,21 @@ from typing import Any
 from mjhab.cli.options.common import DoctorOptions
 from mjhab.cli.output import print_json, print_table
 from mjhab.core.files.cache import cache_dir
-from mjhab.core.machine import cores, gpu_name, installed
+from mjhab.core.machine import cores, gpu_name, installed, pip_install
 from mjhab.core.memory_cache import LIMIT_VARIABLE, memory_limit_mb
 from mjhab.core.version import __version__
 
 PINNED_MUJOCO = "3.17.0"
 EXTRAS = {
-    "learn": ("torch",),
-    "gpu": ("mujoco_warp", "warp"),
+    "data": ("pyarrow",),
+    "learn": ("safetensors", "tensorboard", "torch"),
+    "gpu": ("mujoco_warp", "torch", "warp"),
     "view": ("viser",),
+    "serve": ("msgpack", "websockets"),
+    "scale": ("ray",),
+    "robots": ("robosuite",),
 }
+"""Extra of the package to the modules that it brings; those of pyproject.toml but "all" and "dev"."""
 
 
 def run_doctor(options: DoctorOptions) -> int:
@@ -67,9 +72,7 @@ def _print(found: dict[str, Any]) -> None:
     extras = []
     for name, modules in EXTRAS.items():
         here = all(importlib.util.find_spec(module) for module in modules)
-        extras.append(
-            (name, ", ".join(modules), "yes" if here else f"no: pip install 'mjhab[{name}]'")
-        )
+        extras.append((name, ", ".join(modules), "yes" if here else f"no: {pip_install(name)}"))
     print_table("extras", ("extra", "modules", "installed"), extras)
     renderers = [
         (name, "works" if works else _advice(name)) for name, works in found["renderers"].items()

@@ -1,84 +1,116 @@
-"""Code in the documentation runs: Python is executed, commands are parsed, make targets and extras exist."""
+"""Code in the documentation: Python runs, commands parse, make targets and extras exist.
+
+Sizes are small here: what Python makes, evaluates or generates is cut to a few control steps. `make test-docs` runs the
+commands, too (`check_commands.py`).
+"""
 
 from __future__ import annotations
 
+import functools
 import re
-import shlex
+import shutil
 import sys
 import tomllib
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import gymnasium
 import pytest
 
+import mjhab
 from mjhab.cli.main import parse
+from tests.docs.pages import (
+    LANGUAGES,
+    PAGES,
+    README,
+    ROOT,
+    Command,
+    blocks,
+    commands,
+    hidden_commands,
+    name_of,
+    saved,
+)
 
-ROOT = Path(__file__).parents[1]
-PAGES = sorted((ROOT / "docs").rglob("*.md"))
-EXECUTED = [page for page in PAGES if page.parent.name == "tutorials"] + [
-    ROOT / "docs" / "index.md",
-    ROOT / "docs" / "viewer.md",
-]
-"""Pages whose Python is executed from top to bottom; it takes seconds."""
-BLOCK = re.compile(r'^```(\w+)(?: title="([^"]+)")?\n(.*?)^```', re.DOTALL | re.MULTILINE)
-
-
-@dataclass(frozen=True)
-class Block:
-    """A piece of code in a page; ``file``: the name it is to be saved under, or ""."""
-
-    language: str
-    file: str
-    code: str
-
-
-def blocks(page: Path) -> list[Block]:
-    return [Block(*(part or "" for part in found)) for found in BLOCK.findall(page.read_text())]
-
-
-def commands(page: Path) -> list[list[str]]:
-    """Lines of shell blocks as words, without comments."""
-    found = []
-    for block in blocks(page):
-        if block.language in ("bash", "sh", "console"):
-            joined = block.code.replace("\\\n", " ")
-            found += [shlex.split(line, comments=True) for line in joined.splitlines()]
-    return [words for words in found if words]
+SMALL_ENV = {"horizon": 5}
+SMALL_VECTOR = {"num_envs": 2}
+SMALL_EVALUATION = {"episodes": 1, "worlds": 1, "films": 0, "horizon": 5}
+SMALL_GENERATION = {"episodes": 1, "per_target": 0, "keep": "", "workers": 0, "horizon": 5}
+WITH_PYTHON = [page for page in PAGES if any(b.language == "python" for b in blocks(page))]
+FILES = {
+    "docs/extending.md": ("home/cottage.json", "home/hut.py", "mug/mug.glb"),
+}
+"""Files of `examples` that the Python of a page finds in its folder."""
 
 
-@pytest.mark.parametrize("page", EXECUTED, ids=lambda page: page.stem)
+def smaller(call: Callable[..., Any], options: dict[str, Any]) -> Callable[..., Any]:
+    @functools.wraps(call)
+    def called(*args: Any, **given: Any) -> Any:
+        # A profile has a horizon of its own.
+        mine = {} if "profile" in given else options
+        return call(*args, **{**given, **mine})
+
+    return called
+
+
+@pytest.fixture
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Environments, evaluations and generations that take seconds."""
+    monkeypatch.setattr(mjhab, "make", smaller(mjhab.make, SMALL_ENV))
+    monkeypatch.setattr(mjhab, "evaluate", smaller(mjhab.evaluate, SMALL_EVALUATION))
+    monkeypatch.setattr(mjhab, "generate", smaller(mjhab.generate, SMALL_GENERATION))
+    monkeypatch.setattr(gymnasium, "make_vec", smaller(gymnasium.make_vec, SMALL_VECTOR))
+
+
+@pytest.mark.usefixtures("small")
+@pytest.mark.parametrize("page", WITH_PYTHON, ids=name_of)
 def test_python_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
+    for file in FILES.get(name_of(page), ()):
+        shutil.copy(ROOT / "examples" / file, tmp_path)
     before = set(sys.modules)
     names: dict[str, object] = {}
-    found = [block for block in blocks(page) if block.language == "python"]
-    assert found, f"{page} shows no Python"
-    for block in found:
+    # Other pages go on with the policy that the README has its readers save.
+    for block in [*saved(README), *blocks(page)]:
         if block.file:
             (tmp_path / block.file).write_text(block.code)
-        else:
+        elif block.language == "python" and not block.reason:
             exec(compile(block.code, str(page), "exec"), names)
     for name in set(sys.modules) - before:
         if getattr(sys.modules[name], "__file__", None) == str(tmp_path / f"{name}.py"):
             del sys.modules[name]
 
 
-PLACEHOLDER = re.compile(r"^[A-Z_]+$|^<.*>$|\.\.\.|[|\[]")
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_all_code_is_in_blocks_whose_language_is_said(page: Path) -> None:
+    assert hidden_commands(page) == []
+    assert {block.language for block in blocks(page)} <= set(LANGUAGES)
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT / "docs")))
+PLACEHOLDER = re.compile(r"^[A-Z_]+(\.[a-z.]+)?$|^<.*>$|\.\.\.|[|\[]")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_commands_exist(page: Path) -> None:
-    targets = re.findall(r"^([a-z-]+):.*## ", (ROOT / "Makefile").read_text(), re.MULTILINE)
-    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"][
-        "optional-dependencies"
-    ]
-    for words in commands(page):
-        program = Path(words[0]).name
-        if program == "make":
-            assert next(word for word in words[1:] if "=" not in word) in targets
-        elif program == "pip":
-            for extra in re.findall(r"mjhab\[([\w,]+)\]", " ".join(words)):
-                assert set(extra.split(",")) <= set(extras)
-        elif program == "mjhab" and not any(PLACEHOLDER.search(word) for word in words[1:]):
+    for block in blocks(page):
+        if block.language == "bash":
+            for command in commands(block):
+                check_command(command, block.reason)
+
+
+def check_command(command: Command, reason: str) -> None:
+    targets = re.findall(r"^([a-z0-9-]+):.*## ", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    words = command.words
+    if command.program == "make":
+        assert next(word for word in words[1:] if "=" not in word) in targets
+    elif command.program == "pip":
+        for extra in re.findall(r"mjhab\[([\w,]+)\]", " ".join(words)):
+            assert set(extra.split(",")) <= set(project["optional-dependencies"])
+    elif command.program == "mjhab":
+        if not any(PLACEHOLDER.search(word) for word in words[1:]):
             parse(words[1:])
+    elif command.program not in ("python",):
+        assert reason, f"{' '.join(words)}: nothing runs it, and no comment says why"

@@ -46,6 +46,9 @@ class Viewer:
         host, port: see `Gateway`; ``port`` is then the one that was taken.
         cameras: draw what the robot's cameras see.
 
+    ``frames``, ``first_frame_at`` (of `time.perf_counter`) and ``frame_cpu_s`` (processor time for poses and marks [s])
+    are for measurements.
+
     Raises:
         UsageError: see `Gateway`.
     """
@@ -55,6 +58,7 @@ class Viewer:
     ) -> None:
         self.source = source
         self.frames = 0
+        self.frame_cpu_s = 0.0
         self.first_frame_at = math.inf
         self.problem = ""
         # viser prints a box with the port of its own, which is not the one to open.
@@ -117,7 +121,9 @@ class Viewer:
         while not self._closing:
             now = time.perf_counter()
             try:
+                begun = time.thread_time()
                 pose = self.frame(now - last)
+                self.frame_cpu_s += time.thread_time() - begun
                 if pose is not None and now - cameras_at > CAMERA_SECONDS:
                     cameras_at = now
                     self._look(pose)

@@ -11,7 +11,7 @@ import re
 import shutil
 import sys
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,8 @@ import pytest
 
 import mjhab
 from mjhab.cli.main import parse
+from mjhab.scenes.objects import OBJECTS
+from mjhab.scenes.pack_source import PACK_SOURCES
 from tests.docs.pages import (
     LANGUAGES,
     PAGES,
@@ -40,6 +42,7 @@ SMALL_GENERATION = {"episodes": 1, "per_target": 0, "keep": "", "workers": 0, "h
 WITH_PYTHON = [page for page in PAGES if any(b.language == "python" for b in blocks(page))]
 FILES = {
     "docs/extending.md": ("home/cottage.json", "home/hut.py", "mug/mug.glb"),
+    "docs/tutorials/extend.md": ("mug/mug.glb",),
 }
 """Files of `examples` that the Python of a page finds in its folder."""
 
@@ -63,11 +66,22 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gymnasium, "make_vec", smaller(gymnasium.make_vec, SMALL_VECTOR))
 
 
-@pytest.mark.usefixtures("small")
+@pytest.fixture
+def registries() -> Iterator[None]:
+    """What pages register is there for them alone."""
+    kept = [(registry, set(registry.names())) for registry in (OBJECTS, PACK_SOURCES)]
+    yield
+    for registry, names in kept:
+        for name in set(registry.names()) - names:
+            registry.remove(name)
+
+
+@pytest.mark.usefixtures("small", "registries")
 @pytest.mark.parametrize("page", WITH_PYTHON, ids=name_of)
 def test_python_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
     for file in FILES.get(name_of(page), ()):
         shutil.copy(ROOT / "examples" / file, tmp_path)
     before = set(sys.modules)

@@ -16,6 +16,7 @@ import viser
 from mjhab.core.rotations import mat_from_quat
 from mjhab.data.store.schema import CHECKS
 from mjhab.render.home_scene import build_render_scene
+from mjhab.serving.server import LOCAL_HOSTS
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.viewer.drawn.cameras import Cameras
 from mjhab.viewer.drawn.glb import HomeFiles, home_files
@@ -78,7 +79,11 @@ class Viewer:
         self.playhead = Playhead(source)
         self.stage = Stage(self._server)
         self.panels = Panels(
-            self._server, source.choices, source.policies, self.playhead.callbacks()
+            self._server,
+            source.choices,
+            source.policies,
+            others=host in LOCAL_HOSTS,
+            on=self.playhead.callbacks(),
         )
         self._cameras = Cameras(self.panels.show_images) if cameras else None
         self._poses = _PoseCache()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from importlib.util import find_spec
+import importlib.util
 
 from mjhab.core.errors import UsageError
 
@@ -13,7 +13,7 @@ def require_viser() -> None:
     Raises:
         UsageError: it is not installed.
     """
-    if find_spec("viser") is None:
+    if importlib.util.find_spec("viser") is None:
         raise UsageError(
             "mjhab view needs viser, which is not installed: pip install 'mjhab[view]'. Without it, --export writes "
             "an episode as a page."

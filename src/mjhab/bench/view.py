@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from mjhab.bench.specs import ViewSpec
 from mjhab.core.errors import MjhabError, UsageError
 from mjhab.evaluation.evaluate import EvalSpec
+from mjhab.evaluation.resolve import inspect_policy
 from mjhab.viewer import require_viser
 
 if TYPE_CHECKING:
@@ -20,8 +21,6 @@ PATIENCE_SECONDS = 120.0
 """Longest wait for a first frame; kernels may have to be compiled."""
 MIN_FRAMES_PER_S = 30.0
 """Asked for with one world."""
-MAX_FIRST_FRAME_S = 3.0
-"""Asked for where the home's models are in the cache."""
 
 
 def measure_view(spec: ViewSpec) -> dict[str, dict[str, float]]:
@@ -34,11 +33,13 @@ def measure_view(spec: ViewSpec) -> dict[str, dict[str, float]]:
         "control_steps_per_s" of all worlds together; "cores" that were busy with all of it.
 
     Raises:
-        UsageError: the viewer needs a package that is not installed.
+        UsageError: the viewer needs a package that is not installed, or there is no such policy.
+        MjhabError: nothing is shown.
     """
     require_viser()
     if not spec.worlds or min(spec.worlds) < 1:
         raise UsageError(f"worlds must be at least 1, got {list(spec.worlds)}.")
+    inspect_policy(spec.policy)
     return {str(worlds): _measure(worlds, spec) for worlds in spec.worlds}
 
 

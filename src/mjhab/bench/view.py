@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
@@ -67,8 +68,7 @@ def _measure(worlds: int, spec: ViewSpec) -> dict[str, float]:
         opened = time.perf_counter()
         page = CountingPage(viewer.port)
         try:
-            _wait(lambda: page.bytes >= viewer.stage.model_bytes, viewer)
-            page_s = time.perf_counter() - opened
+            _wait(lambda: not math.isinf(page.complete_at), viewer)
             opening = page.bytes
             found = _rates(viewer, session, page, spec.seconds)
         finally:
@@ -77,7 +77,7 @@ def _measure(worlds: int, spec: ViewSpec) -> dict[str, float]:
         viewer.close()
     return {
         "first_frame_s": round(viewer.first_frame_at - begun, 2),
-        "page_s": round(page_s, 2),
+        "page_s": round(page.complete_at - opened, 2),
         "opening_mb": round(opening / 1e6, 2),
         **found,
     }

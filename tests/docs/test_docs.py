@@ -35,7 +35,6 @@ from tests.docs.pages import (
     saved,
 )
 
-SMALL_ENV = {"horizon": 5}
 SMALL_VECTOR = {"num_envs": 2}
 SMALL_EVALUATION = {"episodes": 1, "worlds": 1, "films": 0, "horizon": 5}
 SMALL_GENERATION = {"episodes": 1, "per_target": 0, "keep": "", "workers": 0, "horizon": 5}
@@ -50,9 +49,7 @@ FILES = {
 def smaller(call: Callable[..., Any], options: dict[str, Any]) -> Callable[..., Any]:
     @functools.wraps(call)
     def called(*args: Any, **given: Any) -> Any:
-        # A profile has a horizon of its own.
-        mine = {} if "profile" in given else options
-        return call(*args, **{**given, **mine})
+        return call(*args, **{**given, **options})
 
     return called
 
@@ -60,7 +57,6 @@ def smaller(call: Callable[..., Any], options: dict[str, Any]) -> Callable[..., 
 @pytest.fixture
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """Environments, evaluations and generations that take seconds."""
-    monkeypatch.setattr(mjhab, "make", smaller(mjhab.make, SMALL_ENV))
     monkeypatch.setattr(mjhab, "evaluate", smaller(mjhab.evaluate, SMALL_EVALUATION))
     monkeypatch.setattr(mjhab, "generate", smaller(mjhab.generate, SMALL_GENERATION))
     monkeypatch.setattr(gymnasium, "make_vec", smaller(gymnasium.make_vec, SMALL_VECTOR))

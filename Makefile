@@ -9,7 +9,7 @@ DEMO_OUT := runs/demo
 DEMO_STUDENT_OUT := runs/demo-student
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo demo-student test test-generate test-lerobot test-lerobot-env test-vla-eval test-ray test-sb3 test-rsl-rl test-browser test-wheel docs check format bench gpu-report clean distclean
+.PHONY: help setup demo demo-student test test-generate test-lerobot test-lerobot-env test-vla-eval test-ray test-sb3 test-rsl-rl test-browser test-wheel docs check format bench gpu-report clean distclean test-docs
 
 help:  ## show this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-16s %s\n", $$1, $$2}'
@@ -112,6 +112,10 @@ test-ray: $(RAY)/.ready  ## generation on a local Ray cluster, with workers kill
 BROWSER_OUT := runs/browser
 test-browser: $(VENV)/.dev  ## the viewer in headless Chromium (must be installed); pictures in runs/browser
 	PYTHONPATH=src:. $(BIN)/python tests/viewer/check_browser.py $(BROWSER_OUT)
+
+DOCS_OUT := runs/docs
+test-docs: $(VENV)/.dev  ## run the commands of the documentation with small numbers, page by page; in runs/docs
+	PYTHONPATH=src:. $(BIN)/python tests/docs/check_commands.py $(DOCS_OUT)
 
 DOCS := .venv-docs
 $(DOCS)/.ready: docs/requirements.txt

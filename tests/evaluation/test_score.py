@@ -19,7 +19,7 @@ from mjhab.evaluation.score.capabilities import CAPABILITIES, profile
 from mjhab.evaluation.score.leaderboard import leaderboard
 from mjhab.evaluation.score.manifest import DRAWER, Row, manifest
 from mjhab.evaluation.score.result import Result, digest_of, read_result, summary_of, write_result
-from mjhab.evaluation.score.run import ScoreSpec, check, check_rules, score
+from mjhab.evaluation.score.run import ScoreSpec, check, check_rules, score, scored_options
 from mjhab.rollout.records import SubtaskRecord
 
 ROWS = (Row("set_table", "close", DRAWER, 2), Row("tidy_house", "navigate", episodes=1))
@@ -170,13 +170,24 @@ def test_actions_come_back_and_are_played_to_their_end() -> None:
 
 def test_other_rules_are_refused() -> None:
     check_rules(PolicyFacts("fine", env_options={"obs_mode": "rgb", "profile": "mjhab"}))
-    for options in ({"profile": "ms_hab"}, {"force_limits": False}):
-        with pytest.raises(UsageError, match="by the rules of the profile mjhab"):
-            check_rules(PolicyFacts("sly", env_options=options))
+    with pytest.raises(UsageError, match="by the rules of the profile mjhab"):
+        check_rules(PolicyFacts("sly", env_options={"force_limits": False}))
     with pytest.raises(UsageError, match="unknown track"):
         manifest("subtask", "test")
     with pytest.raises(UsageError, match="unknown split"):
         manifest("subtasks", "tset")
+
+
+def test_a_policy_of_another_profile_sees_and_moves_as_there_by_our_rules() -> None:
+    plain = PolicyFacts("plain", env_options={"obs_mode": "rgb", "profile": "mjhab"})
+    assert scored_options(plain) == {"obs_mode": "rgb"}
+    trained = PolicyFacts("trained", env_options={"camera_size": 32, "profile": "ms_hab"})
+    assert scored_options(trained) == {
+        "camera_size": 32,
+        "profile": "mjhab",
+        "cameras": ("fetch_head", "fetch_hand"),
+        "stationary": ("head",),
+    }
 
 
 def test_the_profile_counts_what_tells_something() -> None:

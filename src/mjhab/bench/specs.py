@@ -113,6 +113,19 @@ class ServingSpec:
 
 
 @dataclass(frozen=True)
+class ViewSpec:
+    """`view.measure_view`: running worlds, each of several numbers of ``worlds`` shown for some seconds."""
+
+    worlds: tuple[int, ...] = (1, 4, 16)
+    policy: str = "random"
+    task: str = "set_table"
+    subtask: str = "pick"
+    seconds: float = 5.0
+    threads: int = 0
+    assets: str = "builtin"
+
+
+@dataclass(frozen=True)
 class ParitySpec:
     """`parity.run.measure_parity`: both simulators beside each other; "all" for all tasks or subtasks."""
 

@@ -32,6 +32,7 @@ class BenchCommand:
         | Annotated[gpu.BenchInteractOptions, Sub("interact")]
         | Annotated[gpu.BenchParityOptions, Sub("parity")]
         | Annotated[srv.BenchServingOptions, Sub("serving")]
+        | Annotated[look.BenchViewOptions, Sub("view")]
     )
 
 
@@ -79,6 +80,7 @@ RUNNERS: dict[type, tuple[str, str]] = {
     gpu.BenchInteractOptions: ("cli.bench.interact", "bench_interact"),
     gpu.BenchParityOptions: ("cli.bench.parity", "bench_parity"),
     srv.BenchServingOptions: ("cli.bench.serving", "bench_serving"),
+    look.BenchViewOptions: ("cli.bench.view", "bench_view"),
     sco.ScoreOptions: ("cli.policies.score", "run_score"),
     srv.ServeOptions: ("cli.policies.serve", "run_serve"),
     gen.GenerateOptions: ("cli.datasets.generate", "run_generate"),

@@ -35,6 +35,8 @@ class PpoConfig:
     finite_horizon: average the returns of all lengths, as the original does, in place of GAE's infinite sum.
     target_kl: an update ends early beyond it; 0 for never. initial_std: of the actions [share of full scale].
     learning_rate_end: share of the learning rate that is left when all samples are used.
+    desired_kl: the learning rate rises and falls so that an epoch changes the policy by about this much; 0 leaves it.
+    state_std: the spread of the actions depends on what is seen: wide on the way, narrow where the robot is to rest.
     critic_updates: first updates in which only the critic learns, for an actor that begins from a checkpoint.
     """
 
@@ -53,6 +55,8 @@ class PpoConfig:
     learning_rate_end: float = 1.0
     adam_epsilon: float = 1e-5
     initial_std: float = 0.6
+    desired_kl: float = 0.0
+    state_std: bool = False
     critic_updates: int = 0
 
     def __post_init__(self) -> None:
@@ -116,6 +120,8 @@ class ReinforcementConfig:
     samples: control steps of single worlds, in all. worlds: that run at the same time; part of what is learned.
     privileged_critic: the critic sees, besides what the actor sees, the robot's velocities, the base's pose, the pose
     and the velocity of the target, the forces and the time that is left: see `sight.PRIVILEGED`.
+    horizon: control steps of a training episode, 0 for those of the profile. stagger: the first episodes end after
+    different numbers of steps, so that worlds do not begin and end together ever after.
     checkpoint_samples: samples between checkpoints; at each one all worlds begin new episodes, so that a run that is
     resumed is the same as one that was not interrupted. eval_samples: between evaluations.
     """
@@ -129,6 +135,8 @@ class ReinforcementConfig:
     samples: int = 1_000_000
     worlds: int = 32
     privileged_critic: bool = True
+    horizon: int = 0
+    stagger: bool = True
     checkpoint_samples: int = 50_000
     eval_samples: int = 100_000
 
@@ -173,7 +181,25 @@ PAPER_INPUTS = InputConfig(
 
 STATE_NETWORK = NetworkConfig(hidden=256, layers=3)
 
-FAST_PPO = ReinforcementConfig(PPO, "fast", STATE_INPUTS, STATE_NETWORK, ppo=PpoConfig(), worlds=64)
+FAST_PPO = ReinforcementConfig(
+    PPO,
+    "fast",
+    dataclasses.replace(STATE_INPUTS, link_state=True),
+    STATE_NETWORK,
+    ppo=PpoConfig(
+        rollout_steps=16,
+        minibatches=4,
+        desired_kl=0.01,
+        target_kl=0.0,
+        initial_std=0.5,
+        state_std=True,
+    ),
+    samples=3_000_000,
+    worlds=256,
+    horizon=100,
+    checkpoint_samples=250_000,
+    eval_samples=500_000,
+)
 
 PAPER_PPO = ReinforcementConfig(
     PPO,
@@ -193,6 +219,7 @@ PAPER_PPO = ReinforcementConfig(
     samples=15_000_000,
     worlds=192,  # 189 in the original, which its 16 minibatches do not divide
     privileged_critic=False,
+    stagger=False,
     eval_samples=500_000,
 )
 
@@ -218,6 +245,7 @@ PAPER_SAC = ReinforcementConfig(
     samples=25_000_000,
     worlds=63,
     privileged_critic=False,
+    stagger=False,
     eval_samples=500_000,
 )
 
@@ -238,7 +266,11 @@ PRESETS: dict[str, dict[str, ReinforcementConfig]] = {
     PPO: {
         "fast": FAST_PPO,
         "depth": dataclasses.replace(
-            FAST_PPO, preset="depth", inputs=DEPTH_INPUTS, network=NetworkConfig(hidden=256)
+            FAST_PPO,
+            preset="depth",
+            inputs=DEPTH_INPUTS,
+            network=NetworkConfig(hidden=256),
+            worlds=64,
         ),
         "paper": PAPER_PPO,
         "polish": dataclasses.replace(
@@ -249,6 +281,9 @@ PRESETS: dict[str, dict[str, ReinforcementConfig]] = {
                 initial_std=0.12, learning_rate=1e-4, target_kl=0.02, critic_updates=10, epochs=3
             ),
             worlds=32,
+            horizon=0,
+            checkpoint_samples=50_000,
+            eval_samples=100_000,
         ),
     },
     SAC: {

@@ -36,6 +36,7 @@ from mjhab.learning.runs.session import FIRST, LATEST, OutOfTime
 from mjhab.learning.students.student import Student
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.store import check_folder
+from mjhab.tasks.subtasks.registry import SUBTASKS, horizons
 
 REPLAY = "replay"
 DEMONSTRATIONS = "demonstrations"
@@ -120,6 +121,7 @@ class ReinforcementSession:
             self.seed,
             backend=request.backend,
             device=request.device,
+            **self._horizon(),
         )
         self.layout = self._layout()
         sight = Sight(self.env, self.layout, self.config.privileged_critic)
@@ -131,12 +133,21 @@ class ReinforcementSession:
             self.saved = load_checkpoint(checkpoint)
             known = {name: self.saved.about[name] for name in Standing.__dataclass_fields__}
             self.standing = Standing(**known)
-        self.worlds = Worlds(self.env, sight, self.seed + self.standing.checkpoints)
+        number = SUBTASKS.names().index(request.scene.subtask)
+        longest_first = int(horizons(self.env.task_config)[number]) if self.config.stagger else 0
+        seed = self.seed + self.standing.checkpoints
+        self.worlds = Worlds(self.env, sight, seed, longest_first)
         self.log = Logbook(folder, self.standing.seconds, self.standing.updates)
         self.records: list[EpisodeRecord] = []
         self._eval_seconds = 0.0
         self._outcomes: deque[bool] = deque(maxlen=RECENT_EPISODES)
         self._rewards: deque[float] = deque(maxlen=100)
+
+    def _horizon(self) -> dict[str, int]:
+        """The horizon of training as an option of the environment; Navigate keeps its own, which is longer."""
+        if not self.config.horizon or SUBTASKS[self.request.scene.subtask].navigates:
+            return {}
+        return {"horizon": self.config.horizon}
 
     def _layout(self) -> Layout:
         """What the agent sees and does: that of the student it begins from, else that of the environment."""

@@ -156,10 +156,12 @@ class _PpoRun(_Run):
         learner.statistics.restore(part_of("statistics", tensors))
         learner.privileged.restore(part_of("privileged", tensors))
         learner.updates = self.session.standing.updates
+        learner.learning_rate = float(tensors["learning_rate"])
 
     def tensors(self) -> dict[str, Tensor]:
         learner = self.learner
         return {
+            "learning_rate": torch.tensor(learner.learning_rate, dtype=torch.float64),
             **prefixed("agent", self.agent.state_dict()),
             **prefixed("optimizer", optimizer_tensors(learner.optimizer)),
             **prefixed("statistics", learner.statistics.tensors()),

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from mjhab.core.errors import UsageError
+from mjhab.core.seeding import stream
 from mjhab.learning.reinforcement.sight import Seen, Sight
 
 
@@ -37,12 +38,14 @@ class Worlds:
 
     Args:
         env: of either backend. sight: of the same environment. seed: of the first episodes.
+        longest_first: the first episode of every world ends after a number of control steps between 1 and this, as by
+            time, so that worlds do not go through their episodes together; 0 lets it run on.
 
     Raises:
         UsageError: the environment resets by itself.
     """
 
-    def __init__(self, env: Any, sight: Sight, seed: int) -> None:
+    def __init__(self, env: Any, sight: Sight, seed: int, longest_first: int = 0) -> None:
         if env.config.autoreset != "disabled":
             raise UsageError(
                 f"agents reset the worlds themselves; make the environment with autoreset='disabled', not "
@@ -52,6 +55,7 @@ class Worlds:
         self.sight = sight
         self.count: int = env.num_envs
         self.device = sight.device
+        self._longest_first = longest_first
         self._none = torch.zeros(self.count, dtype=torch.bool, device=self.device)
         self._succeeded = self._none
         self.seen: Seen = self.begin(seed)
@@ -61,6 +65,9 @@ class Worlds:
         obs, info = self.env.reset(seed=seed)
         every = ~self._none
         self._succeeded = self._none
+        if self._longest_first:
+            drawn = stream(seed, "stagger").integers(1, self._longest_first + 1, self.count)
+            self._left = torch.from_numpy(drawn).to(self.device)
         self.sight.begin(every, info)
         width = self.env.single_action_space.shape[0]
         still = torch.zeros(self.count, width, device=self.device)
@@ -73,6 +80,9 @@ class Worlds:
         given = taken.numpy() if self.device.type == "cpu" and self._numpy else taken
         obs, reward, terminated, truncated, info = self.env.step(given)
         ended = torch.as_tensor(terminated) | torch.as_tensor(truncated)
+        if self._longest_first:
+            self._left -= 1
+            ended = ended | (self._left == 0)
         succeeded = self._succeeded | torch.as_tensor(info["success"])
         following = self.sight.see(obs, info, taken, self._none)
         self.seen = following

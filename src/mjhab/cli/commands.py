@@ -31,6 +31,7 @@ class BenchCommand:
         | Annotated[gpu.BenchInteractOptions, Sub("interact")]
         | Annotated[gpu.BenchParityOptions, Sub("parity")]
         | Annotated[srv.BenchServingOptions, Sub("serving")]
+        | Annotated[learn.BenchLearnerOptions, Sub("learner")]
     )
 
 
@@ -75,6 +76,7 @@ RUNNERS: dict[type, tuple[str, str]] = {
     gpu.BenchInteractOptions: ("cli.bench.interact", "bench_interact"),
     gpu.BenchParityOptions: ("cli.bench.parity", "bench_parity"),
     srv.BenchServingOptions: ("cli.bench.serving", "bench_serving"),
+    learn.BenchLearnerOptions: ("cli.bench.learner", "bench_learner"),
     sco.ScoreOptions: ("cli.score", "run_score"),
     srv.ServeOptions: ("cli.serve", "run_serve"),
     gen.GenerateOptions: ("cli.generate", "run_generate"),

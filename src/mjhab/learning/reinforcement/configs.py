@@ -121,7 +121,8 @@ class ReinforcementConfig:
     privileged_critic: the critic sees, besides what the actor sees, the robot's velocities, the base's pose, the pose
     and the velocity of the target, the forces and the time that is left: see `sight.PRIVILEGED`.
     horizon: control steps of a training episode, 0 for those of the profile. stagger: the first episodes end after
-    different numbers of steps, so that worlds do not begin and end together ever after.
+    different numbers of steps, so that worlds do not begin and end together ever after. episode_pool: arrangements
+    that episodes are drawn from, 0 for as many as `TrainConfig` has; making one takes as long as a hundred samples.
     checkpoint_samples: samples between checkpoints; at each one all worlds begin new episodes, so that a run that is
     resumed is the same as one that was not interrupted. eval_samples: between evaluations.
     """
@@ -137,6 +138,7 @@ class ReinforcementConfig:
     privileged_critic: bool = True
     horizon: int = 0
     stagger: bool = True
+    episode_pool: int = 0
     checkpoint_samples: int = 50_000
     eval_samples: int = 100_000
 
@@ -189,14 +191,16 @@ FAST_PPO = ReinforcementConfig(
     ppo=PpoConfig(
         rollout_steps=16,
         minibatches=4,
-        desired_kl=0.01,
+        learning_rate=5e-4,
+        desired_kl=0.03,
         target_kl=0.0,
         initial_std=0.5,
         state_std=True,
     ),
     samples=3_000_000,
-    worlds=256,
+    worlds=128,
     horizon=100,
+    episode_pool=256,
     checkpoint_samples=250_000,
     eval_samples=500_000,
 )

@@ -53,6 +53,9 @@ class ReinforcementRequest:
     budget_seconds: of wall time for everything, 0 for no limit. eval_episodes: of the last evaluation;
     round_episodes: of those on the way, 0 for none. films: episodes to film in the first and the last evaluation.
     backend, device: of the environment, see `EnvConfig`.
+    data, where: shards or folders of them that RLPD takes its demonstrations from, and which episodes of them (those
+    that succeed if ""); the expert makes them if there are none. recompute_rewards: also where they were recorded in
+    another profile or with other rewards.
     """
 
     config: ReinforcementConfig
@@ -66,6 +69,9 @@ class ReinforcementRequest:
     films: int = 0
     backend: str = "cpu"
     device: str = ""
+    data: tuple[Path, ...] = ()
+    where: str = ""
+    recompute_rewards: bool = False
 
 
 @dataclass
@@ -79,19 +85,20 @@ class Standing:
     evaluated: list[int] = field(default_factory=list)
 
 
+def image_options(inputs: InputConfig) -> dict[str, Any]:
+    """Options of an environment that shows the images of ``inputs``; none for the state alone."""
+    if not (inputs.image_size and inputs.cameras):
+        return {}
+    return {"obs_mode": "depth", "cameras": inputs.cameras, "camera_size": inputs.image_size}
+
+
 def training_env(
     scene: Scene, inputs: InputConfig, worlds: int, threads: int, seed: int, **more: Any
 ) -> Any:
     """The environment that agents are trained in: dense rewards of at most 1, worlds that are reset by hand."""
     from mjhab.envs import make_train
 
-    options = scene.env_options()
-    if inputs.image_size and inputs.cameras:
-        options |= {
-            "obs_mode": "depth",
-            "cameras": inputs.cameras,
-            "camera_size": inputs.image_size,
-        }
+    options = scene.env_options() | image_options(inputs)
     return make_train(
         **options, num_envs=worlds, threads=threads, seed=seed, autoreset="disabled", **more
     )
@@ -121,7 +128,7 @@ class ReinforcementSession:
             self.seed,
             backend=request.backend,
             device=request.device,
-            **self._horizon(),
+            **self._episodes(),
         )
         self.layout = self._layout()
         sight = Sight(self.env, self.layout, self.config.privileged_critic)
@@ -140,14 +147,22 @@ class ReinforcementSession:
         self.log = Logbook(folder, self.standing.seconds, self.standing.updates)
         self.records: list[EpisodeRecord] = []
         self._eval_seconds = 0.0
+        self._began = time.perf_counter()
+        self.learner_seconds = 0.0
+        self.evaluation_seconds = 0.0
+        """Wall time of updates, and of evaluations, since this start [s]."""
         self._outcomes: deque[bool] = deque(maxlen=RECENT_EPISODES)
         self._rewards: deque[float] = deque(maxlen=100)
 
-    def _horizon(self) -> dict[str, int]:
-        """The horizon of training as an option of the environment; Navigate keeps its own, which is longer."""
-        if not self.config.horizon or SUBTASKS[self.request.scene.subtask].navigates:
-            return {}
-        return {"horizon": self.config.horizon}
+    def _episodes(self) -> dict[str, int]:
+        """Options of the environment that say which episodes are trained in.
+
+        Navigate keeps its own horizon, which is longer.
+        """
+        options = {"horizon": self.config.horizon, "episode_pool": self.config.episode_pool}
+        if SUBTASKS[self.request.scene.subtask].navigates:
+            del options["horizon"]
+        return {name: value for name, value in options.items() if value}
 
     def _layout(self) -> Layout:
         """What the agent sees and does: that of the student it begins from, else that of the environment."""
@@ -216,6 +231,18 @@ class ReinforcementSession:
         save_tensors(self.folder.training, actor, tensors, about)
         self.save_actor(actor)
 
+    def time_shares(self) -> dict[str, float]:
+        """Shares of the wall time since this start: environment, updates, evaluations, and the rest (acting, files)."""
+        parts = {
+            "env": self.worlds.seconds,
+            "learner": self.learner_seconds,
+            "evaluation": self.evaluation_seconds,
+        }
+        total = max(time.perf_counter() - self._began, sum(parts.values()))
+        shares = {name: seconds / total for name, seconds in parts.items()}
+        shares["other"] = 1.0 - sum(shares.values())
+        return {name: round(share, 4) for name, share in shares.items()}
+
     def save_actor(self, actor: Student) -> None:
         """Write the actor as the student that acts."""
         about = {
@@ -245,7 +272,9 @@ class ReinforcementSession:
         out = self.folder.evaluation(FIRST if first and not last else LATEST)
         run = evaluations.run(self.folder.student, episodes, films, out)
         self.records = list(run.records)
-        self._eval_seconds = (time.perf_counter() - began) / episodes
+        spent = time.perf_counter() - began
+        self._eval_seconds = spent / episodes
+        self.evaluation_seconds += spent
         success = sum(record.success_once for record in self.records) / episodes
         self.standing.evaluated.append(self.standing.samples)
         self.log.report(
@@ -283,6 +312,9 @@ def resolved_config(request: ReinforcementRequest) -> dict[str, Any]:
         "scene": asdict(request.scene),
         "seed": request.seed,
         "start": request.start,
+        "data": [str(path) for path in request.data],
+        "where": request.where,
+        "recompute_rewards": request.recompute_rewards,
         "backend": request.backend,
         "processes": distributed.processes(),
         "mjhab": __version__,

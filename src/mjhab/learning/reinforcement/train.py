@@ -11,7 +11,10 @@ import torch
 from torch import Tensor
 
 from mjhab.learning.reinforcement import distributed
-from mjhab.learning.reinforcement.demonstrations import collect_demonstrations
+from mjhab.learning.reinforcement.demonstrations import (
+    collect_demonstrations,
+    kept_demonstrations,
+)
 from mjhab.learning.reinforcement.keeping import (
     optimizer_tensors,
     part_of,
@@ -19,6 +22,7 @@ from mjhab.learning.reinforcement.keeping import (
     restore_optimizer,
 )
 from mjhab.learning.reinforcement.ppo import Ppo, PpoLearner
+from mjhab.learning.reinforcement.recorded import replay_recorded
 from mjhab.learning.reinforcement.replay import ReplayBuffer, ReplayShape
 from mjhab.learning.reinforcement.running import RunningStatistics
 from mjhab.learning.reinforcement.sac import Sac, SacLearner
@@ -95,6 +99,7 @@ def summarize(session: ReinforcementSession) -> dict[str, Any]:
         "episodes": len(records),
         "rounds": 0,
         "demonstrations": sac.demonstrations if sac else 0,
+        "time_shares": session.time_shares(),
     }
 
 
@@ -183,6 +188,7 @@ class _PpoRun(_Run):
             learner.normalize(rollout.seen)
             standing.updates = learner.updates
             ended = time.perf_counter()
+            session.learner_seconds += ended - acted
             numbers["loss"] = numbers["value_loss"]
             numbers["samples_per_second"] = (standing.samples - before) / (ended - began)
             numbers["learner_share"] = (ended - acted) / (ended - began)
@@ -255,7 +261,23 @@ class _SacRun(_Run):
         return kept
 
     def _demonstrate(self) -> None:
-        """Let the expert fill the buffer of demonstrations, in episodes of its own."""
+        """Fill the buffer of demonstrations: recorded ones, or by the expert in episodes of its own."""
+        folder = self.session.folder.path / DEMONSTRATIONS
+        fill = self._replay_recorded if self.session.request.data else self._ask_expert
+        self.shown = kept_demonstrations(folder, fill)
+
+    def _replay_recorded(self) -> ReplayBuffer:
+        session = self.session
+
+        def make(worlds: int, steps: int) -> ReplayBuffer:
+            return self._buffer(DEMONSTRATIONS, worlds, worlds * steps)
+
+        def tell(done: int, total: int) -> None:
+            session.log.show({"phase": f"demonstrations: {done}/{total}"})
+
+        return replay_recorded(session, make, tell)
+
+    def _ask_expert(self) -> ReplayBuffer:
         session = self.session
         horizon = int(max(horizons(session.env.task_config))) + 2
         episodes = self.sac.demonstrations
@@ -267,7 +289,7 @@ class _SacRun(_Run):
         def tell(done: int) -> None:
             session.log.show({"phase": f"demonstrations: {done}/{episodes}"})
 
-        self.shown = collect_demonstrations(session, episodes, make, tell)
+        return collect_demonstrations(session, episodes, make, tell)
 
     def learn(self) -> None:
         session = self.session
@@ -289,6 +311,7 @@ class _SacRun(_Run):
                     numbers |= self._update()
                     self.owed -= 1.0
             ended = time.perf_counter()
+            session.learner_seconds += ended - acted
             if numbers and ended - told_at > REPORT_SECONDS:
                 told_at = ended
                 numbers["loss"] = numbers["critic_loss"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 from typing import Any
 
@@ -56,12 +57,20 @@ class Worlds:
         self.count: int = env.num_envs
         self.device = sight.device
         self._longest_first = longest_first
+        self.seconds = 0.0
+        """Wall time spent in the environment, and in turning what it shows into tensors [s]."""
         self._none = torch.zeros(self.count, dtype=torch.bool, device=self.device)
         self._succeeded = self._none
         self.seen: Seen = self.begin(seed)
 
     def begin(self, seed: int) -> Seen:
         """Begin new episodes in all worlds; which ones depends on ``seed`` alone."""
+        began = time.perf_counter()
+        seen = self._begin(seed)
+        self.seconds += time.perf_counter() - began
+        return seen
+
+    def _begin(self, seed: int) -> Seen:
         obs, info = self.env.reset(seed=seed)
         every = ~self._none
         self._succeeded = self._none
@@ -76,6 +85,12 @@ class Worlds:
 
     def step(self, actions: Tensor) -> Transition:
         """One control step; worlds whose episodes end begin new ones, see ``seen``."""
+        began = time.perf_counter()
+        transition = self._step(actions)
+        self.seconds += time.perf_counter() - began
+        return transition
+
+    def _step(self, actions: Tensor) -> Transition:
         taken = actions.clamp(-1.0, 1.0)
         given = taken.numpy() if self.device.type == "cpu" and self._numpy else taken
         obs, reward, terminated, truncated, info = self.env.step(given)

@@ -201,7 +201,7 @@ FAST_PPO = ReinforcementConfig(
     worlds=128,
     horizon=100,
     episode_pool=256,
-    checkpoint_samples=250_000,
+    checkpoint_samples=100_000,
     eval_samples=500_000,
 )
 

@@ -123,6 +123,9 @@ class ReinforcementConfig:
     horizon: control steps of a training episode, 0 for those of the profile. stagger: the first episodes end after
     different numbers of steps, so that worlds do not begin and end together ever after. episode_pool: arrangements
     that episodes are drawn from, 0 for as many as `TrainConfig` has; making one takes as long as a hundred samples.
+    force_ends: an episode of training is over when its force exceeds the limit; nothing follows. force_cost: reward
+    that a force takes which sums up to the limit. The dense rewards of Open and Close have no term for forces: without
+    these two, a policy that presses on is never told why it does not succeed.
     checkpoint_samples: samples between checkpoints; at each one all worlds begin new episodes, so that a run that is
     resumed is the same as one that was not interrupted. eval_samples: between evaluations.
     """
@@ -139,6 +142,8 @@ class ReinforcementConfig:
     horizon: int = 0
     stagger: bool = True
     episode_pool: int = 0
+    force_ends: bool = False
+    force_cost: float = 0.0
     checkpoint_samples: int = 50_000
     eval_samples: int = 100_000
 
@@ -201,6 +206,8 @@ FAST_PPO = ReinforcementConfig(
     worlds=128,
     horizon=100,
     episode_pool=256,
+    force_ends=True,
+    force_cost=5.0,
     checkpoint_samples=100_000,
     eval_samples=500_000,
 )

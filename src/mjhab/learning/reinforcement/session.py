@@ -28,7 +28,7 @@ from mjhab.learning.layout import Layout, layout_of
 from mjhab.learning.reinforcement import distributed
 from mjhab.learning.reinforcement.configs import ReinforcementConfig
 from mjhab.learning.reinforcement.sight import Sight
-from mjhab.learning.reinforcement.worlds import Transition, Worlds
+from mjhab.learning.reinforcement.worlds import TrainingRules, Transition, Worlds
 from mjhab.learning.runs.collection import Means, Scene
 from mjhab.learning.runs.evaluation import Evaluations
 from mjhab.learning.runs.run import TRAINING, Logbook, TrainingFolder
@@ -36,7 +36,7 @@ from mjhab.learning.runs.session import FIRST, LATEST, OutOfTime
 from mjhab.learning.students.student import Student
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.store import check_folder
-from mjhab.tasks.subtasks.registry import SUBTASKS, horizons
+from mjhab.tasks.subtasks.registry import SUBTASKS, limits_of
 
 REPLAY = "replay"
 DEMONSTRATIONS = "demonstrations"
@@ -140,10 +140,8 @@ class ReinforcementSession:
             self.saved = load_checkpoint(checkpoint)
             known = {name: self.saved.about[name] for name in Standing.__dataclass_fields__}
             self.standing = Standing(**known)
-        number = SUBTASKS.names().index(request.scene.subtask)
-        longest_first = int(horizons(self.env.task_config)[number]) if self.config.stagger else 0
         seed = self.seed + self.standing.checkpoints
-        self.worlds = Worlds(self.env, sight, seed, longest_first)
+        self.worlds = Worlds(self.env, sight, seed, self._rules())
         self.log = Logbook(folder, self.standing.seconds, self.standing.updates)
         self.records: list[EpisodeRecord] = []
         self._eval_seconds = 0.0
@@ -153,6 +151,17 @@ class ReinforcementSession:
         """Wall time of updates, and of evaluations, since this start [s]."""
         self._outcomes: deque[bool] = deque(maxlen=RECENT_EPISODES)
         self._rewards: deque[float] = deque(maxlen=100)
+
+    def _rules(self) -> TrainingRules:
+        """What ends episodes and costs reward, beside what the environment says."""
+        limits = limits_of(self.env.task_config, self.request.scene.subtask)
+        return TrainingRules(
+            longest_first=limits.horizon if self.config.stagger else 0,
+            force_limit=limits.force_limit,
+            force_ends=self.config.force_ends,
+            force_cost=self.config.force_cost,
+            conditions=SUBTASKS[self.request.scene.subtask].conditions,
+        )
 
     def _episodes(self) -> dict[str, int]:
         """Options of the environment that say which episodes are trained in.
@@ -188,6 +197,7 @@ class ReinforcementSession:
     def report(self, numbers: dict[str, float]) -> None:
         """Tell of an update."""
         told = {"reward": sum(self._rewards) / max(len(self._rewards), 1), **numbers}
+        told |= {f"holds/{name}": share for name, share in self.worlds.held().items()}
         if self._outcomes:
             told["training_success"] = sum(self._outcomes) / len(self._outcomes)
         self.log.report(self.standing.updates, self.standing.samples, told)

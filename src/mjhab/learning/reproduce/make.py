@@ -244,6 +244,7 @@ def _train_student(spec: TableSpec, scene: Scene, run: Path, resume: bool) -> Tr
         seed=spec.seed,
         budget_seconds=SECONDS_PER_MINUTE * spec.budget_minutes,
         eval_episodes=0,
+        round_episodes=0,
         torch_threads=spec.threads,
     )
     return train(request, run, resume=resume)

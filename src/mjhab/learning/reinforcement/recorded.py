@@ -147,6 +147,7 @@ class _Player:
         recorded = [episode.array("actions") for episode in batch]
         longest = max(len(actions) for actions in recorded)
         seen: Seen | None = None
+        fresh = mine
         for t in range(longest):
             actions = np.zeros((env.num_envs, self._width), np.float32)
             for world, rows in enumerate(recorded):
@@ -154,7 +155,8 @@ class _Player:
                     actions[world] = rows[t]
             obs, reward, terminated, _, info = env.step(actions)
             taken = torch.from_numpy(actions)
-            following = self._sight.see(obs, info, taken, mine if seen is None else ~(mine | ~mine))
+            following = self._sight.see(obs, info, taken, fresh)
+            fresh = torch.zeros_like(mine)
             active = torch.tensor([w for w, rows in enumerate(recorded) if t < len(rows)])
             if seen is not None:
                 buffer.add(

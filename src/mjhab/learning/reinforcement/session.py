@@ -16,6 +16,7 @@ from torch import Tensor
 
 from mjhab.core.errors import UsageError
 from mjhab.core.version import __version__
+from mjhab.envs.parts.reporting import CHECKERS
 from mjhab.learning.checkpoint import (
     Checkpoint,
     load_checkpoint,
@@ -154,13 +155,15 @@ class ReinforcementSession:
 
     def _rules(self) -> TrainingRules:
         """What ends episodes and costs reward, beside what the environment says."""
-        limits = limits_of(self.env.task_config, self.request.scene.subtask)
+        subtask = self.request.scene.subtask
+        limits = limits_of(self.env.task_config, subtask)
+        conditions = SUBTASKS[subtask].conditions
         return TrainingRules(
             longest_first=limits.horizon if self.config.stagger else 0,
             force_limit=limits.force_limit,
             force_ends=self.config.force_ends,
             force_cost=self.config.force_cost,
-            conditions=SUBTASKS[self.request.scene.subtask].conditions,
+            conditions=tuple(name for name in conditions if name in CHECKERS),
         )
 
     def _episodes(self) -> dict[str, int]:

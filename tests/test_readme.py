@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 import mjhab
-from mjhab.cli.evaluate import eval_spec
 from mjhab.cli.main import parse
+from mjhab.cli.policies.evaluate import eval_spec
 from mjhab.core.errors import UsageError
 from mjhab.evaluation.resolve import inspect_policy
 from mjhab.rollout.loop import rollout

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from mjhab.core.arrays import Array, namespace, norm3, pick_column
-from mjhab.tasks.reward_table import (
+from mjhab.tasks.rewards.table import (
     ALWAYS,
     RewardTable,
     RewardView,

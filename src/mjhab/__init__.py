@@ -120,7 +120,7 @@ def __dir__() -> list[str]:
 
 def register_all() -> None:
     """Load plugins and make the ids known to Gymnasium: done when ``mjhab`` is imported, done once."""
-    from mjhab.core.plugins import load_plugins
+    from mjhab.core.registration.plugins import load_plugins
     from mjhab.envs.catalog import register_envs
 
     load_plugins()

@@ -14,7 +14,7 @@ from PIL import Image
 
 from mjhab.bench import engine as bench
 from mjhab.bench import grasp as grasp_bench
-from mjhab.cli import doctor
+from mjhab.cli.machine import doctor
 from mjhab.cli.main import main
 from mjhab.render import gl_probe, views
 from tests.rollout.fake_env import FakeEnv

@@ -13,9 +13,9 @@ from gymnasium.vector import AutoresetMode
 from mjhab.core.seeding import stream
 from mjhab.data.store.schema import CHECKS
 from mjhab.robots.fetch.robot import ROBOT
+from mjhab.tasks.labelling.tracker import SubtaskTracker
 from mjhab.tasks.signals import Signals
 from mjhab.tasks.subtasks.registry import name_of, number_of
-from mjhab.tasks.tracker import SubtaskTracker
 
 CHAIN = (
     ("open", "kitchen_counter/drawer3"),

@@ -25,7 +25,7 @@ from mjhab.envs.wrappers import FlattenStatePixels, FrameStack
 from mjhab.episodes.spawn_factory import make_set
 from mjhab.episodes.spawn_sets import SpawnRecipe
 from mjhab.sim.protocol import TAINTS
-from mjhab.tasks.label_state import WATCHED
+from mjhab.tasks.labelling.state import WATCHED
 from mjhab.tasks.subtasks.registry import force_limits, limits_of
 
 NAN_BIT = 1 << TAINTS.index("nan")

@@ -21,7 +21,7 @@ from mjhab.envs.parts.reporting import CHECKERS
 from mjhab.envs.wrappers import FrameStack
 from mjhab.sim.backends import cuda_devices
 from mjhab.sim.protocol import TAINTS
-from mjhab.tasks.events import event_names
+from mjhab.tasks.labelling.events import event_names
 from mjhab.tasks.plan import SubtaskKind
 from mjhab.tasks.subtasks.registry import SUBTASKS, event_columns, limits_of
 from tests.missing import need_warp

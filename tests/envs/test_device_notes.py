@@ -11,7 +11,7 @@ import torch
 from mjhab.core.arrays import map_record
 from mjhab.envs.device.notes import DeviceNotes
 from mjhab.envs.parts.tracking import Tracker
-from mjhab.tasks.events import event_names
+from mjhab.tasks.labelling.events import event_names
 from mjhab.tasks.plan import PADDING, Subtask, SubtaskKind, TaskPlan
 from mjhab.tasks.progress import Outcome, Progress
 from mjhab.tasks.signals import Signals

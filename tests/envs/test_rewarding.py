@@ -17,7 +17,7 @@ from mjhab.robots.fetch.robot import ROBOT
 from mjhab.tasks.measure import active_entries, measure
 from mjhab.tasks.plan import Subtask, SubtaskKind, TaskPlan, stack_plans
 from mjhab.tasks.progress import start
-from mjhab.tasks.rewards import RewardOptions
+from mjhab.tasks.rewards.scoring import RewardOptions
 from tests.tasks.build import config_of, resting, squeeze
 
 PICK, PLACE, NAVIGATE, OPEN, CLOSE = range(5)

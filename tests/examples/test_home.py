@@ -11,7 +11,7 @@ import pytest
 
 import mjhab
 from mjhab.cli.main import main
-from mjhab.core.plugins import load_plugin
+from mjhab.core.registration.plugins import load_plugin
 from mjhab.scenes.pack_source import PACK_SOURCES
 
 FOLDER = Path(__file__).parents[2] / "examples" / "home"

@@ -12,7 +12,7 @@ import pytest
 
 import mjhab
 from mjhab.config.env import EnvConfig, task_config
-from mjhab.core.plugins import load_plugin
+from mjhab.core.registration.plugins import load_plugin
 from mjhab.episodes.grasps.stable import MAX_GRASPS, StableGrasps
 from mjhab.layout.layout import Layout
 from mjhab.robots.fetch.robot import ROBOT

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import mjhab
-from mjhab.core.plugins import load_plugin
+from mjhab.core.registration.plugins import load_plugin
 from mjhab.envs.observations import state_dim
 from mjhab.robots.registry import ROBOTS, robot_named
 from mjhab.robots.robot import Robot

@@ -21,10 +21,10 @@ from mjhab.core.arrays import map_record
 from mjhab.core.errors import UsageError
 from mjhab.tasks.measure import measure
 from mjhab.tasks.progress import start
-from mjhab.tasks.reward_table import RewardView
-from mjhab.tasks.rewards import DenseReward, RewardOptions
+from mjhab.tasks.rewards.scoring import DenseReward, RewardOptions
+from mjhab.tasks.rewards.table import RewardView
 from tests.tasks.build import CONFIG, REST, plan_of, resting, to_torch
-from tests.tasks.reward_states import BEST, CLOSE, NAVIGATE, OPEN, PICK, PLACE, RANDOM, view_of
+from tests.tasks.rewards.states import BEST, CLOSE, NAVIGATE, OPEN, PICK, PLACE, RANDOM, view_of
 
 PUBLISHED = replace(CONFIG, stillness="published")
 OPTIONS = RewardOptions(formula="published", normaliser="published")

@@ -23,8 +23,8 @@ from mjhab.assets.archive import safe_path, unpack
 from mjhab.assets.hub import RemoteFile, list_files
 from mjhab.assets.sources import Source, hub_endpoint
 from mjhab.assets.transfer import download
-from mjhab.core.cache import write_atomic
 from mjhab.core.errors import UsageError
+from mjhab.core.files.cache import write_atomic
 
 RECORD = ".mjhab-asset.json"
 FORMAT = "mjhab-asset-1"

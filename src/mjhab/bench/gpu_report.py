@@ -21,8 +21,8 @@ from mjhab.bench.parity.episodes import Leg
 from mjhab.bench.parity.run import measure_parity
 from mjhab.bench.sleep import sleep_cost
 from mjhab.bench.specs import EnvBenchSpec, InteractSpec, ParitySpec
-from mjhab.core.cache import write_atomic
 from mjhab.core.errors import MjhabError, unknown_name
+from mjhab.core.files.cache import write_atomic
 from mjhab.core.machine import cores, gpu_name, installed
 from mjhab.envs.estimate import estimate_rows
 from mjhab.sim.backends import cuda_devices, resolve

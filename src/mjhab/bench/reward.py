@@ -9,8 +9,8 @@ from scipy.stats import rankdata
 
 from mjhab.bench.specs import RewardSpec
 from mjhab.config.profile_choice import profile_options
-from mjhab.core.cache import write_atomic
 from mjhab.core.errors import unknown_name
+from mjhab.core.files.cache import write_atomic
 from mjhab.core.progress import progress_bar
 from mjhab.reports.parts import section
 from mjhab.reports.plots import Figure

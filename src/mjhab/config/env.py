@@ -19,7 +19,7 @@ from mjhab.scenes.spec import HANDLE_POINTS
 from mjhab.sim.backends import BACKENDS
 from mjhab.tasks.household.registry import TASKS
 from mjhab.tasks.household.spec import TaskSpec
-from mjhab.tasks.rewards import REWARD_FORMULAS, REWARD_NORMALISERS, RewardOptions
+from mjhab.tasks.rewards.scoring import REWARD_FORMULAS, REWARD_NORMALISERS, RewardOptions
 from mjhab.tasks.subtasks.registry import SUBTASKS
 from mjhab.tasks.subtasks.spec import SubtaskSpec
 from mjhab.tasks.thresholds import STILLNESS, SubtaskConfig, TaskConfig
@@ -56,7 +56,7 @@ class EnvConfig:
     control_mode, base, stationary: see `controllers.make_controller`.
     reward_mode: one of REWARD_MODES; "" is the pointer for a chain, sparse for one subtask. reward_scales: changes of
     the scales of single dense reward terms, as {"pick": {"reach": 4.0}}. reward_formula, reward_normaliser: see
-    `tasks.rewards.RewardOptions`.
+    `tasks.rewards.scoring.RewardOptions`.
     stillness: "absolute" or "published", see `TaskConfig.stillness`.
     horizon: control steps of every subtask, 0 for those of the profile. continuous: one subtask runs to its horizon and
     success may come and go; False ends it at success or failure; None: True for one subtask, False for a chain.

@@ -12,8 +12,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from mjhab.core.cache import write_atomic
 from mjhab.core.errors import UsageError
+from mjhab.core.files.cache import write_atomic
 from mjhab.episodes.generator import EpisodeMaker
 from mjhab.episodes.hab.format import HabEpisode, to_json, write_rows
 from mjhab.episodes.hab.writer import to_hab

@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from mjhab.core.cache import cache_dir, write_atomic
 from mjhab.core.errors import MjhabError, UsageError, unknown_name
+from mjhab.core.files.cache import cache_dir, write_atomic
 from mjhab.core.names import below
-from mjhab.core.plugins import source_digest
+from mjhab.core.registration.plugins import source_digest
 from mjhab.core.seeding import stream
 from mjhab.layout.compile import home_hash
 from mjhab.layout.layout import Layout, yaw_quat

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from mjhab.config.env import EnvConfig, task_config
-from mjhab.core.cache import write_atomic
 from mjhab.core.errors import UsageError
+from mjhab.core.files.cache import write_atomic
 from mjhab.episodes.generator import Episode, EpisodeMaker
 from mjhab.episodes.rosters import object_roster
 from mjhab.episodes.spawn_sets import (

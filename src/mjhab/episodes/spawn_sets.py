@@ -22,8 +22,8 @@ from typing import Any
 import numpy as np
 
 from mjhab.config.env import EnvConfig
-from mjhab.core.cache import write_atomic
 from mjhab.core.errors import UsageError
+from mjhab.core.files.cache import write_atomic
 from mjhab.core.names import check_name
 from mjhab.core.seeding import stream
 from mjhab.core.version import __version__

@@ -9,7 +9,7 @@ import numpy as np
 
 from mjhab.core.action_notes import ActionNotes
 from mjhab.core.errors import UsageError
-from mjhab.core.plugins import resolved
+from mjhab.core.registration.plugins import resolved
 from mjhab.core.seeding import stream
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.envs.parts.worlds import Worlds

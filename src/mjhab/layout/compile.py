@@ -7,8 +7,8 @@ from pathlib import Path
 
 import mujoco
 
-from mjhab.core.cache import cache_dir, write_atomic
-from mjhab.core.code_digest import code_digest
+from mjhab.core.files.cache import cache_dir, write_atomic
+from mjhab.core.files.code_digest import code_digest
 from mjhab.core.names import below
 from mjhab.layout.layout import Layout, build_spec
 from mjhab.scenes.spec import Home

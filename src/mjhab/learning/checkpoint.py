@@ -15,8 +15,8 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
-from mjhab.core.cache import write_atomic
 from mjhab.core.errors import UsageError
+from mjhab.core.files.cache import write_atomic
 from mjhab.core.version import __version__
 from mjhab.learning.configs import StudentConfig, student_from_plain, to_plain
 from mjhab.learning.layout import Layout

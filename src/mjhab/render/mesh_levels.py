@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mjhab.core.cache import cache_dir, write_atomic
-from mjhab.core.code_digest import code_digest
+from mjhab.core.files.cache import cache_dir, write_atomic
+from mjhab.core.files.code_digest import code_digest
 from mjhab.scenes.shapes.meshes import Mesh
 from mjhab.scenes.shapes.simplify import simplify
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mjhab.core.registry import Registry
+from mjhab.core.registration.registry import Registry
 from mjhab.robots.robot import Robot
 
 DEFAULT_ROBOT = "fetch"

@@ -16,9 +16,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from mjhab.core.cache import write_atomic
 from mjhab.core.errors import UsageError
-from mjhab.core.locking import WriteLock, lock_path, refuse_if_written
+from mjhab.core.files.cache import write_atomic
+from mjhab.core.files.locking import WriteLock, lock_path, refuse_if_written
 from mjhab.rollout.policy import RolloutEnv
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink

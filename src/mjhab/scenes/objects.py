@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from mjhab.core.errors import UsageError
-from mjhab.core.registry import Registry
+from mjhab.core.registration.registry import Registry
 from mjhab.scenes.pack_check import check_pack
 from mjhab.scenes.shapes.meshes import Mesh
 from mjhab.scenes.spec import ObjectType, Pack

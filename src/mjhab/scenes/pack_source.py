@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.core.registry import Registry
+from mjhab.core.registration.registry import Registry
 from mjhab.scenes.spec import Pack
 
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from mjhab.core import plugins
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.registration import plugins
 from mjhab.scenes.objects import with_registered_objects
 from mjhab.scenes.pack_folder import load_pack
 from mjhab.scenes.pack_source import Assets, pack_names, pack_request, source_of

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from mjhab.core.errors import UsageError
-from mjhab.core.locking import is_written, lock_path
+from mjhab.core.files.locking import is_written, lock_path
 from mjhab.data.store import journal as jn
 from mjhab.data.store.checking import check, repair
 from mjhab.data.store.episode_data import EpisodeData

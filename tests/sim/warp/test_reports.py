@@ -18,7 +18,7 @@ from mjhab.bench.parity import episodes as parity_episodes
 from mjhab.bench.parity import run as bench_parity
 from mjhab.bench.parity.episodes import KINDS, Leg, Log, run_equal, run_own
 from mjhab.bench.stages import STAGES
-from mjhab.cli import warmup
+from mjhab.cli.machine import warmup
 from mjhab.cli.options.env import BenchEnvOptions
 from mjhab.cli.options.gpu import BenchParityOptions, WarmupOptions
 from mjhab.rollout.loop import rollout

@@ -24,7 +24,7 @@ from mjhab.bench.interact.scene import (
     interact_scene,
     with_body,
 )
-from mjhab.core.cache import write_atomic
+from mjhab.core.files.cache import write_atomic
 from mjhab.core.joints import BASE
 from mjhab.experts.arm.ik import columns, random_seeds, solve
 from mjhab.robots.controllers import make_controller

@@ -26,8 +26,8 @@ from mjhab.bench.memory_sampler import MemorySampler
 from mjhab.bench.specs import InteractSpec
 from mjhab.bench.stages import resident_mb
 from mjhab.core.arrays import to_numpy
-from mjhab.core.cache import write_atomic
 from mjhab.core.errors import UsageError
+from mjhab.core.files.cache import write_atomic
 from mjhab.core.progress import progress_bar
 from mjhab.envs.parts.memory import check_device_memory
 from mjhab.robots.controllers import make_controller

@@ -13,7 +13,7 @@ from typing import Any
 from numba import njit
 from numba.core import event
 
-from mjhab.core.code_digest import code_digest
+from mjhab.core.files.code_digest import code_digest
 
 Decorator = Callable[[Callable[..., Any]], Any]
 

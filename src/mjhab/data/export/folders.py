@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mjhab.core.cache import write_atomic
 from mjhab.core.errors import MjhabError, UsageError
-from mjhab.core.locking import WriteLock
+from mjhab.core.files.cache import write_atomic
+from mjhab.core.files.locking import WriteLock
 from mjhab.core.version import __version__
 from mjhab.data.store.shard import StorageError, is_full
 

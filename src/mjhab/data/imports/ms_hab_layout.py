@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from mjhab.rollout.records import Event
-from mjhab.tasks.legacy import extend
+from mjhab.tasks.labelling.legacy import extend
 from mjhab.tasks.subtasks.registry import number_of
 
 TRAJECTORY = "traj_"

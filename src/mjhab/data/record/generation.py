@@ -18,9 +18,9 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from mjhab.core.cache import write_atomic
 from mjhab.core.errors import MjhabError, UsageError
-from mjhab.core.locking import WriteLock, is_written
+from mjhab.core.files.cache import write_atomic
+from mjhab.core.files.locking import WriteLock, is_written
 from mjhab.data.export.folders import differences
 from mjhab.data.record.crew import (
     Crew,

@@ -9,10 +9,10 @@ import numpy as np
 
 from mjhab.data.store.reading import Episode
 from mjhab.rollout.records import EpisodeRecord, Event, SubtaskRecord
-from mjhab.tasks.events import event_names, step_events
-from mjhab.tasks.label_state import History
-from mjhab.tasks.labels import label_history, label_names
-from mjhab.tasks.legacy import legacy_history
+from mjhab.tasks.labelling.events import event_names, step_events
+from mjhab.tasks.labelling.labels import label_history, label_names
+from mjhab.tasks.labelling.legacy import legacy_history
+from mjhab.tasks.labelling.state import History
 from mjhab.tasks.subtasks.registry import number_of
 
 

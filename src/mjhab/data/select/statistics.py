@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mjhab.core.cache import write_atomic
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.files.cache import write_atomic
 
 _FORMAT = "mjhab-statistics-1"
 SPREAD = "spread"

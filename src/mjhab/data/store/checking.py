@@ -9,9 +9,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from mjhab.core.cache import write_atomic
 from mjhab.core.errors import UsageError
-from mjhab.core.locking import WriteLock, is_written
+from mjhab.core.files.cache import write_atomic
+from mjhab.core.files.locking import WriteLock, is_written
 from mjhab.data.store.journal import committed_length, journal_path, recover
 from mjhab.data.store.reading import open_shard, shard_paths
 from mjhab.data.store.schema import DamagedError

@@ -15,7 +15,7 @@ import numpy as np
 from h5py import h5r
 
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.core.locking import is_written
+from mjhab.core.files.locking import is_written
 from mjhab.core.names import check_name
 from mjhab.data.store.episode_data import (
     RunInfo,
@@ -49,7 +49,7 @@ from mjhab.data.store.schema import (
     problems,
 )
 from mjhab.rollout.records import EpisodeRecord
-from mjhab.tasks.label_state import History
+from mjhab.tasks.labelling.state import History
 
 BROKEN = (OSError, RuntimeError, ValueError, KeyError)
 """What h5py raises over a damaged file."""
@@ -306,7 +306,10 @@ class Episode:
             return int(offset), dataset(self._group, f"{place}/ends")[()]
 
     def history(self, k: int) -> tuple[int, History]:
-        """Index in the plan of the k-th subtask that was reached, and its signals (T+1, 1) bool for `tasks.labels`."""
+        """Index in the plan of the k-th subtask that was reached, and its signals for `tasks.labelling.labels`.
+
+        Signals are bool of shape (T+1, 1), T the control steps of the subtask.
+        """
         starts = [*self.array("subtasks/step").tolist(), self.steps]
         first = self.array("subtasks/checks")[k : k + 1]
         checks = np.concatenate(

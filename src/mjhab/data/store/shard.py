@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 import h5py
 import numpy as np
 
-from mjhab.core.cache import write_atomic
 from mjhab.core.errors import MjhabError, UsageError
-from mjhab.core.locking import WriteLock
+from mjhab.core.files.cache import write_atomic
+from mjhab.core.files.locking import WriteLock
 from mjhab.core.version import __version__
 from mjhab.data.store.episode_data import (
     EpisodeData,

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from mjhab.tasks.labelling.tracker import SubtaskTracker
 from mjhab.tasks.plan import TaskPlan
 from mjhab.tasks.progress import Outcome, Progress
 from mjhab.tasks.signals import Signals
 from mjhab.tasks.subtasks.registry import name_of
-from mjhab.tasks.tracker import SubtaskTracker
 
 
 @dataclass(frozen=True)

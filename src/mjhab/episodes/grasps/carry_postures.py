@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mjhab.core.cache import write_atomic
 from mjhab.core.errors import MjhabError
+from mjhab.core.files.cache import write_atomic
 from mjhab.core.seeding import stream
 from mjhab.episodes.grasps.stable import HOLD_TIME_S, StableGrasp, StableGrasps
 from mjhab.robots.kinematics import damped_step

@@ -16,8 +16,8 @@ from threading import RLock
 
 import numpy as np
 
-from mjhab.core.cache import cache_dir, write_atomic
 from mjhab.core.errors import MjhabError, UsageError, unknown_name
+from mjhab.core.files.cache import cache_dir, write_atomic
 from mjhab.core.names import below
 from mjhab.core.rotations import pose_inv
 from mjhab.episodes.grasps.candidates import Grasps, ObjectShape, grasp_candidates

@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from mjhab.core.cache import write_atomic
 from mjhab.core.errors import UsageError
+from mjhab.core.files.cache import write_atomic
 from mjhab.core.names import check_name, copy_names
 from mjhab.core.rotations import mat_from_quat, pose_mul, quat_from_mat, quat_from_yaw
 from mjhab.scenes.pack_check import MAX_JOINT_POSITION, MAX_POSITION_M, check_range

@@ -13,7 +13,7 @@ import numpy as np
 from mjhab.config.env import EnvConfig
 from mjhab.core.errors import MjhabError, UsageError, unknown_name
 from mjhab.core.names import kind_of
-from mjhab.core.plugins import resolved
+from mjhab.core.registration.plugins import resolved
 from mjhab.core.seeding import stream
 from mjhab.episodes.generator import Episode
 from mjhab.episodes.grasps.carry_postures import CarryPostures

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from mjhab.core.cache import write_atomic
 from mjhab.core.errors import UsageError
+from mjhab.core.files.cache import write_atomic
 from mjhab.data.record.worlds import RecordedEnv
 from mjhab.evaluation.score.manifest import start_digest
 from mjhab.rollout.records import EpisodeRecord

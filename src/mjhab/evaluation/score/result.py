@@ -9,8 +9,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from mjhab.core.cache import write_atomic
 from mjhab.core.errors import UsageError
+from mjhab.core.files.cache import write_atomic
 from mjhab.evaluation.score.capabilities import profile
 from mjhab.evaluation.score.manifest import Manifest, Row, manifest
 from mjhab.reports.metrics import label_counts, mean, wilson

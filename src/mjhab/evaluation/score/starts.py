@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 
-from mjhab.core.cache import write_atomic
+from mjhab.core.files.cache import write_atomic
 from mjhab.evaluation.evaluate import EvalSpec, make_env
 from mjhab.evaluation.score.manifest import STARTS_FILE, Row, manifest, start_digest
 

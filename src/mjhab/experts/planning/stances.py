@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from mjhab.core.boxes import Boxes
-from mjhab.core.cache import cache_dir, write_atomic
-from mjhab.core.code_digest import code_digest
+from mjhab.core.files.cache import cache_dir, write_atomic
+from mjhab.core.files.code_digest import code_digest
 from mjhab.core.joints import BASE, BASE_XY, BASE_YAW
 from mjhab.envs.parts.world_view import JointedLink, WorldView
 from mjhab.experts.arm import ik, motion

@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 import scipy
 
-from mjhab.core.cache import cache_dir, write_atomic
-from mjhab.core.code_digest import code_digest
+from mjhab.core.files.cache import cache_dir, write_atomic
+from mjhab.core.files.code_digest import code_digest
 from mjhab.scenes.spec import Home, Placement
 
 Key = tuple[int, int]

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mjhab.core.cache import cache_dir, write_atomic
-from mjhab.core.code_digest import code_digest
+from mjhab.core.files.cache import cache_dir, write_atomic
+from mjhab.core.files.code_digest import code_digest
 from mjhab.scenes.formats.gltf import Primitive, read_glb
 from mjhab.scenes.shapes.meshes import Mesh, mesh_arrays, mesh_from_arrays
 from mjhab.scenes.shapes.painting import textured_mesh

@@ -16,8 +16,8 @@ import numpy as np
 import torch
 import warp as wp
 
-from mjhab.core.cache import cache_dir, write_atomic
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.files.cache import cache_dir, write_atomic
 from mjhab.core.joints import BASE
 from mjhab.core.seeding import stream
 from mjhab.layout.compile import home_hash

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from mjhab.core.errors import UsageError
-from mjhab.core.registry import Registry
+from mjhab.core.registration.registry import Registry
 from mjhab.tasks.household.spec import TaskSpec
 from mjhab.tasks.plan import Target, TaskPlan
 

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from mjhab.core.arrays import Array, namespace
 from mjhab.core.joints import BASE
-from mjhab.tasks.reward_table import (
+from mjhab.tasks.rewards.table import (
     ALWAYS,
     RewardTable,
     RewardView,

@@ -9,7 +9,7 @@ import numpy as np
 
 from mjhab.core.arrays import Array, Table, constant
 from mjhab.core.errors import UsageError
-from mjhab.core.registry import Registry
+from mjhab.core.registration.registry import Registry
 from mjhab.tasks.subtasks.spec import EVENT_EDGES, SubtaskSpec
 from mjhab.tasks.thresholds import SubtaskConfig, TaskConfig
 

@@ -9,8 +9,8 @@ from typing import Any, Literal, get_args
 
 from mjhab.core.arrays import Array
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.tasks.label_state import WATCHED, LabelState
-from mjhab.tasks.reward_table import RewardTable
+from mjhab.tasks.labelling.state import WATCHED, LabelState
+from mjhab.tasks.rewards.table import RewardTable
 from mjhab.tasks.signals import CHECKS, Active, WorldState
 from mjhab.tasks.thresholds import SubtaskConfig, TaskConfig
 

@@ -15,8 +15,8 @@ from trimesh.exchange.gltf import export_glb
 from trimesh.visual.material import PBRMaterial
 from trimesh.visual.texture import TextureVisuals
 
-from mjhab.core.cache import cache_dir, write_atomic
-from mjhab.core.code_digest import code_digest
+from mjhab.core.files.cache import cache_dir, write_atomic
+from mjhab.core.files.code_digest import code_digest
 from mjhab.layout.compile import home_hash
 from mjhab.layout.layout import Layout
 from mjhab.viewer.drawn.models import HomeModels, Look, Model

@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from mjhab.core.cache import write_atomic
 from mjhab.core.errors import MjhabError
+from mjhab.core.files.cache import write_atomic
 from mjhab.data.store.schema import CHECKS, STEP_SECONDS
 from mjhab.render.home_scene import build_render_scene
 from mjhab.reports.parts import event_tone

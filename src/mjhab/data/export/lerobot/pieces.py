@@ -20,7 +20,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from mjhab.core.cache import write_atomic
+from mjhab.core.files.cache import write_atomic
 from mjhab.core.names import below
 from mjhab.data.export.lerobot.stats import Stats
 from mjhab.rollout.films import Film

@@ -1,0 +1,1 @@
+"""Commands that make, replay, select and export recorded episodes."""

@@ -1,0 +1,118 @@
+"""``mjhab export ...``: recorded episodes for other tools."""
+
+from __future__ import annotations
+
+import functools
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from mjhab.cli.datasets.data import read_filter
+from mjhab.cli.options.export import ExportLerobotOptions, ExportManiskillOptions
+from mjhab.cli.output import print_json
+from mjhab.core.errors import UsageError
+from mjhab.core.progress import late_bar
+from mjhab.data.export.maniskill import export_maniskill
+from mjhab.render.film import FilmWriter, join_films
+
+_KEYFRAMES = 2
+"""As LeRobot's own films have them: every frame is quick to reach."""
+
+
+def run_export(options: ExportLerobotOptions | ExportManiskillOptions) -> int:
+    """Run a parsed ``mjhab export`` command; returns 0, or 130 after Ctrl-C or SIGTERM."""
+    try:
+        with _interrupted_by_sigterm():
+            return (
+                _lerobot(options)
+                if isinstance(options, ExportLerobotOptions)
+                else _maniskill(options)
+            )
+    except KeyboardInterrupt:
+        print(
+            f"mjhab: stopped; what is done stays beside {options.out}. The same command with --resume goes on.",
+            file=sys.stderr,
+        )
+        return 130
+
+
+@contextmanager
+def _interrupted_by_sigterm() -> Iterator[None]:
+    """While it is open, SIGTERM does what Ctrl-C does."""
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _lerobot(options: ExportLerobotOptions) -> int:
+    if not 0 <= options.quality <= 51:
+        raise UsageError(f"--quality must be 0 to 51, got {options.quality}.")
+    try:
+        from mjhab.data.export.lerobot import export as lerobot
+        from mjhab.data.export.lerobot.pieces import FilmTools
+    except ModuleNotFoundError as error:
+        if error.name is None or error.name.partition(".")[0] != "pyarrow":
+            raise
+        raise UsageError(
+            "LeRobot data sets need pyarrow; install it with: pip install 'mjhab[data]'"
+        ) from error
+    choice = lerobot.Choice(rgb=not options.no_rgb, depth=not options.no_depth)
+    films = FilmTools(
+        functools.partial(FilmWriter, quality=options.quality, keyframes=_KEYFRAMES), join_films
+    )
+    with late_bar("exporting") as begin:
+        done = lerobot.export_lerobot(
+            options.places,
+            options.out,
+            films,
+            version=options.version,
+            where=read_filter(options.where, options.preset),
+            choice=choice,
+            overwrite=options.overwrite,
+            resume=options.resume,
+            options={"quality": options.quality},
+            begin=begin,
+        )
+    if options.json:
+        print_json({"episodes": done.episodes, "frames": done.frames, "images": list(done.images)})
+        return 0
+    images = (
+        f"with {', '.join(done.images)}"
+        if done.images
+        else "without images (mjhab replay --render adds them)"
+    )
+    print(f"{done.episodes} episodes, {done.frames:,} frames, {images}: {options.out}")
+    return 0
+
+
+def _maniskill(options: ExportManiskillOptions) -> int:
+    with late_bar("exporting") as begin:
+        done = export_maniskill(
+            options.places,
+            options.out,
+            where=read_filter(options.where, options.preset),
+            overwrite=options.overwrite,
+            resume=options.resume,
+            begin=begin,
+        )
+    if options.json:
+        print_json(
+            {
+                "episodes": done.episodes,
+                "frames": done.frames,
+                "files": [str(path) for path in done.files],
+            }
+        )
+        return 0
+    print(
+        f"{done.episodes} episodes, {done.frames:,} frames in {len(done.files)} files: {options.out}"
+    )
+    if done.without_depth:
+        print(
+            f"{done.without_depth} of them have no depth images, which MS-HAB's training scripts need; "
+            "mjhab replay --render adds them"
+        )
+    return 0

@@ -1,0 +1,97 @@
+"""``mjhab doctor``: what this machine offers."""
+
+from __future__ import annotations
+
+import importlib.util
+import platform
+from pathlib import Path
+from typing import Any
+
+from mjhab.cli.options.common import DoctorOptions
+from mjhab.cli.output import print_json, print_table
+from mjhab.core.files.cache import cache_dir
+from mjhab.core.machine import cores, gpu_name, installed
+from mjhab.core.version import __version__
+
+PINNED_MUJOCO = "3.17.0"
+EXTRAS = {
+    "learn": ("torch",),
+    "gpu": ("mujoco_warp", "warp"),
+    "view": ("viser",),
+}
+
+
+def run_doctor(options: DoctorOptions) -> int:
+    """Print the findings; fails if MuJoCo is missing or is not the version the benchmark is defined on."""
+    if options.estimate:
+        from mjhab.cli.machine.estimate import run_estimate
+
+        return run_estimate(options)
+    found = diagnose()
+    if options.json:
+        print_json(found)
+    else:
+        _print(found)
+    return 0 if found["mujoco"] == PINNED_MUJOCO else 1
+
+
+def diagnose() -> dict[str, Any]:
+    """Return python and mujoco version, renderers (name: works), gpu (name or None), cores, cache folder."""
+    from mjhab.render.gl_probe import renderer_probe
+
+    return {
+        "python": platform.python_version(),
+        "mujoco": installed("mujoco"),
+        "renderers": {"rasterizer": True, **renderer_probe()},
+        "gpu": gpu_name(),
+        "cores": cores(),
+        "cache": str(cache_dir()),
+    }
+
+
+def _print(found: dict[str, Any]) -> None:
+    mujoco = found["mujoco"] or "missing"
+    if found["mujoco"] != PINNED_MUJOCO:
+        mujoco += f"; mjhab needs {PINNED_MUJOCO}: pip install mujoco=={PINNED_MUJOCO}"
+    rows = [("mjhab", __version__), ("python", found["python"]), ("mujoco", mujoco)]
+    rows += [
+        (name, installed(name) or "missing")
+        for name in ("numpy", "numba", "gymnasium", "gymnasium-robotics")
+    ]
+    print_table("installed", ("what", "version"), rows)
+    extras = []
+    for name, modules in EXTRAS.items():
+        here = all(importlib.util.find_spec(module) for module in modules)
+        extras.append(
+            (name, ", ".join(modules), "yes" if here else f"no: pip install 'mjhab[{name}]'")
+        )
+    print_table("extras", ("extra", "modules", "installed"), extras)
+    renderers = [
+        (name, "works" if works else _advice(name)) for name, works in found["renderers"].items()
+    ]
+    print_table("renderers", ("renderer", "state"), renderers)
+    gpu = found["gpu"] or "none found (the CPU is all that is needed)"
+    machine = [
+        ("cores", found["cores"]),
+        ("gpu", gpu),
+        ("cache", found["cache"]),
+        ("cache size", _size(found["cache"])),
+    ]
+    print_table("machine", ("what", "value"), machine)
+
+
+def _advice(renderer: str) -> str:
+    packages = {"egl": "libegl1 libgl1-mesa-dri", "osmesa": "libosmesa6"}
+    if renderer not in packages:
+        return "does not work here"
+    return f"does not work here and is not needed (apt install {packages[renderer]} brings it)"
+
+
+def _size(cache: str) -> str:
+    folder = Path(cache)
+    total = (
+        sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
+        if folder.is_dir()
+        else 0
+    )
+    return f"{total / 1e6:.1f} MB"

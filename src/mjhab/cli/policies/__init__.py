@@ -1,0 +1,1 @@
+"""Commands that train, evaluate, score and serve policies."""

@@ -1,0 +1,144 @@
+"""``mjhab score``: parse, score or check or tabulate, print."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+from mjhab.cli.interrupts import sigterm_interrupts
+from mjhab.cli.options.score import ScoreOptions
+from mjhab.cli.output import print_json, print_table
+from mjhab.cli.policies.evaluate import ProgressSink
+from mjhab.core.errors import UsageError
+from mjhab.core.files.cache import write_atomic
+from mjhab.core.progress import progress_bar
+from mjhab.evaluation.evaluate import EvaluationInterrupted
+from mjhab.evaluation.score.leaderboard import leaderboard
+from mjhab.evaluation.score.result import Result, read_result
+from mjhab.evaluation.score.run import CHECKED_EPISODES, ScoreSpec, check, score
+from mjhab.evaluation.score.starts import write_starts
+from mjhab.serving.address import with_options
+
+_MOST_SHOWN = 10
+
+
+def run_score(options: ScoreOptions) -> int:
+    """Run the command; returns 0, 1 if a check finds episodes that went another way, or 130 after Ctrl-C."""
+    modes = [bool(options.check), bool(options.table), options.starts]
+    if sum(modes) > 1:
+        raise UsageError("--check, --table and --starts exclude each other.")
+    if options.page and not options.table:
+        raise UsageError("--page is for --table FILE ...")
+    if options.check:
+        return _check(options.check, options)
+    if options.table:
+        return _table(options)
+    if options.starts:
+        count = write_starts(options.track, options.split, options.worlds, options.threads)
+        print(f"{count} starts of {options.track}/{options.split} written")
+        return 0
+    return _score(options)
+
+
+def _score(options: ScoreOptions) -> int:
+    policy = with_options(options.policy, options.served)
+    spec = ScoreSpec(
+        policy=policy,
+        track=options.track,
+        split=options.split,
+        out=options.out or _default_out(options),
+        worlds=options.worlds,
+        threads=options.threads,
+        episodes=options.episodes,
+    )
+    with sigterm_interrupts():
+        try:
+            result = score(spec, lambda evaluation: [ProgressSink(evaluation)])
+        except EvaluationInterrupted:
+            print(
+                f"mjhab: interrupted; finished episodes are kept in {spec.out}. The same command continues.",
+                file=sys.stderr,
+            )
+            return 130
+    _tell(result, spec.out)
+    if options.json:
+        print_json(_facts(result))
+    return 0
+
+
+def _default_out(options: ScoreOptions) -> Path:
+    words = (options.policy, options.track, options.split)
+    return Path("scores") / "_".join(re.sub(r"[^\w.-]+", "-", word) for word in words)
+
+
+def _facts(result: Result) -> dict[str, object]:
+    summary = result.summary
+    return {
+        "track": result.facts["track"],
+        "score": summary["score"],
+        "episodes": summary["episodes"],
+        "digest": result.digest,
+        "complete": summary["complete"],
+    }
+
+
+def _tell(result: Result, out: Path) -> None:
+    summary = result.summary
+    rows = [
+        (
+            row["name"],
+            row["done"],
+            f"{100 * row['score']:.1f} %",
+            f"{100 * row['success_once']:.1f} %",
+        )
+        for row in summary["rows"]
+    ]
+    print_table("Rows", ("row", "episodes", "score", "success once"), rows)
+    print(
+        f"score {100 * summary['score']:.1f} of {summary['episodes']} episodes, tainted {summary['tainted']}, errors "
+        f"{summary['errors']}"
+    )
+    if not summary["complete"]:
+        print(
+            f"incomplete: episodes are missing, or began elsewhere than the manifest says ({summary['other_starts']})"
+        )
+    print(f"result: {out / 'result.json'}")
+
+
+def _check(path: Path, options: ScoreOptions) -> int:
+    result = read_result(path)
+    total = min(CHECKED_EPISODES, len(result.episodes))
+    with progress_bar("replaying", total) as advance:
+        found = check(result, advance)
+    for name, what in list(found.wrong.items())[:_MOST_SHOWN]:
+        print(f"{name}: {what}", file=sys.stderr)
+    exact = found.episodes - len(found.wrong) - len(found.inexact)
+    print(
+        f"{found.episodes} episodes played again: {exact} exact, {len(found.inexact)} with the same outcome but other "
+        f"states (another machine or version?), {len(found.wrong)} with another outcome"
+    )
+    if options.json:
+        counts = {
+            "checked": found.episodes,
+            "exact": exact,
+            "inexact": len(found.inexact),
+            "wrong": len(found.wrong),
+        }
+        print_json({**_facts(result), **counts})
+    return 1 if found.wrong else 0
+
+
+def _table(options: ScoreOptions) -> int:
+    results = [read_result(path) for path in options.table]
+    text = leaderboard(results)
+    page = options.page
+    if page is None:
+        print(text)
+    else:
+        page.parent.mkdir(parents=True, exist_ok=True)
+        write_atomic(page, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+        print(f"page: {page}")
+    if options.json:
+        print_json({"results": [_facts(result) for result in results]})
+    return 0

@@ -1,0 +1,71 @@
+"""``mjhab homes check``: do the homes of a pack compile into one layout, and can a robot work in them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mjhab.cli.options.common import HomesCheckOptions
+from mjhab.cli.output import print_json, print_table
+from mjhab.cli.worlds.home_names import homes_of_split
+from mjhab.core.progress import progress_bar
+
+
+def check(options: HomesCheckOptions) -> int:
+    """Print what was found; fails if a home cannot be used."""
+    from mjhab.layout.check import check_homes
+    from mjhab.layout.layout import Layout
+    from mjhab.scenes.packs import open_pack
+
+    pack = open_pack(options.assets)
+    homes = homes_of_split(pack, options.split)
+    with progress_bar("checking homes", len(homes)) as advance:
+        report = check_homes(Layout(pack, roster_of(pack)), homes, lambda home: advance())
+    if options.json:
+        print_json(as_json(report))
+    else:
+        _print(report)
+    return 1 if report.failed else 0
+
+
+def roster_of(pack: Any) -> tuple[str, ...]:
+    """Objects to compile with the homes: those of TidyHouse where the pack has them, else one of each it has."""
+    from mjhab.episodes.rosters import roster
+
+    usual = roster("tidy_house")
+    return usual if set(usual) <= set(pack.objects) else tuple(sorted(pack.objects))
+
+
+def as_json(report: Any) -> dict[str, Any]:
+    """The report for machines."""
+    return {
+        "homes": report.homes,
+        "ok": report.ok,
+        "failed": [{"name": name, "why": why} for name, why in report.failed],
+        "layout": report.layout,
+        "ngeom": report.ngeom,
+        "nv": report.nv,
+        "compile_s": round(report.compile_s, 3),
+        "compiled_cold": report.cold,
+        "model_mb": round(report.model_bytes / 1e6, 1),
+        "remarks": [{"name": name, "what": what} for name, what in report.remarks],
+    }
+
+
+def _print(report: Any) -> None:
+    if report.failed:
+        print_table("homes that cannot be used", ("home", "why"), report.failed)
+    if report.remarks:
+        print_table("remarks", ("home", "what"), report.remarks)
+    per_home = report.compile_s / max(report.homes, 1)
+    facts = (
+        ("homes", report.homes),
+        ("usable", report.ok),
+        ("layout", report.layout or "none"),
+        ("geoms, degrees of freedom", f"{report.ngeom}, {report.nv}"),
+        (
+            "models",
+            f"{report.compile_s:.1f} s, {per_home:.3f} s each; {report.cold} of them not in the cache",
+        ),
+        ("memory of all models", f"{report.model_bytes / 1e6:.1f} MB"),
+    )
+    print_table("homes check", ("what", "value"), facts)

@@ -1,0 +1,1 @@
+"""Registries of named things and the plugins that fill them."""

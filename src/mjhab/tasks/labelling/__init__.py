@@ -1,0 +1,1 @@
+"""What is said of a subtask that ran: its events, its label, its label by the published rules."""

@@ -1,0 +1,54 @@
+"""How a subtask went: exactly one label per subtask, from boolean signals.
+
+The published labels (MS-HAB paper App. A.6) are counts over event lists, which overlap and leave gaps. Here each kind
+has a decision list (`SubtaskSpec.label_rules`) over signals of the steps t = 0 (the state at the start) to T: the first
+rule that holds gives the label, and the last one always holds, so every history has exactly one label.
+
+"Reached" and "touched" in a label speak of the end effector, fingers and hand, as ``F_ee,a`` of the paper does:
+an elbow that pushes a door has not reached its handle.
+"""
+
+from __future__ import annotations
+
+from mjhab.core.arrays import Array, namespace, to_numpy
+from mjhab.tasks.labelling.state import History, LabelState, fold
+from mjhab.tasks.subtasks.registry import SUBTASKS, check_kinds, spec_of
+
+
+def label(state: LabelState, kind: Array) -> Array:
+    """Return the label of every world as (W,) int64 codes: index into the ``labels`` of its kind's `SubtaskSpec`.
+
+    Args:
+        state: the steps seen so far.
+        kind: (W,) int64 kinds of the subtasks; -1 gives code -1.
+
+    Raises:
+        UsageError: a kind that is not registered (numpy only, because asking a device would stall it).
+    """
+    check_kinds(kind)
+    xp = namespace(kind)
+    codes = xp.zeros_like(kind) - 1
+    for number, spec in enumerate(SUBTASKS.values()):
+        *rules, _ = spec.label_rules
+        code = xp.zeros_like(kind) + len(rules)
+        for value in range(len(rules) - 1, -1, -1):
+            code = xp.where(rules[value].holds(state), value, code)
+        codes = xp.where(kind == number, code, codes)
+    return codes
+
+
+def label_names(kind: Array, codes: Array) -> list[str]:
+    """Return the labels behind the codes (W,), an empty string for -1."""
+    pairs = zip(to_numpy(kind).tolist(), to_numpy(codes).tolist(), strict=True)
+    return ["" if code < 0 else spec_of(k).labels[code] for k, code in pairs]
+
+
+def label_history(kind: Array, history: History, valid: Array | None = None) -> Array:
+    """Label a recorded history: (W,) int64 codes, the same as those of the running state.
+
+    Args:
+        kind: (W,) int64 kinds of the subtasks.
+        history: (T+1, W) signals.
+        valid: (T+1, W) bool, see `label_state.fold`.
+    """
+    return label(fold(history, valid), kind)

@@ -1,0 +1,298 @@
+"""``mjhab generate`` and ``mjhab replay``: data sets from the command line, on the real environment."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import mjhab
+from mjhab.cli.datasets.generate import generate_spec
+from mjhab.cli.interrupts import stop_signals
+from mjhab.cli.main import main
+from mjhab.cli.options.generate import GenerateOptions
+from mjhab.core.errors import UsageError
+from mjhab.data.store.reading import open_shard
+from mjhab.evaluation.generate import build_stage, make_job
+from mjhab.tasks.style import Styles
+from tests.data.record.crews import InlineCrew
+from tests.data.record.test_replay import changed
+
+
+def machine(capsys: pytest.CaptureFixture[str], *args: str, code: int = 0) -> dict[str, Any]:
+    capsys.readouterr()
+    assert main([*args, "--json"]) == code
+    lines = capsys.readouterr().out.strip().splitlines()
+    assert len(lines) == 1
+    return json.loads(lines[0])
+
+
+def refused(capsys: pytest.CaptureFixture[str], *args: str) -> str:
+    assert main(list(args)) == 2
+    return capsys.readouterr().err
+
+
+COMMAND = (
+    "generate",
+    "--subtask",
+    "pick",
+    "--policy",
+    "zero",
+    "--worlds",
+    "2",
+    "--episodes",
+    "2",
+    "--threads",
+    "2",
+)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two episodes by a worker process."""
+    out = tmp_path_factory.mktemp("generate") / "set"
+    assert main([*COMMAND, "--out", str(out)]) == 0
+    return out
+
+
+def test_generate_tells_machines_what_it_made(
+    made: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    again = machine(capsys, *COMMAND, "--out", str(made), "--resume")
+    assert {"written", "kept", "labels", "episodes_per_hour", "bytes_per_episode"} <= set(again)
+    assert (again["written"], again["kept"], sum(again["labels"].values())) == (0, 2, 2)
+    assert again["bytes_per_episode"] == round((made / "shard_000.h5").stat().st_size / 2)
+    with open_shard(made / "shard_000.h5") as shard:
+        assert [(episode.record.index, episode.steps) for episode in shard] == [(0, 200), (1, 200)]
+        assert next(iter(shard)).run.config["policy"] == {"name": "zero"}
+
+
+def test_the_library_function_goes_on_with_what_the_command_began(
+    made: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "copy"
+    shutil.copytree(made, out)
+    more = mjhab.generate(
+        "zero", subtask="pick", episodes=3, worlds=2, threads=2, out=out, resume=True
+    )
+    assert (more.summary["written"], more.summary["kept"]) == (1, 3)
+
+
+def test_replay_verifies(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    found = machine(capsys, "replay", str(made), "--verify", "--worlds", "2")
+    assert found == {"episodes": 2, "exact": 2, "max_error": 0.0, "unlike": 0, "moved": 0}
+
+    def shift(arrays: dict[str, Any]) -> None:
+        arrays["states/qpos"][5] += 1e-9
+
+    wrong = changed(made / "shard_000.h5", tmp_path / "wrong.h5", shift)
+    found = machine(
+        capsys, "replay", str(wrong), "--verify", "--where", "index == 1", "--worlds", "1", code=1
+    )
+    assert (found["episodes"], found["exact"]) == (1, 0) and 0.9e-9 < found["max_error"] < 1.1e-9
+
+
+def test_replay_renders(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "depth.h5"
+    command = (
+        "replay",
+        str(made),
+        "--render",
+        "depth",
+        "--cameras",
+        "fetch_hand",
+        "--camera-size",
+        "12",
+        "16",
+        "--where",
+        "index == 1",
+        "--out",
+        str(out),
+    )
+    found = machine(capsys, *command)
+    assert (found["episodes"], found["frames"]) == (1, 201) and found["bytes"] > 0
+    with open_shard(out) as shard:
+        assert next(iter(shard)).frame("fetch_hand", "depth", 200).shape == (12, 16, 1)
+
+
+def test_the_profile_is_recorded_and_reaches_the_environment(tmp_path: Path) -> None:
+    options = GenerateOptions(
+        tmp_path,
+        task="tidy_house",
+        subtask="pick",
+        policy="expert",
+        episodes=1,
+        worlds=1,
+        profile="ms_hab",
+    )
+    config = make_job(generate_spec(options)).config
+    assert (config["profile"], config["stillness"], config["spawn_rule"]) == (
+        "ms_hab",
+        "published",
+        "published",
+    )
+    assert "starts" not in config
+    stage = build_stage(generate_spec(options))
+    assert stage.env.config.profile == "ms_hab" and stage.env.config.stationary == ("head",)
+    for change, name in (
+        ({"stillness": "absolute"}, "stillness"),
+        ({"cameras": ("fetch_hand",)}, "cameras"),
+    ):
+        with pytest.raises(UsageError, match=f"'ms_hab' has {name}"):
+            make_job(generate_spec(replace(options, **change)))
+    one_camera = make_job(generate_spec(replace(options, profile="mjhab", cameras=("fetch_hand",))))
+    assert one_camera.config["cameras"] == ["fetch_hand"]
+
+
+def test_what_cannot_work_is_refused_before_anything_is_built(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = ("--out", str(tmp_path / "new"))
+    for args, words in (
+        (("generate", "--subtask", "pick", *out), "say when to stop"),
+        (("generate", "--subtask", "pik", "--episodes", "1", *out), "Did you mean 'pick'"),
+        (("generate", "--episodes", "1", "--keep", "lable == 'x'", *out), "column 1"),
+        (("generate", "--episodes", "1", "--workers", "0", *out), "--workers must be at least 1"),
+        (("generate", "--episodes", "1", "--images", "dept", *out), "unknown observation mode"),
+        (("generate", "--episodes", "1", "--out", str(made)), "add --resume"),
+        (
+            ("generate", "--subtask", "place", "--episodes", "1", "--resume", "--out", str(made)),
+            "another",
+        ),
+        (("generate", "--episodes", "1", "--ray", "127.0.0.1:1", *out), "Ray"),
+        (("replay", str(made)), "--verify, or --render"),
+        (("replay", str(made), "--verify", "--render", "rgb"), "one of the two"),
+        (("replay", str(made), "--render", "rgb"), "needs --out"),
+        (
+            ("replay", str(made), "--render", "rgb", "--out", str(made / "shard_000.h5")),
+            "one of the shards",
+        ),
+        (("replay", str(made), "--render", "depth", "--cameras", "follow", *out), "colour only"),
+    ):
+        assert words in refused(capsys, *args), args
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_quota_that_was_not_filled_fails(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mjhab.evaluation.generate.make_crew", lambda workers, ray: InlineCrew())
+    found = machine(
+        capsys,
+        *COMMAND,
+        "--target",
+        "024_bowl",
+        "--per-target",
+        "1",
+        "--keep",
+        "success",
+        "--out",
+        str(tmp_path),
+        code=1,
+    )
+    assert (found["written"], found["kept"], found["tried"], found["yield"]) == (0, 0, 2, 0.0)
+    assert found["labels"] == {} and found["bytes_per_episode"] == 0
+
+
+def test_signals_are_noted_and_given_back() -> None:
+    before = signal.getsignal(signal.SIGTERM), signal.getsignal(signal.SIGINT)
+    with stop_signals() as stopped:
+        assert not stopped()
+        os.kill(os.getpid(), signal.SIGTERM)
+        assert stopped()
+        with pytest.raises(KeyboardInterrupt):
+            os.kill(os.getpid(), signal.SIGINT)
+    assert (signal.getsignal(signal.SIGTERM), signal.getsignal(signal.SIGINT)) == before
+
+
+def test_ray_that_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
+    import sys
+
+    from mjhab.data.record.ray_crew import RayCrew
+
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(UsageError, match=r"pip install 'mjhab\[scale\]'"):
+        RayCrew("local")
+
+
+def test_styles_are_drawn_per_episode_and_kept_with_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "styled"
+    words = ("--style", "release=drop", "speed=0.7..0.9", "hold=2")
+    machine(capsys, *COMMAND, "--subtask", "place", "--policy", "expert", *words, "--out", str(out))
+    with open_shard(out / "shard_000.h5") as shard:
+        episodes = list(shard)
+        for episode in episodes:
+            style = episode.record.style
+            assert style == Styles.parse(words[1:]).draw(0, episode.record.index).__dict__
+            assert json.loads(episode.attributes["style"]) == style
+            assert episode.run.config["policy"]["style"] == [
+                "speed=0.7..0.9",
+                "release=drop",
+                "hold=2",
+            ]
+    assert len({episode.record.style["speed"] for episode in episodes}) == 2
+    found = machine(
+        capsys,
+        "data",
+        "query",
+        str(out),
+        "--where",
+        "style.speed < 0.95 and style.release == 'drop'",
+    )
+    assert (found["matched"], found["of"]) == (2, 2)
+    assert "style" in refused(
+        capsys, *COMMAND, "--subtask", "place", "--policy", "expert", "--resume", "--out", str(out)
+    )
+
+
+OWN = """
+import numpy as np
+
+class Still:
+    name = "still"
+    env_options = {"obs_mode": "depth", "camera_size": 16, "horizon": 3}
+    def reset(self, mask):
+        self.worlds = len(mask)
+    def act(self, obs, info):
+        assert obs["sensor_data/fetch_hand/depth"].shape == (self.worlds, 16, 16, 1)
+        return np.zeros((self.worlds, 13))
+"""
+
+
+def test_a_policy_of_ones_own(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mjhab.evaluation.generate.make_crew", lambda workers, ray: InlineCrew())
+    file = tmp_path / "mine.py"
+    file.write_text(OWN)
+    command = (*COMMAND, "--policy", f"{file}:Still")
+    seen = tmp_path / "seen"
+    assert machine(capsys, *command, "--out", str(seen))["kept"] == 2
+    with open_shard(seen / "shard_000.h5") as shard:
+        policy = next(iter(shard)).run.config["policy"]
+        assert [episode.steps for episode in shard] == [3, 3]
+    assert policy["name"] == "mine.py:Still" and policy["env_options"]["obs_mode"] == "depth"
+    assert len(policy["policy_sha256"]) == 64
+    assert "camera_size = 16" in refused(
+        capsys, *command, "--images", "rgb", "--out", str(tmp_path / "other")
+    )
+    stored = tmp_path / "stored"
+    machine(capsys, *command, "--images", "rgb", "--camera-size", "16", "--out", str(stored))
+    with open_shard(stored / "shard_000.h5") as shard:
+        episode = next(iter(shard))
+        assert episode.frame("fetch_hand", "rgb", 0).shape == (16, 16, 3)
+        assert episode.frame("fetch_hand", "depth", 0).shape == (16, 16, 1)
+    file.write_text(OWN + "# another version")
+    assert "policy_sha256" in refused(capsys, *command, "--resume", "--out", str(seen))
+    assert "Did you mean 'Still'" in refused(
+        capsys, *COMMAND, "--policy", f"{file}:Stil", "--out", str(tmp_path / "new")
+    )
+    assert not (tmp_path / "new").exists()

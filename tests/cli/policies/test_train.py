@@ -1,0 +1,127 @@
+"""``mjhab train``: what the options become, and what is refused."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import pytest
+
+from mjhab.cli.main import main, parse
+from mjhab.cli.policies.train import make_request
+from mjhab.data.store.images import ImageFormat
+from mjhab.learning import configs
+from mjhab.learning.checkpoint import load_student
+from tests.data.fake_world import FakeEnv
+from tests.data.make import record
+from tests.learning.small import train_config
+
+COMMAND = (
+    "train dagger --task set_table --subtask close --target kitchen_counter/drawer3 --preset quick"
+)
+DAGGER = [*COMMAND.split(), *["--budget-minutes", "20", "--seed", "3", "--json", "--out"]]
+
+
+def test_options_become_a_request(tmp_path: Path) -> None:
+    words = [
+        *DAGGER,
+        str(tmp_path),
+        "--rounds",
+        "2",
+        "--takeovers",
+        "5",
+        "--demos",
+        "7",
+        "--style",
+        "noise=0..0.2",
+    ]
+    request = make_request(parse(words).command)
+    assert request.config.algorithm == "dagger" and request.config.student.preset == "quick"
+    assert request.budget_seconds == 1200.0 and request.seed == 3
+    assert request.scene.target == "kitchen_counter/drawer3"
+    assert request.config.dagger is not None
+    assert (
+        request.config.dagger.rounds,
+        request.config.dagger.episodes,
+        request.config.student.demos,
+    ) == (2, 5, 7)
+    assert request.config.student.style == ("noise=0.0..0.2",)
+    longer = make_request(
+        parse([*DAGGER, str(tmp_path), "--first-prefix", "40", "--prefix-growth", "30"]).command
+    )
+    assert longer.config.dagger is not None
+    assert [longer.config.dagger.longest_prefix(number) for number in range(4)] == [0, 40, 70, 100]
+    plain = make_request(parse([*DAGGER, str(tmp_path)]).command)
+    assert plain.scene.env_options().keys() == {"task", "subtask", "target", "split", "assets"}
+    told = ["--profile", "ms_hab", "--stillness", "published"]
+    scene = make_request(parse([*DAGGER, str(tmp_path), *told]).command).scene
+    assert (scene.profile, scene.stillness, scene.spawn_rule) == ("ms_hab", "published", "")
+    assert plain.config == configs.preset_of("dagger", "quick")
+
+
+@pytest.mark.parametrize("algorithm", ["bc", "flow", "act", "diffusion", "dagger"])
+def test_every_algorithm_has_a_command(algorithm: str, tmp_path: Path) -> None:
+    request = make_request(parse(["train", algorithm, "--out", str(tmp_path)]).command)
+    assert request.config == configs.preset_of(algorithm)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--preset", "smal"), "Did you mean 'small'"),
+        (("--task", "set_tabel"), "Did you mean 'set_table'"),
+        (("--subtask", "clos"), "Did you mean 'close'"),
+        (("--worlds", "0"), "--worlds must be at least 1"),
+        (("--updates", "0"), "--updates must be at least 1"),
+        (("--budget-minutes", "-1"), "--budget-minutes must be at least 0"),
+        (("--profile", "ms_hub"), "Did you mean 'ms_hab'"),
+        (("--style", "nois=0.1"), "Did you mean 'noise'"),
+        (("--data", "nowhere.h5"), "nowhere.h5 does not exist"),
+    ],
+)
+def test_bad_input(
+    words: tuple[str, ...], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["train", "bc", "--out", str(tmp_path / "run"), *words]) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_no_round_is_empty(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["train", "dagger", "--out", str(tmp_path / "run"), "--takeovers", "0"]) == 2
+    assert "--takeovers must be at least 1" in capsys.readouterr().err
+
+
+def test_from_data_to_a_checkpoint(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    record(
+        tmp_path / "data" / "a.h5",
+        range(4),
+        FakeEnv(subtask="pick", images=True),
+        images=ImageFormat(),
+    )
+    monkeypatch.setitem(configs.PRESETS["bc"], "tiny", train_config())
+    out = tmp_path / "run"
+    words = [
+        "train",
+        "bc",
+        "--preset",
+        "tiny",
+        "--subtask",
+        "pick",
+        "--data",
+        str(tmp_path / "data"),
+    ]
+    words += ["--where", "success or not success", "--out", str(out), "--threads", "1", "--json"]
+    words += ["--eval-episodes", "0", "--round-episodes", "0"]
+    assert main(words) == 0
+    summary = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert summary["steps"] == 4 and summary["success_once"] is None and summary["episodes"] == 0
+    assert summary["algorithm"] == "bc" and summary["preset"] == "tiny"
+    assert load_student(Path(summary["checkpoint"])).config == dataclasses.replace(
+        train_config().student
+    )
+    assert main(words) == 2
+    assert "is not empty" in capsys.readouterr().err
+    assert main([*words, "--resume"]) == 0

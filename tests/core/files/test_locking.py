@@ -1,0 +1,51 @@
+"""Locks of files and folders: one writer, and no trace when it is gone."""
+
+from __future__ import annotations
+
+import fcntl
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from mjhab.core.errors import UsageError
+from mjhab.core.files.locking import WriteLock, is_written, lock_path, refuse_if_written
+
+
+def test_a_second_writer_is_told_who_the_first_is(tmp_path: Path) -> None:
+    file = tmp_path / "data"
+    refuse_if_written(file)
+    lock = WriteLock(file)
+    assert is_written(file)
+    for attempt in (WriteLock, refuse_if_written):
+        with pytest.raises(
+            UsageError, match=r"data is being written by process \d+ on .*another file"
+        ):
+            attempt(file)
+    with pytest.raises(UsageError, match="another folder"):
+        WriteLock(file, tmp_path)
+    lock.release()
+    assert not is_written(file) and list(tmp_path.iterdir()) == []
+    WriteLock(file).release()
+
+
+def test_the_lock_file_of_a_killed_writer_is_taken_over(tmp_path: Path) -> None:
+    file = tmp_path / "data"
+    lock_path(file).write_text("process 1 on a machine that is off\n")
+    assert not is_written(file)
+    lock = WriteLock(file)
+    assert is_written(file)
+    lock.release()
+
+
+def test_a_file_system_without_locks_goes_without(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def unsupported(*_: Any) -> None:
+        raise OSError(95, "Operation not supported")
+
+    monkeypatch.setattr(fcntl, "flock", unsupported)
+    lock = WriteLock(tmp_path / "data")
+    assert not is_written(tmp_path / "data")
+    lock.release()
+    assert list(tmp_path.iterdir()) == []

@@ -58,7 +58,8 @@ def test_ppo_learns_from_a_rollout() -> None:
         return_log_prob=True,
     )
     critic = ValueOperator(nn.Linear(42, 1), in_keys=["state"])
-    found = env.rollout(8, policy=actor, break_when_any_done=False)
+    with torch.no_grad():
+        found = env.rollout(8, policy=actor, break_when_any_done=False)
     GAE(gamma=0.97, lmbda=0.95, value_network=critic)(found)
     losses = ClipPPOLoss(actor, critic)(found.reshape(-1))
     sum(value for name, value in losses.items() if name.startswith("loss_")).backward()

@@ -113,7 +113,8 @@ class ReinforcementOptions(RunOptions):
 
 @dataclass(frozen=True)
 class TrainPpoOptions(ReinforcementOptions):
-    """Proximal policy optimization. Presets: fast (states), depth, polish (of a student), paper.
+    """Proximal policy optimization. Presets: fast (states), depth, polish (of a student), paper,
+    paper_state (the same from states).
 
     `mjhab train ppo --task set_table --subtask close --target kitchen_counter/drawer3 --preset fast
     --budget-minutes 20 --out runs/ppo`

@@ -177,6 +177,8 @@ STATE_INPUTS = InputConfig(
     cameras=(), image_size=0, previous_action=False, base_velocity=True, condition=True, shift=0
 )
 """The 42-D state and the velocity of the base; no images."""
+LINK_INPUTS = dataclasses.replace(STATE_INPUTS, link_state=True)
+"""These, and how far the link is open."""
 DEPTH_INPUTS = InputConfig(
     image_size=32, previous_action=False, base_velocity=True, condition=True, shift=0
 )
@@ -191,7 +193,7 @@ STATE_NETWORK = NetworkConfig(hidden=256, layers=3)
 FAST_PPO = ReinforcementConfig(
     PPO,
     "fast",
-    dataclasses.replace(STATE_INPUTS, link_state=True),
+    LINK_INPUTS,
     STATE_NETWORK,
     ppo=PpoConfig(
         rollout_steps=16,
@@ -200,6 +202,7 @@ FAST_PPO = ReinforcementConfig(
         desired_kl=0.03,
         target_kl=0.0,
         initial_std=0.5,
+        entropy_coefficient=0.001,
         state_std=True,
     ),
     samples=3_000_000,
@@ -233,6 +236,14 @@ PAPER_PPO = ReinforcementConfig(
     stagger=False,
     eval_samples=500_000,
 )
+
+PAPER_STATE_PPO = dataclasses.replace(
+    PAPER_PPO,
+    preset="paper_state",
+    inputs=FAST_PPO.inputs,
+    network=NetworkConfig(hidden=512, layers=1, state_features=256, norm=False),
+)
+"""The hyper-parameters of the paper with what "fast" sees, to compare them on the same samples."""
 
 FAST_SAC = ReinforcementConfig(
     SAC, "fast", DEPTH_INPUTS, NetworkConfig(hidden=256, layers=3), sac=SacConfig(), worlds=32
@@ -273,6 +284,14 @@ DEMOS = dataclasses.replace(
     ),
 )
 
+
+def _from_states(config: ReinforcementConfig) -> ReinforcementConfig:
+    """The same with what the fast preset of PPO sees, and with episodes that end at too much force."""
+    return dataclasses.replace(
+        config, preset="state", inputs=LINK_INPUTS, network=STATE_NETWORK, force_ends=True
+    )
+
+
 PRESETS: dict[str, dict[str, ReinforcementConfig]] = {
     PPO: {
         "fast": FAST_PPO,
@@ -284,6 +303,7 @@ PRESETS: dict[str, dict[str, ReinforcementConfig]] = {
             worlds=64,
         ),
         "paper": PAPER_PPO,
+        "paper_state": PAPER_STATE_PPO,
         "polish": dataclasses.replace(
             FAST_PPO,
             preset="polish",
@@ -299,16 +319,12 @@ PRESETS: dict[str, dict[str, ReinforcementConfig]] = {
     },
     SAC: {
         "fast": FAST_SAC,
-        "state": dataclasses.replace(
-            FAST_SAC, preset="state", inputs=STATE_INPUTS, network=STATE_NETWORK
-        ),
+        "state": _from_states(FAST_SAC),
         "paper": PAPER_SAC,
     },
     RLPD: {
         "demos": DEMOS,
-        "state": dataclasses.replace(
-            DEMOS, preset="state", inputs=STATE_INPUTS, network=STATE_NETWORK
-        ),
+        "state": _from_states(DEMOS),
     },
 }
 """Presets by algorithm; the first one is the default."""

@@ -119,10 +119,11 @@ class Actions:
 
 
 class Spread(nn.Module):
-    """Logarithm of the standard deviation of the actions [share of full scale], between LEAST_STD and MOST_STD.
+    """Logarithm of the standard deviation of the actions [share of full scale].
 
     Args:
-        features: numbers that it depends on, 0 for one standard deviation everywhere.
+        features: numbers that it depends on, then it stays between LEAST_STD and MOST_STD; 0 for one number per part of
+            an action, the same everywhere and without limits, as in the original.
         actions: numbers of an action. initial_std: before anything is learned.
     """
 
@@ -130,15 +131,17 @@ class Spread(nn.Module):
         super().__init__()
         self._low = math.log(LEAST_STD)
         self._half = 0.5 * (math.log(MOST_STD) - self._low)
-        share = (math.log(initial_std) - self._low) / self._half - 1.0
-        self.bias = nn.Parameter(torch.full((actions,), math.atanh(share)))
+        begin = math.log(initial_std)
+        if features:
+            begin = math.atanh((begin - self._low) / self._half - 1.0)
+        self.bias = nn.Parameter(torch.full((actions,), begin))
         self.weight = nn.Parameter(torch.zeros(actions, features))
 
     def forward(self, features: Tensor) -> Tensor:
         """(B, A) for features (B, F); (A,) if it depends on nothing."""
-        raw = self.bias
-        if self.weight.shape[1]:
-            raw = nn.functional.linear(features, self.weight, self.bias)
+        if not self.weight.shape[1]:
+            return self.bias
+        raw = nn.functional.linear(features, self.weight, self.bias)
         return self._low + self._half * (torch.tanh(raw) + 1.0)
 
 

@@ -106,8 +106,13 @@ def test_rlpd_learns_from_recorded_episodes_with_rewards_of_its_own(
     assert begins.sum() == sum(episode.steps - 1 for episode in recorded)
     paid = reward[begins]
     assert 0.0 < paid.min() < 0.5 < paid.max() <= 1.0
-    state = np.load(kept / "vector.npy")[0, 0, :42]
+    vector = np.load(kept / "vector.npy")
+    state = vector[0, 0, :42]
     assert any(np.allclose(state, episode.array("obs/state")[1], atol=1e-5) for episode in recorded)
+    # The drawer is open at first and shut in the end; its heading is a direction.
+    link = vector[0, : np.argmin(begins[0]) + 1, 42:46]
+    assert link[0, 0] > 0.8 and link[-1, 0] < 0.01 and link[:, 1].min() < -0.05
+    np.testing.assert_allclose(np.linalg.norm(link[:, 2:], axis=1), 1.0, atol=1e-5)
 
 
 def test_what_was_collected_says_who_acted(run: tuple[Path, Request]) -> None:

@@ -43,8 +43,8 @@ def replay_recorded(
         tell: called with finished and with all episodes.
 
     Raises:
-        UsageError: no episode passes the filter; one has another robot or control; or its profile or rewards are not
-            those of the run, and recomputing them was not asked for.
+        UsageError: no episode passes the filter; one has another subtask, robot or control; or its profile or rewards
+            are not those of the run, and recomputing them was not asked for.
     """
     request = session.request
     where = Filter(request.where or SUCCESSES)
@@ -53,8 +53,10 @@ def replay_recorded(
         raise nothing_to_learn()
     total = len(found.matched)
     longest = max(record.steps for record in found.records)
-    rounds = -(-total // WORLDS) + len({path for path, _ in found.matched})
-    buffer = make(min(WORLDS, total), rounds * (longest + 1))
+    # Episodes of one recording are simulated together; its name begins those of its episodes.
+    recordings = {(path, name.partition("-")[0]) for path, name in found.matched}
+    batches = total // WORLDS + len(recordings)
+    buffer = make(min(WORLDS, total), batches * (longest + 1))
     by_shard: dict[Any, list[str]] = defaultdict(list)
     for path, name in found.matched:
         by_shard[path].append(name)
@@ -85,11 +87,12 @@ def check_episode(session: ReinforcementSession, episode: Episode) -> None:
     """
     config = session.env.config
     env = episode.run.config["env"]
-    for name in ("robot", "control_mode", "base"):
-        if env.get(name, getattr(config, name)) != getattr(config, name):
+    for name in ("task", "subtask", "robot", "control_mode", "base"):
+        wanted = getattr(config, name)
+        if env.get(name, wanted) != wanted:
             raise UsageError(
-                f"episode {episode.name} of {episode.shard.path} has {name} {env[name]!r}; the run has "
-                f"{getattr(config, name)!r}, so its actions mean something else."
+                f"episode {episode.name} of {episode.shard.path} was recorded with {name} {env[name]!r}, and the run "
+                f"learns with {wanted!r}; choose others with --where."
             )
     if session.request.recompute_rewards:
         return

@@ -31,7 +31,7 @@ Graspable = Callable[[Array, float], int]
 TURNS = tuple(np.radians((20.0, 35.0, 50.0, 65.0)))
 MORE = np.radians(7.0)
 """Turns that are looked at, and how much more is planned."""
-ENOUGH = 8
+ENOUGH = 16
 TIGHTER = -0.008
 """It has turned far enough with so many grasps, though with less room [m] than wished for."""
 UPRIGHT = 0.97
@@ -297,7 +297,7 @@ def _push(
         turn = _turn(start[:, along], mat_from_quat(pose[3:])[:, along])
         if view.link_forces.sum() > MOST_FORCE:
             break
-        if turn >= 0.6 * plan.turn and graspable(pose, TIGHTER) >= ENOUGH:
+        if turn >= 0.85 * plan.turn and graspable(pose, TIGHTER) >= ENOUGH:
             break
     return bool(turn > 0.4 * plan.turn)
 

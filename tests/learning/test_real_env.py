@@ -94,7 +94,8 @@ def test_rlpd_learns_from_recorded_episodes_with_rewards_of_its_own(
     with pytest.raises(UsageError, match="reward_mode sparse instead of normalized_dense"):
         train_reinforcement(told, tmp_path / "refused")
     told = dataclasses.replace(told, recompute_rewards=True)
-    train_reinforcement(told, tmp_path / "run")
+    result = train_reinforcement(told, tmp_path / "run")
+    assert result.summary["demonstrations"] == 2
     kept = tmp_path / "run" / "demonstrations"
     position = json.loads((kept / "complete.json").read_text(encoding="utf-8"))["position"]
     recorded = [

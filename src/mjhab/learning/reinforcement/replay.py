@@ -150,6 +150,13 @@ class ReplayBuffer:
             array = np.lib.format.open_memmap(path, mode="w+", dtype=dtype, shape=size)
         return torch.from_numpy(array)
 
+    @property
+    def episodes(self) -> int:
+        """Ends of episodes among the entries of a buffer that is not full yet."""
+        steps = torch.arange(self.shape.steps, device=self.device)
+        written = steps[None] < self.position[:, None]
+        return int((written & ~self._data["begins"]).sum())
+
     def __len__(self) -> int:
         """Transitions that can be drawn, in about: entries at the end of episodes are counted, too."""
         kept = self.position.clamp(max=self.shape.steps - self._reserve)

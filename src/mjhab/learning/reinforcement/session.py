@@ -145,6 +145,8 @@ class ReinforcementSession:
         self.worlds = Worlds(self.env, sight, seed, self._rules())
         self.log = Logbook(folder, self.standing.seconds, self.standing.updates)
         self.records: list[EpisodeRecord] = []
+        self.demonstrations = 0
+        """Episodes in the buffer of demonstrations."""
         self._eval_seconds = 0.0
         self._began = time.perf_counter()
         self.learner_seconds = 0.0

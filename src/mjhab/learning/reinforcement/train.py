@@ -85,7 +85,6 @@ def summarize(session: ReinforcementSession) -> dict[str, Any]:
     """What a run came to, for machines. ``episodes``: of the evaluation that ``success_once`` comes from."""
     records = session.records
     low, high = wilson(sum(record.success_once for record in records), len(records))
-    sac = session.config.sac
     return {
         "algorithm": session.config.algorithm,
         "preset": session.config.preset,
@@ -98,7 +97,7 @@ def summarize(session: ReinforcementSession) -> dict[str, Any]:
         "interval": [low, high],
         "episodes": len(records),
         "rounds": 0,
-        "demonstrations": sac.demonstrations if sac else 0,
+        "demonstrations": session.demonstrations,
         "time_shares": session.time_shares(),
     }
 
@@ -265,6 +264,7 @@ class _SacRun(_Run):
         folder = self.session.folder.path / DEMONSTRATIONS
         fill = self._replay_recorded if self.session.request.data else self._ask_expert
         self.shown = kept_demonstrations(folder, fill)
+        self.session.demonstrations = self.shown.episodes
 
     def _replay_recorded(self) -> ReplayBuffer:
         session = self.session

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from mjhab.bench.specs import LearnerSpec
+from mjhab.core.machine import cores
 from mjhab.learning.layout import Layout, layout_of
 from mjhab.learning.reinforcement.configs import (
     PPO,
@@ -22,7 +23,7 @@ from mjhab.learning.reinforcement.configs import (
 from mjhab.learning.reinforcement.ppo import Ppo, PpoLearner
 from mjhab.learning.reinforcement.replay import ReplayBuffer, ReplayShape
 from mjhab.learning.reinforcement.sac import Sac, SacLearner
-from mjhab.learning.reinforcement.session import training_env
+from mjhab.learning.reinforcement.session import network_threads, training_env
 from mjhab.learning.reinforcement.sight import Seen, Sight
 from mjhab.learning.reinforcement.worlds import Worlds
 from mjhab.learning.runs.collection import Scene
@@ -41,10 +42,8 @@ def measure_learner(spec: LearnerSpec) -> dict[str, Any]:
     Returns:
         "threads"; "ppo": see `measure_ppo`; "sac": rows of "inputs", "batch" and "updates_per_second".
     """
-    if spec.threads:
-        torch.set_num_threads(spec.threads)
     return {
-        "threads": torch.get_num_threads(),
+        "threads": spec.threads or cores(),
         "ppo": measure_ppo(spec),
         "sac": [
             {
@@ -115,7 +114,11 @@ def measure_sac(preset: str, batch: int, spec: LearnerSpec) -> float:
 
 
 def _worlds(config: ReinforcementConfig, threads: int) -> tuple[Worlds, Layout, int]:
-    """Worlds of the scene, the layout of what is seen in them, and how much only a critic sees."""
+    """Worlds of the scene, the layout of what is seen in them, and how much only a critic sees.
+
+    Networks get as many threads as in a run.
+    """
+    torch.set_num_threads(network_threads(config.inputs, threads or cores()))
     env = training_env(SCENE, config.inputs, config.worlds, threads, 0)
     layout = layout_of(env, config.inputs, (SCENE.target,))
     sight = Sight(env, layout, config.privileged_critic)

@@ -90,7 +90,7 @@ def network_threads(inputs: InputConfig, threads: int) -> int:
     """Threads of the networks: one where they see no images.
 
     Layers of some hundred rows are over before a second thread is awake, and where other processes want the cores,
-    torch's threads wait for each other in loops that take more CPU time than the work (17 times as much was seen).
+    torch's threads wait for each other in loops: a rollout with its update took nine times its CPU time.
     """
     return threads if inputs.cameras else 1
 

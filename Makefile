@@ -9,7 +9,7 @@ DEMO_OUT := runs/demo
 DEMO_STUDENT_OUT := runs/demo-student
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo demo-student test test-generate test-lerobot test-lerobot-env test-vla-eval test-ray test-sb3 test-rsl-rl test-browser test-wheel docs check format bench gpu-report clean distclean test-docs
+.PHONY: help setup demo demo-student test test-generate test-lerobot test-lerobot-env test-vla-eval test-ray test-sb3 test-rsl-rl test-browser test-wheel docs check format bench gpu-report clean distclean test-docs test-torchrl gpu-train
 
 help:  ## show this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-16s %s\n", $$1, $$2}'
@@ -165,6 +165,17 @@ $(RSL_RL)/.ready: $(SETUP_FILES) | $(BIN)/python
 test-rsl-rl: $(RSL_RL)/.ready  ## rsl_rl trains in our environments
 	$(RSL_RL)/bin/python -m pytest tests/adapters/check_rsl_rl.py $(PYTEST_ARGS)
 
+TORCHRL := .venv-torchrl
+$(TORCHRL)/.ready: $(SETUP_FILES) | $(BIN)/python
+	@echo "mjhab: installing torchrl into $(TORCHRL), once"
+	@"$(PYTHON)" -m venv $(TORCHRL)
+	@$(TORCHRL)/bin/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[learn]' pytest \
+	  torchrl==0.14.1 tensordict==0.15.3
+	@touch $@
+
+test-torchrl: $(TORCHRL)/.ready  ## torchrl trains in our environments
+	$(TORCHRL)/bin/python -m pytest tests/adapters/check_torchrl.py $(PYTEST_ARGS)
+
 check: $(VENV)/.dev  ## lint, format, types and the import rule
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -181,9 +192,16 @@ bench: $(VENV)/.core  ## control steps per second of the engine and of the envir
 gpu-report: $(VENV)/.dev  ## measure the warp backend, on a GPU if there is one; writes docs/results/gpu-*.json
 	$(BIN)/python -m mjhab.bench.gpu_report docs/results
 
+GPU_TRAIN_OUT ?= runs/gpu-train
+MINUTES ?= 10
+TRAIN_ARGS ?=
+gpu-train: $(VENV)/.dev  ## train the ten rows of Table 1 by reinforcement, MINUTES=10 each, on a GPU if there is one
+	$(BIN)/mjhab reproduce table1 --column rl_all --preset fast --backend auto --budget-minutes $(MINUTES) \
+	  --out $(GPU_TRAIN_OUT) $(if $(wildcard $(GPU_TRAIN_OUT)/config.json),--resume) $(TRAIN_ARGS)
+
 clean:  ## remove caches and build products (runs and .venv stay)
 	rm -rf build dist .pytest_cache .ruff_cache .hypothesis
 	find src tests -name __pycache__ -type d -prune -exec rm -rf {} +
 
 distclean: clean  ## also remove .venv
-	rm -rf $(VENV) $(LEROBOT) $(LEROBOT_ENV) $(VLA) $(RAY) $(DOCS) $(WHEEL) src/*.egg-info
+	rm -rf $(VENV) $(LEROBOT) $(LEROBOT_ENV) $(VLA) $(RAY) $(DOCS) $(WHEEL) $(SB3) $(RSL_RL) $(TORCHRL) src/*.egg-info

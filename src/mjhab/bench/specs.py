@@ -126,6 +126,18 @@ class ViewSpec:
 
 
 @dataclass(frozen=True)
+class LearnerSpec:
+    """`learner.measure_learner`: PPO in ``worlds`` worlds (0: those of its preset), SAC with each of ``batches``."""
+
+    worlds: int = 0
+    batches: tuple[int, ...] = (256, 512)
+    rounds: int = 3
+    updates: int = 20
+    threads: int = 0
+    seed: int = 0
+
+
+@dataclass(frozen=True)
 class ParitySpec:
     """`parity.run.measure_parity`: both simulators beside each other; "all" for all tasks or subtasks."""
 

@@ -33,6 +33,7 @@ class BenchCommand:
         | Annotated[gpu.BenchParityOptions, Sub("parity")]
         | Annotated[srv.BenchServingOptions, Sub("serving")]
         | Annotated[look.BenchViewOptions, Sub("view")]
+        | Annotated[learn.BenchLearnerOptions, Sub("learner")]
     )
 
 
@@ -81,6 +82,7 @@ RUNNERS: dict[type, tuple[str, str]] = {
     gpu.BenchParityOptions: ("cli.bench.parity", "bench_parity"),
     srv.BenchServingOptions: ("cli.bench.serving", "bench_serving"),
     look.BenchViewOptions: ("cli.bench.view", "bench_view"),
+    learn.BenchLearnerOptions: ("cli.bench.learner", "bench_learner"),
     sco.ScoreOptions: ("cli.policies.score", "run_score"),
     srv.ServeOptions: ("cli.policies.serve", "run_serve"),
     gen.GenerateOptions: ("cli.datasets.generate", "run_generate"),

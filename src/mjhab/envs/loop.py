@@ -395,6 +395,10 @@ class TaskLoop(VectorEnv, ABC):
         obs = self._observe() if seen is None else self._observe(seen, changed)
         return self._keyed(obs), reward, terminated, truncated, self._info(told) | final
 
+    def link_state(self) -> Array:
+        """(W, 4) of the link of the active subtask, see `Sensing.link_state`: no observation shows it."""
+        return self.sensing.link_state(self.state, self.focus)
+
     def info(self) -> dict[str, Any]:
         """`info` of the present state, as of a step in which nothing happened; something must have been reset."""
         return self._info(self._nothing())

@@ -286,6 +286,11 @@ def _vectors(episode: Episode, layout: Layout, executed: np.ndarray) -> np.ndarr
     parts = [episode.array("obs/state")[:steps]]
     if layout.inputs.base_velocity:
         parts.append(base_velocity_of(episode)[:steps])
+    if layout.inputs.link_state:
+        raise UsageError(
+            "recorded demonstrations hold no link_state; take a preset with images, or leave out the data: the "
+            "expert then acts in the environment itself."
+        )
     if layout.inputs.previous_action:
         parts.append(np.concatenate([np.zeros_like(executed[:1]), executed[:-1]]))
     if layout.inputs.condition:

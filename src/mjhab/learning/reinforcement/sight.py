@@ -38,6 +38,10 @@ class SteppedEnv(Protocol):
     config: Any
     task_config: Any
 
+    def link_state(self) -> Any:
+        """(W, 4) float32, see `Sensing.link_state`."""
+        ...
+
 
 @dataclass(frozen=True, eq=False)
 class Seen:
@@ -120,6 +124,8 @@ class Sight:
         if inputs.base_velocity:
             state = self._env.state
             parts.append(torch.as_tensor(base_velocity(state.robot_q, state.robot_qd)))
+        if inputs.link_state:
+            parts.append(torch.as_tensor(self._env.link_state()))
         if inputs.previous_action:
             parts.append(last)
         if inputs.condition:

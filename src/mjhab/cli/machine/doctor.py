@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib.util
 import platform
 from pathlib import Path
@@ -11,14 +12,20 @@ from mjhab.cli.options.common import DoctorOptions
 from mjhab.cli.output import print_json, print_table
 from mjhab.core.files.cache import cache_dir
 from mjhab.core.machine import cores, gpu_name, installed
+from mjhab.core.registration.plugins import loaded_plugins
 from mjhab.core.version import __version__
 
 PINNED_MUJOCO = "3.17.0"
 EXTRAS = {
-    "learn": ("torch",),
-    "gpu": ("mujoco_warp", "warp"),
+    "data": ("pyarrow",),
+    "learn": ("safetensors", "tensorboard", "torch"),
+    "gpu": ("mujoco_warp", "torch", "warp"),
     "view": ("viser",),
+    "serve": ("msgpack", "websockets"),
+    "scale": ("ray",),
+    "robots": ("robosuite",),
 }
+"""Modules that each extra of the package installs."""
 
 
 def run_doctor(options: DoctorOptions) -> int:
@@ -36,7 +43,12 @@ def run_doctor(options: DoctorOptions) -> int:
 
 
 def diagnose() -> dict[str, Any]:
-    """Return python and mujoco version, renderers (name: works), gpu (name or None), cores, cache folder."""
+    """What this machine offers, as plain data.
+
+    Returns:
+        ``python`` and ``mujoco``: versions; ``renderers``: whether each works, by name; ``gpu``: its name or None;
+        ``cores``; ``cache``: its folder; ``plugins``: name, origin, what each registered, and its error ("" for none).
+    """
     from mjhab.render.gl_probe import renderer_probe
 
     return {
@@ -46,6 +58,7 @@ def diagnose() -> dict[str, Any]:
         "gpu": gpu_name(),
         "cores": cores(),
         "cache": str(cache_dir()),
+        "plugins": [dataclasses.asdict(plugin) for plugin in loaded_plugins()],
     }
 
 
@@ -78,6 +91,16 @@ def _print(found: dict[str, Any]) -> None:
         ("cache size", _size(found["cache"])),
     ]
     print_table("machine", ("what", "value"), machine)
+    if found["plugins"]:
+        print_table(
+            "plugins", ("plugin", "where", "registered"), map(_plugin_row, found["plugins"])
+        )
+
+
+def _plugin_row(plugin: dict[str, Any]) -> tuple[str, str, str]:
+    registered = "\n".join(plugin["registered"]) or "nothing"
+    failed = f"could not be loaded: {plugin['error']}"
+    return plugin["name"], plugin["origin"], failed if plugin["error"] else registered
 
 
 def _advice(renderer: str) -> str:

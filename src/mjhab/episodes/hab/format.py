@@ -138,12 +138,12 @@ def _load(path: Path) -> Any:
             raw = gzip.decompress(raw)
         except (EOFError, OSError, zlib.error) as error:
             raise UsageError(
-                f"{path}: the gzip data is cut off or damaged ({error}); fetch the file again."
+                f"{path}: the gzip data is cut off or damaged ({error}); download the file again."
             ) from error
     try:
         return json.loads(raw.decode("utf-8"))
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise UsageError(f"{path}: not valid JSON ({error}); fetch the file again.") from error
+        raise UsageError(f"{path}: not valid JSON ({error}); download the file again.") from error
 
 
 def write_hab(path: Path, file: HabFile) -> None:

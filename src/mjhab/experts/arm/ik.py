@@ -147,7 +147,6 @@ def servo(
     base_next: Array | None = None,
     mode: Mode = "pose",
     rest_gain: float = 0.02,
-    gain: float = 1.0,
 ) -> Array:
     """Joint motion (N, Q) of one control step that brings the tip towards a pose, bounded by the joints' speed.
 
@@ -165,7 +164,6 @@ def servo(
         base_next: (N, 3) x, y, yaw expected after the step; None: the base stands.
         mode: which part of the orientation counts.
         rest_gain: share of the way to ``rest`` taken per step.
-        gain: share of the error to remove in this step.
 
     Returns:
         Changes of the columns, zero outside ``dofs``; scaled together so that no joint exceeds `ARM_STEP` or
@@ -186,7 +184,6 @@ def servo(
         dofs,
         _floats(rest),
         rest_gain,
-        gain,
         step_limits(chain),
     )
 

@@ -11,9 +11,9 @@ from itertools import pairwise
 
 import numpy as np
 
+from mjhab.core.timing import STEP_SECONDS
 from mjhab.experts.base.floorplan import Floorplan, turn_between
 from mjhab.experts.base.lattice import Leg, length
-from mjhab.experts.base.navigation import CONTROL_DT
 from mjhab.experts.base.pilot import BASE_LAG, Pilot
 from mjhab.robots.kinematics import wrap
 
@@ -78,7 +78,7 @@ class Driver:
             self._pilot = Pilot(
                 leg.points, leg.yaw, leg.direction, self._lookahead, self._pace.speed
             )
-            self._left = 60 + int(length(leg) / (0.2 * CONTROL_DT))
+            self._left = 60 + int(length(leg) / (0.2 * STEP_SECONDS))
 
     def step(self, pose: Array) -> tuple[float, float]:
         """Forward speed and yaw rate for the base at ``pose`` (3,)."""
@@ -93,8 +93,8 @@ class Driver:
             self._begin()
             v = w = 0.0
         pace = self._pace
-        gain = pace.rise * CONTROL_DT
-        change = pace.jerk * CONTROL_DT
+        gain = pace.rise * STEP_SECONDS
+        change = pace.jerk * STEP_SECONDS
         self._v = towards(v, self._v, gain)
         w = float(np.clip(pace.turn * w, -pace.spin, pace.spin))
         self._w = float(np.clip(w, self._w - change, self._w + change))
@@ -122,7 +122,7 @@ def plan_drive(plan: Floorplan, pose: Array, legs: Sequence[Leg], pace: Pace) ->
             trip = Trip(tried, lookahead, pace, simulate(pose, tried, lookahead, pace))
             room = plan.room(trip.poses)
             lack = max(asked - float(room.min(initial=np.inf)), 0.0)
-            cost = CONTROL_DT * len(trip.poses) + TOO_CLOSE * lack**2
+            cost = STEP_SECONDS * len(trip.poses) + TOO_CLOSE * lack**2
             if best is None or cost < best[0]:
                 best = (cost, trip)
             if lack == 0.0:
@@ -216,14 +216,14 @@ def simulate(pose: Array, legs: Sequence[Leg], lookahead: float, pace: Pace) -> 
     pose = pose.copy()
     speed = 0.0
     rate = 0.0
-    share = 1.0 - np.exp(-CONTROL_DT / BASE_LAG)
+    share = 1.0 - np.exp(-STEP_SECONDS / BASE_LAG)
     poses = []
     driver = Driver(legs, lookahead, pace)
     while driver.leg is not None:
         forward, turn = driver.step(pose)
         speed += share * (forward - speed)
         rate += share * (turn - rate)
-        pose = pose + CONTROL_DT * np.array(
+        pose = pose + STEP_SECONDS * np.array(
             [speed * np.cos(pose[2]), speed * np.sin(pose[2]), rate]
         )
         poses.append(pose)

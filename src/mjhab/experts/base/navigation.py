@@ -15,11 +15,10 @@ from scipy.sparse.csgraph import dijkstra
 
 from mjhab.core.errors import UsageError
 from mjhab.core.grids import grid_graph
+from mjhab.core.timing import STEP_SECONDS
 from mjhab.robots.kinematics import wrap
 
 Array = np.ndarray
-CONTROL_DT = 0.05
-"""Seconds per control step."""
 KEPT_SOURCES = 4
 """Number of starts whose ways to everywhere a `Planner` keeps."""
 NARROW_PRICE = 20.0
@@ -234,14 +233,14 @@ class Follower:
         moved = np.inf if self._last is None else float(np.abs(motion).max())
         self._last = pose
         along = np.cos(pose[2]) * motion[0] + np.sin(pose[2]) * motion[1]
-        self._speed = float(along) / CONTROL_DT
-        self._rate = float(motion[2]) / CONTROL_DT
+        self._speed = float(along) / STEP_SECONDS
+        self._rate = float(motion[2]) / STEP_SECONDS
         if self.direction == 0:
             self.direction = self._choose_direction(pose)
         to_goal = self.path[-1] - pose[:2]
         gap = float(np.linalg.norm(to_goal))
         turn = 0.0 if self.final_yaw is None else float(wrap(self.final_yaw - pose[2]))
-        stuck = moved < 0.1 * CONTROL_DT and abs(turn) < self.limits.yaw_tolerance
+        stuck = moved < 0.1 * STEP_SECONDS and abs(turn) < self.limits.yaw_tolerance
         if self._arrived and gap > (1.0 if stuck else 2.0) * self.limits.pos_tolerance:
             self._arrived, self._done_to, self.direction = (
                 False,

@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mjhab.core.timing import STEP_SECONDS
 from mjhab.experts.arm.gentle import Care, eased
-from mjhab.experts.base.navigation import CONTROL_DT
 from mjhab.experts.jit import inline, kernel
 
 Array = np.ndarray
@@ -148,7 +148,7 @@ def _steer(way: Way, state: Array, x: float, y: float, yaw: float) -> tuple[floa
     if state[5] > 0.0:
         dx = x - state[2]
         dy = y - state[3]
-        rate = _wrapped(yaw - state[4]) / CONTROL_DT
+        rate = _wrapped(yaw - state[4]) / STEP_SECONDS
     state[2] = x
     state[3] = y
     state[4] = yaw
@@ -174,7 +174,7 @@ def _steer(way: Way, state: Array, x: float, y: float, yaw: float) -> tuple[floa
     aim_x, aim_y = _point(way, state[0] + lookahead)
     back = 0.0 if way.direction > 0 else np.pi
     off = _wrapped(np.arctan2(aim_y - y, aim_x - x) - yaw - back)
-    pace = max(min(way.speed, 3.0 * (left - _PREVIEW * moved / CONTROL_DT)), 0.04)
+    pace = max(min(way.speed, 3.0 * (left - _PREVIEW * moved / STEP_SECONDS)), 0.04)
     ahead = 0.0 if abs(off) > 0.9 else max(np.cos(off), 0.0) ** 3
     turn_rate = _clipped(4.5 * (off - _PREVIEW * rate), -_TURN_RATE, _TURN_RATE)
     return way.direction * pace * ahead, turn_rate, False
@@ -185,8 +185,8 @@ def _drive(way: Way, state: Array, pose: Array, care: Care, careful: bool) -> Ar
     """The poses (T, 3) of `simulate`, from ``pose`` (3,) on."""
     poses = np.empty((MAX_SIMULATED_STEPS + 1, 3))
     poses[0] = pose
-    speed_share = 1.0 - np.exp(-CONTROL_DT / BASE_LAG)
-    turn_share = 1.0 - np.exp(-CONTROL_DT / TURN_LAG)
+    speed_share = 1.0 - np.exp(-STEP_SECONDS / BASE_LAG)
+    turn_share = 1.0 - np.exp(-STEP_SECONDS / TURN_LAG)
     speed_x = 0.0
     speed_y = 0.0
     turn = 0.0
@@ -205,7 +205,7 @@ def _drive(way: Way, state: Array, pose: Array, care: Care, careful: bool) -> Ar
         speed_x += speed_share * (forward * np.cos(yaw) - speed_x)
         speed_y += speed_share * (forward * np.sin(yaw) - speed_y)
         turn += turn_share * (rate - turn)
-        poses[k + 1, 0] = x + CONTROL_DT * speed_x
-        poses[k + 1, 1] = y + CONTROL_DT * speed_y
-        poses[k + 1, 2] = yaw + CONTROL_DT * turn
+        poses[k + 1, 0] = x + STEP_SECONDS * speed_x
+        poses[k + 1, 1] = y + STEP_SECONDS * speed_y
+        poses[k + 1, 2] = yaw + STEP_SECONDS * turn
     return poses

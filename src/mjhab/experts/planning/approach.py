@@ -6,10 +6,10 @@ import numpy as np
 
 from mjhab.core.boxes import Boxes, sphere_box_distance
 from mjhab.core.joints import BASE, BASE_XY, BASE_YAW
+from mjhab.core.timing import STEP_SECONDS
 from mjhab.envs.parts.world_view import JointedLink, WorldView
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.arm.clearance import RobotSpheres
-from mjhab.experts.base.navigation import CONTROL_DT
 from mjhab.experts.base.pilot import simulate
 from mjhab.experts.base.route import Route, follow, plan_route
 from mjhab.robots.kinematics import wrap
@@ -149,14 +149,16 @@ def let_go(
     return (
         yield from motion.move_tcp(
             view,
-            goal,
-            rot,
-            gripper=gripper,
-            speed=speed,
-            drive=(speed * min(along, 0.0), 0.0),
-            tolerance=0.02,
-            angle_tolerance=0.5,
-            max_steps=14,
+            motion.HandMove(
+                pos=goal,
+                rot=rot,
+                gripper=gripper,
+                speed=speed,
+                drive=(speed * min(along, 0.0), 0.0),
+                tolerance=0.02,
+                angle_tolerance=0.5,
+                max_steps=14,
+            ),
         )
     )
 
@@ -281,5 +283,5 @@ def next_base(view: WorldView, v: float, w: float) -> Array:
     q = view.q
     return (
         q[None, BASE]
-        + np.array([[v * np.cos(q[BASE_YAW]), v * np.sin(q[BASE_YAW]), w]]) * CONTROL_DT
+        + np.array([[v * np.cos(q[BASE_YAW]), v * np.sin(q[BASE_YAW]), w]]) * STEP_SECONDS
     )

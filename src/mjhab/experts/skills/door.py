@@ -9,9 +9,9 @@ import numpy as np
 
 from mjhab.core.boxes import Boxes
 from mjhab.core.joints import BASE, BASE_YAW
+from mjhab.core.timing import STEP_SECONDS
 from mjhab.envs.parts.world_view import JointedLink, WorldView
 from mjhab.experts.arm import ik, motion
-from mjhab.experts.base.navigation import CONTROL_DT
 from mjhab.experts.planning import approach, stances
 from mjhab.experts.planning.stances import Frame, Stances
 from mjhab.experts.skills import door_stances
@@ -186,7 +186,10 @@ def _follow_arc(
     done = 0
     for _ in range(110):
         now = view.link_q(link.id)
-        if throws and _coasts(style_of(view).speed * (last - now) / CONTROL_DT) > now + COAST_SPARE:
+        if (
+            throws
+            and _coasts(style_of(view).speed * (last - now) / STEP_SECONDS) > now + COAST_SPARE
+        ):
             return True
         # A door that was thrown shut may swing back.
         there = way * (goal - now) <= 0 and (way > 0 or abs(now - last) < AT_REST)
@@ -288,7 +291,7 @@ def _arc_action(view: WorldView, path: ArcPath, aim: float, step: float, gripper
     ahead = (path.at(aim + step)[:2] - wish[:2]) @ np.array(
         [np.cos(q[BASE_YAW]), np.sin(q[BASE_YAW])]
     )
-    v, w = approach.base_towards(view, wish, float(ahead) / CONTROL_DT)
+    v, w = approach.base_towards(view, wish, float(ahead) / STEP_SECONDS)
     base_next = approach.next_base(view, v, w)
     robot = view.robot.chain
     here, _ = motion.tcp(view)

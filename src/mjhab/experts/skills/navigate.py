@@ -11,13 +11,13 @@ from typing import NamedTuple
 import numpy as np
 
 from mjhab.core.joints import BASE_X, BASE_XY, BASE_Y, BASE_YAW
+from mjhab.core.timing import STEP_SECONDS
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts.arm import motion
 from mjhab.experts.arm.motion import Motion
 from mjhab.experts.base.driving import BRISK, GENTLE, Driver, Trip, plan_drive, towards
 from mjhab.experts.base.floorplan import Arm, Floorplan, turn_between
 from mjhab.experts.base.lattice import YAWS, Lattice, Leg, turns
-from mjhab.experts.base.navigation import CONTROL_DT
 from mjhab.experts.base.route import BLOCKED_FORCE, BLOCKED_STEPS, planner
 from mjhab.experts.planning.carry import inside_depth
 from mjhab.experts.planning.reach import in_sight
@@ -241,7 +241,7 @@ def _back_off(view: WorldView, posture: Array, gripper: float, trip: Trip) -> Mo
     ahead = float((origin - q[BASE_XY]) @ np.array([np.cos(q[BASE_YAW]), np.sin(q[BASE_YAW])]))
     speed, _ = _speeds(view)
     for _ in range(14):
-        speed = towards(float(np.copysign(0.3, ahead)), speed, trip.pace.rise * CONTROL_DT)
+        speed = towards(float(np.copysign(0.3, ahead)), speed, trip.pace.rise * STEP_SECONDS)
         yield motion.action(view, posture, gripper=gripper, drive=(speed, 0.0))
     return True
 

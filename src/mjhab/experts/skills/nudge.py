@@ -15,6 +15,7 @@ import numpy as np
 
 from mjhab.core.boxes import Boxes, sphere_box_distance
 from mjhab.core.rotations import frame_from_axes, mat_from_quat, quat_from_axis_angle, quat_mul
+from mjhab.core.timing import STEP_SECONDS
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.episodes.grasps.candidates import ObjectShape
 from mjhab.experts.arm import ik, motion
@@ -287,7 +288,9 @@ def _push(
         end = pose[:2] + to_end * now[:2, along] + to_front * now[:2, front]
         here, here_rot = motion.tcp(view)
         aside = np.clip((end - here[:2] - corner) @ plan.outer, -ASIDE, ASIDE)
-        aim = np.array([*(here[:2] + SPEED * 0.05 * plan.inward + aside * plan.outer), height])
+        aim = np.array(
+            [*(here[:2] + SPEED * STEP_SECONDS * plan.inward + aside * plan.outer), height]
+        )
         aim_rot = ik.straight_line(here[None], aim[None], here_rot[None], rot[None], 1.0, 0.05)[1]
         delta = ik.servo(
             robot, view.q, aim[None], aim_rot, ik.columns(robot, torso=False), rest=rest

@@ -89,10 +89,10 @@ def pick(view: WorldView) -> Motion:
     """Pick up the active subtask's object and bring it home; try again while there is time."""
     subtask = view.subtask
     assert subtask is not None
-    return (yield from fetch(view, subtask.obj))
+    return (yield from pick_up(view, subtask.obj))
 
 
-def fetch(view: WorldView, obj: str, *, keep: bool = True) -> Motion:
+def pick_up(view: WorldView, obj: str, *, keep: bool = True) -> Motion:
     """Pick up an object, wherever it lies, and bring it home; try again while there is time.
 
     ``keep``: hold it there, and start again when it is lost; else end as soon as it is lifted.
@@ -386,10 +386,8 @@ def _take(
 ) -> Generator[Array, None, bool | None]:
     """Drive there, reach, close, lift. Returns whether the object is in the hand; None where it is out of reach."""
     start = view.object_pose(obj)[:3]
-    pos = goals.pos[stance.goal]
-    rot = goals.rot[stance.goal]
-    pre = goals.pre[stance.goal]
-    opening = grip(view.robot, float(goals.opening[stance.goal]) + 0.004)
+    goal = goals.take(np.array([stance.goal]))
+    opening = grip(view.robot, float(goal.opening[0]) + 0.004)
     arrived = yield from follow(view, stance.route, gripper=opening)
     if not arrived and view.link_forces.sum() > BLOCKED_FORCE:
         yield from go_home(view, obj, holding=False)
@@ -398,20 +396,54 @@ def _take(
         boxes = scene_of(view, obj).all
         hasty = hasty or view.steps_left < LATE_IN
         if not (
-            yield from drive_in(view, stance.pre, pre, rot, boxes, gripper=opening, hasty=hasty)
+            yield from drive_in(
+                view, stance.pre, goal.pre[0], goal.rot[0], boxes, gripper=opening, hasty=hasty
+            )
         ):
             return False
     if np.linalg.norm(view.object_pose(obj)[:3] - start) > 0.02:
         return False
-    joints = settle_reach(view, stance, np.stack([pre, pos]), rot)
+    joints = settle_reach(view, stance, np.stack([goal.pre[0], goal.pos[0]]), goal.rot[0])
     if joints is None:
         return None
+    if not (yield from _reach(view, goal, joints, opening)):
+        return False
+    pos = goal.pos[0]
+    rot = goal.rot[0]
+    fine = _is_fine(goal)
+    # Fingers that close while the hand still moves twist the object and press sideways for seconds.
+    if fine:
+        # A finger that brushed along shoved the object: the pads must meet both of its sides at once all the same.
+        pos = pos + view.object_pose(obj)[:3] - start
+    yield from motion.still_tcp(view, pos, rot, gripper=opening, steps=6 if fine else 4)
+    closed = yield from (
+        motion.close_fingers(view, obj, steps=25, rate=FINE_CLOSING_M)
+        if fine
+        else motion.close_fingers(view, obj)
+    )
+    if not closed:
+        return False
+    up = pos + np.array([0.0, 0.0, SHELF_LIFT if depth else LIFT])
+    return (yield from _lift(view, obj, up, rot, joints[1]))
+
+
+def _is_fine(goal: HandGoals) -> bool:
+    """Whether the fingers have little room on both sides of the object at a grasp (one row)."""
+    return bool(goal.opening[0] > FINE_OPENING_M)
+
+
+def _reach(view: WorldView, goal: HandGoals, joints: Array, opening: float) -> Motion:
+    """Bring the open hand to a grasp (one row) by way of its ``pre``. Returns whether it got there.
+
+    Args:
+        joints: (2, J) configurations at ``pre`` and at the grasp.
+        opening: gripper command.
+    """
     yield from motion.move_joints(view, joints[0], gripper=opening, tolerance=0.04, max_steps=20)
     # The torso is slow to stop: the last piece belongs to the arm alone.
-    near = yield from motion.move_tcp(
-        view,
-        pre,
-        rot,
+    straight = motion.HandMove(
+        pos=goal.pre[0],
+        rot=goal.rot[0],
         gripper=opening,
         rest=joints[1],
         speed=0.3,
@@ -420,40 +452,14 @@ def _take(
         stop_on_force=80.0,
         torso=False,
     )
-    if not near:
+    if not (yield from motion.move_tcp(view, straight)):
         return False
-    fine = bool(goals.opening[stance.goal] > FINE_OPENING_M)
+    fine = _is_fine(goal)
     if fine:
-        yield from motion.still_tcp(view, pre, rot, gripper=opening, steps=4)
-    speed = 0.15 if fine else 0.2
-    yield from motion.move_tcp(
-        view,
-        pos,
-        rot,
-        gripper=opening,
-        rest=joints[1],
-        speed=speed,
-        tolerance=0.006,
-        max_steps=25,
-        stop_on_force=80.0,
-        torso=False,
-    )
-    if np.linalg.norm(motion.tcp(view)[0] - pos) > SHORT:
-        return False
-    # Fingers that close while the hand still moves twist the object and press sideways for seconds.
-    if fine:
-        # A finger that brushed along shoved the object: the pads must meet both of its sides at once all the same.
-        pos = pos + view.object_pose(obj)[:3] - start
-    yield from motion.still_tcp(view, pos, rot, gripper=opening, steps=6 if fine else 4)
-    up = pos + np.array([0.0, 0.0, SHELF_LIFT if depth else LIFT])
-    closed = yield from (
-        motion.close_fingers(view, obj, steps=25, rate=FINE_CLOSING_M)
-        if fine
-        else motion.close_fingers(view, obj)
-    )
-    if not closed:
-        return False
-    return (yield from _lift(view, obj, up, rot, joints[1]))
+        yield from motion.still_tcp(view, goal.pre[0], goal.rot[0], gripper=opening, steps=4)
+    last = replace(straight, pos=goal.pos[0], speed=0.15 if fine else 0.2, max_steps=25)
+    yield from motion.move_tcp(view, last)
+    return bool(np.linalg.norm(motion.tcp(view)[0] - goal.pos[0]) <= SHORT)
 
 
 def _lift(view: WorldView, obj: str, up: Array, rot: Array, rest: Array) -> Motion:
@@ -462,13 +468,15 @@ def _lift(view: WorldView, obj: str, up: Array, rot: Array, rest: Array) -> Moti
         # The arm is at its limit; the torso is slower.
         yield from motion.move_tcp(
             view,
-            up,
-            rot,
-            gripper=motion.CLOSED,
-            rest=rest,
-            speed=0.15,
-            tolerance=0.01,
-            max_steps=15,
+            motion.HandMove(
+                pos=up,
+                rot=rot,
+                gripper=motion.CLOSED,
+                rest=rest,
+                speed=0.15,
+                tolerance=0.01,
+                max_steps=15,
+            ),
         )
     return bool((view.finger_forces(obj) > 0.3).all())
 
@@ -492,6 +500,9 @@ def _let_go(view: WorldView) -> Motion:
     back = pos - 0.10 * rot[:, 0] + np.array([0.0, 0.0, 0.03])
     return (
         yield from motion.move_tcp(
-            view, back, rot, gripper=motion.OPEN, speed=0.3, tolerance=0.02, max_steps=15
+            view,
+            motion.HandMove(
+                pos=back, rot=rot, gripper=motion.OPEN, speed=0.3, tolerance=0.02, max_steps=15
+            ),
         )
     )

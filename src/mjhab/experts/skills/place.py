@@ -29,7 +29,7 @@ from mjhab.experts.planning.reach import (
     surroundings,
 )
 from mjhab.experts.planning.sampled import Found, roomier
-from mjhab.experts.skills.pick import fetch, height_below
+from mjhab.experts.skills.pick import height_below, pick_up
 from mjhab.experts.style import style_of
 from mjhab.tasks.style import DROP as DROP_IT
 
@@ -99,7 +99,7 @@ def place(view: WorldView) -> Motion:
             yield from _bring(view, obj, goal)
         elif not view.signal("at_goal"):
             # Lost on the way: it lies somewhere, mostly not far off.
-            yield from fetch(view, obj, keep=False)
+            yield from pick_up(view, obj, keep=False)
             continue
         yield from go_home(view, obj, holding=False)
         yield from _rest(view)
@@ -321,18 +321,29 @@ def _put(view: WorldView, obj: str, stance: Stance, goals: HandGoals, depth: flo
         )
     yield from motion.move_joints(view, joints[0], gripper=closed, tolerance=0.04, max_steps=20)
     yield from motion.move_tcp(
-        view, pre, rot, gripper=closed, rest=joints[1], tolerance=0.015, max_steps=20, torso=False
+        view,
+        motion.HandMove(
+            pos=pre,
+            rot=rot,
+            gripper=closed,
+            rest=joints[1],
+            tolerance=0.015,
+            max_steps=20,
+            torso=False,
+        ),
     )
     yield from motion.move_tcp(
         view,
-        pos,
-        rot,
-        gripper=closed,
-        rest=joints[1],
-        speed=0.2,
-        tolerance=0.005,
-        max_steps=25,
-        torso=False,
+        motion.HandMove(
+            pos=pos,
+            rot=rot,
+            gripper=closed,
+            rest=joints[1],
+            speed=0.2,
+            tolerance=0.005,
+            max_steps=25,
+            torso=False,
+        ),
     )
     yield from motion.still_tcp(view, pos, rot, gripper=closed, steps=2)
     opening = grip(view.robot, let_go_width(view, obj, pos, rot))
@@ -341,14 +352,16 @@ def _put(view: WorldView, obj: str, stance: Stance, goals: HandGoals, depth: flo
     for back in (drawn_back(view, obj, pos, rot, joints[0]), pre):
         yield from motion.move_tcp(
             view,
-            back,
-            rot,
-            gripper=opening,
-            rest=joints[0],
-            speed=speed,
-            tolerance=0.02,
-            max_steps=14,
-            torso=False,
+            motion.HandMove(
+                pos=back,
+                rot=rot,
+                gripper=opening,
+                rest=joints[0],
+                speed=speed,
+                tolerance=0.02,
+                max_steps=14,
+                torso=False,
+            ),
         )
         if not holds(view, obj):
             return True

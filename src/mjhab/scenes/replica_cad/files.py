@@ -22,7 +22,7 @@ SCENE_SUFFIX = ".scene_instance.json"
 PREFIX = "frl_apartment_"
 """What most names of the data set begin with and ours do not."""
 FOLDERS = ("configs/scenes", "configs/objects", "objects", "urdf")
-FETCH = "`mjhab assets fetch replica_cad` gets it"
+HOW_TO_GET = "`mjhab assets fetch replica_cad` gets it"
 _MAX_LEVEL_TILT_RAD = 1e-4
 """Rotations that tilt by less than about this [rad] are headings."""
 
@@ -39,7 +39,7 @@ def check_folder(folder: Path) -> None:
     missing = [name for name in FOLDERS if not (folder / name).is_dir()]
     if missing:
         raise UsageError(
-            f"'{folder}' is not a whole ReplicaCAD data set: {', '.join(missing)} missing; {FETCH}."
+            f"'{folder}' is not a whole ReplicaCAD data set: {', '.join(missing)} missing; {HOW_TO_GET}."
         )
 
 
@@ -52,9 +52,11 @@ def load_json(path: Path) -> dict[str, Any]:
     try:
         body = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise UsageError(f"{path}: cannot be read ({error.strerror or error}); {FETCH}.") from error
+        raise UsageError(
+            f"{path}: cannot be read ({error.strerror or error}); {HOW_TO_GET}."
+        ) from error
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise UsageError(f"{path}: not valid JSON ({error}); fetch the file again.") from error
+        raise UsageError(f"{path}: not valid JSON ({error}); download the file again.") from error
     if not isinstance(body, dict):
         raise UsageError(f"{path}: expected a JSON object.")
     return body

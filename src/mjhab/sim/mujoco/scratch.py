@@ -14,11 +14,12 @@ import numpy as np
 
 from mjhab.core.joints import BASE_YAW
 from mjhab.core.rotations import pose_inv, pose_mul
+from mjhab.core.timing import SUBSTEPS
 from mjhab.layout.contact_sensors import FORCE_SENSOR_WIDTH, normal_force
 from mjhab.robots.model import apply_drives
 from mjhab.robots.parts import Drives
 from mjhab.scenes import contact_bits
-from mjhab.sim.mujoco.cpu import SUBSTEPS, CpuSimulator
+from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.settle import hold_robot
 
 CLOSING_STEPS = 30

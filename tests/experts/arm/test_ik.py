@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 from typing import Any, cast
 
 import numpy as np
@@ -80,6 +81,27 @@ def test_solutions_reach_their_goals_inside_the_limits(mode):
     assert (q >= CHAIN.lower - 1e-9).all() and (q <= CHAIN.upper + 1e-9).all()
     still = np.setdiff1d(np.arange(15), DOFS)
     np.testing.assert_array_equal(q[:, still], np.repeat(REST[None, still], len(q), axis=0))
+
+
+def fill_freed_memory_with_nan() -> None:
+    """Arrays that are made empty next will hold NaN, as they may after any other work of the process."""
+    libc = ctypes.CDLL(None)
+    libc.malloc.restype = ctypes.c_void_p
+    pieces = [(libc.malloc(size), size) for size in range(16, 512, 8) for _ in range(50)]
+    for place, size in pieces:
+        ctypes.memset(place, 0xFF, size)
+        libc.free(ctypes.c_void_p(place))
+
+
+@pytest.mark.parametrize("mode", ["pose", "approach", "closing", "position"])
+def test_what_memory_held_before_does_not_count(mode):
+    pos, rot = reachable(0, 3)
+    seeds = ik.random_seeds(CHAIN, REST, DOFS, 2, np.random.default_rng(1))
+    found = ik.solve(CHAIN, pos, rot, seeds, DOFS, rest=REST, mode=mode)
+    for _ in range(5):
+        fill_freed_memory_with_nan()
+        again = ik.solve(CHAIN, pos, rot, seeds, DOFS, rest=REST, mode=mode)
+        np.testing.assert_array_equal(again.q, found.q)
 
 
 def test_the_base_can_help_to_reach_far_goals():

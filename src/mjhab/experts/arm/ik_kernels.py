@@ -80,7 +80,8 @@ def _space(tree: Tree, columns: int) -> Space:
         np.empty((links, 3)),
         np.empty((links, 3, 3)),
         np.empty((3, 3)),
-        np.empty(3),
+        # Multiplied by 0 where no axis counts: what an empty array holds may be NaN.
+        np.zeros(3),
         np.empty(6),
         np.zeros((columns, 6)),
         np.empty(columns),

@@ -22,6 +22,7 @@ from mjhab.experts.arm.gentle import FIRM, Care
 from mjhab.experts.base.route import (
     BASE_ROOM,
     Route,
+    RouteWish,
     _swept,
     arm_gone,
     drive_of,
@@ -149,7 +150,9 @@ def test_a_drive_with_something_in_the_hand_that_grazes_furniture_is_tight(
             clearance_at=clearance, plan=lambda *_: np.stack([view.q[:2], ahead[:2]])
         )
         monkeypatch.setattr(route_module, "planner", lambda _: cells)
-        found = plan_route(view, ahead, view.q, motion.arm_spheres(ROBOT), boxes, care=care)
+        found = plan_route(
+            view, ahead, view.q, motion.arm_spheres(ROBOT), boxes, RouteWish(care=care)
+        )
         assert found is not None and found.care is care
         return found.room
 

@@ -19,7 +19,7 @@ from mjhab.experts import make_expert
 from mjhab.experts.arm import motion
 from mjhab.experts.arm.ik import rotate
 from mjhab.experts.base.pilot import Pilot
-from mjhab.experts.base.route import LOOKAHEADS, LOST_STEPS, follow, plan_route, planner
+from mjhab.experts.base.route import LOOKAHEADS, LOST_STEPS, RouteWish, follow, plan_route, planner
 from mjhab.experts.planning.carry import grip, held_spheres, inside_depth
 from mjhab.experts.planning.reach import Scene, surroundings, way_out
 from mjhab.experts.skills.pick import EVEN, balanced, height_below, plan_pick
@@ -248,7 +248,7 @@ def test_a_drive_ends_when_the_object_is_lost():
     view = view_of("tidy_house", "pick")
     boxes, _ = surroundings(view, the_object(view), view.tcp_pose[:3])
     ahead = view.q[:3] + np.array([np.cos(view.q[2]), np.sin(view.q[2]), 0.0])
-    route = plan_route(view, ahead, view.q, motion.spheres(ROBOT), boxes, straight=True)
+    route = plan_route(view, ahead, view.q, motion.spheres(ROBOT), boxes, RouteWish(straight=True))
     assert route is not None and route.steps > 2 * LOST_STEPS
     # The hand is empty.
     drive_with = follow(view, route, gripper=motion.CLOSED, held=the_object(view))

@@ -136,6 +136,20 @@ def solve(
     )
 
 
+@dataclass(frozen=True)
+class ServoOptions:
+    """How `servo` moves.
+
+    ``mode``: which part of the orientation counts. ``rest_gain``: share of the way to the preferred posture per step.
+    """
+
+    mode: Mode = "pose"
+    rest_gain: float = 0.02
+
+
+USUAL_SERVO = ServoOptions()
+
+
 def servo(
     chain: Chain,
     q: Array,
@@ -145,8 +159,7 @@ def servo(
     *,
     rest: Array,
     base_next: Array | None = None,
-    mode: Mode = "pose",
-    rest_gain: float = 0.02,
+    options: ServoOptions = USUAL_SERVO,
 ) -> Array:
     """Joint motion (N, Q) of one control step that brings the tip towards a pose, bounded by the joints' speed.
 
@@ -162,8 +175,7 @@ def servo(
         dofs: (D,) columns that may move; base columns do not belong here.
         rest: (Q,) posture approached in the null space.
         base_next: (N, 3) x, y, yaw expected after the step; None: the base stands.
-        mode: which part of the orientation counts.
-        rest_gain: share of the way to ``rest`` taken per step.
+        options: what counts, and how much.
 
     Returns:
         Changes of the columns, zero outside ``dofs``; scaled together so that no joint exceeds `ARM_STEP` or
@@ -180,10 +192,10 @@ def servo(
         q,
         _floats(pos),
         _floats(rot),
-        ik_kernels.MODES[mode],
+        ik_kernels.MODES[options.mode],
         dofs,
         _floats(rest),
-        rest_gain,
+        options.rest_gain,
         step_limits(chain),
     )
 

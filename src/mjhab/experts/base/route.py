@@ -109,17 +109,33 @@ class Route:
     care: Care | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class RouteWish:
+    """How a route should be.
+
+    Attributes:
+        margin_m: room wanted.
+        direction: 1 forwards, -1 backwards, 0 whatever is quicker.
+        straight: do not plan around furniture.
+        care: how gently the base drives. Something is in the hand then, and a base that bumps into things loses it.
+    """
+
+    margin_m: float = MARGIN
+    direction: int = 0
+    straight: bool = False
+    care: Care | None = None
+
+
+USUAL_ROUTE = RouteWish()
+
+
 def plan_route(
     view: WorldView,
     goal: Array,
     arm: Array,
     robot: RobotSpheres,
     boxes: Boxes,
-    *,
-    margin: float = MARGIN,
-    direction: int = 0,
-    straight: bool = False,
-    care: Care | None = None,
+    wish: RouteWish = USUAL_ROUTE,
 ) -> Route | None:
     """The quickest way to the base pose ``goal`` (3,) with the arm at ``arm`` (15,) that keeps clear of ``boxes``.
 
@@ -128,20 +144,19 @@ def plan_route(
 
     Args:
         robot: what moves, the held object included.
-        margin: room [m] wanted.
-        direction: 1 forwards, -1 backwards, 0 whatever is quicker.
-        straight: do not plan around furniture.
-        care: how gently the base drives. Something is in the hand then, and a base that bumps into things loses it.
+        boxes: obstacles.
+        wish: how it should be.
     """
     start = view.q
-    found = drive_of(view, goal, direction, straight, care)
+    care = wish.care
+    found = drive_of(view, goal, wish.direction, wish.straight, care)
     if found is None:
         return None
     path, direction, lookahead, poses = found
     boxes = within_reach(boxes, np.stack([start[:2], goal[:2]]))
     before = float(robot.clearance(start[None], boxes)[0])
     own = _own_room(start, arm, robot)
-    if care and not straight:
+    if care and not wish.straight:
         cells = planner(view).clearance_at(poses[:, :2])
         own = min(own, float(cells.min() - min(BASE_ROOM, cells[0], cells[-1])))
 
@@ -151,7 +166,8 @@ def plan_route(
         some = np.arange(0, len(swept), max(1, len(swept) // 40))
         # While the base drives, the robot is only about where it is expected to be.
         asked = np.minimum(
-            np.where(some < len(poses) - 1, margin + DRIVE_ERROR, margin), before - 0.004
+            np.where(some < len(poses) - 1, wish.margin_m + DRIVE_ERROR, wish.margin_m),
+            before - 0.004,
         )
         room = min(own, float((robot.clearance(swept[some], boxes) - asked).min()))
         return Route(

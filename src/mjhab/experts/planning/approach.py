@@ -11,7 +11,7 @@ from mjhab.envs.parts.world_view import JointedLink, WorldView
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.arm.clearance import RobotSpheres
 from mjhab.experts.base.pilot import simulate
-from mjhab.experts.base.route import Route, follow, plan_route
+from mjhab.experts.base.route import Route, RouteWish, follow, plan_route
 from mjhab.robots.kinematics import wrap
 from mjhab.robots.robot import Robot
 
@@ -78,7 +78,12 @@ def best_route(
             (-1, goal if others is None else others[i], DETOUR),
         ):
             found = plan_route(
-                view, end[:3], end, motion.spheres(view.robot), boxes, direction=direction
+                view,
+                end[:3],
+                end,
+                motion.spheres(view.robot),
+                boxes,
+                RouteWish(direction=direction),
             )
             if found is None:
                 continue
@@ -188,7 +193,12 @@ def fold(
         ):
             break
         found = plan_route(
-            view, goal, rest, motion.spheres(view.robot), boxes, direction=-1, straight=True
+            view,
+            goal,
+            rest,
+            motion.spheres(view.robot),
+            boxes,
+            RouteWish(direction=-1, straight=True),
         )
         if found is not None and (best is None or found.room > best.room + 0.002):
             best = found

@@ -14,7 +14,15 @@ from mjhab.experts.arm import ik, motion
 from mjhab.experts.arm.clearance import RobotSpheres
 from mjhab.experts.arm.gentle import care_for
 from mjhab.experts.arm.motion import Motion
-from mjhab.experts.base.route import BLOCKED_FORCE, BLOCKED_STEPS, Route, follow, holds, plan_route
+from mjhab.experts.base.route import (
+    BLOCKED_FORCE,
+    BLOCKED_STEPS,
+    Route,
+    RouteWish,
+    follow,
+    holds,
+    plan_route,
+)
 from mjhab.experts.planning.reach import surroundings
 from mjhab.experts.planning.sampled import TOUCHES, plan_around
 from mjhab.robots.kinematics import wrap
@@ -209,9 +217,8 @@ def plan_home(view: WorldView, obj: str, robot: RobotSpheres, *, holding: bool) 
         end = now[:3] - back * np.array([np.cos(now[2]), np.sin(now[2]), 0.0])
         if back and cells.line_clearance(now[:2], end[None, :2])[0] < 0.26:
             break
-        route = plan_route(
-            view, end, goal, robot, boxes, margin=0.01, direction=-1, straight=True, care=care
-        )
+        wish = RouteWish(margin_m=0.01, direction=-1, straight=True, care=care)
+        route = plan_route(view, end, goal, robot, boxes, wish)
         if route is None:
             continue
         if route.room >= 0.0:

@@ -28,6 +28,10 @@ from mjhab.robots.robot import Robot
 Array = np.ndarray
 SELF_MARGIN = 0.02
 """Least distance of the forearm and hand to the trunk [m]."""
+BOX_MARGIN_M = 0.02
+"""Least distance of arm and trunk to obstacles; the hand itself is not looked at."""
+MAX_JUMP_RAD = 0.7
+"""Largest change of a joint between two way points."""
 FLOOR_MARGIN = 0.285
 """Clearance the base of a stance must have, `COMFORT` what it should have [m]."""
 COMFORT = 0.36
@@ -158,8 +162,6 @@ def track(
     *,
     tries: int = 12,
     mode: ik.Mode = "pose",
-    margin: float = 0.02,
-    jump: float = 0.7,
 ) -> Stances:
     """Arm motions along way points while the base moves, for many base paths at once.
 
@@ -170,8 +172,6 @@ def track(
         boxes: obstacles at every way point.
         tries: seeds for the first way point.
         mode: what part of the orientation counts.
-        margin: least distance of arm and trunk to the boxes [m]; the hand itself is not looked at.
-        jump: largest change of a joint between way points [rad].
 
     Returns:
         The stances that reach every way point, for each base path the one the arm gets to soonest from rest.
@@ -190,7 +190,7 @@ def track(
     row = row[ok]
     travel = ik.travel_steps(robot, rest, path[0], dofs)
     path, row = _drop(path, row, _quickest(row, travel, FOLLOWED))
-    path, row = _drop(path, row, _clear(body, path[0], boxes[0] if boxes else None, margin))
+    path, row = _drop(path, row, _clear(body, path[0], boxes[0] if boxes else None))
     for k in range(1, base.shape[1]):
         if not len(row):
             break
@@ -207,10 +207,11 @@ def track(
             options=ik.Options(iterations=15, rest_gain=0.0),
         )
         near = (
-            np.abs(step.q[:, 0, BASE.stop :] - now[:, BASE.stop :]).max(axis=1, initial=0.0) < jump
+            np.abs(step.q[:, 0, BASE.stop :] - now[:, BASE.stop :]).max(axis=1, initial=0.0)
+            < MAX_JUMP_RAD
         )
         path, row = _drop([*path, step.q[:, 0]], row, step.ok[:, 0] & near)
-        path, row = _drop(path, row, _clear(body, path[-1], boxes[k] if boxes else None, margin))
+        path, row = _drop(path, row, _clear(body, path[-1], boxes[k] if boxes else None))
     if not len(row):
         return Stances(np.zeros((0, base.shape[1], robot.size)), np.zeros(0), np.zeros(0))
     travel = ik.travel_steps(robot, rest, path[0], dofs)
@@ -234,14 +235,14 @@ def _drop(path: list[Array], row: Array, keep: Array) -> tuple[list[Array], Arra
     return [p[keep] for p in path], row[keep]
 
 
-def _clear(robot: Robot, q: Array, boxes: Boxes | None, margin: float) -> Array:
+def _clear(robot: Robot, q: Array, boxes: Boxes | None) -> Array:
     """Which configurations (N, Q) keep the arm clear of the trunk, and arm and trunk of the boxes."""
     if not len(q):
         return np.zeros(0, dtype=bool)
     whole = motion.spheres(robot)
     keep = whole.self_clearance(q) > SELF_MARGIN
     if boxes is not None:
-        keep &= whole.only(robot.arm_links).clearance(q, boxes) > margin
+        keep &= whole.only(robot.arm_links).clearance(q, boxes) > BOX_MARGIN_M
     return keep
 
 

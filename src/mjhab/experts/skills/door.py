@@ -261,9 +261,8 @@ def _behind_edge(view: WorldView, path: ArcPath) -> Motion:
             aim_rot,
             ik.columns(robot),
             rest=wish,
-            mode="approach",
             base_next=approach.next_base(view, v, w),
-            rest_gain=0.1,
+            options=ik.ServoOptions(mode="approach", rest_gain=0.1),
         )[0]
         yield motion.action(
             view, view.q + delta / motion.ARM_DELAY, gripper=motion.CLOSED, drive=(v, w)
@@ -305,7 +304,7 @@ def _arc_action(view: WorldView, path: ArcPath, aim: float, step: float, gripper
         ik.columns(robot),
         rest=wish,
         base_next=base_next,
-        rest_gain=0.1,
+        options=ik.ServoOptions(rest_gain=0.1),
     )[0]
     return motion.action(view, q + delta / motion.ARM_DELAY, gripper=gripper, drive=(v, w))
 

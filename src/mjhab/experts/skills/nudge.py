@@ -22,7 +22,15 @@ from mjhab.experts.arm import ik, motion
 from mjhab.experts.arm.motion import Motion
 from mjhab.experts.base.route import BLOCKED_FORCE, follow
 from mjhab.experts.planning.carry import drive_in
-from mjhab.experts.planning.reach import ROOMS, HandGoals, Scene, Stance, settle_reach, stances
+from mjhab.experts.planning.reach import (
+    ROOMS,
+    HandGoals,
+    Scene,
+    Stance,
+    Work,
+    settle_reach,
+    stances,
+)
 from mjhab.robots.kinematics import wrap
 from mjhab.robots.parts import Gripper
 
@@ -121,9 +129,15 @@ def plan_nudge(
         for room, nearer in ((ROOMS[0], 0.01), (ROOMS[2], 0.02)):
             best: tuple[float, Stance, float] | None = None
             for depth in DEPTHS if len(goals) else ():
-                for stance in stances(
-                    view, pose[:3], goals, scene, drive_in=depth, room=room, nearer=nearer
-                ):
+                work = Work(
+                    point=pose[:3],
+                    goals=goals,
+                    scene=scene,
+                    drive_in=depth,
+                    room=room,
+                    nearer=nearer,
+                )
+                for stance in stances(view, work):
                     steps = in_steps(depth) + stance.route.steps
                     if stance.route.room > _TIGHTEST and (best is None or steps < best[0]):
                         best = steps, stance, depth

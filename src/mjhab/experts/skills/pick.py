@@ -31,6 +31,7 @@ from mjhab.experts.planning.reach import (
     HandGoals,
     Scene,
     Stance,
+    Work,
     hand_room,
     settle_reach,
     stances,
@@ -63,7 +64,10 @@ EVEN = 0.015
 LEVER = 15.0
 """How far [m] beside the pads the centre of an object may be at no price, and the price in points per metre beyond: its
 weight turns such an object between the pads, and with less than a push on top it slips out."""
-OPTIONS = Options(palm_gap=0.012, floor_gap=0.008)
+_CLEAR = ((0.010, -0.008, 0.0), (0.0, -0.02, 0.010), (-0.004, -0.03, 0.014))
+"""Room [m] asked between gripper and neighbours, on a shelf also with its wrist (the spheres that stand for it are up
+to 8 mm too large), and how much nearer than the arm the hand may come; less each time no good way is found."""
+OPTIONS = Options(palm_gap=0.012, floor_gap=0.008, least_clear_m=_CLEAR[-1][0])
 # Little room: closer steps around the object, a short way in, and boxes nearly as wide as the hand opens. Below a low
 # shelf, where there is no way from above, bowls are taken by the rim from the front.
 SHELF_OPTIONS = replace(
@@ -80,9 +84,6 @@ INSIDE_WAYS = (0.0, 0.1, 0.2, SHELF_DEPTH)
 """How far [m] the base may come straight in where it just turned the object."""
 _HOME = 0.8
 """What a control step on the way back to rest counts then: there is hardly time left."""
-_CLEAR = ((0.010, -0.008, 0.0), (0.0, -0.02, 0.010), (-0.004, -0.03, 0.014))
-"""Room [m] asked between gripper and neighbours, on a shelf also with its wrist (the spheres that stand for it are up
-to 8 mm too large), and how much nearer than the arm the hand may come; less each time no good way is found."""
 
 
 def pick(view: WorldView) -> Motion:
@@ -189,7 +190,6 @@ def plan_pick(
             pose[3:],
             support_z=scene.support_z,
             neighbours=around,
-            least_clear=_CLEAR[-1][0],
             gripper=view.robot.gripper,
             options=OPTIONS,
         )
@@ -206,17 +206,16 @@ def plan_pick(
         tried = len(grasps)
         goals = _diverse(grasps)
         for back in _ways_in(depth, attempt):
-            found = stances(
-                view,
-                pose[:3],
-                goals,
-                scene,
+            work = Work(
+                point=pose[:3],
+                goals=goals,
+                scene=scene,
                 drive_in=back,
                 avoid=failed,
                 room=ROOMS[min(attempt, 2)],
                 nearer=nearer,
-                blocked=blocked,
             )
+            found = stances(view, work, blocked)
             if found and (best is None or found[0].route.room > best[0].route.room):
                 best = found[0], goals, back
             if best is not None and (not depth or best[0].route.room >= 0.0):
@@ -242,8 +241,7 @@ def _shelf_grasps(
             pose[3:],
             support_z=scene.support_z,
             neighbours=around,
-            least_clear=clear,
-            options=replace(options, inward=inward),
+            options=replace(options, inward=inward, least_clear_m=clear),
             gripper=gripper,
         )
         if len(found) or shape.kind != "bowl":
@@ -271,17 +269,17 @@ def _plan_inside(
             continue
         goals = _diverse(every.take(rows))
         for back in INSIDE_WAYS:
-            for stance in stances(
-                view,
-                pose[:3],
-                goals,
-                scene,
+            work = Work(
+                point=pose[:3],
+                goals=goals,
+                scene=scene,
                 drive_in=back,
                 avoid=failed,
                 room=arm,
                 nearer=nearer,
                 home=_HOME,
-            ):
+            )
+            for stance in stances(view, work):
                 cost = (
                     stance.route.steps
                     + in_steps(back)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from mjhab.experts.planning.reach import (
     HandGoals,
     Scene,
     Stance,
+    Work,
     hand_room,
     settle_reach,
     stances,
@@ -189,19 +191,18 @@ def plan_place(
         # A board above leaves no room to come from above, though nothing calls the place a shelf.
         goals = _roomy(view, obj, goal, near, shelf=True, attempt=attempt)
     blocked: list[Blocked] = []
-    found = stances(
-        view,
-        goal,
-        goals,
-        scene,
+    work = Work(
+        point=goal,
+        goals=goals,
+        scene=scene,
         drive_in=depth,
         avoid=failed,
         room=ROOMS[min(attempt, 2)],
         nearer=HAND_NEARER,
-        blocked=blocked,
         far=hurry,
         home=HOME,
     )
+    found = stances(view, work, blocked)
     return roomier(view, (found[0], goals, depth) if found else None, blocked)
 
 
@@ -320,49 +321,34 @@ def _put(view: WorldView, obj: str, stance: Stance, goals: HandGoals, depth: flo
             view, joints[0], gripper=closed, tolerance=0.04, max_steps=1, speed=speed
         )
     yield from motion.move_joints(view, joints[0], gripper=closed, tolerance=0.04, max_steps=20)
-    yield from motion.move_tcp(
-        view,
-        motion.HandMove(
-            pos=pre,
-            rot=rot,
-            gripper=closed,
-            rest=joints[1],
-            tolerance=0.015,
-            max_steps=20,
-            torso=False,
-        ),
+    near = motion.HandMove(
+        pos=pre,
+        rot=rot,
+        gripper=closed,
+        rest=joints[1],
+        tolerance=0.015,
+        max_steps=20,
+        torso=False,
     )
-    yield from motion.move_tcp(
-        view,
-        motion.HandMove(
-            pos=pos,
-            rot=rot,
-            gripper=closed,
-            rest=joints[1],
-            speed=0.2,
-            tolerance=0.005,
-            max_steps=25,
-            torso=False,
-        ),
-    )
+    yield from motion.move_tcp(view, near)
+    down = replace(near, pos=pos, speed=0.2, tolerance=0.005, max_steps=25)
+    yield from motion.move_tcp(view, down)
     yield from motion.still_tcp(view, pos, rot, gripper=closed, steps=2)
     opening = grip(view.robot, let_go_width(view, obj, pos, rot))
     speed = away_speed(view)
     yield from motion.still_tcp(view, pos, rot, gripper=opening, steps=5)
     for back in (drawn_back(view, obj, pos, rot, joints[0]), pre):
-        yield from motion.move_tcp(
-            view,
-            motion.HandMove(
-                pos=back,
-                rot=rot,
-                gripper=opening,
-                rest=joints[0],
-                speed=speed,
-                tolerance=0.02,
-                max_steps=14,
-                torso=False,
-            ),
+        away = motion.HandMove(
+            pos=back,
+            rot=rot,
+            gripper=opening,
+            rest=joints[0],
+            speed=speed,
+            tolerance=0.02,
+            max_steps=14,
+            torso=False,
         )
+        yield from motion.move_tcp(view, away)
         if not holds(view, obj):
             return True
     # Wide things touch the open fingers a little longer; to take them again would be to carry them off.

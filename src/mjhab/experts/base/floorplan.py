@@ -48,7 +48,7 @@ class Arm:
 
     @classmethod
     def of(cls, view: WorldView, posture: Array, held: str = "") -> Arm:
-        """The arm in a configuration (15,) and as it is now, with an object as it sits in the hand now."""
+        """The arm in a configuration (J,) and as it is now, with an object as it sits in the hand now."""
         robot = motion.arm_spheres(view.robot)
         if held:
             robot = robot.with_held(*held_spheres(view, held))

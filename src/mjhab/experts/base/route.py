@@ -87,10 +87,10 @@ def _planner_with(home: HomeShapes, ajar: tuple[tuple[str, float], ...]) -> Plan
 
 @dataclass(frozen=True, eq=False)
 class Route:
-    """A drive along ``path`` (P, 2) to ``yaw`` (see `Pilot`), the arm going to ``arm`` (15,) from step ``delay`` on.
+    """A drive along ``path`` (P, 2) to ``yaw`` (see `Pilot`), the arm going to ``arm`` (J,) from step ``delay`` on.
 
     ``steps``: how long it should take; ``room``: least clearance on the way beyond what was asked for [m].
-    ``via``: (V, 15) postures that the arm passes one after the other, see `sampled`; it keeps the one with the index
+    ``via``: (V, J) postures that the arm passes one after the other, see `sampled`; it keeps the one with the index
     ``carried`` until the step ``delay``. The base starts at the step ``lead``. ``care``: how gently it drives.
     """
 
@@ -137,7 +137,7 @@ def plan_route(
     boxes: Boxes,
     wish: RouteWish = USUAL_ROUTE,
 ) -> Route | None:
-    """The quickest way to the base pose ``goal`` (3,) with the arm at ``arm`` (15,) that keeps clear of ``boxes``.
+    """The quickest way to the base pose ``goal`` (3,) with the arm at ``arm`` (J,) that keeps clear of ``boxes``.
 
     The arm starts at once if there is room, otherwise later; when even the whole way with the arm as it is comes too
     close, the route with the most room is given: look at its ``room``. None when furniture cuts the goal off.
@@ -272,7 +272,7 @@ def follow(
 
 
 class _ArmWay:
-    """Where the arm goes while a route is driven, from configuration ``start`` (15,)."""
+    """Where the arm goes while a route is driven, from configuration ``start`` (J,)."""
 
     def __init__(self, start: Array, route: Route) -> None:
         self._start = start
@@ -280,7 +280,7 @@ class _ArmWay:
         self._at = 0
 
     def goal(self, view: WorldView, step: int, arrived: bool) -> Array:
-        """The configuration (15,) to go to in a control step."""
+        """The configuration (J,) to go to in a control step."""
         via = self._route.via
         on_time = step >= self._route.delay or arrived
         if via is None:
@@ -381,6 +381,6 @@ def within_reach(boxes: Boxes, way: Array) -> Boxes:
 
 
 def _own_room(start: Array, arm: Array, robot: RobotSpheres) -> float:
-    """Least distance of the arm to the trunk on the way from ``start`` to ``arm`` (15,), beyond the one that is due."""
+    """Least distance of the arm to the trunk on the way from ``start`` to ``arm`` (J,), beyond the one that is due."""
     gap = robot.self_clearance(start + np.linspace(0.0, 1.0, 10)[:, None] * (arm - start))
     return float(gap.min() - min(OWN_ROOM, gap[0] - 0.004))

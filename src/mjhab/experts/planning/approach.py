@@ -56,10 +56,10 @@ def obstacles(view: WorldView, goals: Array, shut: JointedLink | None = None) ->
 def best_route(
     view: WorldView, goals: Array, others: Array | None = None, link: JointedLink | None = None
 ) -> tuple[int, Route] | None:
-    """The quickest way to one of some configurations (M, 15), most wanted first, that touches nothing.
+    """The quickest way to one of some configurations (M, J), most wanted first, that touches nothing.
 
     Args:
-        others: (M, 15) configurations that will do as well but for some more steps.
+        others: (M, J) configurations that will do as well but for some more steps.
         link: a door that the hand must not pass through: a fast hand could seem to jump from one side to the other.
 
     Returns:
@@ -119,7 +119,7 @@ def _turn_at_end(route: Route) -> float:
 
 
 def _passed(view: WorldView, route: Route) -> Array:
-    """Configurations (T, 15) expected on a route, two for every control step."""
+    """Configurations (T, J) expected on a route, two for every control step."""
     poses = simulate(view.base, route.path, route.yaw, route.direction, route.lookahead, route.care)
     robot = view.robot.chain
     needed = float(ik.travel_steps(robot, view.q, route.arm, ik.columns(robot)))
@@ -234,7 +234,7 @@ def take(
 
     Args:
         rot: (3, 3) of the hand in the world.
-        posture: preferred configuration (15,).
+        posture: preferred configuration (J,).
         height: where on an upright bar [m]; None: its middle.
         gripper: how wide the hand is open on its way.
     """

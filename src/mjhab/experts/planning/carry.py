@@ -81,7 +81,7 @@ def drive_in(
     gripper: float,
     hasty: bool = False,
 ) -> Motion:
-    """Drive straight on about to the base pose of the configuration ``goal`` (15,), the arm stretched out so that the
+    """Drive straight on about to the base pose of the configuration ``goal`` (J,), the arm stretched out so that the
     hand comes to ``pos`` (3,), ``rot`` (3, 3). Returns whether it got there; not when it is stuck.
 
     Small errors of the base sideways stay, steering would sweep the arm: where the arm would come too near to
@@ -137,7 +137,7 @@ def drive_out(view: WorldView, way: float, *, gripper: float, speed: float = OUT
 
 
 def _lined_up(view: WorldView, goal: Array, pos: Array, rot: Array, boxes: Boxes) -> Array:
-    """``goal`` (15,) with the base where straight on from here leads; where the arm so comes too near to something and
+    """``goal`` (J,) with the base where straight on from here leads; where the arm so comes too near to something and
     with a small change does not, such that the hand is at ``pos``, ``rot`` there all the same."""
     q = view.q
     robot = view.robot.chain
@@ -158,7 +158,7 @@ def _lined_up(view: WorldView, goal: Array, pos: Array, rot: Array, boxes: Boxes
 
 
 def _room_in(robot: Robot, goal: Array, way: float, boxes: Boxes) -> float:
-    """Least clearance [m] on the straight ``way`` [m] of the base to ``goal`` (15,), the arm held."""
+    """Least clearance [m] on the straight ``way`` [m] of the base to ``goal`` (J,), the arm held."""
     q = np.repeat(goal[None], 6, axis=0)
     q[:, BASE_XY] -= np.linspace(0.0, way, 6)[:, None] * np.array(
         [np.cos(goal[2]), np.sin(goal[2])]

@@ -101,7 +101,7 @@ def plan_around(
     *,
     care: Care | None = None,
 ) -> Route | None:
-    """A way to the base pose ``goal`` (3,) with the arm at ``arm`` (15,) that passes other postures before and after.
+    """A way to the base pose ``goal`` (3,) with the arm at ``arm`` (J,) that passes other postures before and after.
 
     ``robot`` is what moves, the held object included; ``care`` as in `plan_route`. None when nothing is found: all of
     the way that is given keeps as clear as `plan_route` asks for or, at its ends, nearly as clear as they are.
@@ -155,7 +155,7 @@ class Free:
 
     @classmethod
     def near(cls, body: Robot, q: Array, robot: RobotSpheres, boxes: Boxes) -> Free:
-        """As clear as `plan_route` asks for or nearly as clear as the configuration ``q`` (15,)."""
+        """As clear as `plan_route` asks for or nearly as clear as the configuration ``q`` (J,)."""
         room = float(robot.clearance(q, boxes)[0]) - 0.004
         own = float(robot.self_clearance(q[None])[0]) - 0.004
         return cls(
@@ -174,13 +174,13 @@ class Free:
         )
 
     def likely(self, start: Array, ends: Array) -> Array:
-        """Whether straight motions from ``start`` (15,) to ``ends`` (V, J) are clear in a few places: (V,) bool."""
+        """Whether straight motions from ``start`` (J,) to ``ends`` (V, J) are clear in a few places: (V,) bool."""
         share = np.linspace(0.0, 1.0, _PIECES + 1)[1:, None, None]
         gap = self.spare((start + share * (ends - start)).reshape(-1, len(start)))
         return gap.reshape(_PIECES, -1).min(axis=0) >= 0.0
 
     def edge(self, start: Array, end: Array) -> bool:
-        """Whether the straight motion between two configurations (15,) is clear."""
+        """Whether the straight motion between two configurations (J,) is clear."""
         pieces = 1 + int(_length(self.body, np.stack([start, end])) / EDGE)
         share = np.linspace(0.0, 1.0, pieces + 1)[1:, None]
         return bool((self.spare(start + share * (end - start)) >= 0.0).all())
@@ -244,7 +244,7 @@ def _along(robot: Robot, way: Array) -> Array:
 
 
 def arm_way(start: Array, end: Array, free: Free, rounds: int = ROUNDS) -> Array | None:
-    """Configurations (P, J) from ``start`` to ``end`` (15,) with clear straight motions between them.
+    """Configurations (P, J) from ``start`` to ``end`` (J,) with clear straight motions between them.
 
     Only the arm and the torso of the two differ. None when ``rounds`` of RRT-Connect do not find any.
     """
@@ -273,7 +273,7 @@ def arm_way(start: Array, end: Array, free: Free, rounds: int = ROUNDS) -> Array
 
 
 def _space(start: Array, end: Array, free: Free) -> Any:
-    """What OMPL has to know (``SpaceInformation``) of arm and torso, within half a turn of both ends (15,)."""
+    """What OMPL has to know (``SpaceInformation``) of arm and torso, within half a turn of both ends (J,)."""
     from ompl import base
 
     class Edges(base.MotionValidator):
@@ -303,7 +303,7 @@ def _space(start: Array, end: Array, free: Free) -> Any:
 
 
 def _joints(robot: Robot, state: Any, like: Array) -> Array:
-    """The configuration (15,) of a state of OMPL, ``like`` (15,) but for arm and torso."""
+    """The configuration (J,) of a state of OMPL, ``like`` (J,) but for arm and torso."""
     q = like.copy()
     dofs = ik.columns(robot.chain)
     q[dofs] = _scale(robot) * [state[i] for i in range(len(dofs))]
@@ -311,7 +311,7 @@ def _joints(robot: Robot, state: Any, like: Array) -> Array:
 
 
 def _state(robot: Robot, info: Any, q: Array) -> Any:
-    """The state of OMPL for a configuration (15,), inside its bounds."""
+    """The state of OMPL for a configuration (J,), inside its bounds."""
     state = info.allocState()
     for i, value in enumerate(q[ik.columns(robot.chain)] / _scale(robot)):
         state[i] = float(value)
@@ -334,7 +334,7 @@ def _shortened(way: Array, free: Free) -> Array:
 def _legs(
     start: Array, end: Array, postures: Array, here: Free, there: Free
 ) -> list[tuple[Array, Array]]:
-    """Ways of the arm from ``start`` (15,) to one of postures (V, J), quickest first, and from there to ``end``."""
+    """Ways of the arm from ``start`` (J,) to one of postures (V, J), quickest first, and from there to ``end``."""
     if not len(postures):
         return []
     before = postures.copy()
@@ -365,12 +365,12 @@ def _legs(
 
 
 def _leg(start: Array, end: Array, free: Free) -> Array | None:
-    """The straight way between two configurations (15,), if it is clear."""
+    """The straight way between two configurations (J,), if it is clear."""
     return np.stack([start, end]) if free.edge(start, end) else None
 
 
 def _postures(robot: Robot, start: Array, end: Array) -> Array:
-    """Postures (V, J) of the arm, those first that take the least time from ``start`` and on to ``end`` (15,)."""
+    """Postures (V, J) of the arm, those first that take the least time from ``start`` and on to ``end`` (J,)."""
     dofs = ik.columns(robot.chain)
     others = np.setdiff1d(np.arange(BASE.stop, len(start)), dofs)
     drawn = _library(robot).copy()

@@ -151,7 +151,7 @@ def plan_trip(view: WorldView, aim: Aim, posture: Array, held: str, felt: Array)
     """The cheapest way to where the goal is faced, None when there is none.
 
     Args:
-        posture: (15,) of the arm on the way. held: what is in the hand. felt: (B, 3) x, y, radius of what was met.
+        posture: (J,) of the arm on the way. held: what is in the hand. felt: (B, 3) x, y, radius of what was met.
     """
     arm = Arm.of(view, posture, held)
     whole = Floorplan.of(view, arm, held, felt)

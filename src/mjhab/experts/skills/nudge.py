@@ -287,7 +287,7 @@ def _push(
     rest: Array,
     graspable: Graspable,
 ) -> Motion:
-    """Push inwards at a ``height``, keeping to the end of the box as it turns; ``rest`` (15,): preferred posture."""
+    """Push inwards at a ``height``, keeping to the end of the box as it turns; ``rest`` (J,): preferred posture."""
     start = mat_from_quat(view.object_pose(obj)[3:])
     half = view.object_type(obj).half
     front, along = sorted(_level(start), key=lambda k: -abs(float(start[:2, k] @ plan.inward)))

@@ -461,7 +461,7 @@ def _reach(view: WorldView, goal: HandGoals, joints: Array, opening: float) -> M
 
 
 def _lift(view: WorldView, obj: str, up: Array, rot: Array, rest: Array) -> Motion:
-    """Lift what the hand holds to ``up`` (3,), ``rot`` (3, 3) kept; ``rest`` (15,): preferred posture."""
+    """Lift what the hand holds to ``up`` (3,), ``rot`` (3, 3) kept; ``rest`` (J,): preferred posture."""
     if not (yield from motion.raise_tcp(view, up, rot, rest=rest)):
         # The arm is at its limit; the torso is slower.
         yield from motion.move_tcp(

@@ -356,7 +356,7 @@ def _put(view: WorldView, obj: str, stance: Stance, goals: HandGoals, depth: flo
 
 
 def _beside(view: WorldView, stance: Stance, goals: HandGoals) -> tuple[Array, Array, Array]:
-    """The planned postures of the arm (2, 15) from where the base really stands, before and at the end of the way down,
+    """The planned postures of the arm (2, J) from where the base really stands, before and at the end of the way down,
     and where they bring the hand: at and before (2, 3), rotation (3, 3)."""
     q = np.stack([stance.pre, stance.at])
     q[:, BASE] = view.base

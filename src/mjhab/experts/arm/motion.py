@@ -27,8 +27,8 @@ Motion = Generator[Array, None, bool]
 OPEN = 1.0
 CLOSED = -1.0
 """Gripper commands."""
-ARM_DELAY = 1.0 - np.exp(-0.5)
-"""Share of a commanded delta an arm joint covers in one control step (kp/kd = 10 per second, 50 ms)."""
+ARM_STEP_SHARE = 1.0 - np.exp(-0.5)
+"""Share of a commanded change that an arm joint covers in one control step (kp/kd = 10 per second, 50 ms)."""
 
 
 @lru_cache(maxsize=8)
@@ -218,7 +218,7 @@ def move_tcp(view: WorldView, move: HandMove) -> Motion:
         delta = ik.servo(
             robot, view.q, aim[None], carrot_rot, dofs, rest=rest, base_next=base_next
         )[0]
-        yield action(view, view.q + delta / ARM_DELAY, gripper=move.gripper, drive=move.drive)
+        yield action(view, view.q + delta / ARM_STEP_SHARE, gripper=move.gripper, drive=move.drive)
     return False
 
 
@@ -228,7 +228,7 @@ def still_tcp(view: WorldView, pos: Array, rot: Array, *, gripper: float, steps:
     dofs = ik.columns(robot, torso=False)
     for _ in range(steps):
         delta = ik.servo(robot, view.q, pos[None], rot[None], dofs, rest=view.q)[0]
-        yield action(view, view.q + delta / ARM_DELAY, gripper=gripper)
+        yield action(view, view.q + delta / ARM_STEP_SHARE, gripper=gripper)
     return True
 
 

@@ -21,8 +21,8 @@ from mjhab.robots.kinematics import wrap
 Array = np.ndarray
 KEPT_SOURCES = 4
 """Number of starts whose ways to everywhere a `Planner` keeps."""
-NARROW_PRICE = 20.0
-"""What a metre costs where it is narrower than it should be: no detour through a home is as long."""
+NARROW_FACTOR = 20.0
+"""Factor on the cost of a metre where the clearance is less than ``radius``: larger than any detour through a home."""
 
 
 class Planner:
@@ -63,7 +63,7 @@ class Planner:
         self.narrow = radius if narrow is None else narrow
         passable = self.clearance >= self.narrow
         lack = np.clip((radius + comfort - self.clearance) / comfort, 0.0, 1.0)
-        price = np.where(self.free, 1.0 + caution * lack**2, NARROW_PRICE)
+        price = np.where(self.free, 1.0 + caution * lack**2, NARROW_FACTOR)
         self._graph = grid_graph(passable, self.cell, price=price)
         self._ways: dict[int, tuple[Array, Array]] = {}
 

@@ -14,10 +14,12 @@ from mjhab.experts.arm.gentle import Care, eased
 from mjhab.experts.jit import inline, kernel
 
 Array = np.ndarray
-MAX_SPEED = 1.0
-BASE_LAG = 0.15
-TURN_LAG = 0.02
-"""Time constants [s] of the base's speed and of its yaw rate."""
+MAX_SPEED_M_S = 1.0
+"""Greatest forward speed."""
+SPEED_LAG_S = 0.15
+"""Time constant with which the speed of the base follows its command."""
+YAW_LAG_S = 0.02
+"""Time constant with which the yaw rate of the base follows its command."""
 MAX_SIMULATED_STEPS = 200
 _TURN_RATE = 2.6
 _PREVIEW = 0.1
@@ -58,7 +60,12 @@ class Pilot:
     """
 
     def __init__(
-        self, path: Array, yaw: float, direction: int, lookahead: float, speed: float = MAX_SPEED
+        self,
+        path: Array,
+        yaw: float,
+        direction: int,
+        lookahead: float,
+        speed: float = MAX_SPEED_M_S,
     ) -> None:
         self._way = _way_along(path, yaw, direction, lookahead, speed)
         self._state = _fresh_state(self._way)
@@ -72,7 +79,7 @@ def simulate(
     pose: Array, path: Array, yaw: float, direction: int, lookahead: float, care: Care | None = None
 ) -> Array:
     """Base poses (T, 3), one per control step, that a `Pilot` at ``pose`` (3,) should lead through."""
-    way = _way_along(path, yaw, direction, lookahead, MAX_SPEED)
+    way = _way_along(path, yaw, direction, lookahead, MAX_SPEED_M_S)
     start = np.array(pose[:3], dtype=np.float64)
     return _drive(way, _fresh_state(way), start, care or _NO_CARE, care is not None)
 
@@ -185,8 +192,8 @@ def _drive(way: Way, state: Array, pose: Array, care: Care, careful: bool) -> Ar
     """The poses (T, 3) of `simulate`, from ``pose`` (3,) on."""
     poses = np.empty((MAX_SIMULATED_STEPS + 1, 3))
     poses[0] = pose
-    speed_share = 1.0 - np.exp(-STEP_SECONDS / BASE_LAG)
-    turn_share = 1.0 - np.exp(-STEP_SECONDS / TURN_LAG)
+    speed_share = 1.0 - np.exp(-STEP_SECONDS / SPEED_LAG_S)
+    turn_share = 1.0 - np.exp(-STEP_SECONDS / YAW_LAG_S)
     speed_x = 0.0
     speed_y = 0.0
     turn = 0.0

@@ -24,20 +24,22 @@ from mjhab.robots.parts import Gripper
 from mjhab.robots.robot import ArmReach, Footprint, Robot
 
 Array = np.ndarray
-NEARBY = 2.6
-"""Furniture within this distance [m] of the work is looked at."""
-ROOMS = (0.012, 0.006, 0.0)
-"""Least clearance [m] of the arm at the work and of the whole robot just before it, at one attempt after the other."""
-TIGHTEST = -0.055
-"""Ways with less room [m] than this touch something: `plan_route` asks for 0.045 more than none."""
-OUT_ROOM = 0.03
-"""Least room [m] of an object on its straight way out of a shelf."""
-FAR_OFF = 0.96
-"""Bases farther [m] from the work, or in narrow places, are only taken where there is no other."""
-ARM_END = 0.05
-"""How far [m] the wrist may be beyond the comfortable distance, see `_overreach`."""
-_STRETCHED = 60.0
-"""Price in steps per radian that the elbow is nearly straight."""
+NEARBY_M = 2.6
+"""Furniture within this distance of the work is checked for collisions."""
+CLEARANCES_M = (0.012, 0.006, 0.0)
+"""Least clearance of the arm at the work, and of the whole robot just before it, in the first, second and later
+attempts."""
+MAX_DEFICIT_M = -0.055
+"""Routes whose room is less than this (negative: a deficit) touch something. `plan_route` counts room from a margin of
+0.045 m on."""
+OUT_CLEARANCE_M = 0.03
+"""Least clearance of an object on its straight way out of a shelf."""
+FAR_BASE_M = 0.96
+"""Base poses farther than this from the work, or in narrow places, are only taken where there are no others."""
+MAX_OVERREACH_M = 0.05
+"""Greatest distance of the wrist beyond the comfortable one, see `_overreach`."""
+_STRETCHED_PRICE = 60.0
+"""Price of a nearly straight elbow [control steps per radian]."""
 MAX_STANCES = 3
 _BASES = 24
 _PER_BASE = 8
@@ -130,7 +132,7 @@ class Work:
         drive_in: distance [m] over which the base comes straight forward at the end with the arm already stretched
             out, as into a fridge; the routes end that far behind.
         avoid: (A, 3) base poses that did not work before.
-        room: least clearance [m] at the work, see `ROOMS`.
+        room: least clearance [m] at the work, see `CLEARANCES_M`.
         nearer: how much nearer [m] than that the hand may come just before its work.
         home: weight of the control steps from the work back to rest.
         far: stand far off even where one may stand nearer: that can save a long way.
@@ -141,7 +143,7 @@ class Work:
     scene: Scene
     drive_in: float = 0.0
     avoid: Array | None = None
-    room: float = ROOMS[0]
+    room: float = CLEARANCES_M[0]
     nearer: float = 0.0
     home: float = 0.0
     far: bool = False
@@ -153,7 +155,7 @@ def surroundings(view: WorldView, obj: str, point: Array) -> tuple[Boxes, Boxes]
     others = Boxes.join(parts)
     everything = view.object_boxes()
     mine = np.array([view.object_names.index(obj)])
-    return others.near(np.array([*point[:2], 0.9]), NEARBY), everything.take(mine)
+    return others.near(np.array([*point[:2], 0.9]), NEARBY_M), everything.take(mine)
 
 
 def stances(view: WorldView, work: Work, blocked: list[Blocked] | None = None) -> list[Stance]:
@@ -167,7 +169,7 @@ def stances(view: WorldView, work: Work, blocked: list[Blocked] | None = None) -
         return []
     if work.drive_in and len(work.scene.target):
         out = way_out(bases, work.scene, work.drive_in)
-        rows = np.flatnonzero(out > min(OUT_ROOM, float(out.max()) - 0.005))
+        rows = np.flatnonzero(out > min(OUT_CLEARANCE_M, float(out.max()) - 0.005))
         bases = bases[rows]
         drive = drive[rows]
     base, goal, score = _pairs(view.robot, bases, work.point, work.goals)
@@ -250,7 +252,7 @@ def base_poses(view: WorldView, work: Work) -> tuple[Array, Array]:
     poses = np.concatenate(
         [poses, [view.base, *([here[0], here[1], bearing + k] for k in (-0.35, 0.0, 0.35))]]
     )
-    far_off = np.append(r.ravel() > FAR_OFF, np.zeros(4, bool))
+    far_off = np.append(r.ravel() > FAR_BASE_M, np.zeros(4, bool))
     cells = planner(view)
     back = poses[:, :2] - drive_in * np.stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])], axis=1)
     far_off |= cells.clearance_at(back) < cells.radius
@@ -270,7 +272,7 @@ def base_poses(view: WorldView, work: Work) -> tuple[Array, Array]:
     )
     # The nearest bases may all stand on the side from which nothing can be reached.
     reachable = np.isfinite(steps) & (
-        _overreach(view.robot.reach, poses, work.goals) < ARM_END
+        _overreach(view.robot.reach, poses, work.goals) < MAX_OVERREACH_M
     ).any(axis=1)
     reachable &= ~far_off | work.far | ~(reachable & ~far_off).any()
     return _spread(poses[reachable], steps[reachable])
@@ -323,7 +325,7 @@ def _pairs(
     toward /= np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-6)
     score = goals.score + 0.8 * toward @ goals.rot[:, :2, 0].T
     over = _overreach(robot.reach, bases, goals)
-    score = np.where(over < ARM_END, score - 20.0 * np.maximum(over, 0.0), -np.inf)
+    score = np.where(over < MAX_OVERREACH_M, score - 20.0 * np.maximum(over, 0.0), -np.inf)
     # Among equals every base tries others.
     score = score + 0.05 * np.random.default_rng(1).random(score.shape)
     best = np.argsort(-score, axis=1, kind="stable")[:, :_PER_BASE]
@@ -377,7 +379,7 @@ def _configurations(
     if work.home:
         cost = cost + work.home * motion.steps_home(body, q)
     # A stretched arm cannot make up for a base that stands a little wrong.
-    cost = cost + _STRETCHED * np.maximum(0.0, 0.9 - np.abs(q[..., body.elbow_column]))
+    cost = cost + _STRETCHED_PRICE * np.maximum(0.0, 0.9 - np.abs(q[..., body.elbow_column]))
     cost = np.where(found.ok, cost, np.inf).ravel()
     order = np.argsort(cost, kind="stable")[:300]
     order = order[np.isfinite(cost[order])]
@@ -449,7 +451,7 @@ def _routed(view: WorldView, work: Work, q: Array, pre: Array, goal: Array) -> l
         (clear if route.room >= 0.0 else tight).append(Stance(int(goal[i]), pre[i], q[i], route))
         if len(clear) >= MAX_STANCES or len(clear) + len(tight) >= 3 * MAX_STANCES:
             break
-    tight = sorted((s for s in tight if s.route.room > TIGHTEST), key=lambda s: -s.route.room)
+    tight = sorted((s for s in tight if s.route.room > MAX_DEFICIT_M), key=lambda s: -s.route.room)
 
     def steps(stance: Stance) -> float:
         back = float(motion.steps_home(view.robot, stance.at))

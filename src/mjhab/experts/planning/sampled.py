@@ -23,9 +23,9 @@ from mjhab.experts.arm import ik, motion
 from mjhab.experts.arm.clearance import Boxes, RobotSpheres
 from mjhab.experts.arm.gentle import Care
 from mjhab.experts.base.route import (
-    DRIVE_ERROR,
-    MARGIN,
-    OWN_ROOM,
+    DRIVE_ERROR_M,
+    MARGIN_M,
+    SELF_CLEARANCE_M,
     Route,
     arm_gone,
     drive_of,
@@ -36,24 +36,29 @@ from mjhab.experts.planning.reach import Blocked, HandGoals, Stance
 from mjhab.robots.robot import Robot
 
 Array = np.ndarray
-POSTURES = 1000
-LEGS = 80
-"""Postures of the arm that are drawn, and how many of those with which the drive is clear are tried, quickest first."""
-EDGE = 1.5
-REACH = 12.0
-"""Distance between configurations looked at, and longest edge of the trees, in control steps of the slowest joint."""
-ROUNDS = 300
+MAX_POSTURES = 1000
+"""Postures of the arm that are sampled."""
+MAX_CLEAR_POSTURES = 80
+"""Number of postures with a clear drive that are tried, fastest first."""
+EDGE_STEPS = 1.5
+"""Distance between the configurations of an edge that are checked, in control steps of the slowest joint."""
+MAX_EDGE_STEPS = 12.0
+"""Longest edge of the trees, in control steps of the slowest joint."""
+MAX_ROUNDS = 300
 """Rounds after which RRT-Connect gives up; one takes about a millisecond."""
-TRIES = 3
-TIMED = 6
-SEARCHED = 1
-"""Base poses of one kind of reach for which a way is looked for, ways to each that are timed, and postures to or from
-which RRT-Connect looks for one where no straight motion of the arm leads there."""
-TOUCHES = -0.03
-"""Straight ways with less room [m], see `Route`, are worse than ways around, which take longer."""
-LEAST = 30
-REST = 70
-"""Control steps that a way around and what follows it take at least."""
+BASES_TRIED = 3
+"""Base poses per kind of reach for which a way is searched."""
+WAYS_TIMED = 6
+"""Ways to each base pose whose duration is computed."""
+POSTURES_SEARCHED = 1
+"""Postures for which RRT-Connect searches a way where no straight motion of the arm leads to them, or from them."""
+MAX_DEFICIT_M = -0.03
+"""Straight ways whose room is less than this (negative: a deficit, see `Route`) are worse than ways around, which
+take longer."""
+MIN_WAY_STEPS = 30
+"""Least number of control steps of a way around."""
+MIN_TOTAL_STEPS = 70
+"""Least number of control steps of a way around and of what follows it."""
 _SEED = 1
 _PLACES = 14
 _PIECES = 10
@@ -65,7 +70,9 @@ Found = tuple[Stance, HandGoals, float]
 
 def roomier(view: WorldView, found: Found | None, blocked: list[Blocked]) -> Found | None:
     """What was ``found``, or a way around to something ``blocked`` where that touches something on its way."""
-    if (found is not None and found[0].route.room >= TOUCHES) or view.steps_left < LEAST + REST:
+    if (
+        found is not None and found[0].route.room >= MAX_DEFICIT_M
+    ) or view.steps_left < MIN_WAY_STEPS + MIN_TOTAL_STEPS:
         return found
     return _way_around(view, blocked) or found
 
@@ -78,7 +85,7 @@ def _way_around(view: WorldView, blocked: list[Blocked]) -> Found | None:
         tried = []
         best = None
         for goal, pre, at in zip(reach.goal, reach.pre, reach.at, strict=True):
-            if len(tried) >= TRIES:
+            if len(tried) >= BASES_TRIED:
                 break
             if any(np.array_equal(pre[BASE], base) for base in tried):
                 continue
@@ -87,7 +94,7 @@ def _way_around(view: WorldView, blocked: list[Blocked]) -> Found | None:
             route = plan_around(view, pre[BASE] - back, pre, robot, boxes, care=reach.scene.care)
             if route is not None and (best is None or route.steps < best.route.steps):
                 best = Stance(int(goal), pre, at, route)
-        if best is not None and best.route.steps + REST <= view.steps_left:
+        if best is not None and best.route.steps + MIN_TOTAL_STEPS <= view.steps_left:
             return best, reach.goals, reach.drive_in
     return None
 
@@ -162,9 +169,9 @@ class Free:
             body,
             robot,
             boxes,
-            min(MARGIN, room),
-            min(OWN_ROOM, own),
-            min(MARGIN + DRIVE_ERROR, room),
+            min(MARGIN_M, room),
+            min(SELF_CLEARANCE_M, own),
+            min(MARGIN_M + DRIVE_ERROR_M, room),
         )
 
     def spare(self, q: Array) -> Array:
@@ -181,7 +188,7 @@ class Free:
 
     def edge(self, start: Array, end: Array) -> bool:
         """Whether the straight motion between two configurations (J,) is clear."""
-        pieces = 1 + int(_length(self.body, np.stack([start, end])) / EDGE)
+        pieces = 1 + int(_length(self.body, np.stack([start, end])) / EDGE_STEPS)
         share = np.linspace(0.0, 1.0, pieces + 1)[1:, None]
         return bool((self.spare(start + share * (end - start)) >= 0.0).all())
 
@@ -243,7 +250,7 @@ def _along(robot: Robot, way: Array) -> Array:
     return np.concatenate(parts)
 
 
-def arm_way(start: Array, end: Array, free: Free, rounds: int = ROUNDS) -> Array | None:
+def arm_way(start: Array, end: Array, free: Free, rounds: int = MAX_ROUNDS) -> Array | None:
     """Configurations (P, J) from ``start`` to ``end`` (J,) with clear straight motions between them.
 
     Only the arm and the torso of the two differ. None when ``rounds`` of RRT-Connect do not find any.
@@ -258,7 +265,7 @@ def arm_way(start: Array, end: Array, free: Free, rounds: int = ROUNDS) -> Array
     problem: Any = base.ProblemDefinition(info)
     problem.setStartAndGoalStates(_state(free.body, info, start), _state(free.body, info, end))
     planner = geometric.RRTConnect(info)
-    planner.setRange(REACH)
+    planner.setRange(MAX_EDGE_STEPS)
     planner.setProblemDefinition(problem)
     planner.setup()
     left = iter(range(rounds))
@@ -347,10 +354,10 @@ def _legs(
     for i in np.flatnonzero(out & back):
         if here.edge(start, before[i]) and there.edge(after[i], end):
             found.append((np.stack([start, before[i]]), np.stack([after[i], end])))
-        if len(found) == TIMED:
+        if len(found) == WAYS_TIMED:
             break
     # One leg by sampling, of postures for which the other is clear.
-    for i in np.flatnonzero(out ^ back)[: 0 if found else SEARCHED]:
+    for i in np.flatnonzero(out ^ back)[: 0 if found else POSTURES_SEARCHED]:
         first = _leg(start, before[i], here) if out[i] else arm_way(start, before[i], here)
         last = (
             None
@@ -389,26 +396,27 @@ def _library(robot: Robot) -> Array:
         robot.chain,
         robot.rest,
         ik.columns(robot.chain),
-        4 * POSTURES,
+        4 * MAX_POSTURES,
         np.random.default_rng(_SEED),
         1.0,
     )
-    return drawn[motion.spheres(robot).self_clearance(drawn) > 2 * OWN_ROOM][:POSTURES]
+    return drawn[motion.spheres(robot).self_clearance(drawn) > 2 * SELF_CLEARANCE_M][:MAX_POSTURES]
 
 
 def _clear_drives(postures: Array, poses: Array, free: Free) -> Array:
-    """The first `LEGS` postures (indices) with which a drive over base poses (T, 3) is clear, its errors included."""
+    """The first `MAX_CLEAR_POSTURES` postures (indices) with which a drive over base poses (T, 3) is clear, its
+    errors included."""
     found: list[Any] = []
-    for start in range(0, len(postures), 2 * LEGS):
-        rows = np.arange(start, min(start + 2 * LEGS, len(postures)))
+    for start in range(0, len(postures), 2 * MAX_CLEAR_POSTURES):
+        rows = np.arange(start, min(start + 2 * MAX_CLEAR_POSTURES, len(postures)))
         for pose in poses[np.unique(np.linspace(0, len(poses) - 1, _PLACES).astype(int))]:
             q = postures[rows]
             q[:, BASE] = pose
             rows = rows[free.robot.clearance(q, free.boxes) >= free.drive]
         found += list(rows)
-        if len(found) >= LEGS:
+        if len(found) >= MAX_CLEAR_POSTURES:
             break
-    return np.array(found[:LEGS], np.int64)
+    return np.array(found[:MAX_CLEAR_POSTURES], np.int64)
 
 
 def _length(robot: Robot, way: Array) -> float:

@@ -26,17 +26,18 @@ from mjhab.robots.kinematics import Chain, wrap
 from mjhab.robots.robot import Robot
 
 Array = np.ndarray
-SELF_MARGIN = 0.02
-"""Least distance of the forearm and hand to the trunk [m]."""
-BOX_MARGIN_M = 0.02
-"""Least distance of arm and trunk to obstacles; the hand itself is not looked at."""
+SELF_CLEARANCE_M = 0.02
+"""Least distance of forearm and hand to the trunk."""
+BOX_CLEARANCE_M = 0.02
+"""Least distance of arm and trunk to obstacles; the hand is not checked."""
 MAX_JUMP_RAD = 0.7
 """Largest change of a joint between two way points."""
-FLOOR_MARGIN = 0.285
-"""Clearance the base of a stance must have, `COMFORT` what it should have [m]."""
-COMFORT = 0.36
-FOLLOWED = 3
-"""Seeds followed per base path."""
+MIN_BASE_CLEARANCE_M = 0.285
+"""Clearance that the base must have at a stance."""
+COMFORT_CLEARANCE_M = 0.36
+"""Clearance that the base should have there."""
+SEEDS_FOLLOWED = 3
+"""Solutions at the first way point that are followed along each base path."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,7 +190,7 @@ def track(
     path = [path[0][ok]]
     row = row[ok]
     travel = ik.travel_steps(robot, rest, path[0], dofs)
-    path, row = _drop(path, row, _quickest(row, travel, FOLLOWED))
+    path, row = _drop(path, row, _quickest(row, travel, SEEDS_FOLLOWED))
     path, row = _drop(path, row, _clear(body, path[0], boxes[0] if boxes else None))
     for k in range(1, base.shape[1]):
         if not len(row):
@@ -240,9 +241,9 @@ def _clear(robot: Robot, q: Array, boxes: Boxes | None) -> Array:
     if not len(q):
         return np.zeros(0, dtype=bool)
     whole = motion.spheres(robot)
-    keep = whole.self_clearance(q) > SELF_MARGIN
+    keep = whole.self_clearance(q) > SELF_CLEARANCE_M
     if boxes is not None:
-        keep &= whole.only(robot.arm_links).clearance(q, boxes) > BOX_MARGIN_M
+        keep &= whole.only(robot.arm_links).clearance(q, boxes) > BOX_CLEARANCE_M
     return keep
 
 
@@ -276,10 +277,10 @@ def rank(
         steps
         + motion_steps(view.robot.chain, stances.q)
         + stances.back
-        + 300.0 * np.maximum(COMFORT - room, 0.0)
+        + 300.0 * np.maximum(COMFORT_CLEARANCE_M - room, 0.0)
     )
     order = np.argsort(cost, kind="stable")
-    order = order[room[order] >= FLOOR_MARGIN]
+    order = order[room[order] >= MIN_BASE_CLEARANCE_M]
     return frame.base(stances.q[order]), cost[order]
 
 

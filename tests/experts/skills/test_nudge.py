@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -89,9 +88,7 @@ def test_only_boxes_that_stand_are_turned():
     assert plan_nudge(view, "box", shelf(), INWARD, turned_by(0.0)) is None  # pyright: ignore[reportArgumentType]
 
 
-def test_a_box_that_cannot_be_grasped_is_turned_and_stays_upright(monkeypatch: pytest.MonkeyPatch):
-    # By a corner it could be.
-    monkeypatch.setattr(pick, "SHELF_OPTIONS", replace(pick.SHELF_OPTIONS, corners=False))
+def test_a_box_that_cannot_be_grasped_is_turned_and_stays_upright():
     env = envs.make(
         task="prepare_groceries",
         subtask="pick",

@@ -5,7 +5,6 @@ Gripper frame as in `candidates`. Lengths [m], world frame. Letters: A direction
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Literal
@@ -17,19 +16,6 @@ from mjhab.robots.parts import Gripper
 from mjhab.scenes.builtin.objects import BOWL_FACETS
 
 Array = np.ndarray
-CORNER_YAWS_RAD = (-0.1, 0.0, 0.1)
-"""Angles between the hand and the diagonal of a corner that it holds. The normals of the two sides lean by 45 degrees,
-more or less this, from the line on which the pads close: about the angle of their friction, 49 degrees."""
-CORNER_TILTS_RAD = (0.0, 0.26, 0.44, 0.6)
-"""Angles of the hand down from level, around a corner."""
-CORNER_PLAY_M = 0.003
-"""Room between each open finger and the corner that it comes around."""
-MIN_CORNER_DEPTH_M = 0.036
-"""Smallest distance that the fingertips get beyond the edge of a corner; with less the box slips out in motion."""
-MIN_CORNER_OVERLAP_M = 0.018
-"""Smallest length of the edge of a corner that the pads cover."""
-CORNER_PALM_GAP_M = 0.003
-"""Room between the palm and the edge of a corner."""
 CHORD_PLAY_M = 0.0015
 """Room between each pad and a can too wide to go around, of which the pads hold a chord."""
 MAX_APPROACH_RISE = 0.05
@@ -40,8 +26,6 @@ PATCH_BONUS_PER_M = 40.0
 """Score of a grasp on a mesh per metre of the root of the area that its pads press."""
 SLANT_COST_PER_RAD = 4.0
 """Score that a grasp on a mesh loses per radian between its closing line and the normals of the surface."""
-MIN_UPRIGHT_COSINE = 0.97
-"""Least cosine between an edge and the vertical."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,8 +97,6 @@ class Options:
     """Points sampled along each side of a face of a box."""
     scant: float = 0.0
     """Score lost per metre that the root of the area which the pads press on flat sides lacks to 2 cm."""
-    corners: bool = False
-    """Also hold boxes by two sides that meet in an upright edge."""
     least_clear_m: float = 0.0
     """Grasps whose approach comes nearer than this to a neighbour are left out."""
     preference: dict[str, float] = field(
@@ -189,69 +171,6 @@ def _box_pinches(
         size = 2 * np.sqrt(shape.half[j] * shape.half[k])
         fan = _fan(rot[:, i], rot[:, j], options.fan)
         yield Pinch(rot[:, i], fan, face, width, least=0.014, measure=size, planar=True)
-    if options.corners:
-        for k in np.flatnonzero(np.abs(rot[2]) > MIN_UPRIGHT_COSINE):
-            yield from _corner_pinches(shape, pos, rot, int(k), gripper)
-
-
-def _corner_pinches(
-    shape: ObjectShape, pos: Array, rot: Array, k: int, gripper: Gripper
-) -> Iterator[Pinch]:
-    """A box by two sides that meet in an upright edge, axis ``k``: the hand comes along about their diagonal.
-
-    The fingertips get as far beyond the edge as the open hand lets them; friction holds, see `CORNER_YAWS_RAD`.
-    """
-    i = (k + 1) % 3
-    j = (k + 2) % 3
-    up = rot[:, k] * np.sign(rot[2, k])
-    full = gripper.opening - 2 * CORNER_PLAY_M
-    for si, sj, yaw in itertools.product((-1.0, 1.0), (-1.0, 1.0), CORNER_YAWS_RAD):
-        first = si * rot[:, i]
-        second = sj * rot[:, j]
-        angle = np.pi / 4 + yaw
-        spread = np.tan(angle) + 1.0 / np.tan(angle)
-        ends = 0.97 * 2.0 * min(shape.half[j] * np.sin(angle), shape.half[i] * np.cos(angle))
-        depth = min(full / spread, ends)
-        if depth < MIN_CORNER_DEPTH_M:
-            continue
-        level = -np.cos(angle) * first - np.sin(angle) * second
-        closing = np.sin(angle) * first - np.cos(angle) * second
-        aside = 0.5 * depth * (1.0 / np.tan(angle) - np.tan(angle))
-        edge = pos + shape.half[i] * first + shape.half[j] * second + aside * closing
-        bonus = -0.8 - 20.0 * (full / spread - depth)
-        for tilt in CORNER_TILTS_RAD:
-            at, line = _around_edge(edge, level, up, shape.half[k], depth, tilt, gripper)
-            approach = np.tile(np.cos(tilt) * level - np.sin(tilt) * up, (len(at), 1))
-            yield Pinch(
-                closing,
-                approach,
-                line,
-                depth * spread,
-                at,
-                bonus,
-                MIN_CORNER_OVERLAP_M,
-                measure=2 * shape.half[k],
-            )
-
-
-def _around_edge(
-    edge: Array, level: Array, up: Array, half: float, depth: float, tilt: float, gripper: Gripper
-) -> tuple[Array, Array]:
-    """Tool centres (A, 3) at several heights from which the tips of a hand tilted down get ``depth`` beyond an edge of
-    height 2 ``half`` around ``edge`` (3,), and where about they meet the sides, (81, 3) in the middle between them."""
-    c = np.cos(tilt)
-    s = np.sin(tilt)
-    (tip, across) = gripper.finger
-    heights = np.linspace(-1.0, 1.0, 9) * half + tip * s
-    back = depth - tip * c - across * s
-    # How far up the front of the palm comes to the edge: there the box must have ended.
-    meets = (-back - CORNER_PALM_GAP_M - gripper.palm_x[1] * c) / max(s, 1e-9)
-    if meets < gripper.palm_half[1]:
-        heights = heights[heights - gripper.palm_x[1] * s + meets * c > half + CORNER_PALM_GAP_M]
-    line = (
-        edge + (depth - 2 * across * s - 0.001) * level + np.linspace(-half, half, 81)[:, None] * up
-    )
-    return edge + back * level + heights[:, None] * up, line
 
 
 def _cylinder_pinches(

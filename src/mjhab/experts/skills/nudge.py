@@ -41,7 +41,7 @@ TURNS_RAD = tuple(np.radians((20.0, 35.0, 50.0, 65.0)))
 """Angles by which the box may be turned, tried in this order."""
 EXTRA_TURN_RAD = np.radians(7.0)
 """Angle that is planned in addition."""
-ENOUGH_GRASPS = 8
+ENOUGH_GRASPS = 16
 """The box has turned far enough once it has so many grasps with a clearance that may be smaller by TIGHTER_M."""
 TIGHTER_M = -0.008
 """See `ENOUGH_GRASPS`."""

@@ -73,9 +73,7 @@ to 8 mm too large), and how much nearer than the arm the hand may come; less eac
 OPTIONS = Options(palm_gap=0.012, floor_gap=0.008, least_clear_m=_CLEAR[-1][0])
 # Little room: closer steps around the object, a short way in, and boxes nearly as wide as the hand opens. Below a low
 # shelf, where there is no way from above, bowls are taken by the rim from the front.
-SHELF_OPTIONS = replace(
-    OPTIONS, fan=36, shallower=(0.0, 0.02), retreat=0.06, cells=31, scant=150.0, corners=True
-)
+SHELF_OPTIONS = replace(OPTIONS, fan=36, shallower=(0.0, 0.02), retreat=0.06, cells=31, scant=150.0)
 LOW_SHELF_OPTIONS = replace(SHELF_OPTIONS, leans=(0.4, 0.6, 0.8))
 SHELF_BLUNT_M = 0.004
 """End of the pads [m] that does not count there."""

@@ -1,4 +1,4 @@
-"""Do grasps hold? Objects in the gripper of a moving robot, with the physics of the homes.
+"""Grasp benchmark: whether objects stay in the gripper of a moving robot, with the physics of the homes.
 
 Each object is gripped at the rest pose from above, held still for half a second, and then shaken: the base drives
 back and forth at 1 m/s and turns, the arm and wrist swing at up to 0.6 rad/s. All motion goes through the servos as
@@ -62,7 +62,7 @@ BENCH_OBJECTS: tuple[str, ...] = tuple(GRASPS)
 def grasp_table(
     seconds: float = 10.0, seed: int = 0, objects: tuple[str, ...] = BENCH_OBJECTS
 ) -> list[dict[str, object]]:
-    """Shake every object and tell what became of it.
+    """Move every object in the gripper and measure how far it slips.
 
     Args:
         seconds: time of motion.

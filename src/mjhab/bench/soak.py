@@ -1,4 +1,5 @@
-"""``mjhab bench soak``: random actions for a long time in every training environment."""
+"""``mjhab bench soak``: random actions for a long time in every training environment, to find faults of the physics
+and leaks."""
 
 from __future__ import annotations
 

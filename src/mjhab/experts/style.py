@@ -22,8 +22,8 @@ still, and fingers that close on something must not shake."""
 
 
 class StyledView(WorldView):
-    """A view whose world is to be acted in with a style. A slower script lives in slower time: its control steps last
-    longer, and what it reads of speeds counts per such step."""
+    """A view for a script that acts in a style. A slower script has longer control steps: speeds that it reads are per
+    second of its own, slower time."""
 
     def __init__(self, env: Worlds, world: int) -> None:
         super().__init__(env, world)

@@ -30,7 +30,7 @@ from mjhab.scenes.shapes.meshes import Mesh
 from mjhab.scenes.spec import Vec3
 
 Visuals = Callable[[], list[tuple[str, Mesh, str]]]
-"""Gives the robot for the eye: (body, mesh in the frame of that body [m], name of its material)."""
+"""Function that gives the visual meshes: (body, mesh in the frame of that body [m], name of its material)."""
 
 
 @dataclass(frozen=True)

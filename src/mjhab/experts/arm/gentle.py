@@ -34,7 +34,7 @@ compromise for when time is short."""
 
 
 def care_for(view: WorldView, hurry: bool = False) -> Care:
-    """What the object nearest to the hand asks for, less where there is reason to ``hurry``."""
+    """Limits for the object nearest to the hand; looser ones if ``hurry``."""
     tcp = view.tcp_pose[:3]
     far = {
         name: float(np.linalg.norm(view.object_pose(name)[:3] - tcp)) for name in view.object_names

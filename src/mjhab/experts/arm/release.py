@@ -1,4 +1,4 @@
-"""Letting go of an object: where it comes to rest, how far the fingers open, how the hand draws back.
+"""Releasing an object: where it comes to rest, how far the fingers open, how the hand draws back.
 
 Lengths [m], angles [rad], world frame.
 """

@@ -1,4 +1,4 @@
-"""Driving a way of legs: at which pace, as curves or with turns on the spot, and where that should lead.
+"""Driving along the legs of a way: speeds, curves or turns on the spot, and the base poses that result.
 
 Lengths [m], angles [rad], world frame. Letters: T control steps, P points.
 """

@@ -1,4 +1,4 @@
-"""Where the robot fits right now, arm included: clearances of the base on the floor and of the arm at its heights.
+"""Free space in the present state of a home: clearances of the base on the floor and of the arm at its heights.
 
 Lengths [m], angles [rad], world frame. Letters: X, Y cells, L levels of height, M arm spheres, N base poses, K boxes.
 """

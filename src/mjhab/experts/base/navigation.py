@@ -1,4 +1,4 @@
-"""Driving from here to there: a planner on a map of free floor and a follower for the two-wheeled base.
+"""Shortest paths on a map of free floor, and a path follower for a base with differential drive.
 
 The map is a grid of clearances: the distance [m] from each cell's centre to the nearest obstacle. Frames: world xy
 [m], yaw [rad]. Speeds [m/s], [rad/s].

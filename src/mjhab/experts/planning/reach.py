@@ -1,4 +1,4 @@
-"""Where to stand and how to hold the arm so that the hand reaches one of many poses, shared by pick and place.
+"""Base poses and arm configurations with which the hand reaches one of many poses, for Pick and Place.
 
 Base poses around a point are paired with hand poses; inverse kinematics in one batch, then clearances of the whole
 body, cheap tests first. Lengths [m], angles [rad], world frame. Letters: G hand poses, B base poses, N pairs, Q joints.
@@ -49,7 +49,7 @@ _KEPT = 50
 
 @dataclass(frozen=True, eq=False)
 class HandGoals:
-    """Hand poses that all serve: ``pos`` (G, 3), ``rot`` (G, 3, 3), where to come from ``pre`` (G, 3), finger
+    """Hand poses, any of which will do: ``pos`` (G, 3), ``rot`` (G, 3, 3), where to come from ``pre`` (G, 3), finger
     ``opening`` (G,) and ``score`` (G,), higher is better, worth about half a second each point."""
 
     pos: Array

@@ -1,6 +1,6 @@
-"""Ways for base and arm where straight motions of the arm fail, found by sampling: the last resort of pick and place.
+"""Sampling-based planning of base and arm for Pick and Place, used where straight motions of the arm collide.
 
-`plan_route` knows one motion of the arm, straight from what it is to what it will be. Between the open door of a fridge
+`plan_route` moves the arm on one straight line in joint space. Between the open door of a fridge
 and a counter there is often no room to drive so. `plan_around` draws postures, takes those with which the whole drive
 is clear, and brings the arm into one before it and out of it after: straight where that is clear, else along a way
 that RRT-Connect of OMPL finds. What it gives is a function of its arguments alone.

@@ -1,4 +1,4 @@
-"""Where to stand and how to hold the arm to work on a drawer or door: stances found once per piece of furniture.
+"""Base poses and arm configurations for a drawer or door, searched once per piece of furniture and kept in the cache.
 
 Everything here lives in the furniture's own frame ("plan frame"): origin on the floor below the link's origin at joint
 0, +x outward. Furniture is the same in every home, so that what a search finds is kept; a home only decides which of

@@ -1,4 +1,4 @@
-"""The expert that drives to where the next thing is done: no teleport, the arm at rest, its grip kept.
+"""The expert for Navigate: it drives to where the next subtask is done, the arm at rest, keeping its grip.
 
 Lengths [m], angles [rad], world frame. Letters: N base poses, H headings, X, Y grid points.
 """

@@ -1,4 +1,4 @@
-"""Turning a box on a shelf so that the hand, which can only come from the front, gets around its narrow side.
+"""Turning a box on a shelf by a push, so that a hand that comes from the front can grasp it around its narrow side.
 
 A box whose graspable pair of sides faces front and back cannot be straddled through a door. The hand pushes one end of
 its front inwards, low, pointing to where it will come from to grasp it: then it lies along the box in the end and does

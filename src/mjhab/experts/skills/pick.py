@@ -1,4 +1,4 @@
-"""The expert that picks objects: from tables and seats, out of the opened drawer, from the shelf of the fridge."""
+"""The expert for Pick: from tables and seats, out of the opened drawer, from the shelf of the fridge."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The expert that places what the hand holds: onto tables and seats, or into the fridge."""
+"""The expert for Place: onto tables and seats, or into the fridge."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Private worlds, for questions that must not disturb the batch: does this touch, does this grasp hold?
+"""Worlds beside the batch for collision tests and grasp tests: a test leaves the states of the simulator as they are.
 
-Everything but the robot and what it carries sleeps, so that a question costs a tenth of a control step of a whole home.
+Everything but the robot and what it carries sleeps, so that a test costs a tenth of a control step of a whole home.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _NO_CONTACT = int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
 
 
 class _World:
-    """One world that can be in any home of a layout. For one user at a time."""
+    """One world that can be in any home of a layout, for one thread at a time."""
 
     def __init__(self, sim: CpuSimulator) -> None:
         self._sim = sim
@@ -86,7 +86,7 @@ class _World:
 
 
 class Scratch:
-    """Questions about states of a simulator's homes. Several threads may ask at once: each gets a world of its own."""
+    """Tests of states in a simulator's homes. Several threads may run tests at once: each gets a world of its own."""
 
     def __init__(self, sim: CpuSimulator) -> None:
         self.sim = sim

@@ -80,7 +80,10 @@ def stroke(view: WorldView, obj: str, goal: np.ndarray) -> Script:
         (end + lift, TRAVEL_SPEED, 10),
     ):
         yield from motion.move_tcp(
-            view, point, rot, gripper=motion.CLOSED, speed=speed, max_steps=steps
+            view,
+            motion.HandMove(
+                pos=point, rot=rot, gripper=motion.CLOSED, speed=speed, max_steps=steps
+            ),
         )
 
 

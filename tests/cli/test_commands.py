@@ -19,6 +19,7 @@ from mjhab.cli.machine import doctor
 from mjhab.cli.main import main
 from mjhab.cli.policies import evaluate
 from mjhab.core.machine import pip_install
+from mjhab.core.registration.plugins import Plugin
 from mjhab.render import gl_probe, views
 from tests.rollout.fake_env import FakeEnv
 
@@ -137,13 +138,24 @@ def test_bad_input(
 
 def test_doctor(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gl_probe, "renderer_probe", lambda: {"egl": True, "osmesa": False})
+    monkeypatch.setattr(
+        doctor,
+        "loaded_plugins",
+        lambda: (
+            Plugin("push", "/push", ("subtask 'push'",)),
+            Plugin("b", "b.py", error="E: gone"),
+        ),
+    )
     found = machine(capsys, "doctor")
-    assert list(found) == ["python", "mujoco", "renderers", "gpu", "cores", "cache"]
+    assert list(found) == ["python", "mujoco", "renderers", "gpu", "cores", "cache", "plugins"]
+    assert [plugin["registered"] for plugin in found["plugins"]] == [["subtask 'push'"], []]
+    assert found["plugins"][1]["error"] == "E: gone"
     assert found["renderers"] == {"rasterizer": True, "egl": True, "osmesa": False}
     assert found["mujoco"] == "3.17.0" and found["cores"] >= 1
     assert main(["doctor"]) == 0
     out = capsys.readouterr().out
     assert "libosmesa6" in out and "gymnasium-robotics" in out and "cache" in out
+    assert "subtask 'push'" in out and "could not be loaded: E: gone" in out
 
 
 def test_doctor_knows_all_extras() -> None:

@@ -40,7 +40,9 @@ def inputs_of(kinds: list[int], link: int = 1, **over: Any) -> RewardInputs:
     w = len(kinds)
     link_name = ("fridge/top_door", "kitchen_counter/drawer3")[link]
     plan = stack_plans(
-        [TaskPlan("t", (Subtask(SubtaskKind(k), "bowl", link_name, GOAL),)) for k in kinds], CONFIG
+        [TaskPlan("t", (Subtask(SubtaskKind(k), "bowl", link_name, GOAL),)) for k in kinds],
+        CONFIG,
+        doors={"fridge/top_door"},
     )
     state: dict[str, Any] = {
         "object_pose": np.zeros((w, 3, 7)),

@@ -25,6 +25,7 @@ from mjhab.episodes.spawns import (
     SpawnSampler,
 )
 from mjhab.episodes.starts import Start, StartMaker
+from mjhab.episodes.starts.fronts import link_front
 from mjhab.episodes.starts.navigate import DOORSTEP_REACH
 from mjhab.layout.contact_sensors import FORCE_SENSOR_WIDTH
 from mjhab.layout.layout import Layout
@@ -35,7 +36,7 @@ from mjhab.scenes.packs import open_pack
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.settle import hold_robot, parked_robot_qpos
 from mjhab.tasks.household.registry import chain
-from mjhab.tasks.plan import SubtaskKind, front_box
+from mjhab.tasks.plan import SubtaskKind
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +93,7 @@ def test_a_robot_is_turned_away_no_further_than_it_may(sampler: SpawnSampler):
 def test_spawns_in_front_of_the_fridge(sampler: SpawnSampler):
     home = sampler.sim.layout.pack.homes[0]
     fridge = next(p for p in home.articulations if p.template == "fridge")
-    area = np.array(front_box("fridge/top_door", fridge.pos[:2], fridge.yaw))
+    area = np.array(link_front(sampler.sim.layout, home, "fridge/top_door").box)
     for start in spawns(sampler, home.name, SpawnGoal(np.array(fridge.pos[:2]), area), 6):
         x, y = start[sampler.sim.addresses.robot_q[:2]]
         assert area[0] <= x <= area[1] and area[2] <= y <= area[3]

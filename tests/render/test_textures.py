@@ -12,7 +12,7 @@ from mjhab.render.build_scene import SceneBuilder
 from mjhab.render.mesh_levels import MIN_FACES, mesh_levels
 from mjhab.render.patterns import PERIODS, SHADE_TOP, pattern_tile
 from mjhab.render.raster.kernels import LEVEL_ERROR
-from mjhab.render.raster.rasterizer import Rasterizer, look_at
+from mjhab.render.raster.rasterizer import Cameras, Rasterizer, look_at
 from mjhab.render.textures import LEVELS, TexturePool, sample
 from mjhab.scenes.builtin.materials import Material
 from mjhab.scenes.shapes.meshes import Mesh, mesh_arrays, mesh_from_arrays
@@ -51,7 +51,9 @@ def draw(mesh: Mesh, eye, target, outputs=("rgb",)) -> dict[str, np.ndarray]:
     home = np.zeros(1, int)
     body = np.zeros((1, 1, 3))
     turn = np.eye(3)[None, None]
-    images = Rasterizer(builder.build(), 1).render(home, body, turn, pos, mat, FOVY, *SIZE, outputs)
+    images = Rasterizer(builder.build(), 1).render(
+        home, body, turn, Cameras(pos, mat, FOVY, *SIZE), outputs
+    )
     return {name: image[0, 0] for name, image in images.items()}
 
 

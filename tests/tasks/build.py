@@ -36,7 +36,7 @@ def plan_of(
         Subtask(SubtaskKind(k), obj="bowl", link=link, goal_pos=(1.0, 0.0, 0.5), **more)
         for k in kinds
     )
-    return stack_plans([TaskPlan("test", subtasks)], config)
+    return stack_plans([TaskPlan("test", subtasks)], config, doors={"fridge/top_door"})
 
 
 def resting(

@@ -148,7 +148,7 @@ def test_joint_thresholds_include_equality() -> None:
         assert bool(joint(q, link="fridge/top_door").opened[0]) is opened
     assert (
         joint(1.725, link="fridge/top_door", top=2.3).opened[0]
-        and not joint(1.72, OPEN, "fridge/x", 2.3).opened[0]
+        and not joint(1.72, OPEN, "fridge/top_door", 2.3).opened[0]
     )
     assert joint(0.01, CLOSE).closed[0] and not joint(beyond(0.01), CLOSE).closed[0]
     assert joint(0.1).slightly_opened[0] and not joint(math.nextafter(0.1, 0)).slightly_opened[0]
@@ -276,7 +276,10 @@ def _mixed(worlds: int, seed: int) -> tuple[Any, Any, Any, TaskConfig]:
     ]
     config = replace(CONFIG, ignore_arm=bool(seed % 2))
     plan = stack_plans(
-        [chain("set_table", targets)] * worlds, config, [{"fridge/t": (-1, 1, -1, 1)}] * worlds
+        [chain("set_table", targets)] * worlds,
+        config,
+        [{"fridge/t": (-1, 1, -1, 1)}] * worlds,
+        doors={"fridge/t"},
     )
     near = rng.normal(size=(worlds, 1)) * 0.1
 

@@ -15,7 +15,6 @@ from mjhab.tasks.plan import (
     SubtaskKind,
     Target,
     TaskPlan,
-    front_box,
     stack_plans,
 )
 from mjhab.tasks.subtasks.registry import force_limits, horizons
@@ -50,7 +49,7 @@ def test_set_table_opens_fetches_places_and_closes_for_both_objects() -> None:
 
 
 @pytest.mark.parametrize(("task", "count"), [("tidy_house", 5), ("prepare_groceries", 3)])
-def test_tidying_repeats_fetch_and_place(task: str, count: int) -> None:
+def test_tidying_repeats_pick_and_place(task: str, count: int) -> None:
     plan = chain(task, [Target(f"o{i}", (i, 0, 1), (0, i, 1)) for i in range(count)])
     assert kinds(plan) == ["navigate", "pick", "navigate", "place"] * count
     assert plan.subtasks[4].goal_pos == (0, 1, 1), "walk to where the object is"
@@ -69,8 +68,8 @@ def test_wrong_plans_say_what_is_expected() -> None:
 def test_thresholds_are_those_of_the_paper() -> None:
     assert horizons(CONFIG) == (200, 200, 500, 200, 200)
     assert force_limits(CONFIG) == (5000, 7500, math.inf, 10000, 10000, math.inf)
-    assert CONFIG.open_fraction("fridge/top_door") == 0.75
-    assert CONFIG.open_fraction("kitchen_counter/drawer3") == 0.9
+    assert CONFIG.open_fraction(hinged=True) == 0.75
+    assert CONFIG.open_fraction(hinged=False) == 0.9
     with pytest.raises(UsageError, match="15 joint values"):
         config_of((0.0,) * 12)
     with pytest.raises(UsageError, match="goal_type"):
@@ -81,7 +80,8 @@ def test_stacked_plans_are_padded_to_the_longest() -> None:
     long = chain("set_table", [BOWL, APPLE])
     short = TaskPlan("x", (Subtask(SubtaskKind.PICK, "bowl"),))
     box = (0.0, 1.0, -1.0, 1.0)
-    plan = stack_plans([long, short], CONFIG, [{"fridge/top_door": box}, {}], min_subtasks=20)
+    boxes = [{"fridge/top_door": box}, {}]
+    plan = stack_plans([long, short], CONFIG, boxes, min_subtasks=20, doors={"fridge/top_door"})
     assert plan.kind.shape == (2, 20) and plan.kind.dtype == np.int64
     assert plan.length.tolist() == [16, 1]
     assert (plan.kind[0, 16:] == PADDING).all() and (plan.kind[1, 1:] == PADDING).all()
@@ -91,17 +91,3 @@ def test_stacked_plans_are_padded_to_the_longest() -> None:
     assert boxed[0].nonzero()[0].tolist() == [8, 10, 14], "to the fridge with empty hands"
     assert not boxed[1].any() and plan.box[0, 8].tolist() == list(box)
     assert plan.goal_rect is None
-
-
-def test_area_in_front_turns_with_the_furniture() -> None:
-    np.testing.assert_allclose(
-        front_box("fridge/top_door", (1.0, 2.0), 0.0), (1.933, 2.833, 1.4, 2.6)
-    )
-    np.testing.assert_allclose(
-        front_box("fridge/top_door", (1.0, 2.0), math.pi / 2), (0.4, 1.6, 2.933, 3.833)
-    )
-    np.testing.assert_allclose(
-        front_box("kitchen_counter/drawer3", (0, 0), math.pi), (-1.5, -0.3, -0.6, 0.6)
-    )
-    with pytest.raises(UsageError, match="unknown furniture 'sofa'"):
-        front_box("sofa/seat", (0, 0), 0)

@@ -156,7 +156,7 @@ def read_record(folder: Path) -> dict[str, Any] | None:
                 raise ValueError(f"files[{name!r}].sha256 must be a string")
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise UsageError(
-            f"{path}: damaged ({error}); fetch the data set again with --overwrite."
+            f"{path}: damaged ({error}); download the data set again with --overwrite."
         ) from error
     return body
 

@@ -17,11 +17,11 @@ if TYPE_CHECKING:
     from mjhab.envs.device.env import DeviceEnv
 
 WARM_STEPS = 3
-"""Untimed steps: kernels load, graphs are captured."""
+"""Control steps that are not timed: kernels are loaded and CUDA graphs captured."""
 
 
 def measure_device_env(spec: EnvBenchSpec, worlds: int) -> dict[str, Any]:
-    """The like of `env.measure_env` for a `DeviceEnv`, whose finished worlds begin anew within the step.
+    """Measure a `DeviceEnv` as `env.measure_env` does an environment on the CPU; finished worlds reset within the step.
 
     Returns:
         ``env_sps``: control steps/s over all worlds, median of the rounds, with actions that are on the device;

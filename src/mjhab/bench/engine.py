@@ -1,4 +1,4 @@
-"""``mjhab bench sim``: how fast this machine is."""
+"""``mjhab bench sim``: speed of the physics engine and of an environment, in control steps per second."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from mjhab.envs.sequential import SequentialTaskEnv
 
 WARM_STEPS = 8
-"""Untimed control steps after each reset: teleports happen and things come to rest."""
+"""Control steps after each reset that are not timed: teleports take place and objects come to rest."""
 
 
 def measure_engine(spec: EngineSpec) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Do grasps hold? Objects in the gripper of a moving robot, with the physics of the homes.
+"""Grasp benchmark: whether objects stay in the gripper of a moving robot, with the physics of the homes.
 
 Each object is gripped at the rest pose from above, held still for half a second, and then shaken: the base drives
 back and forth at 1 m/s and turns, the arm and wrist swing at up to 0.6 rad/s. All motion goes through the servos as
@@ -16,6 +16,7 @@ from mjhab.core.errors import unknown_name
 from mjhab.core.joints import BASE, BASE_YAW
 from mjhab.core.names import copy_name
 from mjhab.core.seeding import stream
+from mjhab.core.timing import STEP_SECONDS, SUBSTEPS
 from mjhab.layout.contact_sensors import normal_force
 from mjhab.layout.layout import Layout, build_spec
 from mjhab.robots.registry import robot_named
@@ -23,8 +24,6 @@ from mjhab.robots.robot import Robot
 from mjhab.scenes.builtin.objects import builtin_objects, object_meshes
 from mjhab.scenes.spec import Home, ObjectType, Pack
 
-SUBSTEPS = 5
-CONTROL_DT = 0.05
 GRIP_TARGET = -0.01
 """Finger target [m] of the gripper action -1: below zero, so that the servos squeeze."""
 SETTLE_STEPS = 10
@@ -63,7 +62,7 @@ BENCH_OBJECTS: tuple[str, ...] = tuple(GRASPS)
 def grasp_table(
     seconds: float = 10.0, seed: int = 0, objects: tuple[str, ...] = BENCH_OBJECTS
 ) -> list[dict[str, object]]:
-    """Shake every object and tell what became of it.
+    """Move every object in the gripper and measure how far it slips.
 
     Args:
         seconds: time of motion.
@@ -179,9 +178,9 @@ def _shake(name: str, seconds: float, seed: int) -> dict[str, object]:
     slip = angle = force = 0.0
     held = 0
     dropped = False
-    steps = round(seconds / CONTROL_DT)
+    steps = round(seconds / STEP_SECONDS)
     for k in range(steps):
-        bench.step(*shake_motion(bench.robot, k * CONTROL_DT, bench.rest, phase))
+        bench.step(*shake_motion(bench.robot, k * STEP_SECONDS, bench.rest, phase))
         pos, turn = bench.pose_in_hand()
         slip = max(slip, float(np.linalg.norm(pos + turn @ held_point)))
         cosine = 0.5 * (np.trace(turn0.T @ turn) - 1.0)

@@ -1,4 +1,4 @@
-"""Memory of the process and of the GPU, looked at while work runs."""
+"""Largest memory of the process and of the GPU while a computation runs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""``mjhab bench reward``: does the dense reward tell success from failure, and does it rise on the way?"""
+"""``mjhab bench reward``: whether returns of successful episodes are higher than those of failures, and rewards
+rise."""
 
 from __future__ import annotations
 
@@ -124,7 +125,10 @@ def summary(curves: list[tuple[bool, np.ndarray]]) -> dict[str, Any]:
 
 
 def auc(score: np.ndarray, good: np.ndarray) -> float | None:
-    """Chance that a good one (n,) bool has a higher score (n,) than a bad one, ties half; None without both."""
+    """Area under the ROC curve: probability that a success has a higher score than a failure, ties counting half.
+
+    ``good`` (n,) bool and ``score`` (n,) of n episodes; None if all or none of them are successes.
+    """
     wins = int(good.sum())
     losses = int((~good).sum())
     if not wins or not losses:

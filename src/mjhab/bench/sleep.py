@@ -1,4 +1,4 @@
-"""What sleep changes and saves: the same commands with what lies still asleep and with all awake, on both engines.
+"""Effect of MuJoCo's sleeping islands on results and speed: the same commands with sleep and without, on both engines.
 
 Both engines put to sleep what has lain still (every speed below the model's ``sleep_tolerance`` for ten substeps), keep
 it where it is until something touches it, and leave it out of the solver. On the warp backend a start sleeps at once.

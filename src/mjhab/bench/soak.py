@@ -1,4 +1,5 @@
-"""``mjhab bench soak``: a long time of random actions in every training environment, or of generation; what grows?"""
+"""``mjhab bench soak``: random actions for a long time in every training environment, or generation of episodes by the
+expert, to find faults of the physics and leaks."""
 
 from __future__ import annotations
 

@@ -32,8 +32,6 @@ NESTED = "nested"
 OBS_KEYS = (FLAT, NESTED)
 DENSE_MODES = ("dense", "normalized_dense")
 REWARD_MODES = ("pointer", "sparse", *DENSE_MODES, "none")
-JOINT_GROUPS = ("base", "arm", "fingers")
-"""Groups of joints that a robot must have for any task: to get there, to reach and to hold."""
 NAVIGATE_MODES = ("teleport", "drive")
 OF_PROFILE: Any = None
 """Default of the options that the profile gives a value, where no other is given."""
@@ -156,6 +154,8 @@ class EnvConfig:
             raise UsageError(
                 "continuous=True needs a subtask: in a chain, success is what brings the next subtask."
             )
+        for name in (self.subtask,) if self.subtask else task.subtasks:
+            robot.require(SUBTASKS[name].joint_groups, f"subtask {name!r}")
         self._check_numbers()
 
     def of_profile(self) -> dict[str, Any]:

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+GROUPS = ("base", "torso", "head", "arm", "fingers")
+"""Names of the groups of joints that robots may have."""
 BASE = slice(0, 3)
 """Columns of the base: x, y [m] and yaw [rad] in the world."""
 BASE_X = 0

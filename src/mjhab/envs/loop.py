@@ -18,7 +18,7 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from mjhab.config.env import JOINT_GROUPS, EnvConfig, task_config
+from mjhab.config.env import EnvConfig, task_config
 from mjhab.core.arrays import Array, as_like, count, device_of, may_hold, namespace, where_rows
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.envs.parts.plan_tables import Focus, Tables, look_up
@@ -77,8 +77,6 @@ class TaskLoop(VectorEnv, ABC):
         self.config = config
         self.num_envs = config.num_envs
         robot = robot_named(config.robot)
-        purpose = f"subtask {config.subtask!r}" if config.subtask else f"task {config.task!r}"
-        robot.require(JOINT_GROUPS, purpose)
         self.task_config = task_config(config, robot)
         self.controller: Controller = make_controller(
             config.control_mode,

@@ -14,16 +14,16 @@ from mjhab.robots.parts import ActionColumns
 from mjhab.tasks.style import ANY, PLAIN, SMOOTH, Style
 
 Array = np.ndarray
-LASTING = 0.86
-"""What is left of smooth noise after a control step: it drifts with a time constant of a third of a second."""
-FULL_NOISE = 0.25
-"""Action from which on noise is as large as asked for. It fades with smaller ones: success asks for a robot that stands
+NOISE_MEMORY = 0.86
+"""Share of smooth noise that is left after a control step: its time constant is a third of a second."""
+FULL_NOISE_ACTION = 0.25
+"""Action from which on noise has its full size. It fades for smaller actions: success asks for a robot that stands
 still, and fingers that close on something must not shake."""
 
 
 class StyledView(WorldView):
-    """A view whose world is to be acted in with a style. A slower script lives in slower time: its control steps last
-    longer, and what it reads of speeds counts per such step."""
+    """A view for a script that acts in a style. A slower script has longer control steps: speeds that it reads are per
+    second of its own, slower time."""
 
     def __init__(self, env: Worlds, world: int) -> None:
         super().__init__(env, world)
@@ -92,17 +92,17 @@ class Manner:
             return intended
         scale = np.zeros(self._columns.dim)
         scale[self._columns.arm] = style.noise * min(
-            1.0, float(np.abs(intended[self._columns.arm]).max()) / FULL_NOISE
+            1.0, float(np.abs(intended[self._columns.arm]).max()) / FULL_NOISE_ACTION
         )
         scale[self._base] = style.base_noise * min(
-            1.0, float(np.abs(intended[self._base]).max()) / FULL_NOISE
+            1.0, float(np.abs(intended[self._base]).max()) / FULL_NOISE_ACTION
         )
         return self._disturbed(intended, scale)
 
     def _disturbed(self, action: Array, scale: Array) -> Array:
         fresh = self._random.standard_normal(self._columns.dim)
         if self.style.noise_kind == SMOOTH:
-            self._noise = LASTING * self._noise + np.sqrt(1.0 - LASTING**2) * fresh
+            self._noise = NOISE_MEMORY * self._noise + np.sqrt(1.0 - NOISE_MEMORY**2) * fresh
         else:
             self._noise = fresh
         return np.clip(action + scale * self._noise, -1.0, 1.0).astype(np.float32)

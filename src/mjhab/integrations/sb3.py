@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -36,75 +36,89 @@ def to_sb3(env: VectorEnv, keys: Sequence[str] = ("state",)) -> Any:
         raise UsageError(
             "stable-baselines3 needs an environment that resets itself; make it with autoreset='same_step'."
         )
-    known = env.single_observation_space
-    assert isinstance(known, spaces.Dict)
     for key in keys:
-        if key not in known.spaces:
-            raise unknown_name("observation", key, tuple(known.spaces))
-    alone = len(keys) == 1
-    seen = known[keys[0]] if alone else spaces.Dict({key: known[key] for key in keys})
+        if key not in env.single_observation_space.spaces:
+            raise unknown_name("observation", key, tuple(env.single_observation_space.spaces))
+    worlds = type("Worlds", (_Worlds, VecEnv), {})
+    return worlds(env, tuple(keys))
 
-    class Worlds(VecEnv):
-        """The worlds of one mjhab environment."""
 
-        def __init__(self) -> None:
-            self._actions = np.zeros((env.num_envs, *env.single_action_space.shape), np.float32)  # type: ignore[misc]
-            self._succeeded = np.zeros(env.num_envs, bool)
-            super().__init__(env.num_envs, seen, env.single_action_space)
+class _Worlds:
+    """The methods of a VecEnv over the worlds of one mjhab environment.
 
-        def reset(self) -> Any:
-            seeds = [seed for seed in self._seeds if seed is not None]
-            chosen: Any = seeds if len(seeds) == env.num_envs else None
-            obs, _ = env.reset(seed=chosen)
-            self._reset_seeds()
-            self._reset_options()
-            self._succeeded[:] = False
-            return self._shown(obs)
+    The class of stable-baselines3 is only there once it is imported: `to_sb3` adds it as the second base.
+    """
 
-        def step_async(self, actions: np.ndarray) -> None:
-            self._actions = np.asarray(actions, np.float32)
+    _seeds: list[int | None]
 
-        def step_wait(self) -> Any:
-            obs, reward, terminated, truncated, info = env.step(self._actions)
-            done = terminated | truncated
-            # What happened in a world that ended is in final_info: `info` is already that of its next episode.
-            happened = info.get("final_info", info)
-            self._succeeded |= np.asarray(happened["success"], bool)
-            infos: list[dict[str, Any]] = [{} for _ in range(env.num_envs)]
-            for world in np.flatnonzero(done).tolist():
-                last = self._shown(info["final_obs"])
-                infos[world] = {
-                    "terminal_observation": _row(last, world),
-                    "TimeLimit.truncated": bool(truncated[world] and not terminated[world]),
-                    "is_success": bool(self._succeeded[world]),
-                }
-            self._succeeded[done] = False
-            return self._shown(obs), np.asarray(reward, np.float32), done, infos
+    def __init__(self, env: VectorEnv, keys: tuple[str, ...]) -> None:
+        known: Any = env.single_observation_space
+        self._env = env
+        self._keys = keys
+        self._actions = np.zeros((env.num_envs, *(env.single_action_space.shape or ())), np.float32)
+        self._succeeded = np.zeros(env.num_envs, bool)
+        several = spaces.Dict({key: known[key] for key in keys})
+        base: Any = super()
+        base.__init__(
+            env.num_envs, several if len(keys) > 1 else known[keys[0]], env.single_action_space
+        )
 
-        def close(self) -> None:
-            env.close()
+    def reset(self) -> Any:
+        seeds = [seed for seed in self._seeds if seed is not None]
+        chosen: Any = seeds if len(seeds) == self._env.num_envs else None
+        obs, _ = self._env.reset(seed=chosen)
+        base: Any = self
+        base._reset_seeds()
+        base._reset_options()
+        self._succeeded[:] = False
+        return self._shown(obs)
 
-        def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-            return [getattr(env, attr_name)] * len(list(self._indices(indices)))
+    def step_async(self, actions: np.ndarray) -> None:
+        self._actions = np.asarray(actions, np.float32)
 
-        def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-            raise UsageError("attributes of single worlds cannot be set; make another environment.")
+    def step_wait(self) -> Any:
+        obs, reward, terminated, truncated, info = self._env.step(self._actions)
+        done = np.asarray(terminated | truncated)
+        # What happened in a world that ended is in final_info: `info` is already that of its next episode.
+        happened = info.get("final_info", info)
+        self._succeeded |= np.asarray(happened["success"], bool)
+        infos: list[dict[str, Any]] = [{} for _ in range(self._env.num_envs)]
+        for world in np.flatnonzero(done).tolist():
+            last = self._shown(info["final_obs"])
+            infos[world] = {
+                "terminal_observation": _row(last, world),
+                "TimeLimit.truncated": bool(truncated[world] and not terminated[world]),
+                "is_success": bool(self._succeeded[world]),
+            }
+        self._succeeded[done] = False
+        return self._shown(obs), np.asarray(reward, np.float32), done, infos
 
-        def env_method(
-            self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any
-        ) -> list[Any]:
-            raise UsageError("worlds have no methods of their own; call those of the environment.")
+    def close(self) -> None:
+        self._env.close()
 
-        def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
-            return [False] * len(list(self._indices(indices)))
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        return [getattr(self._env, attr_name)] * self._count(indices)
 
-        def _indices(self, indices: Any) -> Iterable[int]:
-            return self._get_indices(indices)
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        raise UsageError("attributes of single worlds cannot be set; make another environment.")
 
-        def _shown(self, obs: dict[str, np.ndarray]) -> Any:
-            return obs[keys[0]] if alone else {key: obs[key] for key in keys}
+    def env_method(
+        self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any
+    ) -> list[Any]:
+        raise UsageError("worlds have no methods of their own; call those of the environment.")
 
-    return Worlds()
+    def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
+        return [False] * self._count(indices)
+
+    def _count(self, indices: Any) -> int:
+        base: Any = self
+        return len(list(base._get_indices(indices)))
+
+    def _shown(self, obs: dict[str, np.ndarray]) -> Any:
+        """What the policy sees of an observation: the one entry asked for, or a dict of several."""
+        if len(self._keys) == 1:
+            return obs[self._keys[0]]
+        return {key: obs[key] for key in self._keys}
 
 
 def _row(obs: Any, world: int) -> Any:

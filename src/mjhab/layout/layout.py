@@ -125,6 +125,8 @@ class Layout:
             LinkRef(f"{a.name}/{k.name}", a.name, k) for a in self.articulations for k in a.links
         )
         self.link_ids = tuple(ref.id for ref in self.links)
+        self.doors = frozenset(ref.id for ref in self.links if ref.link.joint == "hinge")
+        """Ids of the links that turn on a hinge; the others slide."""
         self.object_names = copy_names(roster)
         for kind in roster:
             if kind not in pack.objects:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Literal, Protocol
+from typing import Any, Protocol
 
 import mujoco
 import numpy as np
@@ -14,7 +14,7 @@ from mjhab.core.joints import BASE
 from mjhab.core.rotations import mat_from_quat
 from mjhab.layout.layout import Layout
 from mjhab.render.build_scene import SceneBuilder, box_mesh
-from mjhab.render.raster.rasterizer import Rasterizer, look_at
+from mjhab.render.raster.rasterizer import Cameras, Rasterizer, look_at
 from mjhab.render.render_scene import RenderScene
 from mjhab.robots.parts import CameraMount
 from mjhab.scenes.builtin.materials import MATERIALS
@@ -182,11 +182,7 @@ class HomeRenderer:
             index[rows],
             state.body_pos[rows],
             state.body_mat[rows],
-            pos[rows],
-            mat[rows],
-            fovy,
-            width,
-            height,
+            Cameras(pos[rows], mat[rows], fovy, width, height),
             outputs,
         )
         if sane.all():
@@ -240,11 +236,15 @@ class HomeRenderer:
             np.array([self._home_index[home] for home in homes], np.int64),
             state.body_pos[list(worlds)],
             state.body_mat[list(worlds)],
-            np.stack([eye for eye, _ in looks])[:, None],
-            np.stack([look_at(eye.tolist(), target.tolist()) for eye, target in looks])[:, None],
-            FOLLOW_FOVY,
-            width,
-            height,
+            Cameras(
+                np.stack([eye for eye, _ in looks])[:, None],
+                np.stack([look_at(eye.tolist(), target.tolist()) for eye, target in looks])[
+                    :, None
+                ],
+                FOLLOW_FOVY,
+                width,
+                height,
+            ),
             ("rgb",),
         )
         return images["rgb"][:, 0]
@@ -300,17 +300,16 @@ class HomeRenderer:
         data = mujoco.MjData(model)
         data.qpos[self._sim.addresses.robot_q] = parked_robot_qpos(self.layout.robot)
         mujoco.mj_kinematics(model, data)
-        return self._picture(
-            home,
+        mat = look_at(eye.tolist(), target.tolist())
+        images = self.rasterizer.render(
+            np.array([self._home_index[home]]),
             data.xpos[None],
             data.xmat.reshape(1, -1, 3, 3),
-            eye,
-            target,
-            fovy,
-            width,
-            height,
+            Cameras(eye[None, None], mat[None, None], fovy, width, height),
+            ("rgb",),
             "nice",
         )
+        return images["rgb"][0, 0]
 
     @staticmethod
     def _from_top(home: Home, width: int, height: int) -> tuple[np.ndarray, np.ndarray, float]:
@@ -353,31 +352,3 @@ class HomeRenderer:
             seen.append(int(free.all(axis=0).sum()))
         eye = np.append(places[int(np.argmax(seen))], INSIDE_HEIGHT)
         return eye, np.append(middle, 0.5), 1.2
-
-    def _picture(
-        self,
-        home: str,
-        body_pos: np.ndarray,
-        body_mat: np.ndarray,
-        eye: np.ndarray,
-        target: np.ndarray,
-        fovy: float,
-        width: int,
-        height: int,
-        quality: Literal["fast", "nice"],
-    ) -> np.ndarray:
-        index = np.array([self._home_index[home]])
-        mat = look_at(eye.tolist(), target.tolist())
-        images = self.rasterizer.render(
-            index,
-            body_pos,
-            body_mat,
-            eye[None, None],
-            mat[None, None],
-            fovy,
-            width,
-            height,
-            ("rgb",),
-            quality,
-        )
-        return images["rgb"][0, 0]

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from mjhab.core.names import kind_of
+from mjhab.core.timing import STEP_SECONDS
 from mjhab.data.select.query import Filter
 from mjhab.data.select.sets import Place, nothing_passes, select
 from mjhab.data.store.reading import open_shard, shard_paths
-from mjhab.data.store.schema import STEP_SECONDS
 from mjhab.reports import parts
 from mjhab.reports.dataset_forces import force_plots
 from mjhab.reports.dataset_labels import grouped, label_order, label_table

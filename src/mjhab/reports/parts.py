@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from mjhab.core.names import kind_of
+from mjhab.core.timing import STEP_SECONDS
 from mjhab.reports.metrics import SubtaskRow, wilson
 from mjhab.reports.plots import kind_color, tone
 from mjhab.rollout.films import FILM_EVERY, FILM_FPS
 from mjhab.rollout.records import EpisodeRecord, SubtaskRecord
 
-CONTROL_HZ = 20.0
 _GOOD_EVENTS = frozenset(
     {"success", "grasped", "at_goal", "released_at_goal", "navigated_close", "opened", "closed"}
 )
@@ -150,7 +150,7 @@ def film(record: EpisodeRecord, path: Path | None) -> str:
     return (
         f'<figure class="film" data-steps="{record.steps}" data-steps-per-second="{FILM_FPS * FILM_EVERY}">'
         f"<h3>Episode {record.index} <small>in {escape(record.home)}: {escape(outcome)}, "
-        f"{record.steps / CONTROL_HZ:.1f} s of robot time{flags}</small></h3>"
+        f"{record.steps * STEP_SECONDS:.1f} s of robot time{flags}</small></h3>"
         f'{view}{_timeline(record)}<p class="now">{hint}</p>{_event_list(record)}</figure>'
     )
 
@@ -160,7 +160,7 @@ def _timeline(record: EpisodeRecord) -> str:
     parts = [_span(subtask, steps) for subtask in record.subtasks]
     for step, name in record.events:
         css = event_tone(name)
-        title = f"{name.replace('_', ' ')} at {step / CONTROL_HZ:.1f} s (step {step})"
+        title = f"{name.replace('_', ' ')} at {step * STEP_SECONDS:.1f} s (step {step})"
         place = f"left:{100 * step / steps:.2f}%"
         parts.append(
             f'<button type="button" class="tick {css}" style="{place}" data-step="{step}" title="{escape(title)}" '
@@ -177,7 +177,7 @@ def _span(subtask: SubtaskRecord, steps: int) -> str:
         "_", " "
     )
     more = (
-        f"{label}; {(subtask.end_step - subtask.start_step) / CONTROL_HZ:.1f} s, peak {subtask.peak_force:.0f} N, "
+        f"{label}; {(subtask.end_step - subtask.start_step) * STEP_SECONDS:.1f} s, peak {subtask.peak_force:.0f} N, "
         f"sum {subtask.cumulative_force:,.0f} N x steps"
     )
     css = tone(subtask.label) if subtask.label else ("good" if subtask.success_once else "bad")
@@ -194,7 +194,7 @@ def _event_list(record: EpisodeRecord) -> str:
         owner = next((s for s in record.subtasks if s.start_step < step <= s.end_step), None)
         where = f"{owner.kind} {kind_of(owner.target)}" if owner else ""
         rows.append(
-            f'<tr data-step="{step}"><td class="n">{step / CONTROL_HZ:.1f} s</td><td class="n">{step}</td>'
+            f'<tr data-step="{step}"><td class="n">{step * STEP_SECONDS:.1f} s</td><td class="n">{step}</td>'
             f"<td>{escape(where)}</td><td>{escape(name.replace('_', ' '))}</td></tr>"
         )
     if not rows:

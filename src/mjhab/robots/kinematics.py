@@ -1,7 +1,7 @@
 """Batched forward kinematics, Jacobians and damped least-squares steps of a robot tree, on numpy and torch.
 
-The controllers of the end effector and the scripted experts share it. The tree is given by the caller, so that this
-module knows no robot file. Joint columns follow the order the caller names; those of a moving base are x, y and yaw
+The end-effector controllers and the scripted experts use it. The caller gives the tree of links, so that this module
+reads no robot file. Joint columns follow the order the caller names; those of a moving base are x, y and yaw
 in the world.
 
 Letters: N configurations, Q joint columns, L links. Lengths [m], angles [rad], quaternions wxyz. Results are float64

@@ -7,6 +7,7 @@ import math
 import mujoco
 
 from mjhab.core.errors import unknown_name
+from mjhab.core.timing import TIMESTEP_SECONDS
 from mjhab.robots.parts import Drives, Gains, TreeLink
 from mjhab.robots.robot import BASE_LIMITS, Robot
 from mjhab.scenes import contact_bits
@@ -39,7 +40,7 @@ def physics_options(spec: mujoco.MjSpec) -> None:
     spec.compiler.fusestatic = True
     spec.compiler.boundinertia = 1e-6
     option = spec.option
-    option.timestep = 0.01
+    option.timestep = TIMESTEP_SECONDS
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     option.impratio = 10.0

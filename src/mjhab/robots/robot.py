@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.core.joints import BASE, JointColumns
+from mjhab.core.joints import BASE, GROUPS, JointColumns
 from mjhab.robots.kinematics import Chain
 from mjhab.robots.parts import (
     ActionColumns,
@@ -29,11 +29,8 @@ from mjhab.scenes.builtin.materials import Material
 from mjhab.scenes.shapes.meshes import Mesh
 from mjhab.scenes.spec import Vec3
 
-GROUPS = ("base", "torso", "head", "arm", "fingers")
-"""Names of the groups of joints."""
-
 Visuals = Callable[[], list[tuple[str, Mesh, str]]]
-"""Gives the robot for the eye: (body, mesh in the frame of that body [m], name of its material)."""
+"""Function that gives the visual meshes: (body, mesh in the frame of that body [m], name of its material)."""
 
 
 @dataclass(frozen=True)

@@ -112,13 +112,27 @@ class Link:
 
 
 @dataclass(frozen=True)
+class FrontArea:
+    """A rectangle on the floor from which furniture is opened [m], seen along +x: the direction out of the front."""
+
+    near_m: float
+    far_m: float
+    half_width_m: float
+
+
+@dataclass(frozen=True)
 class Articulation:
-    """Furniture with joints: a static body and links that open."""
+    """Furniture with joints: a static body and links that open.
+
+    ``front_area``: where a robot stands to open it, seen from the origin of its frame; None for the usual area in front
+    of every drawer and door (`episodes.starts.fronts`).
+    """
 
     name: str
     geoms: tuple[Geom, ...]
     links: tuple[Link, ...]
     receptacles: tuple[Receptacle, ...] = ()
+    front_area: FrontArea | None = None
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""What the environments ask of a simulator, whichever engine is behind it."""
+"""The interface of a simulator that environments use, the same for all physics engines."""
 
 from __future__ import annotations
 

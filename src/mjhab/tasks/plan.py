@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 
 import numpy as np
 
 from mjhab.core.arrays import Array
-from mjhab.core.errors import unknown_name
 from mjhab.tasks.subtasks.registry import PADDING, name_of, spec_of
 from mjhab.tasks.thresholds import TaskConfig, Vec3
 
@@ -124,6 +122,7 @@ def stack_plans(
     config: TaskConfig,
     boxes: Sequence[Mapping[str, Box]] | None = None,
     min_subtasks: int = 1,
+    doors: Collection[str] = (),
 ) -> PlanArrays:
     """Put the plans of W worlds into arrays, padded to the longest.
 
@@ -132,6 +131,7 @@ def stack_plans(
         config: gives the open fractions.
         boxes: per world, the floor area in front of a link from which it can be reached. It binds a Navigate with
             that ``link`` and nothing in the hand (mshab/envs/navigate.py).
+        doors: links that turn on a hinge; others slide. They count as open at another part of their range.
         min_subtasks: pad to at least so many subtasks, so that array shapes do not depend on the plans drawn.
     """
     count = max(min_subtasks, *(len(plan.subtasks) for plan in plans))
@@ -147,7 +147,7 @@ def stack_plans(
             kind[w, s] = subtask.kind
             goal_pos[w, s] = subtask.goal_pos
             must_hold[w, s] = subtask.must_hold
-            open_frac[w, s] = config.open_fraction(subtask.link)
+            open_frac[w, s] = config.open_fraction(hinged=subtask.link in doors)
             if boxes is not None and spec_of(subtask.kind).navigates and not subtask.must_hold:
                 box[w, s] = boxes[w].get(subtask.link, (np.nan,) * 4)
             if subtask.goal_rect:
@@ -155,31 +155,3 @@ def stack_plans(
     length = np.array([len(plan.subtasks) for plan in plans], dtype=np.int64)
     zones = rect if config.goal_type == "zone" else None
     return PlanArrays(kind, length, goal_pos, must_hold, open_frac, box, zones)
-
-
-FRONT_AREAS: dict[str, tuple[float, float, float]] = {
-    "fridge": (0.933, 1.833, 0.6),
-    "kitchen_counter": (0.3, 1.5, 0.6),
-}
-"""Area from which furniture is opened: x from, x to, half-width [m], seen from the root of the fridge or from the
-drawer link with +x to the front (mshab/utils/gen/gen_spawn_positions.py)."""
-
-
-def front_box(link: str, pos_xy: tuple[float, float], yaw: float) -> Box:
-    """Return the floor area in front of a link as a box along the world axes.
-
-    Args:
-        link: e.g. ``"kitchen_counter/drawer3"``.
-        pos_xy: origin of the fridge, or of the closed drawer's link [m, world].
-        yaw: heading of the front [rad]; for other than quarter turns the bounding box is returned.
-    """
-    furniture = link.split("/")[0]
-    if furniture not in FRONT_AREAS:
-        raise unknown_name("furniture", furniture, FRONT_AREAS)
-    near, far, half = FRONT_AREAS[furniture]
-    cos = math.cos(yaw)
-    sin = math.sin(yaw)
-    corners = [(x, y) for x in (near, far) for y in (-half, half)]
-    xs = [pos_xy[0] + cos * x - sin * y for x, y in corners]
-    ys = [pos_xy[1] + sin * x + cos * y for x, y in corners]
-    return (min(xs), max(xs), min(ys), max(ys))

@@ -61,7 +61,7 @@ class TaskConfig:
 
     goal_type: Literal["sphere", "cylinder", "zone"] = "sphere"
     goal_tol: float = 0.15
-    open_fraction_fridge: float = 0.75
+    open_fraction_door: float = 0.75
     open_fraction_drawer: float = 0.9
     close_fraction: float = 0.01
     slightly_open_fraction: float = 0.1
@@ -90,8 +90,6 @@ class TaskConfig:
             for column in range(posture.start, posture.stop)
         )
 
-    def open_fraction(self, link: str) -> float:
-        """Return the part of its range at which a link such as ``"fridge/top_door"`` counts as open."""
-        return (
-            self.open_fraction_fridge if link.startswith("fridge/") else self.open_fraction_drawer
-        )
+    def open_fraction(self, hinged: bool) -> float:
+        """Part of its range at which a link counts as open: a door if it is ``hinged``, else a drawer."""
+        return self.open_fraction_door if hinged else self.open_fraction_drawer

@@ -76,6 +76,10 @@ def test_a_plugin_that_raises_leaves_nothing_behind(
         plugins.load_plugin(tmp_path / "half.py")
     assert "half" not in shelf and shelf.version != version
     assert plugins.load_plugin(tmp_path / "whole.py").error == ""
+    assert [plugin.registered for plugin in plugins.loaded_plugins()[-2:]] == [
+        (),
+        ("thing 'whole'",),
+    ]
     assert shelf.source("whole") == str(tmp_path / "whole.py")
     with pytest.warns(plugins.PluginWarning, match="registered twice: by plugin .*whole.py"):
         plugins.load_plugin(tmp_path / "whole.py")

@@ -128,7 +128,7 @@ def test_servo_steps_stay_within_speed_and_limits_and_come_nearer(seed):
     q = CHAIN.clip(REST + np.where(np.isin(np.arange(15), DOFS), rng.normal(0, 0.3, 15), 0))[None]
     pos, rot = CHAIN.tip_pose(q)
     goal = pos + rng.normal(0, 0.02, (1, 3))
-    delta = ik.servo(CHAIN, q, goal, rot, DOFS, rest=REST, rest_gain=0.0)
+    delta = ik.servo(CHAIN, q, goal, rot, DOFS, rest=REST, options=ik.ServoOptions(rest_gain=0.0))
     assert (np.abs(delta) <= ik.step_limits(CHAIN) + 1e-12).all()
     assert (q + delta >= CHAIN.lower - 1e-12).all() and (q + delta <= CHAIN.upper + 1e-12).all()
     assert np.linalg.norm(CHAIN.tip_pose(q + delta)[0] - goal) <= np.linalg.norm(pos - goal) + 1e-4

@@ -89,7 +89,12 @@ def test_a_leaning_cylinder_tips_alike_whichever_way_it_is_turned_about_its_axis
 
 
 @pytest.mark.parametrize(
-    ("finger", "speed"), [(0.02, release.AWAY), (0.046, release.AWAY_TIGHT), (0.05, release.AWAY)]
+    ("finger", "speed"),
+    [
+        (0.02, release.AWAY_SPEED_M_S),
+        (0.046, release.TIGHT_AWAY_SPEED_M_S),
+        (0.05, release.AWAY_SPEED_M_S),
+    ],
 )
 def test_the_hand_leaves_slowly_where_the_fingers_brush_along(finger: float, speed: float):
     view: Any = SimpleNamespace(robot=ROBOT, q=np.array([*REST_QPOS[:13], finger, finger]))
@@ -114,12 +119,14 @@ def placed() -> tuple[Any, str, np.ndarray, np.ndarray]:
 def test_fingers_open_as_far_as_there_is_room(monkeypatch: pytest.MonkeyPatch):
     view, obj, pos, rot = placed()
     now = 2.0 * view.q[13:15].mean()
-    assert release.let_go_width(view, obj, pos, rot) == pytest.approx(now + release.WIDER[-1])
+    assert release.let_go_width(view, obj, pos, rot) == pytest.approx(
+        now + release.EXTRA_OPENINGS_M[-1]
+    )
     # A board beside each finger.
     sides = [pos + side * (now / 2 + 0.045) * rot[:, 1] for side in (-1.0, 1.0)]
     boards = Boxes.of(sides, [[0.1, 0.005, 0.1]] * 2, [rot] * 2)
     monkeypatch.setattr(release, "surroundings", lambda *_: (boards, boards))
-    assert now < release.let_go_width(view, obj, pos, rot) < now + release.WIDER[-1]
+    assert now < release.let_go_width(view, obj, pos, rot) < now + release.EXTRA_OPENINGS_M[-1]
 
 
 def test_the_hand_draws_back_out_of_reach_of_the_object_and_never_across_the_fingers(
@@ -129,7 +136,9 @@ def test_the_hand_draws_back_out_of_reach_of_the_object_and_never_across_the_fin
     near, target = surroundings(view, obj, pos)
     spot = release.drawn_back(view, obj, pos, rot, view.q)
     way = spot - pos
-    assert 0.0 < np.linalg.norm(way) <= max(release.BACKS) + 1e-9 and abs(way @ rot[:, 1]) < 1e-9
+    assert (
+        0.0 < np.linalg.norm(way) <= max(release.DRAW_BACK_M) + 1e-9 and abs(way @ rot[:, 1]) < 1e-9
+    )
     found = ik.solve(
         ROBOT.chain,
         spot[None],
@@ -140,7 +149,8 @@ def test_the_hand_draws_back_out_of_reach_of_the_object_and_never_across_the_fin
     )
     assert found.ok[0, 0]
     assert (
-        motion.spheres(ROBOT).only(ROBOT.hand_links).clearance(found.q[0], target)[0] > release.FREE
+        motion.spheres(ROBOT).only(ROBOT.hand_links).clearance(found.q[0], target)[0]
+        > release.FREE_CLEARANCE_M
     )
     along = np.array([-rot[:, 0], [0.0, 0.0, 1.0], [-np.cos(view.q[2]), -np.sin(view.q[2]), 0.0]])
     along -= (along @ rot[:, 1])[:, None] * rot[:, 1]

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from scipy.ndimage import distance_transform_edt
 
 from mjhab.core.errors import UsageError
-from mjhab.experts.base.navigation import CONTROL_DT, Follower, Planner
+from mjhab.core.timing import STEP_SECONDS
+from mjhab.experts.base.navigation import Follower, Planner
 from mjhab.robots.kinematics import wrap
 
 ORIGIN = np.array([-4.0, -3.0])
@@ -54,7 +55,7 @@ def drive(follower: Follower, pose: np.ndarray, steps: int = 900) -> tuple[int, 
         command = follower.step(pose)
         if command.done:
             return step, np.array(track)
-        for _ in range(round(CONTROL_DT / 0.01)):
+        for _ in range(round(STEP_SECONDS / 0.01)):
             speed += blend * (command.v - speed)
             rate += blend * (command.w - rate)
             pose += 0.01 * np.array([speed * np.cos(pose[2]), speed * np.sin(pose[2]), rate])

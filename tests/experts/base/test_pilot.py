@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from mjhab.core.timing import STEP_SECONDS
 from mjhab.experts.arm.gentle import FIRM
-from mjhab.experts.base.navigation import CONTROL_DT
-from mjhab.experts.base.pilot import MAX_SPEED, Pilot, simulate
+from mjhab.experts.base.pilot import MAX_SPEED_M_S, Pilot, simulate
 
 CORNER = np.array([[0.0, 0.0], [1.0, 0.2], [1.3, 1.2]])
 
@@ -18,9 +18,9 @@ def test_a_simulated_drive_ends_at_the_end_of_the_way(care) -> None:
     assert np.linalg.norm(poses[-1, :2] - CORNER[-1]) < 0.05
     assert abs(poses[-1, 2] - 0.5) < 0.1
     steps = np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1)
-    assert steps.max() <= MAX_SPEED * CONTROL_DT + 1e-9
+    assert steps.max() <= MAX_SPEED_M_S * STEP_SECONDS + 1e-9
     if care is not None:
-        assert np.abs(np.diff(poses[:, 2])).max() <= care.spin * CONTROL_DT + 1e-9
+        assert np.abs(np.diff(poses[:, 2])).max() <= care.spin * STEP_SECONDS + 1e-9
 
 
 def test_a_pilot_asks_for_what_the_simulation_drove() -> None:

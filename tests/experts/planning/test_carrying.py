@@ -20,8 +20,9 @@ from mjhab.episodes.grasps.candidates import ObjectShape, grasp_candidates
 from mjhab.experts.arm import motion
 from mjhab.experts.arm.gentle import FIRM, Care
 from mjhab.experts.base.route import (
-    BASE_ROOM,
+    MIN_MAP_CLEARANCE_M,
     Route,
+    RouteWish,
     _swept,
     arm_gone,
     drive_of,
@@ -31,17 +32,17 @@ from mjhab.experts.base.route import (
     simulate,
     torso_gone,
 )
-from mjhab.experts.planning.carry import CORNER, held_spheres
+from mjhab.experts.planning.carry import CORNER_RADIUS_M, held_spheres
 from mjhab.experts.planning.reach import (
-    ARM_END,
-    FAR_OFF,
+    FAR_BASE_M,
+    MAX_OVERREACH_M,
     Scene,
     _overreach,
     base_poses,
     surroundings,
 )
 from mjhab.experts.skills.pick import LOW_SHELF_OPTIONS, SHELF_OPTIONS
-from mjhab.experts.skills.place import DROPS, hand_goals, place
+from mjhab.experts.skills.place import DROP_HEIGHTS_M, hand_goals, place
 from mjhab.robots.fetch.robot import ROBOT
 from mjhab.robots.kinematics import wrap
 
@@ -149,12 +150,14 @@ def test_a_drive_with_something_in_the_hand_that_grazes_furniture_is_tight(
             clearance_at=clearance, plan=lambda *_: np.stack([view.q[:2], ahead[:2]])
         )
         monkeypatch.setattr(route_module, "planner", lambda _: cells)
-        found = plan_route(view, ahead, view.q, motion.arm_spheres(ROBOT), boxes, care=care)
+        found = plan_route(
+            view, ahead, view.q, motion.arm_spheres(ROBOT), boxes, RouteWish(care=care)
+        )
         assert found is not None and found.care is care
         return found.room
 
     assert room(0.4, FIRM) >= 0.0 and room(0.2, None) >= 0.0
-    assert room(0.2, FIRM) == pytest.approx(0.2 - BASE_ROOM)
+    assert room(0.2, FIRM) == pytest.approx(0.2 - MIN_MAP_CLEARANCE_M)
 
 
 def test_nothing_of_the_trunk_counts_on_the_way_of_an_arm():
@@ -198,7 +201,7 @@ def test_spheres_reach_into_the_corners_of_a_held_box():
     corners = pose[:3] + (half * [[1, 1, 1], [-1, 1, -1], [1, -1, -1]]) @ mat_from_quat(pose[3:]).T
     local, radius = held_spheres(view, obj)
     gap = np.linalg.norm(corners[:, None] - (tcp + local @ rot.T), axis=2) - radius
-    assert gap.min(axis=1).max() < CORNER
+    assert gap.min(axis=1).max() < CORNER_RADIUS_M
 
 
 def test_bases_are_only_where_something_can_be_reached():
@@ -215,16 +218,16 @@ def test_bases_are_only_where_something_can_be_reached():
     for wanted, far in itertools.product((goals, shifted), (False, True)):
         bases, steps = base_poses(view, goal, scene, wanted, 0.0, None, far)
         assert len(bases) and np.isfinite(steps).all()
-        assert (_overreach(ROBOT.reach, bases, wanted).min(axis=1) < ARM_END).all()
+        assert (_overreach(ROBOT.reach, bases, wanted).min(axis=1) < MAX_OVERREACH_M).all()
     # Far off only where there is no other way, or to save one.
     near_by = base_poses(view, goal, scene, goals, 0.0, None, False)
     anywhere = base_poses(view, goal, scene, goals, 0.0, None, True)
     moved = np.linalg.norm(near_by[0][:, :2] - view.q[:2], axis=1) > 1e-9
     assert (
         moved.any()
-        and np.linalg.norm(near_by[0][moved, :2] - goal[:2], axis=1).max() <= FAR_OFF + 1e-9
+        and np.linalg.norm(near_by[0][moved, :2] - goal[:2], axis=1).max() <= FAR_BASE_M + 1e-9
     )
-    assert np.linalg.norm(anywhere[0][:, :2] - goal[:2], axis=1).max() > FAR_OFF
+    assert np.linalg.norm(anywhere[0][:, :2] - goal[:2], axis=1).max() > FAR_BASE_M
     assert anywhere[1].min() <= near_by[1].min()
 
 
@@ -238,8 +241,8 @@ def test_place_looks_at_every_way_before_it_waits(monkeypatch: pytest.MonkeyPatc
         (0, 0.0, False),
         (1, 0.0, True),
         (2, 0.0, True),
-        (3, DROPS[1], True),
-        (4, DROPS[2], True),
+        (3, DROP_HEIGHTS_M[1], True),
+        (4, DROP_HEIGHTS_M[2], True),
     ]
 
 

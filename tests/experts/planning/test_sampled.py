@@ -98,7 +98,7 @@ def test_drives_with_another_posture_where_the_arm_does_not_pass(monkeypatch: py
     view = view_of(LEFT)
     robot = motion.spheres(ROBOT)
     straight = route.plan_route(view, goal, arm, robot, posts)
-    assert straight is not None and straight.room < sampled.TOUCHES
+    assert straight is not None and straight.room < sampled.MAX_DEFICIT_M
     found = plan_around(view, goal, arm, robot, posts)
     assert found is not None and found.via is not None and 0 <= found.carried < len(found.via)
     carried = np.repeat(found.via[found.carried][None], 40, axis=0)
@@ -132,7 +132,7 @@ def test_only_where_straight_ways_touch_and_time_is_left(monkeypatch: pytest.Mon
     around = roomier(view, bad, blocked)
     assert around is not None and around is not bad and around[0].route.via is not None
     assert roomier(view, None, blocked) is not None and roomier(view, None, []) is None
-    view.steps_left = around[0].route.steps + sampled.REST - 1  # type: ignore[misc]
+    view.steps_left = around[0].route.steps + sampled.MIN_TOTAL_STEPS - 1  # type: ignore[misc]
     assert roomier(view, bad, blocked) is bad
 
 
@@ -178,8 +178,8 @@ def test_arm_passes_the_postures_of_a_route_one_after_the_other():
             arrived = end.value
     assert arrived
     gaps = np.abs(np.array(view.passed)[:, None] - np.stack([*via, RIGHT])).max(axis=2)
-    first = [int(np.argmax(gap < route.PASSED)) for gap in gaps.T]
-    assert 0 < first[0] < first[1] < first[2] and (gaps[first[0] : 20, 0] < route.PASSED).all()
+    first = [int(np.argmax(gap < route.PASSED_RAD)) for gap in gaps.T]
+    assert 0 < first[0] < first[1] < first[2] and (gaps[first[0] : 20, 0] < route.PASSED_RAD).all()
     # It starts gently, when the base has arrived as well.
     speed = np.abs(np.diff(np.array(view.passed), axis=0)).max(axis=1)
     for start in (0, way.lead):

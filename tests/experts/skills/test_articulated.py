@@ -162,7 +162,7 @@ def test_thrown_door_coasts(speed: float) -> None:
     v = speed
     while v > 0:
         way += v * dt
-        v -= (v + door.COAST_STOP) / door.COAST_TIME * dt
+        v -= (v + door.COAST_STOP_RAD_S) / door.COAST_TIME_S * dt
     assert door._coasts(speed) == pytest.approx(way, abs=1e-3)
     assert door._coasts(-speed) == 0.0
 

@@ -11,7 +11,7 @@ from mjhab.core.errors import UsageError
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.experts import make_expert
 from mjhab.experts.base.driving import BRISK, simulate
-from mjhab.experts.base.floorplan import BASE_NEED, LEVELS, Arm, Floorplan
+from mjhab.experts.base.floorplan import BASE_CLEARANCE_M, SLICES_M, Arm, Floorplan
 from mjhab.experts.base.lattice import YAWS, Lattice, Leg
 from mjhab.experts.skills import navigate
 from mjhab.robots.kinematics import wrap
@@ -27,10 +27,15 @@ Map = np.ndarray
 def floorplan(taken: Map) -> Floorplan:
     """A plan of walls that reach up to the ceiling, for an arm that is a ball `REACH` ahead of the base's centre."""
     gap = np.asarray(distance_transform_edt(~taken)) * CELL - CELL / 2
-    walls = np.repeat(taken[None], len(LEVELS), axis=0)
+    walls = np.repeat(taken[None], len(SLICES_M), axis=0)
     arm = Arm(np.array([[REACH, 0.0]]), np.array([THICK]), np.array([[5, 5]]))
     return Floorplan(
-        np.zeros(2), CELL, gap - BASE_NEED, np.repeat(gap[None], len(LEVELS), axis=0), walls, arm
+        np.zeros(2),
+        CELL,
+        gap - BASE_CLEARANCE_M,
+        np.repeat(gap[None], len(SLICES_M), axis=0),
+        walls,
+        arm,
     )
 
 

@@ -19,10 +19,17 @@ from mjhab.experts import make_expert
 from mjhab.experts.arm import motion
 from mjhab.experts.arm.ik import rotate
 from mjhab.experts.base.pilot import Pilot
-from mjhab.experts.base.route import LOOKAHEADS, LOST_STEPS, follow, plan_route, planner
+from mjhab.experts.base.route import (
+    LOOKAHEADS_M,
+    LOST_STEPS,
+    RouteWish,
+    follow,
+    plan_route,
+    planner,
+)
 from mjhab.experts.planning.carry import grip, held_spheres, inside_depth
 from mjhab.experts.planning.reach import Scene, surroundings, way_out
-from mjhab.experts.skills.pick import EVEN, balanced, height_below, plan_pick
+from mjhab.experts.skills.pick import FREE_OFFSET_M, balanced, height_below, plan_pick
 from mjhab.experts.skills.place import hand_goals
 from mjhab.robots.fetch.robot import ROBOT
 from mjhab.tasks.style import ANY
@@ -93,7 +100,7 @@ def drive(pilot: Pilot, pose: np.ndarray, steps: int = 300) -> tuple[np.ndarray,
     return pose, steps
 
 
-@pytest.mark.parametrize("lookahead", LOOKAHEADS)
+@pytest.mark.parametrize("lookahead", LOOKAHEADS_M)
 @pytest.mark.parametrize("yaw", [0.0, 2.0, -3.0])
 def test_pilot_ends_near_the_goal_with_its_heading(lookahead: float, yaw: float):
     path = np.array([[0.0, 0.0], [0.8, 0.0], [1.2, 0.6]])
@@ -240,7 +247,7 @@ def test_grasps_beside_the_centre_come_last():
         np.abs(np.einsum("gj,gj->g", centre - g.pos, g.rot[:, :, 2])) for g in (found, ordered)
     )
     assert len(ordered) == len(found) and (np.diff(ordered.score) <= 0.0).all()
-    assert after[:10].max() <= EVEN < before.max()
+    assert after[:10].max() <= FREE_OFFSET_M < before.max()
     assert after[:40].mean() < before[:40].mean()
 
 
@@ -248,7 +255,7 @@ def test_a_drive_ends_when_the_object_is_lost():
     view = view_of("tidy_house", "pick")
     boxes, _ = surroundings(view, the_object(view), view.tcp_pose[:3])
     ahead = view.q[:3] + np.array([np.cos(view.q[2]), np.sin(view.q[2]), 0.0])
-    route = plan_route(view, ahead, view.q, motion.spheres(ROBOT), boxes, straight=True)
+    route = plan_route(view, ahead, view.q, motion.spheres(ROBOT), boxes, RouteWish(straight=True))
     assert route is not None and route.steps > 2 * LOST_STEPS
     # The hand is empty.
     drive_with = follow(view, route, gripper=motion.CLOSED, held=the_object(view))

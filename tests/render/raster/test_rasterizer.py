@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ from mjhab.core.errors import UsageError
 from mjhab.render.build_scene import SceneBuilder, primitive_mesh
 from mjhab.render.gl_probe import GL_BACKENDS, best_renderer, renderer_probe
 from mjhab.render.mesh_levels import corner_normals
-from mjhab.render.raster.rasterizer import Rasterizer, look_at
+from mjhab.render.raster.rasterizer import Cameras, Rasterizer, look_at
 from mjhab.scenes.builtin.materials import Material
 from mjhab.scenes.shapes.meshes import Mesh
 from mjhab.scenes.spec import Geom, Light
@@ -28,10 +30,7 @@ def draw(builder: SceneBuilder, eye, target, homes=(0,), threads=1, **options):
         np.array(homes),
         np.zeros((count, 1, 3)),
         np.tile(np.eye(3), (count, 1, 1, 1)),
-        pos,
-        mat,
-        FOVY,
-        *SIZE,
+        Cameras(pos, mat, FOVY, *SIZE),
         **options,
     )
     raster.close()
@@ -210,10 +209,7 @@ def test_body_instances_follow_their_body():
         np.zeros(1, int),
         body_pos,
         body_mat,
-        eye[None, None],
-        look_at(eye, target)[None, None],
-        FOVY,
-        *SIZE,
+        Cameras(eye[None, None], look_at(eye, target)[None, None], FOVY, *SIZE),
     )
     # The body is turned by 90 deg: the box's centre is at (1, 2.5, 0.5) and its x and y half-extents swap.
     want = box_depth(eye, rays(eye, target), target, np.array([0.2, 0.1, 0.3]))
@@ -391,13 +387,14 @@ def test_bad_input_is_named():
     raster = Rasterizer(crowded().build(), 1)
     eye = np.zeros((1, 1, 3))
     mat = np.eye(3)[None, None]
-    good = (np.zeros(1, int), eye, mat, eye, mat, 1.0)
+    home = np.zeros(1, int)
+    cameras = Cameras(eye, mat, 1.0, 8, 8)
     with pytest.raises(UsageError, match="Did you mean 'depth'"):
-        raster.render(*good, 8, 8, outputs=("dept",))
+        raster.render(home, eye, mat, cameras, outputs=("dept",))
     with pytest.raises(UsageError, match=r"home must be in 0\.\.1"):
-        raster.render(np.array([2]), *good[1:], 8, 8)
+        raster.render(np.array([2]), eye, mat, cameras)
     with pytest.raises(UsageError, match="cam_pos must have shape"):
-        raster.render(*good[:3], np.zeros((1, 3)), *good[4:], 8, 8)
+        raster.render(home, eye, mat, replace(cameras, pos=np.zeros((1, 3))))
     with pytest.raises(UsageError, match="Did you mean 'floor_oak'"):
         SceneBuilder(1).material("flor_oak")
     with pytest.raises(UsageError, match="nothing was added"):

@@ -16,7 +16,7 @@ import numpy as np
 
 from mjhab.render.build_scene import SceneBuilder
 from mjhab.render.gl_probe import GL_BACKENDS, best_renderer, renderer_probe
-from mjhab.render.raster.rasterizer import Rasterizer, look_at
+from mjhab.render.raster.rasterizer import Cameras, Rasterizer, look_at
 from mjhab.scenes.spec import Geom
 
 SIZE = (160, 120)
@@ -100,7 +100,7 @@ def test_depth_and_seg_agree_with_mujoco_where_opengl_works(tmp_path, record_tes
     eye = EYE[None, None]
     mat = look_at(EYE, TARGET)[None, None]
     own = Rasterizer(builder.build(), 1).render(
-        np.zeros(1, int), np.zeros((1, 1, 3)), np.eye(3)[None, None], eye, mat, FOVY, *SIZE
+        np.zeros(1, int), np.zeros((1, 1, 3)), np.eye(3)[None, None], Cameras(eye, mat, FOVY, *SIZE)
     )
     with np.load(file) as gl:
         alike = own["seg"][0, 0] == gl["seg"]

@@ -20,7 +20,7 @@ import pytest
 from PIL import Image
 
 from mjhab.render.build_scene import SceneBuilder
-from mjhab.render.raster.rasterizer import Rasterizer, look_at
+from mjhab.render.raster.rasterizer import Cameras, Rasterizer, look_at
 from mjhab.scenes.builtin.objects import builtin_objects, object_meshes
 from mjhab.scenes.shapes.meshes import Mesh
 from mjhab.scenes.shapes.shapes import about_z
@@ -87,11 +87,7 @@ def drawn(view: str) -> dict[str, np.ndarray]:
         np.zeros(1, int),
         np.zeros((1, 1, 3)),
         np.eye(3)[None, None],
-        np.array(eye)[None, None],
-        look_at(eye, target)[None, None],
-        fovy,
-        SIZE,
-        SIZE,
+        Cameras(np.array(eye)[None, None], look_at(eye, target)[None, None], fovy, SIZE, SIZE),
         quality=quality,
     )
     return {name: image[0, 0] for name, image in images.items()}

@@ -16,7 +16,7 @@ from mjhab.core.rotations import mat_from_quat
 from mjhab.episodes.rosters import roster
 from mjhab.layout.layout import Layout
 from mjhab.render.build_scene import SceneBuilder, box_mesh
-from mjhab.render.raster.rasterizer import NEAR, Rasterizer
+from mjhab.render.raster.rasterizer import NEAR, Cameras, Rasterizer
 from mjhab.robots.fetch import model as fetch
 from mjhab.robots.fetch.robot import ROBOT
 from mjhab.robots.parts import CameraMount
@@ -131,11 +131,7 @@ def rasterized(pos: np.ndarray, mat: np.ndarray, fovy: float) -> dict[str, np.nd
         np.zeros(1, int),
         np.zeros((1, 1, 3)),
         np.eye(3)[None, None],
-        pos[None, None],
-        mat[None, None],
-        fovy,
-        SIZE,
-        SIZE,
+        Cameras(pos[None, None], mat[None, None], fovy, SIZE, SIZE),
         ("depth", "seg"),
     )
     own = np.array([names[name] for name in scene.seg_names])

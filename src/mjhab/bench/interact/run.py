@@ -39,7 +39,7 @@ WORLD_MB = 0.34
 """A world on a device without pictures: 0.14 MB of arrays, 0.17 MB that a substep takes on its way (sums for 3 and for
 32 worlds on Warp's CPU device, difference over 29), and a tenth on top."""
 WARM_STEPS = 3
-"""Untimed steps: kernels load, graphs are captured."""
+"""Control steps that are not timed: kernels are loaded and CUDA graphs captured."""
 STAGE_STEPS = 80
 """Steps timed stage by stage after the runs: to where the hand is among the objects, which the report shows."""
 MOVED = 0.01
@@ -149,7 +149,7 @@ class InteractBench:
         return [name for name, far in zip(OBJECTS, way > MOVED, strict=True) if far]
 
     def tainted(self) -> int:
-        """Worlds whose physics is doubtful."""
+        """Number of worlds with a taint (`sim.protocol.TAINTS`)."""
         return int((to_numpy(self.sim.taint()) != 0).sum())
 
     def device_used_mb(self) -> float | None:

@@ -1,1 +1,1 @@
-"""How far apart the backends are over whole episodes."""
+"""Differences between the two simulators over whole episodes."""

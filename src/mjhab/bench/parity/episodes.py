@@ -1,4 +1,5 @@
-"""Expert episodes on both simulators for ``mjhab bench parity``: the same actions on both, and the expert by itself."""
+"""Expert episodes on both simulators for ``mjhab bench parity``: with the same actions on both, and with the expert
+acting on each by itself."""
 
 from __future__ import annotations
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from mjhab.bench.grasp import (
     BENCH_OBJECTS,
-    CONTROL_DT,
     DROP_DISTANCE,
     GRIP_TARGET,
     SETTLE_STEPS,
@@ -20,6 +19,7 @@ from mjhab.core.arrays import to_numpy
 from mjhab.core.joints import BASE_X, BASE_XY, BASE_Y, BASE_YAW
 from mjhab.core.rotations import mat_from_quat
 from mjhab.core.seeding import stream
+from mjhab.core.timing import STEP_SECONDS
 from mjhab.layout.layout import Layout
 from mjhab.scenes.packs import open_pack
 from mjhab.sim.backends import open_simulator
@@ -64,8 +64,8 @@ def _shake(
     phase = stream(seed, "grasp_bench").uniform(0.0, 2 * np.pi, 7)
     begin = _in_hand(sim)
     slip = np.zeros(worlds)
-    for k in range(round(seconds / CONTROL_DT)):
-        goal, forward, turn = shake_motion(layout.robot, k * CONTROL_DT, rest, phase)
+    for k in range(round(seconds / STEP_SECONDS)):
+        goal, forward, turn = shake_motion(layout.robot, k * STEP_SECONDS, rest, phase)
         measured = to_numpy(sim.state().robot_q).astype(np.float64)
         ctrl = measured + np.clip(goal - measured, -0.1, 0.1)
         ctrl[:, BASE_X] = forward * np.cos(measured[:, BASE_YAW])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib.util
 import platform
 from pathlib import Path
@@ -12,6 +13,7 @@ from mjhab.cli.output import print_json, print_table
 from mjhab.core.files.cache import cache_dir
 from mjhab.core.machine import cores, gpu_name, installed, pip_install
 from mjhab.core.memory_cache import LIMIT_VARIABLE, memory_limit_mb
+from mjhab.core.registration.plugins import loaded_plugins
 from mjhab.core.version import __version__
 
 PINNED_MUJOCO = "3.17.0"
@@ -42,9 +44,12 @@ def run_doctor(options: DoctorOptions) -> int:
 
 
 def diagnose() -> dict[str, Any]:
-    """Return python and mujoco version, renderers (name: works), gpu (name or None), cores, caches.
+    """What this machine offers, as plain data.
 
-    ``cache``: the folder; ``memory_cache_mb``: limit of what a process remembers [MB].
+    Returns:
+        ``python`` and ``mujoco``: versions; ``renderers``: whether each works, by name; ``gpu``: its name or None;
+        ``cores``; ``cache``: its folder; ``memory_cache_mb``: limit of what a process remembers [MB]; ``plugins``:
+        name, origin, what each registered, and its error ("" for none).
     """
     from mjhab.render.gl_probe import renderer_probe
 
@@ -56,6 +61,7 @@ def diagnose() -> dict[str, Any]:
         "cores": cores(),
         "cache": str(cache_dir()),
         "memory_cache_mb": memory_limit_mb(),
+        "plugins": [dataclasses.asdict(plugin) for plugin in loaded_plugins()],
     }
 
 
@@ -87,6 +93,16 @@ def _print(found: dict[str, Any]) -> None:
         ("cache in memory", f"{found['memory_cache_mb']:g} MB at most (${LIMIT_VARIABLE})"),
     ]
     print_table("machine", ("what", "value"), machine)
+    if found["plugins"]:
+        print_table(
+            "plugins", ("plugin", "where", "registered"), map(_plugin_row, found["plugins"])
+        )
+
+
+def _plugin_row(plugin: dict[str, Any]) -> tuple[str, str, str]:
+    registered = "\n".join(plugin["registered"]) or "nothing"
+    failed = f"could not be loaded: {plugin['error']}"
+    return plugin["name"], plugin["origin"], failed if plugin["error"] else registered
 
 
 def _advice(renderer: str) -> str:

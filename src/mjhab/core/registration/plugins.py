@@ -33,18 +33,24 @@ class PluginWarning(UserWarning):
 
 @dataclass(frozen=True)
 class Plugin:
-    """A plugin that was found. ``error`` says why it could not be loaded, "" if it was."""
+    """A plugin that was found."""
 
     name: str
     """Path as given in ``MJHAB_PLUGINS``, or name of the entry point."""
+    origin: str
+    """What is imported: the full path of a file or folder, or the module of an entry point."""
+    registered: tuple[str, ...] = ()
+    """What it has registered, in order: "subtask 'push'". Nothing if it could not be loaded."""
     error: str = ""
+    """Why it could not be loaded, "" if it was."""
 
 
 @dataclass
 class _Loading:
-    """A plugin while it is imported, and how to take back what it has registered so far."""
+    """A plugin while it is imported, what it has registered so far, and how to take that back."""
 
     name: str
+    registered: list[str] = field(default_factory=list)
     undo: list[Callable[[], None]] = field(default_factory=list)
 
 
@@ -63,7 +69,7 @@ def load_plugins() -> tuple[Plugin, ...]:
     if not _done:
         _done = True
         for entry in sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda entry: entry.name):
-            _load(entry.name, entry.load)
+            _load(entry.name, f"entry point {entry.value}", entry.load)
         for path in filter(None, os.environ.get(PATHS_VARIABLE, "").split(os.pathsep)):
             load_plugin(path)
     return tuple(_found)
@@ -71,7 +77,8 @@ def load_plugins() -> tuple[Plugin, ...]:
 
 def load_plugin(path: str | Path) -> Plugin:
     """Load one plugin file or folder now; see `load_plugins` for what happens when it raises."""
-    return _load(str(path), lambda: _import_path(Path(path)))
+    place = Path(path).expanduser().resolve()
+    return _load(str(path), str(place), lambda: _import_path(place))
 
 
 def loaded_plugins() -> tuple[Plugin, ...]:
@@ -93,13 +100,19 @@ def current_source() -> str:
     return _loading[-1].name if _loading else ""
 
 
-def on_failure(undo: Callable[[], None]) -> None:
-    """Remember how to take back a registration if the plugin that is being loaded raises later on."""
+def note_registration(what: str, undo: Callable[[], None]) -> None:
+    """Remember what the plugin that is being loaded has registered; does nothing outside of plugins.
+
+    Args:
+        what: sort and name, such as "subtask 'push'".
+        undo: takes the registration back; called if the plugin raises later on.
+    """
     if _loading:
+        _loading[-1].registered.append(what)
         _loading[-1].undo.append(undo)
 
 
-def _load(name: str, run: Callable[[], object]) -> Plugin:
+def _load(name: str, origin: str, run: Callable[[], object]) -> Plugin:
     loading = _Loading(name)
     _loading.append(loading)
     error = ""
@@ -110,9 +123,10 @@ def _load(name: str, run: Callable[[], object]) -> Plugin:
         error = f"{type(raised).__name__}: {raised}"
         for undo in reversed(loading.undo):
             undo()
+        loading.registered.clear()
     finally:
         _loading.pop()
-    plugin = Plugin(name, error)
+    plugin = Plugin(name, origin, tuple(loading.registered), error)
     _found.append(plugin)
     # Worker processes load the same plugins; the process that started them has told.
     if error and multiprocessing.parent_process() is None:
@@ -130,7 +144,6 @@ def _import_path(path: Path) -> None:
     Raises:
         UsageError: there is no such file, or the folder is no package.
     """
-    path = path.expanduser().resolve()
     file = path / "__init__.py" if path.is_dir() else path
     if not file.is_file() or file.suffix != ".py":
         raise UsageError(f"{path} is neither a Python file nor a folder with an __init__.py.")

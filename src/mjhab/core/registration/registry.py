@@ -43,7 +43,7 @@ class Registry(Generic[Item]):
         self._items[name] = item
         self._names[name] = source
         self.version += 1
-        plugins.on_failure(lambda: self.remove(name))
+        plugins.note_registration(f"{self._what} {name!r}", lambda: self.remove(name))
         return item
 
     def remove(self, name: str) -> None:

@@ -8,8 +8,8 @@ from functools import lru_cache
 from typing import Any
 
 from mjhab.core.names import kind_of
+from mjhab.core.timing import STEP_SECONDS
 from mjhab.data.store.episode_data import RunInfo
-from mjhab.data.store.schema import STEP_SECONDS
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.tasks.household.registry import TASKS
 from mjhab.tasks.style import NAMES, descriptions, field_words, value_of
@@ -46,13 +46,16 @@ def _ended(record: EpisodeRecord, name: str) -> list[str]:
     return [getattr(entry, name) or "" for entry in record.subtasks]
 
 
+def _last(record: EpisodeRecord, name: str) -> str:
+    return next(iter(_ended(record, name)[::-1]), "")
+
+
 def _event(name: str) -> Fact:
     return Fact(name, TRUTH, f"the event {name} occurred", lambda r, _: name in events_of(r))
 
 
-def _base() -> tuple[Fact, ...]:
-    """Facts but styles and single events; their choices are those of what is registered now."""
-    labels = all_labels()
+def _asked() -> tuple[Fact, ...]:
+    """Facts about what was to be done, by whom and where; choices are those of what is registered now."""
     return (
         Fact("task", TEXT, "task", lambda r, _: r.task, TASKS.names()),
         Fact(
@@ -78,6 +81,12 @@ def _base() -> tuple[Fact, ...]:
         ),
         Fact("seed", NUMBER, "seed", lambda r, _: r.seed),
         Fact("index", NUMBER, "index", lambda r, _: r.index),
+    )
+
+
+def _subjects() -> tuple[Fact, ...]:
+    """Facts about the objects, drawers and doors of an episode."""
+    return (
         Fact(
             "target",
             TEXT,
@@ -96,11 +105,18 @@ def _base() -> tuple[Fact, ...]:
             "object types and links of the plan",
             lambda r, _: [kind_of(e.target) for e in r.plan],
         ),
+    )
+
+
+def _judged() -> tuple[Fact, ...]:
+    """Facts about labels and success; choices are those of what is registered now."""
+    labels = all_labels()
+    return (
         Fact(
             "label",
             TEXT,
             "label of the last subtask that ended, '' if none did",
-            lambda r, _: next(iter(_ended(r, "label")[::-1]), ""),
+            lambda r, _: _last(r, "label"),
             ("", *labels),
         ),
         Fact(
@@ -114,7 +130,7 @@ def _base() -> tuple[Fact, ...]:
             "legacy_label",
             TEXT,
             "label by the rules of the published code",
-            lambda r, _: next(iter(_ended(r, "legacy_label")[::-1]), ""),
+            lambda r, _: _last(r, "legacy_label"),
             ("", *labels),
         ),
         Fact("success", TRUTH, "the goal was reached at least once", lambda r, _: r.success_once),
@@ -127,6 +143,12 @@ def _base() -> tuple[Fact, ...]:
         Fact("fail", TRUTH, "the episode failed", lambda r, _: r.fail),
         Fact("completed", NUMBER, "subtasks completed", lambda r, _: r.completed),
         Fact("planned", NUMBER, "subtasks of the plan", lambda r, _: len(r.plan)),
+    )
+
+
+def _measured() -> tuple[Fact, ...]:
+    """Facts about durations, forces, faults of the simulation, and events."""
+    return (
         Fact("steps", NUMBER, "control steps", lambda r, _: r.steps),
         Fact("duration", NUMBER, "time [s]", lambda r, _: r.steps * STEP_SECONDS),
         Fact(
@@ -184,7 +206,8 @@ def facts() -> Mapping[str, Fact]:
 
 @lru_cache(maxsize=4)
 def _facts(versions: tuple[int, int]) -> Mapping[str, Fact]:
-    found = {fact.name: fact for fact in _base()}
+    plain = (*_asked(), *_subjects(), *_judged(), *_measured())
+    found = {fact.name: fact for fact in plain}
     found |= {f"style.{name}": _styled(name) for name in NAMES}
     found |= {name: _event(name) for name in event_columns() if name not in found}
     return found

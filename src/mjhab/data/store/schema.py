@@ -22,8 +22,6 @@ OLDEST = 1
 """Oldest schema that is read; `Episode` gives the contents of an older one as those of VERSION."""
 EPISODES = "episodes"
 RUNS = "runs"
-STEP_SECONDS = 0.05
-"""One control step [s]: control at 20 Hz (MS-HAB paper Sec. 4.1)."""
 
 CHECKS: tuple[str, ...] = (
     "is_grasped",

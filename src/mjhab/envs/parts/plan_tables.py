@@ -120,7 +120,9 @@ class PlanTables:
 
     def set_row(self, world: int, plan: TaskPlan, boxes: dict[str, Box]) -> None:
         """Give a world a new plan."""
-        row = stack_plans([plan], self.config, [boxes], min_subtasks=self.num_subtasks)
+        row = stack_plans(
+            [plan], self.config, [boxes], min_subtasks=self.num_subtasks, doors=self.layout.doors
+        )
         for field in dataclasses.fields(PlanArrays):
             table = getattr(self.arrays, field.name)
             if table is not None:

@@ -67,7 +67,6 @@ def grasp_candidates(
     robot_xy: Array | None = None,
     gripper: Gripper | None = None,
     options: Options | None = None,
-    least_clear: float = 0.0,
 ) -> Grasps:
     """All sensible grasps of one object, best first; none when it cannot be grasped as it lies.
 
@@ -78,7 +77,6 @@ def grasp_candidates(
         neighbours: boxes (other objects, drawer walls, shelves above) the gripper must not touch on its way.
         robot_xy: (2,) where the robot is: approaches away from it score higher.
         gripper: sizes of the hand; those of the default robot if not given. options: weights.
-        least_clear: drop grasps that come nearer than this to a neighbour.
 
     Raises:
         UsageError: unknown kind of shape.
@@ -106,7 +104,7 @@ def grasp_candidates(
     kind, score = _score(pos, turn, quality, clear, robot_xy, options)
     found = Grasps(tcp, turn, pre, width, opening, clear, kind, score)
     order = np.argsort(-score, kind="stable")
-    return found.take(order[clear[order] >= least_clear])
+    return found.take(order[clear[order] >= options.least_clear_m])
 
 
 def gripper_spheres(opening: Array, gripper: Gripper | None = None) -> tuple[Array, Array]:

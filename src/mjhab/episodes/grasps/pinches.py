@@ -97,6 +97,8 @@ class Options:
     """Points sampled along each side of a face of a box."""
     scant: float = 0.0
     """Score lost per metre that the root of the area which the pads press on flat sides lacks to 2 cm."""
+    least_clear_m: float = 0.0
+    """Grasps whose approach comes nearer than this to a neighbour are left out."""
     preference: dict[str, float] = field(
         default_factory=lambda: {"top": 1.0, "tilted": 0.8, "side": 0.5}
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mjhab.episodes.spawns import SpawnGoal
+from mjhab.episodes.starts.fronts import link_front
 from mjhab.episodes.starts.scene import Scene, SubtaskStart
 
 
@@ -18,8 +19,8 @@ class CloseStart(SubtaskStart):
 
     def stand(self, scene: Scene) -> SpawnGoal:
         """As in mshab/utils/gen/gen_spawn_positions.py."""
-        root = scene.state.link_root(scene.home, scene.subtask.link)
-        return SpawnGoal(np.array(root), self.approach(scene).area)
+        front = link_front(scene.state.layout, scene.home, scene.subtask.link)
+        return SpawnGoal(np.array(front.root), self.approach(scene).area)
 
 
 START = CloseStart()

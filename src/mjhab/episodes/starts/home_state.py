@@ -61,19 +61,14 @@ class HomeState:
         """Where the joint of a link is in ``qpos``."""
         return int(self.sim.addresses.link_q[self.layout.link_ids.index(link)])
 
-    def link_root(self, home: Home, link: str) -> tuple[float, float]:
-        """Where the original measures from: the origin of the fridge, or of the closed drawer's link [m]."""
-        furniture = link.split("/")[0]
-        if furniture == "fridge":
-            x, y, _ = self.layout.articulation_placement(home, furniture).pos
-        else:
-            x, y, _ = self.layout.closed_link_origin(home, link)
-        return (x, y)
+    def open_at(self, link: str) -> float:
+        """Part of its range at which a drawer or door counts as open."""
+        return self.task_config.open_fraction(hinged=link in self.layout.doors)
 
     def open_link(self, rng: np.random.Generator, home: str, link: str, qpos: Array) -> None:
         """Open a link so far that an Open would have succeeded, or further."""
         low, high = self.link(link).link.range
-        fraction = rng.uniform(self.task_config.open_fraction(link), OPEN_START_MARGIN)
+        fraction = rng.uniform(self.open_at(link), OPEN_START_MARGIN)
         at = low + fraction * (high - low)
         qpos[self.link_address(link)] = min(at, dict(self.homes[home].open_limits).get(link, at))
 
@@ -82,7 +77,7 @@ class HomeState:
     ) -> None:
         """Open a link that stands less than half open, or draw ``anew`` how far it is open."""
         low, high = self.link(link).link.range
-        half_open = low + 0.5 * self.task_config.open_fraction(link) * (high - low)
+        half_open = low + 0.5 * self.open_at(link) * (high - low)
         if anew or qpos[self.link_address(link)] < half_open:
             self.open_link(rng, home, link, qpos)
 

@@ -20,6 +20,7 @@ from mjhab.episodes.grasps.carry_postures import CarryPostures
 from mjhab.episodes.grasps.stable import StableGrasps
 from mjhab.episodes.spawn_sets import SpawnSet
 from mjhab.episodes.spawns import MAX_TRIES, Held, SpawnGoal, SpawnSampler
+from mjhab.episodes.starts.fronts import link_front
 from mjhab.episodes.starts.home_state import HomeState
 from mjhab.episodes.starts.scene import Scene, Situation, Start, SubtaskStart
 from mjhab.layout.layout import Layout
@@ -28,7 +29,7 @@ from mjhab.scenes.spec import Home
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.settle import parked_robot_qpos
 from mjhab.tasks.household.registry import TASKS, chain
-from mjhab.tasks.plan import FRONT_AREAS, Box, Subtask, TaskPlan, front_box
+from mjhab.tasks.plan import Box, Subtask, TaskPlan
 from mjhab.tasks.subtasks.registry import SUBTASKS, number_of, spec_of
 from mjhab.tasks.thresholds import TaskConfig
 
@@ -152,13 +153,7 @@ class StartMaker:
         """Area in front of every link of a home, as (x_min, x_max, y_min, y_max)."""
         if home.name not in self._boxes:
             self._boxes[home.name] = {
-                ref.id: front_box(
-                    ref.id,
-                    self._state.link_root(home, ref.id),
-                    self.layout.articulation_placement(home, ref.articulation).yaw,
-                )
-                for ref in self.layout.links
-                if ref.articulation in FRONT_AREAS
+                link: link_front(self.layout, home, link).box for link in self.layout.link_ids
             }
         return self._boxes[home.name]
 

@@ -21,7 +21,7 @@ class OpenStart(SubtaskStart):
         if link.joint != "slide" or scene.rng.uniform() >= state.config.open_start:
             return
         low, high = link.range
-        opened = state.task_config.open_fraction(subtask.link) * (high - low)
+        opened = state.open_at(subtask.link) * (high - low)
         scene.qpos[state.link_address(subtask.link)] = low + AJAR * opened
         target = next(t for t in scene.episode.targets if t.obj == subtask.obj)
         if target.start_link == subtask.link:

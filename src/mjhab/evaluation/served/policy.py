@@ -90,9 +90,9 @@ class ServedPolicy:
         groups = [group for group in groups if group]
         asks = [[self._ask(w, obs, info) for w in group] for group in groups]
         if len(groups) == 1:
-            self._fetch(groups[0], asks[0])
+            self._ask_server(groups[0], asks[0])
         else:
-            list(self._pool.map(self._fetch, groups, asks))
+            list(self._pool.map(self._ask_server, groups, asks))
         actions = np.zeros((len(self._worlds), len(self._env.action_table)), np.float32)
         for w in running:
             world = self._worlds[w]
@@ -114,7 +114,7 @@ class ServedPolicy:
             return True
         return world.place >= min(len(world.chunk), self._address.execute)
 
-    def _fetch(self, worlds: Sequence[int], asks: Sequence[Ask]) -> None:
+    def _ask_server(self, worlds: Sequence[int], asks: Sequence[Ask]) -> None:
         """Get new chunks for some worlds over one connection."""
         running = [self._worlds[w] for w in worlds]
         connection = self._connections[0 if self._address.batch else worlds[0]]

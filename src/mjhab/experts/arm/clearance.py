@@ -20,11 +20,12 @@ from mjhab.experts.arm.sphere_gaps import least_gaps, own_gaps
 from mjhab.robots.kinematics import Chain, Frames
 
 Array = np.ndarray
-FAR = 1e3
-"""Distance [m] reported when there is nothing to be near to."""
-_THICK = 0.05
-_EDGE = 0.03
-"""Boxes covered by larger spheres than the first get spheres of the second size along their edges [m]."""
+NOTHING_NEAR_M = 1e3
+"""Distance that is reported when there are no boxes."""
+_THICK_RADIUS_M = 0.05
+"""Shapes whose covering spheres are larger than this get small spheres along their edges, too."""
+_EDGE_RADIUS_M = 0.03
+"""Radius of these small spheres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +120,7 @@ class RobotSpheres:
         """Least distance (N,) [m] of any sphere to any box at configurations ``q`` (N, Q); negative: they overlap."""
         q = np.atleast_2d(q)
         if len(q) == 0 or len(boxes) == 0 or len(self.radius) == 0:
-            return np.full(len(q), FAR)
+            return np.full(len(q), NOTHING_NEAR_M)
         pos, rot = self._frames(q)
         return least_gaps(pos, rot, *self._bounds, *self._by_link, *boxes.contiguous())
 
@@ -155,7 +156,7 @@ class RobotSpheres:
         q = np.atleast_2d(q)
         link, points, radius = self._distal
         if not len(link) or not len(self.trunk_link):
-            return np.full(len(q), FAR)
+            return np.full(len(q), NOTHING_NEAR_M)
         pos, rot = self._frames(q)
         return own_gaps(pos, rot, link, points, radius, self.trunk_link, *self._trunk_sides)
 
@@ -181,15 +182,18 @@ class RobotSpheres:
 def _cover(geom: Any) -> list[tuple[Array, float]]:
     """`_fill`, and small spheres along the long edges of thick boxes, where large ones leave much uncovered."""
     points, size = _fill(geom)
-    if geom.shape != "box" or size <= _THICK:
+    if geom.shape != "box" or size <= _THICK_RADIUS_M:
         return [(points, size)]
     half = np.asarray(geom.size, dtype=np.float64)
-    room = np.maximum(half - _EDGE, 0.0)
-    axes = [np.linspace(-r, r, 2 + int(r / _EDGE)) for r in room]
+    room = np.maximum(half - _EDGE_RADIUS_M, 0.0)
+    axes = [np.linspace(-r, r, 2 + int(r / _EDGE_RADIUS_M)) for r in room]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     edges = grid[np.delete(np.abs(grid) >= room - 1e-9, np.argmax(half), axis=1).all(axis=1)]
     rot = mat_from_quat(np.asarray(geom.quat, dtype=np.float64))
-    return [(points, size), (edges @ rot.T + np.asarray(geom.pos, dtype=np.float64), _EDGE)]
+    return [
+        (points, size),
+        (edges @ rot.T + np.asarray(geom.pos, dtype=np.float64), _EDGE_RADIUS_M),
+    ]
 
 
 def _fill(geom: Any) -> tuple[Array, float]:

@@ -27,14 +27,14 @@ class Care(NamedTuple):
 FIRM = Care(0.12, 0.25, 0.25, 1.8)
 WEAK = Care(0.12, 0.08, 0.16, 1.6)
 BRISK = Care(0.12, 0.14, 0.2, 1.8)
-WEIGHT = 0.02
-"""Mass times distance from the pads [kg m] from which on the grip is weak: a sugar box of half a kilogram, held by
-a corner 51 mm off its centre, was lost in the first steps of a turn with `FIRM` and kept with `WEAK`. `BRISK` is
-between the two, where time is short."""
+WEAK_GRIP_KG_M = 0.02
+"""Mass times distance from the pads from which on the grip is weak. A sugar box of half a kilogram, held by a
+corner 51 mm off its centre, was lost in the first steps of a turn with `FIRM` and kept with `WEAK`. `BRISK` is a
+compromise for when time is short."""
 
 
 def care_for(view: WorldView, hurry: bool = False) -> Care:
-    """What the object nearest to the hand asks for, less where there is reason to ``hurry``."""
+    """Limits for the object nearest to the hand; looser ones if ``hurry``."""
     tcp = view.tcp_pose[:3]
     far = {
         name: float(np.linalg.norm(view.object_pose(name)[:3] - tcp)) for name in view.object_names
@@ -42,7 +42,7 @@ def care_for(view: WorldView, hurry: bool = False) -> Care:
     if not far:
         return FIRM
     held = min(far, key=lambda name: far[name])
-    if view.object_type(held).mass * far[held] <= WEIGHT:
+    if view.object_type(held).mass * far[held] <= WEAK_GRIP_KG_M:
         return FIRM
     return BRISK if hurry else WEAK
 

@@ -20,11 +20,11 @@ Array = np.ndarray
 Mode = Literal["pose", "approach", "closing", "position"]
 """Which orientation counts: all of it, only the gripper's x axis, only its y axis (the fingers' line), or none."""
 
-ARM_STEP = 0.038
-"""Joint motion of one control step at a full arm command [rad]: a target 0.1 rad ahead for 50 ms with
-kp 1e3, kd 1e2 covers 0.1 (1 - exp(-0.5)) of it."""
-TORSO_STEP = 0.02
-"""A cautious bound for the torso in one control step [m]; it carries the arm, so it follows more slowly."""
+ARM_STEP_RAD = 0.038
+"""Joint motion of one control step at a full arm command: with kp 1e3 and kd 1e2, a joint covers 0.1 (1 -
+exp(-0.5)) rad of the way to a target 0.1 rad ahead in 50 ms."""
+TORSO_STEP_M = 0.02
+"""Motion of the torso in one control step that it makes reliably: it carries the arm and follows more slowly."""
 
 
 @dataclass(frozen=True)
@@ -136,6 +136,20 @@ def solve(
     )
 
 
+@dataclass(frozen=True)
+class ServoOptions:
+    """How `servo` moves.
+
+    ``mode``: which part of the orientation counts. ``rest_gain``: share of the way to the preferred posture per step.
+    """
+
+    mode: Mode = "pose"
+    rest_gain: float = 0.02
+
+
+USUAL_SERVO = ServoOptions()
+
+
 def servo(
     chain: Chain,
     q: Array,
@@ -145,9 +159,7 @@ def servo(
     *,
     rest: Array,
     base_next: Array | None = None,
-    mode: Mode = "pose",
-    rest_gain: float = 0.02,
-    gain: float = 1.0,
+    options: ServoOptions = USUAL_SERVO,
 ) -> Array:
     """Joint motion (N, Q) of one control step that brings the tip towards a pose, bounded by the joints' speed.
 
@@ -163,13 +175,11 @@ def servo(
         dofs: (D,) columns that may move; base columns do not belong here.
         rest: (Q,) posture approached in the null space.
         base_next: (N, 3) x, y, yaw expected after the step; None: the base stands.
-        mode: which part of the orientation counts.
-        rest_gain: share of the way to ``rest`` taken per step.
-        gain: share of the error to remove in this step.
+        options: what counts, and how much.
 
     Returns:
-        Changes of the columns, zero outside ``dofs``; scaled together so that no joint exceeds `ARM_STEP` or
-        `TORSO_STEP`, and kept inside the joint limits.
+        Changes of the columns, zero outside ``dofs``; scaled together so that no joint exceeds `ARM_STEP_RAD` or
+        `TORSO_STEP_M`, and kept inside the joint limits.
     """
     q = np.atleast_2d(_floats(q))
     ahead = q
@@ -182,19 +192,18 @@ def servo(
         q,
         _floats(pos),
         _floats(rot),
-        ik_kernels.MODES[mode],
+        ik_kernels.MODES[options.mode],
         dofs,
         _floats(rest),
-        rest_gain,
-        gain,
+        options.rest_gain,
         step_limits(chain),
     )
 
 
 def step_limits(chain: Chain) -> Array:
-    """Largest change (Q,) of every column in one control step: `ARM_STEP`, for the torso `TORSO_STEP`."""
-    limits = np.full(chain.size, ARM_STEP)
-    limits[chain.columns_of(chain.groups.get("torso", ()))] = TORSO_STEP
+    """Largest change (Q,) of every column in one control step: `ARM_STEP_RAD`, for the torso `TORSO_STEP_M`."""
+    limits = np.full(chain.size, ARM_STEP_RAD)
+    limits[chain.columns_of(chain.groups.get("torso", ()))] = TORSO_STEP_M
     return limits
 
 

@@ -450,7 +450,6 @@ def servo_steps(
     dofs: Array,
     rest: Array,
     rest_gain: float,
-    gain: float,
     largest: Array,
 ) -> Array:
     """Changes (N, Q) of one control step for configurations ``q`` (N, Q) that will be at ``ahead`` (N, Q).
@@ -464,8 +463,6 @@ def servo_steps(
         s.largest[d] = largest[dofs[d]]
     for n in range(len(q)):
         _task(tree, ahead[n], goal_pos[n], goal_rot[n], mode, slot, s)
-        for i in range(6):
-            s.error[i] *= gain
         _one_step(tree, q[n], rest, rest_gain, dofs, s)
         for d in range(len(dofs)):
             step = min(max(s.step[d], min(s.low[d], 0.0)), max(s.high[d], 0.0))

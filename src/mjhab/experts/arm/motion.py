@@ -8,16 +8,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Generator
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
 from mjhab.core.joints import BASE, BASE_XY
 from mjhab.core.rotations import mat_from_quat
+from mjhab.core.timing import STEP_SECONDS
 from mjhab.envs.parts.world_view import HomeShapes, WorldView
 from mjhab.experts.arm import ik
 from mjhab.experts.arm.clearance import RobotSpheres
-from mjhab.experts.base.navigation import DriveLimits, Follower, Planner
+from mjhab.experts.base.navigation import Follower, Planner
 from mjhab.robots.robot import Robot
 
 Array = np.ndarray
@@ -25,8 +27,8 @@ Motion = Generator[Array, None, bool]
 OPEN = 1.0
 CLOSED = -1.0
 """Gripper commands."""
-ARM_DELAY = 1.0 - np.exp(-0.5)
-"""Share of a commanded delta an arm joint covers in one control step (kp/kd = 10 per second, 50 ms)."""
+ARM_STEP_SHARE = 1.0 - np.exp(-0.5)
+"""Share of a commanded change that an arm joint covers in one control step (kp/kd = 10 per second, 50 ms)."""
 
 
 @lru_cache(maxsize=8)
@@ -134,100 +136,85 @@ def move_joints(
     return False
 
 
-def drive_to(
-    view: WorldView,
-    goal: Array,
-    *,
-    gripper: float,
-    arm: Array | None = None,
-    arm_from: float = np.inf,
-    limits: DriveLimits | None = None,
-    max_steps: int = 120,
-    direction: int = 0,
-    path: Array | None = None,
-) -> Motion:
-    """Drive the base to ``goal`` (3,) x, y, yaw around furniture.
-
-    Args:
-        arm: configuration (J,) for arm, torso and head during the drive (default: as they are).
-        arm_from: move towards ``arm`` only once the goal is this near [m].
-        direction: 1 forwards, -1 backwards, 0 whatever is quicker.
-        path: way points (P, 2) to follow instead of planned ones.
-    """
+def drive_to(view: WorldView, goal: Array, *, gripper: float, max_steps: int = 120) -> Motion:
+    """Drive the base to ``goal`` (3,) x, y [m], yaw [rad] around furniture, the arm held as it is."""
+    path = planner(view.home).plan(view.base[:2], goal[BASE_XY])
     if path is None:
-        path = planner(view.home).plan(view.base[:2], goal[BASE_XY])
-        if path is None:
-            return False
-        if np.linalg.norm(path[-1] - goal[:2]) > 1e-6:
-            path = np.concatenate([path, goal[None, :2]])
-    follower = Follower(path, float(goal[2]), limits, direction)
-    start = view.q
+        return False
+    if np.linalg.norm(path[-1] - goal[:2]) > 1e-6:
+        path = np.concatenate([path, goal[None, :2]])
+    follower = Follower(path, float(goal[2]))
+    posture = view.q
     for _ in range(max_steps):
         step = follower.step(view.base)
-        near = np.linalg.norm(view.base[:2] - goal[:2]) <= arm_from
-        yield action(
-            view,
-            arm if arm is not None and near else start,
-            gripper=gripper,
-            drive=(step.v, step.w),
-        )
+        yield action(view, posture, gripper=gripper, drive=(step.v, step.w))
         if step.done:
             return True
     return False
 
 
-def move_tcp(
-    view: WorldView,
-    pos: Array,
-    rot: Array,
-    *,
-    gripper: float,
-    speed: float = 0.25,
-    turn: float = 1.0,
-    tolerance: float = 0.008,
-    angle_tolerance: float = 0.1,
-    max_steps: int = 80,
-    rest: Array | None = None,
-    mode: ik.Mode = "pose",
-    drive: tuple[float, float] = (0.0, 0.0),
-    torso: bool = True,
-    stop_on_force: float = np.inf,
-) -> Motion:
-    """Move the tool centre on a straight line to a pose, by differential IK over arm and torso.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class HandMove:
+    """A straight motion of the tool centre, by differential inverse kinematics over arm and torso.
 
-    Args:
-        pos, rot: goal (3,), (3, 3) in the world.
+    Attributes:
+        pos, rot: goal (3,) [m], (3, 3) in the world.
+        gripper: command, from CLOSED to OPEN.
         speed, turn: along the way [m/s], [rad/s].
-        rest: posture preferred in the null space.
-        mode: part of the orientation that counts, see `ik.Mode`.
-        drive: forward speed and yaw rate of the base meanwhile; the arm makes up for it.
+        tolerance, angle_tolerance: how near [m], [rad] to the goal it ends.
+        max_steps: control steps after which it gives up.
+        rest: (J,) posture preferred in the null space, None for the present one.
+        drive: forward speed [m/s] and yaw rate [rad/s] of the base meanwhile; the arm makes up for it.
+        torso: whether the torso may move.
         stop_on_force: give up when the contact force on the arm exceeds this [N].
     """
+
+    pos: Array
+    rot: Array
+    gripper: float
+    speed: float = 0.25
+    turn: float = 1.0
+    tolerance: float = 0.008
+    angle_tolerance: float = 0.1
+    max_steps: int = 80
+    rest: Array | None = None
+    drive: tuple[float, float] = (0.0, 0.0)
+    torso: bool = True
+    stop_on_force: float = np.inf
+
+
+def move_tcp(view: WorldView, move: HandMove) -> Motion:
+    """Move the tool centre on a straight line to a pose. Returns whether it arrived."""
     robot = view.robot.chain
-    rest = view.q if rest is None else rest
-    dofs = ik.columns(robot, torso=torso)
+    rest = view.q if move.rest is None else move.rest
+    dofs = ik.columns(robot, torso=move.torso)
     now, now_rot = tcp(view)
     carrot = now[None]
     carrot_rot = now_rot[None]
-    for _ in range(max_steps):
+    for _ in range(move.max_steps):
         here, here_rot = tcp(view)
-        off = np.linalg.norm(pos - here)
-        if off <= tolerance and _angle(here_rot, rot, mode) <= angle_tolerance:
+        off = np.linalg.norm(move.pos - here)
+        if off <= move.tolerance and _angle(here_rot, move.rot) <= move.angle_tolerance:
             return True
-        if view.link_forces.sum() > stop_on_force:
+        if view.link_forces.sum() > move.stop_on_force:
             return False
         # The aim moves at the wanted speed but stays within reach of where the hand really is.
         carrot, carrot_rot = ik.straight_line(
-            carrot, pos[None], carrot_rot, rot[None], speed * 0.05, turn * 0.05
+            carrot,
+            move.pos[None],
+            carrot_rot,
+            move.rot[None],
+            move.speed * STEP_SECONDS,
+            move.turn * STEP_SECONDS,
         )
         lead = carrot[0] - here
         size = np.linalg.norm(lead)
         aim = here + lead * min(1.0, 0.06 / max(size, 1e-9))
-        base_next = view.base[None] + _base_motion(view.base[2], drive)
+        base_next = view.base[None] + _base_motion(view.base[2], move.drive)
         delta = ik.servo(
-            robot, view.q, aim[None], carrot_rot, dofs, rest=rest, mode=mode, base_next=base_next
+            robot, view.q, aim[None], carrot_rot, dofs, rest=rest, base_next=base_next
         )[0]
-        yield action(view, view.q + delta / ARM_DELAY, gripper=gripper, drive=drive)
+        yield action(view, view.q + delta / ARM_STEP_SHARE, gripper=move.gripper, drive=move.drive)
     return False
 
 
@@ -237,7 +224,7 @@ def still_tcp(view: WorldView, pos: Array, rot: Array, *, gripper: float, steps:
     dofs = ik.columns(robot, torso=False)
     for _ in range(steps):
         delta = ik.servo(robot, view.q, pos[None], rot[None], dofs, rest=view.q)[0]
-        yield action(view, view.q + delta / ARM_DELAY, gripper=gripper)
+        yield action(view, view.q + delta / ARM_STEP_SHARE, gripper=gripper)
     return True
 
 
@@ -247,10 +234,9 @@ def raise_tcp(
     """Bring what the closed hand holds to a pose nearby; gently at first, a jerk would shift it between the pads."""
     near = min(0.02, 0.3 * float(np.linalg.norm(pos - tcp(view)[0])))
     for speed, steps in ((0.05, 1), (0.1, 1), (0.15, 1), (0.25, max_steps)):
-        there = yield from move_tcp(
-            view,
-            pos,
-            rot,
+        move = HandMove(
+            pos=pos,
+            rot=rot,
             gripper=CLOSED,
             rest=rest,
             speed=speed,
@@ -258,22 +244,19 @@ def raise_tcp(
             max_steps=steps,
             torso=False,
         )
+        there = yield from move_tcp(view, move)
         if there:
             return True
     return False
 
 
 def _base_motion(yaw: float, drive: tuple[float, float]) -> Array:
-    step = drive[0] * 0.05
-    return np.array([[step * np.cos(yaw), step * np.sin(yaw), drive[1] * 0.05]])
+    step = drive[0] * STEP_SECONDS
+    return np.array([[step * np.cos(yaw), step * np.sin(yaw), drive[1] * STEP_SECONDS]])
 
 
-def _angle(now: Array, goal: Array, mode: ik.Mode) -> float:
-    if mode == "position":
-        return 0.0
-    if mode in ("approach", "closing"):
-        k = 0 if mode == "approach" else 1
-        return float(np.arccos(np.clip(now[:, k] @ goal[:, k], -1.0, 1.0)))
+def _angle(now: Array, goal: Array) -> float:
+    """Angle [rad] between two rotations (3, 3)."""
     return float(np.arccos(np.clip((np.trace(now.T @ goal) - 1) / 2, -1.0, 1.0)))
 
 

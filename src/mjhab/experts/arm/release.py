@@ -1,4 +1,4 @@
-"""Letting go of an object: where it comes to rest, how far the fingers open, how the hand draws back.
+"""Releasing an object: where it comes to rest, how far the fingers open, how the hand draws back.
 
 Lengths [m], angles [rad], world frame.
 """
@@ -14,21 +14,23 @@ from mjhab.experts.arm import ik, motion
 from mjhab.experts.planning.reach import surroundings
 
 Array = np.ndarray
-TIGHT = 0.008
-JAMMED = 0.002
-"""Fingers that can open by less than this each [m] brush against the object when the hand draws back. With still less
-they cannot leave it, and are pulled off it."""
-AWAY = 0.3
-AWAY_TIGHT = 0.12
-"""Speed [m/s] with which the hand draws back; the second where the fingers brush against the object: at the start of a
-quick motion the hand is millimetres beside its way."""
-WIDER = (0.03, 0.045, 0.06)
-"""How much farther apart than now [m] the fingers let go: the farther, the less they drag along."""
-BACKS = (0.04, 0.06, 0.08, 0.10, 0.12, 0.14)
-BACK_ROOM = 0.01
-"""How far [m] the hand draws back, and the room [m] that it and the arm keep then."""
-FREE = 0.025
-"""Room [m] between the hand and what it let go of with which the arm may go where it wants."""
+TIGHT_PLAY_M = 0.008
+"""Fingers that can each open by less than this brush against the object when the hand draws back."""
+JAMMED_PLAY_M = 0.002
+"""Fingers that can each open by less than this do not come off the object: the hand is pulled off it."""
+AWAY_SPEED_M_S = 0.3
+"""Speed with which the hand draws back."""
+TIGHT_AWAY_SPEED_M_S = 0.12
+"""The same where the fingers brush against the object: at the start of a fast motion the hand deviates from its
+straight way by millimetres."""
+EXTRA_OPENINGS_M = (0.03, 0.045, 0.06)
+"""How much wider than now the fingers may open to let go; the widest for which there is room is taken."""
+DRAW_BACK_M = (0.04, 0.06, 0.08, 0.10, 0.12, 0.14)
+"""Distances that the hand may draw back."""
+DRAW_BACK_CLEARANCE_M = 0.01
+"""Clearance of hand and arm while it draws back."""
+FREE_CLEARANCE_M = 0.025
+"""Clearance between the hand and what it has let go of from which on the arm may move in any direction."""
 
 
 def tipped(shape: ObjectShape, rot: Array) -> Array:
@@ -68,18 +70,20 @@ def play(view: WorldView) -> float:
 
 def away_speed(view: WorldView) -> float:
     """Speed [m/s] with which the hand may draw back from what it still holds."""
-    return AWAY_TIGHT if JAMMED < play(view) < TIGHT else AWAY
+    return TIGHT_AWAY_SPEED_M_S if JAMMED_PLAY_M < play(view) < TIGHT_PLAY_M else AWAY_SPEED_M_S
 
 
 def let_go_width(view: WorldView, obj: str, pos: Array, rot: Array) -> float:
     """How far the fingers open [m] to let go: as far as there is room beside what they hold."""
     near = surroundings(view, obj, pos)[0].near(pos, 0.3)
     now = 2.0 * float(view.q[view.robot.columns.fingers].mean())
-    widths = now + np.array([0.0, *WIDER])
+    widths = now + np.array([0.0, *EXTRA_OPENINGS_M])
     at = np.repeat(pos[None], len(widths), axis=0)
     turn = np.repeat(rot[None], len(widths), axis=0)
     room = approach_clearance(at, turn, widths, at, near, view.robot.gripper)
-    return float(widths[1:][room[1:] > min(BACK_ROOM, room[0] - 0.004)].max(initial=widths[1]))
+    return float(
+        widths[1:][room[1:] > min(DRAW_BACK_CLEARANCE_M, room[0] - 0.004)].max(initial=widths[1])
+    )
 
 
 def drawn_back(view: WorldView, obj: str, pos: Array, rot: Array, rest: Array) -> Array:
@@ -97,7 +101,7 @@ def drawn_back(view: WorldView, obj: str, pos: Array, rot: Array, rest: Array) -
     heading = float(view.base[2])
     ways = np.array([-rot[:, 0], [0.0, 0.0, 1.0], [-np.cos(heading), -np.sin(heading), 0.0]])
     ways = ways - (ways @ rot[:, 1])[:, None] * rot[:, 1]
-    spots = (pos + np.array(BACKS)[:, None] * ways[:, None]).reshape(-1, 3)
+    spots = (pos + np.array(DRAW_BACK_M)[:, None] * ways[:, None]).reshape(-1, 3)
     turns = np.repeat(rot[None], len(spots), axis=0)
     found = ik.solve(robot, spots, turns, view.q[None], ik.columns(robot, torso=False), rest=rest)
     q = np.concatenate([view.q[None], found.q[:, 0]])
@@ -106,10 +110,12 @@ def drawn_back(view: WorldView, obj: str, pos: Array, rot: Array, rest: Array) -
     )
     gap = hand.clearance(q, target)
     fine = (
-        found.ok[:, 0] & (room[1:] > min(BACK_ROOM, room[0] - 0.004)) & (gap[1:] > gap[0] - 0.004)
+        found.ok[:, 0]
+        & (room[1:] > min(DRAW_BACK_CLEARANCE_M, room[0] - 0.004))
+        & (gap[1:] > gap[0] - 0.004)
     )
     fine = np.logical_and.accumulate(fine.reshape(len(ways), -1), axis=1)
-    free = fine & (gap[1:].reshape(fine.shape) > FREE)
+    free = fine & (gap[1:].reshape(fine.shape) > FREE_CLEARANCE_M)
     far = fine.sum(axis=1) - 1
     spots = spots.reshape(len(ways), -1, 3)
     if free.any():

@@ -1,1 +1,1 @@
-"""Motions of the base: maps, lattices, routes, driving."""
+"""Motion planning and driving of the base: maps of free floor, lattices, routes, following."""

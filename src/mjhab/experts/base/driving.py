@@ -1,4 +1,4 @@
-"""Driving a way of legs: at which pace, as curves or with turns on the spot, and where that should lead.
+"""Driving along the legs of a way: speeds, curves or turns on the spot, and the base poses that result.
 
 Lengths [m], angles [rad], world frame. Letters: T control steps, P points.
 """
@@ -11,24 +11,25 @@ from itertools import pairwise
 
 import numpy as np
 
+from mjhab.core.timing import STEP_SECONDS
 from mjhab.experts.base.floorplan import Floorplan, turn_between
 from mjhab.experts.base.lattice import Leg, length
-from mjhab.experts.base.navigation import CONTROL_DT
-from mjhab.experts.base.pilot import BASE_LAG, Pilot
+from mjhab.experts.base.pilot import SPEED_LAG_S, Pilot
 from mjhab.robots.kinematics import wrap
 
 Array = np.ndarray
-SPARE = 0.02
-TOO_CLOSE = 5000.0
-"""Room a drive should leave, and the seconds per square metre that it costs when there is less."""
-PLENTY = 0.08
-"""Room that is enough for a short cut."""
-NEARLY = 0.5
-"""Yaw rate [rad/s] that `Pilot` asks for a tenth of a radian before the end of a turn."""
-SPLITS = 8
-"""Most attempts at turning on the spot where curves come too close."""
-JOINED_TURN = 2.0
-"""Turns up to this may be driven as curves."""
+WANTED_CLEARANCE_M = 0.02
+"""Clearance beyond the least one that a drive should keep."""
+CLOSENESS_PRICE_S_M2 = 5000.0
+"""Price of a drive with less clearance: seconds per square metre of what is missing."""
+AMPLE_CLEARANCE_M = 0.08
+"""Clearance with which way points may be skipped."""
+TURN_END_RATE_RAD_S = 0.5
+"""Yaw rate that `Pilot` commands a tenth of a radian before the end of a turn."""
+MAX_SPLITS = 8
+"""Greatest number of curves that are replaced by turns on the spot where they come too close to something."""
+MAX_CURVE_RAD = 2.0
+"""Turns up to this are driven as curves, not on the spot."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +79,7 @@ class Driver:
             self._pilot = Pilot(
                 leg.points, leg.yaw, leg.direction, self._lookahead, self._pace.speed
             )
-            self._left = 60 + int(length(leg) / (0.2 * CONTROL_DT))
+            self._left = 60 + int(length(leg) / (0.2 * STEP_SECONDS))
 
     def step(self, pose: Array) -> tuple[float, float]:
         """Forward speed and yaw rate for the base at ``pose`` (3,)."""
@@ -87,14 +88,14 @@ class Driver:
             v, w, done = self._pilot.step(pose)
             self._left -= 1
             # Only the last leg has to end exactly: a turn on the spot that is nearly done leads into the next one.
-            done = done or (bool(self._legs) and v == 0.0 and abs(w) < NEARLY)
+            done = done or (bool(self._legs) and v == 0.0 and abs(w) < TURN_END_RATE_RAD_S)
             if not done and self._left >= 0:
                 break
             self._begin()
             v = w = 0.0
         pace = self._pace
-        gain = pace.rise * CONTROL_DT
-        change = pace.jerk * CONTROL_DT
+        gain = pace.rise * STEP_SECONDS
+        change = pace.jerk * STEP_SECONDS
         self._v = towards(v, self._v, gain)
         w = float(np.clip(pace.turn * w, -pace.spin, pace.spin))
         self._w = float(np.clip(w, self._w - change, self._w + change))
@@ -114,15 +115,15 @@ def plan_drive(plan: Floorplan, pose: Array, legs: Sequence[Leg], pace: Pace) ->
     """
     curves = _joined(legs)
     pulled = _pulled(plan, curves)
-    asked = min(SPARE, float(plan.room(pose[None])[0]) - 0.03)
+    asked = min(WANTED_CLEARANCE_M, float(plan.room(pose[None])[0]) - 0.03)
     best: tuple[float, Trip] | None = None
     for choice, lookahead in ((pulled, 0.3), (pulled, 0.2), (curves, 0.2), (legs, 0.1)):
         tried: Sequence[Leg] | None = choice
-        for _ in range(SPLITS):
+        for _ in range(MAX_SPLITS):
             trip = Trip(tried, lookahead, pace, simulate(pose, tried, lookahead, pace))
             room = plan.room(trip.poses)
             lack = max(asked - float(room.min(initial=np.inf)), 0.0)
-            cost = CONTROL_DT * len(trip.poses) + TOO_CLOSE * lack**2
+            cost = STEP_SECONDS * len(trip.poses) + CLOSENESS_PRICE_S_M2 * lack**2
             if best is None or cost < best[0]:
                 best = (cost, trip)
             if lack == 0.0:
@@ -168,7 +169,7 @@ def _joined(legs: Sequence[Leg]) -> list[Leg]:
         if (
             last is not None
             and smooth
-            and abs(turn_between(last.yaw, leg.yaw)) < JOINED_TURN
+            and abs(turn_between(last.yaw, leg.yaw)) < MAX_CURVE_RAD
             and len(pending) < 2
         ):
             out[-1] = Leg(np.concatenate([last.points, leg.points[1:]]), leg.direction, leg.yaw)
@@ -194,7 +195,7 @@ def _farthest(plan: Floorplan, points: Array, i: int, back: float) -> int:
     """The last of ``points`` (P, 2) that a straight line from the i-th one may lead to."""
     for j in range(len(points) - 1, i + 1, -1):
         if _line_room(plan, points[[i, j]], back) >= min(
-            PLENTY, _line_room(plan, points[i : j + 1], back)
+            AMPLE_CLEARANCE_M, _line_room(plan, points[i : j + 1], back)
         ):
             return j
     return i + 1
@@ -216,14 +217,14 @@ def simulate(pose: Array, legs: Sequence[Leg], lookahead: float, pace: Pace) -> 
     pose = pose.copy()
     speed = 0.0
     rate = 0.0
-    share = 1.0 - np.exp(-CONTROL_DT / BASE_LAG)
+    share = 1.0 - np.exp(-STEP_SECONDS / SPEED_LAG_S)
     poses = []
     driver = Driver(legs, lookahead, pace)
     while driver.leg is not None:
         forward, turn = driver.step(pose)
         speed += share * (forward - speed)
         rate += share * (turn - rate)
-        pose = pose + CONTROL_DT * np.array(
+        pose = pose + STEP_SECONDS * np.array(
             [speed * np.cos(pose[2]), speed * np.sin(pose[2]), rate]
         )
         poses.append(pose)

@@ -1,4 +1,4 @@
-"""Where the robot fits right now, arm included: clearances of the base on the floor and of the arm at its heights.
+"""Free space in the present state of a home: clearances of the base on the floor and of the arm at its heights.
 
 Lengths [m], angles [rad], world frame. Letters: X, Y cells, L levels of height, M arm spheres, N base poses, K boxes.
 """
@@ -21,19 +21,21 @@ from mjhab.experts.planning.carry import held_spheres
 from mjhab.robots.kinematics import wrap
 
 Array = np.ndarray
-BASE_NEED = 0.29
-"""Clearance the base needs; it is 0.285 m wide at its widest."""
-ARM_NEED = 0.02
-"""Clearance of the arm that counts as none: it swings a little, and cells are coarse."""
-LEVELS = np.arange(0.7, 1.75, 0.1)
-"""Lower ends of the slices of height in which the arm at rest may touch something; below, the map of the base holds."""
-NOTHING = 100.0
-"""Distance where a slice of height is empty."""
-AT_REST = 0.05
-"""Nearer than this [rad] the arm is where it shall be."""
-FALLEN = 0.4
-FALLEN_SIZE = 0.15
-"""Objects below this height, and not larger than this, lie where the base may want to drive."""
+BASE_CLEARANCE_M = 0.29
+"""Clearance that the base needs; it is 0.285 m wide at its widest."""
+ARM_CLEARANCE_M = 0.02
+"""Clearance that the arm needs: it swings a little, and cells are coarse."""
+SLICES_M = np.arange(0.7, 1.75, 0.1)
+"""Lower ends of the slices of height in which the arm at rest may touch something. Below them, the map of the base
+holds."""
+EMPTY_DISTANCE_M = 100.0
+"""Distance to the nearest thing where a slice of height is empty."""
+AT_REST_RAD = 0.05
+"""The arm is at rest when no joint is farther from its rest position than this."""
+FALLEN_HEIGHT_M = 0.4
+"""Objects below this height that are no larger than `FALLEN_SIZE_M` lie where the base may want to drive."""
+FALLEN_SIZE_M = 0.15
+"""See `FALLEN_HEIGHT_M`."""
 _STEP = 0.1
 
 
@@ -48,32 +50,32 @@ class Arm:
 
     @classmethod
     def of(cls, view: WorldView, posture: Array, held: str = "") -> Arm:
-        """The arm in a configuration (15,) and as it is now, with an object as it sits in the hand now."""
+        """The arm in a configuration (J,) and as it is now, with an object as it sits in the hand now."""
         robot = motion.arm_spheres(view.robot)
         if held:
             robot = robot.with_held(*held_spheres(view, held))
-        q = np.stack([posture, view.q][: 1 if motion.joint_gap(view, posture) < AT_REST else 2])
+        q = np.stack([posture, view.q][: 1 if motion.joint_gap(view, posture) < AT_REST_RAD else 2])
         q[:, BASE] = 0.0
         center = robot.centers(robot.chain.forward(q)).reshape(-1, 3)
         radius = np.tile(robot.radius, len(q))
-        low = np.floor((center[:, 2] - radius - LEVELS[0]) / _STEP).astype(np.int64)
-        high = np.floor((center[:, 2] + radius - LEVELS[0]) / _STEP).astype(np.int64)
+        low = np.floor((center[:, 2] - radius - SLICES_M[0]) / _STEP).astype(np.int64)
+        high = np.floor((center[:, 2] + radius - SLICES_M[0]) / _STEP).astype(np.int64)
         out = (
-            (np.linalg.norm(center[:, :2], axis=1) + radius > BASE_NEED)
+            (np.linalg.norm(center[:, :2], axis=1) + radius > BASE_CLEARANCE_M)
             & (high >= 0)
-            & (low < len(LEVELS))
+            & (low < len(SLICES_M))
         )
-        level = np.clip(np.stack([low, high], axis=1)[out], 0, len(LEVELS) - 1)
-        return cls(center[out, :2], radius[out] + ARM_NEED, level)
+        level = np.clip(np.stack([low, high], axis=1)[out], 0, len(SLICES_M) - 1)
+        return cls(center[out, :2], radius[out] + ARM_CLEARANCE_M, level)
 
 
 @dataclass(frozen=True, eq=False)
 class Floorplan:
     """Free room in a world as it is now.
 
-    ``base`` (X, Y): clearance of the base at the cells' centres beyond `BASE_NEED`; ``free`` (L, X, Y): distance to
-    what stands in each slice of height; ``sight`` (L, X, Y) bool: walls and furniture alone, which hide things.
-    """
+    ``base`` (X, Y): clearance of the base at the cells' centres beyond `BASE_CLEARANCE_M`; ``free`` (L, X, Y):
+    distance to what stands in each slice of height; ``sight`` (L, X, Y) bool: walls and furniture alone, which hide
+    things."""
 
     origin: Array
     cell: float
@@ -107,7 +109,9 @@ class Floorplan:
         height = objects.center[:, 2]
         # What an episode has no use for is parked below the floor.
         low = objects.take(
-            (height > -0.1) & (height < FALLEN) & (objects.half.max(axis=1) < FALLEN_SIZE)
+            (height > -0.1)
+            & (height < FALLEN_HEIGHT_M)
+            & (objects.half.max(axis=1) < FALLEN_SIZE_M)
         )
         felt = np.zeros((0, 3)) if blocks is None else np.asarray(blocks, float).reshape(-1, 3)
         if len(low) or len(felt):
@@ -118,7 +122,7 @@ class Floorplan:
             base = np.minimum(base, np.maximum(gap.min(axis=-1), 0.0))
             solid |= (gap[..., len(fallen) :] < 0.0).any(axis=-1)
         free = np.stack([_distance(level, cells.cell) for level in solid])
-        return cls(cells.origin, cells.cell, base - BASE_NEED, free, sight, arm)
+        return cls(cells.origin, cells.cell, base - BASE_CLEARANCE_M, free, sight, arm)
 
     def slimmer(self, base: float, arm: float) -> Floorplan:
         """The same for a base and an arm that are so much smaller [m]: what still may go when nothing else does."""
@@ -128,7 +132,7 @@ class Floorplan:
     def room(self, poses: Array) -> Array:
         """Room (N,) that base and arm have to spare at base poses (N, 3); negative: they touch something."""
         poses = np.atleast_2d(poses)
-        found = self._at(self.base, poses[:, :2], -BASE_NEED)
+        found = self._at(self.base, poses[:, :2], -BASE_CLEARANCE_M)
         cos = np.cos(poses[:, 2, None])
         sin = np.sin(poses[:, 2, None])
         x = poses[:, 0, None] + cos * self.arm.offset[:, 0] - sin * self.arm.offset[:, 1]
@@ -179,7 +183,9 @@ class Floorplan:
     def hidden(self, points: Array, goal: Array, near: float) -> Array:
         """Part (N,) of the lines from ``points`` (N, 2) to ``goal`` (3,) that leads through walls or furniture, a
         little above the goal; the last piece of length ``near`` [m] does not count."""
-        level = self.sight[int(np.clip((goal[2] + 0.15 - LEVELS[0]) / _STEP, 0, len(LEVELS) - 1))]
+        level = self.sight[
+            int(np.clip((goal[2] + 0.15 - SLICES_M[0]) / _STEP, 0, len(SLICES_M) - 1))
+        ]
         way = goal[:2] - points
         far = np.linalg.norm(way, axis=1)
         share = np.linspace(0.0, 1.0, 24)[:, None] * np.clip(
@@ -223,7 +229,7 @@ def _solid(home: HomeShapes) -> Array:
 
 
 def _find_solid(home: HomeShapes) -> Array:
-    solid = np.zeros((len(LEVELS), *home.map_clearance.shape), bool)
+    solid = np.zeros((len(SLICES_M), *home.map_clearance.shape), bool)
     _draw(solid, home.boxes, home.map_origin, home.map_cell)
     solid.flags.writeable = False
     return solid
@@ -232,19 +238,21 @@ def _find_solid(home: HomeShapes) -> Array:
 def _distance(taken: Array, cell: float) -> Array:
     """Distance (X, Y) from cells' centres to the nearest taken cell."""
     if not taken.any():
-        return np.full(taken.shape, NOTHING)
+        return np.full(taken.shape, EMPTY_DISTANCE_M)
     return np.maximum(np.asarray(distance_transform_edt(~taken)) * cell - cell / 2, 0.0)
 
 
 def _draw(solid: Array, boxes: Boxes, origin: Array, cell: float) -> None:
     """Mark the cells (L, X, Y) whose centres are inside of boxes or less than half a cell beside them."""
     reach = np.einsum("kij,kj->ki", np.abs(boxes.rot), boxes.half)
-    low = np.floor((boxes.center - reach - [*origin, LEVELS[0]]) / [cell, cell, _STEP]).astype(int)
+    low = np.floor((boxes.center - reach - [*origin, SLICES_M[0]]) / [cell, cell, _STEP]).astype(
+        int
+    )
     high = (
-        np.floor((boxes.center + reach - [*origin, LEVELS[0]]) / [cell, cell, _STEP]).astype(int)
+        np.floor((boxes.center + reach - [*origin, SLICES_M[0]]) / [cell, cell, _STEP]).astype(int)
         + 1
     )
-    top = np.array([*solid.shape[1:], len(LEVELS)])
+    top = np.array([*solid.shape[1:], len(SLICES_M)])
     low = np.clip(low, 0, top)
     high = np.clip(high, 0, top)
     for k in np.flatnonzero((high > low).all(axis=1)):

@@ -23,22 +23,26 @@ MOVES = np.array(
 )  # fmt: skip
 """One step along every heading, in grid points."""
 YAWS = np.arctan2(MOVES[:, 1], MOVES[:, 0])
-STRIDE = 2
-"""Cells of the map between grid points."""
-SPEED = 0.8
-BACKWARDS = 2.0
-TURN_RATE = 1.8
-TURN_START = 0.15
-"""What a way costs: [m/s], factor for backwards, [rad/s], [s] more for every turn to the next heading."""
-COMFORT = 0.15
-CAUTION = 3.0
-"""Room that is worth a detour; where there is none to spare, a metre costs 1 + `CAUTION` times as much."""
-STARTS = np.array([0.0, -0.1, -0.2, -0.3, -0.4, -0.5, -0.6, -0.7, -0.8, 0.1, 0.2, 0.3, 0.4])
-"""How far straight on a way may begin before its first turn."""
-TIGHT = 40.0
-"""[s] for every metre that is lacking where the robot first turns."""
-ENTRY = 0.12
-"""How far the grid point may be where the robot gets onto the grid."""
+CELLS_PER_STEP = 2
+"""Cells of the map between two neighbours of the grid."""
+SPEED_M_S = 0.8
+"""Speed on straight pieces, from which their cost in seconds follows."""
+BACKWARDS_FACTOR = 2.0
+"""Factor on the cost of driving backwards."""
+TURN_RATE_RAD_S = 1.8
+"""Yaw rate of turns on the spot, from which their cost follows."""
+TURN_COST_S = 0.15
+"""Cost of every turn to the next heading beside its duration."""
+COMFORT_CLEARANCE_M = 0.15
+"""Clearance up to which more of it is worth a detour."""
+CAUTION_FACTOR = 3.0
+"""Where there is no clearance to spare, a metre costs 1 + CAUTION_FACTOR times as much as in the open."""
+START_WAYS_M = np.array([0.0, -0.1, -0.2, -0.3, -0.4, -0.5, -0.6, -0.7, -0.8, 0.1, 0.2, 0.3, 0.4])
+"""Lengths of the straight piece, negative backwards, with which a way may begin before its first turn."""
+LACKING_PRICE_S_M = 40.0
+"""Price of every metre of clearance that is missing where the robot first turns [s/m]."""
+MAX_ENTRY_M = 0.12
+"""Greatest distance of the robot from the grid point at which it gets onto the grid."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,11 +65,11 @@ class Lattice:
         between = YAWS + 0.5 * (np.roll(YAWS, -1) - YAWS) % np.pi
         fine = plan.rooms(np.concatenate([YAWS, between]))
         self._fine = fine[:16]
-        self._between = fine[16:, ::STRIDE, ::STRIDE]
-        self.room = self._fine[:, ::STRIDE, ::STRIDE]
+        self._between = fine[16:, ::CELLS_PER_STEP, ::CELLS_PER_STEP]
+        self.room = self._fine[:, ::CELLS_PER_STEP, ::CELLS_PER_STEP]
         self.shape = self.room.shape
         index = np.moveaxis(np.indices(self.shape[1:]), 0, -1)
-        self.points = plan.origin + (STRIDE * index + 0.5) * plan.cell
+        self.points = plan.origin + (CELLS_PER_STEP * index + 0.5) * plan.cell
         self._edges = self._make_edges()
 
     def search(self, pose: Array, price: Array) -> tuple[float, list[Leg]] | None:
@@ -109,8 +113,8 @@ class Lattice:
         """Start, end and cost of all moves between nodes with room."""
         number = np.arange(int(np.prod(self.shape))).reshape(self.shape)
         fits = self.room >= 0.0
-        lack = np.clip((COMFORT - self.room) / COMFORT, 0.0, 1.0)
-        dear = 1.0 + CAUTION * lack**2
+        lack = np.clip((COMFORT_CLEARANCE_M - self.room) / COMFORT_CLEARANCE_M, 0.0, 1.0)
+        dear = 1.0 + CAUTION_FACTOR * lack**2
         parts: list[tuple[Array, Array, Array]] = []
         for h, (dx, dy) in enumerate(MOVES.tolist()):
             a, b = _windows(self.shape[1:], dx, dy)
@@ -119,17 +123,17 @@ class Lattice:
                 0.5
                 * (dear[h][a] + dear[h][b])[good]
                 * np.hypot(dx, dy)
-                * STRIDE
+                * CELLS_PER_STEP
                 * self.plan.cell
-                / SPEED
+                / SPEED_M_S
             )
             start = number[h][a][good]
             end = number[h][b][good]
-            parts += [(start, end, pay), (end, start, BACKWARDS * pay)]
+            parts += [(start, end, pay), (end, start, BACKWARDS_FACTOR * pay)]
             k = (h + 1) % 16
             good = fits[h] & fits[k] & (self._between[h] >= 0.0)
             angle = abs(turn_between(YAWS[h], YAWS[k]))
-            pay = (angle / TURN_RATE + TURN_START) * 0.5 * (dear[h] + dear[k])[good]
+            pay = (angle / TURN_RATE_RAD_S + TURN_COST_S) * 0.5 * (dear[h] + dear[k])[good]
             parts += [
                 (number[h][good], number[k][good], pay),
                 (number[k][good], number[h][good], pay),
@@ -139,8 +143,8 @@ class Lattice:
 
     def _midway(self, h: int, a: tuple[slice, slice], dx: int, dy: int) -> Array:
         """Whether there is room halfway, for moves that start in the window ``a``."""
-        rows = np.arange(self.shape[1])[a[0]] * STRIDE + dx * STRIDE // 2
-        columns = np.arange(self.shape[2])[a[1]] * STRIDE + dy * STRIDE // 2
+        rows = np.arange(self.shape[1])[a[0]] * CELLS_PER_STEP + dx * CELLS_PER_STEP // 2
+        columns = np.arange(self.shape[2])[a[1]] * CELLS_PER_STEP + dy * CELLS_PER_STEP // 2
         return self._fine[h][np.ix_(rows, columns)] >= 0.0
 
     def _entries(self, pose: Array) -> dict[int, tuple[float, float, float]]:
@@ -151,31 +155,34 @@ class Lattice:
         asked = min(0.0, float(self.plan.room(pose[None])[0]) - 0.015)
         ahead = np.array([np.cos(pose[2]), np.sin(pose[2])])
         found: dict[int, tuple[float, float, float]] = {}
-        for far in STARTS.tolist():
+        for far in START_WAYS_M.tolist():
             share = np.linspace(0.0, 1.0, 2 + int(abs(far) / 0.05))[:, None]
             line = np.column_stack([pose[:2] + share * far * ahead, np.full(len(share), pose[2])])
             if self.plan.room(line).min() < asked:
                 continue
-            pay = abs(far) / SPEED * (BACKWARDS if far < 0 else 1.0) + (0.5 if far else 0.0)
+            pay = abs(far) / SPEED_M_S * (BACKWARDS_FACTOR if far < 0 else 1.0) + (
+                0.5 if far else 0.0
+            )
             for h in range(16):
                 node = self._near(line[-1, :2], h)
                 if node < 0:
                     continue
                 short = turn_between(pose[2], YAWS[h])
                 for turn in (short, short - np.copysign(2 * np.pi, short)):
-                    cost = pay + abs(turn) / TURN_RATE
+                    cost = pay + abs(turn) / TURN_RATE_RAD_S
                     if node in found and found[node][0] <= cost:
                         continue
                     least = self.plan.turning(line[-1, :2], float(pose[2]), turn)
-                    cost += TIGHT * max(0.03 - least, 0.0)
+                    cost += LACKING_PRICE_S_M * max(0.03 - least, 0.0)
                     if least >= asked and (node not in found or cost < found[node][0]):
                         found[node] = (cost, far, turn)
         return found
 
     def _near(self, xy: Array, h: int) -> int:
-        """The node with heading ``h`` nearest to ``xy`` (2,) that has room; -1 if there is none within `ENTRY`."""
+        """The node with heading ``h`` nearest to ``xy`` (2,) that has room; -1 if there is none within
+        `MAX_ENTRY_M`."""
         at = (xy - self.plan.origin) / self.plan.cell - 0.5
-        low = np.floor(at / STRIDE).astype(int)
+        low = np.floor(at / CELLS_PER_STEP).astype(int)
         x, y = np.meshgrid([low[0], low[0] + 1], [low[1], low[1] + 1], indexing="ij")
         x = np.clip(x.ravel(), 0, self.shape[1] - 1)
         y = np.clip(y.ravel(), 0, self.shape[2] - 1)
@@ -184,7 +191,7 @@ class Lattice:
         best = int(np.argmin(gap))
         return (
             int((h * self.shape[1] + x[best]) * self.shape[2] + y[best])
-            if gap[best] <= ENTRY
+            if gap[best] <= MAX_ENTRY_M
             else -1
         )
 

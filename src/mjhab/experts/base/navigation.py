@@ -1,4 +1,4 @@
-"""Driving from here to there: a planner on a map of free floor and a follower for the two-wheeled base.
+"""Shortest paths on a map of free floor, and a path follower for a base with differential drive.
 
 The map is a grid of clearances: the distance [m] from each cell's centre to the nearest obstacle. Frames: world xy
 [m], yaw [rad]. Speeds [m/s], [rad/s].
@@ -16,15 +16,14 @@ from scipy.sparse.csgraph import dijkstra
 from mjhab.core.errors import UsageError
 from mjhab.core.grids import grid_graph
 from mjhab.core.memory_cache import MemoryCache
+from mjhab.core.timing import STEP_SECONDS
 from mjhab.robots.kinematics import wrap
 
 Array = np.ndarray
-CONTROL_DT = 0.05
-"""Seconds per control step."""
 KEPT_SOURCES = 4
 """Number of starts whose ways to everywhere a `Planner` keeps."""
-NARROW_PRICE = 20.0
-"""What a metre costs where it is narrower than it should be: no detour through a home is as long."""
+NARROW_FACTOR = 20.0
+"""Factor on the cost of a metre where the clearance is less than ``radius``: larger than any detour through a home."""
 
 
 class Planner:
@@ -65,7 +64,7 @@ class Planner:
         self.narrow = radius if narrow is None else narrow
         passable = self.clearance >= self.narrow
         lack = np.clip((radius + comfort - self.clearance) / comfort, 0.0, 1.0)
-        price = np.where(self.free, 1.0 + caution * lack**2, NARROW_PRICE)
+        price = np.where(self.free, 1.0 + caution * lack**2, NARROW_FACTOR)
         self._graph = grid_graph(passable, self.cell, price=price)
         self._ways = MemoryCache("distance fields", KEPT_SOURCES)
 
@@ -234,14 +233,14 @@ class Follower:
         moved = np.inf if self._last is None else float(np.abs(motion).max())
         self._last = pose
         along = np.cos(pose[2]) * motion[0] + np.sin(pose[2]) * motion[1]
-        self._speed = float(along) / CONTROL_DT
-        self._rate = float(motion[2]) / CONTROL_DT
+        self._speed = float(along) / STEP_SECONDS
+        self._rate = float(motion[2]) / STEP_SECONDS
         if self.direction == 0:
             self.direction = self._choose_direction(pose)
         to_goal = self.path[-1] - pose[:2]
         gap = float(np.linalg.norm(to_goal))
         turn = 0.0 if self.final_yaw is None else float(wrap(self.final_yaw - pose[2]))
-        stuck = moved < 0.1 * CONTROL_DT and abs(turn) < self.limits.yaw_tolerance
+        stuck = moved < 0.1 * STEP_SECONDS and abs(turn) < self.limits.yaw_tolerance
         if self._arrived and gap > (1.0 if stuck else 2.0) * self.limits.pos_tolerance:
             self._arrived, self._done_to, self.direction = (
                 False,

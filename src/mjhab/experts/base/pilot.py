@@ -9,15 +9,17 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mjhab.core.timing import STEP_SECONDS
 from mjhab.experts.arm.gentle import Care, eased
-from mjhab.experts.base.navigation import CONTROL_DT
 from mjhab.experts.jit import inline, kernel
 
 Array = np.ndarray
-MAX_SPEED = 1.0
-BASE_LAG = 0.15
-TURN_LAG = 0.02
-"""Time constants [s] of the base's speed and of its yaw rate."""
+MAX_SPEED_M_S = 1.0
+"""Greatest forward speed."""
+SPEED_LAG_S = 0.15
+"""Time constant with which the speed of the base follows its command."""
+YAW_LAG_S = 0.02
+"""Time constant with which the yaw rate of the base follows its command."""
 MAX_SIMULATED_STEPS = 200
 _TURN_RATE = 2.6
 _PREVIEW = 0.1
@@ -58,7 +60,12 @@ class Pilot:
     """
 
     def __init__(
-        self, path: Array, yaw: float, direction: int, lookahead: float, speed: float = MAX_SPEED
+        self,
+        path: Array,
+        yaw: float,
+        direction: int,
+        lookahead: float,
+        speed: float = MAX_SPEED_M_S,
     ) -> None:
         self._way = _way_along(path, yaw, direction, lookahead, speed)
         self._state = _fresh_state(self._way)
@@ -72,7 +79,7 @@ def simulate(
     pose: Array, path: Array, yaw: float, direction: int, lookahead: float, care: Care | None = None
 ) -> Array:
     """Base poses (T, 3), one per control step, that a `Pilot` at ``pose`` (3,) should lead through."""
-    way = _way_along(path, yaw, direction, lookahead, MAX_SPEED)
+    way = _way_along(path, yaw, direction, lookahead, MAX_SPEED_M_S)
     start = np.array(pose[:3], dtype=np.float64)
     return _drive(way, _fresh_state(way), start, care or _NO_CARE, care is not None)
 
@@ -148,7 +155,7 @@ def _steer(way: Way, state: Array, x: float, y: float, yaw: float) -> tuple[floa
     if state[5] > 0.0:
         dx = x - state[2]
         dy = y - state[3]
-        rate = _wrapped(yaw - state[4]) / CONTROL_DT
+        rate = _wrapped(yaw - state[4]) / STEP_SECONDS
     state[2] = x
     state[3] = y
     state[4] = yaw
@@ -174,7 +181,7 @@ def _steer(way: Way, state: Array, x: float, y: float, yaw: float) -> tuple[floa
     aim_x, aim_y = _point(way, state[0] + lookahead)
     back = 0.0 if way.direction > 0 else np.pi
     off = _wrapped(np.arctan2(aim_y - y, aim_x - x) - yaw - back)
-    pace = max(min(way.speed, 3.0 * (left - _PREVIEW * moved / CONTROL_DT)), 0.04)
+    pace = max(min(way.speed, 3.0 * (left - _PREVIEW * moved / STEP_SECONDS)), 0.04)
     ahead = 0.0 if abs(off) > 0.9 else max(np.cos(off), 0.0) ** 3
     turn_rate = _clipped(4.5 * (off - _PREVIEW * rate), -_TURN_RATE, _TURN_RATE)
     return way.direction * pace * ahead, turn_rate, False
@@ -185,8 +192,8 @@ def _drive(way: Way, state: Array, pose: Array, care: Care, careful: bool) -> Ar
     """The poses (T, 3) of `simulate`, from ``pose`` (3,) on."""
     poses = np.empty((MAX_SIMULATED_STEPS + 1, 3))
     poses[0] = pose
-    speed_share = 1.0 - np.exp(-CONTROL_DT / BASE_LAG)
-    turn_share = 1.0 - np.exp(-CONTROL_DT / TURN_LAG)
+    speed_share = 1.0 - np.exp(-STEP_SECONDS / SPEED_LAG_S)
+    turn_share = 1.0 - np.exp(-STEP_SECONDS / YAW_LAG_S)
     speed_x = 0.0
     speed_y = 0.0
     turn = 0.0
@@ -205,7 +212,7 @@ def _drive(way: Way, state: Array, pose: Array, care: Care, careful: bool) -> Ar
         speed_x += speed_share * (forward * np.cos(yaw) - speed_x)
         speed_y += speed_share * (forward * np.sin(yaw) - speed_y)
         turn += turn_share * (rate - turn)
-        poses[k + 1, 0] = x + CONTROL_DT * speed_x
-        poses[k + 1, 1] = y + CONTROL_DT * speed_y
-        poses[k + 1, 2] = yaw + CONTROL_DT * turn
+        poses[k + 1, 0] = x + STEP_SECONDS * speed_x
+        poses[k + 1, 1] = y + STEP_SECONDS * speed_y
+        poses[k + 1, 2] = yaw + STEP_SECONDS * turn
     return poses

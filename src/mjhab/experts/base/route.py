@@ -17,38 +17,41 @@ from mjhab.experts.arm.clearance import Boxes, RobotSpheres
 from mjhab.experts.arm.gentle import Care, eased
 from mjhab.experts.arm.motion import Motion
 from mjhab.experts.base.navigation import Planner
-from mjhab.experts.base.pilot import MAX_SPEED, Pilot, simulate
+from mjhab.experts.base.pilot import MAX_SPEED_M_S, Pilot, simulate
 from mjhab.robots.kinematics import wrap
 from mjhab.robots.robot import Robot
 
 Array = np.ndarray
-MARGIN = 0.015
-"""Room [m] wanted around the robot on its way."""
-OWN_ROOM = 0.015
-DRIVE_ERROR = 0.03
-"""More room [m] wanted while the base drives."""
-BASE_ROOM = 0.27
-"""Clearance [m] of the map's cells that the base may pass."""
-LOWEST = 0.3
-"""Lower things [m] concern the base alone, and the map keeps it clear of them."""
-BODY_SLIMMER = 0.05
-"""Doors and drawers hang above the base; the body there is so much [m] slimmer."""
-BLOCKED_FORCE = 60.0
+MARGIN_M = 0.015
+"""Clearance wanted around the robot on its way."""
+SELF_CLEARANCE_M = 0.015
+"""Clearance wanted between the arm and the trunk."""
+DRIVE_ERROR_M = 0.03
+"""Clearance that is wanted in addition while the base drives, for deviations from the planned way."""
+MIN_MAP_CLEARANCE_M = 0.27
+"""Clearance of the map's cells that the base may pass."""
+LOW_HEIGHT_M = 0.3
+"""Things below this height concern the base alone, and the map keeps it clear of them."""
+OVERHANG_M = 0.05
+"""Drawers and doors hang above the base, where the body is slimmer by this."""
+BLOCKED_FORCE_N = 60.0
+"""Contact force from which on the robot counts as blocked."""
 BLOCKED_STEPS = 4
 LOST_STEPS = 3
 STALLED_STEPS = 10
-STALLED = 0.02
-"""Control steps, while the base stands, in which the arm comes nearer to its goal by so much [rad] or is stuck."""
-LOOKAHEADS = (0.30, 0.20, 0.10)
-"""How far ahead [m] the base steers; short ones keep to the way at corners, long ones are quicker."""
+STALLED_RAD = 0.02
+"""Progress of the arm in STALLED_STEPS below which it counts as stuck, while the base stands."""
+LOOKAHEADS_M = (0.30, 0.20, 0.10)
+"""Distances ahead at which the base may steer. Short ones keep to the way at corners, long ones are faster."""
 _SHARES = (0.35, 0.6, 0.8, 0.9)
-SETTLED = 0.01
-"""How near [rad, m] to its goal the arm and the torso count as there."""
-TORSO_SPEED = 0.04
+SETTLED_RAD = 0.01
+"""Distance [rad, m] from its goal within which arm and torso have arrived."""
+TORSO_STEP_M = 0.04
+"""Greatest motion of the torso in a control step; measured."""
 TORSO_GAIN = 0.18
-"""Most [m] that the torso moves in a control step, and the part of a change of that which one step makes; measured."""
-PASSED = 0.08
-"""How near [rad] the arm comes to a posture on its way before it goes on to the next."""
+"""Share of a change of the torso's speed that one control step makes; measured."""
+PASSED_RAD = 0.08
+"""Distance of the arm from a posture on its way at which it goes on to the next one."""
 
 
 def planner(view: WorldView) -> Planner:
@@ -72,7 +75,7 @@ def _planner_with(home: HomeShapes, ajar: tuple[tuple[str, float], ...]) -> Plan
     )
     # Seen from above: doors and drawers stand upright, so that height plays no part.
     flat = Boxes(boxes.center * [1.0, 1.0, 0.0], boxes.half, boxes.rot)
-    gap = nearest_box_distance(cells, flat).reshape(nx, ny) + BODY_SLIMMER
+    gap = nearest_box_distance(cells, flat).reshape(nx, ny) + OVERHANG_M
     clearance = np.minimum(plain.clearance, np.maximum(gap, 0.0))
     return Planner(
         plain.origin,
@@ -87,10 +90,10 @@ def _planner_with(home: HomeShapes, ajar: tuple[tuple[str, float], ...]) -> Plan
 
 @dataclass(frozen=True, eq=False)
 class Route:
-    """A drive along ``path`` (P, 2) to ``yaw`` (see `Pilot`), the arm going to ``arm`` (15,) from step ``delay`` on.
+    """A drive along ``path`` (P, 2) to ``yaw`` (see `Pilot`), the arm going to ``arm`` (J,) from step ``delay`` on.
 
     ``steps``: how long it should take; ``room``: least clearance on the way beyond what was asked for [m].
-    ``via``: (V, 15) postures that the arm passes one after the other, see `sampled`; it keeps the one with the index
+    ``via``: (V, J) postures that the arm passes one after the other, see `sampled`; it keeps the one with the index
     ``carried`` until the step ``delay``. The base starts at the step ``lead``. ``care``: how gently it drives.
     """
 
@@ -102,11 +105,31 @@ class Route:
     delay: int
     steps: int
     room: float
-    speed: float = MAX_SPEED
+    speed: float = MAX_SPEED_M_S
     via: Array | None = None
     carried: int = 0
     lead: int = 0
     care: Care | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class RouteWish:
+    """How a route should be.
+
+    Attributes:
+        margin_m: room wanted.
+        direction: 1 forwards, -1 backwards, 0 whatever is quicker.
+        straight: do not plan around furniture.
+        care: how gently the base drives. Something is in the hand then, and a base that bumps into things loses it.
+    """
+
+    margin_m: float = MARGIN_M
+    direction: int = 0
+    straight: bool = False
+    care: Care | None = None
+
+
+USUAL_ROUTE = RouteWish()
 
 
 def plan_route(
@@ -115,35 +138,30 @@ def plan_route(
     arm: Array,
     robot: RobotSpheres,
     boxes: Boxes,
-    *,
-    margin: float = MARGIN,
-    direction: int = 0,
-    straight: bool = False,
-    care: Care | None = None,
+    wish: RouteWish = USUAL_ROUTE,
 ) -> Route | None:
-    """The quickest way to the base pose ``goal`` (3,) with the arm at ``arm`` (15,) that keeps clear of ``boxes``.
+    """The quickest way to the base pose ``goal`` (3,) with the arm at ``arm`` (J,) that keeps clear of ``boxes``.
 
     The arm starts at once if there is room, otherwise later; when even the whole way with the arm as it is comes too
     close, the route with the most room is given: look at its ``room``. None when furniture cuts the goal off.
 
     Args:
         robot: what moves, the held object included.
-        margin: room [m] wanted.
-        direction: 1 forwards, -1 backwards, 0 whatever is quicker.
-        straight: do not plan around furniture.
-        care: how gently the base drives. Something is in the hand then, and a base that bumps into things loses it.
+        boxes: obstacles.
+        wish: how it should be.
     """
     start = view.q
-    found = drive_of(view, goal, direction, straight, care)
+    care = wish.care
+    found = drive_of(view, goal, wish.direction, wish.straight, care)
     if found is None:
         return None
     path, direction, lookahead, poses = found
     boxes = within_reach(boxes, np.stack([start[:2], goal[:2]]))
     before = float(robot.clearance(start[None], boxes)[0])
     own = _own_room(start, arm, robot)
-    if care and not straight:
+    if care and not wish.straight:
         cells = planner(view).clearance_at(poses[:, :2])
-        own = min(own, float(cells.min() - min(BASE_ROOM, cells[0], cells[-1])))
+        own = min(own, float(cells.min() - min(MIN_MAP_CLEARANCE_M, cells[0], cells[-1])))
 
     def at(share: float) -> Route:
         delay = round(share * len(poses))
@@ -151,7 +169,8 @@ def plan_route(
         some = np.arange(0, len(swept), max(1, len(swept) // 40))
         # While the base drives, the robot is only about where it is expected to be.
         asked = np.minimum(
-            np.where(some < len(poses) - 1, margin + DRIVE_ERROR, margin), before - 0.004
+            np.where(some < len(poses) - 1, wish.margin_m + DRIVE_ERROR_M, wish.margin_m),
+            before - 0.004,
         )
         room = min(own, float((robot.clearance(swept[some], boxes) - asked).min()))
         return Route(
@@ -180,7 +199,7 @@ def drive_of(
     if path is None:
         return None
     direction = direction or _direction(view.base, path, float(goal[2]))
-    few = LOOKAHEADS[:1] if len(path) == 2 and (straight or not care) else LOOKAHEADS
+    few = LOOKAHEADS_M[:1] if len(path) == 2 and (straight or not care) else LOOKAHEADS_M
     return path, direction, *_smoothest(view, path, float(goal[2]), direction, care, few)
 
 
@@ -237,7 +256,7 @@ def follow(
             return True
         least, since = (
             (off, step)
-            if off < least - STALLED or not arrived or goal is not route.arm
+            if off < least - STALLED_RAD or not arrived or goal is not route.arm
             else (least, since)
         )
         if step - since >= STALLED_STEPS:
@@ -248,7 +267,7 @@ def follow(
         began, last = (began, last) if np.array_equal(goal, last) else (step, goal)
         ramp = min(1.0, 0.25 * (1 + step - min(step, route.delay if route.via is None else began)))
         yield motion.action(view, goal, gripper=gripper, drive=speed, speed=ramp)
-        pressed = pressed + 1 if view.link_forces.sum() > BLOCKED_FORCE else 0
+        pressed = pressed + 1 if view.link_forces.sum() > BLOCKED_FORCE_N else 0
         lost = 0 if not held or holds(view, held) else lost + 1
         if pressed >= BLOCKED_STEPS or lost >= LOST_STEPS:
             return False
@@ -256,7 +275,7 @@ def follow(
 
 
 class _ArmWay:
-    """Where the arm goes while a route is driven, from configuration ``start`` (15,)."""
+    """Where the arm goes while a route is driven, from configuration ``start`` (J,)."""
 
     def __init__(self, start: Array, route: Route) -> None:
         self._start = start
@@ -264,13 +283,13 @@ class _ArmWay:
         self._at = 0
 
     def goal(self, view: WorldView, step: int, arrived: bool) -> Array:
-        """The configuration (15,) to go to in a control step."""
+        """The configuration (J,) to go to in a control step."""
         via = self._route.via
         on_time = step >= self._route.delay or arrived
         if via is None:
             return self._route.arm if on_time else self._start
         while self._at < len(via) and (on_time or self._at != self._route.carried):
-            if motion.joint_gap(view, via[self._at]) >= PASSED:
+            if motion.joint_gap(view, via[self._at]) >= PASSED_RAD:
                 return via[self._at]
             self._at += 1
         return via[self._at] if self._at < len(via) else self._route.arm
@@ -309,7 +328,7 @@ def _smoothest(
         room = float(cells.clearance_at(poses[:, :2]).min())
         if best is None or room > best[0]:
             best = (room, lookahead, poses)
-        if room >= BASE_ROOM:
+        if room >= MIN_MAP_CLEARANCE_M:
             break
     assert best is not None
     return best[1], best[2]
@@ -341,8 +360,10 @@ def arm_gone(far: float, delta: float) -> Array:
     hand.
     """
     gone = [0.0]
-    while far - gone[-1] > SETTLED:
-        gone.append(gone[-1] + ik.ARM_STEP * min(1.0, 0.25 * len(gone), (far - gone[-1]) / delta))
+    while far - gone[-1] > SETTLED_RAD:
+        gone.append(
+            gone[-1] + ik.ARM_STEP_RAD * min(1.0, 0.25 * len(gone), (far - gone[-1]) / delta)
+        )
     return np.array([*gone, far]) / far if far > 0.0 else np.ones(1)
 
 
@@ -350,8 +371,8 @@ def torso_gone(far: float, delta: float) -> Array:
     """The same for the torso, ``far`` [m]. It carries the arm and gathers speed slowly."""
     gone = [0.0]
     speed = 0.0
-    while far - gone[-1] > SETTLED:
-        speed += TORSO_GAIN * (TORSO_SPEED * min(1.0, (far - gone[-1]) / delta) - speed)
+    while far - gone[-1] > SETTLED_RAD:
+        speed += TORSO_GAIN * (TORSO_STEP_M * min(1.0, (far - gone[-1]) / delta) - speed)
         gone.append(min(gone[-1] + speed, far))
     return np.array([*gone, far]) / far if far > 0.0 else np.ones(1)
 
@@ -361,10 +382,10 @@ def within_reach(boxes: Boxes, way: Array) -> Boxes:
     middle = way.mean(axis=0)
     far = float(np.linalg.norm(way[1] - way[0])) / 2
     near = boxes.near(np.array([*middle, 0.9]), far + 1.35)
-    return near.take(near.center[:, 2] + near.half.max(axis=1) > LOWEST)
+    return near.take(near.center[:, 2] + near.half.max(axis=1) > LOW_HEIGHT_M)
 
 
 def _own_room(start: Array, arm: Array, robot: RobotSpheres) -> float:
-    """Least distance of the arm to the trunk on the way from ``start`` to ``arm`` (15,), beyond the one that is due."""
+    """Least distance of the arm to the trunk on the way from ``start`` to ``arm`` (J,), beyond the one that is due."""
     gap = robot.self_clearance(start + np.linspace(0.0, 1.0, 10)[:, None] * (arm - start))
-    return float(gap.min() - min(OWN_ROOM, gap[0] - 0.004))
+    return float(gap.min() - min(SELF_CLEARANCE_M, gap[0] - 0.004))

@@ -6,40 +6,41 @@ import numpy as np
 
 from mjhab.core.boxes import Boxes, sphere_box_distance
 from mjhab.core.joints import BASE, BASE_XY, BASE_YAW
+from mjhab.core.timing import STEP_SECONDS
 from mjhab.envs.parts.world_view import JointedLink, WorldView
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.arm.clearance import RobotSpheres
-from mjhab.experts.base.navigation import CONTROL_DT
 from mjhab.experts.base.pilot import simulate
-from mjhab.experts.base.route import Route, follow, plan_route
+from mjhab.experts.base.route import Route, RouteWish, follow, plan_route
 from mjhab.robots.kinematics import wrap
 from mjhab.robots.robot import Robot
 
 Array = np.ndarray
 Motion = motion.Motion
-FUNNEL_STEP = 0.02
-"""Way of the hand per control step onto a handle [m]."""
-STRADDLE = 0.068
-"""Distance from the tool centre to a handle at which the fingertips do not reach it yet [m]."""
-ALONG_BAR = 0.04
-"""How far from the wished place on its bar a handle may be taken [m]."""
-FOLD_ROOM = 0.005
-"""Clearance [m] with which the arm folds."""
-FLOOR = 0.29
-"""Clearance of the base when it backs away [m]."""
+FUNNEL_STEP_M = 0.02
+"""Motion of the hand per control step while it comes onto a handle."""
+STRADDLE_M = 0.068
+"""Distance from the tool centre to a handle at which the fingertips do not reach it yet."""
+ALONG_BAR_M = 0.04
+"""Greatest distance along the bar from the wished place at which a handle may be taken."""
+FOLD_CLEARANCE_M = 0.005
+"""Clearance with which the arm folds."""
+RETREAT_CLEARANCE_M = 0.29
+"""Clearance of the base on the floor when it backs away."""
 ROUTES_TRIED = 5
-ROUTES_MOST = 12
-"""Stances whose way is looked at; more only while none is free."""
-ARM_REACH = 1.3
-"""Distance from the base beyond which nothing is in the way [m]."""
-ROUTE_LACK = 0.012
-"""How much less clearance [m] than `plan_route` asks for may do: it allows for errors of the drive."""
-AMBIGUOUS = 2.8
-"""Turn at the end [rad] from which on the base might turn the other way round, where nobody looked."""
-DETOUR = 8.0
-"""Steps between the second and the first configuration of a stance."""
-BLOCKED = 1000.0
-"""Cost, in steps, of a way that touches something."""
+"""Number of stances whose route is planned."""
+MAX_ROUTES_TRIED = 12
+"""The same while none of them has a clear route."""
+ARM_REACH_M = 1.3
+"""Distance from the base beyond which the arm touches nothing."""
+MAX_ROUTE_DEFICIT_M = 0.012
+"""Maximum clearance deficit along a route: `plan_route` allows for errors of the drive."""
+AMBIGUOUS_TURN_RAD = 2.8
+"""Turns at the end that are larger than this might be driven the other way round, along poses that were not checked."""
+SECOND_CHOICE_STEPS = 8.0
+"""Control steps between the second and the first configuration of a stance."""
+BLOCKED_PRICE_STEPS = 1000.0
+"""Cost of a route that touches something."""
 
 
 def obstacles(view: WorldView, goals: Array, shut: JointedLink | None = None) -> Boxes:
@@ -50,35 +51,40 @@ def obstacles(view: WorldView, goals: Array, shut: JointedLink | None = None) ->
     places = np.concatenate([view.base[None, :2], goals[:, :2]])
     heights = np.array([0.3, 1.0, 1.6])
     points = np.array([[*place, z] for place in places for z in heights])
-    return boxes.take(np.flatnonzero(sphere_box_distance(points, boxes).min(axis=0) < ARM_REACH))
+    return boxes.take(np.flatnonzero(sphere_box_distance(points, boxes).min(axis=0) < ARM_REACH_M))
 
 
 def best_route(
     view: WorldView, goals: Array, others: Array | None = None, link: JointedLink | None = None
 ) -> tuple[int, Route] | None:
-    """The quickest way to one of some configurations (M, 15), most wanted first, that touches nothing.
+    """The quickest way to one of some configurations (M, J), most wanted first, that touches nothing.
 
     Args:
-        others: (M, 15) configurations that will do as well but for some more steps.
+        others: (M, J) configurations that will do as well but for some more steps.
         link: a door that the hand must not pass through: a fast hand could seem to jump from one side to the other.
 
     Returns:
         The index of the configuration and the way there, forwards or backwards; where none is free, the one with the
         most room; None when there is no way at all.
     """
-    boxes = obstacles(view, goals[:ROUTES_MOST])
+    boxes = obstacles(view, goals[:MAX_ROUTES_TRIED])
     door = None if link is None else link.boxes(view.link_q(link.id))
     best: tuple[float, int, Route] | None = None
-    for i, goal in enumerate(goals[:ROUTES_MOST]):
-        if i >= ROUTES_TRIED and best is not None and best[0] < BLOCKED:
+    for i, goal in enumerate(goals[:MAX_ROUTES_TRIED]):
+        if i >= ROUTES_TRIED and best is not None and best[0] < BLOCKED_PRICE_STEPS:
             break
         # Backing up to a place turns the hand less, but from the other side: then it rather comes straight in.
         for direction, end, more in (
             (1, goal, 0.0),
-            (-1, goal if others is None else others[i], DETOUR),
+            (-1, goal if others is None else others[i], SECOND_CHOICE_STEPS),
         ):
             found = plan_route(
-                view, end[:3], end, motion.spheres(view.robot), boxes, direction=direction
+                view,
+                end[:3],
+                end,
+                motion.spheres(view.robot),
+                boxes,
+                RouteWish(direction=direction),
             )
             if found is None:
                 continue
@@ -91,12 +97,16 @@ def best_route(
 def _cost(view: WorldView, route: Route, door: Boxes | None) -> float:
     """Steps a route takes, and a lot more where it is blocked."""
     lack = max(-route.room, 0.0)
-    if door is not None and lack < ROUTE_LACK:
+    if door is not None and lack < MAX_ROUTE_DEFICIT_M:
         gap = _hand(view.robot).clearance(_passed(view, route), door).min()
-        lack += max(ROUTE_LACK - float(gap), 0.0)
-    if _turn_at_end(route) > AMBIGUOUS:
-        lack += ROUTE_LACK
-    return route.steps + 400.0 * lack + (0.0 if lack < ROUTE_LACK else BLOCKED + 1e4 * lack)
+        lack += max(MAX_ROUTE_DEFICIT_M - float(gap), 0.0)
+    if _turn_at_end(route) > AMBIGUOUS_TURN_RAD:
+        lack += MAX_ROUTE_DEFICIT_M
+    return (
+        route.steps
+        + 400.0 * lack
+        + (0.0 if lack < MAX_ROUTE_DEFICIT_M else BLOCKED_PRICE_STEPS + 1e4 * lack)
+    )
 
 
 def _hand(robot: Robot) -> RobotSpheres:
@@ -114,7 +124,7 @@ def _turn_at_end(route: Route) -> float:
 
 
 def _passed(view: WorldView, route: Route) -> Array:
-    """Configurations (T, 15) expected on a route, two for every control step."""
+    """Configurations (T, J) expected on a route, two for every control step."""
     poses = simulate(view.base, route.path, route.yaw, route.direction, route.lookahead, route.care)
     robot = view.robot.chain
     needed = float(ik.travel_steps(robot, view.q, route.arm, ik.columns(robot)))
@@ -149,14 +159,16 @@ def let_go(
     return (
         yield from motion.move_tcp(
             view,
-            goal,
-            rot,
-            gripper=gripper,
-            speed=speed,
-            drive=(speed * min(along, 0.0), 0.0),
-            tolerance=0.02,
-            angle_tolerance=0.5,
-            max_steps=14,
+            motion.HandMove(
+                pos=goal,
+                rot=rot,
+                gripper=gripper,
+                speed=speed,
+                drive=(speed * min(along, 0.0), 0.0),
+                tolerance=0.02,
+                angle_tolerance=0.5,
+                max_steps=14,
+            ),
         )
     )
 
@@ -182,15 +194,20 @@ def fold(
     for way in ways:
         goal = q[BASE] - way * np.array([np.cos(q[BASE_YAW]), np.sin(q[BASE_YAW]), 0.0])
         if way > 0 and floor.line_clearance(q[BASE_XY], goal[None, :2])[0] < min(
-            FLOOR, float(floor.clearance_at(q[BASE_XY]))
+            RETREAT_CLEARANCE_M, float(floor.clearance_at(q[BASE_XY]))
         ):
             break
         found = plan_route(
-            view, goal, rest, motion.spheres(view.robot), boxes, direction=-1, straight=True
+            view,
+            goal,
+            rest,
+            motion.spheres(view.robot),
+            boxes,
+            RouteWish(direction=-1, straight=True),
         )
         if found is not None and (best is None or found.room > best.room + 0.002):
             best = found
-        if found is not None and found.room > FOLD_ROOM:
+        if found is not None and found.room > FOLD_CLEARANCE_M:
             break
     if best is not None:
         yield from follow(view, best, gripper=gripper, tolerance=0.03)
@@ -222,7 +239,7 @@ def take(
 
     Args:
         rot: (3, 3) of the hand in the world.
-        posture: preferred configuration (15,).
+        posture: preferred configuration (J,).
         height: where on an upright bar [m]; None: its middle.
         gripper: how wide the hand is open on its way.
     """
@@ -249,11 +266,11 @@ def _funnel(
         here, turn = motion.tcp(view)
         ahead, across, along = rot.T @ (goal - here)
         loose = 1.0 if step < max_steps // 2 else 1.5
-        if abs(ahead) < 0.014 * loose and abs(across) < 0.008 * loose and abs(along) < ALONG_BAR:
+        if abs(ahead) < 0.014 * loose and abs(across) < 0.008 * loose and abs(along) < ALONG_BAR_M:
             return True
         # Within a finger's reach of the handle the hand advances only in line with it.
-        gap = max(ahead - FUNNEL_STEP, 0.0 if abs(across) < 0.015 else STRADDLE)
-        clear = abs(across) < 0.015 or ahead > STRADDLE - 0.012
+        gap = max(ahead - FUNNEL_STEP_M, 0.0 if abs(across) < 0.015 else STRADDLE_M)
+        clear = abs(across) < 0.015 or ahead > STRADDLE_M - 0.012
         shift = np.array([ahead - gap, across if clear else 0.0, along])
         shift *= min(1.0, 0.03 / max(float(np.linalg.norm(shift)), 1e-9))
         aim_rot = ik.straight_line(here[None], goal[None], turn[None], rot[None], 1.0, 0.06)[1]
@@ -261,7 +278,9 @@ def _funnel(
         ahead_base = next_base(view, v, w)
         aim = (here + rot @ shift)[None]
         delta = ik.servo(robot, view.q, aim, aim_rot, dofs, rest=posture, base_next=ahead_base)[0]
-        yield motion.action(view, view.q + delta / motion.ARM_DELAY, gripper=gripper, drive=(v, w))
+        yield motion.action(
+            view, view.q + delta / motion.ARM_STEP_SHARE, gripper=gripper, drive=(v, w)
+        )
     return False
 
 
@@ -281,5 +300,5 @@ def next_base(view: WorldView, v: float, w: float) -> Array:
     q = view.q
     return (
         q[None, BASE]
-        + np.array([[v * np.cos(q[BASE_YAW]), v * np.sin(q[BASE_YAW]), w]]) * CONTROL_DT
+        + np.array([[v * np.cos(q[BASE_YAW]), v * np.sin(q[BASE_YAW]), w]]) * STEP_SECONDS
     )

@@ -14,37 +14,46 @@ from mjhab.experts.arm import ik, motion
 from mjhab.experts.arm.clearance import RobotSpheres
 from mjhab.experts.arm.gentle import care_for
 from mjhab.experts.arm.motion import Motion
-from mjhab.experts.base.route import BLOCKED_FORCE, BLOCKED_STEPS, Route, follow, holds, plan_route
+from mjhab.experts.base.route import (
+    BLOCKED_FORCE_N,
+    BLOCKED_STEPS,
+    Route,
+    RouteWish,
+    follow,
+    holds,
+    plan_route,
+)
 from mjhab.experts.planning.reach import surroundings
-from mjhab.experts.planning.sampled import TOUCHES, plan_around
+from mjhab.experts.planning.sampled import MAX_DEFICIT_M, plan_around
 from mjhab.robots.kinematics import wrap
 from mjhab.robots.robot import Robot
 
 Array = np.ndarray
-BACK = (0.0, 0.2, 0.4, 0.6, 0.8)
-"""How far [m] to drive back while the arm returns."""
-BACK_AROUND = (0.0, 0.3)
-"""The same where the arm has to pass other postures on its way."""
-SHELF_DEPTH = 0.42
-"""How far [m] the base comes straight in with the arm stretched out, to reach into the fridge."""
+BACK_WAYS_M = (0.0, 0.2, 0.4, 0.6, 0.8)
+"""Distances that the base may drive back while the arm returns."""
+AROUND_BACK_WAYS_M = (0.0, 0.3)
+"""The same where the arm passes other postures on its way."""
+SHELF_DEPTH_M = 0.42
+"""Distance that the base drives straight in with the arm stretched out, to reach into a fridge."""
 
 
-IN_SPEED = 0.35
-"""Of the base while it comes straight in [m/s]."""
-OUT_SPEED = 0.5
-"""Of the base while it comes straight out [m/s]."""
-HASTY_SPEED = 0.7
-HASTY_END = (0.04, 0.025)
-"""Of the base where time is short: speed [m/s], and how far off [m] and how fast [m per control step] it may be in the
-end; what follows makes up for it."""
+IN_SPEED_M_S = 0.35
+"""Speed of the base while it drives straight in."""
+OUT_SPEED_M_S = 0.5
+"""Speed of the base while it drives straight out."""
+HASTY_SPEED_M_S = 0.7
+"""Speed of the base for both where time is short."""
+HASTY_END_M = (0.04, 0.025)
+"""Where time is short, a drive ends at this distance from its goal, and when the base moves less than this per control
+step; the motion of the arm that follows makes up for the rest."""
 STUCK_STEPS = 6
 """Control steps without motion after which it is stuck; fingers that touch something show no force."""
-ROOM_IN = 0.012
-"""Clearance [m] with which the arm may stay as it was planned."""
-CORNER = 0.012
-"""Radius [m] of the spheres in the corners of a held box."""
-MOST_SHIFT = 0.5
-"""Largest change of a joint [rad] that makes up for errors of the drive."""
+IN_CLEARANCE_M = 0.012
+"""Clearance from which on the arm may stay as it was planned while the base drives in."""
+CORNER_RADIUS_M = 0.012
+"""Radius of the spheres in the corners of a held box."""
+MAX_CORRECTION_RAD = 0.5
+"""Largest change of a joint that makes up for errors of the drive."""
 
 
 def grip(robot: Robot, opening: float) -> float:
@@ -54,12 +63,12 @@ def grip(robot: Robot, opening: float) -> float:
 
 
 def inside_depth(view: WorldView, point: Array) -> float:
-    """`SHELF_DEPTH` for a point (3,) on a shelf with something above it, 0 in the open."""
+    """`SHELF_DEPTH_M` for a point (3,) on a shelf with something above it, 0 in the open."""
     for place in view.home.receptacles:
         if place.kind == "shelf" and -0.05 < point[2] - place.pos[2] < place.height:
             off = np.abs(place.local(point[:2]))
             if (off < np.array(place.half) + 0.08).all():
-                return SHELF_DEPTH
+                return SHELF_DEPTH_M
     return 0.0
 
 
@@ -73,13 +82,13 @@ def drive_in(
     gripper: float,
     hasty: bool = False,
 ) -> Motion:
-    """Drive straight on about to the base pose of the configuration ``goal`` (15,), the arm stretched out so that the
+    """Drive straight on about to the base pose of the configuration ``goal`` (J,), the arm stretched out so that the
     hand comes to ``pos`` (3,), ``rot`` (3, 3). Returns whether it got there; not when it is stuck.
 
     Small errors of the base sideways stay, steering would sweep the arm: where the arm would come too near to
     ``boxes``, it makes up for them before.
     """
-    near, slow = HASTY_END if hasty else (0.02, 0.006)
+    near, slow = HASTY_END_M if hasty else (0.02, 0.006)
     goal = _lined_up(view, goal, pos, rot, boxes)
     yield from motion.move_joints(view, goal, gripper=gripper, tolerance=0.05, max_steps=12)
     heading = float(goal[2])
@@ -93,14 +102,14 @@ def drive_in(
         moved = float((q[BASE_XY] - last[:2]) @ ahead)
         if left < near and abs(moved) < slow:
             return True
-        pressed = pressed + 1 if view.link_forces.sum() > BLOCKED_FORCE else 0
+        pressed = pressed + 1 if view.link_forces.sum() > BLOCKED_FORCE_N else 0
         still = still + 1 if step > STUCK_STEPS and moved < 0.002 else 0
         if pressed >= BLOCKED_STEPS or still >= STUCK_STEPS:
             return False
         wish = (
-            min(HASTY_SPEED, 5.0 * (left - 1.5 * moved))
+            min(HASTY_SPEED_M_S, 5.0 * (left - 1.5 * moved))
             if hasty
-            else min(IN_SPEED, 3.0 * (left - 2.0 * moved))
+            else min(IN_SPEED_M_S, 3.0 * (left - 2.0 * moved))
         )
         pace = max(wish, 0.04 if left > 0.02 else 0.0)
         turn = float(np.clip(3.0 * wrap(heading - q[BASE_YAW]), -0.5, 0.5))
@@ -109,7 +118,9 @@ def drive_in(
     return False
 
 
-def drive_out(view: WorldView, way: float, *, gripper: float, speed: float = OUT_SPEED) -> Motion:
+def drive_out(
+    view: WorldView, way: float, *, gripper: float, speed: float = OUT_SPEED_M_S
+) -> Motion:
     """Drive straight back over ``way`` [m], the arm held as it is. Returns whether it got there."""
     goal = view.q
     start = view.base[:2]
@@ -119,7 +130,7 @@ def drive_out(view: WorldView, way: float, *, gripper: float, speed: float = OUT
         left = way - float(np.linalg.norm(view.base[:2] - start))
         if left < 0.04:
             return True
-        pressed = pressed + 1 if view.link_forces.sum() > BLOCKED_FORCE else 0
+        pressed = pressed + 1 if view.link_forces.sum() > BLOCKED_FORCE_N else 0
         if pressed >= BLOCKED_STEPS:
             return False
         turn = float(np.clip(3.0 * wrap(heading - view.base[2]), -0.5, 0.5))
@@ -129,7 +140,7 @@ def drive_out(view: WorldView, way: float, *, gripper: float, speed: float = OUT
 
 
 def _lined_up(view: WorldView, goal: Array, pos: Array, rot: Array, boxes: Boxes) -> Array:
-    """``goal`` (15,) with the base where straight on from here leads; where the arm so comes too near to something and
+    """``goal`` (J,) with the base where straight on from here leads; where the arm so comes too near to something and
     with a small change does not, such that the hand is at ``pos``, ``rot`` there all the same."""
     q = view.q
     robot = view.robot.chain
@@ -137,12 +148,12 @@ def _lined_up(view: WorldView, goal: Array, pos: Array, rot: Array, boxes: Boxes
     way = float((goal[:2] - q[BASE_XY]) @ ahead)
     end = goal.copy()
     end[:2] = q[BASE_XY] + ahead * way
-    if _room_in(view.robot, end, way, boxes) > ROOM_IN:
+    if _room_in(view.robot, end, way, boxes) > IN_CLEARANCE_M:
         return end
     found = ik.solve(
         robot, pos[None], rot[None], end[None, None], ik.columns(robot, torso=False), rest=goal
     )
-    near = found.ok[0, 0] and np.abs(found.q[0, 0] - end)[BASE.stop :].max() < MOST_SHIFT
+    near = found.ok[0, 0] and np.abs(found.q[0, 0] - end)[BASE.stop :].max() < MAX_CORRECTION_RAD
     better = near and _room_in(view.robot, found.q[0, 0], way, boxes) > _room_in(
         view.robot, end, way, boxes
     )
@@ -150,7 +161,7 @@ def _lined_up(view: WorldView, goal: Array, pos: Array, rot: Array, boxes: Boxes
 
 
 def _room_in(robot: Robot, goal: Array, way: float, boxes: Boxes) -> float:
-    """Least clearance [m] on the straight ``way`` [m] of the base to ``goal`` (15,), the arm held."""
+    """Least clearance [m] on the straight ``way`` [m] of the base to ``goal`` (J,), the arm held."""
     q = np.repeat(goal[None], 6, axis=0)
     q[:, BASE_XY] -= np.linspace(0.0, way, 6)[:, None] * np.array(
         [np.cos(goal[2]), np.sin(goal[2])]
@@ -172,9 +183,11 @@ def held_spheres(view: WorldView, obj: str) -> tuple[Array, Array]:
     size = np.full(len(grid), radius)
     if view.object_shape(obj).kind in ("box", "mesh"):
         # Larger spheres leave corners bare, and those are what knocks an object out of the hand.
-        corners = np.array(list(itertools.product((-1.0, 1.0), repeat=3))) * (half - CORNER)
+        corners = np.array(list(itertools.product((-1.0, 1.0), repeat=3))) * (
+            half - CORNER_RADIUS_M
+        )
         grid = np.concatenate([grid, corners])
-        size = np.append(size, np.full(len(corners), CORNER))
+        size = np.append(size, np.full(len(corners), CORNER_RADIUS_M))
     world = pose[:3] + grid @ mat_from_quat(pose[3:]).T
     return (world - pos) @ rot, size
 
@@ -205,21 +218,20 @@ def plan_home(view: WorldView, obj: str, robot: RobotSpheres, *, holding: bool) 
     care = care_for(view) if holding else None
     cells = motion.planner(view.home)
     best: Route | None = None
-    for back in BACK:
+    for back in BACK_WAYS_M:
         end = now[:3] - back * np.array([np.cos(now[2]), np.sin(now[2]), 0.0])
         if back and cells.line_clearance(now[:2], end[None, :2])[0] < 0.26:
             break
-        route = plan_route(
-            view, end, goal, robot, boxes, margin=0.01, direction=-1, straight=True, care=care
-        )
+        wish = RouteWish(margin_m=0.01, direction=-1, straight=True, care=care)
+        route = plan_route(view, end, goal, robot, boxes, wish)
         if route is None:
             continue
         if route.room >= 0.0:
             return route
         if best is None or route.room > best.room:
             best = route
-    if holding and best is not None and best.room < TOUCHES:
-        for back in BACK_AROUND:
+    if holding and best is not None and best.room < MAX_DEFICIT_M:
+        for back in AROUND_BACK_WAYS_M:
             end = now[:3] - back * np.array([np.cos(now[2]), np.sin(now[2]), 0.0])
             around = plan_around(view, end, goal, robot, boxes, care=care)
             if around is not None and around.steps <= view.steps_left:

@@ -1,4 +1,4 @@
-"""Where to stand and how to hold the arm so that the hand reaches one of many poses, shared by pick and place.
+"""Base poses and arm configurations with which the hand reaches one of many poses, for Pick and Place.
 
 Base poses around a point are paired with hand poses; inverse kinematics in one batch, then clearances of the whole
 body, cheap tests first. Lengths [m], angles [rad], world frame. Letters: G hand poses, B base poses, N pairs, Q joints.
@@ -18,26 +18,29 @@ from mjhab.episodes.grasps.candidates import Grasps, approach_clearance
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.arm.clearance import RobotSpheres
 from mjhab.experts.arm.gentle import Care
-from mjhab.experts.base.route import Route, drive_steps, plan_route, planner
+from mjhab.experts.base.route import Route, RouteWish, drive_steps, plan_route, planner
 from mjhab.robots.kinematics import wrap
 from mjhab.robots.parts import Gripper
 from mjhab.robots.robot import ArmReach, Footprint, Robot
 
 Array = np.ndarray
-NEARBY = 2.6
-"""Furniture within this distance [m] of the work is looked at."""
-ROOMS = (0.012, 0.006, 0.0)
-"""Least clearance [m] of the arm at the work and of the whole robot just before it, at one attempt after the other."""
-TIGHTEST = -0.055
-"""Ways with less room [m] than this touch something: `plan_route` asks for 0.045 more than none."""
-OUT_ROOM = 0.03
-"""Least room [m] of an object on its straight way out of a shelf."""
-FAR_OFF = 0.96
-"""Bases farther [m] from the work, or in narrow places, are only taken where there is no other."""
-ARM_END = 0.05
-"""How far [m] the wrist may be beyond the comfortable distance, see `_overreach`."""
-_STRETCHED = 60.0
-"""Price in steps per radian that the elbow is nearly straight."""
+NEARBY_M = 2.6
+"""Furniture within this distance of the work is checked for collisions."""
+CLEARANCES_M = (0.012, 0.006, 0.0)
+"""Least clearance of the arm at the work, and of the whole robot just before it, in the first, second and later
+attempts."""
+MAX_DEFICIT_M = -0.055
+"""Routes whose room is less than this (negative: a deficit) touch something. `plan_route` counts room from a margin of
+0.045 m on."""
+OUT_CLEARANCE_M = 0.03
+"""Least clearance of an object on its straight way out of a shelf."""
+FAR_BASE_M = 0.96
+"""Base poses farther than this from the work, or in narrow places, are only taken where there are no others."""
+MAX_OVERREACH_M = 0.05
+"""Greatest distance of the wrist beyond the comfortable one, see `_overreach`."""
+_STRETCHED_PRICE = 60.0
+"""Price of a nearly straight elbow [control steps per radian]."""
+MAX_STANCES = 3
 _BASES = 24
 _PER_BASE = 8
 _SEEDS = 5
@@ -46,7 +49,7 @@ _KEPT = 50
 
 @dataclass(frozen=True, eq=False)
 class HandGoals:
-    """Hand poses that all serve: ``pos`` (G, 3), ``rot`` (G, 3, 3), where to come from ``pre`` (G, 3), finger
+    """Hand poses, any of which will do: ``pos`` (G, 3), ``rot`` (G, 3, 3), where to come from ``pre`` (G, 3), finger
     ``opening`` (G,) and ``score`` (G,), higher is better, worth about half a second each point."""
 
     pos: Array
@@ -118,68 +121,72 @@ class Blocked:
     drive_in: float
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Work:
+    """What the hand is to do, and what limits the ways there.
+
+    Attributes:
+        point: (3,) what the base stands around [m].
+        goals: hand poses, one of which is to be reached.
+        scene: what is around.
+        drive_in: distance [m] over which the base comes straight forward at the end with the arm already stretched
+            out, as into a fridge; the routes end that far behind.
+        avoid: (A, 3) base poses that did not work before.
+        room: least clearance [m] at the work, see `CLEARANCES_M`.
+        nearer: how much nearer [m] than that the hand may come just before its work.
+        home: weight of the control steps from the work back to rest.
+        far: stand far off even where one may stand nearer: that can save a long way.
+    """
+
+    point: Array
+    goals: HandGoals
+    scene: Scene
+    drive_in: float = 0.0
+    avoid: Array | None = None
+    room: float = CLEARANCES_M[0]
+    nearer: float = 0.0
+    home: float = 0.0
+    far: bool = False
+
+
 def surroundings(view: WorldView, obj: str, point: Array) -> tuple[Boxes, Boxes]:
     """Everything solid near ``point`` (3,) but the object, and the object's bounding box."""
     parts = (view.home.boxes, view.link_boxes(), view.object_boxes((obj,)))
     others = Boxes.join(parts)
     everything = view.object_boxes()
     mine = np.array([view.object_names.index(obj)])
-    return others.near(np.array([*point[:2], 0.9]), NEARBY), everything.take(mine)
+    return others.near(np.array([*point[:2], 0.9]), NEARBY_M), everything.take(mine)
 
 
-def stances(
-    view: WorldView,
-    point: Array,
-    goals: HandGoals,
-    scene: Scene,
-    *,
-    drive_in: float = 0.0,
-    avoid: Array | None = None,
-    count: int = 3,
-    room: float = ROOMS[0],
-    nearer: float = 0.0,
-    blocked: list[Blocked] | None = None,
-    home: float = 0.0,
-    far: bool = False,
-) -> list[Stance]:
-    """Ways to bring the hand to one of ``goals`` around ``point`` (3,), quickest first; empty when there is none.
+def stances(view: WorldView, work: Work, blocked: list[Blocked] | None = None) -> list[Stance]:
+    """Ways to bring the hand to its work, quickest first, at most MAX_STANCES; empty when there is none.
 
     Args:
-        drive_in: let the base come straight forward over this distance with the arm already stretched out, as into a
-            fridge; the routes end that far behind.
-        avoid: (A, 3) base poses that did not work before.
-        count: give at most so many.
-        room: least clearance at the work, see `ROOMS`.
-        nearer: how much nearer [m] than that the hand may come just before its work.
         blocked: what lacks nothing but a clear way is added here, for `sampled.roomier`.
-        home: weight of the control steps from the work back to rest.
-        far: stand far off even where one may stand nearer: that can save a long way.
     """
-    now = view.q
-    bases, drive = base_poses(view, point, scene, goals, drive_in, avoid, far)
+    bases, drive = base_poses(view, work)
     if not len(bases):
         return []
-    if drive_in and len(scene.target):
-        out = way_out(bases, scene, drive_in)
-        rows = np.flatnonzero(out > min(OUT_ROOM, float(out.max()) - 0.005))
+    if work.drive_in and len(work.scene.target):
+        out = way_out(bases, work.scene, work.drive_in)
+        rows = np.flatnonzero(out > min(OUT_CLEARANCE_M, float(out.max()) - 0.005))
         bases = bases[rows]
         drive = drive[rows]
-    base, goal, score = _pairs(view.robot, bases, point, goals)
+    base, goal, score = _pairs(view.robot, bases, work.point, work.goals)
     if not len(base):
         return []
-    q, goal = _configurations(
-        view.robot, now, bases[base], goal, goals, drive[base] - 10.0 * score, home
-    )
-    rows = _clear_ones(q, scene, room)
+    price = drive[base] - 10.0 * score
+    q, goal = _configurations(view, work, bases[base], goal, price)
+    rows = _clear_ones(q, work.scene, work.room)
     q = q[rows]
     goal = goal[rows]
-    pre, fine = _before(q, goals, goal, scene, drive_in, room, nearer)
+    pre, fine = _before(q, goal, work)
     q = q[fine]
     pre = pre[fine]
     goal = goal[fine]
-    found = _routed(view, q, pre, goal, scene, drive_in, count, home)
+    found = _routed(view, work, q, pre, goal)
     if blocked is not None and len(q) and not (found and found[0].route.room >= 0.0):
-        blocked.append(Blocked(goals, goal, pre, q, scene, drive_in))
+        blocked.append(Blocked(work.goals, goal, pre, q, work.scene, work.drive_in))
     return found
 
 
@@ -230,16 +237,10 @@ def hand_room(gripper: Gripper, goals: HandGoals | Grasps, boxes: Boxes) -> Arra
     return np.minimum(hand, wrist)
 
 
-def base_poses(
-    view: WorldView,
-    point: Array,
-    scene: Scene,
-    goals: HandGoals,
-    drive_in: float,
-    avoid: Array | None,
-    far: bool,
-) -> tuple[Array, Array]:
-    """Base poses (B, 3) from which a goal at ``point`` may be reached, and the control steps (B,) to drive there."""
+def base_poses(view: WorldView, work: Work) -> tuple[Array, Array]:
+    """Base poses (B, 3) from which a goal may be reached, and the control steps (B,) to drive there."""
+    point = work.point
+    drive_in = work.drive_in
     r, angle, off = np.meshgrid(
         np.arange(0.5, 1.26, 0.075), np.arange(32) * np.pi / 16, (-0.35, 0.0, 0.35), indexing="ij"
     )
@@ -251,16 +252,16 @@ def base_poses(
     poses = np.concatenate(
         [poses, [view.base, *([here[0], here[1], bearing + k] for k in (-0.35, 0.0, 0.35))]]
     )
-    far_off = np.append(r.ravel() > FAR_OFF, np.zeros(4, bool))
+    far_off = np.append(r.ravel() > FAR_BASE_M, np.zeros(4, bool))
     cells = planner(view)
     back = poses[:, :2] - drive_in * np.stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])], axis=1)
     far_off |= cells.clearance_at(back) < cells.radius
     good = np.minimum(cells.clearance_at(back), cells.clearance_at(poses[:, :2])) >= cells.narrow
-    good &= floor_room(view.robot.footprint, poses, scene.near) > 0.0
-    if avoid is not None and len(avoid):
-        gap = np.linalg.norm((poses[:, None] - avoid) * [1.0, 1.0, 0.3], axis=2).min(axis=1)
+    good &= floor_room(view.robot.footprint, poses, work.scene.near) > 0.0
+    if work.avoid is not None and len(work.avoid):
+        gap = np.linalg.norm((poses[:, None] - work.avoid) * [1.0, 1.0, 0.3], axis=2).min(axis=1)
         good &= gap > 0.10
-    good[good] = in_sight(poses[good], point, scene.near)
+    good[good] = in_sight(poses[good], point, work.scene.near)
     poses = poses[good]
     back = back[good]
     far_off = far_off[good]
@@ -270,10 +271,10 @@ def base_poses(
         + 6.0 * drive_in / 0.3
     )
     # The nearest bases may all stand on the side from which nothing can be reached.
-    reachable = np.isfinite(steps) & (_overreach(view.robot.reach, poses, goals) < ARM_END).any(
-        axis=1
-    )
-    reachable &= ~far_off | far | ~(reachable & ~far_off).any()
+    reachable = np.isfinite(steps) & (
+        _overreach(view.robot.reach, poses, work.goals) < MAX_OVERREACH_M
+    ).any(axis=1)
+    reachable &= ~far_off | work.far | ~(reachable & ~far_off).any()
     return _spread(poses[reachable], steps[reachable])
 
 
@@ -324,7 +325,7 @@ def _pairs(
     toward /= np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-6)
     score = goals.score + 0.8 * toward @ goals.rot[:, :2, 0].T
     over = _overreach(robot.reach, bases, goals)
-    score = np.where(over < ARM_END, score - 20.0 * np.maximum(over, 0.0), -np.inf)
+    score = np.where(over < MAX_OVERREACH_M, score - 20.0 * np.maximum(over, 0.0), -np.inf)
     # Among equals every base tries others.
     score = score + 0.05 * np.random.default_rng(1).random(score.shape)
     best = np.argsort(-score, axis=1, kind="stable")[:, :_PER_BASE]
@@ -354,15 +355,15 @@ def _seeds(robot: Robot) -> Array:
 
 
 def _configurations(
-    body: Robot,
-    now: Array,
-    bases: Array,
-    goal: Array,
-    goals: HandGoals,
-    price: Array,
-    home: float,
+    view: WorldView, work: Work, bases: Array, goal: Array, price: Array
 ) -> tuple[Array, Array]:
-    """Configurations (N, J) that reach the goals of the pairs, and their goal (N,), quickest first."""
+    """Configurations (N, J) that reach hand poses ``goal`` (P,) from ``bases`` (P, 3), and their goal (N,).
+
+    The quickest come first; ``price`` (P,): control steps to drive there, less the worth of the hand pose.
+    """
+    body = view.robot
+    now = view.q
+    goals = work.goals
     robot = body.chain
     dofs = ik.columns(robot)
     seeds = np.repeat(_seeds(body)[None], len(bases), axis=0)
@@ -375,10 +376,10 @@ def _configurations(
     q = ik.unwind(robot, found.q, now)
     q[..., BASE] = bases[:, None]
     cost = price[:, None] + 0.6 * ik.travel_steps(robot, now, q, dofs)
-    if home:
-        cost = cost + home * motion.steps_home(body, q)
+    if work.home:
+        cost = cost + work.home * motion.steps_home(body, q)
     # A stretched arm cannot make up for a base that stands a little wrong.
-    cost = cost + _STRETCHED * np.maximum(0.0, 0.9 - np.abs(q[..., body.elbow_column]))
+    cost = cost + _STRETCHED_PRICE * np.maximum(0.0, 0.9 - np.abs(q[..., body.elbow_column]))
     cost = np.where(found.ok, cost, np.inf).ravel()
     order = np.argsort(cost, kind="stable")[:300]
     order = order[np.isfinite(cost[order])]
@@ -389,21 +390,15 @@ def _configurations(
     return q, goal
 
 
-def _before(
-    q: Array,
-    goals: HandGoals,
-    goal: Array,
-    scene: Scene,
-    drive_in: float,
-    asked: float,
-    nearer: float,
-) -> tuple[Array, Array]:
+def _before(q: Array, goal: Array, work: Work) -> tuple[Array, Array]:
     """Configurations (N, J) at the start of the straight approach, and where they and the way in are clear (N,).
 
     The torso is at its final height already: it is too slow for fine work.
     """
     if not len(q):
         return q, np.zeros(0, bool)
+    scene = work.scene
+    goals = work.goals
     robot = scene.body.chain
     dofs = ik.columns(robot, torso=False)
     options = ik.Options(iterations=12, pos_tolerance=2e-3, rot_tolerance=2e-2, rest_gain=0.0)
@@ -422,30 +417,22 @@ def _before(
     hand_links = scene.body.hand_links
     hand = whole.only(hand_links)
     arm = whole.only([n for n in whole.chain.links if n not in hand_links])
-    for back in np.arange(0.0, drive_in + 0.01, 0.12):
+    for back in np.arange(0.0, work.drive_in + 0.01, 0.12):
         shifted = pre[fine].copy()
         shifted[:, 0] -= back * np.cos(shifted[:, 2])
         shifted[:, 1] -= back * np.sin(shifted[:, 2])
         if back == 0.0:
             room = np.minimum(arm.clearance(shifted, scene.all), whole.self_clearance(shifted))
-            room = np.minimum(room, hand.clearance(shifted, scene.all) + nearer)
+            room = np.minimum(room, hand.clearance(shifted, scene.all) + work.nearer)
         else:
             room = whole.clearance(shifted, scene.all)
-        fine[fine] = room > asked
+        fine[fine] = room > work.room
     return pre, fine
 
 
-def _routed(
-    view: WorldView,
-    q: Array,
-    pre: Array,
-    goal: Array,
-    scene: Scene,
-    drive_in: float,
-    count: int,
-    home: float,
-) -> list[Stance]:
+def _routed(view: WorldView, work: Work, q: Array, pre: Array, goal: Array) -> list[Stance]:
     """Stances with routes that are clear; ``q`` (N, J) come cheapest first."""
+    scene = work.scene
     robot = scene.robot()
     boxes = scene.all
     clear: list[Stance] = []
@@ -455,20 +442,22 @@ def _routed(
         if sum(np.array_equal(q[i, BASE], base) for base in seen) >= 2:
             continue
         seen.append(q[i, BASE])
-        back = drive_in * np.array([np.cos(pre[i, BASE_YAW]), np.sin(pre[i, BASE_YAW]), 0.0])
-        route = plan_route(view, pre[i, BASE] - back, pre[i], robot, boxes, care=scene.care)
+        back = work.drive_in * np.array([np.cos(pre[i, BASE_YAW]), np.sin(pre[i, BASE_YAW]), 0.0])
+        route = plan_route(
+            view, pre[i, BASE] - back, pre[i], robot, boxes, RouteWish(care=scene.care)
+        )
         if route is None:
             continue
         (clear if route.room >= 0.0 else tight).append(Stance(int(goal[i]), pre[i], q[i], route))
-        if len(clear) >= count or len(clear) + len(tight) >= 3 * count:
+        if len(clear) >= MAX_STANCES or len(clear) + len(tight) >= 3 * MAX_STANCES:
             break
-    tight = sorted((s for s in tight if s.route.room > TIGHTEST), key=lambda s: -s.route.room)
-    return (
-        sorted(
-            clear, key=lambda s: s.route.steps + home * float(motion.steps_home(view.robot, s.at))
-        )
-        or tight[:1]
-    )
+    tight = sorted((s for s in tight if s.route.room > MAX_DEFICIT_M), key=lambda s: -s.route.room)
+
+    def steps(stance: Stance) -> float:
+        back = float(motion.steps_home(view.robot, stance.at))
+        return stance.route.steps + work.home * back
+
+    return sorted(clear, key=steps) or tight[:1]
 
 
 def settle_reach(view: WorldView, stance: Stance, pos: Array, rot: Array) -> Array | None:

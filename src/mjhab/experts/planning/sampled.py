@@ -1,6 +1,6 @@
-"""Ways for base and arm where straight motions of the arm fail, found by sampling: the last resort of pick and place.
+"""Sampling-based planning of base and arm for Pick and Place, used where straight motions of the arm collide.
 
-`plan_route` knows one motion of the arm, straight from what it is to what it will be. Between the open door of a fridge
+`plan_route` moves the arm on one straight line in joint space. Between the open door of a fridge
 and a counter there is often no room to drive so. `plan_around` draws postures, takes those with which the whole drive
 is clear, and brings the arm into one before it and out of it after: straight where that is clear, else along a way
 that RRT-Connect of OMPL finds. What it gives is a function of its arguments alone.
@@ -23,9 +23,9 @@ from mjhab.experts.arm import ik, motion
 from mjhab.experts.arm.clearance import Boxes, RobotSpheres
 from mjhab.experts.arm.gentle import Care
 from mjhab.experts.base.route import (
-    DRIVE_ERROR,
-    MARGIN,
-    OWN_ROOM,
+    DRIVE_ERROR_M,
+    MARGIN_M,
+    SELF_CLEARANCE_M,
     Route,
     arm_gone,
     drive_of,
@@ -36,24 +36,29 @@ from mjhab.experts.planning.reach import Blocked, HandGoals, Stance
 from mjhab.robots.robot import Robot
 
 Array = np.ndarray
-POSTURES = 1000
-LEGS = 80
-"""Postures of the arm that are drawn, and how many of those with which the drive is clear are tried, quickest first."""
-EDGE = 1.5
-REACH = 12.0
-"""Distance between configurations looked at, and longest edge of the trees, in control steps of the slowest joint."""
-ROUNDS = 300
+MAX_POSTURES = 1000
+"""Postures of the arm that are sampled."""
+MAX_CLEAR_POSTURES = 80
+"""Number of postures with a clear drive that are tried, fastest first."""
+EDGE_STEPS = 1.5
+"""Distance between the configurations of an edge that are checked, in control steps of the slowest joint."""
+MAX_EDGE_STEPS = 12.0
+"""Longest edge of the trees, in control steps of the slowest joint."""
+MAX_ROUNDS = 300
 """Rounds after which RRT-Connect gives up; one takes about a millisecond."""
-TRIES = 3
-TIMED = 6
-SEARCHED = 1
-"""Base poses of one kind of reach for which a way is looked for, ways to each that are timed, and postures to or from
-which RRT-Connect looks for one where no straight motion of the arm leads there."""
-TOUCHES = -0.03
-"""Straight ways with less room [m], see `Route`, are worse than ways around, which take longer."""
-LEAST = 30
-REST = 70
-"""Control steps that a way around and what follows it take at least."""
+BASES_TRIED = 3
+"""Base poses per kind of reach for which a way is searched."""
+WAYS_TIMED = 6
+"""Ways to each base pose whose duration is computed."""
+POSTURES_SEARCHED = 1
+"""Postures for which RRT-Connect searches a way where no straight motion of the arm leads to them, or from them."""
+MAX_DEFICIT_M = -0.03
+"""Straight ways whose room is less than this (negative: a deficit, see `Route`) are worse than ways around, which
+take longer."""
+MIN_WAY_STEPS = 30
+"""Least number of control steps of a way around."""
+MIN_TOTAL_STEPS = 70
+"""Least number of control steps of a way around and of what follows it."""
 _SEED = 1
 _PLACES = 14
 _PIECES = 10
@@ -65,7 +70,9 @@ Found = tuple[Stance, HandGoals, float]
 
 def roomier(view: WorldView, found: Found | None, blocked: list[Blocked]) -> Found | None:
     """What was ``found``, or a way around to something ``blocked`` where that touches something on its way."""
-    if (found is not None and found[0].route.room >= TOUCHES) or view.steps_left < LEAST + REST:
+    if (
+        found is not None and found[0].route.room >= MAX_DEFICIT_M
+    ) or view.steps_left < MIN_WAY_STEPS + MIN_TOTAL_STEPS:
         return found
     return _way_around(view, blocked) or found
 
@@ -78,7 +85,7 @@ def _way_around(view: WorldView, blocked: list[Blocked]) -> Found | None:
         tried = []
         best = None
         for goal, pre, at in zip(reach.goal, reach.pre, reach.at, strict=True):
-            if len(tried) >= TRIES:
+            if len(tried) >= BASES_TRIED:
                 break
             if any(np.array_equal(pre[BASE], base) for base in tried):
                 continue
@@ -87,7 +94,7 @@ def _way_around(view: WorldView, blocked: list[Blocked]) -> Found | None:
             route = plan_around(view, pre[BASE] - back, pre, robot, boxes, care=reach.scene.care)
             if route is not None and (best is None or route.steps < best.route.steps):
                 best = Stance(int(goal), pre, at, route)
-        if best is not None and best.route.steps + REST <= view.steps_left:
+        if best is not None and best.route.steps + MIN_TOTAL_STEPS <= view.steps_left:
             return best, reach.goals, reach.drive_in
     return None
 
@@ -101,7 +108,7 @@ def plan_around(
     *,
     care: Care | None = None,
 ) -> Route | None:
-    """A way to the base pose ``goal`` (3,) with the arm at ``arm`` (15,) that passes other postures before and after.
+    """A way to the base pose ``goal`` (3,) with the arm at ``arm`` (J,) that passes other postures before and after.
 
     ``robot`` is what moves, the held object included; ``care`` as in `plan_route`. None when nothing is found: all of
     the way that is given keeps as clear as `plan_route` asks for or, at its ends, nearly as clear as they are.
@@ -155,16 +162,16 @@ class Free:
 
     @classmethod
     def near(cls, body: Robot, q: Array, robot: RobotSpheres, boxes: Boxes) -> Free:
-        """As clear as `plan_route` asks for or nearly as clear as the configuration ``q`` (15,)."""
+        """As clear as `plan_route` asks for or nearly as clear as the configuration ``q`` (J,)."""
         room = float(robot.clearance(q, boxes)[0]) - 0.004
         own = float(robot.self_clearance(q[None])[0]) - 0.004
         return cls(
             body,
             robot,
             boxes,
-            min(MARGIN, room),
-            min(OWN_ROOM, own),
-            min(MARGIN + DRIVE_ERROR, room),
+            min(MARGIN_M, room),
+            min(SELF_CLEARANCE_M, own),
+            min(MARGIN_M + DRIVE_ERROR_M, room),
         )
 
     def spare(self, q: Array) -> Array:
@@ -174,14 +181,14 @@ class Free:
         )
 
     def likely(self, start: Array, ends: Array) -> Array:
-        """Whether straight motions from ``start`` (15,) to ``ends`` (V, J) are clear in a few places: (V,) bool."""
+        """Whether straight motions from ``start`` (J,) to ``ends`` (V, J) are clear in a few places: (V,) bool."""
         share = np.linspace(0.0, 1.0, _PIECES + 1)[1:, None, None]
         gap = self.spare((start + share * (ends - start)).reshape(-1, len(start)))
         return gap.reshape(_PIECES, -1).min(axis=0) >= 0.0
 
     def edge(self, start: Array, end: Array) -> bool:
-        """Whether the straight motion between two configurations (15,) is clear."""
-        pieces = 1 + int(_length(self.body, np.stack([start, end])) / EDGE)
+        """Whether the straight motion between two configurations (J,) is clear."""
+        pieces = 1 + int(_length(self.body, np.stack([start, end])) / EDGE_STEPS)
         share = np.linspace(0.0, 1.0, pieces + 1)[1:, None]
         return bool((self.spare(start + share * (end - start)) >= 0.0).all())
 
@@ -243,8 +250,8 @@ def _along(robot: Robot, way: Array) -> Array:
     return np.concatenate(parts)
 
 
-def arm_way(start: Array, end: Array, free: Free, rounds: int = ROUNDS) -> Array | None:
-    """Configurations (P, J) from ``start`` to ``end`` (15,) with clear straight motions between them.
+def arm_way(start: Array, end: Array, free: Free, rounds: int = MAX_ROUNDS) -> Array | None:
+    """Configurations (P, J) from ``start`` to ``end`` (J,) with clear straight motions between them.
 
     Only the arm and the torso of the two differ. None when ``rounds`` of RRT-Connect do not find any.
     """
@@ -258,7 +265,7 @@ def arm_way(start: Array, end: Array, free: Free, rounds: int = ROUNDS) -> Array
     problem: Any = base.ProblemDefinition(info)
     problem.setStartAndGoalStates(_state(free.body, info, start), _state(free.body, info, end))
     planner = geometric.RRTConnect(info)
-    planner.setRange(REACH)
+    planner.setRange(MAX_EDGE_STEPS)
     planner.setProblemDefinition(problem)
     planner.setup()
     left = iter(range(rounds))
@@ -273,7 +280,7 @@ def arm_way(start: Array, end: Array, free: Free, rounds: int = ROUNDS) -> Array
 
 
 def _space(start: Array, end: Array, free: Free) -> Any:
-    """What OMPL has to know (``SpaceInformation``) of arm and torso, within half a turn of both ends (15,)."""
+    """What OMPL has to know (``SpaceInformation``) of arm and torso, within half a turn of both ends (J,)."""
     from ompl import base
 
     class Edges(base.MotionValidator):
@@ -303,7 +310,7 @@ def _space(start: Array, end: Array, free: Free) -> Any:
 
 
 def _joints(robot: Robot, state: Any, like: Array) -> Array:
-    """The configuration (15,) of a state of OMPL, ``like`` (15,) but for arm and torso."""
+    """The configuration (J,) of a state of OMPL, ``like`` (J,) but for arm and torso."""
     q = like.copy()
     dofs = ik.columns(robot.chain)
     q[dofs] = _scale(robot) * [state[i] for i in range(len(dofs))]
@@ -311,7 +318,7 @@ def _joints(robot: Robot, state: Any, like: Array) -> Array:
 
 
 def _state(robot: Robot, info: Any, q: Array) -> Any:
-    """The state of OMPL for a configuration (15,), inside its bounds."""
+    """The state of OMPL for a configuration (J,), inside its bounds."""
     state = info.allocState()
     for i, value in enumerate(q[ik.columns(robot.chain)] / _scale(robot)):
         state[i] = float(value)
@@ -334,7 +341,7 @@ def _shortened(way: Array, free: Free) -> Array:
 def _legs(
     start: Array, end: Array, postures: Array, here: Free, there: Free
 ) -> list[tuple[Array, Array]]:
-    """Ways of the arm from ``start`` (15,) to one of postures (V, J), quickest first, and from there to ``end``."""
+    """Ways of the arm from ``start`` (J,) to one of postures (V, J), quickest first, and from there to ``end``."""
     if not len(postures):
         return []
     before = postures.copy()
@@ -347,10 +354,10 @@ def _legs(
     for i in np.flatnonzero(out & back):
         if here.edge(start, before[i]) and there.edge(after[i], end):
             found.append((np.stack([start, before[i]]), np.stack([after[i], end])))
-        if len(found) == TIMED:
+        if len(found) == WAYS_TIMED:
             break
     # One leg by sampling, of postures for which the other is clear.
-    for i in np.flatnonzero(out ^ back)[: 0 if found else SEARCHED]:
+    for i in np.flatnonzero(out ^ back)[: 0 if found else POSTURES_SEARCHED]:
         first = _leg(start, before[i], here) if out[i] else arm_way(start, before[i], here)
         last = (
             None
@@ -365,12 +372,12 @@ def _legs(
 
 
 def _leg(start: Array, end: Array, free: Free) -> Array | None:
-    """The straight way between two configurations (15,), if it is clear."""
+    """The straight way between two configurations (J,), if it is clear."""
     return np.stack([start, end]) if free.edge(start, end) else None
 
 
 def _postures(robot: Robot, start: Array, end: Array) -> Array:
-    """Postures (V, J) of the arm, those first that take the least time from ``start`` and on to ``end`` (15,)."""
+    """Postures (V, J) of the arm, those first that take the least time from ``start`` and on to ``end`` (J,)."""
     dofs = ik.columns(robot.chain)
     others = np.setdiff1d(np.arange(BASE.stop, len(start)), dofs)
     drawn = _library(robot).copy()
@@ -389,26 +396,27 @@ def _library(robot: Robot) -> Array:
         robot.chain,
         robot.rest,
         ik.columns(robot.chain),
-        4 * POSTURES,
+        4 * MAX_POSTURES,
         np.random.default_rng(_SEED),
         1.0,
     )
-    return drawn[motion.spheres(robot).self_clearance(drawn) > 2 * OWN_ROOM][:POSTURES]
+    return drawn[motion.spheres(robot).self_clearance(drawn) > 2 * SELF_CLEARANCE_M][:MAX_POSTURES]
 
 
 def _clear_drives(postures: Array, poses: Array, free: Free) -> Array:
-    """The first `LEGS` postures (indices) with which a drive over base poses (T, 3) is clear, its errors included."""
+    """The first `MAX_CLEAR_POSTURES` postures (indices) with which a drive over base poses (T, 3) is clear, its
+    errors included."""
     found: list[Any] = []
-    for start in range(0, len(postures), 2 * LEGS):
-        rows = np.arange(start, min(start + 2 * LEGS, len(postures)))
+    for start in range(0, len(postures), 2 * MAX_CLEAR_POSTURES):
+        rows = np.arange(start, min(start + 2 * MAX_CLEAR_POSTURES, len(postures)))
         for pose in poses[np.unique(np.linspace(0, len(poses) - 1, _PLACES).astype(int))]:
             q = postures[rows]
             q[:, BASE] = pose
             rows = rows[free.robot.clearance(q, free.boxes) >= free.drive]
         found += list(rows)
-        if len(found) >= LEGS:
+        if len(found) >= MAX_CLEAR_POSTURES:
             break
-    return np.array(found[:LEGS], np.int64)
+    return np.array(found[:MAX_CLEAR_POSTURES], np.int64)
 
 
 def _length(robot: Robot, way: Array) -> float:

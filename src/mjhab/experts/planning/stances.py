@@ -1,4 +1,4 @@
-"""Where to stand and how to hold the arm to work on a drawer or door: stances found once per piece of furniture.
+"""Base poses and arm configurations for a drawer or door, searched once per piece of furniture and kept in the cache.
 
 Everything here lives in the furniture's own frame ("plan frame"): origin on the floor below the link's origin at joint
 0, +x outward. Furniture is the same in every home, so that what a search finds is kept; a home only decides which of
@@ -25,13 +25,18 @@ from mjhab.robots.kinematics import Chain, wrap
 from mjhab.robots.robot import Robot
 
 Array = np.ndarray
-SELF_MARGIN = 0.02
-"""Least distance of the forearm and hand to the trunk [m]."""
-FLOOR_MARGIN = 0.285
-"""Clearance the base of a stance must have, `COMFORT` what it should have [m]."""
-COMFORT = 0.36
-FOLLOWED = 3
-"""Seeds followed per base path."""
+SELF_CLEARANCE_M = 0.02
+"""Least distance of forearm and hand to the trunk."""
+BOX_CLEARANCE_M = 0.02
+"""Least distance of arm and trunk to obstacles; the hand is not checked."""
+MAX_JUMP_RAD = 0.7
+"""Largest change of a joint between two way points."""
+MIN_BASE_CLEARANCE_M = 0.285
+"""Clearance that the base must have at a stance."""
+COMFORT_CLEARANCE_M = 0.36
+"""Clearance that the base should have there."""
+SEEDS_FOLLOWED = 3
+"""Solutions at the first way point that are followed along each base path."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,8 +161,6 @@ def track(
     *,
     tries: int = 12,
     mode: ik.Mode = "pose",
-    margin: float = 0.02,
-    jump: float = 0.7,
 ) -> Stances:
     """Arm motions along way points while the base moves, for many base paths at once.
 
@@ -168,8 +171,6 @@ def track(
         boxes: obstacles at every way point.
         tries: seeds for the first way point.
         mode: what part of the orientation counts.
-        margin: least distance of arm and trunk to the boxes [m]; the hand itself is not looked at.
-        jump: largest change of a joint between way points [rad].
 
     Returns:
         The stances that reach every way point, for each base path the one the arm gets to soonest from rest.
@@ -187,8 +188,8 @@ def track(
     path = [path[0][ok]]
     row = row[ok]
     travel = ik.travel_steps(robot, rest, path[0], dofs)
-    path, row = _drop(path, row, _quickest(row, travel, FOLLOWED))
-    path, row = _drop(path, row, _clear(body, path[0], boxes[0] if boxes else None, margin))
+    path, row = _drop(path, row, _quickest(row, travel, SEEDS_FOLLOWED))
+    path, row = _drop(path, row, _clear(body, path[0], boxes[0] if boxes else None))
     for k in range(1, base.shape[1]):
         if not len(row):
             break
@@ -205,10 +206,11 @@ def track(
             options=ik.Options(iterations=15, rest_gain=0.0),
         )
         near = (
-            np.abs(step.q[:, 0, BASE.stop :] - now[:, BASE.stop :]).max(axis=1, initial=0.0) < jump
+            np.abs(step.q[:, 0, BASE.stop :] - now[:, BASE.stop :]).max(axis=1, initial=0.0)
+            < MAX_JUMP_RAD
         )
         path, row = _drop([*path, step.q[:, 0]], row, step.ok[:, 0] & near)
-        path, row = _drop(path, row, _clear(body, path[-1], boxes[k] if boxes else None, margin))
+        path, row = _drop(path, row, _clear(body, path[-1], boxes[k] if boxes else None))
     if not len(row):
         return Stances(np.zeros((0, base.shape[1], robot.size)), np.zeros(0), np.zeros(0))
     travel = ik.travel_steps(robot, rest, path[0], dofs)
@@ -232,14 +234,14 @@ def _drop(path: list[Array], row: Array, keep: Array) -> tuple[list[Array], Arra
     return [p[keep] for p in path], row[keep]
 
 
-def _clear(robot: Robot, q: Array, boxes: Boxes | None, margin: float) -> Array:
+def _clear(robot: Robot, q: Array, boxes: Boxes | None) -> Array:
     """Which configurations (N, Q) keep the arm clear of the trunk, and arm and trunk of the boxes."""
     if not len(q):
         return np.zeros(0, dtype=bool)
     whole = motion.spheres(robot)
-    keep = whole.self_clearance(q) > SELF_MARGIN
+    keep = whole.self_clearance(q) > SELF_CLEARANCE_M
     if boxes is not None:
-        keep &= whole.only(robot.arm_links).clearance(q, boxes) > margin
+        keep &= whole.only(robot.arm_links).clearance(q, boxes) > BOX_CLEARANCE_M
     return keep
 
 
@@ -273,10 +275,10 @@ def rank(
         steps
         + motion_steps(view.robot.chain, stances.q)
         + stances.back
-        + 300.0 * np.maximum(COMFORT - room, 0.0)
+        + 300.0 * np.maximum(COMFORT_CLEARANCE_M - room, 0.0)
     )
     order = np.argsort(cost, kind="stable")
-    order = order[room[order] >= FLOOR_MARGIN]
+    order = order[room[order] >= MIN_BASE_CLEARANCE_M]
     return frame.base(stances.q[order]), cost[order]
 
 

@@ -1,4 +1,4 @@
-"""Experts that open and close the drawer and the fridge door of SetTable."""
+"""The experts for Open and Close, for drawers and for doors on hinges."""
 
 from __future__ import annotations
 

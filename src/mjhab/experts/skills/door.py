@@ -9,79 +9,85 @@ import numpy as np
 
 from mjhab.core.boxes import Boxes
 from mjhab.core.joints import BASE, BASE_YAW
+from mjhab.core.timing import STEP_SECONDS
 from mjhab.envs.parts.world_view import JointedLink, WorldView
 from mjhab.experts.arm import ik, motion
-from mjhab.experts.base.navigation import CONTROL_DT
 from mjhab.experts.planning import approach, stances
 from mjhab.experts.planning.stances import Frame, Stances
 from mjhab.experts.skills import door_stances
-from mjhab.experts.skills.door_stances import HALF_OPEN, OPEN_TO, PRESS_AHEAD
+from mjhab.experts.skills.door_stances import HALF_OPEN_SHARE, OPEN_TO_SHARE, PRESS_AHEAD_RAD
 from mjhab.experts.style import style_of
 from mjhab.robots.robot import Robot
 from mjhab.tasks.style import PUSH
 
 Array = np.ndarray
 Motion = motion.Motion
-AROUND = 0.045
-LOOSE = 0.03
-"""Room [m] beside the bar in a hand that goes around it or frees it; opened wide, the inner finger would push the door.
-"""
-ENOUGH = 0.753
-SPARE = 0.008
-"""Shares of the range: from which on a door is left alone, 0.75 counts as open, and how much farther than to `OPEN_TO`
-it is pulled: what brushes against it later must not close it that far."""
+AROUND_BAR_M = 0.045
+"""Free space beside the bar in a hand that closes around it; wide open, the inner finger would push the door."""
+LET_GO_BAR_M = 0.03
+"""Free space beside the bar in a hand that lets go of it."""
+OPEN_ENOUGH_SHARE = 0.753
+"""Share of the range from which on an open door is left alone; success asks for 0.75."""
+OPEN_SPARE_SHARE = 0.008
+"""How much farther than `OPEN_TO_SHARE` a door is pulled, as a share of the range: what brushes against it later
+must not close it below what success asks for."""
 STILL_STEPS = 3
 """Control steps for which the hand holds the bar at the end: it would hit it on its way if the door went on."""
-SHUT = 0.006
-AJAR = 0.009
-"""Shares of the range: to which a door is pressed, and from which on it is pressed anew; 0.01 counts as closed."""
-IN_LINE = 0.025
-ENTERED = 0.04
-"""How far [m] the hand may be beside its way in behind the door, and before the end of it."""
-STRUCK = 0.15
-"""How far the arm may push a door open on its way [rad] before the hand has to go elsewhere."""
-ENTER_PACE = 0.04
+SHUT_SHARE = 0.006
+"""Share of the range to which a door is pressed shut; success asks for 0.01."""
+AJAR_SHARE = 0.009
+"""Share of the range from which on it is pressed again."""
+IN_LINE_M = 0.025
+"""Greatest distance of the hand beside its way in behind the door."""
+ENTERED_M = 0.04
+"""Distance from the end of that way at which the hand is in."""
+STRUCK_RAD = 0.15
+"""How far the arm may push a door open on its way before the hand moves elsewhere."""
+ENTER_STEP_M = 0.04
+"""Motion of the hand per control step on its way in behind the door."""
 ENTER_STEPS = 22
 """Way of the hand per control step [m], and control steps, to get in behind the door."""
-BEHIND = 0.25
-"""Way the hand goes straight in behind an open door [m]."""
+BEHIND_WAY_M = 0.25
+"""Length of the straight way of the hand in behind an open door."""
 STANCES_TRIED = 16
-"""Stances whose surroundings are looked at."""
-JOINT_RATE = 0.037
-PULL_RATE = 0.046
-"""Joint motion per control step at which the hand leads the door [rad]: pushed, it should not leave the hand."""
-SWING = 0.045
-"""Most the hand's aim moves along the door's arc per control step [rad]."""
-GENTLE = 0.02, 0.045
-"""Way of a door that is pushed all the way, per control step [rad]: this much, and so much more for every radian it
-is open. By itself it slows down sooner, so that it does not leave the hand.
-"""
-LATE = 12
-"""Control steps the door may lag behind the end of the path before the hand gives up."""
-COAST_TIME = 1.4
-COAST_STOP = 0.5
-"""A door left alone slows down by (speed + COAST_STOP) / COAST_TIME [s, rad/s]: inertia, damping and friction of the
-doors here, which tell how far a thrown door goes."""
-COAST_SPARE = 0.1
-"""How much farther than it has to a door must be going to be let go [rad]; much faster ones bounce open again."""
-AT_REST = 0.002
-"""Most a door at rest moves per control step [rad]."""
+"""Number of stances whose surroundings are checked."""
+JOINT_STEP_RAD = 0.037
+"""Motion of a joint per control step while the hand leads the door by its bar."""
+PULL_STEP_RAD = 0.046
+"""The same while it pulls: a door that is pushed must not leave the hand."""
+MAX_SWING_RAD = 0.045
+"""Largest motion of the hand's aim along the door's arc per control step."""
+PUSH_STEP_RAD = 0.02, 0.045
+"""Motion per control step of a door that is pushed all the way: a constant, and an addition per radian that it is
+open. A slower door does not leave the hand."""
+MAX_LAG_STEPS = 12
+"""Control steps that the door may lag behind the end of the path before the hand gives up."""
+COAST_TIME_S = 1.4
+"""A door that is let go slows down by (speed + COAST_STOP_RAD_S) / COAST_TIME_S. Both follow from inertia, damping and
+friction of the doors here, and tell how far a thrown door goes."""
+COAST_STOP_RAD_S = 0.5
+"""See `COAST_TIME_S`."""
+COAST_SPARE_RAD = 0.1
+"""A door is let go when it will coast this much farther than it has to; one that is much faster bounces open again."""
+AT_REST_RAD = 0.002
+"""Largest motion per control step of a door at rest."""
 PRESS_STEPS = 2
 """Control steps for which a closed door has to rest."""
-JAMMED = 300.0
-"""Contact force on the arm with which a motion is given up [N]."""
+JAMMED_FORCE_N = 300.0
+"""Contact force on the arm at which a motion is given up."""
 
 
 def open_door(view: WorldView, link: JointedLink) -> Motion:
     """Grasp the bar, follow its arc, let go and return to rest; anew after a slip."""
-    enough = ENOUGH * link.range[1]
+    enough = OPEN_ENOUGH_SHARE * link.range[1]
     while view.steps_left > 40 and view.link_q(link.id) < enough:
         found = stances.cached(view.robot, link, "pull", door_stances.pull_stances)
         path = _reachable(view, link, found, door_stances.pull_angles(link))
         if path is None:
             return False
         around, loose = (
-            motion.gripper_at(view.robot, link.handle.thickness + room) for room in (AROUND, LOOSE)
+            motion.gripper_at(view.robot, link.handle.thickness + room)
+            for room in (AROUND_BAR_M, LET_GO_BAR_M)
         )
         yield from approach.go(view, path.route, around)
         rot = path.hand_at(path.angles[1])[1]
@@ -89,7 +95,7 @@ def open_door(view: WorldView, link: JointedLink) -> Motion:
             yield from approach.take(view, link, rot, path.q[1], height=path.height, gripper=around)
         ):
             yield from _follow_arc(
-                view, link, path, (OPEN_TO + SPARE) * link.range[1], motion.CLOSED
+                view, link, path, (OPEN_TO_SHARE + OPEN_SPARE_SHARE) * link.range[1], motion.CLOSED
             )
         yield from motion.hold(view, STILL_STEPS, gripper=motion.CLOSED)
         yield from approach.let_go(view, 0.12, gripper=loose)
@@ -100,9 +106,9 @@ def close_door(view: WorldView, link: JointedLink) -> Motion:
     """Reach behind the door and throw it shut along its arc, folding the arm while it swings, or push it all the way
     where that is asked for; anew if it stays ajar."""
     throws = style_of(view).close != PUSH
-    while view.steps_left > 40 and view.link_q(link.id) > AJAR * link.range[1]:
-        start = view.link_q(link.id) + PRESS_AHEAD
-        half = start < HALF_OPEN * link.range[1]
+    while view.steps_left > 40 and view.link_q(link.id) > AJAR_SHARE * link.range[1]:
+        start = view.link_q(link.id) + PRESS_AHEAD_RAD
+        half = start < HALF_OPEN_SHARE * link.range[1]
         search = door_stances.push_half_open if half else door_stances.push_open
         angles = door_stances.push_angles(link, half)
         found, angles = _from_angle(
@@ -111,15 +117,17 @@ def close_door(view: WorldView, link: JointedLink) -> Motion:
             angles,
             min(start, angles[0]),
         )
-        path = _reachable(view, link, found, angles, BEHIND)
+        path = _reachable(view, link, found, angles, BEHIND_WAY_M)
         if path is None:
             return False
         yield from approach.go(view, path.route, motion.CLOSED)
-        if view.link_q(link.id) > start - PRESS_AHEAD + STRUCK:
+        if view.link_q(link.id) > start - PRESS_AHEAD_RAD + STRUCK_RAD:
             continue
         yield from _behind_edge(view, path)
         while (
-            yield from _follow_arc(view, link, path, SHUT * link.range[1], motion.CLOSED, throws)
+            yield from _follow_arc(
+                view, link, path, SHUT_SHARE * link.range[1], motion.CLOSED, throws
+            )
         ):
             if (yield from _leave_swinging(view, link)):
                 break
@@ -179,30 +187,33 @@ def _follow_arc(
     way = 1.0 if goal > view.link_q(link.id) else -1.0
     aim = float(path.angles[1 if way > 0 else 0])
     end = float(path.angles[-1])
-    aim = aim if way > 0 else min(aim, view.link_q(link.id) + PRESS_AHEAD)
+    aim = aim if way > 0 else min(aim, view.link_q(link.id) + PRESS_AHEAD_RAD)
     last = np.inf
     late = 0
     pressed = 0
     done = 0
     for _ in range(110):
         now = view.link_q(link.id)
-        if throws and _coasts(style_of(view).speed * (last - now) / CONTROL_DT) > now + COAST_SPARE:
+        if (
+            throws
+            and _coasts(style_of(view).speed * (last - now) / STEP_SECONDS) > now + COAST_SPARE_RAD
+        ):
             return True
         # A door that was thrown shut may swing back.
-        there = way * (goal - now) <= 0 and (way > 0 or abs(now - last) < AT_REST)
+        there = way * (goal - now) <= 0 and (way > 0 or abs(now - last) < AT_REST_RAD)
         done = done + 1 if there else 0
         last = now
         if done > (0 if way > 0 else PRESS_STEPS):
             return True
-        pressed = pressed + 1 if view.link_forces.sum() > JAMMED else 0
+        pressed = pressed + 1 if view.link_forces.sum() > JAMMED_FORCE_N else 0
         pace = _pace(path, aim, way)
         if way < 0 and not throws:
-            pace = min(pace, GENTLE[0] + GENTLE[1] * max(now, 0.0))
-        if way * (aim - now) < (0.3 if way > 0 else PRESS_AHEAD + 0.15):
+            pace = min(pace, PUSH_STEP_RAD[0] + PUSH_STEP_RAD[1] * max(now, 0.0))
+        if way * (aim - now) < (0.3 if way > 0 else PRESS_AHEAD_RAD + 0.15):
             aim += way * pace
         aim = min(aim, end) if way > 0 else max(aim, end)
         late = late + 1 if aim == end else 0
-        if pressed > 2 or late > LATE:
+        if pressed > 2 or late > MAX_LAG_STEPS:
             return False
         if (
             way > 0
@@ -220,7 +231,7 @@ def _leave_swinging(view: WorldView, link: JointedLink) -> Motion:
     last = np.inf
     for action in approach.fold(view, shut=link, gripper=motion.CLOSED):
         now = view.link_q(link.id)
-        if now > AJAR * link.range[1] and abs(now - last) < AT_REST:
+        if now > AJAR_SHARE * link.range[1] and abs(now - last) < AT_REST_RAD:
             return False
         last = now
         yield action
@@ -231,7 +242,7 @@ def _coasts(speed: float) -> float:
     """How far a door goes on by itself [rad] at a closing speed [rad/s]."""
     if not 0.0 < speed < np.inf:
         return 0.0
-    return COAST_TIME * (speed - COAST_STOP * float(np.log1p(speed / COAST_STOP)))
+    return COAST_TIME_S * (speed - COAST_STOP_RAD_S * float(np.log1p(speed / COAST_STOP_RAD_S)))
 
 
 def _behind_edge(view: WorldView, path: ArcPath) -> Motion:
@@ -245,10 +256,10 @@ def _behind_edge(view: WorldView, path: ArcPath) -> Motion:
         back = float((pos - here) @ rot[:, 0])
         aside = pos - here - back * rot[:, 0]
         off = float(np.linalg.norm(aside))
-        if back < ENTERED:
+        if back < ENTERED_M:
             return True
-        ahead = min(back, ENTER_PACE) * float(np.clip(2.0 - off / IN_LINE, 0.0, 1.0))
-        goal = here + ahead * rot[:, 0] + min(1.0, ENTER_PACE / max(off, 1e-9)) * aside
+        ahead = min(back, ENTER_STEP_M) * float(np.clip(2.0 - off / IN_LINE_M, 0.0, 1.0))
+        goal = here + ahead * rot[:, 0] + min(1.0, ENTER_STEP_M / max(off, 1e-9)) * aside
         aim_rot = ik.straight_line(here[None], pos[None], turn[None], rot[None], 1.0, 0.1)[1]
         v, w = approach.base_towards(view, wish)
         delta = ik.servo(
@@ -258,12 +269,11 @@ def _behind_edge(view: WorldView, path: ArcPath) -> Motion:
             aim_rot,
             ik.columns(robot),
             rest=wish,
-            mode="approach",
             base_next=approach.next_base(view, v, w),
-            rest_gain=0.1,
+            options=ik.ServoOptions(mode="approach", rest_gain=0.1),
         )[0]
         yield motion.action(
-            view, view.q + delta / motion.ARM_DELAY, gripper=motion.CLOSED, drive=(v, w)
+            view, view.q + delta / motion.ARM_STEP_SHARE, gripper=motion.CLOSED, drive=(v, w)
         )
     return False
 
@@ -278,7 +288,9 @@ def _pace(path: ArcPath, angle: float, way: float) -> float:
     here = path.at(angle)
     there = path.at(angle + way * 0.1)
     most = float(np.abs(there - here)[list(path.robot.arm_columns)].max())
-    return min(SWING, 0.1 * (PULL_RATE if way > 0 else JOINT_RATE) / max(most, 1e-6))
+    return min(
+        MAX_SWING_RAD, 0.1 * (PULL_STEP_RAD if way > 0 else JOINT_STEP_RAD) / max(most, 1e-6)
+    )
 
 
 def _arc_action(view: WorldView, path: ArcPath, aim: float, step: float, gripper: float) -> Array:
@@ -288,7 +300,7 @@ def _arc_action(view: WorldView, path: ArcPath, aim: float, step: float, gripper
     ahead = (path.at(aim + step)[:2] - wish[:2]) @ np.array(
         [np.cos(q[BASE_YAW]), np.sin(q[BASE_YAW])]
     )
-    v, w = approach.base_towards(view, wish, float(ahead) / CONTROL_DT)
+    v, w = approach.base_towards(view, wish, float(ahead) / STEP_SECONDS)
     base_next = approach.next_base(view, v, w)
     robot = view.robot.chain
     here, _ = motion.tcp(view)
@@ -302,9 +314,9 @@ def _arc_action(view: WorldView, path: ArcPath, aim: float, step: float, gripper
         ik.columns(robot),
         rest=wish,
         base_next=base_next,
-        rest_gain=0.1,
+        options=ik.ServoOptions(rest_gain=0.1),
     )[0]
-    return motion.action(view, q + delta / motion.ARM_DELAY, gripper=gripper, drive=(v, w))
+    return motion.action(view, q + delta / motion.ARM_STEP_SHARE, gripper=gripper, drive=(v, w))
 
 
 def _reachable(
@@ -348,7 +360,7 @@ def _withdrawn(body: Robot, q: Array, back: float) -> Array:
     good = (
         found.ok[:, 0]
         & near
-        & (motion.spheres(body).self_clearance(found.q[:, 0]) > stances.SELF_MARGIN)
+        & (motion.spheres(body).self_clearance(found.q[:, 0]) > stances.SELF_CLEARANCE_M)
     )
     return np.where(good[:, None], found.q[:, 0], q)
 

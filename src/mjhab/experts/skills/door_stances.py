@@ -15,42 +15,43 @@ from mjhab.experts.planning.stances import Stances
 from mjhab.robots.robot import Robot
 
 Array = np.ndarray
-PRE_GRASP = 0.11
-"""Distance from which the open hand goes straight onto the bar [m]."""
-ABOVE_MIDDLE = 0.13
-"""Height over the middle of the bar at which it is taken, nearer to where the hand rests [m]."""
-THICK = 0.035
-"""Thickness of a bar that the hand must take squarely and that hardly turns between the pads [m]."""
-PRESS_AHEAD = 0.2
-PRESS_PAST = 0.02
-"""How far from an open door the hand starts, and how far beyond the closed one it aims [rad]."""
-ABOVE_BAR = 0.13
-"""Height over the end of the bar at which the door is pushed [m]: a lower hand catches the bar with its side."""
-FROM_EDGE = 0.06
-"""Least distance from the free edge of the door at which it is pushed [m]."""
-HALF_OPEN = 0.95
-"""Share of the range up to which the hand need not start as far behind the door as for a wide open one."""
-OPEN_TO = 0.775
-"""Share of the range to pull to; 0.75 counts as open."""
-TIP = 0.031
-FINGER_SIDE = 0.0144
-"""Fingertip before the tool centre and half-width of the closed fingers [m]."""
-PUSH_YAWS = ((0.25, 0.4), (0.5, 0.4), (0.8, 0.4), (1.1, 0.4))
-"""Yaws [rad] of the pushing hand on the open and on the closed door, 0 straight at the fridge. Behind a door open by
-2.2 rad a hand at 0.6 lies along it; one at 0 would touch the door's edge with its side on its way in, so that the
-first pair is for doors that are not wide open.
-"""
+PRE_GRASP_M = 0.11
+"""Distance from which the open hand moves straight onto the bar."""
+ABOVE_MIDDLE_M = 0.13
+"""Height above the middle of the bar at which it is taken: nearer to where the hand rests."""
+THICK_BAR_M = 0.035
+"""Thickness from which on a bar hardly turns between the pads, and the hand must take it squarely."""
+PRESS_AHEAD_RAD = 0.2
+"""Angle between an open door and where the hand begins to push it."""
+PRESS_PAST_RAD = 0.02
+"""Angle beyond the closed door that the hand aims at."""
+ABOVE_BAR_M = 0.13
+"""Height above the end of the bar at which the door is pushed: a lower hand catches the bar with its side."""
+FROM_EDGE_M = 0.06
+"""Least distance from the free edge of the door at which it is pushed."""
+HALF_OPEN_SHARE = 0.95
+"""Share of the range up to which the hand need not begin as far behind the door as for a wide open one."""
+OPEN_TO_SHARE = 0.775
+"""Share of the range to which a door is pulled; 0.75 counts as open."""
+TIP_M = 0.031
+"""Distance of the fingertips before the tool centre."""
+FINGER_SIDE_M = 0.0144
+"""Half-width of the closed fingers."""
+PUSH_YAWS_RAD = ((0.25, 0.4), (0.5, 0.4), (0.8, 0.4), (1.1, 0.4))
+"""Yaws of the pushing hand on the open and on the closed door; 0 points straight at the furniture. Behind a door
+that is open by 2.2 rad, a hand at 0.6 lies along it, and one at 0 would touch the door's edge with its side on its
+way in: the first pair is for doors that are not wide open."""
 
 
 def pull_angles(link: JointedLink) -> Array:
     """Door angles (10,) [rad] of the way points of `pull_stances`; the first is the hand before the bar."""
-    return np.append(-0.01, np.linspace(0.0, (OPEN_TO + 0.03) * link.range[1], 9))
+    return np.append(-0.01, np.linspace(0.0, (OPEN_TO_SHARE + 0.03) * link.range[1], 9))
 
 
 def push_angles(link: JointedLink, half: bool) -> Array:
     """Door angles (11,) [rad] of the way points of `push_half_open` or `push_open`, from open to closed."""
-    first = (HALF_OPEN * link.range[1]) if half else link.range[1] + PRESS_AHEAD
-    return np.append(np.linspace(first, 0.0, 10), -PRESS_PAST)
+    first = (HALF_OPEN_SHARE * link.range[1]) if half else link.range[1] + PRESS_AHEAD_RAD
+    return np.append(np.linspace(first, 0.0, 10), -PRESS_PAST_RAD)
 
 
 def _hand_side(link: JointedLink) -> float:
@@ -64,7 +65,7 @@ def _inward(link: JointedLink) -> float:
     m = _hand_side(link)
     (low, high) = _panel(link)
     edge = (low if m > 0 else high)[1]
-    lack = FROM_EDGE - abs(edge - link.handle.pos[1])
+    lack = FROM_EDGE_M - abs(edge - link.handle.pos[1])
     return m * lack if lack > 0.001 else 0.0
 
 
@@ -143,10 +144,10 @@ def pull_stances(robot: Robot, link: JointedLink) -> Stances:
     """Hand before the bar, on it, and along its arc. The hand turns less than the door: the pads let the bar turn."""
     angles = pull_angles(link)
     grip = np.array([link.handle_pose(max(a, 0.0))[0] for a in angles])
-    grip[:, 2] += ABOVE_MIDDLE
+    grip[:, 2] += ABOVE_MIDDLE_M
     share = np.clip(angles / angles[-1], 0.0, 1.0)
     m = _hand_side(link)
-    thick = link.handle.thickness > THICK
+    thick = link.handle.thickness > THICK_BAR_M
     headings = m * np.array([0.6, 0.9, 1.2, 1.5] if thick else [0.3, 0.6, 0.9])
     ways = (0.5, 0.65, 0.8, 0.95) if thick else (0.4, 0.6)
     base = _line(np.arange(0.8, 1.25, 0.1), m * np.arange(-0.85, 0.15, 0.15), headings, ways, share)
@@ -154,7 +155,7 @@ def pull_stances(robot: Robot, link: JointedLink) -> Stances:
     for first, last in ((0.0, 0.6), (0.0, 1.2), (0.15, 0.7)) if thick else ((0.4, 0.6), (0.8, 0.7)):
         yaw = m * (first + (last - first) * share)
         pos = grip.copy()
-        pos[0] += PRE_GRASP * np.array([np.cos(yaw[0]), np.sin(yaw[0]), 0.0])
+        pos[0] += PRE_GRASP_M * np.array([np.cos(yaw[0]), np.sin(yaw[0]), 0.0])
         found.append(_search(robot, link, base, pos, _level(yaw), angles, tries=5))
     return Stances.join(found)
 
@@ -181,15 +182,17 @@ def _push_stances(robot: Robot, link: JointedLink, half: bool) -> Stances:
     face = _panel(link)[1][0]
     inward = _inward(link)
     found = []
-    for first, last in PUSH_YAWS if half else PUSH_YAWS[1:]:
+    for first, last in PUSH_YAWS_RAD if half else PUSH_YAWS_RAD[1:]:
         yaw = first + (last - first) * share
         lag = angles - yaw
-        gap = face + TIP * np.abs(np.cos(lag)) + FINGER_SIDE * np.abs(np.sin(lag)) - handle.pos[0]
+        gap = (
+            face + TIP_M * np.abs(np.cos(lag)) + FINGER_SIDE_M * np.abs(np.sin(lag)) - handle.pos[0]
+        )
         pos = []
         for angle, more in zip(angles, gap, strict=True):
             at, bar, out = link.handle_pose(float(angle))
             across = np.array([-out[1], out[0], 0.0])
-            pos.append(at + more * out + inward * across + (handle.half_length + ABOVE_BAR) * bar)
+            pos.append(at + more * out + inward * across + (handle.half_length + ABOVE_BAR_M) * bar)
         # Few stances reach behind a wide open door: a finer search there.
         tries = 5 if half else 8
         found.append(

@@ -15,20 +15,20 @@ from mjhab.tasks.style import GRASP
 
 Array = np.ndarray
 Motion = motion.Motion
-PRE_GRASP = 0.11
-"""Distance from which the open hand goes straight onto the handle [m]."""
-BACK_OFF = 0.08
-"""Way between the handle and the hand before the arm folds [m]."""
-ROOM = 0.045
-"""Room beside the bar in the hand that goes around it [m]; a bar in a recess leaves no more."""
-CLOSED = 0.01
+PRE_GRASP_M = 0.11
+"""Distance from which the open hand moves straight onto the handle."""
+BACK_OFF_M = 0.08
+"""Distance between handle and hand at which the arm folds."""
+AROUND_BAR_M = 0.045
+"""Free space beside the bar in the hand that closes around it: bars in a recess leave no more."""
+CLOSED_SHARE = 0.01
 """Share of the range at which a link counts as closed."""
-SPEED = 0.45
-"""Speed at which the drawer moves [m/s]."""
-HELD_SPEED = 0.3
-"""Speed at which a drawer is shut by its handle [m/s]: a hand pressed deep onto the bar is caught in its recess."""
-GRASPS = 2
-"""How often the handle is taken hold of to close the drawer before the fist pushes it."""
+SPEED_M_S = 0.45
+"""Speed at which the drawer moves."""
+HELD_SPEED_M_S = 0.3
+"""Speed at which a drawer is shut by its handle: a hand that is pressed deep onto the bar is caught in its recess."""
+MAX_GRASPS = 2
+"""How often the handle is grasped to close the drawer before the closed fingers push it."""
 
 
 def open_drawer(view: WorldView, link: JointedLink) -> Motion:
@@ -36,24 +36,24 @@ def open_drawer(view: WorldView, link: JointedLink) -> Motion:
     full = link.range[1]
     while view.steps_left > 30 and view.link_q(link.id) < 0.92 * full:
         if not (yield from _take_handle(view, link, full)):
-            yield from approach.let_go(view, BACK_OFF)
+            yield from approach.let_go(view, BACK_OFF_M)
             continue
-        yield from _drive_link(view, link, 0.95 * full, -SPEED)
-        yield from approach.let_go(view, BACK_OFF)
+        yield from _drive_link(view, link, 0.95 * full, -SPEED_M_S)
+        yield from approach.let_go(view, BACK_OFF_M)
     return (yield from approach.fold(view))
 
 
 def close_drawer(view: WorldView, link: JointedLink) -> Motion:
     """Push the handle with the closed fingers by driving forward; or hold it, where that is asked for and goes."""
-    goal = 0.4 * CLOSED * link.range[1]
-    grasps = GRASPS if style_of(view).close == GRASP else 0
-    while view.steps_left > 30 and view.link_q(link.id) > 0.8 * CLOSED * link.range[1]:
+    goal = 0.4 * CLOSED_SHARE * link.range[1]
+    grasps = MAX_GRASPS if style_of(view).close == GRASP else 0
+    while view.steps_left > 30 and view.link_q(link.id) > 0.8 * CLOSED_SHARE * link.range[1]:
         if grasps > 0:
             grasps -= 1
             if (yield from _take_handle(view, link, 0.0)):
-                yield from _drive_link(view, link, goal, HELD_SPEED)
+                yield from _drive_link(view, link, goal, HELD_SPEED_M_S)
             # Opened wide, fingers in a recess would pull the drawer along.
-            yield from approach.let_go(view, BACK_OFF, gripper=_around(view.robot, link))
+            yield from approach.let_go(view, BACK_OFF_M, gripper=_around(view.robot, link))
             continue
         found = stances.cached(view.robot, link, "push", _push_stances)
         moved = found.shifted(view.link_q(link.id))
@@ -62,8 +62,8 @@ def close_drawer(view: WorldView, link: JointedLink) -> Motion:
         if best is None:
             return False
         yield from approach.go(view, best[1], motion.CLOSED)
-        yield from _drive_link(view, link, goal, SPEED, press=6)
-        yield from approach.retreat(view, BACK_OFF)
+        yield from _drive_link(view, link, goal, SPEED_M_S, press=6)
+        yield from approach.retreat(view, BACK_OFF_M)
     return (yield from approach.fold(view))
 
 
@@ -86,7 +86,7 @@ def _take_handle(view: WorldView, link: JointedLink, goal: float) -> Motion:
 
 def _around(robot: Robot, link: JointedLink) -> float:
     """Gripper action for a hand that goes around the bar."""
-    return motion.gripper_at(robot, link.handle.thickness + ROOM)
+    return motion.gripper_at(robot, link.handle.thickness + AROUND_BAR_M)
 
 
 def _drive_link(
@@ -130,7 +130,7 @@ def _pull_stances(robot: Robot, link: JointedLink) -> Stances:
     """Before the closed drawer: hand before the handle, then on it, fingers above and below the bar."""
     handle, _, out = link.handle_pose(0.0)
     base = _square(handle, np.arange(0.62, 0.96, 0.04), np.linspace(-0.24, 0.24, 9))
-    pos = np.stack([handle + PRE_GRASP * out, handle])
+    pos = np.stack([handle + PRE_GRASP_M * out, handle])
     boxes = [link.boxes(0.0)] * 2
     sides = [stances.hand(-out, np.array([0.0, 0.0, up])) for up in (1.0, -1.0)]
     return Stances.join([_still(robot, base, pos, rot, boxes) for rot in sides])

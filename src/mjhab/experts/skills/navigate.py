@@ -1,4 +1,4 @@
-"""The expert that drives to where the next thing is done: no teleport, the arm at rest, its grip kept.
+"""The expert for Navigate: it drives to where the next subtask is done, the arm at rest, keeping its grip.
 
 Lengths [m], angles [rad], world frame. Letters: N base poses, H headings, X, Y grid points.
 """
@@ -11,42 +11,46 @@ from typing import NamedTuple
 import numpy as np
 
 from mjhab.core.joints import BASE_X, BASE_XY, BASE_Y, BASE_YAW
+from mjhab.core.timing import STEP_SECONDS
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts.arm import motion
 from mjhab.experts.arm.motion import Motion
 from mjhab.experts.base.driving import BRISK, GENTLE, Driver, Trip, plan_drive, towards
 from mjhab.experts.base.floorplan import Arm, Floorplan, turn_between
 from mjhab.experts.base.lattice import YAWS, Lattice, Leg, turns
-from mjhab.experts.base.navigation import CONTROL_DT
-from mjhab.experts.base.route import BLOCKED_FORCE, BLOCKED_STEPS, planner
+from mjhab.experts.base.route import BLOCKED_FORCE_N, BLOCKED_STEPS, planner
 from mjhab.experts.planning.carry import inside_depth
 from mjhab.experts.planning.reach import in_sight
 from mjhab.robots.kinematics import wrap
 
 Array = np.ndarray
-DISTANCE = 0.95
-NEAREST = 0.65
-"""How far from its goal the robot would like to stand, so that the hand gets there without much driving."""
-WITHIN = 0.12
-"""How far inside of the limits of success it shall end, in distance and for the edges of the area."""
-FACING = 0.3
-"""How far the last heading on the grid may be off the goal; the robot then turns to face it if it has room to."""
-BESIDE = 0.5
-"""Furniture this near to a goal may be what the goal is on: it hides nothing from the robot."""
-SLIMMER = ((0.0, 0.0), (0.015, 0.02), (0.03, 0.05))
-"""How much smaller base and arm are taken for, one after the other until there is a way."""
+WANTED_DISTANCE_M = 0.95
+"""Distance from its goal at which the robot stands if it can: the hand then gets there without much driving."""
+MIN_DISTANCE_M = 0.65
+"""Least distance from its goal at which it stands."""
+LIMIT_MARGIN_M = 0.12
+"""How far inside the limits of success the robot ends: the distance to the goal and the edges of the area."""
+MAX_GRID_BEARING_RAD = 0.3
+"""Greatest bearing of the goal at the last heading on the grid; the robot then turns to face it if it has room."""
+SUPPORT_DISTANCE_M = 0.5
+"""Furniture this near to a goal may be what the goal lies on: it does not hide the goal."""
+SLIMMER_M = ((0.0, 0.0), (0.015, 0.02), (0.03, 0.05))
+"""By how much base and arm are taken to be smaller, tried in this order until there is a way."""
 DOOR_MOVED = 0.08
-"""Change of a joint [m or rad] after which a way is planned anew."""
+"""Change of a drawer or door [m or rad] after which a way is planned again."""
 STUCK_STEPS = 15
-STUCK = 0.02
-WORK = (0.5, 0.95)
-"""How far the base may be from what the hand shall do."""
-FAR_WAY = 1.5
-LONGEST_WAY = 20.0
-DETOUR_PACE = 1.5
-"""From which way [m] on it counts that the work cannot be done from where the robot ends, and its price [s/m]."""
-FELT = 0.12
-"""Radius of what is assumed where the robot met something unknown."""
+STUCK_M = 0.02
+"""Motion in STUCK_STEPS below which the robot is stuck."""
+WORK_DISTANCES_M = (0.5, 0.95)
+"""Least and greatest distance of the base from what the hand works on."""
+LONG_DETOUR_M = 1.5
+"""From this length of the remaining way on, the work counts as out of reach from where the robot ends."""
+MAX_DETOUR_M = 20.0
+"""Greatest length of the remaining way that is counted."""
+DETOUR_PRICE_S_M = 1.5
+"""Price of the remaining way."""
+FELT_RADIUS_M = 0.12
+"""Radius of what is assumed to be where the robot hit something unknown."""
 
 
 class Aim(NamedTuple):
@@ -63,7 +67,7 @@ class Aim(NamedTuple):
         subtask = view.subtask
         assert subtask is not None
         point = np.array(subtask.goal_pos)
-        distance = DISTANCE + inside_depth(view, point)
+        distance = WANTED_DISTANCE_M + inside_depth(view, point)
         area = view.front_area(subtask.link) if subtask.link else None
         return cls(
             point, distance, view.config.nav_distance, None if area is None else np.array(area)
@@ -88,18 +92,22 @@ class Aim(NamedTuple):
         ``detour`` (X, Y): see `detours`.
         """
         xy = lattice.points
-        good = self.allows(xy, WITHIN)
+        good = self.allows(xy, LIMIT_MARGIN_M)
         if not good.any():
             good = self.allows(xy, 0.02)
         off = np.abs(wrap(YAWS[:, None, None] - self.bearing(xy)))
         out = np.full(lattice.shape, np.inf)
         far = np.linalg.norm(xy[good] - self.point[:2], axis=-1)
-        pay = 4.0 * np.maximum(far - self.distance, 0.0) + 6.0 * np.maximum(NEAREST - far, 0.0)
-        pay = pay + 12.0 * (lattice.plan.hidden(xy[good], self.point, BESIDE) > 0.0)
+        pay = 4.0 * np.maximum(far - self.distance, 0.0) + 6.0 * np.maximum(
+            MIN_DISTANCE_M - far, 0.0
+        )
+        pay = pay + 12.0 * (lattice.plan.hidden(xy[good], self.point, SUPPORT_DISTANCE_M) > 0.0)
         pay = pay + 3.0 * (lattice.plan.hidden(xy[good], self.point, 0.1) > 0.0)
-        pay = pay + DETOUR_PACE * detour[good]
+        pay = pay + DETOUR_PRICE_S_M * detour[good]
         room = lattice.room[:, good]
-        out[:, good] = np.where(off[:, good] <= FACING, pay + 1.5 * off[:, good], np.inf)
+        out[:, good] = np.where(
+            off[:, good] <= MAX_GRID_BEARING_RAD, pay + 1.5 * off[:, good], np.inf
+        )
         out[:, good] += 10.0 * np.maximum(0.1 - room, 0.0)
         return out
 
@@ -136,7 +144,11 @@ def detours(view: WorldView, aim: Aim, points: Array) -> Array:
         cells.origin + (np.indices(cells.clearance.shape).transpose(1, 2, 0) + 0.5) * cells.cell
     )
     far = np.linalg.norm(centres - aim.point[:2], axis=-1)
-    work = (cells.clearance >= cells.radius) & (far >= WORK[0]) & (far <= WORK[1])
+    work = (
+        (cells.clearance >= cells.radius)
+        & (far >= WORK_DISTANCES_M[0])
+        & (far <= WORK_DISTANCES_M[1])
+    )
     if aim.area is not None or inside_depth(view, aim.point) or not work.any():
         return np.zeros(points.shape[:2])
     walls = view.home.boxes.near(np.array([*aim.point[:2], 0.9]), 2.0)
@@ -144,18 +156,18 @@ def detours(view: WorldView, aim: Aim, points: Array) -> Array:
     if not work.any():
         return np.zeros(points.shape[:2])
     way = cells.costs_to(work)[cells.cells(points)]
-    return np.where(way > FAR_WAY, np.minimum(way, LONGEST_WAY), 0.0)
+    return np.where(way > LONG_DETOUR_M, np.minimum(way, MAX_DETOUR_M), 0.0)
 
 
 def plan_trip(view: WorldView, aim: Aim, posture: Array, held: str, felt: Array) -> Trip | None:
     """The cheapest way to where the goal is faced, None when there is none.
 
     Args:
-        posture: (15,) of the arm on the way. held: what is in the hand. felt: (B, 3) x, y, radius of what was met.
+        posture: (J,) of the arm on the way. held: what is in the hand. felt: (B, 3) x, y, radius of what was met.
     """
     arm = Arm.of(view, posture, held)
     whole = Floorplan.of(view, arm, held, felt)
-    for base, less in SLIMMER:
+    for base, less in SLIMMER_M:
         plan = whole.slimmer(base, less)
         lattice = Lattice(plan)
         found = lattice.search(view.base, aim.price(lattice, detours(view, aim, lattice.points)))
@@ -191,7 +203,7 @@ def _drive(
         (forward, turn) = driver.step(view.base)
         yield motion.action(view, posture, gripper=gripper, drive=(forward, turn))
         track.append(view.base)
-        pressed = pressed + 1 if view.link_forces.sum() > BLOCKED_FORCE else 0
+        pressed = pressed + 1 if view.link_forces.sum() > BLOCKED_FORCE_N else 0
         tried = tried + 1 if abs(forward) > 0.05 or abs(turn) > 0.2 else 0
         if pressed >= BLOCKED_STEPS or (tried > STUCK_STEPS and _still(track[-STUCK_STEPS:])):
             return _ahead(view, leg)
@@ -212,7 +224,7 @@ def _speeds(view: WorldView) -> tuple[float, float]:
 def _still(track: Sequence[Array]) -> bool:
     """Hardly any motion from the first to the last of some poses."""
     moved = track[-1] - track[0]
-    return bool(np.abs([*moved[:2], wrap(moved[2])]).max() < STUCK)
+    return bool(np.abs([*moved[:2], wrap(moved[2])]).max() < STUCK_M)
 
 
 def _ahead(view: WorldView, leg: Leg) -> Array:
@@ -223,8 +235,10 @@ def _ahead(view: WorldView, leg: Leg) -> Array:
         leg.direction > 0
         and view.link_forces[list(view.robot.arm_force_rows)].sum() > 0.5 * view.link_forces.sum()
     )
-    at = view.tcp_pose[:2] + 0.15 * ahead if arm_felt else q[BASE_XY] + (0.3 + FELT) * ahead
-    return np.array([[*at, FELT]])
+    at = (
+        view.tcp_pose[:2] + 0.15 * ahead if arm_felt else q[BASE_XY] + (0.3 + FELT_RADIUS_M) * ahead
+    )
+    return np.array([[*at, FELT_RADIUS_M]])
 
 
 def _back_off(view: WorldView, posture: Array, gripper: float, trip: Trip) -> Motion:
@@ -241,7 +255,7 @@ def _back_off(view: WorldView, posture: Array, gripper: float, trip: Trip) -> Mo
     ahead = float((origin - q[BASE_XY]) @ np.array([np.cos(q[BASE_YAW]), np.sin(q[BASE_YAW])]))
     speed, _ = _speeds(view)
     for _ in range(14):
-        speed = towards(float(np.copysign(0.3, ahead)), speed, trip.pace.rise * CONTROL_DT)
+        speed = towards(float(np.copysign(0.3, ahead)), speed, trip.pace.rise * STEP_SECONDS)
         yield motion.action(view, posture, gripper=gripper, drive=(speed, 0.0))
     return True
 

@@ -1,4 +1,4 @@
-"""Turning a box on a shelf so that the hand, which can only come from the front, gets around its narrow side.
+"""Turning a box on a shelf by a push, so that a hand that comes from the front can grasp it around its narrow side.
 
 A box whose graspable pair of sides faces front and back cannot be straddled through a door. The hand pushes one end of
 its front inwards, low, pointing to where it will come from to grasp it: then it lies along the box in the end and does
@@ -15,45 +15,63 @@ import numpy as np
 
 from mjhab.core.boxes import Boxes, sphere_box_distance
 from mjhab.core.rotations import frame_from_axes, mat_from_quat, quat_from_axis_angle, quat_mul
+from mjhab.core.timing import STEP_SECONDS
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.episodes.grasps.candidates import ObjectShape
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.arm.motion import Motion
-from mjhab.experts.base.route import BLOCKED_FORCE, follow
+from mjhab.experts.base.route import BLOCKED_FORCE_N, follow
 from mjhab.experts.planning.carry import drive_in
-from mjhab.experts.planning.reach import ROOMS, HandGoals, Scene, Stance, settle_reach, stances
+from mjhab.experts.planning.reach import (
+    CLEARANCES_M,
+    HandGoals,
+    Scene,
+    Stance,
+    Work,
+    settle_reach,
+    stances,
+)
 from mjhab.robots.kinematics import wrap
 from mjhab.robots.parts import Gripper
 
 Array = np.ndarray
 Graspable = Callable[[Array, float], int]
 """Number of grasps with enough room, and some more [m], of the object at a pose (7,)."""
-TURNS = tuple(np.radians((20.0, 35.0, 50.0, 65.0)))
-MORE = np.radians(7.0)
-"""Turns that are looked at, and how much more is planned."""
-ENOUGH = 16
-TIGHTER = -0.008
-"""It has turned far enough with so many grasps, though with less room [m] than wished for."""
-UPRIGHT = 0.97
+TURNS_RAD = tuple(np.radians((20.0, 35.0, 50.0, 65.0)))
+"""Angles by which the box may be turned, tried in this order."""
+EXTRA_TURN_RAD = np.radians(7.0)
+"""Angle that is planned in addition."""
+ENOUGH_GRASPS = 16
+"""The box has turned far enough once it has so many grasps with a clearance that may be smaller by TIGHTER_M."""
+TIGHTER_M = -0.008
+"""See `ENOUGH_GRASPS`."""
+MIN_UPRIGHT_COSINE = 0.97
 """Least cosine between an axis of the box and the vertical."""
-DEPTHS = (0.42, 0.3, 0.15)
-"""How far the base may come straight in to push."""
-TILTS = (0.25, 0.4, 0.55)
-"""Sines of how far the hand points down: low fingers do not topple the box, the wrist keeps off the shelf."""
-LESS = np.radians((0.0, 10.0, 20.0, 30.0))
-"""How much straighter in the hand may point than the grasp afterwards."""
-SPEED = 0.35
-ASIDE = 0.007
-"""Of the push: inwards [m/s], and most along the box [m] per control step."""
-MOST_STEPS = 30
-MOST_FORCE = 200.0
-INSET = 0.012
-GAP = 0.03
-FLOOR_GAP = 0.008
-"""Where to push from the end of the box, where to begin before it, room above the shelf."""
+DEPTHS_M = (0.42, 0.3, 0.15)
+"""Distances that the base may drive straight in to push."""
+TILT_SINES = (0.25, 0.4, 0.55)
+"""Sines of the angles by which the hand points down: low fingers do not topple the box, and the wrist keeps off the
+shelf."""
+STRAIGHTER_RAD = np.radians((0.0, 10.0, 20.0, 30.0))
+"""Angles by which the hand may point straighter in than for the grasp that follows."""
+PUSH_SPEED_M_S = 0.35
+"""Speed of the push inwards."""
+MAX_ASIDE_M = 0.007
+"""Greatest motion along the box per control step."""
+MAX_PUSH_STEPS = 30
+"""Control steps after which a push ends."""
+MAX_PUSH_FORCE_N = 200.0
+"""Contact force at which a push ends."""
+INSET_M = 0.012
+"""Distance of the push from the end of the box."""
+START_GAP_M = 0.03
+"""Distance before the box at which the push begins."""
+FLOOR_GAP_M = 0.008
+"""Clearance of the fingers above the shelf."""
 _SPIN = 0.52
 """Lever of the friction below a box that turns, per half diagonal: about its mean distance from the centre."""
-_TIGHTEST = -0.03
+_MAX_DEFICIT_M = -0.03
+"""Routes whose room is less than this (negative: a deficit) are not taken."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,19 +130,25 @@ def plan_nudge(
     """
     pose = view.object_pose(obj)
     shape = view.object_shape(obj)
-    if shape.kind != "box" or np.abs(mat_from_quat(pose[3:])[2]).max() < UPRIGHT:
+    if shape.kind != "box" or np.abs(mat_from_quat(pose[3:])[2]).max() < MIN_UPRIGHT_COSINE:
         return None
     for push in _pushes(pose, shape, scene, inward, graspable):
         height = 2.0 * (pose[2] - scene.support_z)
         goals = _goals(view.robot.gripper, push, pose[:2], scene.support_z, height)
-        for room, nearer in ((ROOMS[0], 0.01), (ROOMS[2], 0.02)):
+        for room, nearer in ((CLEARANCES_M[0], 0.01), (CLEARANCES_M[2], 0.02)):
             best: tuple[float, Stance, float] | None = None
-            for depth in DEPTHS if len(goals) else ():
-                for stance in stances(
-                    view, pose[:3], goals, scene, drive_in=depth, room=room, nearer=nearer
-                ):
+            for depth in DEPTHS_M if len(goals) else ():
+                work = Work(
+                    point=pose[:3],
+                    goals=goals,
+                    scene=scene,
+                    drive_in=depth,
+                    room=room,
+                    nearer=nearer,
+                )
+                for stance in stances(view, work):
                     steps = in_steps(depth) + stance.route.steps
-                    if stance.route.room > _TIGHTEST and (best is None or steps < best[0]):
+                    if stance.route.room > _MAX_DEFICIT_M and (best is None or steps < best[0]):
                         best = steps, stance, depth
             if best is not None:
                 return Nudge(best[1], goals, best[2], push.turn, inward, push.outer)
@@ -161,9 +185,9 @@ def _pushes(
     spin = _SPIN * float(np.linalg.norm(line, axis=1).max())
     for outer in (-across, across):
         along = line @ outer
-        rows = np.flatnonzero(np.abs(along - (along.max() - INSET)) < 0.004)
+        rows = np.flatnonzero(np.abs(along - (along.max() - INSET_M)) < 0.004)
         push = _Push(line[rows[np.argmin(line[rows] @ inward)]], inward, outer, spin)
-        for turn in TURNS:
+        for turn in TURNS_RAD:
             then = push.pose_after(pose, turn)
             if _touches(shape, then, scene):
                 break
@@ -174,7 +198,7 @@ def _pushes(
                         inward,
                         outer,
                         spin,
-                        turn + MORE,
+                        turn + EXTRA_TURN_RAD,
                         _angle(scene.body.gripper, shape, then, inward),
                         count,
                     )
@@ -216,13 +240,13 @@ def _goals(hand: Gripper, push: _Push, centre: Array, floor: float, height: floa
     pos = []
     rot = []
     score = []
-    for tilt in TILTS:
+    for tilt in TILT_SINES:
         level = np.sqrt(1.0 - tilt**2)
         fingers = -hand.finger[0] * tilt - hand.finger[1] * level
         palm = -hand.palm_x[1] * tilt - hand.palm_half[1] * level
-        z = floor + FLOOR_GAP - min(fingers, palm)
+        z = floor + FLOOR_GAP_M - min(fingers, palm)
         share = (z - hand.finger[0] * tilt - floor) / height
-        for less in LESS if share < 0.9 else ():
+        for less in STRAIGHTER_RAD if share < 0.9 else ():
             yaw = float(np.clip(push.after - less, 0.15, 0.9))
             approach = np.array(
                 [*(level * (np.cos(yaw) * push.inward + np.sin(yaw) * push.outer)), -tilt]
@@ -238,7 +262,7 @@ def _goals(hand: Gripper, push: _Push, centre: Array, floor: float, height: floa
     return HandGoals(
         at + np.array([*way, 0.0]),
         np.array(rot).reshape(-1, 3, 3),
-        at - GAP * ahead,
+        at - START_GAP_M * ahead,
         opening,
         np.array(score),
     )
@@ -252,7 +276,7 @@ def nudge(view: WorldView, obj: str, plan: Nudge, boxes: Boxes, graspable: Grasp
     rot = plan.goals.rot[goal]
     pre = plan.goals.pre[goal]
     arrived = yield from follow(view, stance.route, gripper=motion.OPEN)
-    if not arrived and view.link_forces.sum() > BLOCKED_FORCE:
+    if not arrived and view.link_forces.sum() > BLOCKED_FORCE_N:
         return False
     if plan.depth and not (
         yield from drive_in(view, stance.pre, pre, rot, boxes, gripper=motion.OPEN, hasty=True)
@@ -272,7 +296,7 @@ def _push(
     rest: Array,
     graspable: Graspable,
 ) -> Motion:
-    """Push inwards at a ``height``, keeping to the end of the box as it turns; ``rest`` (15,): preferred posture."""
+    """Push inwards at a ``height``, keeping to the end of the box as it turns; ``rest`` (J,): preferred posture."""
     start = mat_from_quat(view.object_pose(obj)[3:])
     half = view.object_type(obj).half
     front, along = sorted(_level(start), key=lambda k: -abs(float(start[:2, k] @ plan.inward)))
@@ -280,24 +304,26 @@ def _push(
     corner = _corner(view.robot.gripper, rot, plan.inward)[:2]
     turn = 0.0
     to_front = -np.sign(start[:2, front] @ plan.inward) * half[front]
-    to_end = np.sign(start[:2, along] @ plan.outer) * (half[along] - INSET)
-    for _ in range(MOST_STEPS):
+    to_end = np.sign(start[:2, along] @ plan.outer) * (half[along] - INSET_M)
+    for _ in range(MAX_PUSH_STEPS):
         pose = view.object_pose(obj)
         now = mat_from_quat(pose[3:])
         end = pose[:2] + to_end * now[:2, along] + to_front * now[:2, front]
         here, here_rot = motion.tcp(view)
-        aside = np.clip((end - here[:2] - corner) @ plan.outer, -ASIDE, ASIDE)
-        aim = np.array([*(here[:2] + SPEED * 0.05 * plan.inward + aside * plan.outer), height])
+        aside = np.clip((end - here[:2] - corner) @ plan.outer, -MAX_ASIDE_M, MAX_ASIDE_M)
+        aim = np.array(
+            [*(here[:2] + PUSH_SPEED_M_S * STEP_SECONDS * plan.inward + aside * plan.outer), height]
+        )
         aim_rot = ik.straight_line(here[None], aim[None], here_rot[None], rot[None], 1.0, 0.05)[1]
         delta = ik.servo(
             robot, view.q, aim[None], aim_rot, ik.columns(robot, torso=False), rest=rest
         )[0]
-        yield motion.action(view, view.q + delta / motion.ARM_DELAY, gripper=motion.OPEN)
+        yield motion.action(view, view.q + delta / motion.ARM_STEP_SHARE, gripper=motion.OPEN)
         pose = view.object_pose(obj)
         turn = _turn(start[:, along], mat_from_quat(pose[3:])[:, along])
-        if view.link_forces.sum() > MOST_FORCE:
+        if view.link_forces.sum() > MAX_PUSH_FORCE_N:
             break
-        if turn >= 0.85 * plan.turn and graspable(pose, TIGHTER) >= ENOUGH:
+        if turn >= 0.6 * plan.turn and graspable(pose, TIGHTER_M) >= ENOUGH_GRASPS:
             break
     return bool(turn > 0.4 * plan.turn)
 

@@ -1,4 +1,4 @@
-"""The expert that picks objects: from tables and seats, out of the opened drawer, from the shelf of the fridge."""
+"""The expert for Pick: from tables and seats, out of the opened drawer, from the shelf of the fridge."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from mjhab.envs.parts.world_view import WorldView
 from mjhab.episodes.grasps.candidates import Grasps, ObjectShape, Options, grasp_candidates
 from mjhab.experts.arm import motion
 from mjhab.experts.arm.motion import Motion
-from mjhab.experts.base.route import BLOCKED_FORCE, follow, holds
+from mjhab.experts.base.route import BLOCKED_FORCE_N, follow, holds
 from mjhab.experts.planning.carry import (
-    HASTY_SPEED,
-    OUT_SPEED,
-    SHELF_DEPTH,
+    HASTY_SPEED_M_S,
+    OUT_SPEED_M_S,
+    SHELF_DEPTH_M,
     drive_in,
     drive_out,
     go_home,
@@ -26,11 +26,12 @@ from mjhab.experts.planning.carry import (
     inside_depth,
 )
 from mjhab.experts.planning.reach import (
-    ROOMS,
+    CLEARANCES_M,
     Blocked,
     HandGoals,
     Scene,
     Stance,
+    Work,
     hand_room,
     settle_reach,
     stances,
@@ -42,55 +43,60 @@ from mjhab.experts.style import of_kind, style_of
 from mjhab.tasks.style import ANY
 
 Array = np.ndarray
-INSIDE = 0.06
-"""How far in [m] the base has to be before it is driven out again."""
-LIFT = 0.10
-"""How far [m] an object is lifted off an open surface before it is carried."""
-SHELF_LIFT = 0.025
-LATE_IN = 130
-LATE_OUT = 60
-"""With fewer control steps left the base hurries into a shelf, or out of it."""
+INSIDE_M = 0.06
+"""Distance that the base has driven in from which on it is driven out again."""
+LIFT_M = 0.10
+"""Height by which an object is lifted off an open surface before it is carried."""
+SHELF_LIFT_M = 0.025
+"""The same on a shelf."""
+LATE_IN_STEPS = 130
+"""With fewer control steps left, the base hurries into a shelf."""
+LATE_OUT_STEPS = 60
+"""With fewer control steps left, the base hurries out of a shelf."""
 FINE_OPENING_M = 0.094
-"""Around an object for which the hand opens wider than this there are less than 3 mm of room on either side."""
+"""Openings of the hand from which on there are less than 3 mm of free space on either side of the object."""
 FINE_CLOSING_M = 0.004
-"""How far fingers that hold a can beside its axis close per control step: an impact would shoot it out of the hand."""
-SHORT = 0.025
-"""How far [m] short of its grasp a hand that met something need not close."""
-WAITS = (5, 10, 20, 50)
-"""Control steps to wait after one attempt after the other without a way: things may come to rest meanwhile."""
+"""Motion per control step of fingers that close on a can beside its axis: an impact would shoot it out of the hand."""
+MAX_SHORT_M = 0.025
+"""A hand that stops farther than this from its grasp does not close."""
+WAIT_STEPS = (5, 10, 20, 50)
+"""Control steps to wait after the first, second, ... attempt without a way: things may come to rest meanwhile."""
 MAX_GOALS = 60
-EVEN = 0.015
-LEVER = 15.0
-"""How far [m] beside the pads the centre of an object may be at no price, and the price in points per metre beyond: its
-weight turns such an object between the pads, and with less than a push on top it slips out."""
-OPTIONS = Options(palm_gap=0.012, floor_gap=0.008)
+FREE_OFFSET_M = 0.015
+"""Distance of the object's centre beside the pads that costs nothing. Farther off, its weight turns the object
+between the pads, and it slips out when something pushes it from above."""
+OFFSET_PRICE_PER_M = 15.0
+"""Score lost per metre beyond `FREE_OFFSET_M`."""
+_CLEAR = ((0.010, -0.008, 0.0), (0.0, -0.02, 0.010), (-0.004, -0.03, 0.014))
+"""Room [m] asked between gripper and neighbours, on a shelf also with its wrist (the spheres that stand for it are up
+to 8 mm too large), and how much nearer than the arm the hand may come; less each time no good way is found."""
+OPTIONS = Options(palm_gap=0.012, floor_gap=0.008, least_clear_m=_CLEAR[-1][0])
 # Little room: closer steps around the object, a short way in, and boxes nearly as wide as the hand opens. Below a low
 # shelf, where there is no way from above, bowls are taken by the rim from the front.
 SHELF_OPTIONS = replace(OPTIONS, fan=36, shallower=(0.0, 0.02), retreat=0.06, cells=31, scant=150.0)
 LOW_SHELF_OPTIONS = replace(SHELF_OPTIONS, leans=(0.4, 0.6, 0.8))
 SHELF_BLUNT_M = 0.004
 """End of the pads [m] that does not count there."""
-NUDGES = 2
+MAX_NUDGES = 2
+"""How often an object is turned."""
 NUDGE_STEPS = 115
-NUDGE_BACK = 0.12
-"""How often an object is turned, control steps that must be left for it, and how far [m] to draw back from it."""
-INSIDE_WAYS = (0.0, 0.1, 0.2, SHELF_DEPTH)
-"""How far [m] the base may come straight in where it just turned the object."""
-_HOME = 0.8
-"""What a control step on the way back to rest counts then: there is hardly time left."""
-_CLEAR = ((0.010, -0.008, 0.0), (0.0, -0.02, 0.010), (-0.004, -0.03, 0.014))
-"""Room [m] asked between gripper and neighbours, on a shelf also with its wrist (the spheres that stand for it are up
-to 8 mm too large), and how much nearer than the arm the hand may come; less each time no good way is found."""
+"""Control steps that must be left to turn it."""
+NUDGE_BACK_M = 0.12
+"""Distance that the base draws back from it."""
+INSIDE_WAYS_M = (0.0, 0.1, 0.2, SHELF_DEPTH_M)
+"""Distances that the base may drive straight in where it has just turned the object."""
+_HOME_WEIGHT = 0.8
+"""Weight of a control step on the way back to rest there: hardly any time is left."""
 
 
 def pick(view: WorldView) -> Motion:
     """Pick up the active subtask's object and bring it home; try again while there is time."""
     subtask = view.subtask
     assert subtask is not None
-    return (yield from fetch(view, subtask.obj))
+    return (yield from pick_up(view, subtask.obj))
 
 
-def fetch(view: WorldView, obj: str, *, keep: bool = True) -> Motion:
+def pick_up(view: WorldView, obj: str, *, keep: bool = True) -> Motion:
     """Pick up an object, wherever it lies, and bring it home; try again while there is time.
 
     ``keep``: hold it there, and start again when it is lost; else end as soon as it is lifted.
@@ -103,13 +109,15 @@ def fetch(view: WorldView, obj: str, *, keep: bool = True) -> Motion:
     while True:
         found = _planned(view, obj, failed, attempt, inside)
         attempt += 1
-        if found is None and nudges < NUDGES and view.steps_left > NUDGE_STEPS:
+        if found is None and nudges < MAX_NUDGES and view.steps_left > NUDGE_STEPS:
             nudges += 1
             if (yield from _nudge(view, obj)):
                 inside = True
                 continue
         if found is None:
-            yield from motion.hold(view, WAITS[min(attempt, len(WAITS)) - 1], gripper=motion.OPEN)
+            yield from motion.hold(
+                view, WAIT_STEPS[min(attempt, len(WAIT_STEPS)) - 1], gripper=motion.OPEN
+            )
             failed = failed[:0]
             continue
         stance, goals, depth = found
@@ -121,8 +129,10 @@ def fetch(view: WorldView, obj: str, *, keep: bool = True) -> Motion:
             continue
         if taken:
             if depth or inside:
-                speed = HASTY_SPEED if inside or view.steps_left < LATE_OUT else OUT_SPEED
-                yield from drive_out(view, SHELF_DEPTH, gripper=motion.CLOSED, speed=speed)
+                speed = (
+                    HASTY_SPEED_M_S if inside or view.steps_left < LATE_OUT_STEPS else OUT_SPEED_M_S
+                )
+                yield from drive_out(view, SHELF_DEPTH_M, gripper=motion.CLOSED, speed=speed)
             if not keep and holds(view, obj):
                 return True
             yield from go_home(view, obj)
@@ -134,11 +144,11 @@ def fetch(view: WorldView, obj: str, *, keep: bool = True) -> Motion:
 def _draw_back(view: WorldView, obj: str, stance: Stance, depth: float) -> Motion:
     """Get out of where a grasp was tried in vain, the base having come in over ``depth``, if it got so far."""
     # A hand that presses against something inside is not drawn back before the base is.
-    if not (depth and view.link_forces.sum() > BLOCKED_FORCE):
+    if not (depth and view.link_forces.sum() > BLOCKED_FORCE_N):
         yield from _let_go(view)
     if (
         not depth
-        or (come_in := depth - float(np.linalg.norm(view.base[:2] - stance.at[BASE_XY]))) < INSIDE
+        or (come_in := depth - float(np.linalg.norm(view.base[:2] - stance.at[BASE_XY]))) < INSIDE_M
     ):
         return True
     # From inside the next way in can hardly be found.
@@ -187,7 +197,6 @@ def plan_pick(
             pose[3:],
             support_z=scene.support_z,
             neighbours=around,
-            least_clear=_CLEAR[-1][0],
             gripper=view.robot.gripper,
             options=OPTIONS,
         )
@@ -204,17 +213,16 @@ def plan_pick(
         tried = len(grasps)
         goals = _diverse(grasps)
         for back in _ways_in(depth, attempt):
-            found = stances(
-                view,
-                pose[:3],
-                goals,
-                scene,
+            work = Work(
+                point=pose[:3],
+                goals=goals,
+                scene=scene,
                 drive_in=back,
                 avoid=failed,
-                room=ROOMS[min(attempt, 2)],
+                room=CLEARANCES_M[min(attempt, 2)],
                 nearer=nearer,
-                blocked=blocked,
             )
+            found = stances(view, work, blocked)
             if found and (best is None or found[0].route.room > best[0].route.room):
                 best = found[0], goals, back
             if best is not None and (not depth or best[0].route.room >= 0.0):
@@ -240,8 +248,7 @@ def _shelf_grasps(
             pose[3:],
             support_z=scene.support_z,
             neighbours=around,
-            least_clear=clear,
-            options=replace(options, inward=inward),
+            options=replace(options, inward=inward, least_clear_m=clear),
             gripper=gripper,
         )
         if len(found) or shape.kind != "bowl":
@@ -263,27 +270,27 @@ def _plan_inside(
     room = hand_room(view.robot.gripper, every, around)
     best = None
     least = np.inf
-    for (asked, hand, nearer), arm in zip(_CLEAR, ROOMS, strict=True):
+    for (asked, hand, nearer), arm in zip(_CLEAR, CLEARANCES_M, strict=True):
         rows = np.flatnonzero((every.clear >= asked) & (room > hand))
         if not len(rows):
             continue
         goals = _diverse(every.take(rows))
-        for back in INSIDE_WAYS:
-            for stance in stances(
-                view,
-                pose[:3],
-                goals,
-                scene,
+        for back in INSIDE_WAYS_M:
+            work = Work(
+                point=pose[:3],
+                goals=goals,
+                scene=scene,
                 drive_in=back,
                 avoid=failed,
                 room=arm,
                 nearer=nearer,
-                home=_HOME,
-            ):
+                home=_HOME_WEIGHT,
+            )
+            for stance in stances(view, work):
                 cost = (
                     stance.route.steps
                     + in_steps(back)
-                    + _HOME * float(motion.steps_home(view.robot, stance.at))
+                    + _HOME_WEIGHT * float(motion.steps_home(view.robot, stance.at))
                 )
                 cost += 1e4 * max(-stance.route.room, 0.0)
                 if cost < least:
@@ -320,14 +327,14 @@ def _nudge(view: WorldView, obj: str) -> Motion:
     if plan is None:
         return False
     done = yield from nudge(view, obj, plan, scene.all, graspable)
-    yield from drive_out(view, NUDGE_BACK, gripper=motion.OPEN)
+    yield from drive_out(view, NUDGE_BACK_M, gripper=motion.OPEN)
     return done
 
 
 def balanced(grasps: Grasps, centre: Array) -> Grasps:
     """Grasps in the order of scores that count how far beside the pads the object's ``centre`` (3,) hangs."""
     aside = np.abs(np.einsum("gj,gj->g", centre - grasps.pos, grasps.rot[:, :, 2]))
-    score = grasps.score - LEVER * np.maximum(aside - EVEN, 0.0)
+    score = grasps.score - OFFSET_PRICE_PER_M * np.maximum(aside - FREE_OFFSET_M, 0.0)
     return replace(grasps, score=score).take(np.argsort(-score, kind="stable"))
 
 
@@ -384,32 +391,64 @@ def _take(
 ) -> Generator[Array, None, bool | None]:
     """Drive there, reach, close, lift. Returns whether the object is in the hand; None where it is out of reach."""
     start = view.object_pose(obj)[:3]
-    pos = goals.pos[stance.goal]
-    rot = goals.rot[stance.goal]
-    pre = goals.pre[stance.goal]
-    opening = grip(view.robot, float(goals.opening[stance.goal]) + 0.004)
+    goal = goals.take(np.array([stance.goal]))
+    opening = grip(view.robot, float(goal.opening[0]) + 0.004)
     arrived = yield from follow(view, stance.route, gripper=opening)
-    if not arrived and view.link_forces.sum() > BLOCKED_FORCE:
+    if not arrived and view.link_forces.sum() > BLOCKED_FORCE_N:
         yield from go_home(view, obj, holding=False)
         return False
     if depth:
         boxes = scene_of(view, obj).all
-        hasty = hasty or view.steps_left < LATE_IN
+        hasty = hasty or view.steps_left < LATE_IN_STEPS
         if not (
-            yield from drive_in(view, stance.pre, pre, rot, boxes, gripper=opening, hasty=hasty)
+            yield from drive_in(
+                view, stance.pre, goal.pre[0], goal.rot[0], boxes, gripper=opening, hasty=hasty
+            )
         ):
             return False
     if np.linalg.norm(view.object_pose(obj)[:3] - start) > 0.02:
         return False
-    joints = settle_reach(view, stance, np.stack([pre, pos]), rot)
+    joints = settle_reach(view, stance, np.stack([goal.pre[0], goal.pos[0]]), goal.rot[0])
     if joints is None:
         return None
+    if not (yield from _reach(view, goal, joints, opening)):
+        return False
+    pos = goal.pos[0]
+    rot = goal.rot[0]
+    fine = _is_fine(goal)
+    # Fingers that close while the hand still moves twist the object and press sideways for seconds.
+    if fine:
+        # A finger that brushed along shoved the object: the pads must meet both of its sides at once all the same.
+        pos = pos + view.object_pose(obj)[:3] - start
+    yield from motion.still_tcp(view, pos, rot, gripper=opening, steps=6 if fine else 4)
+    closed = yield from (
+        motion.close_fingers(view, obj, steps=25, rate=FINE_CLOSING_M)
+        if fine
+        else motion.close_fingers(view, obj)
+    )
+    if not closed:
+        return False
+    up = pos + np.array([0.0, 0.0, SHELF_LIFT_M if depth else LIFT_M])
+    return (yield from _lift(view, obj, up, rot, joints[1]))
+
+
+def _is_fine(goal: HandGoals) -> bool:
+    """Whether the fingers have little room on both sides of the object at a grasp (one row)."""
+    return bool(goal.opening[0] > FINE_OPENING_M)
+
+
+def _reach(view: WorldView, goal: HandGoals, joints: Array, opening: float) -> Motion:
+    """Bring the open hand to a grasp (one row) by way of its ``pre``. Returns whether it got there.
+
+    Args:
+        joints: (2, J) configurations at ``pre`` and at the grasp.
+        opening: gripper command.
+    """
     yield from motion.move_joints(view, joints[0], gripper=opening, tolerance=0.04, max_steps=20)
     # The torso is slow to stop: the last piece belongs to the arm alone.
-    near = yield from motion.move_tcp(
-        view,
-        pre,
-        rot,
+    straight = motion.HandMove(
+        pos=goal.pre[0],
+        rot=goal.rot[0],
         gripper=opening,
         rest=joints[1],
         speed=0.3,
@@ -418,55 +457,31 @@ def _take(
         stop_on_force=80.0,
         torso=False,
     )
-    if not near:
+    if not (yield from motion.move_tcp(view, straight)):
         return False
-    fine = bool(goals.opening[stance.goal] > FINE_OPENING_M)
+    fine = _is_fine(goal)
     if fine:
-        yield from motion.still_tcp(view, pre, rot, gripper=opening, steps=4)
-    speed = 0.15 if fine else 0.2
-    yield from motion.move_tcp(
-        view,
-        pos,
-        rot,
-        gripper=opening,
-        rest=joints[1],
-        speed=speed,
-        tolerance=0.006,
-        max_steps=25,
-        stop_on_force=80.0,
-        torso=False,
-    )
-    if np.linalg.norm(motion.tcp(view)[0] - pos) > SHORT:
-        return False
-    # Fingers that close while the hand still moves twist the object and press sideways for seconds.
-    if fine:
-        # A finger that brushed along shoved the object: the pads must meet both of its sides at once all the same.
-        pos = pos + view.object_pose(obj)[:3] - start
-    yield from motion.still_tcp(view, pos, rot, gripper=opening, steps=6 if fine else 4)
-    up = pos + np.array([0.0, 0.0, SHELF_LIFT if depth else LIFT])
-    closed = yield from (
-        motion.close_fingers(view, obj, steps=25, rate=FINE_CLOSING_M)
-        if fine
-        else motion.close_fingers(view, obj)
-    )
-    if not closed:
-        return False
-    return (yield from _lift(view, obj, up, rot, joints[1]))
+        yield from motion.still_tcp(view, goal.pre[0], goal.rot[0], gripper=opening, steps=4)
+    last = replace(straight, pos=goal.pos[0], speed=0.15 if fine else 0.2, max_steps=25)
+    yield from motion.move_tcp(view, last)
+    return bool(np.linalg.norm(motion.tcp(view)[0] - goal.pos[0]) <= MAX_SHORT_M)
 
 
 def _lift(view: WorldView, obj: str, up: Array, rot: Array, rest: Array) -> Motion:
-    """Lift what the hand holds to ``up`` (3,), ``rot`` (3, 3) kept; ``rest`` (15,): preferred posture."""
+    """Lift what the hand holds to ``up`` (3,), ``rot`` (3, 3) kept; ``rest`` (J,): preferred posture."""
     if not (yield from motion.raise_tcp(view, up, rot, rest=rest)):
         # The arm is at its limit; the torso is slower.
         yield from motion.move_tcp(
             view,
-            up,
-            rot,
-            gripper=motion.CLOSED,
-            rest=rest,
-            speed=0.15,
-            tolerance=0.01,
-            max_steps=15,
+            motion.HandMove(
+                pos=up,
+                rot=rot,
+                gripper=motion.CLOSED,
+                rest=rest,
+                speed=0.15,
+                tolerance=0.01,
+                max_steps=15,
+            ),
         )
     return bool((view.finger_forces(obj) > 0.3).all())
 
@@ -490,6 +505,9 @@ def _let_go(view: WorldView) -> Motion:
     back = pos - 0.10 * rot[:, 0] + np.array([0.0, 0.0, 0.03])
     return (
         yield from motion.move_tcp(
-            view, back, rot, gripper=motion.OPEN, speed=0.3, tolerance=0.02, max_steps=15
+            view,
+            motion.HandMove(
+                pos=back, rot=rot, gripper=motion.OPEN, speed=0.3, tolerance=0.02, max_steps=15
+            ),
         )
     )

@@ -1,8 +1,9 @@
-"""The expert that places what the hand holds: onto tables and seats, or into the fridge."""
+"""The expert for Place: onto tables and seats, or into the fridge."""
 
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,31 +15,40 @@ from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.arm.gentle import care_for
 from mjhab.experts.arm.motion import Motion
-from mjhab.experts.arm.release import TIGHT, away_speed, drawn_back, let_go_width, play, tipped
+from mjhab.experts.arm.release import (
+    TIGHT_PLAY_M,
+    away_speed,
+    drawn_back,
+    let_go_width,
+    play,
+    tipped,
+)
 from mjhab.experts.base.route import follow, holds
 from mjhab.experts.planning.carry import drive_in, go_home, grip, held_spheres, inside_depth
 from mjhab.experts.planning.reach import (
-    ROOMS,
+    CLEARANCES_M,
     Blocked,
     HandGoals,
     Scene,
     Stance,
+    Work,
     hand_room,
     settle_reach,
     stances,
     surroundings,
 )
 from mjhab.experts.planning.sampled import Found, roomier
-from mjhab.experts.skills.pick import fetch, height_below
+from mjhab.experts.skills.pick import height_below, pick_up
 from mjhab.experts.style import style_of
 from mjhab.tasks.style import DROP as DROP_IT
 
 Array = np.ndarray
-DROP = 0.006
-"""Height [m] above the surface at which an object is let go."""
-ABOVE = 0.10
-ABOVE_SHELF = 0.035
-"""Where the straight way down begins [m]."""
+DROP_HEIGHT_M = 0.006
+"""Height above the surface at which an object is let go."""
+ABOVE_M = 0.10
+"""Height at which the straight way down begins."""
+SHELF_ABOVE_M = 0.035
+"""The same on a shelf."""
 YAWS = 16
 SHELF_YAWS = 8
 OFFSETS = ((0.0, 0.0), (0.05, 0.0), (0.10, 0.0))
@@ -58,34 +68,37 @@ TILTS = (0.0, 0.3)
 BALL_TILTS = (0.0, 0.35, 0.7, 1.0)
 SHELF_TILTS = (0.0, 0.35, 0.6, 0.85, 1.1)
 """Leans of the hand [rad]: they reach further, and under a shelf a hand that comes from above has no room."""
-HAND_ROOM = -0.008
-"""Least clearance [m] of the hand; the spheres that stand for it are up to so much too large."""
-HAND_NEARER = 0.014
-"""How much nearer than the arm the hand may come to what is around it before it goes down [m]."""
-LEAN = 2.5
-LAID = 2.6
-"""Price in points of a radian that an object leans when it is let go under a shelf, and of another side down: round
-things roll then, and only let go of still more aslant they surely fall over."""
-STUCK = 3.0
-"""How much dearer a lean is where the fingers cannot open much farther: the object stays stuck between them at that
-angle, and falls when the hand draws back."""
-BESIDE = 0.09
-"""How far [m] beside its place an object may be put where the base ended such that the arm does not reach it."""
-ENOUGH = 0.87
-"""Part of the tolerance at the goal within which an object is put, where it comes to rest after it tipped over."""
-KNOCKS = -0.01
-"""Ways with less room [m] may knock the object out of the hand: other ways to put it down are looked at first."""
-AFTER = 35
-AFTER_INSIDE = 70
-"""Control steps to put an object down and draw back; the second where the base has to come straight in before."""
-HOME = 0.6
-"""Weight of the way back to rest, as that of the arm's way to the goal."""
-DROPS = (0.0, 0.05, 0.12)
-"""Heights [m] from which it is let fall in the open, one after the other, where there is no way to put it down."""
-SOFT = (0.25, 0.5, 0.75)
-"""Parts of its speed with which the arm starts: what hangs at the fingers' tips would fall out otherwise."""
-WAIT = 60
-"""Control steps to wait once every way to put an object was looked at without success."""
+HAND_CLEARANCE_M = -0.008
+"""Least clearance of the hand: the spheres that stand for it are up to so much too large."""
+HAND_NEARER_M = 0.014
+"""How much nearer than the arm the hand may come to its surroundings before it goes down."""
+LEAN_PRICE = 2.5
+"""Score lost per radian that an object leans when it is let go under a shelf."""
+LAID_PRICE = 2.6
+"""Score lost when another side of it is down: round things roll then, and lean until they fall."""
+STUCK_FACTOR = 3.0
+"""Factor on `LEAN_PRICE` where the fingers cannot open much farther: the object stays between them at that angle, and
+falls when the hand draws back."""
+MAX_BESIDE_M = 0.09
+"""Greatest distance beside its place at which an object is put when the base stands where the arm does not reach it."""
+GOAL_SHARE = 0.87
+"""Share of the tolerance at the goal within which an object is put, measured where it comes to rest after it tipped
+over."""
+MAX_DEFICIT_M = -0.01
+"""Ways whose room is less than this (negative: a deficit) may knock the object out of the hand: others are tried
+first."""
+AFTER_STEPS = 35
+"""Control steps to put an object down and draw back."""
+INSIDE_AFTER_STEPS = 70
+"""The same where the base has to drive straight in before."""
+HOME_WEIGHT = 0.6
+"""Weight of the control steps back to rest, relative to those to the goal."""
+DROP_HEIGHTS_M = (0.0, 0.05, 0.12)
+"""Heights from which an object is dropped in the open, tried in this order, where there is no way to put it down."""
+SOFT_START = (0.25, 0.5, 0.75)
+"""Shares of its speed with which the arm starts: an object that hangs at the fingertips would fall out otherwise."""
+WAIT_STEPS = 60
+"""Control steps to wait once every way to put an object was tried without success."""
 
 
 def place(view: WorldView) -> Motion:
@@ -99,7 +112,7 @@ def place(view: WorldView) -> Motion:
             yield from _bring(view, obj, goal)
         elif not view.signal("at_goal"):
             # Lost on the way: it lies somewhere, mostly not far off.
-            yield from fetch(view, obj, keep=False)
+            yield from pick_up(view, obj, keep=False)
             continue
         yield from go_home(view, obj, holding=False)
         yield from _rest(view)
@@ -115,21 +128,25 @@ def _bring(view: WorldView, obj: str, goal: Array) -> Motion:
     for attempt in range(20):
         if not holds(view, obj):
             return True
-        drop = style.drop_height if style.release == DROP_IT else DROPS[nothing % len(DROPS)]
+        drop = (
+            style.drop_height
+            if style.release == DROP_IT
+            else DROP_HEIGHTS_M[nothing % len(DROP_HEIGHTS_M)]
+        )
         found = plan_place(view, obj, goal, failed, attempt, drop, hurry)
         if found is None and style.release == DROP_IT:
             found = plan_place(view, obj, goal, failed, attempt, hurry=hurry)
         if found is not None and (best is None or _worth(view, found) > _worth(view, best)):
             best = found
-        if attempt < 2 and (best is None or _worth(view, best) < (True, KNOCKS)):
+        if attempt < 2 and (best is None or _worth(view, best) < (True, MAX_DEFICIT_M)):
             hurry = True
             continue
         if best is None:
             failed = failed[:0]
             nothing += 1
             # In the open things can fall; inside there is only what has failed to be looked at once more.
-            if nothing >= (2 if inside_depth(view, goal) else len(DROPS)):
-                yield from motion.hold(view, WAIT, gripper=motion.CLOSED)
+            if nothing >= (2 if inside_depth(view, goal) else len(DROP_HEIGHTS_M)):
+                yield from motion.hold(view, WAIT_STEPS, gripper=motion.CLOSED)
             continue
         (stance, goals, depth) = best
         best = None
@@ -143,7 +160,9 @@ def _bring(view: WorldView, obj: str, goal: Array) -> Motion:
 def _worth(view: WorldView, found: Found) -> tuple[bool, float]:
     """Whether a way to put an object leaves the time to come back to rest, and the room on its route [m]."""
     stance, _, depth = found
-    after = (AFTER_INSIDE if depth else AFTER) + float(motion.steps_home(view.robot, stance.at))
+    after = (INSIDE_AFTER_STEPS if depth else AFTER_STEPS) + float(
+        motion.steps_home(view.robot, stance.at)
+    )
     return stance.route.steps + after <= view.steps_left, stance.route.room
 
 
@@ -189,19 +208,18 @@ def plan_place(
         # A board above leaves no room to come from above, though nothing calls the place a shelf.
         goals = _roomy(view, obj, goal, near, shelf=True, attempt=attempt)
     blocked: list[Blocked] = []
-    found = stances(
-        view,
-        goal,
-        goals,
-        scene,
+    work = Work(
+        point=goal,
+        goals=goals,
+        scene=scene,
         drive_in=depth,
         avoid=failed,
-        room=ROOMS[min(attempt, 2)],
-        nearer=HAND_NEARER,
-        blocked=blocked,
+        room=CLEARANCES_M[min(attempt, 2)],
+        nearer=HAND_NEARER_M,
         far=hurry,
-        home=HOME,
+        home=HOME_WEIGHT,
     )
+    found = stances(view, work, blocked)
     return roomier(view, (found[0], goals, depth) if found else None, blocked)
 
 
@@ -219,7 +237,9 @@ def _roomy(
     # Under a shelf the choice is often between one of its other sides and letting go of it at an angle.
     goals = hand_goals(view, obj, goal, shelf=shelf, any_side=shelf or attempt > 1, drop=drop)
     return goals.take(
-        np.flatnonzero(hand_room(view.robot.gripper, goals, near.near(goal, 0.8)) > HAND_ROOM)
+        np.flatnonzero(
+            hand_room(view.robot.gripper, goals, near.near(goal, 0.8)) > HAND_CLEARANCE_M
+        )
     )
 
 
@@ -241,15 +261,15 @@ def hand_goals(
     floor = float(goal[2]) - shape.half[2]
     # Tall things fall over when they are let go at an angle.
     ball = shape.kind == "sphere"
-    upset = 0.2 if ball else LEAN if shelf else 2.0 + 2.0 * shape.half[2] / min(shape.half)
-    upset *= STUCK if not ball and play(view) < TIGHT else 1.0
+    upset = 0.2 if ball else LEAN_PRICE if shelf else 2.0 + 2.0 * shape.half[2] / min(shape.half)
+    upset *= STUCK_FACTOR if not ball and play(view) < TIGHT_PLAY_M else 1.0
     back = view.base[:2] - goal[:2]
     back = back / max(float(np.linalg.norm(back)), 1e-6)
     aside = np.array([-back[1], back[0]])
     offsets = SHELF_OFFSETS if shelf else LAST_OFFSETS if any_side else OFFSETS
     spots = [goal[:2] + near * back + left * aside for near, left in offsets]
     spots = [spot for i, spot in enumerate(spots) if not i or _on_surface(view, goal, spot)]
-    most = ENOUGH * view.config.goal_tol
+    most = GOAL_SHARE * view.config.goal_tol
     yaws = np.arange(SHELF_YAWS if shelf else YAWS) * 2 * np.pi / (SHELF_YAWS if shelf else YAWS)
     tilts = SHELF_TILTS if shelf else BALL_TILTS if ball else TILTS
     turns = ik.rotate(yaws[:, None] * np.array([0.0, 0.0, 1.0]))
@@ -269,11 +289,12 @@ def hand_goals(
                 continue
             rot.append(stand @ turn.T)
             pos.append(
-                np.array([*(spot - tips[:2]), floor + low + max(DROP, drop)]) - rot[-1] @ offset
+                np.array([*(spot - tips[:2]), floor + low + max(DROP_HEIGHT_M, drop)])
+                - rot[-1] @ offset
             )
             score.append(-price - upset * tilt - 6.0 * float(np.linalg.norm(spot - goal[:2])))
     at = np.array(pos)
-    pre = at + np.array([0.0, 0.0, ABOVE_SHELF if shelf else ABOVE])
+    pre = at + np.array([0.0, 0.0, SHELF_ABOVE_M if shelf else ABOVE_M])
     width = np.full(len(at), 2.0 * float(view.q[view.robot.columns.fingers].mean()))
     return HandGoals(at, np.array(rot), pre, width, np.array(score))
 
@@ -284,7 +305,7 @@ def _sides(every: bool) -> list[tuple[Array, float]]:
     if every:
         half = np.pi / 2
         for axis in ((half, 0, 0), (-half, 0, 0), (0, half, 0), (0, -half, 0), (2 * half, 0, 0)):
-            sides.append((ik.rotate(np.array([axis], float))[0], LAID))
+            sides.append((ik.rotate(np.array([axis], float))[0], LAID_PRICE))
     return sides
 
 
@@ -313,36 +334,33 @@ def _put(view: WorldView, obj: str, stance: Stance, goals: HandGoals, depth: flo
     if joints is None:
         # Out of reach from here: as planned then, beside its place by as much as the base is.
         joints, (pos, pre), rot = _beside(view, stance, goals)
-        if np.linalg.norm(pos - goals.pos[stance.goal]) > BESIDE:
+        if np.linalg.norm(pos - goals.pos[stance.goal]) > MAX_BESIDE_M:
             return False
-    for speed in SOFT:
+    for speed in SOFT_START:
         yield from motion.move_joints(
             view, joints[0], gripper=closed, tolerance=0.04, max_steps=1, speed=speed
         )
     yield from motion.move_joints(view, joints[0], gripper=closed, tolerance=0.04, max_steps=20)
-    yield from motion.move_tcp(
-        view, pre, rot, gripper=closed, rest=joints[1], tolerance=0.015, max_steps=20, torso=False
-    )
-    yield from motion.move_tcp(
-        view,
-        pos,
-        rot,
+    near = motion.HandMove(
+        pos=pre,
+        rot=rot,
         gripper=closed,
         rest=joints[1],
-        speed=0.2,
-        tolerance=0.005,
-        max_steps=25,
+        tolerance=0.015,
+        max_steps=20,
         torso=False,
     )
+    yield from motion.move_tcp(view, near)
+    down = replace(near, pos=pos, speed=0.2, tolerance=0.005, max_steps=25)
+    yield from motion.move_tcp(view, down)
     yield from motion.still_tcp(view, pos, rot, gripper=closed, steps=2)
     opening = grip(view.robot, let_go_width(view, obj, pos, rot))
     speed = away_speed(view)
     yield from motion.still_tcp(view, pos, rot, gripper=opening, steps=5)
     for back in (drawn_back(view, obj, pos, rot, joints[0]), pre):
-        yield from motion.move_tcp(
-            view,
-            back,
-            rot,
+        away = motion.HandMove(
+            pos=back,
+            rot=rot,
             gripper=opening,
             rest=joints[0],
             speed=speed,
@@ -350,6 +368,7 @@ def _put(view: WorldView, obj: str, stance: Stance, goals: HandGoals, depth: flo
             max_steps=14,
             torso=False,
         )
+        yield from motion.move_tcp(view, away)
         if not holds(view, obj):
             return True
     # Wide things touch the open fingers a little longer; to take them again would be to carry them off.
@@ -357,7 +376,7 @@ def _put(view: WorldView, obj: str, stance: Stance, goals: HandGoals, depth: flo
 
 
 def _beside(view: WorldView, stance: Stance, goals: HandGoals) -> tuple[Array, Array, Array]:
-    """The planned postures of the arm (2, 15) from where the base really stands, before and at the end of the way down,
+    """The planned postures of the arm (2, J) from where the base really stands, before and at the end of the way down,
     and where they bring the hand: at and before (2, 3), rotation (3, 3)."""
     q = np.stack([stance.pre, stance.at])
     q[:, BASE] = view.base

@@ -7,6 +7,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -66,6 +67,23 @@ def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) 
     return np.stack([right, np.cross(back, right), back], axis=1)
 
 
+@dataclass(frozen=True, eq=False)
+class Cameras:
+    """C cameras in each of W worlds. A camera looks along its -z, +y is up.
+
+    Attributes:
+        pos, mat: (W, C, 3) [m] and (W, C, 3, 3) (or (W, C, 9)) in the world.
+        fovy: vertical field of view [rad], one number or one per camera.
+        width, height: image size [px].
+    """
+
+    pos: np.ndarray
+    mat: np.ndarray
+    fovy: ArrayLike
+    width: int
+    height: int
+
+
 class Rasterizer:
     """Draws a RenderScene. Thread-safe; results do not depend on the number of threads.
 
@@ -100,11 +118,7 @@ class Rasterizer:
         home: np.ndarray,
         body_pos: np.ndarray,
         body_mat: np.ndarray,
-        cam_pos: np.ndarray,
-        cam_mat: np.ndarray,
-        fovy: ArrayLike,
-        width: int,
-        height: int,
+        cameras: Cameras,
         outputs: Sequence[str] = OUTPUTS,
         quality: Literal["fast", "nice"] = "fast",
         ssaa: int = 0,
@@ -114,9 +128,7 @@ class Rasterizer:
         Args:
             home: (W,) home index of each world.
             body_pos, body_mat: (W, B, 3) [m] and (W, B, 3, 3) (or (W, B, 9)) world poses of the model's bodies.
-            cam_pos, cam_mat: (W, C, 3) [m] and (W, C, 3, 3) (or (W, C, 9)); a camera looks along its -z, +y is up.
-            fovy: vertical field of view [rad], one number or one per camera.
-            width, height: image size [px].
+            cameras: C of each world.
             outputs: any of "rgb", "depth", "seg".
             quality: "fast" for observations: ambient occlusion on a coarse grid, lamps without shadows; "nice" for
                 people: lamp shadows, fine ambient occlusion, ssaa 2.
@@ -131,12 +143,14 @@ class Rasterizer:
         """
         _check_names(outputs, quality)
         home = np.asarray(home, np.int64)
-        cam_pos = _array(cam_pos, (len(home), -1, 3), "cam_pos")
-        cam_mat = _array(cam_mat, (len(home), cam_pos.shape[1], 3, 3), "cam_mat")
+        width = cameras.width
+        height = cameras.height
+        cam_pos = _array(cameras.pos, (len(home), -1, 3), "cam_pos")
+        cam_mat = _array(cameras.mat, (len(home), cam_pos.shape[1], 3, 3), "cam_mat")
         body_pos = _array(body_pos, (len(home), -1, 3), "body_pos")
         body_mat = _array(body_mat, (len(home), body_pos.shape[1], 3, 3), "body_mat")
         self._check(home, body_pos.shape[1], width, height)
-        fovy = np.broadcast_to(np.asarray(fovy, np.float64), (cam_pos.shape[1],))
+        fovy = np.broadcast_to(np.asarray(cameras.fovy, np.float64), (cam_pos.shape[1],))
         samples = ssaa or (2 if quality == "nice" else 1)
         views = _views(home, (body_pos, body_mat, cam_pos, cam_mat), fovy, (height, width), outputs)
         if quality == "nice" or samples > 1:

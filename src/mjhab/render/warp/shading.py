@@ -403,6 +403,7 @@ def _surface(
     return wp.cw_mul(color, light) + shine
 
 
+# One kernel, however long: every part reads what the parts before have in registers.
 @wp.kernel
 def shade(
     looks: Looks,

@@ -73,7 +73,7 @@ def speed_rows(
 
 
 def gripper_row(robot: Robot, limits: ActionLimits) -> ActionEntry:
-    """Both fingers follow one number."""
+    """The row of the gripper: one command for both fingers."""
     finger = robot.group("fingers")[-1]
     return ActionEntry("gripper", finger, *limits.gripper, "m", "joint, absolute, both fingers")
 

@@ -45,7 +45,7 @@ _MAX_FACES_OF = {"r_wheel_link": 400, "l_wheel_link": 400, "estop_link": 300, "l
 
 @lru_cache(maxsize=1)
 def robot_meshes() -> list[tuple[str, Mesh, str]]:
-    """The robot for the eye: (body name of ``fetch.LINKS``, mesh in that body's frame [m], material name).
+    """The visual meshes of the robot: (body name of ``fetch.LINKS``, mesh in that body's frame [m], material name).
 
     Raises:
         MjhabError: the mesh files of gymnasium-robotics are not installed.

@@ -8,7 +8,7 @@ with real bar handles: the original handles have no collision geometry.
 from __future__ import annotations
 
 from mjhab.scenes.shapes.shapes import box, rod, span
-from mjhab.scenes.spec import Articulation, Geom, Handle, Link, Receptacle, Vec3
+from mjhab.scenes.spec import Articulation, FrontArea, Geom, Handle, Link, Receptacle, Vec3
 
 FRONT_BACK_X_M = 0.303
 """Back face of the counter's drawer fronts; a front is 20 mm thick [m]."""
@@ -19,6 +19,8 @@ BAR_GAP_M = 0.05
 """Free space between bar and front: fingers are 14 mm thick and reach 31 mm past the grasp point [m]."""
 WORKTOP_HEIGHT_M = 0.88
 DRAWER_TRAVEL_M = 0.5
+FRIDGE_FRONT_AREA = FrontArea(near_m=0.933, far_m=1.833, half_width_m=0.6)
+"""Where robots stand to open a fridge (mshab/utils/gen/gen_spawn_positions.py)."""
 
 # name, y extent, z extent of the front, surface height of the drawer floor, mass [kg]
 _DRAWERS: tuple[tuple[str, tuple[float, float], tuple[float, float], float, float], ...] = (
@@ -205,7 +207,7 @@ def fridge() -> Articulation:
         _door("top_door", _TOP_DOOR_Z_M, (0.0, 2.3), 8.0, 1.17, (0.95, 1.20, 1.56)),
         _door("bottom_door", _BOTTOM_DOOR_Z_M, (0.0, 2.5), 6.0, 0.62, (0.16, 0.50)),
     )
-    return Articulation("fridge", tuple(_carcass()), links, shelves)
+    return Articulation("fridge", tuple(_carcass()), links, shelves, FRIDGE_FRONT_AREA)
 
 
 def _carcass() -> list[Geom]:

@@ -79,7 +79,7 @@ def read_glb(path: Path, *, textures: bool = True) -> list[Primitive]:
         OverflowError,
     ) as error:
         raise UsageError(
-            f"{path}: broken glTF ({type(error).__name__}: {error}); fetch the file again."
+            f"{path}: broken glTF ({type(error).__name__}: {error}); download the file again."
         ) from error
     for part in parts:
         if not (np.abs(part.vertices) <= MAX_FILE_NUMBER).all():
@@ -117,28 +117,28 @@ def _chunks(path: Path) -> tuple[dict[str, Any], bytes]:
         raise UsageError(f"{path}: cannot be read ({error.strerror or error}).") from error
     if len(raw) < 20 or raw[:4] != b"glTF":
         raise UsageError(
-            f"{path}: not a binary glTF file (no 'glTF' header); fetch the file again."
+            f"{path}: not a binary glTF file (no 'glTF' header); download the file again."
         )
     length = struct.unpack_from("<I", raw, 8)[0]
     if length > len(raw):
         raise UsageError(
-            f"{path}: cut off: the header says {length} bytes, the file has {len(raw)}; fetch it again."
+            f"{path}: cut off: the header says {length} bytes, the file has {len(raw)}; download it again."
         )
     found: dict[bytes, bytes] = {}
     offset = 12
     while offset + 8 <= length:
         size, kind = struct.unpack_from("<I4s", raw, offset)
         if offset + 8 + size > length:
-            raise UsageError(f"{path}: chunk {kind!r} is cut off; fetch the file again.")
+            raise UsageError(f"{path}: chunk {kind!r} is cut off; download the file again.")
         found.setdefault(kind, raw[offset + 8 : offset + 8 + size])
         offset += 8 + size
     if b"JSON" not in found:
-        raise UsageError(f"{path}: no JSON chunk; fetch the file again.")
+        raise UsageError(f"{path}: no JSON chunk; download the file again.")
     try:
         document = parse_json(found[b"JSON"])
     except ValueError as error:
         raise UsageError(
-            f"{path}: the JSON chunk is broken ({error}); fetch the file again."
+            f"{path}: the JSON chunk is broken ({error}); download the file again."
         ) from error
     if not isinstance(document, dict):
         raise UsageError(f"{path}: the JSON chunk is no object; fetch the file again.")
@@ -162,7 +162,7 @@ class _Reader:
         for root in roots or [i for i in range(len(nodes)) if i not in children]:
             self._walk(root, np.eye(4), textures, out, 0)
         if not out:
-            raise UsageError(f"{self.path}: no triangles; fetch the file again.")
+            raise UsageError(f"{self.path}: no triangles; download the file again.")
         return out
 
     def _walk(

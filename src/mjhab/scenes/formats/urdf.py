@@ -101,7 +101,7 @@ def read_urdf(path: Path) -> Urdf:
     try:
         top = ElementTree.fromstring(raw)
     except (ElementTree.ParseError, RecursionError, ValueError) as error:
-        raise UsageError(f"{path}: not valid XML ({error}); fetch the file again.") from error
+        raise UsageError(f"{path}: not valid XML ({error}); download the file again.") from error
     links = {_name(path, e, "name"): _link(path, e) for e in top.iter("link")}
     joints = {}
     for element in top.iter("joint"):

@@ -22,7 +22,7 @@ SCENE_SUFFIX = ".scene_instance.json"
 PREFIX = "frl_apartment_"
 """What most names of the data set begin with and ours do not."""
 FOLDERS = ("configs/scenes", "configs/objects", "objects", "urdf")
-FETCH = "`mjhab assets fetch replica_cad` gets it"
+HOW_TO_GET = "`mjhab assets fetch replica_cad` gets it"
 _MAX_LEVEL_TILT_RAD = 1e-4
 """Rotations that tilt by less than about this [rad] are headings."""
 
@@ -39,7 +39,7 @@ def check_folder(folder: Path) -> None:
     missing = [name for name in FOLDERS if not (folder / name).is_dir()]
     if missing:
         raise UsageError(
-            f"'{folder}' is not a whole ReplicaCAD data set: {', '.join(missing)} missing; {FETCH}."
+            f"'{folder}' is not a whole ReplicaCAD data set: {', '.join(missing)} missing; {HOW_TO_GET}."
         )
 
 
@@ -50,7 +50,7 @@ def load_json(path: Path) -> dict[str, Any]:
         UsageError: the file is missing, cut off or not an object; names it.
     """
     if not path.exists():
-        raise UsageError(f"{path}: cannot be read (there is no such file); {FETCH}.")
+        raise UsageError(f"{path}: cannot be read (there is no such file); {HOW_TO_GET}.")
     return read_json_object(path)
 
 

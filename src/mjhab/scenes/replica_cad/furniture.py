@@ -14,11 +14,12 @@ import numpy as np
 
 from mjhab.core.errors import UsageError
 from mjhab.core.rotations import mat_from_quat
+from mjhab.scenes.builtin.furniture_kitchen import FRIDGE_FRONT_AREA
 from mjhab.scenes.formats.gltf import TO_Z_UP, read_glb, read_hulls
 from mjhab.scenes.formats.urdf import Urdf, UrdfBox, UrdfJoint, UrdfLink, UrdfVisual, read_urdf
 from mjhab.scenes.replica_cad import handles
 from mjhab.scenes.replica_cad.files import (
-    FETCH,
+    HOW_TO_GET,
     load_json,
     place,
     point,
@@ -34,6 +35,8 @@ from mjhab.scenes.spec import Articulation, Geom, Handle, Link, Placement, Prop,
 
 ARTICULATED = {"kitchen_counter": handles.drawer, "fridge": handles.door}
 """Furniture that opens; everything else that has joints in its URDF is welded shut, unless it is asked for."""
+FRONT_AREAS = {"fridge": FRIDGE_FRONT_AREA}
+"""Where robots stand to open furniture, if not in the usual area."""
 OPTIONAL = {
     "kitchen_cupboards": "kitchenCupboard_01",
     "cabinet": "cabinet",
@@ -119,7 +122,7 @@ class Furniture:
             geoms = [Geom("box", point((high - low) / 2), point((high + low) / 2), visual=False)]
         else:
             raise UsageError(
-                f"{path}: field 'render_asset' names {look}, which does not exist; {FETCH}."
+                f"{path}: field 'render_asset' names {look}, which does not exist; {HOW_TO_GET}."
             )
         if look.is_file():
             geoms.append(self._look(name, f"{name}/look", [(look, _as_pose(TO_Z_UP))]))
@@ -141,7 +144,7 @@ class Furniture:
     def _look(self, name: str, mesh: str, parts: list[tuple[Path, np.ndarray]]) -> Geom:
         for file, pose in parts:
             if not file.is_file():
-                raise UsageError(f"{name}: render mesh {file} does not exist; {FETCH}.")
+                raise UsageError(f"{name}: render mesh {file} does not exist; {HOW_TO_GET}.")
             self.looks.add(mesh, file, pose)
         return Geom("mesh", (1.0, 1.0, 1.0), material=MATERIAL, mesh=mesh, collide=False)
 
@@ -151,7 +154,7 @@ class Furniture:
         paths = sorted(self.folder.glob(f"urdf/*/{name}.urdf"))
         if not paths:
             raise UsageError(
-                f"{self.folder / 'urdf'} has no {name}.urdf, which a scene names; {FETCH}."
+                f"{self.folder / 'urdf'} has no {name}.urdf, which a scene names; {HOW_TO_GET}."
             )
         return read_urdf(paths[0]), paths[0]
 
@@ -194,7 +197,7 @@ class Furniture:
         moved = {link.name: np.array(link.pos) for link in links}
         shapes = [*body, *(_shifted(g, link.pos) for link in links for g in link.geoms)]
         places = self._receptacles(path, frames, scale, shapes, moved)
-        return Articulation(name, tuple(body), tuple(links), places)
+        return Articulation(name, tuple(body), tuple(links), places, FRONT_AREAS.get(name))
 
     def _link(
         self,

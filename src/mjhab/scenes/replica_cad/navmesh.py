@@ -38,7 +38,7 @@ def read_navmesh(path: Path) -> NavMesh:
         raise UsageError(f"{path}: cannot be read ({error.strerror or error}).") from error
     tile = raw.find(_TILE_MAGIC)
     if raw[:4] != _SET_MAGIC or tile < 0:
-        raise UsageError(f"{path}: not a navigation mesh of one tile; fetch the file again.")
+        raise UsageError(f"{path}: not a navigation mesh of one tile; download the file again.")
     try:
         x, _, z, width, depth = struct.unpack_from("<5f", raw, 12)
         polygon_count, vertex_count = struct.unpack_from("<2i", raw, tile + 24)
@@ -52,5 +52,5 @@ def read_navmesh(path: Path) -> NavMesh:
             corners = vertices[list(record[1 : 1 + record[14]])]
             polygons.append(np.stack([corners[:, 0], -corners[:, 2], corners[:, 1]], axis=1))
     except (struct.error, ValueError, IndexError) as error:
-        raise UsageError(f"{path}: cut off ({error}); fetch the file again.") from error
+        raise UsageError(f"{path}: cut off ({error}); download the file again.") from error
     return NavMesh((x, -(z + depth), x + width, -z), polygons)

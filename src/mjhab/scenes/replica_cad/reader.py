@@ -27,7 +27,7 @@ from mjhab.scenes.builtin.objects import builtin_objects, object_meshes
 from mjhab.scenes.builtin.pack import ROLES as BUILTIN_ROLES
 from mjhab.scenes.pack_check import check_pack
 from mjhab.scenes.replica_cad.files import (
-    FETCH,
+    HOW_TO_GET,
     SCENE_SUFFIX,
     check_folder,
     load_json,
@@ -95,7 +95,7 @@ def open_replica_cad(
     chosen = _named(scenes, names) if scenes else [name for name in names if STAGED.fullmatch(name)]
     if not chosen:
         raise UsageError(
-            f"{folder / 'configs' / 'scenes'} has no staged scene (v3_sc*_staging_*); {FETCH}."
+            f"{folder / 'configs' / 'scenes'} has no staged scene (v3_sc*_staging_*); {HOW_TO_GET}."
         )
     reader = _Scenes(folder, Furniture(folder, articulate), stage_mesh)
     homes = tuple(reader.home(name) for name in chosen)

@@ -83,7 +83,9 @@ def read_scan(path: Path) -> Scan:
     """
     (part, *others) = read_glb(path)
     if others or part.texture is None or part.uv is None:
-        raise UsageError(f"{path}: not one mesh with a base colour texture; fetch the file again.")
+        raise UsageError(
+            f"{path}: not one mesh with a base colour texture; download the file again."
+        )
     center = (part.vertices.min(axis=0) + part.vertices.max(axis=0)) / 2
     return Scan(part.vertices - center, part.faces.astype(np.int64), part.uv, part.texture)
 

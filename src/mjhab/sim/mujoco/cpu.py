@@ -12,6 +12,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from mjhab.core.errors import UsageError
+from mjhab.core.timing import SUBSTEPS
 from mjhab.layout.contact_sensors import FORCE_SENSOR_WIDTH, normal_force
 from mjhab.layout.home_models import HomeModels
 from mjhab.layout.layout import Layout, addresses
@@ -19,8 +20,6 @@ from mjhab.robots.parts import Drives
 from mjhab.sim.mujoco.settle import holding_ctrl
 from mjhab.sim.protocol import PENETRATION_LIMIT, TAINTS, SimState
 
-SUBSTEPS = 5
-"""Simulation at 100 Hz, control at 20 Hz (MS-HAB paper Sec. 4.1)."""
 _STAGE_NONE = int(mujoco.mjtStage.mjSTAGE_NONE)
 POSITION_STAGE = int(mujoco.mjtStage.mjSTAGE_VEL)
 _WARNING = mujoco.mjtWarning

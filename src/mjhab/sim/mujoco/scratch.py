@@ -1,6 +1,6 @@
-"""Private worlds, for questions that must not disturb the batch: does this touch, does this grasp hold?
+"""Worlds beside the batch for collision tests and grasp tests: a test leaves the states of the simulator as they are.
 
-Everything but the robot and what it carries sleeps, so that a question costs a tenth of a control step of a whole home.
+Everything but the robot and what it carries sleeps, so that a test costs a tenth of a control step of a whole home.
 """
 
 from __future__ import annotations
@@ -15,12 +15,13 @@ import numpy as np
 from mjhab.core.joints import BASE_YAW
 from mjhab.core.memory_cache import MemoryCache
 from mjhab.core.rotations import pose_inv, pose_mul
+from mjhab.core.timing import SUBSTEPS
 from mjhab.layout.contact_sensors import FORCE_SENSOR_WIDTH, normal_force
 from mjhab.layout.home_models import model_bytes
 from mjhab.robots.model import apply_drives
 from mjhab.robots.parts import Drives
 from mjhab.scenes import contact_bits
-from mjhab.sim.mujoco.cpu import SUBSTEPS, CpuSimulator
+from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.settle import hold_robot
 
 CLOSING_STEPS = 30
@@ -37,7 +38,7 @@ _NO_CONTACT = int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
 
 
 class _World:
-    """One world that can be in any home of a layout. For one user at a time."""
+    """One world that can be in any home of a layout, for one thread at a time."""
 
     def __init__(self, sim: CpuSimulator) -> None:
         self._sim = sim
@@ -82,7 +83,7 @@ class _World:
 
 
 class Scratch:
-    """Questions about states of a simulator's homes. Several threads may ask at once: each gets a world of its own."""
+    """Tests of states in a simulator's homes. Several threads may run tests at once: each gets a world of its own."""
 
     def __init__(self, sim: CpuSimulator) -> None:
         self.sim = sim

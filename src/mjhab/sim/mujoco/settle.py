@@ -1,4 +1,4 @@
-"""Let a start state come to rest, once, outside the batch."""
+"""Simulate a start state until it is at rest, outside the batch of worlds."""
 
 from __future__ import annotations
 

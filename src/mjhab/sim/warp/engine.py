@@ -13,6 +13,7 @@ import torch
 import warp as wp
 from mujoco_warp._src import sleep, smooth
 
+from mjhab.core.timing import SUBSTEPS
 from mjhab.layout.layout import Addresses
 from mjhab.sim.protocol import PENETRATION_LIMIT
 from mjhab.sim.warp import kernels
@@ -20,8 +21,6 @@ from mjhab.sim.warp.device import set_up
 from mjhab.sim.warp.graphs import Graphs
 from mjhab.sim.warp.homes import HOME_FIELDS, HomeTables
 
-SUBSTEPS = 5
-"""Simulation at 100 Hz, control at 20 Hz (MS-HAB paper Sec. 4.1)."""
 CPU_DEVICE_ITERATIONS = 30
 """On Warp's CPU device the solver runs this many rounds whether it converged or not (on CUDA it stops when it did)."""
 _OVERFLOW = mjw.OverflowType

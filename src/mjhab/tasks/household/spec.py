@@ -10,7 +10,7 @@ from functools import cached_property
 from typing import Literal, get_args
 
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.tasks.household.steps import fetch_and_place, open_goal, open_start
+from mjhab.tasks.household.steps import open_goal, open_start, pick_and_place
 from mjhab.tasks.plan import Subtask, Target, TaskPlan
 from mjhab.tasks.subtasks.registry import subtask_names
 
@@ -19,7 +19,7 @@ MIN_START_GOAL_M = 0.5
 
 Opens = Literal["", "start", "goal"]
 Chain = Callable[[Target], list[Subtask]]
-_CHAINS: dict[str, Chain] = {"": fetch_and_place, "start": open_start, "goal": open_goal}
+_CHAINS: dict[str, Chain] = {"": pick_and_place, "start": open_start, "goal": open_goal}
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 _SAMPLE = Target("object", (0.0, 0.0, 0.0), start_link="link", goal_link="link")
 

@@ -6,7 +6,7 @@ from mjhab.core.errors import UsageError
 from mjhab.tasks.plan import GOAL_OF, Subtask, SubtaskKind, Target
 
 
-def fetch_and_place(target: Target) -> list[Subtask]:
+def pick_and_place(target: Target) -> list[Subtask]:
     """Navigate to the object, pick it, carry it to its goal, place it."""
     kind = SubtaskKind
     return [
@@ -27,7 +27,7 @@ def fetch_and_place(target: Target) -> list[Subtask]:
 
 
 def open_start(target: Target) -> list[Subtask]:
-    """`fetch_and_place`, with the drawer or door that the object is behind opened before and closed after.
+    """`pick_and_place`, with the drawer or door that the object is behind opened before and closed after.
 
     Raises:
         UsageError: the object is behind none.
@@ -36,7 +36,7 @@ def open_start(target: Target) -> list[Subtask]:
 
 
 def open_goal(target: Target) -> list[Subtask]:
-    """`fetch_and_place`, with the drawer or door that the object goes behind opened before and closed after.
+    """`pick_and_place`, with the drawer or door that the object goes behind opened before and closed after.
 
     Raises:
         UsageError: the object goes behind none.
@@ -54,4 +54,4 @@ def _opened(target: Target, link: str, which: str) -> list[Subtask]:
     go = Subtask(kind.NAVIGATE, link=link, goal_pos=handle, toward=link)
     opening = Subtask(kind.OPEN, obj=target.obj, link=link, goal_pos=handle)
     closing = Subtask(kind.CLOSE, link=link, goal_pos=handle)
-    return [go, opening, *fetch_and_place(target), go, closing]
+    return [go, opening, *pick_and_place(target), go, closing]

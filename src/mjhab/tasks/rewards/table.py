@@ -21,6 +21,8 @@ ALWAYS = "always"
 """The condition of terms that are given in every step."""
 FREE_FORCE = 0.2
 """Scaled contact force up to which the force term costs nothing."""
+HAND_FORCE_PER_NEWTON = 0.001
+"""Scale of contact forces in Pick and Place: those below 200 N cost nothing."""
 IDEAL_SPEED = {"hinge": 2.0, "slide": 1.0}
 """A door should turn no faster [rad/s] and a drawer slide no faster [m/s] than this, by type of joint."""
 CLOSED_NEAR_M = 0.3

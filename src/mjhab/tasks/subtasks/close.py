@@ -5,7 +5,6 @@ MS-HAB paper App. A.2; mshab/envs/close.py.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import partial
 
 from mjhab.core.arrays import Array, namespace
@@ -20,9 +19,8 @@ from mjhab.tasks.rewards.table import (
     rest_distance,
     share_left,
 )
-from mjhab.tasks.subtasks.event_lists import EXCESS, JOINT_CHECKS, JointWords, joint_label
-from mjhab.tasks.subtasks.spec import AT_REST, LabelRule, PublishedLabels, SubtaskSpec
-from mjhab.tasks.thresholds import SubtaskConfig, TaskConfig
+from mjhab.tasks.subtasks.jointed import JointNames, jointed_subtask
+from mjhab.tasks.thresholds import TaskConfig
 
 CLOSE_TERMS = (
     Term("reach", 7.0, "reaching", "hand to the handle: 1 - tanh(d)"),
@@ -111,65 +109,22 @@ REWARD = RewardTable(
     raw_published=partial(_close, published=True),
 )
 
-LABEL_RULES = (
-    LabelRule("success_then_excessive_collisions", lambda s: s.ever("success") & s.ever("excess")),
-    LabelRule("dubious_success", lambda s: s.ever("success") & ~s.holds("closed")),
-    LabelRule("closed_success", lambda s: s.ever("success")),
-    LabelRule("excessive_collision_failure", lambda s: s.ever("excess")),
-    LabelRule("cant_reach_articulation_failure", lambda s: ~s.ever("ee_contact")),
-    LabelRule("open_after_closing_failure", lambda s: s.ever("closed") & ~s.holds("closed")),
-    LabelRule("too_slow_failure", lambda s: s.ever("closed")),
-    LabelRule("slightly_closed_failure", lambda s: s.ever("slightly_closed")),
-    LabelRule("cant_close_failure"),
+NAMES = JointNames(
+    there="closed",
+    back="opened",
+    slightly="slightly_closed",
+    done="closed_success",
+    undone="open_after_closing_failure",
+    slight="slightly_closed_failure",
+    unmoved="cant_close_failure",
 )
 
-
-def _published_label(events: Sequence[str], success: bool, at_goal_first: bool) -> str:
-    """The rules for Close of mshab/utils/label_dataset.py."""
-    return joint_label(
-        events,
-        success,
-        JointWords(
-            there="closed",
-            back="opened",
-            slightly="slightly_closed",
-            done="closed_success",
-            undone="open_after_closing_failure",
-            slight="slightly_closed_failure",
-            unmoved="cant_close_failure",
-        ),
-    )
-
-
-PUBLISHED = PublishedLabels(
-    events=("contact", "closed", "success", EXCESS, "slightly_closed", "opened"),
-    label=_published_label,
-    columns=(
-        "closed_success",
-        "dubious_success",
-        "success_then_excessive_collisions",
-        "excessive_collision_failure",
-        "cant_reach_articulation_failure",
-        "open_after_closing_failure",
-        "slightly_closed_failure",
-        "too_slow_failure",
-        "cant_close_failure",
-    ),
-)
-
-CLOSE = SubtaskSpec(
+CLOSE = jointed_subtask(
+    NAMES,
+    REWARD,
     name="close",
     words=("close {link}", "push {link} shut"),
     color="#14b8a6",
-    about="link",
-    limits=SubtaskConfig(200, 10000.0),
-    conditions=("closed", *AT_REST),
-    checks=JOINT_CHECKS,
-    label_rules=LABEL_RULES,
-    published=PUBLISHED,
-    events=(*PUBLISHED.events, "lost_contact", "lost_success"),
-    edges={"opened": "-slightly_closed"},
-    reward=REWARD,
     shows=("goal",),
     start="mjhab.episodes.starts.close:START",
     expert="mjhab.experts.skills.articulated:close_link",

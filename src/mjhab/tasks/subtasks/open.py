@@ -5,7 +5,6 @@ MS-HAB paper App. A.2; mshab/envs/open.py.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import partial
 
 from mjhab.core.arrays import Array, namespace
@@ -20,9 +19,8 @@ from mjhab.tasks.rewards.table import (
     rest_distance,
     share_left,
 )
-from mjhab.tasks.subtasks.event_lists import EXCESS, JOINT_CHECKS, JointWords, joint_label
-from mjhab.tasks.subtasks.spec import AT_REST, LabelRule, PublishedLabels, SubtaskSpec
-from mjhab.tasks.thresholds import SubtaskConfig, TaskConfig
+from mjhab.tasks.subtasks.jointed import JointNames, jointed_subtask
+from mjhab.tasks.thresholds import TaskConfig
 
 STARTED = 0.01
 """The joint has left its closed end by so much [m or rad]."""
@@ -91,65 +89,22 @@ REWARD = RewardTable(
     raw_published=partial(_open, published=True),
 )
 
-LABEL_RULES = (
-    LabelRule("success_then_excessive_collisions", lambda s: s.ever("success") & s.ever("excess")),
-    LabelRule("dubious_success", lambda s: s.ever("success") & ~s.holds("opened")),
-    LabelRule("open_success", lambda s: s.ever("success")),
-    LabelRule("excessive_collision_failure", lambda s: s.ever("excess")),
-    LabelRule("cant_reach_articulation_failure", lambda s: ~s.ever("ee_contact")),
-    LabelRule("closed_after_open_failure", lambda s: s.ever("opened") & ~s.holds("opened")),
-    LabelRule("too_slow_failure", lambda s: s.ever("opened")),
-    LabelRule("slightly_open_failure", lambda s: s.ever("slightly_opened")),
-    LabelRule("cant_open_failure"),
+NAMES = JointNames(
+    there="opened",
+    back="closed",
+    slightly="slightly_opened",
+    done="open_success",
+    undone="closed_after_open_failure",
+    slight="slightly_open_failure",
+    unmoved="cant_open_failure",
 )
 
-
-def _published_label(events: Sequence[str], success: bool, at_goal_first: bool) -> str:
-    """The rules for Open of mshab/utils/label_dataset.py."""
-    return joint_label(
-        events,
-        success,
-        JointWords(
-            there="opened",
-            back="closed",
-            slightly="slightly_opened",
-            done="open_success",
-            undone="closed_after_open_failure",
-            slight="slightly_open_failure",
-            unmoved="cant_open_failure",
-        ),
-    )
-
-
-PUBLISHED = PublishedLabels(
-    events=("contact", "opened", "success", EXCESS, "slightly_opened", "closed"),
-    label=_published_label,
-    columns=(
-        "open_success",
-        "dubious_success",
-        "success_then_excessive_collisions",
-        "excessive_collision_failure",
-        "cant_reach_articulation_failure",
-        "closed_after_open_failure",
-        "slightly_open_failure",
-        "too_slow_failure",
-        "cant_open_failure",
-    ),
-)
-
-OPEN = SubtaskSpec(
+OPEN = jointed_subtask(
+    NAMES,
+    REWARD,
     name="open",
     words=("open {link}", "pull {link} open"),
     color="#f59e0b",
-    about="link",
-    limits=SubtaskConfig(200, 10000.0),
-    conditions=("opened", *AT_REST),
-    checks=JOINT_CHECKS,
-    label_rules=LABEL_RULES,
-    published=PUBLISHED,
-    events=(*PUBLISHED.events, "lost_contact", "lost_success"),
-    edges={"closed": "-slightly_opened"},
-    reward=REWARD,
     shows=("object", "goal"),
     start="mjhab.episodes.starts.open:START",
     expert="mjhab.experts.skills.articulated:open_link",

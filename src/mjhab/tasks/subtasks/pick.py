@@ -11,6 +11,7 @@ from mjhab.core.arrays import Array, namespace
 from mjhab.core.joints import BASE
 from mjhab.tasks.rewards.table import (
     ALWAYS,
+    HAND_FORCE_PER_NEWTON,
     RewardTable,
     RewardView,
     Term,
@@ -26,8 +27,6 @@ from mjhab.tasks.subtasks.event_lists import EXCESS
 from mjhab.tasks.subtasks.spec import AT_REST, LabelRule, PublishedLabels, SubtaskSpec
 from mjhab.tasks.thresholds import SubtaskConfig, TaskConfig
 
-FORCE_PER_NEWTON = 0.001
-"""Contact forces below 200 N cost nothing."""
 TORSO_FREE_RANGE = 0.3
 """This close to the object [m] the torso may move."""
 
@@ -76,7 +75,7 @@ def _pick(view: RewardView, config: TaskConfig) -> tuple[dict[str, Array], dict[
         "reach": distance,
         "slow_hand": hand_speed,
         "posture": posture_error(world, config),
-        "force": force_excess(signals.robot_force, FORCE_PER_NEWTON),
+        "force": force_excess(signals.robot_force, HAND_FORCE_PER_NEWTON),
         "torso_still": xp.where(
             distance < TORSO_FREE_RANGE, 0.0, xp.abs(torso_speed(world, config))
         ),

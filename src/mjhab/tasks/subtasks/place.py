@@ -11,6 +11,7 @@ from mjhab.core.arrays import Array, namespace
 from mjhab.core.joints import BASE
 from mjhab.tasks.rewards.table import (
     ALWAYS,
+    HAND_FORCE_PER_NEWTON,
     RewardTable,
     RewardView,
     Term,
@@ -27,8 +28,6 @@ from mjhab.tasks.subtasks.event_lists import EXCESS, last
 from mjhab.tasks.subtasks.spec import AT_REST, LabelRule, PublishedLabels, SubtaskSpec
 from mjhab.tasks.thresholds import SubtaskConfig, TaskConfig
 
-FORCE_PER_NEWTON = 0.001
-"""Contact forces below 200 N cost nothing."""
 GOAL_RISE = 0.05
 """Hand and object come in at this height above the goal [m]."""
 
@@ -99,7 +98,7 @@ def _place(view: RewardView, config: TaskConfig) -> tuple[dict[str, Array], dict
     distances = {
         "slow_hand": hand_speed,
         "slow_object": xp.where(signals.is_grasped, 0.0, linear + angular),
-        "force": force_excess(signals.robot_force, FORCE_PER_NEWTON),
+        "force": force_excess(signals.robot_force, HAND_FORCE_PER_NEWTON),
         "torso_not_sinking": above_zero(-torso_speed(world, config)),
         "transport": object_way,
         "hand": hand_way,

@@ -9,6 +9,7 @@ from typing import Any, Literal, get_args
 
 from mjhab.core.arrays import Array
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.joints import GROUPS
 from mjhab.tasks.labelling.state import WATCHED, LabelState
 from mjhab.tasks.rewards.table import RewardTable
 from mjhab.tasks.signals import CHECKS, Active, WorldState
@@ -60,6 +61,8 @@ EVENT_EDGES: dict[str, str] = {
 }
 """Events that every subtask can use, and the edge each is."""
 
+USUAL_JOINT_GROUPS = ("base", "arm", "fingers")
+"""Every action has columns for the base, an arm and a gripper, and every observation has the arm's tool centre."""
 USUAL_LIMITS = SubtaskConfig(horizon=200, force_limit=10000.0)
 
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
@@ -119,6 +122,7 @@ class SubtaskSpec:
         shows: what the observation has of "object" (pose of the object) and "goal" (position of the goal).
         starts_holding: the robot begins with the object in its hand. rests_holding: it ends so, and then the arm may be
             further from rest. keeps_goal: in the rest of a plan the object must stay at its goal.
+        joint_groups: groups of joints (`core.joints.GROUPS`) that a robot must have to do it.
         start: how the home and the robot begin, an `episodes.starts.SubtaskStart` or a reference "module:NAME" to one.
         expert: script that does it, ``(view) -> generator of actions``, or a reference; None: no expert can do it.
     """
@@ -142,6 +146,7 @@ class SubtaskSpec:
     starts_holding: bool = False
     rests_holding: bool = False
     keeps_goal: bool = False
+    joint_groups: tuple[str, ...] = USUAL_JOINT_GROUPS
     start: Any = None
     expert: Any = None
 
@@ -169,6 +174,7 @@ class SubtaskSpec:
             (self.events, (*EVENT_EDGES, *self.edges), "event"),
             (self.edges.values(), EDGES, "edge"),
             (self.edges, self.events, "event"),
+            (self.joint_groups, GROUPS, "joint group"),
         ):
             for name in given:
                 if name not in valid:

@@ -23,7 +23,8 @@ from PIL import Image
 
 from mjhab.core.errors import MjhabError
 from mjhab.core.files.cache import write_atomic
-from mjhab.data.store.schema import CHECKS, STEP_SECONDS
+from mjhab.core.timing import STEP_SECONDS
+from mjhab.data.store.schema import CHECKS
 from mjhab.render.home_scene import build_render_scene
 from mjhab.reports.parts import event_tone
 from mjhab.reports.plots import kind_color

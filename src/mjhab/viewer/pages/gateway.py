@@ -134,13 +134,13 @@ class Gateway:
         if request.headers.get("Upgrade", "").lower() == "websocket":
             return None if _from_our_page(request) else connection.respond(403, "another origin\n")
         path = request.path
-        status, kind, body = await asyncio.to_thread(self._fetch, path)
+        status, kind, body = await asyncio.to_thread(self._read, path)
         if kind.startswith("text/html"):
             body = with_script(body)
         headers = Headers({"Content-Type": kind, "Content-Length": str(len(body))})
         return Response(status, http.HTTPStatus(status).phrase, headers, body)
 
-    def _fetch(self, path: str) -> tuple[int, str, bytes]:
+    def _read(self, path: str) -> tuple[int, str, bytes]:
         try:
             with urllib.request.urlopen(f"http://127.0.0.1:{self._inner}{path}") as answer:
                 return answer.status, answer.headers["Content-Type"], answer.read()

@@ -11,7 +11,8 @@ import numpy as np
 import viser
 from viser import uplot
 
-from mjhab.data.store.schema import CHECKS, STEP_SECONDS
+from mjhab.core.timing import STEP_SECONDS
+from mjhab.data.store.schema import CHECKS
 from mjhab.viewer.pages.timeline import TONE_COLORS, gauge_html, plan_html, terms_html, timeline_svg
 from mjhab.viewer.sources.track import Track
 

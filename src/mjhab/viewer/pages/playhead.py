@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from mjhab.data.store.schema import STEP_SECONDS
+from mjhab.core.timing import STEP_SECONDS
 from mjhab.viewer.sources.source import Source
 from mjhab.viewer.sources.track import Track
 

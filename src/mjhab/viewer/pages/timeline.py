@@ -6,7 +6,7 @@ import math
 from html import escape
 from itertools import groupby
 
-from mjhab.data.store.schema import STEP_SECONDS
+from mjhab.core.timing import STEP_SECONDS
 from mjhab.reports.parts import event_tone
 from mjhab.reports.plots import kind_color
 from mjhab.viewer.sources.track import Track

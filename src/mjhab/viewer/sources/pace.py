@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Callable
 
-from mjhab.data.store.schema import STEP_SECONDS
+from mjhab.core.timing import STEP_SECONDS
 
 WAKE_SECONDS = 0.2
 """How often a paused run looks whether there is something else to do."""

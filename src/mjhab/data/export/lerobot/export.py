@@ -16,6 +16,7 @@ import numpy as np
 import pyarrow as pa
 
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.timing import STEP_SECONDS
 from mjhab.data.export.folders import Target, whole_folder
 from mjhab.data.export.lerobot.files import VERSIONS, Files, write_json
 from mjhab.data.export.lerobot.pieces import FilmTools, Made, Pieces
@@ -31,7 +32,6 @@ from mjhab.data.select.query import Filter
 from mjhab.data.select.sets import nothing_passes, select
 from mjhab.data.select.until import Until
 from mjhab.data.store.reading import Episode, open_shard
-from mjhab.data.store.schema import STEP_SECONDS
 from mjhab.data.store.shard import last_label
 
 FPS = round(1 / STEP_SECONDS)

@@ -78,15 +78,10 @@ def test_a_row_is_trained_judged_and_set_beside_the_paper(
         (tmp_path / "set_table.close.drawer" / "train" / "student.safetensors").stat().st_mtime_ns
     )
     # The same policy under other rules, without training.
-    again = [
-        "reproduce",
-        "force_limits",
-        "--policies",
-        str(tmp_path),
-        "--out",
-        str(tmp_path / "again"),
-    ]
-    assert main([*again, *words[2:], "--out", str(tmp_path / "again")]) == 0
+    others = str(tmp_path / "others")
+    again = ["reproduce", "force_limits", *words[2:], "--policies", str(tmp_path)]
+    again[again.index("--out") + 1] = others
+    assert main(again) == 0
     results = json.loads(capsys.readouterr().out.splitlines()[-1])["rows"]
     assert [found["rules"] for found in results] == [
         "evaluation",

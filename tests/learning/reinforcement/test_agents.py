@@ -125,6 +125,7 @@ def test_the_spread_depends_on_what_is_seen() -> None:
     place, _ = worlds()
     before = agent.distribution(place.seen).log_std.exp()
     assert torch.allclose(before, torch.full_like(before, 0.3), atol=1e-5)
+    assert agent.spread.weight is not None
     torch.nn.init.normal_(agent.spread.weight)
     after = agent.distribution(place.seen).log_std.exp()
     assert float(after.std()) > 0.01

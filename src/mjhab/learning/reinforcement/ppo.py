@@ -135,11 +135,11 @@ class Spread(nn.Module):
         if features:
             begin = math.atanh((begin - self._low) / self._half - 1.0)
         self.bias = nn.Parameter(torch.full((actions,), begin))
-        self.weight = nn.Parameter(torch.zeros(actions, features))
+        self.weight = nn.Parameter(torch.zeros(actions, features)) if features else None
 
     def forward(self, features: Tensor) -> Tensor:
         """(B, A) for features (B, F); (A,) if it depends on nothing."""
-        if not self.weight.shape[1]:
+        if self.weight is None:
             return self.bias
         raw = nn.functional.linear(features, self.weight, self.bias)
         return self._low + self._half * (torch.tanh(raw) + 1.0)

@@ -11,10 +11,9 @@ import torch
 from torch import Tensor
 
 from mjhab.learning.reinforcement import distributed
-from mjhab.learning.reinforcement.demonstrations import (
-    collect_demonstrations,
-    kept_demonstrations,
-)
+from mjhab.learning.reinforcement.demonstrations.expert import collect_demonstrations
+from mjhab.learning.reinforcement.demonstrations.kept import kept_demonstrations
+from mjhab.learning.reinforcement.demonstrations.recorded import replay_recorded
 from mjhab.learning.reinforcement.keeping import (
     optimizer_tensors,
     part_of,
@@ -22,7 +21,6 @@ from mjhab.learning.reinforcement.keeping import (
     restore_optimizer,
 )
 from mjhab.learning.reinforcement.ppo import Ppo, PpoLearner
-from mjhab.learning.reinforcement.recorded import replay_recorded
 from mjhab.learning.reinforcement.replay import ReplayBuffer, ReplayShape
 from mjhab.learning.reinforcement.running import RunningStatistics
 from mjhab.learning.reinforcement.sac import Sac, SacLearner

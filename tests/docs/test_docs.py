@@ -37,7 +37,7 @@ from tests.docs.pages import (
 
 SMALL_VECTOR = {"num_envs": 2}
 SMALL_EVALUATION = {"episodes": 1, "worlds": 1, "films": 0, "horizon": 5}
-SMALL_GENERATION = {"episodes": 1, "per_target": 0, "keep": "", "workers": 0, "horizon": 5}
+SMALL_GENERATION = {"episodes": 1, "per_target": 0, "keep": None, "workers": 0, "horizon": 5}
 WITH_PYTHON = [page for page in PAGES if any(b.language == "python" for b in blocks(page))]
 FILES = {
     "docs/extending.md": ("home/cottage.json", "home/hut.py", "mug/mug.glb"),

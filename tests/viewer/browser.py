@@ -55,7 +55,10 @@ class Browser:
             url,
         )
         self._process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
-        self._socket = connect(self._page_address(), max_size=1 << 28, compression=None)
+        # A browser that draws on a busy processor answers no pings for longer than they are waited for.
+        self._socket = connect(
+            self._page_address(), max_size=1 << 28, compression=None, ping_interval=None
+        )
         self._count = 0
         self.console: list[str] = []
         self.call("Runtime.enable")

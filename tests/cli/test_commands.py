@@ -135,7 +135,15 @@ def test_bad_input(
 def test_doctor(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gl_probe, "renderer_probe", lambda: {"egl": True, "osmesa": False})
     found = machine(capsys, "doctor")
-    assert list(found) == ["python", "mujoco", "renderers", "gpu", "cores", "cache"]
+    assert list(found) == [
+        "python",
+        "mujoco",
+        "renderers",
+        "gpu",
+        "cores",
+        "cache",
+        "memory_cache_mb",
+    ]
     assert found["renderers"] == {"rasterizer": True, "egl": True, "osmesa": False}
     assert found["mujoco"] == "3.17.0" and found["cores"] >= 1
     assert main(["doctor"]) == 0

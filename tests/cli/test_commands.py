@@ -147,7 +147,16 @@ def test_doctor(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPa
         ),
     )
     found = machine(capsys, "doctor")
-    assert list(found) == ["python", "mujoco", "renderers", "gpu", "cores", "cache", "plugins"]
+    assert list(found) == [
+        "python",
+        "mujoco",
+        "renderers",
+        "gpu",
+        "cores",
+        "cache",
+        "memory_cache_mb",
+        "plugins",
+    ]
     assert [plugin["registered"] for plugin in found["plugins"]] == [["subtask 'push'"], []]
     assert found["plugins"][1]["error"] == "E: gone"
     assert found["renderers"] == {"rasterizer": True, "egl": True, "osmesa": False}

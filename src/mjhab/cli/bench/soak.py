@@ -9,7 +9,7 @@ from mjhab.bench.memory_plot import memory_picture
 from mjhab.bench.soak import MAX_GROWTH, soak
 from mjhab.cli.options.env import BenchSoakOptions
 from mjhab.cli.output import at_least, print_json, print_table
-from mjhab.core.cache import write_atomic
+from mjhab.core.files.cache import write_atomic
 
 RESULTS = "soak.json"
 PICTURE = "memory.svg"

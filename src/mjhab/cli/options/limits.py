@@ -23,13 +23,13 @@ INT_RANGES: dict[str, tuple[int, int]] = {
     "threads": (0, 1024),
     "episodes": (0, 100_000_000),
     "films": (0, 10_000),
-    "width": (1, 8192),
-    "height": (1, 8192),
+    "width": (0, 8192),
+    "height": (0, 8192),
     "camera_size": (1, 4096),
-    "port": (0, 65_535),
-    "max_message_mb": (1, 4096),
+    "max_message_mb": (0, 4096),
 }
-"""Least and largest value of options with whole numbers, by name; others are from 0 to `MAX_NUMBER`."""
+"""Least and largest value of options with whole numbers, by name; others are from 0 to `MAX_NUMBER`. Where a command
+needs more than its name says, it says so itself."""
 OUTPUTS = ("out", "page", "export", "log", "record")
 """Options that name what is written."""
 
@@ -56,16 +56,23 @@ def _check(name: str, value: Any) -> None:
         return
     if isinstance(value, int):
         least, most = INT_RANGES.get(name, (0, MAX_NUMBER))
-        if not least <= value <= most:
-            raise UsageError(f"{_shown(name)} must be from {least:,} to {most:,}, got {value}.")
+        _check_range(name, value, least, most)
     elif isinstance(value, float):
-        if not (math.isfinite(value) and 0.0 <= value <= MAX_NUMBER):
-            raise UsageError(f"{_shown(name)} must be from 0 to {MAX_NUMBER:,}, got {value}.")
+        if math.isnan(value):
+            raise UsageError(f"{_shown(name)} must be a number, got {value}.")
+        _check_range(name, value, 0, MAX_NUMBER)
     elif isinstance(value, str | Path):
         most = MAX_PATH_CHARACTERS if isinstance(value, Path) else MAX_TEXT_CHARACTERS
         if name in FILTERS:
             most = MAX_FILTER_CHARACTERS
         _check_text(name, str(value), most)
+
+
+def _check_range(name: str, value: float, least: int, most: int) -> None:
+    if value < least:
+        raise UsageError(f"{_shown(name)} must be at least {least:,}, got {value}.")
+    if value > most:
+        raise UsageError(f"{_shown(name)} must be at most {most:,}, got {value}.")
 
 
 def _check_text(name: str, text: str, most: int) -> None:

@@ -31,7 +31,7 @@ _COMPONENT = {
 _WIDTH = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _TRIANGLES = 4
 MAX_NODE_DEPTH = 100
-MAX_NODES = 100_000
+MAX_NODES = 10_000
 MAX_TEXTURE_PIXELS = 2**26
 """Limits of a file; the largest texture of ReplicaCAD has 2**24 pixels."""
 TO_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])

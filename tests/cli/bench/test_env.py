@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mjhab.bench.reward import auc, figure, summary
-from mjhab.bench.soak import CURVE_POINTS, MemoryCurve
+from mjhab.bench.soak.run import CURVE_POINTS, MemoryCurve
 from mjhab.bench.stages import STAGES
 from mjhab.cli.main import main
 from mjhab.envs.catalog import env_ids
@@ -115,7 +115,7 @@ def test_bench_soak_counts_steps_and_episodes(tmp_path: Path, capsys: pytest.Cap
 
 def test_memory_is_judged_by_its_second_half(monkeypatch: pytest.MonkeyPatch):
     readings = iter([100.0, 200.0, 203.0, 205.0, 207.0])
-    monkeypatch.setattr("mjhab.bench.soak.resident_mb", lambda: next(readings))
+    monkeypatch.setattr("mjhab.bench.soak.run.resident_mb", lambda: next(readings))
     curve = MemoryCurve(4 * CURVE_POINTS)
     for done in (CURVE_POINTS, 2 * CURVE_POINTS, 3 * CURVE_POINTS, 4 * CURVE_POINTS):
         curve.note(done)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from mjhab.bench.memory_plot import memory_picture
-from mjhab.bench.soak import MAX_GROWTH, soak
+from mjhab.bench.soak.memory_plot import memory_picture
+from mjhab.bench.soak.run import MAX_GROWTH, soak
 from mjhab.cli.options.env import BenchSoakOptions
 from mjhab.cli.output import at_least, print_json, print_table
 from mjhab.core.files.cache import write_atomic

@@ -62,7 +62,8 @@ def test_ppo_learns_from_a_rollout() -> None:
         found = env.rollout(8, policy=actor, break_when_any_done=False)
     GAE(gamma=0.97, lmbda=0.95, value_network=critic)(found)
     losses = ClipPPOLoss(actor, critic)(found.reshape(-1))
-    sum(value for name, value in losses.items() if name.startswith("loss_")).backward()
+    total = torch.stack([value for name, value in losses.items() if name.startswith("loss_")]).sum()
+    total.backward()
     assert all(parameter.grad is not None for parameter in layers.parameters())
 
 

@@ -57,7 +57,7 @@ def test_an_env_is_copied_and_pickled_before_it_is_used() -> None:
 def test_worlds_run_in_processes_of_their_own() -> None:
     env = gymnasium.make_vec(ENV_ID, num_envs=2, vectorization_mode="async", **OPTIONS)
     try:
-        obs, info = env.reset(seed=[5, 6])
+        obs, info = env.reset(seed=[5, 6])  # pyright: ignore[reportArgumentType]
         assert env.observation_space.contains(obs)
         assert [spec["seed"] for spec in info["episode_spec"]] == [5, 6]
         _, reward, *_, info = env.step(still(env))

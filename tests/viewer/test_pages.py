@@ -99,7 +99,9 @@ def panels() -> Iterator[tuple[Panels, list[tuple[Any, ...]]]]:
     """Panels of running worlds, and what people did there."""
     server = viser.ViserServer("127.0.0.1", 0, verbose=False)
     told: list[tuple[Any, ...]] = []
-    on = collections.defaultdict(lambda: bool, policy=lambda name: told.append(("policy", name)))
+    on: Any = collections.defaultdict(
+        lambda: bool, policy=lambda name: told.append(("policy", name))
+    )
     yield Panels(server, ["world 0"], ["expert"], others=True, on=on), told
     server.stop()
 

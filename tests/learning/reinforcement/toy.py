@@ -57,6 +57,10 @@ class Toy:
         self.force = np.zeros(worlds)
         self.forces = np.zeros(worlds)
 
+    def link_state(self) -> np.ndarray:
+        """There is no link."""
+        return np.zeros((self.num_envs, 4), np.float32)
+
     @property
     def state(self) -> Any:
         """Joints, for a privileged critic: the place."""

@@ -64,7 +64,7 @@ def compiler(*modules: str, **options: Any) -> Decorator:
             return njit(**settings)(function)
         except RuntimeError:
             # Neither beside the code nor in the user's folder can anything be written.
-            config.CACHE_DIR = str(cache_dir() / "numba")
+            config.CACHE_DIR = str(cache_dir() / "numba")  # pyright: ignore[reportAttributeAccessIssue]
             return njit(**settings)(function)
 
     return decorate

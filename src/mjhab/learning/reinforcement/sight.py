@@ -34,9 +34,13 @@ class SteppedEnv(Protocol):
     """What agents need of an environment; ``state`` is a `sim.protocol.SimState`."""
 
     num_envs: int
-    state: Any
     config: Any
     task_config: Any
+
+    @property
+    def state(self) -> Any:
+        """State of the simulator."""
+        ...
 
     def link_state(self) -> Any:
         """(W, 4) float32, see `Sensing.link_state`."""

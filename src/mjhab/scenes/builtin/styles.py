@@ -242,7 +242,7 @@ def plan_of(macro: int, style: int) -> Plan:
 
 def _floor(macro: int, micro: int) -> Floor:
     style = micro // 10
-    split = next(s for s, m, k, n in ENTRIES if (m, k * 10 + n) == (macro, micro))
+    split: Split = next(s for s, m, k, n in ENTRIES if (m, k * 10 + n) == (macro, micro))
     name = f"{NAME}_m{macro}_{STYLES[style].name}_{micro % 10}"
     return Floor(name, NAME, split, macro, micro, plan_of(macro, style))
 

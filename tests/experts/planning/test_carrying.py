@@ -37,6 +37,7 @@ from mjhab.experts.planning.reach import (
     FAR_BASE_M,
     MAX_OVERREACH_M,
     Scene,
+    Work,
     _overreach,
     base_poses,
     surroundings,
@@ -216,12 +217,13 @@ def test_bases_are_only_where_something_can_be_reached():
     away = goals.pos + 0.5 * np.array([np.cos(view.q[2]), np.sin(view.q[2]), 0.0])
     shifted = type(goals)(away, goals.rot, goals.pre, goals.opening, goals.score)
     for wanted, far in itertools.product((goals, shifted), (False, True)):
-        bases, steps = base_poses(view, goal, scene, wanted, 0.0, None, far)
+        work = Work(point=goal, goals=wanted, scene=scene, far=far)
+        bases, steps = base_poses(view, work)
         assert len(bases) and np.isfinite(steps).all()
         assert (_overreach(ROBOT.reach, bases, wanted).min(axis=1) < MAX_OVERREACH_M).all()
     # Far off only where there is no other way, or to save one.
-    near_by = base_poses(view, goal, scene, goals, 0.0, None, False)
-    anywhere = base_poses(view, goal, scene, goals, 0.0, None, True)
+    near_by = base_poses(view, Work(point=goal, goals=goals, scene=scene))
+    anywhere = base_poses(view, Work(point=goal, goals=goals, scene=scene, far=True))
     moved = np.linalg.norm(near_by[0][:, :2] - view.q[:2], axis=1) > 1e-9
     assert (
         moved.any()

@@ -217,7 +217,8 @@ def test_bases_are_only_where_something_can_be_reached():
     away = goals.pos + 0.5 * np.array([np.cos(view.q[2]), np.sin(view.q[2]), 0.0])
     shifted = type(goals)(away, goals.rot, goals.pre, goals.opening, goals.score)
     for wanted, far in itertools.product((goals, shifted), (False, True)):
-        bases, steps = base_poses(view, Work(point=goal, goals=wanted, scene=scene, far=far))
+        work = Work(point=goal, goals=wanted, scene=scene, far=far)
+        bases, steps = base_poses(view, work)
         assert len(bases) and np.isfinite(steps).all()
         assert (_overreach(ROBOT.reach, bases, wanted).min(axis=1) < MAX_OVERREACH_M).all()
     # Far off only where there is no other way, or to save one.

@@ -185,7 +185,6 @@ def test_a_policy_of_another_profile_sees_and_moves_as_there_by_our_rules() -> N
     assert scored_options(trained) == {
         "camera_size": 32,
         "profile": "mjhab",
-        "cameras": ("fetch_head", "fetch_hand"),
         "stationary": ("head",),
     }
 

@@ -13,9 +13,9 @@ from mjhab.core.errors import UsageError
 from mjhab.learning.by_subtask import Entry, PoliciesBySubtask, entries_text, read_entries
 
 PLAN = [
-    {"kind": "navigate", "target": "024_bowl-0"},
-    {"kind": "pick", "target": "024_bowl-0"},
-    {"kind": "pick", "target": "013_apple-0"},
+    {"kind": "navigate", "target": "024_bowl_:0000"},
+    {"kind": "pick", "target": "024_bowl_:0000"},
+    {"kind": "pick", "target": "013_apple_:0000"},
 ]
 
 

@@ -122,6 +122,6 @@ class Gaze:
         x, y = point[:2] - base[BASE_XY]
         here = np.array([c * x + s * y, c * y - s * x, point[2] - self._robot.base_height])
         torso = self._robot.torso_columns
-        lift = float(view.q[torso[0]]) if torso else 0.0
+        lift = float(view.q[list(torso)].sum())
         angles = neck.angles(here, lift)
         return self._rest if angles is None else np.clip(angles, self._low, self._high)

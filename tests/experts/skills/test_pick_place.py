@@ -310,5 +310,5 @@ def test_a_grasp_out_of_reach_from_where_the_base_stays_is_given_up(
     monkeypatch.setattr(pick_module, "_let_go", at_once)
     monkeypatch.setattr(pick_module, "style_of", lambda view: SimpleNamespace(grasp=ANY))
     monkeypatch.setattr(pick_module.motion, "hold", hold)
-    assert next(pick_module.fetch(SimpleNamespace(steps_left=0), "024_bowl_:0000")).shape == (13,)  # type: ignore[arg-type]
+    assert next(pick_module.pick_up(SimpleNamespace(steps_left=0), "024_bowl_:0000")).shape == (13,)  # type: ignore[arg-type]
     assert plans == [0, 0, 1]

@@ -200,7 +200,7 @@ class BenchWindowsOptions(WindowsSpec):
     chunk: Annotated[int, tyro.conf.arg(metavar="N")] = WindowsSpec.chunk
     """Actions in a window."""
     images: Annotated[tuple[str, ...], tyro.conf.arg(metavar="CAMERA/OUTPUT ...")] = ()
-    """Which images, e.g. fetch_head/depth; all that the first episode has if absent."""
+    """Which images, as CAMERA/depth; all that the first episode has if absent."""
     batch: Annotated[int, tyro.conf.arg(metavar="N")] = WindowsSpec.batch
     """Windows in a batch."""
     seconds: Annotated[float, tyro.conf.arg(metavar="S")] = WindowsSpec.seconds

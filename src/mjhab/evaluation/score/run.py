@@ -165,7 +165,8 @@ def scored_options(facts: PolicyFacts) -> dict[str, Any]:
     profile = profile_named(asked.pop("profile", DEFAULT_PROFILE))
     if profile.name == DEFAULT_PROFILE:
         return asked
-    of_profile = {name: getattr(profile, name) for name in FREE_OPTIONS & set(vars(profile))}
+    values = profile.options("", trains=False)
+    of_profile = {name: values[name] for name in FREE_OPTIONS & set(values)}
     return {"profile": DEFAULT_PROFILE, **of_profile, **asked}
 
 

@@ -141,7 +141,7 @@ def _chunks(path: Path) -> tuple[dict[str, Any], bytes]:
             f"{path}: the JSON chunk is broken ({error}); download the file again."
         ) from error
     if not isinstance(document, dict):
-        raise UsageError(f"{path}: the JSON chunk is no object; fetch the file again.")
+        raise UsageError(f"{path}: the JSON chunk is no object; download the file again.")
     return document, found.get(b"BIN\0", b"")
 
 

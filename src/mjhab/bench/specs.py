@@ -127,9 +127,9 @@ class ViewSpec:
 
 @dataclass(frozen=True)
 class LearnerSpec:
-    """`learner.measure_learner`: PPO in ``worlds`` worlds (0: those of its preset), SAC with each of ``batches``."""
+    """`learner.measure_learner`: PPO in ``worlds`` worlds (None: those of its preset), SAC with each of ``batches``."""
 
-    worlds: int = 0
+    worlds: int | None = None
     batches: tuple[int, ...] = (256, 512)
     rounds: int = 3
     updates: int = 20

@@ -200,8 +200,8 @@ class TrainDaggerOptions(TrainOptions):
 class BenchLearnerOptions(LearnerSpec):
     """Measure reinforcement: control steps/s of PPO beside its environment alone, updates/s of SAC."""
 
-    worlds: Number = LearnerSpec.worlds
-    """Worlds of PPO; 0 for those of preset fast."""
+    worlds: MaybeNumber = LearnerSpec.worlds
+    """Worlds of PPO; those of preset fast if absent."""
     batches: Numbers = LearnerSpec.batches
     """Sizes of the batches of SAC, measured one after the other."""
     rounds: Number = LearnerSpec.rounds

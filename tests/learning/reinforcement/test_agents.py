@@ -126,7 +126,7 @@ def test_the_spread_depends_on_what_is_seen() -> None:
     before = agent.distribution(place.seen).log_std.exp()
     assert torch.allclose(before, torch.full_like(before, 0.3), atol=1e-5)
     assert agent.spread.weight is not None
-    torch.nn.init.normal_(agent.spread.weight, std=0.05)
+    torch.nn.init.normal_(agent.spread.weight, std=0.2)
     after = agent.distribution(place.seen).log_std.exp()
     assert float(after.std()) > 0.01
     assert float(after.min()) >= LEAST_STD - 1e-6 and float(after.max()) <= MOST_STD + 1e-6

@@ -9,7 +9,7 @@ DEMO_OUT := runs/demo
 DEMO_STUDENT_OUT := runs/demo-student
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo demo-student test test-generate test-lerobot test-lerobot-env test-vla-eval test-ray test-sb3 test-rsl-rl test-browser docs check format bench gpu-report clean distclean
+.PHONY: help setup demo demo-student test test-generate test-lerobot test-lerobot-env test-vla-eval test-ray test-sb3 test-rsl-rl test-browser test-wheel docs check format bench gpu-report clean distclean test-docs test-torchrl gpu-train
 
 help:  ## show this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-16s %s\n", $$1, $$2}'
@@ -40,8 +40,7 @@ $(VENV)/.learn: $(SETUP_FILES) | $(BIN)/python
 setup: $(VENV)/.dev  ## install mjhab and its development tools into .venv
 
 demo: $(VENV)/.core  ## a Fetch robot does SetTable in furnished homes; films and report in runs/demo
-	$(BIN)/mjhab eval --task set_table --policy expert --episodes 4 --worlds 4 --seed 0 --films 4 --out $(DEMO_OUT) --overwrite
-	@echo "Open in a browser (no network needed): $(CURDIR)/$(DEMO_OUT)/report.html"
+	$(BIN)/mjhab demo --out $(DEMO_OUT)
 
 demo-student: $(VENV)/.learn  ## a policy that learned from what the robot sees closes a drawer; films in runs/demo-student
 	$(BIN)/mjhab eval --policy student --task set_table --subtask close --target kitchen_counter/drawer3 --split val \
@@ -114,6 +113,10 @@ BROWSER_OUT := runs/browser
 test-browser: $(VENV)/.dev  ## the viewer in headless Chromium (must be installed); pictures in runs/browser
 	PYTHONPATH=src:. $(BIN)/python tests/viewer/check_browser.py $(BROWSER_OUT)
 
+DOCS_OUT := runs/docs
+test-docs: $(VENV)/.dev  ## run the commands of the documentation with small numbers, page by page; in runs/docs
+	PYTHONPATH=src:. $(BIN)/python tests/docs/check_commands.py $(DOCS_OUT)
+
 DOCS := .venv-docs
 $(DOCS)/.ready: docs/requirements.txt
 	@echo "mjhab: installing mkdocs into $(DOCS), once"
@@ -124,6 +127,21 @@ $(DOCS)/.ready: docs/requirements.txt
 docs: $(DOCS)/.ready  ## the documentation as a site, with a reference made of docstrings, in runs/site
 	$(DOCS)/bin/mkdocs build --clean
 	@echo "Open in a browser (no network needed): $(CURDIR)/runs/site/index.html"
+
+WHEEL := .venv-wheel
+WHEEL_OUT := runs/wheel
+$(WHEEL)/.ready: $(SETUP_FILES) $(shell find src -type f -not -name '*.pyc' -not -path '*.egg-info*') | $(BIN)/python
+	@echo "mjhab: building a wheel and installing it, and nothing else, into $(WHEEL)"
+	@rm -rf $(WHEEL) $(WHEEL_OUT) build && mkdir -p $(WHEEL_OUT)
+	@$(PIP) wheel -q --no-deps --wheel-dir $(WHEEL_OUT) .
+	@"$(PYTHON)" -m venv $(WHEEL)
+	@$(WHEEL)/bin/python -m pip install -q --disable-pip-version-check -c constraints.txt $(WHEEL_OUT)/mjhab-*.whl
+	@touch $@
+
+test-wheel: $(WHEEL)/.ready  ## the package without its checkout: demo, report, homes, package data
+	@# From another folder and without the paths of this one, so that nothing of the checkout can be imported.
+	cd / && env -u PYTHONPATH $(CURDIR)/$(WHEEL)/bin/python -I $(CURDIR)/tests/packaging/check_wheel.py \
+	  $(CURDIR)/src/mjhab $(CURDIR)/$(WHEEL_OUT)/demo
 
 SB3 := .venv-sb3
 $(SB3)/.ready: $(SETUP_FILES) | $(BIN)/python
@@ -147,6 +165,17 @@ $(RSL_RL)/.ready: $(SETUP_FILES) | $(BIN)/python
 test-rsl-rl: $(RSL_RL)/.ready  ## rsl_rl trains in our environments
 	$(RSL_RL)/bin/python -m pytest tests/adapters/check_rsl_rl.py $(PYTEST_ARGS)
 
+TORCHRL := .venv-torchrl
+$(TORCHRL)/.ready: $(SETUP_FILES) | $(BIN)/python
+	@echo "mjhab: installing torchrl into $(TORCHRL), once"
+	@"$(PYTHON)" -m venv $(TORCHRL)
+	@$(TORCHRL)/bin/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[learn]' pytest \
+	  torchrl==0.14.1 tensordict==0.15.3
+	@touch $@
+
+test-torchrl: $(TORCHRL)/.ready  ## torchrl trains in our environments
+	$(TORCHRL)/bin/python -m pytest tests/adapters/check_torchrl.py $(PYTEST_ARGS)
+
 check: $(VENV)/.dev  ## lint, format, types and the import rule
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -163,9 +192,16 @@ bench: $(VENV)/.core  ## control steps per second of the engine and of the envir
 gpu-report: $(VENV)/.dev  ## measure the warp backend, on a GPU if there is one; writes docs/results/gpu-*.json
 	$(BIN)/python -m mjhab.bench.gpu_report docs/results
 
+GPU_TRAIN_OUT ?= runs/gpu-train
+MINUTES ?= 10
+TRAIN_ARGS ?=
+gpu-train: $(VENV)/.dev  ## train the ten rows of Table 1 by reinforcement, MINUTES=10 each, on a GPU if there is one
+	$(BIN)/mjhab reproduce table1 --column rl_all --preset fast --backend auto --budget-minutes $(MINUTES) \
+	  --out $(GPU_TRAIN_OUT) $(if $(wildcard $(GPU_TRAIN_OUT)/config.json),--resume) $(TRAIN_ARGS)
+
 clean:  ## remove caches and build products (runs and .venv stay)
 	rm -rf build dist .pytest_cache .ruff_cache .hypothesis
 	find src tests -name __pycache__ -type d -prune -exec rm -rf {} +
 
 distclean: clean  ## also remove .venv
-	rm -rf $(VENV) $(LEROBOT) $(LEROBOT_ENV) $(VLA) $(RAY) $(DOCS) src/*.egg-info
+	rm -rf $(VENV) $(LEROBOT) $(LEROBOT_ENV) $(VLA) $(RAY) $(DOCS) $(WHEEL) $(SB3) $(RSL_RL) $(TORCHRL) src/*.egg-info

@@ -39,7 +39,7 @@ ALLOWED: dict[str, frozenset[str]] = {
     "learning": frozenset({"core", "tasks", "config", "episodes", "envs", "experts"})
     | {"rollout", "data", "reports", "evaluation"},
     "viewer": _RUN,
-    "bench": _RUN | {"assets", "learning"},
+    "bench": _RUN | {"assets", "learning", "viewer"},
     "cli": _RUN | {"assets", "learning", "viewer", "bench"},
 }
 """Package to the packages it may import, besides itself."""

@@ -14,7 +14,7 @@ import pytest
 
 from mjhab.assets.install import RECORD, Progress, fetch, read_record, verify
 from mjhab.assets.sources import SOURCES, hub_endpoint, source_named
-from mjhab.assets.transfer import TRIES, TransferError, pause
+from mjhab.assets.transfer import FIRST_TIMEOUT, TRIES, TransferError, pause
 from mjhab.core.errors import UsageError
 from tests.assets.hub_server import COMMIT, FakeHub
 
@@ -166,7 +166,8 @@ def test_a_dead_hub_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     count = Count()
     with pytest.raises(TransferError, match=r"127\.0\.0\.1:9.*the connection failed.*proxy"):
         fetch(SOURCE, tmp_path, progress=count.progress())
-    assert len(count.waits) == TRIES and sum(count.waits) <= 180
+    # Nobody waits long to hear that there is no network; a server that was reached gets TRIES.
+    assert sum(count.waits) + FIRST_TIMEOUT <= 5
 
 
 def test_a_repository_with_other_files_is_refused(hub: FakeHub, tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 from typing import Any, cast
 
@@ -16,6 +17,8 @@ from mjhab.bench import engine as bench
 from mjhab.bench import grasp as grasp_bench
 from mjhab.cli.machine import doctor
 from mjhab.cli.main import main
+from mjhab.cli.policies import evaluate
+from mjhab.core.machine import pip_install
 from mjhab.core.registration.plugins import Plugin
 from mjhab.render import gl_probe, views
 from tests.rollout.fake_env import FakeEnv
@@ -144,7 +147,16 @@ def test_doctor(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPa
         ),
     )
     found = machine(capsys, "doctor")
-    assert list(found) == ["python", "mujoco", "renderers", "gpu", "cores", "cache", "plugins"]
+    assert list(found) == [
+        "python",
+        "mujoco",
+        "renderers",
+        "gpu",
+        "cores",
+        "cache",
+        "memory_cache_mb",
+        "plugins",
+    ]
     assert [plugin["registered"] for plugin in found["plugins"]] == [["subtask 'push'"], []]
     assert found["plugins"][1]["error"] == "E: gone"
     assert found["renderers"] == {"rasterizer": True, "egl": True, "osmesa": False}
@@ -153,6 +165,35 @@ def test_doctor(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPa
     out = capsys.readouterr().out
     assert "libosmesa6" in out and "gymnasium-robotics" in out and "cache" in out
     assert "subtask 'push'" in out and "could not be loaded: E: gone" in out
+
+
+def test_doctor_knows_all_extras() -> None:
+    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
+    extras = set(project["optional-dependencies"]) - {"all", "dev"}
+    assert set(doctor.EXTRAS) == extras
+    assert pip_install("view").startswith((sys.executable, "uv "))
+
+
+def test_tables_are_whole_where_nobody_sees_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["envs", "describe", "mjhab/CloseSubtaskTrain-v1", "--obs", "depth"]) == 0
+    text = capsys.readouterr().out
+    assert "…" not in text and "sensor_param/fetch_head/extrinsic_cv" in text
+
+
+def test_a_reader_may_stop_early() -> None:
+    command = (
+        f"{sys.executable} -m mjhab.cli.main envs describe mjhab/PickSubtaskTrain-v1 | head -1"
+    )
+    done = subprocess.run(command, shell=True, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0 and done.stderr == "" and done.stdout.count("\n") == 1
+
+
+def test_demo_is_an_evaluation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[Any] = []
+    monkeypatch.setattr(evaluate, "run_eval", lambda options: asked.append(options) or 0)
+    assert main(["demo", "--out", str(tmp_path), "--json"]) == 0
+    assert (asked[0].task, asked[0].episodes, asked[0].policy) == ("set_table", 4, "expert")
+    assert asked[0].json and asked[0].overwrite and asked[0].out == tmp_path
 
 
 def test_doctor_fails_without_the_right_mujoco(

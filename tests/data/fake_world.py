@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
@@ -39,6 +39,7 @@ class FakeConfig:
     assets: str = "builtin"
     obs_mode: str = "state"
     runs_to_horizon: bool = False
+    has_flat_keys: ClassVar[bool] = True
     handle_points: str = "ours"
     control_mode: str = "pd_joint_delta_pos"
     base: str = "forward"
@@ -49,8 +50,8 @@ class _Sim:
     def __init__(self, env: FakeEnv) -> None:
         self._env = env
         starts = {
-            "robot_q": [0, 1],
-            "robot_v": [0, 1],
+            "robot_q": [0, 1, 2],
+            "robot_v": [0, 1, 2],
             "object_q": [2],
             "object_v": [2],
             "link_q": [9],

@@ -17,10 +17,10 @@ from mjhab.core.errors import UsageError
 from mjhab.core.rotations import mat_from_quat
 from mjhab.envs.observations import (
     Views,
+    camera_table,
     image_size,
     intrinsic_matrix,
     mode_outputs,
-    observation_table,
     state_table,
 )
 from mjhab.envs.parts.observing import Observer
@@ -322,7 +322,7 @@ def synthetic(depth: np.ndarray, base: tuple[float, float, float]) -> Views:
 
 
 def row_of(key: str):
-    table = observation_table(ROBOT, ("depth", "pointcloud"), ("fetch_head",), (2, 4))
+    table = camera_table(ROBOT, ("depth", "pointcloud"), ("fetch_head",), (2, 4))
     return next(entry for entry in table if entry.key == key)
 
 

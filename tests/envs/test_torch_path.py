@@ -13,7 +13,7 @@ import mjhab.envs as envs
 from mjhab.core.arrays import map_record, to_numpy
 from mjhab.core.errors import UsageError
 from mjhab.envs.device.fields import GoalFields
-from mjhab.envs.observations import Views, state_observation
+from mjhab.envs.observations import Views, state_observation, state_table
 from mjhab.envs.parts.nav_distance import NavDistance
 from mjhab.envs.parts.plan_tables import Rows, look_up
 from mjhab.envs.parts.rewarding import Rewarder, RewardInputs
@@ -186,7 +186,7 @@ class Follower:
             "reward": reward,
             "terms": terms,
             "context": context,
-            "obs": state_observation(self.robot, context),
+            "obs": state_observation(state_table(self.robot), context),
             "tcp": self.sensing.tcp_pose(state),
             "label": labels.label(self.notes, signals.kind),
             "events": events.edge_events(signals.kind, before.now, label_state.watch(signals)),
@@ -210,7 +210,7 @@ def test_the_signs_of_quaternions_do_not_matter(
     sensing = Sensing(env.layout, env.sim.addresses, WORLDS, like)
     seen = [
         state_observation(
-            env.layout.robot,
+            state_table(env.layout.robot),
             sensing.context(
                 as_torch(each, dtype), as_torch(env.focus, dtype), as_torch(env.signals, dtype)
             ),
@@ -220,7 +220,7 @@ def test_the_signs_of_quaternions_do_not_matter(
     np.testing.assert_allclose(to_numpy(seen[0]), to_numpy(seen[1]), atol=2e-5)
     assert env.signals is not None
     on_numpy = state_observation(
-        env.layout.robot, env.sensing.context(state, env.focus, env.signals)
+        state_table(env.layout.robot), env.sensing.context(state, env.focus, env.signals)
     )["state"]
     np.testing.assert_allclose(to_numpy(seen[0]), on_numpy, atol=2e-5)
 

@@ -19,9 +19,10 @@ from mjhab.evaluation.score.capabilities import CAPABILITIES, profile
 from mjhab.evaluation.score.leaderboard import leaderboard
 from mjhab.evaluation.score.manifest import DRAWER, Row, manifest
 from mjhab.evaluation.score.result import Result, digest_of, read_result, summary_of, write_result
-from mjhab.evaluation.score.run import ScoreSpec, check, check_rules, score
+from mjhab.evaluation.score.run import ScoreSpec, check, check_rules, score, scored_options
 from mjhab.rollout.records import SubtaskRecord
 
+ALL_ROWS = manifests.TRACKS["subtasks"]
 ROWS = (Row("set_table", "close", DRAWER, 2), Row("tidy_house", "navigate", episodes=1))
 
 
@@ -145,7 +146,9 @@ def test_starts_tell_episodes_from_others(
     assert other["other_starts"] == 1 and not other["complete"]
 
 
-def test_the_starts_of_the_package_fit_its_rows() -> None:
+def test_the_starts_of_the_package_fit_its_rows(monkeypatch: pytest.MonkeyPatch) -> None:
+    # What `small` has changed for other tests may still be so.
+    monkeypatch.setitem(manifests.TRACKS, "subtasks", ALL_ROWS)
     for name, rows in json.loads(manifests.STARTS_FILE.read_text()).items():
         asked = manifest(*name.split("/"))
         lengths = {row.name: row.episodes for row in asked.rows}
@@ -170,13 +173,23 @@ def test_actions_come_back_and_are_played_to_their_end() -> None:
 
 def test_other_rules_are_refused() -> None:
     check_rules(PolicyFacts("fine", env_options={"obs_mode": "rgb", "profile": "mjhab"}))
-    for options in ({"profile": "ms_hab"}, {"force_limits": False}):
-        with pytest.raises(UsageError, match="by the rules of the profile mjhab"):
-            check_rules(PolicyFacts("sly", env_options=options))
+    with pytest.raises(UsageError, match="by the rules of the profile mjhab"):
+        check_rules(PolicyFacts("sly", env_options={"force_limits": False}))
     with pytest.raises(UsageError, match="unknown track"):
         manifest("subtask", "test")
     with pytest.raises(UsageError, match="unknown split"):
         manifest("subtasks", "tset")
+
+
+def test_a_policy_of_another_profile_sees_and_moves_as_there_by_our_rules() -> None:
+    plain = PolicyFacts("plain", env_options={"obs_mode": "rgb", "profile": "mjhab"})
+    assert scored_options(plain) == {"obs_mode": "rgb"}
+    trained = PolicyFacts("trained", env_options={"camera_size": 32, "profile": "ms_hab"})
+    assert scored_options(trained) == {
+        "camera_size": 32,
+        "profile": "mjhab",
+        "stationary": ("head",),
+    }
 
 
 def test_the_profile_counts_what_tells_something() -> None:

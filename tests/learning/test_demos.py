@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 
 from mjhab.core.errors import UsageError
 from mjhab.data.select.query import Filter
+from mjhab.data.select.until import Until
 from mjhab.data.store.images import ImageFormat
 from mjhab.data.store.reading import episodes
 from mjhab.learning.configs import InputConfig
 from mjhab.learning.demos import (
     BatchSampler,
     base_velocity,
-    kept_steps,
     layout_of_data,
     load_demonstrations,
     nearness,
@@ -33,7 +33,7 @@ from tests.learning.small import INPUTS, demonstrations
 def test_a_demonstration_ends_some_steps_after_its_first_success(
     success: list[bool], hold: int
 ) -> None:
-    kept = kept_steps(np.array(success, np.uint8), hold)
+    kept = Until(hold).steps(np.array(success, np.uint8))
     if hold < 0 or not any(success):
         assert kept == len(success)
     else:

@@ -25,7 +25,8 @@ from tests.data.fake_world import FakeEnv
 from tests.data.make import record
 from tests.learning.small import INPUTS, config, fake_env, layout, train_config
 
-BOTH = dataclasses.replace(INPUTS, cameras=MS_HAB.cameras)
+CAMERAS = ("fetch_head", "fetch_hand")
+BOTH = dataclasses.replace(INPUTS, cameras=CAMERAS)
 CLOSE: dict[str, Any] = {"task": "set_table", "subtask": "close", "profile": "ms_hab"}
 
 

@@ -11,10 +11,14 @@ import numpy as np
 import pytest
 import torch
 
+from mjhab.core.errors import UsageError
 from mjhab.data.store.reading import episodes
 from mjhab.learning.checkpoint import load_checkpoint, load_student
-from mjhab.learning.configs import DaggerConfig, InputConfig, TrainConfig
+from mjhab.learning.configs import DaggerConfig, InputConfig, NetworkConfig, TrainConfig
 from mjhab.learning.demos import recorded_profile
+from mjhab.learning.reinforcement.configs import RLPD, ReinforcementConfig, SacConfig
+from mjhab.learning.reinforcement.session import ReinforcementRequest
+from mjhab.learning.reinforcement.train import train_reinforcement
 from mjhab.learning.runs.collection import Means, Scene
 from mjhab.learning.runs.session import Request
 from mjhab.learning.runs.train import train
@@ -65,6 +69,51 @@ def test_a_run_leaves_a_student_data_and_an_evaluation(run: tuple[Path, Request]
     assert 'id="loss-plot"' in page and 'src="http' not in page
     first, second = (list(episodes(out / "data" / f"round_00{number}")) for number in range(2))
     assert len(first) == len(second) == 1
+
+
+def test_rlpd_learns_from_recorded_episodes_with_rewards_of_its_own(
+    run: tuple[Path, Request], tmp_path: Path
+) -> None:
+    out, _ = run
+    told = ReinforcementRequest(
+        ReinforcementConfig(
+            RLPD,
+            "tiny",
+            InputConfig(cameras=(), image_size=0, previous_action=False, link_state=True),
+            NetworkConfig(hidden=16, layers=1),
+            sac=SacConfig(batch=8, warm_up=4, capacity=64, demonstrations=1),
+            samples=8,
+            worlds=2,
+        ),
+        SCENE,
+        threads=1,
+        eval_episodes=0,
+        round_episodes=0,
+        data=(out / "data",),
+    )
+    with pytest.raises(UsageError, match="reward_mode sparse instead of normalized_dense"):
+        train_reinforcement(told, tmp_path / "refused")
+    told = dataclasses.replace(told, recompute_rewards=True)
+    result = train_reinforcement(told, tmp_path / "run")
+    assert result.summary["demonstrations"] == 2
+    kept = tmp_path / "run" / "demonstrations"
+    position = json.loads((kept / "complete.json").read_text(encoding="utf-8"))["position"]
+    recorded = [
+        episode for part in (0, 1) for episode in episodes(out / "data" / f"round_00{part}")
+    ]
+    # The first control step only leads into the recorded episode; an entry with what was seen last ends it.
+    assert sum(position) == sum(episode.steps for episode in recorded)
+    begins, reward = (np.load(kept / f"{name}.npy") for name in ("begins", "reward"))
+    assert begins.sum() == sum(episode.steps - 1 for episode in recorded)
+    paid = reward[begins]
+    assert 0.0 < paid.min() < 0.5 < paid.max() <= 1.0
+    vector = np.load(kept / "vector.npy")
+    state = vector[0, 0, :42]
+    assert any(np.allclose(state, episode.array("obs/state")[1], atol=1e-5) for episode in recorded)
+    # The drawer is open at first and shut in the end; its heading is a direction.
+    link = vector[0, : np.argmin(begins[0]) + 1, 42:46]
+    assert link[0, 0] > 0.8 and link[-1, 0] < 0.01 and link[:, 1].min() < -0.05
+    np.testing.assert_allclose(np.linalg.norm(link[:, 2:], axis=1), 1.0, atol=1e-5)
 
 
 def test_what_was_collected_says_who_acted(run: tuple[Path, Request]) -> None:

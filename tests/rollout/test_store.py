@@ -123,7 +123,7 @@ def test_resume_of_a_folder_that_is_no_run(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="nothing to resume"):
         RunFolder.open(tmp_path, CONFIG, resume=True)
     (tmp_path / "config.json").write_text("{")
-    with pytest.raises(UsageError, match="not JSON"):
+    with pytest.raises(UsageError, match="not valid JSON"):
         RunFolder.open(tmp_path, CONFIG, resume=True)
 
 

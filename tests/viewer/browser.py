@@ -20,7 +20,9 @@ from PIL import Image
 from websockets.sync.client import connect
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
-START_SECONDS = 30.0
+START_SECONDS = 60.0
+ANSWER_SECONDS = 180.0
+"""Longest wait for an answer of the page; a frame is drawn by the processor, which may be busy."""
 
 
 def find_browser() -> str | None:
@@ -35,7 +37,7 @@ class Browser:
         url: what to open. size: of the window [px].
     """
 
-    def __init__(self, url: str, size: tuple[int, int] = (1400, 900)) -> None:
+    def __init__(self, url: str, size: tuple[int, int] = (960, 640)) -> None:
         program = find_browser()
         assert program is not None, "no Chromium is installed"
         self._folder = tempfile.TemporaryDirectory()
@@ -53,7 +55,10 @@ class Browser:
             url,
         )
         self._process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
-        self._socket = connect(self._page_address(), max_size=1 << 28, compression=None)
+        # A browser that draws on a busy processor answers no pings for longer than they are waited for.
+        self._socket = connect(
+            self._page_address(), max_size=1 << 28, compression=None, ping_interval=None
+        )
         self._count = 0
         self.console: list[str] = []
         self.call("Runtime.enable")
@@ -76,7 +81,7 @@ class Browser:
         number = self._count
         self._socket.send(json.dumps({"id": number, "method": method, "params": params}))
         while True:
-            message = json.loads(self._socket.recv(timeout=60.0))
+            message = json.loads(self._socket.recv(timeout=ANSWER_SECONDS))
             if message.get("id") == number:
                 assert "error" not in message, message
                 return message["result"]

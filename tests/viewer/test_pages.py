@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import collections
 import json
 import shutil
 import socket
@@ -13,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import viser
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
@@ -20,6 +22,7 @@ from mjhab.core.errors import UsageError
 from mjhab.data.store.shard import ShardWriter
 from mjhab.viewer.pages.app import Viewer
 from mjhab.viewer.pages.gateway import HAND_PATH
+from mjhab.viewer.pages.panels import Panels
 from mjhab.viewer.sources.replay import Replay
 from tests.viewer.conftest import STEPS
 
@@ -91,6 +94,37 @@ def test_panels_tell_of_the_state(viewer: Viewer) -> None:
     assert viewer.source.track is viewer.playhead.track is not track
 
 
+@pytest.fixture
+def panels() -> Iterator[tuple[Panels, list[tuple[Any, ...]]]]:
+    """Panels of running worlds, and what people did there."""
+    server = viser.ViserServer("127.0.0.1", 0, verbose=False)
+    told: list[tuple[Any, ...]] = []
+    on: Any = collections.defaultdict(
+        lambda: bool, policy=lambda name: told.append(("policy", name))
+    )
+    yield Panels(server, ["world 0"], ["expert"], others=True, on=on), told
+    server.stop()
+
+
+def test_policies_can_be_typed_in(panels: tuple[Panels, list[tuple[Any, ...]]]) -> None:
+    page, told = panels
+    page._take_policy("")
+    page._take_policy("ws://localhost:8000")
+    page._take_policy("ws://localhost:8000")
+    assert told == [("policy", "ws://localhost:8000")] * 2
+    assert page._policy.options == ("expert", "ws://localhost:8000")
+
+
+def test_cameras_are_those_of_the_pictures(panels: tuple[Panels, list[tuple[Any, ...]]]) -> None:
+    page, _ = panels
+    picture = np.zeros((8, 8, 3), np.uint8)
+    page.show_images({"eye": picture})
+    page.show_images({"eye": picture + 1})
+    assert [image.label for image in page._images.values()] == ["eye"]
+    page.show_images({"left_eye": picture, "hand": picture})
+    assert [image.label for image in page._images.values()] == ["left eye", "hand"]
+
+
 def test_an_episode_that_cannot_be_shown_is_told_in_the_page(
     viewer: Viewer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -128,8 +162,6 @@ def until(holds: Callable[[], Any], seconds: float = 5.0) -> None:
 
 
 def test_messages_of_viser_pass(viewer: Viewer) -> None:
-    import viser
-
     url = f"ws://localhost:{viewer.port}/"
     protocol: Any = f"viser-v{viser.__version__}"
     with connect(url, subprotocols=[protocol], compression=None, max_size=1 << 26) as page:

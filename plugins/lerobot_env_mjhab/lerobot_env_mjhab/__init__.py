@@ -11,7 +11,7 @@ from typing import Any
 import gymnasium
 from lerobot.configs.types import FeatureType, PolicyFeature
 from lerobot.envs.configs import EnvConfig
-from lerobot.utils.constants import ACTION, OBS_IMAGES, OBS_STATE
+from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_IMAGES, OBS_STATE
 
 from mjhab.integrations.lerobot import CAMERAS, FPS, LeRobotEnv, LeRobotOptions
 
@@ -33,18 +33,26 @@ class MjhabEnvConfig(EnvConfig):
     features_map: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        from mjhab.envs.observations import STATE_DIM
+        from mjhab.envs.observations import state_dim, unsensed_table
         from mjhab.evaluation.served.action_spaces import ActionReader, space_named
         from mjhab.robots.controllers import make_controller
+        from mjhab.robots.registry import robot_named
 
+        robot = robot_named()
+        unsensed = sum(entry.shape[0] for entry in unsensed_table(robot))
         table = make_controller(space_named(self.actions).control_mode).table
         width = len(ActionReader(self.actions, table).names)
         shape = (self.image_size, self.image_size, 3)
         self.features = {
             ACTION: PolicyFeature(type=FeatureType.ACTION, shape=(width,)),
-            "agent_pos": PolicyFeature(type=FeatureType.STATE, shape=(STATE_DIM,)),
+            "agent_pos": PolicyFeature(type=FeatureType.STATE, shape=(state_dim(robot, own=True),)),
+            "environment_state": PolicyFeature(type=FeatureType.ENV, shape=(unsensed,)),
         }
-        self.features_map = {ACTION: ACTION, "agent_pos": OBS_STATE}
+        self.features_map = {
+            ACTION: ACTION,
+            "agent_pos": OBS_STATE,
+            "environment_state": OBS_ENV_STATE,
+        }
         for camera in CAMERAS:
             key = f"pixels/{camera}"
             self.features[key] = PolicyFeature(type=FeatureType.VISUAL, shape=shape)

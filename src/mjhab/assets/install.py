@@ -25,6 +25,7 @@ from mjhab.assets.sources import Source, hub_endpoint
 from mjhab.assets.transfer import download
 from mjhab.core.errors import UsageError
 from mjhab.core.files.cache import write_atomic
+from mjhab.core.files.reading import parse_json
 
 RECORD = ".mjhab-asset.json"
 FORMAT = "mjhab-asset-1"
@@ -146,7 +147,7 @@ def read_record(folder: Path) -> dict[str, Any] | None:
     if not path.is_file():
         return None
     try:
-        body = json.loads(path.read_text(encoding="utf-8"))
+        body = parse_json(path.read_bytes())
         if body["format"] != FORMAT:
             raise ValueError(f"field 'format' must be {FORMAT!r}")
         for name, row in body["files"].items():

@@ -27,6 +27,10 @@ WRONG_COSTS = 3
 """A whole file with wrong bytes counts as so many tries: it may be large."""
 TIMEOUT = 30.0
 """Longest silence of a server [s]."""
+FIRST_TIMEOUT = 4.0
+"""Longest wait for the first answer of all [s]: without a network nobody should wait long to hear so."""
+UNREACHED_TRIES = 2
+"""Tries in a row in which no server was reached at all before that is told."""
 CHUNK = 1 << 18
 _PASSING = (408, 425, 429, 500, 502, 503, 504)
 """HTTP states that pass by themselves."""
@@ -59,10 +63,15 @@ def get(url: str, sleep: Callable[[float], object] = time.sleep) -> tuple[bytes,
     problem = ""
     for attempt in range(TRIES):
         try:
-            with _open(url) as answer:
+            with _open(url, timeout=TIMEOUT if attempt else FIRST_TIMEOUT) as answer:
                 return answer.read(), answer.headers.get("Link", "")
         except (OSError, http.client.HTTPException) as error:
             problem = _worth_another_try(url, error)
+            if _is_unreached(error) and (_is_silent(error) or attempt + 1 >= UNREACHED_TRIES):
+                raise TransferError(
+                    f"{url}: {problem}. No server can be reached: is there a network? A proxy is named by https_proxy. "
+                    "What was fetched before stays, and the same command continues."
+                ) from error
         sleep(pause(attempt))
     raise TransferError(
         f"{url}: {problem}, {TRIES} times in a row; check the network or the proxy and try again."
@@ -194,12 +203,22 @@ def _wrong(part: Path, expected: Expected) -> tuple[str, str]:
     return "", sha256.hexdigest()
 
 
-def _open(url: str, start: int = 0) -> http.client.HTTPResponse:
+def _open(url: str, start: int = 0, timeout: float = TIMEOUT) -> http.client.HTTPResponse:
     """Ask for a file from byte ``start`` on. A fresh opener, since urllib's own keeps the proxies it saw first."""
     headers = {"User-Agent": f"mjhab/{__version__}", "Accept-Encoding": "identity"}
     if start:
         headers["Range"] = f"bytes={start}-"
-    return build_opener().open(Request(url, headers=headers), timeout=TIMEOUT)
+    return build_opener().open(Request(url, headers=headers), timeout=timeout)
+
+
+def _is_unreached(error: Exception) -> bool:
+    """Whether no connection came about: no name, no way, nobody who listens, or silence."""
+    return isinstance(error, URLError) and not isinstance(error, HTTPError)
+
+
+def _is_silent(error: Exception) -> bool:
+    """Whether nobody answered the request for a connection in time."""
+    return isinstance(error, URLError) and isinstance(error.reason, TimeoutError)
 
 
 def _worth_another_try(url: str, error: Exception) -> str:

@@ -6,10 +6,14 @@ it where it is until something touches it, and leave it out of the solver. On th
 
 from __future__ import annotations
 
+import copy
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from mjhab.bench.parity.episodes import KINDS, Leg, difference
@@ -74,8 +78,7 @@ def _run_c(recording: Recording, leg: Leg, sleep: bool) -> tuple[dict[str, Any],
     env = recording.env
     sim = CpuSimulator(env.layout, leg.worlds, leg.threads, env.controller.drives)
     if not sleep:
-        for home in set(recording.homes):
-            sim.model(home).opt.sleep_tolerance = 0.0
+        sim.model = _without_sleep(sim.model)
     sim.reset(range(leg.worlds), recording.homes, recording.qpos)
     spent = 0.0
     awake = 0
@@ -86,6 +89,18 @@ def _run_c(recording: Recording, leg: Leg, sleep: bool) -> tuple[dict[str, Any],
         if number:  # everything is awake in the first ten substeps
             awake = max(awake, *(sim.batch.get_data(world).nv_awake for world in range(leg.worlds)))
     return _row(spent, recording, awake, sim), _copy(sim.state())
+
+
+def _without_sleep(model_of: Callable[[str], mujoco.MjModel]) -> Callable[[str], mujoco.MjModel]:
+    """Gives models of homes of its own, in which nothing falls asleep."""
+
+    @cache
+    def wakeful(home: str) -> mujoco.MjModel:
+        model = copy.copy(model_of(home))
+        model.opt.sleep_tolerance = 0.0
+        return model
+
+    return wakeful
 
 
 def _run_warp(recording: Recording, leg: Leg, sleep: bool) -> tuple[dict[str, Any], SimState]:

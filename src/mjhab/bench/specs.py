@@ -42,11 +42,16 @@ class EnvBenchSpec(ProfileChoice):
 
 @dataclass(frozen=True)
 class SoakSpec(ProfileChoice):
-    """`soak.soak`: random actions in every training environment of a task, ``worlds`` of each."""
+    """`soak.soak`: random actions in every training environment of a task, ``worlds`` of each.
+
+    With ``generate`` that many episodes of the expert instead, of ``subtask`` or of the whole task.
+    """
 
     steps: int = 1_000_000
+    generate: int = 0
     worlds: int = 8
     task: str = "set_table"
+    subtask: str | None = None
     threads: int = 0
     seed: int = 0
 
@@ -108,6 +113,31 @@ class ServingSpec:
 
 
 @dataclass(frozen=True)
+class ViewSpec:
+    """`view.measure_view`: running worlds, each of several numbers of ``worlds`` shown for some seconds."""
+
+    worlds: tuple[int, ...] = (1, 4, 16)
+    policy: str = "random"
+    task: str = "set_table"
+    subtask: str = "pick"
+    seconds: float = 5.0
+    threads: int = 0
+    assets: str = "builtin"
+
+
+@dataclass(frozen=True)
+class LearnerSpec:
+    """`learner.measure_learner`: PPO in ``worlds`` worlds (None: those of its preset), SAC with each of ``batches``."""
+
+    worlds: int | None = None
+    batches: tuple[int, ...] = (256, 512)
+    rounds: int = 3
+    updates: int = 20
+    threads: int = 0
+    seed: int = 0
+
+
+@dataclass(frozen=True)
 class ParitySpec:
     """`parity.run.measure_parity`: both simulators beside each other; "all" for all tasks or subtasks."""
 
@@ -120,4 +150,17 @@ class ParitySpec:
     grasp_seconds: float = 5.0
     device: str = ""
     threads: int = 0
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class WindowsSpec:
+    """`windows.measure_windows`: batches of windows of the data set in ``places``, as `WindowDataset` gives them."""
+
+    places: tuple[Path, ...] = ()
+    history: int = 2
+    chunk: int = 1
+    images: tuple[str, ...] = ()
+    batch: int = 64
+    seconds: float = 5.0
     seed: int = 0

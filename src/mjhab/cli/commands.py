@@ -26,16 +26,20 @@ class BenchCommand:
         | Annotated[env.BenchEnvOptions, Sub("env")]
         | Annotated[spawn.BenchSpawnOptions, Sub("spawn")]
         | Annotated[env.BenchSoakOptions, Sub("soak")]
+        | Annotated[data.BenchWindowsOptions, Sub("windows")]
         | Annotated[env.BenchRewardOptions, Sub("reward")]
         | Annotated[expert.BenchExpertsOptions, Sub("experts")]
         | Annotated[gpu.BenchInteractOptions, Sub("interact")]
         | Annotated[gpu.BenchParityOptions, Sub("parity")]
         | Annotated[srv.BenchServingOptions, Sub("serving")]
+        | Annotated[look.BenchViewOptions, Sub("view")]
+        | Annotated[learn.BenchLearnerOptions, Sub("learner")]
     )
 
 
 Command = (
-    Annotated[opt.EvalOptions, Sub("eval")]
+    Annotated[opt.DemoOptions, Sub("demo")]
+    | Annotated[opt.EvalOptions, Sub("eval")]
     | Annotated[env.EnvsCommand, Sub("envs")]
     | Annotated[env.RobotsCommand, Sub("robots")]
     | Annotated[opt.HomesCommand, Sub("homes")]
@@ -58,6 +62,7 @@ Command = (
 )
 
 RUNNERS: dict[type, tuple[str, str]] = {
+    opt.DemoOptions: ("cli.policies.evaluate", "run_demo"),
     opt.EvalOptions: ("cli.policies.evaluate", "run_eval"),
     env.EnvsCommand: ("cli.worlds.envs", "run_envs"),
     env.RobotsCommand: ("cli.worlds.robots", "run_robots"),
@@ -70,11 +75,14 @@ RUNNERS: dict[type, tuple[str, str]] = {
     env.BenchEnvOptions: ("cli.bench.env", "bench_env"),
     spawn.BenchSpawnOptions: ("cli.worlds.spawns", "bench_spawn"),
     env.BenchSoakOptions: ("cli.bench.soak", "bench_soak"),
+    data.BenchWindowsOptions: ("cli.bench.windows", "bench_windows"),
     env.BenchRewardOptions: ("cli.bench.reward", "bench_reward"),
     expert.BenchExpertsOptions: ("cli.bench.experts", "bench_experts"),
     gpu.BenchInteractOptions: ("cli.bench.interact", "bench_interact"),
     gpu.BenchParityOptions: ("cli.bench.parity", "bench_parity"),
     srv.BenchServingOptions: ("cli.bench.serving", "bench_serving"),
+    look.BenchViewOptions: ("cli.bench.view", "bench_view"),
+    learn.BenchLearnerOptions: ("cli.bench.learner", "bench_learner"),
     sco.ScoreOptions: ("cli.policies.score", "run_score"),
     srv.ServeOptions: ("cli.policies.serve", "run_serve"),
     gen.GenerateOptions: ("cli.datasets.generate", "run_generate"),

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import errno
 import importlib
+import os
 import sys
 from collections.abc import Sequence
 from typing import Any
@@ -12,36 +15,66 @@ import tyro
 
 from mjhab import register_all
 from mjhab.cli import commands
+from mjhab.cli.options.limits import check_limits
+from mjhab.cli.streams import described, drop_unwritable_stdout, make_streams_sturdy
 from mjhab.core.errors import MjhabError, UsageError
+from mjhab.core.files.reading import reason
+from mjhab.core.memory_cache import set_memory_limit
 from mjhab.core.version import __version__
 
 DESCRIPTION = f"""mjhab {__version__}: home assistant tasks with low-level whole-body control, on MuJoCo.
 
-A robot tidies furnished homes with real physics. Begin with `mjhab doctor` and
-`mjhab eval --task set_table --policy expert --episodes 4 --out runs/first`."""
+A robot tidies furnished homes with real physics. Begin with `mjhab demo`; `mjhab doctor` tells what is installed."""
 
+DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 OK = 0
 FAILED = 1
 USAGE = 2
 INTERRUPTED = 130
+BROKEN_PIPE = 141
+"""As shells tell of a process that SIGPIPE ended."""
 
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the command line ``args`` (``sys.argv`` if None) and return the exit code.
 
-    0: done; 1: a command failed; 2: it was asked for something that cannot work; 130: Ctrl-C.
+    0: done; 1: a command failed; 2: it was asked for something that cannot work; 130: Ctrl-C; 141: nobody reads what it
+    prints.
     """
+    make_streams_sturdy()
     try:
-        return run(parse(args))
+        try:
+            return run(parse(args))
+        finally:
+            # What is left in the buffer is written here, where a closed pipe can be told from a fault.
+            sys.stdout.flush()
     except UsageError as error:
-        print(f"mjhab: {error}", file=sys.stderr)
-        return USAGE
+        return _end(USAGE, str(error))
     except MjhabError as error:
-        print(f"mjhab: failed: {error}", file=sys.stderr)
-        return FAILED
+        return _end(FAILED, f"failed: {error}")
+    except MemoryError as error:
+        return _end(FAILED, f"failed: not enough memory ({reason(error)}). Ask for less at a time.")
+    except BrokenPipeError:
+        # Whoever read the output has enough of it, as in `mjhab homes list | head`.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return BROKEN_PIPE
+    except OSError as error:
+        return _end(_code_of(error), f"failed: {described(error)}")
     except KeyboardInterrupt:
-        print("mjhab: interrupted.", file=sys.stderr)
-        return INTERRUPTED
+        return _end(INTERRUPTED, "interrupted.")
+
+
+def _end(code: int, message: str) -> int:
+    """Say why a command ended, where anybody can be told."""
+    with contextlib.suppress(OSError):
+        print(f"mjhab: {message}", file=sys.stderr, flush=True)
+    drop_unwritable_stdout()
+    return code
+
+
+def _code_of(error: OSError) -> int:
+    """Disks that are full or broken are failures; folders and files that cannot be used are wrong requests."""
+    return FAILED if error.errno in DISK_ERRORS or error.filename is None else USAGE
 
 
 def parse(args: Sequence[str] | None) -> Any:
@@ -83,6 +116,10 @@ def run(command: Any) -> int:
     command = with_pack_request(command)
     # In a group such as `homes`, the command chosen in it.
     chosen = getattr(command, "command", command)
+    check_limits(chosen)
+    limit = getattr(chosen, "cache_mb", None)
+    if limit is not None:
+        set_memory_limit(limit)
     module, function = commands.RUNNERS.get(type(chosen)) or commands.RUNNERS[type(command)]
     return getattr(importlib.import_module(f"mjhab.{module}"), function)(chosen)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -12,6 +13,9 @@ from rich.text import Text
 
 from mjhab.core.errors import UsageError
 
+PIPED_WIDTH = 10_000
+"""Columns of what is not a terminal: more than any table has."""
+
 
 def print_json(value: Mapping[str, Any]) -> None:
     """Print ``value`` as one line on stdout, for machines."""
@@ -19,17 +23,20 @@ def print_json(value: Mapping[str, Any]) -> None:
 
 
 def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """Print a table on stdout; numbers stand on the right."""
+    """Print a table on stdout; numbers stand on the right.
+
+    In a terminal cells wrap, so that nothing is cut off; elsewhere a row is a line, as wide as its content.
+    """
     rows = [list(row) for row in rows]
     table = Table(title=title, title_justify="left", title_style="bold")
     for i, name in enumerate(columns):
         numeric = bool(rows) and all(
             isinstance(row[i], int | float) and not isinstance(row[i], bool) for row in rows
         )
-        table.add_column(name, justify="right" if numeric else "left")
+        table.add_column(name, justify="right" if numeric else "left", overflow="fold")
     for row in rows:
         table.add_row(*(Text(str(cell)) for cell in row))
-    Console().print(table)
+    Console(width=None if sys.stdout.isatty() else PIPED_WIDTH).print(table)
 
 
 def at_least(option: str, value: float, least: float) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import signal
 import threading
 from typing import TYPE_CHECKING
@@ -14,6 +13,7 @@ from mjhab.core.errors import UsageError
 from mjhab.data.select.query import read_filter
 from mjhab.evaluation.evaluate import EvalSpec
 from mjhab.evaluation.resolve import inspect_policy
+from mjhab.viewer import require_viser
 from mjhab.viewer.sources.hand import HUMAN
 
 if TYPE_CHECKING:
@@ -27,11 +27,7 @@ def run_view(options: ViewOptions) -> int:
     _check_choice(options)
     if options.export is not None:
         return _export(options)
-    if importlib.util.find_spec("viser") is None:
-        raise UsageError(
-            "mjhab view needs viser, which is not installed: pip install 'mjhab[view]'. Without it, --export writes "
-            "an episode as a page."
-        )
+    require_viser()
     return _serve(options)
 
 

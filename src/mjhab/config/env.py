@@ -27,6 +27,9 @@ from mjhab.tasks.thresholds import STILLNESS, SubtaskConfig, TaskConfig
 SPLITS = ("train", "val", "test")
 AUTORESET_MODES = ("same_step", "next_step", "disabled")
 RENDER_MODES = ("", "rgb_array")
+FLAT = "flat"
+NESTED = "nested"
+OBS_KEYS = (FLAT, NESTED)
 DENSE_MODES = ("dense", "normalized_dense")
 REWARD_MODES = ("pointer", "sparse", *DENSE_MODES, "none")
 NAVIGATE_MODES = ("teleport", "drive")
@@ -50,7 +53,9 @@ class EnvConfig:
     cores. extra_objects: types of further objects, one slot each behind those of the task's roster;
     a target that is another object of the pack gets a slot, too.
     obs_mode: "state", or images too, see `observing.OBS_MODES`. cameras: of which of the robot's cameras; camera_size:
-    pixels, one number or (height, width). frame_stack: frames that `wrappers.FrameStack` stacks; 1: what it is told.
+    pixels, one number or (height, width). obs_keys: "flat" as in obs["extra/is_grasped"], or "nested" as in
+    obs["extra"]["is_grasped"]; wrappers and recorders take flat keys. frame_stack: frames that `wrappers.FrameStack`
+    stacks; 1: what it is told.
     control_mode, base, stationary: see `controllers.make_controller`.
     reward_mode: one of REWARD_MODES; "" is the pointer for a chain, sparse for one subtask. reward_scales: changes of
     the scales of single dense reward terms, as {"pick": {"reach": 4.0}}. reward_formula, reward_normaliser: see
@@ -95,6 +100,7 @@ class EnvConfig:
     obs_mode: str = "state"
     cameras: tuple[str, ...] = OF_PROFILE
     camera_size: int | tuple[int, int] = 128
+    obs_keys: str = FLAT
     frame_stack: int = OF_PROFILE
     control_mode: str = "pd_joint_delta_pos"
     base: str = "forward"
@@ -132,6 +138,7 @@ class EnvConfig:
         _known("split", self.split, SPLITS)
         _known("autoreset mode", self.autoreset, AUTORESET_MODES)
         _known("reward mode", self.reward_mode, ("", *REWARD_MODES))
+        _known("kind of observation keys", self.obs_keys, OBS_KEYS)
         _known("handle points", self.handle_points, HANDLE_POINTS)
         _known("navigate mode", self.navigate, NAVIGATE_MODES)
         _known("render mode", self.render_mode or "", RENDER_MODES)
@@ -240,6 +247,11 @@ class EnvConfig:
     def teleports(self) -> bool:
         """Whether the environment does the navigation of a chain."""
         return not self.subtask and self.navigate == "teleport"
+
+    @property
+    def has_flat_keys(self) -> bool:
+        """Whether observations have flat keys, as recorders and wrappers take them."""
+        return self.obs_keys == FLAT
 
     @property
     def runs_to_horizon(self) -> bool:

@@ -52,7 +52,7 @@ class Profile:
     train_horizon: int
 
     def options(self, subtask: str, *, trains: bool) -> dict[str, Any]:
-        """Values of the options that depend on a profile.
+        """Values of the options that depend on a profile; ``cameras`` only where it names some.
 
         Args:
             subtask: the one done alone, "" for a whole chain.
@@ -64,6 +64,8 @@ class Profile:
             for field in fields(self)
             if field.name not in apart
         }
+        if values["cameras"] is None:
+            del values["cameras"]
         # One number for all kinds would be Navigate's, too, which has more time.
         # Here: the command line names profiles in its help, which waits for no numpy.
         from mjhab.tasks.subtasks.registry import SUBTASKS

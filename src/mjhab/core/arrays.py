@@ -45,6 +45,14 @@ def to_numpy(array: Array) -> np.ndarray:
     return np.asarray(array)
 
 
+def object_array(items: Sequence[Any]) -> np.ndarray:
+    """(n,) array of n objects, whatever they are: lists of one length stay lists."""
+    array = np.empty(len(items), object)
+    for index, item in enumerate(items):
+        array[index] = item
+    return array
+
+
 def as_like(values: Array, like: Array, dtype: Any = None) -> Array:
     """Return ``values`` as an array of the library, device and (unless given) dtype of ``like``."""
     xp = namespace(like)

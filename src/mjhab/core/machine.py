@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
+import shlex
 import shutil
 import subprocess
+import sys
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+_CGROUP = (
+    ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current"),
+    ("/sys/fs/cgroup/memory/memory.limit_in_bytes", "/sys/fs/cgroup/memory/memory.usage_in_bytes"),
+)
 
 
 def cores() -> int:
@@ -23,6 +32,14 @@ def installed(package: str) -> str | None:
         return None
 
 
+def pip_install(extra: str) -> str:
+    """The command that brings an extra of mjhab to the Python that runs, whatever folder or shell it is given in."""
+    python = shlex.quote(sys.executable or "python")
+    if importlib.util.find_spec("pip") is None:
+        return f"uv pip install --python {python} 'mjhab[{extra}]'"
+    return f"{python} -m pip install 'mjhab[{extra}]'"
+
+
 def gpu_name() -> str | None:
     """Return the name of the first NVIDIA GPU as its driver tells it; no CUDA context is opened."""
     tool = shutil.which("nvidia-smi")
@@ -35,3 +52,25 @@ def gpu_name() -> str | None:
         return None
     names = answer.stdout.strip().splitlines()
     return names[0].strip() if names else None
+
+
+def available_mb() -> float | None:
+    """Memory [MB] this process may still take: free memory, less if a container allows less; None if unknown."""
+    found = [
+        int(line.split()[1]) / 1024
+        for line in _read("/proc/meminfo").splitlines()
+        if line.startswith("MemAvailable:")
+    ]
+    for limit, used in _CGROUP:
+        top = _read(limit).strip()
+        now = _read(used).strip()
+        if top.isdigit() and now.isdigit():
+            found.append((int(top) - int(now)) / 2**20)
+    return min(found, default=None)
+
+
+def _read(path: str) -> str:
+    try:
+        return Path(path).read_text()
+    except OSError:
+        return ""

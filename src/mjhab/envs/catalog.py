@@ -62,7 +62,7 @@ def make(**options: Any) -> Any:
     Raises:
         UsageError: unknown option or value; the message lists the valid ones.
     """
-    return _build(EnvConfig(**_known(options, EnvConfig)))
+    return build(EnvConfig(**_known(options, EnvConfig)))
 
 
 def make_train(**options: Any) -> Any:
@@ -77,10 +77,11 @@ def make_train(**options: Any) -> Any:
     Raises:
         UsageError: unknown option or value; the message lists the valid ones.
     """
-    return _build(TrainConfig(**_known(options, TrainConfig)))
+    return build(TrainConfig(**_known(options, TrainConfig)))
 
 
-def _build(config: EnvConfig) -> TaskLoop:
+def build(config: EnvConfig) -> TaskLoop:
+    """Build the vector environment of a configuration."""
     if resolve(config.backend) == "warp":
         from mjhab.envs.device.env import DeviceEnv
 
@@ -92,11 +93,20 @@ def _build(config: EnvConfig) -> TaskLoop:
 
 def make_by_id(env_id: str, **options: Any) -> Any:
     """Build the vector environment of a Gymnasium id, e.g. ``"mjhab/SetTable-v1"``."""
+    return build(config_by_id(env_id, **options))
+
+
+def config_by_id(env_id: str, **options: Any) -> EnvConfig:
+    """The configuration of a Gymnasium id with some options changed.
+
+    Raises:
+        UsageError: no such id, unknown option or value.
+    """
     known = env_ids()
     if env_id not in known:
         raise unknown_name("environment id", env_id, known)
-    build = make_train if "subtask" in known[env_id] else make
-    return build(**{**known[env_id], **options})
+    config = TrainConfig if "subtask" in known[env_id] else EnvConfig
+    return config(**_known({**known[env_id], **options}, config))
 
 
 def make_single(*, env_id: str, **options: Any) -> SingleEnv:
@@ -108,7 +118,7 @@ def make_single(*, env_id: str, **options: Any) -> SingleEnv:
             "one world as a plain gymnasium.Env runs on backend 'cpu'; use gymnasium.make_vec for 'warp'"
         )
     fixed = {"num_envs": 1, "autoreset": "disabled", "backend": "cpu"}
-    return SingleEnv(make_by_id(env_id, **{**options, **fixed}))
+    return SingleEnv(config_by_id(env_id, **{**options, **fixed}))
 
 
 def _make_vector(*, env_id: str, **options: Any) -> VectorEnv:

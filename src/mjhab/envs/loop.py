@@ -12,9 +12,8 @@ from __future__ import annotations
 
 import dataclasses
 from abc import ABC, abstractmethod
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol
 
-import numpy as np
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
@@ -26,7 +25,7 @@ from mjhab.envs.parts.plan_tables import Focus, Tables, look_up
 from mjhab.envs.parts.reporting import CHECKERS
 from mjhab.envs.parts.rewarding import GoalDistance, Rewarder, RewardInputs
 from mjhab.envs.parts.sensing import Sensing
-from mjhab.envs.spaces import batched
+from mjhab.envs.spaces import action_space, batched, keyed_space, nested
 from mjhab.robots.controllers import make_controller
 from mjhab.robots.controllers.controller import Controller
 from mjhab.robots.registry import robot_named
@@ -38,15 +37,9 @@ from mjhab.tasks.progress import Outcome, Progress
 from mjhab.tasks.signals import Signals, WorldState
 from mjhab.tasks.subtasks.registry import properties
 
-ToldT = TypeVar("ToldT", bound="Told")
-
 
 class Told(Protocol):
     """What one control step tells in `info` beside the present state: events, and subtasks that ended."""
-
-    def without(self: ToldT, mask: Array) -> ToldT:
-        """The same with nothing in the worlds of ``mask`` (W,) bool: what happened there belongs to a past episode."""
-        ...
 
     def entries(self) -> dict[str, Any]:
         """Entries of `info`."""
@@ -123,16 +116,14 @@ class TaskLoop(VectorEnv, ABC):
             like=self._like,
         )
 
-    def _set_spaces(self, observation: spaces.Space, **metadata: Any) -> None:
-        """Set the attributes that Gymnasium asks for; ``observation``: space of one world."""
+    def _set_spaces(self, observation: spaces.Dict, **metadata: Any) -> None:
+        """Set the attributes that Gymnasium asks for; ``observation``: space of one world, with flat keys."""
         autoreset = AutoresetMode[self.config.autoreset.upper()]
         self.metadata = {"autoreset_mode": autoreset, "render_fps": 20, **metadata}
         self.render_mode = self.config.render_mode or None
-        self.single_observation_space = observation
-        self.observation_space = batched(observation, self.num_envs)
-        low = self.controller.low
-        high = self.controller.high
-        self.single_action_space = spaces.Box(low, high, dtype=np.float32)
+        self.single_observation_space = keyed_space(observation, self.config)
+        self.observation_space = batched(self.single_observation_space, self.num_envs)
+        self.single_action_space = action_space(self.controller)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.action_table = self.controller.table
         self.taint_names = TAINTS
@@ -256,7 +247,11 @@ class TaskLoop(VectorEnv, ABC):
         self._reseed(seed, mask)
         episodes = self._next_episodes() if wanted is None else self._chosen_episodes(wanted, mask)
         self._renew(mask, self._no, episodes)
-        return self._observe(), self.info()
+        return self._keyed(self._observe()), self.info()
+
+    def _keyed(self, obs: dict[str, Array]) -> dict[str, Any]:
+        """Observations as users get them: with flat keys, or as dicts in dicts."""
+        return obs if self.config.has_flat_keys else nested(obs)
 
     def _array(self, values: Any) -> Array:
         """Values as an array of the backend's library and device, their type as it is."""
@@ -312,8 +307,10 @@ class TaskLoop(VectorEnv, ABC):
         """One control step of 50 ms in every world. ``actions`` (W, A), clipped to the action space.
 
         Raises:
-            UsageError: wrong shape or type.
+            UsageError: wrong shape or type, or nothing has been reset yet.
         """
+        if self.signals is None:
+            raise UsageError("step() came before reset(): call env.reset(seed=...) first.")
         broken = self._advance_physics(self._checked(actions))
         world = self._sense()
         progress = progress_rules.accumulate(self.progress, world.robot_force)
@@ -379,10 +376,9 @@ class TaskLoop(VectorEnv, ABC):
         if mode == "same_step" and may_hold(outcome.done):
             fresh = outcome.done
             seen = self._observe()
-            final = {"final_obs": seen, "final_info": self._info(told)}
+            final = {"final_info": self._info(told)}
+            final["final_obs"] = self._keyed(seen)
             final |= {"_final_obs": fresh, "_final_info": fresh}
-            # What happened belongs to the old episode; the new one begins with nothing.
-            told = told.without(fresh)
         elif mode == "next_step":
             # Gymnasium: the step after an episode's end is the reset, whatever the action; it brings no reward.
             fresh = self.due
@@ -395,7 +391,11 @@ class TaskLoop(VectorEnv, ABC):
         if mode == "next_step":
             self.due = outcome.done
         obs = self._observe() if seen is None else self._observe(seen, changed)
-        return obs, reward, terminated, truncated, self._info(told) | final
+        return self._keyed(obs), reward, terminated, truncated, self._info(told) | final
+
+    def link_state(self) -> Array:
+        """(W, 4) of the link of the active subtask, see `Sensing.link_state`: no observation shows it."""
+        return self.sensing.link_state(self.state, self.focus)
 
     def info(self) -> dict[str, Any]:
         """`info` of the present state, as of a step in which nothing happened; something must have been reset."""
@@ -406,7 +406,8 @@ class TaskLoop(VectorEnv, ABC):
 
         "pointer", "kind" of the active subtask, "steps_left", "robot_force" [N], "cumulative_force" [N x steps],
         "success", "fail", "taint" (bits of `taint_names`), "nan_resets" so far, "spawn_fallback", the CHECKERS,
-        "reward_terms" (name to (W,)).
+        "reward_terms" (name to (W,)). What a step tells is told of the episode that was stepped, under "same_step" of
+        the one that has just ended; the rest is of the present.
         """
         signals = self.signals
         progress = self.progress

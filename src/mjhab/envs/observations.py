@@ -1,7 +1,8 @@
 """One table of observations: key, shape, unit, frame, function (mshab/envs/sequential_task.py).
 
 The concatenation of the six state entries is the 42-D ``state``. Entries that the active subtask does not use are zero,
-so that one policy interface serves all subtasks. Rows of the robot's cameras follow when images are asked for.
+so that one policy interface serves all subtasks. With the mode "proprioception" ``state`` holds what the robot's own
+sensors tell instead. Rows of the robot's cameras follow when images are asked for.
 """
 
 from __future__ import annotations
@@ -173,29 +174,54 @@ def task_rows(robot: Robot) -> tuple[ObsEntry, ...]:
     )
 
 
+def base_velocity_row(robot: Robot) -> ObsEntry:
+    """Row of the velocity of the base, as its odometry tells it."""
+    return ObsEntry(
+        BASE_VELOCITY_KEY,
+        (3,),
+        "m/s, rad/s",
+        robot.base_link,
+        _base_velocity,
+        "velocity of the base: forward, to the left, yaw rate",
+    )
+
+
 @lru_cache(maxsize=16)
-def state_table(robot: Robot) -> tuple[ObsEntry, ...]:
-    """The entries of ``state``, in order."""
-    return joint_rows(robot) + task_rows(robot)
+def state_table(robot: Robot, own: bool = False) -> tuple[ObsEntry, ...]:
+    """The entries of ``state``, in order; ``own``: those of the mode "proprioception"."""
+    tcp, *task = task_rows(robot)
+    if own:
+        return (*joint_rows(robot), base_velocity_row(robot), tcp)
+    return (*joint_rows(robot), tcp, *task)
 
 
-def state_dim(robot: Robot) -> int:
-    """Numbers in ``state``."""
-    return sum(entry.shape[0] for entry in state_table(robot))
+def state_dim(robot: Robot, own: bool = False) -> int:
+    """Numbers in ``state``; ``own``: in the mode "proprioception"."""
+    return sum(entry.shape[0] for entry in state_table(robot, own))
+
+
+def unsensed_table(robot: Robot) -> tuple[ObsEntry, ...]:
+    """The entries of ``state`` that no sensor of the robot measures: object, goal, grasp."""
+    own = {entry.key for entry in state_table(robot, own=True)}
+    return tuple(entry for entry in state_table(robot) if entry.key not in own)
 
 
 STATE_KEY = "state"
+BASE_VELOCITY_KEY = "agent/base_vel"
+PROPRIOCEPTION = "proprioception"
 CAMERA_OUTPUTS = ("depth", "rgb", "seg")
 POINTCLOUD = "pointcloud"
 OBS_MODES: dict[str, tuple[str, ...]] = {
     "state": (),
+    PROPRIOCEPTION: (),
     "depth": ("depth",),
     "rgb": ("rgb",),
     "rgbd": ("depth", "rgb"),
     "seg": ("seg",),
     POINTCLOUD: (POINTCLOUD,),
 }
-"""Observation modes and what each adds to the state; joined by "+" they add up, as in "rgbd+seg"."""
+"""Observation modes and the images that each adds to the state; joined by "+" they add up, as in "rgbd+seg".
+"proprioception" replaces the state by what the robot's own sensors tell, as in "proprioception+rgbd"."""
 DEPTH_SCALE = 1000.0
 """Depth images are int16 millimetres, 0 where nothing is hit."""
 DEPTH_MAX = int(np.iinfo(np.int16).max)
@@ -225,6 +251,11 @@ def mode_outputs(mode: str) -> tuple[str, ...]:
             raise unknown_name("observation mode", part, OBS_MODES)
         wanted.update(OBS_MODES[part])
     return tuple(name for name in (*CAMERA_OUTPUTS, POINTCLOUD) if name in wanted)
+
+
+def own_state_only(mode: str) -> bool:
+    """Whether an observation mode hides what no sensor of the robot measures: object, goal and grasp."""
+    return PROPRIOCEPTION in mode.split("+")
 
 
 def camera_names(robot: Robot, cameras: str | Sequence[str]) -> tuple[str, ...]:
@@ -267,11 +298,11 @@ def intrinsic_matrix(robot: Robot, camera: str, size: tuple[int, int]) -> np.nda
     return np.array([[focal, 0.0, 0.5 * width], [0.0, focal, 0.5 * height], [0.0, 0.0, 1.0]])
 
 
-def observation_table(
+def camera_table(
     robot: Robot, outputs: Sequence[str], cameras: Sequence[str], size: tuple[int, int]
 ) -> tuple[ObsEntry, ...]:
-    """All rows but ``state``: those of `state_table` and, with ``outputs`` of `mode_outputs`, those of the cameras."""
-    rows = list(state_table(robot))
+    """The rows of the cameras for ``outputs`` of `mode_outputs`; none for no outputs."""
+    rows: list[ObsEntry] = []
     for c, camera in enumerate(cameras if outputs else ()):
         rows += [
             _image_row(c, camera, output, size) for output in outputs if output in CAMERA_OUTPUTS
@@ -282,15 +313,16 @@ def observation_table(
     return tuple(rows)
 
 
-def table_space(robot: Robot, table: Sequence[ObsEntry]) -> spaces.Dict:
-    """Observation space of one world: the rows of a table and ``state``, in this order."""
-    box: dict[str, spaces.Space] = {entry.key: entry.space for entry in table}
-    box[STATE_KEY] = spaces.Box(-np.inf, np.inf, (state_dim(robot),), np.float32)
+def table_space(state: Sequence[ObsEntry], cameras: Sequence[ObsEntry]) -> spaces.Dict:
+    """Observation space of one world: the rows of ``state_table``, of ``camera_table``, and their ``state``."""
+    box: dict[str, spaces.Space] = {entry.key: entry.space for entry in (*state, *cameras)}
+    width = sum(entry.shape[0] for entry in state)
+    box[STATE_KEY] = spaces.Box(-np.inf, np.inf, (width,), np.float32)
     return ordered_dict(box)
 
 
-def describe(robot: Robot, table: Sequence[ObsEntry]) -> list[dict[str, Any]]:
-    """The rows of a table and ``state`` for people and machines: key, shape, dtype, unit, frame, meaning."""
+def describe(state: Sequence[ObsEntry], cameras: Sequence[ObsEntry]) -> list[dict[str, Any]]:
+    """The rows of ``table_space`` for people and machines: key, shape, dtype, unit, frame, meaning."""
     rows = [
         {
             "key": entry.key,
@@ -300,13 +332,13 @@ def describe(robot: Robot, table: Sequence[ObsEntry]) -> list[dict[str, Any]]:
             "frame": entry.frame,
             "meaning": entry.meaning,
         }
-        for entry in table
+        for entry in (*state, *cameras)
     ]
-    meaning = "the rows " + ", ".join(entry.key for entry in state_table(robot)) + " in this order"
+    meaning = "the rows " + ", ".join(entry.key for entry in state) + " in this order"
     rows.append(
         {
             "key": STATE_KEY,
-            "shape": [state_dim(robot)],
+            "shape": [sum(entry.shape[0] for entry in state)],
             "dtype": "float32",
             "unit": "mixed",
             "frame": "mixed",
@@ -403,6 +435,17 @@ def _cloud_rows(robot: Robot, points: int) -> list[ObsEntry]:
     ]
 
 
+def _base_velocity(context: ObsContext) -> Array:
+    yaw = context.robot_q[:, BASE_YAW]
+    xp = namespace(yaw)
+    c = xp.cos(yaw)
+    s = xp.sin(yaw)
+    velocity = context.robot_qd[:, BASE_XY]
+    ahead = c * velocity[:, 0] + s * velocity[:, 1]
+    left = c * velocity[:, 1] - s * velocity[:, 0]
+    return xp.stack([ahead, left, context.robot_qd[:, BASE_YAW]], axis=1)
+
+
 def _image(views: Views, index: int, output: str) -> Array:
     image = views.images[output][:, index]
     if output == "rgb":
@@ -476,10 +519,9 @@ def _cloud_image(views: Views, output: str) -> Array:
     return image.reshape(len(image), -1, 3 if output == "rgb" else 1)
 
 
-def state_observation(robot: Robot, context: ObsContext) -> dict[str, Array]:
-    """Every entry of `state_table` and their concatenation, float32, (W, ...); the entries are views of it."""
+def state_observation(table: Sequence[ObsEntry], context: ObsContext) -> dict[str, Array]:
+    """Every entry of a `state_table` and their concatenation, float32, (W, ...); the entries are views of it."""
     xp = namespace(context.robot_q)
-    table = state_table(robot)
     state = xp.astype(xp.concat([entry.compute(context) for entry in table], axis=1), xp.float32)
     obs = {}
     column = 0

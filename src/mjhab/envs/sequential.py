@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mjhab.config.env import DENSE_MODES, EnvConfig
-from mjhab.core.arrays import Array
+from mjhab.core.arrays import Array, object_array
 from mjhab.core.errors import UsageError
 from mjhab.core.joints import BASE_XY
 from mjhab.envs.loop import TaskLoop
@@ -42,10 +42,10 @@ class SequentialTaskEnv(TaskLoop):
     Reward: by ``config.reward``; "pointer" is the subtask pointer, as in MS-HAB.
 
     World i's k-th episode since its seed was set depends on (its seed, i, k) only. A seed of `reset` is one for all
-    worlds or (W,) one each. Besides arrays `info` has lists of W: "events" of this step, "ended" (record of the subtask
-    that ended in this step, or None), "instruction" (what the active subtask asks for, as a sentence; the last subtask
-    once the plan is finished), "episode_spec" (the episode each world is in; not "episode", where Gymnasium's
-    RecordEpisodeStatistics writes).
+    worlds or (W,) one each. Besides numbers `info` has (W,) arrays of objects: "events" (list of the names of what
+    happened in this step), "ended" (record of the subtask that ended in this step, or None), "instruction" (what the
+    active subtask asks for, as a sentence; the last subtask once the plan is finished), "episode_spec" (the episode
+    each world is in; not "episode", where Gymnasium's RecordEpisodeStatistics writes).
     """
 
     tables: PlanTables
@@ -73,7 +73,7 @@ class SequentialTaskEnv(TaskLoop):
         self.tables = PlanTables(self.layout, self.task_config, self.num_envs, length)
         self.tracker = Tracker(self.num_envs)
         self.teleports = Teleports(self.starts, self.sensing, self.tables)
-        self.reporter = Reporter(self.num_envs, self.layout, config.subtask)
+        self.reporter = Reporter(self.num_envs, self.layout, config)
         self._set_spaces(self.observer.single_space, render_modes=["rgb_array"])
         self.episodes_now: list[Episode | None] = [None] * self.num_envs
         self.homes = [self.layout.pack.homes[0].name] * self.num_envs
@@ -210,7 +210,10 @@ class SequentialTaskEnv(TaskLoop):
             active_instruction(spec, pointer)
             for spec, pointer in zip(specs, self.progress.pointer.tolist(), strict=True)
         ]
-        return super()._info(told) | {"instruction": sentences, "episode_spec": specs}
+        return super()._info(told) | {
+            "instruction": object_array(sentences),
+            "episode_spec": object_array(specs),
+        }
 
     def timed_methods(self) -> dict[str, list[tuple[Any, str]]]:
         """See `TaskLoop.timed_methods`."""

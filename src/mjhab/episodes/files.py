@@ -14,6 +14,7 @@ from typing import Any
 
 from mjhab.core.errors import UsageError
 from mjhab.core.files.cache import write_atomic
+from mjhab.core.files.reading import parse_json
 from mjhab.episodes.generator import EpisodeMaker
 from mjhab.episodes.hab.format import HabEpisode, to_json, write_rows
 from mjhab.episodes.hab.writer import to_hab
@@ -180,8 +181,8 @@ def _resume(partial: Path, header: dict[str, Any], overwrite: bool) -> list[Row]
 
 def _parsed(line: str) -> dict[str, Any] | None:
     try:
-        return json.loads(line)
-    except json.JSONDecodeError:
+        return parse_json(line)
+    except ValueError:
         return None
 
 

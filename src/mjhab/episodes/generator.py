@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from mjhab.core.errors import MjhabError, UsageError, unknown_name
-from mjhab.core.files.cache import cache_dir, write_atomic
+from mjhab.core.files.cache import cache_dir, write_cached
 from mjhab.core.names import below
 from mjhab.core.registration.plugins import source_digest
 from mjhab.core.seeding import stream
@@ -360,7 +360,7 @@ class EpisodeMaker:
             "link_q": episode.link_q.tolist(),
             "targets": [dataclasses.asdict(target) for target in episode.targets],
         }
-        write_atomic(path, lambda temporary: temporary.write_text(json.dumps(content)))
+        write_cached(path, lambda temporary: temporary.write_text(json.dumps(content)))
 
     def _load(self, path: Path, seed: int, index: int) -> Episode:
         content = json.loads(path.read_text(encoding="utf-8"))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mjhab.config.env import EnvConfig
+from mjhab.core.memory_cache import MemoryCache
 from mjhab.core.seeding import stream
 from mjhab.episodes.generator import Episode, EpisodeMaker
 from mjhab.episodes.hab.format import HabFile, read_hab
@@ -85,7 +86,7 @@ class EpisodeSource:
         # Settling an arrangement takes longer than a whole episode of control steps: training draws from a few.
         given = file is not None or self.starts.spawn_set is not None
         self._pool_size = config.episode_pool if config.trains and not given else 0
-        self._pool: dict[tuple[int, int], Episode] = {}
+        self._pool = MemoryCache("episodes")
 
     def episode(self, seed: int, index: int) -> Episode:
         """The episode named by (seed, index).
@@ -96,9 +97,8 @@ class EpisodeSource:
         if not self._pool_size:
             return (self.starts.spawn_set or self._arrangements).episode(seed, index)
         key = (self.config.seed, int(stream(seed, "pool", index).integers(self._pool_size)))
-        if key not in self._pool:
-            self._pool[key] = self._arrangements.episode(*key)
-        return dataclasses.replace(self._pool[key], seed=seed, index=index)
+        found = self._pool.get(key, lambda: self._arrangements.episode(*key))
+        return dataclasses.replace(found, seed=seed, index=index)
 
     def start(self, episode: Episode) -> Start:
         """How a world begins an episode, with place zones where the goal type asks for them."""

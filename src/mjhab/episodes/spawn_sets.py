@@ -24,6 +24,7 @@ import numpy as np
 from mjhab.config.env import EnvConfig
 from mjhab.core.errors import UsageError
 from mjhab.core.files.cache import write_atomic
+from mjhab.core.files.reading import parse_json
 from mjhab.core.names import check_name
 from mjhab.core.seeding import stream
 from mjhab.core.version import __version__
@@ -215,7 +216,7 @@ class SpawnSet:
             )
         try:
             with np.load(path, allow_pickle=False) as data:
-                header = json.loads(str(data["header"]))
+                header = parse_json(str(data["header"]))
                 if not isinstance(header, dict) or header.get("format") != FORMAT:
                     raise KeyError(f"format {FORMAT}")
                 columns = {name: data[name] for name in _COLUMNS}

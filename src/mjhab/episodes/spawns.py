@@ -95,7 +95,6 @@ class SpawnSampler:
         self._radius = self._robot.footprint.spawn
         self._arm = list(self._robot.arm_columns)
         self._homes = sim.layout.pack.homes_by_name
-        self._standing: dict[tuple[str, float], np.ndarray] = {}
         self._walls: dict[str, Boxes] = {}
 
     def map(self, home: str) -> FreeMap:
@@ -104,12 +103,7 @@ class SpawnSampler:
 
     def walkable(self, home: str, radius: float | None = None) -> np.ndarray:
         """(P, 2) centres [m] of the cells where a robot of a ``radius`` [m], if None its own, can stand."""
-        radius = self._radius if radius is None else radius
-        key = (home, radius)
-        if key not in self._standing:
-            fmap = self.map(home)
-            self._standing[key] = fmap.to_xy(np.argwhere(fmap.navigable(radius)))
-        return self._standing[key]
+        return self.map(home).places(self._radius if radius is None else radius)
 
     def roomiest(self, home: str) -> np.ndarray:
         """(2,) the cell [m] of the floor that is farthest from everything."""

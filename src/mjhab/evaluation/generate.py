@@ -22,6 +22,7 @@ from mjhab.data.record import generation
 from mjhab.data.record.crew import ALL, Crew, InlineCrew, ProcessCrew, Stage, WorkerSpec
 from mjhab.data.record.generation import Job, Standing
 from mjhab.data.select.query import Filter, read_filter
+from mjhab.data.select.until import Until
 from mjhab.data.store.images import ImageFormat
 from mjhab.data.store.reading import Episode
 from mjhab.data.store.reading import episodes as recorded_episodes
@@ -65,6 +66,7 @@ NOT_IN_CONFIG = frozenset(
         "threads",
         "ray",
         "resume",
+        "until",
     }
 )
 """Fields of `GenerateSpec` that a data set's configuration holds in another form, or not at all."""
@@ -75,7 +77,10 @@ class GenerateSpec:
     """What to record, which episodes to keep, and where the data set goes.
 
     out: folder of the shards.
-    policy, style, task, subtask, target, seed, split, home, assets, navigate: as in `EvalSpec`.
+    policy, style, task, subtask, target, seed, split, home, assets: as in `EvalSpec`.
+    navigate: as in `EvalSpec`; None lets the policy drive in whole tasks: a data set should hold what a robot does.
+    until: "success+N" ends an episode of one subtask N control steps after its first success, or after too much force;
+    "" goes on to the horizon. Whole tasks end with their success.
     env: further fields of `EnvConfig`, e.g. ``{"profile": "ms_hab"}``; they go before what the policy asks for by its
     ``env_options``.
     per_target, per_label: episodes to keep of every target, and of every label of every target; 0 for no limit. Whole
@@ -109,7 +114,8 @@ class GenerateSpec:
     split: str = "train"
     home: str | None = None
     assets: Assets = "builtin"
-    navigate: str = "teleport"
+    navigate: str | None = None
+    until: str = ""
     env: Mapping[str, Any] = field(default_factory=dict)
     per_target: int = 0
     per_label: int = 0
@@ -134,6 +140,10 @@ class GenerateSpec:
             object.__setattr__(
                 self, "policy", full_spec(self.policy, self.task, self.subtask, self.target)
             )
+        if self.navigate is None:
+            # Nobody navigates in a subtask alone but by driving: the option keeps the value it has in older sets.
+            object.__setattr__(self, "navigate", "teleport" if self.subtask else "drive")
+        Until.parse(self.until)
         check_env_options(self.env, GenerateSpec, "a data set")
         robot = robot_named(self.env.get("robot", DEFAULT_ROBOT))
         if self.cameras is None:
@@ -184,7 +194,7 @@ class GenerateSpec:
             split=self.split,
             home=self.home,
             assets=self.assets,
-            navigate=self.navigate,
+            navigate=self.navigate or "teleport",
             threads=self.threads,
             env=self.env,
         )
@@ -359,6 +369,10 @@ def recorded_env_options(spec: GenerateSpec, facts: PolicyFacts) -> dict[str, An
         UsageError: the policy asks for an option that does not exist, or sees other images than those to store.
     """
     needed = env_options(spec.as_evaluation(), facts)
+    until = Until.parse(spec.until)
+    if spec.subtask and not until.is_whole:
+        overrides = {**needed.get("overrides", {}), "hold_steps": until.hold_steps}
+        needed["overrides"] = overrides
     if spec.reward_mode:
         needed["reward_mode"] = spec.reward_mode
     if not spec.stores_images:
@@ -393,6 +407,8 @@ def resolved_config(spec: GenerateSpec, facts: PolicyFacts) -> dict[str, Any]:
     }
     config |= {"no_states": not spec.states, "reward": spec.reward_mode}
     # Without a style nothing is said of it: data sets that are older than styles can be resumed.
+    if spec.until:
+        config["until"] = Until.parse(spec.until).text
     if spec.style:
         config["style"] = Styles.parse(spec.style).words
     options = {**recorded_env_options(spec, facts), "cameras": spec.cameras}

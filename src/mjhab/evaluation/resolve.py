@@ -103,6 +103,7 @@ POLICY_KINDS: list[PolicyKind] = [
         lambda spec: spec.endswith(".safetensors"),
         "mjhab.learning.policy_kind",
     ),
+    PolicyKind("POLICIES.json", lambda spec: spec.endswith(".json"), "mjhab.learning.by_subtask"),
     PolicyKind(
         "FILE.py:CLASS",
         lambda spec: spec.endswith(".py") or ".py:" in spec,

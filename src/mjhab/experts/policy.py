@@ -14,10 +14,11 @@ from mjhab.core.seeding import stream
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.envs.parts.worlds import Worlds
 from mjhab.experts.arm import motion
+from mjhab.experts.gaze import Gaze
 from mjhab.experts.style import Manner, StyledView
 from mjhab.tasks.household.registry import TASKS
 from mjhab.tasks.plan import Subtask
-from mjhab.tasks.style import Styles, recorded
+from mjhab.tasks.style import TARGET, Styles, recorded
 from mjhab.tasks.subtasks.registry import SUBTASKS, spec_of
 
 Script = Generator[np.ndarray, None, Any]
@@ -68,6 +69,7 @@ class ExpertPolicy:
         self._scripts: list[Script | None] = [None] * env.num_envs
         self._tokens: list[tuple[int, int, int] | None] = [None] * env.num_envs
         self._columns = env.layout.robot.action
+        self._gaze = Gaze(env.layout.robot, env.config.stationary)
         self._last = np.zeros((env.num_envs, self._columns.dim), np.float32)
         self._wished = self._last.copy()
         self._intended = self._last.copy()
@@ -119,10 +121,16 @@ class ExpertPolicy:
         if manner.due() or begins:
             self._wished[w] = self._from_script(w, view)
         intended = manner.slow(self._wished[w])
+        if view.style.look == TARGET and not self._is_moved(subtask):
+            intended = self._gaze.turn(view, intended)
         return intended, manner.disturb(intended)
 
+    def _is_moved(self, subtask: Subtask) -> bool:
+        """Whether the environment does a subtask by a teleport."""
+        return self._teleports and spec_of(subtask.kind).navigates
+
     def _start(self, subtask: Subtask, view: WorldView) -> Script:
-        if self._teleports and spec_of(subtask.kind).navigates:
+        if self._is_moved(subtask):
             return _wait(view)
         return script_of(subtask.name)(view)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -11,7 +12,14 @@ from gymnasium import spaces
 
 import mjhab.envs as envs
 from mjhab.core.errors import UsageError
-from mjhab.envs.observations import STATE_KEY, camera_key, state_dim
+from mjhab.envs.observations import (
+    STATE_KEY,
+    ObsEntry,
+    camera_key,
+    state_observation,
+    state_table,
+    unsensed_table,
+)
 from mjhab.evaluation.served.action_spaces import ActionReader, space_named
 
 CAMERAS = ("head", "wrist")
@@ -40,8 +48,10 @@ class LeRobotOptions:
 class LeRobotEnv(gymnasium.Env):
     """One world with the observations, attributes and info that LeRobot's evaluation reads.
 
-    Observations: ``pixels`` with the images "head" and "wrist" (H, W, 3) uint8, and ``agent_pos`` (42,). ``info``:
-    ``is_success``, whether the episode succeeded so far. ``task_description`` is the instruction of the active subtask.
+    Observations: ``pixels`` with the images "head" and "wrist" (H, W, 3) uint8; ``agent_pos`` (34,), what the robot's
+    own sensors tell; ``environment_state`` (11,), what only the simulation knows (object, goal, grasp). In exported
+    data sets they are ``observation.state`` and ``observation.environment_state``. ``info``: ``is_success``, whether
+    the episode succeeded so far. ``task_description`` is the instruction of the active subtask.
 
     Raises:
         UsageError: an unknown name among the options.
@@ -65,6 +75,9 @@ class LeRobotEnv(gymnasium.Env):
             control_mode=space_named(options.actions).control_mode,
             autoreset="disabled",
         )
+        robot = self._env.layout.robot
+        self._own = state_table(robot, own=True)
+        self._unsensed = unsensed_table(robot)
         self._reader = ActionReader(options.actions, self._env.action_table)
         self._index = -1
         self._success = False
@@ -76,9 +89,8 @@ class LeRobotEnv(gymnasium.Env):
         self.observation_space = spaces.Dict(
             {
                 "pixels": spaces.Dict(dict.fromkeys(CAMERAS, image)),
-                "agent_pos": spaces.Box(
-                    -np.inf, np.inf, (state_dim(self._env.layout.robot),), np.float32
-                ),
+                "agent_pos": _box(self._own),
+                "environment_state": _box(self._unsensed),
             }
         )
         self.action_space = spaces.Box(-np.inf, np.inf, (len(self._reader.names),), np.float32)
@@ -123,5 +135,17 @@ class LeRobotEnv(gymnasium.Env):
             name: obs[camera_key(camera, "rgb")][0]
             for name, camera in zip(CAMERAS, self._env.layout.robot.camera_names, strict=True)
         }
-        seen = {"pixels": images, "agent_pos": np.asarray(obs[STATE_KEY][0], np.float32)}
+        env = self._env
+        context = env.sensing.context(env.state, env.focus, env.signals)
+        seen = {
+            "pixels": images,
+            "agent_pos": state_observation(self._own, context)[STATE_KEY][0],
+            "environment_state": state_observation(self._unsensed, context)[STATE_KEY][0],
+        }
         return seen, {"is_success": self._success}
+
+
+def _box(table: Sequence[ObsEntry]) -> spaces.Box:
+    """The space of the entries of a table side by side."""
+    width = sum(entry.shape[0] for entry in table)
+    return spaces.Box(-np.inf, np.inf, (width,), np.float32)

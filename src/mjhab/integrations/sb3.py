@@ -36,9 +36,10 @@ def to_sb3(env: VectorEnv, keys: Sequence[str] = ("state",)) -> Any:
         raise UsageError(
             "stable-baselines3 needs an environment that resets itself; make it with autoreset='same_step'."
         )
+    known: Any = env.single_observation_space
     for key in keys:
-        if key not in env.single_observation_space.spaces:
-            raise unknown_name("observation", key, tuple(env.single_observation_space.spaces))
+        if key not in known.spaces:
+            raise unknown_name("observation", key, tuple(known.spaces))
     worlds = type("Worlds", (_Worlds, VecEnv), {})
     return worlds(env, tuple(keys))
 
@@ -60,7 +61,9 @@ class _Worlds:
         several = spaces.Dict({key: known[key] for key in keys})
         base: Any = super()
         base.__init__(
-            env.num_envs, several if len(keys) > 1 else known[keys[0]], env.single_action_space
+            env.num_envs,
+            several if len(keys) > 1 else known[next(iter(keys))],
+            env.single_action_space,
         )
 
     def reset(self) -> Any:

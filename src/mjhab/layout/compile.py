@@ -7,7 +7,7 @@ from pathlib import Path
 
 import mujoco
 
-from mjhab.core.files.cache import cache_dir, write_atomic
+from mjhab.core.files.cache import cache_dir, write_cached
 from mjhab.core.files.code_digest import code_digest
 from mjhab.core.names import below
 from mjhab.layout.layout import Layout, build_spec
@@ -50,6 +50,6 @@ def compile_home(layout: Layout, home: Home) -> mujoco.MjModel:
         except ValueError as error:
             reason = ", ".join(str(error).splitlines())
             raise ValueError(f"home {home.name!r} does not compile: {reason}") from error
-        write_atomic(path, lambda temporary: mujoco.mj_saveModel(model, str(temporary), None))
+        path = write_cached(path, lambda file: mujoco.mj_saveModel(model, str(file), None))
     # A compiled model carries a signature that the saved one lacks; all are taken from the file, to be equal.
     return mujoco.MjModel.from_binary_path(str(path))

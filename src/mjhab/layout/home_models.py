@@ -5,16 +5,25 @@ from __future__ import annotations
 import mujoco
 
 from mjhab.core.errors import unknown_name
-from mjhab.layout.compile import compile_home
+from mjhab.core.memory_cache import MemoryCache
+from mjhab.layout.compile import compile_home, home_hash
 from mjhab.layout.layout import Layout
 from mjhab.robots.model import apply_drives
 from mjhab.robots.parts import Drives
 
 
-class HomeModels:
-    """A model per home, made when it is first asked for and kept from then on.
+def model_bytes(model: mujoco.MjModel) -> int:
+    """Memory of a compiled model [bytes]."""
+    return int(mujoco.mj_sizeModel(model))
 
-    Every instance has models of its own: the servos of another simulator's are not touched.
+
+_MODELS = MemoryCache("models", size=model_bytes)
+
+
+class HomeModels:
+    """A model per home, made when it is first asked for; simulators with the same layout and servos share it.
+
+    Who wants to change a model makes a copy.
 
     Args:
         layout: what all homes share.
@@ -25,7 +34,7 @@ class HomeModels:
         self._layout = layout
         self._drives = drives
         self._homes = layout.pack.homes_by_name
-        self._models: dict[str, mujoco.MjModel] = {}
+        self._hashes: dict[str, str] = {}
 
     def __call__(self, home: str) -> mujoco.MjModel:
         """The compiled model of a home of the pack.
@@ -33,10 +42,13 @@ class HomeModels:
         Raises:
             UsageError: the pack has no such home.
         """
-        if home not in self._models:
+        if home not in self._hashes:
             if home not in self._homes:
                 raise unknown_name("home", home, self._homes)
-            model = compile_home(self._layout, self._homes[home])
-            apply_drives(model, self._layout.robot, self._drives)
-            self._models[home] = model
-        return self._models[home]
+            self._hashes[home] = home_hash(self._layout, self._homes[home])
+        return _MODELS.get((self._hashes[home], self._drives), lambda: self._make(home))
+
+    def _make(self, home: str) -> mujoco.MjModel:
+        model = compile_home(self._layout, self._homes[home])
+        apply_drives(model, self._layout.robot, self._drives)
+        return model

@@ -16,6 +16,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from mjhab.core.errors import unknown_name
+from mjhab.core.memory_cache import MemoryCache
 from mjhab.core.names import copy_names
 from mjhab.layout.contact_sensors import add_depth_sensor, add_force_sensor, add_touch_sensor
 from mjhab.robots.model import add_robot, physics_options
@@ -131,6 +132,8 @@ class Layout:
             if kind not in pack.objects:
                 raise unknown_name(f"object type of pack {pack.name!r}", kind, pack.objects)
         self.objects: tuple[ObjectType, ...] = tuple(pack.objects[kind] for kind in roster)
+        self.derived = MemoryCache("maps")
+        """What is computed from its homes; the keys say what."""
 
     @property
     def num_objects(self) -> int:

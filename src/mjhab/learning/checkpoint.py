@@ -17,6 +17,7 @@ from torch import Tensor
 
 from mjhab.core.errors import UsageError
 from mjhab.core.files.cache import write_atomic
+from mjhab.core.files.reading import parse_json, reason
 from mjhab.core.version import __version__
 from mjhab.learning.configs import StudentConfig, student_from_plain, to_plain
 from mjhab.learning.layout import Layout
@@ -59,18 +60,20 @@ def load_checkpoint(path: Path) -> Checkpoint:
         raise UsageError(f"{path} does not exist; give a checkpoint (*{SUFFIX}) of `mjhab train`.")
     try:
         with safe_open(path, "pt") as file:
-            head = json.loads((file.metadata() or {}).get(_HEAD, "{}"))
-            if head.get("format") != FORMAT:
-                raise UsageError(
-                    f"{path} is not a checkpoint of `mjhab train` (format {head.get('format')!r})."
-                )
+            head = parse_json((file.metadata() or {}).get(_HEAD, "{}"))
+            if not isinstance(head, dict) or head.get("format") != FORMAT:
+                raise UsageError(f"{path} is not a checkpoint of `mjhab train` (format {FORMAT}).")
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
-    except (SafetensorError, json.JSONDecodeError, OSError) as error:
+    except (SafetensorError, ValueError, OSError) as error:
         raise UsageError(f"{path} cannot be read as a checkpoint: {error}.") from error
-    config = student_from_plain(head["student"])
-    return Checkpoint(
-        config, Layout.from_plain(config.inputs, head["layout"]), head["about"], tensors
-    )
+    try:
+        config = student_from_plain(head["student"])
+        layout = Layout.from_plain(config.inputs, head["layout"])
+        return Checkpoint(config, layout, dict(head["about"]), tensors)
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise UsageError(
+            f"{path} is damaged: its header is no student's ({reason(error)})."
+        ) from error
 
 
 def load_student(path: Path) -> Student:

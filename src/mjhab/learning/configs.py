@@ -32,6 +32,8 @@ class InputConfig:
     state it then sees the present one only.
     previous_action: the executed action of the control step before.
     base_velocity: forward speed [m/s] and turning rate [rad/s] of the base. The 42-D state of the paper has none.
+    link_state: how far the link of the active subtask is open [share of its range], how fast it opens [rad/s or m/s],
+    and the heading of its frame in that of the base (cos, sin); zeros where there is none. Only a simulator knows them.
     condition: one-hot of the active subtask and of the type of its target.
     normalize: mean 0 and spread 1, by the statistics of the first demonstrations.
     shift: training images move by up to so many pixels.
@@ -43,6 +45,7 @@ class InputConfig:
     stack_state: bool = True
     previous_action: bool = True
     base_velocity: bool = False
+    link_state: bool = False
     condition: bool = True
     normalize: bool = True
     shift: int = 1

@@ -16,6 +16,7 @@ from mjhab.core.names import kind_of
 from mjhab.core.seeding import stream
 from mjhab.data.select.query import Filter
 from mjhab.data.select.sets import select
+from mjhab.data.select.until import Until
 from mjhab.data.store.images import decode
 from mjhab.data.store.reading import Episode, open_shard
 from mjhab.learning.configs import InputConfig
@@ -177,7 +178,7 @@ def read_episode(episode: Episode, layout: Layout, hold_steps: int) -> Demonstra
     """
     _check_layout(episode, layout)
     executed = episode.array("actions")
-    steps = kept_steps(episode.array("reward/success"), hold_steps)
+    steps = Until(hold_steps).steps(episode.array("reward/success"))
     vector = _vectors(episode, layout, executed)[:steps]
     images = _images(episode, layout, steps)
     usable = np.flatnonzero(expert_steps(episode)[:steps])
@@ -190,14 +191,6 @@ def read_episode(episode: Episode, layout: Layout, hold_steps: int) -> Demonstra
         usable,
         1,
     )
-
-
-def kept_steps(success: np.ndarray, hold_steps: int) -> int:
-    """Control steps to keep of an episode: up to ``hold_steps`` after the first of ``success`` (N,), or all N."""
-    reached = np.flatnonzero(success)
-    if hold_steps < 0 or not len(reached):
-        return len(success)
-    return min(len(success), int(reached[0]) + 1 + hold_steps)
 
 
 def take_chunks(data: Demonstrations, rows: np.ndarray, chunk: int, history: int = 1) -> Chunks:
@@ -293,6 +286,11 @@ def _vectors(episode: Episode, layout: Layout, executed: np.ndarray) -> np.ndarr
     parts = [episode.array("obs/state")[:steps]]
     if layout.inputs.base_velocity:
         parts.append(base_velocity_of(episode)[:steps])
+    if layout.inputs.link_state:
+        raise UsageError(
+            "recorded demonstrations hold no link_state; take a preset with images, or leave out the data: the "
+            "expert then acts in the environment itself."
+        )
     if layout.inputs.previous_action:
         parts.append(np.concatenate([np.zeros_like(executed[:1]), executed[:-1]]))
     if layout.inputs.condition:

@@ -17,6 +17,7 @@ OLDER_KINDS = ("pick", "place", "navigate", "open", "close")
 """Kinds of subtasks that students are told apart by whose checkpoints name none."""
 STATE_IMAGE_PREFIX = "sensor_data/"
 BASE_VELOCITY = (("base/forward_speed", 1), ("base/turning_rate", 1))
+LINK_STATE = (("link/opening", 1), ("link/speed", 1), ("link/heading", 2))
 Entry = tuple[str, int]
 """Name and width of a part of a vector."""
 
@@ -67,6 +68,10 @@ class ActingEnv(StudentEnv, Protocol):
         """State of all worlds, with ``robot_q`` and ``robot_qd`` (W, J)."""
         ...
 
+    def link_state(self) -> Any:
+        """(W, 4) float32, see `Sensing.link_state`."""
+        ...
+
 
 @dataclass(frozen=True)
 class Layout:
@@ -92,6 +97,8 @@ class Layout:
         entries = list(self.state)
         if self.inputs.base_velocity:
             entries += BASE_VELOCITY
+        if self.inputs.link_state:
+            entries += LINK_STATE
         if self.inputs.previous_action:
             entries += [(f"previous_action/{name}", 1) for name in self.actions]
         if self.inputs.condition:

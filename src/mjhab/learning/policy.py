@@ -79,6 +79,8 @@ class StudentPolicy:
         if layout.inputs.base_velocity:
             state = self._env.state
             parts.append(base_velocity(state.robot_q, state.robot_qd))
+        if layout.inputs.link_state:
+            parts.append(self._env.link_state())
         if layout.inputs.previous_action:
             parts.append(self._last)
         if layout.inputs.condition:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 
 from mjhab.core.errors import UsageError
+from mjhab.core.machine import pip_install
 
 LIBRARIES = ("torch", "safetensors", "tensorboard")
 """What the extra ``[learn]`` installs."""
@@ -20,5 +21,5 @@ def require_learn() -> None:
     if missing:
         raise UsageError(
             f"learning needs {', '.join(missing)}, which {'is' if len(missing) == 1 else 'are'} not installed. "
-            "Install the extra: pip install 'mjhab[learn]'"
+            f"Install the extra: {pip_install('learn')}"
         )

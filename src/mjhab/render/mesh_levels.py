@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mjhab.core.files.cache import cache_dir, write_atomic
+from mjhab.core.files.cache import cache_dir, write_cached
 from mjhab.core.files.code_digest import code_digest
 from mjhab.scenes.shapes.meshes import Mesh
 from mjhab.scenes.shapes.simplify import simplify
@@ -59,7 +59,7 @@ def mesh_levels(mesh: Mesh) -> list[Level]:
         arrays = {
             f"{k}/{name}": getattr(level, name) for k, level in enumerate(found) for name in names
         }
-        write_atomic(path, lambda temporary: np.savez(temporary, allow_pickle=False, **arrays))
+        write_cached(path, lambda temporary: np.savez(temporary, allow_pickle=False, **arrays))
     return found
 
 

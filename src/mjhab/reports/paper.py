@@ -16,6 +16,12 @@ SUCCESS_COLUMNS = ("rl_per", "rl_all", "bc", "dp")
 POLICIES = ("RL-Per", "RL-All", "IL")
 """One policy per object, one for all of them (not for Open and Close), and imitation of the former."""
 
+ABLATIONS: dict[str, dict[str, str]] = {
+    "force_limits": {"force_limit_1400": "5 to 20 points less"},
+    "long_horizon": {"simplified": "under 20 % of whole tasks"},
+}
+"""What the paper says of other rules, by result and rules; it gives no table of them (MS-HAB, ICLR 2025)."""
+
 
 @dataclass(frozen=True)
 class PaperRow:

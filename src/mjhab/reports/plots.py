@@ -17,7 +17,7 @@ Figure = dict[str, Any]
 
 OTHER_COLOR = "#9ca3af"
 _TONES = {
-    "good": ("#16a34a", "#4ade80", "#15803d", "#86efac"),
+    "good": ("#15803d", "#86efac", "#0d9488", "#bef264"),
     "fair": ("#eab308", "#facc15", "#ca8a04", "#fde047"),
     "bad": ("#dc2626", "#f97316", "#be185d", "#fb7185", "#7c2d12", "#c2410c", "#9f1239"),
 }
@@ -113,6 +113,8 @@ def labels_figure(counts: Mapping[str, Counter[str]], order: Sequence[str] = ())
             "bargap": 0.35,
             "xaxis": {"range": [0, 1.001], "tickformat": ".0%"},
             "yaxis": {"autorange": "reversed"},
+            # Plotly leaves the legend out where there is one label only.
+            "showlegend": True,
             "legend": {"orientation": "h", "y": -0.18, "traceorder": "normal"},
         },
     }

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from mjhab.core.errors import MjhabError, UsageError
+from mjhab.core.files.reading import read_json_object
 from mjhab.core.machine import cores
 from mjhab.data.store.reading import episodes
 from mjhab.data.store.shard import last_label
@@ -78,7 +79,7 @@ def read_json(path: Path) -> dict[str, Any]:
         raise UsageError(
             f"{path} does not exist: give folders of `mjhab train` and `mjhab eval`, in turn."
         )
-    return json.loads(path.read_text(encoding="utf-8"))
+    return read_json_object(path)
 
 
 def training(run: Path, config: dict[str, Any], summary: dict[str, Any]) -> dict[str, Any]:

@@ -15,6 +15,9 @@ OPTIONAL = ("style", "instruction", "instructions", "error", "config_hash")
 Event = tuple[int, str]
 """Control step (the first step of an episode is 1) and the name of what happened in it."""
 
+MAX_COUNT = 2**63 - 1
+"""Largest seed, index or number of steps of a record."""
+
 
 @dataclass(frozen=True)
 class PlanEntry:
@@ -136,8 +139,21 @@ class EpisodeRecord:
         values["force"] = tuple(float(value) for value in data["force"])
         values["taint"] = tuple(data["taint"])
         record = cls(**values)
+        _check_numbers(record)
         _check_names(record)
         return record
+
+
+def _check_numbers(record: EpisodeRecord) -> None:
+    """Refuse counts that are no whole numbers from 0, and successes that are no truth values."""
+    for name in ("seed", "index", "steps", "completed"):
+        value = getattr(record, name)
+        if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= MAX_COUNT:
+            raise ValueError(f"{name} must be a whole number from 0, not {str(value)[:60]!r}.")
+    for name in ("success_once", "success_at_end", "fail", "spawn_fallback"):
+        value = getattr(record, name)
+        if not isinstance(value, bool):
+            raise ValueError(f"{name} must be true or false, not {str(value)[:60]!r}.")
 
 
 def _sentence(text: Any) -> str:

@@ -19,6 +19,8 @@ from typing import Any
 from mjhab.core.errors import UsageError
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.files.locking import WriteLock, lock_path, refuse_if_written
+from mjhab.core.files.outputs import check_output
+from mjhab.core.files.reading import parse_json, read_json_object, reason
 from mjhab.rollout.policy import RolloutEnv
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink
@@ -112,8 +114,8 @@ class RunFolder:
     def earlier_seconds(self) -> float:
         """Wall time [s] of the starts before this one, as far as they wrote a summary."""
         try:
-            return float(json.loads((self.path / SUMMARY).read_text(encoding="utf-8"))["seconds"])
-        except (FileNotFoundError, json.JSONDecodeError, KeyError):
+            return float(read_json_object(self.path / SUMMARY)["seconds"])
+        except (UsageError, KeyError, TypeError, ValueError):
             return 0.0
 
     def film_path(self, index: int) -> Path:
@@ -152,6 +154,7 @@ def check_folder(
     """
     if resume and overwrite:
         raise UsageError("--resume and --overwrite exclude each other; give one of them.")
+    check_output(path)
     if path.exists() and not path.is_dir():
         raise UsageError(f"the output path {path} is a file; give a folder.")
     refuse_if_written(path / CONFIG, path)
@@ -224,11 +227,9 @@ def _check_same(path: Path, config: Mapping[str, Any]) -> None:
             f"nothing to resume in {path}: it has no {CONFIG}. Give an empty or new folder as --out."
         )
     try:
-        old = json.loads((path / CONFIG).read_text(encoding="utf-8"))
-    except json.JSONDecodeError as error:
-        raise UsageError(
-            f"cannot resume: {path / CONFIG} is not JSON ({error}). Use --overwrite."
-        ) from error
+        old = read_json_object(path / CONFIG)
+    except UsageError as error:
+        raise UsageError(f"cannot resume: {error} Use --overwrite.") from error
     for key in sorted({*old, *config} - FREE_KEYS):
         if old.get(key) != config.get(key):
             raise UsageError(
@@ -240,10 +241,9 @@ def _check_same(path: Path, config: Mapping[str, Any]) -> None:
 def _stored_hash(path: Path) -> str:
     """The hash of the config in a file; empty where there is no config to compare with."""
     try:
-        config = json.loads(path.read_text(encoding="utf-8"))
-    except (FileNotFoundError, ValueError):
+        return config_hash(read_json_object(path))
+    except UsageError:
         return ""
-    return config_hash(config) if isinstance(config, dict) else ""
 
 
 def _check_same_run(record: EpisodeRecord, wanted: str, path: Path, line: int) -> None:
@@ -268,11 +268,12 @@ def _read_file(path: Path, wanted: str) -> tuple[list[EpisodeRecord], int]:
         try:
             if not line.endswith(b"\n"):
                 raise ValueError("the line is not finished")
-            record = EpisodeRecord.from_dict(json.loads(line))
-        except (ValueError, KeyError, TypeError) as error:
+            record = EpisodeRecord.from_dict(parse_json(line))
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
             if line.endswith(b"\n"):
+                said = reason(error)
                 raise UsageError(
-                    f"line {number} of {path} is damaged ({type(error).__name__}: {error}). Start the run again with "
+                    f"line {number} of {path} is damaged ({type(error).__name__}: {said}). Start the run again with "
                     "--overwrite."
                 ) from error
             break

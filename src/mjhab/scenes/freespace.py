@@ -6,10 +6,8 @@ height of the robot is drawn as the convex outline of its points, doors and draw
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from dataclasses import dataclass
 from functools import cached_property
-from threading import Lock
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt, label
@@ -19,6 +17,7 @@ from scipy.spatial import ConvexHull, KDTree
 
 from mjhab.core.errors import UsageError
 from mjhab.core.grids import SIXTEEN, grid_graph
+from mjhab.core.memory_cache import MemoryCache
 from mjhab.core.rotations import mat_from_quat
 from mjhab.scenes.shapes.footprints import all_geoms, outline, rectangle
 from mjhab.scenes.spec import IDENTITY, Articulation, Geom, Home, Pack, Placement, Prop
@@ -27,8 +26,6 @@ NAVMESH_BASE_RADIUS_M = 0.3
 """Radius [m] of the robot for which HAB makes its navigation meshes."""
 ROBOT_HEIGHT_M = 1.4
 """What hangs above this [m] does not block the base; the head camera of the benchmark's robot is at 1.41 m."""
-MAX_KEPT_MAPS = 128
-"""Maps that a process remembers, see `shared_map`; one of an apartment takes about 0.4 MB."""
 MAX_KEPT_FIELDS = 4
 """Distance fields a map remembers; one of an apartment takes about 0.2 MB."""
 _BORDER_M = 0.3
@@ -88,11 +85,7 @@ class FreeMap:
         """
         goal = np.asarray(xy, float)[:2]
         key = (round(float(goal[0]), 3), round(float(goal[1]), 3))
-        if key not in self._fields:
-            if len(self._fields) >= MAX_KEPT_FIELDS:
-                del self._fields[next(iter(self._fields))]
-            self._fields[key] = self._field(goal)
-        return self._fields[key]
+        return self._fields.get(key, lambda: self._field(goal))
 
     def distance(self, a: np.ndarray, b: np.ndarray) -> float:
         """Length [m] of the shortest way of the base between ``a`` and ``b`` (2,), as `distances_to` has it."""
@@ -118,15 +111,27 @@ class FreeMap:
         )
         apart = float(np.linalg.norm(self.to_xy(source) - goal)) if off[x, y] else 0.0
         field = np.maximum(along[nearest[0], nearest[1]] + off + apart, straight).astype(np.float32)
-        field.flags.writeable = False
-        return field
+        return _frozen(field)
+
+    def places(self, radius: float) -> np.ndarray:
+        """(P, 2) centres [m] of the cells of `navigable` for a ``radius`` [m]. Read-only."""
+        return self._derived.get(
+            ("places", radius), lambda: _frozen(self.to_xy(np.argwhere(self.navigable(radius))))
+        )
 
     @cached_property
-    def _fields(self) -> dict[tuple[float, float], np.ndarray]:
-        return {}
+    def _fields(self) -> MemoryCache:
+        return MemoryCache("distance fields", MAX_KEPT_FIELDS)
 
     @cached_property
+    def _derived(self) -> MemoryCache:
+        return MemoryCache("maps")
+
+    @property
     def _ways(self) -> tuple[csr_matrix, np.ndarray, np.ndarray]:
+        return self._derived.get("ways", self._find_ways)
+
+    def _find_ways(self) -> tuple[csr_matrix, np.ndarray, np.ndarray]:
         """Graph of the navigable cells; the nearest of them (2, X, Y) to every cell and how far off it is [m]."""
         free = self.navigable()
         if not free.any():
@@ -150,6 +155,11 @@ class FreeMap:
         if len(cells) == 0:
             raise ValueError("no cell to draw from: the mask is empty")
         return self.to_xy(cells[rng.integers(len(cells))] + rng.uniform(-0.5, 0.5, 2))
+
+
+def _frozen(array: np.ndarray) -> np.ndarray:
+    array.flags.writeable = False
+    return array
 
 
 def look_up(
@@ -176,24 +186,9 @@ def look_up(
 
 
 def shared_map(home: Home, pack: Pack) -> FreeMap:
-    """`free_map` of a home at its usual cell, drawn once in a process for all who ask.
-
-    The last `MAX_KEPT_MAPS` homes are remembered.
-    """
-    key = (id(home), id(pack))
-    with _MAPS_LOCK:
-        found = _MAPS.pop(key, None)
-        if found is None:
-            # Home and pack are kept with the map, so that no other objects get their ids.
-            found = (home, pack, free_map(home, pack))
-        _MAPS[key] = found  # the last one used stands at the end
-        while len(_MAPS) > MAX_KEPT_MAPS:
-            _MAPS.popitem(last=False)
-    return found[2]
-
-
-_MAPS: OrderedDict[tuple[int, int], tuple[Home, Pack, FreeMap]] = OrderedDict()
-_MAPS_LOCK = Lock()
+    """`free_map` of a home at its usual cell, drawn once for all who ask with the same pack."""
+    # The home is kept with its map, so that no other home gets its id.
+    return pack.derived.get(id(home), lambda: (home, free_map(home, pack)))[1]
 
 
 def free_map(home: Home, pack: Pack, cell: float = 0.05) -> FreeMap:

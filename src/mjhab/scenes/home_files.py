@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from mjhab.core.errors import UsageError
+from mjhab.core.files.reading import read_bytes, read_json
 from mjhab.core.names import check_name
 from mjhab.scenes.builtin.furniture import builtin_articulations, builtin_props, furniture_meshes
 from mjhab.scenes.builtin.objects import builtin_objects, object_meshes
@@ -175,15 +176,9 @@ def _body(file: Path) -> Any:
     """The data of a JSON file, or of the variable `PYTHON_NAME` of a Python file."""
     if file.suffix not in HOME_SUFFIXES:
         raise UsageError(f"{file}: a home file ends with {' or '.join(HOME_SUFFIXES)}.")
-    try:
-        text = file.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"{file}: cannot be read ({error}).") from error
     if file.suffix == ".json":
-        try:
-            return json.loads(text)
-        except json.JSONDecodeError as error:
-            raise UsageError(f"{file}: not valid JSON ({error}).") from error
+        return read_json(file)
+    read_bytes(file)
     found = runpy.run_path(str(file))
     if PYTHON_NAME not in found:
         raise UsageError(f"{file}: has no variable {PYTHON_NAME}, which holds the home.")

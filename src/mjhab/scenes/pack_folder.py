@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from mjhab.core.errors import UsageError
+from mjhab.core.files.reading import read_json_object
 from mjhab.scenes.pack_check import check_pack
 from mjhab.scenes.pack_source import PackRequest, PackSource
 from mjhab.scenes.records import read_record
@@ -65,11 +66,8 @@ def load_pack(folder: Path) -> Pack:
                 "configs/scenes, configs/objects); `mjhab assets fetch replica_cad` gets one."
             )
     path = folder / _JSON
-    try:
-        body = json.loads(path.read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise UsageError(f"{path}: not valid JSON ({error}); write the pack again.") from error
-    if not isinstance(body, dict) or body.get("format") != PACK_FORMAT:
+    body = read_json_object(path)
+    if body.get("format") != PACK_FORMAT:
         raise UsageError(
             f"{path}: field 'format' must be {PACK_FORMAT!r}; this is not a pack of this version."
         )

@@ -107,6 +107,7 @@ PACK_SOURCES: Registry[PackSource] = Registry(
     "asset pack",
     {
         "builtin": "mjhab.scenes.builtin.pack:SOURCE",
+        "styles": "mjhab.scenes.builtin.styles:SOURCE",
         "replica_cad": "mjhab.scenes.replica_cad.pack:SOURCE",
         "folder": "mjhab.scenes.pack_folder:SOURCE",
         "home_file": "mjhab.scenes.home_files:SOURCE",

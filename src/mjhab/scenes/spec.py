@@ -11,6 +11,8 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal
 
+from mjhab.core.memory_cache import MemoryCache
+
 Vec3 = tuple[float, float, float]
 Quat = tuple[float, float, float, float]
 IDENTITY: Quat = (1.0, 0.0, 0.0, 0.0)
@@ -235,6 +237,11 @@ class Pack:
     """Name to ``scenes.shapes.meshes.Mesh`` for every mesh the geoms name."""
     roles: Roles = Roles()
     """Which pieces play the roles that tasks ask for, in every home that states none of its own."""
+
+    @cached_property
+    def derived(self) -> MemoryCache:
+        """What is computed from its homes; the keys say what."""
+        return MemoryCache("maps")
 
     @cached_property
     def homes_by_name(self) -> dict[str, Home]:

@@ -19,6 +19,8 @@ from mjhab.tasks.household.registry import TASKS
 from mjhab.tasks.plan import GOAL_OF
 from mjhab.tasks.subtasks.registry import SUBTASKS
 
+BY_TELEPORT = " (by teleport)"
+"""End of the sentence of a navigation that the environment does, and of a whole task with such navigations."""
 MAX_INSTRUCTION_CHARACTERS = 1000
 """Longest instruction that is read from a file."""
 
@@ -116,6 +118,28 @@ def instructions(task: str, requests: Sequence[Request], alone: bool, draw: Draw
     """
     subtasks = tuple(subtask_instruction(request, draw) for request in requests)
     return Instructions(subtasks[0] if alone else task_instruction(task, requests, draw), subtasks)
+
+
+def by_teleport(sentence: str) -> str:
+    """A sentence that says that the environment does the way: a robot that is put somewhere did not drive there."""
+    return sentence if sentence.endswith(BY_TELEPORT) else sentence + BY_TELEPORT
+
+
+def with_teleports(told: Instructions, kinds: Sequence[str]) -> Instructions:
+    """The sentences of a whole task in which the environment does the navigation.
+
+    Args:
+        told: the sentences as if the robot drove.
+        kinds: of the subtasks, in order of the plan.
+    """
+    ways = [SUBTASKS[kind].navigates for kind in kinds]
+    if not any(ways):
+        return told
+    subtasks = [
+        by_teleport(sentence) if way else sentence
+        for sentence, way in zip(told.subtasks, ways, strict=True)
+    ]
+    return Instructions(by_teleport(told.task), tuple(subtasks))
 
 
 def subtask_instruction(request: Request, draw: Draw = first_wording) -> str:

@@ -20,6 +20,8 @@ DROP = "drop"
 PUSH = "push"
 THROW = "throw"
 GRASP = "grasp"
+TARGET = "target"
+AHEAD = "ahead"
 SMOOTH = "smooth"
 STEP = "step"
 RANGE = ".."
@@ -61,6 +63,13 @@ class Style:
         metadata={
             "words": (ANY, PUSH, THROW, GRASP),
             "about": "how doors and drawers are shut: push all the way, throw (doors), hold the handle (drawers)",
+        },
+    )
+    look: str = field(
+        default=AHEAD,
+        metadata={
+            "words": (AHEAD, TARGET),
+            "about": "the head looks ahead, or follows what is worked on; with a stationary head it stays",
         },
     )
     noise: float = field(

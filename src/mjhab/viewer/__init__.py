@@ -1,1 +1,21 @@
 """Worlds and recorded episodes in the browser."""
+
+from __future__ import annotations
+
+import importlib.util
+
+from mjhab.core.errors import UsageError
+from mjhab.core.machine import pip_install
+
+
+def require_viser() -> None:
+    """Refuse to go on without the library of the page.
+
+    Raises:
+        UsageError: it is not installed.
+    """
+    if importlib.util.find_spec("viser") is None:
+        raise UsageError(
+            f"mjhab view needs viser, which is not installed: {pip_install('view')}. Without it, --export writes "
+            "an episode as a page."
+        )

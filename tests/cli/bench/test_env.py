@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from mjhab.bench.reward import auc, figure, summary
+from mjhab.bench.soak.run import CURVE_POINTS, MemoryCurve
 from mjhab.bench.stages import STAGES
 from mjhab.cli.main import main
 from mjhab.envs.catalog import env_ids
@@ -87,11 +88,13 @@ def test_bench_env_splits_the_time_of_a_step(capsys: pytest.CaptureFixture[str])
     assert main(["bench", "env", "--worlds", "0"]) == 2
 
 
-def test_bench_soak_counts_steps_and_episodes(capsys: pytest.CaptureFixture[str]):
-    _, found = run(
+def test_bench_soak_counts_steps_and_episodes(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    code, found = run(
         capsys,
         "bench",
         "soak",
+        "--out",
+        str(tmp_path),
         "--steps",
         "2050",
         "--worlds",
@@ -102,8 +105,25 @@ def test_bench_soak_counts_steps_and_episodes(capsys: pytest.CaptureFixture[str]
         "tidy_house",
     )
     assert found["steps"] == 2052 and len(found["rss_mb"]) == 4
+    assert code == (0 if found["ok"] else 1)
+    assert 0 < sum(found["cache_mb"].values()) <= found["cache_limit_mb"]
+    assert json.loads((tmp_path / "soak.json").read_text()) == found
+    assert "<polyline" in (tmp_path / "memory.svg").read_text()
     # 342 steps of each of pick, place and navigate; the first two end after 200.
     assert found["episodes"] == 4 and set(found["tainted"]) >= {"nan", "penetration"}
+
+
+def test_memory_is_judged_by_its_second_half(monkeypatch: pytest.MonkeyPatch):
+    readings = iter([100.0, 200.0, 203.0, 205.0, 207.0])
+    monkeypatch.setattr("mjhab.bench.soak.run.resident_mb", lambda: next(readings))
+    curve = MemoryCurve(4 * CURVE_POINTS)
+    for done in (CURVE_POINTS, 2 * CURVE_POINTS, 3 * CURVE_POINTS, 4 * CURVE_POINTS):
+        curve.note(done)
+    found = curve.summary()
+    assert found["rss_mb"] == [100.0, 200.0, 203.0, 205.0]
+    assert found["growth_second_half"] == 0.025 and found["ok"]
+    curve.points[-1] = (4 * CURVE_POINTS, 207.0)
+    assert not curve.summary()["ok"]
 
 
 def test_bench_reward_writes_curves(tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -10,7 +10,7 @@ import pytest
 from mjhab.cli.main import main
 from mjhab.learning import configs
 from mjhab.learning.configs import DaggerConfig, InputConfig, TrainConfig
-from mjhab.learning.reproduce import table_rows
+from mjhab.learning.reproduce.rows import table_rows
 from mjhab.reports.paper import paper_success
 from tests.learning.small import config
 
@@ -33,6 +33,9 @@ def test_rows_are_those_of_the_paper() -> None:
         (("--split", "vla"), "unknown split"),
         (("--episodes", "0"), "--episodes must be at least 1"),
         (("--profile", "ms_hub"), "Did you mean 'ms_hab'"),
+        (("--column", "rl_al"), "Did you mean 'rl_all'"),
+        (("--column", "rl_all", "--preset", "small"), "preset"),
+        (("--policies", "nowhere"), "no folder of `mjhab reproduce`"),
     ],
 )
 def test_bad_input(
@@ -74,6 +77,19 @@ def test_a_row_is_trained_judged_and_set_beside_the_paper(
     trained = (
         (tmp_path / "set_table.close.drawer" / "train" / "student.safetensors").stat().st_mtime_ns
     )
+    # The same policy under other rules, without training.
+    others = str(tmp_path / "others")
+    again = ["reproduce", "force_limits", *words[2:], "--policies", str(tmp_path)]
+    again[again.index("--out") + 1] = others
+    assert main(again) == 0
+    results = json.loads(capsys.readouterr().out.splitlines()[-1])["rows"]
+    assert [found["rules"] for found in results] == [
+        "evaluation",
+        "no_force_limit",
+        "force_limit_1400",
+    ]
+    assert results[0]["success_once"] == row["success_once"]
+    assert results[2]["paper_says"] == "5 to 20 points less" and not results[2]["paper"]
     assert main([*words, "--resume"]) == 0
     assert (
         tmp_path / "set_table.close.drawer" / "train" / "student.safetensors"

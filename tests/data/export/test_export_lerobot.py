@@ -16,6 +16,7 @@ from mjhab.data.export.lerobot.export import FPS, Choice, Exported, export_lerob
 from mjhab.data.export.lerobot.pieces import FilmTools
 from mjhab.data.export.lerobot.stats import aggregate, image_stats, vector_stats
 from mjhab.data.select.describing import state_names, subtask_words
+from mjhab.data.select.own_state import split_state
 from mjhab.data.select.query import Filter
 from mjhab.data.store.reading import Episode, episodes
 from mjhab.render.film import FilmWriter, join_films
@@ -53,9 +54,10 @@ def frames_of(path: Path) -> np.ndarray:
 
 def check_rows(table: Any, episode: Episode, number: int, first: int) -> None:
     count = episode.steps
-    np.testing.assert_array_equal(
-        np.stack(table["observation.state"].to_numpy()), episode.array("obs/state")[:count]
-    )
+    state = split_state(episode)
+    for key, parts in (("state", state.own), ("environment_state", state.task)):
+        joined = np.concatenate(list(parts.values()), axis=1)[:count]
+        np.testing.assert_array_equal(np.stack(table[f"observation.{key}"].to_numpy()), joined)
     np.testing.assert_array_equal(np.stack(table["action"].to_numpy()), episode.array("actions"))
     np.testing.assert_allclose(table["timestamp"].to_numpy(), np.arange(count) / 20, atol=1e-6)
     np.testing.assert_array_equal(table["index"].to_numpy(), np.arange(first, first + count))

@@ -243,7 +243,11 @@ def test_provenance() -> None:
     assert "num_envs" not in run.config["env"]
     for view in ("obs_mode", "handle_points"):
         assert view in run.options and view not in run.config["env"]
-    assert run.layout["actions"][:2] == ["a0", "a1"] and run.layout["columns"]["robot_q"] == [0, 1]
+    assert run.layout["actions"][:2] == ["a0", "a1"] and run.layout["columns"]["robot_q"] == [
+        0,
+        1,
+        2,
+    ]
     again = describe_run(cast("Any", FakeEnv(1, "pick", images=True)), POLICY)
     assert again == run and again.id == run.id
     other = describe_run(

@@ -8,12 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from torch.utils.data import DataLoader
+from torch.utils.data import BatchSampler, DataLoader
 
 from mjhab.core.errors import UsageError
 from mjhab.data.select.dataset import SeededSampler, WindowDataset
 from mjhab.data.select.query import Filter
 from mjhab.data.select.statistics import Statistics
+from mjhab.data.select.until import Until
 from mjhab.data.store import journal
 from mjhab.data.store.images import ImageFormat
 from mjhab.data.store.reading import episodes
@@ -169,3 +170,44 @@ def test_filter_and_bad_input(source: Path) -> None:
         WindowDataset(source, images=["fetch_hand/rgb"])
     with pytest.raises(UsageError, match="at least 1"):
         WindowDataset(source, history=0)
+
+
+@pytest.mark.parametrize("place", ["memory", "decode", "folder"])
+def test_a_batch_is_its_windows(source: Path, tmp_path: Path, place: str) -> None:
+    frames = tmp_path if place == "folder" else place
+    data = WindowDataset(source, history=2, chunk=3, images=[DEPTH], frames=frames)
+    order = [len(data) - 1, 0, 20, 21, 0]
+    for _ in range(2):
+        batch = data[order]
+        for k, index in enumerate(order):
+            for key, value in data[index].items():
+                assert torch.equal(batch[key][k], torch.as_tensor(value)), key
+    sampler = BatchSampler(SeededSampler(len(data)), 16, drop_last=False)
+    whole = torch.cat([each["step"] for each in DataLoader(data, sampler=sampler, batch_size=None)])
+    assert len(whole) == len(data)
+    assert not list(tmp_path.iterdir())
+    with pytest.raises(IndexError):
+        data[[0, len(data)]]
+
+
+def test_windows_end_some_steps_after_success(
+    source: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = WindowDataset(source, images=[DEPTH])
+    kept = 7
+    monkeypatch.setattr(Until, "steps", lambda self, ok: len(ok) if self.is_whole else kept)
+    data = WindowDataset(source, images=[DEPTH], until="success+2")
+    assert len(data) == kept * len(list(episodes(source))) < len(whole)
+    assert data.statistics.fingerprint != whole.statistics.fingerprint
+    last = data[kept - 1]
+    assert last["step"] == kept - 1 and torch.equal(last[DEPTH], whole[kept - 1][DEPTH])
+    assert (data[kept]["episode"], data[kept]["step"]) == (1, 0)
+
+
+def test_until_is_read_and_counts_from_the_first_success() -> None:
+    success = np.array([0, 0, 1, 0, 1, 1, 1], np.uint8)
+    assert [Until.parse(text).steps(success) for text in ("", "success", "success+2")] == [7, 3, 5]
+    assert Until.parse("success+90").steps(success) == Until(0).steps(success * 0) == 7
+    for wrong in ("success+", "success-1", "succes+3", "success+1e3"):
+        with pytest.raises(UsageError, match=r"success\+20"):
+            Until.parse(wrong)

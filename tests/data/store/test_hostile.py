@@ -202,8 +202,8 @@ RECORDS: dict[str, tuple[Callable[[EpisodeRecord], EpisodeRecord], str]] = {
         "its record has forces that are not finite",
     ),
     "index": (lambda r: replace(r, index=7), "its record is that of episode 7 of seed 0"),
-    "seed": (lambda r: replace(r, seed=-3), "its record is that of episode 1 of seed -3"),
-    "steps": (lambda r: replace(r, steps=-5), "its record has"),
+    "seed": (lambda r: replace(r, seed=-3), "seed must be a whole number from 0"),
+    "steps": (lambda r: replace(r, steps=-5), "steps must be a whole number from 0"),
     "plan": (
         lambda r: replace(r, subtasks=(replace(r.subtasks[0], index=9),)),
         "has subtask 9 of a plan of 1",

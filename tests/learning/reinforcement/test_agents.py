@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 import torch
 
 from mjhab.core.errors import UsageError
 from mjhab.learning.reinforcement.configs import SacConfig, changed, reinforcement_preset
 from mjhab.learning.reinforcement.networks import Critics
-from mjhab.learning.reinforcement.ppo import Ppo, PpoLearner
+from mjhab.learning.reinforcement.ppo import LEAST_STD, MOST_STD, Ppo, PpoLearner
 from mjhab.learning.reinforcement.replay import ReplayBuffer, ReplayShape
 from mjhab.learning.reinforcement.sac import Sac, SacLearner
 from mjhab.learning.reinforcement.sight import Sight
-from mjhab.learning.reinforcement.worlds import Worlds
+from mjhab.learning.reinforcement.worlds import TrainingRules, Worlds
 from tests.learning.reinforcement.toy import HORIZON, LAYOUT, PPO_TOY, SAC_TOY, Toy
 
 WORLDS = 16
@@ -36,11 +37,12 @@ def reward_of(policy: object, steps: int = 5 * HORIZON) -> float:
     return total / steps
 
 
-@pytest.mark.parametrize("privileged", [False, True])
-def test_ppo_learns_the_toy(privileged: bool) -> None:
+@pytest.mark.parametrize(("privileged", "state_std"), [(False, False), (True, True)])
+def test_ppo_learns_the_toy(privileged: bool, state_std: bool) -> None:
     place, width = worlds(privileged)
-    agent = Ppo(PPO_TOY, LAYOUT, width, seed=0)
-    learner = PpoLearner(agent, place, PPO_TOY, seed=0)
+    config = changed(PPO_TOY, {"state_std": state_std})
+    agent = Ppo(config, LAYOUT, width, seed=0)
+    learner = PpoLearner(agent, place, config, seed=0)
     before = reward_of(agent.mean)
     for number in range(25):
         rollout, _ = learner.collect()
@@ -85,6 +87,61 @@ def test_the_last_observation_of_an_episode_is_what_follows_its_last_step() -> N
         assert torch.allclose(happened.next_seen.vector, before + 0.15, atol=1e-6)
         assert bool(happened.ended.all()) == (step == HORIZON - 1)
     assert not torch.allclose(place.seen.vector, happened.next_seen.vector)
+
+
+def test_first_episodes_end_at_different_times_and_as_by_time() -> None:
+    env = Toy(WORLDS, terminates=True)
+    place = Worlds(env, Sight(env, LAYOUT, False), 0, TrainingRules(longest_first=HORIZON))
+    ends = []
+    for _ in range(HORIZON - 1):
+        happened = place.step(torch.zeros(WORLDS, 1))
+        assert not bool(happened.terminated.any())
+        ends.append(int(happened.ended.sum()))
+    assert sum(ends) >= WORLDS - 4 and max(ends) < WORLDS - 4
+
+
+def test_too_much_force_ends_an_episode_and_every_force_costs() -> None:
+    env = Toy(2)
+    env.force = np.array([300.0, 0.0])
+    rules = TrainingRules(
+        force_limit=1000.0, force_ends=True, force_cost=5.0, conditions=("force_ok",)
+    )
+    place = Worlds(env, Sight(env, LAYOUT, False), 0, rules)
+    free = Worlds(Toy(2), Sight(env, LAYOUT, False), 0)
+    for step in range(1, 5):
+        happened = place.step(torch.zeros(2, 1))
+        usual = free.step(torch.zeros(2, 1))
+        assert happened.terminated.tolist() == [step == 4, False]
+        assert torch.equal(happened.terminated, happened.ended)
+        paid = usual.reward - happened.reward
+        assert paid.tolist() == pytest.approx([1.5, 0.0], abs=1e-5)
+    assert place.held() == {"force_ok": pytest.approx(7 / 8)}
+    assert place.held() == {"force_ok": 0.0}
+
+
+def test_the_spread_depends_on_what_is_seen() -> None:
+    config = changed(PPO_TOY, {"state_std": True, "initial_std": 0.3})
+    agent = Ppo(config, LAYOUT, 0, seed=0)
+    place, _ = worlds()
+    before = agent.distribution(place.seen).log_std.exp()
+    assert torch.allclose(before, torch.full_like(before, 0.3), atol=1e-5)
+    assert agent.spread.weight is not None
+    torch.nn.init.normal_(agent.spread.weight, std=0.05)
+    after = agent.distribution(place.seen).log_std.exp()
+    assert float(after.std()) > 0.01
+    assert float(after.min()) >= LEAST_STD - 1e-6 and float(after.max()) <= MOST_STD + 1e-6
+
+
+def test_the_learning_rate_follows_the_divergence() -> None:
+    rates = []
+    for wanted in (1e-6, 10.0, 0.0):
+        place, width = worlds()
+        config = changed(PPO_TOY, {"desired_kl": wanted})
+        learner = PpoLearner(Ppo(config, LAYOUT, width, seed=0), place, config, seed=0)
+        rollout, _ = learner.collect()
+        rates.append(learner.update(rollout, 0.0)["learning_rate"])
+    first = 3e-3
+    assert rates[0] < first and rates[1] == first == rates[2]
 
 
 def test_a_shifted_distribution_keeps_its_mean() -> None:

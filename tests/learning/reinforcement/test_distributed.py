@@ -28,7 +28,7 @@ def rollout(rows: slice) -> Rollout:
     actions = torch.randn(ROWS, 1, generator=random)[rows]
     numbers = torch.randn(3, ROWS, generator=random)[:, rows]
     seen = Seen(vector, images, torch.zeros(count, 0))
-    return Rollout(seen, actions, numbers[0] - 1.0, numbers[1], numbers[2])
+    return Rollout(seen, actions, numbers[0] - 1.0, actions, numbers[1], numbers[2])
 
 
 def learn(rows: slice) -> dict[str, torch.Tensor]:

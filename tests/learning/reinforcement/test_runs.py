@@ -30,17 +30,21 @@ from mjhab.learning.runs.collection import Scene
 SCENE = Scene(
     "set_table", "close", "kitchen_counter/drawer3", home="builtin_m0_00", profile="ms_hab"
 )
-INPUTS = InputConfig(cameras=(), image_size=0, previous_action=True, base_velocity=True, shift=0)
+INPUTS = InputConfig(
+    cameras=(), image_size=0, previous_action=True, base_velocity=True, link_state=True, shift=0
+)
 NETWORK = NetworkConfig(hidden=16, layers=1)
 TINY = ReinforcementConfig(
     PPO,
     "tiny",
     INPUTS,
     NETWORK,
-    ppo=PpoConfig(rollout_steps=8, minibatches=2, epochs=1),
+    ppo=PpoConfig(rollout_steps=8, minibatches=2, epochs=1, desired_kl=0.01, state_std=True),
     samples=64,
     worlds=2,
     checkpoint_samples=32,
+    force_ends=True,
+    force_cost=1.0,
 )
 TINY_RLPD = dataclasses.replace(
     TINY,
@@ -95,6 +99,8 @@ def test_a_run_leaves_a_policy_that_eval_takes_and_a_report(tmp_path: Path) -> N
     )
     result = train_reinforcement(told, tmp_path / "run")
     assert result.summary["episodes"] == 1 and result.summary["algorithm"] == "ppo"
+    shares = result.summary["time_shares"]
+    assert sum(shares.values()) == pytest.approx(1.0, abs=1e-3) and shares["env"] > 0.0
     assert load_student(tmp_path / "run" / "student.safetensors").layout.profile == "ms_hab"
     judged = tmp_path / "run" / "evaluations" / "latest" / "config.json"
     assert json.loads(judged.read_text(encoding="utf-8"))["profile"] == "ms_hab"

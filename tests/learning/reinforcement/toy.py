@@ -39,7 +39,10 @@ SAC_TOY = ReinforcementConfig(
 
 
 class Toy:
-    """W points; an action moves a point by up to 0.3, the reward is 1 - |place|, and 8 steps are an episode."""
+    """W points; an action moves a point by up to 0.3, the reward is 1 - |place|, and 8 steps are an episode.
+
+    ``force`` (W,): what acts on the robot in every step [N].
+    """
 
     def __init__(self, worlds: int, terminates: bool = False) -> None:
         self.num_envs = worlds
@@ -51,6 +54,12 @@ class Toy:
         self._random = np.random.default_rng(0)
         self.place = np.zeros(worlds)
         self.left = np.zeros(worlds, np.int64)
+        self.force = np.zeros(worlds)
+        self.forces = np.zeros(worlds)
+
+    def link_state(self) -> np.ndarray:
+        """There is no link."""
+        return np.zeros((self.num_envs, 4), np.float32)
 
     @property
     def state(self) -> Any:
@@ -65,11 +74,13 @@ class Toy:
         mask = (options or {}).get("reset_mask", np.ones(self.num_envs, bool))
         self.place = np.where(mask, self._random.uniform(-1, 1, self.num_envs), self.place)
         self.left = np.where(mask, HORIZON, self.left)
+        self.forces = np.where(mask, 0.0, self.forces)
         return self._obs(), self._info()
 
     def step(self, actions: np.ndarray) -> tuple[dict, Any, Any, Any, dict]:
         self.place = self.place + 0.3 * np.clip(actions[:, 0], -1, 1)
         self.left = self.left - 1
+        self.forces = self.forces + self.force
         over = self.left == 0
         terminated = over if self.terminates else np.zeros_like(over)
         return self._obs(), 1.0 - np.abs(self.place), terminated, over & ~terminated, self._info()
@@ -80,6 +91,8 @@ class Toy:
     def _info(self) -> dict:
         zeros = np.zeros(self.num_envs)
         info: dict[str, Any] = {"steps_left": self.left, "success": np.abs(self.place) < 0.1}
-        names = ("robot_force", "cumulative_force", "is_grasped", "at_goal", "ee_rest")
+        info |= {"robot_force": self.force, "cumulative_force": self.forces}
+        info["force_ok"] = self.forces <= 1000.0
+        names = ("is_grasped", "at_goal", "ee_rest")
         info |= dict.fromkeys((*names, "is_static", "opened", "closed", "touch"), zeros)
         return info

@@ -68,7 +68,7 @@ def test_any_cut_off_file_is_one_error_that_names_it(
     whole = box_glb(tmp_path_factory.mktemp("glb") / "thing.glb", (1, 2, 3))
     raw = whole.read_bytes()
     whole.write_bytes(raw[: int(share * len(raw))])
-    with pytest.raises(UsageError, match=r"thing\.glb: .*fetch (the file|it) again") as error:
+    with pytest.raises(UsageError, match=r"thing\.glb: .*download (the file|it) again") as error:
         read_glb(whole)
     assert "\n" not in str(error.value)
 

@@ -199,7 +199,9 @@ def test_a_broken_scan_is_named(tmp_path: Path, damage: str) -> None:
     whole = real_data("ycb", BOWL, SCAN).read_bytes()
     path = tmp_path / SCAN
     path.write_bytes({"cut": whole[: len(whole) // 3], "text": b"not a glb", "empty": b""}[damage])
-    with pytest.raises(UsageError, match=r"textured\.glb: .*fetch (it|the file) again") as caught:
+    with pytest.raises(
+        UsageError, match=r"textured\.glb: .*download (it|the file) again"
+    ) as caught:
         read_scan(path)
     assert "\n" not in str(caught.value)
 

@@ -26,6 +26,7 @@ from mjhab.bench.experts.rows import (
 from mjhab.bench.specs import ExpertsSpec
 from mjhab.config.profile_choice import profile_options, resolved_profile
 from mjhab.core.errors import MjhabError, UsageError
+from mjhab.core.files.reading import read_json_object
 from mjhab.core.machine import cores
 from mjhab.data.record.generation import Standing
 from mjhab.data.record.provenance import source_commit, versions
@@ -193,8 +194,8 @@ def _open_folder(spec: ExpertsSpec) -> None:
         )
     if there:
         try:
-            before = json.loads((out / CONFIG).read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
+            before = read_json_object(out / CONFIG)
+        except UsageError as error:
             raise UsageError(
                 f"{out} holds no measurement of experts that could be gone on with ({error}); choose another --out."
             ) from error

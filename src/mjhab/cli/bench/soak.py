@@ -2,26 +2,52 @@
 
 from __future__ import annotations
 
-from mjhab.bench.soak import MOST_GROWTH, soak
+import json
+from typing import Any
+
+from mjhab.bench.soak.memory_plot import memory_picture
+from mjhab.bench.soak.run import MAX_GROWTH, soak
 from mjhab.cli.options.env import BenchSoakOptions
 from mjhab.cli.output import at_least, print_json, print_table
+from mjhab.core.files.cache import write_atomic
+
+RESULTS = "soak.json"
+PICTURE = "memory.svg"
 
 
 def bench_soak(options: BenchSoakOptions) -> int:
-    """Print what `soak` finds; fails if memory grew by more than 3 %."""
+    """Print what `soak` finds; fails if memory changed by more than 3 % over the second half."""
     for name in ("steps", "worlds"):
         at_least(name, getattr(options, name), 1)
-    at_least("threads", options.threads, 0)
-    at_least("seed", options.seed, 0)
+    for name in ("threads", "seed", "generate"):
+        at_least(name, getattr(options, name), 0)
     found = soak(options)
+    if options.out is not None:
+        _write(options, found)
     if options.json:
         print_json(found)
     else:
-        rows = [
-            (k, ", ".join(f"{n} {c}" for n, c in v.items()) if isinstance(v, dict) else v)
-            for k, v in found.items()
-        ]
-        print_table(
-            f"{found['steps']:,} control steps with random actions", ("what", "value"), rows
-        )
-    return 1 if found["rss_growth"] > MOST_GROWTH else 0
+        _print(found)
+    return 0 if found["ok"] else 1
+
+
+def _write(options: BenchSoakOptions, found: dict[str, Any]) -> None:
+    assert options.out is not None
+    name = "generation with the expert" if options.generate else "random actions"
+    picture = memory_picture({name: found})
+    text = json.dumps(found, indent=1) + "\n"
+    write_atomic(options.out / RESULTS, lambda path: path.write_text(text, encoding="utf-8"))
+    write_atomic(options.out / PICTURE, lambda path: path.write_text(picture, encoding="utf-8"))
+
+
+def _print(found: dict[str, Any]) -> None:
+    shown = {name: value for name, value in found.items() if name != "curve"}
+    rows = [
+        (k, ", ".join(f"{n} {c}" for n, c in v.items()) if isinstance(v, dict) else v)
+        for k, v in shown.items()
+    ]
+    print_table("Memory over a long time", ("what", "value"), rows)
+    print(
+        f"Memory changed by {100 * found['growth_second_half']:+.1f} % over the second half; "
+        f"{100 * MAX_GROWTH:.0f} % are allowed."
+    )

@@ -12,8 +12,10 @@ from mjhab.cli.datasets.data import read_filter
 from mjhab.cli.options.export import ExportLerobotOptions, ExportManiskillOptions
 from mjhab.cli.output import print_json
 from mjhab.core.errors import UsageError
+from mjhab.core.machine import pip_install
 from mjhab.core.progress import late_bar
 from mjhab.data.export.maniskill import export_maniskill
+from mjhab.data.select.until import Until
 from mjhab.render.film import FilmWriter, join_films
 
 _KEYFRAMES = 2
@@ -57,9 +59,9 @@ def _lerobot(options: ExportLerobotOptions) -> int:
         if error.name is None or error.name.partition(".")[0] != "pyarrow":
             raise
         raise UsageError(
-            "LeRobot data sets need pyarrow; install it with: pip install 'mjhab[data]'"
+            f"LeRobot data sets need pyarrow; install it with: {pip_install('data')}"
         ) from error
-    choice = lerobot.Choice(rgb=not options.no_rgb, depth=not options.no_depth)
+    choice = lerobot.Choice(not options.no_rgb, not options.no_depth, options.until)
     films = FilmTools(
         functools.partial(FilmWriter, quality=options.quality, keyframes=_KEYFRAMES), join_films
     )
@@ -94,6 +96,7 @@ def _maniskill(options: ExportManiskillOptions) -> int:
             options.places,
             options.out,
             where=read_filter(options.where, options.preset),
+            until=Until.parse(options.until),
             overwrite=options.overwrite,
             resume=options.resume,
             begin=begin,

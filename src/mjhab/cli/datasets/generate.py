@@ -49,6 +49,7 @@ def generate_spec(options: GenerateOptions) -> GenerateSpec:
         home=options.home,
         assets=options.assets,
         navigate=options.navigate,
+        until=options.until,
         env=profile_options(options),
         per_target=options.per_target,
         per_label=options.per_label,

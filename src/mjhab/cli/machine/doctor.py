@@ -11,7 +11,8 @@ from typing import Any
 from mjhab.cli.options.common import DoctorOptions
 from mjhab.cli.output import print_json, print_table
 from mjhab.core.files.cache import cache_dir
-from mjhab.core.machine import cores, gpu_name, installed
+from mjhab.core.machine import cores, gpu_name, installed, pip_install
+from mjhab.core.memory_cache import LIMIT_VARIABLE, memory_limit_mb
 from mjhab.core.registration.plugins import loaded_plugins
 from mjhab.core.version import __version__
 
@@ -25,7 +26,7 @@ EXTRAS = {
     "scale": ("ray",),
     "robots": ("robosuite",),
 }
-"""Modules that each extra of the package installs."""
+"""Extra of the package to the modules that it brings; those of pyproject.toml but "all" and "dev"."""
 
 
 def run_doctor(options: DoctorOptions) -> int:
@@ -47,7 +48,8 @@ def diagnose() -> dict[str, Any]:
 
     Returns:
         ``python`` and ``mujoco``: versions; ``renderers``: whether each works, by name; ``gpu``: its name or None;
-        ``cores``; ``cache``: its folder; ``plugins``: name, origin, what each registered, and its error ("" for none).
+        ``cores``; ``cache``: its folder; ``memory_cache_mb``: limit of what a process remembers [MB]; ``plugins``:
+        name, origin, what each registered, and its error ("" for none).
     """
     from mjhab.render.gl_probe import renderer_probe
 
@@ -58,6 +60,7 @@ def diagnose() -> dict[str, Any]:
         "gpu": gpu_name(),
         "cores": cores(),
         "cache": str(cache_dir()),
+        "memory_cache_mb": memory_limit_mb(),
         "plugins": [dataclasses.asdict(plugin) for plugin in loaded_plugins()],
     }
 
@@ -75,9 +78,7 @@ def _print(found: dict[str, Any]) -> None:
     extras = []
     for name, modules in EXTRAS.items():
         here = all(importlib.util.find_spec(module) for module in modules)
-        extras.append(
-            (name, ", ".join(modules), "yes" if here else f"no: pip install 'mjhab[{name}]'")
-        )
+        extras.append((name, ", ".join(modules), "yes" if here else f"no: {pip_install(name)}"))
     print_table("extras", ("extra", "modules", "installed"), extras)
     renderers = [
         (name, "works" if works else _advice(name)) for name, works in found["renderers"].items()
@@ -89,6 +90,7 @@ def _print(found: dict[str, Any]) -> None:
         ("gpu", gpu),
         ("cache", found["cache"]),
         ("cache size", _size(found["cache"])),
+        ("cache in memory", f"{found['memory_cache_mb']:g} MB at most (${LIMIT_VARIABLE})"),
     ]
     print_table("machine", ("what", "value"), machine)
     if found["plugins"]:

@@ -27,6 +27,15 @@ Joints = Annotated[str | None, tyro.conf.arg(metavar="NAME,NAME")]
 
 
 @dataclass(frozen=True, kw_only=True)
+class MemoryOptions:
+    """The option of commands that run long; `cli.main.run` obeys it."""
+
+    cache_mb: Annotated[float | None, tyro.conf.arg(metavar="MB")] = None
+    """Limit of what a process remembers of homes, maps and episodes; $MJHAB_CACHE_MB, else 512, if absent. Changes
+    the speed, never the results."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class ProfileOptions(ProfileChoice):
     """Options that all commands share which build environments for policies."""
 
@@ -51,7 +60,7 @@ class PolicyProfileOptions(ProfileOptions):
 
 
 @dataclass(frozen=True)
-class EvalOptions(ServedOptions, PolicyProfileOptions):
+class EvalOptions(ServedOptions, MemoryOptions, PolicyProfileOptions):
     """Run a policy in furnished homes; write records, numbers, films and a report.
 
     A whole task: `mjhab eval --task set_table --policy expert --episodes 20 --out runs/table`
@@ -77,7 +86,7 @@ class EvalOptions(ServedOptions, PolicyProfileOptions):
     docs/evaluation.md), or one that is served elsewhere: ws://host:port (see docs/serving.md)."""
     style: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = ()
     """How the expert acts, e.g. speed=0.5..1.0 grasp=side release=drop noise=0.05; of a range or a list (a,b) every
-    episode draws its own. Names: speed, grasp, release, drop_height, close, noise, base_noise, noise_kind,
+    episode draws its own. Names: speed, grasp, release, drop_height, close, look, noise, base_noise, noise_kind,
     hold, dither (see docs/data.md)."""
     episodes: Number = 20
     """How many episodes: those with index 0 to N-1. The same index is the same episode for every policy."""
@@ -122,6 +131,20 @@ class EvalOptions(ServedOptions, PolicyProfileOptions):
     """Folders of --subtask runs, whose success rates give the upper bound of progressive completion."""
     json: bool = False
     """Print the summary as one line of JSON at the end."""
+
+
+@dataclass(frozen=True)
+class DemoOptions:
+    """See it work: the expert sets the table in four furnished homes; films and report in runs/demo.
+
+    The same as `mjhab eval --task set_table --policy expert --episodes 4 --worlds 4 --seed 0 --films 4`. The first time
+    it compiles for about a minute; then it takes two minutes on two cores.
+    """
+
+    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("runs/demo")
+    """Folder of the results; what an earlier run left there is replaced."""
+    json: bool = False
+    """Print the summary as one line of JSON at the end, as eval does."""
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,12 @@ from typing import Annotated
 
 import tyro
 
+from mjhab.bench.specs import WindowsSpec
+
 Sub = tyro.conf.subcommand
 Places = Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="FILE|FOLDER ...")]
 Where = Annotated[str | None, tyro.conf.arg(metavar="FILTER")]
+Until = Annotated[str, tyro.conf.arg(metavar="end|success|success+N")]
 Preset = Annotated[str | None, tyro.conf.arg(metavar="NAME")]
 
 
@@ -179,6 +182,33 @@ class DataCommand:
         | Annotated[DataRepairOptions, Sub("repair")]
         | Annotated[DataFieldsOptions, Sub("fields")]
     )
+
+
+@dataclass(frozen=True)
+class BenchWindowsOptions(WindowsSpec):
+    """Measure how many training windows a core reads from recorded episodes with images.
+
+    `mjhab generate --subtask close --episodes 20 --images depth --out runs/close`
+
+    `mjhab bench windows runs/close --history 2`
+    """
+
+    places: Places = ()
+    """Shards (*.h5) or folders of shards."""
+    history: Annotated[int, tyro.conf.arg(metavar="N")] = WindowsSpec.history
+    """Observations in a window."""
+    chunk: Annotated[int, tyro.conf.arg(metavar="N")] = WindowsSpec.chunk
+    """Actions in a window."""
+    images: Annotated[tuple[str, ...], tyro.conf.arg(metavar="CAMERA/OUTPUT ...")] = ()
+    """Which images, as CAMERA/depth; all that the first episode has if absent."""
+    batch: Annotated[int, tyro.conf.arg(metavar="N")] = WindowsSpec.batch
+    """Windows in a batch."""
+    seconds: Annotated[float, tyro.conf.arg(metavar="S")] = WindowsSpec.seconds
+    """How long later passes are measured."""
+    seed: Annotated[int, tyro.conf.arg(metavar="N")] = WindowsSpec.seed
+    """Order of the windows."""
+    json: bool = False
+    """Print one line of JSON instead of a table."""
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from mjhab.cli.options.common import (
     Device,
     Joints,
     MaybeName,
+    MemoryOptions,
     Name,
     Number,
     Numbers,
@@ -90,11 +91,19 @@ class EnvsCommand:
 
 
 @dataclass(frozen=True)
-class BenchSoakOptions(ProfileOptions, SoakSpec):
-    """Step all training environments with random actions for a long time: does anything break or grow?"""
+class BenchSoakOptions(MemoryOptions, ProfileOptions, SoakSpec):
+    """Step all training environments with random actions for a long time: does anything break or grow?
+
+    With --generate, make recorded episodes with the expert instead. Fails if memory changes by more than 3 % over the
+    second half. For instance: `mjhab bench soak --steps 1000000 --worlds 16 --out runs/soak`
+    """
 
     steps: Number = SoakSpec.steps
     """Control steps over all worlds and subtasks."""
+    generate: Number = SoakSpec.generate
+    """Make so many episodes with the expert instead, in this process; they are deleted at the end."""
+    subtask: MaybeName = SoakSpec.subtask
+    """With --generate: episodes of one subtask, such as pick; the whole task if absent."""
     worlds: Number = SoakSpec.worlds
     """Worlds of each subtask."""
     task: Name = SoakSpec.task
@@ -103,6 +112,8 @@ class BenchSoakOptions(ProfileOptions, SoakSpec):
     """Threads of the physics; 0 takes all cores."""
     seed: Number = SoakSpec.seed
     """Seed of the episodes and of the actions."""
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
+    """Folder of soak.json and memory.svg, the memory curve."""
     json: bool = False
     """Print one line of JSON instead of a table."""
 

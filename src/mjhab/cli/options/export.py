@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from mjhab.cli.options.data import Places, Preset, Sub, Where
+from mjhab.cli.options.data import Places, Preset, Sub, Until, Where
 
 Out = Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
 
@@ -32,6 +32,8 @@ class ExportLerobotOptions:
     """Which episodes; all if absent."""
     preset: Preset = None
     """A filter with a name, see `mjhab data fields`."""
+    until: Until = ""
+    """How much of an episode: success+N ends it N control steps after its first success; all of it if absent."""
     no_rgb: bool = False
     """Leave out colour images."""
     no_depth: bool = False
@@ -61,6 +63,8 @@ class ExportManiskillOptions:
     """Which episodes; all if absent."""
     preset: Preset = None
     """A filter with a name, see `mjhab data fields`."""
+    until: Until = ""
+    """How much of an episode: success+N ends it N control steps after its first success; all of it if absent."""
     overwrite: bool = False
     """Take the place of an export that is there."""
     resume: bool = False

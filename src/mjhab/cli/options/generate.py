@@ -12,17 +12,18 @@ from mjhab.cli.options.common import (
     Assets,
     Joints,
     MaybeName,
+    MemoryOptions,
     Name,
     Number,
     PolicyName,
     PolicyProfileOptions,
     StageMesh,
 )
-from mjhab.cli.options.data import Places, Preset, Where
+from mjhab.cli.options.data import Places, Preset, Until, Where
 
 
 @dataclass(frozen=True)
-class GenerateOptions(PolicyProfileOptions):
+class GenerateOptions(MemoryOptions, PolicyProfileOptions):
     """Make recorded episodes with several workers until every target has its quota; failures are kept by default.
 
     `mjhab generate --subtask pick --per-target 1000 --keep "label == 'straightforward_success'" --workers 2 --out
@@ -46,7 +47,7 @@ class GenerateOptions(PolicyProfileOptions):
     docs/evaluation.md)."""
     style: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = ()
     """How the expert acts, e.g. speed=0.5..1.0 grasp=side release=drop noise=0.05; of a range or a list (a,b) every
-    episode draws its own. Names: speed, grasp, release, drop_height, close, noise, base_noise, noise_kind,
+    episode draws its own. Names: speed, grasp, release, drop_height, close, look, noise, base_noise, noise_kind,
     hold, dither (see docs/data.md)."""
     per_target: Number = 0
     """Episodes to keep of every target (of all together for chains and Navigate); 0 for no limit."""
@@ -90,8 +91,11 @@ class GenerateOptions(PolicyProfileOptions):
     """With a ReplicaCAD folder: walls and floor for every home, in place of the stages its scenes name."""
     articulate: Joints = None
     """With a ReplicaCAD folder: what opens besides counter and fridge: kitchen_cupboards, cabinet, chest_of_drawers."""
-    navigate: Name = "teleport"
-    """Of a whole task: teleport puts the robot near every goal, as the paper does; drive leaves that to the policy."""
+    navigate: Annotated[str | None, tyro.conf.arg(metavar="drive|teleport")] = None
+    """Of a whole task: drive leaves the way to the policy (the default); teleport puts the robot near every goal, as in
+    the paper's evaluation: then nobody has driven, and every row says so."""
+    until: Until = ""
+    """Of one subtask: success+N ends an episode N control steps after its first success, or after too much force."""
     resume: bool = False
     """Go on in --out; --workers, --episodes and the quotas may differ."""
     json: bool = False

@@ -8,12 +8,14 @@ from typing import Annotated
 
 import tyro
 
+from mjhab.bench.specs import LearnerSpec
 from mjhab.cli.options.common import (
     Assets,
     Joints,
     MaybeName,
     Name,
     Number,
+    Numbers,
     PolicyProfileOptions,
     StageMesh,
     Sub,
@@ -111,7 +113,8 @@ class ReinforcementOptions(RunOptions):
 
 @dataclass(frozen=True)
 class TrainPpoOptions(ReinforcementOptions):
-    """Proximal policy optimization. Presets: fast (states), depth, polish (of a student), paper.
+    """Proximal policy optimization. Presets: fast (states), depth, polish (of a student), paper,
+    paper_state (the same from states).
 
     `mjhab train ppo --task set_table --subtask close --target kitchen_counter/drawer3 --preset fast
     --budget-minutes 20 --out runs/ppo`
@@ -134,6 +137,13 @@ class TrainRlpdOptions(TrainSacOptions):
 
     demonstrations: MaybeNumber = None
     """Episodes by the expert; as the preset says if absent."""
+    data: DataPlaces = ()
+    """Take recorded demonstrations: shards or folders of them. If absent, the expert makes demonstrations."""
+    where: Where = None
+    """With --data: which episodes, as in `mjhab data query`; those that succeed if absent."""
+    recompute_rewards: bool = False
+    """With --data: also take what was recorded in another profile or with other rewards. Actions are simulated again
+    from the recorded first state, with the profile and the rewards of this run."""
 
 
 @dataclass(frozen=True)
@@ -184,6 +194,26 @@ class TrainDaggerOptions(TrainOptions):
     """In the first round with take-overs the student acts for up to so many control steps."""
     prefix_growth: MaybeNumber = None
     """So many more in every later round. Where the expert saves nearly all episodes, more of them teach faster."""
+
+
+@dataclass(frozen=True)
+class BenchLearnerOptions(LearnerSpec):
+    """Measure reinforcement: control steps/s of PPO beside its environment alone, updates/s of SAC."""
+
+    worlds: MaybeNumber = LearnerSpec.worlds
+    """Worlds of PPO; those of preset fast if absent."""
+    batches: Numbers = LearnerSpec.batches
+    """Sizes of the batches of SAC, measured one after the other."""
+    rounds: Number = LearnerSpec.rounds
+    """Rollouts with their updates, each followed by as many control steps of the environment alone; medians count."""
+    updates: Number = LearnerSpec.updates
+    """Updates of SAC that are timed."""
+    threads: Number = LearnerSpec.threads
+    """Threads of physics and networks; 0 takes all cores."""
+    seed: Number = LearnerSpec.seed
+    """Seed of weights and actions."""
+    json: bool = False
+    """Print one line of JSON instead of tables."""
 
 
 @dataclass(frozen=True)

@@ -8,12 +8,14 @@ from typing import Annotated
 
 import tyro
 
+from mjhab.bench.specs import ViewSpec
 from mjhab.cli.options.common import (
     Assets,
     Joints,
     MaybeName,
     Name,
     Number,
+    Numbers,
     PolicyName,
     PolicyProfileOptions,
     StageMesh,
@@ -88,3 +90,30 @@ class ViewOptions(PolicyProfileOptions):
     """Threads of the physics; 0 takes all cores."""
     json: bool = False
     """Print one line of JSON: with --export the file, else the address."""
+
+
+@dataclass(frozen=True)
+class BenchViewOptions(ViewSpec):
+    """Measure the viewer: time until the first frame, frames per second, bytes and processor time per frame.
+
+    `mjhab bench view --worlds 1 4 16`
+
+    The page of this measurement counts and draws nothing. Fails below 30 frames per second with a single world.
+    """
+
+    worlds: Numbers = ViewSpec.worlds
+    """How many worlds run; one measurement for each number."""
+    policy: PolicyName = ViewSpec.policy
+    """What acts, as in `mjhab eval`."""
+    task: Name = ViewSpec.task
+    """What the worlds do: set_table, tidy_house or prepare_groceries."""
+    subtask: Name = ViewSpec.subtask
+    """One subtask of it."""
+    seconds: Annotated[float, tyro.conf.arg(metavar="S")] = ViewSpec.seconds
+    """How long frames are counted."""
+    threads: Number = ViewSpec.threads
+    """Threads of the physics; 0 takes all cores."""
+    assets: Assets = ViewSpec.assets
+    """Asset pack: builtin, or the folder of another pack."""
+    json: bool = False
+    """Print one line of JSON instead of a table."""

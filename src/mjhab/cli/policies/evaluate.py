@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from mjhab.cli.interrupts import sigterm_interrupts
-from mjhab.cli.options.common import EvalOptions
+from mjhab.cli.options.common import DemoOptions, EvalOptions
 from mjhab.cli.output import print_json, print_table
 from mjhab.config.profile_choice import profile_options
 from mjhab.evaluation.evaluate import EvalSpec, EvaluationInterrupted, Run, run_evaluation
@@ -19,6 +19,7 @@ from mjhab.reports.metrics import SubtaskRow, rows_by_kind, rows_by_position
 from mjhab.rollout.policy import RolloutEnv
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink, StepView
+from mjhab.rollout.store import REPORT
 from mjhab.serving.address import with_options
 
 
@@ -34,6 +35,25 @@ def run_eval(options: EvalOptions) -> int:
             interrupted = True
     _tell(options, run, interrupted)
     return 130 if interrupted else 0
+
+
+def run_demo(options: DemoOptions) -> int:
+    """Run the evaluation that shows most in little time; returns what `run_eval` does."""
+    code = run_eval(
+        EvalOptions(
+            task="set_table",
+            episodes=4,
+            worlds=4,
+            films=4,
+            out=options.out,
+            overwrite=True,
+            json=options.json,
+        )
+    )
+    if code == 0 and not options.json:
+        page = (options.out / REPORT).resolve()
+        print(f"Open in a browser (no network needed): {page}")
+    return code
 
 
 def eval_spec(options: EvalOptions) -> EvalSpec:

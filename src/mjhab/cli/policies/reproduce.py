@@ -1,4 +1,4 @@
-"""``mjhab reproduce table1``: one student for each row of the paper's Table 1, and a page with both."""
+"""``mjhab reproduce``: policies for results of the MS-HAB paper, and a page with both."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ from mjhab.cli.interrupts import sigterm_interrupts
 from mjhab.cli.options.reproduce import ReproduceOptions
 from mjhab.cli.output import at_least, print_json, print_table
 from mjhab.cli.policies.evaluate import ProgressSink
-from mjhab.learning.reproduce import COLUMNS, PAPER_TITLES, REPORT, TableSpec, cells, reproduce
+from mjhab.learning.reproduce.make import reproduce
+from mjhab.learning.reproduce.results import REPORT, TITLES, cells, titles
+from mjhab.learning.reproduce.spec import TableSpec
 
 
 def run_reproduce(options: ReproduceOptions) -> int:
@@ -40,6 +42,10 @@ def table_spec(options: ReproduceOptions) -> TableSpec:
         out=options.out,
         rows=options.rows,
         preset=options.preset,
+        column=options.column,
+        policies=options.policies,
+        backend=options.backend,
+        device=options.device,
         budget_minutes=options.budget_minutes,
         profile=options.profile,
         starts=options.starts,
@@ -64,10 +70,6 @@ def tell(
     if options.json:
         print_json({"rows": list(results), "report": str(options.out / REPORT)})
         return
-    titles = (*COLUMNS, *PAPER_TITLES.values())
-    rows = [
-        (*cells(result), *(result["paper"].get(name, "") for name in PAPER_TITLES))
-        for result in results
-    ]
-    print_table(f"Table 1, split {options.split}", titles, rows)
+    title = f"{TITLES[options.what]}, {options.column}, split {options.split}"
+    print_table(title, titles(), [cells(result) for result in results])
     print(f"report: {options.out / REPORT}")

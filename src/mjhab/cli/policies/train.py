@@ -132,6 +132,9 @@ def reinforcement_request(options: ReinforcementOptions) -> ReinforcementRequest
         films=options.films,
         backend=options.backend,
         device=options.device,
+        data=getattr(options, "data", ()),
+        where=getattr(options, "where", None) or "",
+        recompute_rewards=getattr(options, "recompute_rewards", False),
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
@@ -14,6 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from mjhab.cli.options.common import EpisodesCheckOptions, EpisodesMakeOptions
 from mjhab.cli.output import at_least, print_json, print_table
 from mjhab.core.errors import MjhabError, UsageError, unknown_name
+from mjhab.core.files.reading import read_json_object
 from mjhab.core.machine import cores
 from mjhab.core.names import kind_of
 from mjhab.tasks.household.registry import TASKS
@@ -130,8 +130,8 @@ def check_manifest(file: HabFile) -> None:
     if not beside.is_file():
         return
     try:
-        listed = [row["hash"] for row in json.loads(beside.read_text(encoding="utf-8"))["episodes"]]
-    except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError) as error:
+        listed = [row["hash"] for row in read_json_object(beside)["episodes"]]
+    except (KeyError, TypeError) as error:
         raise UsageError(f"{beside}: not a manifest of episodes ({error}).") from error
     found = [state_hash(episode) for episode in file.episodes]
     if found != listed:

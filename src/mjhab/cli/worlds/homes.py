@@ -44,7 +44,22 @@ def list_homes(options: HomesListOptions) -> int:
         print_table(
             f"{len(homes)} homes", columns, [[home[key] for key in columns] for home in homes]
         )
+        print(_variety(homes))
     return 0
+
+
+def _variety(homes: list[dict[str, Any]]) -> str:
+    """How many macro layouts the homes of every split have: the rest of them are the same rooms with small shifts."""
+    parts = []
+    for split in dict.fromkeys(home["split"] for home in homes):
+        macros = {home["macro"] for home in homes if home["split"] == split}
+        count = sum(home["split"] == split for home in homes)
+        layouts = "1 macro layout" if len(macros) == 1 else f"{len(macros)} macro layouts"
+        parts.append(f"{split}: {count} homes of {layouts}")
+    return (
+        f"{'; '.join(parts)}. Homes of one macro layout have the same rooms and kitchen; their furniture is shifted a "
+        "little and dealt out anew."
+    )
 
 
 def show_home(options: HomesShowOptions) -> int:

@@ -2,19 +2,112 @@
 
 from __future__ import annotations
 
+import atexit
+import contextlib
 import os
 import secrets
+import shutil
+import sys
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
+from mjhab.core.errors import MjhabError
+
+CACHE_VARIABLE = "MJHAB_CACHE"
+"""Environment variable with the folder of cached files."""
+_MANY_FILES = "episodes"
+"""Folder of the cache with too many files to link, which are quickly made again."""
+_USABLE: set[Path] = set()
+
 
 def cache_dir() -> Path:
-    """Folder of cached files: ``$MJHAB_CACHE``, else ``$XDG_CACHE_HOME/mjhab``, else ``~/.cache/mjhab``."""
-    given = os.environ.get("MJHAB_CACHE")
+    """Folder of cached files: ``$MJHAB_CACHE``, else ``$XDG_CACHE_HOME/mjhab``, else ``~/.cache/mjhab``.
+
+    Where that cannot be written, a temporary folder that lasts as long as this process, after one warning.
+
+    Raises:
+        MjhabError: there is no room for temporary files either.
+    """
+    wanted = _wanted_dir()
+    if wanted not in _USABLE:
+        try:
+            wanted.mkdir(parents=True, exist_ok=True)
+            os.rmdir(tempfile.mkdtemp(prefix=".mjhab-", dir=wanted))
+        except (OSError, ValueError) as error:
+            wanted = _temporary_dir(wanted, error)
+        _USABLE.add(wanted)
+    return wanted
+
+
+def _wanted_dir() -> Path:
+    given = os.environ.get(CACHE_VARIABLE)
     if given:
         return Path(given)
     base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "mjhab"
+    return (Path(base) if base else _home() / ".cache") / "mjhab"
+
+
+def _home() -> Path:
+    try:
+        return Path.home()
+    except RuntimeError:
+        # A user without an entry in the system's list of users, and without $HOME.
+        return Path(tempfile.gettempdir()) / f"mjhab-{os.getuid()}"
+
+
+def _temporary_dir(wanted: Path, error: Exception) -> Path:
+    """From now on cache in a temporary folder, with links to the files that lie in ``wanted``."""
+    reason = getattr(error, "strerror", None) or error
+    try:
+        folder = Path(tempfile.mkdtemp(prefix="mjhab-cache-"))
+    except OSError as full:
+        raise MjhabError(
+            f"neither the cache {wanted} ({reason}) nor a temporary folder ({full.strerror}) can be written. Give a "
+            f"folder with room for a few hundred MB by ${CACHE_VARIABLE}."
+        ) from full
+    atexit.register(_delete_own, folder, os.getpid())
+    with contextlib.suppress(OSError):
+        for room in wanted.iterdir():
+            if room.is_dir() and room.name != _MANY_FILES:
+                shutil.copytree(room, folder / room.name, copy_function=os.symlink)
+    print(
+        f"mjhab: the cache {wanted} cannot be written ({reason}); what is compiled now is lost when this process ends. "
+        f"${CACHE_VARIABLE} chooses another folder.",
+        file=sys.stderr,
+        flush=True,
+    )
+    # Processes that this one starts share the folder.
+    os.environ[CACHE_VARIABLE] = str(folder)
+    return folder
+
+
+def _delete_own(folder: Path, process: int) -> None:
+    if os.getpid() == process:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def write_cached(path: Path, write: Callable[[Path], object]) -> Path:
+    """`write_atomic` for a file below `cache_dir`; in the temporary one if the disk is full.
+
+    Returns:
+        Where the file lies now.
+
+    Raises:
+        MjhabError: there is no room for temporary files either.
+    """
+    try:
+        write_atomic(path, write)
+        return path
+    except OSError as error:
+        root = next(folder for folder in _USABLE if path.is_relative_to(folder))
+        moved = _temporary_dir(root, error) / path.relative_to(root)
+        _USABLE.add(_wanted_dir())
+        try:
+            write_atomic(moved, write)
+        except OSError as full:
+            raise MjhabError(f"{moved} cannot be written ({full.strerror or full}).") from full
+        return moved
 
 
 def assets_dir() -> Path:

@@ -10,9 +10,10 @@ from collections.abc import Callable
 from functools import cache
 from typing import Any
 
-from numba import njit
+from numba import config, njit
 from numba.core import event
 
+from mjhab.core.files.cache import cache_dir
 from mjhab.core.files.code_digest import code_digest
 
 Decorator = Callable[[Callable[..., Any]], Any]
@@ -59,6 +60,11 @@ def compiler(*modules: str, **options: Any) -> Decorator:
     def decorate(function: Callable[..., Any]) -> Any:
         # The name is part of the cache file's name.
         function.__qualname__ = f"{function.__qualname__}_{digest}"
-        return njit(**settings)(function)
+        try:
+            return njit(**settings)(function)
+        except RuntimeError:
+            # Neither beside the code nor in the user's folder can anything be written.
+            config.CACHE_DIR = str(cache_dir() / "numba")  # pyright: ignore[reportAttributeAccessIssue]
+            return njit(**settings)(function)
 
     return decorate

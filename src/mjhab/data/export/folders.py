@@ -14,6 +14,7 @@ from typing import Any
 from mjhab.core.errors import MjhabError, UsageError
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.files.locking import WriteLock
+from mjhab.core.files.reading import read_json_object
 from mjhab.core.version import __version__
 from mjhab.data.store.shard import StorageError, is_full
 
@@ -166,7 +167,7 @@ def _check(target: Target, job: dict[str, Any]) -> None:
     if not target.begun:
         return
     if target.resume:
-        other = differences(json.loads((target.part / JOB).read_text(encoding="utf-8")), job)
+        other = differences(read_json_object(target.part / JOB), job)
         if other:
             raise UsageError(
                 f"the export to {out} was begun with another {other}. Give the same options and episodes, or "

@@ -21,9 +21,11 @@ import numpy as np
 from mjhab.core.names import below
 from mjhab.data.export.folders import Target, whole_folder
 from mjhab.data.imports.ms_hab_layout import SOURCE_TYPE, TRAJECTORY, TRUTHS, to_events, to_verbose
+from mjhab.data.select.describing import navigates_by_teleport, teleported_steps
 from mjhab.data.select.facts import target_of
 from mjhab.data.select.query import Filter
 from mjhab.data.select.sets import nothing_passes, select
+from mjhab.data.select.until import Until
 from mjhab.data.store.hdf5 import change_file, make_file
 from mjhab.data.store.hdf5 import group as subgroup
 from mjhab.data.store.journal import recover
@@ -52,6 +54,7 @@ def export_maniskill(
     out: Path,
     *,
     where: Filter | None = None,
+    until: Until | None = None,
     overwrite: bool = False,
     resume: bool = False,
     begin: Callable[[int], Callable[[], object]] | None = None,
@@ -62,6 +65,7 @@ def export_maniskill(
         places: shards or folders of them.
         out: the folder; it holds what the original calls rearrange-dataset.
         where: which episodes; all of them if None. The original keeps one label per subtask, see the presets.
+        until: how much of each episode; all of it if None.
         overwrite: take the place of an export that is there.
         resume: go on with an export that was stopped: what it has is not written again.
         begin: told the number of episodes; gives what is called after each.
@@ -77,21 +81,23 @@ def export_maniskill(
     without = 0
     files = dict[Path, _File]()
     target = Target(out, "*/*/*.h5", overwrite, resume)
-    with whole_folder(target, {"format": "maniskill", "episodes": found.fingerprint}) as filling:
+    until = until or Until()
+    job = {"format": "maniskill", "episodes": found.fingerprint, "until": until.text}
+    frames = 0
+    with whole_folder(target, job) as filling:
         for (path, name), record in zip(found.matched, found.records, strict=True):
             place = place_of(record)
             if place not in files:
-                files[place] = _File(below(filling.root, place), filling.work)
+                files[place] = _File(below(filling.root, place), filling.work, until)
             with open_shard(path) as shard:
                 episode = shard.episode(name)
                 episode.refuse_damage()
-                files[place].add(episode)
+                frames += files[place].add(episode)
                 without += not any(output == "depth" for _, output in episode.images)
             if after is not None:
                 after()
         for file in files.values():
             file.describe()
-    frames = sum(record.steps for record in found.records)
     return ManiSkillSet(len(found.matched), frames, tuple(out / place for place in files), without)
 
 
@@ -106,8 +112,9 @@ def place_of(record: EpisodeRecord) -> Path:
 class _File:
     """One file of trajectories while it is written; one that a stopped process has left is gone on with."""
 
-    def __init__(self, path: Path, work: Path) -> None:
+    def __init__(self, path: Path, work: Path, until: Until) -> None:
         self._path = path
+        self._until = until
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.exists():
             recover(path)
@@ -119,18 +126,20 @@ class _File:
         self._episodes: list[dict[str, Any]] = []
         self._runs: dict[str, Any] = {}
 
-    def add(self, episode: Episode) -> None:
-        """Add an episode as the next trajectory, unless it is there."""
+    def add(self, episode: Episode) -> int:
+        """Add an episode as the next trajectory, unless it is there; returns its control steps."""
         number = len(self._episodes)
+        steps = self._until.steps(episode.array("reward/success"))
         if number >= self._present:
             change_file(
                 self._path,
                 lambda file: _put(
-                    file.create_group(f"{TRAJECTORY}{number}", track_order=True), episode
+                    file.create_group(f"{TRAJECTORY}{number}", track_order=True), episode, steps
                 ),
             )
-        self._episodes.append(_episode_info(number, episode))
+        self._episodes.append(_episode_info(number, episode, steps))
         self._runs.setdefault(episode.run.id, vars(episode.run))
+        return steps
 
     def describe(self) -> None:
         """Write what is said of the trajectories beside them."""
@@ -153,10 +162,10 @@ class _File:
         self._path.with_suffix(".json").write_text(json.dumps(value, indent=2), encoding="utf-8")
 
 
-def _put(group: h5py.Group, episode: Episode) -> None:
-    """Fill the group of a trajectory."""
+def _put(group: h5py.Group, episode: Episode, steps: int) -> None:
+    """Fill the group of a trajectory with the first ``steps`` control steps of an episode."""
     obs = group.create_group("obs", track_order=True)
-    for key, values in _observations(episode):
+    for key, values in _observations(episode, steps + 1):
         *folders, last = key.split("/")
         parent = obs
         for folder in folders:
@@ -169,33 +178,36 @@ def _put(group: h5py.Group, episode: Episode) -> None:
             else {}
         )
         parent.create_dataset(last, data=values, **squeeze)
-    ends = np.zeros(episode.steps, bool)
+    ends = np.zeros(steps, bool)
     ends[-1] = True
-    group["actions"] = episode.array("actions").astype(np.float32)
-    group["actions_intended"] = episode.array("actions_intended").astype(np.float32)
-    group["actor"] = episode.array("actor")
-    group["terminated"] = ends & episode.terminated
-    group["truncated"] = ends & (not episode.terminated)
-    group["success"] = episode.array("reward/success").astype(bool)
-    group["fail"] = episode.array("reward/fail").astype(bool)
-    group["rewards"] = episode.array("reward/total").astype(np.float32)
+    terminated = episode.terminated and steps == episode.steps
+    group["actions"] = episode.array("actions")[:steps].astype(np.float32)
+    group["actions_intended"] = episode.array("actions_intended")[:steps].astype(np.float32)
+    group["actor"] = episode.array("actor")[:steps]
+    group["terminated"] = ends & terminated
+    group["truncated"] = ends & (not terminated)
+    group["success"] = episode.array("reward/success")[:steps].astype(bool)
+    group["fail"] = episode.array("reward/fail")[:steps].astype(bool)
+    group["rewards"] = episode.array("reward/total")[:steps].astype(np.float32)
+    group["is_teleported"] = teleported_steps(episode)[:steps]
 
 
-def _observations(episode: Episode) -> Iterator[tuple[str, np.ndarray]]:
-    """Keys of the environment and arrays (N+1, ...): the parts of the state in their order, then cameras."""
-    for key, values in episode.table("obs/state").items():
+def _observations(episode: Episode, rows: int) -> Iterator[tuple[str, np.ndarray]]:
+    """Keys of the environment and arrays (rows, ...): the parts of the state in their order, then cameras."""
+    for key, whole in episode.table("obs/state").items():
+        values = whole[:rows]
         yield key, values.astype(bool).reshape(-1) if key.rpartition("/")[2] in TRUTHS else values
     for path in episode.paths:
         if path.startswith("obs/sensor_param/"):
-            yield path.removeprefix("obs/"), episode.array(path)
+            yield path.removeprefix("obs/"), episode.array(path)[:rows]
     for camera, output in sorted(
         episode.images, key=lambda image: (not image[0].endswith("_head"), image)
     ):
-        frames = [episode.frame(camera, output, t) for t in range(episode.steps + 1)]
+        frames = [episode.frame(camera, output, t) for t in range(rows)]
         yield f"sensor_data/{camera}/{output}", np.stack(frames)
 
 
-def _episode_info(number: int, episode: Episode) -> dict[str, Any]:
+def _episode_info(number: int, episode: Episode, steps: int) -> dict[str, Any]:
     record = episode.record
     link = target_of(record).rpartition("/")[0]
     return {
@@ -208,7 +220,8 @@ def _episode_info(number: int, episode: Episode) -> dict[str, Any]:
         "home": record.home,
         "episode_index": record.index,
         "control_mode": episode.run.config.get("env", {}).get("control_mode", "pd_joint_delta_pos"),
-        "elapsed_steps": record.steps,
+        "elapsed_steps": steps,
+        "navigation": "teleport" if navigates_by_teleport(episode) else "drive",
         "actors": list(episode.actors),
         "lacks": list(episode.lacks),
         "label": last_label(record),

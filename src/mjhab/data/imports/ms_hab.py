@@ -8,7 +8,6 @@ filters, statistics, reports, exports and windows to train on.
 from __future__ import annotations
 
 import hashlib
-import json
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ import h5py
 import numpy as np
 
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.files.reading import parse_json
 from mjhab.core.rotations import quat_canonical
 from mjhab.data.imports.ms_hab_layout import SOURCE_TYPE, TRAJECTORY, from_verbose
 from mjhab.data.store.episode_data import EpisodeData, RunInfo
@@ -148,7 +148,7 @@ class _Source:
             )
         text = beside.read_bytes()
         try:
-            said = json.loads(text)
+            said = parse_json(text)
         except ValueError as error:
             raise UsageError(f"{beside} is no JSON: {error}") from error
         if not isinstance(said, Mapping) or not isinstance(said.get("episodes"), list):

@@ -21,6 +21,8 @@ from typing import Any
 from mjhab.core.errors import MjhabError, UsageError
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.files.locking import WriteLock, is_written
+from mjhab.core.files.outputs import check_output
+from mjhab.core.files.reading import parse_json, read_bytes, read_json_object, reason
 from mjhab.data.export.folders import differences
 from mjhab.data.record.crew import (
     Crew,
@@ -347,6 +349,7 @@ def _open_folder(job: Job, resume: bool) -> WriteLock:
     """Make the folder, or check that what is in it can be gone on with; returns the lock that keeps others out."""
     path = job.out / CONFIG
     config = json.loads(json.dumps(job.config))
+    check_output(job.out)
     if job.out.exists() and not job.out.is_dir():
         raise UsageError(f"--out {job.out} is a file; give a folder.")
     there = job.out.is_dir() and any(job.out.iterdir())
@@ -355,7 +358,7 @@ def _open_folder(job: Job, resume: bool) -> WriteLock:
             f"{job.out} is not empty; add --resume to go on with what is in it, or choose another --out."
         )
     if there and path.exists():
-        other = differences(json.loads(path.read_text(encoding="utf-8")), config)
+        other = differences(read_json_object(path), config)
         if other:
             raise UsageError(
                 f"{job.out} was made with another {other}. Give the same options, or choose another --out."
@@ -376,8 +379,14 @@ def _read_tried(path: Path) -> list[Outcome]:
     """What was tried and not kept. A line that a kill left half is dropped from the file."""
     if not path.exists():
         return []
-    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+    try:
+        lines = read_bytes(path).decode("utf-8").splitlines(keepends=True)
+    except UnicodeDecodeError as error:
+        raise UsageError(f"{path} is damaged ({reason(error)}); choose another --out.") from error
     whole = [line for line in lines if line.endswith("\n")]
     if whole != lines:
         write_atomic(path, lambda temporary: temporary.write_text("".join(whole), encoding="utf-8"))
-    return [Outcome(**json.loads(line)) for line in whole]
+    try:
+        return [Outcome(**parse_json(line)) for line in whole]
+    except (ValueError, TypeError) as error:
+        raise UsageError(f"{path} is damaged ({reason(error)}); choose another --out.") from error

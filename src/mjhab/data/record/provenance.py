@@ -17,7 +17,7 @@ import numpy as np
 
 from mjhab.core.joints import BASE
 from mjhab.core.version import __version__
-from mjhab.data.record.worlds import RecordedEnv
+from mjhab.data.record.worlds import RecordedEnv, Views
 from mjhab.data.store.episode_data import RunInfo
 
 _LIBRARIES = ("mujoco", "mujoco-warp", "numpy", "h5py")
@@ -27,6 +27,7 @@ _FREE = frozenset(
         "threads",
         "seed",
         "autoreset",
+        "obs_keys",
         "render_mode",
         "backend",
         "device",
@@ -93,11 +94,24 @@ def describe_run(env: RecordedEnv, policy: Mapping[str, Any], licence: str = "")
             "joints": [joint.removesuffix("_joint") for joint in layout.robot.joints[BASE.stop :]],
             "actions": [entry.name for entry in env.action_table],
             "taints": list(env.taint_names),
+            **describe_views(env.observer),
         },
         assets=_text(env.config.assets),
         licence=licence
         or (BUILTIN_LICENCE if env.config.assets == "builtin" else "unknown: see the asset pack"),
     )
+
+
+def describe_views(views: Views) -> dict[str, Any]:
+    """What a run's layout tells of camera images: "cameras" with their calibration, and with segmentation "segments",
+    the names of its ids; nothing without images."""
+    outputs = getattr(views, "outputs", ())
+    if not outputs:
+        return {}
+    told: dict[str, Any] = {"cameras": views.calibration()}
+    if "seg" in outputs or "pointcloud" in outputs:
+        told["segments"] = list(views.segmentation_names)
+    return told
 
 
 def versions() -> dict[str, str]:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from mjhab.core.errors import UsageError
+from mjhab.core.machine import pip_install
 from mjhab.data.record.crew import (
     Failed,
     Gone,
@@ -75,7 +76,7 @@ class RayCrew:
             ray: Any = importlib.import_module("ray")
         except ImportError as error:
             raise UsageError(
-                "--ray needs Ray, which is not installed: pip install 'mjhab[scale]'."
+                f"--ray needs Ray, which is not installed: {pip_install('scale')}."
             ) from error
         self._ray = ray
         _check_reachable(address)

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from mjhab.core.errors import MjhabError
+from mjhab.core.errors import MjhabError, UsageError
 from mjhab.data.record.provenance import describe_run, model_hash
 from mjhab.data.record.worlds import RecordedEnv
 from mjhab.data.store.episode_data import EpisodeData, RunInfo, to_bytes
@@ -42,6 +42,9 @@ class Recorder(Sink[RecordedEnv]):
         images: how to keep the camera images among the observations; None leaves them out.
         licence: terms of the assets, if they are not the built-in ones.
 
+    Raises:
+        UsageError: the observations of the environment have nested keys.
+
     ``seen`` and ``kept`` count episodes, ``labels`` the labels seen, ``bytes`` what the shard has grown by.
     """
 
@@ -56,6 +59,8 @@ class Recorder(Sink[RecordedEnv]):
         images: ImageFormat | None = None,
         licence: str = "",
     ) -> None:
+        if not env.config.has_flat_keys:
+            raise UsageError("recording takes flat observation keys: leave out obs_keys='nested'.")
         self.run = describe_run(env, policy, licence)
         self.seen = self.kept = self.bytes = 0
         self.labels: Counter[str] = Counter()

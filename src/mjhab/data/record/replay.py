@@ -12,7 +12,7 @@ import numpy as np
 
 from mjhab.core.errors import UsageError
 from mjhab.core.version import __version__
-from mjhab.data.record.provenance import model_hash
+from mjhab.data.record.provenance import describe_views, model_hash
 from mjhab.data.record.worlds import RecordedEnv
 from mjhab.data.select.query import Filter
 from mjhab.data.store.episode_data import EpisodeData, RunInfo
@@ -310,7 +310,8 @@ def _with_images(
         "camera_size": list(size),
     }
     options = {**episode.run.options, "rendered": {**seen, "mjhab": __version__}}
-    run = dataclasses.replace(episode.run, options=options)
+    layout = {**episode.run.layout, **describe_views(env.observer)}
+    run = dataclasses.replace(episode.run, options=options, layout=layout)
     attributes = episode.attributes
     try:
         return EpisodeData(

@@ -56,6 +56,15 @@ class Views(Protocol):
         ...
 
     @property
+    def segmentation_names(self) -> Sequence[str]:
+        """Name of every segmentation id, index = id."""
+        ...
+
+    def calibration(self) -> dict[str, dict[str, Any]]:
+        """Size, intrinsic matrix and mount of each camera as plain data."""
+        ...
+
+    @property
     def renderer(self) -> Any:
         """Draws human views: ``follow_view(state, home, world, width, height)`` (H, W, 3) uint8."""
         ...

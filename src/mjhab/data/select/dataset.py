@@ -7,10 +7,7 @@ from __future__ import annotations
 
 import bisect
 import itertools
-import os
-from collections import OrderedDict
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +16,13 @@ import torch
 from torch.utils.data import Dataset, Sampler
 
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.machine import available_mb
 from mjhab.core.seeding import stream
+from mjhab.data.select.frames import EncodedFrames, FrameStore, decoded_bytes
 from mjhab.data.select.query import Filter
 from mjhab.data.select.sets import nothing_passes, select
 from mjhab.data.select.statistics import Statistics, fingerprint
-from mjhab.data.store.images import decode
+from mjhab.data.select.until import Until
 from mjhab.data.store.reading import Episode, open_shard
 from mjhab.data.store.schema import VERSION, DamagedError
 
@@ -33,8 +32,13 @@ EXECUTED = "executed"
 INTENDED = "intended"
 LABELS: dict[str, str] = {EXECUTED: "actions", INTENDED: "actions_intended"}
 """Actions that a policy can be trained on, and the datasets that they lie in."""
-_OPEN = 64
-"""Shards that a process keeps open."""
+PLACES = ("episode", "step")
+"""Entries of a window that are plain numbers."""
+AUTO = "auto"
+MEMORY = "memory"
+DECODE = "decode"
+MEMORY_SHARE = 0.5
+"""Share of the free memory that "auto" takes for decoded images."""
 
 
 class WindowDataset(Dataset[dict[str, Any]]):
@@ -48,8 +52,12 @@ class WindowDataset(Dataset[dict[str, Any]]):
     ``actor`` (chunk,) uint8, who acted in these steps as a place in ``actors``, the last one repeated after the end;
     ``episode`` and ``step``.
 
-    States and actions are held in memory; images are read from the files when they are asked for. HDF5 is done with
-    when this is made: what workers do needs no open HDF5 file, so they may be forked or spawned.
+    A sequence of indices gives a batch, which is quicker than its windows one by one: let a `BatchSampler` be the
+    loader's ``sampler``, with ``batch_size=None``.
+
+    States and actions are held in memory; images are decoded when they are first asked for. HDF5 is done with when this
+    is made: what workers do needs no open HDF5 file, so they may be forked or spawned. Forked workers share what one of
+    them has decoded.
 
     Args:
         places: shards or folders of them.
@@ -58,12 +66,16 @@ class WindowDataset(Dataset[dict[str, Any]]):
         labels: "executed" takes the actions that moved the robot, "intended" those that were meant, without noise.
         images: camera images, such as "fetch_head/depth".
         where: which episodes; all of them if None.
+        until: "success+N" ends every episode N control steps after its first success, see `Until.parse`.
         normalize: "spread" gives states and actions with mean 0 and spread 1, "range" from -1 to 1, "" as they are.
         statistics: those to normalize with, of another set; those of this one if not given.
         cache: file to keep the statistics in; read if it is of this data, else written.
+        frames: what becomes of decoded images. "memory" keeps them; "decode" keeps none; a folder keeps them in a file
+            without a name there, which may be larger than memory; "auto" is "memory" where they take less than half of
+            what is free, else "decode".
 
     Raises:
-        UsageError: no episode passes, episodes differ in their sizes or lack an image; no such labels.
+        UsageError: no episode passes, episodes differ in their sizes or lack an image; no such labels; no room.
     """
 
     def __init__(
@@ -75,9 +87,11 @@ class WindowDataset(Dataset[dict[str, Any]]):
         labels: str = EXECUTED,
         images: Sequence[str] = (),
         where: Filter | None = None,
+        until: str = "",
         normalize: str = "",
         statistics: Statistics | None = None,
         cache: Path | None = None,
+        frames: str | Path = AUTO,
     ) -> None:
         if history < 1 or chunk < 1:
             raise UsageError(f"history and chunk must be at least 1, got {history} and {chunk}.")
@@ -88,11 +102,11 @@ class WindowDataset(Dataset[dict[str, Any]]):
         self.images = tuple(images)
         self.labels = labels
         self.actors: tuple[str, ...] = ()
+        self._until = Until.parse(until)
         self._members = select(places, where).matched
         if not self._members:
             raise nothing_passes()
-        self._files = _Files()
-        self._frames: dict[str, list[_Frames]] = {image: [] for image in self.images}
+        self._frames: dict[str, list[EncodedFrames]] = {image: [] for image in self.images}
         self._states: list[np.ndarray] = []
         self._actions: list[np.ndarray] = []
         self._actor: list[np.ndarray] = []
@@ -106,9 +120,17 @@ class WindowDataset(Dataset[dict[str, Any]]):
             self._actions = [
                 self.statistics.normalize(ACTION, values, normalize) for values in self._actions
             ]
+        self._firsts = np.array(self._starts)
+        self._all_states = np.concatenate(self._states)
+        self._all_actions = np.concatenate(self._actions)
+        self._all_actors = np.concatenate(self._actor)
+        del self._states, self._actions, self._actor
+        self._stores = _stores(self._frames, frames)
 
     def _read(self) -> str:
         digests = [("labels", self.labels), ("schema", str(VERSION))]
+        if not self._until.is_whole:
+            digests.append(("until", self._until.text))
         for path, names in itertools.groupby(self._members, lambda member: member[0]):
             with open_shard(path) as shard:
                 for _, name in names:
@@ -118,11 +140,12 @@ class WindowDataset(Dataset[dict[str, Any]]):
         return fingerprint(digests)
 
     def _add(self, episode: Episode) -> None:
-        self._states.append(episode.array("obs/state"))
-        self._actions.append(episode.array(LABELS[self.labels]))
+        steps = self._until.steps(episode.array("reward/success"))
+        self._states.append(episode.array("obs/state")[: steps + 1])
+        self._actions.append(episode.array(LABELS[self.labels])[:steps])
         self.actors = tuple(dict.fromkeys((*self.actors, *episode.actors)))
         places = np.array([self.actors.index(name) for name in episode.actors], np.uint8)
-        self._actor.append(places[episode.array("actor")])
+        self._actor.append(places[episode.array("actor")[:steps]])
         where = f"episode {episode.name} of {episode.shard.path}"
         if not all(np.isfinite(each[-1]).all() for each in (self._states, self._actions)):
             raise DamagedError(
@@ -132,7 +155,7 @@ class WindowDataset(Dataset[dict[str, Any]]):
         if sizes != [each[0].shape[1] for each in (self._states, self._actions)]:
             raise UsageError(f"{where} has other sizes of state and action than the ones before.")
         for image, frames in self._frames.items():
-            frames.append(_Frames.of(episode, image))
+            frames.append(EncodedFrames.of(episode, image, steps + 1))
 
     def _statistics(self, mark: str, cache: Path | None) -> Statistics:
         if cache is not None and cache.exists():
@@ -152,87 +175,55 @@ class WindowDataset(Dataset[dict[str, Any]]):
         episode = bisect.bisect_right(self._starts, index) - 1
         return episode, index - self._starts[episode]
 
-    def __getitem__(self, index: int) -> dict[str, Any]:
-        if not 0 <= index < len(self):
-            raise IndexError(index)
-        episode, t = self.place_of(index)
-        states = self._states[episode]
-        actions = self._actions[episode]
-        seen = np.maximum(np.arange(t - self.history + 1, t + 1), 0)
-        ahead = np.arange(t, t + self.chunk)
-        done = np.minimum(ahead, len(actions) - 1)
-        item: dict[str, Any] = {
-            STATE: torch.from_numpy(states[seen]),
-            ACTION: torch.from_numpy(actions[done]),
-            "action_is_pad": torch.from_numpy(ahead >= len(actions)),
-            "actor": torch.from_numpy(self._actor[episode][done]),
+    def __getitem__(self, index: int | Sequence[int]) -> dict[str, Any]:
+        """One window, or a batch of them with a leading axis for a sequence of indices."""
+        if isinstance(index, int | np.integer):
+            window = self._batch(np.array([index]))
+            return {
+                key: int(value[0]) if key in PLACES else value[0] for key, value in window.items()
+            }
+        return self._batch(np.asarray(index, np.int64))
+
+    def _batch(self, indices: np.ndarray) -> dict[str, torch.Tensor]:
+        """The windows ``indices`` (B,), each entry with B in front."""
+        wrong = indices[(indices < 0) | (indices >= len(self))]
+        if len(wrong):
+            raise IndexError(int(wrong[0]))
+        episode = np.searchsorted(self._starts, indices, side="right") - 1
+        first = self._firsts[episode]
+        step = indices - first
+        # An episode has one state more than it has actions.
+        seen = np.maximum(step[:, None] + np.arange(1 - self.history, 1), 0)
+        seen = seen + (first + episode)[:, None]
+        ahead = step[:, None] + np.arange(self.chunk)
+        length = (self._firsts[episode + 1] - first)[:, None]
+        done = first[:, None] + np.minimum(ahead, length - 1)
+        batch = {
+            STATE: self._all_states[seen],
+            ACTION: self._all_actions[done],
+            "action_is_pad": ahead >= length,
+            "actor": self._all_actors[done],
             "episode": episode,
-            "step": t,
+            "step": step,
         }
-        for image in self.images:
-            source = self._frames[image][episode]
-            frames = {step: source.read(step, self._files) for step in sorted(set(seen.tolist()))}
-            item[image] = torch.from_numpy(
-                np.stack([frames[step].transpose(2, 0, 1) for step in seen.tolist()])
-            )
-        return item
-
-    def __getstate__(self) -> dict[str, Any]:
-        """What a worker process is given: everything but open files."""
-        return {**self.__dict__, "_files": _Files()}
+        for image, store in self._stores.items():
+            pictures = store.rows(seen.ravel())
+            batch[image] = pictures.reshape(*seen.shape, *pictures.shape[1:])
+        return {key: torch.from_numpy(value) for key, value in batch.items()}
 
 
-@dataclass(frozen=True)
-class _Frames:
-    """Where the images of one camera of an episode lie: ``offset`` in the file, and ``ends`` from there on."""
-
-    path: Path
-    name: str
-    camera: str
-    output: str
-    offset: int
-    ends: np.ndarray | None
-
-    @classmethod
-    def of(cls, episode: Episode, image: str) -> _Frames:
-        camera, _, output = image.partition("/")
-        offset, ends = episode.frame_places(camera, output) or (0, None)
-        return cls(episode.shard.path, episode.name, camera, output, offset, ends)
-
-    def read(self, t: int, files: _Files) -> np.ndarray:
-        """The image of state t (H, W, C)."""
-        if self.ends is None:
-            with open_shard(self.path) as shard:
-                return shard.episode(self.name).frame(self.camera, self.output, t)
-        start = int(self.ends[t - 1]) if t else 0
-        try:
-            data = os.pread(files.get(self.path), int(self.ends[t]) - start, self.offset + start)
-            return decode(data, self.output)
-        except (OSError, ValueError) as error:
-            raise DamagedError(
-                f"image {t} of {self.camera} {self.output} in episode {self.name} of {self.path} cannot be read: "
-                f"{error}. Has the file been replaced? See what is wrong with: mjhab data check {self.path}"
-            ) from error
-
-
-class _Files:
-    """Files open for reading. Reads give their place themselves, so processes may share them after a fork."""
-
-    def __init__(self) -> None:
-        self._open: OrderedDict[Path, int] = OrderedDict()
-
-    def get(self, path: Path) -> int:
-        """Descriptor of a file."""
-        if path not in self._open:
-            self._open[path] = os.open(path, os.O_RDONLY)
-            if len(self._open) > _OPEN:
-                os.close(self._open.popitem(last=False)[1])
-        self._open.move_to_end(path)
-        return self._open[path]
-
-    def __del__(self) -> None:
-        for fd in self._open.values():
-            os.close(fd)
+def _stores(
+    frames: Mapping[str, Sequence[EncodedFrames]], where: str | Path
+) -> dict[str, FrameStore]:
+    """Stores of the images of every camera output; ``where``: as in `WindowDataset`."""
+    if isinstance(where, Path):
+        return {image: FrameStore(each, True, where) for image, each in frames.items()}
+    if where not in (AUTO, MEMORY, DECODE):
+        raise unknown_name("place of decoded images", where, (AUTO, MEMORY, DECODE))
+    free_mb = available_mb()
+    needed = sum(decoded_bytes(each) for each in frames.values())
+    keeps = where == MEMORY or (where == AUTO and needed < MEMORY_SHARE * 2**20 * (free_mb or 0))
+    return {image: FrameStore(each, keeps) for image, each in frames.items()}
 
 
 class SeededSampler(Sampler[int]):

@@ -5,8 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
+from mjhab.data.store.reading import Episode
 from mjhab.rollout.records import EpisodeRecord
-from mjhab.tasks.instructions import Request, subtask_instruction, task_instruction
+from mjhab.tasks.instructions import (
+    Instructions,
+    Request,
+    subtask_instruction,
+    task_instruction,
+    with_teleports,
+)
+from mjhab.tasks.subtasks.registry import SUBTASKS
 
 OLD_JOINTS: tuple[str, ...] = (
     "torso_lift",
@@ -28,6 +38,7 @@ _PARTS: dict[str, tuple[str, ...]] = {
     "extra/tcp_pose_wrt_base": _POSE,
     "extra/obj_pose_wrt_base": _POSE,
     "extra/goal_pos_wrt_base": ("x", "y", "z"),
+    "agent/base_vel": ("forward", "left", "yaw"),
 }
 """Names of the numbers of an observation."""
 _OF_JOINTS = ("agent/qpos", "agent/qvel")
@@ -49,6 +60,33 @@ def task_words(record: EpisodeRecord) -> str:
         return subtask_words(record)[0]
     requests = [Request(entry.kind, entry.target) for entry in record.plan]
     return task_instruction(record.task, requests)
+
+
+def navigates_by_teleport(episode: Episode) -> bool:
+    """Whether the environment did the navigation of an episode: the robot was put near every goal."""
+    if episode.record.subtask or episode.run.config.get("env", {}).get("navigate") != "teleport":
+        return False
+    return any(_is_way(entry.kind) for entry in episode.record.plan)
+
+
+def teleported_steps(episode: Episode) -> np.ndarray:
+    """(N+1,) bool: states in which a navigation is active that the environment does."""
+    plan = episode.record.plan
+    ways = np.array([_is_way(entry.kind) for entry in plan]) & navigates_by_teleport(episode)
+    return ways[np.minimum(episode.array("subtasks/active"), len(plan) - 1)]
+
+
+def _is_way(kind: str) -> bool:
+    return kind in SUBTASKS and SUBTASKS[kind].navigates
+
+
+def instructions_of(episode: Episode) -> Instructions:
+    """The sentences of an episode, which tell the ways that the environment did from those that the robot drove."""
+    record = episode.record
+    told = Instructions(task_words(record), tuple(subtask_words(record)))
+    if not navigates_by_teleport(episode):
+        return told
+    return with_teleports(told, [entry.kind for entry in record.plan])
 
 
 def state_names(columns: Mapping[str, int], layout: Mapping[str, Any]) -> list[str]:

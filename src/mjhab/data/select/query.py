@@ -86,12 +86,19 @@ PRESETS: dict[str, tuple[str, str]] = {
 the rules of that code, and two of ours."""
 
 
+SHOWN_CHARACTERS = 120
+"""Characters of a filter that its error shows before and behind the column."""
+
+
 class FilterError(UsageError):
     """A filter that cannot be understood; ``column`` (from 1) is where."""
 
     def __init__(self, text: str, column: int, problem: str) -> None:
         self.column = column
-        super().__init__(f"filter, column {column}: {problem}\n  {text}\n  {' ' * (column - 1)}^")
+        begin = max(0, column - 1 - SHOWN_CHARACTERS)
+        shown = text[begin : column - 1 + SHOWN_CHARACTERS]
+        caret = " " * (column - 1 - begin)
+        super().__init__(f"filter, column {column}: {problem}\n  {shown}\n  {caret}^")
 
 
 @dataclass(frozen=True)

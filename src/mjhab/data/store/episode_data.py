@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from mjhab.core.files.reading import parse_json
 from mjhab.data.store.schema import VERSION, column_widths, problems
 from mjhab.rollout.records import EpisodeRecord
 
@@ -164,7 +165,7 @@ def from_bytes(data: np.ndarray) -> Any:
     Raises:
         ValueError: not JSON.
     """
-    return json.loads(np.asarray(data, np.uint8).tobytes().decode(), object_hook=_restore)
+    return parse_json(np.asarray(data, np.uint8).tobytes(), _restore)
 
 
 def _plain(value: Any) -> Any:

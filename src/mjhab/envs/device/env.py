@@ -197,8 +197,6 @@ class DeviceEnv(TaskLoop):
             return super().step(actions)
 
     def _checked(self, actions: Any) -> Tensor:
-        if self.signals is None:
-            raise UsageError("call reset before step")
         # What a policy still knows of its gradients would stay in the buffers of the engine, and grow with every step.
         actions = torch.as_tensor(actions, device=self.device).detach()
         need = (self.num_envs, len(self.action_table))
@@ -258,7 +256,7 @@ class DeviceEnv(TaskLoop):
         """The episode a world is in; see `describe_episode`. Its "instructions" stand in the order of the plan."""
         row = int(self.start_row[world])
         return describe_episode(
-            self.pool.episodes[row], self.pool.plans[row], self.config.subtask, self._narrator
+            self.pool.episodes[row], self.pool.plans[row], self.config, self._narrator
         )
 
     def check_taint(self) -> None:

@@ -52,14 +52,6 @@ class DeviceStepNotes:
     ended: torch.Tensor
     label: torch.Tensor
 
-    def without(self, mask: torch.Tensor) -> DeviceStepNotes:
-        """The same with nothing in the worlds of ``mask`` (W,)."""
-        return DeviceStepNotes(
-            self.event_flags & ~mask[:, None],
-            self.ended & ~mask,
-            torch.where(mask, -1, self.label),
-        )
-
     def entries(self) -> dict[str, torch.Tensor]:
         """Entries of `info`."""
         return {"event_flags": self.event_flags, "ended": self.ended, "label": self.label}

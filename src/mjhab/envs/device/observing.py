@@ -57,7 +57,7 @@ class DeviceObserver(ObservedRows):
             state, focus, signals: of the present.
             changed: (W,) bool, worlds whose state is another than in the last call; None where all may have moved.
         """
-        obs = state_observation(self.robot, self._sensing.context(state, focus, signals))
+        obs = state_observation(self.state_rows, self._sensing.context(state, focus, signals))
         if self.renderer is None:
             return obs
         images = self.renderer.draw(changed)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 from mjhab.core.errors import UsageError
+from mjhab.core.machine import available_mb
 from mjhab.envs.observations import mode_outputs
 
 CAMERAS = 2
@@ -35,10 +35,6 @@ WARP_MOVERS = 256
 """Pieces that move in a world with 30 objects; the robot has most of them."""
 WARP_DRAWN_AT_ONCE = 256
 """Worlds for which the renderer has scratch memory (`render.warp.cameras.WORLDS_AT_ONCE`)."""
-_CGROUP = (
-    ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current"),
-    ("/sys/fs/cgroup/memory/memory.limit_in_bytes", "/sys/fs/cgroup/memory/memory.usage_in_bytes"),
-)
 
 
 @dataclass(frozen=True)
@@ -110,21 +106,6 @@ def _pictures(obs_mode: str, camera_size: int | tuple[int, int], cameras: int) -
     return pixels, sum(PIXEL_BYTES[name] for name in outputs) * pixels / 2**20
 
 
-def available_mb() -> float | None:
-    """Memory [MB] this process may still take: free memory, less if a container allows less; None if unknown."""
-    found = [
-        int(line.split()[1]) / 1024
-        for line in _read("/proc/meminfo").splitlines()
-        if line.startswith("MemAvailable:")
-    ]
-    for limit, used in _CGROUP:
-        top = _read(limit).strip()
-        now = _read(used).strip()
-        if top.isdigit() and now.isdigit():
-            found.append((int(top) - int(now)) / 2**20)
-    return min(found, default=None)
-
-
 def check_memory(num_envs: int) -> None:
     """Refuse a number of worlds of backend cpu, without cameras, that does not fit into memory.
 
@@ -177,10 +158,3 @@ def _check(need: Need, num_envs: int, free: float | None, where: str) -> None:
             f"{num_envs} worlds need about {need.total_mb(num_envs):,.0f} MB, but {free:,.0f} MB are free {where}. "
             f"{advice}"
         )
-
-
-def _read(path: str) -> str:
-    try:
-        return Path(path).read_text()
-    except OSError:
-        return ""

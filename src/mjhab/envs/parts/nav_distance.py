@@ -25,8 +25,7 @@ class NavDistance:
     ) -> None:
         self._homes = layout.pack.homes_by_name
         self._pack = layout.pack
-        self._maps: dict[str, FreeMap] = {}
-        self._given = maps
+        self._given = maps or self._shared
         self._fields = np.zeros((num_worlds, 1, 1), np.float32)
         self._origin = np.zeros((num_worlds, 2))
         self._cell = np.ones(num_worlds)
@@ -39,7 +38,9 @@ class NavDistance:
         Raises:
             UsageError: no such home, or the base fits nowhere in it.
         """
-        found = self._map(home)
+        if home not in self._homes:
+            raise unknown_name("home", home, self._homes)
+        found = self._given(home)
         field = found.distances_to(goal_xy)
         worlds, x, y = self._fields.shape
         if field.shape[0] > x or field.shape[1] > y:
@@ -60,11 +61,5 @@ class NavDistance:
         found = look_up(self._fields, self._origin, self._cell, self._shape, base_xy)
         return np.where(self._begun, found, 0.0)
 
-    def _map(self, home: str) -> FreeMap:
-        if home not in self._maps:
-            if home not in self._homes:
-                raise unknown_name("home", home, self._homes)
-            self._maps[home] = (
-                self._given(home) if self._given else shared_map(self._homes[home], self._pack)
-            )
-        return self._maps[home]
+    def _shared(self, home: str) -> FreeMap:
+        return shared_map(self._homes[home], self._pack)

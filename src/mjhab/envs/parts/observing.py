@@ -14,11 +14,12 @@ from mjhab.envs.observations import (
     POINTCLOUD,
     Views,
     camera_names,
+    camera_table,
     describe,
     image_size,
     intrinsic_matrix,
     mode_outputs,
-    observation_table,
+    own_state_only,
     state_observation,
     state_table,
     table_space,
@@ -47,7 +48,7 @@ class ObservedRows:
         outputs: what is drawn or derived of pictures.
         drawn: what a renderer must draw for that.
         cameras, size: names; (height, width) [px].
-        table: the rows; camera_rows: those that need pictures.
+        state_rows: the rows of ``state``; camera_rows: those that need pictures; table: both.
         single_space: observation space of one world.
 
     Raises:
@@ -67,13 +68,33 @@ class ObservedRows:
         self.drawn = CAMERA_OUTPUTS if POINTCLOUD in self.outputs else self.outputs
         self.cameras = camera_names(robot, robot.camera_names if cameras is None else cameras)
         self.size = image_size(size)
-        self.table = observation_table(robot, self.outputs, self.cameras, self.size)
-        self.camera_rows = self.table[len(state_table(robot)) :]
-        self.single_space = table_space(robot, self.table)
+        self.state_rows = state_table(robot, own_state_only(mode))
+        self.camera_rows = camera_table(robot, self.outputs, self.cameras, self.size)
+        self.table = self.state_rows + self.camera_rows
+        self.single_space = table_space(self.state_rows, self.camera_rows)
+
+    def calibration(self) -> dict[str, dict[str, Any]]:
+        """What there is to know of each camera, as plain data by its name.
+
+        "size": (height, width) [px]; "intrinsic": pinhole matrix [px], pixel centres lie at + 0.5; "body", "pos" [m],
+        "quat" (wxyz): where it is fixed to the robot, in the axes of MuJoCo's cameras (x right, y up, looks along -z).
+        Where it is in the world is told by the observations "sensor_param/<camera>/...".
+        """
+        mounts = {name: self.robot.camera(name) for name in self.cameras}
+        return {
+            name: {
+                "size": list(self.size),
+                "intrinsic": intrinsic_matrix(self.robot, name, self.size).tolist(),
+                "body": mount.body,
+                "pos": list(mount.pos),
+                "quat": list(mount.quat),
+            }
+            for name, mount in mounts.items()
+        }
 
     def describe(self) -> list[dict[str, Any]]:
         """Rows of the table: key, shape, dtype, unit, frame, meaning."""
-        return describe(self.robot, self.table)
+        return describe(self.state_rows, self.camera_rows)
 
 
 class Observer(ObservedRows):
@@ -143,7 +164,7 @@ class Observer(ObservedRows):
             known: observations made before of all worlds but those in ``changed`` (W,) bool, for which alone pictures
                 are drawn.
         """
-        obs = state_observation(self.robot, self._sensing.context(state, focus, signals))
+        obs = state_observation(self.state_rows, self._sensing.context(state, focus, signals))
         if self.outputs:
             if known is None or changed is None:
                 return obs | self.draw(state, homes)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from types import MappingProxyType
 from typing import Any
 
+from mjhab.config.env import EnvConfig
+from mjhab.core.frozen import FrozenMap
 from mjhab.episodes.generator import Episode
 from mjhab.episodes.narration import Narrator
 from mjhab.layout.layout import Layout
+from mjhab.tasks.instructions import with_teleports
 from mjhab.tasks.plan import TaskPlan
 
 CHECKERS = (
@@ -35,12 +37,12 @@ class Reporter:
     Args:
         num_worlds: W.
         layout: of the worlds.
-        subtask: the kind that is done alone, or "".
+        config: of the environment.
     """
 
-    def __init__(self, num_worlds: int, layout: Layout, subtask: str) -> None:
+    def __init__(self, num_worlds: int, layout: Layout, config: EnvConfig) -> None:
         self._narrator = Narrator(layout)
-        self._subtask = subtask
+        self._config = config
         self._described: list[TaskPlan | None] = [None] * num_worlds
         self._descriptions: list[Mapping[str, Any]] = [{} for _ in range(num_worlds)]
 
@@ -53,34 +55,36 @@ class Reporter:
         if self._described[world] is not plan:
             self._described[world] = plan
             self._descriptions[world] = describe_episode(
-                episode, plan, self._subtask, self._narrator
+                episode, plan, self._config, self._narrator
             )
         return self._descriptions[world]
 
 
 def describe_episode(
-    episode: Episode, plan: TaskPlan, subtask: str, narrator: Narrator
+    episode: Episode, plan: TaskPlan, config: EnvConfig, narrator: Narrator
 ) -> Mapping[str, Any]:
     """What `info` tells of an episode: its name, home, plan and instructions, read-only.
 
     Args:
         episode: which one.
         plan: the subtasks that are asked for.
-        subtask: the kind that is done alone, or "".
+        config: of the environment: what is done alone, and whether it navigates by teleport.
         narrator: gives "instruction", the sentence for the whole episode, and "instructions", one per subtask.
     """
     entries = ({"kind": s.name, "target": s.target, "goal": s.goal_pos} for s in plan.subtasks)
-    sentences = narrator.instructions(episode, plan, alone=bool(subtask))
+    sentences = narrator.instructions(episode, plan, alone=bool(config.subtask))
+    if config.teleports:
+        sentences = with_teleports(sentences, [s.name for s in plan.subtasks])
     # The same object goes into every info until the next episode, so nobody may write into it.
-    return MappingProxyType(
+    return FrozenMap(
         {
             "seed": episode.seed,
             "index": episode.index,
             "home": episode.home,
             "task": episode.task,
             "split": episode.split,
-            "subtask": subtask or None,
-            "plan": tuple(MappingProxyType(entry) for entry in entries),
+            "subtask": config.subtask or None,
+            "plan": tuple(FrozenMap(entry) for entry in entries),
             "instruction": sentences.task,
             "instructions": sentences.subtasks,
         }

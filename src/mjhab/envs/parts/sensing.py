@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mjhab.core.arrays import Array, as_like, count, may_hold, namespace, zeros
-from mjhab.core.joints import BASE
+from mjhab.core.joints import BASE, BASE_YAW
 from mjhab.envs.observations import ObsContext, pose_in_base
 from mjhab.envs.parts.plan_tables import Focus, Tables
 from mjhab.layout.layout import Addresses, Layout
@@ -80,6 +80,22 @@ class Sensing:
     def joint_now(self, state: SimState, focus: Focus) -> Array:
         """(W,) position of the joint of the subtask in focus, 0 where it has none."""
         return state.link_q[self._rows, focus.link] * focus.has_link
+
+    def link_state(self, state: SimState, focus: Focus) -> Array:
+        """(W, 4) float32 of the link of the subtask in focus, zeros where it has none.
+
+        Opening [share of its range], speed of its joint [rad/s or m/s], cosine and sine of the heading of its frame's
+        x axis in the frame of the base.
+        """
+        xp = namespace(state.robot_q)
+        link = xp.where(focus.has_link, focus.link, 0)
+        low, high = self._range[link].T
+        opening = (state.link_q[self._rows, link] - low) / (high - low)
+        axis = state.body_mat[self._rows, self._link_body[link], :, 0]
+        heading = xp.atan2(axis[:, 1], axis[:, 0]) - state.robot_q[:, BASE_YAW]
+        speed = state.link_qd[self._rows, link]
+        columns = xp.stack([opening, speed, xp.cos(heading), xp.sin(heading)], axis=1)
+        return xp.astype(xp.where(focus.has_link[:, None], columns, 0.0), xp.float32)
 
     def handle_pos(self, state: SimState, world: Array, link: Array) -> Array:
         """World positions (n, 3) of the handle points of links (n,) in worlds (n,)."""

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from mjhab.core.arrays import object_array
 from mjhab.tasks.labelling.tracker import SubtaskTracker
 from mjhab.tasks.plan import TaskPlan
 from mjhab.tasks.progress import Outcome, Progress
@@ -21,17 +22,9 @@ class StepNotes:
     events: list[list[str]]
     ended: list[dict[str, Any] | None]
 
-    def without(self, mask: np.ndarray) -> StepNotes:
-        """The same with nothing in the worlds of ``mask`` (W,)."""
-        gone = mask.tolist()
-        return StepNotes(
-            [[] if old else names for names, old in zip(self.events, gone, strict=True)],
-            [None if old else record for record, old in zip(self.ended, gone, strict=True)],
-        )
-
     def entries(self) -> dict[str, Any]:
-        """Entries of `info`."""
-        return {"events": self.events, "ended": self.ended}
+        """Entries of `info`, (W,) arrays of objects."""
+        return {"events": object_array(self.events), "ended": object_array(self.ended)}
 
 
 class Tracker:

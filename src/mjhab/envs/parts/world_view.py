@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from mjhab.core.boxes import Boxes
 from mjhab.core.joints import BASE
+from mjhab.core.memory_cache import MemoryCache
 from mjhab.core.rotations import mat_from_quat, quat_from_axis_angle
 from mjhab.envs.parts.worlds import Worlds
 from mjhab.episodes.grasps.pinches import ObjectShape
@@ -72,7 +73,7 @@ class JointedLink:
 class HomeShapes:
     """Static shapes of a home: boxes that collide (floor left out), links, receptacles, free-space map arrays.
 
-    ``robot``: who works in it."""
+    ``robot``: who works in it. ``derived``: what is computed from the shapes; the keys say what."""
 
     name: str
     robot: Robot
@@ -82,6 +83,7 @@ class HomeShapes:
     map_origin: np.ndarray
     map_cell: float
     map_clearance: np.ndarray
+    derived: MemoryCache = field(default_factory=lambda: MemoryCache("maps"), repr=False)
 
 
 class WorldView:
@@ -210,9 +212,12 @@ class WorldView:
         return Boxes.join(parts)
 
 
-@lru_cache(maxsize=256)
 def home_shapes(layout: Layout, name: str) -> HomeShapes:
     """Shapes of a home of a layout, computed once."""
+    return layout.derived.get(("shapes", name), lambda: _home_shapes(layout, name))
+
+
+def _home_shapes(layout: Layout, name: str) -> HomeShapes:
     home = layout.pack.homes_by_name[name]
     fmap = shared_map(home, layout.pack)
     return HomeShapes(

@@ -39,6 +39,8 @@ def dict_space(env: VectorEnv, wrapper: str) -> spaces.Dict:
             f"{wrapper} works on numpy arrays, but {env} gives torch tensors; use backend='cpu'"
         )
     space = env.single_observation_space
+    if isinstance(space, spaces.Dict) and isinstance(space.spaces.get("agent"), spaces.Dict):
+        raise UsageError(f"{wrapper} takes flat observation keys: leave out obs_keys='nested'.")
     if not isinstance(space, spaces.Dict):
         raise UsageError(
             f"{wrapper} needs observations that are a dict; those of {env} are {space}."

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from mjhab.core.errors import MjhabError
-from mjhab.core.files.cache import write_atomic
+from mjhab.core.files.cache import write_cached
 from mjhab.core.seeding import stream
 from mjhab.episodes.grasps.stable import HOLD_TIME_S, StableGrasp, StableGrasps
 from mjhab.robots.kinematics import damped_step
@@ -62,7 +62,7 @@ class CarryPostures:
             if kind not in self._arms:
                 path = self._path(kind)
                 if not path.exists():
-                    _save(path, self._make(kind))
+                    path = _save(path, self._make(kind))
                 self._arms[kind] = _load(path)
             return self._arms[kind]
 
@@ -145,13 +145,13 @@ def _parked(robot: Robot, arm: np.ndarray) -> np.ndarray:
     return q
 
 
-def _save(path: Path, arms: list[CarryPosture]) -> None:
+def _save(path: Path, arms: list[CarryPosture]) -> Path:
     arrays = {
         "arm": np.array([one.arm for one in arms]),
         "pose": np.array([one.grasp.pose for one in arms]),
         "fingers": np.array([one.grasp.fingers for one in arms]),
     }
-    write_atomic(path, lambda temporary: np.savez(temporary, allow_pickle=False, **arrays))
+    return write_cached(path, lambda temporary: np.savez(temporary, allow_pickle=False, **arrays))
 
 
 def _load(path: Path) -> list[CarryPosture]:

@@ -17,7 +17,7 @@ from threading import RLock
 import numpy as np
 
 from mjhab.core.errors import MjhabError, UsageError, unknown_name
-from mjhab.core.files.cache import cache_dir, write_atomic
+from mjhab.core.files.cache import cache_dir, write_cached
 from mjhab.core.names import below
 from mjhab.core.rotations import pose_inv
 from mjhab.episodes.grasps.candidates import Grasps, ObjectShape, grasp_candidates
@@ -310,12 +310,12 @@ class StableGrasps:
         )
 
 
-def _save(path: Path, grasps: list[StableGrasp]) -> None:
+def _save(path: Path, grasps: list[StableGrasp]) -> Path:
     arrays = {
         "pose": np.array([g.pose for g in grasps]),
         "fingers": np.array([g.fingers for g in grasps]),
     }
-    write_atomic(path, lambda temporary: np.savez(temporary, allow_pickle=False, **arrays))
+    return write_cached(path, lambda temporary: np.savez(temporary, allow_pickle=False, **arrays))
 
 
 def _load(path: Path) -> list[StableGrasp]:

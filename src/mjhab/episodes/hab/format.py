@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import gzip
 import json
-import zlib
 from collections.abc import Iterable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, field
@@ -20,12 +19,15 @@ import numpy as np
 
 from mjhab.core.errors import UsageError
 from mjhab.core.files.cache import write_atomic
+from mjhab.core.files.reading import read_json
 from mjhab.core.names import check_name, copy_names
 from mjhab.core.rotations import mat_from_quat, pose_mul, quat_from_mat, quat_from_yaw
 from mjhab.scenes.pack_check import MAX_JOINT_POSITION, MAX_POSITION_M, check_range
 
 OBJECT_SUFFIX = ".object_config.json"
 SCENE_SUFFIX = ".scene_instance.json"
+MAX_OBJECTS = 300
+"""Most objects of an episode, and most of all episodes of a file together; published ones have up to 30."""
 DECIMALS = 6
 """Digits of the matrices written: 1 micrometre."""
 ROUND_TRIP = 1e-3
@@ -114,7 +116,7 @@ def read_hab(path: Path) -> HabFile:
         UsageError: no such file, cut off, not JSON, a field that is missing or does not fit, a name that is none, or an
             object farther than `MAX_POSITION_M` from the origin; names file and field.
     """
-    body = _load(path)
+    body = read_json(path)
     if not isinstance(body, dict) or not isinstance(body.get("episodes"), list):
         raise UsageError(
             f"{path}: field 'episodes' must be a list; this is not a file of rearrangement episodes."
@@ -126,24 +128,6 @@ def read_hab(path: Path) -> HabFile:
     except ValueError as error:
         raise UsageError(f"{path}: {error}") from error
     return HabFile(episodes, {key: value for key, value in body.items() if key != "episodes"}, path)
-
-
-def _load(path: Path) -> Any:
-    try:
-        raw = path.read_bytes()
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be read ({error.strerror or error}).") from error
-    if raw[:2] == b"\x1f\x8b":
-        try:
-            raw = gzip.decompress(raw)
-        except (EOFError, OSError, zlib.error) as error:
-            raise UsageError(
-                f"{path}: the gzip data is cut off or damaged ({error}); download the file again."
-            ) from error
-    try:
-        return json.loads(raw.decode("utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise UsageError(f"{path}: not valid JSON ({error}); download the file again.") from error
 
 
 def write_hab(path: Path, file: HabFile) -> None:
@@ -246,6 +230,11 @@ def _episode(row: Any, where: str) -> HabEpisode:
 
     objects = fitting("rigid_objs", list, None)
     targets = fitting("targets", dict, None)
+    for name, found in (("rigid_objs", objects), ("targets", targets)):
+        if len(found) > MAX_OBJECTS:
+            raise ValueError(
+                f"{where}.{name}: {len(found):,} objects; at most {MAX_OBJECTS} can be simulated."
+            )
     info = fitting("info", dict, {})
     if not isinstance(info.get("object_labels", {}), dict):
         raise ValueError(f"{where}.info.object_labels: expected an object.")

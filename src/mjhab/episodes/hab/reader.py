@@ -13,10 +13,12 @@ from fnmatch import fnmatchcase
 import numpy as np
 
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.memory_cache import MemoryCache
 from mjhab.core.names import kind_of
 from mjhab.core.rotations import mat_from_quat
 from mjhab.episodes.generator import Episode, require_furniture
 from mjhab.episodes.hab.format import (
+    MAX_OBJECTS,
     HabEpisode,
     HabFile,
     pose_from_hab,
@@ -63,6 +65,10 @@ def file_roster(file: HabFile, pack: Pack) -> tuple[str, ...]:
                 known = unknown_name("object", kind, pack.objects)
                 raise UsageError(f"{file.path}: episodes[{i}].rigid_objs[{k}]: {known}")
         most |= Counter(episode.types)
+    if most.total() > MAX_OBJECTS:
+        raise UsageError(
+            f"{file.path}: its episodes need {most.total():,} objects at once; at most {MAX_OBJECTS} can be simulated."
+        )
     return tuple(kind for kind in sorted(most) for _ in range(most[kind]))
 
 
@@ -108,7 +114,7 @@ class FileEpisodes:
         self.layout = sim.layout
         self._homes = self.layout.pack.homes_by_name
         self._furnished: set[str] = set()
-        self._settled: dict[int, tuple[Episode, Rest]] = {}
+        self._settled = MemoryCache("episodes")
         for i in range(len(self.file.episodes)):
             self._check(i)
         self._rows = [
@@ -148,9 +154,7 @@ class FileEpisodes:
     def settled(self, index: int) -> tuple[Episode, Rest]:
         """An episode after `SETTLE_SECONDS` of simulation, and how its objects came to rest."""
         row = self._rows[index % len(self)]
-        if row not in self._settled:
-            self._settled[row] = self._settle(row)
-        return self._settled[row]
+        return self._settled.get(row, lambda: self._settle(row))
 
     def _check(self, row: int) -> None:
         episode = self.file.episodes[row]

@@ -11,6 +11,7 @@ from typing import Any
 
 from mjhab.core.errors import UsageError
 from mjhab.core.files.cache import write_atomic
+from mjhab.core.files.reading import parse_json
 from mjhab.evaluation.score.capabilities import profile
 from mjhab.evaluation.score.manifest import Manifest, Row, manifest
 from mjhab.reports.metrics import label_counts, mean, wilson
@@ -178,8 +179,8 @@ def _read_json(path: Path) -> dict[str, Any]:
     if path.stat().st_size > MAX_FILE_BYTES:
         raise UsageError(f"{path} is larger than any result file.")
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError) as error:
+        content = parse_json(path.read_bytes())
+    except ValueError as error:
         raise UsageError(f"{path} is no result file: {error}.") from error
     if not isinstance(content, dict):
         raise UsageError(f"{path} is no result file.")

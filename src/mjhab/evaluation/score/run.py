@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from mjhab.config.profiles import DEFAULT_PROFILE, profile_named
 from mjhab.core.errors import UsageError
 from mjhab.core.seeding import stream
 from mjhab.data.record.provenance import source_commit, versions
@@ -28,8 +29,6 @@ FREE_OPTIONS = frozenset(
     {"obs_mode", "cameras", "camera_size", "control_mode", "base", "stationary", "profile"}
 )
 """Options of the environment that a policy may choose: what it sees, and how it moves. The rest is the benchmark."""
-PROFILES = ("", "mjhab")
-"""Profiles that leave the rules as they are."""
 RESULT_FILE = "result.json"
 CHECKED_EPISODES = 100
 
@@ -89,8 +88,9 @@ def score(spec: ScoreSpec, sinks: Callable[[EvalSpec], Sequence[Sink]] = lambda 
         if facts is None:
             continue
         policies[row.name] = {"name": facts.name, **plain(facts.identity)}
-        policies[row.name]["env_options"] = plain(dict(facts.env_options))
-        evaluation = evaluation_of(spec, asked, row)
+        options = scored_options(facts)
+        policies[row.name]["env_options"] = plain(options)
+        evaluation = evaluation_of(spec, asked, row, options)
         kept = spec.out / "actions" / row.name
         run = run_evaluation(evaluation, [ActionKeeper(kept), *sinks(evaluation)])
         episodes += [_scored(row, record, kept) for record in _wanted(run, evaluation)]
@@ -100,8 +100,10 @@ def score(spec: ScoreSpec, sinks: Callable[[EvalSpec], Sequence[Sink]] = lambda 
     return write_result(spec.out / RESULT_FILE, facts_of(spec, asked, policies, seconds), episodes)
 
 
-def evaluation_of(spec: ScoreSpec, asked: Manifest, row: Row) -> EvalSpec:
-    """The evaluation of a row; it goes on where an earlier one ended."""
+def evaluation_of(
+    spec: ScoreSpec, asked: Manifest, row: Row, options: Mapping[str, Any]
+) -> EvalSpec:
+    """The evaluation of a row with options of `scored_options`; it goes on where an earlier one ended."""
     out = spec.out / "runs" / row.name
     return EvalSpec(
         policy=spec.policy,
@@ -116,6 +118,7 @@ def evaluation_of(spec: ScoreSpec, asked: Manifest, row: Row) -> EvalSpec:
         films=0,
         out=out,
         resume=out.exists(),
+        env=options,
     )
 
 
@@ -143,16 +146,28 @@ def check_rules(facts: PolicyFacts) -> None:
     Raises:
         UsageError: it does.
     """
-    others = set(facts.env_options) - FREE_OPTIONS
-    if others or facts.env_options.get("profile", "") not in PROFILES:
-        asked = {
-            name: facts.env_options[name]
-            for name in sorted(others | {"profile"} & set(facts.env_options))
-        }
+    others = sorted(set(facts.env_options) - FREE_OPTIONS)
+    if others:
+        asked = {name: facts.env_options[name] for name in others}
         raise UsageError(
-            f"the policy {facts.name} asks for {asked}; scores are taken by the rules of the profile mjhab, and a "
-            f"policy chooses no more than {', '.join(sorted(FREE_OPTIONS - {'profile'}))}."
+            f"the policy {facts.name} asks for {asked}; scores are taken by the rules of the profile "
+            f"{DEFAULT_PROFILE}, and a policy chooses no more than {', '.join(sorted(FREE_OPTIONS))}."
         )
+
+
+def scored_options(facts: PolicyFacts) -> dict[str, Any]:
+    """Options of the environment in which a policy is scored.
+
+    What it sees and how it moves is what it asks for, or what its profile says; the rules are those of the default
+    profile.
+    """
+    asked = dict(facts.env_options)
+    profile = profile_named(asked.pop("profile", DEFAULT_PROFILE))
+    if profile.name == DEFAULT_PROFILE:
+        return asked
+    values = profile.options("", trains=False)
+    of_profile = {name: values[name] for name in FREE_OPTIONS & set(values)}
+    return {"profile": DEFAULT_PROFILE, **of_profile, **asked}
 
 
 def facts_of(

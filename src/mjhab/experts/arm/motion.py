@@ -53,26 +53,22 @@ def arm_spheres(robot: Robot) -> RobotSpheres:
     return whole.only([name for name in whole.chain.links if name not in robot.trunk_links])
 
 
-_PLANNERS: dict[str, tuple[HomeShapes, Planner]] = {}
-
-
 def planner(home: HomeShapes) -> Planner:
     """Path planner of a home, made once."""
-    found = _PLANNERS.get(home.name)
-    if found is None or found[0] is not home:
-        # There is little time: a base that knows its way needs no wide berth.
-        cells = Planner(
-            home.map_origin,
-            home.map_cell,
-            home.map_clearance,
-            radius=home.robot.footprint.wide,
-            comfort=0.12,
-            caution=2.0,
-            narrow=home.robot.footprint.narrow,
-        )
-        found = (home, cells)
-        _PLANNERS[home.name] = found
-    return found[1]
+    return home.derived.get("planner", lambda: _planner(home))
+
+
+def _planner(home: HomeShapes) -> Planner:
+    # There is little time: a base that knows its way needs no wide berth.
+    return Planner(
+        home.map_origin,
+        home.map_cell,
+        home.map_clearance,
+        radius=home.robot.footprint.wide,
+        comfort=0.12,
+        caution=2.0,
+        narrow=home.robot.footprint.narrow,
+    )
 
 
 def tcp(view: WorldView) -> tuple[Array, Array]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt
@@ -223,9 +223,12 @@ class Floorplan:
         ]
 
 
-@lru_cache(maxsize=64)
 def _solid(home: HomeShapes) -> Array:
-    """Cells (L, X, Y) bool that walls and furniture take, doors and drawers left out."""
+    """Cells (L, X, Y) bool that walls and furniture take, doors and drawers left out. Read-only."""
+    return home.derived.get("solid", lambda: _find_solid(home))
+
+
+def _find_solid(home: HomeShapes) -> Array:
     solid = np.zeros((len(SLICES_M), *home.map_clearance.shape), bool)
     _draw(solid, home.boxes, home.map_origin, home.map_cell)
     solid.flags.writeable = False

@@ -15,6 +15,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from mjhab.core.errors import UsageError
 from mjhab.core.grids import grid_graph
+from mjhab.core.memory_cache import MemoryCache
 from mjhab.core.timing import STEP_SECONDS
 from mjhab.robots.kinematics import wrap
 
@@ -65,7 +66,7 @@ class Planner:
         lack = np.clip((radius + comfort - self.clearance) / comfort, 0.0, 1.0)
         price = np.where(self.free, 1.0 + caution * lack**2, NARROW_FACTOR)
         self._graph = grid_graph(passable, self.cell, price=price)
-        self._ways: dict[int, tuple[Array, Array]] = {}
+        self._ways = MemoryCache("distance fields", KEPT_SOURCES)
 
     def clearance_at(self, points: Array) -> Array:
         """Clearance (...,) of the cells that hold world points (..., 2); 0 outside the map."""
@@ -154,12 +155,11 @@ class Planner:
 
         The last ones are kept: many goals are compared from where the robot stands.
         """
-        if source not in self._ways:
-            found = dijkstra(self._graph, directed=False, indices=source, return_predecessors=True)
-            while len(self._ways) >= KEPT_SOURCES:
-                self._ways.pop(next(iter(self._ways)))
-            self._ways[source] = (np.asarray(found[0]), np.asarray(found[1]))
-        return self._ways[source]
+        return self._ways.get(source, lambda: self._find_ways(source))
+
+    def _find_ways(self, source: int) -> tuple[Array, Array]:
+        found = dijkstra(self._graph, directed=False, indices=source, return_predecessors=True)
+        return np.asarray(found[0]), np.asarray(found[1])
 
     def _node(self, point: Array) -> int:
         x, y = np.floor((point - self.origin) / self.cell).astype(np.int64)

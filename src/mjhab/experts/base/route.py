@@ -6,7 +6,6 @@ Lengths [m], angles [rad], world frame. Letters: T control steps, P way points, 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
@@ -58,14 +57,15 @@ PASSED_RAD = 0.08
 def planner(view: WorldView) -> Planner:
     """Path planner of the world's home that knows which doors and drawers stand open now."""
     ajar = {name: round(view.link_q(name), 1) for name in view.home.links}
-    return _planner_with(view.home, tuple((name, q) for name, q in ajar.items() if q > 0.05))
+    ajar_now = tuple((name, q) for name, q in ajar.items() if q > 0.05)
+    if not ajar_now:
+        return motion.planner(view.home)
+    home = view.home
+    return home.derived.get(("planner", ajar_now), lambda: _planner_with(home, ajar_now))
 
 
-@lru_cache(maxsize=64)
 def _planner_with(home: HomeShapes, ajar: tuple[tuple[str, float], ...]) -> Planner:
     plain = motion.planner(home)
-    if not ajar:
-        return plain
     boxes = Boxes.join([home.links[name].boxes(q) for name, q in ajar])
     nx, ny = plain.clearance.shape
     x = plain.origin[0] + (np.arange(nx) + 0.5) * plain.cell

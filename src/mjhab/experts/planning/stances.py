@@ -10,14 +10,13 @@ from __future__ import annotations
 import hashlib
 import zipfile
 from collections.abc import Callable, Hashable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from mjhab.core.boxes import Boxes
-from mjhab.core.files.cache import cache_dir, write_atomic
+from mjhab.core.files.cache import cache_dir, write_cached
 from mjhab.core.files.code_digest import code_digest
 from mjhab.core.joints import BASE, BASE_XY, BASE_YAW
 from mjhab.envs.parts.world_view import JointedLink, WorldView
@@ -132,10 +131,9 @@ def _read(path: Path) -> Stances | None:
 
 
 def _write(path: Path, found: Stances) -> None:
-    """Keep stances in a cache file; where there is no room for it, the next process searches again."""
+    """Keep stances in a cache file."""
     arrays = {"q": found.q, "steps": found.steps, "back": found.back}
-    with suppress(OSError):
-        write_atomic(path, lambda temporary: np.savez(temporary, allow_pickle=False, **arrays))
+    write_cached(path, lambda temporary: np.savez(temporary, allow_pickle=False, **arrays))
 
 
 def hand(forward: Array, closing: Array) -> Array:

@@ -35,6 +35,8 @@ class PpoConfig:
     finite_horizon: average the returns of all lengths, as the original does, in place of GAE's infinite sum.
     target_kl: an update ends early beyond it; 0 for never. initial_std: of the actions [share of full scale].
     learning_rate_end: share of the learning rate that is left when all samples are used.
+    desired_kl: the learning rate rises and falls so that an epoch changes the policy by about this much; 0 leaves it.
+    state_std: the spread of the actions depends on what is seen: wide on the way, narrow where the robot is to rest.
     critic_updates: first updates in which only the critic learns, for an actor that begins from a checkpoint.
     """
 
@@ -53,6 +55,8 @@ class PpoConfig:
     learning_rate_end: float = 1.0
     adam_epsilon: float = 1e-5
     initial_std: float = 0.6
+    desired_kl: float = 0.0
+    state_std: bool = False
     critic_updates: int = 0
 
     def __post_init__(self) -> None:
@@ -116,6 +120,12 @@ class ReinforcementConfig:
     samples: control steps of single worlds, in all. worlds: that run at the same time; part of what is learned.
     privileged_critic: the critic sees, besides what the actor sees, the robot's velocities, the base's pose, the pose
     and the velocity of the target, the forces and the time that is left: see `sight.PRIVILEGED`.
+    horizon: control steps of a training episode, 0 for those of the profile. stagger: the first episodes end after
+    different numbers of steps, so that worlds do not begin and end together ever after. episode_pool: arrangements
+    that episodes are drawn from, 0 for as many as `TrainConfig` has; making one takes as long as a hundred samples.
+    force_ends: an episode of training is over when its force exceeds the limit; nothing follows. force_cost: reward
+    that a force takes which sums up to the limit. The dense rewards of Open and Close have no term for forces: without
+    these two, a policy that presses on is never told why it does not succeed.
     checkpoint_samples: samples between checkpoints; at each one all worlds begin new episodes, so that a run that is
     resumed is the same as one that was not interrupted. eval_samples: between evaluations.
     """
@@ -129,6 +139,11 @@ class ReinforcementConfig:
     samples: int = 1_000_000
     worlds: int = 32
     privileged_critic: bool = True
+    horizon: int = 0
+    stagger: bool = True
+    episode_pool: int = 0
+    force_ends: bool = False
+    force_cost: float = 0.0
     checkpoint_samples: int = 50_000
     eval_samples: int = 100_000
 
@@ -162,6 +177,8 @@ STATE_INPUTS = InputConfig(
     cameras=(), image_size=0, previous_action=False, base_velocity=True, condition=True, shift=0
 )
 """The 42-D state and the velocity of the base; no images."""
+LINK_INPUTS = dataclasses.replace(STATE_INPUTS, link_state=True)
+"""These, and how far the link is open."""
 DEPTH_INPUTS = InputConfig(
     image_size=32, previous_action=False, base_velocity=True, condition=True, shift=0
 )
@@ -173,7 +190,30 @@ PAPER_INPUTS = InputConfig(
 
 STATE_NETWORK = NetworkConfig(hidden=256, layers=3)
 
-FAST_PPO = ReinforcementConfig(PPO, "fast", STATE_INPUTS, STATE_NETWORK, ppo=PpoConfig(), worlds=64)
+FAST_PPO = ReinforcementConfig(
+    PPO,
+    "fast",
+    LINK_INPUTS,
+    STATE_NETWORK,
+    ppo=PpoConfig(
+        rollout_steps=16,
+        minibatches=4,
+        learning_rate=5e-4,
+        desired_kl=0.03,
+        target_kl=0.0,
+        initial_std=0.5,
+        entropy_coefficient=0.001,
+        state_std=True,
+    ),
+    samples=3_000_000,
+    worlds=128,
+    horizon=100,
+    episode_pool=256,
+    force_ends=True,
+    force_cost=5.0,
+    checkpoint_samples=100_000,
+    eval_samples=500_000,
+)
 
 PAPER_PPO = ReinforcementConfig(
     PPO,
@@ -193,8 +233,17 @@ PAPER_PPO = ReinforcementConfig(
     samples=15_000_000,
     worlds=192,  # 189 in the original, which its 16 minibatches do not divide
     privileged_critic=False,
+    stagger=False,
     eval_samples=500_000,
 )
+
+PAPER_STATE_PPO = dataclasses.replace(
+    PAPER_PPO,
+    preset="paper_state",
+    inputs=FAST_PPO.inputs,
+    network=NetworkConfig(hidden=512, layers=1, state_features=256, norm=False),
+)
+"""The hyper-parameters of the paper with what "fast" sees, to compare them on the same samples."""
 
 FAST_SAC = ReinforcementConfig(
     SAC, "fast", DEPTH_INPUTS, NetworkConfig(hidden=256, layers=3), sac=SacConfig(), worlds=32
@@ -218,6 +267,7 @@ PAPER_SAC = ReinforcementConfig(
     samples=25_000_000,
     worlds=63,
     privileged_critic=False,
+    stagger=False,
     eval_samples=500_000,
 )
 
@@ -234,13 +284,26 @@ DEMOS = dataclasses.replace(
     ),
 )
 
+
+def _from_states(config: ReinforcementConfig) -> ReinforcementConfig:
+    """The same with what the fast preset of PPO sees, and with episodes that end at too much force."""
+    return dataclasses.replace(
+        config, preset="state", inputs=LINK_INPUTS, network=STATE_NETWORK, force_ends=True
+    )
+
+
 PRESETS: dict[str, dict[str, ReinforcementConfig]] = {
     PPO: {
         "fast": FAST_PPO,
         "depth": dataclasses.replace(
-            FAST_PPO, preset="depth", inputs=DEPTH_INPUTS, network=NetworkConfig(hidden=256)
+            FAST_PPO,
+            preset="depth",
+            inputs=DEPTH_INPUTS,
+            network=NetworkConfig(hidden=256),
+            worlds=64,
         ),
         "paper": PAPER_PPO,
+        "paper_state": PAPER_STATE_PPO,
         "polish": dataclasses.replace(
             FAST_PPO,
             preset="polish",
@@ -249,20 +312,19 @@ PRESETS: dict[str, dict[str, ReinforcementConfig]] = {
                 initial_std=0.12, learning_rate=1e-4, target_kl=0.02, critic_updates=10, epochs=3
             ),
             worlds=32,
+            horizon=0,
+            checkpoint_samples=50_000,
+            eval_samples=100_000,
         ),
     },
     SAC: {
         "fast": FAST_SAC,
-        "state": dataclasses.replace(
-            FAST_SAC, preset="state", inputs=STATE_INPUTS, network=STATE_NETWORK
-        ),
+        "state": _from_states(FAST_SAC),
         "paper": PAPER_SAC,
     },
     RLPD: {
         "demos": DEMOS,
-        "state": dataclasses.replace(
-            DEMOS, preset="state", inputs=STATE_INPUTS, network=STATE_NETWORK
-        ),
+        "state": _from_states(DEMOS),
     },
 }
 """Presets by algorithm; the first one is the default."""

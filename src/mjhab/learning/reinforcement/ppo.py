@@ -23,17 +23,32 @@ from mjhab.learning.reinforcement.running import RunningStatistics
 from mjhab.learning.reinforcement.sight import Seen
 from mjhab.learning.reinforcement.worlds import Transition, Worlds
 from mjhab.learning.runs.training import BrokenLossError
+from mjhab.learning.students.bc import BehaviourCloning
 from mjhab.learning.students.heads import make_student
 from mjhab.learning.students.student import Student
+
+LEAST_STD = 0.02
+MOST_STD = 1.0
+"""Of the actions [share of full scale]."""
+RATE_STEP = 1.5
+LEAST_RATE = 1e-5
+MOST_RATE = 3e-3
+"""Steps and limits of a learning rate that follows the divergence (as in rsl_rl and rl_games)."""
+VALUED_ROWS = 1024
+"""Observations that the critic values at a time outside of updates: images take much memory."""
 
 
 @dataclass(frozen=True, eq=False)
 class Rollout:
-    """T control steps of W worlds, as N = T x W rows: what was seen and done, and how it turned out."""
+    """T control steps of W worlds, as N = T x W rows: what was seen and done, and how it turned out.
+
+    stds (N, A): standard deviations of the actions.
+    """
 
     seen: Seen
     actions: Tensor
     log_probabilities: Tensor
+    stds: Tensor
     advantages: Tensor
     returns: Tensor
 
@@ -57,31 +72,77 @@ class Ppo(nn.Module):
         super().__init__()
         assert config.ppo is not None
         self.config: PpoConfig = config.ppo
-        self.actor = start or make_student(config.student, layout, seed)
+        actor = start or make_student(config.student, layout, seed)
+        assert isinstance(actor, BehaviourCloning)
+        self.actor = actor
         self.keeps_normalization = start is not None
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed + 1)
             if start is None:
                 _act_little(self.actor)
             self.value = Value(config.student, layout, privileged)
-        self.log_std = nn.Parameter(
-            torch.full((len(layout.actions),), math.log(self.config.initial_std))
-        )
+            width = self.actor.trunk.width if self.config.state_std else 0
+            self.spread = Spread(width, len(layout.actions), self.config.initial_std)
 
     def acting_parameters(self) -> list[nn.Parameter]:
         """Parameters of the actor and of the spread of its actions."""
-        return [*self.actor.parameters(), self.log_std]
+        return [*self.actor.parameters(), *self.spread.parameters()]
 
     def mean(self, seen: Seen) -> Tensor:
         """Means (B, A) of the actions."""
-        nothing = torch.zeros(0, device=seen.vector.device)
-        return self.actor.chunk(seen.vector, seen.images, nothing)[:, 0]
+        return self.distribution(seen).mean
 
-    def log_probability(self, mean: Tensor, actions: Tensor) -> Tensor:
-        """Logarithm of the density of actions (B, A) around means, (B,)."""
-        distance = (actions - mean) / self.log_std.exp()
+    def distribution(self, seen: Seen) -> Actions:
+        """How the actions are distributed."""
+        features = self.actor.trunk(seen.vector, seen.images)
+        mean = self.actor.chunk_of(features)[:, 0]
+        return Actions(mean, self.spread(features).expand_as(mean))
+
+
+@dataclass(frozen=True, eq=False)
+class Actions:
+    """Normal distributions of actions: mean (B, A), logarithm of the standard deviation (B, A)."""
+
+    mean: Tensor
+    log_std: Tensor
+
+    def sample(self, random: torch.Generator) -> Tensor:
+        """Draw actions (B, A)."""
+        noise = torch.randn(self.mean.shape, generator=random).to(self.mean.device)
+        return self.mean + self.log_std.exp() * noise
+
+    def log_probability(self, actions: Tensor) -> Tensor:
+        """Logarithm of the density of actions (B, A), (B,)."""
+        distance = (actions - self.mean) / self.log_std.exp()
         density = -0.5 * distance**2 - self.log_std - 0.5 * math.log(2.0 * math.pi)
         return density.sum(dim=1)
+
+
+class Spread(nn.Module):
+    """Logarithm of the standard deviation of the actions [share of full scale].
+
+    Args:
+        features: numbers that it depends on, then it stays between LEAST_STD and MOST_STD; 0 for one number per part of
+            an action, the same everywhere and without limits, as in the original.
+        actions: numbers of an action. initial_std: before anything is learned.
+    """
+
+    def __init__(self, features: int, actions: int, initial_std: float) -> None:
+        super().__init__()
+        self._low = math.log(LEAST_STD)
+        self._half = 0.5 * (math.log(MOST_STD) - self._low)
+        begin = math.log(initial_std)
+        if features:
+            begin = math.atanh((begin - self._low) / self._half - 1.0)
+        self.bias = nn.Parameter(torch.full((actions,), begin))
+        self.weight = nn.Parameter(torch.zeros(actions, features)) if features else None
+
+    def forward(self, features: Tensor) -> Tensor:
+        """(B, A) for features (B, F); (A,) if it depends on nothing."""
+        if self.weight is None:
+            return self.bias
+        raw = nn.functional.linear(features, self.weight, self.bias)
+        return self._low + self._half * (torch.tanh(raw) + 1.0)
 
 
 def _act_little(actor: Student) -> None:
@@ -107,8 +168,9 @@ class PpoLearner:
         self.config = config.ppo
         self.seed = seed
         self.updates = 0
+        self.learning_rate = self.config.learning_rate
         self.optimizer = torch.optim.Adam(
-            agent.parameters(), lr=self.config.learning_rate, eps=self.config.adam_epsilon
+            agent.parameters(), lr=self.learning_rate, eps=self.config.adam_epsilon, fused=True
         )
         device = worlds.device
         seen = worlds.seen
@@ -124,39 +186,60 @@ class PpoLearner:
         rows: list[Seen] = []
         actions: list[Tensor] = []
         densities: list[Tensor] = []
-        values: list[Tensor] = []
-        next_values: list[Tensor] = []
+        stds: list[Tensor] = []
         transitions: list[Transition] = []
         with torch.no_grad():
             for _ in range(self.config.rollout_steps):
                 seen = self.worlds.seen
-                mean = agent.mean(seen)
-                noise = torch.randn(mean.shape, generator=random).to(mean.device)
-                action = mean + agent.log_std.exp() * noise
-                transition = self.worlds.step(action)
+                drawn = agent.distribution(seen)
+                action = drawn.sample(random)
                 rows.append(seen)
                 actions.append(action)
-                densities.append(agent.log_probability(mean, action))
-                values.append(agent.value(seen))
-                next_values.append(agent.value(transition.next_seen))
-                transitions.append(transition)
-        outcomes = Outcomes(
-            torch.stack([t.reward for t in transitions]),
-            torch.stack(values),
-            torch.stack(next_values),
-            torch.stack([t.terminated for t in transitions]),
-            torch.stack([t.ended for t in transitions]),
-        )
+                densities.append(drawn.log_probability(action))
+                stds.append(drawn.log_std.exp())
+                transitions.append(self.worlds.step(action))
+        seen = _joined(rows)
+        outcomes = self._outcomes(seen, transitions)
         estimate = finite_horizon_advantages if self.config.finite_horizon else advantages
         gains = estimate(outcomes, self.config.gamma, self.config.gae_lambda)
         rollout = Rollout(
-            _joined(rows),
+            seen,
             torch.cat(actions),
             torch.cat(densities),
+            torch.cat(stds),
             gains.flatten(),
             (gains + outcomes.values).flatten(),
         )
         return rollout, transitions
+
+    @torch.no_grad()
+    def _outcomes(self, seen: Seen, transitions: list[Transition]) -> Outcomes:
+        """What the rollout brought, with values.
+
+        The observation after a step is that before the next one, but where an episode or the rollout ends: only these
+        are valued apart.
+        """
+        ended = torch.stack([t.ended for t in transitions])
+        apart = ended.clone()
+        apart[-1] = True
+        last = [t.next_seen.rows(mask) for t, mask in zip(transitions, apart, strict=True)]
+        values = self._values(seen).view(ended.shape)
+        next_values = torch.empty_like(values)
+        next_values[:-1] = values[1:]
+        next_values[apart] = self._values(_joined(last))
+        return Outcomes(
+            torch.stack([t.reward for t in transitions]),
+            values,
+            next_values,
+            torch.stack([t.terminated for t in transitions]),
+            ended,
+        )
+
+    def _values(self, seen: Seen) -> Tensor:
+        """Values (N,) of N rows, a part of them at a time."""
+        count = len(seen.vector)
+        parts = [slice(start, start + VALUED_ROWS) for start in range(0, count, VALUED_ROWS)]
+        return torch.cat([self.agent.value(seen.rows(part)) for part in parts])
 
     def _random(self, what: str) -> torch.Generator:
         drawn = stream(self.seed, f"ppo-{what}", self.updates).integers(1 << 62)
@@ -172,14 +255,14 @@ class PpoLearner:
         """
         config = self.config
         share = 1.0 - (1.0 - config.learning_rate_end) * progress
-        for group in self.optimizer.param_groups:
-            group["lr"] = config.learning_rate * share
         self.agent.train()
         random = self._random("shuffle")
         count = len(rollout.actions)
         size = count // config.minibatches
         told: list[tuple[float, float, float]] = []
         for _ in range(config.epochs):
+            for group in self.optimizer.param_groups:
+                group["lr"] = self.learning_rate * share
             order = torch.randperm(count, generator=random).to(rollout.actions.device)
             for start in range(0, count, size):
                 told.append(self._minibatch(rollout, order[start : start + size]))
@@ -187,19 +270,33 @@ class PpoLearner:
             divergence = torch.tensor(sum(row[2] for row in told[-config.minibatches :]))
             divergence /= config.minibatches
             distributed.average([divergence])
+            self._adapt(float(divergence))
             if config.target_kl and float(divergence) > config.target_kl:
                 break
         self.updates += 1
         means = torch.tensor(told).mean(dim=0).tolist()
         return dict(zip(("policy_loss", "value_loss", "kl"), means, strict=True)) | {
-            "action_std": float(self.agent.log_std.detach().exp().mean())
+            "action_std": float(rollout.stds.mean()),
+            "learning_rate": self.learning_rate,
         }
+
+    def _adapt(self, divergence: float) -> None:
+        """Change the learning rate so that an epoch changes the policy by about ``desired_kl``."""
+        wanted = self.config.desired_kl
+        if not wanted:
+            return
+        if divergence > 2.0 * wanted:
+            self.learning_rate /= RATE_STEP
+        elif divergence < 0.5 * wanted:
+            self.learning_rate *= RATE_STEP
+        self.learning_rate = min(max(self.learning_rate, LEAST_RATE), MOST_RATE)
 
     def _minibatch(self, rollout: Rollout, rows: Tensor) -> tuple[float, float, float]:
         config = self.config
         agent = self.agent
         seen = rollout.seen.rows(rows)
-        density = agent.log_probability(agent.mean(seen), rollout.actions[rows])
+        drawn = agent.distribution(seen)
+        density = drawn.log_probability(rollout.actions[rows])
         logarithm = density - rollout.log_probabilities[rows]
         ratio = logarithm.exp()
         gains = rollout.advantages[rows]
@@ -212,7 +309,7 @@ class PpoLearner:
         if self.updates >= config.critic_updates:
             loss = loss + policy_loss
         if config.entropy_coefficient:
-            loss = loss - config.entropy_coefficient * agent.log_std.sum()
+            loss = loss - config.entropy_coefficient * drawn.log_std.sum(dim=1).mean()
         if not math.isfinite(float(loss.detach())):
             raise BrokenLossError(
                 f"the loss became {float(loss.detach())} in update {self.updates + 1}. The last good checkpoint is "

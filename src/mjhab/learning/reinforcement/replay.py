@@ -7,8 +7,10 @@ an entry with its last observation follows, from which no transition begins.
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -32,6 +34,11 @@ class ReplayShape:
     images: tuple[int, int, int]
     privileged: int
     actions: int
+
+    @classmethod
+    def from_plain(cls, values: Mapping[str, Any]) -> ReplayShape:
+        """Read what ``dataclasses.asdict`` made, also after JSON."""
+        return cls(**{**values, "images": tuple(values["images"])})
 
     @property
     def row_bytes(self) -> int:
@@ -143,14 +150,32 @@ class ReplayBuffer:
             array = np.lib.format.open_memmap(path, mode="w+", dtype=dtype, shape=size)
         return torch.from_numpy(array)
 
+    @property
+    def episodes(self) -> int:
+        """Ends of episodes among the entries of a buffer that is not full yet."""
+        steps = torch.arange(self.shape.steps, device=self.device)
+        written = steps[None] < self.position[:, None]
+        return int((written & ~self._data["begins"]).sum())
+
     def __len__(self) -> int:
         """Transitions that can be drawn, in about: entries at the end of episodes are counted, too."""
         kept = self.position.clamp(max=self.shape.steps - self._reserve)
         return int((kept - 1).clamp(min=0).sum())
 
-    def add(self, seen: Seen, actions: Tensor, reward: Tensor, terminated: Tensor) -> None:
-        """Append a control step of every world: what was seen before it, what was done, and what it brought."""
-        self._write(self._rows, seen, actions, reward, terminated, True)
+    def add(
+        self,
+        seen: Seen,
+        actions: Tensor,
+        reward: Tensor,
+        terminated: Tensor,
+        worlds: Tensor | None = None,
+    ) -> None:
+        """Append a control step of every world: what was seen before it, what was done, and what it brought.
+
+        ``worlds`` (n,): the rows are of these alone.
+        """
+        at = self._rows if worlds is None else worlds
+        self._write(at, seen, actions, reward, terminated, True)
 
     def close(self, worlds: Tensor, last: Seen) -> None:
         """Append the last observations (n rows) of the worlds (n,) whose episodes ended."""

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from mjhab.core.errors import UsageError
 from mjhab.core.version import __version__
+from mjhab.envs.parts.reporting import CHECKERS
 from mjhab.learning.checkpoint import (
     Checkpoint,
     load_checkpoint,
@@ -28,7 +29,7 @@ from mjhab.learning.layout import Layout, layout_of
 from mjhab.learning.reinforcement import distributed
 from mjhab.learning.reinforcement.configs import ReinforcementConfig
 from mjhab.learning.reinforcement.sight import Sight
-from mjhab.learning.reinforcement.worlds import Transition, Worlds
+from mjhab.learning.reinforcement.worlds import TrainingRules, Transition, Worlds
 from mjhab.learning.runs.collection import Means, Scene
 from mjhab.learning.runs.evaluation import Evaluations
 from mjhab.learning.runs.run import TRAINING, Logbook, TrainingFolder
@@ -36,6 +37,7 @@ from mjhab.learning.runs.session import FIRST, LATEST, OutOfTime
 from mjhab.learning.students.student import Student
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.store import check_folder
+from mjhab.tasks.subtasks.registry import SUBTASKS, limits_of
 
 REPLAY = "replay"
 DEMONSTRATIONS = "demonstrations"
@@ -52,6 +54,9 @@ class ReinforcementRequest:
     budget_seconds: of wall time for everything, 0 for no limit. eval_episodes: of the last evaluation;
     round_episodes: of those on the way, 0 for none. films: episodes to film in the first and the last evaluation.
     backend, device: of the environment, see `EnvConfig`.
+    data, where: shards or folders of them that RLPD takes its demonstrations from, and which episodes of them (those
+    that succeed if ""); the expert makes them if there are none. recompute_rewards: also where they were recorded in
+    another profile or with other rewards.
     """
 
     config: ReinforcementConfig
@@ -65,6 +70,9 @@ class ReinforcementRequest:
     films: int = 0
     backend: str = "cpu"
     device: str = ""
+    data: tuple[Path, ...] = ()
+    where: str = ""
+    recompute_rewards: bool = False
 
 
 @dataclass
@@ -78,19 +86,29 @@ class Standing:
     evaluated: list[int] = field(default_factory=list)
 
 
+def network_threads(inputs: InputConfig, threads: int) -> int:
+    """Threads of the networks: one where they see no images.
+
+    Layers of some hundred rows are over before a second thread is awake, and where other processes want the cores,
+    torch's threads wait for each other in loops: a rollout with its update took nine times its CPU time.
+    """
+    return threads if inputs.cameras else 1
+
+
+def image_options(inputs: InputConfig) -> dict[str, Any]:
+    """Options of an environment that shows the images of ``inputs``; none for the state alone."""
+    if not (inputs.image_size and inputs.cameras):
+        return {}
+    return {"obs_mode": "depth", "cameras": inputs.cameras, "camera_size": inputs.image_size}
+
+
 def training_env(
     scene: Scene, inputs: InputConfig, worlds: int, threads: int, seed: int, **more: Any
 ) -> Any:
     """The environment that agents are trained in: dense rewards of at most 1, worlds that are reset by hand."""
     from mjhab.envs import make_train
 
-    options = scene.env_options()
-    if inputs.image_size and inputs.cameras:
-        options |= {
-            "obs_mode": "depth",
-            "cameras": inputs.cameras,
-            "camera_size": inputs.image_size,
-        }
+    options = scene.env_options() | image_options(inputs)
     return make_train(
         **options, num_envs=worlds, threads=threads, seed=seed, autoreset="disabled", **more
     )
@@ -103,7 +121,7 @@ class ReinforcementSession:
         self, request: ReinforcementRequest, folder: TrainingFolder, checkpoint: Path, resume: bool
     ) -> None:
         if request.threads:
-            torch.set_num_threads(request.threads)
+            torch.set_num_threads(network_threads(request.config.inputs, request.threads))
         self.request = request
         self.folder = folder
         self.start = _start_of(request)
@@ -120,6 +138,7 @@ class ReinforcementSession:
             self.seed,
             backend=request.backend,
             device=request.device,
+            **self._episodes(),
         )
         self.layout = self._layout()
         sight = Sight(self.env, self.layout, self.config.privileged_critic)
@@ -131,12 +150,42 @@ class ReinforcementSession:
             self.saved = load_checkpoint(checkpoint)
             known = {name: self.saved.about[name] for name in Standing.__dataclass_fields__}
             self.standing = Standing(**known)
-        self.worlds = Worlds(self.env, sight, self.seed + self.standing.checkpoints)
+        seed = self.seed + self.standing.checkpoints
+        self.worlds = Worlds(self.env, sight, seed, self._rules())
         self.log = Logbook(folder, self.standing.seconds, self.standing.updates)
         self.records: list[EpisodeRecord] = []
+        self.demonstrations = 0
+        """Episodes in the buffer of demonstrations."""
         self._eval_seconds = 0.0
+        self._began = time.perf_counter()
+        self.learner_seconds = 0.0
+        self.evaluation_seconds = 0.0
+        """Wall time of updates, and of evaluations, since this start [s]."""
         self._outcomes: deque[bool] = deque(maxlen=RECENT_EPISODES)
         self._rewards: deque[float] = deque(maxlen=100)
+
+    def _rules(self) -> TrainingRules:
+        """What ends episodes and costs reward, beside what the environment says."""
+        subtask = self.request.scene.subtask
+        limits = limits_of(self.env.task_config, subtask)
+        conditions = SUBTASKS[subtask].conditions
+        return TrainingRules(
+            longest_first=limits.horizon if self.config.stagger else 0,
+            force_limit=limits.force_limit,
+            force_ends=self.config.force_ends,
+            force_cost=self.config.force_cost,
+            conditions=tuple(name for name in conditions if name in CHECKERS),
+        )
+
+    def _episodes(self) -> dict[str, int]:
+        """Options of the environment that say which episodes are trained in.
+
+        Navigate keeps its own horizon, which is longer.
+        """
+        options = {"horizon": self.config.horizon, "episode_pool": self.config.episode_pool}
+        if SUBTASKS[self.request.scene.subtask].navigates:
+            del options["horizon"]
+        return {name: value for name, value in options.items() if value}
 
     def _layout(self) -> Layout:
         """What the agent sees and does: that of the student it begins from, else that of the environment."""
@@ -162,6 +211,7 @@ class ReinforcementSession:
     def report(self, numbers: dict[str, float]) -> None:
         """Tell of an update."""
         told = {"reward": sum(self._rewards) / max(len(self._rewards), 1), **numbers}
+        told |= {f"holds/{name}": share for name, share in self.worlds.held().items()}
         if self._outcomes:
             told["training_success"] = sum(self._outcomes) / len(self._outcomes)
         self.log.report(self.standing.updates, self.standing.samples, told)
@@ -205,6 +255,18 @@ class ReinforcementSession:
         save_tensors(self.folder.training, actor, tensors, about)
         self.save_actor(actor)
 
+    def time_shares(self) -> dict[str, float]:
+        """Shares of the wall time since this start: environment, updates, evaluations, and the rest (acting, files)."""
+        parts = {
+            "env": self.worlds.seconds,
+            "learner": self.learner_seconds,
+            "evaluation": self.evaluation_seconds,
+        }
+        total = max(time.perf_counter() - self._began, sum(parts.values()))
+        shares = {name: seconds / total for name, seconds in parts.items()}
+        shares["other"] = 1.0 - sum(shares.values())
+        return {name: round(share, 4) for name, share in shares.items()}
+
     def save_actor(self, actor: Student) -> None:
         """Write the actor as the student that acts."""
         about = {
@@ -234,7 +296,9 @@ class ReinforcementSession:
         out = self.folder.evaluation(FIRST if first and not last else LATEST)
         run = evaluations.run(self.folder.student, episodes, films, out)
         self.records = list(run.records)
-        self._eval_seconds = (time.perf_counter() - began) / episodes
+        spent = time.perf_counter() - began
+        self._eval_seconds = spent / episodes
+        self.evaluation_seconds += spent
         success = sum(record.success_once for record in self.records) / episodes
         self.standing.evaluated.append(self.standing.samples)
         self.log.report(
@@ -272,6 +336,9 @@ def resolved_config(request: ReinforcementRequest) -> dict[str, Any]:
         "scene": asdict(request.scene),
         "seed": request.seed,
         "start": request.start,
+        "data": [str(path) for path in request.data],
+        "where": request.where,
+        "recompute_rewards": request.recompute_rewards,
         "backend": request.backend,
         "processes": distributed.processes(),
         "mjhab": __version__,

@@ -34,9 +34,17 @@ class SteppedEnv(Protocol):
     """What agents need of an environment; ``state`` is a `sim.protocol.SimState`."""
 
     num_envs: int
-    state: Any
     config: Any
     task_config: Any
+
+    @property
+    def state(self) -> Any:
+        """State of the simulator."""
+        ...
+
+    def link_state(self) -> Any:
+        """(W, 4) float32, see `Sensing.link_state`."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,6 +128,8 @@ class Sight:
         if inputs.base_velocity:
             state = self._env.state
             parts.append(torch.as_tensor(base_velocity(state.robot_q, state.robot_qd)))
+        if inputs.link_state:
+            parts.append(torch.as_tensor(self._env.link_state()))
         if inputs.previous_action:
             parts.append(last)
         if inputs.condition:

@@ -11,7 +11,9 @@ import torch
 from torch import Tensor
 
 from mjhab.learning.reinforcement import distributed
-from mjhab.learning.reinforcement.demonstrations import collect_demonstrations
+from mjhab.learning.reinforcement.demonstrations.expert import collect_demonstrations
+from mjhab.learning.reinforcement.demonstrations.kept import kept_demonstrations
+from mjhab.learning.reinforcement.demonstrations.recorded import replay_recorded
 from mjhab.learning.reinforcement.keeping import (
     optimizer_tensors,
     part_of,
@@ -81,7 +83,6 @@ def summarize(session: ReinforcementSession) -> dict[str, Any]:
     """What a run came to, for machines. ``episodes``: of the evaluation that ``success_once`` comes from."""
     records = session.records
     low, high = wilson(sum(record.success_once for record in records), len(records))
-    sac = session.config.sac
     return {
         "algorithm": session.config.algorithm,
         "preset": session.config.preset,
@@ -94,7 +95,8 @@ def summarize(session: ReinforcementSession) -> dict[str, Any]:
         "interval": [low, high],
         "episodes": len(records),
         "rounds": 0,
-        "demonstrations": sac.demonstrations if sac else 0,
+        "demonstrations": session.demonstrations,
+        "time_shares": session.time_shares(),
     }
 
 
@@ -156,10 +158,12 @@ class _PpoRun(_Run):
         learner.statistics.restore(part_of("statistics", tensors))
         learner.privileged.restore(part_of("privileged", tensors))
         learner.updates = self.session.standing.updates
+        learner.learning_rate = float(tensors["learning_rate"])
 
     def tensors(self) -> dict[str, Tensor]:
         learner = self.learner
         return {
+            "learning_rate": torch.tensor(learner.learning_rate, dtype=torch.float64),
             **prefixed("agent", self.agent.state_dict()),
             **prefixed("optimizer", optimizer_tensors(learner.optimizer)),
             **prefixed("statistics", learner.statistics.tensors()),
@@ -181,6 +185,7 @@ class _PpoRun(_Run):
             learner.normalize(rollout.seen)
             standing.updates = learner.updates
             ended = time.perf_counter()
+            session.learner_seconds += ended - acted
             numbers["loss"] = numbers["value_loss"]
             numbers["samples_per_second"] = (standing.samples - before) / (ended - began)
             numbers["learner_share"] = (ended - acted) / (ended - began)
@@ -253,7 +258,24 @@ class _SacRun(_Run):
         return kept
 
     def _demonstrate(self) -> None:
-        """Let the expert fill the buffer of demonstrations, in episodes of its own."""
+        """Fill the buffer of demonstrations: recorded ones, or by the expert in episodes of its own."""
+        folder = self.session.folder.path / DEMONSTRATIONS
+        fill = self._replay_recorded if self.session.request.data else self._ask_expert
+        self.shown = kept_demonstrations(folder, fill)
+        self.session.demonstrations = self.shown.episodes
+
+    def _replay_recorded(self) -> ReplayBuffer:
+        session = self.session
+
+        def make(worlds: int, steps: int) -> ReplayBuffer:
+            return self._buffer(DEMONSTRATIONS, worlds, worlds * steps)
+
+        def tell(done: int, total: int) -> None:
+            session.log.show({"phase": f"demonstrations: {done}/{total}"})
+
+        return replay_recorded(session, make, tell)
+
+    def _ask_expert(self) -> ReplayBuffer:
         session = self.session
         horizon = int(max(horizons(session.env.task_config))) + 2
         episodes = self.sac.demonstrations
@@ -265,7 +287,7 @@ class _SacRun(_Run):
         def tell(done: int) -> None:
             session.log.show({"phase": f"demonstrations: {done}/{episodes}"})
 
-        self.shown = collect_demonstrations(session, episodes, make, tell)
+        return collect_demonstrations(session, episodes, make, tell)
 
     def learn(self) -> None:
         session = self.session
@@ -287,6 +309,7 @@ class _SacRun(_Run):
                     numbers |= self._update()
                     self.owed -= 1.0
             ended = time.perf_counter()
+            session.learner_seconds += ended - acted
             if numbers and ended - told_at > REPORT_SECONDS:
                 told_at = ended
                 numbers["loss"] = numbers["critic_loss"]

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,6 +13,7 @@ import torch
 from torch import Tensor
 
 from mjhab.core.errors import UsageError
+from mjhab.core.seeding import stream
 from mjhab.learning.reinforcement.sight import Seen, Sight
 
 
@@ -29,6 +33,24 @@ class Transition:
     succeeded: Tensor
 
 
+@dataclass(frozen=True)
+class TrainingRules:
+    """What ends an episode of training, and what it costs, beside what the environment says.
+
+    longest_first: the first episode of every world ends after a number of control steps between 1 and this, as by
+    time, so that worlds do not go through their episodes together; 0 lets it run on.
+    force_limit: on the cumulative force [N x control steps]. force_ends: an episode is over, and nothing follows, when
+    it is exceeded. force_cost: reward that a force takes which sums up to the limit.
+    conditions: checks of ``info`` of which ``Worlds.held`` tells how often they hold.
+    """
+
+    longest_first: int = 0
+    force_limit: float = math.inf
+    force_ends: bool = False
+    force_cost: float = 0.0
+    conditions: tuple[str, ...] = ()
+
+
 class Worlds:
     """The worlds of an environment with ``autoreset="disabled"``: finished ones are reset here, after they were seen.
 
@@ -37,12 +59,15 @@ class Worlds:
 
     Args:
         env: of either backend. sight: of the same environment. seed: of the first episodes.
+        rules: of training; none beside those of the environment if not given.
 
     Raises:
         UsageError: the environment resets by itself.
     """
 
-    def __init__(self, env: Any, sight: Sight, seed: int) -> None:
+    def __init__(
+        self, env: Any, sight: Sight, seed: int, rules: TrainingRules | None = None
+    ) -> None:
         if env.config.autoreset != "disabled":
             raise UsageError(
                 f"agents reset the worlds themselves; make the environment with autoreset='disabled', not "
@@ -52,15 +77,30 @@ class Worlds:
         self.sight = sight
         self.count: int = env.num_envs
         self.device = sight.device
+        self._rules = rules or TrainingRules()
+        self._holding = torch.zeros(len(self._rules.conditions), device=sight.device)
+        self._steps = 0
+        self.seconds = 0.0
+        """Wall time spent in the environment, and in turning what it shows into tensors [s]."""
         self._none = torch.zeros(self.count, dtype=torch.bool, device=self.device)
         self._succeeded = self._none
         self.seen: Seen = self.begin(seed)
 
     def begin(self, seed: int) -> Seen:
         """Begin new episodes in all worlds; which ones depends on ``seed`` alone."""
+        began = time.perf_counter()
+        seen = self._begin(seed)
+        self.seconds += time.perf_counter() - began
+        return seen
+
+    def _begin(self, seed: int) -> Seen:
         obs, info = self.env.reset(seed=seed)
         every = ~self._none
         self._succeeded = self._none
+        longest = self._rules.longest_first
+        if longest:
+            drawn = stream(seed, "stagger").integers(1, longest + 1, self.count)
+            self._left = torch.from_numpy(drawn).to(self.device)
         self.sight.begin(every, info)
         width = self.env.single_action_space.shape[0]
         still = torch.zeros(self.count, width, device=self.device)
@@ -69,10 +109,30 @@ class Worlds:
 
     def step(self, actions: Tensor) -> Transition:
         """One control step; worlds whose episodes end begin new ones, see ``seen``."""
+        began = time.perf_counter()
+        transition = self._step(actions)
+        self.seconds += time.perf_counter() - began
+        return transition
+
+    def _step(self, actions: Tensor) -> Transition:
         taken = actions.clamp(-1.0, 1.0)
         given = taken.numpy() if self.device.type == "cpu" and self._numpy else taken
         obs, reward, terminated, truncated, info = self.env.step(given)
         ended = torch.as_tensor(terminated) | torch.as_tensor(truncated)
+        terminated = torch.as_tensor(terminated)
+        reward = torch.as_tensor(reward).float()
+        rules = self._rules
+        if rules.force_ends:
+            exceeded = torch.as_tensor(info["cumulative_force"]) > rules.force_limit
+            terminated = terminated | exceeded
+            ended = ended | exceeded
+        if rules.force_cost:
+            share = torch.as_tensor(info["robot_force"]).float() / rules.force_limit
+            reward = reward - rules.force_cost * share
+        if rules.longest_first:
+            self._left -= 1
+            ended = ended | (self._left == 0)
+        self._count(info)
         succeeded = self._succeeded | torch.as_tensor(info["success"])
         following = self.sight.see(obs, info, taken, self._none)
         self.seen = following
@@ -83,12 +143,24 @@ class Worlds:
             self.seen = self.sight.see(obs, info, taken, ended, again=True)
         self._succeeded = succeeded & ~ended
         return Transition(
-            torch.as_tensor(reward).float(),
+            reward,
             following,
-            torch.as_tensor(terminated),
+            terminated,
             ended,
             succeeded,
         )
+
+    def _count(self, info: Mapping[str, Any]) -> None:
+        for number, name in enumerate(self._rules.conditions):
+            self._holding[number] += torch.as_tensor(info[name]).float().mean()
+        self._steps += 1
+
+    def held(self) -> dict[str, float]:
+        """Share of the control steps since the last call in which each condition held."""
+        shares = (self._holding / max(self._steps, 1)).tolist()
+        self._holding.zero_()
+        self._steps = 0
+        return dict(zip(self._rules.conditions, shares, strict=True))
 
     @property
     def _numpy(self) -> bool:

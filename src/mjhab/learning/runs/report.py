@@ -143,6 +143,7 @@ def _cards(summary: Mapping[str, Any]) -> str:
         ),
         ("time", f"{summary['seconds'] / 60:.1f} min", "collection and evaluation included"),
         ("updates", f"{summary['steps']:,}", f"{summary['samples']:,} samples"),
+        *_time_card(summary),
         (
             "demonstrations",
             f"{summary['demonstrations']:,}",
@@ -155,6 +156,15 @@ def _cards(summary: Mapping[str, Any]) -> str:
         for name, value, more in values
     )
     return f'<div class="cards">{tiles}</div>'
+
+
+def _time_card(summary: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+    """Where the time of a run of reinforcement went; nothing for other runs."""
+    shares = summary.get("time_shares")
+    if not shares:
+        return []
+    rest = ", ".join(f"{name} {parts.percent(shares[name])}" for name in shares if name != "env")
+    return [("time in the environment", parts.percent(shares["env"]), rest)]
 
 
 def _rounds(rows: Sequence[Mapping[str, Any]]) -> str:

@@ -24,6 +24,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
+from mjhab.core.files.reading import parse_json
 from mjhab.rollout.store import check_folder, write_text
 
 CONFIG = "config.json"
@@ -86,8 +87,8 @@ class TrainingFolder:
         found = []
         for line in path.read_text(encoding="utf-8").splitlines() if path.is_file() else []:
             try:
-                found.append(json.loads(line))
-            except json.JSONDecodeError:
+                found.append(parse_json(line))
+            except ValueError:
                 continue
         return [row for row in found if step is None or row["step"] <= step]
 

@@ -50,10 +50,17 @@ class BehaviourCloning(Student):
 
     def predict(self, vector: Tensor, images: Tensor) -> Tensor:
         """Normalized actions (B, chunk, A)."""
-        return self.head(self.trunk(vector, images)).unflatten(1, (self.config.chunk, -1))
+        return self._read(self.trunk(vector, images))
+
+    def _read(self, features: Tensor) -> Tensor:
+        return self.head(features).unflatten(1, (self.config.chunk, -1))
+
+    def chunk_of(self, features: Tensor) -> Tensor:
+        """Actions (B, chunk, A) for what the trunk made of an observation, (B, F)."""
+        return self.action_normalizer.restore(self._read(features))
 
     def loss(self, batch: Batch, random: torch.Generator) -> Tensor:
         return self.error(self.predict(batch.vector, batch.images), batch, self.targets(batch))
 
     def chunk(self, vector: Tensor, images: Tensor, noise: Tensor) -> Tensor:
-        return self.action_normalizer.restore(self.predict(vector, images))
+        return self.chunk_of(self.trunk(vector, images))

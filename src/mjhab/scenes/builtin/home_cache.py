@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import scipy
 
-from mjhab.core.files.cache import cache_dir, write_atomic
+from mjhab.core.files.cache import cache_dir, write_cached
 from mjhab.core.files.code_digest import code_digest
 from mjhab.scenes.spec import Home, Placement
 
@@ -49,7 +49,7 @@ def cached_homes(
         return tuple(replace(bare(*key), props=row) for key, row in zip(keys, props, strict=True))
     homes = tuple(furnish(*key) for key in keys)
     rows = [[(p.template, p.pos, p.yaw) for p in home.props] for home in homes]
-    write_atomic(path, lambda temporary: temporary.write_text(json.dumps(rows)))
+    write_cached(path, lambda temporary: temporary.write_text(json.dumps(rows)))
     return homes
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Literal
 
@@ -91,25 +91,46 @@ def make_home(macro: int, micro: int) -> Home:
     Raises:
         UsageError: out of range.
     """
-    return _furnish(bare_home(macro, micro), plan_of(macro, micro))
+    rng = stream(0, "home", macro, micro)
+    plan = plan_of(macro, micro)
+    return furnish(bare_home(macro, micro), plan, rng, keep_clear(macro, micro))
 
 
 def bare_home(macro: int, micro: int) -> Home:
     """One home with walls, kitchen and lamps but no props yet; arguments and errors as in `make_home`."""
-    plan = plan_of(macro, micro)
     hard = HARD.get((macro, micro))
+    name = f"builtin_m{macro}_{micro:02d}"
+    floor = Floor(name, "builtin", split_of(macro), macro, micro, plan_of(macro, micro))
+    home = bare_floor(floor)
+    return replace(home, note=hard.note, open_limits=hard.limits) if hard else home
+
+
+@dataclass(frozen=True)
+class Floor:
+    """A home before it is furnished: its names, and its plan."""
+
+    name: str
+    pack: str
+    split: Literal["train", "val", "test"]
+    macro: int
+    micro: int
+    plan: Plan
+
+
+def bare_floor(floor: Floor) -> Home:
+    """Walls, kitchen and lamps of a plan."""
+    plan = floor.plan
     width, depth = plan.size
     kitchen = tuple(_place(p) for p in plan.kitchen)
     rooms = tuple(
         span(_x(r.extent), _y(r.extent), (-0.02, 0.001), r.floor, collide=False) for r in plan.rooms
     )
-    note, limits = (hard.note, hard.limits) if hard else ("", ())
     return Home(
-        f"builtin_m{macro}_{micro:02d}",
-        "builtin",
-        split_of(macro),
-        macro,
-        micro,
+        floor.name,
+        floor.pack,
+        floor.split,
+        floor.macro,
+        floor.micro,
         wall_geoms(plan),
         (0.0, 0.0, width, depth),
         plan.rooms[0].floor,
@@ -117,8 +138,6 @@ def bare_home(macro: int, micro: int) -> Home:
         kitchen,
         _lights(plan),
         rooms,
-        note,
-        limits,
     )
 
 
@@ -180,14 +199,19 @@ def _inner_wall(wall: Wall, material: str) -> list[Geom]:
     return pieces
 
 
-def _furnish(home: Home, plan: Plan) -> Home:
+def furnish(home: Home, plan: Plan, rng: np.random.Generator, clear: dict[str, Zone]) -> Home:
     """Place the props: nothing overlaps, the clear zones stay free, and a robot reaches every receptacle.
+
+    Args:
+        home: a bare one, whose micro number 0 stands for the plan as it is drawn.
+        plan: its plan.
+        rng: what the furniture is shifted and dealt out by.
+        clear: zone in front of each articulation.
 
     Raises:
         RuntimeError: the plan leaves no room (a plan that was edited wrongly; tests build every home).
     """
-    rng = stream(0, "home", home.macro, home.micro)
-    taken = _blocked(plan, keep_clear(home.macro, home.micro))
+    taken = _blocked(plan, clear)
     for _ in range(_MAX_TRIES):
         placed = _try_furnish(plan, home.micro, rng, list(taken))
         if placed is not None:

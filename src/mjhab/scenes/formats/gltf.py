@@ -7,7 +7,6 @@ Read are static triangle meshes with one base colour texture per primitive, whic
 from __future__ import annotations
 
 import io
-import json
 import struct
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from mjhab.core.errors import UsageError
+from mjhab.core.files.reading import parse_json
 from mjhab.core.rotations import mat_from_quat
 from mjhab.scenes.pack_check import MAX_FILE_NUMBER
 from mjhab.scenes.shapes.meshes import MAX_TEXTURE
@@ -30,6 +30,10 @@ _COMPONENT = {
 }
 _WIDTH = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _TRIANGLES = 4
+MAX_NODE_DEPTH = 100
+MAX_NODES = 10_000
+MAX_TEXTURE_PIXELS = 2**26
+"""Limits of a file; the largest texture of ReplicaCAD has 2**24 pixels."""
 TO_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """Turns a vector of a file, with +y up, into our axes: (x, y, z) becomes (x, -z, y)."""
 
@@ -65,7 +69,15 @@ def read_glb(path: Path, *, textures: bool = True) -> list[Primitive]:
     reader = _Reader(path, document, blob)
     try:
         parts = reader.primitives(textures)
-    except (KeyError, IndexError, TypeError, ValueError, struct.error, OSError) as error:
+    except (
+        KeyError,
+        IndexError,
+        TypeError,
+        ValueError,
+        struct.error,
+        OSError,
+        OverflowError,
+    ) as error:
         raise UsageError(
             f"{path}: broken glTF ({type(error).__name__}: {error}); download the file again."
         ) from error
@@ -123,11 +135,13 @@ def _chunks(path: Path) -> tuple[dict[str, Any], bytes]:
     if b"JSON" not in found:
         raise UsageError(f"{path}: no JSON chunk; download the file again.")
     try:
-        document = json.loads(found[b"JSON"])
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        document = parse_json(found[b"JSON"])
+    except ValueError as error:
         raise UsageError(
             f"{path}: the JSON chunk is broken ({error}); download the file again."
         ) from error
+    if not isinstance(document, dict):
+        raise UsageError(f"{path}: the JSON chunk is no object; download the file again.")
     return document, found.get(b"BIN\0", b"")
 
 
@@ -137,6 +151,7 @@ class _Reader:
         self.document = document
         self.blob = blob
         self._images: dict[int, np.ndarray] = {}
+        self._visits = 0
 
     def primitives(self, textures: bool) -> list[Primitive]:
         scenes = self.document.get("scenes", [])
@@ -145,12 +160,17 @@ class _Reader:
         roots = scenes[self.document.get("scene", 0)]["nodes"] if scenes else []
         out: list[Primitive] = []
         for root in roots or [i for i in range(len(nodes)) if i not in children]:
-            self._walk(root, np.eye(4), textures, out)
+            self._walk(root, np.eye(4), textures, out, 0)
         if not out:
             raise UsageError(f"{self.path}: no triangles; download the file again.")
         return out
 
-    def _walk(self, index: int, parent: np.ndarray, textures: bool, out: list[Primitive]) -> None:
+    def _walk(
+        self, index: int, parent: np.ndarray, textures: bool, out: list[Primitive], depth: int
+    ) -> None:
+        self._visits += 1
+        if depth > MAX_NODE_DEPTH or self._visits > MAX_NODES:
+            raise ValueError("nodes that contain each other, or far too many of them")
         node = self.document["nodes"][index]
         pose = parent @ _local(node)
         if "mesh" in node:
@@ -158,10 +178,10 @@ class _Reader:
             for part in mesh["primitives"]:
                 if part.get("mode", _TRIANGLES) == _TRIANGLES:
                     out.append(
-                        self._primitive(mesh.get("name", str(node["mesh"])), part, pose, textures)
+                        self._primitive(str(mesh.get("name", node["mesh"])), part, pose, textures)
                     )
         for child in node.get("children", []):
-            self._walk(child, pose, textures, out)
+            self._walk(child, pose, textures, out, depth + 1)
 
     def _primitive(
         self, name: str, part: dict[str, Any], pose: np.ndarray, textures: bool
@@ -199,6 +219,8 @@ class _Reader:
         size = np.dtype(kind).itemsize
         start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
         stride = view.get("byteStride", size * width)
+        if min(count, start) < 0 or stride < size * width:
+            raise ValueError(f"accessor {index} has a count, a place or a stride that cannot be")
         if count and start + stride * (count - 1) + size * width > len(self.blob):
             raise ValueError(f"accessor {index} reaches past the end of the binary chunk")
         data = np.ndarray((count, width), kind, self.blob, start, (stride, size))
@@ -231,8 +253,14 @@ class _Reader:
 
             view = self.document["bufferViews"][self.document["images"][index]["bufferView"]]
             start = view.get("byteOffset", 0)
-            with Image.open(io.BytesIO(self.blob[start : start + view["byteLength"]])) as image:
-                rgb = image.convert("RGB")
+            data = io.BytesIO(self.blob[start : start + view["byteLength"]])
+            try:
+                with Image.open(data) as image:
+                    if image.width * image.height > MAX_TEXTURE_PIXELS:
+                        raise ValueError(f"image {index} has {image.width} x {image.height} pixels")
+                    rgb = image.convert("RGB")
+            except (SyntaxError, Image.DecompressionBombError) as error:
+                raise ValueError(f"image {index}: {error}") from error
             # Powers of two repeat and halve exactly.
             width, height = (min(MAX_TEXTURE, 1 << (side.bit_length() - 1)) for side in rgb.size)
             self._images[index] = np.asarray(rgb.resize((width, height), Image.Resampling.BOX))

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from mjhab.core.errors import UsageError
+from mjhab.core.files.reading import read_bytes
 from mjhab.core.names import check_name
 from mjhab.scenes.pack_check import MAX_FILE_NUMBER
 
@@ -59,6 +60,10 @@ class UrdfJoint:
     limits: tuple[float, float]
 
 
+MAX_URDF_MB = 16
+"""Largest file that is read [MB]; furniture of ReplicaCAD takes about 10 kB."""
+
+
 @dataclass(frozen=True, eq=False)
 class Urdf:
     """A furniture description: links by name, joints by the name of their child, the name of the root link."""
@@ -90,11 +95,12 @@ def read_urdf(path: Path) -> Urdf:
     Raises:
         UsageError: it is missing, not XML, or has something this reader does not know; names file and element.
     """
+    raw = read_bytes(path, MAX_URDF_MB)
+    if b"<!DOCTYPE" in raw or b"<!ENTITY" in raw:
+        raise UsageError(f"{path}: declares entities, which no furniture needs.")
     try:
-        top = ElementTree.parse(path).getroot()
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be read ({error.strerror or error}).") from error
-    except ElementTree.ParseError as error:
+        top = ElementTree.fromstring(raw)
+    except (ElementTree.ParseError, RecursionError, ValueError) as error:
         raise UsageError(f"{path}: not valid XML ({error}); download the file again.") from error
     links = {_name(path, e, "name"): _link(path, e) for e in top.iter("link")}
     joints = {}
@@ -111,7 +117,19 @@ def read_urdf(path: Path) -> Urdf:
         raise UsageError(
             f"{path}: expected one root link, found {len(roots)} ({', '.join(roots) or 'none'})."
         )
+    for name in links:
+        _check_reaches_root(path, name, joints, roots[0])
     return Urdf(top.get("name", path.stem), links, joints, roots[0])
+
+
+def _check_reaches_root(path: Path, link: str, joints: dict[str, UrdfJoint], root: str) -> None:
+    """Refuse a link whose joints lead to itself and not to the root."""
+    above = link
+    for _ in range(len(joints) + 1):
+        if above == root:
+            return
+        above = joints[above].parent
+    raise UsageError(f"{path}: the joints above link {link!r} form a loop.")
 
 
 def _link(path: Path, element: ElementTree.Element) -> UrdfLink:

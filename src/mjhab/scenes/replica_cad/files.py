@@ -6,13 +6,13 @@ a quarter about x: (x, y, z) -> (x, -z, y).
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from mjhab.core.errors import UsageError
+from mjhab.core.files.reading import read_json_object
 from mjhab.core.rotations import mat_from_quat, quat_from_mat
 from mjhab.scenes.formats.gltf import TO_Z_UP
 from mjhab.scenes.pack_check import MAX_FILE_NUMBER
@@ -49,17 +49,9 @@ def load_json(path: Path) -> dict[str, Any]:
     Raises:
         UsageError: the file is missing, cut off or not an object; names it.
     """
-    try:
-        body = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise UsageError(
-            f"{path}: cannot be read ({error.strerror or error}); {HOW_TO_GET}."
-        ) from error
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise UsageError(f"{path}: not valid JSON ({error}); download the file again.") from error
-    if not isinstance(body, dict):
-        raise UsageError(f"{path}: expected a JSON object.")
-    return body
+    if not path.exists():
+        raise UsageError(f"{path}: cannot be read (there is no such file); {HOW_TO_GET}.")
+    return read_json_object(path)
 
 
 def field(path: Path, record: Any, key: str, where: str = "") -> Any:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mjhab.core.files.cache import cache_dir, write_atomic
+from mjhab.core.files.cache import cache_dir, write_cached
 from mjhab.core.files.code_digest import code_digest
 from mjhab.scenes.formats.gltf import Primitive, read_glb
 from mjhab.scenes.shapes.meshes import Mesh, mesh_arrays, mesh_from_arrays
@@ -42,7 +42,7 @@ class Looks:
         for name, mesh in made.items():
             arrays |= mesh_arrays(name, mesh)
         # Not compressed: packed pictures would take longer to unpack than to read.
-        write_atomic(path, lambda temporary: np.savez(temporary, allow_pickle=False, **arrays))
+        write_cached(path, lambda temporary: np.savez(temporary, allow_pickle=False, **arrays))
         return made
 
     def _parts(self, name: str) -> list[Primitive]:

@@ -163,6 +163,10 @@ def _objects(folder: Path) -> tuple[dict[str, ObjectType], dict[str, Any]]:
     return builtin_objects(), dict(object_meshes())
 
 
+MAX_INSTANCES = 1000
+"""Most pieces of a kind in a scene; those of ReplicaCAD have up to 120."""
+
+
 @dataclass(eq=False)
 class _Scenes:
     """Reads scene files; stages are read once."""
@@ -183,6 +187,12 @@ class _Scenes:
         body = load_json(path)
         props = []
         jointed = []
+        for kind in ("object_instances", "articulated_object_instances"):
+            count = len(_list(path, body, kind))
+            if count > MAX_INSTANCES:
+                raise UsageError(
+                    f"{path}: field {kind!r} has {count:,} entries; at most {MAX_INSTANCES} fit into a home."
+                )
         for k, record in enumerate(_list(path, body, "object_instances")):
             where = f"object_instances[{k}]"
             template = self.furniture.rigid(_template(path, record, where))

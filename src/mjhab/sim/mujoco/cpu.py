@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import mujoco
 import numpy as np
@@ -58,7 +58,7 @@ class CpuSimulator:
         self.num_worlds = num_worlds
         self.num_threads = num_threads or os.cpu_count() or 1
         self.drives = drives or Drives()
-        self.model = HomeModels(layout, self.drives)
+        self.model: Callable[[str], mujoco.MjModel] = HomeModels(layout, self.drives)
         """The compiled model of a home of the pack, by the name of the home."""
         first = self.model(layout.pack.homes[0].name)
         self.addresses = addresses(layout, first)

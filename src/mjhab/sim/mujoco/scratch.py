@@ -13,9 +13,11 @@ import mujoco
 import numpy as np
 
 from mjhab.core.joints import BASE_YAW
+from mjhab.core.memory_cache import MemoryCache
 from mjhab.core.rotations import pose_inv, pose_mul
 from mjhab.core.timing import SUBSTEPS
 from mjhab.layout.contact_sensors import FORCE_SENSOR_WIDTH, normal_force
+from mjhab.layout.home_models import model_bytes
 from mjhab.robots.model import apply_drives
 from mjhab.robots.parts import Drives
 from mjhab.scenes import contact_bits
@@ -31,7 +33,7 @@ TURN_SLIP = 0.02
 """A held object must stay within this slip [m] while the base is jerked to either side at half its top speed [rad/s]:
 some grasps near an edge hold still for minutes and lose the object at the first turn."""
 MAX_MODELS = 32
-"""Homes a world remembers; a model takes 0.4 MB."""
+"""Homes of which a world keeps a model of its own; one takes 0.4 MB."""
 _NO_CONTACT = int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
 
 
@@ -42,7 +44,7 @@ class _World:
         self._sim = sim
         # Models of a layout have the same sizes: one MjData serves them all.
         self.data = mujoco.MjData(sim.model(sim.layout.pack.homes[0].name))
-        self._models: dict[tuple[str, bool], mujoco.MjModel] = {}
+        self._models = MemoryCache("models", MAX_MODELS, model_bytes)
 
     def arrange(
         self, home: str, qpos: np.ndarray, carried: int = -1, *, plain: bool = False
@@ -55,7 +57,7 @@ class _World:
         Returns:
             The model the world is in now.
         """
-        model = self._model(home, plain)
+        model = self._models.get((home, plain), lambda: self._make(home, plain))
         a = self._sim.addresses
         # Trees that the model declares asleep lie at its qpos0 after a reset; what is moved from there wakes up.
         rows = (np.delete(a.object_q, carried) if carried >= 0 else a.object_q).astype(int)
@@ -70,18 +72,13 @@ class _World:
         self.data.qpos[:] = qpos
         return model
 
-    def _model(self, home: str, plain: bool) -> mujoco.MjModel:
-        model = self._models.pop((home, plain), None)
-        if model is None:
-            model = copy.copy(self._sim.model(home))
-            if plain:
-                apply_drives(model, self._sim.layout.robot, Drives())
-            a = self._sim.addresses
-            trees = model.body_treeid[np.concatenate([a.object_body, a.link_body]).astype(int)]
-            model.tree_sleep_policy[trees] = int(mujoco.mjtSleepPolicy.mjSLEEP_INIT)
-            if len(self._models) >= MAX_MODELS:
-                del self._models[next(iter(self._models))]
-        self._models[home, plain] = model  # the last one used stands at the end
+    def _make(self, home: str, plain: bool) -> mujoco.MjModel:
+        model = copy.copy(self._sim.model(home))
+        if plain:
+            apply_drives(model, self._sim.layout.robot, Drives())
+        a = self._sim.addresses
+        trees = model.body_treeid[np.concatenate([a.object_body, a.link_body]).astype(int)]
+        model.tree_sleep_policy[trees] = int(mujoco.mjtSleepPolicy.mjSLEEP_INIT)
         return model
 
 

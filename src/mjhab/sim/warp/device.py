@@ -9,6 +9,7 @@ import torch
 import warp as wp
 
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.machine import pip_install
 from mjhab.sim.warp.builds import announce_builds
 
 LEAST_DRIVER = (12, 4)
@@ -44,7 +45,7 @@ def open_device(name: str) -> wp.Device:
     if device.is_cuda and not wp.is_conditional_graph_supported():
         raise UsageError(
             f"backend 'warp' needs a Warp that was built with CUDA {_version(LEAST_DRIVER)} or newer; "
-            "pip install 'mjhab[gpu]' brings one."
+            f"{pip_install('gpu')} brings one."
         )
     return device
 

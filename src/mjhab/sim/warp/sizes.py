@@ -17,7 +17,7 @@ import torch
 import warp as wp
 
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.core.files.cache import cache_dir, write_atomic
+from mjhab.core.files.cache import cache_dir, write_cached
 from mjhab.core.joints import BASE
 from mjhab.core.seeding import stream
 from mjhab.layout.compile import home_hash
@@ -114,7 +114,7 @@ def buffer_sizes(
     else:
         demand = measure_demand(layout, model, a, chosen, device)
         text = json.dumps(dataclasses.asdict(demand))
-        write_atomic(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+        write_cached(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
     return demand.sizes(num_worlds, model(homes[0].name).nv)
 
 

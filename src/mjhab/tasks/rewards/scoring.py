@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -50,7 +51,7 @@ class RewardOptions:
         scales; "published", the constant of the original: 28, 44, 28, 27, 37 (Pick, Place, Navigate, Open, Close).
 
     Raises:
-        UsageError: no such formula or normaliser.
+        UsageError: no such formula or normaliser, or scales of another shape.
     """
 
     scales: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
@@ -62,6 +63,24 @@ class RewardOptions:
             raise unknown_name("reward formula", self.formula, REWARD_FORMULAS)
         if self.normaliser not in REWARD_NORMALISERS:
             raise unknown_name("reward normaliser", self.normaliser, REWARD_NORMALISERS)
+        _check_scales(self.scales)
+
+
+def _check_scales(scales: Any) -> None:
+    """Raise a UsageError unless scales are terms with numbers by kind; the terms are checked with their table."""
+    right = 'reward_scales is {subtask: {term: scale}}, as in {"pick": {"reach": 10.0}}'
+    if not isinstance(scales, Mapping):
+        raise UsageError(f"{right}; got {scales!r}")
+    for kind, changes in scales.items():
+        if not isinstance(changes, Mapping):
+            having = [name for name in SUBTASKS if kind in _term_names(name)]
+            hint = f" Did you mean {{{having[0]!r}: {{{kind!r}: {changes!r}}}}}?" if having else ""
+            raise UsageError(f"{right}; got {kind!r}: {changes!r}.{hint}")
+
+
+def _term_names(kind: str) -> tuple[str, ...]:
+    table = SUBTASKS[kind].reward
+    return () if table is None else tuple(term.name for term in table.terms)
 
 
 @dataclass(frozen=True)

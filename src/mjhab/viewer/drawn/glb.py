@@ -15,7 +15,7 @@ from trimesh.exchange.gltf import export_glb
 from trimesh.visual.material import PBRMaterial
 from trimesh.visual.texture import TextureVisuals
 
-from mjhab.core.files.cache import cache_dir, write_atomic
+from mjhab.core.files.cache import cache_dir, write_cached
 from mjhab.core.files.code_digest import code_digest
 from mjhab.layout.compile import home_hash
 from mjhab.layout.layout import Layout
@@ -56,7 +56,7 @@ def home_files(layout: Layout, home: str, make: Callable[[], HomeModels]) -> Hom
             models.lamp_color,
         )
         arrays = _arrays(found)
-        write_atomic(path, lambda temporary: np.savez(temporary, allow_pickle=False, **arrays))
+        write_cached(path, lambda temporary: np.savez(temporary, allow_pickle=False, **arrays))
     return found
 
 

@@ -16,6 +16,7 @@ import viser
 from mjhab.core.rotations import mat_from_quat
 from mjhab.data.store.schema import CHECKS
 from mjhab.render.home_scene import build_render_scene
+from mjhab.serving.server import LOCAL_HOSTS
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.viewer.drawn.cameras import Cameras
 from mjhab.viewer.drawn.glb import HomeFiles, home_files
@@ -46,6 +47,9 @@ class Viewer:
         host, port: see `Gateway`; ``port`` is then the one that was taken.
         cameras: draw what the robot's cameras see.
 
+    ``frames``, ``first_frame_at`` (of `time.perf_counter`) and ``frame_cpu_s`` (processor time for poses and marks [s])
+    are for measurements.
+
     Raises:
         UsageError: see `Gateway`.
     """
@@ -55,6 +59,7 @@ class Viewer:
     ) -> None:
         self.source = source
         self.frames = 0
+        self.frame_cpu_s = 0.0
         self.first_frame_at = math.inf
         self.problem = ""
         # viser prints a box with the port of its own, which is not the one to open.
@@ -74,7 +79,11 @@ class Viewer:
         self.playhead = Playhead(source)
         self.stage = Stage(self._server)
         self.panels = Panels(
-            self._server, source.choices, source.policies, self.playhead.callbacks()
+            self._server,
+            source.choices,
+            source.policies,
+            others=host in LOCAL_HOSTS,
+            on=self.playhead.callbacks(),
         )
         self._cameras = Cameras(self.panels.show_images) if cameras else None
         self._poses = _PoseCache()
@@ -117,7 +126,9 @@ class Viewer:
         while not self._closing:
             now = time.perf_counter()
             try:
+                begun = time.thread_time()
                 pose = self.frame(now - last)
+                self.frame_cpu_s += time.thread_time() - begun
                 if pose is not None and now - cameras_at > CAMERA_SECONDS:
                     cameras_at = now
                     self._look(pose)

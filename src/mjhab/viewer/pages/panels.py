@@ -13,7 +13,6 @@ from viser import uplot
 
 from mjhab.core.timing import STEP_SECONDS
 from mjhab.data.store.schema import CHECKS
-from mjhab.viewer.drawn.cameras import CAMERA_SIDE_PX
 from mjhab.viewer.pages.timeline import TONE_COLORS, gauge_html, plan_html, terms_html, timeline_svg
 from mjhab.viewer.sources.track import Track
 
@@ -46,6 +45,7 @@ class Panels:
         server: whose page it is.
         choices: what can be watched: worlds, or recorded episodes.
         policies: what can act; empty for recorded episodes.
+        others: let people type in other policies; these may be files of this machine.
         on: callbacks by name: "choose" (choice), "policy" (name), "play" (bool), "step", "speed" (factor), "scrub"
             (state), "live", "restart", "next", "expert_plan" (bool), "hand" (bool), "record" (bool), "finish".
     """
@@ -55,6 +55,7 @@ class Panels:
         server: viser.ViserServer,
         choices: Sequence[str],
         policies: Sequence[str],
+        others: bool,
         on: dict[str, Callable[..., None]],
     ) -> None:
         self._gui = server.gui
@@ -63,11 +64,12 @@ class Panels:
         self._scrubbing = False
         self._track: Track | None = None
         self._drawn: tuple[Any, ...] = ()
-        self._build_main(choices, policies)
+        self._images: dict[str, Any] = {}
+        self._build_main(choices, policies, others)
         self._build_side()
         self._build_timeline()
 
-    def _build_main(self, choices: Sequence[str], policies: Sequence[str]) -> None:
+    def _build_main(self, choices: Sequence[str], policies: Sequence[str], others: bool) -> None:
         gui = self._gui
         self._problem = gui.add_html("", visible=False)
         self._title = gui.add_html('<i style="padding:0 8px">The home is being made ready.</i>')
@@ -76,6 +78,13 @@ class Panels:
         if policies:
             self._policy = gui.add_dropdown("Policy", tuple(policies))
             _when_changed(self._policy, self._on["policy"])
+        if policies and others:
+            other = gui.add_text(
+                "Another", "", hint="as for --policy: a checkpoint, FILE.py:CLASS, ws://host:port"
+            )
+            gui.add_button("Let it act", icon=viser.Icon.ROBOT).on_click(
+                lambda _: self._take_policy(other.value.strip())
+            )
         self._play = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE)
         self._play.on_click(lambda _: self._on["play"](self._play.label == "Play"))
         gui.add_button("Single step", icon=viser.Icon.PLAYER_TRACK_NEXT).on_click(
@@ -100,6 +109,15 @@ class Panels:
         _when_changed(plan, self._on["expert_plan"])
         self._build_hand()
 
+    def _take_policy(self, spec: str) -> None:
+        """Let a policy act that was typed in, and offer it from then on."""
+        if not spec:
+            return
+        if spec not in self._policy.options:
+            self._policy.options = (*self._policy.options, spec)
+        self._policy.value = spec
+        self._on["policy"](spec)
+
     def _build_hand(self) -> None:
         with self._gui.add_folder("By hand"):
             self._hand = self._gui.add_button("Take over", icon=viser.Icon.HAND_STOP)
@@ -112,12 +130,8 @@ class Panels:
     def _build_side(self) -> None:
         gui = self._gui
         panel = gui.add_panel()
-        black = np.zeros((CAMERA_SIDE_PX, CAMERA_SIDE_PX, 3), np.uint8)
         with panel.add_tab("Robot", viser.Icon.ROBOT):
-            self._images = {
-                name: gui.add_image(black, label=label, format="jpeg", jpeg_quality=80)
-                for name, label in (("fetch_head", "head camera"), ("fetch_hand", "hand camera"))
-            }
+            self._cameras = gui.add_folder("Cameras")
             self._plan = gui.add_html("")
             self._gauges = gui.add_html("")
             self._terms = gui.add_html("")
@@ -160,10 +174,20 @@ class Panels:
         return bool(self._follow.value)
 
     def show_images(self, pictures: dict[str, np.ndarray]) -> None:
-        """Show what the cameras see, by their names."""
+        """Show what the cameras see, by their names; which cameras there are is known with the first pictures."""
+        if pictures.keys() != self._images.keys():
+            for image in self._images.values():
+                image.remove()
+            with self._cameras:
+                self._images = {
+                    name: self._gui.add_image(
+                        picture, label=name.replace("_", " "), format="jpeg", jpeg_quality=80
+                    )
+                    for name, picture in pictures.items()
+                }
+            return
         for name, picture in pictures.items():
-            if name in self._images:
-                self._images[name].image = picture
+            self._images[name].image = picture
 
     def show_problem(self, text: str) -> None:
         """Show what went wrong; nothing if empty."""

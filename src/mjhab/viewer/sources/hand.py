@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -10,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mjhab.core.errors import UsageError
+from mjhab.core.files.reading import parse_json
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.robots.controllers import DEFAULT_MODE, make_controller
 from mjhab.robots.registry import robot_named
@@ -105,7 +105,7 @@ def read_input(message: str) -> HandInput:
     Raises:
         ValueError: it is not such a message.
     """
-    told = json.loads(message)
+    told = parse_json(message)
     if not isinstance(told, dict):
         raise ValueError(f"a message of the hand is an object, got {type(told).__name__}")
     keys, axes, buttons = (told.get(name, []) for name in ("keys", "axes", "buttons"))

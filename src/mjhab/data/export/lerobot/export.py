@@ -21,9 +21,16 @@ from mjhab.data.export.folders import Target, whole_folder
 from mjhab.data.export.lerobot.files import VERSIONS, Files, write_json
 from mjhab.data.export.lerobot.pieces import FilmTools, Made, Pieces
 from mjhab.data.export.lerobot.stats import Stats, image_stats, map_stats, sampled, vector_stats
-from mjhab.data.select.describing import state_names, subtask_words, task_words
+from mjhab.data.select.describing import (
+    instructions_of,
+    navigates_by_teleport,
+    state_names,
+    teleported_steps,
+)
+from mjhab.data.select.own_state import split_state
 from mjhab.data.select.query import Filter
 from mjhab.data.select.sets import nothing_passes, select
+from mjhab.data.select.until import Until
 from mjhab.data.store.reading import Episode, open_shard
 from mjhab.data.store.shard import last_label
 
@@ -31,6 +38,12 @@ FPS = round(1 / STEP_SECONDS)
 OLD_ROBOT = "fetch"
 """Robot of shards that do not name theirs."""
 STATE = "observation.state"
+"""What the robot's own sensors tell: joints, velocity of the base, tool centre."""
+ENVIRONMENT_STATE = "observation.environment_state"
+"""What only a simulation knows: object, goal, grasp. A policy for a robot leaves it out."""
+TELEPORTED = "is_teleported"
+CAMERAS = "meta/cameras.json"
+"""Calibration of the cameras, see `ObservedRows.calibration`. LeRobot does not read it."""
 ACTION = "action"
 INTENDED = "intended_action"
 """Not "action.intended": LeRobot takes every feature whose name begins with "action" for what a policy must give."""
@@ -49,10 +62,11 @@ class Exported:
 
 @dataclass(frozen=True)
 class Choice:
-    """What of the images to export, if it is there: colour as films, depth as columns."""
+    """What to export of an episode: colour as films and depth as columns, if it is there; ``until``: see `Until`."""
 
     rgb: bool = True
     depth: bool = True
+    until: str = ""
 
 
 def export_lerobot(
@@ -92,6 +106,7 @@ def export_lerobot(
     if not found.matched:
         raise nothing_passes()
     choice = choice or Choice()
+    Until.parse(choice.until)
     after = begin(len(found.matched)) if begin else None
     job = {
         "format": "lerobot",
@@ -127,8 +142,10 @@ class _Export:
         self._files = files
         self._pieces = pieces
         self._choice = choice
+        self._until = Until.parse(choice.until)
         self._features: Features = {}
         self._robot = OLD_ROBOT
+        self._cameras: Mapping[str, Any] = {}
         self._tasks: dict[str, int] = {}
         self._subtasks: dict[str, int] = {}
         self._actors: dict[str, int] = {}
@@ -146,6 +163,7 @@ class _Export:
                 features = describe(episode, self._choice)
                 self._features = self._features or features
                 self._robot = str(episode.run.layout.get("robot", OLD_ROBOT))
+                self._cameras = self._cameras or episode.run.layout.get("cameras", {})
                 if features != self._features:
                     raise _differs(episode, self._features, features)
                 made = made or self._make(number, episode)
@@ -163,15 +181,13 @@ class _Export:
 
     def _make(self, number: int, episode: Episode) -> Made:
         record = episode.record
-        row: dict[str, Any] = {
-            "episode_index": number,
-            "tasks": [task_words(record)],
-            "length": episode.steps,
-        }
+        words = instructions_of(episode)
+        length = self._until.steps(episode.array("reward/success"))
+        row: dict[str, Any] = {"episode_index": number, "tasks": [words.task], "length": length}
         row |= {"source": episode.name, "home": record.home, "label": last_label(record)}
         row["lacks"] = ",".join(episode.lacks)
-        plan = subtask_words(record)
-        made = Made(row, {}, 0, {}, plan, list(episode.actors), episode.run.licence)
+        row["navigation"] = "teleport" if navigates_by_teleport(episode) else "drive"
+        made = Made(row, {}, 0, {}, list(words.subtasks), list(episode.actors), episode.run.licence)
         columns = self._columns(episode, number, self._count(made))
         table = to_table(columns)
         self._pieces.add_table(number, table)
@@ -181,33 +197,37 @@ class _Export:
         for key in _films(self._features):
             samples: list[np.ndarray] = []
             camera = key.rpartition(".")[2]
-            self._pieces.add_film(number, key, _shown(episode, camera, samples))
-            made.films[key] = len(episode.array(f"images/{camera}/rgb/bytes"))
+            self._pieces.add_film(number, key, _shown(episode, length, camera, samples))
+            made.films[key] = int(episode.array(f"images/{camera}/rgb/ends")[length - 1])
             made.stats[key] = image_stats(np.stack(samples))
         made = replace(made, size=table.nbytes)
         self._pieces.finish(number, made)
         return made
 
     def _columns(self, episode: Episode, number: int, numbers: _Numbers) -> dict[str, np.ndarray]:
-        count = episode.steps
+        count = self._until.steps(episode.array("reward/success"))
+        state = split_state(episode)
         done = np.zeros(count, bool)
         done[-1] = True
         active = np.minimum(episode.array("subtasks/active")[:count], len(numbers.subtasks) - 1)
         columns = {
-            STATE: episode.array("obs/state")[:count],
-            ACTION: episode.array("actions"),
-            INTENDED: episode.array("actions_intended"),
-            "next.reward": episode.array("reward/total").astype(np.float32),
-            "next.success": episode.array("reward/success").astype(bool),
+            STATE: np.concatenate(list(state.own.values()), axis=1)[:count],
+            ACTION: episode.array("actions")[:count],
+            INTENDED: episode.array("actions_intended")[:count],
+            "next.reward": episode.array("reward/total")[:count].astype(np.float32),
+            "next.success": episode.array("reward/success")[:count].astype(bool),
             "next.done": done,
+            TELEPORTED: teleported_steps(episode)[:count],
             "subtask_index": np.array(numbers.subtasks, np.int64)[active],
-            "actor_index": np.array(numbers.actors, np.int64)[episode.array("actor")],
+            "actor_index": np.array(numbers.actors, np.int64)[episode.array("actor")[:count]],
             "timestamp": (np.arange(count) / FPS).astype(np.float32),
             "frame_index": np.arange(count),
             "episode_index": np.full(count, number),
             "index": np.arange(self._frames, self._frames + count),
             "task_index": np.full(count, numbers.task),
         }
+        if state.task:
+            columns[ENVIRONMENT_STATE] = np.concatenate(list(state.task.values()), axis=1)[:count]
         for key, feature in self._features.items():
             if key.startswith("observation.depth."):
                 frames = [
@@ -238,9 +258,10 @@ class _Export:
         if not films:
             info["video_path"] = None
         write_json(self._root / "meta/info.json", info)
-        licences = dict.fromkeys(made.licence for made in self._made)
+        if self._cameras:
+            write_json(self._root / CAMERAS, dict(self._cameras))
         (self._root / "README.md").write_text(
-            _card(self._robot, len(self._made), self._frames, licences), encoding="utf-8"
+            _card(self._robot, self._made, self._until), encoding="utf-8"
         )
         images = [
             key
@@ -252,18 +273,18 @@ class _Export:
 
 def describe(episode: Episode, choice: Choice) -> Features:
     """The features of an episode as LeRobot names them."""
-    names = state_names(episode.columns("obs/state"), episode.run.layout)
+    state = split_state(episode)
     actions = [str(name) for name in episode.run.layout.get("actions", [])]
-    state_size = episode.array("obs/state").shape[1]
     action_size = episode.array("actions").shape[1]
     action = _feature("float32", (action_size,), actions if len(actions) == action_size else None)
     features: Features = {
-        STATE: _feature("float32", (state_size,), names if len(names) == state_size else None),
+        STATE: _state_feature(state.own, episode),
         ACTION: action,
         INTENDED: dict(action),
         "next.reward": _feature("float32"),
         "next.success": _feature("bool"),
         "next.done": _feature("bool"),
+        TELEPORTED: _feature("bool"),
         "subtask_index": _feature("int64"),
         "actor_index": _feature("int64"),
         "timestamp": _feature("float32"),
@@ -272,6 +293,8 @@ def describe(episode: Episode, choice: Choice) -> Features:
             for key in ("frame_index", "episode_index", "index", "task_index")
         },
     }
+    if state.task:
+        features[ENVIRONMENT_STATE] = _state_feature(state.task, episode)
     for camera, output in episode.images:
         height, width = episode.frame(camera, output, 0).shape[:2]
         if output == "depth" and choice.depth:
@@ -287,6 +310,12 @@ def _feature(
     dtype: str, shape: tuple[int, ...] = (1,), names: list[str] | None = None
 ) -> dict[str, Any]:
     return {"dtype": dtype, "shape": list(shape), "names": names}
+
+
+def _state_feature(parts: Mapping[str, np.ndarray], episode: Episode) -> dict[str, Any]:
+    """The feature of state observations (N+1, n) side by side, with a name per number."""
+    widths = {key: values.shape[1] for key, values in parts.items()}
+    return _feature("float32", (sum(widths.values()),), state_names(widths, episode.run.layout))
 
 
 def _film_feature(height: int, width: int) -> dict[str, Any]:
@@ -310,10 +339,12 @@ def _films(features: Features) -> list[str]:
     return [key for key, feature in features.items() if feature["dtype"] == "video"]
 
 
-def _shown(episode: Episode, camera: str, samples: list[np.ndarray]) -> Iterator[np.ndarray]:
-    """The frames that have an action; some of them go into ``samples``."""
-    chosen = sampled(episode.steps)
-    for t in range(episode.steps):
+def _shown(
+    episode: Episode, length: int, camera: str, samples: list[np.ndarray]
+) -> Iterator[np.ndarray]:
+    """The first ``length`` frames; some of them go into ``samples``."""
+    chosen = sampled(length)
+    for t in range(length):
         frame = episode.frame(camera, "rgb", t)
         if t in chosen:
             samples.append(frame)
@@ -350,7 +381,23 @@ def _differs(episode: Episode, first: Features, other: Features) -> UsageError:
     )
 
 
-def _card(robot: str, episodes: int, frames: int, licences: dict[str, None]) -> str:
+def _card(robot: str, made: Sequence[Made], until: Until) -> str:
+    licences = dict.fromkeys(each.licence for each in made)
+    frames = sum(each.steps for each in made)
+    teleported = sum(each.row["navigation"] == "teleport" for each in made)
+    about = [
+        f"`{STATE}` is what the robot's own sensors tell (joints, velocity of the base, tool centre); "
+        f"`{ENVIRONMENT_STATE}` is what only the simulation knows (object, goal, grasp)."
+    ]
+    if teleported:
+        about.append(
+            f"In {teleported} of {len(made)} episodes the environment put the robot near every goal: nobody drove. "
+            f"The frames are marked by `{TELEPORTED}`, their instructions end with (by teleport)."
+        )
+    if not until.is_whole:
+        about.append(
+            f"Episodes end {until.hold_steps} control steps after their first success ({until.text})."
+        )
     lines = [
         "---",
         "tags: [LeRobot, mjhab]",
@@ -360,9 +407,10 @@ def _card(robot: str, episodes: int, frames: int, licences: dict[str, None]) -> 
         "  data_files: data/*/*.parquet",
         "---",
         "",
-        f"{episodes} episodes, {frames} frames at {FPS} Hz of a simulated "
+        f"{len(made)} episodes, {frames} frames at {FPS} Hz of a simulated "
         f"robot ({robot}) in furnished homes, recorded by mjhab.",
         "",
+        *(line for text in about for line in (text, "")),
         "Assets: " + "; ".join(licences),
         "",
     ]

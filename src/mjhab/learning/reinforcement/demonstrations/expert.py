@@ -21,7 +21,7 @@ def collect_demonstrations(
     make: Callable[[int], ReplayBuffer],
     tell: Callable[[int], object],
 ) -> ReplayBuffer:
-    """Let the expert act for ``episodes`` whole episodes, or read what an earlier start of the run has collected.
+    """Let the expert act for ``episodes`` whole episodes.
 
     Failures are kept, too: their rewards say what they are worth.
 
@@ -32,10 +32,6 @@ def collect_demonstrations(
 
     worlds_count = min(DEMONSTRATION_WORLDS, episodes)
     buffer = make(worlds_count)
-    done = session.folder.path / "demonstrations" / "complete"
-    if done.is_file():
-        buffer.position.fill_(int(done.read_text(encoding="ascii")))
-        return buffer
     env = training_env(
         session.request.scene,
         session.config.inputs,
@@ -77,6 +73,4 @@ def collect_demonstrations(
             expert.reset(every.numpy())
             sight.begin(every, info)
             seen = sight.see(obs, info, still, every)
-    if done.parent.is_dir():
-        done.write_text(str(int(buffer.position[0])), encoding="ascii")
     return buffer

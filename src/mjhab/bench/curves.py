@@ -1,0 +1,110 @@
+"""``python -m mjhab.bench.curves OUT [SAMPLES [SEEDS]]``: samples that PPO takes, with our settings and the paper's.
+
+Trains close drawer from the same states with preset "fast" and with "paper_state", the hyper-parameters of the paper,
+in SEEDS (3) seeds of SAMPLES (3,000,000) samples each, and writes OUT/curves.json. The same command goes on after a
+break; runs that are through are not run again.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from mjhab.core.machine import cores
+from mjhab.learning.reinforcement.configs import PPO, changed, reinforcement_preset
+from mjhab.learning.reinforcement.session import ReinforcementRequest
+from mjhab.learning.reinforcement.train import train_reinforcement
+from mjhab.learning.runs.collection import Scene
+from mjhab.rollout.store import write_text
+
+SCENE = Scene("set_table", "close", "kitchen_counter/drawer3")
+PRESETS = ("fast", "paper_state")
+LEVELS = (0.5, 0.8)
+"""Success once whose first reaching is told."""
+SAMPLES = 3_000_000
+SEEDS = 3
+EVALUATED_SAMPLES = 100_000
+"""Between evaluations, as in the paper."""
+EPISODES = 64
+"""Of each evaluation; the paper has 189."""
+RESULT = "curves.json"
+
+
+def measure_curves(out: Path, samples: int = SAMPLES, seeds: int = SEEDS) -> dict[str, Any]:
+    """Train, or go on with, all runs, and write what they came to.
+
+    Returns:
+        By preset and seed "curve", pairs of samples and success once, and "samples_to", by level the samples at the
+        first evaluation that reaches it, None if none does.
+    """
+    found: dict[str, Any] = {}
+    for preset in PRESETS:
+        for seed in range(seeds):
+            run = out / f"{preset}_{seed}"
+            curve = train_curve(preset, seed, samples, run)
+            found[f"{preset}/{seed}"] = {"curve": curve, "samples_to": samples_to(curve)}
+            write_text(out / RESULT, json.dumps(found, indent=1) + "\n")
+    return found
+
+
+def train_curve(preset: str, seed: int, samples: int, run: Path) -> list[tuple[int, float]]:
+    """Train one run, or what is missing of it; returns its samples and success at each evaluation.
+
+    Raises:
+        KeyboardInterrupt: what is done is kept.
+    """
+    summary = run / "summary.json"
+    if not _is_through(summary, samples):
+        config = reinforcement_preset(PPO, preset)
+        values = {"samples": samples, "eval_samples": EVALUATED_SAMPLES}
+        request = ReinforcementRequest(
+            changed(config, values),
+            SCENE,
+            seed=seed,
+            threads=cores(),
+            eval_episodes=EPISODES,
+            round_episodes=EPISODES,
+        )
+        result = train_reinforcement(request, run, resume=(run / "config.json").is_file())
+        if result.interrupted:
+            raise KeyboardInterrupt
+    lines = (run / "metrics.jsonl").read_text(encoding="utf-8").splitlines()
+    rows = [json.loads(line) for line in lines]
+    return [(row["samples"], row["success_once"]) for row in rows if "success_once" in row]
+
+
+def _is_through(summary: Path, samples: int) -> bool:
+    if not summary.is_file():
+        return False
+    found = json.loads(summary.read_text(encoding="utf-8"))
+    return found["samples"] >= samples and found["episodes"] > 0
+
+
+def samples_to(curve: Sequence[tuple[int, float]]) -> dict[str, int | None]:
+    """Samples at the first evaluation that reaches each of LEVELS."""
+    return {
+        str(level): next((samples for samples, success in curve if success >= level), None)
+        for level in LEVELS
+    }
+
+
+def main(words: Sequence[str]) -> int:
+    """Run the command; returns the exit code."""
+    numbers = [int(word) for word in words[1:]]
+    try:
+        found = measure_curves(Path(words[0]), *numbers)
+    except KeyboardInterrupt:
+        print("mjhab: interrupted. The same command goes on.", file=sys.stderr)
+        return 130
+    for name, run in found.items():
+        print(f"{name}: samples to {run['samples_to']}, at the end {run['curve'][-1][1]:.2f}")
+    return 0
+
+
+if __name__ == "__main__":
+    if not 2 <= len(sys.argv) <= 4:
+        sys.exit(__doc__)
+    sys.exit(main(sys.argv[1:]))

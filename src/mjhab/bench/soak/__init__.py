@@ -1,0 +1,1 @@
+"""Long runs that tell what breaks and what grows."""

@@ -1,0 +1,61 @@
+"""Places that commands write to, looked at before the work begins."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import tempfile
+from pathlib import Path
+
+from mjhab.core.errors import UsageError
+from mjhab.core.files.reading import reason
+
+_MAX_SHOWN_CHARACTERS = 80
+
+
+def check_output(path: Path, option: str = "--out") -> None:
+    """Refuse a file or folder that cannot be written because of where it would lie; leaves nothing behind.
+
+    Args:
+        path: the file or folder; neither it nor the folders above it need to exist.
+        option: what the user gave it by, for the message.
+
+    Raises:
+        UsageError: a name that the file system does not take, a file in place of a folder above it, or a folder that
+            cannot be written.
+    """
+    try:
+        if os.path.lexists(path) and not (path.is_file() or path.is_dir()):
+            raise OSError("it is neither a file nor a folder")
+        _probe(path)
+    except (OSError, ValueError) as error:
+        raise UsageError(
+            f"{option} {_shown(path)} cannot be written ({reason(error)}); choose another place."
+        ) from error
+
+
+def _probe(path: Path) -> None:
+    """Make and delete a folder in the lowest folder at or above ``path`` that exists.
+
+    Raises:
+        OSError: that is not possible, or ``path`` can never be.
+    """
+    above = path
+    new: list[str] = []
+    while not above.is_dir():
+        # lstat tells of a name that is too long and of a file in place of a folder; is_dir does not.
+        with contextlib.suppress(FileNotFoundError):
+            os.lstat(above)
+        new.append(above.name)
+        above = above.parent
+    # A name below a folder that is not there yet is looked at by nobody else.
+    longest = os.pathconf(above, "PC_NAME_MAX")
+    if any(len(os.fsencode(name)) > longest for name in new):
+        raise OSError(errno.ENAMETOOLONG, os.strerror(errno.ENAMETOOLONG))
+    os.rmdir(tempfile.mkdtemp(prefix=".mjhab-", dir=above))
+
+
+def _shown(path: Path) -> str:
+    text = str(path)
+    return text if len(text) <= _MAX_SHOWN_CHARACTERS else f"{text[:_MAX_SHOWN_CHARACTERS]}..."

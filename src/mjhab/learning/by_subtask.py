@@ -1,0 +1,166 @@
+"""One policy for each subtask of a chain: ``--policy POLICIES.json``. See `evaluation.resolve.PolicyModule`.
+
+The file is ``{"policies": [{"subtask": "pick", "target": "024_bowl", "checkpoint": "pick.safetensors"}, ...]}``, with
+paths from its own folder. An entry whose target is "" stands for all targets that have none of their own. Navigate
+needs no policy where it is teleported.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from mjhab.core.errors import UsageError
+from mjhab.core.names import kind_of
+from mjhab.evaluation.resolve import PolicyFacts, PolicyOptions
+from mjhab.learning import policy_kind
+from mjhab.rollout.policy import Policy, RolloutEnv
+from mjhab.tasks.household.registry import TASKS
+from mjhab.tasks.subtasks.registry import SUBTASKS
+
+SUFFIX = ".json"
+_FIELDS = ("subtask", "target", "checkpoint")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A checkpoint, and the subtask and type of target ("" for all) that it is for."""
+
+    subtask: str
+    target: str
+    checkpoint: Path
+
+
+def read_entries(path: Path) -> tuple[Entry, ...]:
+    """The entries of a file of policies.
+
+    Raises:
+        UsageError: there is no such file, or it is another kind of file.
+    """
+    if not path.is_file():
+        raise UsageError(
+            f"{path} does not exist; give a JSON file that names a checkpoint per subtask."
+        )
+    try:
+        rows = json.loads(path.read_text(encoding="utf-8"))["policies"]
+        entries = [
+            Entry(row["subtask"], row["target"], path.parent / row["checkpoint"]) for row in rows
+        ]
+    except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError) as error:
+        raise UsageError(
+            f'{path} must hold {{"policies": [{{{", ".join(_FIELDS)}}}, ...]}}; not so: {error!r}.'
+        ) from error
+    for entry in entries:
+        SUBTASKS.check(entry.subtask)
+    return tuple(entries)
+
+
+def entries_text(path: Path, entries: Sequence[Entry]) -> str:
+    """The text of a file of policies at ``path``, with their checkpoints below its folder."""
+    rows = [
+        {
+            "subtask": entry.subtask,
+            "target": entry.target,
+            "checkpoint": str(entry.checkpoint.relative_to(path.parent)),
+        }
+        for entry in entries
+    ]
+    return json.dumps({"policies": rows}, indent=1) + "\n"
+
+
+def inspect_policy(spec: str) -> PolicyFacts:
+    """Describe the policies together: the hash of all, and an environment that shows each what it needs.
+
+    Raises:
+        UsageError: see `read_entries`; or the policies need environments that differ.
+    """
+    path = Path(spec)
+    hashes = []
+    options: dict[str, Any] = {}
+    profiles = set()
+    for entry in read_entries(path):
+        facts = policy_kind.inspect_policy(str(entry.checkpoint))
+        hashes.append([entry.subtask, entry.target, facts.identity["policy_sha256"]])
+        profiles.add(facts.identity["policy_profile"])
+        for name, value in facts.env_options.items():
+            if options.setdefault(name, value) != value:
+                raise UsageError(
+                    f"the policies of {path} need environments that differ: {name} is {options[name]!r} for one and "
+                    f"{value!r} for {entry.checkpoint}."
+                )
+    digest = hashlib.sha256(json.dumps(sorted(hashes)).encode()).hexdigest()
+    identity = {"policy_sha256": digest, "policy_profile": ", ".join(sorted(profiles))}
+    return PolicyFacts(path.stem, identity, options)
+
+
+def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions) -> Policy:
+    """Build all policies.
+
+    Raises:
+        UsageError: as `inspect_policy`; a style was asked for; or a subtask of the environment has no policy.
+    """
+    entries = read_entries(Path(spec))
+    config = cast(Any, env).config
+    wanted = (config.subtask,) if config.subtask else TASKS[config.task].subtasks
+    having = {entry.subtask for entry in entries}
+    for name in wanted:
+        if name not in having and not (SUBTASKS[name].navigates and config.navigate == "teleport"):
+            raise UsageError(f"{spec} has no policy for {name}; it has some for {sorted(having)}.")
+    policies = [policy_kind.build_policy(str(entry.checkpoint), env, options) for entry in entries]
+    width = len(cast(Any, env).action_table)
+    return PoliciesBySubtask(entries, policies, env.num_envs, width)
+
+
+class PoliciesBySubtask:
+    """Lets the policy of the active subtask act in every world; it begins anew with each subtask.
+
+    Args:
+        entries, policies: what each policy is for, and the policies. worlds: W. width: numbers of an action.
+    """
+
+    name = "policies"
+
+    def __init__(
+        self, entries: tuple[Entry, ...], policies: list[Policy], worlds: int, width: int
+    ) -> None:
+        self._policies = policies
+        self._places = {
+            (entry.subtask, entry.target): number for number, entry in enumerate(entries)
+        }
+        self._pointer = np.full(worlds, -1)
+        self._width = width
+
+    def reset(self, mask: np.ndarray) -> None:
+        """Forget the worlds in ``mask`` (W,)."""
+        self._pointer[mask] = -1
+
+    def act(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:
+        """Actions (W, A) float32 in [-1, 1]; zero where the active subtask has no policy."""
+        episodes = info["episode_spec"]
+        pointer = np.asarray(info["pointer"])
+        chosen = np.array([self._choose(episodes[w], int(p)) for w, p in enumerate(pointer)])
+        entering = pointer != self._pointer
+        self._pointer = pointer.copy()
+        actions = np.zeros((len(pointer), self._width), np.float32)
+        for number in np.unique(chosen[chosen >= 0]).tolist():
+            mine = chosen == number
+            policy = self._policies[number]
+            if (mine & entering).any():
+                policy.reset(mine & entering)
+            shown = [episode if own else None for episode, own in zip(episodes, mine, strict=True)]
+            actions[mine] = policy.act(obs, {**info, "episode_spec": shown})[mine]
+        return actions
+
+    def _choose(self, episode: Mapping[str, Any] | None, pointer: int) -> int:
+        """Number of the policy for the active subtask of an episode, -1 for none."""
+        if episode is None or pointer >= len(episode["plan"]):
+            return -1
+        entry = episode["plan"][pointer]
+        of_all = self._places.get((entry["kind"], ""), -1)
+        return self._places.get((entry["kind"], kind_of(entry["target"])), of_all)

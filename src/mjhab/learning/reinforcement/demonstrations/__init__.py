@@ -1,0 +1,1 @@
+"""Where demonstrations for reinforcement come from: the scripted expert, or recorded episodes."""

@@ -1,0 +1,33 @@
+"""Demonstrations that an earlier start of the run has already put into their buffer."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+
+import torch
+
+from mjhab.learning.reinforcement.replay import ReplayBuffer, ReplayShape
+from mjhab.rollout.store import write_text
+
+COMPLETE = "complete.json"
+
+
+def kept_demonstrations(folder: Path, fill: Callable[[], ReplayBuffer]) -> ReplayBuffer:
+    """The buffer in ``folder`` if an earlier start of the run has completed it, else what ``fill`` makes.
+
+    The folder does not come to be where buffers are no files, on a GPU: then it is filled anew.
+    """
+    done = folder / COMPLETE
+    if done.is_file():
+        kept = json.loads(done.read_text(encoding="ascii"))
+        buffer = ReplayBuffer(ReplayShape.from_plain(kept["shape"]), torch.device("cpu"), folder)
+        buffer.position.copy_(torch.tensor(kept["position"]))
+        return buffer
+    buffer = fill()
+    if folder.is_dir():
+        kept = {"shape": asdict(buffer.shape), "position": buffer.position.tolist()}
+        write_text(done, json.dumps(kept) + "\n")
+    return buffer

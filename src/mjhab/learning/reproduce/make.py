@@ -1,0 +1,250 @@
+"""Training and judging what a reproduction asks for, or what is missing of it."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import shutil
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mjhab.config.profile_choice import profile_options
+from mjhab.core.errors import UsageError
+from mjhab.core.machine import cores
+from mjhab.evaluation.evaluate import EvalSpec, run_evaluation
+from mjhab.learning.by_subtask import Entry, entries_text
+from mjhab.learning.configs import preset_of
+from mjhab.learning.reproduce.results import measured, write_results
+from mjhab.learning.reproduce.rows import (
+    FOR_ALL,
+    STUDENTS,
+    TableRow,
+    algorithm_of,
+    policy_targets,
+)
+from mjhab.learning.reproduce.spec import TableSpec, chosen_rows, policy_rows, table_config
+from mjhab.learning.reproduce.variants import VARIANTS, Variant
+from mjhab.learning.require import require_learn
+from mjhab.rollout.sinks import Sink
+from mjhab.rollout.store import check_folder, write_text
+
+if TYPE_CHECKING:
+    from mjhab.learning.runs.collection import Scene
+    from mjhab.learning.runs.train import TrainingResult
+
+CONFIG = "config.json"
+ROW = "row.json"
+TRAIN = "train"
+STUDENT = "student.safetensors"
+POLICIES = "policies.json"
+SECONDS_PER_MINUTE = 60.0
+Sinks = Callable[[EvalSpec], Sequence[Sink]]
+
+
+def reproduce(
+    spec: TableSpec,
+    sinks: Sinks = lambda judging: (),
+    tell: Callable[[TableRow], object] = bool,
+) -> tuple[list[dict[str, Any]], bool]:
+    """Train and judge the policies of every row, or what is missing of that, and write the page after each.
+
+    Args:
+        spec: what to do.
+        sinks: listeners of an evaluation.
+        tell: called with every row before it is begun.
+
+    Returns:
+        Rows of results as `results.result_of` gives them; and whether Ctrl-C came before the last one (what is done is
+        kept).
+
+    Raises:
+        UsageError: an unknown name, or a folder that cannot be gone on with; nothing was written.
+    """
+    require_learn()
+    rows = chosen_rows(spec)
+    config = table_config(spec)
+    check_folder(spec.out, config, resume=spec.resume)
+    spec.out.mkdir(parents=True, exist_ok=True)
+    write_text(spec.out / CONFIG, json.dumps(config, indent=2) + "\n")
+    interrupted = False
+    try:
+        for row in rows:
+            tell(row)
+            make_row(spec, row, sinks)
+            write_results(spec.out, rows)
+    except KeyboardInterrupt:
+        interrupted = True
+    return write_results(spec.out, rows), interrupted
+
+
+def make_row(spec: TableSpec, row: TableRow, sinks: Sinks) -> None:
+    """Train and judge the policies of a row, or what is missing of that.
+
+    Raises:
+        KeyboardInterrupt: what is done is kept.
+    """
+    folder = spec.out / row.folder
+    if (folder / ROW).is_file():
+        return
+    trained = [
+        (part, target, policy_run(spec, part, target))
+        for part in policy_rows(row)
+        for target in policy_targets(part, spec.column)
+    ]
+    runs = [run for _, _, run in trained]
+    found = {}
+    for variant in VARIANTS[spec.what]:
+        if row.subtask:
+            judged = _judge_policies(spec, row, trained, variant, sinks)
+        else:
+            judged = [_judge_task(spec, row, trained, variant, sinks)]
+        found[variant.name] = measured(runs, judged)
+    write_text(folder / ROW, json.dumps(found, indent=1) + "\n")
+
+
+Trained = tuple[TableRow, str, Path]
+"""The row and the target that a policy is for, and the folder of its training."""
+
+
+def _judge_policies(
+    spec: TableSpec, row: TableRow, trained: Sequence[Trained], variant: Variant, sinks: Sinks
+) -> list[Path]:
+    """Judge each policy of a row in its share of the episodes; returns the run folders."""
+    share = -(-spec.episodes // len(trained))
+    return [
+        judge(
+            spec,
+            EvalSpec(
+                policy=str(run / STUDENT),
+                task=row.task,
+                subtask=row.subtask,
+                target=target or None,
+                episodes=share,
+                env=variant.env_options(profile_options(spec), row.subtask),
+                out=_policy_folder(spec.out, row, target) / variant.name,
+            ),
+            sinks,
+        )
+        for _, target, run in trained
+    ]
+
+
+def _judge_task(
+    spec: TableSpec, row: TableRow, trained: Sequence[Trained], variant: Variant, sinks: Sinks
+) -> Path:
+    """Judge all policies together in a whole task; returns the run folder."""
+    folder = spec.out / row.folder
+    entries = []
+    for part, target, run in trained:
+        # A file of policies names checkpoints below its own folder, so that it can be moved with them.
+        copy = folder / POLICIES.removesuffix(".json") / f"{_name_of(part, target)}.safetensors"
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(run / STUDENT, copy)
+        entries.append(Entry(part.subtask, target, copy))
+    policies = folder / POLICIES
+    write_text(policies, entries_text(policies, entries))
+    judging = EvalSpec(
+        policy=str(policies),
+        task=row.task,
+        episodes=spec.episodes,
+        env=variant.env_options(profile_options(spec), ""),
+        out=folder / variant.name,
+    )
+    return judge(spec, judging, sinks)
+
+
+def judge(spec: TableSpec, judging: EvalSpec, sinks: Sinks) -> Path:
+    """Run an evaluation, or what is missing of it, with what all of a reproduction have in common."""
+    from mjhab.learning.runs.evaluation import EVALUATION_SEED
+
+    assert judging.out is not None
+    full = dataclasses.replace(
+        judging,
+        worlds=spec.worlds,
+        seed=EVALUATION_SEED + spec.seed,
+        split=spec.split,
+        assets=spec.assets,
+        threads=spec.threads,
+        films=spec.films,
+        resume=(judging.out / CONFIG).is_file(),
+    )
+    run_evaluation(full, sinks(full))
+    return judging.out
+
+
+def policy_run(spec: TableSpec, row: TableRow, target: str) -> Path:
+    """The folder of the training of a policy; trains it if it is not trained yet.
+
+    Raises:
+        UsageError: it should come from an earlier reproduction, which does not have it.
+        KeyboardInterrupt: what is done is kept.
+    """
+    if spec.policies is not None:
+        run = _policy_folder(spec.policies, row, target) / TRAIN
+        if not (run / STUDENT).is_file():
+            raise UsageError(
+                f"{spec.policies} has no policy for {_name_of(row, target)}: there is no {run / STUDENT}."
+            )
+        return run
+    run = _policy_folder(spec.out, row, target) / TRAIN
+    result = _train(spec, row, target, run)
+    if result.interrupted:
+        raise KeyboardInterrupt
+    return run
+
+
+def _policy_folder(out: Path, row: TableRow, target: str) -> Path:
+    """Where a policy is trained and judged: the folder of its row, or one in it if the row has several policies."""
+    folder = out / row.folder
+    return folder if target == row.target else folder / target.replace("/", ".")
+
+
+def _name_of(row: TableRow, target: str) -> str:
+    return row.folder if target == row.target else f"{row.folder}.{target}"
+
+
+def _train(spec: TableSpec, row: TableRow, target: str, run: Path) -> TrainingResult:
+    """Train a policy, or go on with it."""
+    from mjhab.learning.runs.collection import Scene
+
+    scene = Scene(
+        row.task, row.subtask, target or FOR_ALL, assets=spec.assets, **profile_options(spec)
+    )
+    resume = (run / CONFIG).is_file()
+    if spec.column == STUDENTS:
+        return _train_student(spec, scene, run, resume)
+    from mjhab.learning.reinforcement.configs import reinforcement_preset
+    from mjhab.learning.reinforcement.session import ReinforcementRequest
+    from mjhab.learning.reinforcement.train import train_reinforcement
+
+    request = ReinforcementRequest(
+        config=reinforcement_preset(algorithm_of(row, spec.column), spec.preset_name),
+        scene=scene,
+        seed=spec.seed,
+        threads=spec.threads or cores(),
+        budget_seconds=SECONDS_PER_MINUTE * spec.budget_minutes,
+        eval_episodes=0,
+        round_episodes=0,
+        backend=spec.backend,
+        device=spec.device,
+    )
+    return train_reinforcement(request, run, resume)
+
+
+def _train_student(spec: TableSpec, scene: Scene, run: Path, resume: bool) -> TrainingResult:
+    from mjhab.learning.runs.collection import Means
+    from mjhab.learning.runs.session import Request
+    from mjhab.learning.runs.train import train
+
+    request = Request(
+        config=preset_of("dagger", spec.preset_name),
+        scene=scene,
+        means=Means(spec.worlds, 1, spec.threads or cores()),
+        seed=spec.seed,
+        budget_seconds=SECONDS_PER_MINUTE * spec.budget_minutes,
+        eval_episodes=0,
+        round_episodes=0,
+        torch_threads=spec.threads,
+    )
+    return train(request, run, resume=resume)

@@ -1,0 +1,146 @@
+"""Results of a reproduction: for machines, for people, and as a page, with the paper's numbers beside ours."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from mjhab.core.files.reading import read_json_object
+from mjhab.data.store.shard import last_label
+from mjhab.learning.reproduce.rows import TableRow
+from mjhab.learning.reproduce.variants import AS_PUBLISHED, TABLE1, VARIANTS
+from mjhab.reports import parts
+from mjhab.reports.metrics import label_counts, mean, wilson
+from mjhab.reports.paper import ABLATIONS, SUCCESS_COLUMNS, paper_success
+from mjhab.reports.run import render_page
+from mjhab.rollout.store import read_records, write_text
+
+RESULTS = "results.json"
+REPORT = "report.html"
+TITLES = {
+    TABLE1: "Table 1",
+    "force_limits": "Force limits",
+    "goal_zones": "Shapes of goals",
+    "long_horizon": "Whole tasks",
+}
+PAPER_TITLES = dict(
+    zip(SUCCESS_COLUMNS, ("RL per object", "RL for all", "BC", "diffusion"), strict=True)
+)
+SECONDS_PER_MINUTE = 60.0
+COLUMN_TITLES = (
+    "row",
+    "rules",
+    "success once [%]",
+    "95 % interval",
+    "at end [%]",
+    "episodes",
+    "demonstrations",
+    "samples",
+    "CPU minutes",
+)
+
+
+def measured(runs: Sequence[Path], judged: Sequence[Path]) -> dict[str, Any]:
+    """What the policies of a row took and can do, all together.
+
+    Args:
+        runs: folders of their trainings. judged: run folders of their evaluations.
+    """
+    summaries = [read_json_object(run / "summary.json") for run in runs]
+    records = [record for folder in judged for record in read_records(folder)]
+    successes = sum(record.success_once for record in records)
+    low, high = wilson(successes, len(records))
+    seconds = sum(summary["cpu_seconds"] for summary in summaries)
+    return {
+        "success_once": mean(record.success_once for record in records),
+        "low": low,
+        "high": high,
+        "success_at_end": mean(record.success_at_end for record in records),
+        "subtasks_completed": mean(record.completed / len(record.plan) for record in records),
+        "episodes": len(records),
+        "policies": len(runs),
+        "demonstrations": sum(summary["demonstrations"] for summary in summaries),
+        "samples": sum(summary["samples"] for summary in summaries),
+        "cpu_minutes": round(seconds / SECONDS_PER_MINUTE, 1),
+        "labels": label_counts(last_label(record) for record in records),
+    }
+
+
+def write_results(out: Path, rows: Sequence[TableRow]) -> list[dict[str, Any]]:
+    """Write results.json and report.html of the rows that are through, and return them."""
+    config = read_json_object(out / "config.json")
+    found = []
+    for row in rows:
+        path = out / row.folder / "row.json"
+        if path.is_file():
+            by_variant = read_json_object(path)
+            found += [
+                result_of(row, variant.name, by_variant[variant.name], config)
+                for variant in VARIANTS[config["what"]]
+            ]
+    content = {"what": config["what"], "column": config["column"], "rows": found}
+    write_text(out / RESULTS, json.dumps(content, indent=1) + "\n")
+    write_text(out / REPORT, page(found, config))
+    return found
+
+
+def result_of(
+    row: TableRow, variant: str, found: Mapping[str, Any], config: Mapping[str, Any]
+) -> dict[str, Any]:
+    """A row for machines; ours as shares, the paper's in percent as it prints them.
+
+    "paper": its success once [%] under the rules of Table 1, by SUCCESS_COLUMNS; "paper_says": what it says of these
+    rules, "" if nothing.
+    """
+    published = variant == AS_PUBLISHED.name and bool(row.subtask)
+    paper = paper_success(row.task, row.subtask, config["split"], row.target) if published else {}
+    says = ABLATIONS.get(config["what"], {}).get(variant, "")
+    return {"row": row.name, "rules": variant, **found, "paper": paper, "paper_says": says}
+
+
+def cells(result: Mapping[str, Any]) -> tuple[Any, ...]:
+    """A row for people, in the order of COLUMN_TITLES and then of PAPER_TITLES."""
+    return (
+        result["row"],
+        result["rules"],
+        round(100 * result["success_once"], 1),
+        f"{100 * result['low']:.0f} to {100 * result['high']:.0f}",
+        round(100 * result["success_at_end"], 1),
+        result["episodes"],
+        result["demonstrations"],
+        result["samples"],
+        result["cpu_minutes"],
+        *(result["paper"].get(name, "") for name in PAPER_TITLES),
+        result["paper_says"],
+    )
+
+
+def titles() -> tuple[str, ...]:
+    """Titles of ``cells``."""
+    return (
+        *COLUMN_TITLES,
+        *(f"paper: {title} [%]" for title in PAPER_TITLES.values()),
+        "paper says",
+    )
+
+
+def page(results: Sequence[Mapping[str, Any]], config: Mapping[str, Any]) -> str:
+    """The page with our numbers and those of the paper."""
+    head = "".join(f"<th>{escape(title)}</th>" for title in titles())
+    lines = [
+        "<tr>" + "".join(f"<td>{escape(str(value))}</td>" for value in cells(result)) + "</tr>"
+        for result in results
+    ]
+    table = f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(lines)}</tbody></table>"
+    rules = "; ".join(f"{rule.name}: {rule.about}" for rule in VARIANTS[config["what"]])
+    hint = (
+        f"Success once of our column {config['column']} (preset {config['preset']}) in homes of split "
+        f"{config['split']}. Rules: {rules}. Policies are trained under those of Table 1. The paper's policies were "
+        "judged in ReplicaCAD homes, about 1,000 episodes each (MS-HAB, ICLR 2025, Tables 1 and 5)."
+    )
+    title = TITLES[config["what"]]
+    body = f"<h1>{escape(title)}</h1>" + parts.section("Success", hint, table)
+    return render_page(title, body, {"plots": {}})

@@ -1,0 +1,127 @@
+"""What is reproduced and how: the request, checked."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mjhab.config.env import SPLITS
+from mjhab.config.profile_choice import ProfileChoice, profile_options
+from mjhab.config.profiles import profile_named
+from mjhab.core.errors import UsageError, unknown_name
+from mjhab.learning.configs import preset_of
+from mjhab.learning.reproduce.rows import (
+    COLUMNS,
+    STUDENTS,
+    TableRow,
+    algorithm_of,
+    place_rows,
+    rows_of_task,
+    table_rows,
+    task_rows,
+)
+from mjhab.learning.reproduce.variants import GOAL_ZONES, LONG_HORIZON, VARIANTS
+
+DEFAULT_PRESETS = {STUDENTS: "small"}
+REINFORCEMENT_PRESET = "fast"
+
+
+@dataclass(frozen=True, kw_only=True)
+class TableSpec(ProfileChoice):
+    """What is trained and judged, and on what.
+
+    what: one of VARIANTS. column: one of COLUMNS. rows: names of rows, () for all that the result has.
+    preset: of `mjhab train`, "" for "small" (students) and "fast" (reinforcement).
+    policies: folder of an earlier reproduction, whose policies are judged instead of training any; None to train.
+    budget_minutes: training of each policy stops after so many, 0 for no limit. backend, device: of the environments
+    of reinforcement, see `EnvConfig`. split, episodes, films: of the judging; rows with several policies share the
+    episodes among them. worlds: of judging, and of collecting demonstrations. worlds, threads: change the speed.
+    out: folder of the runs; resume: it may hold some.
+    """
+
+    what: str
+    out: Path
+    rows: tuple[str, ...]
+    preset: str
+    budget_minutes: float
+    split: str
+    episodes: int
+    films: int
+    seed: int
+    assets: str
+    worlds: int
+    threads: int
+    resume: bool
+    column: str = STUDENTS
+    policies: Path | None = None
+    backend: str = "cpu"
+    device: str = ""
+
+    @property
+    def preset_name(self) -> str:
+        """The preset that is used."""
+        return self.preset or DEFAULT_PRESETS.get(self.column, REINFORCEMENT_PRESET)
+
+
+def known_rows(what: str) -> dict[str, TableRow]:
+    """The rows of a result by name.
+
+    Raises:
+        UsageError: there is no such result.
+    """
+    if what not in VARIANTS:
+        raise unknown_name("result of the paper", what, tuple(VARIANTS))
+    if what == LONG_HORIZON:
+        return task_rows()
+    return place_rows() if what == GOAL_ZONES else table_rows()
+
+
+def policy_rows(row: TableRow) -> list[TableRow]:
+    """The rows of Table 1 whose policies a row judges: itself, or those of a whole task."""
+    return [row] if row.subtask else rows_of_task(row.task)
+
+
+def chosen_rows(spec: TableSpec) -> list[TableRow]:
+    """The rows that are asked for.
+
+    Raises:
+        UsageError: an unknown name, or a folder of policies that is none.
+    """
+    known = known_rows(spec.what)
+    for name in spec.rows:
+        if name not in known:
+            raise unknown_name("row", name, known)
+    if spec.split not in SPLITS:
+        raise unknown_name("split", spec.split, SPLITS)
+    if spec.column not in COLUMNS:
+        raise unknown_name("column", spec.column, COLUMNS)
+    profile_named(spec.profile)
+    rows = [known[name] for name in spec.rows or known]
+    for row in rows:
+        for part in policy_rows(row):
+            _check_preset(spec, part)
+    if spec.policies is not None and not (spec.policies / "config.json").is_file():
+        raise UsageError(
+            f"{spec.policies} is no folder of `mjhab reproduce`: it has no config.json."
+        )
+    return rows
+
+
+def _check_preset(spec: TableSpec, row: TableRow) -> None:
+    """Refuse a preset that the algorithm of a row does not have."""
+    algorithm = algorithm_of(row, spec.column)
+    if spec.column == STUDENTS:
+        preset_of(algorithm, spec.preset_name)
+        return
+    from mjhab.learning.reinforcement.configs import reinforcement_preset
+
+    reinforcement_preset(algorithm, spec.preset_name)
+
+
+def table_config(spec: TableSpec) -> dict[str, Any]:
+    """What all rows of a folder have in common, as plain JSON data."""
+    names = ("what", "column", "budget_minutes", "split", "episodes", "seed", "assets", "backend")
+    shown = {name: getattr(spec, name) for name in names}
+    policies = {} if spec.policies is None else {"policies": str(spec.policies)}
+    return {**shown, "preset": spec.preset_name, **policies, **profile_options(spec)}

@@ -1,0 +1,319 @@
+"""The pack "styles": 40 more homes for generalisation beyond the paper's split.
+
+Its splits differ in floor plan *and* in furniture style: no plan and no style of val or test is among those of train.
+The plans are those of the built-in homes, seen in a mirror (so that the fridge stands on the other side of the counter)
+or not, with rooms drawn out along one axis or both. A style has its own walls, floors and coverings, and furniture
+under its own names.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Literal
+
+import numpy as np
+
+from mjhab.core.seeding import stream
+from mjhab.scenes.builtin.furniture import builtin_articulations, builtin_props, furniture_meshes
+from mjhab.scenes.builtin.home_cache import cached_homes
+from mjhab.scenes.builtin.home_plans import PLANS, Piece, Plan, Room, Spot, Wall
+from mjhab.scenes.builtin.homes import KEEP_CLEAR_M, Floor, bare_floor, furnish
+from mjhab.scenes.builtin.objects import builtin_objects, object_meshes
+from mjhab.scenes.builtin.pack import ROLES
+from mjhab.scenes.pack_source import PackSource
+from mjhab.scenes.shapes.footprints import footprint
+from mjhab.scenes.spec import Articulation, Home, Pack, Placement, Prop, Roles
+
+NAME = "styles"
+Split = Literal["train", "val", "test"]
+Key = tuple[int, int]
+
+RESTYLED: dict[str, str] = {
+    "chair_01": "chair",
+    "table_01": "dining_table",
+    "table_02": "coffee_table",
+    "tvstand": "tv_stand",
+    "sofa": "sofa",
+}
+"""Furniture that every style has under a name of its own, "<style>_<this>"; tasks use these pieces."""
+
+
+@dataclass(frozen=True)
+class FurnitureStyle:
+    """Looks. ``walls``: outside and inside; ``floors``, ``coverings``: material of the built-in homes to this one's."""
+
+    name: str
+    walls: tuple[str, str]
+    floors: dict[str, str]
+    coverings: dict[str, str]
+
+
+STYLES: tuple[FurnitureStyle, ...] = (
+    FurnitureStyle(
+        "nordic",
+        ("wall_white", "wall_sage"),
+        {"floor_tile": "floor_ash", "floor_oak": "floor_ash", "floor_slate": "floor_tile"},
+        {"oak": "birch", "walnut": "birch", "sofa_fabric": "cushion_cream"},
+    ),
+    FurnitureStyle(
+        "classic",
+        ("wall_sand", "wall_white"),
+        {"floor_oak": "floor_walnut", "floor_ash": "floor_walnut", "floor_carpet": "rug_red"},
+        {"oak": "walnut", "birch": "walnut", "sofa_fabric": "beanbag_fabric"},
+    ),
+    FurnitureStyle(
+        "loft",
+        ("wall_blue", "wall_blue"),
+        {"floor_tile": "floor_slate", "floor_oak": "floor_slate", "floor_walnut": "floor_slate"},
+        {"oak": "black_metal", "birch": "walnut", "sofa_fabric": "mat_grey"},
+    ),
+    FurnitureStyle(
+        "lacquer",
+        ("wall_rose", "wall_sand"),
+        {"floor_oak": "floor_tile", "floor_ash": "floor_tile", "floor_walnut": "floor_oak"},
+        {"oak": "white_lacquer", "walnut": "white_lacquer", "sofa_fabric": "cushion_coral"},
+    ),
+)
+_DRAWN_OUT_M = ((0.0, 0.0), (0.9, 0.0), (0.0, 0.8), (0.7, 0.6), (1.2, 0.0))
+
+
+@dataclass(frozen=True)
+class Macro:
+    """A floor plan made of a built-in one: ``mirrored`` along x, then drawn out by ``by`` (x, y) [m]."""
+
+    plan: int
+    mirrored: bool
+    by: tuple[float, float]
+
+
+MACROS: tuple[Macro, ...] = tuple(
+    Macro(k % len(PLANS), mirrored=k < len(PLANS), by=_DRAWN_OUT_M[(k + k // len(PLANS)) % 5])
+    for k in range(2 * len(PLANS))
+)
+"""Plans 0 to 4 mirrored, then 5 to 9 as they are, each drawn out in another way."""
+PLACES_OF_SPLIT: dict[Split, tuple[tuple[int, ...], tuple[int, ...], int]] = {
+    "train": ((0, 1, 2, 5, 6, 7), (0, 1), 2),
+    "val": ((3, 8), (2,), 4),
+    "test": ((4, 9), (3,), 4),
+}
+"""Split to its macro layouts, its styles, and the homes of each pair of them."""
+
+
+def _entries() -> tuple[tuple[Split, int, int, int], ...]:
+    """(split, macro, style, number among the homes of these) of every home."""
+    return tuple(
+        (split, macro, style, number)
+        for split, (macros, styles, count) in PLACES_OF_SPLIT.items()
+        for macro in macros
+        for style in styles
+        for number in range(count)
+    )
+
+
+ENTRIES = _entries()
+KEYS: tuple[Key, ...] = tuple((macro, style * 10 + number) for _, macro, style, number in ENTRIES)
+"""(macro, micro) of every home; the tens of the micro number tell the style."""
+
+
+def mirrored(plan: Plan) -> Plan:
+    """A plan seen in a mirror: x runs the other way, what looked along yaw looks along 180 - yaw."""
+    width = plan.size[0]
+
+    def spot(at: Spot) -> Spot:
+        return width - at[0], at[1], 180.0 - at[2]
+
+    def piece(at: Piece) -> Piece:
+        return (at[0], *spot(at[1:]))
+
+    def wall(each: Wall) -> Wall:
+        if each.axis == "y":
+            return replace(each, at=width - each.at)
+        gaps = tuple((width - end, width - start) for start, end in reversed(each.gaps))
+        return replace(each, start=width - each.end, end=width - each.start, gaps=gaps)
+
+    def room(each: Room) -> Room:
+        x_min, y_min, x_max, y_max = each.extent
+        return replace(each, extent=(width - x_max, y_min, width - x_min, y_max))
+
+    return replace(
+        plan,
+        walls=tuple(map(wall, plan.walls)),
+        rooms=tuple(map(room, plan.rooms)),
+        kitchen=(piece(plan.kitchen[0]), piece(plan.kitchen[1])),
+        fixed=tuple(map(piece, plan.fixed)),
+        loose=tuple(map(piece, plan.loose)),
+        spots=tuple(map(spot, plan.spots)),
+    )
+
+
+def drawn_out(plan: Plan, axis: int, by: float) -> Plan:
+    """A plan with ``by`` [m] more floor along an axis (0: x, 1: y), put in where the largest free stretch is.
+
+    It is as it was where every line across the flat meets furniture, a wall or a doorway.
+    """
+    cut = _cut(plan, axis)
+    if not by or cut is None:
+        return plan
+
+    def moved(value: float) -> float:
+        return value + by if value > cut else value
+
+    def spot(at: Spot) -> Spot:
+        return (moved(at[0]), at[1], at[2]) if axis == 0 else (at[0], moved(at[1]), at[2])
+
+    def piece(at: Piece) -> Piece:
+        return (at[0], *spot(at[1:]))
+
+    def wall(each: Wall) -> Wall:
+        if (each.axis == "x") == (axis == 1):
+            return replace(each, at=moved(each.at))
+        gaps = tuple((moved(start), moved(end)) for start, end in each.gaps)
+        return replace(each, start=moved(each.start), end=moved(each.end), gaps=gaps)
+
+    def room(each: Room) -> Room:
+        low = list(each.extent)
+        low[axis] = moved(low[axis])
+        low[axis + 2] = moved(low[axis + 2])
+        return replace(each, extent=(low[0], low[1], low[2], low[3]))
+
+    size = (moved(plan.size[0]), plan.size[1]) if axis == 0 else (plan.size[0], moved(plan.size[1]))
+    return replace(
+        plan,
+        size=size,
+        walls=tuple(map(wall, plan.walls)),
+        rooms=tuple(map(room, plan.rooms)),
+        kitchen=(piece(plan.kitchen[0]), piece(plan.kitchen[1])),
+        fixed=tuple(map(piece, plan.fixed)),
+        loose=tuple(map(piece, plan.loose)),
+        spots=tuple(map(spot, plan.spots)),
+    )
+
+
+def _cut(plan: Plan, axis: int) -> float | None:
+    """Middle of the largest stretch along an axis that nothing covers; None if there is none."""
+    edge = 0.15  # m, what stands so near to a wall leans on it
+    taken = [(0.0, edge), (plan.size[axis] - edge, plan.size[axis])]
+    for each in (*plan.kitchen, *plan.fixed, *plan.loose):
+        area = footprint(_place(each), _template(each[0]))
+        if area is not None:
+            taken.append((area.box[axis] - edge, area.box[axis + 2] + edge))
+    for wall in plan.walls:
+        if (wall.axis == "y") == (axis == 0):
+            taken.append((wall.at - edge, wall.at + edge))
+        else:
+            taken += wall.gaps
+    end = 0.0
+    best = (0.0, 0.0)
+    for low, high in sorted(taken):
+        best = max(best, (low - end, (low + end) / 2))
+        end = max(end, high)
+    return best[1] if best[0] > 0.02 else None
+
+
+def _place(piece: Piece) -> Placement:
+    return Placement(piece[0], (piece[1], piece[2], 0.0), math.radians(piece[3]))
+
+
+@cache
+def _templates() -> dict[str, Prop]:
+    return builtin_props()
+
+
+def _template(name: str) -> Prop | Articulation:
+    return _templates().get(name) or builtin_articulations()[name]
+
+
+@cache
+def plan_of(macro: int, style: int) -> Plan:
+    """The floor plan of a macro layout in the colours of a style."""
+    chosen = MACROS[macro]
+    looks = STYLES[style]
+    plan = PLANS[chosen.plan]
+    plan = mirrored(plan) if chosen.mirrored else plan
+    plan = drawn_out(drawn_out(plan, 0, chosen.by[0]), 1, chosen.by[1])
+    rooms = tuple(
+        replace(room, floor=looks.floors.get(room.floor, room.floor)) for room in plan.rooms
+    )
+    return replace(plan, outer_wall=looks.walls[0], inner_wall=looks.walls[1], rooms=rooms)
+
+
+def _floor(macro: int, micro: int) -> Floor:
+    style = micro // 10
+    split: Split = next(s for s, m, k, n in ENTRIES if (m, k * 10 + n) == (macro, micro))
+    name = f"{NAME}_m{macro}_{STYLES[style].name}_{micro % 10}"
+    return Floor(name, NAME, split, macro, micro, plan_of(macro, style))
+
+
+def bare_home(macro: int, micro: int) -> Home:
+    """One home with walls, kitchen and lamps but no props yet."""
+    return bare_floor(_floor(macro, micro))
+
+
+@cache
+def make_home(macro: int, micro: int) -> Home:
+    """Furnish one home. The same (macro, micro) is the same home everywhere."""
+    floor = _floor(macro, micro)
+    rng: np.random.Generator = stream(0, "home", NAME, macro, micro)
+    home = furnish(bare_floor(floor), floor.plan, rng, KEEP_CLEAR_M)
+    style = STYLES[micro // 10]
+    props = tuple(replace(at, template=restyled(at.template, style)) for at in home.props)
+    return replace(home, props=props)
+
+
+def restyled(template: str, style: FurnitureStyle) -> str:
+    """The name that a piece of furniture has in a style."""
+    return f"{style.name}_{RESTYLED[template]}" if template in RESTYLED else template
+
+
+def style_props(style: FurnitureStyle) -> dict[str, Prop]:
+    """The furniture of a style by its names there."""
+    props = builtin_props()
+    found = {}
+    for template in RESTYLED:
+        prop = props[template]
+        geoms = tuple(
+            replace(geom, material=style.coverings.get(geom.material, geom.material))
+            for geom in prop.geoms
+        )
+        name = restyled(template, style)
+        found[name] = replace(prop, name=name, geoms=geoms)
+    return found
+
+
+def style_roles() -> Roles:
+    """The roles of the built-in furniture, played by the pieces of all styles."""
+    return replace(ROLES, places={role: _renamed(places) for role, places in ROLES.places.items()})
+
+
+def _renamed(places: Sequence[str]) -> tuple[str, ...]:
+    names: list[str] = []
+    for place in places:
+        template, slash, rest = place.partition("/")
+        if template in RESTYLED:
+            names += [f"{restyled(template, style)}{slash}{rest}" for style in STYLES]
+        else:
+            names.append(place)
+    return tuple(names)
+
+
+@cache
+def styles_pack() -> Pack:
+    """The pack; always the same object."""
+    props = {name: prop for name, prop in builtin_props().items() if name not in RESTYLED}
+    for style in STYLES:
+        props |= style_props(style)
+    return Pack(
+        NAME,
+        props,
+        builtin_articulations(),
+        cached_homes(NAME, KEYS, bare_home, make_home),
+        builtin_objects(),
+        {**furniture_meshes(), **object_meshes()},
+        style_roles(),
+    )
+
+
+SOURCE = PackSource(NAME, lambda request: styles_pack())

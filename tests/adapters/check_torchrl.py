@@ -1,0 +1,72 @@
+"""torchrl trains in a mjhab environment: run by `make test-torchrl`, in an environment that has it."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from tensordict.nn import TensorDictModule  # pyright: ignore[reportMissingImports]
+from torch import nn
+from torchrl.envs.utils import check_env_specs  # pyright: ignore[reportMissingImports]
+from torchrl.modules import (  # pyright: ignore[reportMissingImports]
+    NormalParamExtractor,
+    ProbabilisticActor,
+    TanhNormal,
+    ValueOperator,
+)
+from torchrl.objectives import ClipPPOLoss  # pyright: ignore[reportMissingImports]
+from torchrl.objectives.value import GAE  # pyright: ignore[reportMissingImports]
+
+import mjhab
+from mjhab.core.errors import UsageError
+from mjhab.integrations.torchrl import to_torchrl
+
+HORIZON = 6
+OPTIONS = {
+    "task": "set_table",
+    "subtask": "close",
+    "target": "kitchen_counter/drawer3",
+    "home": "builtin_m0_00",
+    "num_envs": 2,
+    "horizon": HORIZON,
+    "episode_pool": 2,
+    "autoreset": "disabled",
+}
+
+
+def test_the_environment_keeps_the_contract_of_torchrl() -> None:
+    check_env_specs(to_torchrl(mjhab.make_train(**OPTIONS)))
+
+
+def test_the_last_observation_of_an_episode_is_kept() -> None:
+    env = to_torchrl(mjhab.make_train(**OPTIONS))
+    found = env.rollout(HORIZON + 2, break_when_any_done=False)
+    ended = found["next", "truncated"][:, HORIZON - 1]
+    assert bool(ended.all()) and not bool(found["next", "terminated"].any())
+    assert not bool(found["next", "done"][:, HORIZON:].any())
+    last = found["next", "state"][:, HORIZON - 1]
+    assert not torch.equal(last, found["state"][:, HORIZON])
+    assert torch.equal(found["next", "state"][:, 0], found["state"][:, 1])
+
+
+def test_ppo_learns_from_a_rollout() -> None:
+    env = to_torchrl(mjhab.make_train(**OPTIONS))
+    layers = nn.Sequential(nn.Linear(42, 32), nn.Tanh(), nn.Linear(32, 26), NormalParamExtractor())
+    actor = ProbabilisticActor(
+        TensorDictModule(layers, in_keys=["state"], out_keys=["loc", "scale"]),
+        in_keys=["loc", "scale"],
+        distribution_class=TanhNormal,
+        return_log_prob=True,
+    )
+    critic = ValueOperator(nn.Linear(42, 1), in_keys=["state"])
+    with torch.no_grad():
+        found = env.rollout(8, policy=actor, break_when_any_done=False)
+    GAE(gamma=0.97, lmbda=0.95, value_network=critic)(found)
+    losses = ClipPPOLoss(actor, critic)(found.reshape(-1))
+    total = torch.stack([value for name, value in losses.items() if name.startswith("loss_")]).sum()
+    total.backward()
+    assert all(parameter.grad is not None for parameter in layers.parameters())
+
+
+def test_bad_input_is_told() -> None:
+    with pytest.raises(UsageError, match="autoreset='disabled'"):
+        to_torchrl(mjhab.make_train(**{**OPTIONS, "autoreset": "same_step"}))

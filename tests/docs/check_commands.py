@@ -1,0 +1,126 @@
+"""Run the commands of the documentation, page by page: `make test-docs` calls this, not pytest, since it takes minutes.
+
+The commands of a page run in a folder of their own, in the order in which they stand there, so that each finds what
+those before it have made. Numbers that make a command take long are made small. Servers and the viewer run until their
+page is done. Programs other than mjhab are not run: pytest checks that make targets and extras exist.
+
+    python tests/docs/check_commands.py FOLDER [PAGE ...]
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from mjhab.cli.main import parse
+from tests.docs.pages import PAGES, README, ROOT, Command, blocks, commands, name_of, saved
+
+SMALL: dict[str, str] = {
+    "episodes": "2",
+    "per_target": "1",
+    "chains": "0",
+    "count": "2",
+    "worlds": "2",
+    "workers": "1",
+    "steps": "40",
+    "rounds": "1",
+    "seeds": "1",
+    "films": "0",
+    "budget_minutes": "0.3",
+    "eval_episodes": "2",
+    "takeovers": "2",
+    "samples": "200",
+    "keep": "",
+    "threads": "1",
+}
+"""Option to the value that makes it quick; only options that a command has, and that are not off, are set."""
+ALWAYS = {"score": ("--episodes", "1")}
+"""What is added to a command whatever it says."""
+LASTING = ("serve", "view")
+"""Commands that go on until they are ended."""
+READY_SECONDS = 120.0
+END_SECONDS = 30.0
+COMMAND_SECONDS = 600.0
+
+
+def small(words: list[str]) -> list[str]:
+    """The words of a command with numbers that make it quick."""
+    options: Any = parse(words)
+    options = getattr(options, "command", options)
+    added = []
+    for name, value in SMALL.items():
+        now = getattr(options, name, None)
+        numbers = now if isinstance(now, tuple) else (now,)
+        if any(number for number in numbers):
+            added += [f"--{name.replace('_', '-')}", value]
+    return [*words, *added, *ALWAYS.get(words[0], ())]
+
+
+def main(out: Path, names: list[str]) -> int:
+    """Run the pages of these names, all of them without any; returns how many commands failed."""
+    failed = []
+    for page in PAGES:
+        if not names or name_of(page) in names:
+            failed += run_page(page, out / name_of(page).replace("/", "_"))
+    for line in failed:
+        print(f"FAILED {line}", file=sys.stderr)
+    print(f"{len(failed)} commands of the documentation failed")
+    return min(len(failed), 1)
+
+
+def run_page(page: Path, folder: Path) -> list[str]:
+    """Run a page in a folder, which is made anew; returns the commands that failed."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    (folder / "examples").symlink_to(ROOT / "examples")
+    shutil.copytree(ROOT / "docs" / "results", folder / "docs" / "results")
+    for block in [*saved(README), *saved(page)]:
+        (folder / block.file).write_text(block.code)
+    failed = []
+    with ExitStack() as lasting:
+        for block in blocks(page):
+            if block.language != "bash" or block.reason:
+                continue
+            for command in commands(block):
+                if command.program in ("mjhab", "python"):
+                    begun = time.monotonic()
+                    good = run(command, folder, lasting)
+                    told = f"{name_of(page)}: {' '.join(command.words)}"
+                    print(f"{time.monotonic() - begun:6.1f} s  {told}", flush=True)
+                    failed += [] if good else [told]
+    return failed
+
+
+def run(command: Command, folder: Path, lasting: ExitStack) -> bool:
+    """Run one command of mjhab; whether it did what it should."""
+    words = [sys.executable, *command.words[1:]]
+    if command.program == "mjhab":
+        words = [sys.executable, "-m", "mjhab.cli.main", *small(list(command.words[1:]))]
+    environment = {**os.environ, **command.variables}
+    if command.words[1] in LASTING and "--export" not in command.words:
+        process = subprocess.Popen(
+            words, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True
+        )
+        lasting.callback(end, process)
+        assert process.stdout is not None
+        return bool(process.stdout.readline())
+    done = subprocess.run(
+        words, cwd=folder, env=environment, stdout=subprocess.DEVNULL, timeout=COMMAND_SECONDS
+    )
+    return done.returncode == 0
+
+
+def end(process: subprocess.Popen[str]) -> None:
+    """End a command that lasts, as a user does, and ask for a clean exit."""
+    process.terminate()
+    assert process.wait(END_SECONDS) == 0, process.args
+
+
+if __name__ == "__main__":
+    sys.exit(main(Path(sys.argv[1]), sys.argv[2:]))

@@ -1,0 +1,126 @@
+"""Code in the documentation: Python runs, commands parse, make targets and extras exist.
+
+Sizes are small here: what Python makes, evaluates or generates is cut to a few control steps. `make test-docs` runs the
+commands, too (`check_commands.py`).
+"""
+
+from __future__ import annotations
+
+import functools
+import re
+import shutil
+import sys
+import tomllib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import pytest
+
+import mjhab
+from mjhab.cli.main import parse
+from mjhab.scenes.objects import OBJECTS
+from mjhab.scenes.pack_source import PACK_SOURCES
+from tests.docs.pages import (
+    LANGUAGES,
+    PAGES,
+    README,
+    ROOT,
+    Command,
+    blocks,
+    commands,
+    hidden_commands,
+    name_of,
+    saved,
+)
+
+SMALL_VECTOR = {"num_envs": 2}
+SMALL_EVALUATION = {"episodes": 1, "worlds": 1, "films": 0, "horizon": 5}
+SMALL_GENERATION = {"episodes": 1, "per_target": 0, "keep": None, "workers": 0, "horizon": 5}
+WITH_PYTHON = [page for page in PAGES if any(b.language == "python" for b in blocks(page))]
+FILES = {
+    "docs/extending.md": ("home/cottage.json", "home/hut.py", "mug/mug.glb"),
+    "docs/tutorials/extend.md": ("mug/mug.glb",),
+}
+"""Files of `examples` that the Python of a page finds in its folder."""
+
+
+def smaller(call: Callable[..., Any], options: dict[str, Any]) -> Callable[..., Any]:
+    @functools.wraps(call)
+    def called(*args: Any, **given: Any) -> Any:
+        return call(*args, **{**given, **options})
+
+    return called
+
+
+@pytest.fixture
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Environments, evaluations and generations that take seconds."""
+    monkeypatch.setattr(mjhab, "evaluate", smaller(mjhab.evaluate, SMALL_EVALUATION))
+    monkeypatch.setattr(mjhab, "generate", smaller(mjhab.generate, SMALL_GENERATION))
+    monkeypatch.setattr(gymnasium, "make_vec", smaller(gymnasium.make_vec, SMALL_VECTOR))
+
+
+@pytest.fixture
+def registries() -> Iterator[None]:
+    """What pages register is there for them alone."""
+    kept = [(registry, set(registry.names())) for registry in (OBJECTS, PACK_SOURCES)]
+    yield
+    for registry, names in kept:
+        for name in set(registry.names()) - names:
+            registry.remove(name)
+
+
+@pytest.mark.usefixtures("small", "registries")
+@pytest.mark.parametrize("page", WITH_PYTHON, ids=name_of)
+def test_python_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
+    for file in FILES.get(name_of(page), ()):
+        shutil.copy(ROOT / "examples" / file, tmp_path)
+    before = set(sys.modules)
+    names: dict[str, object] = {}
+    # Other pages go on with the policy that the README has its readers save.
+    for block in [*saved(README), *blocks(page)]:
+        if block.file:
+            (tmp_path / block.file).write_text(block.code)
+        elif block.language == "python" and not block.reason:
+            exec(compile(block.code, str(page), "exec"), names)
+    for name in set(sys.modules) - before:
+        if getattr(sys.modules[name], "__file__", None) == str(tmp_path / f"{name}.py"):
+            del sys.modules[name]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_all_code_is_in_blocks_whose_language_is_said(page: Path) -> None:
+    assert hidden_commands(page) == []
+    assert {block.language for block in blocks(page)} <= set(LANGUAGES)
+
+
+PLACEHOLDER = re.compile(r"^[A-Z_]+(\.[a-z.]+)?$|^<.*>$|\.\.\.|[|\[]")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_commands_exist(page: Path) -> None:
+    for block in blocks(page):
+        if block.language == "bash":
+            for command in commands(block):
+                check_command(command, block.reason)
+
+
+def check_command(command: Command, reason: str) -> None:
+    targets = re.findall(r"^([a-z0-9-]+):.*## ", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    words = command.words
+    if command.program == "make":
+        assert next(word for word in words[1:] if "=" not in word) in targets
+    elif command.program == "pip":
+        for extra in re.findall(r"mjhab\[([\w,]+)\]", " ".join(words)):
+            assert set(extra.split(",")) <= set(project["optional-dependencies"])
+    elif command.program == "mjhab":
+        if not any(PLACEHOLDER.search(word) for word in words[1:]):
+            parse(words[1:])
+    elif command.program not in ("python",):
+        assert reason, f"{' '.join(words)}: nothing runs it, and no comment says why"

@@ -1,0 +1,147 @@
+"""What other libraries do with our environments: copy and pickle them, step them in other processes, read `info`."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium import spaces
+from gymnasium.wrappers.vector import DictInfoToList
+
+import mjhab
+from mjhab.core.errors import UsageError
+from mjhab.core.frozen import FrozenMap
+from mjhab.data.record.recorder import Recorder
+from mjhab.envs.observations import BASE_VELOCITY_KEY, STATE_KEY, state_dim
+from mjhab.envs.sequential import SequentialTaskEnv
+from mjhab.envs.spaces import nested
+from mjhab.envs.wrappers import FrameStack
+
+ENV_ID = "mjhab/CloseSubtaskTrain-v1"
+TARGET = "kitchen_counter/drawer3"
+OPTIONS: dict[str, Any] = {"target": TARGET, "home": "builtin_m0_00", "threads": 1}
+OBJECTS = ("events", "ended", "instruction", "episode_spec")
+
+
+def build(**options: Any) -> SequentialTaskEnv:
+    return mjhab.make_train(subtask="close", **OPTIONS | options)
+
+
+def still(env: gymnasium.vector.VectorEnv) -> np.ndarray:
+    return np.zeros(env.action_space.shape or (), np.float32)
+
+
+def test_an_env_is_copied_and_pickled_before_it_is_used() -> None:
+    env = gymnasium.make(ENV_ID, obs_mode="depth", **OPTIONS)
+    assert env.spec is not None
+    assert pickle.loads(pickle.dumps(env.spec)).kwargs == env.spec.kwargs
+    copies = [copy.deepcopy(env), pickle.loads(pickle.dumps(env))]
+    for each in copies:
+        assert each.observation_space == env.observation_space
+        assert each.action_space == env.action_space
+    first, _ = copies[0].reset(seed=3)
+    second, info = copies[1].reset(seed=3)
+    np.testing.assert_array_equal(first[STATE_KEY], second[STATE_KEY])
+    assert env.observation_space.contains(first)
+    assert pickle.loads(pickle.dumps(info))["episode_spec"] == info["episode_spec"]
+    with pytest.raises(UsageError, match="before the first reset"):
+        pickle.dumps(copies[1])
+    env.close()
+
+
+def test_worlds_run_in_processes_of_their_own() -> None:
+    env = gymnasium.make_vec(ENV_ID, num_envs=2, vectorization_mode="async", **OPTIONS)
+    try:
+        obs, info = env.reset(seed=[5, 6])  # pyright: ignore[reportArgumentType]
+        assert env.observation_space.contains(obs)
+        assert [spec["seed"] for spec in info["episode_spec"]] == [5, 6]
+        _, reward, *_, info = env.step(still(env))
+        assert reward.shape == (2,) and info["robot_force"].dtype == np.float64
+    finally:
+        env.close()
+    here = build(num_envs=1, autoreset="disabled")
+    same, _ = here.reset(seed=6)
+    np.testing.assert_array_equal(obs[STATE_KEY][1], same[STATE_KEY][0])
+
+
+def test_info_is_arrays_and_its_records_reach_who_looks_at_nothing_else() -> None:
+    env = build(num_envs=2, horizon=3)
+    wrapped = DictInfoToList(env)
+    wrapped.reset(seed=0)
+    for _ in range(2):
+        *_, infos = wrapped.step(still(env))
+    assert infos[1]["ended"] is None and infos[1]["episode_spec"]["index"] > 0
+    *_, truncated, info = env.step(still(env))
+    assert truncated.all()
+    leaves = {k: v for k, v in info.items() if not isinstance(v, Mapping)}
+    assert all(isinstance(v, np.ndarray) and len(v) == 2 for v in leaves.values())
+    assert {k for k, v in leaves.items() if v.dtype == object} == set(OBJECTS)
+    # same_step: the record is of the episode that has just ended, the spec of the one that begins.
+    assert [record["kind"] for record in info["ended"]] == ["close", "close"]
+    assert info["ended"][0]["label"] == info["final_info"]["ended"][0]["label"]
+    assert [spec["index"] & 1 for spec in info["episode_spec"]] == [1, 1]
+    *_, info = env.step(still(env))
+    assert info["ended"].tolist() == [None, None]
+
+
+def test_step_before_reset_is_told() -> None:
+    env = build(num_envs=2)
+    with pytest.raises(UsageError, match=r"call env\.reset"):
+        env.step(still(env))
+
+
+def test_keys_are_flat_or_nested() -> None:
+    flat = build(num_envs=2, obs_mode="depth", camera_size=16)
+    deep = build(num_envs=2, obs_mode="depth", camera_size=16, obs_keys="nested", horizon=1)
+    have, _ = flat.reset(seed=1)
+    got, _ = deep.reset(seed=1)
+    assert deep.observation_space.contains(got)
+    assert set(got) == {"agent", "extra", "sensor_data", "sensor_param", "state"}
+    same = nested(have)
+    np.testing.assert_array_equal(got["extra"]["is_grasped"], have["extra/is_grasped"])
+    np.testing.assert_array_equal(
+        got["sensor_data"]["fetch_head"]["depth"], same["sensor_data"]["fetch_head"]["depth"]
+    )
+    *_, info = deep.step(still(deep))
+    assert set(info["final_obs"]) == set(got) and "qpos" in info["final_obs"]["agent"]
+    for refuse in (lambda: FrameStack(deep, 2), lambda: Recorder(None, deep, {})):  # type: ignore[arg-type]
+        with pytest.raises(UsageError, match="flat"):
+            refuse()
+
+
+def test_proprioception_holds_what_the_robot_measures() -> None:
+    env = build(num_envs=2, obs_mode="proprioception")
+    obs, _ = env.reset(seed=0)
+    robot = env.layout.robot
+    space = env.single_observation_space
+    assert isinstance(space, spaces.Dict)
+    hidden = {"extra/obj_pose_wrt_base", "extra/goal_pos_wrt_base", "extra/is_grasped"}
+    assert not hidden & set(obs) and obs[STATE_KEY].shape == (2, state_dim(robot, own=True))
+    actions = still(env)
+    actions[:, 11] = 0.5  # ahead at half of 1 m/s
+    for _ in range(6):
+        before = env.state.robot_q[:, :3].copy()
+        obs, *_ = env.step(actions)
+    moved = env.state.robot_q[:, :3] - before
+    ahead = np.cos(before[:, 2]) * moved[:, 0] + np.sin(before[:, 2]) * moved[:, 1]
+    speed = obs[BASE_VELOCITY_KEY]
+    np.testing.assert_allclose(speed[:, 0], ahead / 0.05, atol=0.05)
+    assert (np.abs(speed[:, 0]) > 0.2).all() and (np.abs(speed[:, 1]) < 0.05).all()
+    assert env.observation_space.contains(obs)
+
+
+def test_scales_of_another_shape_are_told_theirs() -> None:
+    with pytest.raises(UsageError, match=r"subtask: \{term: scale\}.*'pick': \{'reach': 10\}"):
+        build(reward_scales={"reach": 10})
+
+
+def test_a_frozen_map_is_read_only() -> None:
+    spec = FrozenMap({"a": 1})
+    with pytest.raises(TypeError):
+        spec["a"] = 2  # type: ignore[index]
+    assert copy.deepcopy(spec) == spec == {"a": 1}

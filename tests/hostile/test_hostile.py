@@ -1,0 +1,294 @@
+"""Hostile and broken inputs are refused in one line, with nothing written."""
+
+from __future__ import annotations
+
+import dataclasses
+import errno
+import io
+import json
+import os
+import random
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from safetensors.numpy import save_file
+
+from mjhab.cli.main import main
+from mjhab.cli.options.limits import OUTPUTS, check_limits
+from mjhab.core.errors import MjhabError, UsageError
+from mjhab.core.files import cache
+from mjhab.core.files.cache import cache_dir, write_cached
+from mjhab.data.select.query import Filter
+from mjhab.data.store.reading import open_shard
+from mjhab.episodes.hab.format import read_hab
+from mjhab.episodes.spawn_sets import SpawnSet
+from mjhab.learning.checkpoint import load_checkpoint
+from mjhab.scenes.formats.gltf import read_glb
+from mjhab.scenes.formats.urdf import read_urdf
+from mjhab.scenes.home_files import home_pack
+from mjhab.scenes.replica_cad.reader import open_replica_cad
+from tests.hostile.cases import EYE, OBJECT_FILE, SCENE_FILE, Case, cases, episode, shard
+from tests.hostile.option_types import option_classes, values_of
+from tests.hostile.outcome import outcome
+from tests.scenes.formats.glb import BOX, BOX_FACES, URDF, tiny_data_set, write_glb
+
+MUTATIONS = 60
+"""Changed files per reader: a second or less of each."""
+
+
+def sampled() -> Iterator[Case]:
+    """All cases, but of those that go through the parser of the command line, which takes its time, every seventh;
+    ranges of options and places to write to are checked for all commands below, `count` runs all."""
+    for number, case in enumerate(cases()):
+        if case.group not in ("option", "place") or number % 7 == 0:
+            yield case
+
+
+@pytest.mark.parametrize("case", list(sampled()), ids=str)
+def test_it_is_refused(case: Case, tmp_path: Path):
+    assert outcome(case, tmp_path) == "clean"
+
+
+# -- options, each by its type -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("options", option_classes(), ids=lambda options: options.__name__)
+def test_no_command_takes_numbers_and_texts_out_of_all_range(options: type):
+    for name, value in values_of(options):
+        with pytest.raises(UsageError, match=f"--{name.replace('_', '-')} "):
+            check_limits(make(options, name, value))
+
+
+def make(options: type, name: str, value: Any) -> Any:
+    """Options that hold nothing but ``value``: the parser is not asked, and nothing runs."""
+    made = object.__new__(options)
+    for field in options.__dataclass_fields__:
+        object.__setattr__(made, field, None)
+    object.__setattr__(made, name, value)
+    return made
+
+
+@pytest.mark.parametrize("options", option_classes(), ids=lambda options: options.__name__)
+def test_defaults_are_in_range(options: type):
+    for field in dataclasses.fields(options):
+        if field.default is not dataclasses.MISSING and field.name not in OUTPUTS:
+            check_limits(make(options, field.name, field.default))
+
+
+# -- readers, fed with changed files -----------------------------------------------------------------------------------
+
+
+def changed(raw: bytes, rng: random.Random) -> bytes:
+    """A file with some bytes turned, cut out, doubled or cut off."""
+    data = bytearray(raw)
+    for _ in range(rng.randint(1, 4)):
+        at = rng.randrange(max(1, len(data)))
+        end = min(len(data), at + rng.choice((1, 2, 8, 64)))
+        match rng.randrange(5):
+            case 0:
+                data[at:end] = rng.randbytes(end - at)
+            case 1:
+                del data[at:end]
+            case 2:
+                data[at:at] = data[at:end]
+            case 3:
+                del data[at:]
+            case _:
+                data[at:end] = rng.choice((b"-1", b"1e999", b"null", b"[]", b'""', b"99999999999"))
+    return bytes(data)
+
+
+def glb_bytes(folder: Path) -> bytes:
+    uv = np.zeros((8, 2), np.float32)
+    picture = np.zeros((4, 4, 3), np.uint8)
+    return write_glb(folder / "a.glb", [(BOX, BOX_FACES)], uv=uv, image=picture).read_bytes()
+
+
+def home_bytes(folder: Path) -> bytes:
+    furniture = [{"kind": "table", "at": [3.0, 2.0]}]
+    walls = {"outer": "wall_white"}
+    floor = {"size": [6.0, 5.0]}
+    home = {"format": "mjhab-home-1", "name": "mine", "floor": floor, "walls": walls}
+    return json.dumps(home | {"furniture": furniture}).encode()
+
+
+def spawn_bytes(folder: Path) -> bytes:
+    stream = io.BytesIO()
+    header = json.dumps({"format": "mjhab-spawns-1", "digest": "0" * 16})
+    np.savez(stream, header=header, qpos=np.zeros((3, 4)), home=np.array(["a", "b", "c"]))
+    return stream.getvalue()
+
+
+def checkpoint_bytes(folder: Path) -> bytes:
+    head = {"mjhab": json.dumps({"format": "mjhab-student-1", "student": {}, "layout": {}})}
+    save_file({"weight": np.zeros((2, 3), np.float32)}, folder / "a.safetensors", head)
+    return (folder / "a.safetensors").read_bytes()
+
+
+def shard_bytes(folder: Path) -> bytes:
+    return shard(folder / "made" / "a.h5").read_bytes()
+
+
+def read_shard(path: Path) -> None:
+    with open_shard(path) as opened:
+        for one in opened:
+            for name in one.paths:
+                one.array(name)
+
+
+def scene(path: Path) -> Any:
+    return open_replica_cad(path.parent.parent.parent, (), None, ())
+
+
+def scene_bytes(name: str) -> Callable[[Path], bytes]:
+    return lambda folder: (tiny_data_set(folder) / name).read_bytes()
+
+
+READERS: dict[str, tuple[str, Callable[[Path], bytes], Callable[[Path], Any]]] = {
+    "episodes": (
+        "e.json",
+        lambda folder: episode([["024_bowl.object_config.json", EYE]]),
+        read_hab,
+    ),
+    "GLB": ("b.glb", glb_bytes, read_glb),
+    "URDF": ("a.urdf", lambda folder: URDF.encode(), read_urdf),
+    "home": ("home.json", home_bytes, home_pack),
+    "scene": (SCENE_FILE, scene_bytes(SCENE_FILE), scene),
+    "object": (OBJECT_FILE, scene_bytes(OBJECT_FILE), scene),
+    "spawn set": ("s.npz", spawn_bytes, SpawnSet.read),
+    "checkpoint": ("c.safetensors", checkpoint_bytes, load_checkpoint),
+    "shard": ("b.h5", shard_bytes, read_shard),
+}
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_a_changed_file_is_read_or_refused(name: str, tmp_path: Path):
+    file, make_bytes, read = READERS[name]
+    raw = make_bytes(tmp_path)
+    path = tmp_path / file
+    rng = random.Random(name)
+    refused = 0
+    for _ in range(MUTATIONS):
+        path.write_bytes(changed(raw, rng))
+        try:
+            read(path)
+        except MjhabError as error:
+            refused += 1
+            assert str(error)
+    assert refused
+
+
+WORDS = ("success", "steps", "label", "not", "and", "or", "in", "(", ")", "[", "]", "<", "==", "'a'",
+         "9" * 5000, "-", "+", "1e999", ".", ",", "dropped", "events", "\0", "é", "*", ":=", "lambda")  # fmt: skip
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.lists(st.sampled_from(WORDS), max_size=30))
+def test_any_words_are_a_filter_or_refused(words: list[str]):
+    try:
+        Filter(" ".join(words))
+    except UsageError as error:
+        assert str(error).startswith(("filter, column", "the filter has"))
+
+
+# -- folders that cannot be written, disks that are full ---------------------------------------------------------------
+
+
+@pytest.fixture
+def own_cache(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A process that has not used its cache yet."""
+    monkeypatch.setattr(cache, "_USABLE", set())
+    monkeypatch.setenv(cache.CACHE_VARIABLE, "")
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+
+
+@pytest.mark.parametrize(
+    ("variable", "value"),
+    [("HOME", "{file}"), ("HOME", "/proc"), ("MJHAB_CACHE", "{file}"), ("MJHAB_CACHE", "/proc/x")],
+)
+def test_a_cache_that_cannot_be_written_is_replaced_with_one_warning(
+    variable: str,
+    value: str,
+    own_cache: None,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv(variable, value.replace("{file}", str(tmp_path / "file")))
+    folder = cache_dir()
+    assert cache_dir() == folder and folder.is_dir()
+    path = write_cached(folder / "models" / "a", lambda file: file.write_text("kept"))
+    assert path.read_text() == "kept"
+    assert capsys.readouterr().err.count("cannot be written") == 1
+
+
+def test_a_cache_that_fills_up_goes_on_elsewhere(
+    own_cache: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setenv("MJHAB_CACHE", str(tmp_path / "small"))
+    before = write_cached(cache_dir() / "models" / "a", lambda file: file.write_text("before"))
+
+    def full(file: Path) -> None:
+        if file.is_relative_to(tmp_path):
+            raise OSError(errno.ENOSPC, "No space left on device", str(file))
+        file.write_text("after")
+
+    after = write_cached(cache_dir() / "models" / "b", full)
+    assert not after.is_relative_to(tmp_path) and after.read_text() == "after"
+    # What lay in the first cache is still found.
+    assert (cache_dir() / "models" / "a").read_text() == "before" == before.read_text()
+
+
+@pytest.mark.parametrize("kind", ["full", "closed", "ascii"])
+def test_stdout_that_is_full_closed_or_ascii(kind: str):
+    command = [sys.executable, "-m", "mjhab.cli.main", "robots", "list"]
+    redirect = {"full": ">/dev/full", "closed": ">&-", "ascii": ">/dev/null"}[kind]
+    environment = {**os.environ, "LC_ALL": "POSIX", "PYTHONIOENCODING": "ascii"}
+    done = subprocess.run(
+        ["/bin/bash", "-c", f'"$@" {redirect}', "bash", *command],
+        env=environment,
+        capture_output=True,
+        text=True,
+    )
+    assert "Traceback" not in done.stderr and "Exception" not in done.stderr
+    assert done.returncode == (1 if kind == "full" else 0)
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "said"),
+    [
+        (
+            OSError(errno.ENOSPC, "No space left on device", "/a/b"),
+            1,
+            "/a/b cannot be used (No space",
+        ),
+        (
+            PermissionError(errno.EACCES, "Permission denied", "/a/b"),
+            2,
+            "/a/b cannot be used (Perm",
+        ),
+        (MemoryError(), 1, "not enough memory"),
+    ],
+)
+def test_what_the_system_refuses_is_told_in_one_line(
+    error: Exception,
+    code: int,
+    said: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+):
+    def fail(options: Any) -> int:
+        raise error
+
+    monkeypatch.setattr("mjhab.cli.worlds.robots.run_robots", fail)
+    assert main(["robots", "list"]) == code
+    message = capsys.readouterr().err
+    assert said in message and message.count("\n") == 1

@@ -1,0 +1,73 @@
+"""Policies by subtask: each world is acted in by the policy of its active subtask."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mjhab.core.errors import UsageError
+from mjhab.learning.by_subtask import Entry, PoliciesBySubtask, entries_text, read_entries
+
+PLAN = [
+    {"kind": "navigate", "target": "024_bowl_:0000"},
+    {"kind": "pick", "target": "024_bowl_:0000"},
+    {"kind": "pick", "target": "013_apple_:0000"},
+]
+
+
+class Constant:
+    """Acts by one number, and notes the worlds that it is told to forget and to know."""
+
+    name = "constant"
+
+    def __init__(self, value: float) -> None:
+        self.value = value
+        self.forgotten: list[list[bool]] = []
+        self.known: list[bool] = []
+
+    def reset(self, mask: np.ndarray) -> None:
+        self.forgotten.append(mask.tolist())
+
+    def act(self, obs: Any, info: Any) -> np.ndarray:
+        self.known = [episode is not None for episode in info["episode_spec"]]
+        return np.full((2, 3), self.value, np.float32)
+
+
+def test_each_world_has_the_policy_of_its_subtask() -> None:
+    entries = (Entry("pick", "013_apple", Path()), Entry("pick", "", Path()))
+    apple, others = Constant(1.0), Constant(2.0)
+    policy = PoliciesBySubtask(entries, [apple, others], worlds=2, width=3)
+    info: dict[str, Any] = {"episode_spec": [{"plan": PLAN}] * 2}
+    acted = [
+        policy.act({}, {**info, "pointer": np.array(pointer)})[:, 0].tolist()
+        for pointer in ([0, 1], [1, 1], [2, 1], [3, 2])
+    ]
+    assert acted == [[0.0, 2.0], [2.0, 2.0], [1.0, 2.0], [0.0, 1.0]]
+    assert others.forgotten == [[False, True], [True, False]]
+    assert apple.forgotten == [[True, False], [False, True]]
+    assert apple.known == [False, True]
+
+
+def test_files_of_policies_are_read_and_refused(tmp_path: Path) -> None:
+    path = tmp_path / "policies.json"
+    entries = (Entry("pick", "", tmp_path / "sub" / "a.safetensors"),)
+    path.write_text(entries_text(path, entries), encoding="utf-8")
+    assert read_entries(path) == entries
+    for wrong, said in (
+        ("[]", "must hold"),
+        ("{", "must hold"),
+        (json.dumps({"policies": [{"subtask": "pick"}]}), "must hold"),
+        (
+            json.dumps({"policies": [{"subtask": "pik", "target": "", "checkpoint": "a"}]}),
+            "Did you mean 'pick'",
+        ),
+    ):
+        path.write_text(wrong, encoding="utf-8")
+        with pytest.raises(UsageError, match=said):
+            read_entries(path)
+    with pytest.raises(UsageError, match="does not exist"):
+        read_entries(tmp_path / "other.json")

@@ -16,6 +16,7 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
+import re
 import subprocess
 import sys
 import tempfile
@@ -37,6 +38,7 @@ SUBTASKS: dict[str, tuple[str, ...]] = {
     "prepare_groceries": ("pick", "place", "navigate"),
 }
 ENV_STEPS = 200
+RUN_ID = re.compile(r"episodes/[0-9a-f]{8}-")
 RUNS = "runs/"
 """Group of a shard that tells which code made its episodes."""
 VOLATILE = (
@@ -78,7 +80,12 @@ def main() -> int:
 
 
 def report_differences(before: dict[str, str], after: dict[str, str]) -> int:
-    """Print the names whose fingerprints differ; 1 if there are any."""
+    """Print the names whose fingerprints differ; 1 if there are any.
+
+    Groups of episodes are named by a run id that depends on the code: it is left out of the names.
+    """
+    before = {RUN_ID.sub("episodes/", name): value for name, value in before.items()}
+    after = {RUN_ID.sub("episodes/", name): value for name, value in after.items()}
     names = sorted(before.keys() | after.keys())
     different = [name for name in names if before.get(name) != after.get(name)]
     for name in different:

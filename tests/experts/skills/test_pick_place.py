@@ -6,6 +6,7 @@ import importlib
 from collections.abc import Iterator
 from functools import lru_cache
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -310,5 +311,6 @@ def test_a_grasp_out_of_reach_from_where_the_base_stays_is_given_up(
     monkeypatch.setattr(pick_module, "_let_go", at_once)
     monkeypatch.setattr(pick_module, "style_of", lambda view: SimpleNamespace(grasp=ANY))
     monkeypatch.setattr(pick_module.motion, "hold", hold)
-    assert next(pick_module.pick_up(SimpleNamespace(steps_left=0), "024_bowl_:0000")).shape == (13,)  # type: ignore[arg-type]
+    view: Any = SimpleNamespace(steps_left=0)
+    assert next(pick_module.pick_up(view, "024_bowl_:0000")).shape == (13,)
     assert plans == [0, 0, 1]

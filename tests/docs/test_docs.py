@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import re
+import runpy
 import shutil
 import sys
 import tomllib
@@ -124,3 +125,11 @@ def check_command(command: Command, reason: str) -> None:
             parse(words[1:])
     elif command.program not in ("python",):
         assert reason, f"{' '.join(words)}: nothing runs it, and no comment says why"
+
+
+def test_tables_of_the_experts_are_those_of_their_results() -> None:
+    path = ROOT / "docs" / "scripts" / "experts_tables.py"
+    tables = runpy.run_path(str(path))
+    page = tables["PAGE"].read_text(encoding="utf-8")
+    assert "| set_table | open |" in page
+    assert tables["page_with_tables"](page) == page

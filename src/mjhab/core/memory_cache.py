@@ -67,7 +67,7 @@ class MemoryCache:
         return key in self._entries
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return MemoryCache, (self.kind, self.most)
+        return MemoryCache, (self.kind, self.most, self._size)
 
     def get(self, key: Hashable, make: Callable[[], _Value]) -> _Value:
         """The value under ``key``; ``make`` gives it if it is not there. Two threads may make it at the same time."""

@@ -45,6 +45,10 @@ ENOUGH_GRASPS = 16
 """The box has turned far enough once it has so many grasps with a clearance that may be smaller by TIGHTER_M."""
 TIGHTER_M = -0.008
 """See `ENOUGH_GRASPS`."""
+LEAST_TURN_SHARE = 0.6
+"""Share of the planned turn before which a push does not end for `ENOUGH_GRASPS`."""
+TURNED_SHARE = 0.4
+"""Share of the planned turn beyond which the box counts as turned."""
 MIN_UPRIGHT_COSINE = 0.97
 """Least cosine between an axis of the box and the vertical."""
 DEPTHS_M = (0.42, 0.3, 0.15)
@@ -323,9 +327,9 @@ def _push(
         turn = _turn(start[:, along], mat_from_quat(pose[3:])[:, along])
         if view.link_forces.sum() > MAX_PUSH_FORCE_N:
             break
-        if turn >= 0.6 * plan.turn and graspable(pose, TIGHTER_M) >= ENOUGH_GRASPS:
+        if turn >= LEAST_TURN_SHARE * plan.turn and graspable(pose, TIGHTER_M) >= ENOUGH_GRASPS:
             break
-    return bool(turn > 0.4 * plan.turn)
+    return bool(turn > TURNED_SHARE * plan.turn)
 
 
 def _turn(before: Array, after: Array) -> float:

@@ -25,6 +25,9 @@ from mjhab.sim.mujoco.settle import parked_robot_qpos
 from mjhab.sim.protocol import SimState
 
 VIEWS = ("top", "inside")
+ROBOT_LEVEL_ERROR = 0.4
+"""Error of coarser meshes [px] in pictures of the robot's cameras. In `mjhab/PickSubtaskTrain-v1` it puts 0.13 % of the
+pixels of 128 x 128 and 0.53 % of those of 32 x 32 off by more than 1 cm; the mean is 0.6 mm and 1.4 mm."""
 FLOOR_HALF_THICKNESS = 0.02
 FOLLOW_EYES = (
     (-0.7, 1.6, 2.3),
@@ -182,7 +185,7 @@ class HomeRenderer:
             index[rows],
             state.body_pos[rows],
             state.body_mat[rows],
-            Cameras(pos[rows], mat[rows], fovy, width, height),
+            Cameras(pos[rows], mat[rows], fovy, width, height, ROBOT_LEVEL_ERROR),
             outputs,
         )
         if sane.all():

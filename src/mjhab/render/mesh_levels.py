@@ -8,23 +8,30 @@ from __future__ import annotations
 
 import hashlib
 import zipfile
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from mjhab.core.files.cache import cache_dir, write_cached
 from mjhab.core.files.code_digest import code_digest
+from mjhab.scenes.shapes.collapse import collapse, distance_to_faces
 from mjhab.scenes.shapes.meshes import Mesh
-from mjhab.scenes.shapes.simplify import simplify
+from mjhab.scenes.shapes.simplify import Simplified, simplify
 
 CREASE = np.cos(np.radians(40.0))
 """Faces that meet at less than 40 deg are shaded as one curved surface."""
-MIN_FACES = 600
+MIN_FACES = 64
 """Meshes with fewer faces have one level only."""
-_STEP = 3.5
-_FEWEST = 80
+_STEP = 2.0
+_FEWEST = 16
 """Every level has so many times fewer faces than the one before, down to about so many."""
+MOST_KEPT = 0.7
+"""A level with more than this share of the faces of the one before is left out."""
+MOST_COLLAPSED = 20_000
+"""Meshes with more faces are first simplified roughly to so many."""
 Array = np.ndarray
 
 
@@ -64,7 +71,9 @@ def mesh_levels(mesh: Mesh) -> list[Level]:
 
 
 def _digest(mesh: Mesh) -> str:
-    digest = hashlib.sha256(code_digest("render.mesh_levels", "scenes.shapes.simplify"))
+    digest = hashlib.sha256(
+        code_digest("render.mesh_levels", "scenes.shapes.collapse", "scenes.shapes.simplify")
+    )
     for part in (mesh.vertices, mesh.faces, mesh.uv):
         digest.update(b"" if part is None else part.tobytes())
     return digest.hexdigest()[:24]
@@ -87,29 +96,54 @@ def _make(mesh: Mesh) -> list[Level]:
     uv = np.zeros((len(faces), 3, 2)) if mesh.uv is None else np.asarray(mesh.uv, np.float64)
     normals = corner_normals(vertices, faces).astype(np.float64)
     levels = [_level(vertices, faces, np.arange(len(faces)), normals, uv, 0.0)]
-    target = len(faces)
-    while target >= MIN_FACES:
-        target = max(int(target / _STEP), _FEWEST)
-        few = simplify(vertices, faces, target)
-        if not 0 < len(few.faces) < 0.7 * len(levels[-1].faces):
-            break
+    for few, error in _coarser(vertices, faces):
         old = vertices[faces[few.source]]
-        new = few.vertices[few.faces]
-        error = float(np.quantile(_off(old, new), 0.98))
-        moved = uv[few.source] + _slip(old, new, uv[few.source])
+        moved = uv[few.source] + _slip(old, few.vertices[few.faces], uv[few.source])
         levels.append(
             _level(few.vertices, few.faces, few.source, normals[few.source], moved, error)
         )
     return levels
 
 
-def _off(old: Array, new: Array) -> Array:
-    """Error (f, 3) [m] of corners that move: the way out of their face counts in full, that along it (which shows only
-    at edges) by a quarter."""
-    normal = np.cross(old[:, 1] - old[:, 0], old[:, 2] - old[:, 0])
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
-    way = new - old
-    return np.abs(np.einsum("fkc,fc->fk", way, normal)) + 0.25 * np.linalg.norm(way, axis=2)
+def _coarser(vertices: Array, faces: Array) -> Iterator[tuple[Simplified, float]]:
+    """Ever coarser meshes, and how far vertices of the finest one are off from them."""
+    steps = int(np.log(max(len(faces), 1) / _FEWEST) / np.log(_STEP))
+    targets = [int(len(faces) / _STEP**k) for k in range(1, steps + 1)]
+    start = simplify(vertices, faces, MOST_COLLAPSED)
+    # Vertices that ``simplify`` merged are as far off as their faces' corners moved.
+    off = 0.0
+    if len(start.faces) < len(faces):
+        way = start.vertices[start.faces] - vertices[faces[start.source]]
+        off = float(np.linalg.norm(way, axis=2).max())
+    before = len(faces)
+    error = off
+    for few, merged in collapse(start.vertices, start.faces, targets):
+        if len(few.faces) > MOST_KEPT * before:
+            continue
+        before = len(few.faces)
+        error = max(error, off + _error(start.vertices, few, merged))
+        yield Simplified(few.vertices, few.faces, start.source[few.source]), error
+
+
+def _error(vertices: Array, few: Simplified, merged: Array) -> float:
+    """Largest distance [m] of vertices (V, 3) to the faces at the vertices (V,) they were merged into.
+
+    Of pieces that have vanished (-1): to the nearest vertex that is left.
+    """
+    order = np.argsort(few.faces.ravel(), kind="stable")
+    count = np.bincount(few.faces.ravel(), minlength=len(few.vertices))
+    first = np.cumsum(count) - count
+    known = np.flatnonzero(merged >= 0)
+    nearest = np.full(len(known), np.inf)
+    for k in range(int(count.max())):
+        has = count[merged[known]] > k
+        face = order[first[merged[known[has]]] + k] // 3
+        off = distance_to_faces(vertices[known[has]], few.vertices[few.faces[face]])
+        nearest[has] = np.minimum(nearest[has], off)
+    gone = vertices[merged < 0]
+    if len(gone):
+        nearest = np.append(nearest, cKDTree(few.vertices).query(gone)[0])
+    return float(nearest.max())
 
 
 def _slip(old: Array, new: Array, uv: Array) -> Array:

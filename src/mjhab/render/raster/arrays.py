@@ -47,7 +47,7 @@ class Placing(NamedTuple):
     """Where the instances stand (arrays of RenderScene), and which are there in a home.
 
     ``present`` (P,) i32: instances of home h at ``start[h] : start[h + 1]``, from ``moving[h]`` on those that hang on
-    bodies; ``ball`` (4, P) f32: centre [m] in the world and radius [m] of what stands in the world.
+    bodies; ``ball`` (4, P) f32: centre [m] in the frame of the body (the world) and radius [m].
     """
 
     mesh: np.ndarray
@@ -63,20 +63,29 @@ class Placing(NamedTuple):
     ball: np.ndarray
 
 
+class Bodies(NamedTuple):
+    """Poses of the bodies of a world: pos (B, 3) [m], mat (B, 3, 3) f64."""
+
+    pos: np.ndarray
+    mat: np.ndarray
+
+
 class Lens(NamedTuple):
-    """A camera: pos (3,), mat (3, 3) f64 in MuJoCo convention; focal [px]; near [m]."""
+    """A camera: pos (3,), mat (3, 3) f64 in MuJoCo convention; focal [px]; near [m]; level_error [px]: a coarser
+    level of a mesh is drawn where none of its points is off by more than this."""
 
     pos: np.ndarray
     mat: np.ndarray
     focal: float
     near: float
+    level_error: float
 
 
 class Scratch(NamedTuple):
     """One thread's room, made by ``make_scratch``. I instances.
 
-    rot (I, 3, 3), pos (I, 3), scale (I, 3) f64: world poses, of bodies' instances by ``place_instances``, of others
-    when they come in sight; ball (4, I) f32, inside (I,) bool: of the instances present;
+    rot (I, 3, 3), pos (I, 3), scale (I, 3) f64: world poses of instances in sight;
+    ball (4, I) f32, inside (I,) bool: of the instances present, see ``place_balls``;
     in_sight (I,) i32, to_view (I, 3, 4), corners (I, 3, 8), nearest (I,) f64, rect (I, 4) i64: instances in sight, see
     ``sight``; order (I,) i64: their places from near to far, buckets (`ORDER_BUCKETS` + 1,) i64;
     drawn (I,) i32: mesh drawn for each instance of the current image;

@@ -6,19 +6,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mjhab.render.raster.arrays import Lens, Scratch
+from mjhab.render.raster.arrays import Bodies, Lens, Scratch
 from mjhab.render.raster.jit import kernel
 from mjhab.render.raster.kernels import draw, read_depth, read_segments
 from mjhab.render.raster.occlusion import ambient_occlusion
 from mjhab.render.raster.shading import Openness, ShadeScratch, shade
-from mjhab.render.raster.sight import place_instances
+from mjhab.render.raster.sight import place_balls
 
 
 class Views(NamedTuple):
     """Cameras and bodies of W worlds, and the images to fill (of no cameras: not wanted).
 
     home (W,) i64; body_pos (W, B, 3), body_mat (W, B, 3, 3), cam_pos (W, C, 3), cam_mat (W, C, 3, 3) f64;
-    focal (C,) f64 [px]; rgb (W, C, h, w, 3) u8; depth (W, C, h, w) f32; seg (W, C, h, w) i32.
+    focal (C,) f64, level_error [px], see `Lens`; rgb (W, C, h, w, 3) u8; depth (W, C, h, w) f32; seg (W, C, h, w) i32.
     """
 
     home: np.ndarray
@@ -27,6 +27,7 @@ class Views(NamedTuple):
     cam_pos: np.ndarray
     cam_mat: np.ndarray
     focal: np.ndarray
+    level_error: float
     rgb: np.ndarray
     depth: np.ndarray
     seg: np.ndarray
@@ -57,20 +58,20 @@ def draw_worlds(scenery, views, first, last, near, cull, cell, stride, room):
     height, width = inverse.shape
     for world in range(first, last):
         home = views.home[world]
-        place_instances(
-            scenery.geometry, placing, home, views.body_pos[world], views.body_mat[world], poses
-        )
+        bodies = Bodies(views.body_pos[world], views.body_mat[world])
+        place_balls(placing, home, bodies, poses)
         for camera in range(views.cam_pos.shape[1]):
             lens = Lens(
                 views.cam_pos[world, camera],
                 views.cam_mat[world, camera],
                 views.focal[camera],
                 near,
+                views.level_error,
             )
             for y in range(height):
                 for x in range(width):
                     inverse[y, x] = 0.0
-            draw(scenery.geometry, placing, home, 0, lens, cull, inverse, ids, poses)
+            draw(scenery.geometry, placing, home, 0, bodies, lens, cull, inverse, ids, poses)
             if views.depth.shape[1] > 0:
                 read_depth(inverse, views.depth[world, camera])
             if views.seg.shape[1] > 0:

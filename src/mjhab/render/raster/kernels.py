@@ -12,14 +12,14 @@ from mjhab.render.raster.sight import find_in_sight, hidden, sort_by_depth
 
 
 @kernel
-def draw(geometry, placing, home, which, lens, cull, inverse, ids, scratch):
-    """Draw the placed instances of a home into ``inverse`` (h, w) f32 and ``ids`` (h, w) i32.
+def draw(geometry, placing, home, which, bodies, lens, cull, inverse, ids, scratch):
+    """Draw the instances of a home, after ``place_balls``, into ``inverse`` (h, w) f32 and ``ids`` (h, w) i32.
 
     The buffers are added to, not cleared. ``which`` 0: all; 1: those that stand in the world; 2: those on bodies.
     ``cull``: drop faces seen from behind.
     """
     height, width = inverse.shape
-    count = find_in_sight(geometry, placing, home, which, lens, width, height, scratch)
+    count = find_in_sight(geometry, placing, home, which, bodies, lens, width, height, scratch)
     sort_by_depth(count, scratch)
     for n in range(count):
         k = scratch.order[n]

@@ -8,8 +8,6 @@ from mjhab.render.raster.arrays import FACE_BITS
 from mjhab.render.raster.fill import fill, fill_clipped
 from mjhab.render.raster.jit import inline, kernel
 
-LEVEL_ERROR = 0.4
-"""A coarser mesh is drawn where none of its points is off by more than this [px]."""
 PLANE_SLACK = 1e-5
 """Planes of faces are in float32: the camera counts as in front of one down to so much below it, as a share of its
 distance."""
@@ -42,15 +40,14 @@ def _distance(geometry, mesh, scratch, i, lens):
 
 @kernel
 def fitting_level(geometry, mesh, scratch, i, lens, nearest):
-    """The coarsest level of a mesh that looks right; ``nearest``: its smallest depth [m]."""
+    """The coarsest level of a mesh whose error is within the camera's; ``nearest``: its smallest depth [m]."""
     scale = scratch.scale
     if geometry.mesh_coarser[mesh] < 0:
         return mesh
     grow = max(abs(scale[i, 0]), abs(scale[i, 1]), abs(scale[i, 2]))
     # A box that reaches behind the camera can still be all at its side.
-    limit = (
-        LEVEL_ERROR / lens.focal * max(nearest, 0.5 * _distance(geometry, mesh, scratch, i, lens))
-    )
+    depth = max(nearest, 0.5 * _distance(geometry, mesh, scratch, i, lens))
+    limit = lens.level_error / lens.focal * depth
     while True:
         coarser = geometry.mesh_coarser[mesh]
         if coarser < 0 or geometry.mesh_error[coarser] * grow > limit:

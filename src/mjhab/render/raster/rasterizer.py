@@ -8,25 +8,27 @@ from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.render.raster.arrays import Lens, make_scratch
+from mjhab.render.raster.arrays import Bodies, Lens, make_scratch
 from mjhab.render.raster.batch import Room, Views, draw_worlds
 from mjhab.render.raster.kernels import draw, read_depth, read_segments
 from mjhab.render.raster.lighting import SHADOW_SLOPE
 from mjhab.render.raster.occlusion import ambient_occlusion
 from mjhab.render.raster.scenery import make_scenery
 from mjhab.render.raster.shading import Openness, make_shade_scratch, shade
-from mjhab.render.raster.sight import place_instances
+from mjhab.render.raster.sight import place_balls
 from mjhab.render.render_scene import RenderScene
 
 OUTPUTS = ("rgb", "depth", "seg")
 NEAR = 0.01
 """Near plane [m], as the cameras of MS-HAB have it."""
+LEVEL_ERROR = 0.06
+"""Error of coarser meshes [px] that nobody sees, not in smooth pictures either."""
 SHADOW_SIZE = 512
 SHADOW_MAPS_KEPT = 64
 """Shadow maps of still furniture kept in memory (1 MiB each)."""
@@ -67,6 +69,7 @@ class Cameras:
         pos, mat: (W, C, 3) [m] and (W, C, 3, 3) (or (W, C, 9)) in the world.
         fovy: vertical field of view [rad], one number or one per camera.
         width, height: image size [px].
+        level_error: coarser meshes are drawn where none of their points is off by more than this [px].
     """
 
     pos: np.ndarray
@@ -74,6 +77,15 @@ class Cameras:
     fovy: ArrayLike
     width: int
     height: int
+    level_error: float = LEVEL_ERROR
+
+
+class _Shot(NamedTuple):
+    """What one picture shows: home and bodies of a world, and a camera."""
+
+    home: int
+    bodies: Bodies
+    lens: Lens
 
 
 class Rasterizer:
@@ -143,8 +155,18 @@ class Rasterizer:
         body_mat = _array(body_mat, (len(home), body_pos.shape[1], 3, 3), "body_mat")
         self._check(home, body_pos.shape[1], width, height)
         fovy = np.broadcast_to(np.asarray(cameras.fovy, np.float64), (cam_pos.shape[1],))
+        focal = 0.5 * height / np.tan(0.5 * fovy)
         samples = ssaa or (2 if quality == "nice" else 1)
-        views = _views(home, (body_pos, body_mat, cam_pos, cam_mat), fovy, (height, width), outputs)
+        views = Views(
+            home,
+            body_pos,
+            body_mat,
+            cam_pos,
+            cam_mat,
+            focal,
+            float(cameras.level_error),
+            **_images((len(home), cam_pos.shape[1], height, width), outputs),
+        )
         if quality == "nice" or samples > 1:
             jobs = [(w, c) for w in range(len(home)) for c in range(cam_pos.shape[1])]
             self._each(
@@ -197,35 +219,30 @@ class Rasterizer:
         self, views: Views, w: int, c: int, height: int, width: int, nice: bool, samples: int
     ) -> None:
         """Draw one camera of one world with shadows (``nice``), its colours from samples x samples per pixel."""
-        s = self._scenery
-        home = int(views.home[w])
-        lens = Lens(views.cam_pos[w, c], views.cam_mat[w, c], float(views.focal[c]), NEAR)
+        bodies = Bodies(views.body_pos[w], views.body_mat[w])
+        lens = Lens(
+            views.cam_pos[w, c],
+            views.cam_mat[w, c],
+            float(views.focal[c]),
+            NEAR,
+            views.level_error,
+        )
+        shot = _Shot(int(views.home[w]), bodies, lens)
         fine = views.rgb.shape[1] > 0 and samples > 1
-        room = (
-            self._room(height * samples, width * samples, 2 * samples)
-            if fine
-            else self._room(height, width, 2)
-        )
-        place_instances(
-            s.geometry, s.placing, home, views.body_pos[w], views.body_mat[w], room.draw
-        )
         if fine:
-            lens = lens._replace(focal=lens.focal * samples)
-            self._trace(home, lens, room)
-            self._shade(home, lens, room, views.rgb[w, c], nice, samples)
-            lens = lens._replace(focal=lens.focal / samples)
-            room = self._room(height, width, 2)
-            place_instances(
-                s.geometry, s.placing, home, views.body_pos[w], views.body_mat[w], room.draw
-            )
+            room = self._room(height * samples, width * samples, 2 * samples)
+            large = shot._replace(lens=lens._replace(focal=lens.focal * samples))
+            self._trace(large, room)
+            self._shade(large, room, views.rgb[w, c], nice, samples)
+        room = self._room(height, width, 2)
         if views.depth.shape[1] or views.seg.shape[1] or not fine:
-            self._trace(home, lens, room)
+            self._trace(shot, room)
         if views.depth.shape[1]:
             read_depth(room.inverse, views.depth[w, c])
         if views.seg.shape[1]:
-            read_segments(room.inverse, room.ids, s.seg, views.seg[w, c])
+            read_segments(room.inverse, room.ids, self._scenery.seg, views.seg[w, c])
         if views.rgb.shape[1] and not fine:
-            self._shade(home, lens, room, views.rgb[w, c], nice, samples)
+            self._shade(shot, room, views.rgb[w, c], nice, samples)
 
     def _room(self, height: int, width: int, cell: int) -> Room:
         """This thread's buffers for pictures of a size."""
@@ -245,26 +262,33 @@ class Rasterizer:
                 rooms.popitem(last=False)
         return rooms[key]
 
-    def _trace(self, home: int, lens: Lens, room: Room) -> None:
+    def _trace(self, shot: _Shot, room: Room) -> None:
         """Inverse depth and ids of everything into the buffers."""
         room.inverse[:] = 0.0
+        place_balls(self._scenery.placing, shot.home, shot.bodies, room.draw)
+        self._draw_instances(shot, ALL, room.inverse, room.ids, room)
+
+    def _draw_instances(
+        self, shot: _Shot, which: int, inverse: np.ndarray, ids: np.ndarray, room: Room
+    ) -> None:
         s = self._scenery
+        cull = self.cull_backfaces and which == ALL
         draw(
             s.geometry,
             s.placing,
-            home,
-            ALL,
-            lens,
-            self.cull_backfaces,
-            room.inverse,
-            room.ids,
+            shot.home,
+            which,
+            shot.bodies,
+            shot.lens,
+            cull,
+            inverse,
+            ids,
             room.draw,
         )
 
-    def _shade(
-        self, home: int, lens: Lens, room: Room, rgb: np.ndarray, nice: bool, samples: int
-    ) -> None:
+    def _shade(self, shot: _Shot, room: Room, rgb: np.ndarray, nice: bool, samples: int) -> None:
         s = self._scenery
+        lens = shot.lens
         cell = 2 * samples
         lamps = s.lamps
         stride = FAST_STRIDE * samples
@@ -272,14 +296,14 @@ class Rasterizer:
         ambient_occlusion(room.inverse, cell, lens.focal, room.raw, room.share, room.depths)
         if nice:
             drawn = room.draw.drawn.copy()
-            lamps = lamps._replace(shadow=self._lamp_maps(home, room))
+            lamps = lamps._replace(shadow=self._lamp_maps(shot, room))
             stride = 1
             room.draw.drawn[:] = drawn
         shade(
             s.surface,
             room.draw,
             lamps,
-            home,
+            shot.home,
             lens,
             room.inverse,
             room.ids,
@@ -290,28 +314,29 @@ class Rasterizer:
             rgb,
         )
 
-    def _lamp_maps(self, home: int, room: Room) -> np.ndarray:
+    def _lamp_maps(self, shot: _Shot, room: Room) -> np.ndarray:
         """Inverse depths (L, S, S) below every lamp: still furniture from the cache, moving bodies on top."""
         scene = self.scene
-        s = self._scenery
+        home = shot.home
         maps = np.zeros((scene.light_pos.shape[1], SHADOW_SIZE, SHADOW_SIZE), np.float32)
         ids = np.empty((SHADOW_SIZE, SHADOW_SIZE), np.int32)
         focal = 0.5 * SHADOW_SIZE * SHADOW_SLOPE / np.sqrt(1.0 - SHADOW_SLOPE**2)
         for k, color in enumerate(scene.light_color[home]):
             if not color.any():
                 continue
-            lens = Lens(scene.light_pos[home, k], np.eye(3), float(focal), 0.05)
+            lens = Lens(scene.light_pos[home, k], np.eye(3), float(focal), 0.05, LEVEL_ERROR)
+            below = shot._replace(lens=lens)
             with self._lock:
                 still = self._shadows.get((home, k))
             if still is None:
                 still = np.zeros((SHADOW_SIZE, SHADOW_SIZE), np.float32)
-                draw(s.geometry, s.placing, home, STILL, lens, False, still, ids, room.draw)
+                self._draw_instances(below, STILL, still, ids, room)
                 with self._lock:
                     self._shadows[(home, k)] = still
                     while len(self._shadows) > SHADOW_MAPS_KEPT:
                         self._shadows.popitem(last=False)
             maps[k] = still
-            draw(s.geometry, s.placing, home, MOVING, lens, False, maps[k], ids, room.draw)
+            self._draw_instances(below, MOVING, maps[k], ids, room)
         return maps
 
 
@@ -335,22 +360,11 @@ def _array(value: np.ndarray, shape: tuple[int, ...], name: str) -> np.ndarray:
     return np.ascontiguousarray(array)
 
 
-def _views(
-    home: np.ndarray,
-    given: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
-    fovy: np.ndarray,
-    size: tuple[int, int],
-    outputs: Sequence[str],
-) -> Views:
-    """Inputs of the kernels, with empty images for what is wanted."""
-    height, width = size
-    cameras = given[2].shape[1]
+def _images(shape: tuple[int, int, int, int], outputs: Sequence[str]) -> dict[str, np.ndarray]:
+    """Empty images of worlds and cameras; of no cameras where they are not wanted."""
+    worlds, cameras, height, width = shape
     kinds = {"rgb": (np.uint8, (3,)), "depth": (np.float32, ()), "seg": (np.int32, ())}
-    images = {
-        name: np.empty((len(home), cameras if name in outputs else 0, height, width, *tail), kind)
+    return {
+        name: np.empty((worlds, cameras if name in outputs else 0, height, width, *tail), kind)
         for name, (kind, tail) in kinds.items()
     }
-    body_pos, body_mat, cam_pos, cam_mat = given
-    return Views(
-        home, body_pos, body_mat, cam_pos, cam_mat, 0.5 * height / np.tan(0.5 * fovy), **images
-    )

@@ -66,9 +66,10 @@ def _placing(scene: RenderScene, geometry: Geometry) -> Placing:
     home = np.repeat(np.arange(len(there)), np.diff(ends[::2]))
     ball = geometry.mesh_ball[scene.instance_mesh[present]]
     scale = scene.home_scale[home, present]
-    center = scene.home_pos[home, present] + np.einsum(
-        "prc,pc->pr", scene.home_mat[home, present], scale * ball[:, :3]
-    )
+    world = scene.instance_body[present, None] == 0
+    pos = np.where(world, scene.home_pos[home, present], scene.instance_pos[present])
+    mat = np.where(world[..., None], scene.home_mat[home, present], scene.instance_mat[present])
+    center = pos + np.einsum("prc,pc->pr", mat, scale * ball[:, :3])
     radius = ball[:, 3] * np.abs(scale).max(axis=1)
     return Placing(
         scene.instance_mesh,

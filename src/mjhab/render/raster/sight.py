@@ -21,38 +21,54 @@ SIGNS = np.array([[-1.0 if k >> axis & 1 == 0 else 1.0 for k in range(8)] for ax
 
 
 @kernel
-def place_instances(geometry, placing, home, body_pos, body_mat, scratch):
-    """World poses of the instances on bodies, and balls around all instances in a home, into the scratch."""
-    pos = scratch.pos
-    rot = scratch.rot
-    scale = scratch.scale
+def place_balls(placing, home, bodies, scratch):
+    """Balls around all instances in a home, in the world, into the scratch."""
     ball = scratch.ball
     start = placing.start[home]
     for r in range(4):
         for k in range(start, placing.moving[home]):
             ball[r, k - start] = placing.ball[r, k]
     for k in range(placing.moving[home], placing.start[home + 1]):
-        i = placing.present[k]
-        b = placing.body[i]
+        b = placing.body[placing.present[k]]
+        x = placing.ball[0, k]
+        y = placing.ball[1, k]
+        z = placing.ball[2, k]
+        mat = bodies.mat
+        n = k - start
         for r in range(3):
-            scale[i, r] = placing.home_scale[home, i, r]
-            pos[i, r] = body_pos[b, r]
+            ball[r, n] = bodies.pos[b, r] + mat[b, r, 0] * x + mat[b, r, 1] * y + mat[b, r, 2] * z
+        ball[3, n] = placing.ball[3, k] if ball[2, n] >= PARKED_BELOW else -np.inf
+
+
+@inline
+def _place(placing, home, i, bodies, scratch):
+    """World pose of an instance into the scratch: from the home, or from its body's pose."""
+    pos = scratch.pos
+    rot = scratch.rot
+    b = placing.body[i]
+    for r in range(3):
+        scratch.scale[i, r] = placing.home_scale[home, i, r]
+    if b == 0:
+        for r in range(3):
+            pos[i, r] = placing.home_pos[home, i, r]
             for c in range(3):
-                pos[i, r] += body_mat[b, r, c] * placing.pos[i, c]
-                rot[i, r, c] = (
-                    body_mat[b, r, 0] * placing.mat[i, 0, c]
-                    + body_mat[b, r, 1] * placing.mat[i, 1, c]
-                    + body_mat[b, r, 2] * placing.mat[i, 2, c]
-                )
-        own = geometry.mesh_ball
-        mesh = placing.mesh[i]
-        x = own[mesh, 0] * scale[i, 0]
-        y = own[mesh, 1] * scale[i, 1]
-        z = own[mesh, 2] * scale[i, 2]
-        for r in range(3):
-            ball[r, k - start] = pos[i, r] + rot[i, r, 0] * x + rot[i, r, 1] * y + rot[i, r, 2] * z
-        grow = max(abs(scale[i, 0]), abs(scale[i, 1]), abs(scale[i, 2]))
-        ball[3, k - start] = own[mesh, 3] * grow if pos[i, 2] >= PARKED_BELOW else -np.inf
+                rot[i, r, c] = placing.home_mat[home, i, r, c]
+        return
+    mat = bodies.mat
+    for r in range(3):
+        m0 = mat[b, r, 0]
+        m1 = mat[b, r, 1]
+        m2 = mat[b, r, 2]
+        pos[i, r] = (
+            bodies.pos[b, r]
+            + m0 * placing.pos[i, 0]
+            + m1 * placing.pos[i, 1]
+            + m2 * placing.pos[i, 2]
+        )
+        for c in range(3):
+            rot[i, r, c] = (
+                m0 * placing.mat[i, 0, c] + m1 * placing.mat[i, 1, c] + m2 * placing.mat[i, 2, c]
+            )
 
 
 @inline
@@ -193,7 +209,7 @@ def _box_in_sight(geometry, mesh, k, lens, width, height, scratch):
 
 
 @kernel
-def find_in_sight(geometry, placing, home, which, lens, width, height, scratch):
+def find_in_sight(geometry, placing, home, which, bodies, lens, width, height, scratch):
     """Fill the scratch with the instances of a home that a camera may see; returns how many.
 
     ``which`` 0: all; 1: those that stand in the world; 2: those on bodies.
@@ -201,7 +217,6 @@ def find_in_sight(geometry, placing, home, which, lens, width, height, scratch):
     start = placing.start[home]
     first = placing.moving[home] - start if which == 2 else 0
     last = (placing.moving[home] if which == 1 else placing.start[home + 1]) - start
-    still = placing.moving[home] - start
     _balls_inside(scratch, first, last, lens, width, height)
     found = 0
     chosen = scratch.in_sight
@@ -210,14 +225,8 @@ def find_in_sight(geometry, placing, home, which, lens, width, height, scratch):
         found += scratch.inside[k]
     count = 0
     for n in range(found):
-        k = chosen[n]
-        i = placing.present[start + k]
-        if k < still:
-            for r in range(3):
-                scratch.pos[i, r] = placing.home_pos[home, i, r]
-                scratch.scale[i, r] = placing.home_scale[home, i, r]
-                for c in range(3):
-                    scratch.rot[i, r, c] = placing.home_mat[home, i, r, c]
+        i = placing.present[start + chosen[n]]
+        _place(placing, home, i, bodies, scratch)
         _to_view(scratch, i, count, lens)
         chosen[count] = i
         count += _box_in_sight(geometry, placing.mesh[i], count, lens, width, height, scratch)

@@ -1,0 +1,215 @@
+"""Fewer triangles for the same shape, level after level: edges are collapsed where the surface bends least.
+
+The error quadrics of Garland and Heckbert, Surface Simplification Using Quadric Error Metrics, 1997; in every round
+all edges collapse that are cheaper than any near them, so that a round is a few array operations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from mjhab.scenes.shapes.simplify import Simplified
+
+Array = np.ndarray
+MAX_ROUNDS = 400
+ROUND_SHARE = 0.25
+"""Edges that may collapse in a round: the cheapest of them, as a share of all."""
+BORDER_WEIGHT = 10.0
+"""Weight of planes that stand upright on edges with one face only, against those of faces of the same size."""
+STIFFNESS = 1e-4
+"""Pull of a merged vertex toward the middle of its edge, where the planes around it leave it free."""
+MAX_TRIES = 20
+"""Times that a round looks for other edges when all it chose would turn faces over."""
+MIN_TURN_COS = 0.3
+"""An edge that turns a face by more than the angle of this cosine does not collapse."""
+SLIVER_SHARE = 1e-3
+"""Faces of less area than this share of their longest side squared may turn: they have no direction to speak of."""
+
+
+def collapse(
+    vertices: Array, faces: Array, targets: Sequence[int]
+) -> list[tuple[Simplified, Array]]:
+    """Collapse edges of a triangle mesh until few enough faces are left.
+
+    Args:
+        vertices: (V, 3), no two alike. faces: (F, 3) indices.
+        targets: upper bounds of the numbers of faces, falling.
+
+    Returns:
+        For every target that can be reached: the mesh, and for each of V the vertex (V,) it has been merged into.
+        ``source`` names the faces of the mesh that are left, corner by corner.
+    """
+    mesh = _Mesh(np.asarray(vertices, np.float64), np.asarray(faces, np.int64))
+    levels = []
+    for target in targets:
+        for _ in range(MAX_ROUNDS):
+            if len(mesh.faces) <= target or not mesh.shrink(len(mesh.faces) - target):
+                break
+        if len(mesh.faces) > target:
+            break
+        levels.append(mesh.compact())
+    return levels
+
+
+class _Mesh:
+    """A mesh that shrinks: places of vertices, the faces that are left and which they were, quadrics (V, 4, 4)."""
+
+    def __init__(self, vertices: Array, faces: Array) -> None:
+        self.place = vertices.copy()
+        self.merged = np.arange(len(vertices))
+        whole = (faces != np.roll(faces, 1, 1)).all(axis=1)
+        self.faces = faces[whole]
+        self.source = np.flatnonzero(whole)
+        self.quadric = _quadrics(vertices, self.faces)
+
+    def shrink(self, most: int) -> bool:
+        """Collapse edges that do not touch each other's faces, to lose about ``most`` faces; whether any did."""
+        ends = np.unique(_edges(self.faces), axis=0)
+        place, cost = self._merge(ends)
+        for _ in range(MAX_TRIES):
+            # Ties by number: results are the same on every machine.
+            rank = np.empty(len(ends), np.int64)
+            rank[np.argsort(cost, kind="stable")] = np.arange(len(ends))
+            free = (rank <= self._cheapest_near(ends, rank)) & np.isfinite(cost)
+            chosen = np.flatnonzero(free)
+            if not len(chosen):
+                return False
+            chosen = chosen[np.argsort(rank[chosen])]
+            within = max(ROUND_SHARE * len(ends), rank[chosen[0]])
+            chosen = chosen[rank[chosen] <= within][: (most + 1) // 2]
+            bad = self._turns(ends[chosen], place[chosen])
+            cost[chosen[bad]] = np.inf
+            if not bad.all():
+                break
+        kept = chosen[~bad]
+        if not len(kept):
+            return False
+        self._apply(ends[kept], place[kept])
+        return True
+
+    def _merge(self, ends: Array) -> tuple[Array, Array]:
+        """Best place (e, 3) of the vertex that an edge becomes, and its cost (e,)."""
+        quadric = self.quadric[ends].sum(axis=1)
+        middle = self.place[ends].mean(axis=1)
+        weight = np.trace(quadric[:, :3, :3], axis1=1, axis2=2)
+        stiff = STIFFNESS * np.maximum(weight, 1e-30)
+        matrix = quadric[:, :3, :3] + stiff[:, None, None] * np.eye(3)
+        right = -quadric[:, :3, 3] + stiff[:, None] * middle
+        place = np.linalg.solve(matrix, right[..., None])[..., 0]
+        # Planes that are nearly parallel meet far away.
+        way = place - middle
+        length = np.linalg.norm(self.place[ends[:, 0]] - self.place[ends[:, 1]], axis=1)
+        far = np.linalg.norm(way, axis=1)
+        place = middle + way * np.minimum(1.0, length / np.maximum(far, 1e-30))[:, None]
+        point = np.concatenate([place, np.ones((len(ends), 1))], axis=1)
+        cost = np.einsum("ei,eij,ej->e", point, quadric, point)
+        return place, np.maximum(cost, 0.0) + 1e-6 * weight * length**2
+
+    def _cheapest_near(self, ends: Array, rank: Array) -> Array:
+        """Lowest rank (e,) of an edge at a vertex of any face that touches the edge."""
+        count = len(self.place)
+        at_vertex = np.full(count, len(rank), np.int64)
+        np.minimum.at(at_vertex, ends.ravel(), np.repeat(rank, 2))
+        at_face = at_vertex[self.faces].min(axis=1)
+        near = np.full(count, len(rank), np.int64)
+        np.minimum.at(near, self.faces.ravel(), np.repeat(at_face, 3))
+        return near[ends].min(axis=1)
+
+    def _turns(self, ends: Array, place: Array) -> Array:
+        """Whether a collapse (c,) turns one of the faces around it too far."""
+        owner = np.full(len(self.place), -1)
+        owner[ends] = np.arange(len(ends))[:, None]
+        moved = self.place.copy()
+        moved[ends] = place[:, None]
+        touched = (owner[self.faces] >= 0).any(axis=1)
+        faces = self.faces[touched]
+        whose = owner[faces].max(axis=1)
+        gone = (owner[faces] == whose[:, None]).sum(axis=1) > 1
+        corners = self.place[faces]
+        before = _normals(corners)
+        side = ((corners - np.roll(corners, 1, 1)) ** 2).sum(axis=2).max(axis=1)
+        thin = np.linalg.norm(before, axis=1) < SLIVER_SHARE * side
+        after = _normals(moved[faces])
+        along = np.einsum("fi,fi->f", before, after)
+        size = np.linalg.norm(before, axis=1) * np.linalg.norm(after, axis=1)
+        bad = np.zeros(len(ends), bool)
+        bad[whose[(along < MIN_TURN_COS * size) & ~gone & ~thin]] = True
+        return bad
+
+    def _apply(self, ends: Array, place: Array) -> None:
+        keep = ends[:, 0]
+        drop = ends[:, 1]
+        self.place[keep] = place
+        self.quadric[keep] += self.quadric[drop]
+        label = np.arange(len(self.place))
+        label[drop] = keep
+        self.merged = label[self.merged]
+        faces = label[self.faces]
+        left = (faces != np.roll(faces, 1, 1)).all(axis=1)
+        self.faces = faces[left]
+        self.source = self.source[left]
+
+    def compact(self) -> tuple[Simplified, Array]:
+        used, index = np.unique(self.faces, return_inverse=True)
+        number = np.full(len(self.place), -1)
+        number[used] = np.arange(len(used))
+        faces = index.reshape(-1, 3)
+        return Simplified(self.place[used], faces, self.source.copy()), number[self.merged]
+
+
+def _edges(faces: Array) -> Array:
+    """Ends (3 F, 2) of the edges of faces, the lower number first."""
+    return np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+
+
+def _normals(corners: Array) -> Array:
+    """Normals (f, 3) as long as twice the area of triangles (f, 3, 3)."""
+    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
+
+def _quadrics(vertices: Array, faces: Array) -> Array:
+    """Sum (V, 4, 4) of the squared distances to the planes of the faces at each vertex, weighted by their areas."""
+    corners = vertices[faces]
+    normal = _normals(corners)
+    area = np.linalg.norm(normal, axis=1)
+    unit = normal / np.maximum(area, 1e-30)[:, None]
+    result = np.zeros((len(vertices), 4, 4))
+    _add_planes(result, faces, unit, corners[:, 0], area)
+    ends, first, count = np.unique(_edges(faces), axis=0, return_index=True, return_counts=True)
+    ends = ends[count == 1]
+    along = vertices[ends[:, 1]] - vertices[ends[:, 0]]
+    upright = np.cross(along, unit[first[count == 1] // 3])
+    length = np.linalg.norm(upright, axis=1)
+    upright /= np.maximum(length, 1e-30)[:, None]
+    _add_planes(result, ends, upright, vertices[ends[:, 0]], BORDER_WEIGHT * length**2)
+    return result
+
+
+def _add_planes(quadric: Array, at: Array, unit: Array, point: Array, weight: Array) -> None:
+    plane = np.concatenate([unit, -np.einsum("fi,fi->f", unit, point)[:, None]], axis=1)
+    outer = weight[:, None, None] * plane[:, :, None] * plane[:, None, :]
+    for k in range(at.shape[1]):
+        np.add.at(quadric, at[:, k], outer)
+
+
+def distance_to_faces(points: Array, corners: Array) -> Array:
+    """Distance (n,) of points (n, 3) to triangles (n, 3, 3), one each."""
+    a, b, c = (corners[:, k] for k in range(3))
+    normal = np.cross(b - a, c - a)
+    square = np.einsum("ni,ni->n", normal, normal)
+    way = points - a
+    up = np.einsum("ni,ni->n", way, normal) / np.sqrt(np.maximum(square, 1e-30))
+    inside = square > 1e-24
+    nearest = np.full(len(points), np.inf)
+    for p, q in ((a, b), (b, c), (c, a)):
+        edge = q - p
+        to = points - p
+        inside &= np.einsum("ni,ni->n", np.cross(edge, to), normal) >= 0.0
+        share = np.einsum("ni,ni->n", to, edge) / np.maximum(
+            np.einsum("ni,ni->n", edge, edge), 1e-30
+        )
+        off = to - np.clip(share, 0.0, 1.0)[:, None] * edge
+        nearest = np.minimum(nearest, np.linalg.norm(off, axis=1))
+    return np.where(inside, np.abs(up), nearest)

@@ -30,7 +30,7 @@ _FEWEST = 16
 """Every level has so many times fewer faces than the one before, down to about so many."""
 MOST_KEPT = 0.7
 """A level with more than this share of the faces of the one before is left out."""
-MOST_COLLAPSED = 20_000
+MOST_COLLAPSED = 5_000
 """Meshes with more faces are first simplified roughly to so many."""
 Array = np.ndarray
 
@@ -42,7 +42,7 @@ class Level:
     vertices (V, 3) f32, no two alike; faces (F, 3) i32; source (F,) i32: the face of the mesh that each one stands
     for; normal (F, 3, 4) f32: unnormalised normal at point p is ``normal @ (p, 1)``, constant on flat faces; uv
     (F, 2, 4) f32: place in the texture; density (F,) f32: length in the texture (0..1) per length on the face [1/m];
-    error: (1,) f64, how far vertices are from the surface they stand for [m].
+    error: (1,) f64, largest distance of vertices of the mesh to the level [m].
     """
 
     vertices: Array
@@ -107,7 +107,9 @@ def _make(mesh: Mesh) -> list[Level]:
 
 def _coarser(vertices: Array, faces: Array) -> Iterator[tuple[Simplified, float]]:
     """Ever coarser meshes, and how far vertices of the finest one are off from them."""
-    steps = int(np.log(max(len(faces), 1) / _FEWEST) / np.log(_STEP))
+    if len(faces) < MIN_FACES:
+        return
+    steps = int(np.log(len(faces) / _FEWEST) / np.log(_STEP))
     targets = [int(len(faces) / _STEP**k) for k in range(1, steps + 1)]
     start = simplify(vertices, faces, MOST_COLLAPSED)
     # Vertices that ``simplify`` merged are as far off as their faces' corners moved.

@@ -15,8 +15,8 @@ from mjhab.render.render_scene import RenderScene
 from mjhab.render.warp.shading import Looks
 from mjhab.render.warp.tracing import Movers, Stills
 
-DETAIL = 0.002
-"""A coarser level of a mesh is taken where it is off by no more than this [m]: a third of a pixel at 0.3 m."""
+DETAIL = 0.0005
+"""A coarser level of a mesh is taken where none of its points is off by more than this [m]."""
 BUDGET = 100_000
 """Faces of a home, and of what hangs on bodies; ``DETAIL`` is relaxed until there are no more."""
 _RELAX = 1.5

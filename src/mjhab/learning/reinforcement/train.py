@@ -1,4 +1,4 @@
-"""One call that trains an agent: opens the folder, runs the algorithm, evaluates, writes summary and report."""
+"""Training of an agent by reinforcement learning: open the folder, train, evaluate, write summary and report."""
 
 from __future__ import annotations
 
@@ -40,13 +40,13 @@ from mjhab.reports.metrics import mean, wilson
 from mjhab.tasks.subtasks.registry import horizons
 
 REPORT_SECONDS = 2.0
-"""Between reports of SAC, whose updates are many."""
+"""Time between two reports of SAC, which makes many updates per second [s]."""
 
 
 def train_reinforcement(
     request: ReinforcementRequest, out: Path, resume: bool = False
 ) -> TrainingResult:
-    """Train an agent, evaluate it, and write everything into a folder. Ctrl-C keeps the last checkpoint.
+    """Train an agent, evaluate it, and write everything into the folder ``out``. Ctrl-C keeps the last checkpoint.
 
     Raises:
         UsageError: folder, scene or checkpoint do not fit.
@@ -80,7 +80,7 @@ def train_reinforcement(
 
 
 def summarize(session: ReinforcementSession) -> dict[str, Any]:
-    """What a run came to, for machines. ``episodes``: of the evaluation that ``success_once`` comes from."""
+    """Results of a run as JSON data; ``episodes`` is the number of episodes behind ``success_once``."""
     records = session.records
     low, high = wilson(sum(record.success_once for record in records), len(records))
     return {
@@ -101,7 +101,7 @@ def summarize(session: ReinforcementSession) -> dict[str, Any]:
 
 
 class _Run(ABC):
-    """What both algorithms do around their updates."""
+    """The part of a training run that both algorithms share."""
 
     def __init__(self, session: ReinforcementSession) -> None:
         self.session = session
@@ -111,18 +111,18 @@ class _Run(ABC):
 
     @abstractmethod
     def tensors(self) -> dict[str, Tensor]:
-        """Everything that the next update depends on, by name."""
+        """State that the next update depends on, as named tensors for a checkpoint."""
 
     @abstractmethod
     def learn(self) -> None:
-        """Use the samples that are left.
+        """Train until the run's number of samples is reached.
 
         Raises:
             OutOfTime: the budget is spent.
         """
 
     def _between(self, before: int) -> None:
-        """Checkpoint and evaluate where they are due since ``before`` samples."""
+        """Write a checkpoint and evaluate if either became due since ``before`` samples."""
         session = self.session
         if session.due(self.config.checkpoint_samples, before):
             session.save(self.actor, self.tensors())
@@ -133,7 +133,7 @@ class _Run(ABC):
 
 
 class _PpoRun(_Run):
-    """Rollout, update, rollout, update."""
+    """PPO: rollouts and updates in turn."""
 
     def __init__(self, session: ReinforcementSession) -> None:
         super().__init__(session)
@@ -195,7 +195,7 @@ class _PpoRun(_Run):
 
 
 class _SacRun(_Run):
-    """A control step of all worlds, some updates, and again."""
+    """SAC and RLPD: one control step of all worlds and some updates in turn."""
 
     def __init__(self, session: ReinforcementSession) -> None:
         super().__init__(session)
@@ -210,7 +210,7 @@ class _SacRun(_Run):
         self.actor = self.agent.actor
         self.learner = SacLearner(self.agent, self.config, session.seed)
         self.owed = 0.0
-        """Updates that are due."""
+        """Number of updates that are due; fractions add up."""
         self.online = self._buffer(REPLAY, worlds.count, self.sac.capacity)
         self.shown: ReplayBuffer | None = None
         if session.saved is not None:
@@ -258,7 +258,7 @@ class _SacRun(_Run):
         return kept
 
     def _demonstrate(self) -> None:
-        """Fill the buffer of demonstrations: recorded ones, or by the expert in episodes of its own."""
+        """Fill the demonstration buffer from recorded episodes or, without any, from new episodes of the expert."""
         folder = self.session.folder.path / DEMONSTRATIONS
         fill = self._replay_recorded if self.session.request.data else self._ask_expert
         self.shown = kept_demonstrations(folder, fill)
@@ -323,7 +323,7 @@ class _SacRun(_Run):
                 session.check_time()
 
     def _step(self) -> None:
-        """One control step of all worlds into the buffer."""
+        """Take one control step in all worlds and store it in the replay buffer."""
         worlds = self.session.worlds
         seen = worlds.seen
         with torch.no_grad():
@@ -360,7 +360,7 @@ class _SacRun(_Run):
         return told
 
     def _fit_normalizers(self) -> None:
-        """Normalize by what was seen before the first update; it stays so, since the buffer holds raw numbers."""
+        """Fit the normalizers once, before the first update; the buffer stores unnormalized observations."""
         agent = self.agent
         if not self.config.inputs.normalize:
             return

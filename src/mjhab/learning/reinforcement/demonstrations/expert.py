@@ -1,4 +1,4 @@
-"""Demonstrations for reinforcement: the scripted expert acts in the training environment, with its rewards."""
+"""Demonstrations by the scripted expert, which acts in the training environment with its rewards."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from mjhab.learning.reinforcement.session import ReinforcementSession, training_
 from mjhab.learning.reinforcement.sight import Sight
 
 DEMONSTRATION_WORLDS = 16
+"""Number of parallel worlds that the expert acts in."""
 DEMONSTRATION_SEED = 3_000_000
-"""Seeds of demonstrations begin here: no episode of training or evaluation is one of them."""
+"""Offset of the demonstrations' seeds, so that they share no episode with training or evaluation."""
 
 
 def collect_demonstrations(
@@ -21,12 +22,13 @@ def collect_demonstrations(
     make: Callable[[int], ReplayBuffer],
     tell: Callable[[int], object],
 ) -> ReplayBuffer:
-    """Let the expert act for ``episodes`` whole episodes.
+    """Record at least ``episodes`` whole episodes of the expert into a replay buffer.
 
-    Failures are kept, too: their rewards say what they are worth.
+    Failed episodes are kept, too: the critics learn from their rewards.
 
     Args:
-        session: of the run. make: makes the buffer for so many worlds. tell: called with the finished episodes.
+        session: of the run. make: makes a buffer for a number of worlds.
+        tell: called with the number of finished episodes.
     """
     from mjhab.experts import make_expert
 

@@ -337,7 +337,7 @@ class PpoLearner:
     def _adapt(self, divergence: float) -> None:
         """Adapt the learning rate so that the KL divergence of an epoch stays near ``desired_kl``."""
         wanted = self.config.desired_kl
-        if not wanted:
+        if not wanted or self.updates < self.config.critic_updates:
             return
         if divergence > 2.0 * wanted:
             self.learning_rate /= RATE_STEP

@@ -189,7 +189,7 @@ def test_what_was_begun_is_not_mixed_with_something_else(
     out = tmp_path / "set"
     with pytest.raises(KeyboardInterrupt):
         export(source, out, begin=stop_after(2))
-    with pytest.raises(UsageError, match=r"begun and stopped; add --resume .* --overwrite"):
+    with pytest.raises(UsageError, match=r"is unfinished; add --resume .* --overwrite"):
         export(source, out)
     with pytest.raises(
         UsageError, match=r"begun with another episodes \(episodes: '5 of .*now '2 of "

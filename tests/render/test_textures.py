@@ -11,7 +11,7 @@ from mjhab.core.errors import UsageError
 from mjhab.render.build_scene import SceneBuilder
 from mjhab.render.mesh_levels import MIN_FACES, mesh_levels
 from mjhab.render.patterns import PERIODS, SHADE_TOP, pattern_tile
-from mjhab.render.raster.kernels import LEVEL_ERROR
+from mjhab.render.raster.meshes import LEVEL_ERROR
 from mjhab.render.raster.rasterizer import Cameras, Rasterizer, look_at
 from mjhab.render.textures import LEVELS, TexturePool, sample
 from mjhab.scenes.builtin.materials import Material

@@ -6,31 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mjhab.render.raster.arrays import Lens, Scratch
 from mjhab.render.raster.jit import kernel
-from mjhab.render.raster.kernels import (
-    Geometry,
-    Lens,
-    Placing,
-    Scratch,
-    draw,
-    place_instances,
-    read_depth,
-    read_segments,
-)
-from mjhab.render.raster.lighting import Lamps
+from mjhab.render.raster.kernels import draw, read_depth, read_segments
 from mjhab.render.raster.occlusion import ambient_occlusion
-from mjhab.render.raster.shading import Openness, ShadeScratch, Surface, shade
-
-
-class Scenery(NamedTuple):
-    """All that does not change from image to image; seg (I,) i32: segment of every instance; tone: see ``shading``."""
-
-    geometry: Geometry
-    placing: Placing
-    surface: Surface
-    lamps: Lamps
-    seg: np.ndarray
-    tone: np.ndarray
+from mjhab.render.raster.shading import Openness, ShadeScratch, shade
+from mjhab.render.raster.sight import place_instances
 
 
 class Views(NamedTuple):
@@ -76,7 +57,9 @@ def draw_worlds(scenery, views, first, last, near, cull, cell, stride, room):
     height, width = inverse.shape
     for world in range(first, last):
         home = views.home[world]
-        place_instances(placing, home, views.body_pos[world], views.body_mat[world], poses)
+        place_instances(
+            scenery.geometry, placing, home, views.body_pos[world], views.body_mat[world], poses
+        )
         for camera in range(views.cam_pos.shape[1]):
             lens = Lens(
                 views.cam_pos[world, camera],

@@ -113,10 +113,12 @@ def _fill_span(inverse, ids, tag, row, first, count, start, step):
     if count <= 0:
         return
     for k in range(np.uint64(count)):
+        x = np.uint64(first) + k
         w = start + step * np.float32(np.int32(k))
-        if w > inverse[row, np.uint64(first) + k]:
-            inverse[row, np.uint64(first) + k] = w
-            ids[row, np.uint64(first) + k] = tag
+        before = inverse[row, x]
+        # Stored in either case: storing some of eight is slower by far.
+        inverse[row, x] = w if w > before else before
+        ids[row, x] = tag if w > before else ids[row, x]
 
 
 @inline
@@ -141,6 +143,59 @@ def fill(inverse, ids, tag, x0, y0, w0, x1, y1, w1, x2, y2, w2, keep):
         _fill_small(inverse, ids, tag, x0, y0, x1, y1, x2, y2, w0, gx, gy, left, right, top, bottom)
         return
     _fill_rows(inverse, ids, tag, x0, y0, x1, y1, x2, y2, w0, gx, gy, left, right, top, bottom)
+
+
+@inline
+def fill_quad(inverse, ids, tag, x0, y0, x1, y1, x2, y2, x3, y3, w0, gx, gy):
+    """Fill a convex quadrangle, corners in order either way; inverse depth is ``w0 + gx * column + gy * row``."""
+    height, width = inverse.shape
+    left = int(max(min(x0, x1, x2, x3), 0.0) + (0.5 - EDGE_SLACK))
+    right = int(min(max(x0, x1, x2, x3, -1.0), width) + (0.5 + EDGE_SLACK)) - 1
+    top = int(max(min(y0, y1, y2, y3), 0.0) + (0.5 - EDGE_SLACK))
+    bottom = int(min(max(y0, y1, y2, y3, -1.0), height) + (0.5 + EDGE_SLACK)) - 1
+    if left > right or top > bottom:
+        return
+    if (x2 - x0) * (y3 - y1) < (x3 - x1) * (y2 - y0):
+        x1, y1, x3, y3 = x3, y3, x1, y1
+    y = top + 0.5
+    a, da, side_a = _bound(x0, y0, x1, y1, y)
+    b, db, side_b = _bound(x1, y1, x2, y2, y)
+    c, dc, side_c = _bound(x2, y2, x3, y3, y)
+    d, dd, side_d = _bound(x3, y3, x0, y0, y)
+    # Up to three edges bound a row on each side; those of the other side are out of the way.
+    low_a = a if side_a < 0 else -np.inf
+    low_b = b if side_b < 0 else -np.inf
+    low_c = c if side_c < 0 else -np.inf
+    low_d = d if side_d < 0 else -np.inf
+    high_a = a if side_a > 0 else np.inf
+    high_b = b if side_b > 0 else np.inf
+    high_c = c if side_c > 0 else np.inf
+    high_d = d if side_d > 0 else np.inf
+    start = w0 + gy * y + gx * 0.5
+    for row in range(top, bottom + 1):
+        low = max(max(low_a, low_b), max(low_c, low_d))
+        high = min(min(high_a, high_b), min(high_c, high_d))
+        first = int(max(low, left + 0.5) + (0.5 - EDGE_SLACK))
+        last = int(min(high, right + 0.5) + (0.5 + EDGE_SLACK)) - 1
+        _fill_span(
+            inverse,
+            ids,
+            tag,
+            row,
+            first,
+            last - first + 1,
+            np.float32(start + gx * first),
+            np.float32(gx),
+        )
+        low_a += da
+        low_b += db
+        low_c += dc
+        low_d += dd
+        high_a += da
+        high_b += db
+        high_c += dc
+        high_d += dd
+        start += gy
 
 
 @kernel

@@ -14,22 +14,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.render.raster.batch import Room, Scenery, Views, draw_worlds
-from mjhab.render.raster.kernels import (
-    FACE_BITS,
-    PARKED_BELOW,
-    Geometry,
-    Lens,
-    Placing,
-    draw,
-    make_scratch,
-    place_instances,
-    read_depth,
-    read_segments,
-)
-from mjhab.render.raster.lighting import SHADOW_SLOPE, Lamps
+from mjhab.render.raster.arrays import Lens, make_scratch
+from mjhab.render.raster.batch import Room, Views, draw_worlds
+from mjhab.render.raster.kernels import draw, read_depth, read_segments
+from mjhab.render.raster.lighting import SHADOW_SLOPE
 from mjhab.render.raster.occlusion import ambient_occlusion
-from mjhab.render.raster.shading import Openness, Surface, make_shade_scratch, shade, tone_curve
+from mjhab.render.raster.scenery import make_scenery
+from mjhab.render.raster.shading import Openness, make_shade_scratch, shade
+from mjhab.render.raster.sight import place_instances
 from mjhab.render.render_scene import RenderScene
 
 OUTPUTS = ("rgb", "depth", "seg")
@@ -98,7 +90,7 @@ class Rasterizer:
     ) -> None:
         self.scene = scene
         self.cull_backfaces = cull_backfaces
-        self._scenery = _scenery(scene)
+        self._scenery = make_scenery(scene)
         self._local = threading.local()
         self._lock = threading.Lock()
         self._shadows: OrderedDict[tuple[int, int], np.ndarray] = OrderedDict()
@@ -205,7 +197,7 @@ class Rasterizer:
         self, views: Views, w: int, c: int, height: int, width: int, nice: bool, samples: int
     ) -> None:
         """Draw one camera of one world with shadows (``nice``), its colours from samples x samples per pixel."""
-        placing = self._scenery.placing
+        s = self._scenery
         home = int(views.home[w])
         lens = Lens(views.cam_pos[w, c], views.cam_mat[w, c], float(views.focal[c]), NEAR)
         fine = views.rgb.shape[1] > 0 and samples > 1
@@ -214,20 +206,24 @@ class Rasterizer:
             if fine
             else self._room(height, width, 2)
         )
-        place_instances(placing, home, views.body_pos[w], views.body_mat[w], room.draw)
+        place_instances(
+            s.geometry, s.placing, home, views.body_pos[w], views.body_mat[w], room.draw
+        )
         if fine:
             lens = lens._replace(focal=lens.focal * samples)
             self._trace(home, lens, room)
             self._shade(home, lens, room, views.rgb[w, c], nice, samples)
             lens = lens._replace(focal=lens.focal / samples)
             room = self._room(height, width, 2)
-            place_instances(placing, home, views.body_pos[w], views.body_mat[w], room.draw)
+            place_instances(
+                s.geometry, s.placing, home, views.body_pos[w], views.body_mat[w], room.draw
+            )
         if views.depth.shape[1] or views.seg.shape[1] or not fine:
             self._trace(home, lens, room)
         if views.depth.shape[1]:
             read_depth(room.inverse, views.depth[w, c])
         if views.seg.shape[1]:
-            read_segments(room.inverse, room.ids, self._scenery.seg, views.seg[w, c])
+            read_segments(room.inverse, room.ids, s.seg, views.seg[w, c])
         if views.rgb.shape[1] and not fine:
             self._shade(home, lens, room, views.rgb[w, c], nice, samples)
 
@@ -358,78 +354,3 @@ def _views(
     return Views(
         home, body_pos, body_mat, cam_pos, cam_mat, 0.5 * height / np.tan(0.5 * fovy), **images
     )
-
-
-def _scenery(scene: RenderScene) -> Scenery:
-    """Kernel view of the scene."""
-    geometry = _geometry(scene)
-    extent = (geometry.mesh_box[:, 1] - geometry.mesh_box[:, 0])[scene.instance_mesh]
-    smooth = np.ascontiguousarray(scene.face_normal[:, :, :3].any((1, 2)))
-    surface = Surface(
-        scene.mesh_face_start,
-        scene.face_material,
-        scene.face_normal,
-        scene.face_uv,
-        scene.face_density,
-        smooth,
-        scene.instance_material,
-        extent,
-        scene.mat_color,
-        scene.mat_color2,
-        scene.mat_texture,
-        scene.mat_pattern,
-        scene.mat_size,
-        scene.mat_gloss,
-        scene.texels,
-    )
-    lamps = Lamps(scene.light_pos, scene.light_color, np.empty((0, 1, 1), np.float32))
-    return Scenery(geometry, _placing(scene), surface, lamps, scene.instance_seg, tone_curve())
-
-
-def _placing(scene: RenderScene) -> Placing:
-    there = (scene.home_scale != 0.0).all(axis=2)
-    there &= (scene.instance_body != 0) | (scene.home_pos[:, :, 2] > PARKED_BELOW)
-    start = np.concatenate([[0], np.cumsum(there.sum(axis=1))]).astype(np.int64)
-    return Placing(
-        scene.instance_mesh,
-        scene.instance_body,
-        scene.instance_pos,
-        scene.instance_mat,
-        scene.home_pos,
-        scene.home_mat,
-        scene.home_scale,
-        np.nonzero(there)[1].astype(np.int32),
-        start,
-    )
-
-
-def _geometry(scene: RenderScene) -> Geometry:
-    """Kernel view of the meshes: vertex ranges, bounding boxes and balls from the faces of each mesh.
-
-    Raises:
-        UsageError: more instances or faces in a mesh than fit in the id of a pixel.
-    """
-    most = int(scene.mesh_face_count.max(initial=0)), len(scene.instance_mesh)
-    if most[0] > 1 << FACE_BITS or most[1] > 1 << (31 - FACE_BITS):
-        raise UsageError(
-            f"a mesh of {most[0]} faces or {most[1]} instances: the rasterizer draws up to {1 << FACE_BITS} faces per "
-            f"mesh and {1 << (31 - FACE_BITS)} instances."
-        )
-    spans = np.stack([scene.mesh_face_start, scene.mesh_face_count], 1).astype(np.int32)
-    verts = np.zeros_like(spans)
-    faces = scene.faces.copy()
-    box = np.zeros((len(spans), 2, 3))
-    ball = np.zeros((len(spans), 4))
-    for k, (start, count) in enumerate(spans):
-        if count == 0:
-            continue
-        used = faces[start : start + count]
-        first = used.min()
-        verts[k] = first, used.max() - first + 1
-        corners = scene.vertices[np.unique(used)].astype(np.float64)
-        used -= first
-        box[k] = corners.min(0), corners.max(0)
-        ball[k, :3] = box[k].mean(0)
-        ball[k, 3] = np.linalg.norm(corners - ball[k, :3], axis=1).max() * (1.0 + 1e-9)
-    vertices = np.ascontiguousarray(scene.vertices.T)
-    return Geometry(vertices, faces, spans, verts, box, ball, scene.mesh_coarser, scene.mesh_error)

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from mjhab.render.patterns import SHADE_TOP
+from mjhab.render.raster.arrays import FACE_BITS
 from mjhab.render.raster.jit import color_inline, color_kernel
-from mjhab.render.raster.kernels import FACE_BITS
 from mjhab.render.raster.lighting import blended_share, light_point, sky
 from mjhab.render.textures import Texels, copy_for, sample
 

@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 
 from mjhab.core.errors import UsageError
-from mjhab.render.raster.kernels import FACE_BITS
+from mjhab.render.raster.arrays import FACE_BITS
 from mjhab.render.raster.occlusion import DISK
 from mjhab.render.raster.shading import tone_curve
 from mjhab.render.render_scene import RenderScene

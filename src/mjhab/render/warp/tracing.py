@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from mjhab.render.raster.kernels import FACE_BITS, PARKED_BELOW
+from mjhab.render.raster.arrays import FACE_BITS, PARKED_BELOW
 
 wp.set_module_options({"enable_backward": False})
 

@@ -1,0 +1,173 @@
+"""Compiled drawing of one mesh: its level of detail, its faces that look at the camera, filling of those."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mjhab.render.raster.arrays import FACE_BITS
+from mjhab.render.raster.fill import fill, fill_clipped
+from mjhab.render.raster.jit import inline, kernel
+
+LEVEL_ERROR = 0.4
+"""A coarser mesh is drawn where none of its points is off by more than this [px]."""
+PLANE_SLACK = 1e-5
+"""Planes of faces are in float32: the camera counts as in front of one down to so much below it, as a share of its
+distance."""
+
+
+@inline
+def _camera_in_mesh(scratch, i, lens, axis):
+    """Coordinate of the camera along an axis of an instance, scale not taken out [m]."""
+    rot = scratch.rot
+    return (
+        rot[i, 0, axis] * (lens.pos[0] - scratch.pos[i, 0])
+        + rot[i, 1, axis] * (lens.pos[1] - scratch.pos[i, 1])
+        + rot[i, 2, axis] * (lens.pos[2] - scratch.pos[i, 2])
+    )
+
+
+@kernel
+def _distance(geometry, mesh, scratch, i, lens):
+    """Distance [m] from the camera to the box of an instance."""
+    total = 0.0
+    for axis in range(3):
+        scale = scratch.scale[i, axis]
+        off = abs(
+            _camera_in_mesh(scratch, i, lens, axis) - geometry.mesh_middle[mesh, axis] * scale
+        )
+        out = max(off - abs(geometry.mesh_half[mesh, axis] * scale), 0.0)
+        total += out * out
+    return np.sqrt(total)
+
+
+@kernel
+def fitting_level(geometry, mesh, scratch, i, lens, nearest):
+    """The coarsest level of a mesh that looks right; ``nearest``: its smallest depth [m]."""
+    scale = scratch.scale
+    if geometry.mesh_coarser[mesh] < 0:
+        return mesh
+    grow = max(abs(scale[i, 0]), abs(scale[i, 1]), abs(scale[i, 2]))
+    # A box that reaches behind the camera can still be all at its side.
+    limit = (
+        LEVEL_ERROR / lens.focal * max(nearest, 0.5 * _distance(geometry, mesh, scratch, i, lens))
+    )
+    while True:
+        coarser = geometry.mesh_coarser[mesh]
+        if coarser < 0 or geometry.mesh_error[coarser] * grow > limit:
+            return mesh
+        mesh = coarser
+
+
+@kernel
+def _find_front(geometry, i, mesh, lens, scratch):
+    """Fill ``front`` with those faces of a mesh (0: its first) that may look at the camera; returns how many."""
+    x = np.float32(_camera_in_mesh(scratch, i, lens, 0) / scratch.scale[i, 0])
+    y = np.float32(_camera_in_mesh(scratch, i, lens, 1) / scratch.scale[i, 1])
+    z = np.float32(_camera_in_mesh(scratch, i, lens, 2) / scratch.scale[i, 2])
+    least = np.float32(-PLANE_SLACK * (1.0 + abs(x) + abs(y) + abs(z)))
+    start = np.uint64(geometry.mesh_faces[mesh, 0])
+    planes = geometry.planes
+    front = scratch.front
+    inside = scratch.faces_inside
+    count = np.uint64(geometry.mesh_faces[mesh, 1])
+    for k in range(count):
+        at = start + k
+        inside[k] = (
+            planes[0, at] * x + planes[1, at] * y + planes[2, at] * z + planes[3, at] > least
+        )
+    found = np.uint64(0)
+    for k in range(count):
+        front[found] = k
+        found += np.uint64(inside[k])
+    return found
+
+
+@kernel
+def _project(geometry, mesh, k, lens, width, height, scratch):
+    """Fill ``points`` (6, >= count): x, y, z by ``to_view[k]``, then column, row and inverse depth."""
+    first = geometry.mesh_verts[mesh, 0]
+    count = geometry.mesh_verts[mesh, 1]
+    points = scratch.points
+    view = scratch.to_view
+    cx = 0.5 * width
+    cy = 0.5 * height
+    focal = lens.focal
+    a0 = view[k, 0, 0]
+    a1 = view[k, 0, 1]
+    a2 = view[k, 0, 2]
+    a3 = view[k, 0, 3]
+    b0 = view[k, 1, 0]
+    b1 = view[k, 1, 1]
+    b2 = view[k, 1, 2]
+    b3 = view[k, 1, 3]
+    c0 = view[k, 2, 0]
+    c1 = view[k, 2, 1]
+    c2 = view[k, 2, 2]
+    c3 = view[k, 2, 3]
+    for n in range(np.uint64(count)):
+        at = np.uint64(first) + n
+        p = geometry.vertices[0, at]
+        q = geometry.vertices[1, at]
+        s = geometry.vertices[2, at]
+        x = a0 * p + a1 * q + a2 * s + a3
+        y = b0 * p + b1 * q + b2 * s + b3
+        z = c0 * p + c1 * q + c2 * s + c3
+        w = 1.0 / z
+        points[0, n] = x
+        points[1, n] = y
+        points[2, n] = z
+        points[3, n] = cx + focal * x * w
+        points[4, n] = cy + focal * y * w
+        points[5, n] = w
+
+
+@kernel
+def draw_mesh(geometry, i, mesh, k, lens, cull, inverse, ids, scratch):
+    """Project and fill the faces of instance ``i`` drawn as ``mesh``, whose map to the view frame is ``to_view[k]``."""
+    height, width = inverse.shape
+    points = scratch.points
+    near = lens.near
+    faces = geometry.faces
+    scale = scratch.scale
+    start = np.uint64(geometry.mesh_faces[mesh, 0])
+    keep = 0.0
+    count = np.uint64(geometry.mesh_faces[mesh, 1])
+    if cull:
+        keep = -1.0 if scale[i, 0] * scale[i, 1] * scale[i, 2] > 0.0 else 1.0
+        count = _find_front(geometry, i, mesh, lens, scratch)
+    if count == 0:
+        return
+    _project(geometry, mesh, k, lens, width, height, scratch)
+    whole = scratch.nearest[k] > 0.0
+    base = i << FACE_BITS
+    for n in range(count):
+        number = np.uint64(scratch.front[n]) if cull else n
+        face = start + number
+        a = np.uint64(faces[face, 0])
+        b = np.uint64(faces[face, 1])
+        c = np.uint64(faces[face, 2])
+        tag = np.int32(base | np.int64(number))
+        if not whole:
+            behind = (points[2, a] < near) + (points[2, b] < near) + (points[2, c] < near)
+            if behind == 3:
+                continue
+            if behind > 0:
+                fill_clipped(
+                    inverse, ids, tag, points, scratch.polygon, a, b, c, lens.focal, near, keep
+                )
+                continue
+        fill(
+            inverse,
+            ids,
+            tag,
+            points[3, a],
+            points[4, a],
+            points[5, a],
+            points[3, b],
+            points[4, b],
+            points[5, b],
+            points[3, c],
+            points[4, c],
+            points[5, c],
+            keep,
+        )

@@ -1,0 +1,168 @@
+"""What kernels need of a scene, made once: bounds of meshes and instances, planes of faces, which meshes are boxes."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from mjhab.core.errors import UsageError
+from mjhab.render.raster.arrays import FACE_BITS, PARKED_BELOW, Geometry, Placing
+from mjhab.render.raster.lighting import Lamps
+from mjhab.render.raster.shading import Surface, tone_curve
+from mjhab.render.render_scene import RenderScene
+
+BOX_FACES = 12
+
+
+class Scenery(NamedTuple):
+    """All that does not change from image to image; seg (I,) i32: segment of every instance; tone: see ``shading``."""
+
+    geometry: Geometry
+    placing: Placing
+    surface: Surface
+    lamps: Lamps
+    seg: np.ndarray
+    tone: np.ndarray
+
+
+def make_scenery(scene: RenderScene) -> Scenery:
+    """Kernel view of the scene.
+
+    Raises:
+        UsageError: more instances or faces in a mesh than fit in the id of a pixel.
+    """
+    geometry = _geometry(scene)
+    smooth = np.ascontiguousarray(scene.face_normal[:, :, :3].any((1, 2)))
+    surface = Surface(
+        scene.mesh_face_start,
+        scene.face_material,
+        scene.face_normal,
+        scene.face_uv,
+        scene.face_density,
+        smooth,
+        scene.instance_material,
+        2.0 * geometry.mesh_half[scene.instance_mesh],
+        scene.mat_color,
+        scene.mat_color2,
+        scene.mat_texture,
+        scene.mat_pattern,
+        scene.mat_size,
+        scene.mat_gloss,
+        scene.texels,
+    )
+    lamps = Lamps(scene.light_pos, scene.light_color, np.empty((0, 1, 1), np.float32))
+    placing = _placing(scene, geometry)
+    return Scenery(geometry, placing, surface, lamps, scene.instance_seg, tone_curve())
+
+
+def _placing(scene: RenderScene, geometry: Geometry) -> Placing:
+    there = (scene.home_scale != 0.0).all(axis=2)
+    still = there & (scene.instance_body == 0) & (scene.home_pos[:, :, 2] > PARKED_BELOW)
+    moving = there & (scene.instance_body != 0)
+    rows = [np.flatnonzero(part) for pair in zip(still, moving, strict=True) for part in pair]
+    ends = np.cumsum([0, *map(len, rows)])
+    present = np.concatenate(rows).astype(np.int32)
+    home = np.repeat(np.arange(len(there)), np.diff(ends[::2]))
+    ball = geometry.mesh_ball[scene.instance_mesh[present]]
+    scale = scene.home_scale[home, present]
+    center = scene.home_pos[home, present] + np.einsum(
+        "prc,pc->pr", scene.home_mat[home, present], scale * ball[:, :3]
+    )
+    radius = ball[:, 3] * np.abs(scale).max(axis=1)
+    return Placing(
+        scene.instance_mesh,
+        scene.instance_body,
+        scene.instance_pos,
+        scene.instance_mat,
+        scene.home_pos,
+        scene.home_mat,
+        scene.home_scale,
+        present,
+        ends[::2],
+        ends[1::2],
+        np.ascontiguousarray(np.concatenate([center, radius[:, None]], axis=1).T, np.float32),
+    )
+
+
+def _geometry(scene: RenderScene) -> Geometry:
+    most = int(scene.mesh_face_count.max(initial=0)), len(scene.instance_mesh)
+    if most[0] > 1 << FACE_BITS or most[1] > 1 << (31 - FACE_BITS):
+        raise UsageError(
+            f"a mesh of {most[0]} faces or {most[1]} instances: the rasterizer draws up to {1 << FACE_BITS} faces per "
+            f"mesh and {1 << (31 - FACE_BITS)} instances."
+        )
+    spans = np.stack([scene.mesh_face_start, scene.mesh_face_count], 1).astype(np.int32)
+    verts = np.zeros_like(spans)
+    faces = scene.faces.copy()
+    middle = np.zeros((len(spans), 3))
+    half = np.zeros((len(spans), 3))
+    ball = np.zeros((len(spans), 4))
+    side = np.full((len(spans), 6), -1, np.int32)
+    for k, (start, count) in enumerate(spans):
+        if count == 0:
+            continue
+        used = faces[start : start + count]
+        first = used.min()
+        verts[k] = first, used.max() - first + 1
+        corners = scene.vertices[np.unique(used)].astype(np.float64)
+        used -= first
+        low = corners.min(0)
+        high = corners.max(0)
+        middle[k] = (low + high) / 2
+        half[k] = (high - low) / 2
+        ball[k, :3] = middle[k]
+        ball[k, 3] = np.linalg.norm(corners - middle[k], axis=1).max() * (1.0 + 1e-9)
+        side[k] = _box_sides(scene, start, count, middle[k], half[k])
+    return Geometry(
+        np.ascontiguousarray(scene.vertices.T),
+        faces,
+        _planes(scene),
+        spans,
+        verts,
+        middle,
+        half,
+        ball,
+        side,
+        scene.mesh_coarser,
+        scene.mesh_error,
+    )
+
+
+def _planes(scene: RenderScene) -> np.ndarray:
+    """Unit normal and offset (4, F) f32 of every face; a face without area has a normal of zeros."""
+    a, b, c = (scene.vertices[scene.faces[:, k]].astype(np.float64) for k in range(3))
+    normal = np.cross(b - a, c - a)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+    offset = -np.einsum("fk,fk->f", normal, a)
+    return np.ascontiguousarray(np.concatenate([normal, offset[:, None]], axis=1).T, np.float32)
+
+
+def _box_sides(
+    scene: RenderScene, start: int, count: int, middle: np.ndarray, half: np.ndarray
+) -> np.ndarray:
+    """First face (6,) on the sides -x, +x, -y, +y, -z, +z of a mesh that is a closed box whose sides look alike all
+    over, else -1."""
+    none = np.full(6, -1, np.int32)
+    if count != BOX_FACES or not half.all():
+        return none
+    rows = slice(start, start + count)
+    corners = (scene.vertices[scene.faces[rows]].astype(np.float64) - middle) / half
+    if np.abs(np.abs(corners) - 1.0).max() > 1e-5:
+        return none
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    axis = np.abs(normal).argmax(axis=1)
+    size = np.take_along_axis(normal, axis[:, None], 1)[:, 0]
+    number = 2 * axis + (size > 0.0)
+    # Two halves of a side share no more than a diagonal: their areas sum to the side's.
+    if (np.bincount(number, minlength=6) != 2).any() or np.abs(np.abs(size) - 4.0).max() > 1e-4:
+        return none
+    order = np.argsort(number, kind="stable").reshape(6, 2)
+    at = np.take_along_axis(corners.mean(axis=1), axis[:, None], 1)[:, 0]
+    outward = (at * size > 0.0).all()
+    apart = np.abs(corners[order[:, 0]].mean(1) + corners[order[:, 1]].mean(1)).max(axis=1)
+    looks = [scene.face_material, scene.face_normal, scene.face_uv, scene.face_density]
+    alike = all(
+        np.allclose(look[rows][order[:, 0]], look[rows][order[:, 1]], atol=1e-5) for look in looks
+    )
+    return order[:, 0].astype(np.int32) if outward and alike and np.allclose(apart, 2.0) else none

@@ -204,10 +204,10 @@ def test_a_file_of_the_original(tmp_path: Path) -> None:
                 "name": "ms_hab rl"
             }
             with pytest.raises(
-                UsageError, match=r"states/qpos is not there. Its source lacks states/initial"
+                UsageError, match=r"without states/qpos. Its source lacks states/initial"
             ):
                 episode.array("states/qpos")
-            with pytest.raises(UsageError, match="imported from data without it: states/initial"):
+            with pytest.raises(UsageError, match="imported from data without states/initial"):
                 episode.initial()
 
 

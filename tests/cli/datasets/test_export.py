@@ -84,7 +84,7 @@ def test_a_stopped_export_goes_on(
         and "The same command with --resume goes on" in capsys.readouterr().err
     )
     assert not (tmp_path / "set").exists() and signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
-    assert main(command) == USAGE and "begun and stopped" in capsys.readouterr().err
+    assert main(command) == USAGE and "is unfinished" in capsys.readouterr().err
     assert main([*command, "--resume"]) == OK and "3 episodes" in capsys.readouterr().out
 
 

@@ -17,7 +17,12 @@ OLDER_KINDS = ("pick", "place", "navigate", "open", "close")
 """Kinds of subtasks in the one-hot condition of older checkpoints, which do not list their kinds."""
 STATE_IMAGE_PREFIX = "sensor_data/"
 BASE_VELOCITY = (("base/forward_speed", 1), ("base/turning_rate", 1))
-LINK_STATE = (("link/opening", 1), ("link/speed", 1), ("link/heading", 2))
+LINK_STATE = (
+    ("link/opening", 1),
+    ("link/speed", 1),
+    ("link/heading", 2),
+    ("link/nearly_closed", 1),
+)
 """Entries of the optional inputs, see `InputConfig`."""
 Entry = tuple[str, int]
 """Name and width of a part of a vector."""
@@ -70,7 +75,7 @@ class ActingEnv(StudentEnv, Protocol):
         ...
 
     def link_state(self) -> Any:
-        """(W, 4) float32, see `Sensing.link_state`."""
+        """(W, 5) float32, see `Sensing.link_state`."""
         ...
 
 

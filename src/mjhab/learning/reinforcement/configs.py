@@ -39,8 +39,12 @@ class PpoConfig:
     learning_rate_end: factor on the learning rate at the end of training; it decreases linearly from 1.
     initial_std: standard deviation of the actions before training, as a fraction of the action range [-1, 1].
     desired_kl: the learning rate is adapted so that the KL divergence of an epoch stays near this value; 0 disables
-    the adaptation. state_std: the standard deviation depends on the observation instead of being one learned constant.
-    critic_updates: number of initial updates that train only the critic, used when the actor comes from a checkpoint.
+    the adaptation. critic_learning_rate: constant learning rate of the critic; 0 uses that of the actor.
+    state_std: the standard deviation depends on the observation instead of being one learned constant.
+    critic_updates: number of initial updates that train only the critic, used when the actor is not new.
+    demonstrations: episodes of the expert that the actor imitates first, for imitation_updates of imitation_batch
+    samples. imitation_coefficient: weight of the imitation loss in the updates that follow; it falls linearly to zero
+    over imitation_samples samples.
     """
 
     rollout_steps: int = 32
@@ -55,12 +59,18 @@ class PpoConfig:
     target_kl: float = 0.05
     clip_norm: float = 0.5
     learning_rate: float = 3e-4
+    critic_learning_rate: float = 0.0
     learning_rate_end: float = 1.0
     adam_epsilon: float = 1e-5
     initial_std: float = 0.6
     desired_kl: float = 0.0
     state_std: bool = False
     critic_updates: int = 0
+    demonstrations: int = 0
+    imitation_updates: int = 3000
+    imitation_batch: int = 256
+    imitation_coefficient: float = 0.0
+    imitation_samples: int = 500_000
 
     def __post_init__(self) -> None:
         for name in ("rollout_steps", "minibatches", "epochs"):
@@ -129,6 +139,8 @@ class ReinforcementConfig:
     random lengths, so that the worlds do not all reset in the same step.
     episode_pool: number of start states that training episodes are drawn from; 0 takes the default of `TrainConfig`.
     Generating one start state takes as long as about a hundred samples.
+    repeat: control steps that each action is applied for. Noise that changes at every control step (20 Hz) averages
+    out before the joints move; noise that lasts for some steps explores.
     force_ends: a training episode terminates when its cumulative force exceeds the subtask's limit. force_cost: total
     reward subtracted over an episode whose cumulative force reaches the limit. The dense rewards of Open and Close
     have no force term: without these two options the reward does not tell the policy why it fails by force.
@@ -150,6 +162,7 @@ class ReinforcementConfig:
     episode_pool: int = 0
     force_ends: bool = False
     force_cost: float = 0.0
+    repeat: int = 1
     checkpoint_samples: int = 50_000
     eval_samples: int = 100_000
 
@@ -158,6 +171,8 @@ class ReinforcementConfig:
             raise unknown_name("algorithm", self.algorithm, ALGORITHMS)
         if (self.ppo is None) == (self.sac is None):
             raise UsageError("a ReinforcementConfig needs exactly one of ppo and sac.")
+        if self.ppo is None and self.repeat != 1:
+            raise UsageError(f"repeat must be 1 for {self.algorithm}, got {self.repeat}.")
         if self.ppo is not None:
             rows = self.worlds * self.ppo.rollout_steps
             if rows % self.ppo.minibatches:
@@ -176,6 +191,7 @@ class ReinforcementConfig:
             network=self.network,
             chunk=1,
             execute=1,
+            repeat=self.repeat,
         )
 
 

@@ -14,6 +14,7 @@ from mjhab.learning.networks import Normalizer
 from mjhab.learning.reinforcement import distributed
 from mjhab.learning.reinforcement.configs import PpoConfig, ReinforcementConfig
 from mjhab.learning.reinforcement.networks import Value
+from mjhab.learning.reinforcement.replay import ReplayBuffer
 from mjhab.learning.reinforcement.returns import (
     Outcomes,
     advantages,
@@ -34,6 +35,12 @@ RATE_STEP = 1.5
 LEAST_RATE = 1e-5
 MOST_RATE = 3e-3
 """Factor and limits of the learning rate that adapts to the KL divergence (the scheme of rsl_rl and rl_games)."""
+IMITATION_RATE = 1e-3
+"""Learning rate at the start of imitation; it falls to zero."""
+IMITATION_HUBER = 0.5
+"""Width of the quadratic part of the imitation loss [action units]."""
+NORMALIZED_ROWS = 8192
+"""Demonstrated observations from which the inputs' mean and std are estimated."""
 VALUED_ROWS = 1024
 """Batch size of the critic outside of updates; it bounds the memory that images take."""
 
@@ -78,7 +85,7 @@ class Ppo(nn.Module):
         actor = start or make_student(config.student, layout, seed)
         assert isinstance(actor, BehaviourCloning)
         self.actor = actor
-        self.keeps_normalization = start is not None
+        self.keeps_normalization = start is not None or self.config.demonstrations > 0
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed + 1)
             if start is None:
@@ -148,12 +155,10 @@ class Spread(nn.Module):
         return self._low + self._half * (torch.tanh(raw) + 1.0)
 
 
-def _act_little(actor: Student) -> None:
+def _act_little(actor: BehaviourCloning) -> None:
     """Initialize the last layer of a new actor so that its actions are close to zero."""
-    head = getattr(actor, "head", None)
-    if isinstance(head, nn.Linear):
-        nn.init.orthogonal_(head.weight, 0.01)
-        nn.init.zeros_(head.bias)
+    nn.init.orthogonal_(actor.head.weight, 0.01)
+    nn.init.zeros_(actor.head.bias)
 
 
 class PpoLearner:
@@ -161,20 +166,31 @@ class PpoLearner:
 
     Args:
         agent: on the device of the worlds. worlds: where the agent acts. config: of the whole run.
-        seed: of this process.
+        seed: of this process. shown: demonstrations to imitate, if any.
     """
 
-    def __init__(self, agent: Ppo, worlds: Worlds, config: ReinforcementConfig, seed: int) -> None:
+    def __init__(
+        self,
+        agent: Ppo,
+        worlds: Worlds,
+        config: ReinforcementConfig,
+        seed: int,
+        shown: ReplayBuffer | None = None,
+    ) -> None:
         assert config.ppo is not None
         self.agent = agent
         self.worlds = worlds
         self.run = config
         self.config = config.ppo
         self.seed = seed
+        self.shown = shown
         self.updates = 0
         self.learning_rate = self.config.learning_rate
         self.optimizer = torch.optim.Adam(
-            agent.parameters(), lr=self.learning_rate, eps=self.config.adam_epsilon, fused=True
+            [{"params": agent.acting_parameters()}, {"params": agent.value.parameters()}],
+            lr=self.learning_rate,
+            eps=self.config.adam_epsilon,
+            fused=True,
         )
         device = worlds.device
         seen = worlds.seen
@@ -251,6 +267,37 @@ class PpoLearner:
 
     # -- learning -----------------------------------------------------------------------------------------------------
 
+    def imitate(self) -> float:
+        """Let the actor imitate the demonstrations, for ``imitation_updates``; returns the loss of the last one."""
+        assert self.shown is not None
+        agent = self.agent
+        random = self._random("imitate")
+        first = self.shown.draw(NORMALIZED_ROWS, random).seen
+        self.normalize(first)
+        layout = agent.actor.layout
+        self.statistics.fit([agent.actor.normalizer], layout.measured_width)
+        distributed.average([agent.actor.normalizer.mean, agent.actor.normalizer.scale])
+        updates = self.config.imitation_updates
+        parameters = list(agent.actor.parameters())
+        optimizer = torch.optim.Adam(parameters, lr=IMITATION_RATE, fused=True)
+        schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, max(updates, 1))
+        loss = torch.zeros(())
+        for _ in range(updates):
+            loss = self._imitation_loss(random)
+            optimizer.zero_grad(set_to_none=True)
+            loss.backward()
+            distributed.average_gradients(parameters)
+            optimizer.step()
+            schedule.step()
+        return float(loss.detach())
+
+    def _imitation_loss(self, random: torch.Generator) -> Tensor:
+        """Mean Huber loss between the means of the actions and demonstrated ones."""
+        assert self.shown is not None
+        batch = self.shown.draw(self.config.imitation_batch, random)
+        error = self.agent.mean(batch.seen) - batch.actions.clamp(-1.0, 1.0)
+        return nn.functional.huber_loss(error, torch.zeros_like(error), delta=IMITATION_HUBER)
+
     def update(self, rollout: Rollout, progress: float) -> dict[str, float]:
         """Update the agent from a rollout; returns the metrics to report.
 
@@ -267,11 +314,12 @@ class PpoLearner:
         size = count // config.minibatches
         told: list[tuple[float, float, float]] = []
         for _ in range(config.epochs):
-            for group in self.optimizer.param_groups:
-                group["lr"] = self.learning_rate * share
+            acting, valuing = self.optimizer.param_groups
+            acting["lr"] = self.learning_rate * share
+            valuing["lr"] = (config.critic_learning_rate or self.learning_rate) * share
             order = torch.randperm(count, generator=random).to(rollout.actions.device)
             for start in range(0, count, size):
-                told.append(self._minibatch(rollout, order[start : start + size]))
+                told.append(self._minibatch(rollout, order[start : start + size], random))
             # The test comes after a whole epoch, so that all processes stop after the same minibatch.
             divergence = torch.tensor(sum(row[2] for row in told[-config.minibatches :]))
             divergence /= config.minibatches
@@ -289,7 +337,7 @@ class PpoLearner:
     def _adapt(self, divergence: float) -> None:
         """Adapt the learning rate so that the KL divergence of an epoch stays near ``desired_kl``."""
         wanted = self.config.desired_kl
-        if not wanted:
+        if not wanted or self.updates < self.config.critic_updates:
             return
         if divergence > 2.0 * wanted:
             self.learning_rate /= RATE_STEP
@@ -297,7 +345,17 @@ class PpoLearner:
             self.learning_rate *= RATE_STEP
         self.learning_rate = min(max(self.learning_rate, LEAST_RATE), MOST_RATE)
 
-    def _minibatch(self, rollout: Rollout, rows: Tensor) -> tuple[float, float, float]:
+    def _imitation_weight(self) -> float:
+        """Weight of the imitation loss in this update."""
+        config = self.config
+        per_update = config.rollout_steps * self.worlds.count * self.run.repeat
+        done = self.updates * per_update * distributed.processes()
+        left = max(0.0, 1.0 - done / max(config.imitation_samples, 1))
+        return config.imitation_coefficient * left if self.shown is not None else 0.0
+
+    def _minibatch(
+        self, rollout: Rollout, rows: Tensor, random: torch.Generator
+    ) -> tuple[float, float, float]:
         config = self.config
         agent = self.agent
         seen = rollout.seen.rows(rows)
@@ -314,6 +372,9 @@ class PpoLearner:
         loss = config.value_coefficient * value_loss
         if self.updates >= config.critic_updates:
             loss = loss + policy_loss
+        imitation = self._imitation_weight()
+        if imitation and self.updates >= config.critic_updates:
+            loss = loss + imitation * self._imitation_loss(random)
         if config.entropy_coefficient:
             loss = loss - config.entropy_coefficient * drawn.log_std.sum(dim=1).mean()
         if not math.isfinite(float(loss.detach())):

@@ -46,7 +46,7 @@ class SteppedEnv(Protocol):
         ...
 
     def link_state(self) -> Any:
-        """(W, 4) float32, see `Sensing.link_state`."""
+        """(W, 5) float32, see `Sensing.link_state`."""
         ...
 
 

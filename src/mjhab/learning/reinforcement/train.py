@@ -131,6 +131,63 @@ class _Run(ABC):
             session.evaluate(self.actor, session.request.round_episodes)
         session.check_time()
 
+    def _buffer(self, name: str, worlds: int, capacity: int) -> ReplayBuffer:
+        seen = self.session.worlds.seen
+        images = seen.images.shape[1:]
+        steps = max(capacity // worlds, 2)
+        reserve = min(self.config.checkpoint_samples // worlds + 2, steps // 4)
+        if name == DEMONSTRATIONS:
+            reserve = 0
+        shape = ReplayShape(
+            worlds=worlds,
+            steps=steps,
+            vector=seen.vector.shape[1],
+            images=(int(images[0]), int(images[1]), int(images[2])),
+            privileged=seen.privileged.shape[1],
+            actions=len(self.session.layout.actions),
+        )
+        self.session.log.show({name: shape.words})
+        device = self.session.worlds.device
+        folder = self.session.folder.path / name if device.type == "cpu" else None
+        return ReplayBuffer(shape, device, folder, reserve)
+
+    def _demonstrations(self, episodes: int) -> ReplayBuffer:
+        """A buffer of recorded episodes or, without any, of ``episodes`` new episodes of the expert."""
+        folder = self.session.folder.path / DEMONSTRATIONS
+
+        def fill() -> ReplayBuffer:
+            return (
+                self._replay_recorded() if self.session.request.data else self._ask_expert(episodes)
+            )
+
+        shown = kept_demonstrations(folder, fill)
+        self.session.demonstrations = shown.episodes
+        return shown
+
+    def _replay_recorded(self) -> ReplayBuffer:
+        session = self.session
+
+        def make(worlds: int, steps: int) -> ReplayBuffer:
+            return self._buffer(DEMONSTRATIONS, worlds, worlds * steps)
+
+        def tell(done: int, total: int) -> None:
+            session.log.show({"phase": f"demonstrations: {done}/{total}"})
+
+        return replay_recorded(session, make, tell)
+
+    def _ask_expert(self, episodes: int) -> ReplayBuffer:
+        session = self.session
+        horizon = int(max(horizons(session.env.task_config))) + 2
+
+        def make(worlds: int) -> ReplayBuffer:
+            per_world = -(-episodes // worlds) * horizon
+            return self._buffer(DEMONSTRATIONS, worlds, worlds * per_world)
+
+        def tell(done: int) -> None:
+            session.log.show({"phase": f"demonstrations: {done}/{episodes}"})
+
+        return collect_demonstrations(session, episodes, make, tell)
+
 
 class _PpoRun(_Run):
     """PPO: rollouts and updates in turn."""
@@ -147,9 +204,15 @@ class _PpoRun(_Run):
         ).to(worlds.device)
         self.actor = agent.actor
         self.agent = agent
-        self.learner = PpoLearner(agent, worlds, self.config, session.seed)
+        shown: ReplayBuffer | None = None
+        if agent.config.demonstrations:
+            shown = self._demonstrations(agent.config.demonstrations)
+        self.learner = PpoLearner(agent, worlds, self.config, session.seed, shown)
         if session.saved is not None:
             self._restore(session.saved.tensors)
+        elif shown is not None and session.start is None:
+            session.log.show({"phase": "imitation"})
+            self.learner.imitate()
 
     def _restore(self, tensors: Any) -> None:
         learner = self.learner
@@ -216,27 +279,7 @@ class _SacRun(_Run):
         if session.saved is not None:
             self._restore(session.saved.tensors, session.saved.about)
         if self.sac.demonstrations:
-            self._demonstrate()
-
-    def _buffer(self, name: str, worlds: int, capacity: int) -> ReplayBuffer:
-        seen = self.session.worlds.seen
-        images = seen.images.shape[1:]
-        steps = max(capacity // worlds, 2)
-        reserve = min(self.config.checkpoint_samples // worlds + 2, steps // 4)
-        if name == DEMONSTRATIONS:
-            reserve = 0
-        shape = ReplayShape(
-            worlds=worlds,
-            steps=steps,
-            vector=seen.vector.shape[1],
-            images=(int(images[0]), int(images[1]), int(images[2])),
-            privileged=seen.privileged.shape[1],
-            actions=len(self.session.layout.actions),
-        )
-        self.session.log.show({name: shape.words})
-        device = self.session.worlds.device
-        folder = self.session.folder.path / name if device.type == "cpu" else None
-        return ReplayBuffer(shape, device, folder, reserve)
+            self.shown = self._demonstrations(self.sac.demonstrations)
 
     def _restore(self, tensors: Any, about: Any) -> None:
         learner = self.learner
@@ -256,38 +299,6 @@ class _SacRun(_Run):
         kept["owed"] = torch.tensor(self.owed, dtype=torch.float64)
         kept["position"] = self.online.position
         return kept
-
-    def _demonstrate(self) -> None:
-        """Fill the demonstration buffer from recorded episodes or, without any, from new episodes of the expert."""
-        folder = self.session.folder.path / DEMONSTRATIONS
-        fill = self._replay_recorded if self.session.request.data else self._ask_expert
-        self.shown = kept_demonstrations(folder, fill)
-        self.session.demonstrations = self.shown.episodes
-
-    def _replay_recorded(self) -> ReplayBuffer:
-        session = self.session
-
-        def make(worlds: int, steps: int) -> ReplayBuffer:
-            return self._buffer(DEMONSTRATIONS, worlds, worlds * steps)
-
-        def tell(done: int, total: int) -> None:
-            session.log.show({"phase": f"demonstrations: {done}/{total}"})
-
-        return replay_recorded(session, make, tell)
-
-    def _ask_expert(self) -> ReplayBuffer:
-        session = self.session
-        horizon = int(max(horizons(session.env.task_config))) + 2
-        episodes = self.sac.demonstrations
-
-        def make(worlds: int) -> ReplayBuffer:
-            per_world = -(-episodes // worlds) * horizon
-            return self._buffer(DEMONSTRATIONS, worlds, worlds * per_world)
-
-        def tell(done: int) -> None:
-            session.log.show({"phase": f"demonstrations: {done}/{episodes}"})
-
-        return collect_demonstrations(session, episodes, make, tell)
 
     def learn(self) -> None:
         session = self.session

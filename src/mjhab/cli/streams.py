@@ -1,4 +1,4 @@
-"""What commands print to: terminals that know ASCII only, pipes that are closed, disks that are full."""
+"""Robust output streams: terminals limited to ASCII, closed pipes, full disks."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from mjhab.core.files.reading import reason
 
 
 def make_streams_sturdy() -> None:
-    """Print what a stream cannot encode as escapes, and nothing where a stream was closed."""
+    """Make streams escape characters that they cannot encode, and replace closed streams by null devices."""
     sys.stdout = sys.stdout or io.StringIO()
     sys.stderr = sys.stderr or io.StringIO()
     for stream in (sys.stdout, sys.stderr):
@@ -19,7 +19,7 @@ def make_streams_sturdy() -> None:
 
 
 def drop_unwritable_stdout() -> None:
-    """Send what is still to be printed nowhere if stdout cannot be written, so that the interpreter ends quietly."""
+    """If stdout cannot be written, discard its buffered output, so that the interpreter exits without an error."""
     try:
         sys.stdout.flush()
     except (OSError, ValueError):
@@ -28,7 +28,7 @@ def drop_unwritable_stdout() -> None:
 
 
 def described(error: OSError) -> str:
-    """What the system refused, in words."""
+    """Describe an OSError for the user."""
     if error.filename is None:
         return f"cannot write the output ({reason(error)})."
     return f"{error.filename} cannot be used ({reason(error)})."

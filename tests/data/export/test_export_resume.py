@@ -211,7 +211,7 @@ def test_options_of_films_and_images_must_be_the_same(source: Path, tmp_path: Pa
     with pytest.raises(KeyboardInterrupt):
         lerobot(source, tmp_path / "set", options={"quality": 18}, begin=stop_after(1))
     with pytest.raises(
-        UsageError, match="unfinished export to .* has another depth, quality, version"
+        UsageError, match=r"unfinished export to .* has another depth, quality, version"
     ):
         lerobot(
             source,
